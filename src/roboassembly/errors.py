@@ -1,0 +1,35 @@
+"""The exceptions users meet. Each message is one line: what is wrong, where, and what would do."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+
+class RoboAssemblyError(Exception):
+    """Base of every error that this package raises on purpose."""
+
+
+class InputError(RoboAssemblyError):
+    """Something handed in cannot be used; the command line answers with exit status 2."""
+
+
+class FurnitureError(InputError):
+    """Furniture, or a file that should hold some, breaks a rule of the format or of geometry."""
+
+
+class UnknownNameError(InputError):
+    """A name that is not registered; the message offers near misses, or everything there is."""
+
+    def __init__(self, kind: str, name: str, known: Iterable[str]) -> None:
+        names = sorted(known)
+        near = difflib.get_close_matches(name, names, n=3, cutoff=0.5)
+        offer = f"did you mean {', '.join(near)}?" if near else f"known: {', '.join(names)}"
+        super().__init__(f"unknown {kind} '{name}'; {offer}")
+
+
+class MissingExtraError(RoboAssemblyError):
+    """An optional dependency is needed and not installed."""
+
+    def __init__(self, package: str, extra: str) -> None:
+        super().__init__(f"'{package}' is not installed; install it with: pip install 'roboassembly[{extra}]'")

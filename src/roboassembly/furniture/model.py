@@ -1,0 +1,218 @@
+"""What a piece of furniture is: parts, where they go, what touches what, and which parts are alike."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float
+
+from roboassembly.errors import FurnitureError
+from roboassembly.meshes import Mesh
+from roboassembly.poses import SE3
+
+MIN_PARTS = 2
+MAX_PARTS = 20
+"""The paper's bound, and the padding of the observation and of the action space."""
+MAX_POINTS = 10
+"""Connection points a part, likewise."""
+CONTACT_DISTANCE = 0.005
+"""Parts nearer than this, in metres, are connected (the paper's 5 mm)."""
+
+
+@dataclass(frozen=True)
+class RawPart:
+    """A part as a generator or importer makes it: nothing annotated yet."""
+
+    name: str
+    mesh: Mesh
+    """In the furniture's frame (metres, z up), at its place in the assembled furniture."""
+    label: str = ""
+    """What it is in PartNet's vocabulary (`leg`, `seat_surface_bar`, ...), where known."""
+
+
+@dataclass(frozen=True, eq=False)
+class ConnectionPoint:
+    """Where a part meets another, in the part's frame. Position, normal and tangent are the paper's nine numbers."""
+
+    position: Float[np.ndarray, "3"]
+    """Metres; the centre of the contact patch, on this part's side of the gap."""
+    normal: Float[np.ndarray, "3"]
+    """Unit vector out of the part, toward its mate."""
+    tangent: Float[np.ndarray, "3"]
+    """Unit vector orthogonal to the normal."""
+    gap: float
+    """Metres between this point and its mate along the normal in the assembled furniture."""
+
+    @cached_property
+    def frame(self) -> SE3:
+        """`part_from_point`: z along the normal, x along the tangent."""
+        y = np.cross(self.normal, self.tangent)
+        return SE3(np.column_stack([self.tangent, y, self.normal]), self.position)
+
+
+@dataclass(frozen=True, eq=False)
+class GraspRegion:
+    """A place where a parallel jaw can hold the part, in the part's frame, and four ways to come to it."""
+
+    position: Float[np.ndarray, "3"]
+    """Metres; midpoint between the fingers."""
+    closing: Float[np.ndarray, "3"]
+    """Unit vector along which the fingers close."""
+    approaches: Float[np.ndarray, "4 3"]
+    """Unit vectors along which the hand may come, each orthogonal to `closing`."""
+    width: float
+    """Metres between the fingers when they touch."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """One rigid mesh, in a frame at its own centre of mass."""
+
+    name: str
+    mesh: Mesh
+    points: tuple[ConnectionPoint, ...]
+    label: str = ""
+    grasps: tuple[GraspRegion, ...] = ()
+
+
+@dataclass(frozen=True)
+class Connection:
+    """Two connection points that touch in the assembled furniture (indices into parts and their points)."""
+
+    part_a: int
+    point_a: int
+    part_b: int
+    point_b: int
+
+
+@dataclass(frozen=True, eq=False)
+class ShapeClass:
+    """Parts of the same shape, up to a proper rigid motion: any of them may take any of their slots."""
+
+    members: tuple[int, ...]
+    """Part indices, ascending."""
+    class_from_part: tuple[SE3, ...]
+    """For each member, the motion that lays its mesh onto the first member's mesh."""
+    symmetries: Float[np.ndarray, "s 3 3"]
+    """Rotations about the centre of mass that map the first member's mesh to itself; the identity first."""
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """Where the furniture comes from."""
+
+    source: str
+    """`generated`, `ikea-manual`, `folder`, ..."""
+    identifier: str = ""
+    """Name or seed within the source."""
+    licence: str = ""
+    scale: float = 1.0
+    """Metres per unit of the source's own files."""
+    notes: tuple[str, ...] = ()
+    """What repair did, one line each."""
+
+
+@dataclass(frozen=True, eq=False)
+class Furniture:
+    """Parts, their assembled poses, and everything known about how they fit.
+
+    The furniture's frame is z up, in metres.
+
+    Raises:
+        FurnitureError: fewer than 2 or more than 20 parts, more than 10 points on a part, indices or class lists
+            that do not fit the parts, or connections that leave the furniture in pieces.
+    """
+
+    name: str
+    parts: tuple[Part, ...]
+    assembled: tuple[SE3, ...]
+    """`furniture_from_part` for each part: the slots."""
+    connections: tuple[Connection, ...]
+    classes: tuple[ShapeClass, ...]
+    provenance: Provenance = field(default_factory=lambda: Provenance("unknown"))
+
+    def __post_init__(self) -> None:
+        n = len(self.parts)
+        check_part_count(n, self.name)
+        if len(self.assembled) != n:
+            raise FurnitureError(f"{self.name}: {n} parts but {len(self.assembled)} assembled poses")
+        for part in self.parts:
+            if len(part.points) > MAX_POINTS:
+                raise FurnitureError(
+                    f"{self.name}: part '{part.name}' has {len(part.points)} connection points; at most {MAX_POINTS}"
+                )
+        seen: set[tuple[int, int]] = set()
+        for c in self.connections:
+            for p, k in ((c.part_a, c.point_a), (c.part_b, c.point_b)):
+                if not (0 <= p < n and 0 <= k < len(self.parts[p].points)):
+                    raise FurnitureError(f"{self.name}: connection refers to point {k} of part {p}, which is not there")
+                if (p, k) in seen:
+                    raise FurnitureError(f"{self.name}: point {k} of part '{self.parts[p].name}' is connected twice")
+                seen.add((p, k))
+        members = sorted(m for c in self.classes for m in c.members)
+        if members != list(range(n)):
+            raise FurnitureError(f"{self.name}: shape classes name parts {members}; each of 0..{n - 1} once would do")
+        islands = self.connected_components(range(n))
+        if len(islands) > 1:
+            loose = min(islands, key=len)
+            names = ", ".join(self.parts[p].name for p in sorted(loose))
+            raise FurnitureError(f"{self.name}: parts do not touch the rest within {CONTACT_DISTANCE * 1e3:g} mm: {names}")
+
+    @cached_property
+    def class_of(self) -> tuple[int, ...]:
+        """Index of each part's shape class."""
+        out = [0] * len(self.parts)
+        for index, shape_class in enumerate(self.classes):
+            for member in shape_class.members:
+                out[member] = index
+        return tuple(out)
+
+    @cached_property
+    def class_from_part(self) -> tuple[SE3, ...]:
+        """For each part, the motion that lays its mesh onto its class's first member."""
+        out = [SE3.Identity()] * len(self.parts)
+        for shape_class in self.classes:
+            for member, pose in zip(shape_class.members, shape_class.class_from_part, strict=True):
+                out[member] = pose
+        return tuple(out)
+
+    @cached_property
+    def neighbours(self) -> tuple[frozenset[int], ...]:
+        """Parts that each part is connected to."""
+        out: list[set[int]] = [set() for _ in self.parts]
+        for c in self.connections:
+            out[c.part_a].add(c.part_b)
+            out[c.part_b].add(c.part_a)
+        return tuple(frozenset(s) for s in out)
+
+    @cached_property
+    def mate_of(self) -> dict[tuple[int, int], tuple[int, int]]:
+        """`(part, point)` to the `(part, point)` that it touches."""
+        out: dict[tuple[int, int], tuple[int, int]] = {}
+        for c in self.connections:
+            out[c.part_a, c.point_a] = (c.part_b, c.point_b)
+            out[c.part_b, c.point_b] = (c.part_a, c.point_a)
+        return out
+
+    def connected_components(self, among: range | frozenset[int]) -> list[frozenset[int]]:
+        """Split `among` into sets of parts that connections hold together, by lowest part index."""
+        left, out = set(among), []
+        while left:
+            stack, island = [min(left)], set()
+            while stack:
+                p = stack.pop()
+                if p in island:
+                    continue
+                island.add(p)
+                stack.extend((self.neighbours[p] & left) - island)
+            left -= island
+            out.append(frozenset(island))
+        return out
+
+
+def check_part_count(count: int, name: str) -> None:
+    """Raise `FurnitureError` unless `count` is between 2 and 20."""
+    if not MIN_PARTS <= count <= MAX_PARTS:
+        raise FurnitureError(f"{name}: {count} part{'s' if count != 1 else ''}; furniture has {MIN_PARTS} to {MAX_PARTS}")

@@ -1,0 +1,132 @@
+"""A triangle mesh that has been looked at: finite, indexed, with area."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import trimesh
+from jaxtyping import Float, Int
+from scipy.spatial import ConvexHull, QhullError
+
+from roboassembly.errors import FurnitureError
+from roboassembly.poses import SE3, transform_points
+
+MAX_FACES = 2_000_000
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """Triangles in metres. Vertices are rounded to 32-bit floats, so that a saved mesh loads back identical.
+
+    Compared and hashed by identity: two parts share a mesh when they share the object.
+
+    Raises:
+        FurnitureError: wrong shapes, non-finite vertices, face indices out of range, no faces, or no area.
+    """
+
+    vertices: Float[np.ndarray, "v 3"]
+    """Metres, in whatever frame the owner says (a part's: its centre of mass)."""
+    faces: Int[np.ndarray, "f 3"]
+    """Vertex indices, counter-clockwise seen from outside."""
+
+    def __post_init__(self) -> None:
+        vertices = np.asarray(np.asarray(self.vertices, dtype=np.float32), dtype=np.float64)
+        faces = np.asarray(self.faces, dtype=np.int64)
+        if faces.size == 0:
+            raise FurnitureError("mesh has no faces; a part needs at least four triangles")
+        if vertices.ndim != 2 or vertices.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3:
+            raise FurnitureError(f"mesh arrays have shapes {vertices.shape} and {faces.shape}; (v, 3) and (f, 3) would do")
+        if len(faces) > MAX_FACES:
+            raise FurnitureError(f"mesh has {len(faces)} faces; at most {MAX_FACES} are accepted, simplify it first")
+        bad = ~np.isfinite(vertices).all(axis=1)
+        if bad.any():
+            raise FurnitureError(f"mesh vertex {int(np.flatnonzero(bad)[0])} is not finite (NaN or infinity)")
+        if faces.min() < 0 or faces.max() >= len(vertices):
+            raise FurnitureError(f"mesh face refers to vertex {int(faces.max())}, but there are {len(vertices)} vertices")
+        edges = vertices[faces]
+        area = 0.5 * np.linalg.norm(np.cross(edges[:, 1] - edges[:, 0], edges[:, 2] - edges[:, 0]), axis=1).sum()
+        if not area > 1e-10:
+            raise FurnitureError(f"mesh has zero area ({area:.3g} m²)")
+        vertices.setflags(write=False)
+        faces.setflags(write=False)
+        object.__setattr__(self, "vertices", vertices)
+        object.__setattr__(self, "faces", faces)
+
+    @classmethod
+    def from_trimesh(cls, mesh: trimesh.Trimesh) -> Mesh:
+        """Copy the vertices and faces of a `trimesh.Trimesh`."""
+        return cls(np.array(mesh.vertices), np.array(mesh.faces))
+
+    @cached_property
+    def trimesh(self) -> trimesh.Trimesh:
+        """The same triangles as a `trimesh.Trimesh`, unprocessed: do not change it."""
+        return trimesh.Trimesh(self.vertices, self.faces, process=False)
+
+    @cached_property
+    def is_solid(self) -> bool:
+        """Closed, consistently wound, facing outward: its volume integrals mean something."""
+        return bool(self.trimesh.is_volume and self.trimesh.volume > 0)
+
+    @cached_property
+    def hull(self) -> trimesh.Trimesh:
+        """Convex hull.
+
+        Raises:
+            FurnitureError: the mesh is flat, so that it has no hull with volume.
+        """
+        try:
+            hull = ConvexHull(self.vertices)
+        except QhullError:
+            raise FurnitureError("mesh is flat: it encloses no volume; give the part a thickness") from None
+        used, faces = np.unique(hull.simplices, return_inverse=True)
+        mesh = trimesh.Trimesh(self.vertices[used], faces.reshape(-1, 3), process=False)
+        mesh.fix_normals()
+        return mesh
+
+    @cached_property
+    def hull_vertices(self) -> Float[np.ndarray, "h 3"]:
+        """Corners of the convex hull: enough to find the lowest point in any orientation."""
+        return np.array(self.hull.vertices)
+
+    @cached_property
+    def _mass_source(self) -> trimesh.Trimesh:
+        return self.trimesh if self.is_solid else self.hull
+
+    @cached_property
+    def volume(self) -> float:
+        """Cubic metres; of the convex hull where the mesh is not solid."""
+        return float(self._mass_source.volume)
+
+    @cached_property
+    def center_of_mass(self) -> Float[np.ndarray, "3"]:
+        """Uniform density; of the convex hull where the mesh is not solid."""
+        return np.array(self._mass_source.center_mass)
+
+    @cached_property
+    def inertia(self) -> Float[np.ndarray, "3 3"]:
+        """About the centre of mass, m⁵ (times density: kg·m²); of the convex hull where the mesh is not solid."""
+        return np.array(self._mass_source.moment_inertia)
+
+    @cached_property
+    def bounds(self) -> Float[np.ndarray, "2 3"]:
+        """Axis-aligned box: lowest and highest corner."""
+        return np.array([self.vertices.min(axis=0), self.vertices.max(axis=0)])
+
+    @cached_property
+    def radius(self) -> float:
+        """Distance of the farthest vertex from the origin of the mesh's frame."""
+        return float(np.linalg.norm(self.vertices, axis=1).max())
+
+    @cached_property
+    def content_hash(self) -> str:
+        """Hash of vertices and faces, for caches and manifests."""
+        digest = hashlib.sha256(self.vertices.astype("<f4").tobytes())
+        digest.update(self.faces.astype("<i4").tobytes())
+        return digest.hexdigest()[:16]
+
+    def transformed(self, pose: SE3) -> Mesh:
+        """The mesh with every vertex moved by `pose`."""
+        return Mesh(transform_points(pose, self.vertices), self.faces)

@@ -1,0 +1,126 @@
+"""Poses: one convention for each place that needs one.
+
+Inside the package a pose is a `pinocchio.SE3`. In files it is seven numbers `(x, y, z, qw, qx, qy, qz)`.
+In observations it is `(x, y, z, roll, pitch, yaw)` with `R = Rz(yaw) @ Ry(pitch) @ Rx(roll)`. For networks the
+rotation is six numbers: the first two columns of R (Zhou et al. 2019, "On the Continuity of Rotation
+Representations in Neural Networks"). Metres and radians throughout.
+
+A variable named `target_from_source` maps coordinates in `source` to coordinates in `target`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pinocchio as pin
+from jaxtyping import Float
+from pinocchio import SE3
+
+from roboassembly.errors import InputError
+
+__all__ = [
+    "SE3",
+    "align_axis",
+    "from_quaternion",
+    "interpolate",
+    "pose_from_seven",
+    "pose_to_euler",
+    "pose_to_rotation_6d",
+    "pose_to_seven",
+    "poses_to_configurations",
+    "rotation_angle",
+    "rotation_from_quaternion",
+    "transform_points",
+]
+
+
+def rotation_from_quaternion(wxyz: Sequence[float] | Float[np.ndarray, "4"]) -> Float[np.ndarray, "3 3"]:
+    """Rotation matrix of the quaternion `(w, x, y, z)`, which is normalised first."""
+    w, x, y, z = (float(c) for c in wxyz)
+    quaternion = pin.Quaternion(w, x, y, z)
+    norm = quaternion.norm()
+    if not np.isfinite(norm) or norm < 1e-6:
+        raise InputError(f"quaternion {[w, x, y, z]} has no direction; give four finite numbers, not all zero")
+    quaternion.normalize()
+    return quaternion.toRotationMatrix()
+
+
+def from_quaternion(position: Sequence[float], wxyz: Sequence[float]) -> SE3:
+    """Pose from a position in metres and a quaternion `(w, x, y, z)`."""
+    return SE3(rotation_from_quaternion(wxyz), np.asarray(position, dtype=float))
+
+
+def pose_to_seven(pose: SE3) -> list[float]:
+    """`[x, y, z, qw, qx, qy, qz]` with `qw >= 0`."""
+    q = pin.Quaternion(pose.rotation)
+    sign = -1.0 if q.w < 0 else 1.0
+    return [*map(float, pose.translation), sign * q.w, sign * q.x, sign * q.y, sign * q.z]
+
+
+def pose_from_seven(numbers: Sequence[float]) -> SE3:
+    """Pose from `[x, y, z, qw, qx, qy, qz]`.
+
+    Raises:
+        InputError: not seven finite numbers, or a zero quaternion.
+    """
+    values = np.asarray(numbers, dtype=float)
+    if values.shape != (7,) or not np.isfinite(values).all():
+        raise InputError(f"a pose is seven finite numbers x, y, z, qw, qx, qy, qz; got {list(numbers)!r}")
+    return from_quaternion(values[:3].tolist(), values[3:].tolist())
+
+
+def pose_to_euler(pose: SE3) -> Float[np.ndarray, "6"]:
+    """`(x, y, z, roll, pitch, yaw)`, metres and radians, `R = Rz(yaw) Ry(pitch) Rx(roll)`."""
+    return np.concatenate([pose.translation, pin.rpy.matrixToRpy(pose.rotation)])
+
+
+def pose_to_rotation_6d(pose: SE3) -> Float[np.ndarray, "9"]:
+    """Translation and the first two columns of the rotation matrix."""
+    return np.concatenate([pose.translation, pose.rotation[:, 0], pose.rotation[:, 1]])
+
+
+def transform_points(pose: SE3, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+    """Points given in the pose's own frame, expressed in its parent frame."""
+    return points @ pose.rotation.T + pose.translation
+
+
+def rotation_angle(rotation: Float[np.ndarray, "3 3"]) -> float:
+    """Angle of a rotation matrix in `[0, pi]` radians."""
+    return float(np.linalg.norm(pin.log3(rotation)))
+
+
+def interpolate(start: SE3, end: SE3, fractions: Float[np.ndarray, "n"]) -> Float[np.ndarray, "7 n"]:
+    """Configurations `(x, y, z, qx, qy, qz, qw)` along an edge, one per column.
+
+    Translation is linear and rotation is spherical-linear, separately: this is the meaning of an edge in every
+    path of this package (and OMPL's meaning for SE(3)). The quaternion order is Pinocchio's.
+    """
+    fractions = np.asarray(fractions, dtype=float)
+    a = pin.Quaternion(start.rotation).coeffs()
+    b = pin.Quaternion(end.rotation).coeffs()
+    cosine = float(a @ b)
+    if cosine < 0:
+        b, cosine = -b, -cosine
+    out = np.empty((7, len(fractions)), order="F")
+    out[:3] = start.translation[:, None] + np.outer(end.translation - start.translation, fractions)
+    angle = np.arccos(min(1.0, cosine))
+    if angle < 1e-9:
+        out[3:] = a[:, None]
+        return out
+    scale = 1.0 / np.sin(angle)
+    out[3:] = np.outer(a, np.sin((1.0 - fractions) * angle) * scale) + np.outer(b, np.sin(fractions * angle) * scale)
+    return out
+
+
+def poses_to_configurations(poses: Sequence[SE3]) -> Float[np.ndarray, "7 n"]:
+    """Free-flyer configurations `(x, y, z, qx, qy, qz, qw)`, one per column, Fortran order."""
+    out = np.empty((7, len(poses)), order="F")
+    for column, pose in enumerate(poses):
+        out[:, column] = pin.SE3ToXYZQUAT(pose)
+    return out
+
+
+def align_axis(source: Float[np.ndarray, "3"], target: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
+    """The smallest rotation that takes the unit vector `source` to the unit vector `target`."""
+    return pin.Quaternion.FromTwoVectors(np.asarray(source, float), np.asarray(target, float)).toRotationMatrix()

@@ -1,0 +1,52 @@
+"""An assembly plan as a record: what moved where, and what lay still. `plan.json` is this, and the viewer reads it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from roboassembly.furniture.model import Furniture
+from roboassembly.poses import SE3
+
+
+@dataclass(frozen=True, eq=False)
+class PlanStep:
+    """One merge: a group moves along a path to its mate, they join, the merged group is let go and settles."""
+
+    action: tuple[int, ...]
+    """`(u, v, k, l, w)` in the object-centric setting."""
+    moving: dict[int, SE3]
+    """Parts of u's group: index to `group_from_part`. The group's frame has its origin at the group's centre of mass."""
+    waiting: tuple[int, ...]
+    """Parts of v's group."""
+    still: dict[int, SE3]
+    """World pose of every part that does not move during the path, v's group at its `w` pose included."""
+    path: tuple[SE3, ...]
+    """`world_from_group` way-points of the moving group, start to mating pose. Between two of them the translation
+    is linear and the rotation spherical-linear."""
+    settling: tuple[SE3, ...]
+    """How the merged group comes to rest, every `SETTLING_INTERVAL` seconds: motions of the world that take it from
+    its pose at the moment of mating to its pose then. The first is the identity."""
+    after: tuple[SE3, ...]
+    """World pose of every part when the step is over."""
+    planning_steps: int
+    """Configurations tested for collision."""
+    planner: str
+    """What found the path: `retreat` or `rrt-connect`."""
+    planning_seconds: float
+    """Wall time of the planning; not part of `plan.json`."""
+
+
+SETTLING_INTERVAL = 0.05
+"""Seconds of simulated time between two poses of `PlanStep.settling`."""
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """A whole assembly."""
+
+    furniture: Furniture
+    initial: tuple[SE3, ...]
+    """World pose of every part before the first step."""
+    steps: tuple[PlanStep, ...]
+    success: bool
+    seed: int
