@@ -81,10 +81,11 @@ class Mesh:
             hull = ConvexHull(self.vertices)
         except QhullError:
             raise FurnitureError("mesh is flat: it encloses no volume; give the part a thickness") from None
-        used, faces = np.unique(hull.simplices, return_inverse=True)
-        mesh = trimesh.Trimesh(self.vertices[used], faces.reshape(-1, 3), process=False)
-        mesh.fix_normals()
-        return mesh
+        a, b, c = (self.vertices[hull.simplices[:, i]] for i in range(3))
+        inward = np.einsum("ij,ij->i", np.cross(b - a, c - a), hull.equations[:, :3]) < 0
+        simplices = np.where(inward[:, None], hull.simplices[:, ::-1], hull.simplices)
+        used, faces = np.unique(simplices, return_inverse=True)
+        return trimesh.Trimesh(self.vertices[used], faces.reshape(-1, 3), process=False)
 
     @cached_property
     def hull_vertices(self) -> Float[np.ndarray, "h 3"]:
