@@ -6,6 +6,7 @@ import hashlib
 from dataclasses import dataclass
 from functools import cached_property
 
+import coal
 import numpy as np
 import trimesh
 from jaxtyping import Float, Int
@@ -38,14 +39,18 @@ class Mesh:
         if faces.size == 0:
             raise FurnitureError("mesh has no faces; a part needs at least four triangles")
         if vertices.ndim != 2 or vertices.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3:
-            raise FurnitureError(f"mesh arrays have shapes {vertices.shape} and {faces.shape}; (v, 3) and (f, 3) would do")
+            raise FurnitureError(
+                f"mesh arrays have shapes {vertices.shape} and {faces.shape}; (v, 3) and (f, 3) would do"
+            )
         if len(faces) > MAX_FACES:
             raise FurnitureError(f"mesh has {len(faces)} faces; at most {MAX_FACES} are accepted, simplify it first")
         bad = ~np.isfinite(vertices).all(axis=1)
         if bad.any():
             raise FurnitureError(f"mesh vertex {int(np.flatnonzero(bad)[0])} is not finite (NaN or infinity)")
         if faces.min() < 0 or faces.max() >= len(vertices):
-            raise FurnitureError(f"mesh face refers to vertex {int(faces.max())}, but there are {len(vertices)} vertices")
+            raise FurnitureError(
+                f"mesh face refers to vertex {int(faces.max())}, but there are {len(vertices)} vertices"
+            )
         edges = vertices[faces]
         area = 0.5 * np.linalg.norm(np.cross(edges[:, 1] - edges[:, 0], edges[:, 2] - edges[:, 0]), axis=1).sum()
         if not area > 1e-10:
@@ -128,6 +133,40 @@ class Mesh:
         digest.update(self.faces.astype("<i4").tobytes())
         return digest.hexdigest()[:16]
 
+    @cached_property
+    def bvh(self) -> coal.BVHModelOBBRSS:
+        """The exact triangles as a bounding-volume hierarchy: a surface, without an inside."""
+        model = coal.BVHModelOBBRSS()
+        model.beginModel(len(self.faces), len(self.vertices))
+        vertices, triangles = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
+        vertices.extend(list(self.vertices))
+        triangles.extend([coal.Triangle(*map(int, face)) for face in self.faces])
+        model.addSubModel(vertices, triangles)
+        model.endModel()
+        return model
+
     def transformed(self, pose: SE3) -> Mesh:
         """The mesh with every vertex moved by `pose`."""
         return Mesh(transform_points(pose, self.vertices), self.faces)
+
+
+@dataclass(frozen=True, eq=False)
+class Witness:
+    """The nearest points of two meshes."""
+
+    distance: float
+    """Metres; 0 when they touch or penetrate."""
+    point_a: Float[np.ndarray, "3"]
+    point_b: Float[np.ndarray, "3"]
+
+
+def nearest_points(a: Mesh, b: Mesh) -> Witness:
+    """Exact distance between two surfaces given in the same frame, and where it is attained."""
+    here = coal.Transform3s.Identity()
+    request, hit = coal.CollisionRequest(), coal.CollisionResult()
+    if coal.collide(a.bvh, here, b.bvh, here, request, hit):
+        point = np.array(hit.getContact(0).pos) if hit.numContacts() else np.array(a.center_of_mass)
+        return Witness(0.0, point, point)
+    result = coal.DistanceResult()
+    distance = coal.distance(a.bvh, here, b.bvh, here, coal.DistanceRequest(), result)
+    return Witness(float(distance), np.array(result.getNearestPoint1()), np.array(result.getNearestPoint2()))

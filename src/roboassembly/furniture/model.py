@@ -19,6 +19,8 @@ MAX_POINTS = 10
 """Connection points a part, likewise."""
 CONTACT_DISTANCE = 0.005
 """Parts nearer than this, in metres, are connected (the paper's 5 mm)."""
+SAME_POINT = 0.01
+"""Metres: contacts of like parts that fall this near to each other on their shape get one and the same point."""
 
 
 @dataclass(frozen=True)
@@ -89,14 +91,15 @@ class Connection:
 
 @dataclass(frozen=True, eq=False)
 class ShapeClass:
-    """Parts of the same shape, up to a proper rigid motion: any of them may take any of their slots."""
+    """Parts of the same shape, up to a proper rigid motion: any of them may take any of their slots.
+
+    The members' frames are laid so that their meshes coincide: all that differs is where their slots are.
+    """
 
     members: tuple[int, ...]
     """Part indices, ascending."""
-    class_from_part: tuple[SE3, ...]
-    """For each member, the motion that lays its mesh onto the first member's mesh."""
     symmetries: Float[np.ndarray, "s 3 3"]
-    """Rotations about the centre of mass that map the first member's mesh to itself; the identity first."""
+    """Rotations about the centre of mass that map the shape to itself; the identity first."""
 
 
 @dataclass(frozen=True)
@@ -158,7 +161,9 @@ class Furniture:
         if len(islands) > 1:
             loose = min(islands, key=len)
             names = ", ".join(self.parts[p].name for p in sorted(loose))
-            raise FurnitureError(f"{self.name}: parts do not touch the rest within {CONTACT_DISTANCE * 1e3:g} mm: {names}")
+            raise FurnitureError(
+                f"{self.name}: parts do not touch the rest within {CONTACT_DISTANCE * 1e3:g} mm: {names}"
+            )
 
     @cached_property
     def class_of(self) -> tuple[int, ...]:
@@ -167,15 +172,6 @@ class Furniture:
         for index, shape_class in enumerate(self.classes):
             for member in shape_class.members:
                 out[member] = index
-        return tuple(out)
-
-    @cached_property
-    def class_from_part(self) -> tuple[SE3, ...]:
-        """For each part, the motion that lays its mesh onto its class's first member."""
-        out = [SE3.Identity()] * len(self.parts)
-        for shape_class in self.classes:
-            for member, pose in zip(shape_class.members, shape_class.class_from_part, strict=True):
-                out[member] = pose
         return tuple(out)
 
     @cached_property
@@ -215,4 +211,6 @@ class Furniture:
 def check_part_count(count: int, name: str) -> None:
     """Raise `FurnitureError` unless `count` is between 2 and 20."""
     if not MIN_PARTS <= count <= MAX_PARTS:
-        raise FurnitureError(f"{name}: {count} part{'s' if count != 1 else ''}; furniture has {MIN_PARTS} to {MAX_PARTS}")
+        raise FurnitureError(
+            f"{name}: {count} part{'s' if count != 1 else ''}; furniture has {MIN_PARTS} to {MAX_PARTS}"
+        )

@@ -1,0 +1,325 @@
+"""From raw parts to furniture: frames at the centre of mass, parts that are alike, contacts, connection points."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from roboassembly.errors import FurnitureError
+from roboassembly.furniture.congruence import rotations_onto, symmetries
+from roboassembly.furniture.contacts import Contact, find_contacts
+from roboassembly.furniture.model import (
+    MAX_POINTS,
+    SAME_POINT,
+    Connection,
+    ConnectionPoint,
+    Furniture,
+    Part,
+    Provenance,
+    RawPart,
+    ShapeClass,
+    check_part_count,
+)
+from roboassembly.meshes import Mesh
+from roboassembly.poses import SE3
+
+_SAME_DIRECTION = 0.3
+"""Radians: like contacts' normals agree to this."""
+_CONSISTENT = 1e-4
+"""Metres and radians: frames that both ends of a connection inherit are one if they agree to this."""
+_SHARED = 2e-6
+"""Metres: like parts whose corners agree to this share one mesh (rounding to 32-bit floats is below it)."""
+
+
+def annotate(name: str, raw: Sequence[RawPart], provenance: Provenance) -> Furniture:
+    """Annotate parts given at their places in the assembled furniture.
+
+    Contacts follow the paper: parts nearer than 5 mm are connected, and each connection has a point on either part,
+    at the centre of the contact patch, with normal and tangent. Laying the two frames together (origins at the
+    stored gap along the normal, normals opposed, tangents equal) gives back the assembled relative pose.
+
+    Parts of one shape get frames in which their meshes coincide, and the same points: tangents are carried from
+    member to member wherever the furniture allows it, so that four equal legs fit each other's places.
+
+    Raises:
+        FurnitureError: part count, repeated names, parts that penetrate, parts that do not touch.
+    """
+    check_part_count(len(raw), name)
+    names = [part.name for part in raw]
+    repeated = sorted({n for n in names if names.count(n) > 1})
+    if repeated:
+        raise FurnitureError(f"{name}: part name '{repeated[0]}' is used twice; names must be unique")
+    centers = [part.mesh.center_of_mass for part in raw]
+    centered = [part.mesh.transformed(SE3(np.eye(3), -c)) for part, c in zip(raw, centers, strict=True)]
+    contacts, notes = _bounded_contacts(find_contacts([p.mesh for p in raw], names), names)
+    classes, rotations = _classify(centered)
+    rotations = _turn_to_match_points(classes, rotations, centers, contacts)
+    slots = tuple(SE3(r, c) for r, c in zip(rotations, centers, strict=True))
+    meshes = _part_meshes(centered, classes, slots)
+    points, connections = _connection_points(contacts, slots, classes)
+    parts = tuple(
+        Part(part.name, mesh, tuple(own), part.label) for part, mesh, own in zip(raw, meshes, points, strict=True)
+    )
+    provenance = replace(provenance, notes=(*provenance.notes, *notes))
+    return Furniture(name, parts, slots, connections, classes, provenance)
+
+
+def _bounded_contacts(contacts: tuple[Contact, ...], names: Sequence[str]) -> tuple[list[Contact], list[str]]:
+    """Leave out the smallest patches of parts with more than `MAX_POINTS`, while all stays connected."""
+    kept, notes = list(contacts), []
+    for contact in sorted(contacts, key=lambda c: c.area):
+        crowded = [p for p in (contact.a, contact.b) if sum(p in (c.a, c.b) for c in kept) > MAX_POINTS]
+        if not crowded:
+            continue
+        rest = [c for c in kept if c is not contact]
+        if _reaches(contact.a, contact.b, rest):
+            kept = rest
+            notes.append(
+                f"contact of '{names[contact.a]}' and '{names[contact.b]}' left out: more than {MAX_POINTS} points"
+            )
+    for p, part in enumerate(names):
+        count = sum(p in (c.a, c.b) for c in kept)
+        if count > MAX_POINTS:
+            raise FurnitureError(f"part '{part}' touches {count} others that nothing else holds; at most {MAX_POINTS}")
+    return kept, notes
+
+
+def _reaches(start: int, goal: int, contacts: Sequence[Contact]) -> bool:
+    seen, stack = {start}, [start]
+    while stack:
+        here = stack.pop()
+        for c in contacts:
+            if here in (c.a, c.b):
+                other = c.b if here == c.a else c.a
+                if other not in seen:
+                    seen.add(other)
+                    stack.append(other)
+    return goal in seen
+
+
+def _classify(centered: Sequence[Mesh]) -> tuple[tuple[ShapeClass, ...], list[Float[np.ndarray, "3 3"]]]:
+    """Group like parts; also a rotation per part that lays its class's first member onto it."""
+    members: list[list[int]] = []
+    rotations: list[Float[np.ndarray, "3 3"]] = []
+    for p, mesh in enumerate(centered):
+        for group in members:
+            onto = rotations_onto(centered[group[0]], mesh)
+            if len(onto):
+                group.append(p)
+                rotations.append(np.eye(3) if np.allclose(onto[0], np.eye(3), atol=1e-7) else onto[0])
+                break
+        else:
+            members.append([p])
+            rotations.append(np.eye(3))
+    return tuple(ShapeClass(tuple(group), symmetries(centered[group[0]])) for group in members), rotations
+
+
+@dataclass(frozen=True, eq=False)
+class _Spot:
+    """Position and normal of a contact in its part's frame."""
+
+    position: Float[np.ndarray, "3"]
+    normal: Float[np.ndarray, "3"]
+
+    def onto(self, other: _Spot, rotations: Float[np.ndarray, "s 3 3"]) -> Float[np.ndarray, "m 3 3"]:
+        """Those of the rotations that take this spot to about the other one, and none clearly nearer."""
+        apart = np.linalg.norm(rotations @ self.position - other.position, axis=1)
+        turned = np.linalg.norm(rotations @ self.normal - other.normal, axis=1)
+        good = (apart < SAME_POINT) & (turned < _SAME_DIRECTION)
+        return rotations[good & (apart < apart[good].min() + 1e-4)] if good.any() else rotations[:0]
+
+
+def _spot(contact: Contact, part: int, slot: SE3) -> _Spot:
+    side = 1.0 if part == contact.a else -1.0
+    position = contact.center - side * 0.5 * contact.gap * contact.normal
+    return _Spot(slot.rotation.T @ (position - slot.translation), side * (slot.rotation.T @ contact.normal))
+
+
+def _turn_to_match_points(
+    classes: Sequence[ShapeClass],
+    rotations: list[Float[np.ndarray, "3 3"]],
+    centers: Sequence[Float[np.ndarray, "3"]],
+    contacts: Sequence[Contact],
+) -> list[Float[np.ndarray, "3 3"]]:
+    """Turn each part by a symmetry of its shape so that its points fall on those of its class's first member."""
+    out = list(rotations)
+    for shape_class in classes:
+        first = shape_class.members[0]
+
+        def spots(part: int, rotation: Float[np.ndarray, "3 3"]) -> list[_Spot]:
+            slot = SE3(rotation, centers[part])
+            return [_spot(c, part, slot) for c in contacts if part in (c.a, c.b)]
+
+        reference = spots(first, rotations[first])
+        for member in shape_class.members[1:]:
+
+            def matches(turn: Float[np.ndarray, "3 3"], member: int = member) -> int:
+                own = spots(member, rotations[member] @ turn)
+                return sum(any(len(s.onto(r, np.eye(3)[None])) for r in reference) for s in own)
+
+            best = max(range(len(shape_class.symmetries)), key=lambda i: (matches(shape_class.symmetries[i]), -i))
+            out[member] = rotations[member] @ shape_class.symmetries[best]
+    return out
+
+
+def _part_meshes(centered: Sequence[Mesh], classes: Sequence[ShapeClass], slots: Sequence[SE3]) -> list[Mesh]:
+    meshes = list(centered)
+    for shape_class in classes:
+        first = centered[shape_class.members[0]]
+        for member in shape_class.members[1:]:
+            own = centered[member].transformed(SE3(slots[member].rotation.T, np.zeros(3)))
+            same = own.vertices.shape == first.vertices.shape and own.faces.shape == first.faces.shape
+            if (
+                same
+                and np.array_equal(own.faces, first.faces)
+                and np.abs(own.vertices - first.vertices).max() < _SHARED
+            ):
+                own = first
+            meshes[member] = own
+    return meshes
+
+
+@dataclass(eq=False)
+class _Orbit:
+    """A connection point of a shape, up to the shape's symmetries; settled while connections are walked."""
+
+    spot: _Spot
+    """Of the contact that brought it up."""
+    frame: SE3 | None = None
+    """`part_from_point`, as `ConnectionPoint.frame`."""
+
+
+@dataclass(frozen=True, eq=False)
+class _End:
+    """One end of a connection."""
+
+    part: int
+    spot: _Spot
+    orbit: _Orbit
+    carriers: Float[np.ndarray, "n 3 3"]
+    """Symmetries of the part that take the orbit's spot to this one."""
+
+    def inherited(self, slot: SE3) -> list[SE3]:
+        """`furniture_from_point` frames that this end could take over from its orbit; none if it is not settled."""
+        if self.orbit.frame is None:
+            return []
+        return [slot * SE3(turn, np.zeros(3)) * self.orbit.frame for turn in self.carriers]
+
+
+def _connection_points(
+    contacts: Sequence[Contact], slots: Sequence[SE3], classes: Sequence[ShapeClass]
+) -> tuple[list[list[ConnectionPoint]], tuple[Connection, ...]]:
+    class_of = {member: c for c in classes for member in c.members}
+    ends = _ends(contacts, slots, class_of)
+    frames: list[SE3] = [SE3.Identity()] * len(contacts)
+    for index in _walk(ends, class_of):
+        # The end whose class has more members leads: its points are the ones that must stay alike.
+        lead, other = sorted(ends[index], key=lambda e: -len(class_of[e.part].members))
+        sign = 1.0 if lead.part == contacts[index].a else -1.0
+        frames[index] = _agree(
+            lead.inherited(slots[lead.part]),
+            [_across(f, contacts[index].gap) for f in other.inherited(slots[other.part])],
+            _own_frame(contacts[index], sign),
+        )
+        for end, frame in ((lead, frames[index]), (other, _across(frames[index], contacts[index].gap))):
+            if end.orbit.frame is None:
+                end.orbit.frame = SE3(end.carriers[0].T, np.zeros(3)) * slots[end.part].actInv(frame)
+        if lead.part != contacts[index].a:
+            frames[index] = _across(frames[index], contacts[index].gap)
+
+    points: list[list[ConnectionPoint]] = [[] for _ in slots]
+    connections: list[Connection] = []
+    for contact, frame in zip(contacts, frames, strict=True):
+        corners = []
+        for part, placed in ((contact.a, frame), (contact.b, _across(frame, contact.gap))):
+            local = slots[part].actInv(placed)
+            corners.extend([part, len(points[part])])
+            points[part].append(
+                ConnectionPoint(local.translation, local.rotation[:, 2], local.rotation[:, 0], contact.gap)
+            )
+        connections.append(Connection(*corners))
+    _share_points(points, classes)
+    return points, tuple(connections)
+
+
+def _ends(
+    contacts: Sequence[Contact], slots: Sequence[SE3], class_of: dict[int, ShapeClass]
+) -> list[tuple[_End, _End]]:
+    """Both ends of every contact, each with its orbit. Contacts of one part never share a place on it."""
+    orbits: dict[int, list[_Orbit]] = {}
+    taken: dict[int, list[Float[np.ndarray, "3"]]] = {}
+
+    def end(contact: Contact, part: int) -> _End:
+        spot = _spot(contact, part, slots[part])
+        shape_class = class_of[part]
+        own = orbits.setdefault(shape_class.members[0], [])
+        there = taken.setdefault(part, [])
+        for orbit in own:
+            carriers = orbit.spot.onto(spot, shape_class.symmetries)
+            if len(carriers) and not any(np.linalg.norm(carriers[0] @ orbit.spot.position - t) < 1e-4 for t in there):
+                break
+        else:
+            orbit, carriers = _Orbit(spot), np.eye(3)[None]
+            own.append(orbit)
+        there.append(carriers[0] @ orbit.spot.position)
+        return _End(part, spot, orbit, carriers)
+
+    return [(end(c, c.a), end(c, c.b)) for c in contacts]
+
+
+def _own_frame(contact: Contact, sign: float) -> SE3:
+    """`furniture_from_point` of a contact by itself, on the side of `a` (sign 1) or `b` (-1)."""
+    normal = sign * contact.normal
+    axis = np.array([0.0, 0.0, 1.0]) if abs(normal[2]) < 0.9 else np.array([1.0, 0.0, 0.0])
+    tangent = axis - (axis @ normal) * normal
+    tangent /= np.linalg.norm(tangent)
+    position = contact.center - 0.5 * contact.gap * normal
+    return SE3(np.column_stack([tangent, np.cross(normal, tangent), normal]), position)
+
+
+def _across(frame: SE3, gap: float) -> SE3:
+    """The mate's frame: beyond the gap, normal opposed, tangent equal."""
+    return frame * SE3(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, gap]))
+
+
+def _walk(ends: Sequence[tuple[_End, _End]], class_of: dict[int, ShapeClass]) -> list[int]:
+    """Contacts in breadth-first order over the orbits that they join, so that frames spread without conflict."""
+    order: list[int] = []
+    done: set[int] = set()
+    starts = sorted(range(len(ends)), key=lambda i: (-max(len(class_of[e.part].members) for e in ends[i]), i))
+    for start in starts:
+        queue = deque([start])
+        while queue:
+            index = queue.popleft()
+            if index in done:
+                continue
+            done.add(index)
+            order.append(index)
+            here = {id(e.orbit) for e in ends[index]}
+            queue.extend(i for i in range(len(ends)) if i not in done and any(id(e.orbit) in here for e in ends[i]))
+    return order
+
+
+def _agree(lead: Sequence[SE3], other: Sequence[SE3], own: SE3) -> SE3:
+    """One frame for a connection: one that both ends inherit, else one that either does, else the contact's own."""
+    for a in lead:
+        for b in other:
+            if np.abs(a.homogeneous - b.homogeneous).max() < _CONSISTENT:
+                return a
+    return (*lead, *other, own)[0]
+
+
+def _share_points(points: list[list[ConnectionPoint]], classes: Sequence[ShapeClass]) -> None:
+    """Give every member of a class the points of all members: like parts are annotated alike, as in the paper."""
+    for shape_class in classes:
+        everywhere = [p for member in shape_class.members for p in points[member]]
+        for member in shape_class.members:
+            for point in everywhere:
+                spot = _Spot(point.position, point.normal)
+                there = any(len(_Spot(p.position, p.normal).onto(spot, shape_class.symmetries)) for p in points[member])
+                if not there and len(points[member]) < MAX_POINTS:
+                    points[member].append(point)

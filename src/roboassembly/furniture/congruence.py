@@ -1,0 +1,118 @@
+"""Which rotations lay one shape onto another: parts that are alike, and the symmetries of one part.
+
+Only proper rotations count: a mirror image is a different part.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial import KDTree
+from scipy.spatial.transform import Rotation
+
+from roboassembly.meshes import Mesh
+
+TOLERANCE = 1e-4
+"""Metres: shapes whose corners agree to this are alike. Below the smallest gap at a mating face."""
+MAX_SYMMETRIES = 64
+"""A finer turned part is taken as having this many turns at most; more would only cost time."""
+_MAX_CANDIDATES = 4096
+
+
+def feature_vertices(mesh: Mesh) -> Float[np.ndarray, "k 3"]:
+    """Corners of the surface: vertices whose adjacent faces point in three independent directions.
+
+    Vertices inside a flat face or along a straight edge depend on the triangulation and not on the shape, so they
+    are left out.
+    """
+    corners, vertex_of = np.unique(np.round(mesh.vertices / 1e-7).astype(np.int64), axis=0, return_inverse=True)
+    vertex_of = vertex_of.reshape(-1)[mesh.faces]
+    a, b, c = (mesh.vertices[mesh.faces[:, i]] for i in range(3))
+    normals = np.cross(b - a, c - a)
+    length = np.linalg.norm(normals, axis=1)
+    keep = length > 1e-12
+    normals, vertex_of = normals[keep] / length[keep, None], vertex_of[keep]
+    scatter = np.zeros((len(corners), 3, 3))
+    outer = normals[:, :, None] * normals[:, None, :]
+    for column in range(3):
+        np.add.at(scatter, vertex_of[:, column], outer)
+    spread = np.linalg.eigvalsh(scatter)
+    features = corners[spread[:, 0] > 1e-3] * 1e-7
+    return features if len(features) >= 4 else mesh.hull_vertices
+
+
+def rotations_onto(source: Mesh, target: Mesh, tolerance: float = TOLERANCE) -> Float[np.ndarray, "n 3 3"]:
+    """Every rotation about the origin that lays `source` onto `target`, smallest angle first.
+
+    Both meshes have their centre of mass at the origin of their frame. Shapes agree when each corner of one lies
+    within `tolerance` metres of a corner of the other.
+    """
+    if abs(source.radius - target.radius) > tolerance + 1e-3 * source.radius:
+        return np.empty((0, 3, 3))
+    if abs(source.volume - target.volume) > 0.01 * source.volume:
+        return np.empty((0, 3, 3))
+    a, b = feature_vertices(source), feature_vertices(target)
+    candidates = _candidate_rotations(a, b, tolerance)
+    if not len(candidates):
+        return candidates
+    tree_a, tree_b = KDTree(a), KDTree(b)
+    probe = a[np.linspace(0, len(a) - 1, min(len(a), 12)).astype(int)]
+    reach, _ = tree_b.query(np.einsum("cij,pj->cpi", candidates, probe))
+    found: list[np.ndarray] = []
+    for rotation in candidates[reach.max(axis=1) < 10 * tolerance]:
+        distance, mate = tree_b.query(a @ rotation.T)
+        if distance.max() > 10 * tolerance:
+            continue
+        refined, _ = Rotation.align_vectors(b[mate], a)
+        matrix = refined.as_matrix()
+        if tree_b.query(a @ matrix.T)[0].max() > tolerance or tree_a.query(b @ matrix)[0].max() > tolerance:
+            continue
+        if not any(np.allclose(matrix, other, atol=1e-3) for other in found):
+            found.append(matrix)
+    if not found:
+        return np.empty((0, 3, 3))
+    angles = np.linalg.norm(Rotation.from_matrix(np.array(found)).as_rotvec(), axis=1)
+    order = np.argsort(np.round(angles, 6), kind="stable")[:MAX_SYMMETRIES]
+    return np.array(found)[order]
+
+
+def symmetries(mesh: Mesh, tolerance: float = TOLERANCE) -> Float[np.ndarray, "n 3 3"]:
+    """Rotations about the centre of mass that map the shape to itself; the identity first, exactly."""
+    rotations = rotations_onto(mesh, mesh, tolerance)
+    rotations = (
+        rotations[[not np.allclose(r, np.eye(3), atol=1e-3) for r in rotations]] if len(rotations) else rotations
+    )
+    return np.concatenate([np.eye(3)[None], rotations])
+
+
+def _candidate_rotations(
+    a: Float[np.ndarray, "n 3"], b: Float[np.ndarray, "m 3"], tolerance: float
+) -> Float[np.ndarray, "c 3 3"]:
+    """Rotations that take two well-chosen corners of `a` to corners of `b` at the same radii and distance."""
+    radius_a, radius_b = np.linalg.norm(a, axis=1), np.linalg.norm(b, axis=1)
+    slack = 4 * tolerance
+    likely = np.array([(np.abs(radius_b - r) < slack).sum() for r in radius_a])
+    far = radius_a > 0.5 * radius_a.max()
+    first = int(np.lexsort((-radius_a, np.where(far, likely, np.inf)))[0])
+    lever = np.linalg.norm(np.cross(a, a[first]), axis=1) / radius_a[first]
+    good = lever > 0.5 * lever.max()
+    second = int(np.lexsort((-lever, np.where(good, likely, np.inf)))[0])
+    span = np.linalg.norm(a[first] - a[second])
+    first_mates = np.flatnonzero(np.abs(radius_b - radius_a[first]) < slack)
+    second_mates = np.flatnonzero(np.abs(radius_b - radius_a[second]) < slack)
+    distance = np.linalg.norm(b[first_mates][:, None] - b[second_mates][None], axis=2)
+    i, j = np.nonzero(np.abs(distance - span) < 2 * slack)
+    i, j = i[:_MAX_CANDIDATES], j[:_MAX_CANDIDATES]
+    frame_a = _frames(a[first][None], a[second][None])[0]
+    frames_b = _frames(b[first_mates[i]], b[second_mates[j]])
+    rotations = frames_b @ frame_a.T
+    return rotations[np.isfinite(rotations).all(axis=(1, 2))]
+
+
+def _frames(p: Float[np.ndarray, "n 3"], q: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3 3"]:
+    """Right-handed frames with x along p and z along p × q."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        x = p / np.linalg.norm(p, axis=1, keepdims=True)
+        z = np.cross(p, q)
+        z /= np.linalg.norm(z, axis=1, keepdims=True)
+    return np.stack([x, np.cross(z, x), z], axis=2)

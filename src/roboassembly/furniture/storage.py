@@ -1,0 +1,287 @@
+"""Furniture on disk: a folder with `furniture.json` and one mesh file per distinct part.
+
+The folder is written whole or not at all, and everything is checked on the way in. Version 1:
+
+    furniture.json   see `_File`; poses are (x, y, z, qw, qx, qy, qz), metres, z up
+    meshes/*.ply     binary PLY, in the part's frame (origin at its centre of mass)
+"""
+
+from __future__ import annotations
+
+import math
+import shutil
+import tempfile
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import trimesh
+from scipy.spatial.transform import Rotation
+
+from roboassembly.errors import FurnitureError, InputError
+from roboassembly.furniture.contacts import find_contacts
+from roboassembly.furniture.model import (
+    Connection,
+    ConnectionPoint,
+    Furniture,
+    GraspRegion,
+    Part,
+    Provenance,
+    ShapeClass,
+    check_part_count,
+)
+from roboassembly.meshes import Mesh
+from roboassembly.poses import pose_from_seven, pose_to_seven, rotation_from_quaternion
+
+FORMAT = "roboassembly.furniture"
+VERSION = 1
+FILE_NAME = "furniture.json"
+
+_Triple = tuple[float, float, float]
+_Seven = tuple[float, float, float, float, float, float, float]
+_Quaternion = tuple[float, float, float, float]
+
+
+class _Strict(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Misspelt fields are refused instead of ignored."""
+
+
+class _Point(_Strict):
+    position: _Triple
+    normal: _Triple
+    tangent: _Triple
+    gap: float
+
+
+class _Grasp(_Strict):
+    position: _Triple
+    closing: _Triple
+    approaches: tuple[_Triple, _Triple, _Triple, _Triple]
+    width: float
+
+
+class _Part(_Strict):
+    name: str
+    mesh: str
+    assembled_pose: _Seven
+    points: list[_Point]
+    label: str = ""
+    grasps: list[_Grasp] = []
+
+
+class _Class(_Strict):
+    members: list[int]
+    symmetries: list[_Quaternion]
+
+
+class _Provenance(_Strict):
+    source: str
+    identifier: str = ""
+    licence: str = ""
+    scale: float = 1.0
+    notes: list[str] = []
+
+
+class _File(_Strict):
+    format: str
+    version: int
+    name: str
+    provenance: _Provenance
+    parts: list[_Part]
+    connections: list[tuple[int, int, int, int]]
+    """`part_a, point_a, part_b, point_b`, counted from 0."""
+    classes: list[_Class]
+
+
+class _Header(msgspec.Struct):
+    format: str = ""
+    version: int = 0
+
+
+def save(furniture: Furniture, folder: Path | str) -> Path:
+    """Write `furniture` to `folder`, replacing furniture that is there; returns the folder.
+
+    Raises:
+        InputError: `folder` exists and holds something else than furniture, or cannot be written.
+    """
+    folder = Path(folder)
+    if folder.exists() and not _may_replace(folder):
+        raise InputError(f"{folder} exists and is not a furniture folder; name a new or empty folder")
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        scratch = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
+    except OSError as error:
+        raise InputError(f"cannot write to {folder}: {error.strerror}") from None
+    try:
+        scratch.chmod(0o755)
+        _write(furniture, scratch)
+        if folder.exists():
+            shutil.rmtree(folder)
+        scratch.rename(folder)
+    finally:
+        shutil.rmtree(scratch, ignore_errors=True)
+    return folder
+
+
+def _may_replace(folder: Path) -> bool:
+    if not folder.is_dir():
+        return False
+    return (folder / FILE_NAME).is_file() or not any(folder.iterdir())
+
+
+def _write(furniture: Furniture, folder: Path) -> None:
+    (folder / "meshes").mkdir()
+    files: dict[int, str] = {}
+    parts = []
+    for part, slot in zip(furniture.parts, furniture.assembled, strict=True):
+        if id(part.mesh) not in files:
+            path = f"meshes/{len(files):02d}.ply"
+            part.mesh.trimesh.export(folder / path, encoding="binary", vertex_normal=False)
+            files[id(part.mesh)] = path
+        points = [_Point(_three(p.position), _three(p.normal), _three(p.tangent), p.gap) for p in part.points]
+        grasps = [
+            _Grasp(_three(g.position), _three(g.closing), tuple(_three(a) for a in g.approaches), g.width)  # pyright: ignore[reportArgumentType]
+            for g in part.grasps
+        ]
+        seven: _Seven = tuple(pose_to_seven(slot))  # pyright: ignore[reportAssignmentType]
+        parts.append(_Part(part.name, files[id(part.mesh)], seven, points, part.label, grasps))
+    classes = [
+        _Class(
+            list(c.members), [tuple(q) for q in Rotation.from_matrix(c.symmetries).as_quat(scalar_first=True).tolist()]
+        )
+        for c in furniture.classes
+    ]
+    origin = furniture.provenance
+    document = _File(
+        FORMAT,
+        VERSION,
+        furniture.name,
+        _Provenance(origin.source, origin.identifier, origin.licence, origin.scale, list(origin.notes)),
+        parts,
+        [(c.part_a, c.point_a, c.part_b, c.point_b) for c in furniture.connections],
+        classes,
+    )
+    (folder / FILE_NAME).write_bytes(msgspec.json.format(msgspec.json.encode(document), indent=1) + b"\n")
+
+
+def _three(vector: np.ndarray) -> _Triple:
+    return float(vector[0]), float(vector[1]), float(vector[2])
+
+
+def load(folder: Path | str) -> Furniture:
+    """Read and check a furniture folder.
+
+    Raises:
+        FurnitureError: the folder, its JSON or a mesh is missing or broken, a number is not finite, a direction is
+            not a unit vector, parts penetrate, or any rule of `Furniture` is broken. The message says where.
+    """
+    folder = Path(folder)
+    document = _read_document(folder)
+    check_part_count(len(document.parts), str(folder))
+    meshes: dict[str, Mesh] = {}
+    parts, slots = [], []
+    for index, part in enumerate(document.parts):
+        where = f"{folder}: part {index} '{part.name}'"
+        if part.mesh not in meshes:
+            meshes[part.mesh] = _read_mesh(folder, part.mesh, where)
+        points = tuple(_point(p, f"{where}, point {k}") for k, p in enumerate(part.points))
+        grasps = tuple(_grasp(g, f"{where}, grasp {k}") for k, g in enumerate(part.grasps))
+        parts.append(Part(part.name, meshes[part.mesh], points, part.label, grasps))
+        try:
+            slots.append(pose_from_seven(part.assembled_pose))
+        except InputError as error:
+            raise FurnitureError(f"{where}: assembled_pose: {error}") from None
+    names = [p.name for p in parts]
+    if len(set(names)) < len(names):
+        raise FurnitureError(f"{folder}: part names repeat: {sorted(n for n in set(names) if names.count(n) > 1)}")
+    try:
+        classes = tuple(
+            ShapeClass(
+                tuple(c.members), np.array([rotation_from_quaternion(q) for q in c.symmetries]).reshape(-1, 3, 3)
+            )
+            for c in document.classes
+        )
+    except InputError as error:
+        raise FurnitureError(f"{folder}: classes: {error}") from None
+    origin = document.provenance
+    furniture = Furniture(
+        document.name,
+        tuple(parts),
+        tuple(slots),
+        tuple(Connection(*c) for c in document.connections),
+        classes,
+        Provenance(origin.source, origin.identifier, origin.licence, origin.scale, tuple(origin.notes)),
+    )
+    find_contacts([p.mesh.transformed(s) for p, s in zip(parts, slots, strict=True)], names)
+    return furniture
+
+
+def _read_document(folder: Path) -> _File:
+    if not folder.is_dir():
+        raise FurnitureError(f"no furniture folder at {folder}; a folder with {FILE_NAME} would do")
+    path = folder / FILE_NAME
+    if not path.is_file():
+        raise FurnitureError(f"{folder} has no {FILE_NAME}; save or import furniture there first")
+    try:
+        text = path.read_bytes()
+        header = msgspec.json.decode(text, type=_Header)
+        if header.format != FORMAT:
+            raise FurnitureError(f"{path}: format is '{header.format}'; '{FORMAT}' is expected")
+        if header.version != VERSION:
+            raise FurnitureError(f"{path}: version {header.version} is not known; this program reads version {VERSION}")
+        return msgspec.json.decode(text, type=_File)
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        raise FurnitureError(f"{path} is not valid: {error}") from None
+    except OSError as error:
+        raise FurnitureError(f"{path} cannot be read: {error.strerror}") from None
+
+
+def _read_mesh(folder: Path, name: str, where: str) -> Mesh:
+    path = folder / name
+    if not path.resolve().is_relative_to(folder.resolve()):
+        raise FurnitureError(f"{where}: mesh '{name}' lies outside the furniture folder")
+    if not path.is_file():
+        raise FurnitureError(f"{where}: mesh file {path} is missing")
+    try:
+        loaded = trimesh.load_mesh(path, file_type="ply", process=False)
+    except (ValueError, IndexError, KeyError, TypeError, OSError, EOFError, AttributeError) as error:
+        raise FurnitureError(f"{where}: mesh {path} cannot be read as PLY: {error}") from None
+    if not isinstance(loaded, trimesh.Trimesh):
+        raise FurnitureError(f"{where}: mesh {path} has no faces")
+    try:
+        mesh = Mesh.from_trimesh(loaded)
+        _ = mesh.hull
+    except FurnitureError as error:
+        raise FurnitureError(f"{where}: {error}") from None
+    return mesh
+
+
+def _unit(vector: _Triple, where: str) -> np.ndarray:
+    array = np.array(vector)
+    length = float(np.linalg.norm(array))
+    if not math.isclose(length, 1.0, abs_tol=1e-3):
+        raise FurnitureError(f"{where}: {list(vector)} is not a unit vector (length {length:.4g})")
+    return array
+
+
+def _finite(vector: _Triple, where: str) -> np.ndarray:
+    array = np.array(vector)
+    if not np.isfinite(array).all():
+        raise FurnitureError(f"{where}: {list(vector)} is not finite")
+    return array
+
+
+def _point(point: _Point, where: str) -> ConnectionPoint:
+    normal, tangent = _unit(point.normal, f"{where} normal"), _unit(point.tangent, f"{where} tangent")
+    if abs(float(normal @ tangent)) > 1e-3:
+        raise FurnitureError(f"{where}: tangent is not orthogonal to the normal (cosine {float(normal @ tangent):.4g})")
+    if not 0.0 <= point.gap < 0.1:
+        raise FurnitureError(f"{where}: gap {point.gap} m; 0 to 0.1 would do")
+    return ConnectionPoint(_finite(point.position, f"{where} position"), normal, tangent, point.gap)
+
+
+def _grasp(grasp: _Grasp, where: str) -> GraspRegion:
+    approaches = np.array([_unit(a, f"{where} approach") for a in grasp.approaches])
+    return GraspRegion(
+        _finite(grasp.position, where), _unit(grasp.closing, f"{where} closing"), approaches, grasp.width
+    )

@@ -1,0 +1,176 @@
+"""A path for a body from where it lies to where it mates with another.
+
+Planned backward, from the mating pose, and first by what is nearly free: a straight retreat, perhaps a second one
+across it, until the body can rise; then up to where nothing stands, across, and down to the start. Only where no such
+retreat is found does RRT-Connect search.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+from jaxtyping import Float
+
+from roboassembly.planning.problem import Budget, PathResult, PlanningStatus
+from roboassembly.planning.rrt import rrt_connect, shortcut
+from roboassembly.planning.world import CollisionWorld
+from roboassembly.poses import SE3, interpolate
+
+UP = np.array([0.0, 0.0, 1.0])
+SKY_CLEARANCE = 0.01
+"""Metres between the highest still point and the lowest moving one while the body crosses."""
+_PARTIAL_RETREATS = (0.04, 0.12, 0.3)
+"""Metres gone along a direction before turning to a second one, where the way out of the joint is not the way up."""
+_PROBE = 0.004
+"""Metres of the smallest motion that counts as leaving the mating pose."""
+_WIGGLES = 60
+
+
+@dataclass(frozen=True, eq=False)
+class MatingProblem:
+    """What the mating planner needs to know besides the scene."""
+
+    start: SE3
+    """`world_from_body` where the body lies."""
+    goal: SE3
+    """`world_from_body` where it mates."""
+    partner: str
+    """Name of the still body that it mates with."""
+    retreats: tuple[Float[np.ndarray, "3"], ...]
+    """Unit vectors of the world along which the contacts at the goal let go, best first."""
+
+
+def plan_mating(world: CollisionWorld, problem: MatingProblem, budget: Budget, seed: int) -> PathResult:
+    """Plan the whole way. The path's edges are free at the world's resolution."""
+    begun, first_state = time.perf_counter(), world.states
+
+    def result(status: PlanningStatus, path: Sequence[SE3] = (), planner: str = "retreat") -> PathResult:
+        return PathResult(status, tuple(path), world.states - first_state, time.perf_counter() - begun, planner)
+
+    if not world.is_free(problem.goal):
+        return result(PlanningStatus.GOAL_IN_COLLISION)
+    if not world.is_free(problem.start):
+        return result(PlanningStatus.START_IN_COLLISION)
+    sky = world.top + world.radius + SKY_CLEARANCE
+    leave = _rise(world, problem.start, sky, [UP, *_around()], problem.partner)
+    arrive = _rise(world, problem.goal, sky, _directions(problem.retreats), problem.partner)
+    if leave is not None and arrive is not None and world.edge_is_free(leave[-1], arrive[-1]):
+        return result(PlanningStatus.SOLVED, [*leave, *reversed(arrive)])
+    if arrive is None and not _can_move(world, problem.goal, problem.retreats, seed):
+        return result(PlanningStatus.UNREACHABLE, planner="rrt-connect")
+    remaining = Budget(max(0, budget.states - (world.states - first_state)), budget.seconds)
+    begin = leave or [problem.start]
+    footholds = [arrive] if arrive is not None else _footholds(world, problem.goal, problem.retreats)
+    extent = world.radius + 0.1
+    low = np.minimum(problem.goal.translation, begin[-1].translation) - extent
+    high = np.maximum(problem.goal.translation, begin[-1].translation) + extent
+    bounds = np.array([[low[0], low[1], 0.0], [high[0], high[1], max(sky, high[2])]])
+    found = rrt_connect(world, begin[-1], [f[-1] for f in footholds], bounds, remaining, seed)
+    if found is None:
+        return result(PlanningStatus.BUDGET_EXHAUSTED, planner="rrt-connect")
+    found = shortcut(world, found, seed)
+    hold = min(footholds, key=lambda f: float(np.linalg.norm(pin.log6(f[-1].actInv(found[-1])).vector)))
+    return result(PlanningStatus.SOLVED, [*begin[:-1], *found[:-1], *reversed(hold)], "rrt-connect")
+
+
+def _shifted(pose: SE3, offset: Float[np.ndarray, "3"]) -> SE3:
+    return SE3(pose.rotation, pose.translation + offset)
+
+
+def _around() -> list[Float[np.ndarray, "3"]]:
+    """Eight level directions."""
+    return [np.array([np.cos(a), np.sin(a), 0.0]) for a in np.arange(8) * np.pi / 4]
+
+
+def _directions(retreats: Sequence[Float[np.ndarray, "3"]]) -> list[Float[np.ndarray, "3"]]:
+    """The retreats without repetition, in their order."""
+    out: list[Float[np.ndarray, "3"]] = []
+    for d in retreats:
+        if not any(float(d @ other) > 0.999 for other in out):
+            out.append(d)
+    return out
+
+
+def _rise(
+    world: CollisionWorld, pose: SE3, sky: float, directions: Sequence[Float[np.ndarray, "3"]], partner: str
+) -> list[SE3] | None:
+    """Way-points from `pose` to the sky: straight up, or along one direction and up, or along two and up."""
+    blocked: list[tuple[Float[np.ndarray, "3"], float]] = []
+    for d in directions:
+        if d[2] > 0.999:
+            top = _at_sky(pose, sky)
+            if world.edge_is_free(pose, top):
+                return [pose, top]
+            continue
+        distance = world.distance_to_clear(pose, d, partner) + 0.005
+        if d[2] < 0:
+            # Never below the ground: no farther than the body can sink.
+            distance = min(distance, max(0.0, (world.lowest_point(pose) - 1e-4) / -d[2]))
+        if distance <= _PROBE:
+            continue
+        reached = distance * world.free_fraction(pose, _shifted(pose, distance * d))
+        if reached < distance:
+            if reached > _PROBE:
+                blocked.append((d, reached))
+            continue
+        aside = _shifted(pose, distance * d)
+        top = _at_sky(aside, sky)
+        if world.edge_is_free(aside, top):
+            return [pose, aside, top]
+        blocked.append((d, distance))
+    for d, reached in blocked:
+        for part in (*(p for p in _PARTIAL_RETREATS if p < reached), reached):
+            aside = _shifted(pose, part * d)
+            for way in _second_legs(world, aside, d, sky, partner):
+                if all(world.edge_is_free(a, b) for a, b in zip([aside, *way[:-1]], way, strict=True)):
+                    return [pose, aside, *way]
+    return None
+
+
+def _second_legs(
+    world: CollisionWorld, pose: SE3, first: Float[np.ndarray, "3"], sky: float, partner: str
+) -> Iterator[list[SE3]]:
+    yield [_at_sky(pose, sky)]
+    for d in _around():
+        if abs(float(d @ first)) > 0.9:
+            continue
+        distance = world.distance_to_clear(pose, d, partner) + 0.005
+        aside = _shifted(pose, distance * d)
+        yield [aside, _at_sky(aside, sky)]
+
+
+def _at_sky(pose: SE3, sky: float) -> SE3:
+    return SE3(pose.rotation, np.array([pose.translation[0], pose.translation[1], max(sky, pose.translation[2])]))
+
+
+def _footholds(
+    world: CollisionWorld, goal: SE3, retreats: Sequence[Float[np.ndarray, "3"]]
+) -> list[list[SE3]]:
+    """Goals for the search: the mating pose, and how far one comes straight out of it along each retreat."""
+    out = [[goal]]
+    for d in retreats:
+        end = _shifted(goal, 0.3 * d)
+        reached = world.free_fraction(goal, end)
+        if reached * 0.3 > 2 * _PROBE:
+            out.append([goal, _shifted(goal, (reached * 0.3 - _PROBE / 2) * d)])
+    return out
+
+
+def _can_move(world: CollisionWorld, goal: SE3, retreats: Sequence[Float[np.ndarray, "3"]], seed: int) -> bool:
+    """Whether any of many small motions leads away from the goal; if none does, a tree could not grow there either."""
+    rng = np.random.default_rng(seed)
+    for d in retreats:
+        if world.edge_is_free(goal, _shifted(goal, _PROBE * d)):
+            return True
+    for _ in range(_WIGGLES):
+        twist = rng.normal(size=6)
+        twist[:3] *= _PROBE / np.linalg.norm(twist[:3])
+        twist[3:] *= _PROBE / world.radius / np.linalg.norm(twist[3:])
+        moved = goal * pin.exp6(twist)
+        if world.first_collision(interpolate(goal, moved, np.array([0.5, 1.0]))) is None:
+            return True
+    return False

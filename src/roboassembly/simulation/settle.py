@@ -1,0 +1,46 @@
+"""Letting a body go: it falls, rocks and comes to rest on the ground."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from roboassembly.poses import SE3, from_quaternion
+from roboassembly.scene import Body, Scene
+from roboassembly.simulation.model import TIME_STEP, compile_scene
+
+MAX_SECONDS = 4.0
+"""Simulated time after which a body counts as settled in any case."""
+_STILL_SPEED = 0.01
+"""Metres a second of the farthest point, and below this ..."""
+_STILL_CHECKS = 3
+"""... at so many samples in a row, the body is at rest."""
+
+
+@dataclass(frozen=True, eq=False)
+class Settled:
+    """How a body came to rest."""
+
+    poses: tuple[SE3, ...]
+    """`world_from_body` at every sample, the first as given, the last at rest."""
+    seconds: float
+    """Simulated time until rest."""
+    at_rest: bool
+    """False if it still moved after `MAX_SECONDS`."""
+
+
+def settle(body: Body, interval: float) -> Settled:
+    """Drop `body` onto the ground, alone, and sample its pose every `interval` seconds of simulated time."""
+    model = compile_scene(Scene((body,)))
+    data = mujoco.MjData(model)
+    radius = max(float(np.linalg.norm(s.body_from_mesh.translation)) + s.mesh.radius for s in body.shapes)
+    steps = max(1, round(interval / TIME_STEP))
+    poses, quiet = [body.pose], 0
+    while data.time < MAX_SECONDS and quiet < _STILL_CHECKS:
+        mujoco.mj_step(model, data, nstep=steps)
+        poses.append(from_quaternion(data.qpos[:3], data.qpos[3:7]))
+        speed = float(np.linalg.norm(data.qvel[:3]) + radius * np.linalg.norm(data.qvel[3:6]))
+        quiet = quiet + 1 if speed < _STILL_SPEED else 0
+    return Settled(tuple(poses), float(data.time), quiet >= _STILL_CHECKS)

@@ -1,0 +1,120 @@
+"""Where things lie on the ground: how parts come to rest, and where there is room."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import combinations
+
+import numpy as np
+import trimesh
+from jaxtyping import Float
+
+from roboassembly.furniture.model import Furniture
+from roboassembly.meshes import Mesh
+from roboassembly.poses import SE3
+from roboassembly.task.groups import Group, TaskState, hull_points
+
+GROUND_CLEARANCE = 1e-3
+"""Metres between the ground and the lowest point of anything that rests on it."""
+SPACING = 0.03
+"""Metres between the circles around things on the ground."""
+_CROWDING = 0.45
+"""Share of the floor that the circles of all parts cover when an episode begins."""
+
+
+@dataclass(frozen=True, eq=False)
+class Circle:
+    """A disc of the ground that a group covers, seen from above."""
+
+    center: Float[np.ndarray, "2"]
+    """Metres, world."""
+    radius: float
+    """Metres."""
+
+
+def footprint(points: Float[np.ndarray, "n 3"]) -> Circle:
+    """The circle around the middle of the points' level box."""
+    center = 0.5 * (points[:, :2].min(axis=0) + points[:, :2].max(axis=0))
+    return Circle(center, float(np.linalg.norm(points[:, :2] - center, axis=1).max()))
+
+
+def group_footprint(furniture: Furniture, group: Group) -> Circle:
+    """The circle that a group covers where it is."""
+    pose = group.world_from_furniture
+    return footprint(hull_points(furniture, group) @ pose.rotation.T + pose.translation)
+
+
+def free_spot(wanted: Circle, taken: Sequence[Circle], spacing: float = SPACING) -> Float[np.ndarray, "2"]:
+    """The nearest place to `wanted.center` at which its circle keeps `spacing` from all taken ones.
+
+    The nearest free point of the plane outside a union of discs is the point itself, its projection onto one of the
+    rims, or a point where two rims cross; all are tried.
+    """
+    if not taken:
+        return wanted.center
+    centers = np.array([c.center for c in taken])
+    reach = np.array([c.radius for c in taken]) + wanted.radius + spacing
+    offset = wanted.center - centers
+    distance = np.linalg.norm(offset, axis=1)
+    outward = np.where(distance[:, None] > 1e-9, offset / np.maximum(distance, 1e-9)[:, None], np.array([1.0, 0.0]))
+    candidates = [wanted.center, *(centers + outward * reach[:, None])]
+    for i, j in combinations(range(len(taken)), 2):
+        candidates.extend(_crossings(centers[i], reach[i], centers[j], reach[j]))
+    places = np.array(candidates)
+    room = np.linalg.norm(places[:, None] - centers[None], axis=2) - reach[None]
+    places = places[(room > -1e-9).all(axis=1)]
+    return places[np.argmin(np.round(np.linalg.norm(places - wanted.center, axis=1), 9))]
+
+
+def _crossings(
+    a: Float[np.ndarray, "2"], reach_a: float, b: Float[np.ndarray, "2"], reach_b: float
+) -> list[Float[np.ndarray, "2"]]:
+    between = b - a
+    d = float(np.linalg.norm(between))
+    if d < 1e-9 or d > reach_a + reach_b or d < abs(reach_a - reach_b):
+        return []
+    along = (d * d + reach_a * reach_a - reach_b * reach_b) / (2 * d)
+    across = np.sqrt(max(0.0, reach_a * reach_a - along * along))
+    unit = between / d
+    normal = np.array([-unit[1], unit[0]])
+    return [a + along * unit + across * normal, a + along * unit - across * normal]
+
+
+@lru_cache(maxsize=4096)
+def resting_rotations(mesh: Mesh) -> tuple[Float[np.ndarray, "n 3 3"], Float[np.ndarray, "n"]]:
+    """Orientations in which a part rests on the ground, and how likely each is when it is dropped anyhow.
+
+    Quasi-static tumbling of the convex hull (Goldberg et al. 1999, "Part Pose Statistics: Estimators and
+    Experiments"), as trimesh computes it.
+    """
+    transforms, likely = trimesh.poses.compute_stable_poses(
+        mesh.hull, center_mass=mesh.center_of_mass, sigma=0.0, n_samples=1, threshold=0.0
+    )
+    return np.asarray(transforms)[:, :3, :3], np.asarray(likely) / np.sum(likely)
+
+
+def scattered(furniture: Furniture, rng: np.random.Generator) -> TaskState:
+    """Every part alone, at rest on the ground in a random place and pose."""
+    placed: list[tuple[SE3, Circle]] = []
+    for part in furniture.parts:
+        rotations, likely = resting_rotations(part.mesh)
+        rest = rotations[rng.choice(len(rotations), p=likely)]
+        yaw = rng.uniform(-np.pi, np.pi)
+        turn = np.array([[np.cos(yaw), -np.sin(yaw), 0.0], [np.sin(yaw), np.cos(yaw), 0.0], [0.0, 0.0, 1.0]]) @ rest
+        points = part.mesh.hull_vertices @ turn.T
+        placed.append((SE3(turn, np.array([0.0, 0.0, GROUND_CLEARANCE - points[:, 2].min()])), footprint(points)))
+    side = float(np.sqrt(sum(np.pi * (c.radius + SPACING) ** 2 for _, c in placed) / _CROWDING))
+    taken: list[Circle] = []
+    groups: list[Group | None] = [None] * len(placed)
+    # The largest first: the small ones still find room between them.
+    for part in sorted(range(len(placed)), key=lambda p: -placed[p][1].radius):
+        pose, circle = placed[part]
+        wanted = Circle(rng.uniform(-0.5 * side, 0.5 * side, size=2), circle.radius)
+        spot = free_spot(wanted, taken)
+        taken.append(Circle(spot, circle.radius))
+        moved = SE3(pose.rotation, pose.translation + np.array([*(spot - circle.center), 0.0]))
+        slot = furniture.assembled[part]
+        groups[part] = Group((part,), (part,), (slot,), moved * slot.inverse())
+    return TaskState(tuple(g for g in groups if g is not None))

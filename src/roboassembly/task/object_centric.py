@@ -1,0 +1,255 @@
+"""The object-centric step: v's group waits in a chosen pose, u's group comes along a path, they join and settle.
+
+Everything here is a pure function of state, action and seed; the environment and the solvers both call it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS, Furniture
+from roboassembly.planning.mating import MatingProblem, plan_mating
+from roboassembly.planning.problem import Budget, PathResult, PlanningStatus
+from roboassembly.planning.world import CollisionWorld
+from roboassembly.poses import SE3, align_axis
+from roboassembly.scene import Scene
+from roboassembly.simulation.settle import settle
+from roboassembly.task.groups import Group, TaskState, body, center_of_mass, hull_points
+from roboassembly.task.layout import GROUND_CLEARANCE, Circle, footprint, free_spot, group_footprint, scattered
+from roboassembly.task.pairs import Merge, PairRule
+from roboassembly.task.plan import SETTLING_INTERVAL, PlanStep
+
+UP_AXES: Float[np.ndarray, "6 3"] = np.array(
+    [[0, 0, 1], [0, 0, -1], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]], dtype=float
+)
+"""The axis of the furniture's frame that points up while v's group waits, for each `w`."""
+_AGAINST = -0.2
+"""Cosine: a retreat may run this much against a contact's normal, because a patch's mean normal is only a mean."""
+
+
+class Verdict(StrEnum):
+    """How a step ended. Everything but `MERGED` ends the episode."""
+
+    MERGED = "merged"
+    NOT_AN_ACTION = "not_an_action"
+    """A part or point that is not there or not free, or two parts of one group: masked out."""
+    WRONG_PAIR = "wrong_pair"
+    START_IN_COLLISION = "start_in_collision"
+    GOAL_IN_COLLISION = "goal_in_collision"
+    """At the mating pose u's group would be in the ground, in v's group or in something else."""
+    UNREACHABLE = "unreachable"
+    BUDGET_EXHAUSTED = "budget_exhausted"
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What a step led to."""
+
+    verdict: Verdict
+    state: TaskState
+    """The new state; the old one unless merged."""
+    step: PlanStep | None
+    """The record, if merged."""
+    planning_steps: int
+    planning_seconds: float
+
+
+@dataclass(frozen=True, eq=False)
+class Mating:
+    """A right pair set up for planning: who moves, who waits where, what lies around."""
+
+    merge: Merge
+    u_group: Group
+    v_group: Group
+    """Where it waits."""
+    u_goal: Group
+    """Where u's group mates."""
+    merged: Group
+    """Both, joined, before settling."""
+    others: tuple[Group, ...]
+
+
+class ObjectCentricTask:
+    """The rules of the object-centric setting for one piece of furniture."""
+
+    def __init__(self, furniture: Furniture, budget: Budget | None = None) -> None:
+        self.furniture = furniture
+        self.budget = budget or Budget()
+
+    @cached_property
+    def pairs(self) -> PairRule:
+        """Which pairs are right."""
+        return PairRule(self.furniture)
+
+    @cached_property
+    def _has_point(self) -> Bool[np.ndarray, "parts points"]:
+        counts = np.array([len(p.points) for p in self.furniture.parts])
+        return np.arange(MAX_POINTS)[None] < counts[:, None]
+
+    def initial_state(self, rng: np.random.Generator) -> TaskState:
+        """All parts apart, at random on the ground."""
+        return scattered(self.furniture, rng)
+
+    def free_points(self, state: TaskState) -> Bool[np.ndarray, "20 10"]:
+        """Which connection points exist and do not touch anything yet, padded."""
+        free = np.zeros((MAX_PARTS, MAX_POINTS), dtype=bool)
+        free[: len(self.furniture.parts)] = self._has_point
+        for part, point in state.occupied(self.furniture):
+            free[part, point] = False
+        return free
+
+    def exists(self, state: TaskState, action: tuple[int, ...]) -> bool:
+        """Whether the action names free points of two parts in different groups."""
+        u, v, k, l, w = action  # noqa: E741
+        n = len(self.furniture.parts)
+        if not (0 <= u < n and 0 <= v < n and 0 <= w < len(UP_AXES)):
+            return False
+        if not (0 <= k < len(self.furniture.parts[u].points) and 0 <= l < len(self.furniture.parts[v].points)):
+            return False
+        if state.group_of[u] == state.group_of[v]:
+            return False
+        return not {(u, k), (v, l)} & state.occupied(self.furniture)
+
+    def step(self, state: TaskState, action: tuple[int, ...], seed: int) -> Outcome:
+        """Carry out `(u, v, k, l, w)`; `seed` feeds the planner."""
+        if not self.exists(state, action):
+            return Outcome(Verdict.NOT_AN_ACTION, state, None, 0, 0.0)
+        mating = self.prepare(state, action)
+        if mating is None:
+            return Outcome(Verdict.WRONG_PAIR, state, None, 0, 0.0)
+        result = self.plan(mating, seed)
+        if not result.solved:
+            return Outcome(Verdict(result.status.value), state, None, result.states, result.seconds)
+        return self._apply(state, action, mating, result)
+
+    def prepare(self, state: TaskState, action: tuple[int, ...]) -> Mating | None:
+        """Set up the mating that the action asks for; None if the pair is wrong."""
+        u, v, k, l, w = action  # noqa: E741
+        u_group, v_group = state.groups[state.group_of[u]], state.groups[state.group_of[v]]
+        merge = self.pairs.judge(u_group, v_group, u, k, v, l)
+        if merge is None:
+            return None
+        others = tuple(g for g in state.groups if g is not u_group and g is not v_group)
+        obstacles = [group_footprint(self.furniture, g) for g in (u_group, *others)]
+        world = self._waiting_pose(v_group, merge, w, obstacles)
+        return Mating(
+            merge,
+            u_group,
+            v_group.moved_to(world * merge.furniture_from_v),
+            u_group.moved_to(world * merge.furniture_from_u),
+            merge.merged.moved_to(world),
+            others,
+        )
+
+    def _waiting_pose(self, v_group: Group, merge: Merge, w: int, obstacles: list[Circle]) -> SE3:
+        """`world_from_furniture` of the merged group: v's group on the ground with axis `w` up, room for both."""
+        now = v_group.world_from_furniture * merge.furniture_from_v.inverse()
+        turn = align_axis(now.rotation @ UP_AXES[w], np.array([0.0, 0.0, 1.0])) @ now.rotation
+        own = hull_points(self.furniture, v_group)
+        here = group_footprint(self.furniture, v_group).center
+        v_turn = turn @ merge.furniture_from_v.rotation
+        v_shift = turn @ merge.furniture_from_v.translation
+        waiting = own @ v_turn.T + v_shift
+        lift = GROUND_CLEARANCE - waiting[:, 2].min()
+        whole = footprint(hull_points(self.furniture, merge.merged) @ turn.T)
+        offset = footprint(waiting).center - whole.center
+        spot = free_spot(Circle(here - offset, whole.radius), obstacles)
+        return SE3(turn, np.array([*(spot - whole.center), lift]))
+
+    def plan(self, mating: Mating, seed: int) -> PathResult:
+        """The path of u's group, in the frame at its centre of mass."""
+        origin = center_of_mass(self.furniture, mating.u_group)
+        mover = body(self.furniture, mating.u_group, "moving", origin=origin, moves=True)
+        still = [body(self.furniture, mating.v_group, "waiting")]
+        still += [body(self.furniture, g, f"other{i}") for i, g in enumerate(mating.others)]
+        turn = mating.merged.world_from_furniture.rotation
+        world = CollisionWorld(Scene((mover, *still)), box_axes=turn)
+        shift = SE3(np.eye(3), origin)
+        problem = MatingProblem(
+            start=mover.pose,
+            goal=mating.u_goal.world_from_furniture * shift,
+            partner="waiting",
+            retreats=tuple(turn @ d for d in self.retreats(mating, turn)),
+        )
+        return plan_mating(world, problem, self.budget, seed)
+
+    def retreats(self, mating: Mating, turn: Float[np.ndarray, "3 3"]) -> list[Float[np.ndarray, "3"]]:
+        """Directions in the furniture's frame along which u's group may let go of v's, the most promising first.
+
+        Candidates are the contact normals and their mean, the long axes of the parts that meet, and the axes of the
+        furniture; those against a contact's normal are left out.
+        """
+        slot_of = dict(zip(mating.merged.parts, mating.merged.slots, strict=True))
+        u_slots = {slot_of[p] for p in mating.u_group.parts}
+        v_slots = {slot_of[p] for p in mating.v_group.parts}
+        normals, axes = [], [*UP_AXES]
+        for slot in sorted(v_slots):
+            for k, point in enumerate(self.furniture.parts[slot].points):
+                other = self.furniture.mate_of.get((slot, k))
+                if other is not None and other[0] in u_slots:
+                    normals.append(self.furniture.assembled[slot].rotation @ point.normal)
+                    for meeting in (slot, other[0]):
+                        own = self.furniture.assembled[meeting].rotation @ long_axis(self.furniture, meeting)
+                        axes.extend([own, -own])
+        along = np.array(normals)
+        mean = along.sum(axis=0)
+        if np.linalg.norm(mean) > 1e-6:
+            axes.append(mean / np.linalg.norm(mean))
+        candidates = np.concatenate([along, np.array(axes)])
+        against = (candidates @ along.T).min(axis=1)
+        rising = (candidates @ turn.T)[:, 2]
+        order = np.argsort(-np.round(against + 0.3 * rising, 3), kind="stable")
+        return [candidates[i] for i in order if against[i] > _AGAINST]
+
+    def _apply(self, state: TaskState, action: tuple[int, ...], mating: Mating, result: PathResult) -> Outcome:
+        others = [group_footprint(self.furniture, g) for g in mating.others]
+        joined = body(self.furniture, mating.merged, "merged",
+                      origin=center_of_mass(self.furniture, mating.merged), moves=True)  # fmt: skip
+        settled = settle(joined, SETTLING_INTERVAL)
+        motions = [pose * joined.pose.inverse() for pose in settled.poses]
+        rested = mating.merged.moved_to(motions[-1] * mating.merged.world_from_furniture)
+        points = hull_points(self.furniture, rested) @ rested.world_from_furniture.rotation.T
+        points += rested.world_from_furniture.translation
+        circle = footprint(points)
+        spot = free_spot(circle, others)
+        lift = GROUND_CLEARANCE - float(points[:, 2].min())
+        nudge = SE3(np.eye(3), np.array([*(spot - circle.center), lift]))
+        motions[-1] = nudge * motions[-1]
+        rested = rested.moved_to(nudge * rested.world_from_furniture)
+        after = TaskState((*mating.others, rested))
+        still = {
+            p: pose
+            for g in (mating.v_group, *mating.others)
+            for p, pose in zip(g.parts, g.part_poses(), strict=True)
+        }
+        origin = SE3(np.eye(3), center_of_mass(self.furniture, mating.u_group))
+        step = PlanStep(
+            action=action,
+            moving={
+                p: origin.actInv(pose)
+                for p, pose in zip(mating.u_group.parts, mating.u_group.furniture_from_part, strict=True)
+            },
+            waiting=mating.v_group.parts,
+            still=still,
+            path=result.path,
+            settling=tuple(motions),
+            after=after.part_poses,
+            planning_steps=result.states,
+            planner=result.planner,
+            planning_seconds=result.seconds,
+        )
+        return Outcome(Verdict.MERGED, after, step, result.states, result.seconds)
+
+
+def long_axis(furniture: Furniture, part: int) -> Float[np.ndarray, "3"]:
+    """Unit vector, in the part's frame, about which its moment of inertia is smallest."""
+    _, vectors = np.linalg.eigh(furniture.parts[part].mesh.inertia)
+    return vectors[:, 0]
+
+
+__all__ = ["UP_AXES", "Mating", "ObjectCentricTask", "Outcome", "PlanningStatus", "Verdict", "long_axis"]

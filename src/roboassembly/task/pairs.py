@@ -1,0 +1,129 @@
+"""Is the pair right? Whether two groups, mated at two connection points, make a sub-assembly of the furniture.
+
+The paper's rule with equivalent parts, made whole: the merged group, at the relative pose that the two connection
+frames dictate, must be congruent to a sub-assembly once equivalent parts may swap slots.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from roboassembly.furniture.model import ConnectionPoint, Furniture
+from roboassembly.poses import SE3
+from roboassembly.task.groups import Group
+
+POSITION_TOLERANCE = 1e-3
+"""Metres between a part's centre and its slot's."""
+ANGLE_TOLERANCE = 0.01
+"""Radians between a part and its slot, after the best symmetry of its shape."""
+_COSINE = 1.0 + 2.0 * np.cos(ANGLE_TOLERANCE)
+_FACE_TO_FACE = np.diag([1.0, -1.0, -1.0])
+
+
+def mate(point_v: ConnectionPoint, point_u: ConnectionPoint) -> SE3:
+    """`v_from_u` that lays the frame of `point_u` onto that of `point_v`.
+
+    Normals opposed, tangents equal, origins apart by the stored gap along the normal (the mean of the two).
+    """
+    gap = 0.5 * (point_v.gap + point_u.gap)
+    return point_v.frame * SE3(_FACE_TO_FACE, np.array([0.0, 0.0, gap])) * point_u.frame.inverse()
+
+
+@dataclass(frozen=True, eq=False)
+class Merge:
+    """A right pair: the merged group, and where both groups stand in it."""
+
+    merged: Group
+    """Its `world_from_furniture` is the identity: only its shape is settled here."""
+    furniture_from_u: SE3
+    """Motion that takes u's group from its own frame into the merged group's."""
+    furniture_from_v: SE3
+
+
+class PairRule:
+    """Judges pairs for one piece of furniture. Precomputes what all judgements share."""
+
+    def __init__(self, furniture: Furniture) -> None:
+        self._furniture = furniture
+        self._class_of = np.array(furniture.class_of)
+        self._slot_rotations = np.array([slot.rotation for slot in furniture.assembled])
+        self._slot_positions = np.array([slot.translation for slot in furniture.assembled])
+        self._turns = [c.symmetries for c in furniture.classes]
+        self._members = [np.array(c.members) for c in furniture.classes]
+        # Every way to put a part of a class into a slot: rotation, and the slot's index.
+        self._rotations = [
+            (self._slot_rotations[m][:, None] @ t[None]).reshape(-1, 3, 3)
+            for m, t in zip(self._members, self._turns, strict=True)
+        ]
+        self._slots = [np.repeat(m, len(t)) for m, t in zip(self._members, self._turns, strict=True)]
+
+    def judge(self, u_group: Group, v_group: Group, u: int, k: int, v: int, l: int) -> Merge | None:  # noqa: E741
+        """The merge that point `k` of part `u` onto point `l` of part `v` makes, or None if the pair is wrong."""
+        parts = self._furniture.parts
+        v_from_u = mate(parts[v].points[l], parts[u].points[k])
+        frame_of_u = u_group.furniture_from_part[u_group.parts.index(u)]
+        frame_of_v = v_group.furniture_from_part[v_group.parts.index(v)]
+        v_group_from_u_group = frame_of_v * v_from_u * frame_of_u.inverse()
+        members = (*v_group.parts, *u_group.parts)
+        poses = (*v_group.furniture_from_part, *(v_group_from_u_group * p for p in u_group.furniture_from_part))
+        fit = self._embed(members, poses)
+        if fit is None:
+            return None
+        slots, placed = fit
+        order = np.argsort(members)
+        merged = Group(
+            tuple(members[i] for i in order),
+            tuple(int(slots[i]) for i in order),
+            tuple(placed[i] for i in order),
+            SE3.Identity(),
+        )
+        # Both groups were exact already: what tolerance took up lies between the two of them.
+        exact_u = placed[members.index(u)] * frame_of_u.inverse()
+        exact_v = placed[members.index(v)] * frame_of_v.inverse()
+        return Merge(merged, exact_u, exact_v)
+
+    def _embed(
+        self, members: tuple[int, ...], poses: tuple[SE3, ...]
+    ) -> tuple[Int[np.ndarray, "m"], list[SE3]] | None:
+        """Distinct slots of their classes for parts at `poses` after one common motion: the one that turns least."""
+        classes = self._class_of[list(members)]
+        ways = [len(self._slots[c]) for c in classes]
+        anchor = int(np.argmin(ways))
+        positions = np.array([p.translation for p in poses])
+        rotations = np.array([p.rotation for p in poses])
+        motions = self._rotations[classes[anchor]] @ rotations[anchor].T
+        shifts = self._slot_positions[self._slots[classes[anchor]]] - motions @ positions[anchor]
+        placed = np.einsum("cij,pj->cpi", motions, positions) + shifts[:, None]
+        alike = classes[:, None] == self._class_of[None]
+        apart = np.linalg.norm(placed[:, :, None] - self._slot_positions[None, None], axis=3)
+        fits = (apart < POSITION_TOLERANCE) & alike[None]
+        hopeful = np.flatnonzero(fits.any(axis=2).all(axis=1))
+        if not len(hopeful):
+            return None
+        turned = np.trace(motions[hopeful], axis1=1, axis2=2)
+        for candidate in hopeful[np.argsort(-np.round(turned, 6), kind="stable")]:
+            slots = np.argmax(fits[candidate], axis=1)
+            if len(set(slots.tolist())) < len(slots):
+                continue
+            exact = self._in_slots(classes, slots, motions[candidate] @ rotations)
+            if exact is not None:
+                return slots, exact
+        return None
+
+    def _in_slots(
+        self, classes: Int[np.ndarray, "m"], slots: Int[np.ndarray, "m"], rotations: Float[np.ndarray, "m 3 3"]
+    ) -> list[SE3] | None:
+        """Each part exactly in its slot, turned by the symmetry nearest to its rotation; None if none is near."""
+        out = []
+        for c, slot, rotation in zip(classes, slots, rotations, strict=True):
+            ways = self._slot_rotations[slot] @ self._turns[c]
+            closeness = np.einsum("wij,ij->w", ways, rotation)
+            best = int(np.argmax(closeness))
+            if closeness[best] < _COSINE:
+                return None
+            out.append(SE3(ways[best], self._slot_positions[slot]))
+        return out
+
