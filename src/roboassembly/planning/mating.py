@@ -60,6 +60,8 @@ def plan_mating(world: CollisionWorld, problem: MatingProblem, budget: Budget, s
     arrive = _rise(world, problem.goal, sky, _directions(problem.retreats), problem.partner)
     if leave is not None and arrive is not None and world.edge_is_free(leave[-1], arrive[-1]):
         return result(PlanningStatus.SOLVED, [*leave, *reversed(arrive)])
+    if world.states - first_state >= budget.states:
+        return result(PlanningStatus.BUDGET_EXHAUSTED)
     if arrive is None and not _can_move(world, problem.goal, problem.retreats, seed):
         return result(PlanningStatus.UNREACHABLE, planner="rrt-connect")
     remaining = Budget(max(0, budget.states - (world.states - first_state)), budget.seconds)
@@ -147,16 +149,17 @@ def _at_sky(pose: SE3, sky: float) -> SE3:
     return SE3(pose.rotation, np.array([pose.translation[0], pose.translation[1], max(sky, pose.translation[2])]))
 
 
-def _footholds(
-    world: CollisionWorld, goal: SE3, retreats: Sequence[Float[np.ndarray, "3"]]
-) -> list[list[SE3]]:
+def _footholds(world: CollisionWorld, goal: SE3, retreats: Sequence[Float[np.ndarray, "3"]]) -> list[list[SE3]]:
     """Goals for the search: the mating pose, and how far one comes straight out of it along each retreat."""
     out = [[goal]]
     for d in retreats:
         end = _shifted(goal, 0.3 * d)
         reached = world.free_fraction(goal, end)
-        if reached * 0.3 > 2 * _PROBE:
-            out.append([goal, _shifted(goal, (reached * 0.3 - _PROBE / 2) * d)])
+        foothold = _shifted(goal, (reached * 0.3 - _PROBE / 2) * d)
+        # Equal goals would make OMPL's nearest-neighbour tree split for ever.
+        apart = min(float(np.linalg.norm(foothold.translation - f[-1].translation)) for f in out)
+        if reached * 0.3 > 2 * _PROBE and apart > _PROBE:
+            out.append([goal, foothold])
     return out
 
 

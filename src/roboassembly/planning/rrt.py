@@ -106,12 +106,16 @@ def shortcut(world: CollisionWorld, path: Sequence[SE3], seed: int, attempts: in
 def _state(space: base.SE3StateSpace, pose: SE3) -> base.State:
     state = space.allocState()
     state.setXYZ(*map(float, pose.translation))
-    x, y, z, w = pin.SE3ToXYZQUAT(pose)[3:]
+    quaternion = pin.Quaternion(pose.rotation)
+    # OMPL waits for ever for a goal whose quaternion is off unit length by more than 1e-9.
+    quaternion.normalize()
     rotation = state.rotation()
-    rotation.x, rotation.y, rotation.z, rotation.w = float(x), float(y), float(z), float(w)
+    rotation.x, rotation.y, rotation.z, rotation.w = quaternion.x, quaternion.y, quaternion.z, quaternion.w
     return state
 
 
 def _pose(state: base.State) -> SE3:
     q = state.rotation()
-    return SE3(pin.Quaternion(q.w, q.x, q.y, q.z).toRotationMatrix(), np.array([state.getX(), state.getY(), state.getZ()]))
+    return SE3(
+        pin.Quaternion(q.w, q.x, q.y, q.z).toRotationMatrix(), np.array([state.getX(), state.getY(), state.getZ()])
+    )

@@ -135,9 +135,7 @@ class CollisionWorld:
         """Height of the lowest moving point at `pose`, metres."""
         return float((self._points @ pose.rotation[2]).min() + pose.translation[2])
 
-    def _boxes_free(
-        self, start: SE3, end: SE3, cuts: Float[np.ndarray, "k"], angle: float
-    ) -> Bool[np.ndarray, "k-1"]:
+    def _boxes_free(self, start: SE3, end: SE3, cuts: Float[np.ndarray, "k"], angle: float) -> Bool[np.ndarray, "k-1"]:
         """Box test of the stretches between successive fractions."""
         self.states += len(cuts) - 1
         origin = np.outer(1.0 - cuts, start.translation) + np.outer(cuts, end.translation)
@@ -185,4 +183,3 @@ def _runs(flags: Bool[np.ndarray, "n"]) -> list[tuple[int, int]]:
     """First and last index of each run of True."""
     edges = np.diff(np.concatenate([[0], flags.astype(np.int8), [0]]))
     return list(zip(np.flatnonzero(edges == 1).tolist(), (np.flatnonzero(edges == -1) - 1).tolist(), strict=True))
-

@@ -10,6 +10,7 @@ from itertools import combinations
 import numpy as np
 import trimesh
 from jaxtyping import Float
+from scipy.spatial.transform import Rotation
 
 from roboassembly.furniture.model import Furniture
 from roboassembly.meshes import Mesh
@@ -92,7 +93,9 @@ def resting_rotations(mesh: Mesh) -> tuple[Float[np.ndarray, "n 3 3"], Float[np.
     transforms, likely = trimesh.poses.compute_stable_poses(
         mesh.hull, center_mass=mesh.center_of_mass, sigma=0.0, n_samples=1, threshold=0.0
     )
-    return np.asarray(transforms)[:, :3, :3], np.asarray(likely) / np.sum(likely)
+    # trimesh's rotations are orthonormal to about 1e-6 only.
+    rotations = Rotation.from_matrix(np.asarray(transforms)[:, :3, :3]).as_matrix()
+    return rotations, np.asarray(likely) / np.sum(likely)
 
 
 def scattered(furniture: Furniture, rng: np.random.Generator) -> TaskState:

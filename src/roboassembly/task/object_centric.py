@@ -115,14 +115,21 @@ class ObjectCentricTask:
             return False
         return not {(u, k), (v, l)} & state.occupied(self.furniture)
 
-    def step(self, state: TaskState, action: tuple[int, ...], seed: int) -> Outcome:
-        """Carry out `(u, v, k, l, w)`; `seed` feeds the planner."""
+    def step(self, state: TaskState, action: tuple[int, ...], seed: int, budget: Budget | None = None) -> Outcome:
+        """Carry out `(u, v, k, l, w)`.
+
+        Args:
+            state: unchanged.
+            action: any integers; those that name no action get the verdict `NOT_AN_ACTION`.
+            seed: of the planner.
+            budget: of the planner, instead of the task's own.
+        """
         if not self.exists(state, action):
             return Outcome(Verdict.NOT_AN_ACTION, state, None, 0, 0.0)
         mating = self.prepare(state, action)
         if mating is None:
             return Outcome(Verdict.WRONG_PAIR, state, None, 0, 0.0)
-        result = self.plan(mating, seed)
+        result = self.plan(mating, seed, budget)
         if not result.solved:
             return Outcome(Verdict(result.status.value), state, None, result.states, result.seconds)
         return self._apply(state, action, mating, result)
@@ -161,7 +168,7 @@ class ObjectCentricTask:
         spot = free_spot(Circle(here - offset, whole.radius), obstacles)
         return SE3(turn, np.array([*(spot - whole.center), lift]))
 
-    def plan(self, mating: Mating, seed: int) -> PathResult:
+    def plan(self, mating: Mating, seed: int, budget: Budget | None = None) -> PathResult:
         """The path of u's group, in the frame at its centre of mass."""
         origin = center_of_mass(self.furniture, mating.u_group)
         mover = body(self.furniture, mating.u_group, "moving", origin=origin, moves=True)
@@ -176,7 +183,7 @@ class ObjectCentricTask:
             partner="waiting",
             retreats=tuple(turn @ d for d in self.retreats(mating, turn)),
         )
-        return plan_mating(world, problem, self.budget, seed)
+        return plan_mating(world, problem, budget or self.budget, seed)
 
     def retreats(self, mating: Mating, turn: Float[np.ndarray, "3 3"]) -> list[Float[np.ndarray, "3"]]:
         """Directions in the furniture's frame along which u's group may let go of v's, the most promising first.
@@ -223,9 +230,7 @@ class ObjectCentricTask:
         rested = rested.moved_to(nudge * rested.world_from_furniture)
         after = TaskState((*mating.others, rested))
         still = {
-            p: pose
-            for g in (mating.v_group, *mating.others)
-            for p, pose in zip(g.parts, g.part_poses(), strict=True)
+            p: pose for g in (mating.v_group, *mating.others) for p, pose in zip(g.parts, g.part_poses(), strict=True)
         }
         origin = SE3(np.eye(3), center_of_mass(self.furniture, mating.u_group))
         step = PlanStep(

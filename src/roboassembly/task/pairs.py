@@ -85,9 +85,7 @@ class PairRule:
         exact_v = placed[members.index(v)] * frame_of_v.inverse()
         return Merge(merged, exact_u, exact_v)
 
-    def _embed(
-        self, members: tuple[int, ...], poses: tuple[SE3, ...]
-    ) -> tuple[Int[np.ndarray, "m"], list[SE3]] | None:
+    def _embed(self, members: tuple[int, ...], poses: tuple[SE3, ...]) -> tuple[Int[np.ndarray, "m"], list[SE3]] | None:
         """Distinct slots of their classes for parts at `poses` after one common motion: the one that turns least."""
         classes = self._class_of[list(members)]
         ways = [len(self._slots[c]) for c in classes]
@@ -126,4 +124,3 @@ class PairRule:
                 return None
             out.append(SE3(ways[best], self._slot_positions[slot]))
         return out
-

@@ -1,0 +1,111 @@
+"""Repair: from triangle soup that overlaps to solid parts with a small real gap at every mating face.
+
+Each part is cleaned and made a solid by the gentlest means that works (as delivered, holes filled, convex hull,
+wrapped) and simplified. Then, of any two parts that overlap or touch, one is trimmed by the other grown by the gap:
+the one for which the other can still be pulled away in the most directions, at the least loss of volume. Parts that
+hang in the air are moved to the rest. What cannot be done within `RepairLimits` is refused.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from roboassembly.errors import FurnitureError
+from roboassembly.furniture.model import RawPart, check_part_count
+from roboassembly.furniture.repair.limits import RepairLimits
+from roboassembly.furniture.repair.separation import Piece, separate
+from roboassembly.furniture.repair.solid import solidify, to_surface
+from roboassembly.meshes import Mesh
+
+__all__ = ["GAP", "PartRepair", "RepairLimits", "RepairResult", "repair"]
+
+GAP = 0.0002
+"""Metres between mating faces."""
+
+
+@dataclass(frozen=True)
+class PartRepair:
+    """What repair did to one part."""
+
+    name: str
+    displacement: float
+    """Metres that the part was moved."""
+    trimmed: float
+    """Share of its volume that was trimmed."""
+    how: str
+    """How it was made solid: `as delivered`, `holes filled`, `convex hull`, `sheet thickened`, `wrapped`."""
+    shape_error: float
+    """Metres that the delivered surface sticks out of the solid made of it (99th percentile), before trimming."""
+    notes: tuple[str, ...]
+    """All else that was changed, one line each."""
+
+    def __str__(self) -> str:
+        """One line, for provenance notes."""
+        text = (
+            f"{self.name}: {self.how}, shape error {self.shape_error * 1e3:.2f} mm, "
+            f"trimmed {self.trimmed:.2%}, moved {self.displacement * 1e3:.2f} mm"
+        )
+        return "; ".join([text, *self.notes])
+
+
+@dataclass(frozen=True)
+class RepairResult:
+    """Repaired parts, in the order and with the names given, and what was done to each."""
+
+    parts: tuple[RawPart, ...]
+    report: tuple[PartRepair, ...]
+
+
+def repair(parts: Sequence[RawPart], *, gap: float = GAP, limits: RepairLimits | None = None) -> RepairResult:
+    """Make parts solid and clear of one another in their assembled poses.
+
+    In the result no two meshes touch, mating faces are about `gap` metres apart (never less than half of it), and
+    every part is within 5 mm of another, all of them connected. The same input gives the same output.
+
+    Args:
+        parts: in the furniture's frame, at real size.
+        gap: metres left at mating faces.
+        limits: where to refuse.
+
+    Raises:
+        FurnitureError: fewer than 2 or more than 20 parts, two of one name, a flat part, or a limit exceeded; the
+            message names the part, the figure and the limit.
+    """
+    limits = limits or RepairLimits()
+    check_part_count(len(parts), "repair")
+    if not 1e-5 <= gap <= 1e-3:
+        raise FurnitureError(f"gap {gap!r} is not between 0.00001 and 0.001 m; 0.0002 would do")
+    names = [part.name for part in parts]
+    if len(set(names)) < len(names):
+        raise FurnitureError(f"part names {names} are not all different; rename the parts")
+    corners = np.concatenate([part.mesh.bounds for part in parts])
+    diagonal = float(np.linalg.norm(np.ptp(corners, axis=0)))
+    pieces = []
+    for part in parts:
+        solid = solidify(part.name, part.mesh, limits.faces)
+        if solid.shape_error > limits.shape_error:
+            raise FurnitureError(
+                f"part '{part.name}' could only be made solid ({solid.how}) with its surface "
+                f"{solid.shape_error * 1e3:.1f} mm off; at most {limits.shape_error * 1e3:.1f} mm is allowed (limit "
+                "`shape_error`)"
+            )
+        pieces.append(Piece(part.name, solid.body, solid, solid.body.volume()))
+    separate(pieces, gap, limits, diagonal)
+    out, report = [], []
+    for part, piece in zip(parts, pieces, strict=True):
+        skin = to_surface(piece.body)
+        out.append(RawPart(part.name, Mesh(skin.vertices, skin.faces), part.label))
+        report.append(
+            PartRepair(
+                name=part.name,
+                displacement=float(np.linalg.norm(piece.moved)),
+                trimmed=max(0.0, piece.removed / piece.whole),
+                how=piece.solid.how,
+                shape_error=piece.solid.shape_error,
+                notes=(*piece.solid.notes, *dict.fromkeys(piece.notes)),
+            )
+        )
+    return RepairResult(tuple(out), tuple(report))

@@ -1,0 +1,19 @@
+"""What repair may do to a part before it refuses."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class RepairLimits:
+    """Where repair stops and refuses."""
+
+    trimmed: float = 0.15
+    """Share of a part's volume that may be trimmed."""
+    displacement: float = 0.02
+    """How far a part may be moved, as a share of the furniture's diagonal."""
+    shape_error: float = 0.005
+    """Metres that the delivered surface may stick out of the solid made of it (99th percentile)."""
+    faces: int = 3000
+    """Triangles a part is simplified to, before trimming."""

@@ -1,0 +1,181 @@
+"""From overlapping solids to solids with a small real gap between them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from itertools import combinations
+
+import manifold3d as m3
+import numpy as np
+from jaxtyping import Float
+
+from roboassembly.errors import FurnitureError
+from roboassembly.furniture.model import CONTACT_DISTANCE
+from roboassembly.furniture.repair.limits import RepairLimits
+from roboassembly.furniture.repair.proximity import Shell
+from roboassembly.furniture.repair.solid import Solid, to_surface
+from roboassembly.furniture.repair.trim import Cut, cut, plane_cut
+
+ROUNDS = 8
+MAX_MOVES = 40
+MAX_PLANE_SHARE = 0.01
+"""A flat cut may take this share of a part..."""
+MAX_PLANE_RATIO = 3.0
+"""...and this many times what a cut along the neighbour's surface would take."""
+
+
+@dataclass(eq=False)
+class Piece:
+    """A part while it is being repaired."""
+
+    name: str
+    body: m3.Manifold
+    solid: Solid
+    whole: float
+    """Cubic metres before any trimming."""
+    removed: float = 0.0
+    """Cubic metres trimmed so far."""
+    moved: Float[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))
+    """Metres moved so far."""
+    notes: list[str] = field(default_factory=list)
+    _shell: Shell | None = None
+
+    @property
+    def shell(self) -> Shell:
+        """The present triangles, ready for collision questions."""
+        if self._shell is None:
+            self._shell = Shell(to_surface(self.body))
+        return self._shell
+
+    def become(self, body: m3.Manifold) -> None:
+        """Replace the solid."""
+        self.body, self._shell = body, None
+
+
+def separate(pieces: list[Piece], gap: float, limits: RepairLimits, diagonal: float) -> None:
+    """Trim and move the pieces, in place, until none touch and all hang together.
+
+    Raises:
+        FurnitureError: not possible within the limits.
+    """
+    were_touching = [(a, b) for a, b in combinations(pieces, 2) if _distance(a, b, gap) <= gap]
+    _clear(pieces, gap, limits)
+    for _ in range(MAX_MOVES):
+        islands = _islands(pieces)
+        if len(islands) == 1:
+            break
+        _bring_closer(pieces, islands, gap, limits, diagonal)
+        _clear(pieces, gap, limits)
+    else:
+        raise FurnitureError(f"parts still hang apart after {MAX_MOVES} moves; check the assembled poses")
+    for a, b in were_touching:
+        apart = _distance(a, b, 2 * CONTACT_DISTANCE)
+        if apart >= CONTACT_DISTANCE:
+            for one, other in ((a, b), (b, a)):
+                one.notes.append(f"no longer within {CONTACT_DISTANCE * 1e3:g} mm of '{other.name}'")
+
+
+def _distance(a: Piece, b: Piece, enough: float) -> float:
+    """Metres between two pieces' surfaces, zero if they touch; `inf` when their boxes are `enough` apart."""
+    return a.shell.nearest(b.shell)[0] if a.shell.box_distance(b.shell) <= enough else float("inf")
+
+
+def _clear(pieces: list[Piece], gap: float, limits: RepairLimits) -> None:
+    close: list[tuple[Piece, Piece]] = []
+    for attempt in range(ROUNDS):
+        width = gap * (1.0 + 0.25 * attempt)
+        overlaps = []
+        for i, j in combinations(range(len(pieces)), 2):
+            a, b = pieces[i], pieces[j]
+            if a.shell.box_distance(b.shell) > gap:
+                continue
+            shared = (a.body ^ b.body).volume()
+            if shared > 1e-12 or _distance(a, b, gap) < 0.5 * gap:
+                overlaps.append((-shared, i, j))
+        if not overlaps:
+            return
+        close = [(pieces[i], pieces[j]) for _, i, j in sorted(overlaps)]
+        for a, b in close:
+            _part(a, b, width, limits)
+    a, b = close[0]
+    raise FurnitureError(f"parts '{a.name}' and '{b.name}' still touch after {ROUNDS} rounds of trimming")
+
+
+def _part(a: Piece, b: Piece, gap: float, limits: RepairLimits) -> None:
+    """Make two pieces clear each other by trimming the one that suffers less."""
+    choices: list[tuple[float, Piece, Piece, Cut]] = []
+    worst = []
+    for trimmed, cutter in ((a, b), (b, a)):
+        cuts = [cut(trimmed.body, cutter.body, gap)]
+        if cuts[0].freedom < 0.3:
+            most = min(MAX_PLANE_SHARE * trimmed.whole, MAX_PLANE_RATIO * cuts[0].removed)
+            flat = plane_cut(trimmed.body, cutter.body, gap)
+            cuts += [one for one in flat if one.removed <= most and not one.splits]
+        for one in cuts:
+            share = (trimmed.removed + one.removed) / trimmed.whole
+            if one.body.is_empty() or share > limits.trimmed:
+                worst.append((share, trimmed))
+                continue
+            cost = share / limits.trimmed + 4.0 * (0.5 - min(0.5, one.freedom)) + (6.0 if one.splits else 0.0)
+            choices.append((cost, trimmed, cutter, one))
+    if not choices:
+        share, piece = min(worst, key=lambda w: w[0])
+        other = b if piece is a else a
+        raise FurnitureError(
+            f"part '{piece.name}' would lose {share:.1%} of its volume to clear '{other.name}'; "
+            f"at most {limits.trimmed:.1%} is allowed (limit `trimmed`)"
+        )
+    _, piece, other, best = min(choices, key=lambda c: c[0])
+    piece.removed += best.removed
+    piece.become(best.body)
+    if best.dropped:
+        piece.notes.append(f"{best.dropped} slivers dropped where '{other.name}' cut it")
+    if best.splits:
+        piece.notes.append(f"cut through by '{other.name}', kept as one rigid part")
+    if best.freedom < 0.1:
+        piece.notes.append(f"has a socket for '{other.name}'")
+
+
+def _islands(pieces: list[Piece]) -> list[list[int]]:
+    left, out = set(range(len(pieces))), []
+    while left:
+        stack, island = [min(left)], []
+        left.discard(stack[0])
+        while stack:
+            p = stack.pop()
+            island.append(p)
+            joined = [q for q in sorted(left) if _distance(pieces[p], pieces[q], CONTACT_DISTANCE) < CONTACT_DISTANCE]
+            left -= set(joined)
+            stack += joined
+        out.append(sorted(island))
+    return out
+
+
+def _bring_closer(
+    pieces: list[Piece], islands: list[list[int]], gap: float, limits: RepairLimits, diagonal: float
+) -> None:
+    """Move the smallest island along the shortest way to the rest, until it is at the gap."""
+    loose = min(islands, key=lambda island: (sum(pieces[p].whole for p in island), island))
+    best: tuple[float, np.ndarray, int, int] | None = None
+    for p in loose:
+        for q in sorted(set(range(len(pieces))) - set(loose)):
+            if best is not None and pieces[p].shell.box_distance(pieces[q].shell) >= best[0]:
+                continue
+            distance, here, there = pieces[p].shell.nearest(pieces[q].shell)
+            if best is None or distance < best[0]:
+                best = (distance, there - here, p, q)
+    if best is None:
+        raise FurnitureError("there is nothing to bring the loose parts to; furniture has at least two parts")
+    distance, way, p, q = best
+    shift = way * (1.0 - gap / distance)
+    for index in loose:
+        piece = pieces[index]
+        piece.moved = piece.moved + shift
+        length = float(np.linalg.norm(piece.moved))
+        if length > limits.displacement * diagonal:
+            raise FurnitureError(
+                f"part '{piece.name}' hangs {distance * 1e3:.1f} mm off '{pieces[q].name}'; to move it {length * 1e3:.1f} mm "
+                f"is more than {limits.displacement:.1%} of the furniture's diagonal (limit `displacement`)"
+            )
+        piece.become(piece.body.translate(tuple(shift.tolist())))
+        piece.notes.append(f"moved {np.linalg.norm(shift) * 1e3:.1f} mm toward '{pieces[q].name}'")

@@ -1,0 +1,318 @@
+"""Triangle soup to consistently wound, closed surfaces: welding, duplicates, winding, holes."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from dataclasses import dataclass
+
+import manifold3d as m3
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import breadth_first_order, connected_components
+from scipy.spatial import cKDTree
+
+WELD_DISTANCE = 2e-5
+"""Vertices nearer than this, in metres, are one vertex."""
+MAX_HOLE_BULGE = 0.002
+"""A rim that leaves its own plane by no more than this, in metres, gets a flat cap."""
+MAX_BENT_RIM = 520
+"""A hole whose rim bends is filled when the rim has no more edges than this."""
+MAX_PATCHES = 400
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """Triangles in metres, not necessarily closed."""
+
+    vertices: Float[np.ndarray, "v 3"]
+    faces: Int[np.ndarray, "f 3"]
+
+    @property
+    def corners(self) -> Float[np.ndarray, "f 3 3"]:
+        """The three corners of each triangle."""
+        return self.vertices[self.faces]
+
+    @property
+    def area(self) -> float:
+        """Square metres."""
+        a, b, c = np.swapaxes(self.corners, 0, 1)
+        return float(0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum())
+
+    @property
+    def volume(self) -> float:
+        """Signed cubic metres enclosed: a meaningful number only when the surface is closed and wound one way."""
+        if not len(self.faces):
+            return 0.0
+        a, b, c = np.swapaxes(self.corners - self.vertices[self.faces[0, 0]], 0, 1)
+        return float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6.0)
+
+    def flipped(self) -> Surface:
+        """The same triangles, wound the other way."""
+        return Surface(self.vertices, self.faces[:, ::-1])
+
+    def compact(self) -> Surface:
+        """Without the vertices that no face uses."""
+        used, faces = np.unique(self.faces, return_inverse=True)
+        return Surface(self.vertices[used], faces.reshape(-1, 3))
+
+
+@dataclass(frozen=True)
+class CleaningCount:
+    """How many triangles cleaning took away."""
+
+    duplicates: int
+    degenerate: int
+
+
+def clean(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> tuple[Surface, CleaningCount]:
+    """Weld vertices, drop degenerate triangles and all but one of those on the same three vertices."""
+    pairs = cKDTree(vertices).query_pairs(WELD_DISTANCE, output_type="ndarray")
+    n = len(vertices)
+    _, label = connected_components(coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), (n, n)), False)
+    _, first = np.unique(label, return_index=True)
+    faces, vertices = label[faces].astype(np.int64), vertices[first]
+    proper = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
+    faces = faces[proper]
+    _, keep = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
+    count = CleaningCount(duplicates=len(faces) - len(keep), degenerate=int((~proper).sum()))
+    return Surface(vertices, faces[np.sort(keep)]).compact(), count
+
+
+def _half_edges(faces: Int[np.ndarray, "f 3"]) -> tuple[Int[np.ndarray, "e 2"], Int[np.ndarray, "e"]]:
+    """Directed edges of all faces and the face that each belongs to."""
+    directed = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    return directed, np.tile(np.arange(len(faces)), 3)
+
+
+def components(surface: Surface) -> list[Surface]:
+    """Pieces that share no edge with one another, largest area first."""
+    directed, owner = _half_edges(surface.faces)
+    _, edge = np.unique(np.sort(directed, axis=1), axis=0, return_inverse=True)
+    f = len(surface.faces)
+    graph = coo_matrix((np.ones(len(owner)), (owner, f + edge.reshape(-1))), (f + len(owner), f + len(owner)))
+    label = connected_components(graph, False)[1][:f]
+    pieces = [Surface(surface.vertices, surface.faces[label == k]).compact() for k in np.unique(label)]
+    return sorted(pieces, key=lambda piece: -piece.area)
+
+
+def orient(surface: Surface) -> Surface | None:
+    """Wind all faces one way, so that the rim of what is left open is as short as possible.
+
+    Faces are followed across edges that exactly two share; the patches so found are then flipped against one
+    another where more than two faces meet. None when a patch is one-sided (a Möbius strip).
+    """
+    faces = surface.faces
+    directed, owner = _half_edges(faces)
+    forward = directed[:, 0] < directed[:, 1]
+    _, edge, count = np.unique(np.sort(directed, axis=1), axis=0, return_inverse=True, return_counts=True)
+    edge = edge.reshape(-1)
+    order = np.argsort(edge, kind="stable")
+    pair = order[(count == 2)[edge[order]]].reshape(-1, 2)
+    one, two = owner[pair[:, 0]], owner[pair[:, 1]]
+    agree = np.where(forward[pair[:, 0]] != forward[pair[:, 1]], 1, -1)
+    f = len(faces)
+    graph = coo_matrix((np.ones(len(one)), (one, two)), (f, f)).tocsr()
+    relation = {}
+    for a, b, s in zip(one.tolist(), two.tolist(), agree.tolist(), strict=True):
+        relation[a, b] = relation[b, a] = s
+    patches, label = connected_components(graph, False)
+    sign = np.ones(f, dtype=np.int64)
+    for patch in range(patches):
+        start = int(np.argmax(label == patch))
+        visited, before = breadth_first_order(graph, start, directed=False)
+        for face in visited[1:].tolist():
+            sign[face] = sign[before[face]] * relation[int(before[face]), face]
+    if len(one) and (sign[one] * sign[two] != agree).any():
+        return None
+    sign *= _patch_signs(surface, directed, forward, owner, edge, count, label, patches, sign)[label]
+    wound = np.where(sign[:, None] > 0, faces, faces[:, ::-1])
+    return Surface(surface.vertices, wound)
+
+
+def _patch_signs(surface, directed, forward, owner, edge, count, label, patches, sign):  # noqa: ANN
+    """Greedy flips of whole patches, largest first, that shorten the rim left open at edges of 3 and more faces."""
+    out = np.ones(patches, dtype=np.int64)
+    if patches == 1 or patches > MAX_PATCHES:
+        return out
+    length = np.linalg.norm(surface.vertices[directed[:, 0]] - surface.vertices[directed[:, 1]], axis=1)
+    busy = np.flatnonzero(count[edge] > 2)
+    flow = np.zeros(len(count))
+    size = np.bincount(label, minlength=patches)
+    value = np.where(forward, 1, -1) * sign[owner]
+    mine = defaultdict(list)
+    for h in busy.tolist():
+        mine[int(label[owner[h]])].append(h)
+    for sweep in range(4):
+        changed = False
+        for patch in np.argsort(-size, kind="stable").tolist():
+            h = np.array(mine[patch], dtype=np.int64)
+            if not len(h):
+                continue
+            contribution = np.bincount(edge[h], weights=value[h] * out[patch], minlength=len(count))
+            touched = np.unique(edge[h])
+            weight = np.zeros(len(count))
+            weight[edge[h]] = length[h]
+            rest = flow - (contribution if sweep else 0)
+            keep = (np.abs(rest + contribution) * weight)[touched].sum()
+            flip = (np.abs(rest - contribution) * weight)[touched].sum()
+            if flip < keep - 1e-12:
+                out[patch] *= -1
+                contribution = -contribution
+                changed = True
+            flow = rest + contribution
+        if sweep and not changed:
+            break
+    return out
+
+
+def rims(surface: Surface) -> list[list[int]]:
+    """Closed loops of vertices along which an oriented surface is open, wound so that a filling face continues it."""
+    directed, _ = _half_edges(surface.faces)
+    balance: dict[tuple[int, int], int] = defaultdict(int)
+    for a, b in directed.tolist():
+        if a < b:
+            balance[a, b] += 1
+        else:
+            balance[b, a] -= 1
+    following: dict[int, list[int]] = defaultdict(list)
+    for (a, b), flow in sorted(balance.items()):
+        for _ in range(abs(flow)):
+            if flow > 0:
+                following[b].append(a)
+            else:
+                following[a].append(b)
+    loops = []
+    for start in sorted(following):
+        while following[start]:
+            path, place = [start], {start: 0}
+            while True:
+                here = following[path[-1]].pop()
+                if here in place:
+                    cut = place[here]
+                    loops.append(path[cut:])
+                    for vertex in path[cut + 1 :]:
+                        del place[vertex]
+                    path = path[: cut + 1]
+                    if not following[path[-1]]:
+                        break
+                else:
+                    place[here] = len(path)
+                    path.append(here)
+            if len(path) > 1:  # cannot happen on a boundary, which is a cycle: every vertex has as many in as out
+                break
+    return loops
+
+
+def fill_holes(surface: Surface) -> Surface | None:
+    """Close an oriented surface; None where a rim is too long and too bent to be trusted.
+
+    Rims in one plane are filled together, so that the end of a tube gets a ring. Bent rims of up to
+    `MAX_BENT_RIM` edges get the cap of least area.
+    """
+    v = surface.vertices
+    groups: list[tuple[np.ndarray, float, list[list[int]]]] = []
+    caps = [surface.faces]
+    for loop in rims(surface):
+        if len(loop) < 4:
+            if len(loop) == 3:
+                caps.append(np.array([loop]))
+            continue
+        points = v[loop]
+        centre = points.mean(axis=0)
+        _, _, axes = np.linalg.svd(points - centre, full_matrices=False)
+        normal = axes[2] if abs(axes[2]).max() == axes[2].max() else -axes[2]
+        bulge = float(np.abs((points - centre) @ normal).max())
+        thin = float(np.ptp((points - centre) @ axes[1]))
+        if bulge > MAX_HOLE_BULGE or thin < MAX_HOLE_BULGE:
+            if len(loop) > MAX_BENT_RIM:
+                return None
+            caps.append(_least_cap(v, loop))
+            continue
+        height = float(centre @ normal)
+        for other_normal, other_height, members in groups:
+            if other_normal @ normal > 0.9999 and abs(other_height - height) < 5e-4:
+                members.append(loop)
+                break
+        else:
+            groups.append((normal, height, [loop]))
+    caps += [_cap(v, normal, members) for normal, _, members in groups]
+    return Surface(v, np.concatenate(caps))
+
+
+def _least_cap(v: Float[np.ndarray, "v 3"], loop: list[int]) -> Int[np.ndarray, "f 3"]:
+    """Triangles that span a bent loop with the least area (dynamic programming over its chords)."""
+    p, n = v[loop], len(loop)
+    cost = np.zeros((n, n))
+    split = np.zeros((n, n), dtype=np.int64)
+    for reach in range(2, n):
+        for i in range(n - reach):
+            j = i + reach
+            m = np.arange(i + 1, j)
+            area = 0.5 * np.linalg.norm(np.cross(p[m] - p[i], p[j] - p[i]), axis=1)
+            total = cost[i, m] + cost[m, j] + area
+            k = int(np.argmin(total))
+            cost[i, j], split[i, j] = total[k], m[k]
+    out, stack = [], [(0, n - 1)]
+    while stack:
+        i, j = stack.pop()
+        if j - i >= 2:
+            k = int(split[i, j])
+            out.append((loop[i], loop[k], loop[j]))
+            stack += [(i, k), (k, j)]
+    return np.array(out, dtype=np.int64)
+
+
+def _cap(
+    v: Float[np.ndarray, "v 3"], normal: Float[np.ndarray, "3"], members: list[list[int]]
+) -> Int[np.ndarray, "f 3"]:
+    """Triangles that span loops lying in one plane; outer loops and holes are told apart by their winding."""
+    x = np.cross(normal, np.eye(3)[int(np.argmin(np.abs(normal)))])
+    x /= np.linalg.norm(x)
+    y = np.cross(normal, x)
+    flat = [np.column_stack([v[loop] @ x, v[loop] @ y]) for loop in members]
+    area = sum(0.5 * float(np.sum(p[:, 0] * np.roll(p[:, 1], -1) - p[:, 1] * np.roll(p[:, 0], -1))) for p in flat)
+    if area < 0:
+        flat = [p * [1.0, -1.0] for p in flat]
+    index = np.concatenate([np.asarray(loop) for loop in members])
+    return index[np.asarray(m3.triangulate(flat), dtype=np.int64)]
+
+
+def thicken(sheet: Surface, thickness: float) -> Surface:
+    """An oriented sheet made a plate: half of `thickness`, in metres, to either side."""
+    a, b, c = np.swapaxes(sheet.corners, 0, 1)
+    weighted = np.cross(b - a, c - a)
+    normal = np.zeros_like(sheet.vertices)
+    for k in range(3):
+        np.add.at(normal, sheet.faces[:, k], weighted)
+    normal *= 0.5 * thickness / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
+    n = len(sheet.vertices)
+    walls = []
+    for loop in rims(sheet):
+        for p, q in zip(loop, [*loop[1:], loop[0]], strict=True):
+            walls += [(p, q, q + n), (p, q + n, p + n)]
+    faces = [sheet.faces, sheet.faces[:, ::-1] + n, np.array(walls, dtype=np.int64).reshape(-1, 3)]
+    return Surface(np.concatenate([sheet.vertices + normal, sheet.vertices - normal]), np.concatenate(faces))
+
+
+def sample(surface: Surface, spacing: float, limit: int = 200_000) -> tuple[np.ndarray, np.ndarray]:
+    """The vertices, and points spread evenly over the triangles, about `spacing` apart; and the face of each.
+
+    Args:
+        surface: what to sample.
+        spacing: metres.
+        limit: points on the triangles; they lie farther apart where there would be more.
+    """
+    a, b, c = np.swapaxes(surface.corners, 0, 1)
+    area = np.cumsum(0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1))
+    count = int(min(limit, np.ceil(2.0 * area[-1] / spacing**2) + 1))
+    k = np.arange(count)
+    owner = np.minimum(np.searchsorted(area, (k + 0.5) / count * area[-1]), len(area) - 1)
+    # The R2 sequence of low discrepancy (plastic number), folded into the triangle.
+    u, v = (0.5 + k * 0.7548776662466927) % 1.0, (0.5 + k * 0.5698402909980532) % 1.0
+    fold = u + v > 1.0
+    u, v = np.where(fold, 1.0 - u, u)[:, None], np.where(fold, 1.0 - v, v)[:, None]
+    points = a[owner] + u * (b[owner] - a[owner]) + v * (c[owner] - a[owner])
+    first = surface.faces.reshape(-1)
+    used, where = np.unique(first, return_index=True)
+    return np.concatenate([surface.vertices[used], points]), np.concatenate([where // 3, owner])

@@ -1,0 +1,154 @@
+"""Which part holds which: directional blocking graphs, and the sub-assemblies that can leave along a direction.
+
+Wilson and Latombe 1994, "Geometric Reasoning about Mechanical Assembly". For a direction d there is an arc from part
+i to part j if i, moved a little along d, would hit j. A set of parts may leave along d (locally) if no arc leads out
+of it. Only neighbours are looked at; the planner judges the rest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float
+
+from roboassembly.furniture.model import Furniture
+from roboassembly.planning.world import CollisionWorld
+from roboassembly.poses import SE3, poses_to_configurations
+from roboassembly.scene import Body, Scene, Shape
+from roboassembly.task.object_centric import UP_AXES, long_axis
+
+_SAMPLES = (0.0015, 0.004, 0.01)
+"""Metres: beyond any clearance of a joint, and within any depth of one."""
+_TOWARD, _AWAY = 0.3, -0.95
+"""Cosines with a contact's normal that need no test: plainly into the mate, plainly away from it."""
+_SAME = 0.995
+"""Cosine above which two directions are one."""
+
+
+class BlockingGraphs:
+    """Blocking arcs among the parts of one piece of furniture, for a fixed set of directions, found when asked for."""
+
+    def __init__(self, furniture: Furniture) -> None:
+        self._furniture = furniture
+        self.states = 0
+        """Configurations tested for collision so far."""
+        self._known_exits: dict[tuple[frozenset[int], frozenset[int], tuple[float, ...]], bool] = {}
+
+    @cached_property
+    def directions(self) -> Float[np.ndarray, "d 3"]:
+        """Unit vectors in the furniture's frame: its axes, the parts' long axes, and the contacts' normals."""
+        f = self._furniture
+        candidates = list(UP_AXES)
+        for part, slot in enumerate(f.assembled):
+            axis = slot.rotation @ long_axis(f, part)
+            candidates.extend([axis, -axis])
+        for c in f.connections:
+            normal = f.assembled[c.part_a].rotation @ f.parts[c.part_a].points[c.point_a].normal
+            candidates.extend([normal, -normal])
+        kept: list[Float[np.ndarray, "3"]] = []
+        for d in candidates:
+            if not any(float(d @ other) > _SAME for other in kept):
+                kept.append(d)
+        return np.array(kept)
+
+    @cached_property
+    def arcs(self) -> list[dict[int, set[int]]]:
+        """For each direction: part to the parts that it would hit."""
+        out: list[dict[int, set[int]]] = [
+            {p: set() for p in range(len(self._furniture.parts))} for _ in self.directions
+        ]
+        seen: set[tuple[int, int]] = set()
+        for c in self._furniture.connections:
+            pair = (c.part_a, c.part_b)
+            if pair in seen:
+                continue
+            seen.add(pair)
+            blocked = self._blocked(c.part_a, c.part_b)
+            for index, d in enumerate(self.directions):
+                if blocked[index]:
+                    out[index][c.part_a].add(c.part_b)
+                # b along d is a along -d, seen from the other side.
+                opposite = int(np.argmin(self.directions @ d))
+                if blocked[opposite]:
+                    out[index][c.part_b].add(c.part_a)
+        return out
+
+    def _blocked(self, a: int, b: int) -> list[bool]:
+        """Whether `a` hits `b`, for each direction."""
+        f = self._furniture
+        normals = np.array(
+            [
+                f.assembled[c.part_a].rotation @ f.parts[c.part_a].points[c.point_a].normal
+                for c in f.connections
+                if (c.part_a, c.part_b) == (a, b)
+            ]
+        )
+        mover = Body("a", (Shape(f.parts[a].mesh, SE3.Identity()),), f.assembled[a], moves=True)
+        mate = Body("b", (Shape(f.parts[b].mesh, SE3.Identity()),), f.assembled[b])
+        world = CollisionWorld(Scene((mover, mate), ground=False))
+        out = []
+        for d in self.directions:
+            toward = normals @ d
+            if toward.max() > _TOWARD:
+                out.append(True)
+            elif toward.max() < _AWAY:
+                out.append(False)
+            else:
+                poses = [SE3(mover.pose.rotation, mover.pose.translation + s * d) for s in _SAMPLES]
+                out.append(world.first_collision(poses_to_configurations(poses)) is not None)
+        self.states += world.states
+        return out
+
+    def removable(self, among: frozenset[int], straight: bool) -> Iterator[frozenset[int]]:
+        """Sub-assemblies of `among` that no neighbour holds back; small ones and upward ones first.
+
+        Both the sub-assembly and the rest hold together. With `straight`, only those that can go all the way out
+        along their direction (no ground, nothing else around).
+        """
+        found: list[tuple[frozenset[int], Float[np.ndarray, "3"]]] = []
+        for d, arcs in zip(self.directions, self.arcs, strict=True):
+            for part in sorted(among):
+                closed = _closure(part, arcs, among)
+                if len(closed) < len(among):
+                    found.append((closed, d))
+        found.sort(key=lambda item: (len(item[0]), -round(float(item[1][2]), 3), sorted(item[0])))
+        given: set[frozenset[int]] = set()
+        for closed, d in found:
+            if closed in given or among - closed in given:
+                continue
+            if not (self._whole(closed) and self._whole(among - closed)):
+                continue
+            if straight and not self._leaves(closed, among - closed, d):
+                continue
+            given.add(closed)
+            yield closed
+
+    def _leaves(self, moving: frozenset[int], still: frozenset[int], d: Float[np.ndarray, "3"]) -> bool:
+        """Whether `moving` can go straight out of `still` along `d`."""
+        key = (moving, still, tuple(np.round(d, 6).tolist()))
+        if key not in self._known_exits:
+            f = self._furniture
+            mover, rest = (
+                Body(name, tuple(Shape(f.parts[p].mesh, f.assembled[p]) for p in sorted(parts)), SE3.Identity(), moves)
+                for name, parts, moves in (("mover", moving, True), ("rest", still, False))
+            )
+            world = CollisionWorld(Scene((mover, rest), ground=False))
+            end = SE3(np.eye(3), (world.distance_to_clear(mover.pose, d, "rest") + 0.005) * d)
+            self._known_exits[key] = world.edge_is_free(mover.pose, end)
+            self.states += world.states
+        return self._known_exits[key]
+
+    def _whole(self, parts: frozenset[int]) -> bool:
+        return len(self._furniture.connected_components(parts)) == 1
+
+
+def _closure(part: int, arcs: dict[int, set[int]], among: frozenset[int]) -> frozenset[int]:
+    """The part and all that would have to move with it."""
+    closed, stack = {part}, [part]
+    while stack:
+        for other in arcs[stack.pop()] & among - closed:
+            closed.add(other)
+            stack.append(other)
+    return frozenset(closed)

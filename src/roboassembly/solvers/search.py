@@ -1,0 +1,275 @@
+"""Finds a whole action sequence: reason backward by disassembly, let the task's own planner judge every merge.
+
+Backward: take the furniture apart in the mind, sub-assembly by sub-assembly, along blocking graphs; a set of parts
+can be put together if it splits into two that can be separated and each can be put together itself (an AND/OR
+search with memory). Forward: carry the merges out. Where the planner refuses a merge, that split is struck out and
+the rest thought through again; where nothing is left, the last merge is taken back.
+
+Three rounds, each wider and dearer than the last: straight exits only and no sampling planner; everything that no
+neighbour holds back; at last every split of a set into two connected halves, so that nothing assemblable is missed
+but what the planner's budget cuts off.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from itertools import count
+
+import numpy as np
+
+from roboassembly.furniture.model import Furniture
+from roboassembly.planning.problem import Budget
+from roboassembly.solvers.blocking import BlockingGraphs
+from roboassembly.task.groups import TaskState
+from roboassembly.task.object_centric import UP_AXES, ObjectCentricTask, Verdict
+from roboassembly.task.plan import Plan, PlanStep
+
+_HOPELESS = -0.5
+"""Score of an option that the first round leaves out: it would end in the ground, or leave the joint downward."""
+Parts = frozenset[int]
+Split = tuple[Parts, Parts]
+"""Two sub-assemblies; the first is the one that leaves."""
+
+
+@dataclass(frozen=True)
+class SearchLimits:
+    """When the search gives up."""
+
+    states: int = 2_000_000
+    """Configurations tested for collision in all."""
+    attempts: int = 2_000
+    """Merges handed to the planner."""
+
+
+@dataclass(frozen=True, eq=False)
+class SearchResult:
+    """A plan (possibly unfinished), and what it took, failed attempts included."""
+
+    plan: Plan
+    planning_steps: int
+    """Configurations tested for collision by all that the search did."""
+    planning_seconds: float
+    """Time within the planner."""
+    attempts: int
+    """Merges handed to the planner."""
+    backtracks: int
+    reason: str
+    """Why there is no plan; empty if there is one."""
+
+
+@dataclass(frozen=True)
+class _Round:
+    """How wide one pass of the search is."""
+
+    straight: bool
+    """Only splits whose leaving part goes straight out."""
+    exhaustive: bool
+    """Splits that blocking graphs do not offer, too."""
+    budget: Budget
+    """For each merge; with no states to spend the planner tries retreats only."""
+
+
+_ROUNDS = (
+    _Round(True, False, Budget(states=0)),
+    _Round(False, False, Budget(states=4_000)),
+    _Round(False, True, Budget(states=20_000)),
+)
+
+
+@dataclass(eq=False)
+class _Search:
+    task: ObjectCentricTask
+    graphs: BlockingGraphs
+    limits: SearchLimits
+    seed: int
+    round: _Round = _ROUNDS[0]
+    refused: set[frozenset[Parts]] = field(default_factory=set)
+    """Splits that the planner would not join, whoever moves and whatever points up."""
+    dead: set[frozenset[Parts]] = field(default_factory=set)
+    """Partitions from which nothing led on."""
+    steps: list[PlanStep] = field(default_factory=list)
+    planning_steps: int = 0
+    planning_seconds: float = 0.0
+    attempts: int = 0
+    backtracks: int = 0
+    verdicts: dict[str, int] = field(default_factory=dict)
+
+    def exhausted(self) -> bool:
+        return self.planning_steps + self.graphs.states > self.limits.states or self.attempts >= self.limits.attempts
+
+    def extend(self, state: TaskState) -> bool:
+        """Depth first from `state`; the steps taken are kept in `self.steps` if it succeeds."""
+        if state.complete:
+            return True
+        partition = frozenset(frozenset(g.parts) for g in state.groups)
+        if partition in self.dead:
+            return False
+        excluded: set[frozenset[Parts]] = set()
+        while not self.exhausted():
+            merges = self.disassemble(partition, self.refused | excluded)
+            if merges is None:
+                break
+            progressed = False
+            for leaving, staying in merges:
+                if leaving not in partition or staying not in partition:
+                    continue
+                after = self.merge(state, leaving, staying)
+                if after is None:
+                    self.refused.add(frozenset((leaving, staying)))
+                    progressed = True
+                    break
+                if self.extend(after):
+                    return True
+                self.steps.pop()
+                self.backtracks += 1
+                excluded.add(frozenset((leaving, staying)))
+                progressed = True
+                break
+            if not progressed:
+                break
+        self.dead.add(partition)
+        return False
+
+    def merge(self, state: TaskState, leaving: Parts, staying: Parts) -> TaskState | None:
+        """Try to join two groups: whoever moves, whatever points up, the most promising first."""
+        for action in self.options(state, leaving, staying):
+            if self.exhausted():
+                return None
+            self.attempts += 1
+            words = np.random.SeedSequence([self.seed, zlib.crc32(repr(action).encode())]).generate_state(1)
+            outcome = self.task.step(state, action, int(words[0]), self.round.budget)
+            self.planning_steps += outcome.planning_steps
+            self.planning_seconds += outcome.planning_seconds
+            self.verdicts[outcome.verdict] = self.verdicts.get(outcome.verdict, 0) + 1
+            if outcome.verdict is Verdict.MERGED and outcome.step is not None:
+                self.steps.append(outcome.step)
+                return outcome.state
+        return None
+
+    def options(self, state: TaskState, leaving: Parts, staying: Parts) -> list[tuple[int, ...]]:
+        """Actions that join the two groups. Rising out of the joint is best; ending up in the ground is worst."""
+        furniture = self.task.furniture
+        c = next(c for c in furniture.connections if {c.part_a, c.part_b} & leaving and {c.part_a, c.part_b} & staying)
+        end = {c.part_a: c.point_a, c.part_b: c.point_b}
+        one = next(p for p in end if p in leaving)
+        two = next(p for p in end if p in staying)
+        scored: list[tuple[float, tuple[int, ...]]] = []
+        for u, v, moving, waiting in ((one, two, leaving, staying), (two, one, staying, leaving)):
+            directions = self.exits(moving, waiting)
+            low_moving, low_waiting = self.lowest(moving), self.lowest(waiting)
+            for w, up in enumerate(UP_AXES):
+                rise = max((float(d @ up) for d in directions), default=0.0)
+                sinks = low_moving[w] < low_waiting[w] - 1e-3
+                score = rise - 3.0 * sinks - 0.2 * (len(moving) > len(waiting))
+                scored.append((round(score, 3), (u, v, end[u], end[v], w)))
+        scored.sort(key=lambda item: -item[0])
+        return [action for score, action in scored if score > _HOPELESS or not self.round.straight]
+
+    def exits(self, moving: Parts, waiting: Parts) -> list[np.ndarray]:
+        """Directions along which no part of `moving` is held by a part of `waiting`."""
+        return [
+            d
+            for d, arcs in zip(self.graphs.directions, self.graphs.arcs, strict=True)
+            if not any(arcs[p] & waiting for p in moving)
+        ]
+
+    def lowest(self, parts: Parts) -> np.ndarray:
+        """How far the parts reach down when each of the six axes points up, in the furniture's frame."""
+        f = self.task.furniture
+        points = np.concatenate(
+            [
+                f.parts[p].mesh.hull_vertices @ f.assembled[p].rotation.T + f.assembled[p].translation
+                for p in sorted(parts)
+            ]
+        )
+        return (points @ UP_AXES.T).min(axis=0)
+
+    def disassemble(self, partition: frozenset[Parts], struck: set[frozenset[Parts]]) -> list[Split] | None:
+        """Merges, in an order in which they can be made, that build the whole from the groups of `partition`."""
+        whole = frozenset().union(*partition)
+        memory: dict[Parts, list[Split] | None] = {}
+
+        def build(parts: Parts) -> list[Split] | None:
+            if parts in partition:
+                return []
+            if parts not in memory:
+                memory[parts] = None
+                memory[parts] = next(ways(parts), None)
+            return memory[parts]
+
+        def ways(parts: Parts) -> Iterator[list[Split]]:
+            for leaving, staying in self.splits(parts, partition):
+                if frozenset((leaving, staying)) in struck:
+                    continue
+                first = build(staying)
+                second = build(leaving) if first is not None else None
+                if first is not None and second is not None:
+                    yield [*first, *second, (leaving, staying)]
+
+        return build(whole)
+
+    def splits(self, parts: Parts, partition: frozenset[Parts]) -> Iterator[Split]:
+        """Ways to take `parts` in two that break no group: those that blocking graphs offer, then all others."""
+        groups = [g for g in partition if g <= parts]
+        offered: set[frozenset[Parts]] = set()
+        for closed in self.graphs.removable(parts, self.round.straight):
+            if all(g <= closed or not g & closed for g in groups):
+                offered.add(frozenset((closed, parts - closed)))
+                yield closed, parts - closed
+        for half in self.connected_halves(parts, groups) if self.round.exhaustive else ():
+            if frozenset((half, parts - half)) not in offered:
+                yield half, parts - half
+
+    def connected_halves(self, parts: Parts, groups: list[Parts]) -> Iterator[Parts]:
+        """Connected unions of groups, up to half of them, whose complement is connected too; small ones first."""
+        furniture = self.task.furniture
+        layer = {g for g in groups}
+        for size in count(1):
+            if 2 * size > len(groups):
+                return
+            for half in sorted(layer, key=sorted):
+                if len(furniture.connected_components(parts - half)) == 1:
+                    yield half
+            reach = {h: frozenset().union(*(furniture.neighbours[p] for p in h)) & parts - h for h in layer}
+            layer = {h | g for h in layer for g in groups if g & reach[h]}
+
+
+def solve(
+    furniture: Furniture, seed: int, *, task: ObjectCentricTask | None = None, limits: SearchLimits | None = None
+) -> SearchResult:
+    """Search for an assembly from a random start; the same seed gives the same plan.
+
+    Args:
+        seed: of the initial placement and of the planner.
+        task: of this furniture, to share what it has computed; a new one if None.
+    """
+    task = task or ObjectCentricTask(furniture)
+    initial = task.initial_state(np.random.default_rng(seed))
+    return solve_from(task, initial, seed, limits or SearchLimits())
+
+
+def solve_from(task: ObjectCentricTask, initial: TaskState, seed: int, limits: SearchLimits) -> SearchResult:
+    """As `solve`, from a state that is given."""
+    search = _Search(task, BlockingGraphs(task.furniture), limits, seed)
+    success = False
+    for search.round in _ROUNDS:
+        search.refused.clear()
+        search.dead.clear()
+        success = search.extend(initial)
+        if success or search.exhausted():
+            break
+    reason = ""
+    if not success:
+        spent = "limits reached" if search.exhausted() else "no order of merges is left"
+        verdicts = ", ".join(f"{n} {v}" for v, n in sorted(search.verdicts.items()))
+        reason = f"{spent} after {search.attempts} merges tried ({verdicts or 'none'})"
+    return SearchResult(
+        Plan(task.furniture, initial.part_poses, tuple(search.steps), success, seed),
+        search.planning_steps + search.graphs.states,
+        search.planning_seconds,
+        search.attempts,
+        search.backtracks,
+        reason,
+    )

@@ -1,0 +1,42 @@
+"""The colours of the pictures: orange moves, green waits, wood lies still."""
+
+from __future__ import annotations
+
+import colorsys
+from collections.abc import Sequence
+
+from roboassembly.viewer.timeline import Role
+
+Color = tuple[float, float, float]
+"""sRGB, each in `[0, 1]`."""
+
+MOVING: Color = (0.95, 0.45, 0.08)
+WAITING: Color = (0.28, 0.66, 0.32)
+WOOD: Color = (0.80, 0.66, 0.49)
+BACKGROUND: Color = (0.945, 0.953, 0.961)
+FLOOR: Color = (0.90, 0.905, 0.91)
+FLOOR_LINES: Color = (0.82, 0.83, 0.845)
+
+
+def part_colors(roles: Sequence[Role]) -> list[Color]:
+    """One colour a part. Parts differ a little in brightness, so that two in contact can be told apart."""
+    base = {Role.MOVING: MOVING, Role.WAITING: WAITING, Role.IDLE: WOOD}
+    return [_shade(base[role], index) for index, role in enumerate(roles)]
+
+
+def wood_colors(count: int) -> list[Color]:
+    """Colours of parts at rest."""
+    return part_colors([Role.IDLE] * count)
+
+
+def _shade(color: Color, index: int) -> Color:
+    # Multiples of the golden ratio modulo one: neighbours in the list never come out alike.
+    spread = (index * 0.6180339887) % 1.0 - 0.5
+    hue, lightness, saturation = colorsys.rgb_to_hls(*color)
+    return colorsys.hls_to_rgb(hue, lightness * (1.0 + 0.14 * spread), saturation)
+
+
+def to_bytes(color: Color) -> tuple[int, int, int]:
+    """The same colour with 0 to 255 a channel."""
+    r, g, b = (round(255 * c) for c in color)
+    return r, g, b
