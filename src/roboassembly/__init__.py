@@ -1,3 +1,7 @@
 """RoboAssembly: plan, simulate and learn furniture assembly."""
 
 __version__ = "0.1.0"
+
+from roboassembly.envs import register as _register
+
+_register()

@@ -19,11 +19,14 @@ from roboassembly.viewer.gl import Context, import_mujoco
 from roboassembly.viewer.shading import shade
 
 LIGHT_DIRECTION = np.array([-0.22, 0.16, -1.0]) / np.linalg.norm([-0.22, 0.16, -1.0])
-SHADOW_REACH = 1.5
-"""Half the width, height and depth of the shadow map, in radii of what is shown. Ground beyond it looks speckled."""
+SHADOW_REACH = {"near": 2.0, "wide": 1.5}
+"""Half the width, height and depth of the shadow map, in radii of what is shown: of one piece of furniture, and of
+parts strewn about, which are flatter. Ground beyond it looks speckled; the larger it is, the coarser are shadows."""
+WIDE = 1.0
+"""Metres around the center from which on a scene is a wide one."""
 LARGEST_PICTURE = 8192
 GRID_SPACING = 0.5
-"""Metres between the lines on the ground; twice as much where more than a metre around the center is shown."""
+"""Metres between the lines on the ground; twice as much in a wide scene."""
 LINE_WIDTH = 1.0
 """Pixels."""
 GRID_REACH = 1.8
@@ -41,7 +44,7 @@ class Quality:
 
 
 STILL = Quality(samples=4, shadow_size=4096)
-FAST = Quality(samples=0, shadow_size=768)
+FAST = Quality(samples=0, shadow_size=1024)
 """For films where a processor draws: with the settings above one second of film takes three times as long."""
 
 
@@ -148,13 +151,14 @@ class Stage:
 
     def _compile(self, meshes: Sequence[Mesh], center: Float[np.ndarray, "3"], radius: float, quality: Quality):
         mj = self._mujoco
+        reach = SHADOW_REACH["near" if radius < WIDE else "wide"]
         spec = mj.MjSpec()
         spec.stat.center, spec.stat.extent = center, radius
         visual = spec.visual
         visual.global_.offwidth, visual.global_.offheight = self.width, self.height
         visual.global_.fovy = np.degrees(FIELD_OF_VIEW)
         visual.quality.offsamples, visual.quality.shadowsize = quality.samples, quality.shadow_size
-        visual.map.znear, visual.map.zfar, visual.map.shadowclip = 0.02, 20.0, SHADOW_REACH
+        visual.map.znear, visual.map.zfar, visual.map.shadowclip = 0.02, 20.0, reach
         # The floor fades into the background before it ends.
         visual.map.fogstart, visual.map.fogend, visual.map.haze = 4.0, 14.0, 0.6
         visual.rgba.haze = visual.rgba.fog = [*BACKGROUND, 1.0]
@@ -206,7 +210,7 @@ class Stage:
 
 def floor_grid(center: Float[np.ndarray, "3"], radius: float) -> Float[np.ndarray, "lines 2 3"]:
     """Ends of lines on the ground, over a square around what is shown."""
-    spacing = GRID_SPACING if radius < 1.0 else 2.0 * GRID_SPACING
+    spacing = GRID_SPACING if radius < WIDE else 2.0 * GRID_SPACING
     reach = int(np.ceil(GRID_REACH * radius / spacing))
     first = np.round(center[:2] / spacing) * spacing
     offsets = np.arange(-reach, reach + 1) * spacing
@@ -214,7 +218,7 @@ def floor_grid(center: Float[np.ndarray, "3"], radius: float) -> Float[np.ndarra
     for axis in (0, 1):
         lines[axis, :, :, axis] = (first[axis] + offsets)[:, None]
         lines[axis, :, :, 1 - axis] = first[1 - axis] + offsets[[0, -1]]
-    lines[..., 2] = 5e-4
+    lines[..., 2] = 2e-3  # nearer to the ground they would break up
     return lines.reshape(-1, 2, 3)
 
 

@@ -8,6 +8,7 @@ from jaxtyping import Float, Int
 
 from roboassembly.furniture.repair.surface import Surface
 
+_POINT = coal.Sphere(1e-9)
 _STILL = coal.Transform3s.Identity()
 
 
@@ -49,3 +50,9 @@ class Shell:
         request.num_max_contacts, request.security_margin = 1_000_000, margin
         coal.collide(self.model, _STILL, other.model, _STILL, request, result)
         return np.unique([contact.b1 for contact in result.getContacts()]).astype(np.int64)
+
+    def distance_to(self, point: Float[np.ndarray, "3"]) -> float:
+        """Metres from a point to the nearest triangle."""
+        place = coal.Transform3s(np.eye(3), np.asarray(point, dtype=float))
+        request, result = coal.DistanceRequest(), coal.DistanceResult()
+        return abs(float(coal.distance(self.model, _STILL, _POINT, place, request, result)))

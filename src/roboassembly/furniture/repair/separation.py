@@ -14,10 +14,12 @@ from roboassembly.furniture.model import CONTACT_DISTANCE
 from roboassembly.furniture.repair.limits import RepairLimits
 from roboassembly.furniture.repair.proximity import Shell
 from roboassembly.furniture.repair.solid import Solid, to_surface
-from roboassembly.furniture.repair.trim import Cut, cut, plane_cut
+from roboassembly.furniture.repair.trim import Cut, cut, flush_cut, plane_cut
 
 ROUNDS = 8
 MAX_MOVES = 40
+TRAPPED = 0.1
+"""A cut that lets the cutter leave in fewer than this share of all directions is a socket."""
 MAX_PLANE_SHARE = 0.01
 """A flat cut may take this share of a part..."""
 MAX_PLANE_RATIO = 3.0
@@ -111,6 +113,9 @@ def _part(a: Piece, b: Piece, gap: float, limits: RepairLimits) -> None:
             most = min(MAX_PLANE_SHARE * trimmed.whole, MAX_PLANE_RATIO * cuts[0].removed)
             flat = plane_cut(trimmed.body, cutter.body, gap)
             cuts += [one for one in flat if one.removed <= most and not one.splits]
+        if max(one.freedom for one in cuts) < TRAPPED:
+            flush = flush_cut(trimmed.body, cutter.body, gap)
+            cuts += [flush] if flush is not None else []
         for one in cuts:
             share = (trimmed.removed + one.removed) / trimmed.whole
             if one.body.is_empty() or share > limits.trimmed:
@@ -132,7 +137,7 @@ def _part(a: Piece, b: Piece, gap: float, limits: RepairLimits) -> None:
         piece.notes.append(f"{best.dropped} slivers dropped where '{other.name}' cut it")
     if best.splits:
         piece.notes.append(f"cut through by '{other.name}', kept as one rigid part")
-    if best.freedom < 0.1:
+    if best.freedom < TRAPPED:
         piece.notes.append(f"has a socket for '{other.name}'")
 
 

@@ -14,8 +14,13 @@ from roboassembly.furniture.repair.surface import Surface
 
 SLIVER = 0.002
 """A piece cut off that holds less than this share of the part's volume is dropped."""
-TIDY = 2e-5
+TIDY = 1e-5
 """Triangles are merged after a cut where that moves the surface by less than this, in metres."""
+
+RECESS_MARGIN = 0.004
+"""How much of the cutter around the meeting place, in metres, decides what its recess is."""
+RECESS_CONTACT = 0.003
+"""After a flush cut the two may be this far apart, in metres: they must still count as connected."""
 
 
 def _directions(count: int) -> Float[np.ndarray, "d 3"]:
@@ -112,6 +117,21 @@ def _widen(rest: m3.Manifold, cutter: m3.Manifold, gap: float) -> m3.Manifold:
     return rest
 
 
+def flush_cut(body: m3.Manifold, cutter: m3.Manifold, gap: float) -> Cut | None:
+    """Cut as if the cutter's own recess for the body were filled: for a pin whose hole is already there.
+
+    None when the two would no longer be in contact.
+    """
+    meeting = inflate(near(cutter, body, 20.0 * gap), gap) ^ body
+    if meeting.is_empty():
+        return None
+    filled = near(cutter, meeting, RECESS_MARGIN).hull()
+    made = cut(body, filled, gap)
+    if made.body.is_empty() or Shell(to_surface(made.body)).nearest(Shell(to_surface(cutter)))[0] > RECESS_CONTACT:
+        return None
+    return made
+
+
 def plane_cut(body: m3.Manifold, other: m3.Manifold, gap: float) -> list[Cut]:
     """Cuts by a plane that clears all of the other solid near the overlap, for overlaps that are shallow."""
     tool = inflate(near(other, body, 20.0 * gap), gap).as_original()
@@ -131,8 +151,9 @@ def plane_cut(body: m3.Manifold, other: m3.Manifold, gap: float) -> list[Cut]:
         if not len(inside):
             continue
         height = float((inside @ direction).max())
-        rest = body - (body ^ box).trim_by_plane(tuple(-direction), -height)
-        out.append(_finish(body, _widen(rest.simplify(TIDY), other, gap), 0.5, before))
+        slab = box.trim_by_plane(tuple(-direction), -height).as_original()
+        rest = _widen((body - slab).simplify(TIDY), other, gap)
+        out.append(_finish(body, rest, _freedom(slab, body), before))
     return out
 
 

@@ -1,0 +1,102 @@
+"""The paper's state as arrays of fixed shape: geometry, connection points, grasp regions, poses, connections.
+
+| key | shape | meaning | unit |
+|---|---|---|---|
+| `shapes` | (P, C, 3) | points on each part's surface, part frame | m |
+| `connection_points` | (P, K, 9) | position, outward normal, tangent, part frame | m, 1, 1 |
+| `grasp_regions` | (P, 2, 6) | grasp frames, part frame: translation and Euler angles | m, rad |
+| `poses` | (P, 6) | world pose of each part: translation and Euler angles | m, rad |
+| `connections` | (P, P, 6) | pose of part j in part i's frame if both are in one group, else 0 | m, rad |
+
+P, K and C are `max_parts`, `max_points` and `cloud_points`. Rows of parts and points that are not there are 0.
+Euler angles are roll, pitch and yaw with `R = Rz(yaw) Ry(pitch) Rx(roll)`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import trimesh
+from gymnasium import spaces
+from jaxtyping import Float32
+
+from roboassembly.furniture.model import Furniture, GraspRegion
+from roboassembly.meshes import Mesh
+from roboassembly.poses import SE3, pose_to_euler
+from roboassembly.task.groups import TaskState
+
+REACH = 100.0
+"""Metres: bound of every coordinate in the observation space."""
+GRASPS = 2
+"""Grasp regions a part, as in the paper."""
+
+Observation = dict[str, Float32[np.ndarray, "..."]]
+
+
+def observation_space(max_parts: int, max_points: int, cloud_points: int) -> spaces.Dict:
+    """The space of the table above."""
+    pose = np.array([REACH] * 3 + [np.pi] * 3)
+
+    def box(high: np.ndarray) -> spaces.Box:
+        # Rounding to 32 bits may carry an angle of pi just past a bound of pi.
+        high = np.nextafter(high.astype(np.float32), np.float32(np.inf))
+        return spaces.Box(-high, high, dtype=np.float32)
+
+    return spaces.Dict(
+        {
+            "shapes": box(np.full((max_parts, cloud_points, 3), REACH)),
+            "connection_points": box(np.tile([REACH] * 3 + [1.0] * 6, (max_parts, max_points, 1))),
+            "grasp_regions": box(np.tile(pose, (max_parts, GRASPS, 1))),
+            "poses": box(np.tile(pose, (max_parts, 1))),
+            "connections": box(np.tile(pose, (max_parts, max_parts, 1))),
+        }
+    )
+
+
+class Observer:
+    """Makes observations of one piece of furniture; what does not change is computed once."""
+
+    def __init__(self, furniture: Furniture, max_parts: int, max_points: int, cloud_points: int) -> None:
+        self._parts = len(furniture.parts)
+        self._shapes = np.zeros((max_parts, cloud_points, 3), np.float32)
+        self._points = np.zeros((max_parts, max_points, 9), np.float32)
+        self._grasps = np.zeros((max_parts, GRASPS, 6), np.float32)
+        self._max_parts = max_parts
+        for p, part in enumerate(furniture.parts):
+            self._shapes[p] = surface_points(part.mesh, cloud_points)
+            for k, point in enumerate(part.points):
+                self._points[p, k] = np.concatenate([point.position, point.normal, point.tangent])
+            for g, grasp in enumerate(part.grasps[:GRASPS]):
+                self._grasps[p, g] = pose_to_euler(_grasp_frame(grasp))
+
+    def observe(self, state: TaskState) -> Observation:
+        """Fresh arrays; changing them changes nothing else."""
+        poses = np.zeros((self._max_parts, 6), np.float32)
+        for p, pose in enumerate(state.part_poses):
+            poses[p] = pose_to_euler(pose)
+        connections = np.zeros((self._max_parts, self._max_parts, 6), np.float32)
+        for group in state.groups:
+            for i, part_i in enumerate(group.parts):
+                for j, part_j in enumerate(group.parts):
+                    if i != j:
+                        relative = group.furniture_from_part[i].actInv(group.furniture_from_part[j])
+                        connections[part_i, part_j] = pose_to_euler(relative)
+        return {
+            "shapes": self._shapes.copy(),
+            "connection_points": self._points.copy(),
+            "grasp_regions": self._grasps.copy(),
+            "poses": poses,
+            "connections": connections,
+        }
+
+
+def surface_points(mesh: Mesh, count: int) -> Float32[np.ndarray, "count 3"]:
+    """Points spread over the surface by area; the same mesh gives the same points."""
+    seed = np.random.default_rng(int(mesh.content_hash, 16))
+    points, _ = trimesh.sample.sample_surface(mesh.trimesh, count, seed=seed)
+    return np.asarray(points, dtype=np.float32)
+
+
+def _grasp_frame(grasp: GraspRegion) -> SE3:
+    """`part_from_grasp`: x along the fingers' closing, z along the first approach."""
+    z = grasp.approaches[0]
+    return SE3(np.column_stack([grasp.closing, np.cross(z, grasp.closing), z]), grasp.position)

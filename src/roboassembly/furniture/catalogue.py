@@ -1,0 +1,43 @@
+"""Furniture by name: the built-in families, or a folder on disk."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from roboassembly.errors import InputError, UnknownNameError
+from roboassembly.furniture import storage
+from roboassembly.furniture.annotate import annotate
+from roboassembly.furniture.generate import FAMILIES, generate
+from roboassembly.furniture.model import Furniture, Provenance
+
+DEFAULT = "ladder"
+"""What is assembled when nothing is named: a chair of 15 parts with mortise-and-tenon joints."""
+
+
+def make(family: str, seed: int = 0) -> Furniture:
+    """Generate and annotate one chair.
+
+    Raises:
+        UnknownNameError: no such family.
+        InputError: a negative seed.
+    """
+    if seed < 0:
+        raise InputError(f"seed {seed} is negative; 0 or more would do")
+    return annotate(f"{family}-{seed}", generate(family, seed), Provenance("generated", f"{family}:{seed}", "MIT"))
+
+
+def find(name: str) -> Furniture:
+    """Furniture by `FAMILY`, `FAMILY:SEED`, or the path of a furniture folder.
+
+    Raises:
+        UnknownNameError: neither a family nor a path.
+        FurnitureError: the folder does not hold valid furniture.
+    """
+    family, _, seed = name.partition(":")
+    if family in FAMILIES and (seed.isdigit() or not seed):
+        return make(family, int(seed or 0))
+    if Path(name).exists() or "/" in name:
+        return storage.load(name)
+    if family in FAMILIES:
+        raise InputError(f"seed '{seed}' of '{name}' is not a whole number; write for instance {family}:3")
+    raise UnknownNameError("furniture (a built-in family or a folder)", name, FAMILIES)
