@@ -35,7 +35,7 @@ class Mesh:
 
     def __post_init__(self) -> None:
         vertices = np.asarray(np.asarray(self.vertices, dtype=np.float32), dtype=np.float64)
-        faces = np.asarray(self.faces, dtype=np.int64)
+        faces = np.array(self.faces, dtype=np.int64)
         if faces.size == 0:
             raise FurnitureError("mesh has no faces; a part needs at least four triangles")
         if vertices.ndim != 2 or vertices.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3:
@@ -48,9 +48,8 @@ class Mesh:
         if bad.any():
             raise FurnitureError(f"mesh vertex {int(np.flatnonzero(bad)[0])} is not finite (NaN or infinity)")
         if faces.min() < 0 or faces.max() >= len(vertices):
-            raise FurnitureError(
-                f"mesh face refers to vertex {int(faces.max())}, but there are {len(vertices)} vertices"
-            )
+            wrong = int(faces.min() if faces.min() < 0 else faces.max())
+            raise FurnitureError(f"mesh face refers to vertex {wrong}, but there are {len(vertices)} vertices")
         edges = vertices[faces]
         area = 0.5 * np.linalg.norm(np.cross(edges[:, 1] - edges[:, 0], edges[:, 2] - edges[:, 0]), axis=1).sum()
         if not area > 1e-10:

@@ -1,0 +1,45 @@
+"""The `roboassembly` command."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from typing import Annotated
+
+import tyro
+
+from roboassembly.cli.assemble import Assemble
+from roboassembly.cli.bench import Bench
+from roboassembly.cli.generate import Generate
+from roboassembly.cli.importing import Import
+from roboassembly.cli.output import DONE_BADLY, print_json
+from roboassembly.errors import InputError, RoboAssemblyError
+
+_Command = (
+    Annotated[Assemble, tyro.conf.subcommand("assemble")]
+    | Annotated[Import, tyro.conf.subcommand("import")]
+    | Annotated[Generate, tyro.conf.subcommand("generate")]
+    | Annotated[Bench, tyro.conf.subcommand("bench")]
+)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run one command and exit: 0 done, 1 not solved or not possible here, 2 bad input."""
+    command = tyro.cli(
+        _Command,  # pyright: ignore[reportArgumentType]
+        prog="roboassembly",
+        description="Plan, simulate and learn furniture assembly.",
+        args=arguments,
+        config=(tyro.conf.FlagCreatePairsOff, tyro.conf.OmitSubcommandPrefixes),
+    )
+    try:
+        status = command.run()
+    except RoboAssemblyError as error:
+        print(f"error: {error}", file=sys.stderr)
+        if command.json:
+            print_json({"success": False, "error": str(error)})
+        status = 2 if isinstance(error, InputError) else DONE_BADLY
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        status = 130
+    sys.exit(status)

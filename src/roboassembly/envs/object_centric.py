@@ -72,7 +72,7 @@ class ObjectCentricEnv(gymnasium.Env[Observation, np.ndarray]):
         self._current = 0
         self._state: TaskState | None = None
         self._mask: Bool[np.ndarray, "P P K K 6"] | None = None
-        self.observation_space = observation_space(max_parts, max_points, cloud_points)
+        self.observation_space = observation_space(max_parts, max_points, cloud_points)  # pyright: ignore[reportAttributeAccessIssue]
         self.action_space = spaces.MultiDiscrete([max_parts, max_parts, max_points, max_points, len(UP_AXES)])
 
     @property

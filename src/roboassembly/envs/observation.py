@@ -92,8 +92,7 @@ class Observer:
 def surface_points(mesh: Mesh, count: int) -> Float32[np.ndarray, "count 3"]:
     """Points spread over the surface by area; the same mesh gives the same points."""
     seed = np.random.default_rng(int(mesh.content_hash, 16))
-    points, _ = trimesh.sample.sample_surface(mesh.trimesh, count, seed=seed)
-    return np.asarray(points, dtype=np.float32)
+    return np.asarray(trimesh.sample.sample_surface(mesh.trimesh, count, seed=seed)[0], dtype=np.float32)
 
 
 def _grasp_frame(grasp: GraspRegion) -> SE3:

@@ -12,7 +12,7 @@ from jaxtyping import Bool
 from roboassembly.errors import InputError
 
 
-class DiscreteActions(gymnasium.Wrapper[Any, np.integer, Any, np.ndarray]):
+class DiscreteActions(gymnasium.Wrapper[Any, Any, Any, Any]):
     """Number a `MultiDiscrete` environment's actions from 0, the last component fastest (NumPy's C order).
 
     `action_masks()` and `info["action_mask"]` become flat, the form that sb3-contrib's `MaskablePPO` takes.
@@ -21,7 +21,7 @@ class DiscreteActions(gymnasium.Wrapper[Any, np.integer, Any, np.ndarray]):
         InputError: the environment's actions are not `MultiDiscrete`.
     """
 
-    def __init__(self, env: gymnasium.Env[Any, np.ndarray]) -> None:
+    def __init__(self, env: gymnasium.Env[Any, Any]) -> None:
         super().__init__(env)
         space = env.action_space
         if not isinstance(space, spaces.MultiDiscrete):

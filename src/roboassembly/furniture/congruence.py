@@ -63,8 +63,7 @@ def rotations_onto(source: Mesh, target: Mesh, tolerance: float = TOLERANCE) -> 
         distance, mate = tree_b.query(a @ rotation.T)
         if distance.max() > 10 * tolerance:
             continue
-        refined, _ = Rotation.align_vectors(b[mate], a)
-        matrix = refined.as_matrix()
+        matrix = Rotation.align_vectors(b[mate], a)[0].as_matrix()
         if tree_b.query(a @ matrix.T)[0].max() > tolerance or tree_a.query(b @ matrix)[0].max() > tolerance:
             continue
         if not any(np.allclose(matrix, other, atol=1e-3) for other in found):

@@ -46,21 +46,21 @@ class _Strict(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Misspelt fields are refused instead of ignored."""
 
 
-class _Point(_Strict):
+class _Point(_Strict, frozen=True):
     position: _Triple
     normal: _Triple
     tangent: _Triple
     gap: float
 
 
-class _Grasp(_Strict):
+class _Grasp(_Strict, frozen=True):
     position: _Triple
     closing: _Triple
     approaches: tuple[_Triple, _Triple, _Triple, _Triple]
     width: float
 
 
-class _Part(_Strict):
+class _Part(_Strict, frozen=True):
     name: str
     mesh: str
     assembled_pose: _Seven
@@ -69,12 +69,12 @@ class _Part(_Strict):
     grasps: list[_Grasp] = []
 
 
-class _Class(_Strict):
+class _Class(_Strict, frozen=True):
     members: list[int]
     symmetries: list[_Quaternion]
 
 
-class _Provenance(_Strict):
+class _Provenance(_Strict, frozen=True):
     source: str
     identifier: str = ""
     licence: str = ""
@@ -82,7 +82,7 @@ class _Provenance(_Strict):
     notes: list[str] = []
 
 
-class _File(_Strict):
+class _File(_Strict, frozen=True):
     format: str
     version: int
     name: str
@@ -93,7 +93,7 @@ class _File(_Strict):
     classes: list[_Class]
 
 
-class _Header(msgspec.Struct):
+class _Header(msgspec.Struct, frozen=True):
     format: str = ""
     version: int = 0
 

@@ -6,7 +6,8 @@ Kuffner and LaValle 2000, "RRT-Connect: An Efficient Approach to Single-Query Pa
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -27,9 +28,9 @@ class _EdgeValidator(base.MotionValidator):
     def __init__(self, information: base.SpaceInformation, world: CollisionWorld) -> None:
         super().__init__(information)
         self._world = world
-        self.exhausted = lambda: False
+        self.exhausted: Callable[[], bool] = lambda: False
 
-    def checkMotion(self, first: base.State, second: base.State) -> bool:  # noqa: N802 (OMPL's name)
+    def checkMotion(self, first: Any, second: Any) -> bool:  # noqa: N802 (OMPL's name)
         if self.exhausted():
             return False
         return self._world.edge_is_free(_pose(first), _pose(second))
@@ -86,7 +87,7 @@ def rrt_connect(
     planner.solve(base.PlannerTerminationCondition(validator.exhausted))
     if not definition.hasExactSolution():
         return None
-    path = definition.getSolutionPath()
+    path: Any = definition.getSolutionPath()
     return tuple(_pose(path.getState(i)) for i in range(path.getStateCount()))
 
 
@@ -103,8 +104,9 @@ def shortcut(world: CollisionWorld, path: Sequence[SE3], seed: int, attempts: in
     return tuple(poses)
 
 
-def _state(space: base.SE3StateSpace, pose: SE3) -> base.State:
-    state = space.allocState()
+def _state(space: base.SE3StateSpace, pose: SE3) -> Any:
+    # OMPL's stubs know only the base class of states and paths; hence Any here and below.
+    state: Any = space.allocState()
     state.setXYZ(*map(float, pose.translation))
     quaternion = pin.Quaternion(pose.rotation)
     # OMPL waits for ever for a goal whose quaternion is off unit length by more than 1e-9.
@@ -114,7 +116,7 @@ def _state(space: base.SE3StateSpace, pose: SE3) -> base.State:
     return state
 
 
-def _pose(state: base.State) -> SE3:
+def _pose(state: Any) -> SE3:
     q = state.rotation()
     return SE3(
         pin.Quaternion(q.w, q.x, q.y, q.z).toRotationMatrix(), np.array([state.getX(), state.getY(), state.getZ()])

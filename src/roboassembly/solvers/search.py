@@ -225,7 +225,7 @@ class _Search:
     def connected_halves(self, parts: Parts, groups: list[Parts]) -> Iterator[Parts]:
         """Connected unions of groups, up to half of them, whose complement is connected too; small ones first."""
         furniture = self.task.furniture
-        layer = {g for g in groups}
+        layer = set(groups)
         for size in count(1):
             if 2 * size > len(groups):
                 return

@@ -15,7 +15,7 @@ class PlanStep:
     action: tuple[int, ...]
     """`(u, v, k, l, w)` in the object-centric setting."""
     moving: dict[int, SE3]
-    """Parts of u's group: index to `group_from_part`. The group's frame has its origin at the group's centre of mass."""
+    """Parts of u's group: index to `group_from_part`. The frame of the group is at its centre of mass."""
     waiting: tuple[int, ...]
     """Parts of v's group."""
     still: dict[int, SE3]

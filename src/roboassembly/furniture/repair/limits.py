@@ -9,7 +9,7 @@ from dataclasses import dataclass
 class RepairLimits:
     """Where repair stops and refuses."""
 
-    trimmed: float = 0.15
+    trimmed: float = 0.2
     """Share of a part's volume that may be trimmed."""
     displacement: float = 0.02
     """How far a part may be moved, as a share of the furniture's diagonal."""

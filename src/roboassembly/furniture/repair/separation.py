@@ -179,8 +179,9 @@ def _bring_closer(
         length = float(np.linalg.norm(piece.moved))
         if length > limits.displacement * diagonal:
             raise FurnitureError(
-                f"part '{piece.name}' hangs {distance * 1e3:.1f} mm off '{pieces[q].name}'; to move it {length * 1e3:.1f} mm "
-                f"is more than {limits.displacement:.1%} of the furniture's diagonal (limit `displacement`)"
+                f"part '{piece.name}' hangs {distance * 1e3:.1f} mm off '{pieces[q].name}'; to move it "
+                f"{length * 1e3:.1f} mm is more than {limits.displacement:.1%} of the furniture's diagonal "
+                "(limit `displacement`)"
             )
         piece.become(piece.body.translate(tuple(shift.tolist())))
         piece.notes.append(f"moved {np.linalg.norm(shift) * 1e3:.1f} mm toward '{pieces[q].name}'")

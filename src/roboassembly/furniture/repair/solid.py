@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import fast_simplification
 import manifold3d as m3
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError, cKDTree
+from scipy.spatial import ConvexHull, KDTree, QhullError
 
 from roboassembly.errors import FurnitureError
 from roboassembly.furniture.repair.proximity import Shell
@@ -88,7 +88,7 @@ def solidify(name: str, mesh: Mesh, max_faces: int) -> Solid:
             ways.append(way)
     if bodies and sheets:
         solid_points = np.concatenate([sample(to_surface(b), SPACING, 60_000)[0] for b in bodies])
-        tree = cKDTree(solid_points)
+        tree = KDTree(solid_points)
         paint = [tree.query(sample(s, SPACING, 20_000)[0])[0].max() < NEAR_SOLID + SPACING for s in sheets]
         if any(paint):
             notes.append(f"{sum(paint)} sheets without thickness, lying on the solid, dropped")
@@ -148,7 +148,7 @@ def _hull(piece: Surface) -> m3.Manifold | None:
     hull = m3.Manifold.hull_points(piece.vertices)
     points, _ = sample(to_surface(hull), SPACING, 40_000)
     own, _ = sample(piece, 0.5 * SPACING, 80_000)
-    far = cKDTree(own).query(points)[0] > HULL_TOLERANCE + 0.5 * SPACING
+    far = KDTree(own).query(points)[0] > HULL_TOLERANCE + 0.5 * SPACING
     return hull if far.mean() < 0.01 else None
 
 
@@ -167,8 +167,8 @@ def simplify(body: m3.Manifold, max_faces: int) -> m3.Manifold:
         if out.num_tri() <= max_faces * share:
             return out
         skin = to_surface(out)
-        points, faces = fast_simplification.simplify(
-            skin.vertices.astype(np.float32), skin.faces.astype(np.int32), target_count=int(max_faces * share), agg=2
+        points, faces, *_ = fast_simplification.simplify(
+            skin.vertices, skin.faces, target_count=int(max_faces * share), agg=2
         )
         fewer = to_manifold(Surface(np.asarray(points, dtype=float), np.asarray(faces, dtype=np.int64)))
         if fewer is not None and abs(fewer.volume() - out.volume()) < 0.1 * out.volume():

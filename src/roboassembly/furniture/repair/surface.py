@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import manifold3d as m3
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import breadth_first_order, connected_components
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 WELD_DISTANCE = 2e-5
 """Vertices nearer than this, in metres, are one vertex."""
@@ -67,7 +67,7 @@ class CleaningCount:
 
 def clean(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> tuple[Surface, CleaningCount]:
     """Weld vertices, drop degenerate triangles and all but one of those on the same three vertices."""
-    pairs = cKDTree(vertices).query_pairs(WELD_DISTANCE, output_type="ndarray")
+    pairs = KDTree(vertices).query_pairs(WELD_DISTANCE, output_type="ndarray")
     n = len(vertices)
     _, label = connected_components(coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), (n, n)), False)
     _, first = np.unique(label, return_index=True)
@@ -130,7 +130,17 @@ def orient(surface: Surface) -> Surface | None:
     return Surface(surface.vertices, wound)
 
 
-def _patch_signs(surface, directed, forward, owner, edge, count, label, patches, sign):  # noqa: ANN
+def _patch_signs(
+    surface: Surface,
+    directed: Int[np.ndarray, "e 2"],
+    forward: Bool[np.ndarray, "e"],
+    owner: Int[np.ndarray, "e"],
+    edge: Int[np.ndarray, "e"],
+    count: Int[np.ndarray, "u"],
+    label: Int[np.ndarray, "f"],
+    patches: int,
+    sign: Int[np.ndarray, "f"],
+) -> Int[np.ndarray, "p"]:
     """Greedy flips of whole patches, largest first, that shorten the rim left open at edges of 3 and more faces."""
     out = np.ones(patches, dtype=np.int64)
     if patches == 1 or patches > MAX_PATCHES:

@@ -14,6 +14,9 @@ from roboassembly.furniture.repair.surface import Surface
 
 SLIVER = 0.002
 """A piece cut off that holds less than this share of the part's volume is dropped."""
+BLOCKED = 0.01
+"""A direction is free when the walls that stand in the cutter's way, seen along it, make less than this share of the
+meeting surface: what the gap itself adds around a flat face does not count, a pocket a millimetre deep does."""
 TIDY = 1e-5
 """Triangles are merged after a cut where that moves the surface by less than this, in metres."""
 
@@ -43,10 +46,12 @@ def inflate(body: m3.Manifold, amount: float) -> m3.Manifold:
     size = np.linalg.norm(normal, axis=1)
     good = size > 1e-12
     normal = normal[good] / size[good, None]
-    faces, weight = skin.faces[good], size[good]
+    faces, corners = skin.faces[good], skin.corners[good]
     n = len(skin.vertices)
     matrix, right = np.zeros((n, 3, 3)), np.zeros((n, 3))
     for k in range(3):
+        one, two = corners[:, (k + 1) % 3] - corners[:, k], corners[:, (k + 2) % 3] - corners[:, k]
+        weight = np.arctan2(np.linalg.norm(np.cross(one, two), axis=1), np.einsum("ij,ij->i", one, two))
         np.add.at(matrix, faces[:, k], weight[:, None, None] * normal[:, :, None] * normal[:, None, :])
         np.add.at(right, faces[:, k], weight[:, None] * normal)
     values, axes = np.linalg.eigh(matrix)
@@ -185,5 +190,5 @@ def _freedom(tool: m3.Manifold, body: m3.Manifold) -> float:
     largest = normals[np.argsort(-areas, kind="stable")[:12]]
     ways = np.concatenate([DIRECTIONS, -largest])
     blocked = np.maximum(ways @ normals.T, 0.0) @ areas / areas.sum()
-    free = blocked < 0.03
+    free = blocked < BLOCKED
     return float(max(free[: len(DIRECTIONS)].mean(), 0.003 * bool(free.any())))

@@ -7,7 +7,7 @@ import numpy as np
 import trimesh
 from jaxtyping import Float, Int
 from scipy import ndimage
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from roboassembly.furniture.repair.surface import Surface, sample
 
@@ -35,7 +35,7 @@ def wrap(surface: Surface) -> tuple[m3.Manifold, float]:
     origin = low - 4 * step + 0.5 * (size - np.ceil(size / step) * step)
     field = _signed(surface, origin, step, shape)
     points, owner = sample(surface, step)
-    solid = ndimage.binary_dilation(field < 0, np.ones((3, 3, 3)), iterations=2)
+    solid = np.asarray(ndimage.binary_dilation(field < 0, np.ones((3, 3, 3)), iterations=2), dtype=bool)
     lost = ~solid[tuple(np.rint((points - origin) / step).astype(int).T)]
     if lost.any():
         sheet = Surface(surface.vertices, surface.faces[np.unique(owner[lost])]).compact()
@@ -52,10 +52,10 @@ def _distance(
     points, owner = sample(surface, step)
     near = np.zeros(shape, dtype=bool)
     near[tuple(np.rint((points - origin) / step).astype(int).T)] = True
-    near = ndimage.binary_dilation(near, np.ones((3, 3, 3)), iterations=3)
+    near = np.asarray(ndimage.binary_dilation(near, np.ones((3, 3, 3)), iterations=3), dtype=bool)
     where = np.argwhere(near)
     nodes = origin + where * step
-    _, found = cKDTree(points).query(nodes, k=3)
+    _, found = KDTree(points).query(nodes, k=3)
     best, nearest = np.full(len(nodes), np.inf), nodes.copy()
     for column in np.minimum(found, len(points) - 1).T:
         closest = trimesh.triangles.closest_point(surface.corners[owner[column]], nodes)
@@ -72,7 +72,8 @@ def _signed(
 ) -> Float[np.ndarray, "x y z"]:
     """Distance, negative inside: where a ball of one grid step, rolling in from the border, cannot get."""
     distance, where, nearest = _distance(surface, origin, step, shape)
-    label, _ = ndimage.label(distance > step)
+    label = np.zeros(shape, dtype=np.int32)
+    ndimage.label(distance > step, output=label)
     outside = label == label[0, 0, 0]
     # A node too near the surface for the ball is outside when the ball is met a little further along the normal.
     shy = ~outside[tuple(where.T)]
@@ -89,14 +90,13 @@ def _march(field: Float[np.ndarray, "x y z"]) -> tuple[Float[np.ndarray, "v 3"],
     """The zero surface of `field` by marching tetrahedra, in grid coordinates: closed and manifold by construction."""
     field = np.where(np.abs(field) < 1e-9, 1e-9, field)
     inside = field < 0
-    count = sum(
-        inside[x : x + inside.shape[0] - 1, y : y + inside.shape[1] - 1, z : z + inside.shape[2] - 1].astype(np.int8)
-        for x, y, z in _CORNERS
-    )
+    a, b, c = (n - 1 for n in inside.shape)
+    eight = [inside[x : x + a, y : y + b, z : z + c] for x, y, z in _CORNERS.tolist()]
+    count = np.sum(eight, axis=0)
     cells = np.argwhere((count > 0) & (count < 8))
     shape = np.array(field.shape)
     corner = cells[:, None, :] + _CORNERS[None]
-    flat = np.ravel_multi_index(tuple(np.moveaxis(corner, 2, 0)), tuple(shape))
+    flat = (corner[..., 0] * shape[1] + corner[..., 1]) * shape[2] + corner[..., 2]
     tetra = flat[:, _TETRAHEDRA].reshape(-1, 4)
     value = field.reshape(-1)
     code = ((value[tetra] < 0) * np.array([1, 2, 4, 8])).sum(axis=1)
@@ -110,13 +110,14 @@ def _march(field: Float[np.ndarray, "x y z"]) -> tuple[Float[np.ndarray, "v 3"],
         t = tetra[code == (1 << a) + (1 << b)]
         triangles.append(np.stack([t[:, [a, c]], t[:, [a, d]], t[:, [b, d]]], axis=1))
         triangles.append(np.stack([t[:, [a, c]], t[:, [b, d]], t[:, [b, c]]], axis=1))
-    edges = np.sort(np.concatenate(triangles).reshape(-1, 2), axis=1)
+    edges = np.sort(np.concatenate(triangles).reshape(-1, 2), axis=1).astype(np.int64)
     key, faces = np.unique(edges[:, 0] * field.size + edges[:, 1], return_inverse=True)
-    unique, faces = np.column_stack([key // field.size, key % field.size]), faces.reshape(-1, 3)
+    unique = np.column_stack([key // field.size, key % field.size])
+    faces = np.asarray(faces, dtype=np.int64).reshape(-1, 3)
     p, q = (np.column_stack(np.unravel_index(unique[:, k], tuple(shape))).astype(float) for k in (0, 1))
     u, v = value[unique[:, 0]], value[unique[:, 1]]
     share = np.clip(u / (u - v), 0.02, 0.98)
-    vertices = p + (q - p) * share[:, None]
+    vertices: np.ndarray = p + (q - p) * share[:, None]
     # A face points out of the solid when the field grows along its normal.
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     normal = np.cross(b - a, c - a)

@@ -1,0 +1,52 @@
+# `make demo` and `make test` are all that is needed on a fresh machine. uv is used if it is there, pip if not.
+
+VENV := .venv
+PYTHON ?= python3
+BIN := $(VENV)/bin
+ARGS ?=
+
+.PHONY: demo test test-all lint clean
+
+demo: $(VENV)/.run
+	$(BIN)/roboassembly assemble $(ARGS)
+
+test: $(VENV)/.dev
+	$(BIN)/pytest -n 2 $(ARGS)
+
+test-all: $(VENV)/.dev $(VENV)/.rl
+	$(BIN)/pytest -n 2 -m "slow or not slow" $(ARGS)
+
+lint: $(VENV)/.dev
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/pyright
+	$(BIN)/lint-imports
+
+$(VENV)/bin/python:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+		{ echo "RoboAssembly needs Python 3.11 or newer; name one with: make PYTHON=python3.12 ..." >&2; exit 1; }
+	@if command -v uv >/dev/null; then uv venv --quiet --python $(PYTHON) $(VENV); \
+		else $(PYTHON) -m venv $(VENV) && $(BIN)/python -m pip install --quiet --upgrade pip; fi
+
+# $(call install,WHAT): by uv if it is there, else by pip.
+install = if command -v uv >/dev/null; then uv pip install --quiet --python $(BIN)/python $(1); \
+	else $(BIN)/python -m pip install --quiet $(1); fi
+
+$(VENV)/.run: pyproject.toml | $(VENV)/bin/python
+	@echo "installing into $(VENV) ..." >&2
+	@$(call install,--editable .)
+	@touch $@
+
+$(VENV)/.dev: pyproject.toml | $(VENV)/bin/python
+	@echo "installing into $(VENV) ..." >&2
+	@$(call install,--editable . --group dev)
+	@touch $@ $(VENV)/.run
+
+# The CPU build of PyTorch where the platform has one under that name; sb3-contrib is content with either.
+$(VENV)/.rl: $(VENV)/.dev
+	@$(call install,torch==2.13.0) || $(call install,torch)
+	@$(call install,--editable '.[rl]')
+	@touch $@
+
+clean:
+	rm -rf $(VENV) build dist assembly .pytest_cache .ruff_cache .hypothesis

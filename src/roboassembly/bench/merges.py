@@ -1,0 +1,137 @@
+"""What the benchmark measures on: every merge of a few chairs, set up as the task sets it up."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import count
+
+import numpy as np
+from jaxtyping import Float
+
+from roboassembly.errors import InputError
+from roboassembly.furniture.annotate import annotate
+from roboassembly.furniture.generate import generate
+from roboassembly.furniture.model import Furniture, Provenance
+from roboassembly.planning.mating import SKY_CLEARANCE, MatingProblem
+from roboassembly.planning.world import CollisionWorld
+from roboassembly.poses import SE3
+from roboassembly.scene import Scene
+from roboassembly.solvers.search import SearchResult, solve
+from roboassembly.task.groups import TaskState, body, center_of_mass
+from roboassembly.task.object_centric import Mating, ObjectCentricTask
+
+_SEEDS_TRIED = 500
+"""Generator seeds after which a family counts as having no chair with that many parts."""
+
+
+@dataclass(frozen=True, eq=False)
+class BenchChair:
+    """A chair, solved once."""
+
+    furniture: Furniture
+    task: ObjectCentricTask
+    result: SearchResult
+    wall_seconds: float
+    """Of the whole search, everything that it computes for a furniture it has not seen included."""
+    states: tuple[TaskState, ...]
+    """Before each step of the plan."""
+
+
+@dataclass(frozen=True, eq=False)
+class BenchMerge:
+    """One planning problem, in the forms that ours and the peers take."""
+
+    chair: BenchChair
+    index: int
+    """Of the step in the chair's plan."""
+    mating: Mating
+    seed: int
+    scene: Scene
+    """What `ObjectCentricTask.plan` makes a `CollisionWorld` of."""
+    box_axes: Float[np.ndarray, "3 3"]
+    problem: MatingProblem
+    bounds: Float[np.ndarray, "2 3"]
+    """Lowest and highest position of the moving body's origin in a tree search, metres, world."""
+
+    def world(self) -> CollisionWorld:
+        """A collision world of the merge; a new one each time."""
+        return CollisionWorld(self.scene, box_axes=self.box_axes)
+
+
+def find_chairs(family: str, parts: int, chairs: int, seed: int) -> tuple[BenchChair, ...]:
+    """The first `chairs` chairs of the family with that many parts, by generator seed, each solved.
+
+    Raises:
+        InputError: the family has too few of them.
+    """
+    found: list[BenchChair] = []
+    for variant in count():
+        if len(found) == chairs:
+            return tuple(found)
+        if variant == _SEEDS_TRIED:
+            raise InputError(
+                f"family '{family}' has {len(found)} solvable chairs of {parts} parts among its first {variant} "
+                f"variants, {chairs} were asked for; ask for fewer, or for another number of parts"
+            )
+        raw = generate(family, variant)
+        if len(raw) != parts:
+            continue
+        furniture = annotate(f"{family}-{variant}", raw, Provenance("generated", f"{family}-{variant}"))
+        chair = _solved(furniture, seed)
+        if chair is not None:
+            found.append(chair)
+    raise AssertionError("count() ends never")
+
+
+def _solved(furniture: Furniture, seed: int) -> BenchChair | None:
+    task = ObjectCentricTask(furniture)
+    begun = time.perf_counter()
+    result = solve(furniture, seed, task=task)
+    wall_seconds = time.perf_counter() - begun
+    if not result.plan.success:
+        return None
+    state = task.initial_state(np.random.default_rng(seed))
+    states = []
+    for index, step in enumerate(result.plan.steps):
+        states.append(state)
+        state = task.step(state, step.action, _seed(seed, index)).state
+    return BenchChair(furniture, task, result, wall_seconds, tuple(states))
+
+
+def merges_of(chair: BenchChair, seed: int) -> Iterator[BenchMerge]:
+    """The chair's merges in the order of its plan."""
+    for index, (state, step) in enumerate(zip(chair.states, chair.result.plan.steps, strict=True)):
+        mating = chair.task.prepare(state, step.action)
+        if mating is not None:
+            yield _set_up(chair, index, mating, _seed(seed, index))
+
+
+def _seed(seed: int, index: int) -> int:
+    return int(np.random.SeedSequence([seed, index]).generate_state(1)[0])
+
+
+def _set_up(chair: BenchChair, index: int, mating: Mating, seed: int) -> BenchMerge:
+    """The very scene and problem of `ObjectCentricTask.plan`, which does not hand them out."""
+    furniture = chair.furniture
+    origin = center_of_mass(furniture, mating.u_group)
+    mover = body(furniture, mating.u_group, "moving", origin=origin, moves=True)
+    still = [body(furniture, mating.v_group, "waiting")]
+    still += [body(furniture, group, f"other{i}") for i, group in enumerate(mating.others)]
+    scene = Scene((mover, *still))
+    turn = mating.merged.world_from_furniture.rotation
+    goal = mating.u_goal.world_from_furniture * SE3(np.eye(3), origin)
+    retreats = tuple(turn @ d for d in chair.task.retreats(mating, turn))
+    problem = MatingProblem(mover.pose, goal, "waiting", retreats)
+    world = CollisionWorld(scene, box_axes=turn)
+    return BenchMerge(chair, index, mating, seed, scene, turn, problem, _bounds(world, problem))
+
+
+def _bounds(world: CollisionWorld, problem: MatingProblem) -> Float[np.ndarray, "2 3"]:
+    """Where `plan_mating` would let its tree search go."""
+    ends = np.array([problem.start.translation, problem.goal.translation])
+    extent = world.radius + 0.1
+    low, high = ends.min(axis=0) - extent, ends.max(axis=0) + extent
+    sky = world.top + world.radius + SKY_CLEARANCE
+    return np.array([[low[0], low[1], 0.0], [high[0], high[1], max(sky, high[2])]])

@@ -1,0 +1,143 @@
+"""What the peers have in common: OMPL's RRT-Connect, asking about one state at a time through a Python callback.
+
+This is how OMPL is used with a collision checker that has Python bindings and none for batches. OMPL's own
+`DiscreteMotionValidator` cuts edges into states that are at most `RESOLUTION` of the body's origin and
+`ANGULAR_RESOLUTION` apart. That is coarser than ours, where 2 mm hold for the body's fastest point: the difference is
+in the peers' favour. Neither is their path made shorter afterwards.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import pinocchio as pin
+from jaxtyping import Float
+from ompl import base, geometric, util
+
+from roboassembly.planning.rrt import RANGE
+from roboassembly.planning.world import ANGULAR_RESOLUTION, RESOLUTION
+from roboassembly.poses import SE3
+from roboassembly.scene import Scene
+
+util.setLogLevel(util.LogLevel.LOG_NONE)
+
+IsFree = Callable[[base.State], bool]
+"""Whether the moving body is free of collision at an OMPL SE(3) state."""
+
+
+class Peer(Protocol):
+    """A collision library behind the callback. It keeps the meshes that it has seen."""
+
+    name: str
+    description: str
+    """One sentence: how the bodies are represented, and what is approximate about that."""
+
+    def set_up(self, scene: Scene) -> IsFree:
+        """Build the scene in place of the one before."""
+        ...
+
+    def close(self) -> None:
+        """Free what the library holds."""
+        ...
+
+
+@dataclass(frozen=True)
+class Run:
+    """One planner on one merge."""
+
+    solved: bool
+    states: int
+    """Configurations tested for collision."""
+    seconds: float
+    """Wall time, building the scene included; of a failure, what it spent."""
+    capped: bool = False
+    """Cut short by the wall-time cap."""
+
+
+def plan_with_peer(
+    peer: Peer,
+    scene: Scene,
+    ends: tuple[SE3, SE3],
+    bounds: Float[np.ndarray, "2 3"],
+    states: int,
+    cap_seconds: float,
+    seed: int,
+) -> Run:
+    """Build the scene with `peer` and plan from the first of `ends` to the second, `world_from_body` each.
+
+    Args:
+        peer: answers for single states.
+        scene: what is where.
+        ends: start and goal.
+        bounds: lowest and highest position of the body's origin, metres.
+        states: budget of configurations tested.
+        cap_seconds: budget of wall time.
+        seed: of OMPL.
+    """
+    begun = time.perf_counter()
+    deadline = begun + cap_seconds
+    is_free = peer.set_up(scene)
+    tested = 0
+
+    def counted(state: base.State) -> bool:
+        nonlocal tested
+        if tested >= states:
+            return False
+        tested += 1
+        return is_free(state)
+
+    util.RNG.setSeed(int(seed) % (2**31 - 1) + 1)
+    space = state_space(bounds, ends)
+    information = base.SpaceInformation(space)
+    information.setStateValidityChecker(counted)
+    information.setup()
+    definition = base.ProblemDefinition(information)
+    start, goal = (ompl_state(space, pose) for pose in ends)
+    definition.setStartAndGoalStates(start, goal)
+    planner = geometric.RRTConnect(information)
+    planner.setRange(RANGE)
+    planner.setProblemDefinition(definition)
+    planner.setup()
+    planner.solve(
+        base.PlannerTerminationCondition(lambda: tested >= states or time.perf_counter() >= deadline)
+    )
+    solved = bool(definition.hasExactSolution())
+    ended = time.perf_counter()
+    return Run(solved, tested, ended - begun, capped=not solved and tested < states and ended >= deadline)
+
+
+def state_space(bounds: Float[np.ndarray, "2 3"], ends: tuple[SE3, SE3]) -> base.SE3StateSpace:
+    """SE(3) within the bounds, with edges cut at our resolution."""
+    space = base.SE3StateSpace()
+    box = base.RealVectorBounds(3)
+    points = [pose.translation for pose in ends]
+    low, high = np.minimum(bounds[0], np.min(points, axis=0)), np.maximum(bounds[1], np.max(points, axis=0))
+    for axis in range(3):
+        box.setLow(axis, float(low[axis]))
+        box.setHigh(axis, float(high[axis]))
+    space.setBounds(box)
+    # Set for either component by itself: one fraction for both would turn by a tenth of a degree a state.
+    place, turn = space.getSubspace(0), space.getSubspace(1)
+    place.setLongestValidSegmentFraction(RESOLUTION / place.getMaximumExtent())
+    # OMPL's distance between rotations is half their angle.
+    turn.setLongestValidSegmentFraction(0.5 * float(ANGULAR_RESOLUTION) / turn.getMaximumExtent())
+    return space
+
+
+def ompl_state(space: base.SE3StateSpace, pose: SE3) -> base.State:
+    """The pose as a state of the space."""
+    return configuration_state(space, pin.SE3ToXYZQUAT(pose))
+
+
+def configuration_state(space: base.SE3StateSpace, configuration: Float[np.ndarray, "7"]) -> base.State:
+    """`(x, y, z, qx, qy, qz, qw)` as a state of the space."""
+    state = space.allocState()
+    state.setXYZ(*map(float, configuration[:3]))
+    quaternion = configuration[3:] / np.linalg.norm(configuration[3:])
+    rotation = state.rotation()
+    rotation.x, rotation.y, rotation.z, rotation.w = map(float, quaternion)
+    return state

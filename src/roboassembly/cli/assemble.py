@@ -1,0 +1,115 @@
+"""`roboassembly assemble`: from furniture to a plan, a page to turn in the browser, and a film."""
+
+from __future__ import annotations
+
+import json as jsonlib
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+
+from roboassembly.cli.output import DONE, DONE_BADLY, print_json, say, writable_folder
+from roboassembly.errors import InputError
+
+if TYPE_CHECKING:
+    from roboassembly.solvers.search import SearchResult
+
+
+@dataclass(frozen=True)
+class Assemble:
+    """Find out how furniture is put together without a collision, and show it."""
+
+    furniture: Annotated[str, tyro.conf.Positional] = "ladder"
+    """A built-in chair (`ladder`, `windsor:3` for another of its kind, ...) or a furniture folder."""
+    setting: Literal["object-centric"] = "object-centric"
+    """What moves the parts: they fly by themselves."""
+    seed: int = 0
+    """Where the parts lie at first, and what the planner draws."""
+    out: Path = Path("assembly")
+    """Folder for plan.json, timings.json, assembly.html, assembly.mp4 and the furniture itself."""
+    film: bool = True
+    """Render assembly.mp4."""
+    json: bool = False
+    """Print one JSON object on stdout, all else on stderr."""
+
+    def run(self) -> int:
+        """Do it; returns the exit status."""
+        if self.seed < 0:
+            raise InputError(f"--seed {self.seed} is negative; 0 or more would do")
+        from roboassembly.furniture import catalogue
+        from roboassembly.solvers.search import solve
+
+        started = time.perf_counter()
+        furniture = catalogue.find(self.furniture)
+        say(f"{furniture.name}: {len(furniture.parts)} parts, {len(furniture.connections)} connections")
+        result = solve(furniture, self.seed)
+        solved = time.perf_counter() - started
+        if result.plan.success:
+            say(
+                f"assembled in {len(result.plan.steps)} merges: {result.planning_steps} states checked, "
+                f"{result.planning_seconds:.2f} s of planning, {solved:.2f} s in all"
+            )
+        else:
+            say(f"not assembled: {result.reason}")
+        outputs = self._write(result, solved)
+        report = {
+            "success": result.plan.success,
+            "furniture": furniture.name,
+            "parts": len(furniture.parts),
+            "merges": len(result.plan.steps),
+            "planning_steps": result.planning_steps,
+            "planning_seconds": round(result.planning_seconds, 4),
+            "seconds": round(time.perf_counter() - started, 3),
+            "seed": self.seed,
+            "reason": result.reason,
+            "outputs": outputs,
+        }
+        if self.json:
+            print_json(report)
+        else:
+            for path in outputs.values():
+                print(path)
+        return DONE if result.plan.success else DONE_BADLY
+
+    def _write(self, result: SearchResult, solved: float) -> dict[str, str]:
+        from roboassembly.furniture import storage
+        from roboassembly.task import plan_file
+        from roboassembly.viewer.film import write_film
+        from roboassembly.viewer.gl import RenderingUnavailableError
+        from roboassembly.viewer.html import write_html
+
+        folder = writable_folder(self.out)
+        plan = result.plan
+        outputs: dict[str, str] = {}
+
+        def wrote(name: str, path: Path) -> None:
+            outputs[name] = str(path)
+
+        plan_file.write(plan, folder / "plan.json")
+        wrote("plan", folder / "plan.json")
+        timings = {
+            "planning_seconds": result.planning_seconds,
+            "solve_seconds": solved,
+            "step_planning_seconds": [step.planning_seconds for step in plan.steps],
+            "planning_steps": result.planning_steps,
+            "merges_tried": result.attempts,
+            "backtracks": result.backtracks,
+        }
+        (folder / "timings.json").write_text(jsonlib.dumps(timings, indent=1) + "\n")
+        wrote("timings", folder / "timings.json")
+        wrote("furniture", storage.save(plan.furniture, folder / "furniture"))
+        write_html(plan, folder / "assembly.html")
+        wrote("html", folder / "assembly.html")
+        if self.film:
+            say("rendering the film ...")
+            try:
+                write_film(plan, folder / "assembly.mp4")
+                wrote("film", folder / "assembly.mp4")
+            except RenderingUnavailableError as error:
+                say(f"no film: {error}")
+        if "film" not in outputs:
+            # A film of an earlier run would show another plan.
+            (folder / "assembly.mp4").unlink(missing_ok=True)
+        return outputs

@@ -1,0 +1,122 @@
+"""`roboassembly import`: real furniture, repaired and annotated, as furniture folders."""
+
+from __future__ import annotations
+
+import os
+import time
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, dataclass
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+from tqdm import tqdm
+
+from roboassembly.cli.output import DONE, print_json, say, writable_folder
+from roboassembly.errors import FurnitureError, InputError
+
+
+@dataclass(frozen=True)
+class Item:
+    """What became of one piece."""
+
+    name: str
+    parts: int
+    connections: int
+    displacement_max_mm: float
+    trimmed_max_percent: float
+    seconds: float
+    folder: str | None
+    error: str | None
+
+
+@dataclass(frozen=True)
+class Import:
+    """Read real furniture, make its parts fit without touching, and save furniture folders."""
+
+    kind: Annotated[Literal["ikea-manual"], tyro.conf.Positional]
+    """The source's format: IKEA-Manuals-at-Work part folders (NN.obj in assembled poses)."""
+    source: Annotated[Path, tyro.conf.Positional]
+    """One piece, or a folder of many."""
+    out: Path = Path("furniture")
+    """Folder that gets one furniture folder a piece."""
+    scale: float | None = None
+    """Metres per unit of the source's files; if not given, a typical size for the kind of furniture."""
+    jobs: int = os.cpu_count() or 1
+    """Pieces at a time."""
+    json: bool = False
+    """Print one JSON object on stdout, all else on stderr."""
+
+    def run(self) -> int:
+        """Do it; returns the exit status."""
+        from roboassembly.furniture.importers import ikea_manual
+
+        if self.scale is not None and not 1e-6 < self.scale < 1e6:
+            raise InputError(f"--scale {self.scale} is absurd; metres per unit of the files, for instance 0.5")
+        if self.jobs < 1:
+            raise InputError(f"--jobs {self.jobs}; 1 or more would do")
+        folders = ikea_manual.find(self.source)
+        single = len(folders) == 1
+        names = _names(folders)
+        targets = [self.out if single and self._fresh() else self.out / name for name in names]
+        items: list[Item] = []
+        with tqdm(total=len(folders), desc="importing", unit="piece", disable=single) as progress:
+            for item in self._each(folders, targets, names):
+                items.append(item)
+                progress.update()
+        for item in items:
+            say(f"{item.name}: {item.error}" if item.error else f"{item.name}: {item.parts} parts -> {item.folder}")
+        imported = sum(item.error is None for item in items)
+        if self.json:
+            print_json({"imported": imported, "refused": len(items) - imported, "items": [asdict(i) for i in items]})
+        else:
+            print(f"{imported} imported, {len(items) - imported} refused")
+        return DONE if imported else 2
+
+    def _fresh(self) -> bool:
+        """Whether the output folder can itself be the furniture folder."""
+        return not self.out.exists() or (self.out / "furniture.json").exists()
+
+    def _each(self, folders: list[Path], targets: list[Path], names: list[str]):  # noqa: ANN202
+        writable_folder(self.out.parent if self._fresh() else self.out)
+        scales = [self.scale] * len(folders)
+        if self.jobs == 1 or len(folders) == 1:
+            yield from map(import_piece, folders, targets, names, scales)
+            return
+        # Forking a process that has already started threads (BLAS, GL) can hang; spawning cannot.
+        with ProcessPoolExecutor(min(self.jobs, len(folders)), mp_context=get_context("spawn")) as pool:
+            yield from pool.map(import_piece, folders, targets, names, scales)
+
+
+def import_piece(folder: Path, target: Path, name: str, scale: float | None) -> Item:
+    """Read, repair, annotate and save one piece; what cannot be used ends up in the item's `error`."""
+    from roboassembly.furniture import storage
+    from roboassembly.furniture.importers import ikea_manual
+    from roboassembly.furniture.importers.pipeline import finish
+
+    started = time.perf_counter()
+    try:
+        imported = finish(name, ikea_manual.read(folder, scale=scale), ikea_manual.provenance(folder, scale))
+        storage.save(imported.furniture, target)
+    except FurnitureError as error:
+        return Item(name, 0, 0, 0.0, 0.0, round(time.perf_counter() - started, 2), None, str(error))
+    return Item(
+        name,
+        len(imported.furniture.parts),
+        len(imported.furniture.connections),
+        round(1e3 * max(r.displacement for r in imported.repairs), 3),
+        round(1e2 * max(r.trimmed for r in imported.repairs), 3),
+        round(time.perf_counter() - started, 2),
+        str(target),
+        None,
+    )
+
+
+def _names(folders: list[Path]) -> list[str]:
+    """Each piece's own name, with its parent's before it where two would be the same."""
+    own = [f.resolve().name for f in folders]
+    return [
+        f"{folder.resolve().parent.name}_{name}".lower() if own.count(name) > 1 else name
+        for folder, name in zip(folders, own, strict=True)
+    ]

@@ -1,0 +1,39 @@
+"""What commands say, and where: results on stdout, all else on stderr."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+
+from roboassembly.errors import InputError
+
+DONE, DONE_BADLY = 0, 1
+"""Exit statuses: it worked; it was tried in earnest and did not work. Bad input is 2."""
+
+
+def say(text: str) -> None:
+    """A line for the person who watches."""
+    print(text, file=sys.stderr, flush=True)
+
+
+def print_json(result: Mapping[str, object]) -> None:
+    """The one JSON object that `--json` promises."""
+    print(json.dumps(result), flush=True)
+
+
+def writable_folder(path: Path) -> Path:
+    """Make the folder if need be.
+
+    Raises:
+        InputError: it is a file, or cannot be made or written.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        probe = path / ".roboassembly-write-test"
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        raise InputError(f"cannot write to folder {path}: {error.strerror or error}") from None
+    return path
