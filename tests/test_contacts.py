@@ -85,7 +85,9 @@ def test_corner_to_corner() -> None:
 @pytest.mark.parametrize("tilt", [0.0, 0.4])
 def test_peg_in_a_blind_hole_points_along_the_axis(tilt: float) -> None:
     c = 0.0005
-    board = shapes.block((-0.1, -0.1, 0.0), (0.1, 0.1, 0.05)) - shapes.block((-0.01 - c, -0.01 - c, 0.02), (0.01 + c, 0.01 + c, 1))
+    board = shapes.block((-0.1, -0.1, 0.0), (0.1, 0.1, 0.05)) - shapes.block(
+        (-0.01 - c, -0.01 - c, 0.02), (0.01 + c, 0.01 + c, 1)
+    )
     peg = shapes.block((-0.01, -0.01, 0.02 + c), (0.01, 0.01, 0.4))
     pose = shapes.pose(0.3, 0.2, 0.1, shapes.turn((1, 2, 0), tilt))
     found = contact(shapes.of_solid(board).transformed(pose), shapes.of_solid(peg).transformed(pose))

@@ -32,7 +32,7 @@ def chair(tmp_path):
 
 
 def test_y_up_becomes_z_up_at_typical_height(chair):
-    parts = ikea_manual.read(chair)
+    parts = ikea_manual.read(chair).parts
     assert [p.name for p in parts] == ["00", "01"]
     points = np.concatenate([p.mesh.vertices for p in parts])
     # Two boxes side by side: 2 wide, 2 high, 0.5 deep; 0.85 m high makes the factor 0.425.
@@ -42,7 +42,7 @@ def test_y_up_becomes_z_up_at_typical_height(chair):
 
 
 def test_right_handed(chair):
-    part = ikea_manual.read(chair, scale=1.0)[1]
+    part = ikea_manual.read(chair, scale=1.0).parts[1]
     assert part.mesh.volume == pytest.approx(1.0, rel=1e-5)
     assert part.mesh.bounds[0, 0] == pytest.approx(0.0, abs=1e-6)
 
@@ -56,7 +56,7 @@ def test_long_pieces_are_scaled_by_their_longest_side():
 def test_polygons_and_negative_indices(tmp_path):
     (tmp_path / "00.obj").write_text("v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf -4 -3 -2 -1\n")
     write_box(tmp_path / "01.obj")
-    assert len(ikea_manual.read(tmp_path)[0].mesh.faces) == 2
+    assert len(ikea_manual.read(tmp_path).parts[0].mesh.faces) == 2
 
 
 def test_find_at_every_level(chair):
@@ -103,7 +103,7 @@ def test_part_counts(tmp_path, count):
 def test_broken_files(chair, text, message):
     (chair / "01.obj").write_text(text)
     with pytest.raises(FurnitureError, match=message) as caught:
-        ikea_manual.read(chair)
+        ikea_manual.read(chair).parts
     assert "01.obj" in str(caught.value)
     assert "\n" not in str(caught.value)
 
@@ -111,7 +111,7 @@ def test_broken_files(chair, text, message):
 def test_bytes_that_are_no_text(chair):
     (chair / "01.obj").write_bytes(b"\xff\xfe\x00\x80")
     with pytest.raises(FurnitureError, match="cannot be read as OBJ"):
-        ikea_manual.read(chair)
+        ikea_manual.read(chair).parts
 
 
 @pytest.mark.parametrize("scale", [0.0, -1.0, float("nan")])
@@ -128,6 +128,6 @@ def test_every_sample_reads():
     pieces = ikea_manual.find(SAMPLES)
     assert sum(piece.parent.name == "Chair" for piece in pieces) == 24
     for piece in [p for p in pieces if p.parent.name == "Chair"][:6]:
-        points = np.concatenate([p.mesh.vertices for p in ikea_manual.read(piece)])
+        points = np.concatenate([p.mesh.vertices for p in ikea_manual.read(piece).parts])
         assert points[:, 2].min() == pytest.approx(0.0, abs=1e-6)
         assert 0.3 < np.ptp(points[:, 2]) <= 0.8501

@@ -130,3 +130,12 @@ def test_nearest_points_of_two_boxes() -> None:
     assert diagonal.distance == pytest.approx(0.5)
     assert nearest_points(a, shapes.box((1.0, 0, 0), (2, 1, 1))).distance == 0.0
     assert nearest_points(a, shapes.box((0.9, 0, 0), (2, 1, 1))).distance == 0.0
+
+
+@pytest.mark.xfail(strict=True, reason="vertices that no face uses count")
+def test_vertices_that_no_face_uses_do_not_count() -> None:
+    box = shapes.brick(0.1, 0.2, 0.3)
+    mesh = Mesh(np.concatenate([box.vertices, [[5.0, 0, 0]]]), box.faces)
+    assert np.allclose(mesh.bounds, box.bounds)
+    assert mesh.radius == pytest.approx(box.radius)
+    assert len(mesh.hull_vertices) == 8

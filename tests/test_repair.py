@@ -251,7 +251,7 @@ def assert_connected(result):
 @needs_samples
 @pytest.mark.parametrize("name", ["kyrre", "sjalland", "mammut_1"])
 def test_real_chairs(name):
-    before = ikea_manual.read(SAMPLES / "Chair" / name)
+    before = ikea_manual.read(SAMPLES / "Chair" / name).parts
     result = repair(before)
     assert_clear(result)
     assert_connected(result)
@@ -265,6 +265,6 @@ def test_real_chairs(name):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["grubban", "kaustby", "poang_2", "ragrund", "ingolf_2", "nilsolle", "skogsta_2"])
 def test_more_real_chairs(name):
-    result = repair(ikea_manual.read(SAMPLES / "Chair" / name))
+    result = repair(ikea_manual.read(SAMPLES / "Chair" / name).parts)
     assert_clear(result)
     assert_connected(result)

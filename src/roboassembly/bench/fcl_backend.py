@@ -13,9 +13,8 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
-from ompl import base
 
-from roboassembly.bench.peers import IsFree
+from roboassembly.bench.peers import IsFree, SE3State
 from roboassembly.errors import MissingExtraError
 from roboassembly.meshes import Mesh
 from roboassembly.poses import transform_points
@@ -71,7 +70,7 @@ class FclPeer:
         manager.setup()
         transform, callback, data_of = fcl.Transform, fcl.defaultCollisionCallback, fcl.CollisionData
 
-        def is_free(state: base.State) -> bool:
+        def is_free(state: SE3State) -> bool:
             q = state.rotation()
             # FCL takes a quaternion with w first.
             pose = transform([q.w, q.x, q.y, q.z], [state.getX(), state.getY(), state.getZ()])

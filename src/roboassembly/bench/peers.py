@@ -11,7 +11,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import pinocchio as pin
@@ -25,8 +25,10 @@ from roboassembly.scene import Scene
 
 util.setLogLevel(util.LogLevel.LOG_NONE)
 
-IsFree = Callable[[base.State], bool]
-"""Whether the moving body is free of collision at an OMPL SE(3) state."""
+SE3State = Any
+"""An OMPL state of SE(3); its Python type knows no coordinates."""
+IsFree = Callable[[SE3State], bool]
+"""Whether the moving body is free of collision at an OMPL state of SE(3)."""
 
 
 class Peer(Protocol):
@@ -83,7 +85,7 @@ def plan_with_peer(
     is_free = peer.set_up(scene)
     tested = 0
 
-    def counted(state: base.State) -> bool:
+    def counted(state: SE3State) -> bool:
         nonlocal tested
         if tested >= states:
             return False
@@ -102,9 +104,7 @@ def plan_with_peer(
     planner.setRange(RANGE)
     planner.setProblemDefinition(definition)
     planner.setup()
-    planner.solve(
-        base.PlannerTerminationCondition(lambda: tested >= states or time.perf_counter() >= deadline)
-    )
+    planner.solve(base.PlannerTerminationCondition(lambda: tested >= states or time.perf_counter() >= deadline))
     solved = bool(definition.hasExactSolution())
     ended = time.perf_counter()
     return Run(solved, tested, ended - begun, capped=not solved and tested < states and ended >= deadline)
@@ -121,21 +121,22 @@ def state_space(bounds: Float[np.ndarray, "2 3"], ends: tuple[SE3, SE3]) -> base
         box.setHigh(axis, float(high[axis]))
     space.setBounds(box)
     # Set for either component by itself: one fraction for both would turn by a tenth of a degree a state.
-    place, turn = space.getSubspace(0), space.getSubspace(1)
+    subspaces: tuple[Any, Any] = (space.getSubspace(0), space.getSubspace(1))
+    place, turn = subspaces
     place.setLongestValidSegmentFraction(RESOLUTION / place.getMaximumExtent())
     # OMPL's distance between rotations is half their angle.
     turn.setLongestValidSegmentFraction(0.5 * float(ANGULAR_RESOLUTION) / turn.getMaximumExtent())
     return space
 
 
-def ompl_state(space: base.SE3StateSpace, pose: SE3) -> base.State:
+def ompl_state(space: base.SE3StateSpace, pose: SE3) -> SE3State:
     """The pose as a state of the space."""
     return configuration_state(space, pin.SE3ToXYZQUAT(pose))
 
 
-def configuration_state(space: base.SE3StateSpace, configuration: Float[np.ndarray, "7"]) -> base.State:
+def configuration_state(space: base.SE3StateSpace, configuration: Float[np.ndarray, "7"]) -> SE3State:
     """`(x, y, z, qx, qy, qz, qw)` as a state of the space."""
-    state = space.allocState()
+    state: SE3State = space.allocState()
     state.setXYZ(*map(float, configuration[:3]))
     quaternion = configuration[3:] / np.linalg.norm(configuration[3:])
     rotation = state.rotation()

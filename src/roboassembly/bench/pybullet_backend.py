@@ -28,13 +28,11 @@ from typing import Any, Literal
 
 import numpy as np
 import pinocchio as pin
-from jaxtyping import Float
-from ompl import base
 
-from roboassembly.bench.peers import IsFree
-from roboassembly.errors import MissingExtraError, RoboAssemblyError
+from roboassembly.bench.peers import IsFree, SE3State
+from roboassembly.errors import MissingExtraError
 from roboassembly.meshes import Mesh
-from roboassembly.poses import transform_points
+from roboassembly.poses import SE3, transform_points
 from roboassembly.scene import Body, Scene
 
 DEPTH = 0.0
@@ -66,37 +64,33 @@ class PyBulletPeer:
                 raise MissingExtraError("pybullet", "bench") from None
             self._client: int = self._bullet.connect(self._bullet.DIRECT)
         self._shapes: dict[Mesh, int] = {}
-        self._ground: int | None = None
+        self._ground: int = self._bullet.createCollisionShape(
+            self._bullet.GEOM_BOX,
+            halfExtents=[_GROUND_SIZE, _GROUND_SIZE, 0.5 * _GROUND_THICKNESS],
+            physicsClientId=self._client,
+        )
         self._bodies: list[int] = []
-        self._moving_shape: int | None = None
+        self._mover = -1
         self._folder = tempfile.TemporaryDirectory(prefix="roboassembly-bench-")
 
     def set_up(self, scene: Scene) -> IsFree:
         """Build the scene in place of the one before."""
         bullet, client = self._bullet, self._client
         self._clear()
-        mover: int | None = None
         for body in scene.bodies:
             if body.moves:
-                mover = self._add_mover(body)
+                self._mover = self._add_mover(body)
                 continue
             for shape in body.shapes:
                 numbers = pin.SE3ToXYZQUAT(body.pose * shape.body_from_mesh).tolist()
                 self._add(0.0, self._concave(shape.mesh), numbers)
-        if mover is None:
-            raise RoboAssemblyError("the scene has no moving body")
         if scene.ground:
-            if self._ground is None:
-                self._ground = bullet.createCollisionShape(
-                    bullet.GEOM_BOX,
-                    halfExtents=[_GROUND_SIZE, _GROUND_SIZE, 0.5 * _GROUND_THICKNESS],
-                    physicsClientId=client,
-                )
             self._add(0.0, self._ground, [0.0, 0.0, -0.5 * _GROUND_THICKNESS, 0.0, 0.0, 0.0, 1.0])
+        mover = self._mover
         place, box = bullet.resetBasePositionAndOrientation, bullet.getAABB
         overlapping, closest = bullet.getOverlappingObjects, bullet.getClosestPoints
 
-        def is_free(state: base.State) -> bool:
+        def is_free(state: SE3State) -> bool:
             q = state.rotation()
             place(mover, (state.getX(), state.getY(), state.getZ()), (q.x, q.y, q.z, q.w), physicsClientId=client)
             low, high = box(mover, physicsClientId=client)
@@ -110,11 +104,11 @@ class PyBulletPeer:
 
         return is_free
 
-    def depth(self, configuration: Float[np.ndarray, "7"]) -> float:
-        """Deepest contact of the moving body at `(x, y, z, qx, qy, qz, qw)` in the scene set up last, metres."""
+    def depth(self, pose: SE3) -> float:
+        """Deepest contact of the moving body at `world_from_body` in the scene set up last, metres."""
         bullet, client = self._bullet, self._client
         mover, others = self._mover, [b for b in self._bodies if b != self._mover]
-        numbers = configuration.tolist()
+        numbers = pin.SE3ToXYZQUAT(pose).tolist()
         bullet.resetBasePositionAndOrientation(mover, numbers[:3], numbers[3:], physicsClientId=client)
         distances = [
             contact[_DISTANCE]
@@ -160,8 +154,7 @@ class PyBulletPeer:
         shape = self._bullet.createCollisionShape(
             self._bullet.GEOM_MESH, fileName=str(path), physicsClientId=self._client
         )
-        self._mover = self._add(1.0, shape, pin.SE3ToXYZQUAT(body.pose).tolist())
-        return self._mover
+        return self._add(1.0, shape, pin.SE3ToXYZQUAT(body.pose).tolist())
 
 
 def _objects(body: Body, pieces: Pieces) -> str:
@@ -185,16 +178,19 @@ def _objects(body: Body, pieces: Pieces) -> str:
 
 @contextlib.contextmanager
 def quiet() -> Iterator[None]:
-    """Send what native code writes to standard output to nowhere: Bullet announces itself with `printf`."""
+    """Send what native code prints to nowhere: Bullet announces itself past Python's own streams."""
     library = ctypes.CDLL("msvcrt" if os.name == "nt" else None)
     sys.stdout.flush()
+    sys.stderr.flush()
     library.fflush(None)
-    kept, nowhere = os.dup(1), os.open(os.devnull, os.O_WRONLY)
+    kept, nowhere = (os.dup(1), os.dup(2)), os.open(os.devnull, os.O_WRONLY)
     try:
         os.dup2(nowhere, 1)
+        os.dup2(nowhere, 2)
         yield
         library.fflush(None)
     finally:
-        os.dup2(kept, 1)
-        os.close(kept)
+        for stream, copy in zip((1, 2), kept, strict=True):
+            os.dup2(copy, stream)
+            os.close(copy)
         os.close(nowhere)

@@ -78,7 +78,7 @@ class Import:
         """Whether the output folder can itself be the furniture folder."""
         return not self.out.exists() or (self.out / "furniture.json").exists()
 
-    def _each(self, folders: list[Path], targets: list[Path], names: list[str]):  # noqa: ANN202
+    def _each(self, folders: list[Path], targets: list[Path], names: list[str]):
         writable_folder(self.out.parent if self._fresh() else self.out)
         scales = [self.scale] * len(folders)
         if self.jobs == 1 or len(folders) == 1:
@@ -97,7 +97,7 @@ def import_piece(folder: Path, target: Path, name: str, scale: float | None) -> 
 
     started = time.perf_counter()
     try:
-        imported = finish(name, ikea_manual.read(folder, scale=scale), ikea_manual.provenance(folder, scale))
+        imported = finish(name, ikea_manual.read(folder, scale=scale))
         storage.save(imported.furniture, target)
     except FurnitureError as error:
         return Item(name, 0, 0, 0.0, 0.0, round(time.perf_counter() - started, 2), None, str(error))

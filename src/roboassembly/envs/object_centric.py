@@ -16,7 +16,7 @@ from roboassembly.furniture import catalogue
 from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS, Furniture
 from roboassembly.planning.problem import Budget
 from roboassembly.task.groups import TaskState
-from roboassembly.task.object_centric import UP_AXES, ObjectCentricTask, Verdict
+from roboassembly.task.object_centric import UP_AXES, ObjectCentricTask, Outcome, Verdict
 
 MERGE_REWARD = 1.0
 COMPLETION_REWARD = 4.0
@@ -33,9 +33,9 @@ class ObjectCentricEnv(gymnasium.Env[Observation, np.ndarray]):
 
     **Reward**: 1 for a merge, 4 more for the last one, else 0 and the episode ends.
 
-    **Info**: `verdict` (a value of `Verdict`: why the step ended as it did), `success`, `planning_steps` and
-    `planning_seconds` of the step, `groups` (how many are left), `furniture` (its name), and `action_mask`, which
-    tells the actions that exist; it says nothing about which are right.
+    **Info**: `verdict` (a value of `Verdict`: why the step ended as it did), `success`, `planning_steps` of the step,
+    `groups` (how many are left), `furniture` (its name), and `action_mask`, which tells the actions that exist; it
+    says nothing about which are right. All of it is reproducible; how long the planner took is in `last_outcome`.
 
     Args:
         furniture: what to assemble: furniture, or a name or folder as in `roboassembly assemble`. Of several, each
@@ -71,6 +71,7 @@ class ObjectCentricEnv(gymnasium.Env[Observation, np.ndarray]):
         self._padding = (max_parts, max_points)
         self._current = 0
         self._state: TaskState | None = None
+        self._outcome: Outcome | None = None
         self._mask: Bool[np.ndarray, "P P K K 6"] | None = None
         self.observation_space = observation_space(max_parts, max_points, cloud_points)  # pyright: ignore[reportAttributeAccessIssue]
         self.action_space = spaces.MultiDiscrete([max_parts, max_parts, max_points, max_points, len(UP_AXES)])
@@ -91,6 +92,11 @@ class ObjectCentricEnv(gymnasium.Env[Observation, np.ndarray]):
             raise gymnasium.error.ResetNeeded("call reset() before anything else")
         return self._state
 
+    @property
+    def last_outcome(self) -> Outcome | None:
+        """What the last step led to, with its path and planning time; None right after a reset."""
+        return self._outcome
+
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
@@ -103,7 +109,8 @@ class ObjectCentricEnv(gymnasium.Env[Observation, np.ndarray]):
             self._current = int(wanted)
         else:
             raise InputError(f"options['furniture'] is {wanted!r}; an index from 0 to {len(self.tasks) - 1} would do")
-        return self._enter(self.task.initial_state(self.np_random)), self._info("", 0, 0.0)
+        self._outcome = None
+        return self._enter(self.task.initial_state(self.np_random)), self._info("", 0)
 
     def step(self, action: np.ndarray) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Carry out one action."""
@@ -113,7 +120,8 @@ class ObjectCentricEnv(gymnasium.Env[Observation, np.ndarray]):
         observation = self._enter(outcome.state)
         done = merged and outcome.state.complete
         reward = MERGE_REWARD * merged + COMPLETION_REWARD * done
-        info = self._info(outcome.verdict.value, outcome.planning_steps, outcome.planning_seconds)
+        info = self._info(outcome.verdict.value, outcome.planning_steps)
+        self._outcome = outcome
         return observation, float(reward), done or not merged, False, info
 
     def action_masks(self) -> Bool[np.ndarray, "P P K K 6"]:
@@ -136,12 +144,11 @@ class ObjectCentricEnv(gymnasium.Env[Observation, np.ndarray]):
             self._state, self._mask = state, None
         return self._observers[self._current].observe(state)
 
-    def _info(self, verdict: str, planning_steps: int, planning_seconds: float) -> dict[str, Any]:
+    def _info(self, verdict: str, planning_steps: int) -> dict[str, Any]:
         return {
             "verdict": verdict,
             "success": self.state.complete,
             "planning_steps": planning_steps,
-            "planning_seconds": planning_seconds,
             "groups": len(self.state.groups),
             "furniture": self.task.furniture.name,
             "action_mask": self.action_masks(),

@@ -156,13 +156,14 @@ def _turn_to_match_points(
 
         reference = spots(first, rotations[first])
         for member in shape_class.members[1:]:
-
-            def matches(turn: Float[np.ndarray, "3 3"], member: int = member) -> int:
-                own = spots(member, rotations[member] @ turn)
-                return sum(any(len(s.onto(r, np.eye(3)[None])) for r in reference) for s in own)
-
-            best = max(range(len(shape_class.symmetries)), key=lambda i: (matches(shape_class.symmetries[i]), -i))
-            out[member] = rotations[member] @ shape_class.symmetries[best]
+            matches = [
+                sum(
+                    any(len(spot.onto(r, np.eye(3)[None])) for r in reference)
+                    for spot in spots(member, rotations[member] @ turn)
+                )
+                for turn in shape_class.symmetries
+            ]
+            out[member] = rotations[member] @ shape_class.symmetries[int(np.argmax(matches))]
     return out
 
 

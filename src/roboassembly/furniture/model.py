@@ -117,6 +117,14 @@ class Provenance:
     """What repair did, one line each."""
 
 
+@dataclass(frozen=True)
+class RawFurniture:
+    """What an importer reads: parts as they are in the source's files, and where they come from."""
+
+    parts: tuple[RawPart, ...]
+    provenance: Provenance
+
+
 @dataclass(frozen=True, eq=False)
 class Furniture:
     """Parts, their assembled poses, and everything known about how they fit.

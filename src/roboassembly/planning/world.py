@@ -155,7 +155,7 @@ class CollisionWorld:
         place_low, place_high = np.minimum(place[:-1], place[1:]), np.maximum(place[:-1], place[1:])
         swept_low = place_low[:, None, None] + low[None, :, None]
         swept_high = place_high[:, None, None] + high[None, :, None]
-        overlap = ((swept_low <= self._still_high) & (swept_high >= self._still_low)).all(axis=-1)
+        overlap: np.ndarray = ((swept_low <= self._still_high) & (swept_high >= self._still_low)).all(axis=-1)
         meets = overlap.reshape(len(overlap), -1).any(axis=-1)
         return free & ~meets
 

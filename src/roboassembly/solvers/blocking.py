@@ -35,6 +35,7 @@ class BlockingGraphs:
         self.states = 0
         """Configurations tested for collision so far."""
         self._known_exits: dict[tuple[frozenset[int], frozenset[int], tuple[float, ...]], bool] = {}
+        self._known_candidates: dict[frozenset[int], list[tuple[frozenset[int], Float[np.ndarray, "3"]]]] = {}
 
     @cached_property
     def directions(self) -> Float[np.ndarray, "d 3"]:
@@ -107,23 +108,31 @@ class BlockingGraphs:
         Both the sub-assembly and the rest hold together. With `straight`, only those that can go all the way out
         along their direction (no ground, nothing else around).
         """
-        found: list[tuple[frozenset[int], Float[np.ndarray, "3"]]] = []
-        for d, arcs in zip(self.directions, self.arcs, strict=True):
-            for part in sorted(among):
-                closed = _closure(part, arcs, among)
-                if len(closed) < len(among):
-                    found.append((closed, d))
-        found.sort(key=lambda item: (len(item[0]), -round(float(item[1][2]), 3), sorted(item[0])))
         given: set[frozenset[int]] = set()
-        for closed, d in found:
+        for closed, d in self._candidates(among):
             if closed in given or among - closed in given:
-                continue
-            if not (self._whole(closed) and self._whole(among - closed)):
                 continue
             if straight and not self._leaves(closed, among - closed, d):
                 continue
             given.add(closed)
             yield closed
+
+    def _candidates(self, among: frozenset[int]) -> list[tuple[frozenset[int], Float[np.ndarray, "3"]]]:
+        """Closed sets with a direction each: for every part, the smallest that holds it."""
+        if among not in self._known_candidates:
+            directions_of: dict[frozenset[int], list[int]] = {}
+            for index, arcs in enumerate(self.arcs):
+                for closed in {_closure(part, arcs, among) for part in among}:
+                    directions_of.setdefault(closed, []).append(index)
+            found = [
+                (closed, self.directions[index])
+                for closed, indices in directions_of.items()
+                if len(closed) < len(among) and self._whole(closed) and self._whole(among - closed)
+                for index in indices
+            ]
+            found.sort(key=lambda item: (len(item[0]), -round(float(item[1][2]), 3), sorted(item[0])))
+            self._known_candidates[among] = found
+        return self._known_candidates[among]
 
     def _leaves(self, moving: frozenset[int], still: frozenset[int], d: Float[np.ndarray, "3"]) -> bool:
         """Whether `moving` can go straight out of `still` along `d`."""

@@ -12,8 +12,9 @@ but what the planner's budget cuts off.
 
 from __future__ import annotations
 
+import time
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import count
 
@@ -51,7 +52,7 @@ class SearchResult:
     planning_steps: int
     """Configurations tested for collision by all that the search did."""
     planning_seconds: float
-    """Time within the planner."""
+    """Time within the planner and in thinking out the order."""
     attempts: int
     """Merges handed to the planner."""
     backtracks: int
@@ -99,8 +100,13 @@ class _Search:
     def exhausted(self) -> bool:
         return self.planning_steps + self.graphs.states > self.limits.states or self.attempts >= self.limits.attempts
 
-    def extend(self, state: TaskState) -> bool:
-        """Depth first from `state`; the steps taken are kept in `self.steps` if it succeeds."""
+    def extend(self, state: TaskState, merges: Sequence[Split] = ()) -> bool:
+        """Depth first from `state`; the steps taken are kept in `self.steps` if it succeeds.
+
+        Args:
+            state: where to go on.
+            merges: what is left of the order that led here; thought out anew if empty.
+        """
         if state.complete:
             return True
         partition = frozenset(frozenset(g.parts) for g in state.groups)
@@ -108,27 +114,20 @@ class _Search:
             return False
         excluded: set[frozenset[Parts]] = set()
         while not self.exhausted():
-            merges = self.disassemble(partition, self.refused | excluded)
-            if merges is None:
+            merges = merges or self.disassemble(partition, self.refused | excluded) or ()
+            if not merges:
                 break
-            progressed = False
-            for leaving, staying in merges:
-                if leaving not in partition or staying not in partition:
-                    continue
-                after = self.merge(state, leaving, staying)
-                if after is None:
-                    self.refused.add(frozenset((leaving, staying)))
-                    progressed = True
-                    break
-                if self.extend(after):
-                    return True
+            (leaving, staying), *rest = merges
+            after = self.merge(state, leaving, staying)
+            if after is None:
+                self.refused.add(frozenset((leaving, staying)))
+            elif self.extend(after, rest):
+                return True
+            else:
                 self.steps.pop()
                 self.backtracks += 1
                 excluded.add(frozenset((leaving, staying)))
-                progressed = True
-                break
-            if not progressed:
-                break
+            merges = ()
         self.dead.add(partition)
         return False
 
@@ -188,6 +187,7 @@ class _Search:
 
     def disassemble(self, partition: frozenset[Parts], struck: set[frozenset[Parts]]) -> list[Split] | None:
         """Merges, in an order in which they can be made, that build the whole from the groups of `partition`."""
+        begun = time.perf_counter()
         whole = frozenset().union(*partition)
         memory: dict[Parts, list[Split] | None] = {}
 
@@ -208,7 +208,9 @@ class _Search:
                 if first is not None and second is not None:
                     yield [*first, *second, (leaving, staying)]
 
-        return build(whole)
+        order = build(whole)
+        self.planning_seconds += time.perf_counter() - begun
+        return order
 
     def splits(self, parts: Parts, partition: frozenset[Parts]) -> Iterator[Split]:
         """Ways to take `parts` in two that break no group: those that blocking graphs offer, then all others."""

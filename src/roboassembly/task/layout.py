@@ -90,12 +90,18 @@ def resting_rotations(mesh: Mesh) -> tuple[Float[np.ndarray, "n 3 3"], Float[np.
     Quasi-static tumbling of the convex hull (Goldberg et al. 1999, "Part Pose Statistics: Estimators and
     Experiments"), as trimesh computes it.
     """
-    transforms, likely = trimesh.poses.compute_stable_poses(
-        mesh.hull, center_mass=mesh.center_of_mass, sigma=0.0, n_samples=1, threshold=0.0
-    )
+    # Slivers of a hull make trimesh divide by zero; their poses come out as NaN and are dropped here.
+    with np.errstate(invalid="ignore", divide="ignore"):
+        transforms, likely = trimesh.poses.compute_stable_poses(
+            mesh.hull, center_mass=mesh.center_of_mass, sigma=0.0, n_samples=1, threshold=0.0
+        )
+    likely = np.asarray(likely)
+    usable = np.isfinite(transforms).all(axis=(1, 2)) & np.isfinite(likely) & (likely > 0)
+    if not usable.any():
+        return np.eye(3)[None], np.ones(1)
     # trimesh's rotations are orthonormal to about 1e-6 only.
-    rotations = Rotation.from_matrix(np.asarray(transforms)[:, :3, :3]).as_matrix()
-    return rotations, np.asarray(likely) / np.sum(likely)
+    rotations = Rotation.from_matrix(np.asarray(transforms)[usable, :3, :3]).as_matrix()
+    return rotations, likely[usable] / likely[usable].sum()
 
 
 def scattered(furniture: Furniture, rng: np.random.Generator) -> TaskState:

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from roboassembly.errors import FurnitureError
-from roboassembly.furniture.model import RawPart, check_part_count
+from roboassembly.furniture.model import Provenance, RawFurniture, RawPart, check_part_count
 from roboassembly.meshes import MAX_FACES, Mesh
 
 TYPICAL_SIZE = {
@@ -22,6 +22,7 @@ TYPICAL_SIZE = {
 """Height and longest side, in metres, by category folder. The files have no unit: a piece is scaled until it reaches
 the first of the two that it meets, so that a tall chair is 0.85 m high and a long bench does not grow to 2 m."""
 DEFAULT_SIZE = (0.85, 1.20)
+LICENCE = "CC-BY-4.0"
 
 
 def find(root: Path) -> list[Path]:
@@ -45,7 +46,7 @@ def scale_for(category: str, extents: Float[np.ndarray, "3"]) -> float:
     return min(height / float(extents[1]), longest / float(extents.max()))
 
 
-def read(folder: Path, *, scale: float | None = None) -> tuple[RawPart, ...]:
+def read(folder: Path, *, scale: float | None = None) -> RawFurniture:
     """The parts of one piece: z up, metres, lowest point at z = 0, centred on the z axis.
 
     Args:
@@ -76,7 +77,8 @@ def read(folder: Path, *, scale: float | None = None) -> tuple[RawPart, ...]:
     for file, (vertices, faces) in zip(files, loaded, strict=True):
         x, y, z = ((vertices - middle) * factor).T
         out.append(RawPart(file.stem, _mesh(file, np.column_stack([x, -z, y]), faces)))
-    return tuple(out)
+    own = folder.resolve()
+    return RawFurniture(tuple(out), Provenance("ikea-manual", f"{own.parent.name}/{own.name}", LICENCE, factor))
 
 
 def _load(file: Path) -> tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "f 3"]]:

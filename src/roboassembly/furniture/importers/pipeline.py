@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from roboassembly.furniture.annotate import annotate
-from roboassembly.furniture.model import Furniture, Provenance, RawPart
+from roboassembly.furniture.model import Furniture, RawFurniture
 from roboassembly.furniture.repair import PartRepair, repair
 
 
@@ -18,13 +17,14 @@ class Imported:
     repairs: tuple[PartRepair, ...]
 
 
-def finish(name: str, raw: Sequence[RawPart], provenance: Provenance) -> Imported:
+def finish(name: str, raw: RawFurniture) -> Imported:
     """Repair and annotate parts as read.
 
     Raises:
         FurnitureError: what cannot be repaired within limits, or does not hold together, with the reason.
     """
-    repaired = repair(raw)
+    repaired = repair(raw.parts)
     notes = tuple(str(r) for r in repaired.report)
-    furniture = annotate(name, repaired.parts, replace(provenance, notes=(*provenance.notes, *notes)))
+    provenance = replace(raw.provenance, notes=(*raw.provenance.notes, *notes))
+    furniture = annotate(name, repaired.parts, provenance)
     return Imported(furniture, repaired.report)

@@ -1,0 +1,340 @@
+"""An audit of assembly plans by other means than those that made them: python-fcl, SciPy, and the record alone.
+
+Everything is taken from the `Plan`: meshes, and the poses in its steps. Edges are interpolated here (SciPy's Slerp),
+collisions are FCL's on the exact triangles, lowest points are those of the vertices. Nothing of the planner is used,
+so that a mistake in it cannot hide itself.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from itertools import combinations, pairwise
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.spatial.transform import Rotation, Slerp
+
+from roboassembly.errors import MissingExtraError
+from roboassembly.meshes import Mesh
+from roboassembly.poses import SE3
+from roboassembly.task.plan import Plan, PlanStep
+
+_SAME_POSITION = 1e-5
+"""Metres by which two records of one pose may differ."""
+_SAME_ANGLE = 1e-4
+"""Radians, likewise."""
+_CONTACTS = 200
+"""Pairs of triangles of which FCL reports the depth."""
+_LISTED = 20
+"""Violations kept in the report; all are counted."""
+
+
+class ViolationKind(StrEnum):
+    """What can be wrong with a plan."""
+
+    PATH_PENETRATION = "path_penetration"
+    """A moving part in a still one."""
+    PATH_GROUND = "path_ground"
+    """A moving part in the ground."""
+    STILL_PENETRATION = "still_penetration"
+    """Two still parts in each other."""
+    STILL_GROUND = "still_ground"
+    REST_PENETRATION = "rest_penetration"
+    """Two parts in each other, before the first step or after one."""
+    REST_GROUND = "rest_ground"
+    DISCONTINUITY = "discontinuity"
+    """A part that is elsewhere than it was left."""
+    NOT_RIGID = "not_rigid"
+    """Parts of one group moved against each other."""
+    MISSING_PART = "missing_part"
+    """A step that does not account for every part once, or has no path."""
+    NOT_ASSEMBLED = "not_assembled"
+    """The arrangement after the last step is not the furniture."""
+
+
+@dataclass(frozen=True)
+class Violation:
+    """One thing that is wrong."""
+
+    kind: ViolationKind
+    step: int
+    """-1: before the first step."""
+    state: int
+    """Index of the state along the step's path; -1: not on a path."""
+    parts: tuple[int, ...]
+    depth: float
+    """Metres: how deep (of penetrations the median over the pairs of triangles that cut each other, of the ground the
+    lowest vertex), or how far off; NaN where that means nothing."""
+
+
+@dataclass(frozen=True)
+class AuditReport:
+    """What was looked at and what was found."""
+
+    steps: int
+    states: int
+    """Of moving groups along their paths."""
+    counts: dict[ViolationKind, int]
+    """Violations by kind; penetrations once a state."""
+    first: tuple[Violation, ...]
+    """The first of them."""
+
+    @property
+    def passed(self) -> bool:
+        """Nothing is wrong."""
+        return not self.counts
+
+    def summary(self) -> str:
+        """One line."""
+        if self.passed:
+            return f"{self.steps} steps and {self.states} states audited: nothing wrong"
+        found = ", ".join(f"{count} {kind.value}" for kind, count in self.counts.items())
+        v = self.first[0]
+        return (
+            f"{self.steps} steps and {self.states} states audited: {found}; first in step {v.step}, state {v.state}, "
+            f"parts {list(v.parts)}, {1e3 * v.depth:.2f} mm"
+        )
+
+
+def audit_plan(
+    plan: Plan, resolution: float = 0.002, angular_resolution: float = float(np.deg2rad(1.0))
+) -> AuditReport:
+    """Replay the plan and look for anything that could not happen.
+
+    Looked at, at the given resolution: moving parts against still parts and against the ground (z = 0). In each step:
+    still parts against each other. Before the first step and after each: all parts against each other and the ground.
+    That parts start where they were left, and groups stay rigid (v's group may be set down elsewhere, as a whole).
+    After the last: that the arrangement is the furniture, like parts swapped and turned by symmetries of their shape.
+    Motion while settling is not looked at: that is physics, of the merged group alone.
+
+    Args:
+        plan: as recorded.
+        resolution: metres that the fastest point of the moving group travels between two states, at most.
+        angular_resolution: radians that it turns, at most.
+
+    Raises:
+        MissingExtraError: python-fcl is not installed.
+    """
+    return _Audit(plan, resolution, angular_resolution).report()
+
+
+class _Audit:
+    def __init__(self, plan: Plan, resolution: float, angular_resolution: float) -> None:
+        try:
+            self._fcl: Any = importlib.import_module("fcl")
+        except ImportError:
+            raise MissingExtraError("python-fcl", "bench") from None
+        self._plan = plan
+        self._resolution, self._angular_resolution = resolution, angular_resolution
+        self._meshes = [part.mesh for part in plan.furniture.parts]
+        self._models = {mesh: self._model(mesh) for mesh in self._meshes}
+        self._states = 0
+        self._counts: Counter[ViolationKind] = Counter()
+        self._first: list[Violation] = []
+
+    def _model(self, mesh: Mesh) -> Any:
+        model = self._fcl.BVHModel()
+        model.beginModel(len(mesh.vertices), len(mesh.faces))
+        model.addSubModel(mesh.vertices, mesh.faces)
+        model.endModel()
+        return model
+
+    def report(self) -> AuditReport:
+        before = self._plan.initial
+        self._rest(-1, before)
+        for index, step in enumerate(self._plan.steps):
+            if self._whole(index, step):
+                self._transition(index, step, before)
+                self._still(index, step)
+                self._path(index, step)
+            self._rest(index, step.after)
+            before = step.after
+        if self._plan.success:
+            self._assembled(before)
+        return AuditReport(len(self._plan.steps), self._states, dict(self._counts), tuple(self._first))
+
+    def _found(self, kind: ViolationKind, step: int, state: int, parts: Sequence[int], depth: float) -> None:
+        self._counts[kind] += 1
+        if len(self._first) < _LISTED:
+            self._first.append(Violation(kind, step, state, tuple(parts), depth))
+
+    def _placed(self, part: int, pose: SE3) -> Any:
+        return self._fcl.CollisionObject(
+            self._models[self._meshes[part]], self._fcl.Transform(pose.rotation, pose.translation)
+        )
+
+    def _depth(self, a: Any, b: Any) -> float | None:
+        """Metres that the surfaces cut into each other; None if they do not."""
+        request = self._fcl.CollisionRequest(num_max_contacts=_CONTACTS, enable_contact=True)
+        result = self._fcl.CollisionResult()
+        if not self._fcl.collide(a, b, request, result):
+            return None
+        return float(np.median([abs(c.penetration_depth) for c in result.contacts]))
+
+    def _whole(self, index: int, step: PlanStep) -> bool:
+        count = len(self._meshes)
+        named = sorted([*step.moving, *step.still])
+        complete = named == list(range(count)) and len(step.after) == count and len(step.path) > 0
+        if not complete or not set(step.waiting) <= set(step.still):
+            self._found(ViolationKind.MISSING_PART, index, -1, (), float("nan"))
+            return False
+        return True
+
+    def _transition(self, index: int, step: PlanStep, before: Sequence[SE3]) -> None:
+        start = {p: step.path[0] * pose for p, pose in step.moving.items()}
+        goal = {p: step.path[-1] * pose for p, pose in step.moving.items()}
+        others = [p for p in step.still if p not in step.waiting]
+        for part, pose in [*start.items(), *((p, step.still[p]) for p in others)]:
+            self._same(ViolationKind.DISCONTINUITY, index, part, pose, before[part])
+        for part in others:
+            self._same(ViolationKind.DISCONTINUITY, index, part, step.after[part], step.still[part])
+        waiting = {p: step.still[p] for p in step.waiting}
+        self._rigid(index, waiting, before)
+        self._rigid(index, {**waiting, **goal}, step.after)
+
+    def _same(self, kind: ViolationKind, index: int, part: int, pose: SE3, expected: SE3) -> None:
+        off = float(np.linalg.norm(pose.translation - expected.translation))
+        if off > _SAME_POSITION or _angle(pose.rotation.T @ expected.rotation) > _SAME_ANGLE:
+            self._found(kind, index, -1, (part,), off)
+
+    def _rigid(self, index: int, group: Mapping[int, SE3], after: Sequence[SE3]) -> None:
+        """Whether one motion takes all parts of the group from their poses to those in `after`."""
+        if not group:
+            return
+        anchor = next(iter(group))
+        motion = after[anchor] * group[anchor].inverse()
+        for part, pose in group.items():
+            self._same(ViolationKind.NOT_RIGID, index, part, motion * pose, after[part])
+
+    def _still(self, index: int, step: PlanStep) -> None:
+        self._pairs(ViolationKind.STILL_PENETRATION, ViolationKind.STILL_GROUND, index, step.still)
+
+    def _rest(self, index: int, poses: Sequence[SE3]) -> None:
+        self._pairs(ViolationKind.REST_PENETRATION, ViolationKind.REST_GROUND, index, dict(enumerate(poses)))
+
+    def _pairs(self, penetration: ViolationKind, ground: ViolationKind, index: int, poses: Mapping[int, SE3]) -> None:
+        placed = {p: self._placed(p, pose) for p, pose in poses.items()}
+        corners = {p: self._meshes[p].vertices @ pose.rotation.T + pose.translation for p, pose in poses.items()}
+        for part, points in corners.items():
+            if points[:, 2].min() < 0:
+                self._found(ground, index, -1, (part,), float(-points[:, 2].min()))
+        for a, b in combinations(poses, 2):
+            if (corners[a].min(axis=0) > corners[b].max(axis=0)).any():
+                continue
+            if (corners[b].min(axis=0) > corners[a].max(axis=0)).any():
+                continue
+            depth = self._depth(placed[a], placed[b])
+            if depth is None and (self._inside(a, b, corners) or self._inside(b, a, corners)):
+                depth = float("nan")
+            if depth is not None:
+                self._found(penetration, index, -1, (a, b), depth)
+
+    def _inside(self, a: int, b: int, corners: Mapping[int, Float[np.ndarray, "v 3"]]) -> bool:
+        """Whether part a lies wholly in the solid of part b, so that no surfaces cut each other."""
+        low, high = corners[b].min(axis=0), corners[b].max(axis=0)
+        if not self._meshes[b].is_solid or (corners[a] < low).any() or (corners[a] > high).any():
+            return False
+        return _winding_number(corners[a][0], corners[b], self._meshes[b].faces) > 0.5
+
+    def _path(self, index: int, step: PlanStep) -> None:
+        manager = self._fcl.DynamicAABBTreeCollisionManager()
+        still = {p: self._placed(p, pose) for p, pose in step.still.items()}
+        manager.registerObjects(list(still.values()))
+        manager.setup()
+        moving = {p: self._placed(p, pose) for p, pose in step.moving.items()}
+        radius = max(
+            float(np.linalg.norm(self._meshes[p].vertices @ pose.rotation.T + pose.translation, axis=1).max())
+            for p, pose in step.moving.items()
+        )
+        for state, (turn, place) in enumerate(self._interpolated(step.path, radius)):
+            self._states += 1
+            for part, pose in step.moving.items():
+                rotation, translation = turn @ pose.rotation, turn @ pose.translation + place
+                lowest = float((self._meshes[part].vertices @ rotation[2]).min() + translation[2])
+                if lowest < 0:
+                    self._found(ViolationKind.PATH_GROUND, index, state, (part,), -lowest)
+                moving[part].setTransform(self._fcl.Transform(rotation, translation))
+                data = self._fcl.CollisionData()
+                manager.collide(moving[part], data, self._fcl.defaultCollisionCallback)
+                if data.result.is_collision:
+                    for other, placed in still.items():
+                        depth = self._depth(moving[part], placed)
+                        if depth is not None:
+                            self._found(ViolationKind.PATH_PENETRATION, index, state, (part, other), depth)
+
+    def _interpolated(
+        self, path: Sequence[SE3], radius: float
+    ) -> Iterator[tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]]:
+        """Every state of the path: rotation and translation, the way-points included."""
+        yield path[0].rotation, path[0].translation
+        for a, b in pairwise(path):
+            ends = Rotation.from_matrix(np.array([a.rotation, b.rotation]))
+            angle = float((ends[0].inv() * ends[1]).magnitude())
+            travel = float(np.linalg.norm(b.translation - a.translation))
+            fewest = max((travel + angle * radius) / self._resolution, angle / self._angular_resolution)
+            fractions = np.linspace(0.0, 1.0, max(1, int(np.ceil(fewest))) + 1)[1:]
+            turns = Slerp([0.0, 1.0], ends)(fractions).as_matrix()
+            for fraction, turn in zip(fractions, turns, strict=True):
+                yield turn, (1.0 - fraction) * a.translation + fraction * b.translation
+
+    def _assembled(self, poses: Sequence[SE3]) -> None:
+        """Some way to lay the furniture over the parts puts each into a slot of its own, up to its symmetries."""
+        furniture = self._plan.furniture
+        slots: list[tuple[Int[np.ndarray, "m"], Float[np.ndarray, "s 3 3"]]] = [
+            (np.array(furniture.classes[c].members), furniture.classes[c].symmetries) for c in furniture.class_of
+        ]
+        anchor = min(range(len(poses)), key=lambda p: len(slots[p][0]) * len(slots[p][1]))
+        best: tuple[int, ...] = tuple(range(len(poses)))
+        for slot in slots[anchor][0]:
+            for turn in slots[anchor][1]:
+                in_slot = furniture.assembled[slot] * SE3(turn, np.zeros(3))
+                astray = self._astray(poses, in_slot * poses[anchor].inverse(), slots)
+                if not astray:
+                    return
+                best = min(best, astray, key=len)
+        self._found(ViolationKind.NOT_ASSEMBLED, len(self._plan.steps) - 1, -1, best, float("nan"))
+
+    def _astray(
+        self,
+        poses: Sequence[SE3],
+        furniture_from_world: SE3,
+        slots: Sequence[tuple[Int[np.ndarray, "m"], Float[np.ndarray, "s 3 3"]]],
+    ) -> tuple[int, ...]:
+        """Parts without a slot of their own after the motion."""
+        taken: set[int] = set()
+        out: list[int] = []
+        for part, pose in enumerate(poses):
+            here = furniture_from_world * pose
+            for slot in slots[part][0]:
+                there = self._plan.furniture.assembled[slot]
+                near = float(np.linalg.norm(here.translation - there.translation)) < 10 * _SAME_POSITION
+                left = there.rotation.T @ here.rotation
+                if slot not in taken and near and min(_angle(t.T @ left) for t in slots[part][1]) < 10 * _SAME_ANGLE:
+                    taken.add(int(slot))
+                    break
+            else:
+                out.append(part)
+        return tuple(out)
+
+
+def _angle(rotation: Float[np.ndarray, "3 3"]) -> float:
+    """Of a rotation matrix, radians."""
+    return float(Rotation.from_matrix(rotation).magnitude())
+
+
+def _winding_number(
+    point: Float[np.ndarray, "3"], vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]
+) -> float:
+    """How often the surface goes around the point: 1 inside of a solid, 0 outside (van Oosterom and Strackee 1983)."""
+    a, b, c = (vertices[faces[:, i]] - point for i in range(3))
+    la, lb, lc = (np.linalg.norm(x, axis=1) for x in (a, b, c))
+    volume = np.einsum("ij,ij->i", a, np.cross(b, c))
+    dots = (np.einsum("ij,ij->i", x, y) for x, y in ((a, b), (b, c), (c, a)))
+    ab, bc, ca = dots
+    solid_angles = 2.0 * np.arctan2(volume, la * lb * lc + ab * lc + bc * la + ca * lb)
+    return float(solid_angles.sum() / (4.0 * np.pi))

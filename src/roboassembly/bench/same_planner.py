@@ -1,0 +1,55 @@
+"""Our planner over a peer's collision checks, one state at a time: what the engine alone is worth.
+
+A tree search for a tight joint spends its whole budget, and then a ratio of planning times says as much about the way
+of planning as about the checks. Here the planner is the same, retreats and all, and only the checks differ: no box
+tests over stretches, no batches.
+"""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+from jaxtyping import Bool, Float
+from ompl import base
+
+from roboassembly.bench.merges import BenchMerge
+from roboassembly.bench.peers import IsFree, Peer, Run, SE3State
+from roboassembly.planning.mating import plan_mating
+from roboassembly.planning.problem import Budget
+from roboassembly.planning.world import CollisionWorld
+from roboassembly.poses import SE3
+from roboassembly.scene import Scene
+
+
+class PeerWorld(CollisionWorld):
+    """A collision world that asks a peer about every state."""
+
+    def __init__(self, scene: Scene, box_axes: Float[np.ndarray, "3 3"], is_free: IsFree) -> None:
+        super().__init__(scene, box_axes)
+        self._is_free = is_free
+        self._state: SE3State = base.SE3StateSpace().allocState()
+
+    def first_collision(self, configurations: Float[np.ndarray, "7 n"]) -> int | None:
+        """As in the base class, state by state."""
+        state, rotation, is_free = self._state, self._state.rotation(), self._is_free
+        for index, (x, y, z, qx, qy, qz, qw) in enumerate(configurations.T.tolist()):
+            state.setXYZ(x, y, z)
+            rotation.x, rotation.y, rotation.z, rotation.w = qx, qy, qz, qw
+            if not is_free(state):
+                self.states += index + 1
+                return index
+        self.states += configurations.shape[1]
+        return None
+
+    def _boxes_free(self, start: SE3, end: SE3, cuts: Float[np.ndarray, "k"], angle: float) -> Bool[np.ndarray, "k-1"]:
+        """Box tests are ours: here no stretch passes, and every state of it is asked about."""
+        return np.zeros(len(cuts) - 1, dtype=bool)
+
+
+def plan_over_peer(peer: Peer, merge: BenchMerge, budget: Budget) -> Run:
+    """`plan_mating` with the peer's checks, building the scene included."""
+    begun = time.perf_counter()
+    world = PeerWorld(merge.scene, merge.box_axes, peer.set_up(merge.scene))
+    result = plan_mating(world, merge.problem, budget, merge.seed)
+    return Run(result.solved, result.states, time.perf_counter() - begun)

@@ -1,0 +1,5 @@
+"""`python -m roboassembly.cli`: the same as `roboassembly`."""
+
+from roboassembly.cli import main
+
+main()

@@ -1,0 +1,256 @@
+"""The command line as a person meets it: results, exit statuses, one clear line for bad input."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from roboassembly.cli import main
+from roboassembly.furniture import catalogue, storage
+
+Run = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture
+def run(capfd: pytest.CaptureFixture[str]) -> Run:
+    def go(*arguments: str | Path) -> tuple[int, str, str]:
+        with pytest.raises(SystemExit) as stop:
+            main([str(a) for a in arguments])
+        out, err = capfd.readouterr()
+        return int(stop.value.code or 0), out, err
+
+    return go
+
+
+@pytest.fixture(scope="module")
+def stool(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return storage.save(catalogue.make("stool"), tmp_path_factory.mktemp("saved") / "stool")
+
+
+def test_assemble_writes_what_it_says(run: Run, stool: Path, tmp_path: Path) -> None:
+    status, out, err = run("assemble", stool, "--no-film", "--json", "--out", tmp_path / "a", "--seed", "3")
+    assert status == 0
+    report = json.loads(out)
+    assert (report["success"], report["furniture"], report["parts"], report["merges"]) == (True, "stool-0", 9, 8)
+    assert report["planning_steps"] > 0
+    assert report["planning_seconds"] >= 0
+    assert set(report["outputs"]) == {"plan", "timings", "furniture", "html"}
+    assert all(Path(p).exists() for p in report["outputs"].values())
+    assert "Traceback" not in err
+    assert "nanobind" not in err
+
+    plan = json.loads((tmp_path / "a" / "plan.json").read_text())
+    assert plan["success"]
+    assert len(plan["steps"]) == 8
+    assert all(len(s["action"]) == 5 and len(s["path"]) >= 2 and s["planning_steps"] > 0 for s in plan["steps"])
+    assert "seconds" not in (tmp_path / "a" / "plan.json").read_text()
+    copy = storage.load(tmp_path / "a" / "furniture")
+    assert [p.name for p in copy.parts] == plan["furniture"]["parts"]
+
+
+def test_the_same_seed_writes_the_same_plan_in_another_process(stool: Path, tmp_path: Path) -> None:
+    plans = []
+    for index, hash_seed in enumerate("12"):
+        command = [sys.executable, "-m", "roboassembly.cli", "assemble", str(stool), "--no-film", "--json"]
+        done = subprocess.run(
+            [*command, "--out", str(tmp_path / str(index))],
+            capture_output=True,
+            text=True,
+            env={"PYTHONHASHSEED": hash_seed, "PATH": "/usr/bin:/bin"},
+            check=False,
+        )
+        assert done.returncode == 0, done.stderr
+        assert len(done.stdout.splitlines()) == 1
+        plans.append((tmp_path / str(index) / "plan.json").read_bytes())
+    assert plans[0] == plans[1]
+
+
+def test_another_seed_gives_another_plan(run: Run, stool: Path, tmp_path: Path) -> None:
+    for seed in "12":
+        assert run("assemble", stool, "--no-film", "--out", tmp_path / seed, "--seed", seed)[0] == 0
+    assert (tmp_path / "1" / "plan.json").read_bytes() != (tmp_path / "2" / "plan.json").read_bytes()
+
+
+def test_what_cannot_be_assembled_is_an_honest_1(run: Run, tmp_path: Path, captive: Path) -> None:
+    status, out, err = run("assemble", captive, "--no-film", "--json", "--out", tmp_path / "a")
+    report = json.loads(out)
+    assert (status, report["success"]) == (1, False)
+    assert "merges tried" in report["reason"]
+    assert report["reason"] in err
+    assert not json.loads((tmp_path / "a" / "plan.json").read_text())["success"]
+
+
+@pytest.fixture
+def captive(tmp_path: Path) -> Path:
+    """A ball in a box without a lid to open: two parts, one of them shut in."""
+    from roboassembly.furniture.annotate import annotate
+    from roboassembly.furniture.model import Provenance, RawPart
+    from roboassembly.meshes import Mesh
+
+    outer, inner = trimesh.creation.box((0.1, 0.1, 0.1)), trimesh.creation.box((0.08, 0.08, 0.08))
+    inner.invert()
+    shell = trimesh.util.concatenate([outer, inner])
+    core = trimesh.creation.box((0.079, 0.079, 0.079))
+    raw = [RawPart("shell", Mesh.from_trimesh(shell)), RawPart("core", Mesh.from_trimesh(core))]
+    return storage.save(annotate("captive", raw, Provenance("test")), tmp_path / "captive")
+
+
+def _broken(stool: Path, tmp_path: Path, change: Callable[[Path], None]) -> Path:
+    folder = tmp_path / "broken"
+    shutil.copytree(stool, folder)
+    change(folder)
+    return folder
+
+
+def _edit(folder: Path, change: Callable[[dict], None]) -> None:
+    path = folder / "furniture.json"
+    document = json.loads(path.read_text())
+    change(document)
+    path.write_text(json.dumps(document))
+
+
+def _mesh(folder: Path, vertices: np.ndarray, faces: np.ndarray) -> None:
+    trimesh.Trimesh(vertices, faces, process=False).export(folder / "meshes" / "00.ply")
+
+
+def _keep_one_part(document: dict) -> None:
+    document["parts"] = document["parts"][:1]
+
+
+def _many_parts(document: dict) -> None:
+    document["parts"] = [{**document["parts"][0], "name": f"p{i}"} for i in range(21)]
+
+
+def _part_away(document: dict) -> None:
+    """A leg a metre off, with its connections taken out: the rest does not touch it."""
+    document["parts"][0]["assembled_pose"][0] += 1.0
+    document["connections"] = [c for c in document["connections"] if 0 not in (c[0], c[2])]
+
+
+BOX = trimesh.creation.box((0.1, 0.1, 0.1))
+BROKEN = {
+    "broken JSON": (lambda f: (f / "furniture.json").write_text('{"format": '), "furniture.json"),
+    "not furniture": (lambda f: (f / "furniture.json").write_text("[1, 2]"), "furniture.json"),
+    "NaN": (lambda f: _mesh(f, np.where(BOX.vertices > 0, np.nan, BOX.vertices), BOX.faces), "not finite"),
+    "zero area": (lambda f: _mesh(f, np.zeros((8, 3)), BOX.faces), "zero area"),
+    "no faces": (lambda f: _mesh(f, BOX.vertices, np.empty((0, 3), int)), "no faces"),
+    "no mesh": (lambda f: (f / "meshes" / "00.ply").unlink(), "missing"),
+    "garbage mesh": (lambda f: (f / "meshes" / "00.ply").write_bytes(b"ply\nformat wrong\x00\xff"), "00.ply"),
+    "one part": (lambda f: _edit(f, _keep_one_part), "1 part;"),
+    "21 parts": (lambda f: _edit(f, _many_parts), "21 parts"),
+    "apart": (lambda f: _edit(f, _part_away), "do not touch"),
+}
+
+
+@pytest.mark.parametrize("case", BROKEN)
+def test_bad_furniture_is_one_line_and_2(run: Run, stool: Path, tmp_path: Path, case: str) -> None:
+    change, words = BROKEN[case]
+    folder = _broken(stool, tmp_path, change)
+    status, out, err = run("assemble", folder, "--json", "--out", tmp_path / "out")
+    assert status == 2
+    assert len(err.strip().splitlines()) == 1
+    assert err.startswith("error: ")
+    assert words in err
+    assert json.loads(out)["success"] is False
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["assemble", "laddr"], "did you mean ladder?"),
+        (["assemble", "xyzzy"], "known: "),
+        (["assemble", "ladder:many"], "not a whole number"),
+        (["assemble", "no/such/folder"], "no furniture folder"),
+        (["assemble", "stool", "--seed", "-1"], "negative"),
+        (["generate", "winsor"], "did you mean windsor?"),
+        (["import", "ikea-manual", "no/such/folder"], "not a folder"),
+        (["import", "ikea-manual", ".", "--scale", "0"], "absurd"),
+        (["import", "ikea-manual", ".", "--jobs", "0"], "--jobs 0"),
+        (["bench", "planning", "--chairs", "0"], "--chairs 0"),
+    ],
+)
+def test_bad_arguments_are_one_line_and_2(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: list[str], words: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    status, out, err = run(*arguments)
+    assert (status, out) == (2, "")
+    assert len(err.strip().splitlines()) == 1
+    assert words in err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_output_that_cannot_be_written(run: Run, stool: Path, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("mine")
+    status, _, err = run("assemble", stool, "--no-film", "--out", tmp_path / "file")
+    assert status == 2
+    assert "cannot write" in err
+    assert (tmp_path / "file").read_text() == "mine"
+
+
+def test_generate_then_assemble(run: Run, tmp_path: Path) -> None:
+    status, out, _ = run("generate", "stool", "--seed", "4", "--out", tmp_path / "s", "--json")
+    assert status == 0
+    assert json.loads(out)["outputs"] == {"furniture": str(tmp_path / "s")}
+    assert run("assemble", tmp_path / "s", "--no-film", "--out", tmp_path / "a")[0] == 0
+
+
+def test_generate_never_overwrites_what_is_not_furniture(run: Run, tmp_path: Path) -> None:
+    (tmp_path / "letters").mkdir()
+    (tmp_path / "letters" / "love.txt").write_text("dear")
+    status, _, err = run("generate", "stool", "--out", tmp_path / "letters")
+    assert status == 2
+    assert "not a furniture folder" in err
+    assert (tmp_path / "letters" / "love.txt").read_text() == "dear"
+
+
+def _write_obj(path: Path, mesh: trimesh.Trimesh) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(mesh.export(file_type="obj"))
+
+
+def _table(folder: Path) -> None:
+    """Five boxes, y up, touching exactly: a table as IKEA-Manuals gives it."""
+    top = trimesh.creation.box((1.0, 0.05, 1.0))
+    top.apply_translation((0, 0.525, 0))
+    _write_obj(folder / "00.obj", top)
+    for i, (x, z) in enumerate([(-0.4, -0.4), (0.4, -0.4), (-0.4, 0.4), (0.4, 0.4)]):
+        leg = trimesh.creation.box((0.06, 0.5, 0.06))
+        leg.apply_translation((x, 0.25, z))
+        _write_obj(folder / f"0{i + 1}.obj", leg)
+
+
+def test_import_then_assemble(run: Run, tmp_path: Path) -> None:
+    _table(tmp_path / "in" / "Table" / "plain")
+    _write_obj(tmp_path / "in" / "Table" / "alone" / "00.obj", BOX)
+    source, out_folder = tmp_path / "in", tmp_path / "furniture"
+    status, out, _ = run("import", "ikea-manual", source, "--out", out_folder, "--json", "--jobs", "1")
+    report = json.loads(out)
+    assert status == 0
+    assert (report["imported"], report["refused"]) == (1, 1)
+    good, bad = sorted(report["items"], key=lambda i: i["error"] is not None)
+    assert (good["name"], good["parts"], good["connections"]) == ("plain", 5, 4)
+    assert "1 part" in bad["error"]
+    assert sorted(p.name for p in out_folder.iterdir()) == ["plain"]
+    assert run("assemble", out_folder / "plain", "--no-film", "--out", tmp_path / "a")[0] == 0
+
+
+def test_import_of_one_bad_piece_is_2(run: Run, tmp_path: Path) -> None:
+    (tmp_path / "piece").mkdir()
+    for i in range(2):
+        (tmp_path / "piece" / f"0{i}.obj").write_text("v 0 0 0\nv 1 0 nan\nv 0 1 0\nf 1 2 3\n")
+    status, out, err = run("import", "ikea-manual", tmp_path / "piece", "--out", tmp_path / "out")
+    assert status == 2
+    assert "not finite" in err
+    assert "Traceback" not in err
+    assert "0 imported, 1 refused" in out
+    assert not (tmp_path / "out").exists()

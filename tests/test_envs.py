@@ -1,0 +1,264 @@
+"""One contract for every environment, over furniture of every source."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+from roboassembly.envs import OBJECT_CENTRIC
+from roboassembly.envs.object_centric import ObjectCentricEnv
+from roboassembly.envs.wrappers import DiscreteActions
+from roboassembly.errors import InputError, UnknownNameError
+from roboassembly.furniture import catalogue, storage
+from roboassembly.furniture.generate import FAMILIES
+from roboassembly.furniture.model import Furniture, Provenance, RawFurniture, RawPart
+from roboassembly.meshes import Mesh
+from roboassembly.poses import pose_to_euler
+from roboassembly.solvers.search import solve
+
+trimesh = pytest.importorskip("trimesh")
+
+
+def _imported() -> Furniture:
+    """A table of boxes that touch, through repair: what an importer hands on."""
+    from roboassembly.furniture.importers.pipeline import finish
+
+    top = trimesh.creation.box((0.6, 0.4, 0.03))
+    top.apply_translation((0, 0, 0.415))
+    parts = [RawPart("top", Mesh.from_trimesh(top))]
+    for i, (x, y) in enumerate([(-0.25, -0.15), (0.25, -0.15), (-0.25, 0.15), (0.25, 0.15)]):
+        leg = trimesh.creation.box((0.04, 0.04, 0.4))
+        leg.apply_translation((x, y, 0.2))
+        parts.append(RawPart(f"leg{i}", Mesh.from_trimesh(leg)))
+    return finish("table", RawFurniture(tuple(parts), Provenance("test"))).furniture
+
+
+SOURCES = {**{name: (lambda name=name: catalogue.make(name, 1)) for name in FAMILIES}, "imported": _imported}
+
+
+@pytest.fixture(scope="module", params=SOURCES)
+def furniture(request: pytest.FixtureRequest) -> Furniture:
+    return SOURCES[request.param]()
+
+
+@pytest.fixture
+def env(furniture: Furniture) -> ObjectCentricEnv:
+    return ObjectCentricEnv(furniture)
+
+
+def test_gymnasium_checker(env: ObjectCentricEnv) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        warnings.filterwarnings("ignore", message=".*not within the observation space bounds.*infinity.*")
+        warnings.filterwarnings("ignore", message=".*render_modes.*|.*No render modes.*|.*render modes.*")
+        warnings.filterwarnings("ignore", message=".*env.spec.*|.*spec.*")
+        check_env(env, skip_render_check=True)
+
+
+def test_discrete_view_passes_the_checker(env: ObjectCentricEnv) -> None:
+    check_env(DiscreteActions(env), skip_render_check=True)
+
+
+def test_episode_of_right_actions(env: ObjectCentricEnv, furniture: Furniture) -> None:
+    """The searched actions earn one a merge and four at the end, and the chair stands as designed."""
+    plan = solve(furniture, 11).plan
+    assert plan.success
+    observation, info = env.reset(seed=11)
+    assert info["groups"] == len(furniture.parts)
+    assert not info["success"]
+    rewards = []
+    for step in plan.steps:
+        assert info["action_mask"][step.action], "a right action must exist"
+        observation, reward, terminated, truncated, info = env.step(np.array(step.action))
+        assert env.observation_space.contains(observation)
+        assert (info["verdict"], truncated) == ("merged", False)
+        assert info["planning_steps"] > 0
+        rewards.append(reward)
+    assert rewards == [1.0] * (len(furniture.parts) - 2) + [5.0]
+    assert terminated
+    assert info["success"]
+    assert not info["action_mask"].any()
+
+
+def test_observation_is_the_papers_state(env: ObjectCentricEnv, furniture: Furniture) -> None:
+    observation, _ = env.reset(seed=2)
+    n = len(furniture.parts)
+    assert {k: v.shape for k, v in observation.items()} == {
+        "shapes": (20, 128, 3),
+        "connection_points": (20, 10, 9),
+        "grasp_regions": (20, 2, 6),
+        "poses": (20, 6),
+        "connections": (20, 20, 6),
+    }
+    assert not any(observation[k][n:].any() for k in observation)
+    assert not observation["connections"].any(), "nothing is joined at first"
+    for p, part in enumerate(furniture.parts):
+        np.testing.assert_allclose(observation["poses"][p], pose_to_euler(env.state.part_poses[p]), atol=1e-6)
+        low, high = part.mesh.bounds
+        assert (observation["shapes"][p] >= low - 1e-6).all()
+        assert (observation["shapes"][p] <= high + 1e-6).all()
+        for k, point in enumerate(part.points):
+            np.testing.assert_allclose(observation["connection_points"][p, k, :3], point.position, atol=1e-6)
+        assert not observation["connection_points"][p, len(part.points) :].any()
+
+    step = solve(furniture, 2).plan.steps[0]
+    observation, *_ = env.step(np.array(step.action))
+    u, v = step.action[:2]
+    relative = env.state.part_poses[u].actInv(env.state.part_poses[v])
+    np.testing.assert_allclose(observation["connections"][u, v], pose_to_euler(relative), atol=1e-5)
+    assert np.count_nonzero(observation["connections"].any(axis=2)) == 2
+
+
+def test_observations_are_fresh_arrays(env: ObjectCentricEnv) -> None:
+    first, _ = env.reset(seed=0)
+    for array in first.values():
+        array.fill(7.0)
+    second, _ = env.reset(seed=0)
+    assert not any((array == 7.0).all() for array in second.values())
+
+
+def test_mask_by_the_book(env: ObjectCentricEnv, furniture: Furniture) -> None:
+    _, info = env.reset(seed=0)
+    mask = info["action_mask"]
+    assert mask.shape == tuple(env.action_space.nvec)
+    points = [len(p.points) for p in furniture.parts]
+    expected = 6 * sum(a * b for i, a in enumerate(points) for j, b in enumerate(points) if i != j)
+    assert mask.sum() == expected
+    np.testing.assert_array_equal(mask, env.action_masks())
+
+
+def test_mask_does_not_leak_the_answer(env: ObjectCentricEnv, furniture: Furniture) -> None:
+    """Nothing but existence: every pair of points of different groups is allowed, right or wrong."""
+    _, info = env.reset(seed=0)
+    plan = solve(furniture, 0).plan
+    for step in plan.steps[: len(plan.steps) // 2]:
+        *_, info = env.step(np.array(step.action))
+    mask, free = info["action_mask"], env.task.free_points(env.state)
+    for u in range(20):
+        for v in range(20):
+            there = u < len(furniture.parts) and v < len(furniture.parts)
+            apart = there and env.state.group_of[u] != env.state.group_of[v]
+            expected = free[u][:, None] & free[v][None] if apart else np.zeros((10, 10), bool)
+            np.testing.assert_array_equal(mask[u, v].all(axis=-1), expected)
+
+
+def test_masked_actions_end_the_episode(env: ObjectCentricEnv) -> None:
+    for action in ([0, 0, 0, 0, 0], [19, 0, 9, 0, 0], [0, 1, 9, 9, 5]):
+        _, info = env.reset(seed=0)
+        if info["action_mask"][tuple(action)]:
+            continue
+        _, reward, terminated, _, info = env.step(np.array(action))
+        assert (reward, terminated, info["verdict"]) == (0.0, True, "not_an_action")
+
+
+def test_wrong_pairs_end_the_episode_and_change_nothing(env: ObjectCentricEnv) -> None:
+    env.reset(seed=0)
+    rng = np.random.default_rng(0)
+    choices = np.argwhere(env.action_masks())
+    wrong = 0
+    for action in choices[rng.permutation(len(choices))[:60]]:
+        before, _ = env.reset(seed=0)
+        after, reward, terminated, _, info = env.step(action)
+        if info["verdict"] != "wrong_pair":
+            continue
+        wrong += 1
+        assert (reward, terminated, info["planning_steps"]) == (0.0, True, 0)
+        for key in before:
+            np.testing.assert_array_equal(before[key], after[key])
+    assert wrong > 5
+
+
+def test_seeds_reproduce_episodes(env: ObjectCentricEnv) -> None:
+    def play(seed: int) -> list[np.ndarray]:
+        observation, _ = env.reset(seed=seed)
+        seen = [observation["poses"]]
+        rng = np.random.default_rng(seed)
+        for action in solve(env.task.furniture, seed).plan.steps[:3]:
+            observation, *_ = env.step(np.array(action.action))
+            seen.append(observation["poses"])
+        choices = np.argwhere(env.action_masks())
+        observation, *_ = env.step(choices[rng.integers(len(choices))])
+        return [*seen, observation["poses"]]
+
+    for one, two in zip(play(4), play(4), strict=True):
+        np.testing.assert_array_equal(one, two)
+    assert not np.array_equal(play(4)[0], play(5)[0])
+
+
+def test_several_pieces() -> None:
+    env = ObjectCentricEnv(["stool", "stool:1", catalogue.make("windsor")])
+    names = {env.reset(seed=s)[1]["furniture"] for s in range(12)}
+    assert names == {"stool-0", "stool-1", "windsor-0"}
+    assert env.reset(options={"furniture": 2})[1]["furniture"] == "windsor-0"
+    with pytest.raises(InputError, match="index from 0 to 2"):
+        env.reset(options={"furniture": 3})
+
+
+def test_made_through_gymnasium_and_vectorised() -> None:
+    envs = gymnasium.make_vec(OBJECT_CENTRIC, num_envs=2, vectorization_mode="sync", furniture="stool")
+    observation, info = envs.reset(seed=0)
+    assert observation["poses"].shape == (2, 20, 6)
+    assert info["action_mask"].shape == (2, 20, 20, 10, 10, 6)
+    _, rewards, terminated, _, info = envs.step(np.array([[0, 0, 0, 0, 0]] * 2))
+    assert rewards.tolist() == [0.0, 0.0]
+    assert terminated.tolist() == [True, True]
+    assert list(info["verdict"]) == ["not_an_action"] * 2
+    envs.close()
+
+
+def test_smaller_spaces_for_small_furniture() -> None:
+    stool = catalogue.make("stool")
+    points = max(len(p.points) for p in stool.parts)
+    env = ObjectCentricEnv(stool, max_parts=9, max_points=points, cloud_points=16)
+    check_env(env, skip_render_check=True)
+    assert env.action_space.nvec.tolist() == [9, 9, points, points, 6]
+    with pytest.raises(InputError, match="too small"):
+        ObjectCentricEnv(stool, max_parts=8)
+    with pytest.raises(InputError, match="1 to 20"):
+        ObjectCentricEnv(stool, max_parts=21)
+
+
+def test_bad_furniture_is_said_when_made(tmp_path: Path) -> None:
+    with pytest.raises(UnknownNameError, match="did you mean stool"):
+        gymnasium.make(OBJECT_CENTRIC, furniture="stol")
+    with pytest.raises(InputError, match="no furniture given"):
+        ObjectCentricEnv([])
+    folder = storage.save(catalogue.make("stool"), tmp_path / "s")
+    assert ObjectCentricEnv(str(folder)).reset(seed=0)[1]["furniture"] == "stool-0"
+
+
+def test_step_before_reset() -> None:
+    with pytest.raises(gymnasium.error.ResetNeeded):
+        ObjectCentricEnv("stool").step(np.zeros(5, int))
+
+
+def test_discrete_numbers() -> None:
+    env = DiscreteActions(ObjectCentricEnv("stool"))
+    assert env.action_space.n == 20 * 20 * 10 * 10 * 6
+    assert env.flatten((0, 0, 0, 0, 5)) == 5
+    assert env.flatten((0, 0, 0, 1, 0)) == 6
+    assert env.flatten((1, 0, 0, 0, 0)) == 20 * 10 * 10 * 6
+    assert env.unflatten(env.flatten((3, 7, 2, 9, 4))) == (3, 7, 2, 9, 4)
+    _, info = env.reset(seed=0)
+    assert info["action_mask"].shape == (240_000,)
+    np.testing.assert_array_equal(env.action_masks(), info["action_mask"])
+
+
+@pytest.mark.slow
+def test_a_third_party_learner_runs_unmodified() -> None:
+    """sb3-contrib's MaskablePPO, 2,000 steps on the flat view."""
+    learner = pytest.importorskip("sb3_contrib")
+    stool = catalogue.make("stool")
+    points = max(len(p.points) for p in stool.parts)
+    env = DiscreteActions(ObjectCentricEnv(stool, max_parts=9, max_points=points, cloud_points=16))
+    model = learner.MaskablePPO("MultiInputPolicy", env, n_steps=250, batch_size=125, n_epochs=2, seed=0)
+    model.learn(2_000)
+    assert model.num_timesteps == 2_000
+    observation, _ = env.reset(seed=0)
+    action, _ = model.predict(observation, action_masks=env.action_masks(), deterministic=True)
+    assert env.action_masks()[int(action)]

@@ -1,0 +1,268 @@
+"""Which pairs are right: by brute force on furniture whose answers are plain."""
+
+from __future__ import annotations
+
+from itertools import permutations, product
+
+import numpy as np
+import pytest
+import shapes
+from shapes import pose
+
+from roboassembly.furniture.generate import FAMILIES
+from roboassembly.furniture.model import Furniture
+from roboassembly.poses import SE3
+from roboassembly.task.groups import Group, TaskState, body, center_of_mass, hull_points
+from roboassembly.task.pairs import Merge, PairRule, mate
+
+
+def alone(furniture: Furniture, part: int, where: SE3 | None = None) -> Group:
+    slot = furniture.assembled[part]
+    return Group((part,), (part,), (slot,), (where or SE3.Identity()) * slot.inverse())
+
+
+def judge(furniture: Furniture, u: int, k: int, v: int, l: int) -> Merge | None:  # noqa: E741
+    return PairRule(furniture).judge(alone(furniture, u), alone(furniture, v), u, k, v, l)
+
+
+def congruent(furniture: Furniture, group: Group) -> bool:
+    """Parts on distinct slots of like parts, each mesh lying exactly where the slot's own part would."""
+    for part, slot, where in zip(group.parts, group.slots, group.furniture_from_part, strict=True):
+        if furniture.class_of[part] != furniture.class_of[slot]:
+            return False
+        here = np.array([where.act(v) for v in furniture.parts[part].mesh.vertices])
+        there = np.array([furniture.assembled[slot].act(v) for v in furniture.parts[slot].mesh.vertices])
+        if np.linalg.norm(here[:, None] - there[None], axis=2).min(axis=1).max() > 2e-4:
+            return False
+    return len(set(group.slots)) == len(group.slots)
+
+
+def test_mate_by_hand(table: Furniture) -> None:
+    """The leg's top meets the table's corner: 0.2 + gap below the top's underside, which is 0.015 below its middle."""
+    top, leg = table.parts[0].points[2], table.parts[3].points[0]
+    top_from_leg = mate(top, leg)
+    x, y = shapes.LEGS[2]
+    assert np.allclose(top_from_leg.translation, [x, y, -0.215 - shapes.GAP], atol=1e-6)
+    back = mate(leg, top)
+    assert np.allclose((back * top_from_leg).homogeneous, np.eye(4), atol=1e-9)
+
+
+def test_any_leg_to_any_corner_both_ways(table: Furniture) -> None:
+    for leg, corner in product(range(1, 5), range(4)):
+        for merge in (judge(table, leg, 0, 0, corner), judge(table, 0, corner, leg, 0)):
+            assert merge is not None
+            assert merge.merged.parts == (0, leg)
+            assert congruent(table, merge.merged)
+            # The leg has to be in the corner's slot, or, with the top turned over by a symmetry, in that one's image.
+            slot = merge.merged.slots[1]
+            assert slot in range(1, 5)
+            expected = table.assembled[0].actInv(table.assembled[corner + 1]).translation
+            placed = merge.merged.furniture_from_part[0].actInv(merge.merged.furniture_from_part[1]).translation
+            assert np.allclose(placed, expected, atol=1e-6)
+
+
+def test_the_merge_says_where_both_groups_go(table: Furniture) -> None:
+    u, v = alone(table, 2, pose(1, 2, 3)), alone(table, 0, pose(0, 0, 1, shapes.turn((1, 0, 0), 1.0)))
+    merge = PairRule(table).judge(u, v, 2, 0, 0, 3)
+    assert merge is not None
+    assert np.allclose(merge.merged.world_from_furniture.homogeneous, np.eye(4))
+    for group, motion in ((u, merge.furniture_from_u), (v, merge.furniture_from_v)):
+        for part, own in zip(group.parts, group.furniture_from_part, strict=True):
+            index = merge.merged.parts.index(part)
+            assert np.allclose(
+                (motion * own).homogeneous, merge.merged.furniture_from_part[index].homogeneous, atol=1e-6
+            )
+
+
+def test_two_legs_do_not_go_together(table: Furniture) -> None:
+    for u, v in permutations(range(1, 5), 2):
+        assert judge(table, u, 0, v, 0) is None
+
+
+def test_the_wrong_end_is_wrong(stand: Furniture) -> None:
+    """Tapered legs: each end has its own plate."""
+    right = {(c.part_a, c.point_a, c.part_b, c.point_b) for c in stand.connections}
+    for leg, k, plate, l in product((2, 3), range(2), (0, 1), range(2)):  # noqa: E741
+        ends = {c[1]: c[3] for c in right if c[0] == plate and c[2] == leg}
+        fits = k in ends.values() or any(
+            np.allclose(stand.parts[leg].points[k].position, stand.parts[leg].points[e].position, atol=1e-3)
+            for e in ends.values()
+        )
+        assert (judge(stand, leg, k, plate, l) is not None) == fits
+        assert (judge(stand, plate, l, leg, k) is not None) == fits
+    assert judge(stand, 0, 0, 1, 0) is None
+    assert judge(stand, 2, 0, 3, 0) is None
+    assert judge(stand, 2, 0, 3, 1) is None
+
+
+def test_mirror_image_armrests_do_not_swap(armchair: Furniture) -> None:
+    ends = {c.part_b: (c.point_a, c.point_b) for c in armchair.connections}
+    assert set(ends) == {1, 2}
+    for arm, place in product((1, 2), (1, 2)):
+        merge = judge(armchair, arm, ends[arm][1], 0, ends[place][0])
+        assert (merge is not None) == (arm == place), (arm, place)
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_every_connection_of_a_chair_is_right_both_ways(chair, family: str) -> None:
+    furniture = chair(family, 0)
+    rule = PairRule(furniture)
+    for c in furniture.connections:
+        a, b = alone(furniture, c.part_a), alone(furniture, c.part_b)
+        for merge in (
+            rule.judge(a, b, c.part_a, c.point_a, c.part_b, c.point_b),
+            rule.judge(b, a, c.part_b, c.point_b, c.part_a, c.point_a),
+        ):
+            assert merge is not None
+            # What turns least is to leave everything where it belongs.
+            assert merge.merged.slots == merge.merged.parts
+            for part, where in zip(merge.merged.parts, merge.merged.furniture_from_part, strict=True):
+                assert np.allclose(where.homogeneous, furniture.assembled[part].homogeneous, atol=1e-6)
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_like_parts_fit_each_others_places(chair, family: str) -> None:
+    """For each connection, every part of one end's class goes onto the other end, by one of its points."""
+    furniture = chair(family, 0)
+    rule = PairRule(furniture)
+    for c in furniture.connections:
+        for here, k, there in ((c.part_a, c.point_a, c.part_b), (c.part_b, c.point_b, c.part_a)):
+            for member in furniture.classes[furniture.class_of[there]].members:
+                if member == here:
+                    continue
+                one, other = alone(furniture, member), alone(furniture, here)
+                assert any(
+                    rule.judge(one, other, member, m, here, k) is not None
+                    for m in range(len(furniture.parts[member].points))
+                ), (furniture.parts[here].name, furniture.parts[member].name)
+
+
+def test_accepted_pairs_are_congruent_and_refused_ones_are_not_by_brute_force(chair) -> None:
+    furniture = chair("stool", 0)
+    rule = PairRule(furniture)
+    accepted = refused = 0
+    pairs = list(permutations(range(len(furniture.parts)), 2))
+    for u, v in pairs:
+        group_u, group_v = alone(furniture, u), alone(furniture, v)
+        for k, l in product(range(len(furniture.parts[u].points)), range(len(furniture.parts[v].points))):  # noqa: E741
+            merge = rule.judge(group_u, group_v, u, k, v, l)
+            relative = mate(furniture.parts[v].points[l], furniture.parts[u].points[k])
+            expected = any(
+                furniture.class_of[a] == furniture.class_of[v]
+                and furniture.class_of[b] == furniture.class_of[u]
+                and near(furniture, a, v, b, u, relative)
+                for a, b in pairs
+            )
+            assert (merge is not None) == expected
+            accepted += expected
+            refused += not expected
+            if merge is not None:
+                assert congruent(furniture, merge.merged)
+    assert accepted > 50
+    assert refused > 100
+
+
+def near(furniture: Furniture, slot_v: int, v: int, slot_u: int, u: int, v_from_u: SE3) -> bool:
+    """Whether v in one slot and u in another, each turned by some symmetry, have this relative pose."""
+    del v, u
+    turns_v = furniture.classes[furniture.class_of[slot_v]].symmetries
+    turns_u = furniture.classes[furniture.class_of[slot_u]].symmetries
+    relative = furniture.assembled[slot_v].actInv(furniture.assembled[slot_u])
+    rotations = np.einsum("aji,jk,bkl->abil", turns_v, relative.rotation, turns_u)
+    shifts = np.einsum("aji,j->ai", turns_v, relative.translation)
+    turned = np.trace(np.einsum("abij,kj->abik", rotations, v_from_u.rotation), axis1=2, axis2=3)
+    alike = turned > 1 + 2 * np.cos(0.01)
+    placed = np.linalg.norm(shifts - v_from_u.translation, axis=1) < 1e-3
+    return bool((alike & placed[:, None]).any())
+
+
+def grown(furniture: Furniture, start: int, moves: list[tuple[int, int, int]]) -> Group:
+    """`start` with parts added: `(u, k, l)` puts point k of u onto point l of `start`."""
+    rule, group = PairRule(furniture), alone(furniture, start)
+    for u, k, l in moves:  # noqa: E741
+        merge = rule.judge(alone(furniture, u), group, u, k, start, l)
+        assert merge is not None, (u, k, l)
+        group = merge.merged
+    return group
+
+
+@pytest.mark.parametrize("order", list(permutations(range(4)))[::3])
+def test_a_table_completes_with_its_legs_in_any_places(table: Furniture, order: tuple[int, ...]) -> None:
+    group = grown(table, 0, [(leg + 1, 0, corner) for corner, leg in enumerate(order)])
+    assert group.parts == (0, 1, 2, 3, 4)
+    assert congruent(table, group)
+    state = TaskState((group,))
+    assert state.complete
+    # Every corner and every leg's top is taken.
+    assert state.occupied(table) == {(0, 0), (0, 1), (0, 2), (0, 3), (1, 0), (2, 0), (3, 0), (4, 0)}
+
+
+def test_occupied_points_are_those_that_touch(table: Furniture) -> None:
+    group = grown(table, 0, [(1, 0, 2)])
+    others = tuple(alone(table, p) for p in (2, 3, 4))
+    state = TaskState((group, *others))
+    assert state.occupied(table) == {(0, 2), (1, 0)}
+    assert not state.complete
+    assert state.group_of == {0: 0, 1: 0, 2: 1, 3: 2, 4: 3}
+    # The corner that is taken takes no second leg.
+    assert PairRule(table).judge(others[0], group, 2, 0, 0, 2) is None
+    for corner in (0, 1, 3):
+        assert PairRule(table).judge(others[0], group, 2, 0, 0, corner) is not None
+
+
+def test_one_merge_can_make_several_contacts(stand: Furniture) -> None:
+    """Two legs on the lower plate; then the upper plate touches both of them at once."""
+    ends = {(c.part_a, c.part_b): (c.point_a, c.point_b) for c in stand.connections}
+    group = grown(stand, 1, [(2, ends[1, 2][1], ends[1, 2][0]), (3, ends[1, 3][1], ends[1, 3][0])])
+    merge = PairRule(stand).judge(alone(stand, 0), group, 0, ends[0, 2][0], 2, ends[0, 2][1])
+    assert merge is not None
+    assert len(TaskState((merge.merged,)).occupied(stand)) == 8
+
+
+def test_groups_that_would_share_a_slot_are_refused(table: Furniture) -> None:
+    """A top with leg, and another leg: the tops' class has one slot only, and two tops there are not."""
+    group = grown(table, 0, [(1, 0, 0), (2, 0, 1), (3, 0, 2)])
+    last = alone(table, 4)
+    rule = PairRule(table)
+    assert rule.judge(last, group, 4, 0, 0, 3) is not None
+    assert rule.judge(group, last, 0, 3, 4, 0) is not None
+    for corner in range(3):
+        assert rule.judge(last, group, 4, 0, 0, corner) is None
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_judgement_does_not_depend_on_where_things_lie(chair, seed: int) -> None:
+    furniture = chair("windsor", 0)
+    rng = np.random.default_rng(seed)
+    rule = PairRule(furniture)
+    for _ in range(30):
+        u, v = rng.choice(len(furniture.parts), size=2, replace=False).tolist()
+        k, l = (int(rng.integers(len(furniture.parts[p].points))) for p in (u, v))  # noqa: E741
+        here = rule.judge(alone(furniture, u), alone(furniture, v), u, k, v, l)
+        there = rule.judge(
+            alone(furniture, u, shapes.random_pose(rng, 2)), alone(furniture, v, shapes.random_pose(rng, 2)), u, k, v, l
+        )
+        assert (here is None) == (there is None)
+        if here is not None and there is not None:
+            assert here.merged.slots == there.merged.slots
+            for a, b in zip(here.merged.furniture_from_part, there.merged.furniture_from_part, strict=True):
+                assert np.array_equal(a.homogeneous, b.homogeneous)
+
+
+def test_group_bodies(table: Furniture) -> None:
+    group = grown(table, 0, [(1, 0, 0)]).moved_to(pose(1, 2, 3, shapes.turn((0, 0, 1), 0.5)))
+    points = hull_points(table, group)
+    assert len(points) == 16
+    top, leg = table.parts[0].mesh.volume, table.parts[1].mesh.volume
+    expected = (top * group.furniture_from_part[0].translation + leg * group.furniture_from_part[1].translation) / (
+        top + leg
+    )
+    center = center_of_mass(table, group)
+    assert np.allclose(center, expected)
+    made = body(table, group, "b", origin=center, moves=True)
+    assert np.allclose(made.pose.translation, group.world_from_furniture.act(center))
+    for shape, where in zip(made.shapes, group.part_poses(), strict=True):
+        assert np.allclose((made.pose * shape.body_from_mesh).homogeneous, where.homogeneous)
+    state = TaskState((group, *(alone(table, p, pose(p)) for p in (2, 3, 4))))
+    assert np.allclose(state.part_poses[3].translation, [3, 0, 0])
+    assert np.allclose(state.part_poses[1].homogeneous, group.part_poses()[1].homogeneous)
