@@ -112,7 +112,7 @@ def armchair() -> Furniture:
     arm = of_solid(block((0.0, -0.2, 0.0), (0.03, -0.16, 0.2)) + block((-0.02, -0.2, 0.16), (0.06, 0.15, 0.2)))
     right = arm.transformed(pose(0.17, 0.0, 0.03 + GAP))
     left = mirrored(right)
-    return furniture("armchair", {"seat": box((-0.22, -0.22, 0.0), (0.22, 0.22, 0.03)), "right": right, "left": left})
+    return furniture("armchair", {"seat": box((-0.22, -0.25, 0.0), (0.22, 0.25, 0.03)), "right": right, "left": left})
 
 
 def captive_slat() -> Furniture:

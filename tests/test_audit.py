@@ -130,6 +130,13 @@ def test_a_final_arrangement_that_is_not_the_furniture_is_caught() -> None:
     assert report.counts[ViolationKind.NOT_ASSEMBLED] == 1
 
 
+def test_a_pose_that_is_not_a_rotation_is_caught() -> None:
+    plan = good_plan()
+    stretched = SE3(1.0001 * plan.initial[0].rotation, plan.initial[0].translation)
+    report = audit_plan(replace(plan, initial=(stretched, *plan.initial[1:])))
+    assert report.counts[ViolationKind.NOT_A_ROTATION] == 1
+
+
 def test_a_step_that_forgets_a_part_is_caught() -> None:
     plan = good_plan()
     kept = dict(list(plan.steps[0].still.items())[1:])

@@ -28,6 +28,8 @@ _SAME_POSITION = 1e-5
 """Metres by which two records of one pose may differ."""
 _SAME_ANGLE = 1e-4
 """Radians, likewise."""
+_ORTHONORMAL = 1e-6
+"""Largest entry of R Rᵀ - 1 that a rotation may have."""
 _CONTACTS = 200
 """Pairs of triangles of which FCL reports the depth."""
 _LISTED = 20
@@ -49,6 +51,8 @@ class ViolationKind(StrEnum):
     REST_GROUND = "rest_ground"
     DISCONTINUITY = "discontinuity"
     """A part that is elsewhere than it was left."""
+    NOT_A_ROTATION = "not_a_rotation"
+    """A pose whose matrix is not orthonormal: it would stretch or shear the part. What follows from it is found too."""
     NOT_RIGID = "not_rigid"
     """Parts of one group moved against each other."""
     MISSING_PART = "missing_part"
@@ -69,7 +73,7 @@ class Violation:
     parts: tuple[int, ...]
     depth: float
     """Metres: how deep (of penetrations the median over the pairs of triangles that cut each other, of the ground the
-    lowest vertex), or how far off; NaN where that means nothing."""
+    lowest vertex), or how far off (of rotations an entry of their matrix, no metres); NaN where that means nothing."""
 
 
 @dataclass(frozen=True)
@@ -146,8 +150,10 @@ class _Audit:
 
     def report(self) -> AuditReport:
         before = self._plan.initial
+        self._rotations(-1, before)
         self._rest(-1, before)
         for index, step in enumerate(self._plan.steps):
+            self._rotations(index, [*step.path, *step.moving.values(), *step.still.values(), *step.after])
             if self._whole(index, step):
                 self._transition(index, step, before)
                 self._still(index, step)
@@ -184,6 +190,12 @@ class _Audit:
             self._found(ViolationKind.MISSING_PART, index, -1, (), float("nan"))
             return False
         return True
+
+    def _rotations(self, index: int, poses: Sequence[SE3]) -> None:
+        matrices = np.array([pose.rotation for pose in poses]).reshape(-1, 3, 3)
+        off = np.abs(matrices @ matrices.transpose(0, 2, 1) - np.eye(3)).max(initial=0.0)
+        if off > _ORTHONORMAL or (np.linalg.det(matrices) < 0).any():
+            self._found(ViolationKind.NOT_A_ROTATION, index, -1, (), float(off))
 
     def _transition(self, index: int, step: PlanStep, before: Sequence[SE3]) -> None:
         start = {p: step.path[0] * pose for p, pose in step.moving.items()}

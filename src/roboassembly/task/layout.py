@@ -21,7 +21,7 @@ GROUND_CLEARANCE = 1e-3
 """Metres between the ground and the lowest point of anything that rests on it."""
 SPACING = 0.03
 """Metres between the circles around things on the ground."""
-_CROWDING = 0.45
+_CROWDING = 0.6
 """Share of the floor that the circles of all parts cover when an episode begins."""
 
 

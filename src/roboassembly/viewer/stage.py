@@ -19,9 +19,9 @@ from roboassembly.viewer.gl import Context, import_mujoco
 from roboassembly.viewer.shading import shade
 
 LIGHT_DIRECTION = np.array([-0.22, 0.16, -1.0]) / np.linalg.norm([-0.22, 0.16, -1.0])
-SHADOW_REACH = {"near": 2.0, "wide": 1.5}
-"""Half the width, height and depth of the shadow map, in radii of what is shown: of one piece of furniture, and of
-parts strewn about, which are flatter. Ground beyond it looks speckled; the larger it is, the coarser are shadows."""
+SHADOW_REACH = 2.5
+"""Half the width, height and depth of the shadow map, in radii of what is shown. Ground beyond it looks speckled; the
+larger it is, the coarser are shadows."""
 WIDE = 1.0
 """Metres around the center from which on a scene is a wide one."""
 LARGEST_PICTURE = 8192
@@ -151,14 +151,13 @@ class Stage:
 
     def _compile(self, meshes: Sequence[Mesh], center: Float[np.ndarray, "3"], radius: float, quality: Quality):
         mj = self._mujoco
-        reach = SHADOW_REACH["near" if radius < WIDE else "wide"]
         spec = mj.MjSpec()
         spec.stat.center, spec.stat.extent = center, radius
         visual = spec.visual
         visual.global_.offwidth, visual.global_.offheight = self.width, self.height
         visual.global_.fovy = np.degrees(FIELD_OF_VIEW)
         visual.quality.offsamples, visual.quality.shadowsize = quality.samples, quality.shadow_size
-        visual.map.znear, visual.map.zfar, visual.map.shadowclip = 0.02, 20.0, reach
+        visual.map.znear, visual.map.zfar, visual.map.shadowclip = 0.02, 20.0, SHADOW_REACH
         # The floor fades into the background before it ends.
         visual.map.fogstart, visual.map.fogend, visual.map.haze = 4.0, 14.0, 0.6
         visual.rgba.haze = visual.rgba.fog = [*BACKGROUND, 1.0]
