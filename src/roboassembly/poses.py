@@ -24,6 +24,7 @@ __all__ = [
     "align_axis",
     "from_quaternion",
     "interpolate",
+    "orthonormal",
     "pose_from_seven",
     "pose_to_euler",
     "pose_to_rotation_6d",
@@ -83,6 +84,13 @@ def pose_to_rotation_6d(pose: SE3) -> Float[np.ndarray, "9"]:
 def transform_points(pose: SE3, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
     """Points given in the pose's own frame, expressed in its parent frame."""
     return points @ pose.rotation.T + pose.translation
+
+
+def orthonormal(pose: SE3) -> SE3:
+    """The pose with its rotation made exact again: products of many rotations drift, and the drift doubles."""
+    quaternion = pin.Quaternion(pose.rotation)
+    quaternion.normalize()
+    return SE3(quaternion.toRotationMatrix(), pose.translation)
 
 
 def rotation_angle(rotation: Float[np.ndarray, "3 3"]) -> float:

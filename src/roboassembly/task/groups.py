@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from roboassembly.furniture.model import SAME_POINT, Furniture
-from roboassembly.poses import SE3, transform_points
+from roboassembly.poses import SE3, orthonormal, transform_points
 from roboassembly.scene import Body, Shape
 
 
@@ -32,7 +32,7 @@ class Group:
 
     def moved_to(self, world_from_furniture: SE3) -> Group:
         """The same group elsewhere."""
-        return Group(self.parts, self.slots, self.furniture_from_part, world_from_furniture)
+        return Group(self.parts, self.slots, self.furniture_from_part, orthonormal(world_from_furniture))
 
 
 @dataclass(frozen=True, eq=False)
