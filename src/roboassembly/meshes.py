@@ -20,7 +20,8 @@ MAX_FACES = 2_000_000
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """Triangles in metres. Vertices are rounded to 32-bit floats, so that a saved mesh loads back identical.
+    """Triangles in metres. Vertices that no face uses are left out, and the others rounded to 32-bit floats, so that a
+    saved mesh loads back identical.
 
     Compared and hashed by identity: two parts share a mesh when they share the object.
 
@@ -50,6 +51,9 @@ class Mesh:
         if faces.min() < 0 or faces.max() >= len(vertices):
             wrong = int(faces.min() if faces.min() < 0 else faces.max())
             raise FurnitureError(f"mesh face refers to vertex {wrong}, but there are {len(vertices)} vertices")
+        used, renumbered = np.unique(faces, return_inverse=True)
+        if len(used) < len(vertices):
+            vertices, faces = vertices[used], renumbered.reshape(faces.shape)
         edges = vertices[faces]
         area = 0.5 * np.linalg.norm(np.cross(edges[:, 1] - edges[:, 0], edges[:, 2] - edges[:, 0]), axis=1).sum()
         if not area > 1e-10:
@@ -116,6 +120,18 @@ class Mesh:
         return np.array(self._mass_source.moment_inertia)
 
     @cached_property
+    def long_axis(self) -> Float[np.ndarray, "3"]:
+        """Unit vector about which the moment of inertia is smallest."""
+        return np.linalg.eigh(self.inertia)[1][:, 0]
+
+    @cached_property
+    def thickness(self) -> float:
+        """Metres between the nearest two parallel planes that hold the mesh, one of them along a face of its hull."""
+        normals = self.hull.face_normals
+        heights = self.hull_vertices @ normals.T
+        return float((heights.max(axis=0) - heights.min(axis=0)).min())
+
+    @cached_property
     def bounds(self) -> Float[np.ndarray, "2 3"]:
         """Axis-aligned box: lowest and highest corner."""
         return np.array([self.vertices.min(axis=0), self.vertices.max(axis=0)])
@@ -143,6 +159,21 @@ class Mesh:
         model.addSubModel(vertices, triangles)
         model.endModel()
         return model
+
+    def contains(self, point: Float[np.ndarray, "3"]) -> bool:
+        """Whether a point of the mesh's frame, not on the surface, lies inside.
+
+        By the solid angle that the surface fills as seen from the point (Van Oosterom and Strackee 1983); an open
+        surface counts as closed where it fills more than half.
+        """
+        if (point < self.bounds[0]).any() or (point > self.bounds[1]).any():
+            return False
+        a, b, c = (self.vertices[self.faces[:, i]] - point for i in range(3))
+        la, lb, lc = (np.linalg.norm(v, axis=1) for v in (a, b, c))
+        triple = np.einsum("ij,ij->i", a, np.cross(b, c))
+        ab, bc, ca = (np.einsum("ij,ij->i", u, v) for u, v in ((a, b), (b, c), (c, a)))
+        angle = 2.0 * np.arctan2(triple, la * lb * lc + ab * lc + bc * la + ca * lb)
+        return bool(abs(angle.sum()) > 2.0 * np.pi)
 
     def transformed(self, pose: SE3) -> Mesh:
         """The mesh with every vertex moved by `pose`."""

@@ -131,4 +131,7 @@ def poses_to_configurations(poses: Sequence[SE3]) -> Float[np.ndarray, "7 n"]:
 
 def align_axis(source: Float[np.ndarray, "3"], target: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
     """The smallest rotation that takes the unit vector `source` to the unit vector `target`."""
-    return pin.Quaternion.FromTwoVectors(np.asarray(source, float), np.asarray(target, float)).toRotationMatrix()
+    quaternion = pin.Quaternion.FromTwoVectors(np.asarray(source, float), np.asarray(target, float))
+    # Off unit length by up to 1e-3 where the two are nearly opposite.
+    quaternion.normalize()
+    return quaternion.toRotationMatrix()

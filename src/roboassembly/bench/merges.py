@@ -16,10 +16,9 @@ from roboassembly.furniture.generate import generate
 from roboassembly.furniture.model import Furniture, Provenance
 from roboassembly.planning.mating import SKY_CLEARANCE, MatingProblem
 from roboassembly.planning.world import CollisionWorld
-from roboassembly.poses import SE3
 from roboassembly.scene import Scene
 from roboassembly.solvers.search import SearchResult, solve
-from roboassembly.task.groups import TaskState, body, center_of_mass
+from roboassembly.task.groups import TaskState
 from roboassembly.task.object_centric import Mating, ObjectCentricTask
 
 _SEEDS_TRIED = 500
@@ -113,17 +112,7 @@ def _seed(seed: int, index: int) -> int:
 
 
 def _set_up(chair: BenchChair, index: int, mating: Mating, seed: int) -> BenchMerge:
-    """The very scene and problem of `ObjectCentricTask.plan`, which does not hand them out."""
-    furniture = chair.furniture
-    origin = center_of_mass(furniture, mating.u_group)
-    mover = body(furniture, mating.u_group, "moving", origin=origin, moves=True)
-    still = [body(furniture, mating.v_group, "waiting")]
-    still += [body(furniture, group, f"other{i}") for i, group in enumerate(mating.others)]
-    scene = Scene((mover, *still))
-    turn = mating.merged.world_from_furniture.rotation
-    goal = mating.u_goal.world_from_furniture * SE3(np.eye(3), origin)
-    retreats = tuple(turn @ d for d in chair.task.retreats(mating, turn))
-    problem = MatingProblem(mover.pose, goal, "waiting", retreats)
+    scene, turn, problem = chair.task.planning_problem(mating)
     world = CollisionWorld(scene, box_axes=turn)
     return BenchMerge(chair, index, mating, seed, scene, turn, problem, _bounds(world, problem))
 

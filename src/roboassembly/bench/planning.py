@@ -135,15 +135,15 @@ class PlanningBenchReport:
             f"{self.config.states} states a merge, seed {self.config.seed}",
             f"{self.machine.cpu}, {self.machine.cores} cores, Python {self.machine.python}",
             "",
-            f"{'':20}{'µs/state':>10}{'plans [s]':>11}{'solved':>9}{'states':>10}{'× ours':>9}{'× total':>9}",
+            f"{'':22}{'µs/state':>10}{'plans [s]':>11}{'solved':>9}{'states':>10}{'× ours':>9}{'× total':>9}",
         ]
         for name in ("ours", "ours_rrt", *PEERS):
             if name in self.skipped:
-                lines.append(f"{name:20}skipped: {self.skipped[name]}")
+                lines.append(f"{name:22}skipped: {self.skipped[name]}")
                 continue
             solved, of = out["solved"][name]
             lines.append(
-                f"{name:20}{_cell(out['us_per_state'].get(name), 10, 2)}{_cell(out['plan_seconds'][name], 11, 3)}"
+                f"{name:22}{_cell(out['us_per_state'].get(name), 10, 2)}{_cell(out['plan_seconds'][name], 11, 3)}"
                 f"{f'{solved}/{of}':>9}{out['states'][name]:>10}"
                 f"{_cell(out.get(f'ratio_{name}'), 9, 1)}{_cell(out.get(f'ratio_{name}_total'), 9, 1)}"
             )
@@ -151,7 +151,7 @@ class PlanningBenchReport:
         for name in (n for n in PEERS if n not in self.skipped):
             solved, of = same["solved"][name]
             lines.append(
-                f"{'our planner, ' + name:20.20}{'':>10}{_cell(same['plan_seconds'][name], 11, 3)}{f'{solved}/{of}':>9}"
+                f"{'our planner, ' + name:22}{'':>10}{_cell(same['plan_seconds'][name], 11, 3)}{f'{solved}/{of}':>9}"
                 f"{same['states'][name]:>10}{_cell(same[f'ratio_{name}'], 9, 1)}"
             )
         chair, step = out["chair"], out["step"]

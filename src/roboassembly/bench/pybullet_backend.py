@@ -4,8 +4,8 @@ How the bodies are represented. Still parts are Bullet's concave triangle meshes
 Bullet finds no contacts at all, so that the moving body must be made of convex pieces. One hull per part, the usual
 thing, does not do for furniture: at the mating pose the hull of a part with tenons stands 4 to 22 mm deep in the part
 that it mates with, and Bullet's V-HACD leaves the same depths, so that no merge could ever be solved. The moving body
-is therefore a compound with one flat convex piece for every triangle of its parts: exact too, and about one and a half
-times as slow as hulls. `pieces="hulls"` gives the hulls, to time them. Collision margins are zero. A state counts as
+is therefore a compound with one flat convex piece for every triangle of its parts: exact too, and up to twice as slow
+as hulls. `pieces="hulls"` gives the hulls, to time them. Collision margins are zero. A state counts as
 in collision when a contact is deeper than `DEPTH`.
 
 Which query. `performCollisionDetection` with `getContactPoints` keeps contacts from one state to the next, and answers

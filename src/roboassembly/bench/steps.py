@@ -1,4 +1,4 @@
-"""How long an environment step takes: the rules of the task alone, without the observation."""
+"""How long the environment takes for a reset and for a step, observation and action mask included."""
 
 from __future__ import annotations
 
@@ -6,18 +6,21 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from statistics import median
+from typing import TypeVar
 
 import numpy as np
 
 from roboassembly.bench.merges import BenchChair
+from roboassembly.envs.object_centric import ObjectCentricEnv
 from roboassembly.furniture.model import Furniture
-from roboassembly.task.groups import TaskState
-from roboassembly.task.object_centric import UP_AXES
+from roboassembly.task.object_centric import UP_AXES, Verdict
 
 _WRONG_PAIRS = 10
-"""Timed in each state of a plan."""
+"""Tried in each state of a plan."""
 _RESETS = 10
-"""Timed for each chair."""
+"""Timed for each chair, after one that is not: it computes what a furniture needs once."""
+
+_T = TypeVar("_T")
 
 
 @dataclass(frozen=True)
@@ -25,29 +28,40 @@ class StepTimes:
     """Medians, milliseconds."""
 
     wrong_pair_ms_median: float
+    """Of a step that names two free points which do not belong together."""
     reset_ms_median: float
     right_merge_ms_median: float
+    """Of a step that merges: planned, joined, settled."""
 
 
 def time_steps(chairs: Sequence[BenchChair], seed: int) -> StepTimes:
-    """Time `ObjectCentricTask.step` on wrong and on right pairs, and `initial_state`."""
-    wrong, reset, right = [], [], []
+    """Time the environment along the chairs' plans."""
+    wrong: list[float] = []
+    reset: list[float] = []
+    right: list[float] = []
     for chair in chairs:
-        task, rng = chair.task, np.random.default_rng(seed)
-        reset += [_milliseconds(lambda task=task, rng=rng: task.initial_state(rng)) for _ in range(_RESETS)]
-        for state, step in zip(chair.states, chair.result.plan.steps, strict=True):
-            right.append(_milliseconds(lambda t=task, s=state, a=step.action: t.step(s, a, seed)))
+        env, rng = ObjectCentricEnv(chair.furniture), np.random.default_rng(seed)
+        env.reset(seed=seed)
+        reset += [_timed(env.reset)[1] for _ in range(_RESETS)]
+        env.reset(seed=seed)
+        for step in chair.result.plan.steps:
+            # A step that fails leaves the state as it is, so that wrong pairs can be tried in every state of the plan.
             for _ in range(_WRONG_PAIRS):
                 action = _random_action(chair.furniture, rng)
-                if task.exists(state, action) and task.prepare(state, action) is None:
-                    fresh = _copy(state)
-                    wrong.append(_milliseconds(lambda t=task, s=fresh, a=action: t.step(s, a, seed)))
+                if env.task.exists(env.state, action) and env.task.prepare(env.state, action) is None:
+                    wrong.append(_step(env, action)[1])
+            verdict, milliseconds = _step(env, step.action)
+            if verdict != Verdict.MERGED:
+                break
+            right.append(milliseconds)
+        env.close()
     return StepTimes(median(wrong), median(reset), median(right))
 
 
-def _copy(state: TaskState) -> TaskState:
-    """The state without what it has remembered: an environment meets each state once."""
-    return TaskState(state.groups)
+def _step(env: ObjectCentricEnv, action: tuple[int, ...]) -> tuple[str, float]:
+    """How the step ended, and its milliseconds."""
+    (_, _, _, _, info), milliseconds = _timed(lambda: env.step(np.array(action)))
+    return info["verdict"], milliseconds
 
 
 def _random_action(furniture: Furniture, rng: np.random.Generator) -> tuple[int, ...]:
@@ -56,7 +70,8 @@ def _random_action(furniture: Furniture, rng: np.random.Generator) -> tuple[int,
     return u, v, k, l, int(rng.integers(len(UP_AXES)))
 
 
-def _milliseconds(call: Callable[[], object]) -> float:
+def _timed(call: Callable[[], _T]) -> tuple[_T, float]:
+    """The call's result, and its milliseconds."""
     begun = time.perf_counter()
-    call()
-    return 1e3 * (time.perf_counter() - begun)
+    result = call()
+    return result, 1e3 * (time.perf_counter() - begun)

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Literal
 
 import tyro
 
-from roboassembly.cli.output import DONE, print_json
+from roboassembly.cli.output import DONE, print_json, say
 from roboassembly.errors import InputError
 
 
@@ -32,7 +32,8 @@ class Bench:
             raise InputError(f"--chairs {self.chairs}; 1 or more would do")
         from roboassembly.bench.planning import PlanningBenchConfig, run_planning_bench
 
-        report = run_planning_bench(PlanningBenchConfig(chairs=self.chairs, seed=self.seed, quick=self.quick))
+        config = PlanningBenchConfig.quick() if self.quick else PlanningBenchConfig(chairs=self.chairs)
+        report = run_planning_bench(replace(config, seed=self.seed), progress=say)
         if self.json:
             print_json(report.to_json())
         else:

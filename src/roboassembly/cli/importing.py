@@ -14,7 +14,11 @@ import tyro
 from tqdm import tqdm
 
 from roboassembly.cli.output import DONE, print_json, say, writable_folder
-from roboassembly.errors import FurnitureError, InputError
+from roboassembly.errors import InputError
+
+
+Kind = Literal["partnet", "ikea-manual", "ikea-env", "furniture-bench", "folder"]
+"""The names in `furniture.importers.IMPORTERS`."""
 
 
 @dataclass(frozen=True)
@@ -35,14 +39,19 @@ class Item:
 class Import:
     """Read real furniture, make its parts fit without touching, and save furniture folders."""
 
-    kind: Annotated[Literal["ikea-manual"], tyro.conf.Positional]
-    """The source's format: IKEA-Manuals-at-Work part folders (NN.obj in assembled poses)."""
+    kind: Annotated[Kind, tyro.conf.Positional]
+    """The source's format. partnet: PartNet v0 folders. ikea-manual: IKEA-Manuals-at-Work part folders (NN.obj in
+    assembled poses). ikea-env: MJCF of the IKEA Furniture Assembly Environment. furniture-bench: FurnitureBench meshes
+    with assembled_poses.json. folder: OBJ, STL, PLY or GLB files, one a named part in its assembled pose, or one GLB
+    scene."""
     source: Annotated[Path, tyro.conf.Positional]
     """One piece, or a folder of many."""
     out: Path = Path("furniture")
     """Folder that gets one furniture folder a piece."""
     scale: float | None = None
-    """Metres per unit of the source's files; if not given, a typical size for the kind of furniture."""
+    """Metres per unit of the source's files; if not given, as the format says, or a typical size for the furniture."""
+    up: Literal["x", "y", "z", "-x", "-y", "-z"] | None = None
+    """Up axis of the files, for `folder` only; if not given, y for GLB and z for all else."""
     jobs: int = os.cpu_count() or 1
     """Pieces at a time."""
     json: bool = False
@@ -50,13 +59,15 @@ class Import:
 
     def run(self) -> int:
         """Do it; returns the exit status."""
-        from roboassembly.furniture.importers import ikea_manual
+        from roboassembly.furniture.importers import IMPORTERS
 
         if self.scale is not None and not 1e-6 < self.scale < 1e6:
             raise InputError(f"--scale {self.scale} is absurd; metres per unit of the files, for instance 0.5")
         if self.jobs < 1:
             raise InputError(f"--jobs {self.jobs}; 1 or more would do")
-        folders = ikea_manual.find(self.source)
+        if self.up is not None and self.kind != "folder":
+            raise InputError(f"--up {self.up} is for 'folder'; the format '{self.kind}' says itself which way is up")
+        folders = IMPORTERS[self.kind].find(self.source)
         single = len(folders) == 1
         names = _names(folders)
         targets = [self.out if single and self._fresh() else self.out / name for name in names]
@@ -80,26 +91,45 @@ class Import:
 
     def _each(self, folders: list[Path], targets: list[Path], names: list[str]):
         writable_folder(self.out.parent if self._fresh() else self.out)
-        scales = [self.scale] * len(folders)
+        work = [
+            Piece(self.kind, source, target, name, self.scale, self.up)
+            for source, target, name in zip(folders, targets, names, strict=True)
+        ]
         if self.jobs == 1 or len(folders) == 1:
-            yield from map(import_piece, folders, targets, names, scales)
+            yield from map(import_piece, work)
             return
         # Forking a process that has already started threads (BLAS, GL) can hang; spawning cannot.
         with ProcessPoolExecutor(min(self.jobs, len(folders)), mp_context=get_context("spawn")) as pool:
-            yield from pool.map(import_piece, folders, targets, names, scales)
+            yield from pool.map(import_piece, work)
 
 
-def import_piece(folder: Path, target: Path, name: str, scale: float | None) -> Item:
+@dataclass(frozen=True)
+class Piece:
+    """One piece to import."""
+
+    kind: Kind
+    source: Path
+    target: Path
+    name: str
+    scale: float | None
+    up: Literal["x", "y", "z", "-x", "-y", "-z"] | None
+
+
+def import_piece(piece: Piece) -> Item:
     """Read, repair, annotate and save one piece; what cannot be used ends up in the item's `error`."""
     from roboassembly.furniture import storage
-    from roboassembly.furniture.importers import ikea_manual
+    from roboassembly.furniture.importers import IMPORTERS, folder
     from roboassembly.furniture.importers.pipeline import finish
 
-    started = time.perf_counter()
+    started, name, target = time.perf_counter(), piece.name, piece.target
     try:
-        imported = finish(name, ikea_manual.read(folder, scale=scale))
+        if piece.up is not None:
+            raw = folder.read(piece.source, scale=piece.scale, up=piece.up)
+        else:
+            raw = IMPORTERS[piece.kind].read(piece.source, scale=piece.scale)
+        imported = finish(name, raw)
         storage.save(imported.furniture, target)
-    except FurnitureError as error:
+    except InputError as error:
         return Item(name, 0, 0, 0.0, 0.0, round(time.perf_counter() - started, 2), None, str(error))
     return Item(
         name,
@@ -113,10 +143,12 @@ def import_piece(folder: Path, target: Path, name: str, scale: float | None) -> 
     )
 
 
-def _names(folders: list[Path]) -> list[str]:
-    """Each piece's own name, with its parent's before it where two would be the same."""
-    own = [f.resolve().name for f in folders]
-    return [
-        f"{folder.resolve().parent.name}_{name}".lower() if own.count(name) > 1 else name
-        for folder, name in zip(folders, own, strict=True)
+def _names(sources: list[Path]) -> list[str]:
+    """Each piece's own name, with its parent's before it where two would be the same, and a number if need be."""
+    resolved = [source.resolve() for source in sources]
+    own = [(source.stem if source.is_file() else source.name) or "furniture" for source in resolved]
+    names = [
+        f"{source.parent.name}_{name}".lower() if own.count(name) > 1 else name
+        for source, name in zip(resolved, own, strict=True)
     ]
+    return [f"{name}_{names[:k].count(name) + 1}" if name in names[:k] else name for k, name in enumerate(names)]

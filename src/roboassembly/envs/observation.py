@@ -14,15 +14,17 @@ Euler angles are roll, pitch and yaw with `R = Rz(yaw) Ry(pitch) Rx(roll)`.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import trimesh
 from gymnasium import spaces
-from jaxtyping import Float32
+from jaxtyping import Float, Float32
 
-from roboassembly.furniture.model import Furniture, GraspRegion
+from roboassembly.furniture.model import ConnectionPoint, Furniture, GraspRegion
 from roboassembly.meshes import Mesh
 from roboassembly.poses import SE3, pose_to_euler
-from roboassembly.task.groups import TaskState
+from roboassembly.task.groups import TaskState, part_from_points
 
 REACH = 100.0
 """Metres: bound of every coordinate in the observation space."""
@@ -58,13 +60,13 @@ class Observer:
     def __init__(self, furniture: Furniture, max_parts: int, max_points: int, cloud_points: int) -> None:
         self._parts = len(furniture.parts)
         self._shapes = np.zeros((max_parts, cloud_points, 3), np.float32)
+        self._furniture = furniture
         self._points = np.zeros((max_parts, max_points, 9), np.float32)
         self._grasps = np.zeros((max_parts, GRASPS, 6), np.float32)
         self._max_parts = max_parts
         for p, part in enumerate(furniture.parts):
             self._shapes[p] = surface_points(part.mesh, cloud_points)
-            for k, point in enumerate(part.points):
-                self._points[p, k] = np.concatenate([point.position, point.normal, point.tangent])
+            self._points[p, : len(part.points)] = _point_rows(part.points, np.eye(3))
             for g, grasp in enumerate(part.grasps[:GRASPS]):
                 self._grasps[p, g] = pose_to_euler(_grasp_frame(grasp))
 
@@ -73,8 +75,13 @@ class Observer:
         poses = np.zeros((self._max_parts, 6), np.float32)
         for p, pose in enumerate(state.part_poses):
             poses[p] = pose_to_euler(pose)
+        points = self._points.copy()
         connections = np.zeros((self._max_parts, self._max_parts, 6), np.float32)
         for group in state.groups:
+            for part in group.parts if len(group.parts) > 1 else ():
+                turn = part_from_points(self._furniture, group, part).rotation
+                own = self._furniture.parts[part].points
+                points[part, : len(own)] = _point_rows(own, turn)
             for i, part_i in enumerate(group.parts):
                 for j, part_j in enumerate(group.parts):
                     if i != j:
@@ -82,11 +89,17 @@ class Observer:
                         connections[part_i, part_j] = pose_to_euler(relative)
         return {
             "shapes": self._shapes.copy(),
-            "connection_points": self._points.copy(),
+            "connection_points": points,
             "grasp_regions": self._grasps.copy(),
             "poses": poses,
             "connections": connections,
         }
+
+
+def _point_rows(points: Sequence[ConnectionPoint], turn: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "k 9"]:
+    """Position, normal and tangent of each point, turned."""
+    rows = np.array([[p.position, p.normal, p.tangent] for p in points]).reshape(-1, 3, 3)
+    return (rows @ turn.T).reshape(-1, 9)
 
 
 def surface_points(mesh: Mesh, count: int) -> Float32[np.ndarray, "count 3"]:

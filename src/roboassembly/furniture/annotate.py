@@ -13,6 +13,7 @@ from roboassembly.errors import FurnitureError
 from roboassembly.furniture.congruence import rotations_onto, symmetries
 from roboassembly.furniture.contacts import Contact, find_contacts
 from roboassembly.furniture.model import (
+    FACE_TO_FACE,
     MAX_POINTS,
     SAME_POINT,
     Connection,
@@ -284,7 +285,7 @@ def _own_frame(contact: Contact, sign: float) -> SE3:
 
 def _across(frame: SE3, gap: float) -> SE3:
     """The mate's frame: beyond the gap, normal opposed, tangent equal."""
-    return frame * SE3(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, gap]))
+    return frame * SE3(FACE_TO_FACE, np.array([0.0, 0.0, gap]))
 
 
 def _walk(ends: Sequence[tuple[_End, _End]], class_of: dict[int, ShapeClass]) -> list[int]:

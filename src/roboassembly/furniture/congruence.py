@@ -16,6 +16,8 @@ TOLERANCE = 1e-4
 """Metres: shapes whose corners agree to this are alike. Below the smallest gap at a mating face."""
 MAX_SYMMETRIES = 64
 """A finer turned part is taken as having this many turns at most; more would only cost time."""
+_BENT = 1e-5
+"""Least spread of the normals at a corner; a bend of 0.3° counts, the rounding of a flat face does not."""
 _MAX_CANDIDATES = 4096
 
 
@@ -37,7 +39,7 @@ def feature_vertices(mesh: Mesh) -> Float[np.ndarray, "k 3"]:
     for column in range(3):
         np.add.at(scatter, vertex_of[:, column], outer)
     spread = np.linalg.eigvalsh(scatter)
-    features = corners[spread[:, 0] > 1e-3] * 1e-7
+    features = corners[spread[:, 0] > _BENT] * 1e-7
     return features if len(features) >= 4 else mesh.hull_vertices
 
 

@@ -49,6 +49,8 @@ def find_contacts(meshes: Sequence[Mesh], names: Sequence[str]) -> tuple[Contact
             if (low - high > CONTACT_DISTANCE).any():
                 continue
             witness = nearest_points(meshes[a], meshes[b])
+            if witness.distance > 0.0:
+                _refuse_nested(a, b, meshes, names)
             if witness.distance >= CONTACT_DISTANCE:
                 continue
             if witness.distance <= 0.0:
@@ -58,6 +60,15 @@ def find_contacts(meshes: Sequence[Mesh], names: Sequence[str]) -> tuple[Contact
                 )
             out.append(_contact(a, b, meshes[a], meshes[b], witness))
     return tuple(out)
+
+
+def _refuse_nested(a: int, b: int, meshes: Sequence[Mesh], names: Sequence[str]) -> None:
+    """Raise if the surfaces do not meet because one part lies within the other's solid."""
+    for inner, outer in ((a, b), (b, a)):
+        if meshes[outer].contains(meshes[inner].vertices[0]):
+            raise FurnitureError(
+                f"part '{names[inner]}' lies inside part '{names[outer]}'; take it out or hollow the other"
+            )
 
 
 def _contact(a: int, b: int, mesh_a: Mesh, mesh_b: Mesh, witness: Witness) -> Contact:

@@ -22,6 +22,9 @@ CONTACT_DISTANCE = 0.005
 SAME_POINT = 0.01
 """Metres: contacts of like parts that fall this near to each other on their shape get one and the same point."""
 
+FACE_TO_FACE: Float[np.ndarray, "3 3"] = np.diag([1.0, -1.0, -1.0])
+"""Turns a point's frame into its mate's: normal opposed, tangent equal."""
+
 
 @dataclass(frozen=True)
 class RawPart:
@@ -52,6 +55,15 @@ class ConnectionPoint:
         """`part_from_point`: z along the normal, x along the tangent."""
         y = np.cross(self.normal, self.tangent)
         return SE3(np.column_stack([self.tangent, y, self.normal]), self.position)
+
+
+def mate(point_v: ConnectionPoint, point_u: ConnectionPoint) -> SE3:
+    """`v_from_u` that lays the frame of `point_u` onto that of `point_v`.
+
+    Normals opposed, tangents equal, origins apart by the stored gap along the normal (the mean of the two).
+    """
+    gap = 0.5 * (point_v.gap + point_u.gap)
+    return point_v.frame * SE3(FACE_TO_FACE, np.array([0.0, 0.0, gap])) * point_u.frame.inverse()
 
 
 @dataclass(frozen=True, eq=False)

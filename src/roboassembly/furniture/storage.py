@@ -21,6 +21,7 @@ from scipy.spatial.transform import Rotation
 from roboassembly.errors import FurnitureError, InputError
 from roboassembly.furniture.contacts import find_contacts
 from roboassembly.furniture.model import (
+    SAME_POINT,
     Connection,
     ConnectionPoint,
     Furniture,
@@ -29,13 +30,18 @@ from roboassembly.furniture.model import (
     Provenance,
     ShapeClass,
     check_part_count,
+    mate,
 )
 from roboassembly.meshes import Mesh
-from roboassembly.poses import pose_from_seven, pose_to_seven, rotation_from_quaternion
+from roboassembly.poses import pose_from_seven, pose_to_seven, rotation_angle, rotation_from_quaternion
 
 FORMAT = "roboassembly.furniture"
 VERSION = 1
 FILE_NAME = "furniture.json"
+MESHES = "meshes"
+
+_ALIKE, _ALIGNED = 1e-3, 0.01
+"""Metres and radians: how exact a file has to be."""
 
 _Triple = tuple[float, float, float]
 _Seven = tuple[float, float, float, float, float, float, float]
@@ -99,28 +105,35 @@ class _Header(msgspec.Struct, frozen=True):
 
 
 def save(furniture: Furniture, folder: Path | str) -> Path:
-    """Write `furniture` to `folder`, replacing furniture that is there; returns the folder.
+    """Write `furniture` to `folder`, replacing furniture that is there and nothing else; returns the folder.
 
     Raises:
         InputError: `folder` exists and holds something else than furniture, or cannot be written.
     """
-    folder = Path(folder)
+    asked, folder = Path(folder), Path(folder).resolve()
     if folder.exists() and not _may_replace(folder):
-        raise InputError(f"{folder} exists and is not a furniture folder; name a new or empty folder")
+        raise InputError(f"{asked} exists and is not a furniture folder; name a new or empty folder")
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
         scratch = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
     except OSError as error:
-        raise InputError(f"cannot write to {folder}: {error.strerror}") from None
+        raise InputError(f"cannot write to {asked}: {error.strerror}") from None
     try:
         scratch.chmod(0o755)
         _write(furniture, scratch)
-        if folder.exists():
-            shutil.rmtree(folder)
-        scratch.rename(folder)
+        if not folder.exists():
+            scratch.rename(folder)
+            return asked
+        # What else lies there is the user's. The old meshes go last but one, the new description comes last.
+        if (folder / MESHES).exists():
+            (folder / MESHES).rename(scratch / "old")
+        (scratch / MESHES).rename(folder / MESHES)
+        (scratch / FILE_NAME).replace(folder / FILE_NAME)
+    except OSError as error:
+        raise InputError(f"cannot write to {asked}: {error.strerror}") from None
     finally:
         shutil.rmtree(scratch, ignore_errors=True)
-    return folder
+    return asked
 
 
 def _may_replace(folder: Path) -> bool:
@@ -130,12 +143,12 @@ def _may_replace(folder: Path) -> bool:
 
 
 def _write(furniture: Furniture, folder: Path) -> None:
-    (folder / "meshes").mkdir()
+    (folder / MESHES).mkdir()
     files: dict[int, str] = {}
     parts = []
     for part, slot in zip(furniture.parts, furniture.assembled, strict=True):
         if id(part.mesh) not in files:
-            path = f"meshes/{len(files):02d}.ply"
+            path = f"{MESHES}/{len(files):02d}.ply"
             part.mesh.trimesh.export(folder / path, encoding="binary", vertex_normal=False)
             files[id(part.mesh)] = path
         points = [_Point(_three(p.position), _three(p.normal), _three(p.tangent), p.gap) for p in part.points]
@@ -212,8 +225,42 @@ def load(folder: Path | str) -> Furniture:
         classes,
         Provenance(origin.source, origin.identifier, origin.licence, origin.scale, tuple(origin.notes)),
     )
-    find_contacts([p.mesh.transformed(s) for p, s in zip(parts, slots, strict=True)], names)
+    _check(furniture, folder)
     return furniture
+
+
+def _check(furniture: Furniture, folder: Path) -> None:
+    """What the pieces by themselves cannot tell: that they fit together."""
+    if not 0.0 < furniture.provenance.scale < math.inf:
+        raise FurnitureError(f"{folder}: provenance: scale {furniture.provenance.scale}; a positive number would do")
+    for index, shape_class in enumerate(furniture.classes):
+        where = f"{folder}: class {index}"
+        if not len(shape_class.symmetries) or not np.allclose(shape_class.symmetries[0], np.eye(3), atol=1e-6):
+            raise FurnitureError(f"{where}: symmetries do not begin with the identity [1, 0, 0, 0]")
+        first = furniture.parts[shape_class.members[0]]
+        for part in (furniture.parts[m] for m in shape_class.members[1:]):
+            if np.abs(part.mesh.bounds - first.mesh.bounds).max() > _ALIKE:
+                raise FurnitureError(f"{where}: parts '{first.name}' and '{part.name}' do not have the same shape")
+    for part in furniture.parts:
+        for k, point in enumerate(part.points):
+            low, high = part.mesh.bounds + np.array([[-SAME_POINT], [SAME_POINT]])
+            if (point.position < low).any() or (point.position > high).any():
+                raise FurnitureError(f"{folder}: part '{part.name}', point {k}: position lies off the part")
+    for c in furniture.connections:
+        a, b = furniture.parts[c.part_a], furniture.parts[c.part_b]
+        dictated = mate(b.points[c.point_b], a.points[c.point_a])
+        apart = dictated.actInv(furniture.assembled[c.part_b].actInv(furniture.assembled[c.part_a]))
+        if np.linalg.norm(apart.translation) > _ALIKE or rotation_angle(apart.rotation) > _ALIGNED:
+            raise FurnitureError(
+                f"{folder}: point {c.point_a} of '{a.name}' and point {c.point_b} of '{b.name}', laid together, do not "
+                f"give the assembled poses (off by {np.linalg.norm(apart.translation) * 1e3:.3g} mm, "
+                f"{math.degrees(rotation_angle(apart.rotation)):.3g}°)"
+            )
+    try:
+        placed = [p.mesh.transformed(s) for p, s in zip(furniture.parts, furniture.assembled, strict=True)]
+        find_contacts(placed, [p.name for p in furniture.parts])
+    except FurnitureError as error:
+        raise FurnitureError(f"{folder}: {error}") from None
 
 
 def _read_document(folder: Path) -> _File:
@@ -238,6 +285,8 @@ def _read_document(folder: Path) -> _File:
 
 def _read_mesh(folder: Path, name: str, where: str) -> Mesh:
     path = folder / name
+    if "\0" in name:
+        raise FurnitureError(f"{where}: mesh file name {name!r} holds a zero byte")
     if not path.resolve().is_relative_to(folder.resolve()):
         raise FurnitureError(f"{where}: mesh '{name}' lies outside the furniture folder")
     if not path.is_file():
@@ -281,6 +330,8 @@ def _point(point: _Point, where: str) -> ConnectionPoint:
 
 
 def _grasp(grasp: _Grasp, where: str) -> GraspRegion:
+    if not 0.0 < grasp.width < 1.0:
+        raise FurnitureError(f"{where}: width {grasp.width} m; more than 0 and less than 1 would do")
     approaches = np.array([_unit(a, f"{where} approach") for a in grasp.approaches])
     return GraspRegion(
         _finite(grasp.position, where), _unit(grasp.closing, f"{where} closing"), approaches, grasp.width

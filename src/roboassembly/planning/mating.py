@@ -92,7 +92,7 @@ def _directions(retreats: Sequence[Float[np.ndarray, "3"]]) -> list[Float[np.nda
     """The retreats without repetition, in their order."""
     out: list[Float[np.ndarray, "3"]] = []
     for d in retreats:
-        if not any(float(d @ other) > 0.999 for other in out):
+        if not any(float(d @ other) > 1.0 - 1e-6 for other in out):
             out.append(d)
     return out
 
@@ -103,7 +103,7 @@ def _rise(
     """Way-points from `pose` to the sky: straight up, or along one direction and up, or along two and up."""
     blocked: list[tuple[Float[np.ndarray, "3"], float]] = []
     for d in directions:
-        if d[2] > 0.999:
+        if d[2] > 1.0 - 1e-9:
             top = _at_sky(pose, sky)
             if world.edge_is_free(pose, top):
                 return [pose, top]

@@ -69,6 +69,9 @@ class CollisionWorld:
         self._starts = np.cumsum([0, *(len(h) for h in self._hulls[:-1])])
         self.radius = float(np.linalg.norm(self._points, axis=1).max())
         """Distance of the farthest moving point from the origin of the moving body's frame, metres."""
+        meshes = [shape.mesh for shape in self._mover.shapes] + [mesh for _, mesh in placed]
+        self.resolution = min(RESOLUTION, 0.9 * min(mesh.thickness for mesh in meshes))
+        """Metres between exact tests: no part is thin enough to slip into another from one to the next."""
 
     @cached_property
     def _pool(self) -> pin.TreeBroadPhaseManagerPool_DynamicAABBTreeCollisionManager:
@@ -90,7 +93,13 @@ class CollisionWorld:
         for a in moving:
             for b in still:
                 geometry.addCollisionPair(pin.CollisionPair(a, b))
-        return pin.TreeBroadPhaseManagerPool_DynamicAABBTreeCollisionManager(model, geometry, 1)
+        pool = pin.TreeBroadPhaseManagerPool_DynamicAABBTreeCollisionManager(model, geometry, 1)
+        for data in pool.getGeometryDatas():
+            for request in data.collisionRequests:
+                # By default Coal goes on to find how near two meshes are once they are within 1 mm, and in a joint
+                # they always are. Only hit or no hit is asked for.
+                request.break_distance = 0.0
+        return pool
 
     def first_collision(self, configurations: Float[np.ndarray, "7 n"]) -> int | None:
         """Index of the first configuration in collision, by exact test in order; None if all are free."""
@@ -103,8 +112,21 @@ class CollisionWorld:
         return first
 
     def is_free(self, pose: SE3) -> bool:
-        """Exact test of one pose of the moving body."""
-        return self.first_collision(poses_to_configurations([pose])) is None
+        """Exact test of one pose of the moving body, also for parts wholly inside others."""
+        return self.first_collision(poses_to_configurations([pose])) is None and not self._nested(pose)
+
+    def _nested(self, pose: SE3) -> bool:
+        """Whether one of two shapes whose surfaces do not meet lies inside the other. Edges need not ask: what gets
+        in has to pass the surface."""
+        for shape in self._mover.shapes:
+            world_from_shape = pose * shape.body_from_mesh
+            for world_from_still, still in self._still:
+                still_from_shape = world_from_still.actInv(world_from_shape)
+                if still.contains(still_from_shape.act(shape.mesh.vertices[0])):
+                    return True
+                if shape.mesh.contains(still_from_shape.actInv(still.vertices[0])):
+                    return True
+        return False
 
     def edge_is_free(self, start: SE3, end: SE3) -> bool:
         """Whether every configuration from `start` (taken as tested) to `end` is free."""
@@ -122,7 +144,7 @@ class CollisionWorld:
             return 1.0
         cuts = np.linspace(0.0, 1.0, max(2, int(np.ceil(length / _STRETCH)) + 1))
         free = self._boxes_free(start, end, cuts, angle)
-        steps = max(1, int(np.ceil(max(length / RESOLUTION, angle / ANGULAR_RESOLUTION))))
+        steps = max(1, int(np.ceil(max(length / self.resolution, angle / ANGULAR_RESOLUTION))))
         for first, last in _runs(~free):
             low, high = int(np.floor(cuts[first] * steps)), int(np.ceil(cuts[last + 1] * steps))
             fractions = np.arange(max(low, 1), high + 1) / steps
@@ -155,7 +177,7 @@ class CollisionWorld:
         place_low, place_high = np.minimum(place[:-1], place[1:]), np.maximum(place[:-1], place[1:])
         swept_low = place_low[:, None, None] + low[None, :, None]
         swept_high = place_high[:, None, None] + high[None, :, None]
-        overlap: np.ndarray = ((swept_low <= self._still_high) & (swept_high >= self._still_low)).all(axis=-1)
+        overlap = np.asarray(((swept_low <= self._still_high) & (swept_high >= self._still_low)).all(axis=-1))
         meets = overlap.reshape(len(overlap), -1).any(axis=-1)
         return free & ~meets
 

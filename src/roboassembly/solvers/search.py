@@ -23,13 +23,14 @@ import numpy as np
 from roboassembly.furniture.model import Furniture
 from roboassembly.planning.problem import Budget
 from roboassembly.solvers.blocking import BlockingGraphs
-from roboassembly.task.groups import TaskState
+from roboassembly.task.groups import TaskState, corresponding_point, with_own_slots
 from roboassembly.task.object_centric import UP_AXES, ObjectCentricTask, Verdict
 from roboassembly.task.plan import Plan, PlanStep
 
 _HOPELESS = -0.5
 """Score of an option that the first round leaves out: it would end in the ground, or leave the joint downward."""
 Parts = frozenset[int]
+"""Slots of the furniture, which is what the search reasons about: equal parts may have swapped theirs."""
 Split = tuple[Parts, Parts]
 """Two sub-assemblies; the first is the one that leaves."""
 
@@ -40,7 +41,7 @@ class SearchLimits:
 
     states: int = 2_000_000
     """Configurations tested for collision in all."""
-    attempts: int = 2_000
+    attempts: int = 600
     """Merges handed to the planner."""
 
 
@@ -109,7 +110,7 @@ class _Search:
         """
         if state.complete:
             return True
-        partition = frozenset(frozenset(g.parts) for g in state.groups)
+        partition = frozenset(frozenset(g.slots) for g in state.groups)
         if partition in self.dead:
             return False
         excluded: set[frozenset[Parts]] = set()
@@ -149,11 +150,11 @@ class _Search:
 
     def options(self, state: TaskState, leaving: Parts, staying: Parts) -> list[tuple[int, ...]]:
         """Actions that join the two groups. Rising out of the joint is best; ending up in the ground is worst."""
-        furniture = self.task.furniture
-        c = next(c for c in furniture.connections if {c.part_a, c.part_b} & leaving and {c.part_a, c.part_b} & staying)
-        end = {c.part_a: c.point_a, c.part_b: c.point_b}
-        one = next(p for p in end if p in leaving)
-        two = next(p for p in end if p in staying)
+        ends = self.joint(state, leaving, staying)
+        if ends is None:
+            return []
+        (one, k), (two, l) = ends  # noqa: E741
+        end = {one: k, two: l}
         scored: list[tuple[float, tuple[int, ...]]] = []
         for u, v, moving, waiting in ((one, two, leaving, staying), (two, one, staying, leaving)):
             directions = self.exits(moving, waiting)
@@ -165,6 +166,22 @@ class _Search:
                 scored.append((round(score, 3), (u, v, end[u], end[v], w)))
         scored.sort(key=lambda item: -item[0])
         return [action for score, action in scored if score > _HOPELESS or not self.round.straight]
+
+    def joint(self, state: TaskState, leaving: Parts, staying: Parts) -> tuple[tuple[int, int], tuple[int, int]] | None:
+        """A part and point of each group that touch when the groups are joined: the leaving one's first."""
+        furniture = self.task.furniture
+        part_in = {slot: part for g in state.groups for part, slot in zip(g.parts, g.slots, strict=True)}
+        for c in furniture.connections:
+            a, b = (c.part_a, c.point_a), (c.part_b, c.point_b)
+            if c.part_a in staying and c.part_b in leaving:
+                a, b = b, a
+            elif not (c.part_a in leaving and c.part_b in staying):
+                continue
+            one, two = part_in[a[0]], part_in[b[0]]
+            k, l = corresponding_point(furniture, *a, one), corresponding_point(furniture, *b, two)  # noqa: E741
+            if k is not None and l is not None:
+                return (one, k), (two, l)
+        return None
 
     def exits(self, moving: Parts, waiting: Parts) -> list[np.ndarray]:
         """Directions along which no part of `moving` is held by a part of `waiting`."""
@@ -201,6 +218,8 @@ class _Search:
 
         def ways(parts: Parts) -> Iterator[list[Split]]:
             for leaving, staying in self.splits(parts, partition):
+                if self.exhausted():
+                    return
                 if frozenset((leaving, staying)) in struck:
                     continue
                 first = build(staying)
@@ -253,13 +272,17 @@ def solve(
 
 
 def solve_from(task: ObjectCentricTask, initial: TaskState, seed: int, limits: SearchLimits) -> SearchResult:
-    """As `solve`, from a state that is given."""
+    """As `solve`, from a state that is given, in which equal parts may have taken each other's places."""
+    state = with_own_slots(task.furniture, initial)
+    if state is None:
+        nothing = Plan(task.furniture, initial.part_poses, (), False, seed)
+        return SearchResult(nothing, 0, 0.0, 0, 0, "two groups need the same place in the furniture")
     search = _Search(task, BlockingGraphs(task.furniture), limits, seed)
     success = False
     for search.round in _ROUNDS:
         search.refused.clear()
         search.dead.clear()
-        success = search.extend(initial)
+        success = search.extend(state)
         if success or search.exhausted():
             break
     reason = ""

@@ -22,7 +22,9 @@ class Group:
     slots: tuple[int, ...]
     """The slot that each part takes; another part's, where equivalent parts are swapped."""
     furniture_from_part: tuple[SE3, ...]
-    """Each part in its slot, turned by a symmetry of its shape."""
+    """Each part in its slot, turned by a symmetry of its shape. Its connection points are not turned with it: shape
+    and points are indistinguishable from those of the part whose slot it is, so its points are where that part's are.
+    """
     world_from_furniture: SE3
     """Where the group is."""
 
@@ -62,17 +64,52 @@ class TaskState:
         taken: set[tuple[int, int]] = set()
         for group in self.groups:
             inside = set(group.slots)
-            for part, slot, pose in zip(group.parts, group.slots, group.furniture_from_part, strict=True):
-                own = np.array([p.position for p in furniture.parts[part].points])
-                for k, point in enumerate(furniture.parts[slot].points):
+            for part, slot in zip(group.parts, group.slots, strict=True):
+                for k in range(len(furniture.parts[slot].points)):
                     mate = furniture.mate_of.get((slot, k))
-                    if mate is None or mate[0] not in inside:
-                        continue
-                    spot = pose.actInv(furniture.assembled[slot].act(point.position))
-                    apart = np.linalg.norm(own - spot, axis=1)
-                    if apart.min() < SAME_POINT:
-                        taken.add((part, int(np.argmin(apart))))
+                    own = corresponding_point(furniture, slot, k, part)
+                    if mate is not None and mate[0] in inside and own is not None:
+                        taken.add((part, own))
         return taken
+
+
+def corresponding_point(furniture: Furniture, slot: int, k: int, part: int) -> int | None:
+    """The point of `part`, in the place of the like part `slot`, that lies where point `k` of that part would."""
+    if part == slot:
+        return k
+    spot = furniture.parts[slot].points[k].position
+    apart = [float(np.linalg.norm(p.position - spot)) for p in furniture.parts[part].points]
+    nearest = int(np.argmin(apart)) if apart else -1
+    return nearest if apart and apart[nearest] < SAME_POINT else None
+
+
+def part_from_points(furniture: Furniture, group: Group, part: int) -> SE3:
+    """How far a part is turned under its points: the identity, unless a symmetric part was put in a slot turned."""
+    index = group.parts.index(part)
+    return group.furniture_from_part[index].actInv(furniture.assembled[group.slots[index]])
+
+
+def with_own_slots(furniture: Furniture, state: TaskState) -> TaskState | None:
+    """The same state with every slot claimed once: loose parts take what joined ones of their class have left over.
+
+    None if two groups of several parts claim one slot.
+    """
+    joined = [slot for g in state.groups if len(g.parts) > 1 for slot in g.slots]
+    if len(set(joined)) < len(joined):
+        return None
+    loose = [g.parts[0] for g in state.groups if len(g.parts) == 1]
+    taken = set(joined) | {p for p in loose if p not in joined}
+    groups: list[Group] = []
+    for group in state.groups:
+        part = group.parts[0]
+        if len(group.parts) == 1 and part in joined:
+            members = furniture.classes[furniture.class_of[part]].members
+            slot = next(m for m in members if m not in taken)
+            taken.add(slot)
+            pose = furniture.assembled[slot]
+            group = Group((part,), (slot,), (pose,), group.part_poses()[0] * pose.inverse())
+        groups.append(group)
+    return TaskState(tuple(groups))
 
 
 def center_of_mass(furniture: Furniture, group: Group) -> Float[np.ndarray, "3"]:

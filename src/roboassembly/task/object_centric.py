@@ -170,12 +170,16 @@ class ObjectCentricTask:
 
     def plan(self, mating: Mating, seed: int, budget: Budget | None = None) -> PathResult:
         """The path of u's group, in the frame at its centre of mass."""
+        scene, axes, problem = self.planning_problem(mating)
+        return plan_mating(CollisionWorld(scene, box_axes=axes), problem, budget or self.budget, seed)
+
+    def planning_problem(self, mating: Mating) -> tuple[Scene, Float[np.ndarray, "3 3"], MatingProblem]:
+        """What `plan` hands to the planner: the scene, the axes along which boxes are laid, and the problem."""
         origin = center_of_mass(self.furniture, mating.u_group)
         mover = body(self.furniture, mating.u_group, "moving", origin=origin, moves=True)
         still = [body(self.furniture, mating.v_group, "waiting")]
         still += [body(self.furniture, g, f"other{i}") for i, g in enumerate(mating.others)]
         turn = mating.merged.world_from_furniture.rotation
-        world = CollisionWorld(Scene((mover, *still)), box_axes=turn)
         shift = SE3(np.eye(3), origin)
         problem = MatingProblem(
             start=mover.pose,
@@ -183,7 +187,7 @@ class ObjectCentricTask:
             partner="waiting",
             retreats=tuple(turn @ d for d in self.retreats(mating, turn)),
         )
-        return plan_mating(world, problem, budget or self.budget, seed)
+        return Scene((mover, *still)), turn, problem
 
     def retreats(self, mating: Mating, turn: Float[np.ndarray, "3 3"]) -> list[Float[np.ndarray, "3"]]:
         """Directions in the furniture's frame along which u's group may let go of v's, the most promising first.
@@ -201,7 +205,7 @@ class ObjectCentricTask:
                 if other is not None and other[0] in u_slots:
                     normals.append(self.furniture.assembled[slot].rotation @ point.normal)
                     for meeting in (slot, other[0]):
-                        own = self.furniture.assembled[meeting].rotation @ long_axis(self.furniture, meeting)
+                        own = self.furniture.assembled[meeting].rotation @ self.furniture.parts[meeting].mesh.long_axis
                         axes.extend([own, -own])
         along = np.array(normals)
         mean = along.sum(axis=0)
@@ -251,10 +255,4 @@ class ObjectCentricTask:
         return Outcome(Verdict.MERGED, after, step, result.states, result.seconds)
 
 
-def long_axis(furniture: Furniture, part: int) -> Float[np.ndarray, "3"]:
-    """Unit vector, in the part's frame, about which its moment of inertia is smallest."""
-    _, vectors = np.linalg.eigh(furniture.parts[part].mesh.inertia)
-    return vectors[:, 0]
-
-
-__all__ = ["UP_AXES", "Mating", "ObjectCentricTask", "Outcome", "PlanningStatus", "Verdict", "long_axis"]
+__all__ = ["UP_AXES", "Mating", "ObjectCentricTask", "Outcome", "PlanningStatus", "Verdict"]

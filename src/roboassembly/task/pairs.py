@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from roboassembly.furniture.model import ConnectionPoint, Furniture
+from roboassembly.furniture.model import Furniture, mate
 from roboassembly.poses import SE3
 from roboassembly.task.groups import Group
 
@@ -20,16 +20,6 @@ POSITION_TOLERANCE = 1e-3
 ANGLE_TOLERANCE = 0.01
 """Radians between a part and its slot, after the best symmetry of its shape."""
 _COSINE = 1.0 + 2.0 * np.cos(ANGLE_TOLERANCE)
-_FACE_TO_FACE = np.diag([1.0, -1.0, -1.0])
-
-
-def mate(point_v: ConnectionPoint, point_u: ConnectionPoint) -> SE3:
-    """`v_from_u` that lays the frame of `point_u` onto that of `point_v`.
-
-    Normals opposed, tangents equal, origins apart by the stored gap along the normal (the mean of the two).
-    """
-    gap = 0.5 * (point_v.gap + point_u.gap)
-    return point_v.frame * SE3(_FACE_TO_FACE, np.array([0.0, 0.0, gap])) * point_u.frame.inverse()
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +56,9 @@ class PairRule:
         v_from_u = mate(parts[v].points[l], parts[u].points[k])
         frame_of_u = u_group.furniture_from_part[u_group.parts.index(u)]
         frame_of_v = v_group.furniture_from_part[v_group.parts.index(v)]
-        v_group_from_u_group = frame_of_v * v_from_u * frame_of_u.inverse()
+        points_of_u = self._furniture.assembled[u_group.slots[u_group.parts.index(u)]]
+        points_of_v = self._furniture.assembled[v_group.slots[v_group.parts.index(v)]]
+        v_group_from_u_group = points_of_v * v_from_u * points_of_u.inverse()
         members = (*v_group.parts, *u_group.parts)
         poses = (*v_group.furniture_from_part, *(v_group_from_u_group * p for p in u_group.furniture_from_part))
         fit = self._embed(members, poses)

@@ -11,7 +11,23 @@ import zlib
 import numpy as np
 
 from roboassembly.errors import UnknownNameError
-from roboassembly.furniture.generate import ladder, panel, pedestal, sideframe, stool, windsor
+from roboassembly.furniture.generate import (
+    bench,
+    cantilever,
+    folding,
+    ladder,
+    panel,
+    pedestal,
+    plank,
+    shell,
+    sideframe,
+    splat,
+    stool,
+    three_legged,
+    throne,
+    upholstered,
+    windsor,
+)
 from roboassembly.furniture.generate.joints import CLEARANCE
 from roboassembly.furniture.generate.pieces import Family, as_parts
 from roboassembly.furniture.model import RawPart
@@ -32,6 +48,20 @@ FAMILIES: dict[str, Family] = {
         ),
         Family("rocker", "two side frames on curved runners, spindles between two rails", sideframe.build_rocker),
         Family("stool", "turned legs, stretchers between all four, seat on top", stool.build),
+        Family("upholstered", "thick seat, thick back and armrest blocks on legs or a plinth", upholstered.build),
+        Family("cantilever", "two strips bent from floor to back, seat and back between them", cantilever.build),
+        Family(
+            "three_legged",
+            "round seat on three legs a third of a turn apart, with or without a back",
+            three_legged.build,
+        ),
+        Family("splat", "board seat, curved front legs, a vase between seat and crest", splat.build),
+        Family("throne", "board sides to the armrests, seat and back in their grooves, a crest on top", throne.build),
+        Family("plank", "seat on two boards with a keyed stretcher, a carved board for a back", plank.build),
+        Family("folding", "two pairs of crossed legs with rods, seat and slats between them", folding.build),
+        Family("shell", "seat and back bent from one piece, on two bars with splayed legs", shell.build),
+        Family("bench", "two-seater: slatted seat and back between two sides, armrests", bench.build_bench),
+        Family("garden", "slats between two sides that are sawn in one piece, armrests", bench.build_garden),
     )
 }
 
