@@ -5,8 +5,8 @@ from __future__ import annotations
 from functools import cache
 
 import pytest
-import shapes
 
+import shapes
 from roboassembly.furniture.annotate import annotate
 from roboassembly.furniture.generate import generate
 from roboassembly.furniture.model import Furniture, Provenance

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from roboassembly.furniture.annotate import annotate
 from roboassembly.furniture.model import Furniture, Provenance, RawPart
 from roboassembly.meshes import Mesh
-from roboassembly.poses import SE3, interpolate
+from roboassembly.poses import SE3, interpolate, transform_points
 from roboassembly.scene import Body, Scene, Shape
 
 HERE = SE3.Identity()
@@ -164,8 +164,7 @@ class Checker:
         self._still = [
             _object(s.mesh, b.pose * s.body_from_mesh) for b in scene.bodies if not b.moves for s in b.shapes
         ]
-        self._points = np.concatenate([s.body_from_mesh.rotation @ s.mesh.vertices.T
-                                       + s.body_from_mesh.translation[:, None] for s in body.shapes], axis=1)  # fmt: skip
+        self._points = np.concatenate([transform_points(s.body_from_mesh, s.mesh.vertices) for s in body.shapes]).T
         self._ground = scene.ground
 
     def hits(self, where: SE3) -> bool:

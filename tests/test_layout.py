@@ -6,10 +6,10 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-import shapes
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import shapes
 from roboassembly.furniture.model import Furniture
 from roboassembly.poses import SE3
 from roboassembly.scene import Body, Shape
@@ -117,13 +117,18 @@ def test_poses_of_rest_are_at_rest(chair, family: str, seed: int) -> None:
         rotations, likely = resting_rotations(mesh)
         best = rotations[int(np.argmax(likely))]
         low = float((mesh.hull_vertices @ best[2]).min())
-        settled = settle(Body("part", (Shape(mesh, SE3.Identity()),), SE3(best, np.array([0, 0, 1e-4 - low])), True), 0.1)
+        settled = settle(
+            Body("part", (Shape(mesh, SE3.Identity()),), SE3(best, np.array([0, 0, 1e-4 - low])), True), 0.1
+        )
         assert settled.poses[-1].rotation[2] @ best[2] > 0.99
 
 
 def lowest(furniture: Furniture, state: TaskState) -> list[float]:
     return [
-        float((hull_points(furniture, g) @ g.world_from_furniture.rotation[2]).min() + g.world_from_furniture.translation[2])
+        float(
+            (hull_points(furniture, g) @ g.world_from_furniture.rotation[2]).min()
+            + g.world_from_furniture.translation[2]
+        )
         for g in state.groups
     ]
 

@@ -6,14 +6,14 @@ from itertools import permutations, product
 
 import numpy as np
 import pytest
-import shapes
-from shapes import pose
 
+import shapes
 from roboassembly.furniture.generate import FAMILIES
 from roboassembly.furniture.model import Furniture
 from roboassembly.poses import SE3
 from roboassembly.task.groups import Group, TaskState, body, center_of_mass, hull_points
 from roboassembly.task.pairs import Merge, PairRule, mate
+from shapes import pose
 
 
 def alone(furniture: Furniture, part: int, where: SE3 | None = None) -> Group:
@@ -266,3 +266,34 @@ def test_group_bodies(table: Furniture) -> None:
     state = TaskState((group, *(alone(table, p, pose(p)) for p in (2, 3, 4))))
     assert np.allclose(state.part_poses[3].translation, [3, 0, 0])
     assert np.allclose(state.part_poses[1].homogeneous, group.part_poses()[1].homogeneous)
+
+
+def growth(furniture: Furniture, rng: np.random.Generator) -> tuple[Group, set[int]]:
+    """One group grown by random right pairs with single parts, until it is whole or no action is right any more."""
+    rule = PairRule(furniture)
+    parts = range(len(furniture.parts))
+    group = alone(furniture, int(rng.integers(len(parts))))
+    while True:
+        loose = [p for p in parts if p not in group.parts]
+        taken = TaskState((group, *(alone(furniture, p) for p in loose))).occupied(furniture)
+        ends = [(p, k) for p in parts for k in range(len(furniture.parts[p].points)) if (p, k) not in taken]
+        actions = [(a, b) for a in ends for b in ends if a[0] in loose and b[0] in group.parts]
+        for index in rng.permutation(len(actions)):
+            (u, k), (v, l) = actions[index]  # noqa: E741
+            merge = rule.judge(alone(furniture, u), group, u, k, v, l)
+            if merge is not None:
+                group = merge.merged
+                break
+        else:
+            return group, set(loose)
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_what_is_right_can_be_completed(chair, family: str) -> None:
+    """A right sub-assembly lacks parts that fit somewhere: as far as pairs go, there always is a next right one."""
+    furniture = chair(family, 0)
+    rng = np.random.default_rng(5)
+    for _ in range(4):
+        group, loose = growth(furniture, rng)
+        assert not loose, [furniture.parts[p].name for p in loose]
+        assert congruent(furniture, group)

@@ -14,6 +14,7 @@ from roboassembly.poses import (
     align_axis,
     from_quaternion,
     interpolate,
+    orthonormal,
     pose_from_seven,
     pose_to_euler,
     pose_to_rotation_6d,
@@ -159,3 +160,24 @@ def test_align_axis_turns_right_over(axis: np.ndarray) -> None:
     rotation = align_axis(axis, -axis)
     assert np.allclose(rotation @ axis, -axis)
     assert np.linalg.det(rotation) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("off", [0.0, 1e-9, 1e-7, 1e-6, 1e-5, 1e-4, 1e-2])
+def test_align_axis_stays_a_rotation_near_the_opposite(off: float) -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(50):
+        a = rng.normal(size=3)
+        a /= np.linalg.norm(a)
+        b = off * rng.normal(size=3) - a
+        b /= np.linalg.norm(b)
+        rotation = align_axis(a, b)
+        assert np.abs(rotation.T @ rotation - np.eye(3)).max() < 1e-12
+        assert np.abs(rotation @ a - b).max() < 1e-5
+
+
+def test_orthonormal_takes_rounding_away() -> None:
+    drifted = SE3(QUARTER_ABOUT_Z * (1 + 1e-5), np.array([1.0, 2.0, 3.0]))
+    pose = orthonormal(drifted)
+    assert np.abs(pose.rotation.T @ pose.rotation - np.eye(3)).max() < 1e-14
+    assert np.allclose(pose.rotation, QUARTER_ABOUT_Z, atol=1e-5)
+    assert np.array_equal(pose.translation, [1, 2, 3])

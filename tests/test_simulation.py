@@ -7,15 +7,15 @@ from itertools import pairwise
 import mujoco
 import numpy as np
 import pytest
-import shapes
-from shapes import HERE, Checker, mover, pose, still
 
+import shapes
 from roboassembly.furniture.model import Furniture
 from roboassembly.planning.world import CollisionWorld
 from roboassembly.poses import SE3, pose_to_seven
 from roboassembly.scene import Body, Scene, Shape
 from roboassembly.simulation.model import DENSITY, compile_scene, mass_properties
 from roboassembly.simulation.settle import MAX_SECONDS, settle
+from shapes import HERE, Checker, mover, pose, still
 
 
 def put(model: mujoco.MjModel, where: SE3) -> mujoco.MjData:

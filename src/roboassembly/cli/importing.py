@@ -16,9 +16,21 @@ from tqdm import tqdm
 from roboassembly.cli.output import DONE, print_json, say, writable_folder
 from roboassembly.errors import InputError
 
-
 Kind = Literal["partnet", "ikea-manual", "ikea-env", "furniture-bench", "folder"]
 """The names in `furniture.importers.IMPORTERS`."""
+UpAxis = Literal["x", "y", "z", "-x", "-y", "-z"]
+
+
+@dataclass(frozen=True)
+class Piece:
+    """One piece to import."""
+
+    kind: Kind
+    source: Path
+    target: Path
+    name: str
+    scale: float | None
+    up: UpAxis | None
 
 
 @dataclass(frozen=True)
@@ -50,7 +62,7 @@ class Import:
     """Folder that gets one furniture folder a piece."""
     scale: float | None = None
     """Metres per unit of the source's files; if not given, as the format says, or a typical size for the furniture."""
-    up: Literal["x", "y", "z", "-x", "-y", "-z"] | None = None
+    up: UpAxis | None = None
     """Up axis of the files, for `folder` only; if not given, y for GLB and z for all else."""
     jobs: int = os.cpu_count() or 1
     """Pieces at a time."""
@@ -101,18 +113,6 @@ class Import:
         # Forking a process that has already started threads (BLAS, GL) can hang; spawning cannot.
         with ProcessPoolExecutor(min(self.jobs, len(folders)), mp_context=get_context("spawn")) as pool:
             yield from pool.map(import_piece, work)
-
-
-@dataclass(frozen=True)
-class Piece:
-    """One piece to import."""
-
-    kind: Kind
-    source: Path
-    target: Path
-    name: str
-    scale: float | None
-    up: Literal["x", "y", "z", "-x", "-y", "-z"] | None
 
 
 def import_piece(piece: Piece) -> Item:

@@ -1,4 +1,4 @@
-"""Chairs made from a seed: solid parts that mate with a clearance, with joints that decide the order of assembly.
+"""Furniture made from a seed: solid parts that mate with a clearance, with joints that decide the order of assembly.
 
 The furniture's frame: metres, z up, feet on z = 0, centred in x and y. A sitter looks along -y and has +x on the
 left hand.
@@ -20,19 +20,21 @@ from roboassembly.furniture.generate import (
     pedestal,
     plank,
     shell,
+    shelves,
     sideframe,
     splat,
     stool,
+    tables,
     three_legged,
     throne,
     upholstered,
     windsor,
 )
 from roboassembly.furniture.generate.joints import CLEARANCE
-from roboassembly.furniture.generate.pieces import Family, as_parts
+from roboassembly.furniture.generate.pieces import Family, Kind, as_parts
 from roboassembly.furniture.model import RawPart
 
-__all__ = ["CLEARANCE", "FAMILIES", "Family", "generate"]
+__all__ = ["CHAIRS", "CLEARANCE", "FAMILIES", "OTHERS", "Family", "Kind", "generate"]
 
 FAMILIES: dict[str, Family] = {
     family.name: family
@@ -62,17 +64,35 @@ FAMILIES: dict[str, Family] = {
         Family("shell", "seat and back bent from one piece, on two bars with splayed legs", shell.build),
         Family("bench", "two-seater: slatted seat and back between two sides, armrests", bench.build_bench),
         Family("garden", "slats between two sides that are sawn in one piece, armrests", bench.build_garden),
+        Family("table_apron", "four tapered legs joined by aprons, top on them", tables.build_apron, "table"),
+        Family(
+            "table_trestle", "two trestles of foot, post and head, a stretcher between", tables.build_trestle, "table"
+        ),
+        Family("shelf_open", "boards and bars housed between two sides", shelves.build_open, "shelf"),
+        Family(
+            "shelf_bookcase",
+            "boards between sides, back in grooves that the top closes",
+            shelves.build_bookcase,
+            "shelf",
+        ),
     )
 }
+"""Everything that can be made from a seed, by name."""
+
+CHAIRS: dict[str, Family] = {name: family for name, family in FAMILIES.items() if family.kind == "chair"}
+"""The built-in chairs: what is trained on and measured."""
+
+OTHERS: dict[str, Family] = {name: family for name, family in FAMILIES.items() if family.kind != "chair"}
+"""Furniture that is not a chair, for trying what was never trained on."""
 
 
 def generate(family: str, seed: int) -> tuple[RawPart, ...]:
-    """Make one chair. The same family and seed give the same chair everywhere; seed 0 is the catalogue model.
+    """Make one piece of furniture; a family and a seed give the same one everywhere, seed 0 the catalogue model.
 
     Raises:
         UnknownNameError: no such family.
     """
     if family not in FAMILIES:
-        raise UnknownNameError("chair family", family, FAMILIES)
+        raise UnknownNameError("furniture family", family, FAMILIES)
     rng = None if seed == 0 else np.random.default_rng([zlib.crc32(family.encode()), seed])
     return as_parts(FAMILIES[family].build(rng))

@@ -101,7 +101,7 @@ UPRIGHT_TENON = Tenon(0.024, 0.008, 0.014)
 
 def assemble(style: SlattedStyle) -> list[Piece]:
     """All pieces of one style."""
-    s, c = style, CLEARANCE
+    s = style
     middle, inner = s.width / 2 - s.side / 2, s.width / 2 - s.side
     depth = 0.42 * s.side
     along = vector(0, np.sin(s.rake), np.cos(s.rake))
@@ -189,7 +189,9 @@ def _side(
         Y,
         [rectangle(s.side, k * s.stile, 0.003) for k in (0.78, 0.84, 1.0, 0.9)],
     )
-    bar = block((x - s.side / 2 + 0.0001, front + 0.02, rail_z - half), (x + s.side / 2 - 0.0001, knee[1], rail_z + half))
+    bar = block(
+        (x - s.side / 2 + 0.0001, front + 0.02, rail_z - half), (x + s.side / 2 - 0.0001, knee[1], rail_z + half)
+    )
     heel = vector(x, rear - 0.01, 0)
     bend = knee + x * X
     points, tangents = bent([heel - 0.05 * unit(bend - heel), bend - 0.045 * Z, bend + reach * along], 0.35, 4)
@@ -201,7 +203,12 @@ def _side(
 
 
 def _back_bar(
-    s: SlattedStyle, at: Float[np.ndarray, "3"], along: Float[np.ndarray, "3"], inner: float, height: float, depth: float
+    s: SlattedStyle,
+    at: Float[np.ndarray, "3"],
+    along: Float[np.ndarray, "3"],
+    inner: float,
+    height: float,
+    depth: float,
 ) -> Solid:
     """A bar of the back between the sides."""
     return rail(at - inner * X, at + inner * X, along, height, 0.022, Tenon(0.6 * height, 0.010, depth), 0.004)
@@ -214,7 +221,9 @@ def _arm(
     z = leg_top[2] + 0.012
     across = np.cross(X, along)
     end = knee + (z - knee[2]) / along[2] * along + (s.stile / 2 + 0.0012) * across
-    y = np.array([leg_top[1] - 0.050, leg_top[1] - 0.044, leg_top[1] - 0.01, 0.5 * (leg_top[1] + end[1]), end[1] + 0.04])
+    y = np.array(
+        [leg_top[1] - 0.050, leg_top[1] - 0.044, leg_top[1] - 0.01, 0.5 * (leg_top[1] + end[1]), end[1] + 0.04]
+    )
     wide = np.array([0.040, 0.052, 0.062, 0.054, 0.044]) * max(1.0, s.side / 0.036)
     high = np.array([0.014, 0.020, 0.024, 0.024, 0.024])
     path = np.column_stack([np.full(5, leg_top[0]), y, np.full(5, z)])

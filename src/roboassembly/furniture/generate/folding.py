@@ -122,7 +122,9 @@ def assemble(style: FoldingStyle) -> list[Piece]:
     inner_cuts = [tongue.pocket(joint_frame(front_top + inner_face * X, -X, Y))]
     added = tongue.tongue(joint_frame(front_top + inner_face * X, -X, Y))
     seat += added + mirrored_x(added)
-    rods: list[tuple[str, Float[np.ndarray, "3"], float]] = [("rod_inner", rear_foot + 0.13 / lean[2] * lean, inner_face)]
+    rods: list[tuple[str, Float[np.ndarray, "3"], float]] = [
+        ("rod_inner", rear_foot + 0.13 / lean[2] * lean, inner_face)
+    ]
     if s.low_rod:
         rods.append(("rod_outer", front_foot + 0.10 / rise[2] * rise, outer_face))
     outer_cuts: list[Solid] = []
@@ -169,9 +171,7 @@ def _leg(course: list[Float[np.ndarray, "3"]], x: float, thickness: float, stile
     return body.trim_by_plane((0.0, 0.0, 1.0), 0.0)
 
 
-def _slat(
-    at: Float[np.ndarray, "3"], along: Float[np.ndarray, "3"], face: float, height: float, tenon: Tenon
-) -> Solid:
+def _slat(at: Float[np.ndarray, "3"], along: Float[np.ndarray, "3"], face: float, height: float, tenon: Tenon) -> Solid:
     """A slat between the outer legs, bent around the sitter."""
     end = face - CLEARANCE
     x = end * np.linspace(-1, 1, 9)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -11,6 +12,9 @@ from roboassembly.furniture.generate.solids import Solid, triangles
 from roboassembly.furniture.model import RawPart
 from roboassembly.meshes import Mesh
 from roboassembly.poses import SE3, transform_points
+
+Kind = Literal["chair", "table", "shelf"]
+"""What a family makes."""
 
 HERE = SE3.Identity()
 """Pose of a solid that was cut where it belongs."""
@@ -30,12 +34,13 @@ class Piece:
 
 @dataclass(frozen=True)
 class Family:
-    """A structure of chair: every seed is a size and style of it; seed 0 is the catalogue model."""
+    """A structure of furniture: every seed is a size and style of it; seed 0 is the catalogue model."""
 
     name: str
     description: str
     build: Callable[[np.random.Generator | None], Sequence[Piece]]
     """Pieces in a frame with the floor at z = 0; without a generator, the catalogue model."""
+    kind: Kind = "chair"
 
 
 def move(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> SE3:

@@ -98,7 +98,9 @@ def assemble(style: PlankStyle) -> list[Piece]:
     tenon = Tenon(0.036, 0.014, through)
     frame = joint_frame(vector(-s.board / 2, 0, s.stretcher), -X, Z)
     board -= tenon.pocket(frame)
-    stretcher = block((-inside + c, -thick / 2, s.stretcher - height / 2), (inside - c, thick / 2, s.stretcher + height / 2))
+    stretcher = block(
+        (-inside + c, -thick / 2, s.stretcher - height / 2), (inside - c, thick / 2, s.stretcher + height / 2)
+    )
     for side in (1, -1):
         stretcher += tenon.tongue(joint_frame(vector(side * inside, 0, s.stretcher), -side * X, Z))
     if s.keys:

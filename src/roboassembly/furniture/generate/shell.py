@@ -6,6 +6,7 @@ spreader gets in. Legs go into their bars one by one, along their own axes.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -71,7 +72,7 @@ LEG_TENON = RoundTenon(radius=0.0115, length=0.022, end_radius=0.0105, sides=12)
 LUG_PEG = Tenon(0.030, 0.014, 0.012)
 BAR = (0.042, 0.036)
 """Depth and height of the bars."""
-LUG = 0.014
+LUG = 0.022
 """Height of the lugs under the shell."""
 
 
@@ -94,16 +95,16 @@ def assemble(style: ShellStyle) -> list[Piece]:
         spin = turn(Z, heading)
         frame = joint_frame(vector(side * leg_x, 0, bar_low), -(spin @ axis), spin @ Y)
         bar -= LEG_TENON.pocket(frame, over=MOUTH)
-    lug_x = 0.5 * leg_x
+    lug_x = 0.62 * leg_x
     for x in (-lug_x, lug_x):
         bar -= LUG_PEG.pocket(joint_frame(vector(x, 0, bar_top), Z, X))
     inner = y - BAR[0] / 2
-    tenon = Tenon(0.018, 0.010, 0.014)
-    xs = {0: [], 1: [0.0], 2: [-0.09, 0.09]}[s.spreaders]
+    tenon = Tenon(0.016, 0.010, 0.014)
+    xs = {0: [], 1: [0.0], 2: [-0.045, 0.045]}[s.spreaders]
     spreader: Solid | None = None
     for k, x in enumerate(xs):
-        start, end = vector(x, -inner, bar_low + 0.017), vector(x, inner, bar_low + 0.017)
-        spreader = spreader or rail(start, end, Z, 0.028, 0.020, tenon)
+        start, end = vector(x, -inner, bar_low + 0.014), vector(x, inner, bar_low + 0.014)
+        spreader = spreader or rail(start, end, Z, 0.026, 0.020, tenon)
         pieces.append(Piece(f"spreader_{k + 1}", "bar_stretcher", spreader, move(x - xs[0])))
         bar -= tenon.pocket(move(y=y) * mouths(start, end, Z)[0])
     for name, turned in (("front", 0.0), ("back", np.pi)):
@@ -113,17 +114,17 @@ def assemble(style: ShellStyle) -> list[Piece]:
             pose = place * SE3(turn(Z, heading), vector(side * leg_x, 0, 0))
             left = (side > 0) == (name == "front")
             pieces.append(Piece(f"leg_{name}_{'left' if left else 'right'}", "leg", leg, pose))
-    seat = _shell(s)
+    seat, height_at = _shell(s)
     for x in (-lug_x, lug_x):
         for at in (-y, y):
-            lug = block((x - 0.024, at - 0.015, bar_top), (x + 0.024, at + 0.015, s.seat_height - 0.7 * s.shell))
+            lug = block((x - 0.022, at - 0.013, bar_top), (x + 0.022, at + 0.013, height_at(x, at)))
             seat += lug + LUG_PEG.tongue(joint_frame(vector(x, at, bar_top), Z, X))
     pieces.append(Piece("seat", "seat_single_surface", seat))
     return pieces
 
 
-def _shell(s: ShellStyle) -> Solid:
-    """Seat and back from the front edge, turned down, to the top edge; dished across."""
+def _shell(s: ShellStyle) -> tuple[Solid, Callable[[float, float], float]]:
+    """Seat and back from the front edge, turned down, to the top edge, dished across; height of its middle surface."""
     front, rear = -s.depth / 2, s.depth / 2
     level = s.seat_height - s.shell / 2
     along = vector(0, np.sin(s.rake), np.cos(s.rake))
@@ -131,24 +132,37 @@ def _shell(s: ShellStyle) -> Solid:
     reach = (s.height - corner[2]) / along[2]
     corners = [vector(0, front - 0.012, level - 0.022), vector(0, front + 0.05, level), corner, corner + reach * along]
     points, tangents = bent(corners, s.bend, 4)
-    # More stations on the two straight stretches, for the dishing to come and go.
+    # More stations on the straight stretches and toward the ends, for the dishing and the outline to come and go.
     stations, directions = [points[0]], [tangents[0]]
     for a, b, t in zip(points[:-1], points[1:], tangents[1:], strict=True):
-        steps = max(1, int(np.linalg.norm(b - a) // 0.085))
-        stations += [a + (b - a) * k / steps for k in range(1, steps + 1)]
-        directions += [t if steps == 1 else (b - a) / np.linalg.norm(b - a)] * steps
+        far = float(np.linalg.norm(b - a))
+        stops = np.linspace(0, 1, max(2, int(far // 0.10) + 1))[1:]
+        if np.array_equal(b, points[-1]):
+            stops = np.concatenate(
+                [stops[stops < 1 - 0.09 / far], 1 - np.array([0.085, 0.05, 0.025, 0.008, 0.0]) / far]
+            )
+        stations += [a + k * (b - a) for k in stops]
+        directions += [t if len(stops) == 1 else (b - a) / far] * len(stops)
     path, heading = np.array(stations), np.array(directions)
     length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
     share = length / length[-1]
     dish = s.hollow * np.clip(np.minimum(share, 1 - share) / 0.22, 0, 1)
-    wide = s.width / 2 * np.interp(share, [0, 0.04, 0.12, 0.5, 0.92, 0.975, 1],
-                                   [0.86, 0.96, 1, 1, s.back_width, 0.92 * s.back_width, 0.7 * s.back_width])  # fmt: skip
-    across = np.linspace(-1, 1, 8)
+    wide = s.width / 2 * np.interp(share, [0, 0.04, 0.12, 0.5, 0.9], [0.90, 0.97, 1, 1, s.back_width])
+    # A round of 85 mm at the upper corners.
+    left = np.clip(1 - (length[-1] - length) / 0.085, 0, 1)
+    wide -= 0.085 * (1 - np.sqrt(1 - left**2)) * 0.9
+    across = np.linspace(-1, 1, 7)
     rings = []
     for at, t, w, d in zip(path, heading, wide, dish, strict=True):
         normal = np.cross(X, t)
         rings.append(_ring(at, w * across, d * (1 - across**2), normal, s.shell))
-    return loft(np.array(rings))
+    seat = path[:, 2] < corner[2] + 0.02
+
+    def height_at(x: float, y: float) -> float:
+        w, d, z = (float(np.interp(y, path[seat, 1], values[seat])) for values in (wide, dish, path[:, 2]))
+        return z - d * (1 - (x / w) ** 2)
+
+    return loft(np.array(rings)), height_at
 
 
 def _ring(
@@ -161,5 +175,3 @@ def _ring(
     """A cross-section of the shell: its lower and its upper side, `dish` metres against `normal`."""
     middle = at + x[:, None] * X - dish[:, None] * normal
     return np.concatenate([middle - thickness / 2 * normal, (middle + thickness / 2 * normal)[::-1]])
-
-

@@ -153,7 +153,7 @@ def _hoop(s: ThreeLeggedStyle) -> Solid:
     along, y, reach = _lean(s)
     at = vector(0, y, s.seat_height)
     share = np.array([0.0, 0.3, 0.55, 0.75, 0.9, 0.97, 1.0])
-    width = s.seat * np.array([0.42, 0.46, 0.62, 0.82, 0.84, 0.76, 0.62])
+    width = s.seat * np.array([0.44, 0.46, 0.58, 0.74, 0.77, 0.70, 0.54])
     # A gap below, so that a leaning board stays clear of the seat but for its tongues.
     path = at + (0.012 + share[:, None] * (reach - 0.012)) * along + (0.035 * share**2)[:, None] * Y
     body = sweep(path, X, Y, [rectangle(w, 0.019, 0.004) for w in width])

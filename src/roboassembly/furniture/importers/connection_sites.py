@@ -85,7 +85,8 @@ def solve(bodies: Sequence[str], sites: Sequence[Site]) -> Solved:
     """Place every body by a chain of site pairs so that all other pairs close.
 
     Raises:
-        FurnitureError: bodies that no pair reaches, or a pair that stays open by more than `CLOSES` or `TILT`, with the figures.
+        FurnitureError: bodies that no pair reaches, or a pair that stays open by more than `CLOSES` or `TILT`, with
+            the figures.
     """
     search = _Search(bodies, *_mates(sites))
     poses = search.run()

@@ -42,18 +42,18 @@ def scale_for(category: str, extents: Float[np.ndarray, "3"]) -> float:
     return typical_scale(category, float(extents[1]), float(extents.max()))
 
 
-def read(folder: Path, *, scale: float | None = None) -> RawFurniture:
+def read(path: Path, *, scale: float | None = None) -> RawFurniture:
     """The parts of one piece: z up, metres, lowest point at z = 0, centred on the z axis.
 
     Args:
-        folder: holds the `NN.obj` files, one a part.
+        path: the folder that holds the `NN.obj` files, one a part.
         scale: metres per unit of the files; by default from the typical size for the name of the folder's parent.
 
     Raises:
         FurnitureError: missing folder, no or unreadable OBJ files, a part that is no mesh, an absurd size, or a count
             of parts outside 2 to 20.
     """
-    folder = files.folder(folder, WANTED)
+    folder = files.folder(path, WANTED)
     meshes = sorted(folder.glob("*.obj"))
     if not meshes:
         raise FurnitureError(f"'{folder}' holds no .obj files; give {WANTED}")

@@ -235,8 +235,8 @@ def _binary_faces(body: bytes, at: int, element: _Element, order: str) -> tuple[
             if row.itemsize * element.count <= len(body) - at:
                 table = np.frombuffer(body, row, element.count, at)
                 if (table["n"] == length).all():
-                    rings = table["ring"].astype(np.int64)
-                    fans = [rings[:, [0, k, k + 1]] for k in range(1, length - 1)]
+                    corners = table["ring"].astype(np.int64)
+                    fans = [corners[:, [0, k, k + 1]] for k in range(1, length - 1)]
                     return np.concatenate(fans), at + row.itemsize * element.count
     if element.count > min(MAX_FACES, len(body)):
         raise ValueError(f"{element.count} faces announced; {min(MAX_FACES, len(body))} could be there")

@@ -1,0 +1,222 @@
+"""IKEA Furniture Assembly Environment: poses from connection sites, and what is said about broken files."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from roboassembly.errors import FurnitureError
+from roboassembly.furniture.importers import ikea_env
+
+HALF = "0.70710678"
+Sites = Sequence[tuple[str, str, str]]
+
+
+def body(name: str, sites: Sites, *, pose: str = "", scale: str = "1 1 1") -> tuple[str, str]:
+    """Asset and body."""
+    marks = "".join(f'<site name="{n}" pos="{p}" quat="{q}" size="0.01"/>' for n, p, q in sites)
+    return (
+        f'<mesh file="piece/{name}.stl" name="m_{name}" scale="{scale}"/>',
+        f'<body name="{name}" {pose}><geom type="mesh" mesh="m_{name}" pos="0 0 0"/>'
+        f'<geom type="box" euler="1.57 0 0" size="1 1 1" rgba="0 0 0 0"/>{marks}</body>',
+    )
+
+
+def write(folder: Path, *bodies: tuple[str, str], extra: str = "") -> Path:
+    (folder / "piece").mkdir(exist_ok=True)
+    for name, extents in (("post", (0.1, 0.1, 0.4)), ("plate", (0.4, 0.2, 0.02)), ("rail", (0.1, 0.1, 0.1))):
+        trimesh.creation.box(extents).export(folder / "piece" / f"{name}.stl")
+    file = folder / "piece.xml"
+    assets, elements = "".join(a for a, _ in bodies), "".join(b for _, b in bodies)
+    file.write_text(f"<mujoco>{extra}<asset>{assets}</asset><worldbody>{elements}</worldbody></mujoco>")
+    return file
+
+
+POST = body("post", [("post-plate,90,conn_site1", "0 0 0.2", "1 0 0 0")], pose='pos="5 5 5"')
+PLATE = body("plate", [("plate-post,90,conn_site1", "0.1 0 -0.01", "0 1 0 0")], pose=f'quat="{HALF} 0 {HALF} 0"')
+
+
+def test_rotated_sites(tmp_path):
+    """By hand: plate from post is T(0, 0, 0.2) Rz(90) [T(0.1, 0, -0.01) Rx(180)]^-1: centre (0, -0.1, 0.19)."""
+    raw = ikea_env.read(write(tmp_path, POST, PLATE))
+    post, plate = (p.mesh.bounds for p in raw.parts)
+    # The plate lies upside down, its long side along y; all is centred and set on the ground.
+    assert np.allclose(post, [[-0.05, 0.05, 0.0], [0.05, 0.15, 0.4]], atol=1e-6)
+    assert np.allclose(plate, [[-0.1, -0.2, 0.38], [0.1, 0.2, 0.4]], atol=1e-6)
+    assert [(p.name, p.label) for p in raw.parts] == [("post", "post"), ("plate", "plate")]
+    (note,) = raw.provenance.notes
+    assert "'post-plate,90,conn_site1' of 'post' meets 'plate-post,90,conn_site1' of 'plate'" in note
+    assert "at (0.0000, 0.1000, 0.4000) m, axis (0.0000, 0.0000, 1.0000), gap 0.00 mm" in note
+
+
+def test_scale(tmp_path):
+    raw = ikea_env.read(write(tmp_path, POST, PLATE), scale=2.0)
+    assert np.allclose(raw.parts[1].mesh.bounds, [[-0.2, -0.4, 0.76], [0.2, 0.4, 0.8]], atol=1e-6)
+    assert "at (0.0000, 0.2000, 0.8000) m" in raw.provenance.notes[0]
+
+
+def test_mirrored_and_stretched_meshes(tmp_path):
+    plate = body("plate", [("plate-post,90,conn_site1", "0.1 0 -0.01", "0 1 0 0")], scale="-1 0.5 1")
+    mesh = ikea_env.read(write(tmp_path, POST, plate)).parts[1].mesh
+    assert mesh.is_solid
+    assert mesh.volume == pytest.approx(0.4 * 0.1 * 0.02, rel=1e-4)
+
+
+def test_the_way_most_bodies_are_drawn_is_up(tmp_path):
+    sites = [("a-b,0,conn_site1", "0 0 0.2", "1 0 0 0"), ("a-c,0,conn_site1", "0 0 -0.2", "1 0 0 0")]
+    post = body("post", sites)
+    plate = body("plate", [("b-a,0,conn_site1", "0 0 0", "1 0 0 0")], pose='quat="0 1 0 0"')
+    rail = body("rail", [("c-a,0,conn_site1", "0 0 0", "1 0 0 0")], pose='quat="0 1 0 0"')
+    raw = ikea_env.read(write(tmp_path, post, plate, rail))
+    assert raw.parts[1].mesh.bounds[1, 2] < 0.1 < raw.parts[2].mesh.bounds[0, 2]
+
+
+def two_pairs(at: str) -> tuple[tuple[str, str], tuple[str, str]]:
+    post = [("a-b,0,90,conn_site1", "0 0 0.2", "1 0 0 0"), ("a-b,0,90,conn_site2", "0.04 0 0.2", "1 0 0 0")]
+    plate = [("b-a,0,90,conn_site1", "0 0 0", "1 0 0 0"), ("b-a,0,90,conn_site2", at, "1 0 0 0")]
+    return body("post", post), body("plate", plate)
+
+
+def test_the_angle_is_the_one_that_closes(tmp_path):
+    raw = ikea_env.read(write(tmp_path, *two_pairs("0 -0.04 0")))
+    assert np.allclose(np.ptp(raw.parts[1].mesh.bounds, axis=0), [0.2, 0.4, 0.02], atol=1e-6)
+    assert len(raw.provenance.notes) == 2
+
+
+def test_what_does_not_close_is_refused_with_the_figure(tmp_path):
+    ikea_env.read(write(tmp_path, *two_pairs("0.0409 0 0")))
+    with pytest.raises(FurnitureError, match=r"'a-b,0,90,conn_site2'.* stay 2\.50 mm and 0° apart; 1 mm"):
+        ikea_env.read(write(tmp_path, *two_pairs("0.0425 0 0")))
+
+
+def test_tilted_pairs_do_not_close(tmp_path):
+    post = [("a-b,0,conn_site1", "0 0 0.2", "1 0 0 0"), ("a-b,0,conn_site2", "0.04 0 0.2", "1 0 0 0")]
+    plate = [("b-a,0,conn_site1", "0 0 0", "1 0 0 0"), ("b-a,0,conn_site2", "0.04 0 0", f"{HALF} {HALF} 0 0")]
+    with pytest.raises(FurnitureError, match="90° apart"):
+        ikea_env.read(write(tmp_path, body("post", post), body("plate", plate)))
+
+
+def test_sites_without_their_number_take_what_is_left(tmp_path):
+    post = body("post", [("leg-top,,conn_site0", "0 0 0.2", "1 0 0 0")])
+    plate = body(
+        "plate", [("top-leg,,conn_site4", "0.15 0 0", "1 0 0 0"), ("top-leg,,conn_site5", "-0.15 0 0", "1 0 0 0")]
+    )
+    notes = ikea_env.read(write(tmp_path, post, plate)).provenance.notes
+    assert "meets 'top-leg,,conn_site4'" in notes[0]
+    assert notes[1] == "connection site 'top-leg,,conn_site5' of 'plate' meets none"
+
+
+def test_many_free_sites_end_soon(tmp_path):
+    """Every site fits every other, and a pair that cannot close makes the search try all it may."""
+    pads = [(f"a-a,0,90,180,270,conn_site{k}", f"0.0{k} 0.01 0", "1 0 0 0") for k in range(8)]
+    bad = [("x-y,0,conn_site1", "0 0 1", "1 0 0 0")], [("y-x,0,conn_site1", "0 0 5", "1 0 0 0")]
+    bodies = [body("post", [*pads, *bad[0]]), body("plate", [*pads, *bad[1]]), body("rail", pads)]
+    bodies += [
+        (a.replace("post", "p2").replace("p2.stl", "post.stl"), b.replace('"post"', '"p2"')) for a, b in bodies[:0]
+    ]
+    ikea_env.read(write(tmp_path, *bodies))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "not well-formed"),
+        ("<mujoco>", "not well-formed"),
+        ("<robot/>", "root is <robot>"),
+        ("<mujoco/>", "0 parts"),
+        ('<!DOCTYPE m [<!ENTITY a "b">]><mujoco/>', "document type or entities"),
+        ('<!DOCTYPE m SYSTEM "file:///etc/passwd"><mujoco/>', "document type or entities"),
+        ('<mujoco><include file="/etc/passwd"/></mujoco>', "includes other files"),
+        ("<mujoco>" * 100, "deeper than 64"),
+        ('<?xml version="1.0" encoding="nonsense"?><mujoco/>', "not well-formed"),
+    ],
+)
+def test_broken_xml(tmp_path, text, message):
+    file = write(tmp_path, POST, PLATE)
+    file.write_text(text)
+    with pytest.raises(FurnitureError, match=message) as caught:
+        ikea_env.read(file)
+    assert "\n" not in str(caught.value)
+
+
+def test_entities_in_other_encodings(tmp_path):
+    file = write(tmp_path, POST, PLATE)
+    file.write_bytes(
+        '<?xml version="1.0" encoding="UTF-16"?><!DOCTYPE m [<!ENTITY a "b">]><mujoco>&a;</mujoco>'.encode("utf-16")
+    )
+    with pytest.raises(FurnitureError, match="document type or entities"):
+        ikea_env.read(file)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("piece/post.stl", "../outside.stl", "not inside"),
+        ("piece/post.stl", "/etc/passwd", "not inside"),
+        ("piece/post.stl", "piece/link.stl", "not inside"),
+        ("piece/post.stl", "C:\\\\windows", "not inside"),
+        ("piece/post.stl", "", "not inside"),
+        ("piece/post.stl", "piece/gone.stl", "cannot be read"),
+        ("piece/post.stl", "piece", "no mesh that can be read"),
+        ('mesh="m_post"', 'mesh="x"', "not among its assets"),
+        ('mesh="m_post"', "", "no mesh; bodies made of primitives"),
+        ('name="plate"', 'name="post"', "all different"),
+        ('quat="0 1 0 0"', 'quat="0 0 0 0"', "no direction"),
+        ('quat="0 1 0 0"', 'euler="0 1 0"', "turned by 'euler'"),
+        ('pos="5 5 5"', 'pos="5 5"', "3 finite numbers"),
+        ('pos="5 5 5"', 'pos="5 5 nan"', "3 finite numbers"),
+        ('scale="1 1 1"', 'scale="0 1 1"', "is scaled by"),
+        ('scale="1 1 1"', 'scale="1e5 1e5 1e5"', "give another scale"),
+        ("plate-post,90,", "plate-seat,90,", "do not join all parts"),
+        ("post-plate,90,", "post-plate,ninety,", "angles that are no numbers"),
+        ("<geom", "<body/><geom", "holds another body"),
+    ],
+)
+def test_broken_models(tmp_path, old, new, message):
+    folder = tmp_path / "in"
+    folder.mkdir()
+    file = write(folder, POST, PLATE)
+    trimesh.creation.box().export(tmp_path / "outside.stl")
+    (folder / "piece" / "link.stl").symlink_to(tmp_path / "outside.stl")
+    file.write_text(file.read_text().replace(old, new))
+    with pytest.raises(FurnitureError, match=message) as caught:
+        ikea_env.read(file)
+    assert "\n" not in str(caught.value)
+
+
+def test_meshdir(tmp_path):
+    file = write(tmp_path, POST, PLATE, extra='<compiler meshdir="piece"/>')
+    file.write_text(file.read_text().replace("piece/po", "po").replace("piece/pl", "pl"))
+    assert len(ikea_env.read(file).parts) == 2
+
+
+def test_find(tmp_path):
+    file = write(tmp_path, POST, PLATE)
+    (tmp_path / "other.xml").write_text("<robot/>")
+    assert ikea_env.find(tmp_path) == ikea_env.find(file) == [file]
+    with pytest.raises(FurnitureError, match="holds no MJCF"):
+        ikea_env.find(tmp_path / "piece")
+
+
+SAMPLES = Path(os.environ.get("ROBOASSEMBLY_SAMPLES", "/nonexistent")) / "clvrai_furniture" / "objects"
+
+
+@pytest.mark.skipif(not SAMPLES.is_dir(), reason="set ROBOASSEMBLY_SAMPLES to the folder of sample furniture")
+def test_most_samples_close():
+    closed, refused = [], {}
+    for file in sorted(SAMPLES.glob("*.xml")):
+        try:
+            raw = ikea_env.read(file)
+        except FurnitureError as problem:
+            refused[file.stem] = str(problem)
+            continue
+        closed.append(file.stem)
+        assert raw.parts[0].mesh.bounds[0, 2] >= -1e-6
+        assert any("meets" in note for note in raw.provenance.notes)
+    assert len(closed) >= 45
+    assert "stay 10.00 mm" in refused["chair_bertil_0148"]
