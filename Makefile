@@ -25,7 +25,7 @@ lint: $(VENV)/.dev
 $(VENV)/bin/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 		{ echo "RoboAssembly needs Python 3.11 or newer; name one with: make PYTHON=python3.12 ..." >&2; exit 1; }
-	@if command -v uv >/dev/null; then uv venv --quiet --python $(PYTHON) $(VENV); \
+	@if command -v uv >/dev/null; then uv venv --quiet --seed --python $(PYTHON) $(VENV); \
 		else $(PYTHON) -m venv $(VENV) && $(BIN)/python -m pip install --quiet --upgrade pip; fi
 
 # $(call install,WHAT): by uv if it is there, else by pip.
@@ -42,9 +42,9 @@ $(VENV)/.dev: pyproject.toml | $(VENV)/bin/python
 	@$(call install,--editable . --group dev)
 	@touch $@ $(VENV)/.run
 
-# The CPU build of PyTorch where the platform has one under that name; sb3-contrib is content with either.
+# By pip in any case: it takes a CPU build of PyTorch where the machine offers one, which uv does not look for.
 $(VENV)/.rl: $(VENV)/.dev
-	@$(call install,torch==2.13.0) || $(call install,torch)
+	@$(BIN)/python -m pip install --quiet torch==2.13.0 || $(BIN)/python -m pip install --quiet torch
 	@$(call install,--editable '.[rl]')
 	@touch $@
 

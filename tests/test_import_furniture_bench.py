@@ -60,12 +60,11 @@ def test_poses_are_chained_and_alternatives_shared_out(tmp_path):
 
 
 def test_find(tmp_path):
-    folder = write(tmp_path, {"table": table()})
-    for start in (tmp_path, tmp_path / "mesh", folder):
+    folder = write(tmp_path / "a" / "b", {"table": table()})
+    for start in (tmp_path, folder.parents[1], folder.parent, folder):
         assert furniture_bench.find(start) == [folder]
-    assert furniture_bench.find(tmp_path.parent) == [folder]
     with pytest.raises(FurnitureError, match="has no piece 'chair'; it has table"):
-        furniture_bench.read(tmp_path / "mesh" / "chair")
+        furniture_bench.read(folder.parent / "chair")
     with pytest.raises(FurnitureError, match="is not a folder"):
         furniture_bench.find(tmp_path / "gone")
 
@@ -105,6 +104,7 @@ def test_names_that_lead_out(tmp_path):
 SAMPLES = Path(os.environ.get("ROBOASSEMBLY_SAMPLES", "/nonexistent")) / "furniture_bench"
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not SAMPLES.is_dir(), reason="set ROBOASSEMBLY_SAMPLES to the folder of sample furniture")
 def test_samples_stand_on_their_feet():
     pieces = {path.name: furniture_bench.read(path) for path in furniture_bench.find(SAMPLES)}

@@ -103,7 +103,7 @@ def test_part_counts(tmp_path, count):
 def test_broken_files(chair, text, message):
     (chair / "01.obj").write_text(text)
     with pytest.raises(FurnitureError, match=message) as caught:
-        ikea_manual.read(chair).parts
+        ikea_manual.read(chair)
     assert "01.obj" in str(caught.value)
     assert "\n" not in str(caught.value)
 
@@ -111,7 +111,7 @@ def test_broken_files(chair, text, message):
 def test_bytes_that_are_no_text(chair):
     (chair / "01.obj").write_bytes(b"\xff\xfe\x00\x80")
     with pytest.raises(FurnitureError, match="cannot be read as OBJ"):
-        ikea_manual.read(chair).parts
+        ikea_manual.read(chair)
 
 
 @pytest.mark.parametrize("scale", [0.0, -1.0, float("nan")])

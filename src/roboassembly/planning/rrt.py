@@ -20,20 +20,64 @@ from roboassembly.poses import SE3
 
 util.setLogLevel(util.LogLevel.LOG_NONE)
 
+Exhausted = Callable[[], bool]
 RANGE = 0.25
 """Longest extension of a tree, in OMPL's SE(3) metric (metres plus radians)."""
 
 
 class _EdgeValidator(base.MotionValidator):
-    def __init__(self, information: base.SpaceInformation, world: CollisionWorld) -> None:
+    def __init__(self, information: base.SpaceInformation, free: Callable[[Any, Any], bool], exhausted: Exhausted):
         super().__init__(information)
-        self._world = world
-        self.exhausted: Callable[[], bool] = lambda: False
+        self._free = free
+        self._exhausted = exhausted
 
     def checkMotion(self, first: Any, second: Any) -> bool:  # noqa: N802 (OMPL's name)
-        if self.exhausted():
-            return False
-        return self._world.edge_is_free(_pose(first), _pose(second))
+        return not self._exhausted() and self._free(first, second)
+
+
+def run_rrt_connect(
+    space: Any,
+    start: Any,
+    goals: Sequence[Any],
+    edge_is_free: Callable[[Any, Any], bool],
+    is_free: Callable[[Any], bool],
+    exhausted: Exhausted,
+    seed: int,
+    longest: float | None,
+) -> list[Any] | None:
+    """OMPL's RRT-Connect on states of any space; None if it was `exhausted` first.
+
+    Args:
+        longest: extension of a tree in the space's metric; OMPL's own choice if None.
+    """
+    util.RNG.setSeed(int(seed) % (2**31 - 1) + 1)
+    information = base.SpaceInformation(space)
+    # OMPL keeps no reference of its own to Python objects: these locals keep them alive while it runs.
+    validator = _EdgeValidator(information, edge_is_free, exhausted)
+    information.setMotionValidator(validator)
+    information.setStateValidityChecker(is_free)
+    information.setup()
+    definition = base.ProblemDefinition(information)
+    definition.addStartState(start)
+    goal = base.GoalStates(information)
+    for state in goals:
+        goal.addState(state)
+    definition.setGoal(goal)
+    planner = geometric.RRTConnect(information)
+    if longest is not None:
+        planner.setRange(longest)
+    planner.setProblemDefinition(definition)
+    planner.setup()
+    planner.solve(base.PlannerTerminationCondition(exhausted))
+    if not definition.hasExactSolution():
+        return None
+    path: Any = definition.getSolutionPath()
+    copies = []
+    for index in range(path.getStateCount()):
+        copy = space.allocState()
+        space.copyState(copy, path.getState(index))
+        copies.append(copy)
+    return copies
 
 
 def rrt_connect(
@@ -48,11 +92,12 @@ def rrt_connect(
 
     Args:
         world: counts the states; the budget in states is spent from its counter onward.
+        start: where the body is.
+        goals: where it may end.
         bounds: lowest and highest position of the body's origin, metres.
         budget: what this search may spend.
         seed: the same seed gives the same path.
     """
-    util.RNG.setSeed(int(seed) % (2**31 - 1) + 1)
     space = base.SE3StateSpace()
     box = base.RealVectorBounds(3)
     everywhere = [start.translation, *(g.translation for g in goals)]
@@ -62,33 +107,25 @@ def rrt_connect(
         box.setLow(axis, float(low[axis]))
         box.setHigh(axis, float(high[axis]))
     space.setBounds(box)
-    information = base.SpaceInformation(space)
-    validator = _EdgeValidator(information, world)
-    information.setMotionValidator(validator)
-    information.setStateValidityChecker(lambda state: world.is_free(_pose(state)))
-    information.setup()
 
-    definition = base.ProblemDefinition(information)
-    first = _state(space, start)
-    targets = [_state(space, g) for g in goals]
-    definition.addStartState(first)
-    goal = base.GoalStates(information)
-    for target in targets:
-        goal.addState(target)
-    definition.setGoal(goal)
-    planner = geometric.RRTConnect(information)
-    planner.setRange(RANGE)
-    planner.setProblemDefinition(definition)
-    planner.setup()
+    def state(pose: SE3) -> Any:
+        made = space.allocState()
+        set_pose(made, pose)
+        return made
 
     limit = world.states + budget.states
     deadline = None if budget.seconds is None else time.perf_counter() + budget.seconds
-    validator.exhausted = lambda: world.states >= limit or (deadline is not None and time.perf_counter() > deadline)
-    planner.solve(base.PlannerTerminationCondition(validator.exhausted))
-    if not definition.hasExactSolution():
-        return None
-    path: Any = definition.getSolutionPath()
-    return tuple(_pose(path.getState(i)) for i in range(path.getStateCount()))
+    path = run_rrt_connect(
+        space,
+        state(start),
+        [state(g) for g in goals],
+        lambda a, b: world.edge_is_free(pose_of(a), pose_of(b)),
+        lambda s: world.is_free(pose_of(s)),
+        lambda: world.states >= limit or (deadline is not None and time.perf_counter() > deadline),
+        seed,
+        RANGE,
+    )
+    return None if path is None else tuple(pose_of(s) for s in path)
 
 
 def shortcut(world: CollisionWorld, path: Sequence[SE3], seed: int, attempts: int = 40) -> tuple[SE3, ...]:
@@ -104,20 +141,18 @@ def shortcut(world: CollisionWorld, path: Sequence[SE3], seed: int, attempts: in
     return tuple(poses)
 
 
-def _state(space: base.SE3StateSpace, pose: SE3) -> Any:
-    # OMPL's stubs know only the base class of states and paths; hence Any here and below.
-    state: Any = space.allocState()
+def set_pose(state: Any, pose: SE3) -> None:
+    """Write a pose into an OMPL SE(3) state. (OMPL's stubs know only the base class of states; hence Any.)"""
     state.setXYZ(*map(float, pose.translation))
     quaternion = pin.Quaternion(pose.rotation)
     # OMPL waits for ever for a goal whose quaternion is off unit length by more than 1e-9.
     quaternion.normalize()
     rotation = state.rotation()
     rotation.x, rotation.y, rotation.z, rotation.w = quaternion.x, quaternion.y, quaternion.z, quaternion.w
-    return state
 
 
-def _pose(state: Any) -> SE3:
+def pose_of(state: Any) -> SE3:
+    """The pose of an OMPL SE(3) state."""
     q = state.rotation()
-    return SE3(
-        pin.Quaternion(q.w, q.x, q.y, q.z).toRotationMatrix(), np.array([state.getX(), state.getY(), state.getZ()])
-    )
+    position = np.array([state.getX(), state.getY(), state.getZ()])
+    return SE3(pin.Quaternion(q.w, q.x, q.y, q.z).toRotationMatrix(), position)

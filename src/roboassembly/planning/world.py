@@ -29,6 +29,43 @@ _GROUND_THICKNESS = 1.0
 _GROUND_SIZE = 200.0
 
 
+Pool = pin.TreeBroadPhaseManagerPool_DynamicAABBTreeCollisionManager
+
+
+def collision_pool(scene: Scene) -> Pool:
+    """Exact geometry of a scene for batches of configurations.
+
+    Each moving body has a free joint, in the scene's order: seven numbers `(x, y, z, qx, qy, qz, qw)`. Moving bodies
+    are tested against still ones, the ground and each other.
+    """
+    model, geometry = pin.Model(), pin.GeometryModel()
+    owners: list[list[int]] = []
+    still: list[int] = []
+    for b, body in enumerate(scene.bodies):
+        joint = model.addJoint(0, pin.JointModelFreeFlyer(), SE3.Identity(), f"b{b}") if body.moves else 0
+        own = []
+        for s, shape in enumerate(body.shapes):
+            placement = shape.body_from_mesh if body.moves else body.pose * shape.body_from_mesh
+            own.append(geometry.addGeometryObject(pin.GeometryObject(f"b{b}/{s}", joint, placement, shape.mesh.bvh)))
+        (owners.append if body.moves else still.extend)(own)
+    if scene.ground:
+        slab = coal.Box(_GROUND_SIZE, _GROUND_SIZE, _GROUND_THICKNESS)
+        below = SE3(np.eye(3), np.array([0.0, 0.0, -0.5 * _GROUND_THICKNESS]))
+        still.append(geometry.addGeometryObject(pin.GeometryObject("ground", 0, below, slab)))
+    for index, own in enumerate(owners):
+        others = [*still, *(g for other in owners[index + 1 :] for g in other)]
+        for a in own:
+            for b in others:
+                geometry.addCollisionPair(pin.CollisionPair(a, b))
+    pool = Pool(model, geometry, 1)
+    for data in pool.getGeometryDatas():
+        for request in data.collisionRequests:
+            # By default Coal goes on to find how near two meshes are once they are within 1 mm, and in a joint they
+            # always are. Only hit or no hit is asked for.
+            request.break_distance = 0.0
+    return pool
+
+
 class CollisionWorld:
     """The planning model of a scene in which exactly one body moves.
 
@@ -45,6 +82,7 @@ class CollisionWorld:
         movers = [body for body in scene.bodies if body.moves]
         if len(movers) != 1:
             raise InputError(f"the scene has {len(movers)} moving bodies; planning takes exactly one")
+        self._scene = scene
         self._mover = movers[0]
         self._axes = np.eye(3) if box_axes is None else np.asarray(box_axes, dtype=float)
         self._ground = scene.ground
@@ -74,32 +112,8 @@ class CollisionWorld:
         """Metres between exact tests: no part is thin enough to slip into another from one to the next."""
 
     @cached_property
-    def _pool(self) -> pin.TreeBroadPhaseManagerPool_DynamicAABBTreeCollisionManager:
-        model = pin.Model()
-        joint = model.addJoint(0, pin.JointModelFreeFlyer(), SE3.Identity(), "mover")
-        geometry = pin.GeometryModel()
-        moving = [
-            geometry.addGeometryObject(pin.GeometryObject(f"m{i}", joint, shape.body_from_mesh, shape.mesh.bvh))
-            for i, shape in enumerate(self._mover.shapes)
-        ]
-        still = [
-            geometry.addGeometryObject(pin.GeometryObject(f"s{i}", 0, pose, mesh.bvh))
-            for i, (pose, mesh) in enumerate(self._still)
-        ]
-        if self._ground:
-            slab = coal.Box(_GROUND_SIZE, _GROUND_SIZE, _GROUND_THICKNESS)
-            below = SE3(np.eye(3), np.array([0.0, 0.0, -0.5 * _GROUND_THICKNESS]))
-            still.append(geometry.addGeometryObject(pin.GeometryObject("ground", 0, below, slab)))
-        for a in moving:
-            for b in still:
-                geometry.addCollisionPair(pin.CollisionPair(a, b))
-        pool = pin.TreeBroadPhaseManagerPool_DynamicAABBTreeCollisionManager(model, geometry, 1)
-        for data in pool.getGeometryDatas():
-            for request in data.collisionRequests:
-                # By default Coal goes on to find how near two meshes are once they are within 1 mm, and in a joint
-                # they always are. Only hit or no hit is asked for.
-                request.break_distance = 0.0
-        return pool
+    def _pool(self) -> Pool:
+        return collision_pool(self._scene)
 
     def first_collision(self, configurations: Float[np.ndarray, "7 n"]) -> int | None:
         """Index of the first configuration in collision, by exact test in order; None if all are free."""

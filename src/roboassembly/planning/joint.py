@@ -1,0 +1,119 @@
+"""All bodies at once: RRT-Connect in the 6·M-dimensional space of M free bodies, the paper's baseline."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from jaxtyping import Float
+from ompl import base
+
+from roboassembly.planning.problem import Budget, PlanningStatus
+from roboassembly.planning.rrt import pose_of, run_rrt_connect, set_pose
+from roboassembly.planning.world import ANGULAR_RESOLUTION, RESOLUTION, collision_pool
+from roboassembly.poses import SE3, interpolate, poses_to_configurations, rotation_angle
+from roboassembly.scene import Scene
+
+
+class JointWorld:
+    """Exact collision checks of a scene in which every body moves by itself."""
+
+    def __init__(self, scene: Scene) -> None:
+        self._pool = collision_pool(scene)
+        self._radii = [
+            max(float(np.linalg.norm(s.body_from_mesh.act(v))) for s in body.shapes for v in s.mesh.hull_vertices)
+            for body in scene.bodies
+            if body.moves
+        ]
+        self.states = 0
+        """Configurations of all bodies tested so far."""
+
+    def first_collision(self, configurations: Float[np.ndarray, "q n"]) -> int | None:
+        """Index of the first configuration in collision, in order; None if all are free."""
+        hits = pin.computeCollisionsInParallel(1, self._pool, np.asfortranarray(configurations), True, True)
+        if not hits.any():
+            self.states += configurations.shape[1]
+            return None
+        first = int(np.argmax(hits))
+        self.states += first + 1
+        return first
+
+    def is_free(self, poses: Sequence[SE3]) -> bool:
+        """Exact test of one configuration."""
+        return self.first_collision(poses_to_configurations(poses).reshape(-1, 1, order="F")) is None
+
+    def edge_is_free(self, start: Sequence[SE3], end: Sequence[SE3]) -> bool:
+        """Whether all states between are free; from one to the next no point of any body moves more than 2 mm."""
+        steps = 1
+        for a, b, radius in zip(start, end, self._radii, strict=True):
+            angle = rotation_angle(a.rotation.T @ b.rotation)
+            travel = float(np.linalg.norm(b.translation - a.translation)) + angle * radius
+            steps = max(steps, int(np.ceil(max(travel / RESOLUTION, angle / ANGULAR_RESOLUTION))))
+        # In slices, so that an edge that collides early costs little.
+        for first in range(1, steps + 1, 64):
+            fractions = np.arange(first, min(first + 64, steps + 1)) / steps
+            columns = np.concatenate([interpolate(a, b, fractions) for a, b in zip(start, end, strict=True)])
+            if self.first_collision(columns) is not None:
+                return False
+        return True
+
+
+def joint_rrt_connect(
+    world: JointWorld,
+    start: Sequence[SE3],
+    goal: Sequence[SE3],
+    bounds: Float[np.ndarray, "2 3"],
+    budget: Budget,
+    seed: int,
+) -> tuple[PlanningStatus, tuple[tuple[SE3, ...], ...], float]:
+    """Move all bodies from `start` to `goal` at once.
+
+    Args:
+        bounds: lowest and highest position of every body's origin, metres.
+
+    Returns:
+        Status, way-points (poses of all bodies each), and seconds.
+    """
+    begun = time.perf_counter()
+    if not world.is_free(goal):
+        return PlanningStatus.GOAL_IN_COLLISION, (), time.perf_counter() - begun
+    if not world.is_free(start):
+        return PlanningStatus.START_IN_COLLISION, (), time.perf_counter() - begun
+    space = base.CompoundStateSpace()
+    parts = []
+    for a, b in zip(start, goal, strict=True):
+        part, box = base.SE3StateSpace(), base.RealVectorBounds(3)
+        for axis in range(3):
+            box.setLow(axis, float(min(bounds[0][axis], a.translation[axis], b.translation[axis])))
+            box.setHigh(axis, float(max(bounds[1][axis], a.translation[axis], b.translation[axis])))
+        part.setBounds(box)
+        space.addSubspace(part, 1.0)
+        parts.append(part)
+
+    def read(state: Any) -> list[SE3]:
+        return [pose_of(state[i]) for i in range(len(parts))]
+
+    def make(poses: Sequence[SE3]) -> Any:
+        state: Any = space.allocState()
+        for i, pose in enumerate(poses):
+            set_pose(state[i], pose)
+        return state
+
+    exhausted: Callable[[], bool] = _limit(world, budget, begun)
+    path = run_rrt_connect(
+        space, make(start), [make(goal)], lambda a, b: world.edge_is_free(read(a), read(b)),
+        lambda s: world.is_free(read(s)), exhausted, seed, None,
+    )  # fmt: skip
+    seconds = time.perf_counter() - begun
+    if path is None:
+        return PlanningStatus.BUDGET_EXHAUSTED, (), seconds
+    return PlanningStatus.SOLVED, tuple(tuple(read(s)) for s in path), seconds
+
+
+def _limit(world: JointWorld, budget: Budget, begun: float) -> Callable[[], bool]:
+    limit = world.states + budget.states
+    deadline = None if budget.seconds is None else begun + budget.seconds
+    return lambda: world.states >= limit or (deadline is not None and time.perf_counter() > deadline)

@@ -1,0 +1,356 @@
+"""A plain folder of named parts, or a GLB scene: units, axes, scene graphs, file formats, broken files."""
+
+from __future__ import annotations
+
+import json
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from roboassembly.errors import FurnitureError
+from roboassembly.furniture.importers import folder
+from roboassembly.furniture.importers.mesh_files import read_mesh
+
+HALF = 0.5**0.5
+
+
+def box(extents, centre=(0.0, 0.0, 0.0)) -> trimesh.Trimesh:
+    mesh = trimesh.creation.box(extents)
+    mesh.apply_translation(centre)
+    return mesh
+
+
+def export(mesh: trimesh.Trimesh, path: Path, **options) -> None:
+    data = mesh.export(file_type=path.suffix[1:], **options)
+    path.write_bytes(data if isinstance(data, bytes) else data.encode())
+
+
+def write(root: Path, unit: float = 1.0, suffixes=("obj", "stl", "ply")) -> Path:
+    """A table of 1.0 by 0.6 by 0.5 metres: a top on two panels."""
+    root.mkdir(exist_ok=True)
+    parts = {
+        "top": box((1.0, 0.6, 0.1), (0, 0, 0.45)),
+        "left panel": box((0.1, 0.6, 0.4), (-0.4, 0, 0.2)),
+        "right panel": box((0.1, 0.6, 0.4), (0.4, 0, 0.2)),
+    }
+    for (name, mesh), suffix in zip(parts.items(), suffixes, strict=True):
+        mesh.apply_scale(1.0 / unit)
+        export(mesh, root / f"{name}.{suffix}")
+    return root
+
+
+@pytest.mark.parametrize("suffixes", [("obj", "stl", "ply"), ("glb", "obj", "stl")])
+def test_each_file_is_a_part(tmp_path, suffixes):
+    raw = folder.read(write(tmp_path / "table", suffixes=suffixes))
+    assert [p.name for p in raw.parts] == ["left panel", "right panel", "top"]
+    assert np.allclose(raw.parts[2].mesh.bounds, [[-0.5, -0.3, 0.4], [0.5, 0.3, 0.5]], atol=1e-6)
+    assert np.allclose(raw.parts[0].mesh.bounds, [[-0.45, -0.3, 0.0], [-0.35, 0.3, 0.4]], atol=1e-6)
+    assert all(p.mesh.is_solid for p in raw.parts)
+    assert raw.provenance.identifier == "table"
+
+
+@pytest.mark.parametrize(
+    ("unit", "factor", "words"),
+    [
+        (1.0, 1.0, "metres"),
+        (0.3, 1.0, "metres"),
+        (0.01, 0.01, "centimetres"),
+        (0.001, 0.001, "millimetres"),
+        (1e-6, 1e-6, "scaled to 1 m"),
+        (100.0, 100.0, "scaled to 1 m"),
+    ],
+)
+def test_units(tmp_path, unit, factor, words):
+    """The longest side is 1 m: at 0.3 m a unit the files say 3.33, which is believed to be metres."""
+    raw = folder.read(write(tmp_path / "table", unit))
+    assert raw.provenance.scale == pytest.approx(factor, rel=1e-5)
+    assert words in raw.provenance.notes[0]
+    assert folder.read(tmp_path / "table", scale=unit).provenance.scale == unit
+
+
+@pytest.mark.parametrize("longest", [1e-300, 0.05, 0.1, 4.0, 4.1, 9.9, 10.0, 250.0, 251.0, 4000.0, 4001.0, 1e300])
+def test_guessed_sizes_are_never_absurd(longest):
+    assert 0.1 <= folder.guess_unit(longest)[0] * longest <= 4.0
+
+
+@pytest.mark.parametrize(
+    ("up", "size"),
+    [("z", (1.0, 0.6, 0.5)), ("y", (1.0, 0.5, 0.6)), ("x", (0.5, 0.6, 1.0)), ("-x", (0.5, 0.6, 1.0))],
+)
+def test_up_axis(tmp_path, up, size):
+    raw = folder.read(write(tmp_path / "table"), up=up)
+    corners = np.concatenate([p.mesh.bounds for p in raw.parts])
+    assert np.allclose(np.ptp(corners, axis=0), size, atol=1e-6)
+    assert corners[:, 2].min() == pytest.approx(0.0, abs=1e-6)
+    assert all(p.mesh.is_solid for p in raw.parts), "turning must not mirror"
+
+
+def test_upside_down(tmp_path):
+    raw = folder.read(write(tmp_path / "table"), up="-z")
+    assert np.allclose(raw.parts[2].mesh.bounds[:, 2], [0.0, 0.1], atol=1e-6)
+    with pytest.raises(FurnitureError, match="up axis 'w' is not known"):
+        folder.read(tmp_path / "table", up="w")  # pyright: ignore[reportArgumentType]
+
+
+CUBE = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype="<f4")
+CUBE_FACES = np.array(trimesh.Trimesh(*(lambda h: (h.vertices, h.faces))(trimesh.PointCloud(CUBE).convex_hull)).faces)
+
+
+def glb(path: Path, nodes: list[dict], **changes) -> Path:
+    """A GLB whose mesh 0 is the unit cube from the origin to (1, 1, 1)."""
+    mesh = trimesh.PointCloud(CUBE.astype(float)).convex_hull
+    points, faces = mesh.vertices.astype("<f4").tobytes(), mesh.faces.astype("<u2").tobytes()
+    document = {
+        "asset": {"version": "2.0"},
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": nodes,
+        "meshes": [{"name": "cube", "primitives": [{"attributes": {"POSITION": 0}, "indices": 1}]}],
+        "accessors": [
+            {"bufferView": 0, "componentType": 5126, "count": 8, "type": "VEC3"},
+            {"bufferView": 1, "componentType": 5123, "count": 36, "type": "SCALAR"},
+        ],
+        "bufferViews": [
+            {"buffer": 0, "byteLength": len(points)},
+            {"buffer": 0, "byteLength": len(faces), "byteOffset": len(points)},
+        ],
+        "buffers": [{"byteLength": len(points) + len(faces)}],
+        **changes,
+    }
+    text = json.dumps(document).encode()
+    text += b" " * (-len(text) % 4)
+    binary = points + faces + b"\0" * (-len(points + faces) % 4)
+    body = struct.pack("<II", len(text), 0x4E4F534A) + text + struct.pack("<II", len(binary), 0x004E4942) + binary
+    path.write_bytes(b"glTF" + struct.pack("<II", 2, 12 + len(body)) + body)
+    return path
+
+
+def test_scene_graph_transforms(tmp_path):
+    """Root: 2 along x. Seat: cube stretched to 4 x 1 x 1. Back, below seat: a quarter turn about z, then 1 up (y)."""
+    nodes = [
+        {"name": "chair", "translation": [2, 0, 0], "children": [1]},
+        {"name": "seat", "scale": [4, 1, 1], "mesh": 0, "children": [2]},
+        {"name": "back", "translation": [0, 1, 0], "rotation": [0, 0, HALF, HALF], "mesh": 0},
+    ]
+    raw = folder.read(glb(tmp_path / "chair.glb", nodes), scale=1.0)
+    assert [p.name for p in raw.parts] == ["seat", "back"]
+    # glTF frame: seat x 2..6, y 0..1, z 0..1; back: cube turned to x -1..0, stretched to -4..0, so x -2..2, y 1..2.
+    # z up: (x, -z, y), centred on x 2 and y -0.5.
+    assert np.allclose(raw.parts[0].mesh.bounds, [[0, -0.5, 0], [4, 0.5, 1]], atol=1e-6)
+    assert np.allclose(raw.parts[1].mesh.bounds, [[-4, -0.5, 1], [0, 0.5, 2]], atol=1e-6)
+    assert raw.provenance.identifier == "chair"
+
+
+def test_matrices_are_column_major_and_mirrors_stay_solid(tmp_path):
+    matrix = [-1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 5, 0, 0, 1]
+    nodes = [{"children": [1, 2]}, {"name": "a", "mesh": 0}, {"name": "b", "mesh": 0, "matrix": matrix}]
+    raw = folder.read(glb(tmp_path / "x.glb", nodes), scale=1.0)
+    assert np.allclose(raw.parts[1].mesh.bounds[:, 0] - raw.parts[0].mesh.bounds[0, 0], [4, 5], atol=1e-6)
+    assert all(p.mesh.is_solid for p in raw.parts)
+
+
+def test_names(tmp_path):
+    """Nameless nodes belong to the named one above; at the top they take their mesh's name; repeats are numbered."""
+    nodes = [
+        {"children": [1, 3, 4, 5]},
+        {"name": "leg", "children": [2]},
+        {"mesh": 0},
+        {"name": "leg", "mesh": 0, "translation": [2, 0, 0]},
+        {"mesh": 0, "translation": [4, 0, 0]},
+        {"mesh": 0, "translation": [6, 0, 0]},
+    ]
+    raw = folder.read(glb(tmp_path / "x.glb", nodes))
+    assert [p.name for p in raw.parts] == ["leg", "leg_2", "cube", "cube_2"]
+
+
+def test_nameless_pieces_of_one_part_are_joined(tmp_path):
+    nodes = [
+        {"children": [1, 4]},
+        {"name": "leg", "children": [2, 3]},
+        {"mesh": 0},
+        {"mesh": 0, "translation": [0, 1, 0]},
+        {"name": "top", "mesh": 0, "translation": [0, 2, 0]},
+    ]
+    raw = folder.read(glb(tmp_path / "x.glb", nodes))
+    assert [(p.name, len(p.mesh.faces)) for p in raw.parts] == [("leg", 24), ("top", 12)]
+
+
+PAIR = [{"children": [1, 2]}, {"name": "a", "mesh": 0}, {"name": "b", "mesh": 0, "translation": [1, 0, 0]}]
+VIEWS = [{"buffer": 0, "byteLength": 96}, {"buffer": 0, "byteLength": 72, "byteOffset": 96}]
+
+
+def accessors(**changes) -> list[dict]:
+    return [
+        {"bufferView": 0, "componentType": 5126, "count": 8, "type": "VEC3", **changes},
+        {"bufferView": 1, "componentType": 5123, "count": 36, "type": "SCALAR"},
+    ]
+
+
+@pytest.mark.parametrize(
+    ("nodes", "changes", "message"),
+    [
+        ([{"children": [1]}, {"children": [0]}], {}, "reached twice"),
+        ([{"children": [0]}], {}, "reached twice"),
+        ([{"children": [1, 1]}, {"mesh": 0}], {}, "reached twice"),
+        ([{"children": [7]}], {}, "node 7 is not there"),
+        ([{"mesh": 3}], {}, "mesh 3 is not there"),
+        ([{"mesh": -1}], {}, "mesh -1 is not there"),
+        ([{"mesh": 0}], {}, "1 part; furniture has"),
+        ([{"mesh": 0, "rotation": [0, 0, 0, 0]}], {}, "no direction"),
+        ([{"mesh": 0, "matrix": [1]}], {}, "matrix of 1 numbers"),
+        ([{"mesh": "x"}], {}, "not valid"),
+        ([{"children": [k + 1]} for k in range(300)] + [{"mesh": 0}], {}, "nested deeper"),
+        (PAIR, {"scene": 5}, "scene 5"),
+        (PAIR, {"accessors": []}, "accessor 0"),
+        (PAIR, {"accessors": accessors(count=2**60)}, "beyond its buffer"),
+        (PAIR, {"accessors": accessors(count=9)}, "beyond its buffer"),
+        (PAIR, {"accessors": accessors(byteOffset=-4)}, "beyond its buffer"),
+        (PAIR, {"accessors": accessors(bufferView=None)}, "sparse or compressed"),
+        (PAIR, {"accessors": accessors(sparse={"count": 1})}, "sparse or compressed"),
+        (PAIR, {"accessors": accessors(type="VEC4")}, "no list of points"),
+        (PAIR, {"bufferViews": [{**VIEWS[0], "byteStride": 0}, VIEWS[1]]}, "beyond its buffer"),
+        (PAIR, {"bufferViews": [{**VIEWS[0], "buffer": 1}, VIEWS[1]]}, "outside the file"),
+        (PAIR, {"extensionsRequired": ["KHR_draco_mesh_compression"]}, "requires KHR_draco"),
+        (PAIR, {"meshes": [{"primitives": []}]}, "has no faces"),
+        (PAIR, {"meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "mode": 9}]}]}, "mode 9"),
+    ],
+)
+def test_broken_scenes(tmp_path, nodes, changes, message):
+    with pytest.raises(FurnitureError, match=message) as caught:
+        folder.read(glb(tmp_path / "x.glb", nodes, **changes))
+    assert "\n" not in str(caught.value)
+    assert "x.glb" in str(caught.value)
+
+
+def test_amplification_is_refused(tmp_path):
+    """Small files that unfold to many millions of triangles."""
+    many = [{"children": list(range(1, 15_001))}, *({"name": "a", "mesh": 0} for _ in range(15_000))]
+    primitives = [{"attributes": {"POSITION": 0}, "indices": 1}] * 200
+    with pytest.raises(FurnitureError, match="more than 2000000 faces"):
+        folder.read(glb(tmp_path / "x.glb", many, meshes=[{"primitives": primitives}]))
+
+
+def test_find(tmp_path):
+    table = write(tmp_path / "set" / "table")
+    scene = glb(tmp_path / "set" / "scenes" / "a.glb" if (tmp_path / "set" / "scenes").mkdir() is None else table, PAIR)
+    other = glb(tmp_path / "set" / "scenes" / "b.glb", PAIR)
+    assert folder.find(tmp_path) == sorted([table, scene, other])
+    assert folder.find(scene) == [scene]
+    glb(tmp_path / "set" / "scenes" / "c.glb", [{"mesh": 0}])
+    assert folder.find(scene.parent) == [scene.parent], "not all are scenes: then each file is a part"
+    with pytest.raises(FurnitureError, match="is a single part"):
+        folder.find(table / "top.obj")
+    with pytest.raises(FurnitureError, match="is not a folder"):
+        folder.find(tmp_path / "gone")
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(FurnitureError, match="holds nothing to import"):
+        folder.find(tmp_path / "empty")
+
+
+def test_things_that_are_no_files(tmp_path):
+    table = write(tmp_path / "table")
+    (table / "more.obj").mkdir()
+    assert len(folder.read(table).parts) == 3
+    (table / "loop.obj").symlink_to(table / "loop.obj")
+    assert len(folder.read(table).parts) == 3
+
+
+FORMATS = [
+    ("obj", {}),
+    ("stl", {}),
+    ("ply", {"encoding": "binary"}),
+    ("ply", {"encoding": "ascii"}),
+]
+
+
+@pytest.mark.parametrize(("suffix", "options"), FORMATS)
+def test_readers_agree_with_the_writer(tmp_path, suffix, options):
+    mesh = trimesh.creation.icosphere(subdivisions=2)
+    mesh.vertices[:] = np.round(mesh.vertices, 4)
+    export(mesh, tmp_path / f"x.{suffix}", **options)
+    got = read_mesh(tmp_path / f"x.{suffix}")
+    again = trimesh.Trimesh(got.points, got.faces, process=False)
+    assert again.is_volume
+    assert len(got.faces) == len(mesh.faces)
+    assert again.volume == pytest.approx(mesh.volume, rel=1e-4)
+
+
+def test_ascii_stl(tmp_path):
+    mesh = box((1, 2, 3))
+    (tmp_path / "x.stl").write_text(mesh.export(file_type="stl_ascii"))
+    got = read_mesh(tmp_path / "x.stl")
+    assert np.allclose(np.ptp(got.points, axis=0), [1, 2, 3])
+
+
+def test_ply_with_mixed_polygons(tmp_path):
+    header = (
+        b"ply\nformat binary_big_endian 1.0\nelement vertex 5\nproperty float x\nproperty float y\nproperty float z\n"
+        b"property uchar red\nelement face 2\nproperty list uchar int vertex_indices\nend_header\n"
+    )
+    points = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1)]
+    body = b"".join(struct.pack(">fffB", *p, 7) for p in points)
+    body += struct.pack(">B4i", 4, 0, 1, 2, 3) + struct.pack(">B3i", 3, 0, 1, 4)
+    (tmp_path / "x.ply").write_bytes(header + body)
+    got = read_mesh(tmp_path / "x.ply")
+    assert len(got.faces) == 3
+    assert len(got.points) == 5
+
+
+PLY = "ply\nformat ascii 1.0\nelement vertex {v}\nproperty float x\nproperty float y\nproperty {z}\nelement face {f}\n"
+PLY += "property list uchar int vertex_indices\nend_header\n0 0 0\n1 0 0\n0 1 0\n{face}\n"
+
+
+def ply(v="3", z="float z", f="1", face="3 0 1 2") -> str:
+    return PLY.format(v=v, z=z, f=f, face=face)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        ("a.ply", ply(v="99999999999"), "announced"),
+        ("a.ply", ply(v="-3"), "header line"),
+        ("a.ply", ply(v="9" * 30), "header line"),
+        ("a.ply", ply(z="float w"), "not in list"),
+        ("a.ply", ply(z="float x"), "declared twice"),
+        ("a.ply", ply(z="complex z"), "header line"),
+        ("a.ply", ply(f="7"), "announced"),
+        ("a.ply", ply(face="3 0 1 9"), "there are 3 vertices"),
+        ("a.ply", ply(face="30 0 1 2"), "ends in the middle"),
+        ("a.ply", ply(face="-3 0 1 2"), "ends in the middle"),
+        ("a.ply", ply(face="3 0 1 99999999999999999999"), "cannot be read as PLY"),
+        ("a.ply", ply().replace("end_header", ""), "no header"),
+        ("a.ply", ply().replace("ascii", "binary_little_endian"), "cannot be read as PLY"),
+        ("a.stl", "solid x\nvertex 0 0\n", "cannot be read as STL"),
+        ("a.stl", "solid x\nvertex 0 0 0\nvertex 1 0 0\nendsolid", "ends in the middle"),
+        ("a.stl", "x" * 84, "bytes, where"),
+        ("a.stl", "", "cannot be read as STL"),
+        ("a.stl", "solid\nendsolid", "has no faces"),
+        ("a.obj", f"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 {'9' * 30}", "line 4 cannot be read"),
+        ("a.obj", f"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 {'9' * 9000}", "line 4 cannot be read"),
+        ("a.obj", "v 0 0 0\nv 1 0 0\nv 0 1e300 0\nf 1 2 3", "no furniture is that large"),
+        ("a.glb", "glTF", "cannot be read as GLB"),
+        ("a.glb", "x" * 40, "does not begin with"),
+        ("a.fbx", "x", "holds no mesh files"),
+    ],
+)
+def test_broken_files(tmp_path, name, text, message):
+    table = tmp_path / "table"
+    table.mkdir()
+    (table / name).write_text(text)
+    if not name.endswith("fbx"):
+        export(box((1, 1, 1)), table / "b.obj")
+    with pytest.raises(FurnitureError, match=message) as caught:
+        folder.read(table)
+    assert "\n" not in str(caught.value)
+    assert len(str(caught.value)) < 600
+
+
+def test_large_files_are_refused(tmp_path, monkeypatch):
+    table = write(tmp_path / "table")
+    with (table / "top.obj").open("ab") as file:
+        file.truncate(2**40)  # sparse: takes no room on disk
+    with pytest.raises(FurnitureError, match="larger than 128 MiB"):
+        folder.read(table)
