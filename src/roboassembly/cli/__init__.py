@@ -10,6 +10,9 @@ import tyro
 
 from roboassembly.cli.assemble import Assemble
 from roboassembly.cli.bench import Bench
+from roboassembly.cli.dataset import Dataset
+from roboassembly.cli.evaluate import Evaluate
+from roboassembly.cli.export import Export
 from roboassembly.cli.generate import Generate
 from roboassembly.cli.importing import Import
 from roboassembly.cli.output import DONE_BADLY, print_json
@@ -19,6 +22,9 @@ _Command = (
     Annotated[Assemble, tyro.conf.subcommand("assemble")]
     | Annotated[Import, tyro.conf.subcommand("import")]
     | Annotated[Generate, tyro.conf.subcommand("generate")]
+    | Annotated[Export, tyro.conf.subcommand("export")]
+    | Annotated[Dataset, tyro.conf.subcommand("dataset")]
+    | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
     | Annotated[Bench, tyro.conf.subcommand("bench")]
 )
 

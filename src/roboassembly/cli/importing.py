@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import time
 from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict, dataclass
 from multiprocessing import get_context
 from pathlib import Path
@@ -112,7 +113,12 @@ class Import:
             return
         # Forking a process that has already started threads (BLAS, GL) can hang; spawning cannot.
         with ProcessPoolExecutor(min(self.jobs, len(folders)), mp_context=get_context("spawn")) as pool:
-            yield from pool.map(import_piece, work)
+            for piece, future in [(piece, pool.submit(import_piece, piece)) for piece in work]:
+                try:
+                    yield future.result()
+                except BrokenProcessPool:
+                    lost = "not imported: a worker process died (out of memory?); try this piece again with --jobs 1"
+                    yield Item(piece.name, 0, 0, 0.0, 0.0, 0.0, None, lost)
 
 
 def import_piece(piece: Piece) -> Item:

@@ -1,0 +1,87 @@
+"""`roboassembly dataset`: build, list and show data sets."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from statistics import median
+from typing import Annotated, Literal
+
+import tyro
+from tqdm import tqdm
+
+from roboassembly.cli.output import DONE, print_json
+from roboassembly.errors import InputError
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """Build, list or show data sets of certified furniture."""
+
+    what: Annotated[Literal["build", "list", "show"], tyro.conf.Positional]
+    """`build` can be stopped and goes on where it was."""
+    name: Annotated[str, tyro.conf.Positional] = "chairs-412"
+    """Which set."""
+    seed: int = 0
+    """Another seed, other chairs."""
+    jobs: int = os.cpu_count() or 1
+    """Chairs at a time."""
+    json: bool = False
+    """Print one JSON object on stdout, all else on stderr."""
+
+    def run(self) -> int:
+        """Do it; returns the exit status."""
+        if self.seed < 0 or self.jobs < 1:
+            raise InputError(f"--seed {self.seed} --jobs {self.jobs}: 0 or more, and 1 or more, would do")
+        from roboassembly.furniture import datasets
+
+        if self.what == "list":
+            rows = [
+                {"name": r.name, "description": r.description, "built": datasets.manifest_path(r.name).is_file()}
+                for r in datasets.RECIPES.values()
+            ]
+            if self.json:
+                print_json({"datasets": rows})
+            else:
+                for row in rows:
+                    print(f"{row['name']}: {row['description']}{'' if row['built'] else ' (not built yet)'}")
+            return DONE
+        datasets.manifest_path(self.name)
+        if self.what == "build":
+            self._build()
+        return self._show()
+
+    def _build(self) -> None:
+        from roboassembly.furniture.datasets import RECIPES
+        from roboassembly.solvers.curate import build
+
+        with tqdm(desc=f"building {self.name}", unit="chair") as progress:
+            for done, of in build(RECIPES[self.name], self.seed, self.jobs):
+                progress.total = of
+                progress.update(done - progress.n)
+
+    def _show(self) -> int:
+        from roboassembly.furniture import datasets
+
+        manifest = datasets.load_manifest(self.name)
+        summary = {}
+        for split in (datasets.EASY, datasets.HARD, datasets.TEST):
+            entries = [e for e in manifest.entries if e.split == split]
+            summary[split] = {
+                "chairs": len(entries),
+                "families": len({e.family for e in entries}),
+                "unseen": sum(e.unseen for e in entries),
+                "parts_median": median(e.parts for e in entries),
+                "with_dead_ends": sum(e.dead_end for e in entries),
+                "difficulty_mean": round(sum(e.difficulty for e in entries) / len(entries), 4),
+                "planning_steps_median": median(e.planning_steps for e in entries),
+            }
+        path = datasets.manifest_path(self.name)
+        if self.json:
+            print_json({"name": manifest.name, "version": manifest.version, "seed": manifest.seed,
+                        "manifest": str(path), "splits": summary})  # fmt: skip
+            return DONE
+        print(f"{manifest.name}, version {manifest.version}, seed {manifest.seed}: {path}")
+        for split, row in summary.items():
+            print(f"  {split}: " + ", ".join(f"{k} {v}" for k, v in row.items()))
+        return DONE

@@ -1,0 +1,150 @@
+"""Builds data sets: generate, certify by search, measure how hard, split."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from itertools import cycle, islice
+from multiprocessing import get_context
+from pathlib import Path
+
+import msgspec
+
+from roboassembly.furniture import catalogue
+from roboassembly.furniture.datasets import (
+    EASY,
+    HARD,
+    TEST,
+    VERSION,
+    Entry,
+    Manifest,
+    Recipe,
+    furniture_hash,
+    manifest_path,
+)
+from roboassembly.furniture.generate import CHAIRS
+from roboassembly.planning.problem import Budget
+from roboassembly.solvers.prober import probe
+from roboassembly.solvers.search import SearchLimits, solve
+from roboassembly.task.object_centric import ObjectCentricTask
+
+PROBES = 5
+"""Random plays by which difficulty is measured."""
+PATIENT_PROBES = 3
+"""Random plays that look for a true dead end."""
+_PROBE_BUDGET = Budget(states=0)
+"""Retreats only: what they do not solve, a sampling planner seldom does, and probing 412 chairs has to be quick."""
+_CERTIFY = SearchLimits(states=50_000, attempts=100)
+
+
+class Candidate(msgspec.Struct, frozen=True):
+    """A chair looked at for a set, as kept in the journal."""
+
+    family: str
+    seed: int
+    parts: int
+    certified: bool
+    difficulty: float
+    dead_end: bool
+    planning_steps: int
+    hash: str
+
+
+def examine(family: str, seed: int) -> Candidate:
+    """Generate one chair, certify it by search, and measure its difficulty."""
+    furniture = catalogue.make(family, seed)
+    task = ObjectCentricTask(furniture)
+    result = solve(furniture, 0, task=task, limits=_CERTIFY)
+    stuck, dead_end = 0.0, False
+    if result.plan.success:
+        plays = [probe(task, p, best_w=True, patient=False, budget=_PROBE_BUDGET) for p in range(PROBES)]
+        stuck = sum(not p.completed for p in plays) / PROBES
+        dead_end = any(
+            not probe(task, p, best_w=True, patient=True, budget=_PROBE_BUDGET).completed for p in range(PATIENT_PROBES)
+        )
+    return Candidate(
+        family,
+        seed,
+        len(furniture.parts),
+        result.plan.success,
+        stuck,
+        dead_end,
+        result.planning_steps,
+        furniture_hash(furniture),
+    )
+
+
+def build(recipe: Recipe, seed: int, jobs: int) -> Iterator[tuple[int, int]]:
+    """Build a set and write its manifest; yields how many chairs of how many are examined.
+
+    A journal beside the manifest keeps what is done, so that a build that was stopped goes on where it was.
+    """
+    path = manifest_path(recipe.name)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    journal = path.with_suffix(f".{seed}.jsonl")
+    known = {(c.family, c.seed): c for c in _read_journal(journal)}
+    seen = [f for f in CHAIRS if f not in recipe.unseen_families]
+    wanted = [
+        *_draw(seen, recipe.train + recipe.test_seen, seed),
+        *_draw(list(recipe.unseen_families), recipe.test_unseen, seed),
+    ]
+    chosen: list[Candidate] = []
+    with journal.open("ab") as log, ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+        todo = [w for w in wanted if w not in known]
+        done = len(wanted) - len(todo)
+        yield done, len(wanted)
+        while todo:
+            for candidate in pool.map(examine, *zip(*todo, strict=True), chunksize=1):
+                log.write(msgspec.json.encode(candidate) + b"\n")
+                log.flush()
+                known[candidate.family, candidate.seed] = candidate
+                done += candidate.certified
+                yield min(done, len(wanted)), len(wanted)
+            # A chair that search does not solve is replaced by the next of its family.
+            wanted = [w if known[w].certified else _next(w, known) for w in wanted]
+            todo = [w for w in wanted if w not in known]
+    chosen = [known[w] for w in wanted]
+    manifest = Manifest(recipe.name, VERSION, seed, tuple(_split(recipe, chosen)))
+    scratch = path.with_suffix(f".{os.getpid()}.tmp")
+    scratch.write_bytes(msgspec.json.format(msgspec.json.encode(manifest), indent=1) + b"\n")
+    scratch.replace(path)
+
+
+def _draw(families: list[str], count: int, seed: int) -> list[tuple[str, int]]:
+    """Families in turn, with ever new seeds; seed 0 is a family's catalogue model and left out."""
+    return [(f, seed * 100_000 + 1 + i // len(families)) for i, f in enumerate(islice(cycle(families), count))]
+
+
+def _next(chair: tuple[str, int], known: dict[tuple[str, int], Candidate]) -> tuple[str, int]:
+    family, seed = chair
+    seed += 50_000
+    while (family, seed) in known and not known[family, seed].certified:
+        seed += 1
+    return family, seed
+
+
+def _split(recipe: Recipe, chairs: list[Candidate]) -> Iterator[Entry]:
+    """The first `train` go into training: the easier half of them, by stuck plays and then parts, is `easy`."""
+    train, test = chairs[: recipe.train], chairs[recipe.train :]
+    ranked = sorted(train, key=lambda c: (c.difficulty, c.parts, c.family, c.seed))
+    for index, c in enumerate(ranked):
+        yield _entry(recipe, c, EASY if index < len(ranked) // 2 else HARD)
+    for c in test:
+        yield _entry(recipe, c, TEST)
+
+
+def _entry(recipe: Recipe, c: Candidate, split: str) -> Entry:
+    unseen = c.family in recipe.unseen_families
+    return Entry(c.family, c.seed, split, unseen, c.parts, c.difficulty, c.dead_end, c.planning_steps, c.hash)
+
+
+def _read_journal(path: Path) -> Iterator[Candidate]:
+    if not path.is_file():
+        return
+    for line in path.read_bytes().splitlines():
+        try:
+            yield msgspec.json.decode(line, type=Candidate)
+        except msgspec.DecodeError:
+            # The last line of a build that was killed while writing it.
+            continue

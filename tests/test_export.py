@@ -1,0 +1,49 @@
+"""Exports as other programs read them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from roboassembly.furniture import catalogue
+from roboassembly.furniture.export import WOOD_DENSITY, export_mjcf, export_urdf
+
+PIECES = ["ladder", "pedestal:3", "stool"]
+
+
+@pytest.mark.parametrize("name", PIECES)
+def test_mujoco_reads_it_and_it_stands(name: str, tmp_path: Path) -> None:
+    furniture = catalogue.find(name)
+    model = mujoco.MjModel.from_xml_path(str(export_mjcf(furniture, tmp_path)))
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    assert model.nbody == len(furniture.parts) + 1
+    expected = WOOD_DENSITY * sum(p.mesh.volume for p in furniture.parts)
+    assert model.body_mass.sum() == pytest.approx(expected, rel=1e-6)
+    lift = data.body(furniture.parts[0].name).xpos[2] - furniture.assembled[0].translation[2]
+    for part, slot in zip(furniture.parts, furniture.assembled, strict=True):
+        body = data.body(part.name)
+        np.testing.assert_allclose(body.xpos - [0, 0, lift], slot.translation, atol=1e-6)
+        np.testing.assert_allclose(body.xmat.reshape(3, 3), slot.rotation, atol=1e-6)
+    top = max(data.body(p.name).xpos[2] for p in furniture.parts)
+    mujoco.mj_step(model, data, nstep=1000)
+    assert max(data.body(p.name).xpos[2] for p in furniture.parts) == pytest.approx(top, abs=0.005)
+
+
+@pytest.mark.parametrize("name", PIECES)
+def test_pinocchio_reads_the_urdf_and_every_link_is_in_place(name: str, tmp_path: Path) -> None:
+    furniture = catalogue.find(name)
+    path = export_urdf(furniture, tmp_path)
+    model = pin.buildModelFromUrdf(str(path))
+    data = model.createData()
+    pin.forwardKinematics(model, data, pin.neutral(model))
+    pin.updateFramePlacements(model, data)
+    for part, slot in zip(furniture.parts, furniture.assembled, strict=True):
+        there = data.oMf[model.getFrameId(part.name)]
+        np.testing.assert_allclose(there.homogeneous, furniture.assembled[0].actInv(slot).homogeneous, atol=1e-6)
+    shapes = pin.buildGeomFromUrdf(model, str(path), pin.GeometryType.VISUAL, package_dirs=[str(tmp_path)])
+    assert shapes.ngeoms == len(furniture.parts)
