@@ -1,4 +1,4 @@
-"""The chair generator: every chair solid, strictly free of contact, connected, and possible to put together."""
+"""The generator: every piece of furniture solid, strictly free of contact, connected, possible to put together."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
 from roboassembly.errors import UnknownNameError
-from roboassembly.furniture.generate import CLEARANCE, FAMILIES, generate
+from roboassembly.furniture.annotate import annotate
+from roboassembly.furniture.generate import CHAIRS, CLEARANCE, FAMILIES, OTHERS, generate
 from roboassembly.furniture.generate.joints import RoundTenon, Tenon, joint_frame
 from roboassembly.furniture.generate.pieces import HERE
 from roboassembly.furniture.generate.rails import rail
@@ -32,13 +33,21 @@ from roboassembly.furniture.generate.solids import (
     turned,
     vector,
 )
-from roboassembly.furniture.model import CONTACT_DISTANCE, MAX_PARTS, MAX_POINTS, RawPart
+from roboassembly.furniture.model import CONTACT_DISTANCE, MAX_PARTS, MAX_POINTS, Provenance, RawPart
 from roboassembly.meshes import Mesh
 
-SEEDS = range(8)
-CHAIRS = [(family, seed) for family in FAMILIES for seed in SEEDS]
+FEW, MANY = range(3), range(3, 16)
+MADE = [(family, seed) for family in FAMILIES for seed in FEW]
+MADE += [pytest.param(family, seed, marks=pytest.mark.slow) for family in FAMILIES for seed in MANY]
 NEAR = 0.008
 """Pairs are joined, or farther apart than this: no doubt about what is connected."""
+SIZES = {
+    "chair": ((0.33, 0.33, 0.43), (0.88, 0.85, 1.12)),
+    "bench": ((0.90, 0.45, 0.75), (1.28, 0.70, 1.00)),
+    "table": ((0.50, 0.40, 0.40), (1.25, 0.70, 0.78)),
+    "shelf": ((0.40, 0.20, 0.65), (0.90, 0.38, 1.20)),
+}
+"""Over all, metres: more than the first three numbers, less than the other three."""
 
 
 def model_of(mesh: Mesh) -> fcl.CollisionObject:
@@ -58,7 +67,7 @@ def between(a: fcl.CollisionObject, b: fcl.CollisionObject) -> float:
 
 
 class Chair:
-    """A generated chair with the collision models and the close pairs of its parts."""
+    """A generated piece of furniture with the collision models and the close pairs of its parts."""
 
     def __init__(self, family: str, seed: int) -> None:
         self.parts: tuple[RawPart, ...] = generate(family, seed)
@@ -173,13 +182,13 @@ def rigid_residual(a: Mesh, b: Mesh) -> float:
     return float(np.linalg.norm(p @ rotation.T - q, axis=1).max())
 
 
-# ---------------------------------------------------------------------------------------------- every chair
+# ------------------------------------------------------------------------------------- every piece of furniture
 
 
-@pytest.mark.parametrize(("family", "seed"), CHAIRS)
+@pytest.mark.parametrize(("family", "seed"), MADE)
 def test_parts_are_solid_small_and_named(family: str, seed: int) -> None:
     parts = chair(family, seed).parts
-    assert 4 <= len(parts) <= MAX_PARTS
+    assert (3 if family == "upholstered" else 4) <= len(parts) <= MAX_PARTS
     assert len({p.name for p in parts}) == len(parts)
     for part in parts:
         assert part.mesh.is_solid, part.name
@@ -190,7 +199,7 @@ def test_parts_are_solid_small_and_named(family: str, seed: int) -> None:
         assert part.name.replace("_", "").isalnum()
 
 
-@pytest.mark.parametrize(("family", "seed"), CHAIRS)
+@pytest.mark.parametrize(("family", "seed"), MADE)
 def test_pairs_are_joined_with_clearance_or_well_apart(family: str, seed: int) -> None:
     c = chair(family, seed)
     for (i, j), gap in c.gaps.items():
@@ -200,30 +209,30 @@ def test_pairs_are_joined_with_clearance_or_well_apart(family: str, seed: int) -
         assert gap < 0.001 or gap > NEAR, pair
 
 
-@pytest.mark.parametrize(("family", "seed"), CHAIRS)
+@pytest.mark.parametrize(("family", "seed"), MADE)
 def test_parts_hang_together(family: str, seed: int) -> None:
     c = chair(family, seed)
     assert c.connected(set(range(len(c.parts))))
     assert c.joined.sum(axis=0).max() <= MAX_POINTS
 
 
-@pytest.mark.parametrize(("family", "seed"), CHAIRS)
-def test_stands_on_the_floor_in_the_middle_at_chair_size(family: str, seed: int) -> None:
+@pytest.mark.parametrize(("family", "seed"), MADE)
+def test_stands_on_the_floor_in_the_middle_at_its_size(family: str, seed: int) -> None:
     c = chair(family, seed)
     low, high = c.low.min(axis=0), c.high.max(axis=0)
     assert low[2] == 0.0
     assert np.allclose(low[:2] + high[:2], 0, atol=1e-6)
-    size = high - low
-    assert 0.33 < size[0] < 0.70
-    assert 0.33 < size[1] < 0.85
-    assert 0.43 < size[2] < 1.12
-    seat = c.part("seat").mesh.bounds
-    assert 0.40 < seat[1, 2] < 0.52
-    assert 0.33 < seat[1, 0] - seat[0, 0] < 0.56
-    assert 0.33 < seat[1, 1] - seat[0, 1] < 0.56
+    smallest, largest = SIZES[family if family in SIZES else FAMILIES[family].kind]
+    assert np.all(high - low > smallest)
+    assert np.all(high - low < largest)
+    if "seat" in c.names and family != "shell":
+        seat = c.part("seat").mesh.bounds
+        assert 0.40 < seat[1, 2] < 0.52
+        assert 0.33 < seat[1, 0] - seat[0, 0] < 0.65
+        assert 0.30 < seat[1, 1] - seat[0, 1] < 0.68
 
 
-@pytest.mark.parametrize(("family", "seed"), [(f, s) for f, s in CHAIRS if s < 5])
+@pytest.mark.parametrize(("family", "seed"), MADE)
 def test_comes_apart_by_straight_motions_of_two_groups(family: str, seed: int) -> None:
     """Taken apart in the reverse of some order of assembly, each step one straight collision-free motion."""
     c = chair(family, seed)
@@ -247,6 +256,21 @@ def test_comes_apart_by_straight_motions_of_two_groups(family: str, seed: int) -
         ("sled", "armrest_left", ["runner_left", "leg_front_left", "post_left"]),
         ("rocker", "spindle_2", ["post_left", "crest_rail", "back_rail_lower"]),
         ("stool", "stretcher_front", ["seat", "leg_front_left", "leg_front_right"]),
+        ("upholstered", "back", ["seat", "arm_left"]),
+        ("cantilever", "seat", ["frame_left", "frame_right", "back"]),
+        ("three_legged", "stretcher", ["seat", "leg_front", "leg_back_left"]),
+        ("splat", "splat", ["seat", "post_left", "post_right", "crest_rail"]),
+        ("throne", "back", ["side_left", "side_right", "crest_rail"]),
+        ("plank", "stretcher", ["seat", "leg_board_left", "leg_board_right"]),
+        ("plank", "leg_board_left", ["stretcher", "key_left"]),
+        ("folding", "seat", ["leg_inner_left", "leg_inner_right", "rod_inner"]),
+        ("shell", "spreader_1", ["seat", "bar_front", "bar_back"]),
+        ("bench", "back_slat_2", ["side_left", "crest_rail", "back_rail_lower"]),
+        ("garden", "seat_slat_2", ["side_left", "side_right", "seat_slat_1"]),
+        ("table_apron", "apron_front", ["top", "leg_front_left", "leg_front_right"]),
+        ("table_trestle", "stretcher_1", ["top", "head_left", "head_right", "post_left", "post_right"]),
+        ("shelf_open", "shelf_2", ["side_left", "side_right", "shelf_1"]),
+        ("shelf_bookcase", "back", ["side_left", "side_right", "top"]),
     ],
 )
 def test_the_wrong_order_is_a_dead_end(family: str, late: str, built: list[str]) -> None:
@@ -278,6 +302,21 @@ def test_the_wrong_order_is_a_dead_end(family: str, late: str, built: list[str])
         ("rocker", [f"spindle_{k}" for k in range(1, 6)]),
         ("stool", ["leg_front_left", "leg_back_right"]),
         ("stool", ["stretcher_front", "stretcher_back", "stretcher_left", "stretcher_right"]),
+        ("upholstered", ["leg_front_left", "leg_front_right", "leg_back_left", "leg_back_right"]),
+        ("three_legged", ["leg_front", "leg_back_left", "leg_back_right"]),
+        ("splat", ["leg_front_left", "leg_front_right"]),
+        ("plank", ["leg_board_left", "leg_board_right"]),
+        ("plank", ["key_left", "key_right"]),
+        ("shell", ["leg_front_left", "leg_front_right", "leg_back_left", "leg_back_right"]),
+        ("shell", ["bar_front", "bar_back"]),
+        ("bench", ["seat_slat_1", "seat_slat_2", "seat_slat_3", "seat_slat_4"]),
+        ("bench", [f"back_slat_{k}" for k in range(1, 7)]),
+        ("garden", ["back_bar_1", "back_bar_2", "back_bar_3"]),
+        ("garden", ["armrest_left", "armrest_right"]),
+        ("table_apron", ["leg_front_left", "leg_back_right"]),
+        ("table_trestle", ["post_left", "post_right"]),
+        ("shelf_open", ["shelf_1", "shelf_2", "shelf_3", "shelf_4"]),
+        ("shelf_bookcase", ["bottom", "shelf_1", "shelf_2"]),
     ],
 )
 def test_interchangeable_parts_are_one_shape_rigidly_moved(family: str, equal: list[str]) -> None:
@@ -289,13 +328,38 @@ def test_interchangeable_parts_are_one_shape_rigidly_moved(family: str, equal: l
 
 @pytest.mark.parametrize(
     ("family", "part"),
-    [("ladder", "post"), ("ladder", "leg_front"), ("panel", "post"), ("panel", "armrest"), ("rocker", "armrest")],
+    [
+        ("ladder", "post"),
+        ("ladder", "leg_front"),
+        ("panel", "post"),
+        ("panel", "armrest"),
+        ("rocker", "armrest"),
+        ("upholstered", "arm"),
+        ("cantilever", "frame"),
+        ("splat", "post"),
+        ("throne", "side"),
+        ("folding", "leg_outer"),
+        ("folding", "leg_inner"),
+        ("garden", "side"),
+        ("shelf_bookcase", "side"),
+    ],
 )
 def test_mirror_images_are_different_parts(family: str, part: str) -> None:
     left, right = (chair(family, 0).part(f"{part}_{side}").mesh for side in ("left", "right"))
     mirrored = Mesh(left.vertices * [-1, 1, 1], left.faces[:, ::-1])
     assert laid_over(mirrored, right) < 1e-6
     assert laid_over(left, right) > 0.002
+
+
+@pytest.mark.parametrize(
+    ("family", "seed"),
+    [(f, 0) for f in FAMILIES] + [pytest.param(f, s, marks=pytest.mark.slow) for f in FAMILIES for s in range(1, 10)],
+)
+def test_parts_that_annotation_finds_alike_are_one_solid(family: str, seed: int) -> None:
+    furniture = annotate(family, chair(family, seed).parts, Provenance("generated"))
+    for shape_class in furniture.classes:
+        alike = [chair(family, seed).parts[m] for m in shape_class.members]
+        assert all(np.array_equal(alike[0].mesh.faces, part.mesh.faces) for part in alike), [p.name for p in alike]
 
 
 # ------------------------------------------------------------------------------------------ seeds and names
@@ -330,8 +394,42 @@ def test_part_counts() -> None:
     assert len(counts) >= 4
 
 
+def test_part_counts_by_hand() -> None:
+    expected = {
+        "upholstered": 1 + 1 + 2 + 4,  # seat, back, armrests, legs
+        "cantilever": 2 + 1 + 1 + 1,  # strips, seat, back, bar
+        "three_legged": 1 + 3 + 1 + 2 + 1,  # seat, legs, star, posts, crest
+        "splat": 1 + 2 + 2 + 1 + 1,  # seat, legs, posts, splat, crest
+        "throne": 2 + 1 + 1 + 1 + 1,  # sides, seat, front, back, crest
+        "plank": 1 + 2 + 1 + 2 + 1,  # seat, boards, stretcher, keys, back
+        "folding": 4 + 1 + 2 + 1 + 2,  # legs, seat, rods, rest, slats
+        "shell": 1 + 2 + 4 + 1,  # shell, bars, legs, spreader
+        "bench": 2 + 2 + 4 + 2 + 6,  # sides, armrests, seat slats, rails, back slats
+        "garden": 2 + 2 + 4 + 3,  # sides, armrests, seat slats, back bars
+        "table_apron": 1 + 4 + 4,
+        "table_trestle": 2 * 3 + 1 + 1,
+        "shelf_open": 2 + 4 + 2,
+        "shelf_bookcase": 2 + 3 + 1 + 1 + 1,  # sides, boards, plinth, back, top
+    }
+    assert {family: len(chair(family, 0).parts) for family in expected} == expected
+
+
+@pytest.mark.slow
+def test_chairs_have_as_many_parts_as_real_ones() -> None:
+    """PartNet's 10th, 50th and 90th percentile: 5, 9, 16 parts."""
+    counts = [len(generate(family, seed)) for family in CHAIRS for seed in range(40)]
+    assert np.all(np.abs(np.percentile(counts, [10, 50, 90]) - [5, 9, 16]) <= 1)
+
+
+def test_kinds() -> None:
+    assert list(FAMILIES) == [*CHAIRS, *OTHERS]
+    assert len(CHAIRS) >= 13
+    assert sorted(family.kind for family in OTHERS.values()) == ["shelf", "shelf", "table", "table"]
+    assert all(family.kind == "chair" for family in CHAIRS.values())
+
+
 def test_unknown_family_offers_near_misses() -> None:
-    with pytest.raises(UnknownNameError, match="unknown chair family 'lader'; did you mean ladder"):
+    with pytest.raises(UnknownNameError, match="unknown furniture family 'lader'; did you mean ladder"):
         generate("lader", 0)
 
 

@@ -112,8 +112,8 @@ def test_sites_without_their_number_take_what_is_left(tmp_path):
 
 
 def test_a_search_that_leads_nowhere_ends(tmp_path):
-    """Twelve places on either part, and a third part that closes with none of them: given up, with the figure."""
-    spots = [f"0.0{k // 10}{k % 10} 0.01 0" for k in range(12)]
+    """Twenty places on either part, and a third part that closes with none of them: given up, with the figure."""
+    spots = [f"0.0{k // 10}{k % 10} 0.01 0" for k in range(20)]
     post = [(f"a-b,,conn_site{k}", spot, "1 0 0 0") for k, spot in enumerate(spots)]
     plate = [(f"b-a,,conn_site{k + 50}", spot, "1 0 0 0") for k, spot in enumerate(spots)]
     plate += [("b-c,0,conn_site1", "0 0 0", "1 0 0 0"), ("b-c,0,conn_site2", "0.1 0 0", "1 0 0 0")]

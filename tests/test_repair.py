@@ -185,12 +185,15 @@ def test_curved_neighbours_and_many_faces():
     assert len(result.parts[0].mesh.faces) <= 1.2 * RepairLimits().faces
 
 
-def test_flat_part_is_refused():
+def test_flat_part_gets_a_thickness():
     square = RawPart(
         "square", Mesh(np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]), np.array([[0, 1, 2], [0, 2, 3]]))
     )
-    with pytest.raises(FurnitureError, match="part 'square' is flat"):
-        repair([square, box("a", (0.1, 0.1, 0.1), (0, 0, 0.05))])
+    result = repair([square, box("a", (0.1, 0.1, 0.1), (0.5, 0.5, 0.05))])
+    assert_clear(result)
+    assert result.report[0].how == "sheet thickened"
+    assert any("10000 cm²" in note or "1e+04 cm²" in note for note in result.report[0].notes)
+    assert result.parts[0].mesh.volume == pytest.approx(1e-3, rel=0.01)
 
 
 def test_too_much_overlap_is_refused():

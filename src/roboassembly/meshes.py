@@ -127,7 +127,8 @@ class Mesh:
     @cached_property
     def thickness(self) -> float:
         """Metres between the nearest two parallel planes that hold the mesh, one of them along a face of its hull."""
-        normals = self.hull.face_normals
+        # Slivers of the hull have no normal.
+        normals = self.hull.face_normals[np.linalg.norm(self.hull.face_normals, axis=1) > 0.5]
         heights = self.hull_vertices @ normals.T
         return float((heights.max(axis=0) - heights.min(axis=0)).min())
 

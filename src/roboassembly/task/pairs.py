@@ -78,7 +78,7 @@ class PairRule:
         return Merge(merged, exact_u, exact_v)
 
     def _embed(self, members: tuple[int, ...], poses: tuple[SE3, ...]) -> tuple[Int[np.ndarray, "m"], list[SE3]] | None:
-        """Distinct slots of their classes for parts at `poses` after one common motion: the one that turns least."""
+        """Distinct slots of their classes for parts at `poses` after one common motion: the least, turning counts first."""
         classes = self._class_of[list(members)]
         ways = [len(self._slots[c]) for c in classes]
         anchor = int(np.argmin(ways))
@@ -94,7 +94,8 @@ class PairRule:
         if not len(hopeful):
             return None
         turned = np.trace(motions[hopeful], axis1=1, axis2=2)
-        for candidate in hopeful[np.argsort(-np.round(turned, 6), kind="stable")]:
+        moved = np.linalg.norm(shifts[hopeful], axis=1)
+        for candidate in hopeful[np.lexsort((np.round(moved, 6), -np.round(turned, 6)))]:
             slots = np.argmax(fits[candidate], axis=1)
             if len(set(slots.tolist())) < len(slots):
                 continue

@@ -153,7 +153,9 @@ def assemble(style: SlattedStyle) -> list[Piece]:
         cuts.append(Tenon(0.6 * height, 0.010, depth).pocket(joint_frame(knee + up * along + inner * X, -X, along)))
     if s.stretcher:
         tenon = Tenon(0.024, 0.012, depth)
-        at = vector(0, knee[1] - 0.005, 0.15)
+        # On the middle line of the rear legs, which run straight up to their bend.
+        share = 0.15 / (knee[2] - 0.045)
+        at = vector(0, (1 - share) * (rear - 0.01) + share * knee[1], 0.15)
         pieces.append(Piece("stretcher", "bar_stretcher", rail(at - inner * X, at + inner * X, Z, 0.045, 0.022, tenon)))
         cuts.append(tenon.pocket(joint_frame(at + inner * X, -X, Z)))
     for cut in cuts:
@@ -163,7 +165,7 @@ def assemble(style: SlattedStyle) -> list[Piece]:
         side += ARM_TENON.tongue(pin)
         arm = _arm(s, leg_top, knee, along) - ARM_TENON.pocket(pin)
         pieces += [Piece("armrest_left", "arm_horizontal_bar", arm)]
-        pieces += [Piece("armrest_right", "arm_horizontal_bar", mirrored_x(arm))]
+        pieces += [Piece("armrest_right", "arm_horizontal_bar", arm, move(-2 * leg_top[0]))]
     pieces += [Piece("side_left", "leg", side), Piece("side_right", "leg", mirrored_x(side))]
     return pieces
 

@@ -108,10 +108,7 @@ def assemble(style: PlankStyle) -> list[Piece]:
         key, hole = _key(s)
         for side, name in ((1, "left"), (-1, "right")):
             stretcher -= hole.translate((side * key_x, 0.0, 0.0))
-            pose = move(side * key_x)
-            if side < 0:
-                pose = pose * SE3(turn(Z, np.pi), np.zeros(3))
-            pieces.append(Piece(f"key_{name}", "bar_stretcher", key, pose))
+            pieces.append(Piece(f"key_{name}", "bar_stretcher", key, move(side * key_x)))
     pieces.append(Piece("stretcher", "bar_stretcher", stretcher))
     for side, name in ((1, "left"), (-1, "right")):
         pose = move(side * x) * SE3(turn(Z, 0.0 if side > 0 else np.pi), np.zeros(3))

@@ -57,7 +57,7 @@ def sample(rng: np.random.Generator) -> ShellStyle:
         hollow=rng.uniform(0.0, 0.03),
         splay=rng.uniform(0.14, 0.25),
         leg=rng.uniform(0.0155, 0.020),
-        spreaders=int(rng.integers(0, 3)),
+        spreaders=int(rng.choice([0, 1, 1, 2])),
         back_width=rng.uniform(0.72, 1.0),
     )
 

@@ -106,12 +106,13 @@ def assemble_apron(style: ApronTableStyle) -> list[Piece]:
             pose = move() if sign > 0 else move(y=-2 * mid)
             pieces.append(Piece(f"bar_{name}", "bar_stretcher", bar, pose))
         leg -= low.pocket(move(x, y) * mouths(start, end, Z)[0], over=0.012)
-    other = mirrored_x(leg)
+    # Without bars a leg is alike across its diagonal, and a quarter turn serves the other two corners.
+    other, quarter = (mirrored_x(leg), 0.0) if s.shelf_bars else (leg, np.pi / 2)
     for name, solid, sx, sy, angle in (
         ("front_right", leg, -1, -1, 0.0),
         ("back_left", leg, 1, 1, np.pi),
-        ("front_left", other, 1, -1, 0.0),
-        ("back_right", other, -1, 1, np.pi),
+        ("front_left", other, 1, -1, quarter),
+        ("back_right", other, -1, 1, np.pi + quarter),
     ):
         pose = SE3(turn(Z, angle), vector(sx * x, sy * y, 0))
         pieces.append(Piece(f"leg_{name}", "leg", solid, pose))
@@ -200,10 +201,10 @@ def assemble_trestle(style: TrestleTableStyle) -> list[Piece]:
         pieces.append(Piece(f"stretcher_{k + 1}", "bar_stretcher", bar, move(z=up)))
         post -= bar_tenon.pocket(joint_frame(at - 0.41 * s.thickness * X, -X, Z))
     for side, name in ((1, "left"), (-1, "right")):
-        pose = move(side * x) * SE3(turn(Z, 0.0 if side > 0 else np.pi), np.zeros(3))
-        pieces += [
-            Piece(f"{part}_{name}", "leg", solid, pose)
-            for part, solid in (("foot", foot), ("post", post), ("head", head))
-        ]
+        # The post's mortise looks inward; foot and head are the same from both sides.
+        facing = SE3(turn(Z, 0.0 if side > 0 else np.pi), np.zeros(3))
+        pieces.append(Piece(f"foot_{name}", "leg", foot, move(side * x)))
+        pieces.append(Piece(f"post_{name}", "leg", post, move(side * x) * facing))
+        pieces.append(Piece(f"head_{name}", "leg", head, move(side * x)))
     pieces.append(Piece("top", "tabletop", top))
     return pieces

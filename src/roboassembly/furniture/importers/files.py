@@ -40,12 +40,13 @@ def read_bytes(path: Path, limit: int = MAX_BYTES) -> bytes:
         raise FurnitureError(f"'{_shown(path)}' cannot be read: {reason}") from None
     try:
         with os.fdopen(handle, "rb") as file:
-            if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+            status = os.fstat(file.fileno())
+            if not stat.S_ISREG(status.st_mode):
                 raise FurnitureError(f"'{_shown(path)}' is not a regular file")
-            data = file.read(limit + 1)
+            data = file.read(limit + 1) if status.st_size <= limit else None
     except OSError as problem:
         raise FurnitureError(f"'{_shown(path)}' cannot be read: {problem.strerror}") from None
-    if len(data) > limit:
+    if data is None or len(data) > limit:
         raise FurnitureError(f"'{_shown(path)}' is larger than {limit // 2**20} MiB; simplify or split it")
     return data
 

@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 from jaxtyping import Float
 
-from roboassembly.errors import FurnitureError
+from roboassembly.errors import FurnitureError, InputError
 from roboassembly.furniture.importers.files import decode_json, one_line, read_bytes
 from roboassembly.furniture.importers.triangles import NamedTriangles, Triangles, combine, unique_names
 from roboassembly.meshes import MAX_FACES
@@ -53,7 +53,7 @@ class _Accessor(msgspec.Struct, frozen=True):
     view: int | None = msgspec.field(name="bufferView", default=None)
     offset: int = msgspec.field(name="byteOffset", default=0)
     normalized: bool = False
-    sparse: msgspec.Raw | None = None
+    sparse: dict[str, object] | None = None
 
 
 class _View(msgspec.Struct, frozen=True):
@@ -211,7 +211,7 @@ def _local(node: _Node, index: int) -> Float[np.ndarray, "4 4"]:
     out = np.eye(4)
     try:
         out[:3, :3] = rotation_from_quaternion((w, x, y, z)) * np.array(node.scale)
-    except ValueError as problem:
+    except InputError as problem:
         raise FurnitureError(f"node {index}: {problem}") from None
     out[:3, 3] = node.translation
     return out

@@ -58,7 +58,7 @@ def _read_obj(path: Path) -> Triangles:
 def _triangles(path: Path, points: np.ndarray, faces: np.ndarray) -> Triangles:
     if not len(faces):
         raise FurnitureError(f"'{path}' has no faces; a part needs at least four triangles")
-    return Triangles(points, faces)
+    return Triangles(points, faces).merged()
 
 
 def _read_stl(path: Path) -> Triangles:

@@ -43,7 +43,7 @@ UP_ROTATIONS: dict[str, Float[np.ndarray, "3 3"]] = {
 
 @dataclass(frozen=True, eq=False)
 class Triangles:
-    """A surface in a file's own frame and units, vertices that coincide merged.
+    """A surface in a file's own frame and units.
 
     Raises:
         FurnitureError: no faces, too many, no area, indices out of range, coordinates that are not finite or
@@ -71,9 +71,14 @@ class Triangles:
         edges = points[faces]
         if not np.cross(edges[:, 1] - edges[:, 0], edges[:, 2] - edges[:, 0]).any():
             raise FurnitureError("mesh has zero area: all its triangles are degenerate")
-        unique, merged = np.unique(points, axis=0, return_inverse=True)
-        object.__setattr__(self, "points", unique)
-        object.__setattr__(self, "faces", merged.reshape(-1)[faces])
+        object.__setattr__(self, "points", points)
+        object.__setattr__(self, "faces", faces)
+
+    def merged(self) -> Triangles:
+        """With one vertex where several coincide; vertices that no face uses are gone."""
+        used, corners = np.unique(self.faces, return_inverse=True)
+        unique, inverse = np.unique(self.points[used], axis=0, return_inverse=True)
+        return Triangles(unique, inverse.reshape(-1)[corners].reshape(-1, 3))
 
     def moved(self, matrix: Float[np.ndarray, "4 4"]) -> Triangles:
         """Taken through an affine map; turned inside out where the map mirrors, so that outside stays outside."""
@@ -92,7 +97,7 @@ class NamedTriangles:
 
 
 def combine(pieces: Sequence[Triangles]) -> Triangles:
-    """One surface of several.
+    """One surface of several, vertices that coincide merged.
 
     Raises:
         FurnitureError: more than `MAX_FACES` faces together, or none.
@@ -100,15 +105,13 @@ def combine(pieces: Sequence[Triangles]) -> Triangles:
     total = sum(len(piece.faces) for piece in pieces)
     if total > MAX_FACES:
         raise FurnitureError(f"has {total} faces; at most {MAX_FACES} are accepted, simplify it first")
-    if len(pieces) == 1:
-        return pieces[0]
     if not pieces:
         raise FurnitureError("has no faces; a part needs at least four triangles")
     offsets = np.cumsum([0, *(len(piece.points) for piece in pieces[:-1])])
     return Triangles(
         np.concatenate([piece.points for piece in pieces]),
         np.concatenate([piece.faces + offset for piece, offset in zip(pieces, offsets, strict=True)]),
-    )
+    ).merged()
 
 
 def unique_names(names: Sequence[str]) -> list[str]:
@@ -136,7 +139,7 @@ def check_scale(scale: float | None) -> None:
 
 def bounds(parts: Sequence[NamedTriangles], rotation: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "2 3"]:
     """Lowest and highest corner of all parts together, after `rotation`, in the files' units."""
-    corners = [part.triangles.points[np.unique(part.triangles.faces)] @ rotation.T for part in parts]
+    corners = [part.triangles.points @ rotation.T for part in parts]
     return np.array([np.min([c.min(axis=0) for c in corners], 0), np.max([c.max(axis=0) for c in corners], 0)])
 
 

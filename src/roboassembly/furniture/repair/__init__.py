@@ -3,27 +3,33 @@
 Each part is cleaned and made a solid by the gentlest means that works (as delivered, holes filled, convex hull,
 wrapped) and simplified. Then, of any two parts that overlap or touch, one is trimmed by the other grown by the gap:
 the one for which the other can still be pulled away in the most directions, at the least loss of volume. Parts that
-hang in the air are moved to the rest. What cannot be done within `RepairLimits` is refused.
+hang in the air are moved to the rest, sockets out of which nothing could leave are cut open, and parts that are
+delivered alike get each other's cuts, so that they stay alike. What cannot be done within `RepairLimits` is refused.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from roboassembly.errors import FurnitureError
 from roboassembly.furniture.model import RawPart, check_part_count
+from roboassembly.furniture.repair.alike import keep_alike, likenesses
 from roboassembly.furniture.repair.limits import RepairLimits
-from roboassembly.furniture.repair.separation import Piece, separate
-from roboassembly.furniture.repair.solid import solidify, to_surface
+from roboassembly.furniture.repair.piece import Piece
+from roboassembly.furniture.repair.separation import separate
+from roboassembly.furniture.repair.solid import solidify
+from roboassembly.furniture.repair.surface import to_surface
 from roboassembly.meshes import Mesh
 
 __all__ = ["GAP", "PartRepair", "RepairLimits", "RepairResult", "repair"]
 
 GAP = 0.0002
 """Metres between mating faces."""
+_ROOM = 0.8
+"""Share of the triangles allowed that a part has before it is trimmed: cuts add some."""
 
 
 @dataclass(frozen=True)
@@ -39,6 +45,8 @@ class PartRepair:
     """How it was made solid: `as delivered`, `holes filled`, `convex hull`, `sheet thickened`, `wrapped`."""
     shape_error: float
     """Metres that the delivered surface sticks out of the solid made of it (99th percentile), before trimming."""
+    shape_added: float
+    """Metres that the solid's skin lies off the delivered surface (99th percentile): caps over open ends."""
     notes: tuple[str, ...]
     """All else that was changed, one line each."""
 
@@ -48,7 +56,9 @@ class PartRepair:
             f"{self.name}: {self.how}, shape error {self.shape_error * 1e3:.2f} mm, "
             f"trimmed {self.trimmed:.2%}, moved {self.displacement * 1e3:.2f} mm"
         )
-        return "; ".join([text, *self.notes])
+        off = f"skin up to {self.shape_added * 1e3:.0f} mm off the delivered surface"
+        filled = [off] if self.shape_added > 0.001 else []
+        return "; ".join([text, *filled, *self.notes])
 
 
 @dataclass(frozen=True)
@@ -71,8 +81,8 @@ def repair(parts: Sequence[RawPart], *, gap: float = GAP, limits: RepairLimits |
         limits: where to refuse.
 
     Raises:
-        FurnitureError: fewer than 2 or more than 20 parts, two of one name, a flat part, or a limit exceeded; the
-            message names the part, the figure and the limit.
+        FurnitureError: fewer than 2 or more than 20 parts, two of one name, a limit exceeded, or parts that hold each
+            other fast; the message names the part, the figure and the limit.
     """
     limits = limits or RepairLimits()
     check_part_count(len(parts), "repair")
@@ -83,9 +93,15 @@ def repair(parts: Sequence[RawPart], *, gap: float = GAP, limits: RepairLimits |
         raise FurnitureError(f"part names {names} are not all different; rename the parts")
     corners = np.concatenate([part.mesh.bounds for part in parts])
     diagonal = float(np.linalg.norm(np.ptp(corners, axis=0)))
-    pieces = []
-    for part in parts:
-        solid = solidify(part.name, part.mesh, limits.faces)
+    alike = likenesses(parts)
+    pieces: list[Piece] = []
+    for part, like in zip(parts, alike, strict=True):
+        if like.master < len(pieces):
+            first = pieces[like.master]
+            note = f"made like '{first.name}'"
+            solid = replace(first.solid, body=like.placed(first.body), notes=(*first.solid.notes, note))
+        else:
+            solid = solidify(part.name, part.mesh, int(_ROOM * limits.faces))
         if solid.shape_error > limits.shape_error:
             raise FurnitureError(
                 f"part '{part.name}' could only be made solid ({solid.how}) with its surface "
@@ -94,6 +110,10 @@ def repair(parts: Sequence[RawPart], *, gap: float = GAP, limits: RepairLimits |
             )
         pieces.append(Piece(part.name, solid.body, solid, solid.body.volume()))
     separate(pieces, gap, limits, diagonal)
+    keep_alike(pieces, alike, limits)
+    for piece in pieces:
+        if piece.body.num_tri() > limits.faces:
+            piece.become(piece.body.simplify(0.2 * gap))
     out, report = [], []
     for part, piece in zip(parts, pieces, strict=True):
         skin = to_surface(piece.body)
@@ -105,6 +125,7 @@ def repair(parts: Sequence[RawPart], *, gap: float = GAP, limits: RepairLimits |
                 trimmed=max(0.0, piece.removed / piece.whole),
                 how=piece.solid.how,
                 shape_error=piece.solid.shape_error,
+                shape_added=piece.solid.shape_added,
                 notes=(*piece.solid.notes, *dict.fromkeys(piece.notes)),
             )
         )

@@ -16,4 +16,6 @@ class RepairLimits:
     shape_error: float = 0.005
     """Metres that the delivered surface may stick out of the solid made of it (99th percentile)."""
     faces: int = 3000
-    """Triangles a part is simplified to, before trimming."""
+    """Triangles a part is simplified to; where it is trimmed in many places it may keep a few more."""
+    captive: bool = False
+    """Whether parts may be left that hold each other fast, so that none of them can leave in any direction."""

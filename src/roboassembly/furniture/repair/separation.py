@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from itertools import combinations
 
-import manifold3d as m3
 import numpy as np
-from jaxtyping import Float
 
 from roboassembly.errors import FurnitureError
 from roboassembly.furniture.model import CONTACT_DISTANCE
 from roboassembly.furniture.repair.limits import RepairLimits
-from roboassembly.furniture.repair.proximity import Shell
-from roboassembly.furniture.repair.solid import Solid, to_surface
+from roboassembly.furniture.repair.opening import open_up
+from roboassembly.furniture.repair.piece import Piece
 from roboassembly.furniture.repair.trim import Cut, cut, flush_cut, plane_cut
 
 ROUNDS = 8
@@ -24,34 +21,6 @@ MAX_PLANE_SHARE = 0.01
 """A flat cut may take this share of a part..."""
 MAX_PLANE_RATIO = 3.0
 """...and this many times what a cut along the neighbour's surface would take."""
-
-
-@dataclass(eq=False)
-class Piece:
-    """A part while it is being repaired."""
-
-    name: str
-    body: m3.Manifold
-    solid: Solid
-    whole: float
-    """Cubic metres before any trimming."""
-    removed: float = 0.0
-    """Cubic metres trimmed so far."""
-    moved: Float[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))
-    """Metres moved so far."""
-    notes: list[str] = field(default_factory=list)
-    _shell: Shell | None = None
-
-    @property
-    def shell(self) -> Shell:
-        """The present triangles, ready for collision questions."""
-        if self._shell is None:
-            self._shell = Shell(to_surface(self.body))
-        return self._shell
-
-    def become(self, body: m3.Manifold) -> None:
-        """Replace the solid."""
-        self.body, self._shell = body, None
 
 
 def separate(pieces: list[Piece], gap: float, limits: RepairLimits, diagonal: float) -> None:
@@ -70,6 +39,9 @@ def separate(pieces: list[Piece], gap: float, limits: RepairLimits, diagonal: fl
         _clear(pieces, gap, limits)
     else:
         raise FurnitureError(f"parts still hang apart after {MAX_MOVES} moves; check the assembled poses")
+    open_up(pieces, gap, limits)
+    if len(_islands(pieces)) > 1:
+        raise FurnitureError("parts came apart when their sockets were opened; check the assembled poses")
     for a, b in were_touching:
         apart = _distance(a, b, 2 * CONTACT_DISTANCE)
         if apart >= CONTACT_DISTANCE:

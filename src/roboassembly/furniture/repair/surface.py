@@ -79,6 +79,11 @@ def clean(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> 
     return Surface(vertices, faces[np.sort(keep)]).compact(), count
 
 
+def patches(surface: Surface) -> list[Surface]:
+    """Pieces that stay together when the surface is cut along edges where more than two faces meet."""
+    return _pieces(surface, most=2)
+
+
 def _half_edges(faces: Int[np.ndarray, "f 3"]) -> tuple[Int[np.ndarray, "e 2"], Int[np.ndarray, "e"]]:
     """Directed edges of all faces and the face that each belongs to."""
     directed = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
@@ -87,10 +92,17 @@ def _half_edges(faces: Int[np.ndarray, "f 3"]) -> tuple[Int[np.ndarray, "e 2"], 
 
 def components(surface: Surface) -> list[Surface]:
     """Pieces that share no edge with one another, largest area first."""
+    return _pieces(surface, most=len(surface.faces))
+
+
+def _pieces(surface: Surface, most: int) -> list[Surface]:
+    """Faces that hang together by edges that at most `most` of them share; largest area first."""
     directed, owner = _half_edges(surface.faces)
-    _, edge = np.unique(np.sort(directed, axis=1), axis=0, return_inverse=True)
-    f = len(surface.faces)
-    graph = coo_matrix((np.ones(len(owner)), (owner, f + edge.reshape(-1))), (f + len(owner), f + len(owner)))
+    _, edge, count = np.unique(np.sort(directed, axis=1), axis=0, return_inverse=True, return_counts=True)
+    edge = edge.reshape(-1)
+    joins = count[edge] <= most
+    f, e = len(surface.faces), len(count)
+    graph = coo_matrix((np.ones(int(joins.sum())), (owner[joins], f + edge[joins])), (f + e, f + e))
     label = connected_components(graph, False)[1][:f]
     pieces = [Surface(surface.vertices, surface.faces[label == k]).compact() for k in np.unique(label)]
     return sorted(pieces, key=lambda piece: -piece.area)
@@ -253,16 +265,19 @@ def fill_holes(surface: Surface) -> Surface | None:
 def _least_cap(v: Float[np.ndarray, "v 3"], loop: list[int]) -> Int[np.ndarray, "f 3"]:
     """Triangles that span a bent loop with the least area (dynamic programming over its chords)."""
     p, n = v[loop], len(loop)
+    squared = ((p[:, None] - p[None]) ** 2).sum(axis=2)
     cost = np.zeros((n, n))
     split = np.zeros((n, n), dtype=np.int64)
     for reach in range(2, n):
-        for i in range(n - reach):
-            j = i + reach
-            m = np.arange(i + 1, j)
-            area = 0.5 * np.linalg.norm(np.cross(p[m] - p[i], p[j] - p[i]), axis=1)
-            total = cost[i, m] + cost[m, j] + area
-            k = int(np.argmin(total))
-            cost[i, j], split[i, j] = total[k], m[k]
+        i = np.arange(n - reach)
+        j = i + reach
+        m = i[:, None] + np.arange(1, reach)
+        one, two, three = squared[i[:, None], m], squared[m, j[:, None]], squared[i, j][:, None]
+        # Heron's formula in squared sides.
+        area = 0.25 * np.sqrt(np.maximum(4.0 * one * two - (one + two - three) ** 2, 0.0))
+        total = cost[i[:, None], m] + cost[m, j[:, None]] + area
+        k = np.argmin(total, axis=1)
+        cost[i, j], split[i, j] = total[i, k], m[i, k]
     out, stack = [], [(0, n - 1)]
     while stack:
         i, j = stack.pop()
@@ -326,3 +341,53 @@ def sample(surface: Surface, spacing: float, limit: int = 200_000) -> tuple[np.n
     first = surface.faces.reshape(-1)
     used, where = np.unique(first, return_index=True)
     return np.concatenate([surface.vertices[used], points]), np.concatenate([where // 3, owner])
+
+
+def plate(sheet: Surface, thickness: float) -> m3.Manifold:
+    """A flat sheet made a plate: its outline, half of `thickness` in metres to either side."""
+    centre = sheet.vertices.mean(axis=0)
+    axes = np.linalg.svd(sheet.vertices - centre, full_matrices=False)[2]
+    axes[2] = np.cross(axes[0], axes[1])
+    flat = ((sheet.vertices - centre) @ axes[:2].T)[sheet.faces]
+    one, two = flat[:, 1] - flat[:, 0], flat[:, 2] - flat[:, 0]
+    turned = one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0] < 0
+    flat[turned] = flat[turned][:, ::-1]
+    outline = m3.CrossSection([np.ascontiguousarray(t) for t in flat], m3.FillRule.NonZero).simplify(WELD_DISTANCE)
+    body = m3.Manifold.extrude(outline, thickness).translate((0.0, 0.0, -0.5 * thickness))
+    return body.transform(np.column_stack([axes.T, centre]))
+
+
+def to_manifold(surface: Surface) -> m3.Manifold | None:
+    """The solid that a closed surface bounds, or None if it is not closed and wound one way."""
+    if surface.volume < 0:
+        surface = surface.flipped()
+    surface = _without_opposed(surface).compact()
+    directed, _ = _half_edges(surface.faces)
+    _, edge = np.unique(np.sort(directed, axis=1), axis=0, return_inverse=True)
+    flow = np.bincount(edge.reshape(-1), weights=np.where(directed[:, 0] < directed[:, 1], 1.0, -1.0))
+    if not len(surface.faces) or flow.any():
+        return None
+    body = m3.Manifold(
+        m3.Mesh64(np.ascontiguousarray(surface.vertices), np.ascontiguousarray(surface.faces.astype(np.uint64)))
+    )
+    return body if body.status() == m3.Error.NoError and not body.is_empty() else None
+
+
+def _without_opposed(surface: Surface) -> Surface:
+    """Without the triangles that lie back to back on the same three vertices, and what lies there twice."""
+    faces = surface.faces
+    _, triple = np.unique(np.sort(faces, axis=1), axis=0, return_inverse=True)
+    triple = triple.reshape(-1)
+    low = np.argmin(faces, axis=1)
+    turn = np.take_along_axis(faces, (low[:, None] + np.array([1, 2])) % 3, axis=1)
+    sign = np.where(turn[:, 0] < turn[:, 1], 1, -1)
+    total = np.bincount(triple, weights=sign)
+    first = np.unique(np.column_stack([triple, sign]), axis=0, return_index=True)[1]
+    keep = np.sort(first[total[triple[first]] * sign[first] > 0])
+    return Surface(surface.vertices, faces[keep])
+
+
+def to_surface(body: m3.Manifold) -> Surface:
+    """The triangles of a solid."""
+    mesh = body.to_mesh64()
+    return Surface(np.array(mesh.vert_properties[:, :3]), np.array(mesh.tri_verts).astype(np.int64))

@@ -9,8 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from roboassembly.furniture.repair.proximity import Shell
-from roboassembly.furniture.repair.solid import to_manifold, to_surface
-from roboassembly.furniture.repair.surface import Surface
+from roboassembly.furniture.repair.surface import Surface, to_manifold, to_surface
 
 SLIVER = 0.002
 """A piece cut off that holds less than this share of the part's volume is dropped."""
@@ -92,11 +91,22 @@ class Cut:
 
 def cut(body: m3.Manifold, cutter: m3.Manifold, gap: float) -> Cut:
     """Take from `body` what `cutter`, grown by `gap` metres, covers."""
-    tool = inflate(near(cutter, body, 20.0 * gap), gap).as_original()
+    return cut_with(body, inflate(near(cutter, body, 20.0 * gap), gap), cutter, gap)
+
+
+def cut_with(body: m3.Manifold, tool: m3.Manifold, other: m3.Manifold, gap: float) -> Cut:
+    """Take from `body` what `tool` covers, and what else is nearer to `other` than the gap, in metres."""
+    tool = tool.as_original()
     freedom = _freedom(tool, body)
     before = len(_sizeable(body)[0])
-    rest = _widen((body - tool).simplify(TIDY), cutter, gap)
+    rest = _widen((body - tool).simplify(TIDY), other, gap)
     return _finish(body, rest, freedom, before)
+
+
+def without_slivers(body: m3.Manifold) -> m3.Manifold:
+    """The solid without loose pieces too small to count."""
+    pieces, slivers = _sizeable(body)
+    return m3.Manifold.compose(pieces) if slivers and pieces else body
 
 
 def _finish(body: m3.Manifold, rest: m3.Manifold, freedom: float, before: int) -> Cut:

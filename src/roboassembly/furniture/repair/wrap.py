@@ -11,29 +11,41 @@ from scipy.spatial import KDTree
 
 from roboassembly.furniture.repair.surface import Surface, sample
 
-MAX_NODES = 700_000
+MAX_NODES = 6_000_000
+MAX_NEAR = 300_000
+"""Grid nodes near the surface, for which distances are computed."""
 FINEST = 0.0015
 """Smallest grid spacing, in metres."""
+_LAYERS = 7
+"""Nodes across the band around the surface."""
+_PROBES = 24
+"""Nodes of a closed-off region that are asked for their winding number."""
 
 # Six tetrahedra fill a cube, all around its main diagonal, so that neighbouring cubes agree on their common faces.
 _CORNERS = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]])
 _TETRAHEDRA = np.array([[0, 1, 2, 6], [0, 2, 3, 6], [0, 3, 7, 6], [0, 7, 4, 6], [0, 4, 5, 6], [0, 5, 1, 6]])
 
 
-def wrap(surface: Surface) -> tuple[m3.Manifold, float]:
+def wrap(surface: Surface, closed: Surface | None = None) -> tuple[m3.Manifold, float]:
     """A solid whose skin follows the outer side of `surface`, and the grid spacing used, in metres.
 
     Space that cannot be reached from outside through openings wider than two grid steps counts as inside. Where
     the surface is a single sheet, with no inside, the result is a plate two grid steps thick around it.
+
+    Args:
+        surface: what to wrap.
+        closed: the same with its holes filled, wound one way, if that could be had: it may cross itself. Then
+            a region that it closes off is inside when the surface winds around it, and outside otherwise.
     """
-    low, high = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
+    skin = surface if closed is None else closed
+    low, high = skin.vertices.min(axis=0), skin.vertices.max(axis=0)
     size = high - low
-    step = FINEST
+    step = max(FINEST, float(np.sqrt(_LAYERS * skin.area / MAX_NEAR)))
     while np.prod(np.ceil(size / step) + 9) > MAX_NODES:
         step *= 1.05
     shape = (np.ceil(size / step) + 9).astype(int)
     origin = low - 4 * step + 0.5 * (size - np.ceil(size / step) * step)
-    field = _signed(surface, origin, step, shape)
+    field = _signed(skin, origin, step, shape, wound=closed is not None)
     points, owner = sample(surface, step)
     solid = np.asarray(ndimage.binary_dilation(field < 0, np.ones((3, 3, 3)), iterations=2), dtype=bool)
     lost = ~solid[tuple(np.rint((points - origin) / step).astype(int).T)]
@@ -62,19 +74,30 @@ def _distance(
         away = np.nan_to_num(np.linalg.norm(nodes - closest, axis=1), nan=np.inf)
         better = away < best
         best[better], nearest[better] = away[better], closest[better]
-    out = np.full(shape, 3.0 * step)
+    out = np.full(shape, 3.0 * step, dtype=np.float32)
     out[near] = np.minimum(best, 3.0 * step)
     return out, where, nearest
 
 
 def _signed(
-    surface: Surface, origin: Float[np.ndarray, "3"], step: float, shape: Int[np.ndarray, "3"]
+    surface: Surface, origin: Float[np.ndarray, "3"], step: float, shape: Int[np.ndarray, "3"], *, wound: bool
 ) -> Float[np.ndarray, "x y z"]:
-    """Distance, negative inside: where a ball of one grid step, rolling in from the border, cannot get."""
+    """Distance, negative inside: where a ball of one grid step, rolling in from the border, cannot get.
+
+    With `wound`, the surface must wind around such a place too.
+    """
     distance, where, nearest = _distance(surface, origin, step, shape)
     label = np.zeros(shape, dtype=np.int32)
     ndimage.label(distance > step, output=label)
-    outside = label == label[0, 0, 0]
+    outer = np.zeros(int(label.max()) + 1, dtype=bool)
+    outer[label[0, 0, 0]] = True
+    for region, box in enumerate(ndimage.find_objects(label) if wound else [], start=1):
+        if not outer[region]:
+            nodes = np.argwhere(label[box] == region)
+            nodes = nodes[np.linspace(0, len(nodes) - 1, min(len(nodes), _PROBES)).astype(int)]
+            nodes = origin + (nodes + [part.start for part in box]) * step
+            outer[region] = np.median(np.abs(_winding(surface, nodes))) < 0.5
+    outside = outer[label]
     # A node too near the surface for the ball is outside when the ball is met a little further along the normal.
     shy = ~outside[tuple(where.T)]
     node, foot = origin + where[shy] * step, nearest[shy]
@@ -84,6 +107,18 @@ def _signed(
     met = ndimage.map_coordinates(outside.astype(np.float32), ((probe - origin) / step).T, order=1, mode="nearest")
     outside[tuple(where[shy].T)] = (met > 0.5) & (length[:, 0] < 1.6 * step)
     return np.where(outside, distance, -distance)
+
+
+def _winding(surface: Surface, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n"]:
+    """How many times the surface winds around each point (van Oosterom and Strackee's solid angles)."""
+    out = np.zeros(len(points))
+    for k, point in enumerate(points):
+        a, b, c = np.swapaxes(surface.corners - point, 0, 1)
+        x, y, z = (np.linalg.norm(corner, axis=1) for corner in (a, b, c))
+        triple = np.einsum("ij,ij->i", a, np.cross(b, c))
+        dots = [np.einsum("ij,ij->i", p, q) for p, q in ((a, b), (b, c), (c, a))]
+        out[k] = np.arctan2(triple, x * y * z + dots[0] * z + dots[1] * x + dots[2] * y).sum() / (2.0 * np.pi)
+    return out
 
 
 def _march(field: Float[np.ndarray, "x y z"]) -> tuple[Float[np.ndarray, "v 3"], np.ndarray]:

@@ -1,0 +1,141 @@
+"""Can the parts be taken apart? Directional blocking among neighbours, on the meshes alone.
+
+Wilson and Latombe 1994, "Geometric Reasoning about Mechanical Assembly": for a direction there is an arc from one part
+to another that it would hit when moved a little; a set of parts may leave when no arc leads out of it. What may
+leave the whole may, as far as it is there, leave any part of the whole too, so that it does not matter which leaves
+first: what is left in one piece at the end is captive.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from jaxtyping import Float
+
+from roboassembly.furniture.model import CONTACT_DISTANCE
+from roboassembly.furniture.repair.proximity import Shell
+
+Parts = frozenset[int]
+STEPS = (0.0015, 0.004, 0.01)
+"""Metres that a part is moved to see what it hits: beyond any clearance, and within any depth of a joint."""
+_SAME = 0.99
+"""Cosine above which two directions are one."""
+_MAX_DIRECTIONS = 60
+
+
+@dataclass(frozen=True, eq=False)
+class Blocking:
+    """Which part holds which."""
+
+    directions: Float[np.ndarray, "d 3"]
+    arcs: tuple[dict[int, set[int]], ...]
+    """For each direction: part to the parts that it would hit."""
+
+    def captives(self, among: Parts) -> list[Parts]:
+        """Sets of parts, of two or more, that nothing can leave along any of the directions."""
+        if len(among) < 2:
+            return []
+        for arcs in self.arcs:
+            for part in sorted(among):
+                leaving = closure(part, arcs, among)
+                if len(leaving) < len(among):
+                    return self.captives(leaving) + self.captives(among - leaving)
+        return [among]
+
+
+def closure(part: int, arcs: dict[int, set[int]], among: Parts) -> Parts:
+    """The part and all that would have to move with it."""
+    closed, stack = {part}, [part]
+    while stack:
+        more = arcs[stack.pop()] & among - closed
+        closed |= more
+        stack += sorted(more)
+    return frozenset(closed)
+
+
+def blocking(shells: Sequence[Shell], points: Sequence[Float[np.ndarray, "v 3"]]) -> Blocking:
+    """Arcs among all parts nearer than the contact distance, along axes, long sides and contact normals.
+
+    Args:
+        shells: the parts, assembled.
+        points: vertices of each, in metres, for its long sides.
+    """
+    near: list[tuple[int, int]] = []
+    ways = [*np.eye(3), *-np.eye(3)]
+    for a, b in combinations(range(len(shells)), 2):
+        if shells[a].box_distance(shells[b]) < CONTACT_DISTANCE:
+            distance, here, there = shells[a].nearest(shells[b])
+            if distance < CONTACT_DISTANCE:
+                near.append((a, b))
+                across = (there - here) / max(distance, 1e-9)
+                ways += [across, -across]
+    for corners in points:
+        axes = np.linalg.svd(corners - corners.mean(axis=0), full_matrices=False)[2]
+        ways += [*axes, *-axes]
+    kept: list[Float[np.ndarray, "3"]] = []
+    for way in ways:
+        if np.linalg.norm(way) > 0.5 and not any(float(way @ other) > _SAME for other in kept):
+            kept.append(way)
+    directions = np.array(kept[:_MAX_DIRECTIONS])
+    arcs = tuple({p: set() for p in range(len(shells))} for _ in directions)
+    for a, b in near:
+        for index, way in enumerate(directions):
+            if any(shells[a].touches(shells[b], step * way) for step in STEPS):
+                arcs[index][a].add(b)
+            if any(shells[b].touches(shells[a], step * way) for step in STEPS):
+                arcs[index][b].add(a)
+    return Blocking(directions, arcs)
+
+
+STRIDE = 0.004
+"""Metres between the places along a straight way out that are tested."""
+
+
+class Exits:
+    """Ways straight out, along the directions of a blocking graph; remembers what it has tested."""
+
+    def __init__(self, shells: Sequence[Shell], graph: Blocking) -> None:
+        self._shells, self._graph = shells, graph
+        self._known: dict[tuple[int, int, int], bool] = {}
+
+    def captives(self, among: Parts) -> list[Parts]:
+        """Sets of parts, of two or more, out of which nothing can go straight all the way."""
+        if len(among) < 2:
+            return []
+        for index, arcs in enumerate(self._graph.arcs):
+            for part in sorted(among):
+                leaving = closure(part, arcs, among)
+                if len(leaving) < len(among) and self.free(leaving, among - leaving, index):
+                    return self.captives(leaving) + self.captives(among - leaving)
+        return [among]
+
+    def free(self, moving: Parts, still: Parts, index: int) -> bool:
+        """Whether `moving` can go straight out of `still` along the direction of that index."""
+        return not any(self.hits(a, b, index) for a in sorted(moving) for b in sorted(still))
+
+    def hits(self, a: int, b: int, index: int) -> bool:
+        """Whether part `a` hits part `b` on its straight way out along the direction of that index."""
+        if (a, b, index) not in self._known:
+            one, two, way = self._shells[a], self._shells[b], self._graph.directions[index]
+            start, stop = overlap_span(one, two, way)
+            steps = np.arange(max(start, 0.0005), stop, STRIDE)
+            near = b in self._graph.arcs[index][a]
+            self._known[a, b, index] = near or any(one.touches(two, step * way) for step in steps)
+        return self._known[a, b, index]
+
+
+def overlap_span(one: Shell, two: Shell, way: Float[np.ndarray, "3"]) -> tuple[float, float]:
+    """From where to where, in metres along `way`, the box of the moved `one` overlaps that of `two`; (0, 0): never."""
+    start, stop = 0.0, float("inf")
+    for axis in range(3):
+        before, after = two.low[axis] - one.high[axis], two.high[axis] - one.low[axis]
+        if abs(way[axis]) < 1e-9:
+            if before > 0.0 or after < 0.0:
+                return 0.0, 0.0
+            continue
+        ends = sorted((before / way[axis], after / way[axis]))
+        start, stop = max(start, ends[0]), min(stop, ends[1])
+    return (start, stop) if stop > start else (0.0, 0.0)
