@@ -85,7 +85,7 @@ def assemble_apron(style: ApronTableStyle) -> list[Piece]:
     leg = sweep(path, X, Y, [rectangle(k * s.leg, k * s.leg, 0.004) for _, k in stations])
     leg += LEG_TENON.tongue(joint_frame(under * Z, -Z, X))
     pieces: list[Piece] = []
-    tenon = Tenon(0.6 * s.apron, 0.009, 0.28 * s.leg)
+    tenon = Tenon(0.6 * s.apron, 0.009, 0.22 * s.leg)
     level = under - 0.010 - s.apron / 2
     for axis, reach, across, names in ((X, x, y, ("front", "back")), (Y, y, x, ("right", "left"))):
         start, end = (half - reach) * axis + level * Z, (reach - half) * axis + level * Z
@@ -183,11 +183,12 @@ def assemble_trestle(style: TrestleTableStyle) -> list[Piece]:
         post += tenon.tongue(frame)
     foot -= tenon.pocket(joint_frame(foot_top * Z, Z, Y))
     head -= tenon.pocket(joint_frame(head_low * Z, -Z, Y))
-    for y in (-0.7 * arch, 0.7 * arch):
+    # Pegs unequally far from the middle, so that a head on its post fits the top in one way only.
+    for y in (-0.75 * arch, 0.55 * arch):
         peg = joint_frame(vector(0, y, under), -Z, X)
         head += HEAD_PEG.tongue(peg)
-        for side in (-1, 1):
-            top -= HEAD_PEG.pocket(move(side * x) * peg)
+        for angle in (0.0, np.pi):
+            top -= HEAD_PEG.pocket(SE3(turn(Z, angle), np.zeros(3)) * move(x) * peg)
     # Stretchers between the posts' inner faces.
     face = x - 0.41 * s.thickness
     bar_tenon = Tenon(0.028, 0.011, 0.36 * s.thickness)
@@ -201,10 +202,10 @@ def assemble_trestle(style: TrestleTableStyle) -> list[Piece]:
         pieces.append(Piece(f"stretcher_{k + 1}", "bar_stretcher", bar, move(z=up)))
         post -= bar_tenon.pocket(joint_frame(at - 0.41 * s.thickness * X, -X, Z))
     for side, name in ((1, "left"), (-1, "right")):
-        # The post's mortise looks inward; foot and head are the same from both sides.
+        # Mortises look inward: one trestle is the other turned about; its foot is the same from both sides.
         facing = SE3(turn(Z, 0.0 if side > 0 else np.pi), np.zeros(3))
         pieces.append(Piece(f"foot_{name}", "leg", foot, move(side * x)))
         pieces.append(Piece(f"post_{name}", "leg", post, move(side * x) * facing))
-        pieces.append(Piece(f"head_{name}", "leg", head, move(side * x)))
+        pieces.append(Piece(f"head_{name}", "leg", head, move(side * x) * facing))
     pieces.append(Piece("top", "tabletop", top))
     return pieces

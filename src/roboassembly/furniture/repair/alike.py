@@ -22,6 +22,10 @@ MAX_TURNS = 16
 """Symmetries of a shape that are tried to lay its members' cuts over one another."""
 MAX_EXTRA = 0.03
 """Share of its volume that a part may lose, beyond what the most trimmed of its like lost, to stay like it."""
+WORTH_TURNING = 0.001
+"""Share of a part's volume that another turn must save."""
+SAME_VOLUME = 1e-6
+"""Parts that have lost the same share, to this, are taken as still alike."""
 MAX_FEATURED_FACES = 60_000
 """Parts of more triangles are not compared."""
 
@@ -96,11 +100,17 @@ def _share_cuts(pieces: list[Piece], alike: Sequence[Likeness], members: list[in
     master = members[0]
     moved = [pieces[p].moved for p in members]
     unmoved = [pieces[p].body.translate(tuple((-m).tolist())) for p, m in zip(members, moved, strict=True)]
+    volumes = [body.volume() for body in unmoved]
+    if max(volumes) - min(volumes) < SAME_VOLUME * pieces[master].whole:
+        return
     common, chosen = unmoved[0], [0]
     for p, body in zip(members[1:], unmoved[1:], strict=True):
         turns = range(len(alike[p].turns))
         tries = [common ^ alike[p].taken_back(body, turn) for turn in turns]
-        best = max(turns, key=lambda turn: (round(tries[turn].volume(), 12), -turn))
+        best = max(turns, key=lambda turn: tries[turn].volume())
+        # The copies were placed by the first turn, so that it fits exactly; the others do within the tolerance.
+        if tries[best].volume() < tries[0].volume() + WORTH_TURNING * pieces[master].whole:
+            best = 0
         common = tries[best].simplify(TIDY)
         chosen.append(best)
     common = without_slivers(common)

@@ -40,6 +40,8 @@ GOOD = 0.0015
 """With a shape error below this, in metres, no other way is tried."""
 _QUADRICS = ((1.0, 2.0), (0.95, 4.0), (0.9, 1.0), (0.8, 6.0))
 """Shares of the triangles wanted, and how eagerly they are merged: tried until what comes out is closed."""
+_ROOM = (1, 2, 5)
+"""Times as many triangles as asked for, where with fewer the shape would suffer."""
 _ADDED_WEIGHT = 0.1
 """What a metre of the solid's skin off the delivered surface counts beside a metre of surface lost."""
 
@@ -103,12 +105,17 @@ class _Build:
 
 
 def _measured(build: _Build, surface: Surface, max_faces: int, notes: list[str]) -> Solid:
-    body = simplify(build.body, max_faces)
     how = " + ".join(dict.fromkeys(build.ways))
     notes = [*notes, *build.notes]
-    if body.is_empty():
-        return Solid(body, how, float("inf"), float("inf"), tuple(notes))
-    return Solid(body, how, lost(surface, body), added(surface, body), tuple(notes))
+    body, error = build.body, float("inf")
+    for room in _ROOM:
+        body = simplify(build.body, max_faces * room)
+        if body.is_empty():
+            return Solid(body, how, float("inf"), float("inf"), tuple(notes))
+        error = lost(surface, body)
+        if error <= GOOD or build.body.num_tri() <= max_faces * room:
+            break
+    return Solid(body, how, error, added(surface, body), tuple(notes))
 
 
 def _closed(pieces: list[Surface]) -> Surface | None:
