@@ -78,7 +78,7 @@ class PairRule:
         return Merge(merged, exact_u, exact_v)
 
     def _embed(self, members: tuple[int, ...], poses: tuple[SE3, ...]) -> tuple[Int[np.ndarray, "m"], list[SE3]] | None:
-        """Distinct slots of their classes for parts at `poses` after one common motion: the least one, turning first."""
+        """Distinct slots of their classes for parts at `poses` after one common motion: the least, by angle first."""
         classes = self._class_of[list(members)]
         ways = [len(self._slots[c]) for c in classes]
         anchor = int(np.argmin(ways))
