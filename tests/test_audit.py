@@ -13,8 +13,9 @@ import pytest
 
 from roboassembly.bench.audit import ViolationKind, audit_plan
 from roboassembly.errors import MissingExtraError
+from roboassembly.furniture import catalogue
 from roboassembly.furniture.annotate import annotate
-from roboassembly.furniture.generate import generate
+from roboassembly.furniture.generate import CHAIRS, generate
 from roboassembly.furniture.model import Provenance
 from roboassembly.poses import SE3
 from roboassembly.solvers.search import solve
@@ -157,3 +158,14 @@ def test_without_fcl_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None
     monkeypatch.setitem(sys.modules, "fcl", None)
     with pytest.raises(MissingExtraError, match=r"roboassembly\[bench\]"):
         audit_plan(good_plan())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("family", CHAIRS)
+def test_200_chairs(family: str) -> None:
+    """Twelve chairs of every family: assembled, and clean by the independent checker's word."""
+    for seed in range(100, 112):
+        result = solve(catalogue.make(family, seed), seed)
+        assert result.plan.success, (family, seed, result.reason)
+        report = audit_plan(result.plan)
+        assert report.passed, (family, seed, report.summary())

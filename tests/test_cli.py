@@ -176,6 +176,10 @@ def test_bad_furniture_is_one_line_and_2(run: Run, stool: Path, tmp_path: Path, 
         (["import", "ikea-manual", ".", "--scale", "0"], "absurd"),
         (["import", "ikea-manual", ".", "--jobs", "0"], "--jobs 0"),
         (["bench", "planning", "--chairs", "0"], "--chairs 0"),
+        (["export", "mjcf", "rokcer"], "did you mean rocker"),
+        (["dataset", "show", "chairs-413"], "did you mean chairs-412?"),
+        (["evaluate", "--set", "folder:nowhere"], "holds no furniture folders"),
+        (["evaluate", "--set", "folder:nowhere", "--limit", "0"], "--limit take 1 or more"),
     ],
 )
 def test_bad_arguments_are_one_line_and_2(

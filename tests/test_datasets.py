@@ -1,0 +1,150 @@
+"""Data sets: built from certified chairs, resumable, reproducible; evaluation over them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+import shapes
+from roboassembly.errors import InputError, UnknownNameError
+from roboassembly.furniture import catalogue, datasets, storage
+from roboassembly.furniture.datasets import Recipe, load_manifest, make_entry, manifest_path, pick
+from roboassembly.furniture.generate import CHAIRS
+from roboassembly.planning.problem import Budget, PlanningStatus
+from roboassembly.poses import SE3
+from roboassembly.scene import Body, Scene, Shape
+from roboassembly.solvers import curate
+from roboassembly.solvers.evaluate import POLICIES, Episode, Evaluation, evaluate
+from roboassembly.solvers.joint_rrt import solve_jointly
+from roboassembly.solvers.prober import probe
+from roboassembly.task.object_centric import ObjectCentricTask
+
+TINY = Recipe("tiny", "for tests", 4, 2, 1, ("upholstered",))
+
+
+@pytest.fixture
+def tiny(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Recipe:
+    monkeypatch.setenv("ROBOASSEMBLY_CACHE", str(tmp_path))
+    monkeypatch.setitem(datasets.RECIPES, "tiny", TINY)
+    monkeypatch.setattr(curate, "CHAIRS", {name: CHAIRS[name] for name in ("cantilever", "shell", "upholstered")})
+    return TINY
+
+
+def test_build_resumes_and_reproduces(tiny: Recipe) -> None:
+    with pytest.raises(InputError, match="not built yet; run: roboassembly dataset build tiny"):
+        load_manifest("tiny")
+    progress = list(curate.build(tiny, 0, jobs=1))
+    assert progress[0] == (0, 7)
+    assert progress[-1] == (7, 7)
+    manifest = load_manifest("tiny")
+    splits = [e.split for e in manifest.entries]
+    assert (splits.count("easy"), splits.count("hard"), splits.count("test")) == (2, 2, 3)
+    assert {e.family for e in manifest.entries if e.split != "test"} == {"cantilever", "shell"}
+    assert [e.family for e in manifest.entries if e.unseen] == ["upholstered"]
+    assert len({e.hash for e in manifest.entries}) == 7
+    easy, hard = ([e.difficulty for e in manifest.entries if e.split == s] for s in ("easy", "hard"))
+    assert max(easy) <= min(hard)
+
+    # Killed while writing a line: all whole lines count, the broken one is done again.
+    journal = manifest_path("tiny").with_suffix(".0.jsonl")
+    lines = journal.read_bytes().splitlines(keepends=True)
+    journal.write_bytes(b"".join(lines[:5]) + lines[5][:20] + b"\n")
+    before = manifest_path("tiny").read_bytes()
+    assert next(iter(curate.build(tiny, 0, jobs=1))) == (5, 7)
+    list(curate.build(tiny, 0, jobs=1))
+    assert manifest_path("tiny").read_bytes() == before
+
+
+def test_entries_are_checked_against_their_hash(tiny: Recipe) -> None:
+    list(curate.build(tiny, 0, jobs=1))
+    entry = load_manifest("tiny").entries[0]
+    assert make_entry(entry).name == f"{entry.family}-{entry.seed}"
+    path = manifest_path("tiny")
+    path.write_text(path.read_text().replace(entry.hash, "0" * 16))
+    with pytest.raises(InputError, match="no longer what its data set was built from"):
+        make_entry(load_manifest("tiny").entries[0])
+    path.write_text(json.dumps({"name": "tiny"}))
+    with pytest.raises(InputError, match="build the set again"):
+        load_manifest("tiny")
+
+
+def test_picks(tmp_path: Path) -> None:
+    storage.save(catalogue.make("stool"), tmp_path / "many" / "a")
+    storage.save(catalogue.make("throne"), tmp_path / "many" / "b")
+    assert [p.furniture().name for p in pick(f"folder:{tmp_path / 'many'}")] == ["stool-0", "throne-0"]
+    assert [p.name for p in pick(f"folder:{tmp_path / 'many' / 'b'}")] == ["b"]
+    with pytest.raises(InputError, match="holds no furniture folders"):
+        pick(f"folder:{tmp_path}")
+    with pytest.raises(UnknownNameError, match="did you mean chairs-412"):
+        pick("chair-412:test")
+    with pytest.raises(UnknownNameError, match="known: all, easy, hard, test, train"):
+        pick("chairs-412:validation")
+
+
+def test_wilson_interval_by_hand() -> None:
+    episodes = tuple(Episode(str(i), 2, i < 7, 10 * i, 0.5) for i in range(10))
+    report = Evaluation("search", episodes).to_json()
+    z, p, n = norm.ppf(0.975), 0.7, 10
+    middle, half = (p + z * z / 2 / n), z * np.sqrt(p * (1 - p) / n + z * z / 4 / n / n)
+    low, high = (middle - half) / (1 + z * z / n), (middle + half) / (1 + z * z / n)
+    assert report["ci95"] == pytest.approx([low, high], abs=1e-4)
+    assert report["success_rate"] == 0.7
+    assert report["planning_steps_mean"] == 45
+    assert report["planning_steps_mean_solved"] == 30
+
+
+def test_policies_play(tmp_path: Path) -> None:
+    storage.save(catalogue.make("shell"), tmp_path / "shell")
+    picks = pick(f"folder:{tmp_path / 'shell'}")
+    ends = {name: next(iter(evaluate(name, picks, 0, 1))) for name in POLICIES}
+    assert ends["search"].success
+    assert not ends["joint-rrt"].success
+    assert ends["joint-rrt"].planning_steps >= 100_000
+    assert all(e.parts == len(catalogue.make("shell").parts) for e in ends.values())
+    with pytest.raises(UnknownNameError, match="joint-rrt"):
+        next(iter(evaluate("joint-rtt", picks, 0, 1)))
+
+
+def test_patient_play_gets_stuck_only_in_true_dead_ends() -> None:
+    """Two slats between two posts: whoever joins the posts by one slat has shut out the other."""
+    task = ObjectCentricTask(catalogue.make("ladder"))
+    hasty = [probe(task, s, best_w=True, patient=False, budget=Budget(states=0)) for s in range(3)]
+    patient = [probe(task, s, best_w=True, patient=True, budget=Budget(states=0)) for s in range(3)]
+    assert not any(p.completed for p in patient)
+    assert all(a.merges <= len(task.furniture.parts) - 2 for a in patient)
+    assert sum(a.merges for a in patient) >= sum(a.merges for a in hasty)
+
+
+def test_all_parts_at_once_finds_an_easy_assembly() -> None:
+    """Two boxes in the open, a metre from where they belong."""
+    from roboassembly.planning.joint import JointWorld, joint_rrt_connect
+
+    mesh = shapes.brick(0.1, 0.1, 0.1)
+    start = [SE3(np.eye(3), np.array([x, 0.0, 0.2])) for x in (0.0, 0.5)]
+    goal = [SE3(np.eye(3), np.array([x, 1.0, 0.2])) for x in (0.5, 0.39)]
+    bodies = tuple(Body(str(i), (Shape(mesh, SE3.Identity()),), p, moves=True) for i, p in enumerate(start))
+    world = JointWorld(Scene(bodies))
+    bounds = np.array([[-0.5, -0.5, 0.0], [1.0, 1.5, 1.0]])
+    status, path, _ = joint_rrt_connect(world, start, goal, bounds, Budget(50_000), 0)
+    assert status is PlanningStatus.SOLVED
+    assert all(np.allclose(p.homogeneous, q.homogeneous) for p, q in zip(path[0], start, strict=True))
+    assert all(np.allclose(p.homogeneous, q.homogeneous, atol=1e-6) for p, q in zip(path[-1], goal, strict=True))
+    again = joint_rrt_connect(JointWorld(Scene(bodies)), start, goal, bounds, Budget(50_000), 0)[1]
+    assert len(again) == len(path)
+    assert all(
+        np.allclose(p.homogeneous, q.homogeneous)
+        for a, b in zip(path, again, strict=True)
+        for p, q in zip(a, b, strict=True)
+    )
+    overlapping = [start[0], start[0]]
+    assert joint_rrt_connect(world, start, overlapping, bounds, Budget(100), 0)[0] is PlanningStatus.GOAL_IN_COLLISION
+
+
+def test_the_baseline_counts_to_its_budget() -> None:
+    result = solve_jointly(catalogue.make("cantilever"), 0, Budget(states=3_000))
+    assert result.status is PlanningStatus.BUDGET_EXHAUSTED
+    assert 3_000 <= result.planning_steps <= 3_200
