@@ -10,10 +10,11 @@ import pytest
 
 import shapes
 from roboassembly.furniture.model import Furniture
+from roboassembly.meshes import WOOD_DENSITY
 from roboassembly.planning.world import CollisionWorld
 from roboassembly.poses import SE3, pose_to_seven
 from roboassembly.scene import Body, Scene, Shape
-from roboassembly.simulation.model import DENSITY, compile_scene, mass_properties
+from roboassembly.simulation.model import compile_scene, mass_properties
 from roboassembly.simulation.settle import MAX_SECONDS, settle
 from shapes import HERE, Checker, mover, pose, still
 
@@ -99,7 +100,7 @@ def test_mass_and_inertia_of_two_boxes() -> None:
     far = pose(0.4, 0, 0, shapes.turn((1, 0, 0), 0.5))
     body = Body("pair", (Shape(cube, HERE), Shape(cube, far)), HERE, moves=True)
     mass, center, inertia = mass_properties(body)
-    one = DENSITY * 0.001
+    one = WOOD_DENSITY * 0.001
     assert mass == pytest.approx(2 * one, rel=1e-6)
     assert np.allclose(center, [0.2, 0, 0], atol=1e-9)
     own = one * 0.01 / 6

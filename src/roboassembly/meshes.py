@@ -16,6 +16,8 @@ from roboassembly.errors import FurnitureError
 from roboassembly.poses import SE3, transform_points
 
 MAX_FACES = 2_000_000
+WOOD_DENSITY = 600.0
+"""kg/m³: beech and oak are 600 to 750, pine 500."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,10 +10,8 @@ import numpy as np
 
 from roboassembly.errors import InputError
 from roboassembly.furniture.model import Furniture
+from roboassembly.meshes import WOOD_DENSITY
 from roboassembly.poses import SE3, pose_to_euler, pose_to_seven
-
-WOOD_DENSITY = 600.0
-"""kg/m³, as in this package's own physics."""
 
 
 def export_mjcf(furniture: Furniture, folder: Path) -> Path:
@@ -36,7 +34,7 @@ def export_mjcf(furniture: Furniture, folder: Path) -> Path:
     world = ET.SubElement(root, "worldbody")
     ET.SubElement(world, "light", pos="0 0 3", dir="0.2 -0.2 -1", directional="true")
     ET.SubElement(world, "geom", name="floor", type="plane", size="0 0 1", rgba="0.85 0.86 0.88 1")
-    lift = SE3(np.eye(3), np.array([0.0, 0.0, 1e-3 - _lowest(furniture)]))
+    lift = SE3(np.eye(3), np.array([0.0, 0.0, 1e-3 - furniture.lowest]))
     nodes = {0: _body(world, furniture, 0, lift * furniture.assembled[0], names[0])}
     ET.SubElement(nodes[0], "freejoint", name=furniture.name)
     for parent, child in _tree(furniture):
@@ -126,10 +124,3 @@ def _tree(furniture: Furniture) -> Iterator[tuple[int, int]]:
             seen.add(child)
             queue.append(child)
             yield parent, child
-
-
-def _lowest(furniture: Furniture) -> float:
-    return min(
-        float((part.mesh.hull_vertices @ slot.rotation[2]).min() + slot.translation[2])
-        for part, slot in zip(furniture.parts, furniture.assembled, strict=True)
-    )

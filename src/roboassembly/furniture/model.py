@@ -195,6 +195,14 @@ class Furniture:
         return tuple(out)
 
     @cached_property
+    def lowest(self) -> float:
+        """Height of the assembled furniture's lowest point in its own frame, metres."""
+        return min(
+            float((part.mesh.hull_vertices @ slot.rotation[2]).min() + slot.translation[2])
+            for part, slot in zip(self.parts, self.assembled, strict=True)
+        )
+
+    @cached_property
     def neighbours(self) -> tuple[frozenset[int], ...]:
         """Parts that each part is connected to."""
         out: list[set[int]] = [set() for _ in self.parts]

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 from jaxtyping import Float
 from ompl import base
 
 from roboassembly.planning.problem import Budget, PlanningStatus
-from roboassembly.planning.rrt import pose_of, run_rrt_connect, set_pose
-from roboassembly.planning.world import ANGULAR_RESOLUTION, RESOLUTION, collision_pool
+from roboassembly.planning.rrt import exhaustion, pose_of, run_rrt_connect, set_pose
+from roboassembly.planning.world import ANGULAR_RESOLUTION, RESOLUTION, collision_pool, first_hit
 from roboassembly.poses import SE3, interpolate, poses_to_configurations, rotation_angle
 from roboassembly.scene import Scene
 
@@ -33,12 +32,8 @@ class JointWorld:
 
     def first_collision(self, configurations: Float[np.ndarray, "q n"]) -> int | None:
         """Index of the first configuration in collision, in order; None if all are free."""
-        hits = pin.computeCollisionsInParallel(1, self._pool, np.asfortranarray(configurations), True, True)
-        if not hits.any():
-            self.states += configurations.shape[1]
-            return None
-        first = int(np.argmax(hits))
-        self.states += first + 1
+        first = first_hit(self._pool, configurations)
+        self.states += configurations.shape[1] if first is None else first + 1
         return first
 
     def is_free(self, poses: Sequence[SE3]) -> bool:
@@ -102,7 +97,7 @@ def joint_rrt_connect(
             set_pose(state[i], pose)
         return state
 
-    exhausted: Callable[[], bool] = _limit(world, budget, begun)
+    exhausted = exhaustion(lambda: world.states, budget, begun)
     path = run_rrt_connect(
         space, make(start), [make(goal)], lambda a, b: world.edge_is_free(read(a), read(b)),
         lambda s: world.is_free(read(s)), exhausted, seed, None,
@@ -111,9 +106,3 @@ def joint_rrt_connect(
     if path is None:
         return PlanningStatus.BUDGET_EXHAUSTED, (), seconds
     return PlanningStatus.SOLVED, tuple(tuple(read(s)) for s in path), seconds
-
-
-def _limit(world: JointWorld, budget: Budget, begun: float) -> Callable[[], bool]:
-    limit = world.states + budget.states
-    deadline = None if budget.seconds is None else begun + budget.seconds
-    return lambda: world.states >= limit or (deadline is not None and time.perf_counter() > deadline)

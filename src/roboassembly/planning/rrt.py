@@ -80,6 +80,13 @@ def run_rrt_connect(
     return copies
 
 
+def exhaustion(states: Callable[[], int], budget: Budget, begun: float) -> Exhausted:
+    """Tells when the budget is spent: states from the counter's value now, seconds from `begun`."""
+    limit = states() + budget.states
+    deadline = None if budget.seconds is None else begun + budget.seconds
+    return lambda: states() >= limit or (deadline is not None and time.perf_counter() > deadline)
+
+
 def rrt_connect(
     world: CollisionWorld,
     start: SE3,
@@ -113,15 +120,13 @@ def rrt_connect(
         set_pose(made, pose)
         return made
 
-    limit = world.states + budget.states
-    deadline = None if budget.seconds is None else time.perf_counter() + budget.seconds
     path = run_rrt_connect(
         space,
         state(start),
         [state(g) for g in goals],
         lambda a, b: world.edge_is_free(pose_of(a), pose_of(b)),
         lambda s: world.is_free(pose_of(s)),
-        lambda: world.states >= limit or (deadline is not None and time.perf_counter() > deadline),
+        exhaustion(lambda: world.states, budget, time.perf_counter()),
         seed,
         RANGE,
     )

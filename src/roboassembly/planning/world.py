@@ -66,6 +66,12 @@ def collision_pool(scene: Scene) -> Pool:
     return pool
 
 
+def first_hit(pool: Pool, configurations: Float[np.ndarray, "q n"]) -> int | None:
+    """Index of the first column in collision, tested in order and no farther; None if all are free."""
+    hits = pin.computeCollisionsInParallel(1, pool, np.asfortranarray(configurations), True, True)
+    return int(np.argmax(hits)) if hits.any() else None
+
+
 class CollisionWorld:
     """The planning model of a scene in which exactly one body moves.
 
@@ -117,12 +123,8 @@ class CollisionWorld:
 
     def first_collision(self, configurations: Float[np.ndarray, "7 n"]) -> int | None:
         """Index of the first configuration in collision, by exact test in order; None if all are free."""
-        hits = pin.computeCollisionsInParallel(1, self._pool, np.asfortranarray(configurations), True, True)
-        if not hits.any():
-            self.states += configurations.shape[1]
-            return None
-        first = int(np.argmax(hits))
-        self.states += first + 1
+        first = first_hit(self._pool, configurations)
+        self.states += configurations.shape[1] if first is None else first + 1
         return first
 
     def is_free(self, pose: SE3) -> bool:

@@ -5,10 +5,9 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
+from roboassembly.meshes import WOOD_DENSITY
 from roboassembly.scene import Body, Scene
 
-DENSITY = 600.0
-"""kg/m³: beech and oak are 600 to 750, pine 500."""
 TIME_STEP = 0.004
 """Seconds."""
 _FRICTION = [0.7, 0.01, 0.005]
@@ -67,15 +66,15 @@ def _add_body(spec: mujoco.MjSpec, body: Body, known: dict[int, str]) -> None:
 
 
 def mass_properties(body: Body) -> tuple[float, np.ndarray, np.ndarray]:
-    """Mass [kg], centre of mass [m] and inertia about it [kg·m²], in the body's frame, at `DENSITY`."""
-    masses = np.array([DENSITY * shape.mesh.volume for shape in body.shapes])
+    """Mass [kg], centre of mass [m] and inertia about it [kg·m²], in the body's frame, at `WOOD_DENSITY`."""
+    masses = np.array([WOOD_DENSITY * shape.mesh.volume for shape in body.shapes])
     centers = np.array([shape.body_from_mesh.act(shape.mesh.center_of_mass) for shape in body.shapes])
     total = float(masses.sum())
     center = masses @ centers / total
     inertia = np.zeros((3, 3))
     for mass, own_center, shape in zip(masses, centers, body.shapes, strict=True):
         turn, arm = shape.body_from_mesh.rotation, own_center - center
-        inertia += turn @ (DENSITY * shape.mesh.inertia) @ turn.T
+        inertia += turn @ (WOOD_DENSITY * shape.mesh.inertia) @ turn.T
         inertia += mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
     return total, center, inertia
 

@@ -32,12 +32,8 @@ class JointResult:
 def solve_jointly(furniture: Furniture, seed: int, budget: Budget = BUDGET) -> JointResult:
     """RRT-Connect in 6·M dimensions, from the same random start as `search.solve` to the standing furniture."""
     initial = scattered(furniture, np.random.default_rng(seed)).part_poses
-    lowest = min(
-        float((slot.rotation[2] @ part.mesh.hull_vertices.T).min() + slot.translation[2])
-        for part, slot in zip(furniture.parts, furniture.assembled, strict=True)
-    )
     middle = np.mean([p.translation[:2] for p in initial], axis=0)
-    stand = SE3(np.eye(3), np.array([*middle, GROUND_CLEARANCE - lowest]))
+    stand = SE3(np.eye(3), np.array([*middle, GROUND_CLEARANCE - furniture.lowest]))
     goal = [stand * slot for slot in furniture.assembled]
     bodies = tuple(
         Body(part.name, (Shape(part.mesh, SE3.Identity()),), pose, moves=True)
