@@ -2,13 +2,54 @@
 
 from pathlib import Path
 
+import imageio.v3 as iio
+import numpy as np
+
 from roboassembly.furniture import catalogue
 from roboassembly.furniture.generate import CHAIRS, FAMILIES
+from roboassembly.furniture.model import Part
+from roboassembly.gripper import hand_bodies, hand_pose
+from roboassembly.poses import SE3
 from roboassembly.solvers.search import solve
+from roboassembly.viewer.colors import WOOD
 from roboassembly.viewer.film import render_contact_sheet, write_storyboard
+from roboassembly.viewer.framing import box_corners, fit
+from roboassembly.viewer.stage import Stage
 
 IMAGES = Path(__file__).parent / "images"
+HAND = [(0.86, 0.88, 0.90), (0.25, 0.28, 0.32), (0.25, 0.28, 0.32)]
 
+
+def part_in_hands(part: Part, turn: np.ndarray, size: int) -> np.ndarray:
+    """One part as it stands in the furniture, a closed hand at each of its grasp regions by its first direction."""
+    meshes, poses, colors = [part.mesh], [SE3(turn, np.zeros(3))], [WOOD]
+    for region in part.grasps:
+        hand = poses[0] * hand_pose(region.position, region.closing, region.approaches[0])
+        for color, (mesh, tips_from_body) in zip(HAND, hand_bodies(region.width), strict=True):
+            meshes.append(mesh)
+            poses.append(hand * tips_from_body)
+            colors.append(color)
+    points = np.concatenate([box_corners(mesh, pose) for mesh, pose in zip(meshes, poses, strict=True)])
+    lift = SE3(np.eye(3), np.array([0.0, 0.0, 0.05 - points[:, 2].min()]))
+    view = fit(points + lift.translation, 1.0)
+    radius = float(np.linalg.norm(points + lift.translation - view.target, axis=1).max())
+    with Stage(meshes, size, size, center=view.target, radius=radius) as stage:
+        return stage.picture([lift * pose for pose in poses], colors, view)
+
+
+def write_grasps(name: str, path: Path, columns: int, size: int) -> None:
+    """One part of each shape of some furniture, in hands."""
+    furniture = catalogue.find(name)
+    tiles = []
+    for shape in furniture.classes:
+        part, slot = furniture.parts[shape.members[0]], furniture.assembled[shape.members[0]]
+        tiles.append(part_in_hands(part, slot.rotation, size))
+    tiles += [np.full_like(tiles[0], tiles[0][0, 0])] * (-len(tiles) % columns)
+    rows = [np.concatenate(tiles[i : i + columns], axis=1) for i in range(0, len(tiles), columns)]
+    iio.imwrite(path, np.concatenate(rows))
+
+
+write_grasps("ladder", IMAGES / "grasps.png", columns=5, size=200)
 write_storyboard(solve(catalogue.make("ladder"), 0).plan, IMAGES / "storyboard.png", columns=4, width=360, height=240)
 render_contact_sheet([catalogue.make(f) for f in FAMILIES], IMAGES / "families.png", columns=7, size=200)
 sixty = [catalogue.make(list(CHAIRS)[i % len(CHAIRS)], 1 + i // len(CHAIRS)) for i in range(60)]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
+from pathlib import Path
 
 
 class RoboAssemblyError(Exception):
@@ -33,3 +34,11 @@ class MissingExtraError(RoboAssemblyError):
 
     def __init__(self, package: str, extra: str) -> None:
         super().__init__(f"'{package}' is not installed; install it with: pip install 'roboassembly[{extra}]'")
+
+
+class MissingRobotError(RoboAssemblyError):
+    """The wheel with the robot's shapes is not installed, or not whole."""
+
+    def __init__(self, wheel: str, folder: Path | None = None) -> None:
+        lacks = f"has no urdf/panda.urdf in {folder}" if folder else "is not installed"
+        super().__init__(f"the robot's shapes are missing: '{wheel}' {lacks}; install it with: pip install {wheel}")

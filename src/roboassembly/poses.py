@@ -16,6 +16,7 @@ import numpy as np
 import pinocchio as pin
 from jaxtyping import Float
 from pinocchio import SE3
+from scipy.spatial.transform import Rotation
 
 from roboassembly.errors import InputError
 
@@ -32,6 +33,7 @@ __all__ = [
     "poses_to_configurations",
     "rotation_angle",
     "rotation_from_quaternion",
+    "rotations_from_euler",
     "transform_points",
 ]
 
@@ -74,6 +76,11 @@ def pose_from_seven(numbers: Sequence[float]) -> SE3:
 def pose_to_euler(pose: SE3) -> Float[np.ndarray, "6"]:
     """`(x, y, z, roll, pitch, yaw)`, metres and radians, `R = Rz(yaw) Ry(pitch) Rx(roll)`."""
     return np.concatenate([pose.translation, pin.rpy.matrixToRpy(pose.rotation)])
+
+
+def rotations_from_euler(angles: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3 3"]:
+    """Rotations from roll, pitch and yaw, many at once: `R = Rz(yaw) Ry(pitch) Rx(roll)`, as in `pose_to_euler`."""
+    return Rotation.from_euler("ZYX", angles[..., ::-1]).as_matrix()
 
 
 def pose_to_rotation_6d(pose: SE3) -> Float[np.ndarray, "9"]:

@@ -12,6 +12,7 @@ from jaxtyping import Float
 from roboassembly.errors import FurnitureError
 from roboassembly.furniture.congruence import rotations_onto, symmetries
 from roboassembly.furniture.contacts import Contact, find_contacts
+from roboassembly.furniture.grasps import find_grasps
 from roboassembly.furniture.model import (
     FACE_TO_FACE,
     MAX_POINTS,
@@ -44,7 +45,8 @@ def annotate(name: str, raw: Sequence[RawPart], provenance: Provenance) -> Furni
     stored gap along the normal, normals opposed, tangents equal) gives back the assembled relative pose.
 
     Parts of one shape get frames in which their meshes coincide, and the same points: tangents are carried from
-    member to member wherever the furniture allows it, so that four equal legs fit each other's places.
+    member to member wherever the furniture allows it, so that four equal legs fit each other's places. They get the
+    same grasps too.
 
     Raises:
         FurnitureError: part count, repeated names, parts that penetrate, parts that do not touch.
@@ -62,8 +64,10 @@ def annotate(name: str, raw: Sequence[RawPart], provenance: Provenance) -> Furni
     slots = tuple(SE3(r, c) for r, c in zip(rotations, centers, strict=True))
     meshes = _part_meshes(centered, classes, slots)
     points, connections = _connection_points(contacts, slots, classes)
+    grasps = {member: held for c in classes for held in [find_grasps(meshes[c.members[0]])] for member in c.members}
     parts = tuple(
-        Part(part.name, mesh, tuple(own), part.label) for part, mesh, own in zip(raw, meshes, points, strict=True)
+        Part(part.name, mesh, tuple(points[i]), part.label, grasps[i])
+        for i, (part, mesh) in enumerate(zip(raw, meshes, strict=True))
     )
     provenance = replace(provenance, notes=(*provenance.notes, *notes))
     return Furniture(name, parts, slots, connections, classes, provenance)

@@ -19,6 +19,8 @@ MAX_POINTS = 10
 """Connection points a part, likewise."""
 CONTACT_DISTANCE = 0.005
 """Parts nearer than this, in metres, are connected (the paper's 5 mm)."""
+GRASP_REGIONS = 2
+"""A part, as in the paper."""
 SAME_POINT = 0.01
 """Metres: contacts of like parts that fall this near to each other on their shape get one and the same point."""
 
@@ -77,7 +79,7 @@ class GraspRegion:
     approaches: Float[np.ndarray, "4 3"]
     """Unit vectors along which the hand may come, each orthogonal to `closing`."""
     width: float
-    """Metres between the fingers when they touch."""
+    """Metres between the pads when they are about to touch, 0.2 mm or a little more on either side."""
 
 
 @dataclass(frozen=True)
@@ -129,12 +131,26 @@ class Provenance:
     """What repair did, one line each."""
 
 
+@dataclass(frozen=True, eq=False)
+class Site:
+    """A connection site that the source's own files mark, whatever the contacts' own points are."""
+
+    name: str
+    part: int
+    """Index of its part."""
+    frame: SE3
+    """`part_from_site`; a raw furniture's is `furniture_from_site`."""
+    mate: int | None
+    """Index of the site that it meets in the assembled furniture, among the furniture's sites; None if none does."""
+
+
 @dataclass(frozen=True)
 class RawFurniture:
     """What an importer reads: parts as they are in the source's files, and where they come from."""
 
     parts: tuple[RawPart, ...]
     provenance: Provenance
+    sites: tuple[Site, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,6 +171,8 @@ class Furniture:
     connections: tuple[Connection, ...]
     classes: tuple[ShapeClass, ...]
     provenance: Provenance = field(default_factory=lambda: Provenance("unknown"))
+    sites: tuple[Site, ...] = ()
+    """Connection sites of the source's files; no rule of the task looks at them."""
 
     def __post_init__(self) -> None:
         n = len(self.parts)
@@ -174,6 +192,9 @@ class Furniture:
                 if (p, k) in seen:
                     raise FurnitureError(f"{self.name}: point {k} of part '{self.parts[p].name}' is connected twice")
                 seen.add((p, k))
+        for site in self.sites:
+            if not 0 <= site.part < n or not (site.mate is None or 0 <= site.mate < len(self.sites)):
+                raise FurnitureError(f"{self.name}: site '{site.name}' refers to a part or a site that is not there")
         members = sorted(m for c in self.classes for m in c.members)
         if members != list(range(n)):
             raise FurnitureError(f"{self.name}: shape classes name parts {members}; each of 0..{n - 1} once would do")
@@ -193,6 +214,11 @@ class Furniture:
             for member in shape_class.members:
                 out[member] = index
         return tuple(out)
+
+    @property
+    def unholdable(self) -> tuple[str, ...]:
+        """Names of the parts that no hand can hold in two regions: they rule the furniture out of the full setting."""
+        return tuple(part.name for part in self.parts if len(part.grasps) < GRASP_REGIONS)
 
     @cached_property
     def lowest(self) -> float:
