@@ -37,8 +37,8 @@ class PartRepair:
     """What repair did to one part."""
 
     name: str
-    displacement: float
-    """Metres that the part was moved."""
+    shift: tuple[float, float, float]
+    """Metres that the part was moved, in the furniture's frame."""
     trimmed: float
     """Share of its volume that was trimmed."""
     how: str
@@ -49,6 +49,11 @@ class PartRepair:
     """Metres that the solid's skin lies off the delivered surface (99th percentile): caps over open ends."""
     notes: tuple[str, ...]
     """All else that was changed, one line each."""
+
+    @property
+    def displacement(self) -> float:
+        """Metres that the part was moved."""
+        return float(np.linalg.norm(self.shift))
 
     def __str__(self) -> str:
         """One line, for provenance notes."""
@@ -121,7 +126,7 @@ def repair(parts: Sequence[RawPart], *, gap: float = GAP, limits: RepairLimits |
         report.append(
             PartRepair(
                 name=part.name,
-                displacement=float(np.linalg.norm(piece.moved)),
+                shift=(float(piece.moved[0]), float(piece.moved[1]), float(piece.moved[2])),
                 trimmed=max(0.0, piece.removed / piece.whole),
                 how=piece.solid.how,
                 shape_error=piece.solid.shape_error,

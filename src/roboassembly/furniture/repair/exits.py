@@ -17,12 +17,15 @@ from jaxtyping import Float
 
 from roboassembly.furniture.model import CONTACT_DISTANCE
 from roboassembly.furniture.repair.proximity import Shell
+from roboassembly.furniture.repair.surface import Surface
 
 Parts = frozenset[int]
 STEPS = (0.0015, 0.004, 0.01)
 """Metres that a part is moved to see what it hits: beyond any clearance, and within any depth of a joint."""
 _SAME = 0.99
 """Cosine above which two directions are one."""
+_EQUAL = 0.9998
+"""Cosine above which a direction also belongs to whom the other one belongs: what a joint with play forgives."""
 _MAX_DIRECTIONS = 60
 
 
@@ -33,6 +36,22 @@ class Blocking:
     directions: Float[np.ndarray, "d 3"]
     arcs: tuple[dict[int, set[int]], ...]
     """For each direction: part to the parts that it would hit."""
+    near: frozenset[Parts]
+    """Pairs of parts nearer than the contact distance."""
+    owners: tuple[tuple[Parts, ...] | None, ...]
+    """For each direction the contact, or the part whose long axis it is; None: an axis of the furniture."""
+
+    def is_natural(self, index: int, moving: Parts, still: Parts) -> bool:
+        """Whether a planner would think of this direction to take the one from the other.
+
+        It would for the furniture's axes, for the normals of the contacts between the two, and for the long axes of
+        the parts that meet there.
+        """
+        owners = self.owners[index]
+        if owners is None:
+            return True
+        across = [pair for pair in self.near if pair & moving and pair & still]
+        return any(owner <= pair for owner in owners for pair in across)
 
     def captives(self, among: Parts) -> list[Parts]:
         """Sets of parts, of two or more, that nothing can leave along any of the directions."""
@@ -56,30 +75,39 @@ def closure(part: int, arcs: dict[int, set[int]], among: Parts) -> Parts:
     return frozenset(closed)
 
 
-def blocking(shells: Sequence[Shell], points: Sequence[Float[np.ndarray, "v 3"]]) -> Blocking:
+def blocking(shells: Sequence[Shell]) -> Blocking:
     """Arcs among all parts nearer than the contact distance, along axes, long sides and contact normals.
 
     Args:
         shells: the parts, assembled.
-        points: vertices of each, in metres, for its long sides.
     """
     near: list[tuple[int, int]] = []
-    ways = [*np.eye(3), *-np.eye(3)]
+    ways: list[tuple[Float[np.ndarray, "3"], tuple[Parts, ...] | None]] = [
+        (way, None) for way in (*np.eye(3), *-np.eye(3))
+    ]
     for a, b in combinations(range(len(shells)), 2):
         if shells[a].box_distance(shells[b]) < CONTACT_DISTANCE:
             distance, here, there = shells[a].nearest(shells[b])
             if distance < CONTACT_DISTANCE:
                 near.append((a, b))
                 across = (there - here) / max(distance, 1e-9)
-                ways += [across, -across]
-    for corners in points:
-        axes = np.linalg.svd(corners - corners.mean(axis=0), full_matrices=False)[2]
-        ways += [*axes, *-axes]
-    kept: list[Float[np.ndarray, "3"]] = []
-    for way in ways:
-        if np.linalg.norm(way) > 0.5 and not any(float(way @ other) > _SAME for other in kept):
-            kept.append(way)
-    directions = np.array(kept[:_MAX_DIRECTIONS])
+                ways += [(sign * across, (frozenset((a, b)),)) for sign in (1.0, -1.0)]
+    for part, shell in enumerate(shells):
+        long, *others = _main_axes(shell.surface)
+        ways += [(sign * long, (frozenset((part,)),)) for sign in (1.0, -1.0)]
+        ways += [(sign * axis, ()) for axis in others for sign in (1.0, -1.0)]
+    kept: list[tuple[Float[np.ndarray, "3"], tuple[Parts, ...] | None]] = []
+    for way, owner in ways:
+        if np.linalg.norm(way) < 0.5:
+            continue
+        alike = [k for k, (other, _) in enumerate(kept) if float(way @ other) > _SAME]
+        if not alike and len(kept) < _MAX_DIRECTIONS:
+            kept.append((way, owner))
+        for k in alike:
+            other, owners = kept[k]
+            if owner is not None and owners is not None and float(way @ other) > _EQUAL:
+                kept[k] = (other, (*owners, *owner))
+    directions = np.array([way for way, _ in kept])
     arcs = tuple({p: set() for p in range(len(shells))} for _ in directions)
     for a, b in near:
         for index, way in enumerate(directions):
@@ -87,7 +115,18 @@ def blocking(shells: Sequence[Shell], points: Sequence[Float[np.ndarray, "v 3"]]
                 arcs[index][a].add(b)
             if any(shells[b].touches(shells[a], step * way) for step in STEPS):
                 arcs[index][b].add(a)
-    return Blocking(directions, arcs)
+    return Blocking(directions, arcs, frozenset(map(frozenset, near)), tuple(owners for _, owners in kept))
+
+
+def _main_axes(surface: Surface) -> list[Float[np.ndarray, "3"]]:
+    """Unit vectors along the solid's main axes of inertia, the longest side first."""
+    a, b, c = np.swapaxes(surface.corners - surface.vertices.mean(axis=0), 0, 1)
+    weight = np.einsum("ij,ij->i", a, np.cross(b, c))
+    total = a + b + c
+    second = sum(np.einsum("i,ij,ik->jk", weight, x, x) for x in (a, b, c, total)) / 20.0
+    first = (weight[:, None] * total).sum(axis=0) / 4.0
+    spread = second - np.outer(first, first) / weight.sum()
+    return list(np.linalg.eigh(spread)[1].T[::-1])
 
 
 STRIDE = 0.004
@@ -102,13 +141,15 @@ class Exits:
         self._known: dict[tuple[int, int, int], bool] = {}
 
     def captives(self, among: Parts) -> list[Parts]:
-        """Sets of parts, of two or more, out of which nothing can go straight all the way."""
+        """Sets of parts, of two or more, out of which nothing can go straight all the way in a natural direction."""
         if len(among) < 2:
             return []
         for index, arcs in enumerate(self._graph.arcs):
             for part in sorted(among):
                 leaving = closure(part, arcs, among)
-                if len(leaving) < len(among) and self.free(leaving, among - leaving, index):
+                if len(leaving) == len(among) or not self._graph.is_natural(index, leaving, among - leaving):
+                    continue
+                if self.free(leaving, among - leaving, index):
                     return self.captives(leaving) + self.captives(among - leaving)
         return [among]
 

@@ -68,7 +68,7 @@ def open_up(pieces: list[Piece], gap: float, limits: RepairLimits) -> None:
     tried: set[_Way] = set()
     for _ in range(MAX_CUTS):
         shells = [piece.shell for piece in pieces]
-        graph = blocking(shells, [to_surface(piece.body).vertices for piece in pieces])
+        graph = blocking(shells)
         exits = Exits(shells, graph)
         tight = [core for core in graph.captives(everything) if core not in given_up]
         stuck = tight or [core for core in exits.captives(everything) if core not in given_up]
@@ -79,8 +79,7 @@ def open_up(pieces: list[Piece], gap: float, limits: RepairLimits) -> None:
             given_up.add(core)
     else:
         given_up = set()
-    shells = [piece.shell for piece in pieces]
-    left = blocking(shells, [to_surface(piece.body).vertices for piece in pieces]).captives(everything)
+    left = blocking([piece.shell for piece in pieces]).captives(everything)
     if left and not limits.captive:
         names = ", ".join(f"'{pieces[p].name}'" for p in sorted(left[0]))
         raise FurnitureError(
@@ -135,7 +134,12 @@ def _ways(core: Parts, graph: Blocking) -> list[_Way]:
     most = len(members) - 1 if len(members) <= MAX_WHOLE else 2
     subsets = [frozenset(s) for size in range(1, most + 1) for s in combinations(members, size)]
     ways = [tuple(np.round(way, 3).tolist()) for way in graph.directions]
-    return [_Way(s, core - s, index, way) for s in subsets for index, way in enumerate(ways)]
+    return [
+        _Way(s, core - s, index, way)
+        for s in subsets
+        for index, way in enumerate(ways)
+        if graph.is_natural(index, s, core - s)
+    ]
 
 
 def _estimate(pieces: list[Piece], way: _Way, graph: Blocking, known: dict[tuple[int, int, int], float]) -> float:

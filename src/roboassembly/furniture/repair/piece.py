@@ -27,6 +27,8 @@ class Piece:
     moved: Float[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))
     """Metres moved so far."""
     notes: list[str] = field(default_factory=list)
+    dear: float = 1.0
+    """What a share of this part counts beside a share of others, when it is chosen which of two is trimmed."""
     _shell: Shell | None = None
 
     @property

@@ -23,6 +23,7 @@ class Shell:
         model.addTriangles(surface.faces)
         model.endModel()
         self.model = model
+        self.surface = surface
         self.low, self.high = vertices.min(axis=0), vertices.max(axis=0)
 
     def box_distance(self, other: Shell) -> float:

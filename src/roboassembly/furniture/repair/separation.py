@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -11,10 +12,16 @@ from roboassembly.furniture.model import CONTACT_DISTANCE
 from roboassembly.furniture.repair.limits import RepairLimits
 from roboassembly.furniture.repair.opening import open_up
 from roboassembly.furniture.repair.piece import Piece
+from roboassembly.furniture.repair.proximity import Shell
+from roboassembly.furniture.repair.surface import to_surface
 from roboassembly.furniture.repair.trim import Cut, cut, flush_cut, plane_cut
 
 ROUNDS = 8
 MAX_MOVES = 40
+RESTARTS = 6
+DEARER = 4.0
+"""Times as dear becomes a part that would have lost too much."""
+MOST_DEAR = 64.0
 TRAPPED = 0.1
 """A cut that lets the cutter leave in fewer than this share of all directions is a socket."""
 MAX_PLANE_SHARE = 0.01
@@ -23,12 +30,42 @@ MAX_PLANE_RATIO = 3.0
 """...and this many times what a cut along the neighbour's surface would take."""
 
 
+class _TooMuchTrimmedError(FurnitureError):
+    """A part would lose more than is allowed."""
+
+    def __init__(self, piece: Piece, message: str) -> None:
+        super().__init__(message)
+        self.piece = piece
+
+
 def separate(pieces: list[Piece], gap: float, limits: RepairLimits, diagonal: float) -> None:
     """Trim and move the pieces, in place, until none touch and all hang together.
+
+    A part that would lose too much to all its neighbours together becomes dearer, and everything is trimmed anew:
+    then those of its neighbours give way that can.
 
     Raises:
         FurnitureError: not possible within the limits.
     """
+    start = [replace(piece, notes=list(piece.notes)) for piece in pieces]
+    first: FurnitureError | None = None
+    for _ in range(1 + RESTARTS):
+        try:
+            _separate(pieces, gap, limits, diagonal)
+        except _TooMuchTrimmedError as problem:
+            first = first or problem
+            index = pieces.index(problem.piece)
+            if start[index].dear * DEARER > MOST_DEAR:
+                break
+            start[index].dear *= DEARER
+            pieces[:] = [replace(piece, notes=list(piece.notes)) for piece in start]
+        else:
+            return
+    if first is not None:
+        raise first
+
+
+def _separate(pieces: list[Piece], gap: float, limits: RepairLimits, diagonal: float) -> None:
     were_touching = [(a, b) for a, b in combinations(pieces, 2) if _distance(a, b, gap) <= gap]
     _clear(pieces, gap, limits)
     for _ in range(MAX_MOVES):
@@ -93,16 +130,20 @@ def _part(a: Piece, b: Piece, gap: float, limits: RepairLimits) -> None:
             if one.body.is_empty() or share > limits.trimmed:
                 worst.append((share, trimmed))
                 continue
-            cost = share / limits.trimmed + 4.0 * (0.5 - min(0.5, one.freedom)) + (6.0 if one.splits else 0.0)
+            cost = trimmed.dear * share / limits.trimmed + 4.0 * (0.5 - min(0.5, one.freedom)) + (6.0 if one.splits else 0.0)
             choices.append((cost, trimmed, cutter, one))
     if not choices:
         share, piece = min(worst, key=lambda w: w[0])
         other = b if piece is a else a
-        raise FurnitureError(
+        raise _TooMuchTrimmedError(
+            piece,
             f"part '{piece.name}' would lose {share:.1%} of its volume to clear '{other.name}'; "
-            f"at most {limits.trimmed:.1%} is allowed (limit `trimmed`)"
+            f"at most {limits.trimmed:.1%} is allowed (limit `trimmed`)",
         )
-    _, piece, other, best = min(choices, key=lambda c: c[0])
+    choices.sort(key=lambda c: c[0])
+    # A cut can fail to clear where a surface crosses itself: what is inside out there, no cut takes away. Then it is
+    # the other one's turn.
+    _, piece, other, best = next((c for c in choices if _clears(c[3], c[2], gap)), choices[0])
     piece.removed += best.removed
     piece.become(best.body)
     if best.dropped:
@@ -111,6 +152,10 @@ def _part(a: Piece, b: Piece, gap: float, limits: RepairLimits) -> None:
         piece.notes.append(f"cut through by '{other.name}', kept as one rigid part")
     if best.freedom < TRAPPED:
         piece.notes.append(f"has a socket for '{other.name}'")
+
+
+def _clears(made: Cut, cutter: Piece, gap: float) -> bool:
+    return Shell(to_surface(made.body)).nearest(cutter.shell)[0] >= 0.5 * gap
 
 
 def _islands(pieces: list[Piece]) -> list[list[int]]:

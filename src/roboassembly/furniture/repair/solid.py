@@ -40,8 +40,12 @@ GOOD = 0.0015
 """With a shape error below this, in metres, no other way is tried."""
 _QUADRICS = ((1.0, 2.0), (0.95, 4.0), (0.9, 1.0), (0.8, 6.0))
 """Shares of the triangles wanted, and how eagerly they are merged: tried until what comes out is closed."""
-_ROOM = (1, 2, 5)
+_FINE = 20
+"""Times as many triangles as wanted make a body too fine to go gently."""
+_ROOM = (1, 2)
 """Times as many triangles as asked for, where with fewer the shape would suffer."""
+_UNSOUND = 0.01
+"""Share of its volume by which a solid may differ from the two halves of it; more, and it is folded inside out."""
 _ADDED_WEIGHT = 0.1
 """What a metre of the solid's skin off the delivered surface counts beside a metre of surface lost."""
 
@@ -112,10 +116,25 @@ def _measured(build: _Build, surface: Surface, max_faces: int, notes: list[str])
         body = simplify(build.body, max_faces * room)
         if body.is_empty():
             return Solid(body, how, float("inf"), float("inf"), tuple(notes))
-        error = lost(surface, body)
+        error = lost(surface, body) if _is_sound(body) else float("inf")
         if error <= GOOD or build.body.num_tri() <= max_faces * room:
             break
     return Solid(body, how, error, added(surface, body), tuple(notes))
+
+
+def _is_sound(body: m3.Manifold) -> bool:
+    """Whether cutting the solid in two keeps its volume: where a closed surface is folded inside out it does not.
+
+    What is inside out counts as a hole to every later cut, and could never be made to clear its neighbours.
+    """
+    low, high = np.reshape(body.bounding_box(), (2, 3))
+    whole = body.volume()
+    for axis in np.eye(3):
+        for share in (0.37, 0.61):
+            one, other = body.split_by_plane(tuple(axis), float(axis @ (low + share * (high - low))))
+            if abs(one.volume() + other.volume() - whole) > _UNSOUND * abs(whole):
+                return False
+    return True
 
 
 def _closed(pieces: list[Surface]) -> Surface | None:
@@ -232,16 +251,19 @@ def _join(pieces: list[Surface]) -> Surface | None:
 
 
 def simplify(body: m3.Manifold, max_faces: int) -> m3.Manifold:
-    """At most about `max_faces` triangles, as long as that moves the surface by less than 1.2 mm.
+    """At most about `max_faces` triangles, where that leaves the volume and keeps the solid closed.
 
-    First those go that change little (20 to 80 µm), then, where there are still too many, by quadrics.
+    First those go that change little (20 to 80 µm), then, where there are still too many, by quadrics, and last by
+    larger tolerances (0.15 to 1.2 mm).
     """
     out = body
-    for tolerance in (2e-5, 4e-5, 8e-5):
+    # Each pass over a fine grid's half a million triangles takes a second: there, the last one alone.
+    for tolerance in (2e-5, 4e-5, 8e-5) if body.num_tri() <= _FINE * max_faces else (8e-5,):
         out = body.simplify(tolerance)
         if out.num_tri() <= max_faces:
             return out
     skin = to_surface(out)
+    fewest = out
     for share, aggression in _QUADRICS:
         points, faces, *_ = fast_simplification.simplify(
             skin.vertices, skin.faces, target_count=int(share * max_faces), agg=aggression
@@ -251,8 +273,9 @@ def simplify(body: m3.Manifold, max_faces: int) -> m3.Manifold:
             continue
         if fewer.num_tri() <= max_faces:
             return fewer
+        fewest = min(fewest, fewer, key=lambda one: one.num_tri())
     for tolerance in (1.5e-4, 3e-4, 6e-4, 1.2e-3):
-        out = body.simplify(tolerance)
+        out = fewest.simplify(tolerance)
         if out.num_tri() <= max_faces:
             break
     return out
