@@ -11,7 +11,9 @@ import pytest
 import trimesh
 
 from roboassembly.errors import FurnitureError
+from roboassembly.furniture import storage
 from roboassembly.furniture.importers import ikea_env
+from roboassembly.furniture.importers.pipeline import finish
 
 HALF = "0.70710678"
 Sites = Sequence[tuple[str, str, str]]
@@ -49,15 +51,18 @@ def test_rotated_sites(tmp_path):
     assert np.allclose(post, [[-0.05, 0.05, 0.0], [0.05, 0.15, 0.4]], atol=1e-6)
     assert np.allclose(plate, [[-0.1, -0.2, 0.38], [0.1, 0.2, 0.4]], atol=1e-6)
     assert [(p.name, p.label) for p in raw.parts] == [("post", "post"), ("plate", "plate")]
-    (note,) = raw.provenance.notes
-    assert "'post-plate,90,conn_site1' of 'post' meets 'plate-post,90,conn_site1' of 'plate'" in note
-    assert "at (0.0000, 0.1000, 0.4000) m, axis (0.0000, 0.0000, 1.0000), gap 0.00 mm" in note
+    one, two = raw.sites
+    assert (one.name, one.part, one.mate) == ("post-plate,90,conn_site1", 0, 1)
+    assert (two.name, two.part, two.mate) == ("plate-post,90,conn_site1", 1, 0)
+    for site in raw.sites:
+        assert np.allclose(site.frame.translation, [0.0, 0.1, 0.4], atol=1e-6)
+        assert np.allclose(site.frame.rotation[:, 2], [0.0, 0.0, 1.0], atol=1e-6)
 
 
 def test_scale(tmp_path):
     raw = ikea_env.read(write(tmp_path, POST, PLATE), scale=2.0)
     assert np.allclose(raw.parts[1].mesh.bounds, [[-0.2, -0.4, 0.76], [0.2, 0.4, 0.8]], atol=1e-6)
-    assert "at (0.0000, 0.2000, 0.8000) m" in raw.provenance.notes[0]
+    assert np.allclose(raw.sites[0].frame.translation, [0.0, 0.2, 0.8], atol=1e-6)
 
 
 def test_mirrored_and_stretched_meshes(tmp_path):
@@ -85,7 +90,19 @@ def two_pairs(at: str) -> tuple[tuple[str, str], tuple[str, str]]:
 def test_the_angle_is_the_one_that_closes(tmp_path):
     raw = ikea_env.read(write(tmp_path, *two_pairs("0 -0.04 0")))
     assert np.allclose(np.ptp(raw.parts[1].mesh.bounds, axis=0), [0.2, 0.4, 0.02], atol=1e-6)
-    assert len(raw.provenance.notes) == 2
+    assert [site.mate for site in raw.sites] == [1, 0, 3, 2]
+
+
+def test_sites_stay_where_their_parts_are_and_survive_a_file(tmp_path):
+    furniture = finish("piece", ikea_env.read(write(tmp_path, *two_pairs("0 -0.04 0")))).furniture
+    loaded = storage.load(storage.save(furniture, tmp_path / "out"))
+    assert [(s.name, s.part, s.mate) for s in loaded.sites] == [(s.name, s.part, s.mate) for s in furniture.sites]
+    assert len(loaded.sites) == 4
+    for site in loaded.sites:
+        mate = loaded.sites[site.mate]
+        here, there = (loaded.assembled[s.part] * s.frame for s in (site, mate))
+        assert np.linalg.norm(here.translation - there.translation) < 1e-3
+        assert here.rotation[:, 2] @ there.rotation[:, 2] > np.cos(np.radians(5.0))
 
 
 def test_what_does_not_close_is_refused_with_the_figure(tmp_path):
@@ -106,9 +123,8 @@ def test_sites_without_their_number_take_what_is_left(tmp_path):
     plate = body(
         "plate", [("top-leg,,conn_site4", "0.15 0 0", "1 0 0 0"), ("top-leg,,conn_site5", "-0.15 0 0", "1 0 0 0")]
     )
-    notes = ikea_env.read(write(tmp_path, post, plate)).provenance.notes
-    assert "meets 'top-leg,,conn_site4'" in notes[0]
-    assert notes[1] == "connection site 'top-leg,,conn_site5' of 'plate' meets none"
+    sites = ikea_env.read(write(tmp_path, post, plate)).sites
+    assert [(s.name[-5:], s.mate) for s in sites] == [("site0", 1), ("site4", 0), ("site5", None)]
 
 
 def test_a_search_that_leads_nowhere_ends(tmp_path):

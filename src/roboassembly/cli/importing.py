@@ -32,6 +32,7 @@ class Piece:
     name: str
     scale: float | None
     up: UpAxis | None
+    cache: bool
 
 
 @dataclass(frozen=True)
@@ -44,6 +45,8 @@ class Item:
     displacement_max_mm: float
     trimmed_max_percent: float
     seconds: float
+    unholdable: tuple[str, ...]
+    """Names of the parts that no Franka hand can hold."""
     folder: str | None
     error: str | None
 
@@ -67,6 +70,8 @@ class Import:
     """Up axis of the files, for `folder` only; if not given, y for GLB and z for all else."""
     jobs: int = os.cpu_count() or 1
     """Pieces at a time."""
+    cache: bool = True
+    """Use what an earlier import of the same parts came to."""
     json: bool = False
     """Print one JSON object on stdout, all else on stderr."""
 
@@ -90,7 +95,7 @@ class Import:
                 items.append(item)
                 progress.update()
         for item in items:
-            say(f"{item.name}: {item.error}" if item.error else f"{item.name}: {item.parts} parts -> {item.folder}")
+            say(f"{item.name}: {item.error}" if item.error else _summary(item))
         imported = sum(item.error is None for item in items)
         if self.json:
             print_json({"imported": imported, "refused": len(items) - imported, "items": [asdict(i) for i in items]})
@@ -105,7 +110,7 @@ class Import:
     def _each(self, folders: list[Path], targets: list[Path], names: list[str]):
         writable_folder(self.out.parent if self._fresh() else self.out)
         work = [
-            Piece(self.kind, source, target, name, self.scale, self.up)
+            Piece(self.kind, source, target, name, self.scale, self.up, self.cache)
             for source, target, name in zip(folders, targets, names, strict=True)
         ]
         if self.jobs == 1 or len(folders) == 1:
@@ -118,34 +123,68 @@ class Import:
                     yield future.result()
                 except BrokenProcessPool:
                     lost = "not imported: a worker process died (out of memory?); try this piece again with --jobs 1"
-                    yield Item(piece.name, 0, 0, 0.0, 0.0, 0.0, None, lost)
+                    yield Item(piece.name, 0, 0, 0.0, 0.0, 0.0, (), None, lost)
+
+
+def _summary(item: Item) -> str:
+    text = f"{item.name}: {item.parts} parts -> {item.folder}"
+    if item.unholdable:
+        text += f" (no hand can hold {', '.join(item.unholdable)}: object-centric setting only)"
+    return text
 
 
 def import_piece(piece: Piece) -> Item:
     """Read, repair, annotate and save one piece; what cannot be used ends up in the item's `error`."""
+    from roboassembly.furniture.importers import IMPORTERS, kept
+
+    started = time.perf_counter()
+    reads = IMPORTERS[piece.kind].reads(piece.source)
+    place = (
+        kept.place_of(reads, piece.kind, piece.name, str(piece.source), piece.scale, piece.up) if piece.cache else None
+    )
+    try:
+        summary = kept.recall(place, piece.target) if place is not None else None
+        if summary is None:
+            summary = _import_anew(piece)
+            if place is not None:
+                kept.keep(place, summary, piece.target)
+    except InputError as error:
+        summary = kept.Summary(error=str(error))
+    return Item(
+        piece.name,
+        summary.parts,
+        summary.connections,
+        summary.displacement_max_mm,
+        summary.trimmed_max_percent,
+        round(time.perf_counter() - started, 2),
+        summary.unholdable,
+        None if summary.error else str(piece.target),
+        summary.error,
+    )
+
+
+def _import_anew(piece: Piece):
+    from roboassembly.errors import FurnitureError
     from roboassembly.furniture import storage
     from roboassembly.furniture.importers import IMPORTERS, folder
+    from roboassembly.furniture.importers.kept import Summary
     from roboassembly.furniture.importers.pipeline import finish
 
-    started, name, target = time.perf_counter(), piece.name, piece.target
     try:
         if piece.up is not None:
             raw = folder.read(piece.source, scale=piece.scale, up=piece.up)
         else:
             raw = IMPORTERS[piece.kind].read(piece.source, scale=piece.scale)
-        imported = finish(name, raw)
-        storage.save(imported.furniture, target)
-    except InputError as error:
-        return Item(name, 0, 0, 0.0, 0.0, round(time.perf_counter() - started, 2), None, str(error))
-    return Item(
-        name,
+        imported = finish(piece.name, raw)
+    except FurnitureError as refusal:
+        return Summary(error=str(refusal))
+    storage.save(imported.furniture, piece.target)
+    return Summary(
         len(imported.furniture.parts),
         len(imported.furniture.connections),
         round(1e3 * max(r.displacement for r in imported.repairs), 3),
         round(1e2 * max(r.trimmed for r in imported.repairs), 3),
-        round(time.perf_counter() - started, 2),
-        str(target),
-        None,
+        imported.furniture.unholdable,
     )
 
 

@@ -7,15 +7,14 @@ furniture itself is generated when it is asked for, and checked against the mani
 from __future__ import annotations
 
 import hashlib
-import os
 from dataclasses import dataclass
 from pathlib import Path
 
 import msgspec
-import platformdirs
 
 from roboassembly.errors import InputError, UnknownNameError
 from roboassembly.furniture import catalogue, storage
+from roboassembly.furniture.cache import cache_folder
 from roboassembly.furniture.model import Furniture
 
 VERSION = 1
@@ -86,12 +85,6 @@ RECIPES = {
         ),
     )
 }
-
-
-def cache_folder() -> Path:
-    """Where data sets are kept."""
-    own = os.environ.get("ROBOASSEMBLY_CACHE")
-    return Path(own) if own else Path(platformdirs.user_cache_dir("roboassembly"))
 
 
 def manifest_path(name: str) -> Path:

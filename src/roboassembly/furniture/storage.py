@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 import shutil
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 
 import msgspec
@@ -29,11 +30,12 @@ from roboassembly.furniture.model import (
     Part,
     Provenance,
     ShapeClass,
+    Site,
     check_part_count,
     mate,
 )
 from roboassembly.meshes import Mesh
-from roboassembly.poses import pose_from_seven, pose_to_seven, rotation_angle, rotation_from_quaternion
+from roboassembly.poses import SE3, pose_from_seven, pose_to_seven, rotation_angle, rotation_from_quaternion
 
 FORMAT = "roboassembly.furniture"
 VERSION = 1
@@ -75,6 +77,14 @@ class _Part(_Strict, frozen=True):
     grasps: list[_Grasp] = []
 
 
+class _Site(_Strict, frozen=True):
+    name: str
+    part: int
+    pose: _Seven
+    """Of the site in its part."""
+    mate: int | None
+
+
 class _Class(_Strict, frozen=True):
     members: list[int]
     symmetries: list[_Quaternion]
@@ -97,6 +107,7 @@ class _File(_Strict, frozen=True):
     connections: list[tuple[int, int, int, int]]
     """`part_a, point_a, part_b, point_b`, counted from 0."""
     classes: list[_Class]
+    sites: list[_Site] = []
 
 
 class _Header(msgspec.Struct, frozen=True):
@@ -110,7 +121,25 @@ def save(furniture: Furniture, folder: Path | str) -> Path:
     Raises:
         InputError: `folder` exists and holds something else than furniture, or cannot be written.
     """
-    asked, folder = Path(folder), Path(folder).resolve()
+    return _put(Path(folder), lambda scratch: _write(furniture, scratch))
+
+
+def copy(source: Path, folder: Path | str) -> Path:
+    """Copy a furniture folder, as `save` would write it.
+
+    Raises:
+        InputError: as `save`, or `source` cannot be read.
+    """
+
+    def write(scratch: Path) -> None:
+        shutil.copytree(source / MESHES, scratch / MESHES)
+        shutil.copyfile(source / FILE_NAME, scratch / FILE_NAME)
+
+    return _put(Path(folder), write)
+
+
+def _put(asked: Path, write: Callable[[Path], None]) -> Path:
+    folder = asked.resolve()
     if folder.exists() and not _may_replace(folder):
         raise InputError(f"{asked} exists and is not a furniture folder; name a new or empty folder")
     try:
@@ -120,7 +149,7 @@ def save(furniture: Furniture, folder: Path | str) -> Path:
         raise InputError(f"cannot write to {asked}: {error.strerror}") from None
     try:
         scratch.chmod(0o755)
-        _write(furniture, scratch)
+        write(scratch)
         if not folder.exists():
             scratch.rename(folder)
             return asked
@@ -156,8 +185,7 @@ def _write(furniture: Furniture, folder: Path) -> None:
             _Grasp(_three(g.position), _three(g.closing), tuple(_three(a) for a in g.approaches), g.width)  # pyright: ignore[reportArgumentType]
             for g in part.grasps
         ]
-        seven: _Seven = tuple(pose_to_seven(slot))  # pyright: ignore[reportAssignmentType]
-        parts.append(_Part(part.name, files[id(part.mesh)], seven, points, part.label, grasps))
+        parts.append(_Part(part.name, files[id(part.mesh)], _seven(slot), points, part.label, grasps))
     classes = [
         _Class(
             list(c.members), [tuple(q) for q in Rotation.from_matrix(c.symmetries).as_quat(scalar_first=True).tolist()]
@@ -173,8 +201,13 @@ def _write(furniture: Furniture, folder: Path) -> None:
         parts,
         [(c.part_a, c.point_a, c.part_b, c.point_b) for c in furniture.connections],
         classes,
+        [_Site(s.name, s.part, _seven(s.frame), s.mate) for s in furniture.sites],
     )
     (folder / FILE_NAME).write_bytes(msgspec.json.format(msgspec.json.encode(document), indent=1) + b"\n")
+
+
+def _seven(pose: SE3) -> _Seven:
+    return tuple(pose_to_seven(pose))  # pyright: ignore[reportReturnType]
 
 
 def _three(vector: np.ndarray) -> _Triple:
@@ -216,6 +249,10 @@ def load(folder: Path | str) -> Furniture:
         )
     except InputError as error:
         raise FurnitureError(f"{folder}: classes: {error}") from None
+    try:
+        sites = tuple(Site(s.name, s.part, pose_from_seven(s.pose), s.mate) for s in document.sites)
+    except InputError as error:
+        raise FurnitureError(f"{folder}: sites: {error}") from None
     origin = document.provenance
     furniture = Furniture(
         document.name,
@@ -224,6 +261,7 @@ def load(folder: Path | str) -> Furniture:
         tuple(Connection(*c) for c in document.connections),
         classes,
         Provenance(origin.source, origin.identifier, origin.licence, origin.scale, tuple(origin.notes)),
+        sites,
     )
     _check(furniture, folder)
     return furniture

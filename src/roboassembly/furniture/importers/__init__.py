@@ -35,6 +35,8 @@ class Importer:
     find: Callable[[Path], list[Path]]
     """The pieces at or below a path; raises `FurnitureError` if there are none."""
     read: Reader
+    reads: Callable[[Path], Path] = lambda piece: piece
+    """The file or folder that holds all that reading a piece may look at."""
 
 
 IMPORTERS: Mapping[str, Importer] = MappingProxyType(
@@ -50,12 +52,14 @@ IMPORTERS: Mapping[str, Importer] = MappingProxyType(
                 "IKEA Furniture Assembly Environment: MJCF with connection sites",
                 ikea_env.find,
                 ikea_env.read,
+                lambda piece: piece.resolve().parent,
             ),
             Importer(
                 "furniture-bench",
                 "FurnitureBench: OBJ and assembled_poses.json",
                 furniture_bench.find,
                 furniture_bench.read,
+                furniture_bench.reads,
             ),
             Importer(
                 "folder", "OBJ, STL, PLY or GLB parts in assembled poses, or a GLB scene", folder.find, folder.read

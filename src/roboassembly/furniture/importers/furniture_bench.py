@@ -101,6 +101,11 @@ def read(path: Path, *, scale: float | None = None) -> RawFurniture:
     return RawFurniture(stand(parts, rotation, factor, name), Provenance("furniture-bench", name, LICENCE, factor))
 
 
+def reads(path: Path) -> Path:
+    """The folder of the poses, which holds the meshes too; the piece's own if there are no poses."""
+    return _poses_above(path) or path
+
+
 def _poses_above(path: Path) -> Path | None:
     """The nearest folder at most two levels up that holds the poses."""
     here = path.resolve()

@@ -14,10 +14,11 @@ from jaxtyping import Float
 
 from roboassembly.errors import FurnitureError, InputError
 from roboassembly.furniture.importers import files
-from roboassembly.furniture.importers.connection_sites import Site, solve, upright
+from roboassembly.furniture.importers.connection_sites import Site as ConnectionSite
+from roboassembly.furniture.importers.connection_sites import solve, upright
 from roboassembly.furniture.importers.mesh_files import read_mesh
 from roboassembly.furniture.importers.triangles import NamedTriangles, Triangles, bounds, combine, stand
-from roboassembly.furniture.model import Provenance, RawFurniture, check_part_count
+from roboassembly.furniture.model import Provenance, RawFurniture, Site, check_part_count
 from roboassembly.meshes import MAX_FACES
 from roboassembly.poses import SE3, from_quaternion
 
@@ -34,7 +35,7 @@ class _Body:
     """As drawn in the file."""
     surface: Triangles
     """In the body's frame, metres."""
-    sites: tuple[Site, ...]
+    sites: tuple[ConnectionSite, ...]
 
 
 def find(root: Path) -> list[Path]:
@@ -65,8 +66,8 @@ def _head(path: Path) -> bytes:
 def read(path: Path, *, scale: float | None = None) -> RawFurniture:
     """The bodies of one piece as parts, at the poses that their connection sites dictate: z up, metres, on the ground.
 
-    Which way is up follows most bodies' orientation in the file. The provenance notes name every pair of connection
-    sites that meets, with its place and axis in the furniture's frame.
+    Which way is up follows most bodies' orientation in the file. Connection sites are kept, those that meet as each
+    other's mates.
 
     Args:
         path: the MJCF file.
@@ -92,20 +93,18 @@ def read(path: Path, *, scale: float | None = None) -> RawFurniture:
     # The same move as `stand`'s, for the sites.
     low, high = bounds(parts, rotation)
     middle = np.array([*(0.5 * (low + high))[:2], low[2]])
-    notes = []
+    index = {body.name: k for k, body in enumerate(bodies)}
+
+    def kept(site: ConnectionSite, mate: int | None) -> Site:
+        pose = solved.poses[site.body] * site.body_from_site
+        place = (rotation @ pose.translation - middle) * factor
+        return Site(site.name, index[site.body], SE3(rotation @ pose.rotation, place), mate)
+
+    sites: list[Site] = []
     for pair in solved.pairs:
-        site = solved.poses[pair.first.body] * pair.first.body_from_site
-        at, axis = (rotation @ site.translation - middle) * factor, rotation @ site.rotation[:, 2]
-        notes.append(
-            f"connection site '{pair.first.name}' of '{pair.first.body}' meets '{pair.second.name}' of "
-            f"'{pair.second.body}' at {_numbers(at)} m, axis {_numbers(axis)}, gap {pair.gap * factor * 1e3:.2f} mm"
-        )
-    notes += [f"connection site '{site.name}' of '{site.body}' meets none" for site in solved.unused]
-    return RawFurniture(raw, Provenance("ikea-env", files.one_line(path.stem), LICENCE, factor, tuple(notes)))
-
-
-def _numbers(values: Float[np.ndarray, "3"]) -> str:
-    return "(" + ", ".join(f"{value + 0.0:.4f}" for value in np.round(values, 4)) + ")"
+        sites += [kept(pair.first, len(sites) + 1), kept(pair.second, len(sites))]
+    sites += [kept(site, None) for site in solved.unused]
+    return RawFurniture(raw, Provenance("ikea-env", files.one_line(path.stem), LICENCE, factor), tuple(sites))
 
 
 def _read_bodies(path: Path) -> list[_Body]:
@@ -127,7 +126,7 @@ def _read_bodies(path: Path) -> list[_Body]:
         if element.find("body") is not None:
             raise FurnitureError(f"{here} holds another body; every part must be a body of the world")
         sites = tuple(
-            Site(name, files.one_line(site.get("name", "")), _pose(site, here))
+            ConnectionSite(name, files.one_line(site.get("name", "")), _pose(site, here))
             for site in element.findall("site")
             if "conn_site" in site.get("name", "")
         )

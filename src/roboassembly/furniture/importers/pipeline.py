@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from roboassembly.furniture.annotate import annotate
 from roboassembly.furniture.model import Furniture, RawFurniture
 from roboassembly.furniture.repair import PartRepair, repair
+from roboassembly.poses import SE3
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,4 +30,9 @@ def finish(name: str, raw: RawFurniture) -> Imported:
     notes = tuple(str(r) for r in repaired.report)
     provenance = replace(raw.provenance, notes=(*raw.provenance.notes, *notes))
     furniture = annotate(name, repaired.parts, provenance)
-    return Imported(furniture, repaired.report)
+    sites = tuple(
+        replace(site, frame=furniture.assembled[site.part].actInv(SE3(np.eye(3), np.array(moved.shift)) * site.frame))
+        for site in raw.sites
+        for moved in [repaired.report[site.part]]
+    )
+    return Imported(replace(furniture, sites=sites), repaired.report)
