@@ -112,7 +112,7 @@ class BlockingGraphs:
         for closed, d in self._candidates(among):
             if closed in given or among - closed in given:
                 continue
-            if straight and not self._leaves(closed, among - closed, d):
+            if straight and not self.leaves(closed, among - closed, d):
                 continue
             given.add(closed)
             yield closed
@@ -134,7 +134,7 @@ class BlockingGraphs:
             self._known_candidates[among] = found
         return self._known_candidates[among]
 
-    def _leaves(self, moving: frozenset[int], still: frozenset[int], d: Float[np.ndarray, "3"]) -> bool:
+    def leaves(self, moving: frozenset[int], still: frozenset[int], d: Float[np.ndarray, "3"]) -> bool:
         """Whether `moving` can go straight out of `still` along `d`."""
         key = (moving, still, tuple(np.round(d, 6).tolist()))
         if key not in self._known_exits:

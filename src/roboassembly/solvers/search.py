@@ -23,7 +23,7 @@ import numpy as np
 from roboassembly.furniture.model import Furniture
 from roboassembly.planning.problem import Budget
 from roboassembly.solvers.blocking import BlockingGraphs
-from roboassembly.task.groups import TaskState, corresponding_point, with_own_slots
+from roboassembly.task.groups import TaskState, corresponding_point
 from roboassembly.task.object_centric import UP_AXES, ObjectCentricTask, Verdict
 from roboassembly.task.plan import Plan, PlanStep
 
@@ -273,7 +273,7 @@ def solve(
 
 def solve_from(task: ObjectCentricTask, initial: TaskState, seed: int, limits: SearchLimits) -> SearchResult:
     """As `solve`, from a state that is given, in which equal parts may have taken each other's places."""
-    state = with_own_slots(task.furniture, initial)
+    state = next(task.pairs.own_places(initial), None)
     if state is None:
         nothing = Plan(task.furniture, initial.part_poses, (), False, seed)
         return SearchResult(nothing, 0, 0.0, 0, 0, "two groups need the same place in the furniture")

@@ -89,29 +89,6 @@ def part_from_points(furniture: Furniture, group: Group, part: int) -> SE3:
     return group.furniture_from_part[index].actInv(furniture.assembled[group.slots[index]])
 
 
-def with_own_slots(furniture: Furniture, state: TaskState) -> TaskState | None:
-    """The same state with every slot claimed once: loose parts take what joined ones of their class have left over.
-
-    None if two groups of several parts claim one slot.
-    """
-    joined = [slot for g in state.groups if len(g.parts) > 1 for slot in g.slots]
-    if len(set(joined)) < len(joined):
-        return None
-    loose = [g.parts[0] for g in state.groups if len(g.parts) == 1]
-    taken = set(joined) | {p for p in loose if p not in joined}
-    groups: list[Group] = []
-    for group in state.groups:
-        part = group.parts[0]
-        if len(group.parts) == 1 and part in joined:
-            members = furniture.classes[furniture.class_of[part]].members
-            slot = next(m for m in members if m not in taken)
-            taken.add(slot)
-            pose = furniture.assembled[slot]
-            group = Group((part,), (slot,), (pose,), group.part_poses()[0] * pose.inverse())
-        groups.append(group)
-    return TaskState(tuple(groups))
-
-
 def center_of_mass(furniture: Furniture, group: Group) -> Float[np.ndarray, "3"]:
     """Of the group in its own frame (the furniture's), uniform density, metres."""
     weights = np.array([furniture.parts[p].mesh.volume for p in group.parts])

@@ -6,6 +6,7 @@ frames dictate, must be congruent to a sub-assembly once equivalent parts may sw
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,7 +14,7 @@ from jaxtyping import Float, Int
 
 from roboassembly.furniture.model import Furniture, mate
 from roboassembly.poses import SE3
-from roboassembly.task.groups import Group
+from roboassembly.task.groups import Group, TaskState
 
 POSITION_TOLERANCE = 1e-3
 """Metres between a part's centre and its slot's."""
@@ -61,7 +62,7 @@ class PairRule:
         v_group_from_u_group = points_of_v * v_from_u * points_of_u.inverse()
         members = (*v_group.parts, *u_group.parts)
         poses = (*v_group.furniture_from_part, *(v_group_from_u_group * p for p in u_group.furniture_from_part))
-        fit = self._embed(members, poses)
+        fit = next(self._embeddings(members, poses), None)
         if fit is None:
             return None
         slots, placed = fit
@@ -77,8 +78,51 @@ class PairRule:
         exact_v = placed[members.index(v)] * frame_of_v.inverse()
         return Merge(merged, exact_u, exact_v)
 
-    def _embed(self, members: tuple[int, ...], poses: tuple[SE3, ...]) -> tuple[Int[np.ndarray, "m"], list[SE3]] | None:
-        """Distinct slots of their classes for parts at `poses` after one common motion: the least, by angle first."""
+    def places(self, group: Group) -> Iterator[Group]:
+        """The group where it is, told in every set of slots that it could take: its own first, each set once."""
+        yield group
+        given = {frozenset(group.slots)}
+        for slots, placed in self._embeddings(group.parts, group.furniture_from_part):
+            if frozenset(slots.tolist()) not in given:
+                given.add(frozenset(slots.tolist()))
+                world = group.world_from_furniture * group.furniture_from_part[0] * placed[0].inverse()
+                yield Group(group.parts, tuple(int(s) for s in slots), tuple(placed), world)
+
+    def own_places(self, state: TaskState) -> Iterator[TaskState]:
+        """The same state told so that every slot is claimed once, in each way that its joined groups allow.
+
+        Loose parts take what joined ones of their class have left over, their own slot if they can.
+        """
+        joined = [g for g in state.groups if len(g.parts) > 1]
+        loose = [g for g in state.groups if len(g.parts) == 1]
+        for told in self._disjoint(joined, frozenset()):
+            taken = {slot for g in told for slot in g.slots}
+            homeless = [g for g in loose if g.parts[0] in taken]
+            taken.update(g.parts[0] for g in loose if g not in homeless)
+            moved = {}
+            for group in homeless:
+                part = group.parts[0]
+                slot = next(int(m) for m in self._members[self._class_of[part]] if m not in taken)
+                taken.add(slot)
+                pose = self._furniture.assembled[slot]
+                moved[group] = Group((part,), (slot,), (pose,), group.part_poses()[0] * pose.inverse())
+            moved.update(zip(joined, told, strict=True))
+            yield TaskState(tuple(moved.get(g, g) for g in state.groups))
+
+    def _disjoint(self, groups: Sequence[Group], taken: frozenset[int]) -> Iterator[list[Group]]:
+        """Places of several groups that share no slot."""
+        if not groups:
+            yield []
+            return
+        for group in self.places(groups[0]):
+            if not taken & set(group.slots):
+                for others in self._disjoint(groups[1:], taken | set(group.slots)):
+                    yield [group, *others]
+
+    def _embeddings(
+        self, members: tuple[int, ...], poses: tuple[SE3, ...]
+    ) -> Iterator[tuple[Int[np.ndarray, "m"], list[SE3]]]:
+        """Distinct slots of their classes for parts at `poses` after one common motion: the least first, by angle."""
         classes = self._class_of[list(members)]
         ways = [len(self._slots[c]) for c in classes]
         anchor = int(np.argmin(ways))
@@ -91,8 +135,6 @@ class PairRule:
         apart = np.linalg.norm(placed[:, :, None] - self._slot_positions[None, None], axis=3)
         fits = (apart < POSITION_TOLERANCE) & alike[None]
         hopeful = np.flatnonzero(fits.any(axis=2).all(axis=1))
-        if not len(hopeful):
-            return None
         turned = np.trace(motions[hopeful], axis1=1, axis2=2)
         moved = np.linalg.norm(shifts[hopeful], axis=1)
         for candidate in hopeful[np.lexsort((np.round(moved, 6), -np.round(turned, 6)))]:
@@ -101,8 +143,7 @@ class PairRule:
                 continue
             exact = self._in_slots(classes, slots, motions[candidate] @ rotations)
             if exact is not None:
-                return slots, exact
-        return None
+                yield slots, exact
 
     def _in_slots(
         self, classes: Int[np.ndarray, "m"], slots: Int[np.ndarray, "m"], rotations: Float[np.ndarray, "m 3 3"]

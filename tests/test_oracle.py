@@ -1,0 +1,82 @@
+"""The oracle against the task itself: what it calls good, the planner must be able to do, and lead to the end."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from roboassembly.furniture import catalogue
+from roboassembly.planning.problem import Budget
+from roboassembly.solvers.oracle import Oracle
+from roboassembly.task.groups import TaskState
+from roboassembly.task.object_centric import ObjectCentricTask, Verdict
+
+
+def after(state: TaskState, joint) -> TaskState:
+    gone = (state.groups[state.group_of[joint.u]], state.groups[state.group_of[joint.v]])
+    return TaskState((*(g for g in state.groups if not any(g is x for x in gone)), joint.merge.merged))
+
+
+@pytest.mark.parametrize("name", ["ladder:3", "garden:1", "throne:2", "panel:1"])
+def test_every_play_by_good_joints_reaches_the_end(name: str) -> None:
+    family, seed = name.split(":")
+    task = ObjectCentricTask(catalogue.make(family, int(seed)))
+    oracle = Oracle(task)
+    rng = np.random.default_rng(5)
+    state = task.initial_state(rng)
+    merges = 0
+    while not state.complete:
+        good = [j for j in oracle.joints(state) if j.good]
+        assert good, f"{name}: nothing good after {merges} merges"
+        state = after(state, good[rng.integers(len(good))])
+        merges += 1
+    assert merges == len(task.furniture.parts) - 1
+
+
+def test_right_pairs_are_those_that_the_task_accepts() -> None:
+    task = ObjectCentricTask(catalogue.make("three_legged", 1))
+    oracle = Oracle(task)
+    state = task.initial_state(np.random.default_rng(0))
+    found = {(j.u, j.k, j.v, j.l) for j in oracle.joints(state)}
+    free = task.free_points(state)
+    n = len(task.furniture.parts)
+    ends = [(p, k) for p in range(n) for k in range(10) if free[p, k]]
+    accepted = {
+        (u, k, v, m) for u, k in ends for v, m in ends if u != v and task.prepare(state, (u, v, k, m, 0)) is not None
+    }
+    assert found == accepted
+
+
+@pytest.mark.parametrize("name", ["windsor:1", "bench:1", "cantilever:1", "folding:2"])
+def test_good_ways_are_planned_without_search(name: str) -> None:
+    """Of the actions called good along a play, the planner does at least 19 of 20 by a straight retreat."""
+    family, seed = name.split(":")
+    task = ObjectCentricTask(catalogue.make(family, int(seed)))
+    oracle = Oracle(task)
+    rng = np.random.default_rng(1)
+    state = task.initial_state(rng)
+    verdicts = []
+    while not state.complete:
+        good = [j for j in oracle.joints(state) if j.good]
+        joint = good[rng.integers(len(good))]
+        w = int(rng.choice(np.flatnonzero(joint.ways)))
+        outcome = task.step(state, (joint.u, joint.v, joint.k, joint.l, w), 0, Budget(states=0))
+        verdicts.append(outcome.verdict)
+        state = outcome.state if outcome.verdict is Verdict.MERGED else after(state, joint)
+    assert sum(v is Verdict.MERGED for v in verdicts) >= 0.95 * len(verdicts), verdicts
+
+
+def test_a_dead_end_is_seen_before_it_is_entered() -> None:
+    """Two sides joined by the seat leave no way in for rungs that sit in blind holes of both."""
+    task = ObjectCentricTask(catalogue.make("ladder", 1))
+    oracle = Oracle(task)
+    state = task.initial_state(np.random.default_rng(0))
+    seen = False
+    while not state.complete:
+        joints = oracle.joints(state)
+        bad = [j for j in joints if j.ways.any() and not j.solvable]
+        if bad:
+            seen = True
+            assert not oracle.state_solvable(after(state, bad[0]))
+        state = after(state, next(j for j in joints if j.good))
+    assert seen
