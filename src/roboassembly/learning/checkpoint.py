@@ -1,0 +1,104 @@
+"""Weights in files: plain arrays and a line of JSON, no code in them; written whole or not at all."""
+
+from __future__ import annotations
+
+import json
+import os
+import zipfile
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from roboassembly import __version__
+from roboassembly.errors import InputError
+from roboassembly.learning.layers import Params
+
+FORMAT = 1
+_META = "meta.json"
+_BETWEEN = "/"
+
+
+@dataclass(frozen=True, eq=False)
+class Checkpoint:
+    """What a file holds."""
+
+    kind: str
+    """Which network: `relational`, `paper`, ..."""
+    params: Params
+    config: dict[str, Any]
+    """Of the network and of its training, as JSON."""
+    extra: dict[str, np.ndarray]
+    """What resuming needs besides: moments of the optimiser, and the like."""
+
+
+def save(path: Path, checkpoint: Checkpoint, *, half: bool = False) -> None:
+    """Write a checkpoint.
+
+    Args:
+        half: store weights as 16-bit floats, for shipping.
+    """
+    arrays: dict[str, Any] = {"params" + _BETWEEN + name: a for name, a in _flat(checkpoint.params)}
+    if half:
+        arrays = {name: a.astype(np.float16) for name, a in arrays.items()}
+    arrays.update({"extra" + _BETWEEN + name: np.asarray(a) for name, a in checkpoint.extra.items()})
+    meta = {"format": FORMAT, "version": __version__, "kind": checkpoint.kind, "config": checkpoint.config}
+    arrays[_META] = np.frombuffer(json.dumps(meta).encode(), dtype=np.uint8)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    scratch = path.with_name(f".{path.name}.{os.getpid()}.npz")
+    try:
+        np.savez_compressed(scratch, allow_pickle=False, **arrays)
+        scratch.replace(path)
+    finally:
+        scratch.unlink(missing_ok=True)
+
+
+def load(path: Path, kind: str | None = None) -> Checkpoint:
+    """Read a checkpoint; 16-bit weights come back as 32-bit.
+
+    Args:
+        kind: what it has to be, if given.
+
+    Raises:
+        InputError: no such file, not a checkpoint, of another format, or of another kind.
+    """
+    if not path.is_file():
+        raise InputError(f"no checkpoint at '{path}'; name a file that `roboassembly train` wrote")
+    try:
+        with np.load(path, allow_pickle=False) as z:
+            meta = json.loads(bytes(z[_META]).decode())
+            arrays = {name: z[name] for name in z.files if name != _META}
+            found, version, config = meta["format"], meta["kind"], meta["config"]
+    except (OSError, ValueError, KeyError, EOFError, TypeError, zipfile.BadZipFile, zlib.error) as error:
+        raise InputError(
+            f"'{path}' is not a checkpoint ({error}); name a file that `roboassembly train` wrote"
+        ) from None
+    if found != FORMAT:
+        raise InputError(f"'{path}' has format {found}, this program reads {FORMAT}; train again")
+    if kind is not None and version != kind:
+        raise InputError(f"'{path}' holds a '{version}' network where a '{kind}' one is needed")
+    params: Params = {}
+    extra = {}
+    for name, array in arrays.items():
+        place, _, rest = name.partition(_BETWEEN)
+        if place == "params":
+            *above, last = rest.split(_BETWEEN)
+            at = params
+            for step in above:
+                at = at.setdefault(step, {})
+            at[last] = array.astype(np.float32) if array.dtype == np.float16 else array
+        else:
+            extra[rest] = array
+    return Checkpoint(version, params, config, extra)
+
+
+def _flat(params: Params, above: str = "") -> list[tuple[str, np.ndarray]]:
+    out = []
+    for name, value in params.items():
+        if isinstance(value, dict):
+            out.extend(_flat(value, f"{above}{name}{_BETWEEN}"))
+        else:
+            out.append((above + name, np.asarray(value)))
+    return out

@@ -1,0 +1,184 @@
+"""Teaches the relational policy from lessons: one pass after another over all states, resumable at any moment."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+
+from roboassembly.learning import checkpoint, relational
+from roboassembly.learning.batches import PADDED, pad, size_for
+from roboassembly.learning.lessons import Course, answers
+from roboassembly.learning.tokens import Tokens
+
+KIND = "relational"
+
+
+@dataclass(frozen=True)
+class Training:
+    """How to train."""
+
+    steps: int = 20_000
+    learning_rate: float = 2e-3
+    warmup: int = 200
+    weight_decay: float = 1e-3
+    batch: int = 16
+    """States of 48 tokens; fewer of larger ones, more of smaller ones."""
+    seed: int = 0
+    keep_every: float = 60.0
+    """Seconds between checkpoints."""
+
+
+@dataclass(frozen=True, eq=False)
+class Example:
+    """A state ready for the network, in half precision to fit thousands in memory."""
+
+    course: int
+    tokens: Tokens
+    right: np.ndarray
+    good: np.ndarray
+
+
+def examples_of(courses: Sequence[Course]) -> list[Example]:
+    """All lessons of some courses."""
+    out = []
+    for index, course in enumerate(courses):
+        for lesson in course.lessons:
+            tokens = course.tokens(lesson)
+            small = {n: getattr(tokens, n).astype(np.float16) for n in PADDED if n != "patch"}
+            fields = {name: small.get(name, getattr(tokens, name)) for name in Tokens.__dataclass_fields__}
+            out.append(Example(index, Tokens(**fields), *answers(tokens, lesson)))
+    return out
+
+
+def batch_of(examples: Sequence[Example], size: int) -> dict[str, np.ndarray]:
+    """Padded arrays with answers."""
+    batch = pad([e.tokens for e in examples], size)
+    batch["right"] = np.zeros((len(examples), size, size), np.uint8)
+    batch["good"] = np.zeros((len(examples), size, size, 6), np.uint8)
+    for row, e in enumerate(examples):
+        n = len(e.right)
+        batch["right"][row, :n, :n], batch["good"][row, :n, :n] = e.right, e.good
+    return batch
+
+
+def batches(examples: Sequence[Example], rng: np.random.Generator, batch: int) -> Iterator[dict[str, np.ndarray]]:
+    """One pass over all examples, those of like size together."""
+    by_size: dict[int, list[int]] = {}
+    for index, e in enumerate(examples):
+        by_size.setdefault(size_for(len(e.right)), []).append(index)
+    jobs = []
+    for size, indices in by_size.items():
+        count = max(2, batch * 48 // size)
+        shuffled = rng.permutation(indices)
+        if len(shuffled) % count:
+            shuffled = np.concatenate([shuffled, rng.choice(indices, -len(shuffled) % count)])
+        jobs.extend((size, chunk) for chunk in shuffled.reshape(-1, count))
+    for index in rng.permutation(len(jobs)):
+        size, chunk = jobs[index]
+        yield batch_of([examples[i] for i in chunk], size)
+
+
+def losses(params: relational.Params, batch: dict[str, Any]) -> tuple[jax.Array, dict[str, jax.Array]]:
+    """What is minimised, and its terms, averaged over a batch.
+
+    `pairs`: is the pair right (binary cross-entropy). `values`: does the action lead on (the same). `choice`: minus
+    the log of the share of the softmax over all actions that good ones have: the surest action must be a good one.
+    `chosen` is how often it is.
+    """
+    t = {k: v.astype(jnp.float32) if v.dtype == jnp.float16 else v for k, v in batch.items()}
+    right, q, valid = relational.apply(params, t)
+    known = valid.astype(jnp.float32)
+    is_right, is_good = t["right"].astype(jnp.float32), t["good"].astype(jnp.float32)
+    count = jnp.maximum((is_right * known).sum((1, 2)), 1.0)
+    pairs = (_cross_entropy(right, is_right) * known * (1.0 + 4.0 * is_right)).sum((1, 2)) / count
+    weight = known[..., None] * (0.2 + is_right[..., None])
+    values = (_cross_entropy(q, is_good) * weight).sum((1, 2, 3)) / count / 6.0
+    flat = jnp.where(valid[..., None], q, -1e9).reshape(len(q), -1)
+    good = is_good.reshape(len(q), -1)
+    choice = jax.nn.logsumexp(flat, 1) - jax.nn.logsumexp(jnp.where(good > 0, flat, -1e9), 1)
+    chosen = jnp.take_along_axis(good, jnp.argmax(flat, 1)[:, None], 1)[:, 0]
+    terms = {"pairs": pairs, "values": values, "choice": choice, "chosen": chosen}
+    return (0.3 * pairs + values + choice).mean(), terms
+
+
+def _cross_entropy(logit: jax.Array, truth: jax.Array) -> jax.Array:
+    return jnp.maximum(logit, 0.0) - logit * truth + jnp.log1p(jnp.exp(-jnp.abs(logit)))
+
+
+def optimiser(t: Training) -> optax.GradientTransformation:
+    """AdamW with warm-up and cosine decay."""
+    schedule = optax.warmup_cosine_decay_schedule(0.0, t.learning_rate, t.warmup, t.steps, 0.02 * t.learning_rate)
+    return optax.chain(optax.clip_by_global_norm(1.0), optax.adamw(schedule, weight_decay=t.weight_decay))
+
+
+@partial(jax.jit, static_argnums=0)
+def _update(t: Training, params: Any, state: Any, batch: dict[str, Any]) -> tuple[Any, Any, dict[str, jax.Array]]:
+    (loss, terms), gradient = jax.value_and_grad(losses, has_aux=True)(params, batch)
+    updates, state = optimiser(t).update(gradient, state, params)
+    return optax.apply_updates(params, updates), state, {"loss": loss, **{k: v.mean() for k, v in terms.items()}}
+
+
+def train(
+    examples: Sequence[Example],
+    path: Path,
+    training: Training,
+    config: relational.RelationalConfig,
+    notes: dict[str, Any],
+) -> Iterator[tuple[int, dict[str, float]]]:
+    """Train until `training.steps`, from the checkpoint at `path` if there is one; yields step and losses.
+
+    Args:
+        examples: to learn from.
+        path: of the checkpoint, written every `training.keep_every` seconds and at the end.
+        training: how.
+        config: of the network.
+        notes: kept in the checkpoint: what it was trained on.
+
+    Raises:
+        InputError: the checkpoint at `path` is of other training.
+    """
+    about = {"network": asdict(config), "training": asdict(training), **notes}
+    params = relational.init(np.random.default_rng(training.seed), config)
+    state = optimiser(training).init(params)
+    step = 0
+    if path.exists():
+        kept = checkpoint.load(path, KIND)
+        step, params, state = _resume(kept, about, state, path)
+    saved = time.monotonic()
+    while step < training.steps:
+        # The order of a pass follows from its first step, so that a resumed run sees what it would have seen.
+        rng = np.random.default_rng([training.seed, step])
+        for batch in batches(examples, rng, training.batch):
+            params, state, terms = _update(training, params, state, batch)
+            step += 1
+            yield step, {k: float(v) for k, v in terms.items()}
+            if time.monotonic() - saved > training.keep_every or step == training.steps:
+                _keep(path, params, state, step, about)
+                saved = time.monotonic()
+            if step == training.steps:
+                break
+
+
+def _keep(path: Path, params: Any, state: Any, step: int, about: dict[str, Any]) -> None:
+    leaves = {f"optimiser{i}": np.asarray(leaf) for i, leaf in enumerate(jax.tree.leaves(state))}
+    extra = {**leaves, "step": np.array(step)}
+    checkpoint.save(path, checkpoint.Checkpoint(KIND, jax.tree.map(np.asarray, params), about, extra))
+
+
+def _resume(kept: checkpoint.Checkpoint, about: dict[str, Any], state: Any, path: Path) -> tuple[int, Any, Any]:
+    differing = [k for k in about if kept.config.get(k) != about[k]]
+    if differing:
+        raise checkpoint.InputError(
+            f"'{path}' was trained with other {', '.join(differing)}; name another file, or remove it"
+        )
+    leaves = [kept.extra[f"optimiser{i}"] for i in range(len(jax.tree.leaves(state)))]
+    return int(kept.extra["step"]), kept.params, jax.tree.unflatten(jax.tree.structure(state), leaves)

@@ -1,0 +1,186 @@
+"""What the multi-task policy is taught: states of many chairs, with the exact worth of every action in them.
+
+Worth is the oracle's: 1 where the furniture can still be finished after the action, 0 where the pair is wrong, cannot
+be joined, or leads into a dead end.
+
+States come from plays that never leave the path on which the furniture can be finished: with nobody to learn from yet
+the moves are drawn at random among the good ones; later the student moves as long as it is right, and its mistakes
+become lessons (DAgger, Ross et al. 2011, "A Reduction of Imitation Learning and Structured Prediction").
+"""
+
+from __future__ import annotations
+
+import os
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, Float32, Int16, UInt8
+
+from roboassembly.envs.observation import Observer
+from roboassembly.errors import InputError
+from roboassembly.furniture.model import MAX_POINTS, Furniture
+from roboassembly.learning.tokens import Tokens, tokens_of
+from roboassembly.solvers.oracle import Joint, Oracle
+from roboassembly.task.groups import TaskState
+from roboassembly.task.object_centric import UP_AXES, ObjectCentricTask
+
+CLOUD_POINTS = 512
+"""A part, as our policies see it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Lesson:
+    """One state of one chair, and its right pairs."""
+
+    points: Float32[np.ndarray, "P K 9"]
+    connections: Float32[np.ndarray, "P P 6"]
+    free: Bool[np.ndarray, "P K"]
+    joints: Int16[np.ndarray, "j 11"]
+    """Ordered right pairs: u, k, v, l, whether the furniture can be finished after it, and the six ways."""
+
+    @property
+    def group(self) -> np.ndarray:
+        """Each part's group, named by its first part."""
+        joined = (self.connections != 0).any(axis=2) | np.eye(len(self.connections), dtype=bool)
+        return np.argmax(joined, axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class Course:
+    """The lessons of one chair."""
+
+    name: str
+    clouds: Float32[np.ndarray, "P C 3"]
+    lessons: tuple[Lesson, ...]
+
+    def tokens(self, lesson: Lesson) -> Tokens:
+        """What the policy sees of a state."""
+        return tokens_of(
+            self.clouds.astype(float),
+            lesson.points.astype(float),
+            lesson.connections.astype(float),
+            lesson.free,
+            lesson.group,
+        )
+
+    def save(self, path: Path) -> None:
+        """Write as npz, whole or not at all."""
+        count = len(self.lessons)
+        joints = [lesson.joints for lesson in self.lessons]
+        scratch = path.with_name(f".{path.name}.{os.getpid()}.npz")
+        np.savez_compressed(
+            scratch,
+            name=np.array(self.name),
+            clouds=self.clouds,
+            points=np.array([lesson.points for lesson in self.lessons]),
+            connections=np.array([lesson.connections for lesson in self.lessons]),
+            free=np.array([lesson.free for lesson in self.lessons]),
+            joints=np.concatenate(joints) if count else np.zeros((0, 11), np.int16),
+            state=np.repeat(np.arange(count), [len(j) for j in joints]),
+        )
+        scratch.replace(path)
+
+    @staticmethod
+    def load(path: Path) -> Course:
+        """Read what `save` wrote.
+
+        Raises:
+            InputError: the file is broken.
+        """
+        try:
+            with np.load(path, allow_pickle=False) as z:
+                joints, state = z["joints"], z["state"]
+                points, connections, free = z["points"], z["connections"], z["free"]
+                lessons = tuple(
+                    Lesson(points[i], connections[i], free[i], joints[state == i]) for i in range(len(points))
+                )
+                return Course(str(z["name"]), z["clouds"], lessons)
+        except (OSError, ValueError, KeyError, EOFError, zlib.error) as error:
+            raise InputError(f"{path} is not a course of lessons: {error}; remove it and build it again") from None
+
+
+Student = Callable[[Tokens], tuple[int, int, int]]
+"""Picks the ordered pair of tokens and `w` that it thinks best."""
+
+
+class Teacher:
+    """Knows one chair by heart and examines plays of it."""
+
+    def __init__(self, furniture: Furniture, clouds: Float32[np.ndarray, "P C 3"]) -> None:
+        self.oracle = Oracle(ObjectCentricTask(furniture))
+        self.course = Course(furniture.name, clouds, ())
+        self._observer = Observer(furniture, len(furniture.parts), MAX_POINTS, 1)
+
+    def lesson(self, state: TaskState, joints: list[Joint]) -> Lesson:
+        """A state as the policy sees it, with the answers."""
+        seen = self._observer.observe(state)
+        rows = [(j.u, j.k, j.v, j.l, j.solvable, *j.ways) for j in joints]
+        free = self.oracle.task.free_points(state)[: len(seen["poses"])]
+        return Lesson(
+            seen["connection_points"],
+            seen["connections"],
+            free,
+            np.array(rows, np.int16).reshape(-1, 5 + len(UP_AXES)),
+        )
+
+    def play(self, rng: np.random.Generator, student: Student | None = None) -> tuple[list[Lesson], int]:
+        """One play from loose parts to the end.
+
+        Args:
+            rng: draws among good moves where there is no student or it errs.
+            student: moves as long as it is right.
+
+        Returns:
+            A lesson for each state, and how many mistakes the student made.
+        """
+        task = self.oracle.task
+        state, lessons, mistakes = task.initial_state(rng), [], 0
+        before: list[tuple[TaskState, list[Joint], Joint]] = []
+        while not state.complete:
+            joints = self.oracle.joints(state)
+            good = [j for j in joints if j.good]
+            if not good:
+                # Equal parts whose points differ: slots alone do not tell that this cannot go on. Take it back.
+                if not before:
+                    break
+                state, joints, joint = before.pop()
+                lessons.pop()
+                joints = [replace(j, solvable=False) if j is joint else j for j in joints]
+                good = [j for j in joints if j.good]
+                if not good:
+                    break
+                lessons.append(self.lesson(state, joints))
+                joint = good[rng.integers(len(good))]
+            else:
+                lessons.append(self.lesson(state, joints))
+                joint = self._judge(student, lessons[-1], good) if student is not None else None
+                mistakes += student is not None and joint is None
+                joint = joint or good[rng.integers(len(good))]
+            before.append((state, joints, joint))
+            u_group, v_group = state.groups[state.group_of[joint.u]], state.groups[state.group_of[joint.v]]
+            rest = (g for g in state.groups if g is not u_group and g is not v_group)
+            state = TaskState((*rest, joint.merge.merged))
+        return lessons, mistakes
+
+    def _judge(self, student: Student, lesson: Lesson, good: list[Joint]) -> Joint | None:
+        """The student's choice if it is good."""
+        tokens = self.course.tokens(lesson)
+        row, column, w = student(tokens)
+        wanted = (tokens.part[row], tokens.point[row], tokens.part[column], tokens.point[column])
+        return next((j for j in good if (j.u, j.k, j.v, j.l) == wanted and j.ways[w]), None)
+
+
+def answers(tokens: Tokens, lesson: Lesson) -> tuple[UInt8[np.ndarray, "n n"], UInt8[np.ndarray, "n n 6"]]:
+    """Which ordered pairs of tokens are right, and which actions are good."""
+    n = len(tokens.part)
+    index = np.full(lesson.free.shape, -1)
+    index[tokens.part, tokens.point] = np.arange(n)
+    right, good = np.zeros((n, n), np.uint8), np.zeros((n, n, len(UP_AXES)), np.uint8)
+    u, k, v, l, solvable = lesson.joints[:, :5].T  # noqa: E741
+    rows, columns = index[u, k], index[v, l]
+    right[rows, columns] = 1
+    good[rows, columns] = lesson.joints[:, 5:] * solvable[:, None]
+    return right, good

@@ -1,0 +1,242 @@
+"""What the relational policy looks at: free connection points as tokens, and how any two of them would mate.
+
+Everything is computed from the observation (clouds, points, connections) and the mask of existing actions, nothing
+from the furniture itself. Absolute poses do not matter to what fits what and are left out, so the policy is exactly
+indifferent to where the parts lie and how they are numbered.
+
+A part's frame is parallel to the furniture's, as in the paper (equal parts share the frame of the first of them);
+this is what tells a policy which way the furniture stands.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Float32, Int, UInt8
+from scipy.spatial import KDTree
+
+from roboassembly.poses import rotations_from_euler
+from roboassembly.task.object_centric import UP_AXES
+
+GRID_STEPS = (0.010, 0.040, 0.150)
+"""Metres between the grid points at which a group's surface around a point is probed: joint, part, furniture."""
+GRID = np.stack(np.meshgrid(*[np.arange(-2.0, 3.0)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+"""Five a side, in steps, in the connection point's frame."""
+PATCH = len(GRID_STEPS) * len(GRID)
+POINT, PAIR, WAY = 20, 24, 7
+"""Numbers that describe a point, an ordered pair of points, and a pair with a `w`."""
+_SPREAD = 160
+"""Points of a group's cloud by which its extent after mating is told."""
+_HIT, _NEAR, _AROUND = 0.004, 0.012, 0.040
+"""Metres: points that coincide, that ought to coincide, and that lie in each other's way."""
+_FLIP = np.array([1.0, -1.0, -1.0])
+"""Mating turns the normal and leaves the tangent."""
+
+
+@dataclass(frozen=True, eq=False)
+class Tokens:
+    """Free connection points of one state. `n` of them; rows of pairs move onto columns."""
+
+    part: Int[np.ndarray, "n"]
+    point: Int[np.ndarray, "n"]
+    group: Int[np.ndarray, "n"]
+    """0, 1, ... by first appearance."""
+    patch: UInt8[np.ndarray, "n 375"]
+    """Distance from each grid point to the surface of the token's group, over 1.5 steps, times 255."""
+    own: Float32[np.ndarray, "n 20"]
+    frame: Float32[np.ndarray, "n 3 3"]
+    """`group_from_point` rotation; a group's frame is that of its most singular part."""
+    position: Float32[np.ndarray, "n 3"]
+    """In the group's frame, metres."""
+    pair: Float32[np.ndarray, "n n 24"]
+    way: Float32[np.ndarray, "n n 6 7"]
+
+
+@dataclass(frozen=True, eq=False)
+class _GroupView:
+    """One group in the frame of its most singular part."""
+
+    cloud: Float[np.ndarray, "c 3"]
+    some: Float[np.ndarray, "s 3"]
+    """Points of the cloud, at most `_SPREAD`."""
+    tokens: Int[np.ndarray, "k"]
+    size: int
+
+    def low(self) -> Float[np.ndarray, "6"]:
+        return (self.some @ UP_AXES.T).min(axis=0)
+
+    def high(self) -> Float[np.ndarray, "6"]:
+        return (self.some @ UP_AXES.T).max(axis=0)
+
+
+def tokenize(observation: dict[str, np.ndarray], mask: Bool[np.ndarray, "P P K K 6"]) -> Tokens:
+    """Tokens of an observation and its action mask."""
+    usable = np.asarray(mask[..., 0].any(axis=(1, 3)))  # of u and k; the mask is symmetric
+    connections = observation["connections"].astype(float)
+    return tokens_of(
+        observation["shapes"].astype(float),
+        observation["connection_points"].astype(float),
+        connections,
+        usable,
+        _groups(connections),
+    )
+
+
+def tokens_of(
+    clouds: Float[np.ndarray, "P C 3"],
+    points: Float[np.ndarray, "P K 9"],
+    connections: Float[np.ndarray, "P P 6"],
+    free: Bool[np.ndarray, "P K"],
+    group: Int[np.ndarray, "P"],
+) -> Tokens:
+    """As `tokenize`, from its ingredients: arrays as in `envs.observation`, free points, and each part's group."""
+    part, point = np.nonzero(free)
+    alike = _alike(clouds)
+    turn, shift = _into_group_frames(clouds, connections, group, alike)
+    position = points[part, point, :3]
+    normal, tangent = points[part, point, 3:6], points[part, point, 6:9]
+    frame = np.stack([tangent, np.cross(normal, tangent), normal], axis=-1)
+    in_group = turn[part] @ frame
+    at = np.einsum("nij,nj->ni", turn[part], position) + shift[part]
+    names, token_group = np.unique(group[part], return_inverse=True)
+    views = []
+    for index, name in enumerate(names):
+        members = np.flatnonzero(group == name)
+        cloud = np.concatenate([clouds[i] @ turn[i].T + shift[i] for i in members])
+        stride = -(-len(cloud) // _SPREAD)
+        views.append(_GroupView(cloud, cloud[::stride], np.flatnonzero(token_group == index), len(members)))
+    own = np.zeros((len(part), POINT), np.float32)
+    own[:, 2:5] = -2.0 * np.einsum("nji,nj->ni", frame, position)
+    own[:, 5:8] = 2.0 * np.ptp(clouds[part], axis=1)
+    own[:, 8:11] = 2.0 * position
+    own[:, 11:14], own[:, 14:17] = normal, tangent
+    own[:, 17], own[:, 18] = alike[part] / 4.0, alike[part] == 1
+    own[:, 19] = np.bincount(part, minlength=len(clouds))[part] / 5.0
+    patch = np.zeros((len(part), PATCH), np.uint8)
+    for view in views:
+        own[view.tokens, 0], own[view.tokens, 1] = view.size / 5.0, len(view.tokens) / 10.0
+        patch[view.tokens] = _patches(view.cloud, at[view.tokens], in_group[view.tokens])
+    pair, way = _pairs(views, at, in_group, len(part))
+    return Tokens(
+        part, point, token_group, patch, own, in_group.astype(np.float32), at.astype(np.float32), pair, way
+    )  # fmt: skip
+
+
+def _groups(connections: Float[np.ndarray, "P P 6"]) -> Int[np.ndarray, "P"]:
+    """Each part's group, named by its first part: parts whose relative pose is told are joined."""
+    joined = (connections != 0).any(axis=2) | np.eye(len(connections), dtype=bool)
+    return np.argmax(joined, axis=1)
+
+
+def _alike(clouds: Float[np.ndarray, "P C 3"]) -> Int[np.ndarray, "P"]:
+    """How many parts have each part's shape: equal parts have equal clouds."""
+    _, inverse, counts = np.unique(clouds.reshape(len(clouds), -1), axis=0, return_inverse=True, return_counts=True)
+    return counts[inverse.ravel()]
+
+
+def _into_group_frames(
+    clouds: Float[np.ndarray, "P C 3"],
+    connections: Float[np.ndarray, "P P 6"],
+    group: Int[np.ndarray, "P"],
+    alike: Int[np.ndarray, "P"],
+) -> tuple[Float[np.ndarray, "P 3 3"], Float[np.ndarray, "P 3"]]:
+    """`group_from_part`. The reference is the part with the fewest like it, then the largest: most surely upright."""
+    turn, shift = np.tile(np.eye(3), (len(group), 1, 1)), np.zeros((len(group), 3))
+    extent = np.ptp(clouds, axis=1).max(axis=1)
+    for name in np.unique(group):
+        members = np.flatnonzero(group == name)
+        reference = members[np.lexsort((members, -extent[members], alike[members]))[0]]
+        rest = members[members != reference]
+        turn[rest] = rotations_from_euler(connections[reference, rest, 3:])
+        shift[rest] = connections[reference, rest, :3]
+    return turn, shift
+
+
+def _patches(
+    cloud: Float[np.ndarray, "c 3"], at: Float[np.ndarray, "k 3"], frame: Float[np.ndarray, "k 3 3"]
+) -> UInt8[np.ndarray, "k 375"]:
+    """Distances from each point's grids to the cloud."""
+    tree = KDTree(cloud)
+    out = []
+    for step in GRID_STEPS:
+        queries = at[:, None] + np.einsum("nij,qj->nqi", frame, GRID * step)
+        distance, _ = tree.query(queries.reshape(-1, 3), distance_upper_bound=1.5 * step)
+        out.append(np.minimum(distance / (1.5 * step), 1.0).reshape(len(at), -1))
+    return (255.0 * np.concatenate(out, axis=1)).astype(np.uint8)
+
+
+def _pairs(
+    views: list[_GroupView], at: Float[np.ndarray, "n 3"], frame: Float[np.ndarray, "n 3 3"], n: int
+) -> tuple[Float32[np.ndarray, "n n 24"], Float32[np.ndarray, "n n 6 7"]]:
+    """What would come of mating any two points of different groups."""
+    pair, way = np.zeros((n, n, PAIR), np.float32), np.zeros((n, n, len(UP_AXES), WAY), np.float32)
+    for a, first in enumerate(views):
+        for b, second in enumerate(views):
+            if a == b:
+                continue
+            moving, waiting = first.tokens, second.tokens
+            # v_from_u of the groups' frames, for each moving point k onto each waiting point l
+            turn = np.einsum("lij,j,kmj->klim", frame[waiting], _FLIP, frame[moving])
+            shift = at[waiting][None] - np.einsum("klij,kj->kli", turn, at[moving])
+            if a < b:
+                meet = _meetings(turn, shift, at, frame, moving, waiting)
+                pair[np.ix_(moving, waiting, np.arange(10))] = meet
+                pair[np.ix_(waiting, moving, np.arange(10))] = meet.transpose(1, 0, 2)
+            spread, heights = _heights(turn, shift, first, second, frame[waiting, :, 2])
+            way[np.ix_(moving, waiting)] = heights
+            cosine = (np.trace(turn, axis1=2, axis2=3) - 1.0) / 2.0
+            pair[np.ix_(moving, waiting, np.arange(10, PAIR))] = np.concatenate(
+                [
+                    cosine[..., None],
+                    np.diagonal(turn, axis1=2, axis2=3),
+                    shift,
+                    (cosine > 0.999)[..., None],
+                    np.broadcast_to([first.size / 5.0, second.size / 5.0], (*cosine.shape, 2)),
+                    np.abs(turn).max(axis=(2, 3))[..., None],
+                    spread,
+                ],
+                axis=-1,
+            )
+    return pair, way
+
+
+def _meetings(
+    turn: np.ndarray, shift: np.ndarray, at: np.ndarray, frame: np.ndarray, moving: np.ndarray, waiting: np.ndarray
+) -> Float[np.ndarray, "k l 10"]:
+    """How many other free points of the two groups would meet, miss each other a little, or come close."""
+    there = np.einsum("klij,mj->klmi", turn, at[moving]) + shift[:, :, None]
+    apart = np.linalg.norm(there[:, :, :, None] - at[waiting], axis=-1)
+    opposed = np.einsum("klij,mj,vi->klmv", turn, frame[moving, :, 2], frame[waiting, :, 2], optimize=True) < -0.99
+    along = np.einsum("klij,mj,vi->klmv", turn, frame[moving, :, 0], frame[waiting, :, 0], optimize=True) > 0.99
+    hit = (apart < _HIT) & opposed
+    counts = [
+        hit.any(axis=3).sum(axis=2) - 1.0,
+        (hit & along).any(axis=3).sum(axis=2) - 1.0,
+        ((apart < _NEAR) & ~hit).any(axis=3).sum(axis=2),
+        ((apart < _AROUND) & ~hit).any(axis=3).sum(axis=2),
+    ]
+    meet = np.stack(counts, axis=-1)
+    return np.concatenate([meet, np.log1p(np.maximum(meet, 0.0)), meet[..., :2] > 0], axis=-1)
+
+
+def _heights(
+    turn: np.ndarray, shift: np.ndarray, first: _GroupView, second: _GroupView, normal: Float[np.ndarray, "l 3"]
+) -> tuple[Float[np.ndarray, "k l 3"], Float[np.ndarray, "k l 6 7"]]:
+    """The moving group's extent beside the waiting one's, along each axis that may point up."""
+    there = np.einsum("klij,pj->klpi", turn, first.some) + shift[:, :, None]
+    least, most = there.min(axis=2), there.max(axis=2)
+    # Along +z, -z, +x, ...: an axis's low is minus the opposite axis's high.
+    low = np.stack([least[..., 2], -most[..., 2], least[..., 0], -most[..., 0], least[..., 1], -most[..., 1]], axis=-1)
+    high = np.stack([most[..., 2], -least[..., 2], most[..., 0], -least[..., 0], most[..., 1], -least[..., 1]], axis=-1)
+    under, over = low - second.low(), high - second.high()
+    heights = [
+        2.0 * np.clip(under, -0.5, 0.5),
+        np.tanh(under / 0.01),
+        2.0 * np.clip(over, -0.5, 0.5),
+        np.tanh(over / 0.01),
+        np.broadcast_to((normal @ UP_AXES.T)[None], under.shape),
+        2.0 * np.clip(low - second.high(), -0.5, 0.5),
+        2.0 * np.clip(second.low() - high, -0.5, 0.5),
+    ]
+    return most - least, np.stack(heights, axis=-1)
