@@ -34,7 +34,7 @@ from roboassembly.furniture.generate.solids import (
     vector,
 )
 from roboassembly.furniture.model import CONTACT_DISTANCE, MAX_PARTS, MAX_POINTS, Provenance, RawPart
-from roboassembly.meshes import Mesh
+from roboassembly.meshes import Mesh, nearest_points
 
 FEW, MANY = range(3), range(3, 16)
 MADE = [(family, seed) for family in FAMILIES for seed in FEW]
@@ -363,6 +363,15 @@ def test_parts_that_annotation_finds_alike_are_one_solid(family: str, seed: int)
 
 
 # ------------------------------------------------------------------------------------------ seeds and names
+
+
+@pytest.mark.parametrize("seed", [700_004, 700_029])
+def test_a_low_back_gets_as_many_slats_as_it_has_room_for(seed: int) -> None:
+    """These two were drawn with three, which overlapped."""
+    parts = generate("sled", seed)
+    slats = sorted((p for p in parts if p.name.startswith("slat")), key=lambda p: p.name)
+    assert len(slats) == 2
+    assert nearest_points(slats[0].mesh, slats[1].mesh).distance > 0.004 - 1e-6
 
 
 @pytest.mark.parametrize("family", FAMILIES)

@@ -13,6 +13,7 @@ import trimesh
 from jaxtyping import Bool, Float, Int
 
 from roboassembly.furniture.model import GRASP_REGIONS, GraspRegion
+from roboassembly.furniture.rays import Rays
 from roboassembly.gripper import MAX_OPENING, PALM_DEPTH, HandAgainst
 from roboassembly.meshes import Mesh
 
@@ -73,8 +74,9 @@ def find_grasps(mesh: Mesh) -> tuple[GraspRegion, ...]:
     Args:
         mesh: a part's, in its frame: metres, the origin at the centre of mass.
     """
-    places = _opposite_sides(mesh.trimesh)
-    places = places[_within_reach(mesh.trimesh, places)]
+    rays = Rays(mesh)
+    places = _opposite_sides(mesh.trimesh, rays)
+    places = places[_within_reach(rays, places)]
     if not len(places.width):
         return ()
     hand = HandAgainst(mesh)
@@ -92,7 +94,7 @@ def find_grasps(mesh: Mesh) -> tuple[GraspRegion, ...]:
     return tuple(sorted(found, key=lambda region: float(np.linalg.norm(region.position))))[:GRASP_REGIONS]
 
 
-def _opposite_sides(solid: trimesh.Trimesh) -> _Places:
+def _opposite_sides(solid: trimesh.Trimesh, rays: Rays) -> _Places:
     """Places where both pads would lie on the part."""
     sampled = trimesh.sample.sample_surface(
         solid, _SAMPLES, face_weight=np.maximum(solid.area_faces, 0.0) ** _EVENNESS, seed=np.random.default_rng(0)
@@ -104,7 +106,7 @@ def _opposite_sides(solid: trimesh.Trimesh) -> _Places:
     # The far side is where a ray first leaves the part, and where it leaves it for good: across a hollow part.
     inward = np.tile(-normals, (2, 1))
     starts = np.concatenate([points - 1e-5 * normals, points - MAX_WIDTH * normals])
-    reach, opposite = _first_hits(solid, starts, np.concatenate([-normals, normals]))
+    reach, opposite = rays.first_hits(starts, np.concatenate([-normals, normals]))
     depth = np.concatenate([reach[:n], MAX_WIDTH - reach[n:]])
     out = (np.einsum("ij,ij->i", opposite, inward) > 0) & (depth > 0) & (depth < MAX_WIDTH)
     out[n:] &= np.abs(depth[n:] - depth[:n]) > MIN_WIDTH
@@ -116,16 +118,13 @@ def _opposite_sides(solid: trimesh.Trimesh) -> _Places:
     axes = axes[np.linspace(0, len(axes) - 1, min(_AXES, len(axes))).astype(int)]
     middle, closing = np.concatenate([np.zeros_like(axes), middle]), np.concatenate([axes, closing])
     closing /= np.linalg.norm(closing, axis=1, keepdims=True)
-    return _between_fingers(solid, middle, closing)
+    return _between_fingers(rays, middle, closing)
 
 
-def _between_fingers(
-    solid: trimesh.Trimesh, middle: Float[np.ndarray, "n 3"], closing: Float[np.ndarray, "n 3"]
-) -> _Places:
+def _between_fingers(rays: Rays, middle: Float[np.ndarray, "n 3"], closing: Float[np.ndarray, "n 3"]) -> _Places:
     """What fingers that close about a point along an axis would meet, where that can be held."""
     n, half = len(middle), 0.5 * MAX_OPENING
-    reach, facing = _first_hits(
-        solid,
+    reach, facing = rays.first_hits(
         np.concatenate([middle + half * closing, middle - half * closing]),
         np.concatenate([-closing, closing]),
     )
@@ -135,32 +134,14 @@ def _between_fingers(
     held = (lean > np.cos(np.arctan(FRICTION))) & (width > MIN_WIDTH) & (width < MAX_WIDTH)
     middle = middle[held] + 0.5 * (right[held] - left[held])[:, None] * closing[held]
     closing, width = closing[held], width[held]
-    covered = _covered(solid, middle, closing, width)
+    covered = _covered(rays, middle, closing, width)
     # A rod touches a pad along a line, and less than a line would let it swing.
     line = (covered[:, :4] & covered[:, 4:]).any(axis=1)
     return _Places(middle[line], closing[line], width[line], covered[line].mean(axis=1))
 
 
-def _first_hits(
-    solid: trimesh.Trimesh, origins: Float[np.ndarray, "n 3"], directions: Float[np.ndarray, "n 3"]
-) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n 3"]]:
-    """Distance along each ray to the surface, and the outward normal there; infinite and zero where there is none."""
-    reach, normals = np.full(len(origins), np.inf), np.zeros((len(origins), 3))
-    if not len(origins):
-        return reach, normals
-    first = solid.ray.intersects_first(origins, directions)
-    hit = np.flatnonzero(first >= 0)
-    normals[hit] = solid.face_normals[first[hit]]
-    # Embree counts in single precision: the distance is that to the face's plane.
-    ahead = np.einsum("ij,ij->i", normals[hit], directions[hit])
-    hit, ahead = hit[np.abs(ahead) > 1e-6], ahead[np.abs(ahead) > 1e-6]
-    corner = solid.triangles[first[hit], 0]
-    reach[hit] = np.einsum("ij,ij->i", normals[hit], corner - origins[hit]) / ahead
-    return reach, normals
-
-
 def _covered(
-    solid: trimesh.Trimesh,
+    rays: Rays,
     middle: Float[np.ndarray, "n 3"],
     closing: Float[np.ndarray, "n 3"],
     width: Float[np.ndarray, "n"],
@@ -171,15 +152,15 @@ def _covered(
     off = ((0.5 * width + _PAD_SLACK)[:, None] * closing)[:, None]
     origins = np.concatenate([(middle[:, None] + around + side * off).reshape(-1, 3) for side in (1, -1)])
     inward = np.repeat(closing, 8, axis=0)
-    reach, _ = _first_hits(solid, origins, np.concatenate([-inward, inward]))
+    reach, _ = rays.first_hits(origins, np.concatenate([-inward, inward]))
     return np.asarray((reach < 2.0 * _PAD_SLACK).reshape(2, n, 8).all(axis=0))
 
 
-def _within_reach(solid: trimesh.Trimesh, places: _Places) -> Bool[np.ndarray, "n"]:
+def _within_reach(rays: Rays, places: _Places) -> Bool[np.ndarray, "n"]:
     """Whether the part ends before the palm in some direction: a cheap test that spares most of a wide board."""
     n, tried = len(places.width), ANGLES // 2
     ways = _around(places.closing, tried)
-    reach, _ = _first_hits(solid, np.repeat(places.middle, tried, axis=0), ways.reshape(-1, 3))
+    reach, _ = rays.first_hits(np.repeat(places.middle, tried, axis=0), ways.reshape(-1, 3))
     return np.asarray((reach.reshape(n, tried) < PALM_DEPTH).any(axis=1))
 
 

@@ -116,7 +116,9 @@ def _cross_entropy(logit: jax.Array, truth: jax.Array) -> jax.Array:
 
 def optimiser(t: Training) -> optax.GradientTransformation:
     """AdamW with warm-up and cosine decay."""
-    schedule = optax.warmup_cosine_decay_schedule(0.0, t.learning_rate, t.warmup, t.steps, 0.02 * t.learning_rate)
+    schedule = optax.warmup_cosine_decay_schedule(
+        0.0, t.learning_rate, min(t.warmup, t.steps // 10), t.steps, 0.02 * t.learning_rate
+    )
     return optax.chain(optax.clip_by_global_norm(1.0), optax.adamw(schedule, weight_decay=t.weight_decay))
 
 

@@ -11,6 +11,7 @@ become lessons (DAgger, Ross et al. 2011, "A Reduction of Imitation Learning and
 from __future__ import annotations
 
 import os
+import zipfile
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -98,7 +99,7 @@ class Course:
                     Lesson(points[i], connections[i], free[i], joints[state == i]) for i in range(len(points))
                 )
                 return Course(str(z["name"]), z["clouds"], lessons)
-        except (OSError, ValueError, KeyError, EOFError, zlib.error) as error:
+        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
             raise InputError(f"{path} is not a course of lessons: {error}; remove it and build it again") from None
 
 

@@ -243,7 +243,10 @@ def _back(
     if s.spindles or count == 0:
         ups = [low_up] * count
     else:
-        gap = (top - low_up + slat_height / 2 - count * slat_height) / count
+        # A low back has no room for three slats.
+        room = top - low_up + slat_height / 2
+        count = min(count, int(room / (slat_height + 0.004)))
+        gap = (room - count * slat_height) / count
         ups = [low_up + k * (slat_height + gap) for k in range(count)]
     out: list[tuple[Piece, Solid | None]] = []
     crest_tenon, slat_tenon = Tenon(0.6 * s.crest, 0.009, tenon_depth), Tenon(0.65 * slat_height, 0.009, tenon_depth)

@@ -1,0 +1,157 @@
+"""What the relational policy sees and says: invariances, agreement of NumPy and JAX, lessons, resuming."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+
+from roboassembly.envs.object_centric import ObjectCentricEnv
+from roboassembly.envs.observation import surface_points
+from roboassembly.errors import InputError
+from roboassembly.furniture import catalogue
+from roboassembly.learning import checkpoint, imitation, layers, relational
+from roboassembly.learning.batches import pad, size_for
+from roboassembly.learning.lessons import Course, Teacher, answers
+from roboassembly.learning.tokens import Tokens, tokenize
+
+CONFIG = relational.RelationalConfig(token=16, pair=8, layers=1, heads=2, ends=4, conflicts=2)
+
+
+def course(name: str, points: int = 64) -> Course:
+    family, seed = name.split(":")
+    furniture = catalogue.make(family, int(seed))
+    clouds = np.array([surface_points(p.mesh, points) for p in furniture.parts], np.float32)
+    teacher = Teacher(furniture, clouds)
+    lessons, _ = teacher.play(np.random.default_rng(0))
+    return Course(furniture.name, clouds, tuple(lessons))
+
+
+@pytest.fixture(scope="module")
+def cantilever() -> Course:
+    return course("cantilever:1")
+
+
+def observed(seed: int) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    env = ObjectCentricEnv("three_legged:1", cloud_points=64)
+    observation, info = env.reset(seed=seed)
+    return observation, info["action_mask"]
+
+
+def values(params: dict, tokens: Tokens) -> np.ndarray:
+    n = len(tokens.part)
+    return relational.apply(params, pad([tokens], size_for(n)))[1][0, :n, :n]
+
+
+def test_tokens_do_not_depend_on_where_parts_lie() -> None:
+    one, two = (tokenize(*observed(seed)) for seed in (0, 1))
+    assert not np.allclose(observed(0)[0]["poses"], observed(1)[0]["poses"])
+    for name in ("patch", "own", "pair", "way"):
+        assert np.array_equal(getattr(one, name), getattr(two, name)), name
+
+
+def test_values_follow_a_renumbering_of_parts() -> None:
+    observation, mask = observed(0)
+    order = np.random.default_rng(3).permutation(len(mask))
+    shuffled = {k: v[order] for k, v in observation.items()}
+    shuffled["connections"] = shuffled["connections"][:, order]
+    params = relational.init(np.random.default_rng(0), CONFIG)
+    plain, turned = tokenize(observation, mask), tokenize(shuffled, mask[order][:, order])
+    where = {(int(order[p]), int(k)): i for i, (p, k) in enumerate(zip(turned.part, turned.point, strict=True))}
+    index = [where[int(p), int(k)] for p, k in zip(plain.part, plain.point, strict=True)]
+    assert np.allclose(values(params, turned)[np.ix_(index, index)], values(params, plain), atol=1e-4)
+
+
+def test_numpy_and_jax_say_the_same_and_padding_changes_nothing(cantilever: Course) -> None:
+    params = relational.init(np.random.default_rng(0), CONFIG)
+    tokens = [cantilever.tokens(lesson) for lesson in cantilever.lessons]
+    n = [len(t.part) for t in tokens]
+    narrow, wide = (pad(tokens, size) for size in (size_for(max(n)), 48))
+    here = relational.apply(params, narrow)
+    there = jax.jit(relational.apply)(params, wide)
+    for row, count in enumerate(n):
+        for a, b in zip(here, there, strict=True):
+            assert np.allclose(a[row, :count, :count], np.asarray(b)[row, :count, :count], atol=1e-4)
+        assert not np.asarray(there[2])[row, count:].any()
+
+
+def test_layers_by_hand() -> None:
+    x = np.array([[-1.0, 3.0]])
+    # Mean 1, deviation 2.
+    assert np.allclose(layers.norm(layers.init_norm(2), x), [[-1.0, 1.0]], atol=1e-5)
+    assert np.allclose(layers.gelu(np.array([0.0, 1.0, -1.0])), [0.0, 0.8412, -0.1588], atol=1e-3)
+    assert np.allclose(layers.softplus(np.array([0.0, 800.0, -800.0])), [np.log(2.0), 800.0, 0.0])
+    assert np.allclose(layers.softmax(np.array([[0.0, np.log(3.0)]]), axis=1), [[0.25, 0.75]])
+
+
+def test_lessons_say_what_the_oracle_says(cantilever: Course) -> None:
+    """Four parts: three lessons; in each something is good, and whatever is good is right."""
+    assert len(cantilever.lessons) == 3
+    for lesson in cantilever.lessons:
+        tokens = cantilever.tokens(lesson)
+        right, good = answers(tokens, lesson)
+        assert good.any()
+        assert (good.any(axis=2) <= right.astype(bool)).all()
+        different = tokens.group[:, None] != tokens.group[None]
+        assert different[right.astype(bool)].all()
+        assert right.sum() == len(lesson.joints)
+
+
+def test_a_course_survives_a_file_and_a_broken_one_is_told(cantilever: Course, tmp_path: Path) -> None:
+    file = tmp_path / "course.npz"
+    cantilever.save(file)
+    loaded = Course.load(file)
+    assert loaded.name == cantilever.name
+    for a, b in zip(loaded.lessons, cantilever.lessons, strict=True):
+        assert np.array_equal(a.joints, b.joints)
+        assert np.array_equal(a.points, b.points)
+    file.write_bytes(file.read_bytes()[:200])
+    with pytest.raises(InputError, match="not a course"):
+        Course.load(file)
+
+
+def test_a_student_that_errs_is_set_right(cantilever: Course) -> None:
+    teacher = Teacher(catalogue.make("cantilever", 1), cantilever.clouds)
+
+    def hopeless(tokens: Tokens) -> tuple[int, int, int]:
+        return 0, 0, 0
+
+    lessons, mistakes = teacher.play(np.random.default_rng(0), hopeless)
+    assert len(lessons) == mistakes == 3
+
+
+def test_training_learns_a_chair_and_resumes_where_it_was_killed(cantilever: Course, tmp_path: Path) -> None:
+    examples = imitation.examples_of([cantilever])
+    training = imitation.Training(steps=60, learning_rate=1e-2, warmup=5, batch=2, keep_every=0.0)
+    whole = list(imitation.train(examples, tmp_path / "whole.npz", training, CONFIG, {}))
+    assert whole[-1][1]["loss"] < 0.5 * whole[0][1]["loss"]
+    assert np.mean([terms["chosen"] for _, terms in whole[-10:]]) > 0.9
+
+    run = imitation.train(examples, tmp_path / "killed.npz", training, CONFIG, {})
+    for step, _ in run:
+        if step == 31:
+            break
+    del run
+    rest = list(imitation.train(examples, tmp_path / "killed.npz", training, CONFIG, {}))
+    assert rest[0][0] in (31, 32)
+    assert rest[-1][0] == 60
+    with pytest.raises(InputError, match="other training"):
+        next(imitation.train(examples, tmp_path / "killed.npz", imitation.Training(steps=7), CONFIG, {}))
+
+
+def test_checkpoints_hold_arrays_and_refuse_what_they_are_not(tmp_path: Path) -> None:
+    params = relational.init(np.random.default_rng(0), CONFIG)
+    file = tmp_path / "policy.npz"
+    checkpoint.save(file, checkpoint.Checkpoint("relational", params, {"a": 1}, {}), half=True)
+    loaded = checkpoint.load(file, "relational")
+    assert loaded.config == {"a": 1}
+    assert np.allclose(loaded.params["q"]["w"], params["q"]["w"], atol=2e-3)
+    with pytest.raises(InputError, match="'relational' network where a 'paper'"):
+        checkpoint.load(file, "paper")
+    with pytest.raises(InputError, match="no checkpoint"):
+        checkpoint.load(tmp_path / "none.npz")
+    file.write_bytes(b"not a zip")
+    with pytest.raises(InputError, match="not a checkpoint"):
+        checkpoint.load(file)
