@@ -83,6 +83,16 @@ def test_a_mesh_listed_twice_counts_once(tmp_path):
     assert len(partnet.read(write(tmp_path / "x", [root])).parts[0].mesh.faces) == 12
 
 
+def test_a_leaf_that_repeats_another_is_left_out_with_a_note(tmp_path):
+    leaves = [leaf("seat", "original-1", "new-1"), leaf("leg", "new-2"), leaf("top", "new-1", "original-1")]
+    raw = partnet.read(write(tmp_path / "x", [{"name": "chair", "children": leaves}]))
+    assert [p.name for p in raw.parts] == ["seat", "leg"]
+    assert raw.provenance.notes[1:] == ("leaf 'top' left out: it lists the same meshes as 'seat'",)
+    twice = [{"name": "chair", "children": [leaf("leg", "new-2")] * 2}]
+    with pytest.raises(FurnitureError, match="1 part; furniture has 2 to 20"):
+        partnet.read(write(tmp_path / "y", twice))
+
+
 def test_numbered_names_never_collide(tmp_path):
     root = {"name": "chair", "children": [leaf("leg", "new-1"), leaf("leg", "new-2"), leaf("leg_2", "new-3")]}
     names = [p.name for p in partnet.read(write(tmp_path / "x", [root])).parts]

@@ -57,7 +57,7 @@ def assert_clear(result):
 
 def captives(parts):
     shells = [Shell(Surface(p.mesh.vertices, p.mesh.faces)) for p in parts]
-    graph = blocking(shells, [p.mesh.vertices for p in parts])
+    graph = blocking(shells)
     everything = frozenset(range(len(parts)))
     return graph.captives(everything), Exits(shells, graph).captives(everything)
 
@@ -169,3 +169,92 @@ def test_wrap_leaves_out_what_is_shut_off_but_not_inside():
 def test_triangles_are_bounded():
     ball = trimesh.creation.icosphere(5, 0.1)
     assert solidify("ball", Mesh(ball.vertices, ball.faces), 1000).body.num_tri() <= 1000
+
+
+def tilted_prong(grow=0.0):
+    """A slanted pin, 20 degrees off the upright, that comes out of the origin."""
+    pin = m3.Manifold.cylinder(0.06, 0.008 + grow).translate((0.0, 0.0, -0.02)).rotate((0.0, 20.0, 0.0))
+    return pin.trim_by_plane((0.0, 0.0, 1.0), -0.001)
+
+
+def from_solid(name, body):
+    skin = to_surface(body)
+    return RawPart(name, Mesh(skin.vertices, skin.faces))
+
+
+def slanted_joint():
+    """A leg whose slanted pin sits in a slanted hole of the seat, and a wedge on the seat whose face leans as much."""
+    seat = m3.Manifold.cube((0.4, 0.2, 0.02), True).translate((0.0, 0.0, 0.0101)) - tilted_prong(0.0003)
+    leg = m3.Manifold.cube((0.03, 0.03, 0.3), True).translate((0.0, 0.0, -0.1501)) + (
+        tilted_prong().trim_by_plane((0.0, 0.0, -1.0), -0.015)
+    )
+    stop = m3.Manifold.cube((0.05, 0.05, 0.05), True).rotate((0.0, 20.0, 0.0)).translate((0.15, 0.0, 0.08))
+    sits = m3.Manifold.cube((0.05, 0.05, 0.05), True).rotate((0.0, 20.0, 0.0))
+    along = np.array([np.sin(np.radians(20.0)), 0.0, np.cos(np.radians(20.0))])
+    block_on_top = sits.translate(tuple(np.array([0.15, 0.0, 0.08]) + 0.0503 * along))
+    foot = m3.Manifold.cube((0.05, 0.05, 0.06), True).translate((0.15, 0.0, 0.0503))
+    return [
+        from_solid("seat", seat + stop + foot),
+        from_solid("leg", leg),
+        from_solid("block", block_on_top),
+    ]
+
+
+def test_a_direction_belongs_to_the_parts_that_it_comes_from():
+    parts = slanted_joint()
+    graph = blocking([Shell(Surface(p.mesh.vertices, p.mesh.faces)) for p in parts])
+    along = np.array([-np.sin(np.radians(20.0)), 0.0, -np.cos(np.radians(20.0))])
+    slanted = int(np.argmax(graph.directions @ along))
+    assert graph.directions[slanted] @ along > 0.9999
+    seat, leg, on_top = (frozenset({k}) for k in range(3))
+    assert graph.is_natural(slanted, on_top, seat)
+    assert not graph.is_natural(slanted, leg, seat | on_top)
+    assert all(graph.is_natural(index, leg, seat) for index in range(6))
+
+
+def test_a_joint_opens_toward_where_a_planner_would_look():
+    parts = slanted_joint()
+    ways = [(0, 0, -1), (-np.sin(np.radians(20.0)), 0, -np.cos(np.radians(20.0)))]
+
+    def comes_out(pieces, way):
+        steps = np.arange(0.0, 0.1, 0.002)[:, None] * np.array(way)
+        return not any(collide(pieces[1], pieces[0], step) for step in steps)
+
+    # As made the leg comes out along the slant only, which is the normal of a contact that has nothing to do with it.
+    assert [comes_out(parts, way) for way in ways] == [False, True]
+    result = repair(parts)
+    assert_clear(result)
+    assert comes_out(result.parts, ways[0])
+    assert any("opened so that" in note for r in result.report for note in r.notes)
+    assert max(r.trimmed for r in result.report) < 0.01
+
+
+def test_legs_and_seat_share_what_neither_could_lose_alone():
+    # Every leg would lose 22 % if cut flush, and the seat 22 % to the four sockets; 20 % is allowed.
+    seat = part("seat", block((0.24, 0.24, 0.1), (0, 0, 0.362)))
+    corners = [(x, y) for x in (-0.07, 0.07) for y in (-0.07, 0.07)]
+    legs = [part(f"leg {k}", block((0.06, 0.06, 0.4), (x, y, 0.2))) for k, (x, y) in enumerate(corners)]
+    result = repair([seat, *legs])
+    assert_clear(result)
+    assert all(r.trimmed <= 0.2 for r in result.report)
+    assert any("cut short where it sat too deep" in note for r in result.report for note in r.notes)
+    assert captives(result.parts) == ([], [])
+    # What is lost is what is missing, and nothing has moved.
+    for before, after, report in zip([seat, *legs], result.parts, result.report, strict=True):
+        assert after.mesh.volume == pytest.approx((1.0 - report.trimmed) * before.mesh.volume, rel=1e-4)
+        assert report.displacement == 0.0
+
+
+def test_the_first_refusal_is_the_one_told():
+    one, two = part("one", block((0.1, 0.1, 0.1), (0, 0, 0))), part("two", block((0.1, 0.1, 0.1), (0.03, 0, 0)))
+    with pytest.raises(FurnitureError, match=r"would lose 7\d\.\d% of its volume to clear"):
+        repair([one, two])
+
+
+def test_fine_solids_are_thinned():
+    ball = trimesh.creation.icosphere(6, 0.2)
+    dented = ball.vertices * (1.0 + 0.004 * np.sin(40.0 * ball.vertices[:, :1]))
+    solid = solidify("ball", Mesh(dented, ball.faces), 2400)
+    assert solid.body.num_tri() <= 2 * 2400
+    assert solid.shape_error <= 0.0015
+    assert solid.body.volume() == pytest.approx(Mesh(dented, ball.faces).volume, rel=0.01)

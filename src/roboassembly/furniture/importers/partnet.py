@@ -59,7 +59,8 @@ def read(path: Path, *, scale: float | None = None) -> RawFurniture:
     """The leaves of one shape's merged hierarchy: z up, metres, on the ground.
 
     A part's name is its way down from the root (`chair_base/regular_leg_base/leg`), numbered where it comes again;
-    its label is the leaf's own name.
+    its label is the leaf's own name. A leaf that lists exactly the meshes of an earlier one is that part again: it is
+    left out, and the provenance says so.
 
     Args:
         path: the shape's folder.
@@ -74,20 +75,28 @@ def read(path: Path, *, scale: float | None = None) -> RawFurniture:
     leaves = _leaves(path)
     check_part_count(len(leaves), str(path))
     names = unique_names(["/".join(way) for way, _ in leaves])
-    parts = []
+    parts: list[NamedTriangles] = []
+    notes: list[str] = []
+    owner: dict[frozenset[str], str] = {}
     for name, (way, objs) in zip(names, leaves, strict=True):
+        first = owner.setdefault(frozenset(objs), name)
+        if first != name:
+            notes.append(f"leaf '{name}' left out: it lists the same meshes as '{first}'")
+            continue
         try:
             surface = combine([read_mesh(files.inside(path / "objs", f"{o}.obj", f"'{path}'")) for o in objs])
         except FurnitureError as problem:
             raise FurnitureError(f"part '{name}': {problem}") from None
         parts.append(NamedTriangles(name, surface, way[-1]))
+    check_part_count(len(parts), str(path))
     rotation = UP_ROTATIONS["y"]
     low, high = bounds(parts, rotation)
     meta = files.read_json(path / "meta.json", _Meta) if (path / "meta.json").exists() else _Meta()
     factor = scale or typical_scale(meta.model_cat, float(high[2] - low[2]), float((high - low).max()))
     identifier = files.one_line(path.resolve().name)
-    note = (f"category {files.one_line(meta.model_cat)}, ShapeNet model {files.one_line(meta.model_id)}",)
-    provenance = Provenance("partnet", identifier, LICENCE, factor, note if meta.model_cat else ())
+    if meta.model_cat:
+        notes.insert(0, f"category {files.one_line(meta.model_cat)}, ShapeNet model {files.one_line(meta.model_id)}")
+    provenance = Provenance("partnet", identifier, LICENCE, factor, tuple(notes))
     return RawFurniture(stand(parts, rotation, factor, str(path)), provenance)
 
 

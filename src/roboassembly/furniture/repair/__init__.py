@@ -2,9 +2,11 @@
 
 Each part is cleaned and made a solid by the gentlest means that works (as delivered, holes filled, convex hull,
 wrapped) and simplified. Then, of any two parts that overlap or touch, one is trimmed by the other grown by the gap:
-the one for which the other can still be pulled away in the most directions, at the least loss of volume. Parts that
-hang in the air are moved to the rest, sockets out of which nothing could leave are cut open, and parts that are
-delivered alike get each other's cuts, so that they stay alike. What cannot be done within `RepairLimits` is refused.
+the one for which the other can still be pulled away in the most directions, at the least loss of volume. Where one
+part would lose too much to all its neighbours together, all is trimmed anew with that part dearer, and overlaps may be
+shared. Parts that hang in the air are moved to the rest, joints out of which nothing could go in a direction that a
+planner would try are cut open, and parts that are delivered alike get each other's cuts, so that they stay alike. What
+cannot be done within `RepairLimits` is refused.
 """
 
 from __future__ import annotations

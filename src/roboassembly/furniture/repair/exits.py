@@ -9,7 +9,7 @@ first: what is left in one piece at the end is captive.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import combinations
 
 import numpy as np
@@ -20,6 +20,7 @@ from roboassembly.furniture.repair.proximity import Shell
 from roboassembly.furniture.repair.surface import Surface
 
 Parts = frozenset[int]
+Ways = tuple[tuple[Float[np.ndarray, "3"], bool], ...]
 STEPS = (0.0015, 0.004, 0.01)
 """Metres that a part is moved to see what it hits: beyond any clearance, and within any depth of a joint."""
 _SAME = 0.99
@@ -27,6 +28,10 @@ _SAME = 0.99
 _EQUAL = 0.9998
 """Cosine above which a direction also belongs to whom the other one belongs: what a joint with play forgives."""
 _MAX_DIRECTIONS = 60
+FACING = -0.7
+"""Cosine of two triangles' normals: they face each other when they are within 45° of opposite."""
+FACING_MARGIN = 0.0005
+"""Metres beyond the nearest distance within which two parts are looked at to see which way they face."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,6 +70,31 @@ class Blocking:
         return [among]
 
 
+Direction = tuple[float, ...]
+
+
+@dataclass(eq=False)
+class Memory:
+    """Answers about pairs of shells, kept from one opening to the next: most shells stay as they are."""
+
+    meetings: dict[tuple[Shell, Shell], tuple[float, Ways]] = field(default_factory=dict)
+    blocked: dict[tuple[Shell, Shell, Direction], bool] = field(default_factory=dict)
+    exits: dict[tuple[Shell, Shell, Direction], bool] = field(default_factory=dict)
+
+    def meeting(self, one: Shell, two: Shell) -> tuple[float, Ways]:
+        """Metres between two shells, and directions across; whether each stands for the contact as a whole."""
+        if (one, two) not in self.meetings:
+            self.meetings[one, two] = _meeting(one, two)
+        return self.meetings[one, two]
+
+    def blocks(self, one: Shell, two: Shell, way: Float[np.ndarray, "3"]) -> bool:
+        """Whether `one`, moved a little along the direction, hits `two`."""
+        key = (one, two, tuple(way.tolist()))
+        if key not in self.blocked:
+            self.blocked[key] = any(one.touches(two, step * way) for step in STEPS)
+        return self.blocked[key]
+
+
 def closure(part: int, arcs: dict[int, set[int]], among: Parts) -> Parts:
     """The part and all that would have to move with it."""
     closed, stack = {part}, [part]
@@ -75,25 +105,27 @@ def closure(part: int, arcs: dict[int, set[int]], among: Parts) -> Parts:
     return frozenset(closed)
 
 
-def blocking(shells: Sequence[Shell]) -> Blocking:
+def blocking(shells: Sequence[Shell], memory: Memory | None = None) -> Blocking:
     """Arcs among all parts nearer than the contact distance, along axes, long sides and contact normals.
 
     Args:
         shells: the parts, assembled.
+        memory: of earlier calls, to be added to.
     """
+    memory = memory or Memory()
     near: list[tuple[int, int]] = []
     ways: list[tuple[Float[np.ndarray, "3"], tuple[Parts, ...] | None]] = [
         (way, None) for way in (*np.eye(3), *-np.eye(3))
     ]
     for a, b in combinations(range(len(shells)), 2):
         if shells[a].box_distance(shells[b]) < CONTACT_DISTANCE:
-            distance, here, there = shells[a].nearest(shells[b])
+            distance, across = memory.meeting(shells[a], shells[b])
             if distance < CONTACT_DISTANCE:
                 near.append((a, b))
-                across = (there - here) / max(distance, 1e-9)
-                ways += [(sign * across, (frozenset((a, b)),)) for sign in (1.0, -1.0)]
+                pair = (frozenset((a, b)),)
+                ways += [(sign * way, pair if whole else ()) for way, whole in across for sign in (1.0, -1.0)]
     for part, shell in enumerate(shells):
-        long, *others = _main_axes(shell.surface)
+        long, *others = main_axes(shell.surface)
         ways += [(sign * long, (frozenset((part,)),)) for sign in (1.0, -1.0)]
         ways += [(sign * axis, ()) for axis in others for sign in (1.0, -1.0)]
     kept: list[tuple[Float[np.ndarray, "3"], tuple[Parts, ...] | None]] = []
@@ -110,15 +142,49 @@ def blocking(shells: Sequence[Shell]) -> Blocking:
     directions = np.array([way for way, _ in kept])
     arcs = tuple({p: set() for p in range(len(shells))} for _ in directions)
     for a, b in near:
+        blocked = [memory.blocks(shells[a], shells[b], way) for way in directions]
         for index, way in enumerate(directions):
-            if any(shells[a].touches(shells[b], step * way) for step in STEPS):
+            if blocked[index]:
                 arcs[index][a].add(b)
-            if any(shells[b].touches(shells[a], step * way) for step in STEPS):
+            # b along a direction is a along the opposite one, seen from the other side.
+            opposite = int(np.argmin(directions @ way))
+            if float(directions[opposite] @ way) < -_EQUAL:
+                held = blocked[opposite]
+            else:
+                held = memory.blocks(shells[b], shells[a], way)
+            if held:
                 arcs[index][b].add(a)
     return Blocking(directions, arcs, frozenset(map(frozenset, near)), tuple(owners for _, owners in kept))
 
 
-def _main_axes(surface: Surface) -> list[Float[np.ndarray, "3"]]:
+def _meeting(one: Shell, two: Shell) -> tuple[float, Ways]:
+    distance, here, there = one.nearest(two)
+    if distance >= CONTACT_DISTANCE:
+        return distance, ()
+    across, facing = (there - here) / max(distance, 1e-9), _facing(one, two, distance)
+    return distance, ((across, facing is None), *(() if facing is None else ((facing, True),)))
+
+
+def _facing(one: Shell, two: Shell, distance: float) -> Float[np.ndarray, "3"] | None:
+    """Mean unit normal of where two shells face each other; None if it cancels out, as all around a dowel.
+
+    Between rough surfaces the nearest two points say little about which way the joint looks.
+    """
+    pairs = one.pairs_near(two, distance + FACING_MARGIN)
+    normals, areas = [], []
+    for shell, which in ((one, pairs[:, 0]), (two, pairs[:, 1])):
+        a, b, c = np.swapaxes(shell.surface.corners[which], 0, 1)
+        normal = np.cross(b - a, c - a)
+        areas.append(np.linalg.norm(normal, axis=1))
+        normals.append(normal / np.maximum(areas[-1], 1e-30)[:, None])
+    opposed = np.einsum("ij,ij->i", *normals) < FACING
+    mean = ((normals[0] - normals[1]) * np.minimum(*areas)[:, None])[opposed].sum(axis=0)
+    total = 2.0 * np.minimum(*areas)[opposed].sum()
+    length = float(np.linalg.norm(mean))
+    return mean / length if length > 0.3 * total > 0.0 else None
+
+
+def main_axes(surface: Surface) -> list[Float[np.ndarray, "3"]]:
     """Unit vectors along the solid's main axes of inertia, the longest side first."""
     a, b, c = np.swapaxes(surface.corners - surface.vertices.mean(axis=0), 0, 1)
     weight = np.einsum("ij,ij->i", a, np.cross(b, c))
@@ -136,9 +202,9 @@ STRIDE = 0.004
 class Exits:
     """Ways straight out, along the directions of a blocking graph; remembers what it has tested."""
 
-    def __init__(self, shells: Sequence[Shell], graph: Blocking) -> None:
+    def __init__(self, shells: Sequence[Shell], graph: Blocking, memory: Memory | None = None) -> None:
         self._shells, self._graph = shells, graph
-        self._known: dict[tuple[int, int, int], bool] = {}
+        self._memory = memory or Memory()
 
     def captives(self, among: Parts) -> list[Parts]:
         """Sets of parts, of two or more, out of which nothing can go straight all the way in a natural direction."""
@@ -159,13 +225,15 @@ class Exits:
 
     def hits(self, a: int, b: int, index: int) -> bool:
         """Whether part `a` hits part `b` on its straight way out along the direction of that index."""
-        if (a, b, index) not in self._known:
-            one, two, way = self._shells[a], self._shells[b], self._graph.directions[index]
+        if b in self._graph.arcs[index][a]:
+            return True
+        one, two, way = self._shells[a], self._shells[b], self._graph.directions[index]
+        key, known = (one, two, tuple(way.tolist())), self._memory.exits
+        if key not in known:
             start, stop = overlap_span(one, two, way)
             steps = np.arange(max(start, 0.0005), stop, STRIDE)
-            near = b in self._graph.arcs[index][a]
-            self._known[a, b, index] = near or any(one.touches(two, step * way) for step in steps)
-        return self._known[a, b, index]
+            known[key] = any(one.touches(two, step * way) for step in steps)
+        return known[key]
 
 
 def overlap_span(one: Shell, two: Shell, way: Float[np.ndarray, "3"]) -> tuple[float, float]:

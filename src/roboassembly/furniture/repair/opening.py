@@ -1,4 +1,6 @@
-"""Opening: where trimmed parts hold each other fast, sockets are cut open along the cheapest way out."""
+"""Opening: where trimmed parts hold each other fast, sockets are cut open along the cheapest way out.
+
+A way out that leans where nobody would look for it is none: only directions natural to the joint count."""
 
 from __future__ import annotations
 
@@ -11,7 +13,7 @@ from jaxtyping import Float
 
 from roboassembly.errors import FurnitureError
 from roboassembly.furniture.model import CONTACT_DISTANCE
-from roboassembly.furniture.repair.exits import Blocking, Exits, Parts, blocking, overlap_span
+from roboassembly.furniture.repair.exits import Blocking, Exits, Memory, Parts, blocking, overlap_span
 from roboassembly.furniture.repair.limits import RepairLimits
 from roboassembly.furniture.repair.piece import Piece
 from roboassembly.furniture.repair.proximity import Shell
@@ -66,10 +68,11 @@ def open_up(pieces: list[Piece], gap: float, limits: RepairLimits) -> None:
     everything = frozenset(range(len(pieces)))
     given_up: set[Parts] = set()
     tried: set[_Way] = set()
+    memory = Memory()
     for _ in range(MAX_CUTS):
         shells = [piece.shell for piece in pieces]
-        graph = blocking(shells)
-        exits = Exits(shells, graph)
+        graph = blocking(shells, memory)
+        exits = Exits(shells, graph, memory)
         tight = [core for core in graph.captives(everything) if core not in given_up]
         stuck = tight or [core for core in exits.captives(everything) if core not in given_up]
         if not stuck:
@@ -79,7 +82,7 @@ def open_up(pieces: list[Piece], gap: float, limits: RepairLimits) -> None:
             given_up.add(core)
     else:
         given_up = set()
-    left = blocking([piece.shell for piece in pieces]).captives(everything)
+    left = blocking([piece.shell for piece in pieces], memory).captives(everything)
     if left and not limits.captive:
         names = ", ".join(f"'{pieces[p].name}'" for p in sorted(left[0]))
         raise FurnitureError(

@@ -45,12 +45,16 @@ class Shell:
         distance = float(coal.distance(self.model, _STILL, other.model, _STILL, request, result))
         return max(distance, 0.0), np.array(result.getNearestPoint1()), np.array(result.getNearestPoint2())
 
-    def triangles_near(self, other: Shell, margin: float) -> Int[np.ndarray, "n"]:
-        """Indices of this shell's triangles that come nearer than `margin` metres to the other's surface."""
+    def pairs_near(self, other: Shell, margin: float) -> Int[np.ndarray, "n 2"]:
+        """A triangle of this shell and one of the other's, for each two that are nearer than `margin` metres."""
         request, result = coal.CollisionRequest(), coal.CollisionResult()
         request.num_max_contacts, request.security_margin = 1_000_000, margin
         coal.collide(self.model, _STILL, other.model, _STILL, request, result)
-        return np.unique([contact.b1 for contact in result.getContacts()]).astype(np.int64)
+        return np.array([(c.b1, c.b2) for c in result.getContacts()], dtype=np.int64).reshape(-1, 2)
+
+    def triangles_near(self, other: Shell, margin: float) -> Int[np.ndarray, "n"]:
+        """Indices of this shell's triangles that come nearer than `margin` metres to the other's surface."""
+        return np.unique(self.pairs_near(other, margin)[:, 0])
 
     def distance_to(self, point: Float[np.ndarray, "3"]) -> float:
         """Metres from a point to the nearest triangle."""

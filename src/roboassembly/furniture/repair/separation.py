@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -13,15 +13,15 @@ from roboassembly.furniture.repair.limits import RepairLimits
 from roboassembly.furniture.repair.opening import open_up
 from roboassembly.furniture.repair.piece import Piece
 from roboassembly.furniture.repair.proximity import Shell
+from roboassembly.furniture.repair.share import shared_cuts
 from roboassembly.furniture.repair.surface import to_surface
 from roboassembly.furniture.repair.trim import Cut, cut, flush_cut, plane_cut
 
 ROUNDS = 8
 MAX_MOVES = 40
-RESTARTS = 6
+RESTARTS = 2
 DEARER = 4.0
 """Times as dear becomes a part that would have lost too much."""
-MOST_DEAR = 64.0
 TRAPPED = 0.1
 """A cut that lets the cutter leave in fewer than this share of all directions is a socket."""
 MAX_PLANE_SHARE = 0.01
@@ -48,19 +48,21 @@ def separate(pieces: list[Piece], gap: float, limits: RepairLimits, diagonal: fl
         FurnitureError: not possible within the limits.
     """
     start = [replace(piece, notes=list(piece.notes)) for piece in pieces]
-    first: FurnitureError | None = None
-    for _ in range(1 + RESTARTS):
+    first: _TooMuchTrimmedError | None = None
+    for restarts in range(1 + RESTARTS):
         try:
             _separate(pieces, gap, limits, diagonal)
         except _TooMuchTrimmedError as problem:
             first = first or problem
-            index = pieces.index(problem.piece)
-            if start[index].dear * DEARER > MOST_DEAR:
-                break
-            start[index].dear *= DEARER
-            pieces[:] = [replace(piece, notes=list(piece.notes)) for piece in start]
+            start[pieces.index(problem.piece)].dear *= DEARER
+        except FurnitureError:
+            if first is None:
+                raise
+            break
         else:
             return
+        if restarts < RESTARTS:
+            pieces[:] = [replace(piece, notes=list(piece.notes)) for piece in start]
     if first is not None:
         raise first
 
@@ -112,26 +114,52 @@ def _clear(pieces: list[Piece], gap: float, limits: RepairLimits) -> None:
     raise FurnitureError(f"parts '{a.name}' and '{b.name}' still touch after {ROUNDS} rounds of trimming")
 
 
+@dataclass(frozen=True, eq=False)
+class _Choice:
+    """One way to make two pieces clear each other."""
+
+    cost: float
+    trimmed: Piece
+    cutter: Piece
+    cut: Cut
+    tip: Cut | None = None
+    """What the cutter becomes first, where the two share the loss."""
+
+    def clears(self, gap: float) -> bool:
+        other = self.cutter.shell if self.tip is None else Shell(to_surface(self.tip.body))
+        return Shell(to_surface(self.cut.body)).nearest(other)[0] >= 0.5 * gap
+
+    def take(self) -> None:
+        """Do it."""
+        piece, other, made = self.trimmed, self.cutter, self.cut
+        if self.tip is not None:
+            other.removed += self.tip.removed
+            other.become(self.tip.body)
+            other.notes.append(f"cut short where it sat too deep in '{piece.name}'")
+        piece.removed += made.removed
+        piece.become(made.body)
+        if made.dropped:
+            piece.notes.append(f"{made.dropped} slivers dropped where '{other.name}' cut it")
+        if made.splits:
+            piece.notes.append(f"cut through by '{other.name}', kept as one rigid part")
+        if made.freedom < TRAPPED:
+            piece.notes.append(f"has a socket for '{other.name}'")
+
+
 def _part(a: Piece, b: Piece, gap: float, limits: RepairLimits) -> None:
     """Make two pieces clear each other by trimming the one that suffers less."""
-    choices: list[tuple[float, Piece, Piece, Cut]] = []
-    worst = []
+    choices: list[_Choice] = []
+    worst: list[tuple[float, Piece]] = []
     for trimmed, cutter in ((a, b), (b, a)):
-        cuts = [cut(trimmed.body, cutter.body, gap)]
-        if cuts[0].freedom < 0.3:
-            most = min(MAX_PLANE_SHARE * trimmed.whole, MAX_PLANE_RATIO * cuts[0].removed)
-            flat = plane_cut(trimmed.body, cutter.body, gap)
-            cuts += [one for one in flat if one.removed <= most and not one.splits]
-        if max(one.freedom for one in cuts) < TRAPPED:
-            flush = flush_cut(trimmed.body, cutter.body, gap)
-            cuts += [flush] if flush is not None else []
-        for one in cuts:
+        for one in _cuts(trimmed, cutter, gap):
             share = (trimmed.removed + one.removed) / trimmed.whole
             if one.body.is_empty() or share > limits.trimmed:
                 worst.append((share, trimmed))
-                continue
-            cost = trimmed.dear * share / limits.trimmed + 4.0 * (0.5 - min(0.5, one.freedom)) + (6.0 if one.splits else 0.0)
-            choices.append((cost, trimmed, cutter, one))
+            else:
+                choices.append(_Choice(_cost(trimmed, one, limits), trimmed, cutter, one))
+    # To cut both leaves neither as it was meant: only where one of them has proved too dear.
+    if max(a.dear, b.dear) > 1.0:
+        choices += [choice for pair in ((a, b), (b, a)) for choice in _shared(*pair, gap, limits)]
     if not choices:
         share, piece = min(worst, key=lambda w: w[0])
         other = b if piece is a else a
@@ -140,22 +168,43 @@ def _part(a: Piece, b: Piece, gap: float, limits: RepairLimits) -> None:
             f"part '{piece.name}' would lose {share:.1%} of its volume to clear '{other.name}'; "
             f"at most {limits.trimmed:.1%} is allowed (limit `trimmed`)",
         )
-    choices.sort(key=lambda c: c[0])
+    choices.sort(key=lambda choice: choice.cost)
     # A cut can fail to clear where a surface crosses itself: what is inside out there, no cut takes away. Then it is
     # the other one's turn.
-    _, piece, other, best = next((c for c in choices if _clears(c[3], c[2], gap)), choices[0])
-    piece.removed += best.removed
-    piece.become(best.body)
-    if best.dropped:
-        piece.notes.append(f"{best.dropped} slivers dropped where '{other.name}' cut it")
-    if best.splits:
-        piece.notes.append(f"cut through by '{other.name}', kept as one rigid part")
-    if best.freedom < TRAPPED:
-        piece.notes.append(f"has a socket for '{other.name}'")
+    next((choice for choice in choices if choice.clears(gap)), choices[0]).take()
 
 
-def _clears(made: Cut, cutter: Piece, gap: float) -> bool:
-    return Shell(to_surface(made.body)).nearest(cutter.shell)[0] >= 0.5 * gap
+def _cuts(trimmed: Piece, cutter: Piece, gap: float) -> list[Cut]:
+    """Ways in which one piece alone gives way."""
+    cuts = [cut(trimmed.body, cutter.body, gap)]
+    if cuts[0].freedom < 0.3:
+        most = min(MAX_PLANE_SHARE * trimmed.whole, MAX_PLANE_RATIO * cuts[0].removed)
+        flat = plane_cut(trimmed.body, cutter.body, gap)
+        cuts += [one for one in flat if one.removed <= most and not one.splits]
+    if max(one.freedom for one in cuts) < TRAPPED:
+        flush = flush_cut(trimmed.body, cutter.body, gap)
+        cuts += [flush] if flush is not None else []
+    return cuts
+
+
+def _shared(trimmed: Piece, cutter: Piece, gap: float, limits: RepairLimits) -> list[_Choice]:
+    """Ways in which the cutter is cut short before it cuts."""
+    out: list[_Choice] = []
+    most = limits.trimmed * cutter.whole - cutter.removed
+    for shared in shared_cuts(cutter.body, trimmed.body, gap, most):
+        shares = [
+            (piece.removed + one.removed) / piece.whole
+            for piece, one in ((cutter, shared.tip), (trimmed, shared.socket))
+        ]
+        if max(shares) <= limits.trimmed and not shared.socket.body.is_empty():
+            cost = cutter.dear * shares[0] / limits.trimmed + _cost(trimmed, shared.socket, limits)
+            out.append(_Choice(cost, trimmed, cutter, shared.socket, shared.tip))
+    return out
+
+
+def _cost(piece: Piece, made: Cut, limits: RepairLimits) -> float:
+    share = (piece.removed + made.removed) / piece.whole
+    return piece.dear * share / limits.trimmed + 4.0 * (0.5 - min(0.5, made.freedom)) + 6.0 * made.splits
 
 
 def _islands(pieces: list[Piece]) -> list[list[int]]:

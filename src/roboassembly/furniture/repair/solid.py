@@ -40,6 +40,8 @@ GOOD = 0.0015
 """With a shape error below this, in metres, no other way is tried."""
 _QUADRICS = ((1.0, 2.0), (0.95, 4.0), (0.9, 1.0), (0.8, 6.0))
 """Shares of the triangles wanted, and how eagerly they are merged: tried until what comes out is closed."""
+_TOLERANCES = (2e-5, 4e-5, 8e-5)
+"""Metres by which the surface may move without a look at what that does to the shape."""
 _FINE = 20
 """Times as many triangles as wanted make a body too fine to go gently."""
 _ROOM = (1, 2)
@@ -112,12 +114,14 @@ def _measured(build: _Build, surface: Surface, max_faces: int, notes: list[str])
     how = " + ".join(dict.fromkeys(build.ways))
     notes = [*notes, *build.notes]
     body, error = build.body, float("inf")
+    # Each pass over a fine grid's half a million triangles takes a second: there is one only.
+    start = body if body.num_tri() <= _FINE * max_faces else body.simplify(_TOLERANCES[-1])
     for room in _ROOM:
-        body = simplify(build.body, max_faces * room)
+        body = simplify(start, max_faces * room)
         if body.is_empty():
             return Solid(body, how, float("inf"), float("inf"), tuple(notes))
         error = lost(surface, body) if _is_sound(body) else float("inf")
-        if error <= GOOD or build.body.num_tri() <= max_faces * room:
+        if error <= GOOD or start.num_tri() <= max_faces * room:
             break
     return Solid(body, how, error, added(surface, body), tuple(notes))
 
@@ -257,8 +261,7 @@ def simplify(body: m3.Manifold, max_faces: int) -> m3.Manifold:
     larger tolerances (0.15 to 1.2 mm).
     """
     out = body
-    # Each pass over a fine grid's half a million triangles takes a second: there, the last one alone.
-    for tolerance in (2e-5, 4e-5, 8e-5) if body.num_tri() <= _FINE * max_faces else (8e-5,):
+    for tolerance in _TOLERANCES:
         out = body.simplify(tolerance)
         if out.num_tri() <= max_faces:
             return out

@@ -103,6 +103,11 @@ def cut_with(body: m3.Manifold, tool: m3.Manifold, other: m3.Manifold, gap: floa
     return _finish(body, rest, freedom, before)
 
 
+def cut_off(body: m3.Manifold, tool: m3.Manifold) -> Cut:
+    """Take from `body` exactly what `tool` covers; nothing is said about its freedom."""
+    return _finish(body, (body - tool).simplify(TIDY), 0.5, len(_sizeable(body)[0]))
+
+
 def without_slivers(body: m3.Manifold) -> m3.Manifold:
     """The solid without loose pieces too small to count."""
     pieces, slivers = _sizeable(body)
