@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import cache
 
 import pytest
@@ -10,6 +11,14 @@ import shapes
 from roboassembly.furniture.annotate import annotate
 from roboassembly.furniture.generate import generate
 from roboassembly.furniture.model import Furniture, Provenance
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Tests neither find nor leave anything in the user's cache folder."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("ROBOASSEMBLY_CACHE", str(tmp_path_factory.mktemp("cache")))
+        yield
 
 
 @cache

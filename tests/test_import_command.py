@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import get_args
 
@@ -11,6 +12,7 @@ import trimesh
 
 from roboassembly.cli import main
 from roboassembly.cli.importing import Kind, _names
+from roboassembly.cli.output import writable_folder
 from roboassembly.furniture import storage
 from roboassembly.furniture.importers import IMPORTERS
 
@@ -70,6 +72,15 @@ def test_an_output_folder_that_holds_something_else_is_one_refusal(tmp_path, cap
     report = json.loads(capsys.readouterr().out)
     assert [item["error"] is None for item in report["items"]] == [False, True]
     assert (tmp_path / "out" / "one" / "precious.txt").read_text() == "mine"
+
+
+def test_a_folder_is_tried_by_many_at_once(tmp_path):
+    def work(_: int) -> Path:
+        return writable_folder(tmp_path / "out")
+
+    with ThreadPoolExecutor(8) as pool:
+        assert list(pool.map(work, range(400))) == [tmp_path / "out"] * 400
+    assert not list((tmp_path / "out").iterdir())
 
 
 def test_names_are_different(tmp_path):

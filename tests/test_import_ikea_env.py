@@ -105,6 +105,52 @@ def test_sites_stay_where_their_parts_are_and_survive_a_file(tmp_path):
         assert here.rotation[:, 2] @ there.rotation[:, 2] > np.cos(np.radians(5.0))
 
 
+def test_sites_follow_a_part_that_repair_moves(tmp_path):
+    """The plate hangs 6 mm above the post until repair brings it there: then its sites do not meet any more."""
+    plate = body("plate", [("plate-post,90,conn_site1", "0.1 0 0.016", "0 1 0 0")])
+    raw = ikea_env.read(write(tmp_path, POST, plate))
+    imported = finish("piece", raw)
+    assert sum(repair.displacement for repair in imported.repairs) == pytest.approx(0.0058, abs=1e-4)
+    for site, before in zip(imported.furniture.sites, raw.sites, strict=True):
+        now = imported.furniture.assembled[site.part] * site.frame
+        shift = imported.repairs[site.part].shift
+        assert np.allclose(now.translation, before.frame.translation + shift, atol=1e-9)
+        assert np.allclose(now.rotation, before.frame.rotation, atol=1e-9)
+        assert (before.mate, site.mate) == (1 - before.part, None)
+    (note,) = [n for n in imported.furniture.provenance.notes if "connection sites" in n]
+    assert note == (
+        "connection sites 'post-plate,90,conn_site1' and 'plate-post,90,conn_site1' are 5.8 mm apart after repair"
+    )
+
+
+def test_scaled_up_sites_still_meet(tmp_path):
+    """0.9 mm apart in the file, 1.8 mm at twice the size."""
+    furniture = finish("piece", ikea_env.read(write(tmp_path, *two_pairs("0.0009 -0.04 0")), scale=2.0)).furniture
+    assert [site.mate for site in furniture.sites] == [1, 0, 3, 2]
+    assert not any("connection sites" in note for note in furniture.provenance.notes)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('"mate": 1', '"mate": 9', "a part or a site that is not there"),
+        ('"mate": 1', '"mate": 3', "which has another"),
+        ('"mate": 1', '"mate": null', "which has another"),
+        ('"mate": 1', '"mate": "b"', "not valid"),
+    ],
+)
+def test_broken_sites(tmp_path, old, new, message):
+    folder = storage.save(
+        finish("piece", ikea_env.read(write(tmp_path, *two_pairs("0 -0.04 0")))).furniture, tmp_path / "o"
+    )
+    text = (folder / "furniture.json").read_text()
+    assert text.count(old) == 1
+    (folder / "furniture.json").write_text(text.replace(old, new))
+    with pytest.raises(FurnitureError, match=message) as caught:
+        storage.load(folder)
+    assert "\n" not in str(caught.value)
+
+
 def test_what_does_not_close_is_refused_with_the_figure(tmp_path):
     ikea_env.read(write(tmp_path, *two_pairs("0.0409 0 0")))
     with pytest.raises(FurnitureError, match=r"'a-b,0,90,conn_site2'.* stay 2\.50 mm and 0° apart; 1 mm"):
@@ -234,6 +280,10 @@ def test_most_samples_close():
             continue
         closed.append(file.stem)
         assert raw.parts[0].mesh.bounds[0, 2] >= -1e-6
-        assert any("meets" in note for note in raw.provenance.notes)
+        met = [site for site in raw.sites if site.mate is not None]
+        assert len({site.part for site in met}) == len(raw.parts)
+        for site in met:
+            there = raw.sites[site.mate].frame
+            assert np.linalg.norm(site.frame.translation - there.translation) < 1e-3
     assert len(closed) >= 45
     assert "stay 10.00 mm" in refused["chair_bertil_0148"]

@@ -5,15 +5,18 @@ from __future__ import annotations
 import hashlib
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import coal
 import numpy as np
-import trimesh
 from jaxtyping import Float, Int
 from scipy.spatial import ConvexHull, QhullError
 
 from roboassembly.errors import FurnitureError
 from roboassembly.poses import SE3, transform_points
+
+if TYPE_CHECKING:
+    import trimesh
 
 MAX_FACES = 2_000_000
 WOOD_DENSITY = 600.0
@@ -73,6 +76,8 @@ class Mesh:
     @cached_property
     def trimesh(self) -> trimesh.Trimesh:
         """The same triangles as a `trimesh.Trimesh`, unprocessed: do not change it."""
+        import trimesh  # takes 0.3 s, and an import that was done before needs none
+
         return trimesh.Trimesh(self.vertices, self.faces, process=False)
 
     @cached_property
@@ -87,6 +92,8 @@ class Mesh:
         Raises:
             FurnitureError: the mesh is flat, so that it has no hull with volume.
         """
+        import trimesh
+
         try:
             hull = ConvexHull(self.vertices)
         except QhullError:

@@ -9,13 +9,16 @@ from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict, dataclass
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 from tqdm import tqdm
 
 from roboassembly.cli.output import DONE, print_json, say, writable_folder
 from roboassembly.errors import InputError
+
+if TYPE_CHECKING:
+    from roboassembly.furniture.importers.kept import Summary
 
 Kind = Literal["partnet", "ikea-manual", "ikea-env", "furniture-bench", "folder"]
 """The names in `furniture.importers.IMPORTERS`."""
@@ -49,6 +52,8 @@ class Item:
     """Names of the parts that no Franka hand can hold."""
     folder: str | None
     error: str | None
+    cached: bool = False
+    """Whether it was imported before, so that `seconds` are those of a look-up."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +76,7 @@ class Import:
     jobs: int = os.cpu_count() or 1
     """Pieces at a time."""
     cache: bool = True
-    """Use what an earlier import of the same parts came to."""
+    """Use what an earlier import of the same files came to."""
     json: bool = False
     """Print one JSON object on stdout, all else on stderr."""
 
@@ -128,6 +133,8 @@ class Import:
 
 def _summary(item: Item) -> str:
     text = f"{item.name}: {item.parts} parts -> {item.folder}"
+    if item.cached:
+        text += " (as imported before)"
     if item.unholdable:
         text += f" (no hand can hold {', '.join(item.unholdable)}: object-centric setting only)"
     return text
@@ -135,21 +142,20 @@ def _summary(item: Item) -> str:
 
 def import_piece(piece: Piece) -> Item:
     """Read, repair, annotate and save one piece; what cannot be used ends up in the item's `error`."""
-    from roboassembly.furniture.importers import IMPORTERS, kept
+    from roboassembly.furniture.importers import kept
 
     started = time.perf_counter()
-    reads = IMPORTERS[piece.kind].reads(piece.source)
-    place = (
-        kept.place_of(reads, piece.kind, piece.name, str(piece.source), piece.scale, piece.up) if piece.cache else None
-    )
+    place = _place(piece) if piece.cache else None
     try:
-        summary = kept.recall(place, piece.target) if place is not None else None
+        summary = kept.recall(place, piece.source, piece.target) if place is not None else None
+        cached = summary is not None
         if summary is None:
             summary = _import_anew(piece)
-            if place is not None:
+            # Files that were changed in the meantime may be other than those that were read.
+            if place is not None and place == _place(piece):
                 kept.keep(place, summary, piece.target)
     except InputError as error:
-        summary = kept.Summary(error=str(error))
+        summary, cached = kept.Summary(error=str(error)), False
     return Item(
         piece.name,
         summary.parts,
@@ -160,10 +166,18 @@ def import_piece(piece: Piece) -> Item:
         summary.unholdable,
         None if summary.error else str(piece.target),
         summary.error,
+        cached,
     )
 
 
-def _import_anew(piece: Piece):
+def _place(piece: Piece) -> Path | None:
+    from roboassembly.furniture.importers import IMPORTERS, kept
+
+    reads = IMPORTERS[piece.kind].reads(piece.source)
+    return kept.place_of(piece.source, reads, piece.kind, piece.name, piece.scale, piece.up)
+
+
+def _import_anew(piece: Piece) -> Summary:
     from roboassembly.errors import FurnitureError
     from roboassembly.furniture import storage
     from roboassembly.furniture.importers import IMPORTERS, folder
@@ -175,6 +189,9 @@ def _import_anew(piece: Piece):
             raw = folder.read(piece.source, scale=piece.scale, up=piece.up)
         else:
             raw = IMPORTERS[piece.kind].read(piece.source, scale=piece.scale)
+    except FurnitureError as refusal:
+        return Summary(error=str(refusal), refused_at=str(piece.source))
+    try:
         imported = finish(piece.name, raw)
     except FurnitureError as refusal:
         return Summary(error=str(refusal))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -31,9 +32,8 @@ def writable_folder(path: Path) -> Path:
     """
     try:
         path.mkdir(parents=True, exist_ok=True)
-        probe = path / ".roboassembly-write-test"
-        probe.touch()
-        probe.unlink()
+        # Of a name of its own: other commands may be trying the same folder.
+        tempfile.TemporaryFile(dir=path).close()
     except OSError as error:
         raise InputError(f"cannot write to folder {path}: {error.strerror or error}") from None
     return path

@@ -141,7 +141,8 @@ class Site:
     frame: SE3
     """`part_from_site`; a raw furniture's is `furniture_from_site`."""
     mate: int | None
-    """Index of the site that it meets in the assembled furniture, among the furniture's sites; None if none does."""
+    """Index, among the furniture's sites, of the one that it meets in the assembled furniture: their origins lie within
+    1 mm (in the source's own scale), their z axes within 5°, and each is the other's mate. None if none does."""
 
 
 @dataclass(frozen=True)
@@ -192,9 +193,13 @@ class Furniture:
                 if (p, k) in seen:
                     raise FurnitureError(f"{self.name}: point {k} of part '{self.parts[p].name}' is connected twice")
                 seen.add((p, k))
-        for site in self.sites:
+        for index, site in enumerate(self.sites):
             if not 0 <= site.part < n or not (site.mate is None or 0 <= site.mate < len(self.sites)):
                 raise FurnitureError(f"{self.name}: site '{site.name}' refers to a part or a site that is not there")
+            if site.mate is not None and self.sites[site.mate].mate != index:
+                raise FurnitureError(
+                    f"{self.name}: site '{site.name}' has '{self.sites[site.mate].name}' as its mate, which has another"
+                )
         members = sorted(m for c in self.classes for m in c.members)
         if members != list(range(n)):
             raise FurnitureError(f"{self.name}: shape classes name parts {members}; each of 0..{n - 1} once would do")

@@ -11,12 +11,11 @@ from __future__ import annotations
 import math
 import shutil
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import msgspec
 import numpy as np
-import trimesh
 from scipy.spatial.transform import Rotation
 
 from roboassembly.errors import FurnitureError, InputError
@@ -124,16 +123,23 @@ def save(furniture: Furniture, folder: Path | str) -> Path:
     return _put(Path(folder), lambda scratch: _write(furniture, scratch))
 
 
-def copy(source: Path, folder: Path | str) -> Path:
-    """Copy a furniture folder, as `save` would write it.
+def read_files(folder: Path) -> dict[str, bytes]:
+    """The files of a furniture folder by their paths in it, for `save_files`; raises `OSError` where one is missing."""
+    paths = [folder / FILE_NAME, *sorted((folder / MESHES).iterdir())]
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in paths}
+
+
+def save_files(files: Mapping[str, bytes], folder: Path | str) -> Path:
+    """Write a furniture folder's files as `save` would; returns the folder.
 
     Raises:
-        InputError: as `save`, or `source` cannot be read.
+        InputError: as `save`.
     """
 
     def write(scratch: Path) -> None:
-        shutil.copytree(source / MESHES, scratch / MESHES)
-        shutil.copyfile(source / FILE_NAME, scratch / FILE_NAME)
+        (scratch / MESHES).mkdir()
+        for name, data in files.items():
+            (scratch / name).write_bytes(data)
 
     return _put(Path(folder), write)
 
@@ -322,6 +328,8 @@ def _read_document(folder: Path) -> _File:
 
 
 def _read_mesh(folder: Path, name: str, where: str) -> Mesh:
+    import trimesh  # takes 0.3 s, and not all who know of furniture folders read meshes
+
     path = folder / name
     if "\0" in name:
         raise FurnitureError(f"{where}: mesh file name {name!r} holds a zero byte")

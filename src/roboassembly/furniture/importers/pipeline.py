@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from roboassembly.furniture.annotate import annotate
-from roboassembly.furniture.model import Furniture, RawFurniture
+from roboassembly.furniture.importers.connection_sites import CLOSES
+from roboassembly.furniture.model import Furniture, RawFurniture, Site
 from roboassembly.furniture.repair import PartRepair, repair
 from roboassembly.poses import SE3
+
+ROUNDING = 1e-9
+"""Metres: what moving two sites together may change about their distance."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,12 +32,33 @@ def finish(name: str, raw: RawFurniture) -> Imported:
         FurnitureError: what cannot be repaired within limits, or does not hold together, with the reason.
     """
     repaired = repair(raw.parts)
-    notes = tuple(str(r) for r in repaired.report)
-    provenance = replace(raw.provenance, notes=(*raw.provenance.notes, *notes))
-    furniture = annotate(name, repaired.parts, provenance)
-    sites = tuple(
-        replace(site, frame=furniture.assembled[site.part].actInv(SE3(np.eye(3), np.array(moved.shift)) * site.frame))
-        for site in raw.sites
-        for moved in [repaired.report[site.part]]
-    )
-    return Imported(replace(furniture, sites=sites), repaired.report)
+    sites, opened = _moved(raw.sites, repaired.report)
+    notes = (*raw.provenance.notes, *(str(r) for r in repaired.report), *opened)
+    furniture = annotate(name, repaired.parts, replace(raw.provenance, notes=notes))
+    # Annotation lays the parts' frames anew, but leaves the parts where they are.
+    framed = tuple(replace(site, frame=furniture.assembled[site.part].actInv(site.frame)) for site in sites)
+    return Imported(replace(furniture, sites=framed), repaired.report)
+
+
+def _moved(sites: Sequence[Site], report: Sequence[PartRepair]) -> tuple[list[Site], list[str]]:
+    """The sites where repair moved their parts to, still in the furniture's frame; a note for each pair that it opened.
+
+    Sites that no longer meet have no mate.
+    """
+    out = [replace(site, frame=SE3(np.eye(3), np.array(report[site.part].shift)) * site.frame) for site in sites]
+    notes: list[str] = []
+    for index, site in enumerate(out):
+        if site.mate is None or site.mate < index:
+            continue
+        mate = out[site.mate]
+        # Scaled up, sites that closed in the source's files may be more than that apart.
+        allowed = max(CLOSES, _gap(sites[index], sites[site.mate]) + ROUNDING)
+        gap = _gap(site, mate)
+        if gap > allowed:
+            out[index], out[site.mate] = replace(site, mate=None), replace(mate, mate=None)
+            notes.append(f"connection sites '{site.name}' and '{mate.name}' are {gap * 1e3:.1f} mm apart after repair")
+    return out, notes
+
+
+def _gap(a: Site, b: Site) -> float:
+    return float(np.linalg.norm(a.frame.translation - b.frame.translation))
