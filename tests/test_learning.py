@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import jax
@@ -101,12 +102,16 @@ def test_lessons_say_what_the_oracle_says(cantilever: Course) -> None:
 
 def test_a_course_survives_a_file_and_a_broken_one_is_told(cantilever: Course, tmp_path: Path) -> None:
     file = tmp_path / "course.npz"
-    cantilever.save(file)
+    first, second, last = cantilever.lessons
+    n = int(second.free.sum())
+    valued = replace(second, values=np.arange(n * n * 6, dtype=np.float16).reshape(n, n, 6))
+    course = replace(cantilever, lessons=(first, valued, last))
+    course.save(file)
     loaded = Course.load(file)
     assert loaded.name == cantilever.name
-    for a, b in zip(loaded.lessons, cantilever.lessons, strict=True):
-        assert np.array_equal(a.joints, b.joints)
-        assert np.array_equal(a.points, b.points)
+    for a, b in zip(loaded.lessons, course.lessons, strict=True):
+        for name in ("joints", "points", "poses", "free", "values"):
+            assert np.array_equal(getattr(a, name), getattr(b, name))
     file.write_bytes(file.read_bytes()[:200])
     with pytest.raises(InputError, match="not a course"):
         Course.load(file)

@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float32, Int16, UInt8
+from jaxtyping import Bool, Float16, Float32, Int16, UInt8
 
 from roboassembly.envs.observation import Observer
 from roboassembly.errors import InputError
@@ -39,8 +39,12 @@ class Lesson:
     points: Float32[np.ndarray, "P K 9"]
     connections: Float32[np.ndarray, "P P 6"]
     free: Bool[np.ndarray, "P K"]
+    poses: Float32[np.ndarray, "P 6"]
+    """World pose of each part, as in the observation."""
     joints: Int16[np.ndarray, "j 11"]
     """Ordered right pairs: u, k, v, l, whether the furniture can be finished after it, and the six ways."""
+    values: Float16[np.ndarray, "n n 6"] | None = None
+    """An expert's Q-values over free points in the order of parts and points; None where the oracle taught."""
 
     @property
     def group(self) -> np.ndarray:
@@ -71,6 +75,7 @@ class Course:
         """Write as npz, whole or not at all."""
         count = len(self.lessons)
         joints = [lesson.joints for lesson in self.lessons]
+        values = [lesson.values.ravel() for lesson in self.lessons if lesson.values is not None]
         scratch = path.with_name(f".{path.name}.{os.getpid()}.npz")
         np.savez_compressed(
             scratch,
@@ -79,6 +84,9 @@ class Course:
             points=np.array([lesson.points for lesson in self.lessons]),
             connections=np.array([lesson.connections for lesson in self.lessons]),
             free=np.array([lesson.free for lesson in self.lessons]),
+            poses=np.array([lesson.poses for lesson in self.lessons]),
+            valued=np.array([lesson.values is not None for lesson in self.lessons], bool),
+            values=np.concatenate(values) if values else np.zeros(0, np.float16),
             joints=np.concatenate(joints) if count else np.zeros((0, 11), np.int16),
             state=np.repeat(np.arange(count), [len(j) for j in joints]),
         )
@@ -94,10 +102,17 @@ class Course:
         try:
             with np.load(path, allow_pickle=False) as z:
                 joints, state = z["joints"], z["state"]
-                points, connections, free = z["points"], z["connections"], z["free"]
+                points, connections, free, poses = z["points"], z["connections"], z["free"], z["poses"]
+                shapes = [(n, n, len(UP_AXES)) for n in free.sum(axis=(1, 2)) * z["valued"]] if len(free) else []
+                ends = np.cumsum([np.prod(shape) for shape in shapes], dtype=int)
+                values = [v.reshape(s) for v, s in zip(np.split(z["values"], ends)[:-1], shapes, strict=True)]
                 lessons = tuple(
-                    Lesson(points[i], connections[i], free[i], joints[state == i]) for i in range(len(points))
-                )
+                    Lesson(
+                        points[i], connections[i], free[i], poses[i], joints[state == i],
+                        values[i] if z["valued"][i] else None,
+                    )
+                    for i in range(len(points))
+                )  # fmt: skip
                 return Course(str(z["name"]), z["clouds"], lessons)
         except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
             raise InputError(f"{path} is not a course of lessons: {error}; remove it and build it again") from None
@@ -124,6 +139,7 @@ class Teacher:
             seen["connection_points"],
             seen["connections"],
             free,
+            seen["poses"],
             np.array(rows, np.int16).reshape(-1, 5 + len(UP_AXES)),
         )
 
