@@ -34,8 +34,8 @@ class BlockingGraphs:
         self._furniture = furniture
         self.states = 0
         """Configurations tested for collision so far."""
-        self._known_exits: dict[tuple[frozenset[int], frozenset[int], tuple[float, ...]], bool] = {}
-        self._known_candidates: dict[frozenset[int], list[tuple[frozenset[int], Float[np.ndarray, "3"]]]] = {}
+        self._worlds: dict[tuple[int, int], CollisionWorld] = {}
+        self._known_candidates: dict[frozenset[int], list[tuple[frozenset[int], int]]] = {}
 
     @cached_property
     def directions(self) -> Float[np.ndarray, "d 3"]:
@@ -109,48 +109,81 @@ class BlockingGraphs:
         along their direction (no ground, nothing else around).
         """
         given: set[frozenset[int]] = set()
-        for closed, d in self._candidates(among):
+        for closed, direction in self._candidates(among):
             if closed in given or among - closed in given:
                 continue
-            if straight and not self.leaves(closed, among - closed, d):
+            if straight and not self.leaves(closed, among - closed, direction):
                 continue
             given.add(closed)
             yield closed
 
-    def _candidates(self, among: frozenset[int]) -> list[tuple[frozenset[int], Float[np.ndarray, "3"]]]:
-        """Closed sets with a direction each: for every part, the smallest that holds it."""
+    def _candidates(self, among: frozenset[int]) -> list[tuple[frozenset[int], int]]:
+        """Closed sets with a direction's index each: for every part, the smallest that holds it."""
         if among not in self._known_candidates:
             directions_of: dict[frozenset[int], list[int]] = {}
             for index, arcs in enumerate(self.arcs):
                 for closed in {_closure(part, arcs, among) for part in among}:
                     directions_of.setdefault(closed, []).append(index)
             found = [
-                (closed, self.directions[index])
+                (closed, index)
                 for closed, indices in directions_of.items()
                 if len(closed) < len(among) and self._whole(closed) and self._whole(among - closed)
                 for index in indices
             ]
-            found.sort(key=lambda item: (len(item[0]), -round(float(item[1][2]), 3), sorted(item[0])))
+            found.sort(key=lambda item: (len(item[0]), -round(float(self.directions[item[1], 2]), 3), sorted(item[0])))
             self._known_candidates[among] = found
         return self._known_candidates[among]
 
-    def leaves(self, moving: frozenset[int], still: frozenset[int], d: Float[np.ndarray, "3"]) -> bool:
-        """Whether `moving` can go straight out of `still` along `d`."""
-        key = (moving, still, tuple(np.round(d, 6).tolist()))
-        if key not in self._known_exits:
+    def leaves(self, moving: frozenset[int], still: frozenset[int], direction: int) -> bool:
+        """Whether `moving` can go straight out of `still`, all the way, along one of `directions`.
+
+        A set leaves straight if each of its parts passes each of the others: far fewer tests than sets.
+        """
+        stay = _mask(still)
+        blocked, free = self._blocks[direction], self._passes[direction]
+        if any(blocked[p] & stay for p in moving):
+            return False
+        unknown = [(p, q) for p in moving if stay & ~free[p] for q in still if not free[p] >> q & 1]
+        # Neighbours first: they are the likeliest to be in the way.
+        unknown.sort(key=lambda pair: (pair[1] not in self._furniture.neighbours[pair[0]], pair))
+        for p, q in unknown:
+            passes = self._try_to_pass(p, q, self.directions[direction])
+            (free if passes else blocked)[p] |= 1 << q
+            if not passes:
+                return False
+        return True
+
+    @cached_property
+    def _blocks(self) -> list[list[int]]:
+        """For each direction and part, a bit for each part that it is known to run into on its way out."""
+        return [[0] * len(self._furniture.parts) for _ in self.directions]
+
+    @cached_property
+    def _passes(self) -> list[list[int]]:
+        """As `_blocks`, for parts that it is known to pass."""
+        return [[0] * len(self._furniture.parts) for _ in self.directions]
+
+    def _try_to_pass(self, p: int, q: int, d: Float[np.ndarray, "3"]) -> bool:
+        if (p, q) not in self._worlds:
             f = self._furniture
             mover, rest = (
-                Body(name, tuple(Shape(f.parts[p].mesh, f.assembled[p]) for p in sorted(parts)), SE3.Identity(), moves)
-                for name, parts, moves in (("mover", moving, True), ("rest", still, False))
+                Body(name, (Shape(f.parts[part].mesh, f.assembled[part]),), SE3.Identity(), moves)
+                for name, part, moves in (("mover", p, True), ("rest", q, False))
             )
-            world = CollisionWorld(Scene((mover, rest), ground=False))
-            end = SE3(np.eye(3), (world.distance_to_clear(mover.pose, d, "rest") + 0.005) * d)
-            self._known_exits[key] = world.edge_is_free(mover.pose, end)
-            self.states += world.states
-        return self._known_exits[key]
+            self._worlds[p, q] = CollisionWorld(Scene((mover, rest), ground=False))
+        world = self._worlds[p, q]
+        before = world.states
+        clear = world.distance_to_clear(SE3.Identity(), d, "rest")
+        free = clear == 0.0 or world.edge_is_free(SE3.Identity(), SE3(np.eye(3), (clear + 0.005) * d))
+        self.states += world.states - before
+        return free
 
     def _whole(self, parts: frozenset[int]) -> bool:
         return len(self._furniture.connected_components(parts)) == 1
+
+
+def _mask(parts: frozenset[int]) -> int:
+    return sum(1 << p for p in parts)
 
 
 def _closure(part: int, arcs: dict[int, set[int]], among: frozenset[int]) -> frozenset[int]:

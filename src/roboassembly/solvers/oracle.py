@@ -133,8 +133,8 @@ class Oracle:
         if key not in self._exits:
             found = [
                 d
-                for d, arcs in zip(self.graphs.directions, self.graphs.arcs, strict=True)
-                if not any(arcs[p] & waiting for p in moving) and self.graphs.leaves(moving, waiting, d)
+                for index, (d, arcs) in enumerate(zip(self.graphs.directions, self.graphs.arcs, strict=True))
+                if not any(arcs[p] & waiting for p in moving) and self.graphs.leaves(moving, waiting, index)
             ]
             self._exits[key] = np.array(found).reshape(-1, 3)
             self._exits[waiting, moving] = -self._exits[key]
