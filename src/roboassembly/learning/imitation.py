@@ -19,8 +19,6 @@ from roboassembly.learning.batches import PADDED, pad, size_for
 from roboassembly.learning.lessons import Course, answers
 from roboassembly.learning.tokens import Tokens
 
-KIND = "relational"
-
 
 @dataclass(frozen=True)
 class Training:
@@ -153,7 +151,7 @@ def train(
     state = optimiser(training).init(params)
     step = 0
     if path.exists():
-        kept = checkpoint.load(path, KIND)
+        kept = checkpoint.load(path, relational.KIND)
         step, params, state = _resume(kept, about, state, path)
     saved = time.monotonic()
     while step < training.steps:
@@ -173,7 +171,7 @@ def train(
 def _keep(path: Path, params: Any, state: Any, step: int, about: dict[str, Any]) -> None:
     leaves = {f"optimiser{i}": np.asarray(leaf) for i, leaf in enumerate(jax.tree.leaves(state))}
     extra = {**leaves, "step": np.array(step)}
-    checkpoint.save(path, checkpoint.Checkpoint(KIND, jax.tree.map(np.asarray, params), about, extra))
+    checkpoint.save(path, checkpoint.Checkpoint(relational.KIND, jax.tree.map(np.asarray, params), about, extra))
 
 
 def _resume(kept: checkpoint.Checkpoint, about: dict[str, Any], state: Any, path: Path) -> tuple[int, Any, Any]:

@@ -14,7 +14,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Float32
 
+from roboassembly.learning.batches import pad
 from roboassembly.learning.layers import (
     Array,
     Params,
@@ -28,8 +30,10 @@ from roboassembly.learning.layers import (
     sigmoid,
     softplus,
 )
-from roboassembly.learning.tokens import PAIR, PATCH, POINT, WAY
+from roboassembly.learning.tokens import PAIR, PATCH, POINT, WAY, Tokens
 
+KIND = "relational"
+"""Of checkpoints."""
 MAX_GROUPS = 20
 _REL = 13
 """Numbers of one token's frame in another's: rotation, translation, and whether there is any."""
@@ -115,6 +119,19 @@ def apply(p: Params, t: dict[str, Array]) -> tuple[Array, Array, Array]:
     value = mlp(p["value"], gelu(judged + value + linear(p["value_conflict"], locked)))
     ways = gelu(linear(p["q_pair"], value)[..., None, :] + linear(p["q_way"], t["way"]))
     return right, linear(p["q"], ways)[..., 0], valid
+
+
+def values(p: Params, tokens: Tokens) -> Float32[np.ndarray, "n n 6"]:
+    """Q of all actions in one state, on NumPy; -inf where two tokens are in one group."""
+    _, q, valid = apply(p, pad([tokens], len(tokens.part)))
+    return np.where(valid[0, :, :, None], q[0], -np.inf)
+
+
+def best(p: Params, tokens: Tokens) -> tuple[int, int, int]:
+    """Rows of the two tokens, and the `w`, of the surest action."""
+    q = values(p, tokens)
+    row, column, w = np.unravel_index(np.argmax(q), q.shape)
+    return int(row), int(column), int(w)
 
 
 def _relative(xp: Array, frame: Array, position: Array, same: Array) -> Array:

@@ -1,0 +1,103 @@
+"""Collects lessons for the multi-task policy: one file a chair, made in parallel, never made twice."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass, replace
+from functools import lru_cache, partial
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+
+from roboassembly.envs.observation import surface_points
+from roboassembly.furniture import catalogue
+from roboassembly.furniture.generate import CHAIRS
+from roboassembly.learning import checkpoint, relational
+from roboassembly.learning.lessons import CLOUD_POINTS, Course, Lesson, Student, Teacher
+
+EXTRA_SEEDS = 700_000
+"""Seeds of extra chairs start here: no data set uses them."""
+
+
+@dataclass(frozen=True)
+class Gathered:
+    """What one chair gave."""
+
+    name: str
+    states: int
+    mistakes: int
+    """Choices of the student that were not good."""
+    choices: int
+    seconds: float
+
+
+def extra_chairs(count: int, unseen: Sequence[str]) -> list[str]:
+    """Names of `count` chairs that no data set holds, of all families in turn but the unseen ones."""
+    families = [f for f in CHAIRS if f not in unseen]
+    return [f"{families[i % len(families)]}:{EXTRA_SEEDS + i // len(families)}" for i in range(count)]
+
+
+def file_of(folder: Path, name: str) -> Path:
+    """Where the lessons of a chair lie."""
+    return folder / f"{name.replace(':', '_')}.npz"
+
+
+def gather(
+    names: Sequence[str], folder: Path, *, plays: int, seed: int, jobs: int, student: Path | None = None
+) -> Iterator[Gathered]:
+    """Write the lessons of generated chairs, those that are there already excepted; yields as chairs are done.
+
+    Args:
+        names: `family:seed` of each.
+        folder: gets a file for each.
+        plays: of each chair, from loose parts to the end.
+        seed: of the starts and moves.
+        jobs: chairs at a time.
+        student: checkpoint of the relational policy that moves; random good moves without.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    left = [name for name in names if not file_of(folder, name).is_file()]
+    work = partial(_gather, folder=folder, plays=plays, seed=seed, student=student)
+    if jobs == 1:
+        yield from map(work, left)
+        return
+    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+        for done in as_completed([pool.submit(work, name) for name in left]):
+            yield done.result()
+
+
+def _gather(name: str, *, folder: Path, plays: int, seed: int, student: Path | None) -> Gathered:
+    begun = time.monotonic()
+    family, _, number = name.partition(":")
+    furniture = catalogue.make(family, int(number))
+    clouds = np.array([surface_points(p.mesh, CLOUD_POINTS) for p in furniture.parts], np.float32)
+    teacher = Teacher(furniture, clouds)
+    moves = None if student is None else _student(student)
+    found: dict[bytes, Lesson] = {}
+    mistakes = choices = 0
+    for index in range(plays):
+        rng = np.random.default_rng([seed, int(number), index])
+        lessons, wrong = teacher.play(rng, moves)
+        mistakes, choices = mistakes + wrong, choices + len(lessons)
+        for lesson in lessons:
+            found.setdefault(lesson.group.tobytes(), lesson)
+    replace(teacher.course, name=name, lessons=tuple(found.values())).save(file_of(folder, name))
+    return Gathered(name, len(found), mistakes, choices, time.monotonic() - begun)
+
+
+@lru_cache(maxsize=1)
+def _student(path: Path) -> Student:
+    params = checkpoint.load(path, relational.KIND).params
+    return partial(relational.best, params)
+
+
+def load_courses(folder: Path, names: Sequence[str]) -> list[Course]:
+    """The lessons of some chairs; those without any are left out.
+
+    Raises:
+        InputError: a file is broken.
+    """
+    return [course for name in names if (course := Course.load(file_of(folder, name))).lessons]
