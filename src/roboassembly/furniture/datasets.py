@@ -72,6 +72,7 @@ class Recipe:
     unseen_families: tuple[str, ...]
 
 
+_UNSEEN = ("rocker", "splat", "garden", "folding")
 RECIPES = {
     recipe.name: recipe
     for recipe in (
@@ -81,7 +82,10 @@ RECIPES = {
             220,
             132,
             60,
-            ("rocker", "splat", "garden", "folding"),
+            _UNSEEN,
+        ),
+        Recipe(
+            "chairs-24", "a few of the same kind, to try things with: 12 to train on, 12 to test on", 12, 8, 4, _UNSEEN
         ),
     )
 }

@@ -18,8 +18,8 @@ from roboassembly.furniture.generate import CHAIRS
 from roboassembly.learning import checkpoint, relational
 from roboassembly.learning.lessons import CLOUD_POINTS, Course, Lesson, Student, Teacher
 
-EXTRA_SEEDS = 700_000
-"""Seeds of extra chairs start here: no data set uses them."""
+EXTRA_SEEDS = 1_000_000_000
+"""Seeds of extra chairs start here, where those of no data set reach."""
 
 
 @dataclass(frozen=True)
@@ -34,10 +34,16 @@ class Gathered:
     seconds: float
 
 
-def extra_chairs(count: int, unseen: Sequence[str]) -> list[str]:
-    """Names of `count` chairs that no data set holds, of all families in turn but the unseen ones."""
+def extra_chairs(count: int, unseen: Sequence[str], first: int = EXTRA_SEEDS) -> list[str]:
+    """Names of `count` chairs that no data set holds, of all families in turn but the unseen ones.
+
+    Args:
+        count: how many.
+        unseen: families to leave out.
+        first: their seeds start here.
+    """
     families = [f for f in CHAIRS if f not in unseen]
-    return [f"{families[i % len(families)]}:{EXTRA_SEEDS + i // len(families)}" for i in range(count)]
+    return [f"{families[i % len(families)]}:{first + i // len(families)}" for i in range(count)]
 
 
 def file_of(folder: Path, name: str) -> Path:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, dataclass, replace
 from functools import partial
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +18,14 @@ import optax
 
 from roboassembly.learning import checkpoint, relational
 from roboassembly.learning.batches import PADDED, pad, size_for
+from roboassembly.learning.gather import file_of
 from roboassembly.learning.lessons import Course, answers
 from roboassembly.learning.tokens import Tokens
+
+_FEW = 8
+"""Chairs that are not worth starting processes for."""
+_VALIDATED = 8
+"""States at a time."""
 
 
 @dataclass(frozen=True)
@@ -55,6 +63,25 @@ def examples_of(courses: Sequence[Course]) -> list[Example]:
             fields = {name: small.get(name, getattr(tokens, name)) for name in Tokens.__dataclass_fields__}
             out.append(Example(index, Tokens(**fields), *answers(tokens, lesson)))
     return out
+
+
+def load_examples(folder: Path, names: Sequence[str], jobs: int) -> list[Example]:
+    """All lessons of some chairs, made ready in parallel.
+
+    Raises:
+        InputError: a file of lessons is broken.
+    """
+    paths = [file_of(folder, name) for name in names]
+    if jobs == 1 or len(paths) < _FEW:
+        batches = list(map(_examples_in, paths))
+    else:
+        with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+            batches = list(pool.map(_examples_in, paths, chunksize=4))
+    return [replace(e, course=index) for index, batch in enumerate(batches) for e in batch]
+
+
+def _examples_in(path: Path) -> list[Example]:
+    return examples_of([Course.load(path)])
 
 
 def batch_of(examples: Sequence[Example], size: int) -> dict[str, np.ndarray]:
@@ -108,6 +135,25 @@ def losses(params: relational.Params, batch: dict[str, Any]) -> tuple[jax.Array,
     return (0.3 * pairs + values + choice).mean(), terms
 
 
+def share_good(params: Any, examples: Sequence[Example]) -> float:
+    """In what share of the states the surest action is a good one."""
+    by_size: dict[int, list[Example]] = {}
+    for e in examples:
+        by_size.setdefault(size_for(len(e.right)), []).append(e)
+    good = 0.0
+    for size, of_size in by_size.items():
+        for first in range(0, len(of_size), _VALIDATED):
+            chunk = of_size[first : first + _VALIDATED]
+            batch = batch_of([*chunk, *[chunk[-1]] * (_VALIDATED - len(chunk))], size)
+            good += float(_chosen(params, batch)[: len(chunk)].sum())
+    return good / len(examples)
+
+
+@jax.jit
+def _chosen(params: Any, batch: dict[str, Any]) -> jax.Array:
+    return losses(params, batch)[1]["chosen"]
+
+
 def _cross_entropy(logit: jax.Array, truth: jax.Array) -> jax.Array:
     return jnp.maximum(logit, 0.0) - logit * truth + jnp.log1p(jnp.exp(-jnp.abs(logit)))
 
@@ -133,8 +179,11 @@ def train(
     training: Training,
     config: relational.RelationalConfig,
     notes: dict[str, Any],
+    initial: Path | None = None,
 ) -> Iterator[tuple[int, dict[str, float]]]:
     """Train until `training.steps`, from the checkpoint at `path` if there is one; yields step and losses.
+
+    After every multiple of 1,000 steps, too, the checkpoint is up to date when the step is yielded.
 
     Args:
         examples: to learn from.
@@ -142,12 +191,15 @@ def train(
         training: how.
         config: of the network.
         notes: kept in the checkpoint: what it was trained on.
+        initial: checkpoint whose weights are the first, if training starts anew.
 
     Raises:
         InputError: the checkpoint at `path` is of other training.
     """
     about = {"network": asdict(config), "training": asdict(training), **notes}
     params = relational.init(np.random.default_rng(training.seed), config)
+    if initial is not None:
+        params = checkpoint.load(initial, relational.KIND).params
     state = optimiser(training).init(params)
     step = 0
     if path.exists():
@@ -160,10 +212,10 @@ def train(
         for batch in batches(examples, rng, training.batch):
             params, state, terms = _update(training, params, state, batch)
             step += 1
-            yield step, {k: float(v) for k, v in terms.items()}
-            if time.monotonic() - saved > training.keep_every or step == training.steps:
+            if time.monotonic() - saved > training.keep_every or step % 1_000 == 0 or step == training.steps:
                 _keep(path, params, state, step, about)
                 saved = time.monotonic()
+            yield step, {k: float(v) for k, v in terms.items()}
             if step == training.steps:
                 break
 

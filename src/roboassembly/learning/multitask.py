@@ -1,0 +1,138 @@
+"""Teaches the relational policy, from nothing to a checkpoint: lessons, imitation, and rounds of aggregation.
+
+In each round after the first the student plays the chairs itself, its mistakes are corrected, and it goes on learning
+from all lessons so far (DAgger, Ross et al. 2011). Everything is kept in one folder; whatever is there already is not
+done again, so that a run that was stopped goes on where it was.
+
+    lessons/0/…        of random good moves       policy-0.npz   taught with them
+    lessons/1/…        of policy-0's plays        policy-1.npz   taught with both
+    …                                             policy.npz     the last one, to be shipped
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from roboassembly.errors import InputError
+from roboassembly.furniture.datasets import RECIPES, Pick, pick
+from roboassembly.learning import checkpoint, imitation, relational
+from roboassembly.learning.gather import EXTRA_SEEDS, extra_chairs, file_of, gather
+from roboassembly.learning.imitation import Example, Training
+from roboassembly.learning.relational import RelationalConfig
+
+_VALIDATION_SEEDS = EXTRA_SEEDS + 1_000_000
+
+
+@dataclass(frozen=True)
+class Curriculum:
+    """What the policy is taught, and for how long."""
+
+    set: str = "chairs-412:train"
+    """Its chairs are all taught."""
+    limit: int | None = None
+    """The first so many of them only."""
+    extra: int = 800
+    """Generated chairs besides, of the families in the set's training split."""
+    validation: int = 26
+    """Chairs, of neither, on which progress is told."""
+    plays: int = 2
+    """Of each chair, in each round."""
+    rounds: int = 2
+    """Of aggregation."""
+    steps: int = 10_000
+    """Updates in the first round."""
+    round_steps: int = 5_000
+    """Updates in each later one."""
+    learning_rate: float = 2e-3
+    batch: int = 16
+    seed: int = 0
+    network: RelationalConfig = field(default_factory=RelationalConfig)
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far one stage is, and what it says."""
+
+    stage: str
+    done: int
+    total: int
+    scalars: dict[str, float]
+
+
+def teach(curriculum: Curriculum, folder: Path, jobs: int) -> Iterator[Progress]:
+    """Run the whole curriculum in `folder`, from where it was left.
+
+    Args:
+        curriculum: what to do.
+        folder: of the run.
+        jobs: chairs at a time.
+
+    Raises:
+        InputError: the set is not built, or the folder holds another curriculum's run.
+    """
+    if curriculum.set.partition(":")[0] not in RECIPES:
+        raise InputError(f"--set {curriculum.set}: lessons are made of generated chairs; one of {', '.join(RECIPES)}")
+    picks = pick(curriculum.set)[: curriculum.limit]
+    unseen = RECIPES[curriculum.set.partition(":")[0]].unseen_families
+    names = [p.name for p in picks] + extra_chairs(curriculum.extra, unseen)
+    held_out = extra_chairs(curriculum.validation, unseen, first=_VALIDATION_SEEDS)
+    notes = {"curriculum": asdict(curriculum), "set_hash": set_hash(picks)}
+    yield from _gathered("validation", held_out, folder / "lessons" / "validation", curriculum, jobs, None)
+    validation = imitation.load_examples(folder / "lessons" / "validation", held_out, jobs)
+    examples: list[Example] = []
+    last: Path | None = None
+    for round_ in range(curriculum.rounds + 1):
+        lessons = folder / "lessons" / str(round_)
+        yield from _gathered(f"lessons {round_}", names, lessons, curriculum, jobs, last)
+        path = folder / f"policy-{round_}.npz"
+        steps = curriculum.round_steps if round_ else curriculum.steps
+        examples += imitation.load_examples(lessons, names, jobs)
+        if not finished(path, steps):
+            rate = curriculum.learning_rate * (0.5 if round_ else 1.0)
+            training = Training(steps, rate, batch=curriculum.batch, seed=curriculum.seed + round_)
+            yield from _taught(
+                f"policy {round_}", examples, validation, path, training, curriculum.network, notes, last
+            )
+        last = path
+    assert last is not None
+    final = checkpoint.load(last, relational.KIND)
+    checkpoint.save(folder / "policy.npz", checkpoint.Checkpoint(final.kind, final.params, final.config, {}), half=True)
+
+
+def _gathered(
+    stage: str, names: Sequence[str], folder: Path, c: Curriculum, jobs: int, student: Path | None
+) -> Iterator[Progress]:
+    there = sum(file_of(folder, name).is_file() for name in names)
+    mistakes = choices = 0
+    for done, g in enumerate(gather(names, folder, plays=c.plays, seed=c.seed, jobs=jobs, student=student), 1):
+        mistakes, choices = mistakes + g.mistakes, choices + g.choices
+        scalars = {"mistakes": mistakes / max(choices, 1)} if student else {}
+        yield Progress(stage, there + done, len(names), scalars)
+
+
+def _taught(
+    stage: str, examples: list[Example], validation: list[Example], path: Path, training: Training,
+    network: RelationalConfig, notes: dict[str, Any], initial: Path | None,
+) -> Iterator[Progress]:  # fmt: skip
+    for step, terms in imitation.train(examples, path, training, network, notes, initial):
+        scalars = dict(terms)
+        if validation and (step % 1_000 == 0 or step == training.steps):
+            scalars["validation"] = imitation.share_good(checkpoint.load(path, relational.KIND).params, validation)
+        yield Progress(stage, step, training.steps, scalars)
+
+
+def finished(path: Path, steps: int) -> bool:
+    """Whether the checkpoint at `path` has had its steps."""
+    return path.is_file() and int(checkpoint.load(path, relational.KIND).extra["step"]) >= steps
+
+
+def set_hash(picks: Sequence[Pick]) -> str:
+    """Of the furniture of a set, as its manifest has it."""
+    digest = hashlib.sha256()
+    for p in picks:
+        digest.update(f"{p.name} {p.entry.hash if p.entry else ''}\n".encode())
+    return digest.hexdigest()[:16]

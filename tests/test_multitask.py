@@ -1,0 +1,118 @@
+"""The curriculum of the relational policy: lessons, rounds of aggregation, resuming, and what it leaves behind."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from roboassembly.errors import InputError
+from roboassembly.furniture import catalogue, datasets
+from roboassembly.learning import checkpoint, imitation, logs, relational
+from roboassembly.learning.gather import EXTRA_SEEDS, extra_chairs, file_of, gather, load_courses
+from roboassembly.learning.multitask import Curriculum, Progress, set_hash, teach
+
+TINY = relational.RelationalConfig(token=16, pair=8, layers=1, heads=2, ends=4, conflicts=2)
+SMALL = Curriculum(
+    set="chairs-24:train", extra=1, validation=1, plays=1, rounds=1, steps=12, round_steps=6, batch=2, seed=3,
+    network=TINY,
+)  # fmt: skip
+
+
+@pytest.fixture
+def two_chairs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """A data set of two chairs of four parts, as if it had been built; extra ones are of the same family."""
+    monkeypatch.setattr("roboassembly.learning.gather.CHAIRS", ["cantilever"])
+    monkeypatch.setenv("ROBOASSEMBLY_CACHE", str(tmp_path / "cache"))
+    entries = []
+    for seed in (1, 5):
+        chair = catalogue.make("cantilever", seed)
+        hash_ = datasets.furniture_hash(chair)
+        entries.append(datasets.Entry("cantilever", seed, "easy", False, len(chair.parts), 0.0, False, 0, hash_))
+    path = datasets.manifest_path("chairs-24")
+    path.parent.mkdir(parents=True)
+    path.write_bytes(msgspec.json.encode(datasets.Manifest("chairs-24", datasets.VERSION, 0, tuple(entries))))
+    return [e.name for e in entries]
+
+
+def test_extra_chairs_are_of_seen_families_and_of_no_data_set() -> None:
+    names = extra_chairs(40, ("rocker", "splat"))
+    assert len(set(names)) == 40
+    assert names[:7] == extra_chairs(7, ("rocker", "splat"))
+    families, seeds = zip(*(name.split(":") for name in names), strict=True)
+    assert not {"rocker", "splat"} & set(families)
+    assert min(map(int, seeds)) >= EXTRA_SEEDS
+
+
+def test_lessons_are_gathered_once_and_by_the_student(tmp_path: Path) -> None:
+    names = ["cantilever:1", "three_legged:1"]
+    first = list(gather(names, tmp_path / "0", plays=2, seed=0, jobs=1))
+    assert [g.name for g in first] == names
+    assert not list(gather(names, tmp_path / "0", plays=2, seed=0, jobs=1))
+    courses = load_courses(tmp_path / "0", names)
+    assert [len(c.lessons) for c in courses] == [g.states for g in first]
+    # Another run gives the same; a student that knows nothing errs and is corrected: every play still ends well.
+    again = list(gather(names, tmp_path / "again", plays=2, seed=0, jobs=1))
+    assert [g.states for g in again] == [g.states for g in first]
+    fresh = relational.init(np.random.default_rng(0), TINY)
+    student = tmp_path / "student.npz"
+    checkpoint.save(student, checkpoint.Checkpoint(relational.KIND, fresh, {}, {}))
+    taught = list(gather(names[:1], tmp_path / "1", plays=1, seed=0, jobs=1, student=student))
+    assert taught[0].choices == 3  # four parts
+    assert 0 < taught[0].mistakes <= 3
+
+
+def test_a_curriculum_goes_on_where_it_was_stopped(two_chairs: list[str], tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    stages: list[Progress] = []
+    run = teach(SMALL, folder, 1)
+    for progress in run:
+        stages.append(progress)
+        if progress.stage == "policy 0" and progress.done == 5:
+            break
+    run.close()
+    before = file_of(folder / "lessons" / "0", two_chairs[0]).stat().st_mtime_ns
+    stages += list(teach(SMALL, folder, 1))
+    assert file_of(folder / "lessons" / "0", two_chairs[0]).stat().st_mtime_ns == before
+    assert [s.stage for s in stages if s.done == s.total] == [
+        "validation", "lessons 0", "policy 0", "lessons 1", "policy 1",
+    ]  # fmt: skip
+    assert 0.0 <= stages[-1].scalars["validation"] <= 1.0
+    final = checkpoint.load(folder / "policy.npz", relational.KIND)
+    assert final.config["set_hash"] == set_hash(datasets.pick("chairs-24:train"))
+    assert final.config["curriculum"]["rounds"] == 1
+    assert not final.extra
+    # Nothing is left to do; another curriculum does not go on with this one's weights.
+    assert list(teach(SMALL, folder, 1)) == []
+    with pytest.raises(InputError, match="curriculum"):
+        list(teach(replace(SMALL, round_steps=8), folder, 1))
+
+
+def test_share_good_counts_states_whose_surest_action_leads_on(tmp_path: Path) -> None:
+    list(gather(["cantilever:1"], tmp_path, plays=1, seed=0, jobs=1))
+    examples = imitation.load_examples(tmp_path, ["cantilever:1"], 1)
+    params = relational.init(np.random.default_rng(1), TINY)
+    good = [bool(e.good[relational.best(params, e.tokens)]) for e in examples]
+    assert imitation.share_good(params, examples) == pytest.approx(np.mean(good))
+
+
+def test_logs_average_and_survive_a_broken_line(tmp_path: Path) -> None:
+    with logs.Log(tmp_path) as log:
+        for step in range(1, 101):
+            log.add("policy 0", step, {"loss": float(step)})
+        log.add("policy 0", 103, {"loss": 1.0}, last=True)
+    with (tmp_path / logs.LINES).open("a") as file:
+        file.write('{"stage": "pol')
+    assert logs.read(tmp_path) == {"loss": {"policy 0": {50: 25.5, 100: 75.5, 103: 1.0}}}
+    assert logs.draw(tmp_path).stat().st_size > 5_000
+    assert len(list((tmp_path / "tensorboard").iterdir())) == 1
+    with pytest.raises(InputError, match="holds no"):
+        logs.read(tmp_path / "nowhere")
+
+
+def test_an_unknown_set_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="generated chairs"):
+        next(teach(replace(SMALL, set="folder:here"), tmp_path, 1))
