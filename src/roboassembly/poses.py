@@ -23,6 +23,7 @@ from roboassembly.errors import InputError
 __all__ = [
     "SE3",
     "align_axis",
+    "euler_from_rotations",
     "from_quaternion",
     "interpolate",
     "orthonormal",
@@ -81,6 +82,12 @@ def pose_to_euler(pose: SE3) -> Float[np.ndarray, "6"]:
 def rotations_from_euler(angles: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3 3"]:
     """Rotations from roll, pitch and yaw, many at once: `R = Rz(yaw) Ry(pitch) Rx(roll)`, as in `pose_to_euler`."""
     return Rotation.from_euler("ZYX", angles[..., ::-1]).as_matrix()
+
+
+def euler_from_rotations(rotations: Float[np.ndarray, "n 3 3"]) -> Float[np.ndarray, "n 3"]:
+    """The inverse of `rotations_from_euler`."""
+    # SciPy would warn at every pitch of 90 degrees, and furniture is full of them.
+    return np.array([pin.rpy.matrixToRpy(r) for r in rotations]).reshape(-1, 3)
 
 
 def pose_to_rotation_6d(pose: SE3) -> Float[np.ndarray, "9"]:

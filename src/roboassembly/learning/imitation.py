@@ -17,6 +17,7 @@ import numpy as np
 import optax
 
 from roboassembly.learning import checkpoint, relational
+from roboassembly.learning.augment import Change, changed
 from roboassembly.learning.batches import PADDED, pad, size_for
 from roboassembly.learning.gather import file_of
 from roboassembly.learning.lessons import Course, answers
@@ -65,23 +66,33 @@ def examples_of(courses: Sequence[Course]) -> list[Example]:
     return out
 
 
-def load_examples(folder: Path, names: Sequence[str], jobs: int) -> list[Example]:
+def load_examples(folder: Path, names: Sequence[str], jobs: int, seed: int | None = None) -> list[Example]:
     """All lessons of some chairs, made ready in parallel.
+
+    Args:
+        folder: of `gather`.
+        names: of the chairs.
+        jobs: chairs at a time.
+        seed: of random changes, one for each chair; none if None.
 
     Raises:
         InputError: a file of lessons is broken.
     """
     paths = [file_of(folder, name) for name in names]
+    seeds = [None if seed is None else (seed, index) for index in range(len(paths))]
     if jobs == 1 or len(paths) < _FEW:
-        batches = list(map(_examples_in, paths))
+        batches = list(map(_examples_in, paths, seeds))
     else:
         with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-            batches = list(pool.map(_examples_in, paths, chunksize=4))
+            batches = list(pool.map(_examples_in, paths, seeds, chunksize=4))
     return [replace(e, course=index) for index, batch in enumerate(batches) for e in batch]
 
 
-def _examples_in(path: Path) -> list[Example]:
-    return examples_of([Course.load(path)])
+def _examples_in(path: Path, seed: tuple[int, int] | None) -> list[Example]:
+    course = Course.load(path)
+    if seed is not None:
+        course = changed(course, Change.draw(np.random.default_rng(seed)))
+    return examples_of([course])
 
 
 def batch_of(examples: Sequence[Example], size: int) -> dict[str, np.ndarray]:

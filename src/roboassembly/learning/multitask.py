@@ -47,6 +47,8 @@ class Curriculum:
     """Updates in the first round."""
     round_steps: int = 5_000
     """Updates in each later one."""
+    augment: bool = True
+    """Teach every chair also mirrored, turned and in another size."""
     learning_rate: float = 2e-3
     batch: int = 16
     seed: int = 0
@@ -90,7 +92,11 @@ def teach(curriculum: Curriculum, folder: Path, jobs: int) -> Iterator[Progress]
         yield from _gathered(f"lessons {round_}", names, lessons, curriculum, jobs, last)
         path = folder / f"policy-{round_}.npz"
         steps = curriculum.round_steps if round_ else curriculum.steps
-        examples += imitation.load_examples(lessons, names, jobs)
+        # In the first round both as they are and changed, later changed only, each round in another way.
+        if round_ == 0 or not curriculum.augment:
+            examples += imitation.load_examples(lessons, names, jobs)
+        if curriculum.augment:
+            examples += imitation.load_examples(lessons, names, jobs, seed=curriculum.seed + round_)
         if not finished(path, steps):
             rate = curriculum.learning_rate * (0.5 if round_ else 1.0)
             training = Training(steps, rate, batch=curriculum.batch, seed=curriculum.seed + round_)

@@ -1,0 +1,70 @@
+"""Chairs that are turned, mirrored or scaled are assembled alike."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from roboassembly.envs.observation import surface_points
+from roboassembly.furniture import catalogue
+from roboassembly.learning.augment import Change, changed
+from roboassembly.learning.lessons import Course, Teacher, answers
+from roboassembly.task.object_centric import UP_AXES
+
+
+@pytest.fixture(scope="module")
+def course() -> Course:
+    furniture = catalogue.make("three_legged", 1)
+    clouds = np.array([surface_points(p.mesh, 96) for p in furniture.parts], np.float32)
+    lessons, _ = Teacher(furniture, clouds).play(np.random.default_rng(0))
+    n = int(lessons[1].free.sum())
+    valued = replace(lessons[1], values=np.random.default_rng(1).normal(size=(n, n, 6)).astype(np.float16))
+    return Course(furniture.name, clouds, (lessons[0], valued, *lessons[2:]))
+
+
+def test_a_change_by_hand() -> None:
+    """Mirrored along x, then turned by 90°: +x goes to -x and on to -y; +y goes to -x."""
+    change = Change(quarter_turns=1, mirrored=True)
+    assert np.allclose(change.matrix @ [1.0, 0.0, 0.0], [0.0, -1.0, 0.0])
+    assert np.allclose(change.matrix @ [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0])
+    assert np.allclose(change.matrix @ [0.0, 0.0, 1.0], [0.0, 0.0, 1.0])
+
+
+@pytest.mark.parametrize("turns", [0, 1, 2, 3])
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_what_fits_what_stays_and_ways_follow_their_axes(course: Course, turns: int, mirrored: bool) -> None:
+    change = Change(turns, mirrored)
+    other = changed(course, change)
+    order = [int(np.argmax(UP_AXES @ (change.matrix @ axis))) for axis in UP_AXES]
+    for before, after in zip(course.lessons, other.lessons, strict=True):
+        a, b = course.tokens(before), other.tokens(after)
+        # How other points would meet, and how high the groups would stand with each axis up.
+        assert np.allclose(a.pair[..., :11], b.pair[..., :11], atol=1e-3)
+        assert np.allclose(a.way, b.way[:, :, order], atol=2e-3)
+        right, good = answers(a, before)
+        right_after, good_after = answers(b, after)
+        assert np.array_equal(right, right_after)
+        assert np.array_equal(good, good_after[:, :, order])
+        if before.values is not None and after.values is not None:
+            assert np.array_equal(before.values, after.values[:, :, order])
+
+
+def test_sizes_scale_and_nothing_turns(course: Course) -> None:
+    other = changed(course, Change(scale=1.25))
+    assert np.allclose(other.clouds, 1.25 * course.clouds, atol=1e-6)
+    before, after = course.lessons[1], other.lessons[1]
+    assert np.allclose(after.points[..., :3], 1.25 * before.points[..., :3], atol=1e-6)
+    assert np.allclose(after.points[..., 3:], before.points[..., 3:], atol=1e-6)
+    assert np.allclose(after.connections[..., :3], 1.25 * before.connections[..., :3], atol=1e-6)
+    assert np.allclose(after.connections[..., 3:], before.connections[..., 3:], atol=1e-6)
+    assert np.array_equal(after.joints, before.joints)
+
+
+def test_draws_are_within_bounds_and_reproducible() -> None:
+    drawn = [Change.draw(np.random.default_rng(seed)) for seed in range(60)]
+    assert drawn[7] == Change.draw(np.random.default_rng(7))
+    assert {c.quarter_turns for c in drawn} == {0, 1, 2, 3}
+    assert {c.mirrored for c in drawn} == {False, True}
+    assert all(0.7 <= c.scale <= 1.4 for c in drawn)
