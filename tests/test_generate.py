@@ -13,7 +13,7 @@ from scipy.spatial import KDTree
 
 from roboassembly.errors import UnknownNameError
 from roboassembly.furniture.annotate import annotate
-from roboassembly.furniture.generate import CHAIRS, CLEARANCE, FAMILIES, OTHERS, generate
+from roboassembly.furniture.generate import CHAIRS, CLEARANCE, FAMILIES, OTHERS, PRACTICE, generate
 from roboassembly.furniture.generate.joints import RoundTenon, Tenon, joint_frame
 from roboassembly.furniture.generate.pieces import HERE
 from roboassembly.furniture.generate.rails import rail
@@ -37,6 +37,7 @@ from roboassembly.furniture.model import CONTACT_DISTANCE, MAX_PARTS, MAX_POINTS
 from roboassembly.meshes import Mesh, nearest_points
 
 FEW, MANY = range(3), range(3, 16)
+FURNITURE = [*CHAIRS, *OTHERS]
 MADE = [(family, seed) for family in FAMILIES for seed in FEW]
 MADE += [pytest.param(family, seed, marks=pytest.mark.slow) for family in FAMILIES for seed in MANY]
 NEAR = 0.008
@@ -46,6 +47,7 @@ SIZES = {
     "bench": ((0.90, 0.45, 0.75), (1.28, 0.70, 1.00)),
     "table": ((0.50, 0.40, 0.40), (1.25, 0.70, 0.78)),
     "shelf": ((0.40, 0.20, 0.65), (0.90, 0.38, 1.20)),
+    "practice": ((0.03, 0.03, 0.20), (1.60, 1.20, 1.50)),
 }
 """Over all, metres: more than the first three numbers, less than the other three."""
 
@@ -353,7 +355,7 @@ def test_mirror_images_are_different_parts(family: str, part: str) -> None:
 
 @pytest.mark.parametrize(
     ("family", "seed"),
-    [(f, 0) for f in FAMILIES] + [pytest.param(f, s, marks=pytest.mark.slow) for f in FAMILIES for s in range(1, 10)],
+    [(f, 0) for f in FURNITURE] + [pytest.param(f, s, marks=pytest.mark.slow) for f in FURNITURE for s in range(1, 10)],
 )
 def test_parts_that_annotation_finds_alike_are_one_solid(family: str, seed: int) -> None:
     furniture = annotate(family, chair(family, seed).parts, Provenance("generated"))
@@ -431,7 +433,7 @@ def test_chairs_have_as_many_parts_as_real_ones() -> None:
 
 
 def test_kinds() -> None:
-    assert list(FAMILIES) == [*CHAIRS, *OTHERS]
+    assert list(FAMILIES) == [*CHAIRS, *OTHERS, *PRACTICE]
     assert len(CHAIRS) >= 13
     assert sorted(family.kind for family in OTHERS.values()) == ["shelf", "shelf", "table", "table"]
     assert all(family.kind == "chair" for family in CHAIRS.values())

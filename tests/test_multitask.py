@@ -12,7 +12,7 @@ import pytest
 from roboassembly.errors import InputError
 from roboassembly.furniture import catalogue, datasets
 from roboassembly.learning import checkpoint, imitation, logs, relational
-from roboassembly.learning.gather import EXTRA_SEEDS, extra_chairs, file_of, gather, load_courses
+from roboassembly.learning.gather import EXTRA_SEEDS, extra_names, file_of, gather, load_courses
 from roboassembly.learning.multitask import Curriculum, Progress, set_hash, teach
 
 TINY = relational.RelationalConfig(token=16, pair=8, layers=1, heads=2, ends=4, conflicts=2)
@@ -38,10 +38,10 @@ def two_chairs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
     return [e.name for e in entries]
 
 
-def test_extra_chairs_are_of_seen_families_and_of_no_data_set() -> None:
-    names = extra_chairs(40, ("rocker", "splat"))
+def test_extra_names_are_of_seen_families_and_of_no_data_set() -> None:
+    names = extra_names(40, ("rocker", "splat"))
     assert len(set(names)) == 40
-    assert names[:7] == extra_chairs(7, ("rocker", "splat"))
+    assert names[:7] == extra_names(7, ("rocker", "splat"))
     families, seeds = zip(*(name.split(":") for name in names), strict=True)
     assert not {"rocker", "splat"} & set(families)
     assert min(map(int, seeds)) >= EXTRA_SEEDS

@@ -13,8 +13,9 @@ from pathlib import Path
 import numpy as np
 
 from roboassembly.envs.observation import surface_points
+from roboassembly.errors import FurnitureError
 from roboassembly.furniture import catalogue
-from roboassembly.furniture.generate import CHAIRS
+from roboassembly.furniture.generate import CHAIRS, PRACTICE
 from roboassembly.learning import checkpoint, relational
 from roboassembly.learning.lessons import CLOUD_POINTS, Course, Lesson, Student, Teacher
 
@@ -34,8 +35,9 @@ class Gathered:
     seconds: float
 
 
-def extra_chairs(count: int, unseen: Sequence[str], first: int = EXTRA_SEEDS) -> list[str]:
-    """Names of `count` chairs that no data set holds, of all families in turn but the unseen ones.
+def extra_names(count: int, unseen: Sequence[str], first: int = EXTRA_SEEDS) -> list[str]:
+    """Names of `count` pieces that no data set holds: chairs of all families in turn but the unseen ones, and after
+    each chair a frame to practise on.
 
     Args:
         count: how many.
@@ -43,7 +45,12 @@ def extra_chairs(count: int, unseen: Sequence[str], first: int = EXTRA_SEEDS) ->
         first: their seeds start here.
     """
     families = [f for f in CHAIRS if f not in unseen]
-    return [f"{families[i % len(families)]}:{first + i // len(families)}" for i in range(count)]
+    practice = list(PRACTICE)
+    names = []
+    for i in range(count):
+        of, turn = (practice, i // 2) if i % 2 else (families, i // 2)
+        names.append(f"{of[turn % len(of)]}:{first + turn // len(of)}")
+    return names
 
 
 def file_of(folder: Path, name: str) -> Path:
@@ -78,7 +85,12 @@ def gather(
 def _gather(name: str, *, folder: Path, plays: int, seed: int, student: Path | None) -> Gathered:
     begun = time.monotonic()
     family, _, number = name.partition(":")
-    furniture = catalogue.make(family, int(number))
+    try:
+        furniture = catalogue.make(family, int(number))
+    except FurnitureError:
+        # One in some hundred practice frames does not come out; nothing is learnt from it.
+        Course(name, np.zeros((0, CLOUD_POINTS, 3), np.float32), ()).save(file_of(folder, name))
+        return Gathered(name, 0, 0, 0, time.monotonic() - begun)
     clouds = np.array([surface_points(p.mesh, CLOUD_POINTS) for p in furniture.parts], np.float32)
     teacher = Teacher(furniture, clouds)
     moves = None if student is None else _student(student)

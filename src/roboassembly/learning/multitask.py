@@ -20,7 +20,7 @@ from typing import Any
 from roboassembly.errors import InputError
 from roboassembly.furniture.datasets import RECIPES, Pick, pick
 from roboassembly.learning import checkpoint, imitation, relational
-from roboassembly.learning.gather import EXTRA_SEEDS, extra_chairs, file_of, gather
+from roboassembly.learning.gather import EXTRA_SEEDS, extra_names, file_of, gather
 from roboassembly.learning.imitation import Example, Training
 from roboassembly.learning.relational import RelationalConfig
 
@@ -80,8 +80,8 @@ def teach(curriculum: Curriculum, folder: Path, jobs: int) -> Iterator[Progress]
         raise InputError(f"--set {curriculum.set}: lessons are made of generated chairs; one of {', '.join(RECIPES)}")
     picks = pick(curriculum.set)[: curriculum.limit]
     unseen = RECIPES[curriculum.set.partition(":")[0]].unseen_families
-    names = [p.name for p in picks] + extra_chairs(curriculum.extra, unseen)
-    held_out = extra_chairs(curriculum.validation, unseen, first=_VALIDATION_SEEDS)
+    names = [p.name for p in picks] + extra_names(curriculum.extra, unseen)
+    held_out = extra_names(curriculum.validation, unseen, first=_VALIDATION_SEEDS)
     notes = {"curriculum": asdict(curriculum), "set_hash": set_hash(picks)}
     yield from _gathered("validation", held_out, folder / "lessons" / "validation", curriculum, jobs, None)
     validation = imitation.load_examples(folder / "lessons" / "validation", held_out, jobs)

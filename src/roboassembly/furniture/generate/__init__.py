@@ -16,6 +16,7 @@ from roboassembly.furniture.generate import (
     cantilever,
     folding,
     ladder,
+    lattice,
     panel,
     pedestal,
     plank,
@@ -34,7 +35,7 @@ from roboassembly.furniture.generate.joints import CLEARANCE
 from roboassembly.furniture.generate.pieces import Family, Kind, as_parts
 from roboassembly.furniture.model import RawPart
 
-__all__ = ["CHAIRS", "CLEARANCE", "FAMILIES", "OTHERS", "Family", "Kind", "generate"]
+__all__ = ["CHAIRS", "CLEARANCE", "FAMILIES", "OTHERS", "PRACTICE", "Family", "Kind", "generate"]
 
 FAMILIES: dict[str, Family] = {
     family.name: family
@@ -75,6 +76,7 @@ FAMILIES: dict[str, Family] = {
             shelves.build_bookcase,
             "shelf",
         ),
+        Family("lattice", "posts, rails, spindles, panels and boards at random", lattice.build, "practice"),
     )
 }
 """Everything that can be made from a seed, by name."""
@@ -82,8 +84,11 @@ FAMILIES: dict[str, Family] = {
 CHAIRS: dict[str, Family] = {name: family for name, family in FAMILIES.items() if family.kind == "chair"}
 """The built-in chairs: what is trained on and measured."""
 
-OTHERS: dict[str, Family] = {name: family for name, family in FAMILIES.items() if family.kind != "chair"}
+OTHERS: dict[str, Family] = {name: family for name, family in FAMILIES.items() if family.kind in ("table", "shelf")}
 """Furniture that is not a chair, for trying what was never trained on."""
+
+PRACTICE: dict[str, Family] = {name: family for name, family in FAMILIES.items() if family.kind == "practice"}
+"""No furniture, but to learn from."""
 
 
 def generate(family: str, seed: int) -> tuple[RawPart, ...]:

@@ -13,7 +13,7 @@ from roboassembly.furniture.model import RawPart
 from roboassembly.meshes import Mesh
 from roboassembly.poses import SE3, transform_points
 
-Kind = Literal["chair", "table", "shelf"]
+Kind = Literal["chair", "table", "shelf", "practice"]
 """What a family makes."""
 
 HERE = SE3.Identity()

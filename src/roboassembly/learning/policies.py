@@ -1,0 +1,281 @@
+"""What plays: anything that picks an action from an observation and the mask of existing actions.
+
+A policy of your own needs no base class, only the attributes of `Policy`:
+
+    class Mine:
+        name = "mine"
+        cloud_points = 128
+
+        def act(self, observation, mask):
+            return np.argwhere(mask)[0]
+
+    evaluate.play_episode(Mine(), catalogue.make("stool"), seed=0)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field, fields
+from importlib import resources
+from pathlib import Path
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Bool, Float32, Int
+
+from roboassembly.envs.object_centric import existing_actions
+from roboassembly.envs.observation import Observation, Observer
+from roboassembly.errors import InputError, UnknownNameError
+from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS, Furniture
+from roboassembly.learning import checkpoint, relational
+from roboassembly.learning.checkpoint import Checkpoint
+from roboassembly.learning.layers import Params, sigmoid
+from roboassembly.learning.lessons import CLOUD_POINTS
+from roboassembly.learning.tokens import tokenize
+from roboassembly.solvers.guide import Guide, Suggestion
+from roboassembly.task.groups import TaskState
+from roboassembly.task.object_centric import ObjectCentricTask
+
+RANDOM = "random"
+SHIPPED = ("relational", "paper")
+"""Policies whose checkpoints belong into the package, as `weights/NAME.npz`."""
+NAMES = (RANDOM, *SHIPPED)
+_TIE = 1e-3
+"""Values nearer than this to the best count as equal: rounding must not choose between equal parts."""
+_SUGGESTIONS = 32
+"""That a guide makes in a state, at most."""
+_LARGEST = 4096
+"""Of any size in a checkpoint's configuration: a broken file must not ask for all memory."""
+
+Mask = Bool[np.ndarray, "P P K K 6"]
+"""Which actions `(u, v, k, l, w)` exist, as in `info["action_mask"]`."""
+Values = Float32[np.ndarray, "P P K K 6"]
+
+
+class Policy(Protocol):
+    """Picks actions."""
+
+    @property
+    def name(self) -> str:
+        """For reports."""
+        ...
+
+    @property
+    def cloud_points(self) -> int:
+        """Points of each part's cloud that observations must have."""
+        ...
+
+    def act(self, observation: Observation, mask: Mask) -> Int[np.ndarray, "5"]:
+        """The action `(u, v, k, l, w)` to take; arrays as in `envs.observation`, padded."""
+        ...
+
+
+@runtime_checkable
+class ValuePolicy(Policy, Protocol):
+    """Values all actions and takes the best."""
+
+    def values(self, observation: Observation, mask: Mask) -> Values:
+        """What each action is worth, on a scale of the policy's own; -inf where the action does not exist."""
+        ...
+
+
+@runtime_checkable
+class ConfidentPolicy(ValuePolicy, Protocol):
+    """Knows besides how likely each action is good, which tells a guided search when to leave it alone."""
+
+    def probabilities(self, observation: Observation, mask: Mask) -> Values:
+        """Chance that the furniture can still be finished after the action, 0 to 1; 0 where it does not exist."""
+        ...
+
+
+@dataclass(eq=False)
+class RandomPolicy:
+    """Any action that exists."""
+
+    rng: np.random.Generator
+    name: str = RANDOM
+    cloud_points: int = 1
+
+    def act(self, observation: Observation, mask: Mask) -> Int[np.ndarray, "5"]:
+        """One of the existing actions, all alike.
+
+        Raises:
+            InputError: there is none.
+        """
+        choices = np.flatnonzero(mask)
+        if not len(choices):
+            raise InputError("the mask has no action; the episode is over")
+        return np.array(np.unravel_index(self.rng.choice(choices), mask.shape))
+
+
+@dataclass(frozen=True, eq=False)
+class RelationalPolicy:
+    """The relational network, on NumPy; the surest choice first."""
+
+    params: Params
+    name: str = relational.KIND
+    cloud_points: int = CLOUD_POINTS
+
+    @staticmethod
+    def from_checkpoint(loaded: Checkpoint, where: str) -> RelationalPolicy:
+        """The policy that a checkpoint holds.
+
+        Args:
+            loaded: of kind `relational`.
+            where: the file, for messages and reports.
+
+        Raises:
+            InputError: its configuration or arrays are not those of such a network.
+        """
+        config = _network_config(loaded.config.get("network"), where)
+        _check_arrays(loaded.params, relational.init(np.random.default_rng(0), config), where)
+        return RelationalPolicy(loaded.params, where)
+
+    def values(self, observation: Observation, mask: Mask) -> Values:
+        """Logits that actions are good; -inf where the action does not exist."""
+        out = np.full(mask.shape, -np.inf, np.float32)
+        tokens = tokenize(observation, mask)
+        if len(tokens.part):
+            u, k = tokens.part[:, None], tokens.point[:, None]
+            v, l = tokens.part[None], tokens.point[None]  # noqa: E741
+            out[u, v, k, l] = relational.values(self.params, tokens)
+        return out
+
+    def probabilities(self, observation: Observation, mask: Mask) -> Values:
+        """Chance that the furniture can still be finished after each action."""
+        return sigmoid(self.values(observation, mask))
+
+    def act(self, observation: Observation, mask: Mask) -> Int[np.ndarray, "5"]:
+        """The surest action.
+
+        Raises:
+            InputError: there is none.
+        """
+        return surest(self.values(observation, mask))
+
+
+def surest(values: Values) -> Int[np.ndarray, "5"]:
+    """The action of the greatest value; of those within rounding of it, the first.
+
+    Raises:
+        InputError: no action exists.
+    """
+    best = float(values.max())
+    if best == -np.inf:
+        raise InputError("no action exists; the episode is over")
+    return np.array(np.unravel_index(int(np.argmax(values >= best - _TIE)), values.shape))
+
+
+def load_policy(name: str, seed: int = 0) -> Policy:
+    """A policy by name, or from a checkpoint.
+
+    Args:
+        name: `random`, `relational`, `paper`, or the path of a checkpoint.
+        seed: of policies that draw.
+
+    Raises:
+        UnknownNameError: no such policy.
+        InputError: the checkpoint is missing, broken, or of another network.
+    """
+    if name == RANDOM:
+        return RandomPolicy(np.random.default_rng(seed))
+    if name in SHIPPED:
+        place = resources.files("roboassembly.learning") / "weights" / f"{name}.npz"
+        if not place.is_file():
+            raise InputError(
+                f"this installation has no weights for the policy '{name}'; train it (roboassembly train) and give "
+                "the checkpoint's path"
+            )
+        with resources.as_file(place) as path:
+            return _of_checkpoint(checkpoint.load(path), name)
+    path = Path(name)
+    if not (path.exists() or path.suffix == ".npz" or "/" in name):
+        raise UnknownNameError("policy", name, [*NAMES, "PATH.npz"])
+    return _of_checkpoint(checkpoint.load(path), name)
+
+
+def _of_checkpoint(loaded: Checkpoint, where: str) -> Policy:
+    if loaded.kind == relational.KIND:
+        return RelationalPolicy.from_checkpoint(loaded, where)
+    raise InputError(f"'{where}' holds a '{loaded.kind}' network, which is no policy; '{relational.KIND}' would do")
+
+
+def _network_config(found: Any, where: str) -> relational.RelationalConfig:
+    """The sizes of a relational network, checked."""
+    known = [f.name for f in fields(relational.RelationalConfig)]
+    if not isinstance(found, dict) or sorted(found) != sorted(known):
+        told = sorted(found) if isinstance(found, dict) else found
+        raise InputError(f"'{where}': config['network'] holds {told}; it should hold {', '.join(known)}")
+    for name, size in found.items():
+        if type(size) is not int or not 1 <= size <= _LARGEST:
+            raise InputError(f"'{where}': config['network']['{name}'] is {size!r}; 1 to {_LARGEST} would do")
+    config = relational.RelationalConfig(**found)
+    if config.token % config.heads or config.layers > 64:
+        raise InputError(f"'{where}': {asdict(config)}; heads must divide token, and layers be 64 at most")
+    return config
+
+
+def _check_arrays(found: Params, wanted: Params, where: str, above: str = "") -> None:
+    """That a checkpoint's arrays have the names, shapes and kind of numbers of a network.
+
+    Raises:
+        InputError: naming the first that does not fit.
+    """
+    if found.keys() != wanted.keys():
+        lacks, more = sorted(wanted.keys() - found.keys()), sorted(found.keys() - wanted.keys())
+        raise InputError(
+            f"'{where}' does not fit its own configuration: at '{above or '/'}' it lacks {lacks} and has {more} besides"
+        )
+    for name, value in wanted.items():
+        own, at = found[name], f"{above}/{name}"
+        if isinstance(value, dict) != isinstance(own, dict):
+            raise InputError(f"'{where}': '{at}' is not what its configuration asks for")
+        if isinstance(value, dict):
+            _check_arrays(own, value, where, at)
+        elif own.shape != value.shape or own.dtype != value.dtype:
+            raise InputError(
+                f"'{where}': '{at}' is {own.dtype} {own.shape}; its configuration asks for {value.dtype} {value.shape}"
+            )
+        elif not np.isfinite(own).all():
+            raise InputError(f"'{where}': '{at}' has numbers that are not finite; the training went wrong")
+
+
+@dataclass(eq=False)
+class _PolicyGuide:
+    """Suggests what a policy values most."""
+
+    policy: ValuePolicy
+    _seen: tuple[Furniture, Observer] | None = field(default=None, init=False)
+
+    def __call__(self, task: ObjectCentricTask, state: TaskState) -> Sequence[Suggestion]:
+        if self._seen is None or self._seen[0] is not task.furniture:
+            observer = Observer(task.furniture, MAX_PARTS, MAX_POINTS, self.policy.cloud_points)
+            self._seen = task.furniture, observer
+        observation, mask = self._seen[1].observe(state), existing_actions(task, state)
+        if isinstance(self.policy, ConfidentPolicy):
+            scores = self.policy.probabilities(observation, mask)
+        else:
+            # Of values we know only which are better, so the best is always worth a try.
+            values = self.policy.values(observation, mask)
+            best = values.max()
+            scores = np.exp(values - best) if np.isfinite(best) else np.zeros_like(values)
+        flat = np.where(mask, scores, 0.0).ravel()
+        top = np.argpartition(-flat, _SUGGESTIONS)[:_SUGGESTIONS]
+        # Rounded, and then by number: rounding errors must not choose between equal parts.
+        order = top[np.lexsort((top, -np.round(flat[top] / _TIE)))]
+        return [
+            Suggestion(tuple(int(i) for i in np.unravel_index(index, mask.shape)), float(flat[index]))
+            for index in order
+            if flat[index] > 0.0
+        ]
+
+
+def guide_of(policy: Policy) -> Guide:
+    """Lets a policy guide the search (`solvers.search.solve(..., guide=...)`).
+
+    Raises:
+        InputError: the policy does not value actions.
+    """
+    if not isinstance(policy, ValuePolicy):
+        raise InputError(f"the policy '{policy.name}' does not value actions, so it cannot guide the search")
+    return _PolicyGuide(policy)
