@@ -14,6 +14,7 @@ from roboassembly.errors import UnknownNameError
 from roboassembly.furniture.generate import (
     bench,
     cantilever,
+    carcass,
     folding,
     ladder,
     lattice,
@@ -77,6 +78,7 @@ FAMILIES: dict[str, Family] = {
             "shelf",
         ),
         Family("lattice", "posts, rails, spindles, panels and boards at random", lattice.build, "practice"),
+        Family("carcass", "boards between, on and behind boards at random", carcass.build, "practice"),
     )
 }
 """Everything that can be made from a seed, by name."""

@@ -22,6 +22,10 @@ _LEVEL = 0.085
 """Metres between the heights at which rails may stand, so that those from two sides keep out of each other's way."""
 _ROUND = RoundTenon(radius=0.0075, length=0.012, sides=10)
 _PEG = RoundTenon(radius=0.006, length=0.010, sides=10)
+_BUTT = RoundTenon(radius=0.0075, length=-CLEARANCE, sides=10)
+"""For bars that end a clearance before the face."""
+_NONE = Tenon(0.004, 0.004, -0.002, root=0.006)
+"""A tongue that does not come out of its rail."""
 
 
 @dataclass(frozen=True)
@@ -53,6 +57,8 @@ class LatticeStyle:
     pegs: int = 0
     board: float = 0.022
     """Thickness of boards."""
+    butted: bool = False
+    """No tenons: rails, spindles and posts end at the face that they meet."""
     lean: tuple[float, float] = (0.0, 0.0)
     """Radians about x and y by which the whole leans."""
 
@@ -93,6 +99,7 @@ def sample(rng: np.random.Generator) -> LatticeStyle:
             slats=int(rng.choice([0, 0, 1, 2, 3, 4])),
             pegs=int(rng.choice([0, 0, 0, 1, 2, 3])),
             board=rng.uniform(0.015, 0.035),
+            butted=bool(rng.random() < 0.4),
             lean=(rng.uniform(-0.4, 0.4), rng.uniform(-0.4, 0.4)) if rng.random() < 0.35 else (0.0, 0.0),
         )
         pieces = assemble(style)
@@ -161,7 +168,8 @@ def _row(m: _Making, i: int, j: int, axis: str, low: int, high: int, fill: str) 
     s = m.style
     run = X if axis == "x" else Y
     here, there = (i, j), (i + (axis == "x"), j + (axis == "y"))
-    half = s.post / 2 if not s.round_posts else 0.46 * s.post
+    # Tenons start inside a round post's rim; what is butted stops at its foremost line.
+    half = 0.46 * s.post if s.round_posts and not s.butted else s.post / 2
     levels = sorted({low, high})
     filled = len(levels) == 2 and fill != "none" and not s.round_rails
     length = float((m.at(*there) - m.at(*here)) @ run) - 2 * half
@@ -170,17 +178,18 @@ def _row(m: _Making, i: int, j: int, axis: str, low: int, high: int, fill: str) 
         z = _height_of(level)
         start, end = m.at(*here) + half * run + z * Z, m.at(*there) - half * run + z * Z
         shape = _ROUND if s.round_rails else tenon
-        for post, frame in zip((here, there), mouths(start, end, Z), strict=True):
-            m.cuts[post].append(shape.pocket(frame, over=0.01))
+        if not s.butted:
+            for post, frame in zip((here, there), mouths(start, end, Z), strict=True):
+                m.cuts[post].append(shape.pocket(frame, over=0.01))
         origin = vector(0, 0, 0)
         if s.round_rails:
-            solid = spindle(origin, length * run, Z, 0.0105, _ROUND, free=0.02)
+            solid = spindle(origin, length * run, Z, 0.0105, _BUTT if s.butted else _ROUND, free=0.02)
         else:
             # Shoulders stand off a round post's rim.
-            solid = rail(origin, length * run, Z, s.rail, 0.020, tenon)
-            if s.round_posts:
+            solid = rail(origin, length * run, Z, s.rail, 0.020, _NONE if s.butted else tenon)
+            if s.round_posts and not s.butted:
                 solid = _trimmed(solid, run, length, 0.5 * s.post - half + CLEARANCE)
-            if filled:
+            if filled and not s.butted:
                 solid -= _fill_pockets(s, run, length, 1 if index == 0 else -1, fill)
         key = (axis, s.round_rails, filled and (fill, index))
         name = f"rail_{axis}{i}{j}_{level}"
@@ -231,12 +240,13 @@ def _fill(
         groove = Tenon(0.7 * length, 0.007, 0.008)
         ends = [CLEARANCE * Z, (rise - CLEARANCE) * Z]
         solid = sweep(ends, run, np.cross(Z, run), rectangle(0.7 * length, 0.012))
-        solid += groove.tongue(joint_frame(vector(0, 0, 0), Z, run))
-        solid += groove.tongue(joint_frame(rise * Z, -Z, run))
+        if not s.butted:
+            solid += groove.tongue(joint_frame(vector(0, 0, 0), Z, run))
+            solid += groove.tongue(joint_frame(rise * Z, -Z, run))
         middle = bottom + 0.5 * length * run
         m.pieces.append(Piece(f"panel_{name}", "back_single_surface", m.once(key, solid), move(*middle)))
         return
-    solid = spindle(vector(0, 0, 0), rise * Z, run, 0.008, _PEG)
+    solid = spindle(vector(0, 0, 0), rise * Z, run, 0.008, _BUTT if s.butted else _PEG)
     for k, d in enumerate(_places(s, length)):
         m.pieces.append(
             Piece(f"spindle_{name}_{k}", "back_surface_vertical_bar", m.once(key, solid), move(*(bottom + d * run)))
@@ -293,10 +303,10 @@ def _posts_and_boards(m: _Making) -> None:
             blank = turned([(bottom, s.post / 2), (end, s.post / 2)], 16)
         else:
             blank = sweep([bottom * Z, end * Z], X, Y, rectangle(s.post, s.post, 0.003))
-        if s.top:
+        if s.top and not s.butted:
             blank += tenon.tongue(joint_frame(top * Z, -Z, X))
             boards["top"] -= tenon.pocket(joint_frame(top * Z + m.at(i, j), -Z, X))
-        if s.base:
+        if s.base and not s.butted:
             blank += tenon.tongue(joint_frame(s.board * Z, Z, X))
             boards["base"] -= tenon.pocket(joint_frame(s.board * Z + m.at(i, j), Z, X))
         here = move(*m.at(i, j))
