@@ -10,6 +10,7 @@ this is what tells a policy which way the furniture stands.
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 
 import numpy as np
@@ -131,8 +132,9 @@ def _groups(connections: Float[np.ndarray, "P P 6"]) -> Int[np.ndarray, "P"]:
 
 def _alike(clouds: Float[np.ndarray, "P C 3"]) -> Int[np.ndarray, "P"]:
     """How many parts have each part's shape: equal parts have equal clouds."""
-    _, inverse, counts = np.unique(clouds.reshape(len(clouds), -1), axis=0, return_inverse=True, return_counts=True)
-    return counts[inverse.ravel()]
+    names = [cloud.tobytes() for cloud in clouds]
+    count = Counter(names)
+    return np.array([count[name] for name in names])
 
 
 def _into_group_frames(
@@ -177,8 +179,8 @@ def _pairs(
                 continue
             moving, waiting = first.tokens, second.tokens
             # v_from_u of the groups' frames, for each moving point k onto each waiting point l
-            turn = np.einsum("lij,j,kmj->klim", frame[waiting], _FLIP, frame[moving])
-            shift = at[waiting][None] - np.einsum("klij,kj->kli", turn, at[moving])
+            turn = (frame[waiting] * _FLIP)[None] @ frame[moving].transpose(0, 2, 1)[:, None]
+            shift = at[waiting][None] - (turn @ at[moving][:, None, :, None])[..., 0]
             if a < b:
                 meet = _meetings(turn, shift, at, frame, moving, waiting)
                 pair[np.ix_(moving, waiting, np.arange(10))] = meet
@@ -205,10 +207,12 @@ def _meetings(
     turn: np.ndarray, shift: np.ndarray, at: np.ndarray, frame: np.ndarray, moving: np.ndarray, waiting: np.ndarray
 ) -> Float[np.ndarray, "k l 10"]:
     """How many other free points of the two groups would meet, miss each other a little, or come close."""
-    there = np.einsum("klij,mj->klmi", turn, at[moving]) + shift[:, :, None]
-    apart = np.linalg.norm(there[:, :, :, None] - at[waiting], axis=-1)
-    opposed = np.einsum("klij,mj,vi->klmv", turn, frame[moving, :, 2], frame[waiting, :, 2], optimize=True) < -0.99
-    along = np.einsum("klij,mj,vi->klmv", turn, frame[moving, :, 0], frame[waiting, :, 0], optimize=True) > 0.99
+    # (k, l, m, 3): tokens of the moving group, and their normals and tangents, where the pair would bring them.
+    back = turn.transpose(0, 1, 3, 2)
+    there = at[moving] @ back + shift[:, :, None]
+    apart = np.sqrt(np.maximum(_squares(there)[..., None] + _squares(at[waiting]) - 2.0 * (there @ at[waiting].T), 0.0))
+    opposed = (frame[moving, :, 2] @ back) @ frame[waiting, :, 2].T < -0.99
+    along = (frame[moving, :, 0] @ back) @ frame[waiting, :, 0].T > 0.99
     hit = (apart < _HIT) & opposed
     counts = [
         hit.any(axis=3).sum(axis=2) - 1.0,
@@ -220,12 +224,16 @@ def _meetings(
     return np.concatenate([meet, np.log1p(np.maximum(meet, 0.0)), meet[..., :2] > 0], axis=-1)
 
 
+def _squares(vectors: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n"]:
+    return (vectors * vectors).sum(axis=-1)
+
+
 def _heights(
     turn: np.ndarray, shift: np.ndarray, first: _GroupView, second: _GroupView, normal: Float[np.ndarray, "l 3"]
 ) -> tuple[Float[np.ndarray, "k l 3"], Float[np.ndarray, "k l 6 7"]]:
     """The moving group's extent beside the waiting one's, along each axis that may point up."""
-    there = np.einsum("klij,pj->klpi", turn, first.some) + shift[:, :, None]
-    least, most = there.min(axis=2), there.max(axis=2)
+    there = (turn.reshape(-1, 3) @ first.some.T).reshape(*shift.shape, -1)
+    least, most = there.min(axis=3) + shift, there.max(axis=3) + shift
     # Along +z, -z, +x, ...: an axis's low is minus the opposite axis's high.
     low = np.stack([least[..., 2], -most[..., 2], least[..., 0], -most[..., 0], least[..., 1], -most[..., 1]], axis=-1)
     high = np.stack([most[..., 2], -least[..., 2], most[..., 0], -least[..., 0], most[..., 1], -least[..., 1]], axis=-1)
