@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -71,6 +72,57 @@ def test_the_same_seed_writes_the_same_plan_in_another_process(stool: Path, tmp_
         assert len(done.stdout.splitlines()) == 1
         plans.append((tmp_path / str(index) / "plan.json").read_bytes())
     assert plans[0] == plans[1]
+
+
+@pytest.fixture(scope="module")
+def untrained(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A checkpoint of the relational network that has learnt nothing."""
+    from roboassembly.learning import checkpoint, relational
+
+    config = relational.RelationalConfig(token=16, pair=8, layers=1, heads=2, ends=4, conflicts=2)
+    params = relational.init(np.random.default_rng(0), config)
+    path = tmp_path_factory.mktemp("policy") / "untrained.npz"
+    checkpoint.save(path, checkpoint.Checkpoint(relational.KIND, params, {"network": asdict(config)}, {}))
+    return path
+
+
+def test_a_policy_guides_or_plays_alone(run: Run, stool: Path, tmp_path: Path, untrained: Path) -> None:
+    arguments = ("assemble", stool, "--no-film", "--json", "--policy", untrained)
+    status, out, err = run(*arguments, "--out", tmp_path / "a")
+    report = json.loads(out)
+    assert (status, report["success"], report["policy"], report["merges"]) == (0, True, str(untrained), 8)
+    assert 0 <= report["guided_merges"] <= 8
+    assert f"{report['guided_merges']} of them chosen by {untrained}" in err
+    status, out, _ = run(*arguments, "--no-search", "--out", tmp_path / "b")
+    report = json.loads(out)
+    assert (status, report["success"], report["reason"]) == (
+        1,
+        False,
+        f"{untrained} alone: merge 1 ended as wrong_pair",
+    )
+    status, out, _ = run("assemble", stool, "--no-film", "--json", "--policy", "none", "--out", tmp_path / "c")
+    report = json.loads(out)
+    assert (status, report["policy"], report["guided_merges"]) == (0, "none", 0)
+
+
+def test_evaluate_reports_and_exports(run: Run, stool: Path, tmp_path: Path, untrained: Path) -> None:
+    pytest.importorskip("minari")
+    arguments = ("evaluate", "--set", f"folder:{stool}", "--jobs", "1", "--json")
+    status, out, _ = run(*arguments, "--episodes", "2", "--seed", "3", "--export", tmp_path / "stool-v0")
+    report = json.loads(out)
+    assert (status, report["policy"], report["n"], report["success_rate"]) == (0, "search", 2, 1.0)
+    assert (report["seed"], report["unseen"]) == (3, None)
+    assert report["exported"] == {"path": str(tmp_path / "stool-v0"), "episodes": 2, "steps": 16, "refused": 0}
+    assert (tmp_path / "stool-v0" / "data" / "metadata.json").is_file()
+    status, out, _ = run(*arguments, "--policy", untrained)
+    report = json.loads(out)
+    assert (status, report["success_rate"], report["search"]) == (0, 0.0, False)
+    assert report["per_furniture"][0]["verdict"] == "wrong_pair"
+    status, out, _ = run(*arguments, "--policy", untrained, "--search")
+    assert json.loads(out)["success_rate"] == 1.0
+    status, out, err = run(*arguments, "--policy", "relatonal")
+    assert status == 2
+    assert "did you mean relational?" in err
 
 
 def test_another_seed_gives_another_plan(run: Run, stool: Path, tmp_path: Path) -> None:
@@ -177,9 +229,15 @@ def test_bad_furniture_is_one_line_and_2(run: Run, stool: Path, tmp_path: Path, 
         (["import", "ikea-manual", ".", "--jobs", "0"], "--jobs 0"),
         (["bench", "planning", "--chairs", "0"], "--chairs 0"),
         (["export", "mjcf", "rokcer"], "did you mean rocker"),
-        (["dataset", "show", "chairs-413"], "did you mean chairs-412?"),
+        (["dataset", "show", "chairs-413"], "did you mean chairs-412"),
         (["evaluate", "--set", "folder:nowhere"], "holds no furniture folders"),
         (["evaluate", "--set", "folder:nowhere", "--limit", "0"], "--limit take 1 or more"),
+        (["evaluate", "--set", "folder:nowhere", "--episodes", "0"], "--episodes and --limit take 1 or more"),
+        (["evaluate", "--policy", "joint-rrt", "--export", "x-v0"], "'joint-rrt' tells no actions"),
+        (["assemble", "stool", "--no-search"], "--no-search needs a --policy"),
+        (["assemble", "stool", "--policy", "relatonal"], "did you mean relational?"),
+        (["assemble", "stool", "--policy", "gone.npz"], "no checkpoint at 'gone.npz'"),
+        (["assemble", "stool", "--policy", "random"], "'random' does not value actions"),
     ],
 )
 def test_bad_arguments_are_one_line_and_2(

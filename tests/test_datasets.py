@@ -1,4 +1,4 @@
-"""Data sets: built from certified chairs, resumable, reproducible; evaluation over them."""
+"""Data sets: built from certified chairs, resumable, reproducible; the probers and the baseline."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.stats import norm
 
 import shapes
 from roboassembly.errors import InputError, UnknownNameError
@@ -18,7 +17,6 @@ from roboassembly.planning.problem import Budget, PlanningStatus
 from roboassembly.poses import SE3
 from roboassembly.scene import Body, Scene, Shape
 from roboassembly.solvers import curate
-from roboassembly.solvers.evaluate import POLICIES, Episode, Evaluation, evaluate
 from roboassembly.solvers.joint_rrt import solve_jointly
 from roboassembly.solvers.prober import probe
 from roboassembly.task.object_centric import ObjectCentricTask
@@ -83,30 +81,6 @@ def test_picks(tmp_path: Path) -> None:
         pick("chair-412:test")
     with pytest.raises(UnknownNameError, match="known: all, easy, hard, test, train"):
         pick("chairs-412:validation")
-
-
-def test_wilson_interval_by_hand() -> None:
-    episodes = tuple(Episode(str(i), 2, i < 7, 10 * i, 0.5) for i in range(10))
-    report = Evaluation("search", episodes).to_json()
-    z, p, n = norm.ppf(0.975), 0.7, 10
-    middle, half = (p + z * z / 2 / n), z * np.sqrt(p * (1 - p) / n + z * z / 4 / n / n)
-    low, high = (middle - half) / (1 + z * z / n), (middle + half) / (1 + z * z / n)
-    assert report["ci95"] == pytest.approx([low, high], abs=1e-4)
-    assert report["success_rate"] == 0.7
-    assert report["planning_steps_mean"] == 45
-    assert report["planning_steps_mean_solved"] == 30
-
-
-def test_policies_play(tmp_path: Path) -> None:
-    storage.save(catalogue.make("shell"), tmp_path / "shell")
-    picks = pick(f"folder:{tmp_path / 'shell'}")
-    ends = {name: next(iter(evaluate(name, picks, 0, 1))) for name in POLICIES}
-    assert ends["search"].success
-    assert not ends["joint-rrt"].success
-    assert ends["joint-rrt"].planning_steps >= 100_000
-    assert all(e.parts == len(catalogue.make("shell").parts) for e in ends.values())
-    with pytest.raises(UnknownNameError, match="joint-rrt"):
-        next(iter(evaluate("joint-rtt", picks, 0, 1)))
 
 
 def test_patient_play_gets_stuck_only_in_true_dead_ends() -> None:

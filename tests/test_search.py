@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -15,9 +16,11 @@ import pytest
 import shapes
 from roboassembly.furniture.generate import FAMILIES
 from roboassembly.furniture.model import Furniture
+from roboassembly.planning.problem import Budget
 from roboassembly.poses import SE3
 from roboassembly.scene import Body, Scene, Shape
 from roboassembly.solvers.blocking import BlockingGraphs
+from roboassembly.solvers.guide import Guide, Suggestion
 from roboassembly.solvers.search import SearchLimits, SearchResult, solve, solve_from
 from roboassembly.task.groups import Group, TaskState
 from roboassembly.task.object_centric import ObjectCentricTask, Verdict
@@ -166,6 +169,24 @@ def test_from_the_middle_with_legs_in_each_others_places(table: Furniture) -> No
     assert result.plan.success
 
 
+def test_from_the_middle_with_equal_parts_whose_points_differ(chair) -> None:
+    """Spindles in each other's places: a pair may go into other slots than reasoning asked for, and that is noticed."""
+    furniture = chair("rocker", 4)
+    task = ObjectCentricTask(furniture)
+    state = task.initial_state(np.random.default_rng(7))
+    spindles, rail = (4, 5, 6), 8
+    for spindle, hole in zip(spindles, (2, 3, 1), strict=True):
+        outcome = task.step(state, (spindle, rail, 0, hole, 0), 0)
+        assert outcome.verdict is Verdict.MERGED
+        state = outcome.state
+    joined = next(g for g in state.groups if rail in g.parts)
+    assert joined.parts == (*spindles, rail)
+    assert set(joined.slots) != set(joined.parts)
+    result = solve_from(task, state, 0, SearchLimits(attempts=40))
+    assert result.plan.success or "limits reached" in result.reason
+    assert result.attempts <= 40
+
+
 def test_what_cannot_be_assembled_ends_with_a_reason() -> None:
     begun = time.perf_counter()
     result = solve(shapes.interlocked(), 0)
@@ -275,6 +296,140 @@ def test_chairs_are_solved(chair, family: str, seed: int) -> None:
 @pytest.mark.parametrize("family", FAMILIES)
 def test_many_chairs_are_solved(chair, family: str, seed: int) -> None:
     check(solve(chair(family, seed), seed), 0.002)
+
+
+# Guided search
+
+
+def scripted(actions: list[tuple[int, ...]], score: float = 0.9) -> Guide:
+    """Suggests, of some actions, those whose parts are not joined yet, in their order."""
+
+    def guide(task: ObjectCentricTask, state: TaskState) -> list[Suggestion]:
+        return [Suggestion(a, score) for a in actions if state.group_of[a[0]] != state.group_of[a[1]]]
+
+    return guide
+
+
+def counted(guide: Guide) -> tuple[Guide, list[TaskState]]:
+    seen: list[TaskState] = []
+
+    def also(task: ObjectCentricTask, state: TaskState) -> Sequence[Suggestion]:
+        seen.append(state)
+        return guide(task, state)
+
+    return also, seen
+
+
+def test_a_perfect_guide_makes_every_merge_itself(chair) -> None:
+    furniture = chair("ladder", 0)
+    plain = solve(furniture, 2)
+    guide, seen = counted(scripted([step.action for step in plain.plan.steps]))
+    result = solve(furniture, 2, guide=guide)
+    check(result, 0.01)
+    merges = len(furniture.parts) - 1
+    assert (result.guided, result.attempts, result.backtracks, len(seen)) == (merges, merges, 0, merges)
+    assert digest(result.plan) == digest(plain.plan)
+    # Nothing was thought out, so nothing but the planner's own states counts.
+    assert result.planning_steps == sum(step.planning_steps for step in plain.plan.steps) < plain.planning_steps
+    assert result.guide_seconds > 0.0
+
+
+def test_a_guide_that_is_always_wrong_costs_nothing_but_time(chair) -> None:
+    furniture = chair("stool", 1)
+    plain = solve(furniture, 0)
+    task = ObjectCentricTask(furniture)
+    state = task.initial_state(np.random.default_rng(0))
+    ends = [(u, k) for u, part in enumerate(furniture.parts) for k in range(len(part.points))]
+    every = [(u, v, k, l, 0) for u, k in ends for v, l in ends if u != v]  # noqa: E741
+    wrong = [a for a in every if task.prepare(state, a) is None][:50]
+    guide, seen = counted(scripted(wrong))
+    result = solve(furniture, 0, guide=guide)
+    assert digest(result.plan) == digest(plain.plan)
+    assert (result.guided, len(seen)) == (0, 1)
+    assert result.planning_steps == plain.planning_steps
+    assert plain.attempts < result.attempts <= plain.attempts + 5
+
+
+def test_a_guide_that_names_no_actions_or_is_unsure_is_left_alone(table: Furniture) -> None:
+    plain = solve(table, 0)
+    nonsense = scripted([(0, 1, 99, -7, 0), (0, 1, 0, 0, 6)])
+    unsure = scripted([step.action for step in plain.plan.steps], score=0.01)
+    for guide in (nonsense, unsure, lambda task, state: []):
+        result = solve(table, 0, guide=guide)
+        assert digest(result.plan) == digest(plain.plan)
+        assert result.guided == 0
+
+
+def test_a_guide_into_a_dead_end_is_backed_out_of(captive_slat: Furniture) -> None:
+    """Both posts into the board: then the slat cannot get between them (see the task's own tests)."""
+    ends = {(c.part_a, c.part_b): (c.point_a, c.point_b) for c in captive_slat.connections}
+    posts = [(post, 0, ends[0, post][1], ends[0, post][0], w) for post in (1, 2) for w in range(6)]
+    task = ObjectCentricTask(captive_slat)
+    state = task.initial_state(np.random.default_rng(0))
+    into = [a for a in posts if task.step(state, a, 0, Budget(states=0)).verdict is Verdict.MERGED]
+    assert {a[0] for a in into} == {1, 2}
+    result = solve(captive_slat, 0, guide=scripted(into))
+    check(result)
+    assert result.backtracks >= 1
+    assert result.attempts < 60
+
+
+def test_where_the_guide_falls_silent_reasoning_goes_on(chair) -> None:
+    furniture = chair("stool", 1)
+    plain = solve(furniture, 0)
+    actions = [step.action for step in plain.plan.steps]
+
+    def guide(task: ObjectCentricTask, state: TaskState) -> list[Suggestion]:
+        done = len(furniture.parts) - len(state.groups)
+        return [Suggestion(actions[done], 1.0)] if done < 3 else []
+
+    result = solve(furniture, 0, guide=guide)
+    check(result, 0.01)
+    assert result.guided == 3
+    assert result.backtracks == 0
+
+
+def test_legs_in_each_others_places_by_a_guide(table: Furniture) -> None:
+    """Leg 2 into the place of leg 0 is right; reasoning, which knows slots only, has to go on from there."""
+    guide, seen = counted(lambda task, state: [Suggestion((3, 0, 0, 0, 1), 1.0)] if len(state.groups) == 5 else [])
+    result = solve(table, 0, guide=guide)
+    check(result, 0.001)
+    assert result.guided == 1
+    assert len(seen) == 2
+
+
+@pytest.mark.parametrize(("family", "seed"), [("stool", 20), ("sled", 1)])
+def test_right_pairs_in_random_order_lead_astray_but_not_into_failure(chair, family: str, seed: int) -> None:
+    """Equal parts swap places, dead ends are everywhere."""
+    furniture = chair(family, seed)
+    rng = np.random.default_rng(seed)
+
+    def guide(task: ObjectCentricTask, state: TaskState) -> list[Suggestion]:
+        free = np.argwhere(task.free_points(state))
+        right = []
+        for _ in range(2_000):
+            (u, k), (v, l) = free[rng.integers(len(free), size=2)]  # noqa: E741
+            action = (int(u), int(v), int(k), int(l), int(rng.integers(6)))
+            if task.exists(state, action) and task.prepare(state, action) is not None:
+                right.append(Suggestion(action, 0.5))
+            if len(right) == 5:
+                break
+        return right
+
+    result = solve(furniture, 0, guide=guide)
+    check(result, 0.01)
+
+
+def test_a_guide_gets_a_share_of_the_limits_only() -> None:
+    furniture = shapes.interlocked()
+    task = ObjectCentricTask(furniture)
+    state = task.initial_state(np.random.default_rng(0))
+    asked = scripted([(0, 1, 0, 0, w) for w in range(6)])
+    for limits in (SearchLimits(attempts=0), SearchLimits(attempts=8), SearchLimits(states=4_000)):
+        result = solve_from(task, state, 0, limits, asked)
+        assert not result.plan.success
+        assert result.plan.steps == ()
+        assert result.attempts <= limits.attempts
 
 
 # Blocking graphs

@@ -10,6 +10,14 @@ from pathlib import Path
 class RoboAssemblyError(Exception):
     """Base of every error that this package raises on purpose."""
 
+    def __reduce__(self) -> tuple[object, ...]:
+        # Worker processes hand errors over pickled, and would call `__init__` with the message alone.
+        return _again, (type(self), *self.args)
+
+
+def _again(kind: type[RoboAssemblyError], *args: object) -> RoboAssemblyError:
+    return kind.__new__(kind, *args)
+
 
 class InputError(RoboAssemblyError):
     """Something handed in cannot be used; the command line answers with exit status 2."""

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json as jsonlib
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -14,7 +16,12 @@ from roboassembly.cli.output import DONE, DONE_BADLY, print_json, say, writable_
 from roboassembly.errors import InputError
 
 if TYPE_CHECKING:
+    from roboassembly.furniture.model import Furniture
     from roboassembly.solvers.search import SearchResult
+
+NO_POLICY = "none"
+DEFAULT_POLICY = NO_POLICY
+"""What `assemble` is guided by unless told otherwise."""
 
 
 @dataclass(frozen=True)
@@ -29,6 +36,10 @@ class Assemble:
     """Where the parts lie at first, and what the planner draws."""
     out: Path = Path("assembly")
     """Folder for plan.json, timings.json, assembly.html, assembly.mp4 and the furniture itself."""
+    policy: str = DEFAULT_POLICY
+    """What guides the search: `relational`, the path of a checkpoint, or `none`."""
+    search: bool = True
+    """Take back what leads nowhere; without it the policy plays alone, and its first failure ends it."""
     film: bool = True
     """Render assembly.mp4."""
     json: bool = False
@@ -38,18 +49,20 @@ class Assemble:
         """Do it; returns the exit status."""
         if self.seed < 0:
             raise InputError(f"--seed {self.seed} is negative; 0 or more would do")
+        if not self.search and self.policy == NO_POLICY:
+            raise InputError("--no-search needs a --policy to play alone; 'relational' would do")
         from roboassembly.furniture import catalogue
-        from roboassembly.solvers.search import solve
 
         started = time.perf_counter()
+        solve = self._solver()
         furniture = catalogue.find(self.furniture)
         say(f"{furniture.name}: {len(furniture.parts)} parts, {len(furniture.connections)} connections")
-        result = solve(furniture, self.seed)
+        result = solve(furniture)
         solved = time.perf_counter() - started
         if result.plan.success:
             say(
-                f"assembled in {len(result.plan.steps)} merges: {result.planning_steps} states checked, "
-                f"{result.planning_seconds:.2f} s of planning, {solved:.2f} s in all"
+                f"assembled in {len(result.plan.steps)} merges{self._told(result)}: {result.planning_steps} states "
+                f"checked, {result.planning_seconds:.2f} s of planning, {solved:.2f} s in all"
             )
         else:
             say(f"not assembled: {result.reason}")
@@ -58,7 +71,9 @@ class Assemble:
             "success": result.plan.success,
             "furniture": furniture.name,
             "parts": len(furniture.parts),
+            "policy": self.policy,
             "merges": len(result.plan.steps),
+            "guided_merges": result.guided,
             "planning_steps": result.planning_steps,
             "planning_seconds": round(result.planning_seconds, 4),
             "seconds": round(time.perf_counter() - started, 3),
@@ -72,6 +87,38 @@ class Assemble:
             for path in outputs.values():
                 print(path)
         return DONE if result.plan.success else DONE_BADLY
+
+    def _solver(self) -> Callable[[Furniture], SearchResult]:
+        """What finds the plan. A policy that is of no use is told before anything is done."""
+        from roboassembly.solvers.search import SearchResult, solve
+
+        if self.policy == NO_POLICY:
+            return partial(solve, seed=self.seed)
+        from roboassembly.learning.policies import guide_of, load_policy
+
+        policy = load_policy(self.policy, self.seed)
+        if self.search:
+            return partial(solve, seed=self.seed, guide=guide_of(policy))
+        from roboassembly.learning.evaluate import play
+
+        def alone(furniture: Furniture) -> SearchResult:
+            done = play(policy, furniture, self.seed)
+            failed = f"{self.policy} alone: merge {len(done.actions)} ended as {done.verdict}"
+            return SearchResult(
+                plan=done.plan,
+                planning_steps=done.planning_steps,
+                planning_seconds=done.planning_seconds,
+                attempts=len(done.actions),
+                backtracks=0,
+                reason="" if done.plan.success else failed,
+                guided=len(done.plan.steps),
+                guide_seconds=done.policy_seconds,
+            )
+
+        return alone
+
+    def _told(self, result: SearchResult) -> str:
+        return "" if self.policy == NO_POLICY else f", {result.guided} of them chosen by {self.policy}"
 
     def _write(self, result: SearchResult, solved: float) -> dict[str, str]:
         from roboassembly.furniture import storage
@@ -96,6 +143,7 @@ class Assemble:
             "planning_steps": result.planning_steps,
             "merges_tried": result.attempts,
             "backtracks": result.backtracks,
+            "guide_seconds": result.guide_seconds,
         }
         (folder / "timings.json").write_text(jsonlib.dumps(timings, indent=1) + "\n")
         wrote("timings", folder / "timings.json")

@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 from tqdm import tqdm
 
-from roboassembly.cli.output import DONE, print_json
+from roboassembly.cli.output import DONE, print_json, say
 from roboassembly.errors import InputError
+
+if TYPE_CHECKING:
+    from roboassembly.learning.evaluate import Episode, Evaluation
 
 
 @dataclass(frozen=True)
@@ -18,33 +24,82 @@ class Evaluate:
     """Measure a way of assembling on a set of furniture."""
 
     policy: str = "search"
-    """`search`, `joint-rrt` (the paper's baseline), `right-pairs` or `right-pairs-random-w`."""
+    """`relational`, `paper`, `random` or the path of a checkpoint; or a solver: `search`, `joint-rrt` (the paper's
+    baseline), `right-pairs` or `right-pairs-random-w`."""
+    search: bool = False
+    """The policy guides the search instead of playing alone."""
     set: Annotated[str, tyro.conf.arg(name="set")] = "chairs-412:test"
     """`chairs-412:test` (or `:train`, `:easy`, `:hard`), or `folder:PATH` of furniture folders."""
     limit: int | None = None
     """The first so many pieces only."""
+    episodes: int = 1
+    """Of each piece, each from another start."""
     seed: int = 0
     """Of the starts and the planner."""
     jobs: int = os.cpu_count() or 1
     """Pieces at a time."""
+    export: Path | None = None
+    """Write the successful episodes as a Minari data set: a new folder, named like `chairs-v0`."""
     json: bool = False
     """Print one JSON object on stdout, all else on stderr."""
 
     def run(self) -> int:
         """Do it; returns the exit status."""
-        if self.seed < 0 or self.jobs < 1 or (self.limit is not None and self.limit < 1):
-            raise InputError("--seed takes 0 or more, --jobs and --limit take 1 or more")
+        if self.seed < 0 or min(self.jobs, self.episodes) < 1 or (self.limit is not None and self.limit < 1):
+            raise InputError("--seed takes 0 or more, --jobs, --episodes and --limit take 1 or more")
         from roboassembly.furniture.datasets import pick
-        from roboassembly.solvers.evaluate import Evaluation, evaluate
+        from roboassembly.learning.evaluate import EXPORTABLE, SOLVERS, Evaluation, evaluate
 
+        if self.export is not None:
+            from roboassembly.learning.export import check_target
+
+            if self.policy in SOLVERS and self.policy not in EXPORTABLE:
+                raise InputError(f"--export: '{self.policy}' tells no actions; a policy or 'search' would do")
+            check_target(self.export)
         picks = pick(self.set)[: self.limit]
-        episodes = tuple(tqdm(evaluate(self.policy, picks, self.seed, self.jobs), total=len(picks), unit="piece"))
-        report = {**Evaluation(self.policy, episodes).to_json(), "set": self.set, "seed": self.seed}
+        playing = evaluate(self.policy, picks, self.seed, self.jobs, episodes=self.episodes, search=self.search)
+        total = len(picks) * self.episodes
+        episodes = tuple(tqdm(playing, total=total, unit="episode"))
+        evaluation = Evaluation(self.policy, self.set, self.seed, episodes, self.search)
+        report = evaluation.to_json()
+        if self.export is not None:
+            from roboassembly.learning.export import export
+
+            say("writing the successful episodes ...")
+            played = zip((p for p in picks for _ in range(self.episodes)), episodes, strict=True)
+            done = export(self.export, played, self.policy + " with search" * self.search)
+            report["exported"] = {
+                "path": str(done.path), "episodes": done.episodes, "steps": done.steps, "refused": done.refused,
+            }  # fmt: skip
         if self.json:
             print_json(report)
         else:
-            print(
-                f"{self.policy} on {self.set}: {report['success_rate']:.1%} of {report['n']} "
-                f"(95 % {report['ci95']}), {report['planning_steps_mean']:.0f} states each"
-            )
+            print("\n".join(summary(evaluation)))
+            if self.export is not None:
+                print(self.export)
         return DONE
+
+
+def summary(evaluation: Evaluation) -> list[str]:
+    """Lines: success in all, by family, and how failures ended."""
+    from roboassembly.learning.evaluate import success
+
+    def line(name: str, episodes: Sequence[Episode]) -> str:
+        told = success(episodes)
+        low, high = told["ci95"]  # pyright: ignore[reportGeneralTypeIssues]
+        steps = sum(e.planning_steps for e in episodes) / len(episodes)
+        rate = f"{told['success_rate']:7.1%}"
+        return f"{name:24} {len(episodes):5} {rate}  {100 * low:5.1f}-{100 * high:5.1f} {steps:9,.0f}"
+
+    every = evaluation.episodes
+    how = f"{evaluation.policy}{' guiding the search' * evaluation.search} on {evaluation.set}, seed {evaluation.seed}"
+    lines = [how, f"{'':24} {'n':>5} {'success':>7}  {'95 %':>11} {'states':>9}", line("all", every)]
+    families = sorted({e.family for e in every} - {""})
+    if families:
+        for name, wanted in (("of families in training", False), ("of other families", True)):
+            some = [e for e in every if e.unseen is wanted]
+            lines += [line(name, some)] if some else []
+        lines += [line(f"  {f}", [e for e in every if e.family == f]) for f in families]
+    failed = Counter(e.verdict for e in every if not e.success)
+    lines += [f"failed: {n:4} {verdict}" for verdict, n in failed.most_common()]
+    return lines

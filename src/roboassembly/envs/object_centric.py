@@ -127,16 +127,7 @@ class ObjectCentricEnv(gymnasium.Env[Observation, np.ndarray]):
     def action_masks(self) -> Bool[np.ndarray, "P P K K 6"]:
         """Which actions exist: both parts there and in different groups, both points there and free."""
         if self._mask is None:
-            parts, points = self._padding
-            free = np.zeros((parts, points), dtype=bool)
-            known = self.task.free_points(self.state)[:parts, :points]
-            free[: known.shape[0], : known.shape[1]] = known
-            group = np.full(parts, -1)
-            for part, index in self.state.group_of.items():
-                group[part] = index
-            apart = group[:, None] != group[None]
-            pairs = apart[:, :, None, None] & free[:, None, :, None] & free[None, :, None, :]
-            self._mask = np.repeat(pairs[..., None], len(UP_AXES), axis=-1)
+            self._mask = existing_actions(self.task, self.state, *self._padding)
         return self._mask.copy()
 
     def _enter(self, state: TaskState) -> Observation:
@@ -153,6 +144,19 @@ class ObjectCentricEnv(gymnasium.Env[Observation, np.ndarray]):
             "furniture": self.task.furniture.name,
             "action_mask": self.action_masks(),
         }
+
+
+def existing_actions(
+    task: ObjectCentricTask, state: TaskState, max_parts: int = MAX_PARTS, max_points: int = MAX_POINTS
+) -> Bool[np.ndarray, "P P K K 6"]:
+    """The mask of actions that exist in a state, indexed by `(u, v, k, l, w)`."""
+    free = task.free_points(state)[:max_parts, :max_points]
+    group = np.full(max_parts, -1)
+    for part, index in state.group_of.items():
+        group[part] = index
+    apart = group[:, None] != group[None]
+    pairs = apart[:, :, None, None] & free[:, None, :, None] & free[None, :, None, :]
+    return np.repeat(pairs[..., None], len(UP_AXES), axis=-1)
 
 
 def _check_padding(piece: Furniture, max_parts: int, max_points: int) -> None:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import os
 import time
 import zlib
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -15,7 +16,6 @@ from multiprocessing import get_context
 from typing import Any
 
 import numpy as np
-from scipy.stats import binomtest
 
 from roboassembly.envs.object_centric import ObjectCentricEnv
 from roboassembly.errors import InputError, RoboAssemblyError, UnknownNameError
@@ -28,7 +28,10 @@ from roboassembly.solvers.joint_rrt import solve_jointly
 from roboassembly.solvers.prober import probe
 from roboassembly.solvers.search import solve
 from roboassembly.task.object_centric import ObjectCentricTask, Verdict
+from roboassembly.task.plan import Plan, PlanStep
 
+_Z = 1.959963984540054
+"""97.5 % of a standard normal distribution lies below."""
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 
 
@@ -96,24 +99,44 @@ def success(episodes: Sequence[Episode]) -> dict[str, object]:
     n, solved = len(episodes), sum(e.success for e in episodes)
     if not n:
         return {"n": 0, "success_rate": None, "ci95": None}
-    interval = binomtest(solved, n).proportion_ci(0.95, method="wilson")
-    return {
-        "n": n,
-        "success_rate": solved / n,
-        "ci95": [round(float(interval.low), 4), round(float(interval.high), 4)],
-    }
+    low, high = wilson(solved, n)
+    return {"n": n, "success_rate": solved / n, "ci95": [round(low, 4), round(high, 4)]}
+
+
+def wilson(solved: int, n: int) -> tuple[float, float]:
+    """The 95 % interval of a share of n > 0 (Wilson 1927)."""
+    p, weight = solved / n, _Z**2 / n
+    middle, half = p + weight / 2.0, _Z * math.sqrt(p * (1.0 - p) / n + weight / (4.0 * n))
+    return max(0.0, (middle - half) / (1.0 + weight)), min(1.0, (middle + half) / (1.0 + weight))
 
 
 def _mean(values: Sequence[float]) -> float | None:
     return sum(values) / len(values) if values else None
 
 
-def play_episode(policy: Policy, furniture: Furniture, seed: int) -> Episode:
-    """One episode in the environment, by `reset` and `step` alone."""
+@dataclass(frozen=True, eq=False)
+class Play:
+    """What a policy did alone."""
+
+    plan: Plan
+    """Its merges; not a success if it failed."""
+    actions: tuple[tuple[int, ...], ...]
+    """One more than merges if it failed."""
+    verdict: str
+    """Of the last step."""
+    planning_steps: int
+    planning_seconds: float
+    policy_seconds: float
+
+
+def play(policy: Policy, furniture: Furniture, seed: int) -> Play:
+    """Let a policy play one episode of the environment, by `reset` and `step` alone."""
     env = ObjectCentricEnv(furniture, cloud_points=policy.cloud_points)
     observation, info = env.reset(seed=seed)
+    initial = env.state.part_poses
     actions: list[tuple[int, ...]] = []
-    steps, merges, planning, thinking, over = 0, 0, 0.0, 0.0, False
+    merges: list[PlanStep] = []
+    states, planning, thinking, over = 0, 0.0, 0.0, False
     while not over:
         begun = time.perf_counter()
         action = policy.act(observation, info["action_mask"])
@@ -121,12 +144,21 @@ def play_episode(policy: Policy, furniture: Furniture, seed: int) -> Episode:
         observation, _, terminated, truncated, info = env.step(action)
         over = terminated or truncated
         actions.append(tuple(int(a) for a in action))
-        merges += info["verdict"] == Verdict.MERGED
-        steps += info["planning_steps"]
-        planning += env.last_outcome.planning_seconds if env.last_outcome is not None else 0.0
+        states += info["planning_steps"]
+        outcome = env.last_outcome
+        if outcome is not None:
+            planning += outcome.planning_seconds
+            merges += [outcome.step] if outcome.step is not None else []
+    plan = Plan(furniture, initial, tuple(merges), bool(info["success"]), seed)
+    return Play(plan, tuple(actions), info["verdict"], states, planning, thinking)
+
+
+def play_episode(policy: Policy, furniture: Furniture, seed: int) -> Episode:
+    """One episode of a policy, your own included."""
+    done = play(policy, furniture, seed)
     return Episode(
-        furniture.name, len(furniture.parts), seed, bool(info["success"]), merges, info["verdict"], steps, planning,
-        thinking, tuple(actions),
+        furniture.name, len(furniture.parts), seed, done.plan.success, len(done.plan.steps), done.verdict,
+        done.planning_steps, done.planning_seconds, done.policy_seconds, done.actions,
     )  # fmt: skip
 
 
@@ -145,9 +177,7 @@ def _joint(furniture: Furniture, seed: int) -> Episode:
     parts, solved = len(furniture.parts), result.status is PlanningStatus.SOLVED
     verdict = Verdict.MERGED.value if solved else result.status.value
     merges = (parts - 1) * solved
-    return Episode(
-        furniture.name, parts, seed, solved, merges, verdict, result.planning_steps, result.planning_seconds
-    )
+    return Episode(furniture.name, parts, seed, solved, merges, verdict, result.planning_steps, result.planning_seconds)
 
 
 def _right_pairs(furniture: Furniture, seed: int, best_w: bool) -> Episode:
@@ -168,6 +198,8 @@ SOLVERS: dict[str, Player] = {
 }
 """`search` knows how the furniture comes apart; `joint-rrt` is the paper's baseline; `right-pairs` always takes a right
 pair, in random order, with its best `w` or a random one: what is left to learn once pairs are known."""
+EXPORTABLE = ("search",)
+"""Solvers whose episodes tell their actions."""
 
 
 def player(policy: str | Policy, search: bool = False) -> Player:
@@ -188,9 +220,7 @@ def player(policy: str | Policy, search: bool = False) -> Player:
             return SOLVERS[policy]
         if policy == RANDOM and not search:
             # Fresh in each episode: what it draws must not depend on what the worker has played before.
-            return lambda furniture, seed: play_episode(
-                RandomPolicy(np.random.default_rng([seed, 1])), furniture, seed
-            )
+            return lambda furniture, seed: play_episode(RandomPolicy(np.random.default_rng([seed, 1])), furniture, seed)
         try:
             policy = load_policy(policy)
         except UnknownNameError:
@@ -227,7 +257,7 @@ def evaluate(
     own = player(policy, search)
     work = [(pick, [episode_seed(seed, pick.name, i) for i in range(episodes)]) for pick in picks]
     if jobs == 1:
-        return (episode for pick, seeds in work for episode in _play(own, pick, seeds))
+        return (episode for pick, seeds in work for episode in _play_piece(own, pick, seeds))
     return _in_processes(policy, search, work, jobs)
 
 
@@ -235,6 +265,7 @@ def _in_processes(
     policy: str | Policy, search: bool, work: Sequence[tuple[Pick, list[int]]], jobs: int
 ) -> Iterator[Episode]:
     # Spawned, because a fork would share the planner's and the renderer's threads.
+    futures: list[Future[list[Episode]]] = []
     pool = ProcessPoolExecutor(min(jobs, len(work)), get_context("spawn"), _start, (policy, search))
     try:
         with _one_thread_each():
@@ -242,10 +273,11 @@ def _in_processes(
         for future in futures:
             yield from future.result()
     except BrokenProcessPool:
-        late = ", ".join(pick.name for (pick, _), f in zip(work, futures, strict=True) if not f.done() or f.exception())
+        done = sum(f.done() and not f.exception() for f in futures)
+        late = ", ".join(pick.name for (pick, _), f in zip(work, futures, strict=False) if f.exception())
         raise RoboAssemblyError(
-            f"a worker process died (out of memory?) with these pieces not played yet: {late[:200]}; fewer --jobs, or "
-            "--jobs 1 to see where"
+            f"a worker process died (out of memory?) after {done} of {len(work)} pieces, among them not: {late:.200}; "
+            "fewer --jobs would take less memory, --jobs 1 would show which piece it was"
         ) from None
     finally:
         pool.shutdown(cancel_futures=True)
@@ -260,10 +292,10 @@ def _start(policy: str | Policy, search: bool) -> None:
 
 
 def _play_here(pick: Pick, seeds: list[int]) -> list[Episode]:
-    return _play(_here["player"], pick, seeds)
+    return _play_piece(_here["player"], pick, seeds)
 
 
-def _play(own: Player, pick: Pick, seeds: list[int]) -> list[Episode]:
+def _play_piece(own: Player, pick: Pick, seeds: list[int]) -> list[Episode]:
     furniture = pick.furniture()
     known: dict[str, Any] = {}
     if pick.entry is not None:

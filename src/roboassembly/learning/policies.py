@@ -15,10 +15,10 @@ A policy of your own needs no base class, only the attributes of `Policy`:
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from importlib import resources
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float32, Int
@@ -36,6 +36,9 @@ from roboassembly.solvers.guide import Guide, Suggestion
 from roboassembly.task.groups import TaskState
 from roboassembly.task.object_centric import ObjectCentricTask
 
+if TYPE_CHECKING:
+    from roboassembly.learning.paper import PaperConfig
+
 RANDOM = "random"
 SHIPPED = ("relational", "paper")
 """Policies whose checkpoints belong into the package, as `weights/NAME.npz`."""
@@ -44,8 +47,9 @@ _TIE = 1e-3
 """Values nearer than this to the best count as equal: rounding must not choose between equal parts."""
 _SUGGESTIONS = 32
 """That a guide makes in a state, at most."""
-_LARGEST = 4096
-"""Of any size in a checkpoint's configuration: a broken file must not ask for all memory."""
+_LARGEST, _DEEPEST = 4096, 64
+"""Of any size, and of layers, in a checkpoint's configuration: a broken file must not ask for all memory."""
+Config = TypeVar("Config", relational.RelationalConfig, "PaperConfig")
 
 Mask = Bool[np.ndarray, "P P K K 6"]
 """Which actions `(u, v, k, l, w)` exist, as in `info["action_mask"]`."""
@@ -127,7 +131,9 @@ class RelationalPolicy:
         Raises:
             InputError: its configuration or arrays are not those of such a network.
         """
-        config = _network_config(loaded.config.get("network"), where)
+        config = _network_config(relational.RelationalConfig(), loaded.config.get("network"), where)
+        if config.token % config.heads:
+            raise InputError(f"'{where}': {config.heads} heads do not divide tokens of {config.token}; they must")
         _check_arrays(loaded.params, relational.init(np.random.default_rng(0), config), where)
         return RelationalPolicy(loaded.params, where)
 
@@ -197,22 +203,40 @@ def load_policy(name: str, seed: int = 0) -> Policy:
 def _of_checkpoint(loaded: Checkpoint, where: str) -> Policy:
     if loaded.kind == relational.KIND:
         return RelationalPolicy.from_checkpoint(loaded, where)
+    if loaded.kind == "paper":
+        from roboassembly.learning import autoencoder, paper
+
+        rng, zeros = np.random.default_rng(0), np.zeros(paper.STATE, np.float32)
+        network = paper.init(rng, _network_config(paper.PaperConfig(), loaded.config.get("network"), where))
+        inputs = {"mean": zeros, "scale": zeros}
+        wanted = {"network": network, "inputs": inputs, "encoder": autoencoder.init(rng)}
+        _check_arrays(loaded.params, wanted, where)
+        return paper.PaperPolicy.from_checkpoint(loaded)
     raise InputError(f"'{where}' holds a '{loaded.kind}' network, which is no policy; '{relational.KIND}' would do")
 
 
-def _network_config(found: Any, where: str) -> relational.RelationalConfig:
-    """The sizes of a relational network, checked."""
-    known = [f.name for f in fields(relational.RelationalConfig)]
-    if not isinstance(found, dict) or sorted(found) != sorted(known):
-        told = sorted(found) if isinstance(found, dict) else found
+def _network_config(usual: Config, found: Any, where: str) -> Config:
+    """The sizes of a network from a checkpoint's configuration, checked.
+
+    Args:
+        usual: such a configuration, for the names and kinds of its fields.
+        found: what the checkpoint has.
+        where: the file.
+
+    Raises:
+        InputError: it has other fields, or sizes that are none.
+    """
+    known = {f.name: getattr(usual, f.name) for f in fields(usual)}
+    if not isinstance(found, dict) or found.keys() != known.keys():
+        told = ", ".join(sorted(found)) if isinstance(found, dict) else repr(found)
         raise InputError(f"'{where}': config['network'] holds {told}; it should hold {', '.join(known)}")
-    for name, size in found.items():
-        if type(size) is not int or not 1 <= size <= _LARGEST:
-            raise InputError(f"'{where}': config['network']['{name}'] is {size!r}; 1 to {_LARGEST} would do")
-    config = relational.RelationalConfig(**found)
-    if config.token % config.heads or config.layers > 64:
-        raise InputError(f"'{where}': {asdict(config)}; heads must divide token, and layers be 64 at most")
-    return config
+    for name, value in found.items():
+        if type(value) is not type(known[name]):
+            raise InputError(f"'{where}': config['network']['{name}'] is {value!r}; like {known[name]!r} would do")
+        most = _DEEPEST if name == "layers" else _LARGEST
+        if isinstance(value, int) and not isinstance(value, bool) and not 1 <= value <= most:
+            raise InputError(f"'{where}': config['network']['{name}'] is {value}; 1 to {most} would do")
+    return replace(usual, **found)
 
 
 def _check_arrays(found: Params, wanted: Params, where: str, above: str = "") -> None:

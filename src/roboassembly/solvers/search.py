@@ -8,6 +8,10 @@ the rest thought through again; where nothing is left, the last merge is taken b
 Three rounds, each wider and dearer than the last: straight exits only and no sampling planner; everything that no
 neighbour holds back; at last every split of a set into two connected halves, so that nothing assemblable is missed
 but what the planner's budget cuts off.
+
+A guide (`solvers.guide`) may go first: its suggestions are followed depth first, the planner judging each; where they
+are spent the reasoning takes over, and where that sees no way left the last merge is taken back. What the guide gets
+wrong costs time only: in the end the three rounds start over without it.
 """
 
 from __future__ import annotations
@@ -16,19 +20,30 @@ import time
 import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from itertools import count
+from itertools import count, takewhile
 
 import numpy as np
 
 from roboassembly.furniture.model import Furniture
 from roboassembly.planning.problem import Budget
 from roboassembly.solvers.blocking import BlockingGraphs
+from roboassembly.solvers.guide import Guide
 from roboassembly.task.groups import TaskState, corresponding_point
 from roboassembly.task.object_centric import UP_AXES, ObjectCentricTask, Verdict
 from roboassembly.task.plan import Plan, PlanStep
 
 _HOPELESS = -0.5
 """Score of an option that the first round leaves out: it would end in the ground, or leave the joint downward."""
+_GUIDED_BUDGET = Budget(states=0)
+"""For each merge that a guide suggests: retreats only, as in the first round."""
+_GUIDED_STRAYS = 3
+"""Times that a guide may lead to where nothing goes on; then reasoning takes over."""
+_GUIDED_SHARE = 4
+"""A guide gets one part in so many of the limits, so that the rounds after it have enough left."""
+_GUIDED_WIDTH = 5
+"""Suggestions tried in each state."""
+_GUIDED_SCORE = 0.1
+"""Suggestions below it are left alone."""
 Parts = frozenset[int]
 """Slots of the furniture, which is what the search reasons about: equal parts may have swapped theirs."""
 Split = tuple[Parts, Parts]
@@ -59,6 +74,10 @@ class SearchResult:
     backtracks: int
     reason: str
     """Why there is no plan; empty if there is one."""
+    guided: int = 0
+    """The plan's first so many merges are the guide's."""
+    guide_seconds: float = 0.0
+    """Time that the guide took; not part of `planning_seconds`."""
 
 
 @dataclass(frozen=True)
@@ -96,10 +115,65 @@ class _Search:
     planning_seconds: float = 0.0
     attempts: int = 0
     backtracks: int = 0
+    guided: int = 0
+    guide_seconds: float = 0.0
+    strays: int = 0
     verdicts: dict[str, int] = field(default_factory=dict)
 
     def exhausted(self) -> bool:
         return self.planning_steps + self.graphs.states > self.limits.states or self.attempts >= self.limits.attempts
+
+    def follow(self, guide: Guide, state: TaskState) -> bool:
+        """Depth first from `state` along the guide's suggestions; the steps taken are kept if it succeeds."""
+        if state.complete:
+            return True
+        begun = time.perf_counter()
+        suggestions = guide(self.task, state)
+        self.guide_seconds += time.perf_counter() - begun
+        tries = followed = 0
+        for suggestion in takewhile(lambda s: s.score >= _GUIDED_SCORE, suggestions):
+            # Led astray once, think before following on.
+            if self.exhausted() or tries == _GUIDED_WIDTH or self.strays == _GUIDED_STRAYS:
+                break
+            if self.strays and self.hopeless(state):
+                break
+            if self.strays and self.hopeless(self.joined(state, suggestion.action)):
+                continue
+            tries += 1
+            after = self.attempt(state, suggestion.action, _GUIDED_BUDGET)
+            if after is None:
+                continue
+            followed += 1
+            self.guided += 1
+            if self.follow(guide, after):
+                return True
+            self.guided -= 1
+            self.steps.pop()
+            self.backtracks += 1
+        # With nothing taken over from the guide, the rounds will do this themselves.
+        told = next(self.task.pairs.own_places(state), None)
+        success = bool(self.steps) and told is not None and self.extend(told)
+        self.strays += not success and not followed
+        return success
+
+    def hopeless(self, state: TaskState | None) -> bool:
+        """Whether reasoning sees no way on from a state, in which equal parts may have swapped places."""
+        told = next(self.task.pairs.own_places(state), None) if state is not None else None
+        if told is None or (partition := _partition(told)) in self.dead:
+            return True
+        return self.disassemble(partition, self.refused) is None
+
+    def joined(self, state: TaskState, action: tuple[int, ...]) -> TaskState | None:
+        """What would be joined after an action; nothing is planned, nothing moves. None if the pair is wrong."""
+        if not self.task.exists(state, action):
+            return None
+        u, v, k, l, _ = action  # noqa: E741
+        u_group, v_group = state.groups[state.group_of[u]], state.groups[state.group_of[v]]
+        merge = self.task.pairs.judge(u_group, v_group, u, k, v, l)
+        if merge is None:
+            return None
+        others = (g for g in state.groups if g is not u_group and g is not v_group)
+        return TaskState((*others, merge.merged))
 
     def extend(self, state: TaskState, merges: Sequence[Split] = ()) -> bool:
         """Depth first from `state`; the steps taken are kept in `self.steps` if it succeeds.
@@ -110,9 +184,11 @@ class _Search:
         """
         if state.complete:
             return True
-        partition = frozenset(frozenset(g.slots) for g in state.groups)
+        partition = _partition(state)
         if partition in self.dead:
             return False
+        if merges and not partition.issuperset(merges[0]):
+            merges = ()
         excluded: set[frozenset[Parts]] = set()
         while not self.exhausted():
             merges = merges or self.disassemble(partition, self.refused | excluded) or ()
@@ -137,16 +213,27 @@ class _Search:
         for action in self.options(state, leaving, staying):
             if self.exhausted():
                 return None
-            self.attempts += 1
-            words = np.random.SeedSequence([self.seed, zlib.crc32(repr(action).encode())]).generate_state(1)
-            outcome = self.task.step(state, action, int(words[0]), self.round.budget)
-            self.planning_steps += outcome.planning_steps
-            self.planning_seconds += outcome.planning_seconds
-            self.verdicts[outcome.verdict] = self.verdicts.get(outcome.verdict, 0) + 1
-            if outcome.verdict is Verdict.MERGED and outcome.step is not None:
-                self.steps.append(outcome.step)
-                return outcome.state
+            after = self.attempt(state, action, self.round.budget)
+            if after is not None:
+                # From where equal parts had swapped places, the pair may have gone into other slots than these.
+                told = next(self.task.pairs.own_places(after), None)
+                if told is not None:
+                    return told
+                self.steps.pop()
         return None
+
+    def attempt(self, state: TaskState, action: tuple[int, ...], budget: Budget) -> TaskState | None:
+        """Hand one merge to the planner; None if it refuses, else its step is appended to `self.steps`."""
+        self.attempts += 1
+        words = np.random.SeedSequence([self.seed, zlib.crc32(repr(action).encode())]).generate_state(1)
+        outcome = self.task.step(state, action, int(words[0]), budget)
+        self.planning_steps += outcome.planning_steps
+        self.planning_seconds += outcome.planning_seconds
+        self.verdicts[outcome.verdict] = self.verdicts.get(outcome.verdict, 0) + 1
+        if outcome.verdict is not Verdict.MERGED or outcome.step is None:
+            return None
+        self.steps.append(outcome.step)
+        return outcome.state
 
     def options(self, state: TaskState, leaving: Parts, staying: Parts) -> list[tuple[int, ...]]:
         """Actions that join the two groups. Rising out of the joint is best; ending up in the ground is worst."""
@@ -257,21 +344,33 @@ class _Search:
             layer = {h | g for h in layer for g in groups if g & reach[h]}
 
 
+def _partition(state: TaskState) -> frozenset[Parts]:
+    return frozenset(frozenset(g.slots) for g in state.groups)
+
+
 def solve(
-    furniture: Furniture, seed: int, *, task: ObjectCentricTask | None = None, limits: SearchLimits | None = None
+    furniture: Furniture,
+    seed: int,
+    *,
+    task: ObjectCentricTask | None = None,
+    limits: SearchLimits | None = None,
+    guide: Guide | None = None,
 ) -> SearchResult:
     """Search for an assembly from a random start; the same seed gives the same plan.
 
     Args:
         seed: of the initial placement and of the planner.
         task: of this furniture, to share what it has computed; a new one if None.
+        guide: suggests merges; plain reasoning if None.
     """
     task = task or ObjectCentricTask(furniture)
     initial = task.initial_state(np.random.default_rng(seed))
-    return solve_from(task, initial, seed, limits or SearchLimits())
+    return solve_from(task, initial, seed, limits or SearchLimits(), guide)
 
 
-def solve_from(task: ObjectCentricTask, initial: TaskState, seed: int, limits: SearchLimits) -> SearchResult:
+def solve_from(
+    task: ObjectCentricTask, initial: TaskState, seed: int, limits: SearchLimits, guide: Guide | None = None
+) -> SearchResult:
     """As `solve`, from a state that is given, in which equal parts may have taken each other's places."""
     state = next(task.pairs.own_places(initial), None)
     if state is None:
@@ -279,7 +378,11 @@ def solve_from(task: ObjectCentricTask, initial: TaskState, seed: int, limits: S
         return SearchResult(nothing, 0, 0.0, 0, 0, "two groups need the same place in the furniture")
     search = _Search(task, BlockingGraphs(task.furniture), limits, seed)
     success = False
-    for search.round in _ROUNDS:
+    if guide is not None:
+        search.limits = SearchLimits(limits.states // _GUIDED_SHARE, limits.attempts // _GUIDED_SHARE)
+        success = search.follow(guide, state)
+        search.limits = limits
+    for search.round in () if success else _ROUNDS:
         search.refused.clear()
         search.dead.clear()
         success = search.extend(state)
@@ -297,4 +400,6 @@ def solve_from(task: ObjectCentricTask, initial: TaskState, seed: int, limits: S
         search.attempts,
         search.backtracks,
         reason,
+        search.guided,
+        search.guide_seconds,
     )

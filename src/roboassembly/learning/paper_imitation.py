@@ -1,0 +1,367 @@
+"""Teaches the paper's policy from lessons: imitation of Q-values with `L1 + 50 L2`, resumable at any moment.
+
+The teacher is a chair's expert where a lesson has its Q-values, else the oracle, whose answers give the best
+undiscounted return-to-go exactly (`targets`). Both are returns: 1 for each merge, 4 more for the whole.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+from jaxtyping import Bool, Float, Float16, Float32, Int16
+
+from roboassembly.errors import InputError
+from roboassembly.furniture.model import MAX_POINTS
+from roboassembly.learning import autoencoder, checkpoint, paper
+from roboassembly.learning.augment import Change, changed
+from roboassembly.learning.batches import size_for
+from roboassembly.learning.layers import Params
+from roboassembly.learning.lessons import Course, Lesson
+from roboassembly.learning.paper import STATE, PaperConfig, PaperState
+from roboassembly.task.object_centric import UP_AXES
+
+LAMBDA = 50.0
+"""The paper's weight of L2."""
+WHOLE = 4.0
+"""Reward for the whole furniture, besides 1 for the last merge."""
+_ENCODED = 32
+"""Clouds at a time."""
+_SORTED = 8
+"""Batches among which examples of like size are put together: padding costs time."""
+_NORMALISED_BY = 4096
+"""States, at most, that the mean and deviation of the inputs are taken from."""
+
+
+@dataclass(frozen=True)
+class Training:
+    """How to train."""
+
+    steps: int = 20_000
+    learning_rate: float = 1.5e-3
+    warmup: int = 200
+    weight_decay: float = 5e-2
+    batch: int = 64
+    """States."""
+    scatter: bool = True
+    """Let groups lie elsewhere in every state that is taught, at random (not in the paper)."""
+    seed: int = 0
+    keep_every: float = 60.0
+    """Seconds between checkpoints."""
+
+
+@dataclass(frozen=True)
+class Augmentation:
+    """What is made of each course before training."""
+
+    copies: int = 4
+    """Noisy clouds of each part, besides the clean one."""
+    noise: float = 0.003
+    """Metres: standard deviation of the noise along each axis."""
+    changes: int = 0
+    """Versions of each chair besides itself: mirrored, turned, of another size (not in the paper)."""
+    seed: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class Example:
+    """A state ready for the network, small enough to keep a hundred thousand."""
+
+    course: int
+    features: Float32[np.ndarray, "c P 48"]
+    """Of the parts' clouds: clean, then noisy copies. Shared by the states of a chair."""
+    points: Float16[np.ndarray, "P K 9"]
+    poses: Float16[np.ndarray, "P 6"]
+    connections: Float16[np.ndarray, "P P 6"]
+    part: Int16[np.ndarray, "n"]
+    """Of each free point."""
+    point: Int16[np.ndarray, "n"]
+    group: Int16[np.ndarray, "n"]
+    joints: Int16[np.ndarray, "j 2"]
+    """Rows and columns of right pairs."""
+    worth: Float32[np.ndarray, "j 6"]
+    """Exact Q-values of right pairs; all others' are 0."""
+    values: Float16[np.ndarray, "n n 6"] | None
+    """An expert's Q-values, taught in place of `worth` if there are any."""
+
+    @property
+    def parts(self) -> int:
+        """How many."""
+        return len(self.poses)
+
+    def state(self, copy: int) -> PaperState:
+        """With one of the copies of the features."""
+        return PaperState(self.features[copy], self.points, self.poses, self.connections)
+
+    def exact(self) -> Float32[np.ndarray, "n n 6"]:
+        """Exact Q-values."""
+        n = len(self.part)
+        out = np.zeros((n, n, len(UP_AXES)), np.float32)
+        out[self.joints[:, 0], self.joints[:, 1]] = self.worth
+        return out
+
+
+def worth_of(lesson: Lesson) -> Float32[np.ndarray, "j 6"]:
+    """Exact Q of the right pairs in `lesson.joints`: the best undiscounted return from the action on.
+
+    Where the furniture can be finished after it, that is one for this and each later merge, and 4. A merge into a dead
+    end counts 1: what more could be had there the oracle does not tell, so this is a lower bound. An action that
+    cannot be carried out has 0, and so has every wrong pair.
+    """
+    merges = len(np.unique(lesson.group)) - 1
+    solvable, ways = lesson.joints[:, 4:5], lesson.joints[:, 5:]
+    return (ways * np.where(solvable, merges + WHOLE, 1.0)).astype(np.float32)
+
+
+def examples_of(courses: Sequence[Course], encoder: Params, augmentation: Augmentation) -> list[Example]:
+    """All lessons of some courses, augmented: what the same seed draws does not depend on the other courses."""
+    return [
+        example
+        for index, course in enumerate(courses)
+        for example in _examples_of_one(course, index, encoder, augmentation)
+    ]
+
+
+def _examples_of_one(course: Course, index: int, encoder: Params, a: Augmentation) -> Iterator[Example]:
+    rng = np.random.default_rng([a.seed, index])
+    for version in [course, *(changed(course, Change.draw(rng)) for _ in range(a.changes))]:
+        clouds = version.clouds
+        noisy = [clouds + rng.normal(0.0, a.noise, clouds.shape).astype(np.float32) for _ in range(a.copies)]
+        features = _features(encoder, np.concatenate([clouds, *noisy])).reshape(1 + a.copies, len(clouds), -1)
+        for lesson in version.lessons:
+            yield _example(lesson, index, features)
+
+
+def _features(encoder: Params, clouds: Float32[np.ndarray, "b n 3"]) -> Float32[np.ndarray, "b 48"]:
+    """Of many clouds, some at a time, so that one shape is compiled."""
+    room = np.zeros((-(-len(clouds) // _ENCODED) * _ENCODED, *clouds.shape[1:]), np.float32)
+    room[: len(clouds)] = clouds
+    chunks = np.split(room, len(room) // _ENCODED)
+    return np.concatenate([np.asarray(_encode(encoder, chunk)) for chunk in chunks])[: len(clouds)]
+
+
+_encode = jax.jit(autoencoder.encode)
+
+
+def _example(lesson: Lesson, index: int, features: Float32[np.ndarray, "c P 48"]) -> Example:
+    part, point = np.nonzero(lesson.free)
+    number = np.full(lesson.free.shape, -1)
+    number[part, point] = np.arange(len(part))
+    u, k, v, l = lesson.joints[:, :4].T  # noqa: E741
+    return Example(
+        course=index,
+        features=features,
+        points=lesson.points.astype(np.float16),
+        poses=lesson.poses.astype(np.float16),
+        connections=lesson.connections.astype(np.float16),
+        part=part.astype(np.int16),
+        point=point.astype(np.int16),
+        group=lesson.group[part].astype(np.int16),
+        joints=np.stack([number[u, k], number[v, l]], axis=1).astype(np.int16),
+        worth=worth_of(lesson),
+        values=lesson.values,
+    )
+
+
+def scattered(
+    poses: Float[np.ndarray, "P 6"], connections: Float[np.ndarray, "P P 6"], rng: np.random.Generator
+) -> Float[np.ndarray, "P 6"]:
+    """World poses after each group is turned about the vertical and moved up to half a metre: nothing depends on it."""
+    joined = (connections != 0).any(axis=2) | np.eye(len(poses), dtype=bool)
+    group = np.argmax(joined, axis=1)
+    angle = rng.uniform(-np.pi, np.pi, len(poses))[group]
+    shift = rng.uniform(-0.5, 0.5, (len(poses), 2))[group]
+    center = poses[group, :2]
+    cosine, sine = np.cos(angle), np.sin(angle)
+    x, y = (poses[:, :2] - center).T
+    out = poses.astype(np.float32)
+    out[:, :2] = center + shift + np.stack([cosine * x - sine * y, sine * x + cosine * y], axis=1)
+    out[:, 5] = (poses[:, 5] + angle + np.pi) % (2.0 * np.pi) - np.pi  # yaw is turned last
+    return out
+
+
+def batch_of(
+    examples: Sequence[Example], rng: np.random.Generator | None, *, scatter: bool = False
+) -> dict[str, np.ndarray]:
+    """Padded arrays with targets.
+
+    Args:
+        examples: at least one.
+        rng: draws noisy copies of features, and what follows; without it there is neither.
+        scatter: let groups lie elsewhere.
+
+    Returns:
+        `state` (b, 5280), `slot` (b, n), `exists` (b, n, n) and `target` (b, n, n, 6).
+    """
+    b, n = len(examples), size_for(max(len(e.part) for e in examples))
+    batch = {
+        "state": np.zeros((b, STATE), np.float32),
+        "slot": np.zeros((b, n), np.int32),
+        "exists": np.zeros((b, n, n), bool),
+        "target": np.zeros((b, n, n, len(UP_AXES)), np.float32),
+    }
+    for row, e in enumerate(examples):
+        state = e.state(int(rng.integers(len(e.features))) if rng is not None else 0)
+        if scatter and rng is not None:
+            state = replace(state, poses=scattered(state.poses, state.connections, rng))
+        state.write(batch["state"][row])
+        free = slice(len(e.part))
+        batch["slot"][row, free] = MAX_POINTS * e.part + e.point
+        batch["exists"][row, free, free] = e.group[:, None] != e.group[None]
+        if e.values is not None:
+            batch["target"][row, free, free] = e.values
+        else:
+            batch["target"][row, e.joints[:, 0], e.joints[:, 1]] = e.worth
+    return batch
+
+
+def imitation_losses(
+    q: Float[jax.Array, "b a"], target: Float[jax.Array, "b a"], exists: Bool[jax.Array, "b a"]
+) -> tuple[Float[jax.Array, "b"], Float[jax.Array, "b"]]:
+    """The paper's two losses of each state, over the actions that exist.
+
+    L1 is the squared norm of `Q - Q_teacher`, a sum over actions. (The paper writes the norm and calls it a mean square
+    loss. With the mean over actions, 50 L2 has its way, and that is least where all values are one.)
+
+    L2 is `max_a Q(a) - Q(argmax_a Q_teacher(a))`, 0 where the student's choice is the teacher's. Where several actions
+    are equally best for the teacher, that among them counts which the student values most: any would do, and if one
+    were named, equal parts and equal ways would push each other down.
+    """
+    l1 = (jnp.where(exists, q - target, 0.0) ** 2).sum(1)
+    best = exists & (target >= jnp.where(exists, target, -jnp.inf).max(1, keepdims=True))
+    highest, chosen = (jnp.where(some, q, -jnp.inf).max(1) for some in (exists, best))
+    return l1, jnp.where(exists.any(1), highest - chosen, 0.0)
+
+
+def losses(network: Any, inputs: Any, batch: dict[str, Any]) -> tuple[jax.Array, dict[str, jax.Array]]:
+    """`L1 + 50 L2`, and its terms, averaged over a batch; `chosen` is how often the student's choice is a best one."""
+    q = paper.apply(network, inputs, batch["state"], batch["slot"])
+    exists = jnp.broadcast_to(batch["exists"][..., None], q.shape)
+    l1, l2 = imitation_losses(*(x.reshape(len(q), -1) for x in (q, batch["target"], exists)))
+    terms = {"l1": l1.mean(), "l2": l2.mean(), "chosen": (l2 <= 0.0).mean()}
+    return (l1 + LAMBDA * l2).mean(), terms
+
+
+def share_good(params: Params, examples: Sequence[Example]) -> float:
+    """In what share of the states the furniture can be finished after the best-valued action.
+
+    Args:
+        params: of a checkpoint of kind `paper`.
+        examples: the states.
+    """
+    good = np.zeros(len(examples), bool)
+    for row, e in enumerate(examples):
+        batch = batch_of([e], None)
+        n = len(e.part)
+        q = paper.apply(params["network"], params["inputs"], batch["state"], batch["slot"][:, :n])[0]
+        q = np.where(batch["exists"][0, :n, :n, None], q, -np.inf)
+        exact = e.exact()
+        good[row] = exact.ravel()[np.argmax(q)] >= WHOLE
+    return float(good.mean())
+
+
+def optimiser(t: Training) -> optax.GradientTransformation:
+    """AdamW with warm-up and cosine decay."""
+    schedule = optax.warmup_cosine_decay_schedule(
+        0.0, t.learning_rate, min(t.warmup, t.steps // 10), t.steps, 0.02 * t.learning_rate
+    )
+    return optax.chain(optax.clip_by_global_norm(10.0), optax.adamw(schedule, weight_decay=t.weight_decay))
+
+
+@partial(jax.jit, static_argnums=0, donate_argnums=(1, 3))
+def _update(t: Training, network: Any, inputs: Any, state: Any, batch: Any) -> tuple[Any, Any, dict[str, jax.Array]]:
+    (loss, terms), gradient = jax.value_and_grad(losses, has_aux=True)(network, inputs, batch)
+    updates, state = optimiser(t).update(gradient, state, network)
+    return optax.apply_updates(network, updates), state, {"loss": loss, **terms}
+
+
+def train(
+    examples: Sequence[Example], encoder: Params, path: Path, training: Training, config: PaperConfig,
+    notes: dict[str, Any],
+) -> Iterator[tuple[int, dict[str, float]]]:  # fmt: skip
+    """Train until `training.steps`, from the checkpoint at `path` if there is one; yields step and losses.
+
+    A run that was stopped and goes on ends with the same weights as one that was not: what a step sees follows from
+    its number.
+
+    Args:
+        examples: to learn from.
+        encoder: of the auto-encoder that made their features; kept in the checkpoint, unchanged.
+        path: of the checkpoint, written every `training.keep_every` seconds, every 1,000 steps and at the end.
+        training: how.
+        config: of the network.
+        notes: kept in the checkpoint: what it was trained on.
+
+    Raises:
+        InputError: there is nothing to learn from, or the checkpoint at `path` is of other training.
+    """
+    if not examples:
+        raise InputError(f"no lessons for '{path}'; gather some first")
+    about = {"network": asdict(config), "training": asdict(training), **notes}
+    network: Any = paper.init(np.random.default_rng(training.seed), config)
+    state: Any = optimiser(training).init(network)
+    step = 0
+    if path.exists():
+        kept = checkpoint.load(path, paper.KIND)
+        step, network, inputs, state = _resume(kept, about, state, path)
+    else:
+        inputs = _inputs(examples, training.seed)
+    per_pass = -(-len(examples) // training.batch)
+    pass_, order = -1, np.zeros(0, int)
+    saved = time.monotonic()
+    while step < training.steps:
+        if step // per_pass != pass_:
+            pass_ = step // per_pass
+            order = _order(examples, training.batch, np.random.default_rng([training.seed, 0, pass_]))
+        rng = np.random.default_rng([training.seed, 1, step])
+        chosen = [examples[i] for i in order[step % per_pass]]
+        batch = batch_of(chosen, rng, scatter=training.scatter)
+        network, state, terms = _update(training, network, inputs, state, batch)
+        step += 1
+        if time.monotonic() - saved > training.keep_every or step % 1_000 == 0 or step == training.steps:
+            _keep(path, {"encoder": encoder, "inputs": inputs, "network": network}, state, step, about)
+            saved = time.monotonic()
+        yield step, {k: float(v) for k, v in terms.items()}
+
+
+def _order(examples: Sequence[Example], batch: int, rng: np.random.Generator) -> np.ndarray:
+    """One pass: (batches, batch) numbers of examples, mixed, but those of like size together within a few batches."""
+    order = np.resize(rng.permutation(len(examples)), -(-len(examples) // batch) * batch)
+    sizes = np.array([len(e.part) for e in examples])[order]
+    windows = np.arange(len(order)) // (_SORTED * batch)
+    batches = order[np.lexsort((sizes, windows))].reshape(-1, batch)
+    return batches[rng.permutation(len(batches))]
+
+
+def _inputs(examples: Sequence[Example], seed: int) -> Params:
+    some = np.random.default_rng([seed, 2]).permutation(len(examples))[:_NORMALISED_BY]
+    states = np.zeros((len(some), STATE), np.float32)
+    for row, i in zip(states, some, strict=True):
+        examples[i].state(0).write(row)
+    return dict(paper.standard(states))
+
+
+def _keep(path: Path, params: Any, state: Any, step: int, about: dict[str, Any]) -> None:
+    leaves = {f"optimiser{i}": np.asarray(leaf) for i, leaf in enumerate(jax.tree.leaves(state))}
+    extra = {**leaves, "step": np.array(step)}
+    checkpoint.save(path, checkpoint.Checkpoint(paper.KIND, jax.tree.map(np.asarray, params), about, extra))
+
+
+def _resume(kept: checkpoint.Checkpoint, about: dict[str, Any], state: Any, path: Path) -> tuple[int, Any, Any, Any]:
+    differing = [k for k in about if kept.config.get(k) != about[k]]
+    if differing:
+        raise InputError(f"'{path}' was trained with other {', '.join(differing)}; name another file, or remove it")
+    leaves = [kept.extra[f"optimiser{i}"] for i in range(len(jax.tree.leaves(state)))]
+    params = kept.params
+    return (
+        int(kept.extra["step"]), params["network"], params["inputs"],
+        jax.tree.unflatten(jax.tree.structure(state), leaves),
+    )  # fmt: skip

@@ -1,0 +1,28 @@
+"""What the search may be guided by: something that suggests actions. It orders branches; nothing hangs on it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+from roboassembly.task.groups import TaskState
+from roboassembly.task.object_centric import ObjectCentricTask
+
+
+@dataclass(frozen=True)
+class Suggestion:
+    """One action to try."""
+
+    action: tuple[int, ...]
+    """`(u, v, k, l, w)`."""
+    score: float
+    """How likely the furniture can still be finished after it, 0 to 1."""
+
+
+class Guide(Protocol):
+    """Suggests what to do in a state."""
+
+    def __call__(self, task: ObjectCentricTask, state: TaskState) -> Sequence[Suggestion]:
+        """Actions worth trying, the most promising first; any may be wrong, and there may be none."""
+        ...
