@@ -11,9 +11,12 @@ import pytest
 
 from roboassembly.errors import InputError
 from roboassembly.furniture import catalogue, datasets
-from roboassembly.learning import checkpoint, imitation, logs, relational
+from roboassembly.learning import autoencoder, checkpoint, imitation, logs, relational
+from roboassembly.learning.evaluate import play_episode
 from roboassembly.learning.gather import EXTRA_SEEDS, extra_names, file_of, gather, load_courses
-from roboassembly.learning.multitask import Curriculum, Progress, set_hash, teach
+from roboassembly.learning.multitask import Curriculum, Progress, set_hash, teach, teach_paper
+from roboassembly.learning.paper_imitation import Training
+from roboassembly.learning.policies import load_policy
 
 TINY = relational.RelationalConfig(token=16, pair=8, layers=1, heads=2, ends=4, conflicts=2)
 SMALL = Curriculum(
@@ -89,6 +92,24 @@ def test_a_curriculum_goes_on_where_it_was_stopped(two_chairs: list[str], tmp_pa
     assert list(teach(SMALL, folder, 1)) == []
     with pytest.raises(InputError, match="curriculum"):
         list(teach(replace(SMALL, round_steps=8), folder, 1))
+
+
+def test_the_papers_policy_is_taught_from_folders_of_lessons(tmp_path: Path) -> None:
+    list(gather(["cantilever:1"], tmp_path / "lessons", plays=1, seed=0, jobs=1))
+    encoder = autoencoder.init(np.random.default_rng(0))
+    extractor = tmp_path / "autoencoder.npz"
+    checkpoint.save(extractor, checkpoint.Checkpoint(autoencoder.KIND, encoder, {}, {}))
+    training = Training(steps=2, batch=4)
+    said = list(teach_paper([tmp_path / "lessons"], extractor, tmp_path / "run", training))
+    assert [p.done for p in said] == [1, 2]
+    policy = load_policy(str(tmp_path / "run" / "policy.npz"))
+    assert play_episode(policy, catalogue.make("cantilever", 1), 0).merges in range(4)
+    # More lessons are another run's.
+    list(gather(["cantilever:5"], tmp_path / "lessons", plays=1, seed=0, jobs=1))
+    with pytest.raises(InputError, match="other lessons"):
+        list(teach_paper([tmp_path / "lessons"], extractor, tmp_path / "run", training))
+    with pytest.raises(InputError, match="no lessons"):
+        list(teach_paper([tmp_path / "empty"], extractor, tmp_path / "other", training))
 
 
 def test_share_good_counts_states_whose_surest_action_leads_on(tmp_path: Path) -> None:

@@ -10,7 +10,6 @@ to unit radius first; centre and radius are appended to the feature.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -19,8 +18,6 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from roboassembly.errors import InputError
-from roboassembly.learning import checkpoint
 from roboassembly.learning.layers import Array, Params, init_mlp, mlp
 
 KIND = "autoencoder"
@@ -102,18 +99,13 @@ def train(
     import jax
     import optax
 
+    from roboassembly.learning.runs import Run
+
     about = {"training": asdict(training), **notes}
     optimiser = optax.adam(optax.cosine_decay_schedule(training.learning_rate, training.steps))
-    params: Any = init(np.random.default_rng(training.seed))
-    state: Any = optimiser.init(params)
-    step = 0
-    if path.exists():
-        kept = checkpoint.load(path, KIND)
-        if {k: kept.config.get(k) for k in about} != about:
-            raise InputError(f"'{path}' was trained otherwise; name another file, or remove it")
-        step, params = int(kept.extra["step"]), kept.params
-        leaves = [kept.extra[f"optimiser{i}"] for i in range(len(jax.tree.leaves(state)))]
-        state = jax.tree.unflatten(jax.tree.structure(state), leaves)
+    run = Run(path, KIND, about, training.steps, training.keep_every)
+    fresh = init(np.random.default_rng(training.seed))
+    step, params, state = run.resume(fresh, optimiser.init(fresh))  # pyright: ignore[reportArgumentType]
 
     def loss(p: Params, seen: Array, whole: Array) -> Array:
         return chamfer(reconstruct(p, seen), whole).mean()
@@ -125,16 +117,11 @@ def train(
         return optax.apply_updates(p, change), s, value
 
     unit = np.asarray(normalized(clouds.astype(np.float32))[0])
-    saved = time.monotonic()
     while step < training.steps:
         rng = np.random.default_rng([training.seed, step])
         chosen = unit[rng.integers(len(unit), size=training.batch)]
         points = rng.permutation(chosen.shape[1])
         params, state, value = update(params, state, chosen[:, points[: len(points) // 2]], chosen)
         step += 1
-        if time.monotonic() - saved > training.keep_every or step == training.steps:
-            leaves = {f"optimiser{i}": np.asarray(leaf) for i, leaf in enumerate(jax.tree.leaves(state))}
-            arrays = jax.tree.map(np.asarray, params)
-            checkpoint.save(path, checkpoint.Checkpoint(KIND, arrays, about, {**leaves, "step": np.array(step)}))
-            saved = time.monotonic()
+        run.keep(step, params, state)
         yield step, {"chamfer": float(value)}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, replace
@@ -21,6 +20,7 @@ from roboassembly.learning.augment import Change, changed
 from roboassembly.learning.batches import PADDED, pad, size_for
 from roboassembly.learning.gather import file_of
 from roboassembly.learning.lessons import Course, answers
+from roboassembly.learning.runs import Run
 from roboassembly.learning.tokens import Tokens
 
 _FEW = 8
@@ -106,21 +106,37 @@ def batch_of(examples: Sequence[Example], size: int) -> dict[str, np.ndarray]:
     return batch
 
 
-def batches(examples: Sequence[Example], rng: np.random.Generator, batch: int) -> Iterator[dict[str, np.ndarray]]:
-    """One pass over all examples, those of like size together."""
-    by_size: dict[int, list[int]] = {}
-    for index, e in enumerate(examples):
-        by_size.setdefault(size_for(len(e.right)), []).append(index)
+def batches(
+    examples: Sequence[Example], rng: np.random.Generator, batch: int, first: int = 0
+) -> Iterator[dict[str, np.ndarray]]:
+    """One pass over all examples, those of like size together, from the batch with number `first` on."""
     jobs = []
-    for size, indices in by_size.items():
-        count = max(2, batch * 48 // size)
+    for size, indices in _by_size(examples).items():
+        count = _count(batch, size)
         shuffled = rng.permutation(indices)
         if len(shuffled) % count:
             shuffled = np.concatenate([shuffled, rng.choice(indices, -len(shuffled) % count)])
         jobs.extend((size, chunk) for chunk in shuffled.reshape(-1, count))
-    for index in rng.permutation(len(jobs)):
+    for index in rng.permutation(len(jobs))[first:]:
         size, chunk = jobs[index]
         yield batch_of([examples[i] for i in chunk], size)
+
+
+def batches_in(examples: Sequence[Example], batch: int) -> int:
+    """How many batches one pass has."""
+    return sum(-(-len(indices) // _count(batch, size)) for size, indices in _by_size(examples).items())
+
+
+def _by_size(examples: Sequence[Example]) -> dict[int, list[int]]:
+    by_size: dict[int, list[int]] = {}
+    for index, e in enumerate(examples):
+        by_size.setdefault(size_for(len(e.right)), []).append(index)
+    return by_size
+
+
+def _count(batch: int, size: int) -> int:
+    """States of a size in a batch: fewer of larger ones."""
+    return max(2, batch * 48 // size)
 
 
 def losses(params: relational.Params, batch: dict[str, Any]) -> tuple[jax.Array, dict[str, jax.Array]]:
@@ -148,11 +164,9 @@ def losses(params: relational.Params, batch: dict[str, Any]) -> tuple[jax.Array,
 
 def share_good(params: Any, examples: Sequence[Example]) -> float:
     """In what share of the states the surest action is a good one."""
-    by_size: dict[int, list[Example]] = {}
-    for e in examples:
-        by_size.setdefault(size_for(len(e.right)), []).append(e)
     good = 0.0
-    for size, of_size in by_size.items():
+    for size, indices in _by_size(examples).items():
+        of_size = [examples[i] for i in indices]
         for first in range(0, len(of_size), _VALIDATED):
             chunk = of_size[first : first + _VALIDATED]
             batch = batch_of([*chunk, *[chunk[-1]] * (_VALIDATED - len(chunk))], size)
@@ -211,37 +225,16 @@ def train(
     params = relational.init(np.random.default_rng(training.seed), config)
     if initial is not None:
         params = checkpoint.load(initial, relational.KIND).params
-    state = optimiser(training).init(params)
-    step = 0
-    if path.exists():
-        kept = checkpoint.load(path, relational.KIND)
-        step, params, state = _resume(kept, about, state, path)
-    saved = time.monotonic()
+    run = Run(path, relational.KIND, about, training.steps, training.keep_every)
+    step, params, state = run.resume(params, optimiser(training).init(params))
+    per_pass = batches_in(examples, training.batch)
     while step < training.steps:
-        # The order of a pass follows from its first step, so that a resumed run sees what it would have seen.
-        rng = np.random.default_rng([training.seed, step])
-        for batch in batches(examples, rng, training.batch):
+        # What a step sees follows from its number, so that a resumed run ends as one that was never stopped.
+        rng = np.random.default_rng([training.seed, step // per_pass])
+        for batch in batches(examples, rng, training.batch, first=step % per_pass):
             params, state, terms = _update(training, params, state, batch)
             step += 1
-            if time.monotonic() - saved > training.keep_every or step % 1_000 == 0 or step == training.steps:
-                _keep(path, params, state, step, about)
-                saved = time.monotonic()
+            run.keep(step, params, state)
             yield step, {k: float(v) for k, v in terms.items()}
             if step == training.steps:
                 break
-
-
-def _keep(path: Path, params: Any, state: Any, step: int, about: dict[str, Any]) -> None:
-    leaves = {f"optimiser{i}": np.asarray(leaf) for i, leaf in enumerate(jax.tree.leaves(state))}
-    extra = {**leaves, "step": np.array(step)}
-    checkpoint.save(path, checkpoint.Checkpoint(relational.KIND, jax.tree.map(np.asarray, params), about, extra))
-
-
-def _resume(kept: checkpoint.Checkpoint, about: dict[str, Any], state: Any, path: Path) -> tuple[int, Any, Any]:
-    differing = [k for k in about if kept.config.get(k) != about[k]]
-    if differing:
-        raise checkpoint.InputError(
-            f"'{path}' was trained with other {', '.join(differing)}; name another file, or remove it"
-        )
-    leaves = [kept.extra[f"optimiser{i}"] for i in range(len(jax.tree.leaves(state)))]
-    return int(kept.extra["step"]), kept.params, jax.tree.unflatten(jax.tree.structure(state), leaves)

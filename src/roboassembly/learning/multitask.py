@@ -19,9 +19,11 @@ from typing import Any
 
 from roboassembly.errors import InputError
 from roboassembly.furniture.datasets import RECIPES, Pick, pick
-from roboassembly.learning import checkpoint, imitation, relational
+from roboassembly.learning import autoencoder, checkpoint, imitation, paper, paper_imitation, relational
 from roboassembly.learning.gather import EXTRA_SEEDS, extra_names, file_of, gather
 from roboassembly.learning.imitation import Example, Training
+from roboassembly.learning.lessons import Course
+from roboassembly.learning.paper import PaperConfig
 from roboassembly.learning.relational import RelationalConfig
 
 _VALIDATION_SEEDS = EXTRA_SEEDS + 1_000_000
@@ -35,17 +37,17 @@ class Curriculum:
     """Its chairs are all taught."""
     limit: int | None = None
     """The first so many of them only."""
-    extra: int = 800
-    """Generated chairs besides, of the families in the set's training split."""
-    validation: int = 26
-    """Chairs, of neither, on which progress is told."""
-    plays: int = 2
-    """Of each chair, in each round."""
-    rounds: int = 2
+    extra: int = 2_000
+    """Generated pieces besides: chairs of the set's training families, frames and boxes to practise on."""
+    validation: int = 60
+    """Pieces of neither on which progress is told."""
+    plays: int = 1
+    """Of each piece, in each round."""
+    rounds: int = 1
     """Of aggregation."""
-    steps: int = 10_000
+    steps: int = 12_000
     """Updates in the first round."""
-    round_steps: int = 5_000
+    round_steps: int = 6_000
     """Updates in each later one."""
     augment: bool = True
     """Teach every chair also mirrored, turned and in another size."""
@@ -129,6 +131,44 @@ def _taught(
         if validation and (step % 1_000 == 0 or step == training.steps):
             scalars["validation"] = imitation.share_good(checkpoint.load(path, relational.KIND).params, validation)
         yield Progress(stage, step, training.steps, scalars)
+
+
+def teach_paper(
+    folders: Sequence[Path], extractor: Path, folder: Path, training: paper_imitation.Training
+) -> Iterator[Progress]:
+    """Teach the paper's policy all lessons of some folders, from where it was left; `policy.npz` is the result.
+
+    Args:
+        folders: of lessons, of experts or of the oracle.
+        extractor: checkpoint of the auto-encoder.
+        folder: of the run.
+        training: how.
+
+    Raises:
+        InputError: no lessons, a broken file, or the folder holds another run.
+    """
+    encoder = checkpoint.load(extractor, autoencoder.KIND).params
+    files = sorted(path for f in folders for path in f.glob("*.npz"))
+    courses = [course for path in files if (course := Course.load(path)).lessons]
+    if not courses:
+        raise InputError(f"no lessons in {', '.join(map(str, folders))}; `roboassembly train expert` makes some")
+    notes = {"lessons": lessons_hash(files)}
+    examples = paper_imitation.examples_of(courses, encoder, paper_imitation.Augmentation(seed=training.seed))
+    path = folder / "paper.npz"
+    steps = paper_imitation.train(examples, encoder, path, training, PaperConfig(), notes)
+    for step, terms in steps:
+        yield Progress("paper", step, training.steps, terms)
+    done = checkpoint.load(path, paper.KIND)
+    checkpoint.save(folder / "policy.npz", checkpoint.Checkpoint(done.kind, done.params, done.config, {}), half=True)
+
+
+def lessons_hash(files: Sequence[Path]) -> str:
+    """Of files' names and contents."""
+    digest = hashlib.sha256()
+    for path in files:
+        digest.update(path.name.encode())
+        digest.update(hashlib.sha256(path.read_bytes()).digest())
+    return digest.hexdigest()[:16]
 
 
 def finished(path: Path, steps: int) -> bool:

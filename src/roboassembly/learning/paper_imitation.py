@@ -6,7 +6,6 @@ undiscounted return-to-go exactly (`targets`). Both are returns: 1 for each merg
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
@@ -21,12 +20,13 @@ from jaxtyping import Bool, Float, Float16, Float32, Int16
 
 from roboassembly.errors import InputError
 from roboassembly.furniture.model import MAX_POINTS
-from roboassembly.learning import autoencoder, checkpoint, paper
+from roboassembly.learning import autoencoder, paper
 from roboassembly.learning.augment import Change, changed
 from roboassembly.learning.batches import size_for
 from roboassembly.learning.layers import Params
 from roboassembly.learning.lessons import Course, Lesson
 from roboassembly.learning.paper import STATE, PaperConfig, PaperState
+from roboassembly.learning.runs import Run
 from roboassembly.task.object_centric import UP_AXES
 
 LAMBDA = 50.0
@@ -307,16 +307,12 @@ def train(
         raise InputError(f"no lessons for '{path}'; gather some first")
     about = {"network": asdict(config), "training": asdict(training), **notes}
     network: Any = paper.init(np.random.default_rng(training.seed), config)
-    state: Any = optimiser(training).init(network)
-    step = 0
-    if path.exists():
-        kept = checkpoint.load(path, paper.KIND)
-        step, network, inputs, state = _resume(kept, about, state, path)
-    else:
-        inputs = _inputs(examples, training.seed)
+    run = Run(path, paper.KIND, about, training.steps, training.keep_every)
+    step, params, state = run.resume({"network": network}, optimiser(training).init(network))
+    network = params["network"]
+    inputs = params["inputs"] if step else _inputs(examples, training.seed)
     per_pass = -(-len(examples) // training.batch)
     pass_, order = -1, np.zeros(0, int)
-    saved = time.monotonic()
     while step < training.steps:
         if step // per_pass != pass_:
             pass_ = step // per_pass
@@ -326,9 +322,7 @@ def train(
         batch = batch_of(chosen, rng, scatter=training.scatter)
         network, state, terms = _update(training, network, inputs, state, batch)
         step += 1
-        if time.monotonic() - saved > training.keep_every or step % 1_000 == 0 or step == training.steps:
-            _keep(path, {"encoder": encoder, "inputs": inputs, "network": network}, state, step, about)
-            saved = time.monotonic()
+        run.keep(step, {"encoder": encoder, "inputs": inputs, "network": network}, state)
         yield step, {k: float(v) for k, v in terms.items()}
 
 
@@ -347,21 +341,3 @@ def _inputs(examples: Sequence[Example], seed: int) -> Params:
     for row, i in zip(states, some, strict=True):
         examples[i].state(0).write(row)
     return dict(paper.standard(states))
-
-
-def _keep(path: Path, params: Any, state: Any, step: int, about: dict[str, Any]) -> None:
-    leaves = {f"optimiser{i}": np.asarray(leaf) for i, leaf in enumerate(jax.tree.leaves(state))}
-    extra = {**leaves, "step": np.array(step)}
-    checkpoint.save(path, checkpoint.Checkpoint(paper.KIND, jax.tree.map(np.asarray, params), about, extra))
-
-
-def _resume(kept: checkpoint.Checkpoint, about: dict[str, Any], state: Any, path: Path) -> tuple[int, Any, Any, Any]:
-    differing = [k for k in about if kept.config.get(k) != about[k]]
-    if differing:
-        raise InputError(f"'{path}' was trained with other {', '.join(differing)}; name another file, or remove it")
-    leaves = [kept.extra[f"optimiser{i}"] for i in range(len(jax.tree.leaves(state)))]
-    params = kept.params
-    return (
-        int(kept.extra["step"]), params["network"], params["inputs"],
-        jax.tree.unflatten(jax.tree.structure(state), leaves),
-    )  # fmt: skip

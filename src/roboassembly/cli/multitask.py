@@ -1,0 +1,114 @@
+"""`roboassembly train multitask`: one policy for all chairs, by imitation."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+from tqdm import tqdm
+
+from roboassembly.cli.output import DONE, print_json, say, writable_folder
+from roboassembly.errors import InputError, MissingExtraError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from roboassembly.learning.multitask import Progress
+
+
+@dataclass(frozen=True)
+class Multitask:
+    """One policy for all chairs, by imitation; stopped at any moment, the same command goes on where it was."""
+
+    preset: Literal["relational", "paper"] = "relational"
+    """`relational`: lessons of the oracle, and rounds of its own plays corrected. `paper`: Q-values of `--lessons`."""
+    set: Annotated[str, tyro.conf.arg(name="set")] = "chairs-412:train"
+    """Generated chairs to teach, `NAME:SPLIT` (relational)."""
+    out: Path = Path("runs/multitask")
+    """Folder of the run; the result is policy.npz in it."""
+    limit: int | None = None
+    """The first so many chairs of the set only."""
+    extra: int = 2_000
+    """Generated pieces besides: chairs of the same families, and frames and boxes to practise on (relational)."""
+    plays: int = 1
+    """Of each piece in each round (relational)."""
+    rounds: int = 1
+    """Of the policy's own plays (relational)."""
+    steps: int | None = None
+    """Updates: 12,000 (relational, in the first round), 20,000 (paper)."""
+    round_steps: int = 6_000
+    """Updates in each later round (relational)."""
+    lessons: tuple[Path, ...] = ()
+    """Folders of lessons, of `train expert` or of a relational run (paper)."""
+    extractor: Path | None = None
+    """Checkpoint of the auto-encoder (paper)."""
+    seed: int = 0
+    """Of weights, starts and order."""
+    jobs: int = os.cpu_count() or 1
+    """Processes."""
+    json: bool = False
+    """Print one JSON object on stdout, all else on stderr."""
+
+    def run(self) -> int:
+        """Do it; returns the exit status."""
+        if self.seed < 0 or min(self.extra, self.rounds) < 0 or min(self.plays, self.jobs, self.round_steps) < 1:
+            raise InputError("--seed, --extra, --rounds take 0 or more, --plays, --round-steps and --jobs 1 or more")
+        if 0 in (self.limit, self.steps) or min(self.limit or 1, self.steps or 1) < 1:
+            raise InputError("--limit and --steps take 1 or more")
+        for package in ("jax", "optax", "tensorboardX", "matplotlib"):
+            if find_spec(package) is None:
+                raise MissingExtraError(package, "learn")
+        writable_folder(self.out)
+        last = follow(self._relational() if self.preset == "relational" else self._paper(), self.out)
+        path = self.out / "policy.npz"
+        report = {"preset": self.preset, "policy": str(path), "set": self.set, "seed": self.seed, "last": last}
+        if self.json:
+            print_json(report)
+        else:
+            print(f"{path}: try it with roboassembly evaluate --policy {path}")
+        return DONE
+
+    def _relational(self) -> Iterable[Progress]:
+        from roboassembly.learning.multitask import Curriculum, teach
+
+        curriculum = Curriculum(
+            set=self.set, limit=self.limit, extra=self.extra, plays=self.plays, rounds=self.rounds,
+            steps=self.steps or 12_000, round_steps=self.round_steps, seed=self.seed,
+        )  # fmt: skip
+        return teach(curriculum, self.out, self.jobs)
+
+    def _paper(self) -> Iterable[Progress]:
+        if not self.lessons or self.extractor is None:
+            raise InputError("--preset paper takes --lessons FOLDER and --extractor CHECKPOINT (of `train expert`)")
+        from roboassembly.learning.multitask import teach_paper
+        from roboassembly.learning.paper_imitation import Training
+
+        training = Training(steps=self.steps or Training.steps, seed=self.seed)
+        return teach_paper(self.lessons, self.extractor, self.out, training)
+
+
+def follow(progress: Iterable[Progress], folder: Path) -> dict[str, float]:
+    """Show bars and write logs and curves of a run while it goes on; what it said last, by stage and name."""
+    from roboassembly.learning import logs
+
+    last: dict[str, float] = {}
+    bar: tqdm | None = None
+    with logs.Log(folder) as log:
+        for p in progress:
+            if bar is None or bar.desc != p.stage:
+                if bar is not None:
+                    bar.close()
+                bar = tqdm(desc=p.stage, total=p.total)
+            bar.update(p.done - bar.n)
+            log.add(p.stage, p.done, p.scalars, last=p.done == p.total)
+            last.update({f"{p.stage}/{name}": value for name, value in p.scalars.items()})
+            if p.done == p.total:
+                say(f"{p.stage}: " + ", ".join(f"{k} {v:.4f}" for k, v in p.scalars.items()))
+    if bar is not None:
+        bar.close()
+        logs.draw(folder)
+    return last

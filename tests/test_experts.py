@@ -1,0 +1,221 @@
+"""Experts: Double-DQN targets by hand, outcomes remembered and fresh, resuming, and a small chair mastered."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from roboassembly.errors import InputError
+from roboassembly.furniture import catalogue, storage
+from roboassembly.furniture.datasets import Pick, pick
+from roboassembly.learning import autoencoder, checkpoint, experts
+from roboassembly.learning.experts import Chair, Expert, chair_of, play, told
+from roboassembly.learning.rehearsal import FAILS, MERGES, UNKNOWN, WAYS, Rehearsal
+from roboassembly.task.object_centric import ObjectCentricTask, Verdict
+
+jax = pytest.importorskip("jax")
+from roboassembly.learning import apprentices, double_q  # noqa: E402
+from roboassembly.learning.apprentices import Bench, ExpertTraining  # noqa: E402
+from roboassembly.learning.expert_lessons import expert_course  # noqa: E402
+from roboassembly.learning.learner import Learner, LearnerConfig, Memory  # noqa: E402
+
+
+def test_double_q_target_by_hand() -> None:
+    reward, done = np.array([1.0, 1.0, 5.0]), np.array([False, False, True])
+    online = np.array([[0.1, 0.9, 0.5], [0.1, 0.9, 0.5], [9.0, 9.0, 9.0]])
+    target = np.array([[7.0, 0.3, 2.0], [7.0, 0.3, 2.0], [9.0, 9.0, 9.0]])
+    exists = np.array([[True, True, True], [True, False, True], [True, True, True]])
+    # The online network chooses (not the target's 7), only among what exists; the target network tells the worth.
+    assert double_q.double_q_target(reward, done, online, target, exists) == pytest.approx([1.3, 3.0, 5.0])
+
+
+def _task() -> ObjectCentricTask:
+    return ObjectCentricTask(catalogue.make("cantilever", 1))
+
+
+def _chair(task: ObjectCentricTask) -> Chair:
+    return chair_of(task, np.eye(len(task.furniture.parts), 8, dtype=np.float32))
+
+
+def _play_at_random(rehearsal: Rehearsal, rng: np.random.Generator, episodes: int) -> None:
+    for _ in range(episodes):
+        state = rehearsal.start
+        while len(state) > 1:
+            known, exists = rehearsal.known(state), rehearsal.exists(state)[..., None] & np.ones(WAYS, bool)
+            options = np.argwhere(exists & (known != FAILS))
+            if not len(options):
+                break
+            works = np.argwhere(known == MERGES)
+            options = works if len(works) and rng.random() < 0.5 else options
+            row, column, w = options[rng.integers(len(options))].tolist()
+            after = rehearsal.step(state, (row, column, w))
+            if after is None:
+                break
+            state = after
+
+
+@pytest.mark.parametrize("family", ["cantilever", "three_legged"])
+def test_remembered_outcomes_are_those_of_fresh_steps(family: str) -> None:
+    task = ObjectCentricTask(catalogue.make(family, 1))
+    rehearsal, rng = Rehearsal(task, 3), np.random.default_rng(0)
+    _play_at_random(rehearsal, rng, 60)
+    checked = index = 0
+    states = [rehearsal.start]
+    while index < min(len(states), 8):
+        state, index = states[index], index + 1
+        known, exists = rehearsal.known(state), rehearsal.exists(state)
+        before = rehearsal.laid_out(state)
+        for verdict, count in ((MERGES, 4), (FAILS, 8)):
+            some = np.argwhere((known == verdict) & exists[..., None])
+            for row, column, w in some[rng.permutation(len(some))[:count]].tolist():
+                names = (rehearsal.part[row], rehearsal.part[column], rehearsal.point[row], rehearsal.point[column], w)
+                fresh = task.step(before, tuple(int(n) for n in names), 0)
+                assert (fresh.verdict is Verdict.MERGED) == (verdict == MERGES), (names, fresh.verdict)
+                checked += 1
+                if verdict == MERGES:
+                    after = rehearsal.step(state, (row, column, w))
+                    assert after is not None
+                    joined, free = told(task, fresh.state)
+                    np.testing.assert_array_equal(rehearsal.joined(after), joined)
+                    np.testing.assert_array_equal(rehearsal.owners(after) >= 0, free)
+                    states.append(after)
+    assert checked > 30
+
+
+def test_nothing_is_known_before_it_was_tried() -> None:
+    rehearsal = Rehearsal(_task(), 0)
+    assert (rehearsal.known(rehearsal.start) == UNKNOWN).all()
+
+
+def test_a_rehearsal_restored_goes_on_alike() -> None:
+    first, second = Rehearsal(_task(), 0), Rehearsal(_task(), 0)
+    _play_at_random(first, np.random.default_rng(0), 25)
+    second.restore(first.to_arrays())
+    for one in (first, second):
+        _play_at_random(one, np.random.default_rng(1), 25)
+    np.testing.assert_array_equal(first.known(first.start), second.known(second.start))
+    assert first.planned == second.planned
+
+
+def test_values_by_numpy_and_jax_agree_and_mask_what_does_not_exist() -> None:
+    task = _task()
+    chair = _chair(task)
+    params = experts.init(np.random.default_rng(0), len(chair.part), chair.features.shape[1])
+    state = task.initial_state(np.random.default_rng(0))
+    joined, free = told(task, state)
+    values = Expert(chair, params).values(joined, free)
+    part = chair.part[: chair.points]
+    np.testing.assert_array_equal(np.isfinite(values[..., 0]), part[:, None] != part[None])
+    padded = np.zeros((1, len(chair.part)), np.float32)
+    padded[0, : chair.points] = free
+    compiled = double_q.values(
+        *(jax.tree.map(lambda x: x[None], t) for t in (params, chair.features, chair.part)),
+        joined[None].astype(np.float32), padded,
+    )  # fmt: skip
+    m = chair.points
+    there = np.isfinite(values)
+    np.testing.assert_allclose(np.asarray(compiled)[0, :m, :m][there], values[there], atol=1e-5)
+
+
+def test_best_returns_are_backed_up_through_merges() -> None:
+    task = _task()
+    memory = Memory(Rehearsal(task, 0), _chair(task))
+    start = memory.states[0]
+    one, two, whole = (memory.add(s) for s in ((100, 101, 102), (103, 104), (105,)))
+    memory.merged(one, (0, 1, 0), two)
+    memory.merged(two, (0, 1, 0), whole)
+    memory.merged(0, (0, 1, 0), one)
+    best = len(start) + 3.0
+    assert memory.best == pytest.approx([7.0 / best, 6.0 / best, 5.0 / best, 0.0])
+    assert memory.best_path() == [0, one, two]
+
+
+def _folder_pick(tmp_path: Path, family: str = "cantilever") -> Pick:
+    folder = tmp_path / family
+    if not folder.exists():
+        storage.save(catalogue.make(family, 1), folder)
+    return pick(f"folder:{folder}")[0]
+
+
+def _extractor() -> dict[str, object]:
+    return autoencoder.init(np.random.default_rng(0))
+
+
+def test_a_small_chair_is_mastered_and_taught(tmp_path: Path) -> None:
+    chair = _folder_pick(tmp_path)
+    Bench([chair], tmp_path / "out", ExpertTraining(steps=4_000, trials=2), 1, _extractor(), {}).run(60.0)
+    path = tmp_path / "out" / f"{chair.name}.npz"
+    result = apprentices.read(path)
+    assert result.mastered
+    assert result.success_rate == 1.0
+    assert not list((tmp_path / "out").glob("*.partial.npz"))
+    task = ObjectCentricTask(chair.furniture())
+    expert = apprentices.load(path, task)
+    course, finished = expert_course(expert, task, chair.name, plays=2)
+    assert finished >= 1
+    assert len(course.lessons) == finished * (len(task.furniture.parts) - 1)
+    lesson = course.lessons[0]
+    n = int(lesson.free.sum())
+    assert lesson.values is not None
+    assert lesson.values.shape == (n, n, WAYS)
+    best = len(task.furniture.parts) + 3.0
+    assert float(lesson.values.max()) == pytest.approx(best, rel=0.25)
+    course.save(tmp_path / "course.npz")
+    other = ObjectCentricTask(catalogue.make("stool", 1))
+    with pytest.raises(InputError, match="is an expert for"):
+        apprentices.load(path, other)
+
+
+def test_a_stopped_training_goes_on_to_the_same_weights(tmp_path: Path) -> None:
+    chair = _folder_pick(tmp_path, "three_legged")
+    training = ExpertTraining(steps=100_000, learner=LearnerConfig(batch=6))
+    whole = Bench([chair], tmp_path / "a", training, 1, _extractor(), {})
+    for _ in range(24):
+        whole.advance()
+    whole.keep(0)
+    stopped = Bench([chair], tmp_path / "b", training, 1, _extractor(), {})
+    for _ in range(11):
+        stopped.advance()
+    stopped.keep(0)
+    resumed = Bench([chair], tmp_path / "b", training, 1, _extractor(), {})
+    for _ in range(13):
+        resumed.advance()
+    resumed.keep(0)
+    one, other = (
+        checkpoint.load(apprentices.partial_of(tmp_path / n, chair.name), experts.KIND) for n in ("a", "b")
+    )
+    assert one.params["learner"]["counts"].tolist() == other.params["learner"]["counts"].tolist()
+    np.testing.assert_array_equal(one.params["learner"]["memory"]["merges"], other.params["learner"]["memory"]["merges"])
+    np.testing.assert_allclose(one.params["online"]["slot"], other.params["online"]["slot"], atol=1e-6)
+    with pytest.raises(InputError, match="trained otherwise"):
+        Bench([chair], tmp_path / "b", ExpertTraining(steps=5), 1, _extractor(), {})
+
+
+def test_greedy_plays_choose_by_value_alone() -> None:
+    task = _task()
+    chair = _chair(task)
+    learner = Learner(Memory(Rehearsal(task, 0), chair), LearnerConfig(greedy_every=1), np.random.default_rng(0))
+    n = len(chair.part)
+    q = np.zeros((n, n, WAYS), np.float32)
+    rows = np.argwhere(learner.memory.rehearsal.exists(learner.memory.states[0]))
+    row, column = rows[7].tolist()
+    q[row, column, 4] = 1.0
+    learner.move(q)  # the first episode explores
+    while not learner._greedy:
+        learner.move(q)
+    known_before = learner.memory.rehearsal.planned
+    learner.move(q)
+    learner.move(q)
+    # However often it fails, a play by Q takes what Q says.
+    assert learner.memory.rehearsal.planned <= known_before + 1
+
+
+def test_real_plays_stop_at_the_first_failure() -> None:
+    task = _task()
+    chair = _chair(task)
+    params = experts.init(np.random.default_rng(0), len(chair.part), chair.features.shape[1])
+    moves = play(Expert(chair, params), task, 0)
+    assert all(m.verdict is Verdict.MERGED for m in moves[:-1])
+    assert not experts.finished(moves, chair) or moves[-1].verdict is Verdict.MERGED
