@@ -53,7 +53,8 @@ def test_learns_and_resumes_to_the_same_weights(tmp_path: Path) -> None:
     for step, _ in autoencoder.train(clouds, tmp_path / "b.npz", training, {}):
         if step == 11:
             break
-    assert list(autoencoder.train(clouds, tmp_path / "b.npz", training, {}))[0][0] in (11, 12)
+    first, *_ = autoencoder.train(clouds, tmp_path / "b.npz", training, {})
+    assert first[0] in (11, 12)
     whole, resumed = (checkpoint.load(tmp_path / f"{n}.npz", autoencoder.KIND).params for n in "ab")
     np.testing.assert_allclose(whole["point"]["0"]["w"], resumed["point"]["0"]["w"], atol=1e-6)
 
@@ -62,5 +63,5 @@ def test_other_training_is_refused(tmp_path: Path) -> None:
     pytest.importorskip("jax")
     clouds = _clouds(4)
     list(autoencoder.train(clouds, tmp_path / "a.npz", Training(steps=1, batch=2), {"set": "one"}))
-    with pytest.raises(InputError, match="trained otherwise"):
+    with pytest.raises(InputError, match="trained with other set"):
         next(autoencoder.train(clouds, tmp_path / "a.npz", Training(steps=1, batch=2), {"set": "other"}))

@@ -16,6 +16,7 @@ from roboassembly.cli.export import Export
 from roboassembly.cli.generate import Generate
 from roboassembly.cli.importing import Import
 from roboassembly.cli.output import DONE_BADLY, print_json
+from roboassembly.cli.train import Train
 from roboassembly.errors import InputError, RoboAssemblyError
 
 _Command = (
@@ -25,6 +26,7 @@ _Command = (
     | Annotated[Export, tyro.conf.subcommand("export")]
     | Annotated[Dataset, tyro.conf.subcommand("dataset")]
     | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
+    | Annotated[Train, tyro.conf.subcommand("train")]
     | Annotated[Bench, tyro.conf.subcommand("bench")]
 )
 

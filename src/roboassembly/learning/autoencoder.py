@@ -66,7 +66,9 @@ def chamfer(a: Array, b: Array) -> Array:
     Mean squared distance of each point of `a` to the nearest of `b`, plus the same from `b` to `a`.
     """
     xp = a.__array_namespace__()
-    apart = xp.sum((a[:, :, None] - b[:, None]) ** 2, axis=3)
+    # |a - b|^2 told by products: a tenth of the memory that differences would take.
+    squares = xp.sum(a * a, axis=2)[:, :, None] + xp.sum(b * b, axis=2)[:, None]
+    apart = xp.maximum(squares - 2.0 * a @ xp.swapaxes(b, 1, 2), 0.0)
     return xp.mean(xp.min(apart, axis=2), axis=1) + xp.mean(xp.min(apart, axis=1), axis=1)
 
 
@@ -74,7 +76,7 @@ def chamfer(a: Array, b: Array) -> Array:
 class Training:
     """How to train."""
 
-    steps: int = 6_000
+    steps: int = 4_000
     learning_rate: float = 1e-3
     batch: int = 32
     seed: int = 0

@@ -1,68 +1,46 @@
 """One chair, played again and again: what every merge led to is remembered, so that trying it once more costs nothing.
 
 As in the paper, outcomes are remembered during training only; evaluation always plans. What is remembered is told by
-the two groups (which parts, in which slots), the pair and `w`, not by where things lie: the verdict of the first time
+the two groups (their shapes), how they come together, and `w`, not by where things lie: the verdict of the first time
 stands for all later ones, although clutter or the planner's luck might have changed it. A chair that an expert masters
 here is therefore played in the real environment before it counts, and what fails there is taken over (`correct`).
 
-Two rules of the task are used, no knowledge of the chair: a wrong pair is wrong with every `w` and with the roles of
-the two groups swapped.
+No knowledge of the chair is used, but rules that hold for all furniture and that a learner can see:
+
+- a wrong pair is wrong with every `w` and with the roles of the two groups swapped;
+- two pairs of points that bring the same groups together in the same relative pose are the same action;
+- parts of equal shape with equal points are equal: what is known of one leg is known of all.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
-from jaxtyping import Bool, Int, Int8
+from jaxtyping import Bool, Float, Int, Int8
 
 from roboassembly.errors import InputError
 from roboassembly.furniture.model import MAX_PARTS
+from roboassembly.learning.kinds import Kind, Named, Table, equals
 from roboassembly.learning.layers import Params
 from roboassembly.planning.problem import Budget
 from roboassembly.poses import SE3
 from roboassembly.task.groups import Group, TaskState
 from roboassembly.task.layout import free_spot, group_footprint
 from roboassembly.task.object_centric import UP_AXES, ObjectCentricTask, Verdict
+from roboassembly.task.pairs import ANGLE_TOLERANCE, POSITION_TOLERANCE
 
 BUDGET = Budget(states=0)
 """Of the planner: straight retreats only. What they do not solve, a sampling planner seldom does."""
 UNKNOWN, FAILS, MERGES = 0, 1, 2
 """What is known of an action."""
 WAYS = len(UP_AXES)
+_FLIP = np.array([1.0, -1.0, -1.0])
+"""Mating turns the normal and leaves the tangent."""
 _CACHED = 1_500
 """States whose table of what is known is kept."""
 State = tuple[int, ...]
 """Names of its groups, ascending."""
 Action = tuple[int, int, int]
 """Rows of the two points among all points of the chair, and `w`."""
-
-
-@dataclass(frozen=True, eq=False)
-class _Known:
-    """A group that has come about."""
-
-    group: Group
-    """Where it came to rest the first time."""
-    rows: Int[np.ndarray, "r"]
-    """Of its free points."""
-
-
-class _Table:
-    """Rows of integers that are only ever added to."""
-
-    def __init__(self, width: int) -> None:
-        self._rows = np.zeros((256, width), np.int32)
-        self.count = 0
-
-    def append(self, *row: int) -> None:
-        if self.count == len(self._rows):
-            self._rows = np.concatenate([self._rows, np.zeros_like(self._rows)])
-        self._rows[self.count] = row
-        self.count += 1
-
-    def since(self, first: int) -> np.ndarray:
-        return self._rows[first : self.count]
 
 
 class Rehearsal:
@@ -79,87 +57,167 @@ class Rehearsal:
         self.part = np.repeat(np.arange(len(counts)), counts)
         """Part of each row; the chair's points are numbered through."""
         self.point = np.concatenate([np.arange(n) for n in counts])
-        self._groups: list[_Known] = []
-        self._names: dict[tuple[tuple[int, ...], tuple[int, ...]], int] = {}
-        self._wrong = _Table(4)
-        """u's group, v's group and rows of pairs that are wrong, in one of the two directions."""
-        self._ways = _Table(6)
-        """u's group, v's group, rows, `w` and the merged group, -1 where there is none."""
-        self._outcomes: dict[tuple[int, int, int, int, int], int] = {}
-        """The same as `_ways`, to look up."""
-        self._cache: dict[State, tuple[int, int, Int8[np.ndarray, "n n 6"]]] = {}
-        self.tried = np.zeros((2, len(self.part), len(self.part)), np.int32)
-        """How often two points were found to be a wrong pair, and a right one, whatever the groups; symmetric."""
+        self._first = np.cumsum([0, *counts])
+        self.like = equals(task)
+        """The first part that equals each part."""
+        self._row_like = self._first[self.like[self.part]] + self.point
+        self._kinds: list[Kind] = []
+        self._kind_names: dict[tuple[tuple[int, int], ...], int] = {}
+        self._groups: list[Named] = []
+        self._names: dict[tuple[int, tuple[int, ...]], int] = {}
+        self._known = Table(6)
+        """u's kind, v's kind, points among those of the kinds, `w` (-1: any), and whether it merges."""
+        self._outcomes: dict[tuple[int, int, int, int], int] = {}
+        """Two groups and their points to the merged group. (Which slots it is told in depends on the very parts.)"""
+        self._cache: dict[State, tuple[int, Int8[np.ndarray, "n n 6"]]] = {}
+        n = len(self.part)
+        self._tried = np.zeros((2, n, n), np.int32)
+        self._went = np.zeros((2, n, n, WAYS), np.int32)
         self.planned = 0
         """Merges that were planned, not remembered."""
         initial = task.initial_state(np.random.default_rng(seed))
-        self.start: State = tuple(sorted(self._name(g) for g in initial.groups))
+        self._start = {g.parts[0]: g for g in initial.groups}
+        self.start: State = tuple(sorted(self._loose(p) for p in range(len(counts))))
+
+    @property
+    def tried(self) -> Int[np.ndarray, "2 n n"]:
+        """How often two points were found to be a wrong pair, and a right one, whatever the groups; symmetric."""
+        return self._tried[:, self._row_like][:, :, self._row_like]
+
+    def went(self, row: int | np.ndarray, column: int | np.ndarray) -> Int[np.ndarray, "2 *k 6"]:
+        """How often right pairs of points failed, and merged, with each `w`, whatever the groups."""
+        return self._went[:, self._row_like[row], self._row_like[column]]
 
     def step(self, state: State, action: Action) -> State | None:
         """The state after a merge; None if the action fails. Takes an action that exists."""
-        row, column, w = action
+        known = self.known(state)[action]
+        if known == FAILS:
+            return None
+        row, column, _ = action
         one, two = self.owner(state, row), self.owner(state, column)
-        known = self.known(state)[row, column, w]
-        if known == UNKNOWN:
-            self._try(state, one, two, action)
-            known = self.known(state)[row, column, w]
-        return self.after(state, action) if known == MERGES else None
+        key = (one, two, self._local(one, row), self._local(two, column))
+        if (known == UNKNOWN or key not in self._outcomes) and not self._try(state, action, key):
+            return None
+        return tuple(sorted((*(g for g in state if g not in (one, two)), self._outcomes[key])))
 
-    def after(self, state: State, action: Action) -> State:
-        """The state after an action that is known to merge."""
+    def _try(self, state: State, action: Action, key: tuple[int, int, int, int]) -> bool:
+        """Take a step in earnest as far as its outcome is not known; whether it merges."""
         row, column, w = action
-        one, two = self.owner(state, row), self.owner(state, column)
-        return tuple(sorted((*(g for g in state if g not in (one, two)), self._outcomes[one, two, row, column, w])))
-
-    def _try(self, state: State, one: int, two: int, action: Action) -> None:
-        row, column, w = action
-        u, k, v, l = (int(i) for i in (self.part[row], self.point[row], self.part[column], self.point[column]))  # noqa: E741
-        merge = self.task.pairs.judge(self._groups[one].group, self._groups[two].group, u, k, v, l)
-        right = merge is not None
-        self.tried[int(right), row, column] += 1
-        self.tried[int(right), column, row] += 1
+        one, two = key[:2]
+        names = (int(self.part[row]), int(self.part[column]), int(self.point[row]), int(self.point[column]), w)
+        before = self.laid_out(state)
+        u_group, v_group = (before.groups[before.group_of[p]] for p in names[:2])
+        merge = self.task.pairs.judge(u_group, v_group, names[0], names[2], names[1], names[3])
+        alike = self._alike(one, two, row, column)
         if merge is None:
-            self._wrong.append(one, two, row, column)
-            return
-        self.planned += 1
-        seed = int(np.random.SeedSequence([self._seed, one, two, row, column, w]).generate_state(1)[0])
-        before, names = self.laid_out(state), (u, v, k, l, w)
-        name = self._names.get((merge.merged.parts, merge.merged.slots))
-        if name is None:
-            outcome = self.task.step(before, names, seed, BUDGET)
-            if outcome.verdict is Verdict.MERGED:
-                name = self._name(next(g for g in outcome.state.groups if u in g.parts))
-        else:
-            # How it comes to rest is known; only whether it comes about is not.
-            mating = self.task.prepare(before, names)
-            assert mating is not None
-            if not self.task.plan(mating, seed, BUDGET).solved:
-                name = None
-        self._remember(one, two, row, column, w, -1 if name is None else name)
+            self._count(self._tried[0], one, two, alike)
+            self._count(self._tried[0].T, one, two, alike)
+            self._learn(one, two, alike, -1, False)
+            self._learn(two, one, alike[:, ::-1], -1, False)
+            return False
+        label = self._key(merge.merged)
+        merges = bool(self.known(state)[action] == MERGES)
+        if not merges:
+            self._count(self._tried[1], one, two, alike)
+            self._count(self._tried[1].T, one, two, alike)
+        if not merges or label not in self._kind_names:
+            self.planned += 1
+            kinds = self._groups[one].kind, self._groups[two].kind
+            seed = int(np.random.SeedSequence([self._seed, *kinds, *key[2:], w]).generate_state(1)[0])
+            if label in self._kind_names:
+                # How it comes to rest is known; only whether it comes about is not.
+                mating = self.task.prepare(before, names)
+                assert mating is not None
+                merges = self.task.plan(mating, seed, BUDGET).solved
+            else:
+                outcome = self.task.step(before, names, seed, BUDGET)
+                merges = outcome.verdict is Verdict.MERGED
+                if merges:
+                    self._kind(next(g for g in outcome.state.groups if names[0] in g.parts), label)
+            self._count(self._went[int(merges), :, :, w], one, two, alike)
+            self._learn(one, two, alike, w, merges)
+        if merges:
+            part_in = dict(zip(merge.merged.slots, merge.merged.parts, strict=True))
+            kind = self._kind_names[label]
+            self._outcomes[key] = self._name(kind, tuple(part_in[slot] for slot in self._kinds[kind].slots))
+        return merges
 
-    def _remember(self, *row: int) -> None:
-        self._ways.append(*row)
-        self._outcomes[row[0], row[1], row[2], row[3], row[4]] = row[5]
+    def _count(self, counts: np.ndarray, one: int, two: int, alike: Int[np.ndarray, "a 2"]) -> None:
+        rows, columns = (self._row_like[self._groups[g].rows[alike[:, i]]] for i, g in enumerate((one, two)))
+        counts[rows, columns] += 1
+
+    def _learn(self, one: int, two: int, alike: Int[np.ndarray, "a 2"], w: int, merges: bool) -> None:
+        for k, l in alike.tolist():  # noqa: E741
+            self._known.append(self._groups[one].kind, self._groups[two].kind, k, l, w, int(merges))
+
+    def _alike(self, one: int, two: int, row: int, column: int) -> Int[np.ndarray, "a 2"]:
+        """Pairs of points that would bring two groups together just as the given pair does, itself first.
+
+        As numbers among the points of each group.
+        """
+        k, l = self._local(one, row), self._local(two, column)  # noqa: E741
+        u, v = self._kinds[self._groups[one].kind].free, self._kinds[self._groups[two].kind].free
+        turns_u, at_u, gap_u = self._frames(one, u)
+        turns_v, at_v, gap_v = self._frames(two, v)
+        at_v = at_v[None] + 0.5 * (gap_u[:, None] + gap_v[None])[..., None] * turns_v[None, :, :, 2]
+        turn = np.einsum("lij,j,kmj->klim", turns_v, _FLIP, turns_u)
+        shift = at_v - np.einsum("klij,kj->kli", turn, at_u)
+        i, j = int(np.searchsorted(u, k)), int(np.searchsorted(v, l))
+        same = (np.linalg.norm(shift - shift[i, j], axis=2) < POSITION_TOLERANCE) & (
+            np.linalg.norm(turn - turn[i, j], axis=(2, 3)) < ANGLE_TOLERANCE
+        )
+        same[i, j] = False
+        found = np.argwhere(same)
+        return np.concatenate([[[k, l]], np.stack([u[found[:, 0]], v[found[:, 1]]], axis=1)]).astype(int)
+
+    def _frames(
+        self, name: int, points: Int[np.ndarray, "r"]
+    ) -> tuple[Float[np.ndarray, "r 3 3"], Float[np.ndarray, "r 3"], Float[np.ndarray, "r"]]:
+        """Rotation, origin and gap of some points of a group in its frame."""
+        furniture, named = self.task.furniture, self._groups[name]
+        slot_of = dict(zip(named.parts, self._kinds[named.kind].slots, strict=True))
+        turns, origins, gaps = [], [], []
+        for row in named.rows[points]:
+            part = int(self.part[row])
+            point = furniture.parts[part].points[int(self.point[row])]
+            frame = furniture.assembled[slot_of[part]] * point.frame
+            turns.append(frame.rotation)
+            origins.append(frame.translation)
+            gaps.append(point.gap)
+        return np.array(turns), np.array(origins), np.array(gaps)
 
     def correct(self, state: State, action: Action) -> None:
-        """From now on the action fails wherever these two groups meet."""
+        """From now on the action fails wherever such groups meet."""
         row, column, w = action
-        self._remember(self.owner(state, row), self.owner(state, column), row, column, w, -1)
+        one, two = self.owner(state, row), self.owner(state, column)
+        self._learn(one, two, self._alike(one, two, row, column), w, False)
 
     def known(self, state: State) -> Int8[np.ndarray, "n n 6"]:
         """What is known of each action of a state: `UNKNOWN`, `FAILS` or `MERGES`. Not to be changed."""
         n = len(self.part)
-        cached = self._cache.pop(state, None)
-        wrong, ways, out = cached or (0, 0, np.zeros((n, n, WAYS), np.int8))
-        here = np.zeros(len(self._groups), bool)
-        here[list(state)] = True
-        fresh = self._wrong.since(wrong)
-        fresh = fresh[here[fresh[:, 0]] & here[fresh[:, 1]]]
-        out[fresh[:, 2], fresh[:, 3]] = out[fresh[:, 3], fresh[:, 2]] = FAILS
-        fresh = self._ways.since(ways)
-        fresh = fresh[here[fresh[:, 0]] & here[fresh[:, 1]]]
-        out[fresh[:, 2], fresh[:, 3], fresh[:, 4]] = np.where(fresh[:, 5] < 0, FAILS, MERGES)
-        self._cache[state] = (self._wrong.count, self._ways.count, out)
+        seen, out = self._cache.pop(state, None) or (0, np.zeros((n, n, WAYS), np.int8))
+        fresh = self._known.since(seen)
+        if len(fresh):
+            members: dict[int, list[Named]] = {}
+            for name in state:
+                members.setdefault(self._groups[name].kind, []).append(self._groups[name])
+            here = np.zeros(len(self._kinds), bool)
+            here[list(members)] = True
+            fresh = fresh[here[fresh[:, 0]] & here[fresh[:, 1]]]
+            pairs = fresh[:, 0].astype(np.int64) * len(self._kinds) + fresh[:, 1]
+            order = np.argsort(pairs, kind="stable")
+            starts = np.flatnonzero(np.diff(pairs[order], prepend=-1))
+            for rows in np.split(fresh[order], starts[1:]) if len(fresh) else ():
+                way = np.where(rows[:, 4] < 0, 0, rows[:, 4])
+                verdict = np.where(rows[:, 5] > 0, MERGES, FAILS).astype(np.int8)
+                whole = rows[:, 4] < 0
+                for u in members[int(rows[0, 0])]:
+                    for v in members[int(rows[0, 1])]:
+                        if u is not v:
+                            r, c = u.rows[rows[:, 2]], v.rows[rows[:, 3]]
+                            out[r, c, way] = verdict
+                            out[r[whole], c[whole]] = FAILS
+        self._cache[state] = (self._known.count, out)
         if len(self._cache) > _CACHED:
             del self._cache[next(iter(self._cache))]
         return out
@@ -168,14 +226,14 @@ class Rehearsal:
         """The group of each free point of a state, -1 for others. Pairs exist between points of different groups."""
         owner = np.full(len(self.part), -1)
         for name in state:
-            owner[self._groups[name].rows] = name
+            owner[self._groups[name].rows[self._kinds[self._groups[name].kind].free]] = name
         return owner
 
     def joined(self, state: State) -> Bool[np.ndarray, "20 20"]:
         """Which parts are in one group, each with itself too; padded."""
         out = np.zeros((MAX_PARTS, MAX_PARTS), bool)
         for name in state:
-            parts = self._groups[name].group.parts
+            parts = self._groups[name].parts
             out[np.ix_(parts, parts)] = True
         return out
 
@@ -184,14 +242,18 @@ class Rehearsal:
         owner = self.owners(state)
         return (owner[:, None] != owner[None]) & (owner >= 0)[:, None] & (owner >= 0)[None]
 
+    def members(self, state: State) -> list[tuple[int, ...]]:
+        """The parts of each group of a state."""
+        return [self._groups[name].parts for name in state]
+
     def owner(self, state: State, row: int) -> int:
         """Name of the group that a point belongs to."""
         part = self.part[row]
-        return next(name for name in state if part in self._groups[name].group.parts)
+        return next(name for name in state if part in self._groups[name].parts)
 
     def laid_out(self, state: State) -> TaskState:
         """The groups on the ground, each as it came to rest: single parts where they began, others in free spots."""
-        groups = sorted((self._groups[name].group for name in state), key=lambda g: (len(g.parts), g.parts))
+        groups = sorted((self._group(name) for name in state), key=lambda g: (len(g.parts), g.parts))
         placed: list[Group] = []
         taken = []
         for group in groups:
@@ -201,26 +263,68 @@ class Rehearsal:
             taken.append(group_footprint(self.task.furniture, placed[-1]))
         return TaskState(tuple(placed))
 
-    def _name(self, group: Group) -> int:
-        key = (group.parts, group.slots)
-        if key not in self._names:
-            self._names[key] = len(self._groups)
+    def _group(self, name: int) -> Group:
+        named = self._groups[name]
+        if len(named.parts) == 1:
+            return self._start[named.parts[0]]
+        kind = self._kinds[named.kind]
+        order = np.argsort(named.parts)
+        return Group(
+            tuple(named.parts[i] for i in order),
+            tuple(kind.slots[i] for i in order),
+            tuple(kind.poses[i] for i in order),
+            kind.world,
+        )
+
+    def _local(self, name: int, row: int) -> int:
+        """A row's number among the points of its group."""
+        return int(np.flatnonzero(self._groups[name].rows == row)[0])
+
+    def _loose(self, part: int) -> int:
+        group = self._start[part]
+        return self._name(self._kind(group, ((-1, int(self.like[part])),)), (part,))
+
+    def _key(self, merged: Group) -> tuple[tuple[int, int], ...]:
+        """Slots in order, and what fills them."""
+        return tuple(sorted((s, int(self.like[p])) for s, p in zip(merged.slots, merged.parts, strict=True)))
+
+    def _kind(self, group: Group, key: tuple[tuple[int, int], ...]) -> int:
+        """The kind of a group, after `key`."""
+        if key not in self._kind_names:
+            self._kind_names[key] = len(self._kinds)
+            order = np.argsort(group.slots)
             occupied = TaskState((group,)).occupied(self.task.furniture)
-            inside = np.isin(self.part, group.parts)
-            rows = [r for r in np.flatnonzero(inside) if (self.part[r], self.point[r]) not in occupied]
-            self._groups.append(_Known(group, np.array(rows, dtype=int)))
-        return self._names[key]
+            points = [(group.parts[i], k) for i in order for k in range(len(self._points(group.parts[i])))]
+            free = np.array([i for i, point in enumerate(points) if point not in occupied], dtype=int)
+            slots, poses = (tuple(of[i] for i in order) for of in (group.slots, group.furniture_from_part))
+            self._kinds.append(Kind(slots, poses, group.world_from_furniture, free))  # pyright: ignore[reportArgumentType]
+        return self._kind_names[key]
+
+    def _points(self, part: int) -> range:
+        return range(self._first[part], self._first[part + 1])
+
+    def _name(self, kind: int, parts: tuple[int, ...]) -> int:
+        if (kind, parts) not in self._names:
+            self._names[kind, parts] = len(self._groups)
+            rows = np.concatenate([np.array(self._points(p), dtype=int) for p in parts])
+            self._groups.append(Named(kind, parts, rows))
+        return self._names[kind, parts]
 
     def to_arrays(self) -> Params:
         """All that is remembered."""
-        members = [(name, *pair) for name, g in enumerate(self._groups) for pair in zip(*_labels(g.group), strict=True)]
-        poses = [p.homogeneous for g in self._groups for p in (g.group.world_from_furniture, *_turned(g.group))]
+        like = {name: [fill for _, fill in key] for key, name in self._kind_names.items()}
+        slots = [(i, s, f) for i, k in enumerate(self._kinds) for s, f in zip(k.slots, like[i], strict=True)]
+        parts = [(i, g.kind, p) for i, g in enumerate(self._groups) for p in g.parts]
         return {
-            "members": np.array(members, np.int32),
-            "poses": np.array(poses),
-            "wrong": self._wrong.since(0).copy(),
-            "ways": self._ways.since(0).copy(),
-            "tried": self.tried,
+            "slots": np.array(slots, np.int32),
+            "poses": np.array([p.homogeneous for k in self._kinds for p in k.poses]),
+            "worlds": np.array([k.world.homogeneous for k in self._kinds]),
+            "free": np.array([(i, f) for i, k in enumerate(self._kinds) for f in k.free], np.int32).reshape(-1, 2),
+            "groups": np.array(parts, np.int32),
+            "known": self._known.since(0).copy(),
+            "outcomes": np.array([(*key, name) for key, name in self._outcomes.items()], np.int32).reshape(-1, 5),
+            "tried": self._tried.copy(),
+            "went": self._went.copy(),
             "planned": np.array(self.planned),
         }
 
@@ -228,28 +332,33 @@ class Rehearsal:
         """Take over what another one with the same chair and seed remembered.
 
         Raises:
-            InputError: it was of another chair or seed.
+            InputError: it was of another chair.
         """
-        members, poses = arrays["members"], [SE3(h[:3, :3], h[:3, 3]) for h in arrays["poses"]]
-        first = 0
-        for name in range(int(members[-1, 0]) + 1):
-            labels = members[members[:, 0] == name, 1:]
-            ours = poses[first + 1 : first + 1 + len(labels)]
-            parts, slots = (tuple(int(i) for i in column) for column in labels.T)
-            if self._name(Group(parts, slots, tuple(ours), poses[first])) != name:
-                raise InputError("what was remembered is of another chair or seed; remove the file, or name another")
-            first += 1 + len(labels)
-        for row in arrays["wrong"].tolist():
-            self._wrong.append(*row)
-        for row in arrays["ways"].tolist():
-            self._remember(*row)
-        self.tried, self.planned = arrays["tried"].copy(), int(arrays["planned"])
+        if arrays["tried"].shape != self._tried.shape:
+            raise InputError("what was remembered is of another chair; remove the file, or name another")
+        poses = [SE3(h[:3, :3], h[:3, 3]) for h in arrays["poses"]]
+        worlds = [SE3(h[:3, :3], h[:3, 3]) for h in arrays["worlds"]]
+        slots, free = arrays["slots"], arrays["free"]
+        for index, world in enumerate(worlds):
+            rows = np.flatnonzero(slots[:, 0] == index)
+            if index >= len(self._kinds):
+                self._kinds.append(
+                    Kind(
+                        tuple(slots[rows, 1].tolist()),
+                        tuple(poses[i] for i in rows),
+                        world,
+                        free[free[:, 0] == index, 1].astype(int),
+                    )
+                )
+                self._kind_names[tuple((s, f) for _, s, f in slots[rows].tolist())] = index
+        groups = arrays["groups"]
+        for index in range(int(groups[-1, 0]) + 1):
+            rows = groups[groups[:, 0] == index]
+            self._name(int(rows[0, 1]), tuple(rows[:, 2].tolist()))
+        for row in arrays["known"].tolist():
+            self._known.append(*row)
+        for row in arrays["outcomes"].tolist():
+            self._outcomes[row[0], row[1], row[2], row[3]] = row[4]
+        self._tried, self._went = arrays["tried"].copy(), arrays["went"].copy()
+        self.planned = int(arrays["planned"])
         self._cache.clear()
-
-
-def _labels(group: Group) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    return group.parts, group.slots
-
-
-def _turned(group: Group) -> tuple[SE3, ...]:
-    return group.furniture_from_part

@@ -1,0 +1,45 @@
+"""Clouds of parts for the auto-encoder: of the chairs to train on, and of generated ones besides."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+
+import numpy as np
+from jaxtyping import Float32
+
+from roboassembly.envs.observation import surface_points
+from roboassembly.furniture import catalogue
+from roboassembly.furniture.datasets import Pick
+from roboassembly.furniture.generate import CHAIRS
+from roboassembly.learning.gather import extra_names
+from roboassembly.learning.lessons import CLOUD_POINTS
+
+
+def gather_clouds(picks: Sequence[Pick], *, jobs: int, extra: int = 300) -> Float32[np.ndarray, "c n 3"]:
+    """Clouds of the parts of some furniture, and of generated pieces besides, metres.
+
+    Args:
+        picks: the furniture.
+        jobs: pieces at a time.
+        extra: generated pieces, in no data set, of the families that occur among `picks` and some to practise on.
+    """
+    families = {p.entry.family for p in picks if p.entry is not None}
+    names = extra_names(extra, [f for f in CHAIRS if f not in families]) if families else []
+    work = [*picks, *names]
+    if jobs == 1:
+        clouds = list(map(_clouds, work))
+    else:
+        with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+            clouds = list(pool.map(_clouds, work, chunksize=8))
+    return np.concatenate(clouds)
+
+
+def _clouds(piece: Pick | str) -> Float32[np.ndarray, "p n 3"]:
+    if isinstance(piece, str):
+        family, _, number = piece.partition(":")
+        furniture = catalogue.make(family, int(number))
+    else:
+        furniture = piece.furniture()
+    return np.array([surface_points(p.mesh, CLOUD_POINTS) for p in furniture.parts], np.float32)

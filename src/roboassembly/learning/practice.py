@@ -1,0 +1,202 @@
+"""Exploration by practice: a play is repeated with one thing changed, and kept if it leads at least as far.
+
+Joining right pairs at random nearly always ends with parts that no longer fit in. So a learner holds on to the play
+that left the fewest groups over, and tries one of the groups left over earlier in it (as in "squeaky wheel"
+optimisation, Joslin and Clements 1999; returning to where one was before exploring is Go-Explore's, Ecoffet et al.
+2021). A play is a list of pairs of points in the order in which they are to be joined; which group moves and with which
+`w` is whatever is known to work, else what worked for these points in other groups, else anything.
+
+It rests on outcomes of the learner's own steps alone, and only tells which known or untried action to take next.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from roboassembly.learning.layers import Params
+from roboassembly.learning.rehearsal import FAILS, MERGES, UNKNOWN, WAYS, Action, Rehearsal, State
+
+Pair = tuple[int, int]
+"""Rows of two points, the lower first."""
+_PATIENCE = 40
+"""Episodes that one play may take until all its merges are known."""
+_RESTART = 6
+"""Plays without progress after which an altogether new one is begun."""
+_SHAKE = 0.4
+"""Share of changes that also move some other pair."""
+_WORSE = 0.03
+"""Share of plays that are kept although they led less far."""
+_CAUTION = (0.0, 2.0, 5.0, 10.0)
+"""How much a play avoids joining parts after which others were left over in earlier plays; drawn for each play."""
+
+
+class Practice:
+    """Improves one play by small changes."""
+
+    def __init__(self, rehearsal: Rehearsal, rng: np.random.Generator) -> None:
+        self.rehearsal, self.rng = rehearsal, rng
+        self._plan: list[Pair] = []
+        """Pairs in the order in which they are tried in this play."""
+        self._done: list[Pair] = []
+        """Those joined in this episode."""
+        self._last: Pair | None = None
+        """The one that is being tried."""
+        self._kept: list[Pair] = []
+        """The play that is being improved, ..."""
+        self._left = len(rehearsal.start) + 1
+        """... and how many groups it leaves over."""
+        self._episodes = self._idle = 0
+        self._caution = float(rng.choice(_CAUTION))
+        count = len(rehearsal.like)
+        self._merges: list[tuple[tuple[int, ...], tuple[int, ...]]] = []
+        """Groups joined in this episode."""
+        self._together = np.zeros((count, count, count), np.int32)
+        """How often two parts were joined before a third was, ..."""
+        self._left_over = np.zeros((count, count, count), np.int32)
+        """... and how often that was then left over."""
+
+    def choose(self, state: State) -> Action | None:
+        """The next action; None if nothing is left that might work."""
+        known = self.rehearsal.known(state)
+        exists = self.rehearsal.exists(state)
+        if len(state) == len(self.rehearsal.start):
+            pick = self._never_tried(exists)
+            if pick is not None:
+                return pick
+        hopeful = self._hopeful(known, exists)
+        for pair in self._plan:
+            if hopeful[pair]:
+                return self._way(pair, known)
+        others = np.argwhere(np.triu(hopeful))
+        if not len(others):
+            return None
+        risk = self._risk(state)[self.rehearsal.part[others[:, 0]], self.rehearsal.part[others[:, 1]]]
+        weight = np.exp(-self._caution * (risk - risk.min()))
+        row, column = others[self.rng.choice(len(others), p=weight / weight.sum())].tolist()
+        return self._way((row, column), known)
+
+    def _risk(self, state: State) -> Float[np.ndarray, "P P"]:
+        """For two parts, how many third ones are likely to be left over if their groups are joined now."""
+        groups = self.rehearsal.members(state)
+        like, together, left = self.rehearsal.like, self._together, self._left_over
+        mean = (left.sum() + 1.0) / (together.sum() + 2.0)
+        excess = np.maximum((left + mean) / (together + 1.0) - mean, 0.0)[like][:, like][:, :, like]
+        out = np.zeros((len(like), len(like)))
+        for i, one in enumerate(groups):
+            for two in groups[:i]:
+                rest = np.setdiff1d(np.arange(len(like)), [*one, *two])
+                risk = excess[list(one)][:, list(two)][:, :, rest].max(axis=(0, 1)).sum()
+                out[np.ix_(one, two)] = out.T[np.ix_(one, two)] = risk
+        return out
+
+    def _hopeful(self, known: np.ndarray, exists: Bool[np.ndarray, "m m"]) -> Bool[np.ndarray, "m m"]:
+        """Pairs that were right before and have not failed every way here; symmetric."""
+        open_ = (known != FAILS).any(axis=2)
+        return exists & (self.rehearsal.tried[1] > 0) & (open_ | open_.T)
+
+    def _never_tried(self, exists: Bool[np.ndarray, "m m"]) -> Action | None:
+        fresh = np.argwhere(np.triu(exists & (self.rehearsal.tried.sum(axis=0) == 0)))
+        if not len(fresh):
+            return None
+        row, column = fresh[self.rng.integers(len(fresh))].tolist()
+        return row, column, int(self.rng.integers(WAYS))
+
+    def _way(self, pair: Pair, known: np.ndarray) -> Action:
+        """Who moves, and with which `w`."""
+        row, column = self._last = pair
+        actions = [(a, b, w) for a, b in ((row, column), (column, row)) for w in range(WAYS)]
+        works = [a for a in actions if known[a] == MERGES]
+        if works:
+            return works[self.rng.integers(len(works))]
+        untried = [a for a in actions if known[a] == UNKNOWN]
+        failed, merged = np.array([self.rehearsal.went(a, b)[:, w] for a, b, w in untried]).T
+        hope = ((merged + 0.5) / (failed + merged + 1.0)) ** 2
+        return untried[self.rng.choice(len(untried), p=hope / hope.sum())]
+
+    def joined(self, state: State, action: Action) -> None:
+        """The action merged, in a state."""
+        groups = self.rehearsal.members(state)
+        one, two = (next(g for g in groups if self.rehearsal.part[row] in g) for row in action[:2])
+        self._merges.append((one, two))
+        self._done.append((min(action[:2]), max(action[:2])))
+        self._last = None
+
+    def end(self, state: State, stuck: bool) -> None:
+        """The episode ended in a state, because nothing was left to try or because a try failed."""
+        self._episodes += 1
+        if stuck or self._episodes > _PATIENCE:
+            self._judge(state)
+            self._change(state)
+            self._episodes = 0
+        else:
+            # The same once more, as far as it went; now with one way less to try.
+            seen = [*self._done, *([] if self._last is None else [self._last])]
+            self._plan = seen + [pair for pair in self._plan if pair not in seen]
+        self._done, self._last, self._merges = [], None, []
+
+    def _judge(self, state: State) -> None:
+        whole = self.rehearsal.members(state)
+        group_of = np.zeros(len(self.rehearsal.like), int)
+        for i, parts in enumerate(whole):
+            group_of[list(parts)] = i
+        like = self.rehearsal.like
+        for one, two in self._merges:
+            rest = np.setdiff1d(np.arange(len(like)), [*one, *two])
+            left = group_of[rest] != group_of[one[0]]
+            for a, b in ((one, two), (two, one)):
+                at = np.ix_(like[list(a)], like[list(b)], like[rest])
+                np.add.at(self._together, at, 1)
+                np.add.at(self._left_over, at, np.broadcast_to(left, (len(a), len(b), len(rest))))
+        self._idle = 0 if len(state) < self._left else self._idle + 1
+        if len(state) <= self._left or self.rng.random() < _WORSE:
+            self._kept, self._left = list(self._done), len(state)
+        if self._idle > _RESTART:
+            self._kept, self._left, self._idle = [], len(self.rehearsal.start) + 1, 0
+
+    def _change(self, state: State) -> None:
+        """A new play: the kept one with a pair of what was left over earlier in it."""
+        rng, plan = self.rng, list(self._kept)
+        self._caution = float(rng.choice(_CAUTION))
+        if not plan:
+            self._plan = []
+            return
+        if rng.random() < _SHAKE:
+            plan.insert(int(rng.integers(len(plan))), plan.pop(int(rng.integers(len(plan)))))
+        over = self._over(plan)
+        right = np.argwhere(np.triu(over & (self.rehearsal.tried[1] > 0)))
+        if len(right):
+            row, column = right[rng.integers(len(right))].tolist()
+            plan.insert(int(rng.integers(len(plan))), (row, column))
+        self._plan = plan
+
+    def _over(self, plan: list[Pair]) -> Bool[np.ndarray, "m m"]:
+        """Pairs of points of parts that the plan leaves in different groups."""
+        part = self.rehearsal.part
+        group = np.arange(part.max() + 1)
+        for row, column in plan:
+            group[group == group[part[row]]] = group[part[column]]
+        return group[part][:, None] != group[part][None]
+
+    def to_arrays(self) -> Params:
+        """Where it stands."""
+        return {
+            "plan": np.array(self._plan, np.int32).reshape(-1, 2),
+            "done": np.array(self._done, np.int32).reshape(-1, 2),
+            "kept": np.array(self._kept, np.int32).reshape(-1, 2),
+            "counts": np.array([self._left, self._episodes, self._idle], np.int64),
+            "last": np.array([] if self._last is None else [self._last], np.int32).reshape(-1, 2),
+            "together": self._together.copy(),
+            "left_over": self._left_over.copy(),
+            "caution": np.array(self._caution),
+        }
+
+    def restore(self, arrays: Params) -> None:
+        """Take over what `to_arrays` gave."""
+        self._plan, self._done, self._kept = (
+            [(a, b) for a, b in arrays[name].tolist()] for name in ("plan", "done", "kept")
+        )
+        self._together, self._left_over = arrays["together"].copy(), arrays["left_over"].copy()
+        self._last = next(((a, b) for a, b in arrays["last"].tolist()), None)
+        self._left, self._episodes, self._idle = arrays["counts"].tolist()
+        self._caution = float(arrays["caution"])
