@@ -316,3 +316,22 @@ def test_import_of_one_bad_piece_is_2(run: Run, tmp_path: Path) -> None:
     assert "Traceback" not in err
     assert "0 imported, 1 refused" in out
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("expert", "--limit", "0"), "--limit and --steps take 1 or more"),
+        (("expert", "--plays", "0"), "--side-by-side and --plays take 1 or more"),
+        (("autoencoder", "--set", "chairs-413"), "unknown data set 'chairs-413'; did you mean chairs-412"),
+        (("multitask", "--rounds", "-1"), "--rounds take 0 or more"),
+        (("multitask", "--preset", "paper"), "--lessons FOLDER"),
+        (("multitask", "--set", "folder:here"), "lessons are made of generated chairs"),
+    ],
+)
+def test_training_refuses_in_one_line(run: Run, tmp_path: Path, arguments: tuple[str, ...], said: str) -> None:
+    status, out, err = run("train", *arguments, "--out", tmp_path / "run", "--json")
+    assert status == 2
+    assert said in err
+    assert said in json.loads(out)["error"]
+    assert "Traceback" not in err

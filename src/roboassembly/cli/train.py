@@ -1,4 +1,4 @@
-"""`roboassembly train`: the auto-encoder, and an expert for each chair."""
+"""`roboassembly train`: the auto-encoder, an expert for each chair, one policy for all."""
 
 from __future__ import annotations
 
@@ -7,11 +7,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 from tqdm import tqdm
 
+from roboassembly.cli.multitask import Multitask
 from roboassembly.cli.output import DONE, DONE_BADLY, print_json, say, writable_folder
 from roboassembly.errors import InputError, MissingExtraError
 
@@ -20,27 +21,26 @@ if TYPE_CHECKING:
     from roboassembly.learning.apprentices import Mastery
 
 
-@dataclass(frozen=True)
-class Train:
-    """Train networks; stopped at any moment, the same command goes on where it was."""
+def _needs(*packages: str) -> None:
+    for package in packages:
+        if find_spec(package) is None:
+            raise MissingExtraError(package, "learn")
 
-    what: Annotated[Literal["autoencoder", "expert"], tyro.conf.Positional]
-    """`autoencoder`: features of parts' shapes. `expert`: a Double DQN for each chair, and lessons of what it does;
-    trains the auto-encoder first if there is none."""
+
+@dataclass(frozen=True)
+class Autoencoder:
+    """What a part looks like, in a few numbers: the features that experts and the preset `paper` see."""
+
     set: Annotated[str, tyro.conf.arg(name="set")] = "chairs-412:train"
-    """Chairs to train on: `NAME:SPLIT` or `folder:PATH`."""
+    """Chairs whose parts are taught: `NAME:SPLIT` or `folder:PATH`."""
     out: Path = Path("runs/experts")
-    """Folder of the run: autoencoder.npz, experts/ and lessons/."""
+    """Folder of the run; the result is autoencoder.npz in it."""
     limit: int | None = None
     """The first so many chairs only."""
     steps: int | None = None
-    """Environment steps of an expert at most (40,000), or updates of the auto-encoder (4,000)."""
-    plays: int = 6
-    """Of each expert, to become lessons."""
-    side_by_side: int = 4
-    """Experts trained in one call in each process; many more on a GPU."""
+    """Updates (4,000)."""
     seed: int = 0
-    """Of weights, starts and exploration."""
+    """Of weights and order."""
     jobs: int = os.cpu_count() or 1
     """Processes."""
     json: bool = False
@@ -48,13 +48,19 @@ class Train:
 
     def run(self) -> int:
         """Do it; returns the exit status."""
-        if self.seed < 0 or min(self.jobs, self.side_by_side, self.plays) < 1:
-            raise InputError("--seed takes 0 or more, --jobs, --side-by-side and --plays take 1 or more")
+        picks = self.prepared()
+        report = self.train(picks)
+        if self.json:
+            print_json(report)
+        return DONE
+
+    def prepared(self) -> list[Pick]:
+        """The furniture, once everything is checked and JAX is told to keep to one thread."""
+        if self.seed < 0 or self.jobs < 1:
+            raise InputError("--seed takes 0 or more, --jobs takes 1 or more")
         if min(self.limit or 1, self.steps or 1) < 1 or 0 in (self.limit, self.steps):
             raise InputError("--limit and --steps take 1 or more")
-        for package in ("jax", "optax"):
-            if find_spec(package) is None:
-                raise MissingExtraError(package, "learn")
+        _needs("jax", "optax")
         # Many small networks, one process each: threads would only get in each other's way.
         os.environ.setdefault("OMP_NUM_THREADS", "1")
         os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
@@ -63,20 +69,15 @@ class Train:
 
         picks = pick(self.set)[: self.limit]
         writable_folder(self.out)
-        if self.what == "autoencoder":
-            return self._autoencoder(picks, self.steps)
-        path = self.out / "autoencoder.npz"
-        if not path.exists():
-            say(f"no {path} yet: training the auto-encoder first")
-            self._autoencoder(picks, None, last=False)
-        return self._experts(picks, path)
+        return picks
 
-    def _autoencoder(self, picks: Sequence[Pick], steps: int | None, *, last: bool = True) -> int:
+    def train(self, picks: Sequence[Pick]) -> dict[str, object]:
+        """Train, or go on; what is to be told."""
         from roboassembly.learning import autoencoder
         from roboassembly.learning.part_clouds import gather_clouds
 
         training = autoencoder.Training(seed=self.seed)
-        training = training if steps is None else replace(training, steps=steps)
+        training = training if self.steps is None else replace(training, steps=self.steps)
         clouds = gather_clouds(picks, jobs=self.jobs)
         loss = 0.0
         with tqdm(total=training.steps, unit="step") as progress:
@@ -86,9 +87,30 @@ class Train:
                 loss = terms["chamfer"]
                 progress.update(step - progress.n)
                 progress.set_postfix(chamfer=f"{loss:.5f}")
-        if self.json and last:
-            print_json({"clouds": len(clouds), "steps": training.steps, "chamfer": loss, "out": str(self.out)})
-        return DONE
+        return {"clouds": len(clouds), "steps": training.steps, "chamfer": loss, "out": str(self.out)}
+
+
+@dataclass(frozen=True)
+class Expert(Autoencoder):
+    """A Double DQN for each chair, and lessons of what it does; trains the auto-encoder first if there is none."""
+
+    steps: int | None = None
+    """Of the environment, for each chair, at most (40,000)."""
+    plays: int = 6
+    """Of each expert, to become lessons."""
+    side_by_side: int = 4
+    """Experts trained in one call in each process; many more on a GPU."""
+
+    def run(self) -> int:
+        """Do it; returns the exit status."""
+        if min(self.side_by_side, self.plays) < 1:
+            raise InputError("--side-by-side and --plays take 1 or more")
+        picks = self.prepared()
+        path = self.out / "autoencoder.npz"
+        if not path.exists():
+            say(f"no {path} yet: training the auto-encoder first")
+            replace(self, steps=None).train(picks)
+        return self._experts(picks, path)
 
     def _experts(self, picks: Sequence[Pick], extractor: Path) -> int:
         from roboassembly.learning import expert_lessons
@@ -148,3 +170,23 @@ def _figures(results: Sequence[Mastery]) -> dict[str, object]:
         "planned_mean": sum(r.planned for r in results) / n,
         "seconds": sum(r.seconds for r in results),
     }
+
+
+@dataclass(frozen=True)
+class Train:
+    """Train networks; stopped at any moment, the same command goes on where it was."""
+
+    what: (
+        Annotated[Autoencoder, tyro.conf.subcommand("autoencoder")]
+        | Annotated[Expert, tyro.conf.subcommand("expert")]
+        | Annotated[Multitask, tyro.conf.subcommand("multitask")]
+    )
+
+    @property
+    def json(self) -> bool:
+        """Whether the result goes to stdout as JSON."""
+        return self.what.json
+
+    def run(self) -> int:
+        """Do it; returns the exit status."""
+        return self.what.run()

@@ -136,7 +136,7 @@ class Memory:
         real = np.zeros((c.batch, c.backups), np.float32)
         for row, i in enumerate(chosen.tolist()):
             state = self.states[i]
-            fails[row, :m, :m] = (self.rehearsal.known(state) == FAILS) & self.rehearsal.exists(state)[..., None]
+            fails[row, :m, :m] = (self.rehearsal.known(state) >= FAILS) & self.rehearsal.exists(state)[..., None]
             known = list(self.merges[i].items())
             for slot in range(min(c.backups, len(known))):
                 if slot == 0:

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from roboassembly.learning.layers import Params
-from roboassembly.learning.rehearsal import FAILS, MERGES, UNKNOWN, WAYS, Action, Rehearsal, State
+from roboassembly.learning.rehearsal import BLOCKED, FAILS, MERGES, UNKNOWN, WAYS, Action, Rehearsal, State
 
 Pair = tuple[int, int]
 """Rows of two points, the lower first."""
@@ -27,6 +27,10 @@ _SHAKE = 0.4
 """Share of changes that also move some other pair."""
 _WORSE = 0.03
 """Share of plays that are kept although they led less far."""
+_GIVE_UP = 2
+"""Ways without a path after which a play gives two groups up, although other ways were not tried."""
+_SWAP = 4.0
+"""How much more likely an action is tried whose roles, swapped, had no free goal; and less, if they had no path."""
 _CAUTION = (0.0, 2.0, 5.0, 10.0)
 """How much a play avoids joining parts after which others were left over in earlier plays; drawn for each play."""
 
@@ -91,9 +95,11 @@ class Practice:
         return out
 
     def _hopeful(self, known: np.ndarray, exists: Bool[np.ndarray, "m m"]) -> Bool[np.ndarray, "m m"]:
-        """Pairs that were right before and have not failed every way here; symmetric."""
-        open_ = (known != FAILS).any(axis=2)
-        return exists & (self.rehearsal.tried[1] > 0) & (open_ | open_.T)
+        """Pairs that were right before and are not given up here; symmetric."""
+        works, blocked = (known == MERGES).any(axis=2), (known == BLOCKED).sum(axis=2)
+        open_ = (known == UNKNOWN).any(axis=2)
+        open_ = works | works.T | ((open_ | open_.T) & (blocked + blocked.T < _GIVE_UP))
+        return exists & (self.rehearsal.tried[1] > 0) & open_
 
     def _never_tried(self, exists: Bool[np.ndarray, "m m"]) -> Action | None:
         fresh = np.argwhere(np.triu(exists & (self.rehearsal.tried.sum(axis=0) == 0)))
@@ -112,6 +118,9 @@ class Practice:
         untried = [a for a in actions if known[a] == UNKNOWN]
         failed, merged = np.array([self.rehearsal.went(a, b)[:, w] for a, b, w in untried]).T
         hope = ((merged + 0.5) / (failed + merged + 1.0)) ** 2
+        # Where the goal was in collision, it often was the ground's; then who waits should move.
+        swapped = np.array([known[b, a, w] for a, b, w in untried])
+        hope *= np.select([swapped == FAILS, swapped == BLOCKED], [_SWAP, 1.0 / _SWAP], 1.0)
         return untried[self.rng.choice(len(untried), p=hope / hope.sum())]
 
     def joined(self, state: State, action: Action) -> None:

@@ -30,8 +30,9 @@ from roboassembly.task.pairs import ANGLE_TOLERANCE, POSITION_TOLERANCE
 
 BUDGET = Budget(states=0)
 """Of the planner: straight retreats only. What they do not solve, a sampling planner seldom does."""
-UNKNOWN, FAILS, MERGES = 0, 1, 2
-"""What is known of an action."""
+UNKNOWN, MERGES, FAILS, BLOCKED = range(4)
+"""What is known of an action; it fails from `FAILS` on: a wrong pair or a goal in collision, or no way to the goal."""
+_KNOWN = {Verdict.MERGED: MERGES, Verdict.GOAL_IN_COLLISION: FAILS}
 WAYS = len(UP_AXES)
 _FLIP = np.array([1.0, -1.0, -1.0])
 """Mating turns the normal and leaves the tangent."""
@@ -66,7 +67,7 @@ class Rehearsal:
         self._groups: list[Named] = []
         self._names: dict[tuple[int, tuple[int, ...]], int] = {}
         self._known = Table(6)
-        """u's kind, v's kind, points among those of the kinds, `w` (-1: any), and whether it merges."""
+        """u's kind, v's kind, points among those of the kinds, `w` (-1: any), and what is known."""
         self._outcomes: dict[tuple[int, int, int, int], int] = {}
         """Two groups and their points to the merged group. (Which slots it is told in depends on the very parts.)"""
         self._cache: dict[State, tuple[int, Int8[np.ndarray, "n n 6"]]] = {}
@@ -91,7 +92,7 @@ class Rehearsal:
     def step(self, state: State, action: Action) -> State | None:
         """The state after a merge; None if the action fails. Takes an action that exists."""
         known = self.known(state)[action]
-        if known == FAILS:
+        if known >= FAILS:
             return None
         row, column, _ = action
         one, two = self.owner(state, row), self.owner(state, column)
@@ -112,8 +113,8 @@ class Rehearsal:
         if merge is None:
             self._count(self._tried[0], one, two, alike)
             self._count(self._tried[0].T, one, two, alike)
-            self._learn(one, two, alike, -1, False)
-            self._learn(two, one, alike[:, ::-1], -1, False)
+            self._learn(one, two, alike, -1, FAILS)
+            self._learn(two, one, alike[:, ::-1], -1, FAILS)
             return False
         label = self._key(merge.merged)
         merges = bool(self.known(state)[action] == MERGES)
@@ -128,14 +129,16 @@ class Rehearsal:
                 # How it comes to rest is known; only whether it comes about is not.
                 mating = self.task.prepare(before, names)
                 assert mating is not None
-                merges = self.task.plan(mating, seed, BUDGET).solved
+                result = self.task.plan(mating, seed, BUDGET)
+                verdict = Verdict.MERGED if result.solved else Verdict(result.status.value)
             else:
                 outcome = self.task.step(before, names, seed, BUDGET)
-                merges = outcome.verdict is Verdict.MERGED
-                if merges:
+                verdict = outcome.verdict
+                if verdict is Verdict.MERGED:
                     self._kind(next(g for g in outcome.state.groups if names[0] in g.parts), label)
+            merges = verdict is Verdict.MERGED
             self._count(self._went[int(merges), :, :, w], one, two, alike)
-            self._learn(one, two, alike, w, merges)
+            self._learn(one, two, alike, w, _KNOWN.get(verdict, BLOCKED))
         if merges:
             part_in = dict(zip(merge.merged.slots, merge.merged.parts, strict=True))
             kind = self._kind_names[label]
@@ -146,9 +149,9 @@ class Rehearsal:
         rows, columns = (self._row_like[self._groups[g].rows[alike[:, i]]] for i, g in enumerate((one, two)))
         counts[rows, columns] += 1
 
-    def _learn(self, one: int, two: int, alike: Int[np.ndarray, "a 2"], w: int, merges: bool) -> None:
+    def _learn(self, one: int, two: int, alike: Int[np.ndarray, "a 2"], w: int, verdict: int) -> None:
         for k, l in alike.tolist():  # noqa: E741
-            self._known.append(self._groups[one].kind, self._groups[two].kind, k, l, w, int(merges))
+            self._known.append(self._groups[one].kind, self._groups[two].kind, k, l, w, verdict)
 
     def _alike(self, one: int, two: int, row: int, column: int) -> Int[np.ndarray, "a 2"]:
         """Pairs of points that would bring two groups together just as the given pair does, itself first.
@@ -190,10 +193,10 @@ class Rehearsal:
         """From now on the action fails wherever such groups meet."""
         row, column, w = action
         one, two = self.owner(state, row), self.owner(state, column)
-        self._learn(one, two, self._alike(one, two, row, column), w, False)
+        self._learn(one, two, self._alike(one, two, row, column), w, FAILS)
 
     def known(self, state: State) -> Int8[np.ndarray, "n n 6"]:
-        """What is known of each action of a state: `UNKNOWN`, `FAILS` or `MERGES`. Not to be changed."""
+        """What is known of each action of a state: `UNKNOWN`, `MERGES`, `FAILS` or `BLOCKED`. Not to be changed."""
         n = len(self.part)
         seen, out = self._cache.pop(state, None) or (0, np.zeros((n, n, WAYS), np.int8))
         fresh = self._known.since(seen)
@@ -209,7 +212,7 @@ class Rehearsal:
             starts = np.flatnonzero(np.diff(pairs[order], prepend=-1))
             for rows in np.split(fresh[order], starts[1:]) if len(fresh) else ():
                 way = np.where(rows[:, 4] < 0, 0, rows[:, 4])
-                verdict = np.where(rows[:, 5] > 0, MERGES, FAILS).astype(np.int8)
+                verdict = rows[:, 5].astype(np.int8)
                 whole = rows[:, 4] < 0
                 for u in members[int(rows[0, 0])]:
                     for v in members[int(rows[0, 1])]:
