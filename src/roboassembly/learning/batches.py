@@ -10,7 +10,8 @@ from roboassembly.learning.tokens import Tokens
 
 SIZES = (16, 32, 48, 64, 96, 128, 160, 200)
 """Tokens; 200 is 20 parts of 10 points."""
-PADDED = ("patch", "own", "frame", "position", "pair", "way")
+PADDED = ("patch", "own", "frame", "position", "extent", "meet", "beside", "loops")
+_PAIRS = ("meet", "beside", "loops")
 
 
 def size_for(n: int) -> int:
@@ -23,12 +24,12 @@ def pad(states: Sequence[Tokens], size: int) -> dict[str, np.ndarray]:
     batch = {"group": np.full((len(states), size), -1, np.int32)}
     for name in PADDED:
         like = getattr(states[0], name)
-        across = 2 if name in ("pair", "way") else 1
+        across = 2 if name in _PAIRS else 1
         batch[name] = np.zeros((len(states), *[size] * across, *like.shape[across:]), like.dtype)
     for row, state in enumerate(states):
         n = len(state.group)
         batch["group"][row, :n] = state.group
         for name in PADDED:
             value = getattr(state, name)
-            batch[name][(row, *[slice(n)] * (2 if name in ("pair", "way") else 1))] = value
+            batch[name][(row, *[slice(n)] * (2 if name in _PAIRS else 1))] = value
     return batch

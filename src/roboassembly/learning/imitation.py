@@ -46,7 +46,7 @@ class Training:
 
 @dataclass(frozen=True, eq=False)
 class Example:
-    """A state ready for the network, in half precision to fit thousands in memory."""
+    """A state ready for the network, small enough to keep a hundred thousand."""
 
     course: int
     tokens: Tokens
@@ -60,9 +60,8 @@ def examples_of(courses: Sequence[Course]) -> list[Example]:
     for index, course in enumerate(courses):
         for lesson in course.lessons:
             tokens = course.tokens(lesson)
-            small = {n: getattr(tokens, n).astype(np.float16) for n in PADDED if n != "patch"}
-            fields = {name: small.get(name, getattr(tokens, name)) for name in Tokens.__dataclass_fields__}
-            out.append(Example(index, Tokens(**fields), *answers(tokens, lesson)))
+            small = replace(tokens, beside=tokens.beside.astype(np.float16))
+            out.append(Example(index, small, *answers(tokens, lesson)))
     return out
 
 
@@ -146,10 +145,10 @@ def losses(params: relational.Params, batch: dict[str, Any]) -> tuple[jax.Array,
     the log of the share of the softmax over all actions that good ones have: the surest action must be a good one.
     `chosen` is how often it is.
     """
-    t = {k: v.astype(jnp.float32) if v.dtype == jnp.float16 else v for k, v in batch.items()}
-    right, q, valid = relational.apply(params, t)
+    tokens = {name: batch[name] for name in ("group", *PADDED)}
+    right, q, valid = relational.apply(params, tokens)
     known = valid.astype(jnp.float32)
-    is_right, is_good = t["right"].astype(jnp.float32), t["good"].astype(jnp.float32)
+    is_right, is_good = batch["right"].astype(jnp.float32), batch["good"].astype(jnp.float32)
     count = jnp.maximum((is_right * known).sum((1, 2)), 1.0)
     pairs = (_cross_entropy(right, is_right) * known * (1.0 + 4.0 * is_right)).sum((1, 2)) / count
     weight = known[..., None] * (0.2 + is_right[..., None])

@@ -68,7 +68,7 @@ class Practice:
             pick = self._never_tried(exists)
             if pick is not None:
                 return pick
-        hopeful = self._hopeful(known, exists)
+        hopeful = self._hopeful(state, known, exists)
         for pair in self._plan:
             if hopeful[pair]:
                 return self._way(pair, known)
@@ -94,12 +94,21 @@ class Practice:
                 out[np.ix_(one, two)] = out.T[np.ix_(one, two)] = risk
         return out
 
-    def _hopeful(self, known: np.ndarray, exists: Bool[np.ndarray, "m m"]) -> Bool[np.ndarray, "m m"]:
+    def _hopeful(self, state: State, known: np.ndarray, exists: Bool[np.ndarray, "m m"]) -> Bool[np.ndarray, "m m"]:
         """Pairs that were right before and are not given up here; symmetric."""
         works, blocked = (known == MERGES).any(axis=2), (known == BLOCKED).sum(axis=2)
         open_ = (known == UNKNOWN).any(axis=2)
         open_ = works | works.T | ((open_ | open_.T) & (blocked + blocked.T < _GIVE_UP))
-        return exists & (self.rehearsal.tried[1] > 0) & open_
+        out = exists & (self.rehearsal.tried[1] > 0) & open_
+        if not out.any():
+            return out
+        # Of the ways to bring two groups together, the one in which most points meet.
+        meets = np.where(out, self.rehearsal.meets(state), 0)
+        owner = self.rehearsal.owners(state)
+        member = np.array([owner == name for name in state])
+        most = np.array([[meets[np.ix_(a, b)].max(initial=0) for b in member] for a in member])
+        at = np.argmax(member, axis=0)
+        return out & (meets == most[at][:, at])
 
     def _never_tried(self, exists: Bool[np.ndarray, "m m"]) -> Action | None:
         fresh = np.argwhere(np.triu(exists & (self.rehearsal.tried.sum(axis=0) == 0)))

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, Int8
+from scipy.spatial import KDTree
 
 from roboassembly.errors import InputError
 from roboassembly.furniture.model import MAX_PARTS
@@ -71,6 +72,7 @@ class Rehearsal:
         self._outcomes: dict[tuple[int, int, int, int], int] = {}
         """Two groups and their points to the merged group. (Which slots it is told in depends on the very parts.)"""
         self._cache: dict[State, tuple[int, Int8[np.ndarray, "n n 6"]]] = {}
+        self._meets: dict[tuple[int, int], Int[np.ndarray, "k l"]] = {}
         n = len(self.part)
         self._tried = np.zeros((2, n, n), np.int32)
         self._went = np.zeros((2, n, n, WAYS), np.int32)
@@ -160,18 +162,40 @@ class Rehearsal:
         """
         k, l = self._local(one, row), self._local(two, column)  # noqa: E741
         u, v = self._kinds[self._groups[one].kind].free, self._kinds[self._groups[two].kind].free
-        turns_u, at_u, gap_u = self._frames(one, u)
-        turns_v, at_v, gap_v = self._frames(two, v)
-        at_v = at_v[None] + 0.5 * (gap_u[:, None] + gap_v[None])[..., None] * turns_v[None, :, :, 2]
-        turn = np.einsum("lij,j,kmj->klim", turns_v, _FLIP, turns_u)
-        shift = at_v - np.einsum("klij,kj->kli", turn, at_u)
+        motion = self._motions(one, two)
         i, j = int(np.searchsorted(u, k)), int(np.searchsorted(v, l))
-        same = (np.linalg.norm(shift - shift[i, j], axis=2) < POSITION_TOLERANCE) & (
-            np.linalg.norm(turn - turn[i, j], axis=(2, 3)) < ANGLE_TOLERANCE
-        )
+        same = np.linalg.norm(motion - motion[i, j], axis=2) < 1.0
         same[i, j] = False
         found = np.argwhere(same)
         return np.concatenate([[[k, l]], np.stack([u[found[:, 0]], v[found[:, 1]]], axis=1)]).astype(int)
+
+    def _motions(self, one: int, two: int) -> Float[np.ndarray, "k l 12"]:
+        """How each free point of a group, laid on each of another's, places the two; in tolerances."""
+        turns_u, at_u, gap_u = self._frames(one, self._kinds[self._groups[one].kind].free)
+        turns_v, at_v, gap_v = self._frames(two, self._kinds[self._groups[two].kind].free)
+        at_v = at_v[None] + 0.5 * (gap_u[:, None] + gap_v[None])[..., None] * turns_v[None, :, :, 2]
+        turn = np.einsum("lij,j,kmj->klim", turns_v, _FLIP, turns_u)
+        shift = at_v - np.einsum("klij,kj->kli", turn, at_u)
+        flat = turn.reshape(*turn.shape[:2], 9)
+        return np.concatenate([shift / POSITION_TOLERANCE, flat / ANGLE_TOLERANCE], axis=2)
+
+    def meets(self, state: State) -> Int[np.ndarray, "m m"]:
+        """For two free points of different groups, how many pairs of points would meet if these did; symmetric."""
+        out = np.zeros((len(self.part), len(self.part)), np.int32)
+        for i, one in enumerate(state):
+            u = self._groups[one]
+            for two in state[:i]:
+                v = self._groups[two]
+                key = (u.kind, v.kind)
+                if key not in self._meets:
+                    motions = self._motions(one, two)
+                    tree = KDTree(motions.reshape(-1, 12))
+                    counts = tree.query_ball_point(tree.data, 1.0, return_length=True)
+                    self._meets[key] = np.asarray(counts, np.int32).reshape(motions.shape[:2])
+                rows, columns = u.rows[self._kinds[u.kind].free], v.rows[self._kinds[v.kind].free]
+                out[np.ix_(rows, columns)] = self._meets[key]
+                out[np.ix_(columns, rows)] = self._meets[key].T
+        return out
 
     def _frames(
         self, name: int, points: Int[np.ndarray, "r"]

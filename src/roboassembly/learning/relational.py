@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Float32
 
 from roboassembly.learning.batches import pad
+from roboassembly.learning.features import PAIR, WAY, of_pairs, of_ways
 from roboassembly.learning.layers import (
     Array,
     Params,
@@ -30,7 +31,7 @@ from roboassembly.learning.layers import (
     sigmoid,
     softplus,
 )
-from roboassembly.learning.tokens import PAIR, PATCH, POINT, WAY, Tokens
+from roboassembly.learning.tokens import PATCH, POINT, Tokens
 
 KIND = "relational"
 """Of checkpoints."""
@@ -92,6 +93,7 @@ def apply(p: Params, t: dict[str, Array]) -> tuple[Array, Array, Array]:
         valid: (b, n, n) whether the two tokens are there and in different groups.
     """
     xp = t["own"].__array_namespace__()
+    t = {name: a if name in ("group", "patch") else xp.astype(a, xp.float32) for name, a in t.items()}
     group = t["group"]
     present = group >= 0
     both = present[:, :, None] & present[:, None, :]
@@ -100,7 +102,7 @@ def apply(p: Params, t: dict[str, Array]) -> tuple[Array, Array, Array]:
     token = mlp(p["patch"], 1.0 - xp.astype(t["patch"], xp.float32) / 255.0) + mlp(p["own"], t["own"])
 
     mates = linear(p["pair_u"], token)[:, :, None] + linear(p["pair_v"], token)[:, None]
-    judged = mlp(p["judge"], gelu(mates + linear(p["pair_own"], t["pair"])))
+    judged = mlp(p["judge"], gelu(mates + linear(p["pair_own"], of_pairs(t, valid))))
     right = linear(p["right"], judged)[..., 0]
     belief = sigmoid(right) * xp.astype(valid, xp.float32)
     belief = xp.maximum(belief, xp.swapaxes(belief, 1, 2))
@@ -117,7 +119,7 @@ def apply(p: Params, t: dict[str, Array]) -> tuple[Array, Array, Array]:
     locked = _locked_out(p, token, rel, same, wants, member)
     value = linear(p["value_u"], token)[:, :, None] + linear(p["value_v"], token)[:, None]
     value = mlp(p["value"], gelu(judged + value + linear(p["value_conflict"], locked)))
-    ways = gelu(linear(p["q_pair"], value)[..., None, :] + linear(p["q_way"], t["way"]))
+    ways = gelu(linear(p["q_pair"], value)[..., None, :] + linear(p["q_way"], of_ways(t)))
     return right, linear(p["q"], ways)[..., 0], valid
 
 

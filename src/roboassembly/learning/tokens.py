@@ -17,22 +17,21 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Int, UInt8
 from scipy.spatial import KDTree
 
+from roboassembly.learning.features import possible, same_way, turns
+from roboassembly.learning.loops import closing_groups
 from roboassembly.poses import rotations_from_euler
-from roboassembly.task.object_centric import UP_AXES
 
 GRID_STEPS = (0.010, 0.040, 0.150)
 """Metres between the grid points at which a group's surface around a point is probed: joint, part, furniture."""
 GRID = np.stack(np.meshgrid(*[np.arange(-2.0, 3.0)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
 """Five a side, in steps, in the connection point's frame."""
 PATCH = len(GRID_STEPS) * len(GRID)
-POINT, PAIR, WAY = 20, 24, 7
-"""Numbers that describe a point, an ordered pair of points, and a pair with a `w`."""
+POINT = 21
+"""Numbers that describe a point."""
 _SPREAD = 160
 """Points of a group's cloud by which its extent after mating is told."""
 _HIT, _NEAR, _AROUND = 0.004, 0.012, 0.040
 """Metres: points that coincide, that ought to coincide, and that lie in each other's way."""
-_FLIP = np.array([1.0, -1.0, -1.0])
-"""Mating turns the normal and leaves the tangent."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,13 +44,22 @@ class Tokens:
     """0, 1, ... by first appearance."""
     patch: UInt8[np.ndarray, "n 375"]
     """Distance from each grid point to the surface of the token's group, over 1.5 steps, times 255."""
-    own: Float32[np.ndarray, "n 20"]
+    own: Float32[np.ndarray, "n 21"]
+    """Sizes, directions, how many parts are alike; the first tells the group's size, the last whether its frame is
+    surely parallel to the furniture's, 1 or 0."""
     frame: Float32[np.ndarray, "n 3 3"]
     """`group_from_point` rotation; a group's frame is that of its most singular part."""
     position: Float32[np.ndarray, "n 3"]
     """In the group's frame, metres."""
-    pair: Float32[np.ndarray, "n n 24"]
-    way: Float32[np.ndarray, "n n 6 7"]
+    extent: Float32[np.ndarray, "n 3"]
+    """Of the token's group, metres."""
+    meet: UInt8[np.ndarray, "n n 4"]
+    """Other free points of the two groups that would meet if the pair did, those that would with tangents aligned too,
+    those that would miss each other a little, and those that would come close."""
+    beside: Float32[np.ndarray, "n n 6"]
+    """How much higher the moving group's lower bounds would be than the waiting one's, and its upper bounds, metres."""
+    loops: UInt8[np.ndarray, "n n"]
+    """Of `closing_groups`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,12 +71,6 @@ class _GroupView:
     """Points of the cloud, at most `_SPREAD`."""
     tokens: Int[np.ndarray, "k"]
     size: int
-
-    def low(self) -> Float[np.ndarray, "6"]:
-        return (self.some @ UP_AXES.T).min(axis=0)
-
-    def high(self) -> Float[np.ndarray, "6"]:
-        return (self.some @ UP_AXES.T).max(axis=0)
 
 
 def tokenize(observation: dict[str, np.ndarray], mask: Bool[np.ndarray, "P P K K 6"]) -> Tokens:
@@ -94,7 +96,7 @@ def tokens_of(
     """As `tokenize`, from its ingredients: arrays as in `envs.observation`, free points, and each part's group."""
     part, point = np.nonzero(free)
     alike = _alike(clouds)
-    turn, shift = _into_group_frames(clouds, connections, group, alike)
+    turn, shift, upright = _into_group_frames(clouds, connections, group, alike)
     position = points[part, point, :3]
     normal, tangent = points[part, point, 3:6], points[part, point, 6:9]
     frame = np.stack([tangent, np.cross(normal, tangent), normal], axis=-1)
@@ -113,14 +115,20 @@ def tokens_of(
     own[:, 8:11] = 2.0 * position
     own[:, 11:14], own[:, 14:17] = normal, tangent
     own[:, 17], own[:, 18] = alike[part] / 4.0, alike[part] == 1
-    own[:, 19] = np.bincount(part, minlength=len(clouds))[part] / 5.0
-    patch = np.zeros((len(part), PATCH), np.uint8)
+    own[:, 19], own[:, 20] = np.bincount(part, minlength=len(clouds))[part] / 5.0, upright[part]
+    patch, extent = np.zeros((len(part), PATCH), np.uint8), np.zeros((len(part), 3), np.float32)
     for view in views:
         own[view.tokens, 0], own[view.tokens, 1] = view.size / 5.0, len(view.tokens) / 10.0
         patch[view.tokens] = _patches(view.cloud, at[view.tokens], in_group[view.tokens])
-    pair, way = _pairs(views, at, in_group, len(part))
+        extent[view.tokens] = np.ptp(view.some, axis=0)
+    turn = turns(in_group[None])[0]
+    meet, beside = _pairs(views, turn, at, in_group)
+    valid = token_group[:, None] != token_group
+    groups = [view.tokens for view in views]
+    loops = closing_groups(groups, at, in_group, possible(same_way(turn), upright[part], valid))
     return Tokens(
-        part, point, token_group, patch, own, in_group.astype(np.float32), at.astype(np.float32), pair, way
+        part, point, token_group, patch, own, in_group.astype(np.float32), at.astype(np.float32), extent, meet, beside,
+        np.minimum(loops, 255).astype(np.uint8),
     )  # fmt: skip
 
 
@@ -142,8 +150,12 @@ def _into_group_frames(
     connections: Float[np.ndarray, "P P 6"],
     group: Int[np.ndarray, "P"],
     alike: Int[np.ndarray, "P"],
-) -> tuple[Float[np.ndarray, "P 3 3"], Float[np.ndarray, "P 3"]]:
-    """`group_from_part`. The reference is the part with the fewest like it, then the largest: most surely upright."""
+) -> tuple[Float[np.ndarray, "P 3 3"], Float[np.ndarray, "P 3"], Bool[np.ndarray, "P"]]:
+    """`group_from_part`, and whether the group's frame is surely parallel to the furniture's.
+
+    The reference is the part with the fewest like it, then the largest: most surely upright.
+    """
+    upright = np.zeros(len(group), bool)
     turn, shift = np.tile(np.eye(3), (len(group), 1, 1)), np.zeros((len(group), 3))
     extent = np.ptp(clouds, axis=1).max(axis=1)
     for name in np.unique(group):
@@ -152,7 +164,8 @@ def _into_group_frames(
         rest = members[members != reference]
         turn[rest] = rotations_from_euler(connections[reference, rest, 3:])
         shift[rest] = connections[reference, rest, :3]
-    return turn, shift
+        upright[members] = alike[reference] == 1
+    return turn, shift, upright
 
 
 def _patches(
@@ -169,43 +182,30 @@ def _patches(
 
 
 def _pairs(
-    views: list[_GroupView], at: Float[np.ndarray, "n 3"], frame: Float[np.ndarray, "n 3 3"], n: int
-) -> tuple[Float32[np.ndarray, "n n 24"], Float32[np.ndarray, "n n 6 7"]]:
-    """What would come of mating any two points of different groups."""
-    pair, way = np.zeros((n, n, PAIR), np.float32), np.zeros((n, n, len(UP_AXES), WAY), np.float32)
+    views: list[_GroupView], turn: Float[np.ndarray, "n n 3 3"], at: Float[np.ndarray, "n 3"],
+    frame: Float[np.ndarray, "n 3 3"],
+) -> tuple[UInt8[np.ndarray, "n n 4"], Float32[np.ndarray, "n n 6"]]:  # fmt: skip
+    """What would come of mating any two points of different groups: `meet` and `beside`."""
+    n = len(at)
+    meet, beside = np.zeros((n, n, 4), np.uint8), np.zeros((n, n, 6), np.float32)
     for a, first in enumerate(views):
         for b, second in enumerate(views):
             if a == b:
                 continue
             moving, waiting = first.tokens, second.tokens
-            # v_from_u of the groups' frames, for each moving point k onto each waiting point l
-            turn = (frame[waiting] * _FLIP)[None] @ frame[moving].transpose(0, 2, 1)[:, None]
-            shift = at[waiting][None] - (turn @ at[moving][:, None, :, None])[..., 0]
+            turned = turn[np.ix_(moving, waiting)]
+            shift = at[waiting][None] - (turned @ at[moving][:, None, :, None])[..., 0]
             if a < b:
-                meet = _meetings(turn, shift, at, frame, moving, waiting)
-                pair[np.ix_(moving, waiting, np.arange(10))] = meet
-                pair[np.ix_(waiting, moving, np.arange(10))] = meet.transpose(1, 0, 2)
-            spread, heights = _heights(turn, shift, first, second, frame[waiting, :, 2])
-            way[np.ix_(moving, waiting)] = heights
-            cosine = (np.trace(turn, axis1=2, axis2=3) - 1.0) / 2.0
-            pair[np.ix_(moving, waiting, np.arange(10, PAIR))] = np.concatenate(
-                [
-                    cosine[..., None],
-                    np.diagonal(turn, axis1=2, axis2=3),
-                    shift,
-                    (cosine > 0.999)[..., None],
-                    np.broadcast_to([first.size / 5.0, second.size / 5.0], (*cosine.shape, 2)),
-                    np.abs(turn).max(axis=(2, 3))[..., None],
-                    spread,
-                ],
-                axis=-1,
-            )
-    return pair, way
+                counts = _meetings(turned, shift, at, frame, moving, waiting)
+                meet[np.ix_(moving, waiting)] = counts
+                meet[np.ix_(waiting, moving)] = counts.transpose(1, 0, 2)
+            beside[np.ix_(moving, waiting)] = _beside(turned, shift, first, second)
+    return meet, beside
 
 
 def _meetings(
     turn: np.ndarray, shift: np.ndarray, at: np.ndarray, frame: np.ndarray, moving: np.ndarray, waiting: np.ndarray
-) -> Float[np.ndarray, "k l 10"]:
+) -> UInt8[np.ndarray, "k l 4"]:
     """How many other free points of the two groups would meet, miss each other a little, or come close."""
     # (k, l, m, 3): tokens of the moving group, and their normals and tangents, where the pair would bring them.
     back = turn.transpose(0, 1, 3, 2)
@@ -215,36 +215,20 @@ def _meetings(
     along = (frame[moving, :, 0] @ back) @ frame[waiting, :, 0].T > 0.99
     hit = (apart < _HIT) & opposed
     counts = [
-        hit.any(axis=3).sum(axis=2) - 1.0,
-        (hit & along).any(axis=3).sum(axis=2) - 1.0,
+        hit.any(axis=3).sum(axis=2) - 1,
+        (hit & along).any(axis=3).sum(axis=2) - 1,
         ((apart < _NEAR) & ~hit).any(axis=3).sum(axis=2),
         ((apart < _AROUND) & ~hit).any(axis=3).sum(axis=2),
     ]
-    meet = np.stack(counts, axis=-1)
-    return np.concatenate([meet, np.log1p(np.maximum(meet, 0.0)), meet[..., :2] > 0], axis=-1)
+    return np.maximum(np.stack(counts, axis=-1), 0).astype(np.uint8)
 
 
 def _squares(vectors: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n"]:
     return (vectors * vectors).sum(axis=-1)
 
 
-def _heights(
-    turn: np.ndarray, shift: np.ndarray, first: _GroupView, second: _GroupView, normal: Float[np.ndarray, "l 3"]
-) -> tuple[Float[np.ndarray, "k l 3"], Float[np.ndarray, "k l 6 7"]]:
-    """The moving group's extent beside the waiting one's, along each axis that may point up."""
+def _beside(turn: np.ndarray, shift: np.ndarray, first: _GroupView, second: _GroupView) -> Float[np.ndarray, "k l 6"]:
+    """The moving group's bounds beside the waiting one's."""
     there = (turn.reshape(-1, 3) @ first.some.T).reshape(*shift.shape, -1)
-    least, most = there.min(axis=3) + shift, there.max(axis=3) + shift
-    # Along +z, -z, +x, ...: an axis's low is minus the opposite axis's high.
-    low = np.stack([least[..., 2], -most[..., 2], least[..., 0], -most[..., 0], least[..., 1], -most[..., 1]], axis=-1)
-    high = np.stack([most[..., 2], -least[..., 2], most[..., 0], -least[..., 0], most[..., 1], -least[..., 1]], axis=-1)
-    under, over = low - second.low(), high - second.high()
-    heights = [
-        2.0 * np.clip(under, -0.5, 0.5),
-        np.tanh(under / 0.01),
-        2.0 * np.clip(over, -0.5, 0.5),
-        np.tanh(over / 0.01),
-        np.broadcast_to((normal @ UP_AXES.T)[None], under.shape),
-        2.0 * np.clip(low - second.high(), -0.5, 0.5),
-        2.0 * np.clip(second.low() - high, -0.5, 0.5),
-    ]
-    return most - least, np.stack(heights, axis=-1)
+    low, high = there.min(axis=3) + shift, there.max(axis=3) + shift
+    return np.concatenate([low - second.some.min(axis=0), high - second.some.max(axis=0)], axis=-1)
