@@ -15,8 +15,10 @@ from roboassembly.errors import InputError
 from roboassembly.furniture import catalogue
 from roboassembly.learning import checkpoint, imitation, layers, relational
 from roboassembly.learning.batches import pad, size_for
+from roboassembly.learning.features import of_pairs, of_ways
 from roboassembly.learning.lessons import Course, Teacher, answers
-from roboassembly.learning.tokens import Tokens, tokenize
+from roboassembly.learning.loops import closing_groups
+from roboassembly.learning.tokens import PATCH, POINT, Tokens, tokenize
 
 CONFIG = relational.RelationalConfig(token=16, pair=8, layers=1, heads=2, ends=4, conflicts=2)
 
@@ -49,8 +51,60 @@ def values(params: dict, tokens: Tokens) -> np.ndarray:
 def test_tokens_do_not_depend_on_where_parts_lie() -> None:
     one, two = (tokenize(*observed(seed)) for seed in (0, 1))
     assert not np.allclose(observed(0)[0]["poses"], observed(1)[0]["poses"])
-    for name in ("patch", "own", "pair", "way"):
+    for name in ("patch", "own", "meet", "beside", "loops"):
         assert np.array_equal(getattr(one, name), getattr(two, name)), name
+
+
+def test_loops_close_where_a_third_group_fits_both() -> None:
+    # A post stands on the left end of a beam; a brace reaches from the beam's right end to the post's top.
+    at = np.array([[0, 0, 0], [1, 0, 0], [0, 0, 0], [0, 0, 1], [0, 0, 0], [-1, 0, 1]], float)
+    normal = np.array([[0, 0, 1], [0, 0, 1], [0, 0, -1], [1, 0, 0], [0, 0, -1], [-1, 0, 0]], float)
+    tangent = np.tile([0.0, 1.0, 0.0], (6, 1))
+    frame = np.stack([tangent, np.cross(normal, tangent), normal], axis=2)
+    groups = [np.array([0, 1]), np.array([2, 3]), np.array([4, 5])]
+    possible = np.kron(~np.eye(3, dtype=bool), np.ones((2, 2), bool))
+    wanted = np.zeros((6, 6), int)
+    for one, two in ((0, 2), (1, 4), (3, 5)):
+        wanted[one, two] = wanted[two, one] = 1
+    assert np.array_equal(closing_groups(groups, at, frame, possible), wanted)
+    # Where the brace cannot go, nothing closes; neither with one that is 6 mm too long.
+    without = possible.copy()
+    without[3, 5] = without[5, 3] = False
+    assert not closing_groups(groups, at, frame, without).any()
+    longer = at.copy()
+    longer[5, 2] += 0.006
+    assert not closing_groups(groups, longer, frame, possible).any()
+    # Two groups close no loop.
+    assert not closing_groups(groups[:2], at, frame, possible).any()
+
+
+def test_features_of_a_pair_by_hand() -> None:
+    # A point on top of a group 1 m wide and 0.2 m high, and one below another, 0.4 m wide and high.
+    frame = np.array([np.eye(3), np.diag([1.0, -1.0, -1.0])])
+    own = np.zeros((2, POINT), np.float32)
+    own[:, 0], own[:, -1] = (0.2, 0.4), 1.0
+    tokens = Tokens(
+        np.arange(2), np.zeros(2, int), np.arange(2), np.zeros((2, PATCH), np.uint8), own, frame.astype(np.float32),
+        np.array([[0.0, 0.0, 0.2], [0.1, 0.0, 0.0]], np.float32),
+        np.array([[1.0, 1.0, 0.2], [0.4, 0.4, 0.4]], np.float32),
+        np.zeros((2, 2, 4), np.uint8), np.array([[[0.0] * 6, [-0.4, -0.3, -0.2, 0.2, 0.3, -0.4]]] * 2, np.float32),
+        np.array([[0, 2], [2, 0]], np.uint8),
+    )  # fmt: skip
+    t = pad([tokens], 2)
+    valid = ~np.eye(2, dtype=bool)[None]
+    pair = of_pairs({k: v.astype(np.float32) for k, v in t.items()}, valid)[0]
+    assert not pair[0, 0].any()
+    cosine, diagonal, shift, same_way, sizes = np.split(pair[0, 1, 10:20], [1, 4, 7, 8])
+    assert (cosine, same_way) == (1.0, 1.0)
+    assert np.allclose(diagonal, 1.0)
+    assert np.allclose(shift, [0.1, 0.0, -0.2])  # of the moving group, the row's
+    assert np.allclose(sizes, [0.2, 0.4])
+    assert np.allclose(pair[0, 1, 21:24], [1.0, 1.0, 0.2])  # the moving group's extent
+    assert np.allclose(pair[0, 1, 24:], [1.0, 2 / 3, np.log(3.0), 1.0, 1.0, 1.0, 1.0, 1.0, 1.0])
+    way = of_ways({k: v.astype(np.float32) for k, v in t.items()})[0, 0, 1]
+    up = way[0]  # its lowest point is 0.2 m lower than the waiting group's with +z up, its highest 0.4 m
+    assert np.allclose(up[[0, 2, 4, 5]], [-0.4, -0.8, -1.0, 2 * -0.5], atol=1e-6)
+    assert np.allclose(way[1, [0, 2]], [0.8, 0.4], atol=1e-6)  # upside down
 
 
 def test_values_follow_a_renumbering_of_parts() -> None:

@@ -22,7 +22,8 @@ from roboassembly.furniture import catalogue
 from roboassembly.furniture.model import Furniture
 from roboassembly.learning import autoencoder, checkpoint, layers, paper
 from roboassembly.learning import paper_imitation as imitation
-from roboassembly.learning.lessons import CLOUD_POINTS, Course, Lesson, Teacher
+from roboassembly.learning.autoencoder import CLOUD_POINTS
+from roboassembly.learning.lessons import Course, Lesson, Teacher
 from roboassembly.learning.paper import PaperConfig, PaperPolicy, PaperState
 from roboassembly.learning.paper_imitation import Augmentation, Example, Training
 from roboassembly.poses import rotations_from_euler

@@ -102,7 +102,7 @@ def test_names_and_files(params: dict, tmp_path: Path, monkeypatch: pytest.Monke
     loaded = load_policy(str(save(tmp_path / "p.npz", params)))
     assert isinstance(loaded, RelationalPolicy)
     assert isinstance(loaded, ConfidentPolicy)
-    assert loaded.cloud_points == 512
+    assert loaded.cloud_points == 2048
     np.testing.assert_array_equal(loaded.params["q"]["w"], params["q"]["w"])
     # What is shipped is read from the package's own folder.
     monkeypatch.setattr(policies.resources, "files", lambda package: tmp_path)

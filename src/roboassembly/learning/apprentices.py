@@ -26,11 +26,11 @@ from roboassembly.envs.observation import surface_points
 from roboassembly.errors import InputError
 from roboassembly.furniture.datasets import Pick, furniture_hash
 from roboassembly.learning import autoencoder, checkpoint, double_q, experts
+from roboassembly.learning.autoencoder import CLOUD_POINTS
 from roboassembly.learning.experts import KIND, POINT_SIZES, Chair, Expert, chair_of, play
 from roboassembly.learning.gather import file_of
 from roboassembly.learning.layers import Params
 from roboassembly.learning.learner import Learner, LearnerConfig, Memory
-from roboassembly.learning.lessons import CLOUD_POINTS
 from roboassembly.learning.rehearsal import Rehearsal, State
 from roboassembly.task.object_centric import ObjectCentricTask, Verdict
 

@@ -23,6 +23,8 @@ from roboassembly.learning.layers import Array, Params, init_mlp, mlp
 KIND = "autoencoder"
 """Of checkpoints."""
 CODE = 44
+CLOUD_POINTS = 512
+"""A part, as it is encoded."""
 FEATURE = CODE + 4
 """Numbers that describe a part: the code, the cloud's centre and its radius (both in metres)."""
 _DRAWN = 128

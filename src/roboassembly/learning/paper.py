@@ -31,10 +31,9 @@ from roboassembly.envs.observation import Observation
 from roboassembly.errors import InputError
 from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS
 from roboassembly.learning import autoencoder
-from roboassembly.learning.autoencoder import FEATURE
+from roboassembly.learning.autoencoder import CLOUD_POINTS, FEATURE
 from roboassembly.learning.checkpoint import Checkpoint
 from roboassembly.learning.layers import Array, Params, gelu, init_linear, init_norm, linear, norm
-from roboassembly.learning.lessons import CLOUD_POINTS
 from roboassembly.task.object_centric import UP_AXES
 
 KIND = "paper"

@@ -22,6 +22,7 @@ from roboassembly.errors import InputError
 from roboassembly.furniture.model import MAX_POINTS
 from roboassembly.learning import autoencoder, paper
 from roboassembly.learning.augment import Change, changed
+from roboassembly.learning.autoencoder import CLOUD_POINTS
 from roboassembly.learning.batches import size_for
 from roboassembly.learning.layers import Params
 from roboassembly.learning.lessons import Course, Lesson
@@ -133,7 +134,7 @@ def examples_of(courses: Sequence[Course], encoder: Params, augmentation: Augmen
 def _examples_of_one(course: Course, index: int, encoder: Params, a: Augmentation) -> Iterator[Example]:
     rng = np.random.default_rng([a.seed, index])
     for version in [course, *(changed(course, Change.draw(rng)) for _ in range(a.changes))]:
-        clouds = version.clouds
+        clouds = version.clouds[:, :CLOUD_POINTS]
         noisy = [clouds + rng.normal(0.0, a.noise, clouds.shape).astype(np.float32) for _ in range(a.copies)]
         features = _features(encoder, np.concatenate([clouds, *noisy])).reshape(1 + a.copies, len(clouds), -1)
         for lesson in version.lessons:

@@ -13,8 +13,8 @@ from roboassembly.envs.observation import surface_points
 from roboassembly.furniture import catalogue
 from roboassembly.furniture.datasets import Pick
 from roboassembly.furniture.generate import CHAIRS
+from roboassembly.learning.autoencoder import CLOUD_POINTS
 from roboassembly.learning.gather import extra_names
-from roboassembly.learning.lessons import CLOUD_POINTS
 
 
 def gather_clouds(picks: Sequence[Pick], *, jobs: int, extra: int = 300) -> Float32[np.ndarray, "c n 3"]:
