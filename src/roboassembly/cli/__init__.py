@@ -10,6 +10,7 @@ import tyro
 
 from roboassembly.cli.assemble import Assemble
 from roboassembly.cli.bench import Bench
+from roboassembly.cli.benchmark import Benchmark
 from roboassembly.cli.dataset import Dataset
 from roboassembly.cli.evaluate import Evaluate
 from roboassembly.cli.export import Export
@@ -27,6 +28,7 @@ _Command = (
     | Annotated[Dataset, tyro.conf.subcommand("dataset")]
     | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
     | Annotated[Train, tyro.conf.subcommand("train")]
+    | Annotated[Benchmark, tyro.conf.subcommand("benchmark")]
     | Annotated[Bench, tyro.conf.subcommand("bench")]
 )
 

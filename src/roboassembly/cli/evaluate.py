@@ -85,8 +85,8 @@ def summary(evaluation: Evaluation) -> list[str]:
     from roboassembly.learning.evaluate import success
 
     def line(name: str, episodes: Sequence[Episode]) -> str:
-        told = success(episodes)
-        low, high = told["ci95"]  # pyright: ignore[reportGeneralTypeIssues]
+        told = success([e.success for e in episodes])
+        low, high = told["ci95"]
         steps = sum(e.planning_steps for e in episodes) / len(episodes)
         rate = f"{told['success_rate']:7.1%}"
         return f"{name:24} {len(episodes):5} {rate}  {100 * low:5.1f}-{100 * high:5.1f} {steps:9,.0f}"

@@ -59,9 +59,7 @@ class Multitask:
             raise InputError("--seed, --extra, --rounds take 0 or more, --plays, --round-steps and --jobs 1 or more")
         if 0 in (self.limit, self.steps) or min(self.limit or 1, self.steps or 1) < 1:
             raise InputError("--limit and --steps take 1 or more")
-        for package in ("jax", "optax", "tensorboardX", "matplotlib"):
-            if find_spec(package) is None:
-                raise MissingExtraError(package, "learn")
+        needs_learning()
         writable_folder(self.out)
         last = follow(self._relational() if self.preset == "relational" else self._paper(), self.out)
         path = self.out / "policy.npz"
@@ -89,6 +87,17 @@ class Multitask:
 
         training = Training(steps=self.steps or Training.steps, seed=self.seed)
         return teach_paper(self.lessons, self.extractor, self.out, training)
+
+
+def needs_learning() -> None:
+    """Refuse where what training needs is not installed.
+
+    Raises:
+        MissingExtraError: it is not.
+    """
+    for package in ("jax", "optax", "tensorboardX", "matplotlib"):
+        if find_spec(package) is None:
+            raise MissingExtraError(package, "learn")
 
 
 def follow(progress: Iterable[Progress], folder: Path) -> dict[str, float]:

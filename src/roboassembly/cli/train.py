@@ -145,31 +145,14 @@ class Expert(Autoencoder):
 
 def _report(picks: Sequence[Pick], results: Sequence[Mastery]) -> dict[str, object]:
     """Figures over all chairs, and over those of each split if the set has any."""
+    from roboassembly.learning.benchmark import mastery
+
     split_of = {p.name: p.entry.split for p in picks if p.entry is not None}
-    out: dict[str, object] = dict(_figures(results))
+    out: dict[str, object] = dict(mastery(results))
     for split in sorted(set(split_of.values())):
-        out[split] = _figures([r for r in results if split_of.get(r.name) == split])
+        out[split] = mastery([r for r in results if split_of.get(r.name) == split])
     out["per_furniture"] = [vars(r) for r in sorted(results, key=lambda r: r.name)]
     return out
-
-
-def _figures(results: Sequence[Mastery]) -> dict[str, object]:
-    """How many chairs were mastered, with the 95 % Wilson interval, and what it took."""
-    from scipy.stats import binomtest
-
-    n, mastered = len(results), [r for r in results if r.mastered]
-    interval = binomtest(len(mastered), n).proportion_ci(0.95, method="wilson")
-    return {
-        "n": n,
-        "mastered": len(mastered),
-        "success_rate": len(mastered) / n,
-        "ci95": [round(float(interval.low), 4), round(float(interval.high), 4)],
-        "trials_success_rate": sum(r.success_rate for r in results) / n,
-        "steps_mean": sum(r.steps for r in results) / n,
-        "steps_mean_mastered": sum(r.steps for r in mastered) / len(mastered) if mastered else None,
-        "planned_mean": sum(r.planned for r in results) / n,
-        "seconds": sum(r.seconds for r in results),
-    }
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,11 @@ from roboassembly.task.plan import Plan, PlanStep
 
 _Z = 1.959963984540054
 """97.5 % of a standard normal distribution lies below."""
-_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
+_ONE_THREAD = {
+    **dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"), "1"),
+    "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false",
+    "XLA_PYTHON_CLIENT_PREALLOCATE": "false",
+}
 
 
 @dataclass(frozen=True)
@@ -72,7 +76,7 @@ class Evaluation:
     search: bool = False
     """Whether the policy guided the search instead of playing alone."""
 
-    def to_json(self) -> dict[str, object]:
+    def to_json(self) -> dict[str, Any]:
         """Success with its 95 % Wilson interval over episodes, and effort, over all and over the solved.
 
         `unseen` is the same success over families that occur in no training; None if the set does not know them.
@@ -84,19 +88,19 @@ class Evaluation:
             "search": self.search,
             "set": self.set,
             "seed": self.seed,
-            **success(self.episodes),
+            **success([e.success for e in self.episodes]),
             "planning_steps_mean": _mean([e.planning_steps for e in self.episodes]),
             "planning_steps_mean_solved": _mean([e.planning_steps for e in solved]),
             "planning_seconds_mean": _mean([e.planning_seconds for e in self.episodes]),
             "policy_seconds_mean": _mean([e.policy_seconds for e in self.episodes]),
-            "unseen": None if all(e.unseen is None for e in self.episodes) else success(unseen),
+            "unseen": None if all(e.unseen is None for e in self.episodes) else success([e.success for e in unseen]),
             "per_furniture": [vars(e) for e in self.episodes],
         }
 
 
-def success(episodes: Sequence[Episode]) -> dict[str, object]:
+def success(outcomes: Sequence[bool]) -> dict[str, Any]:
     """How many, the share that succeeded, and its 95 % Wilson interval; None of none."""
-    n, solved = len(episodes), sum(e.success for e in episodes)
+    n, solved = len(outcomes), sum(outcomes)
     if not n:
         return {"n": 0, "success_rate": None, "ci95": None}
     low, high = wilson(solved, n)
@@ -268,7 +272,7 @@ def _in_processes(
     futures: list[Future[list[Episode]]] = []
     pool = ProcessPoolExecutor(min(jobs, len(work)), get_context("spawn"), _start, (policy, search))
     try:
-        with _one_thread_each():
+        with one_thread_each():
             futures = [pool.submit(_play_here, pick, seeds) for pick, seeds in work]
         for future in futures:
             yield from future.result()
@@ -304,10 +308,10 @@ def _play_piece(own: Player, pick: Pick, seeds: list[int]) -> list[Episode]:
 
 
 @contextmanager
-def _one_thread_each() -> Iterator[None]:
+def one_thread_each() -> Iterator[None]:
     """Processes started meanwhile compute with one thread, so that they do not fight for cores."""
-    before = {name: os.environ.get(name) for name in _THREADS}
-    os.environ.update(dict.fromkeys(_THREADS, "1"))
+    before = {name: os.environ.get(name) for name in _ONE_THREAD}
+    os.environ.update(_ONE_THREAD)
     try:
         yield
     finally:

@@ -14,9 +14,11 @@ A policy of your own needs no base class, only the attributes of `Policy`:
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from importlib import resources
+from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar, runtime_checkable
 
@@ -186,7 +188,7 @@ def load_policy(name: str, seed: int = 0) -> Policy:
     if name == RANDOM:
         return RandomPolicy(np.random.default_rng(seed))
     if name in SHIPPED:
-        place = resources.files("roboassembly.learning") / "weights" / f"{name}.npz"
+        place = _shipped(name)
         if not place.is_file():
             raise InputError(
                 f"this installation has no weights for the policy '{name}'; train it (roboassembly train) and give "
@@ -198,6 +200,16 @@ def load_policy(name: str, seed: int = 0) -> Policy:
     if not (path.exists() or path.suffix == ".npz" or "/" in name):
         raise UnknownNameError("policy", name, [*NAMES, "PATH.npz"])
     return _of_checkpoint(checkpoint.load(path), name)
+
+
+def _shipped(name: str) -> Traversable:
+    return resources.files("roboassembly.learning") / "weights" / f"{name}.npz"
+
+
+def weights_hash(name: str) -> str:
+    """Of a policy's checkpoint, by name or path; empty if there is none."""
+    place = _shipped(name) if name in SHIPPED else Path(name)
+    return hashlib.sha256(place.read_bytes()).hexdigest()[:16] if place.is_file() else ""
 
 
 def _of_checkpoint(loaded: Checkpoint, where: str) -> Policy:

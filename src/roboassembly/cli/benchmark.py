@@ -1,0 +1,66 @@
+"""`roboassembly benchmark`: the paper's table, ours beside it."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+from roboassembly.cli.multitask import follow, needs_learning
+from roboassembly.cli.output import DONE, print_json, writable_folder
+from roboassembly.errors import InputError
+
+
+@dataclass(frozen=True)
+class Benchmark:
+    """Make the paper's table: train experts and policies, play them all; stopped at any moment, it goes on."""
+
+    setting: Literal["object-centric"] = "object-centric"
+    """Parts that move by themselves."""
+    quick: bool = False
+    """All of it, tiny, in three minutes: to see that it works."""
+    retrain: bool = False
+    """Train the relational policy too, instead of taking the one that is shipped."""
+    real: tuple[str, ...] = ()
+    """Sets of real furniture besides, each `folder:PATH` of furniture folders."""
+    out: Path | None = None
+    """Folder of the run (runs/benchmark, runs/benchmark-quick)."""
+    write: Path | None = None
+    """A document, like docs/results.md, that takes the table between its marks."""
+    seed: int = 0
+    """Of everything."""
+    jobs: int = os.cpu_count() or 1
+    """Processes."""
+    json: bool = False
+    """Print one JSON object on stdout, all else on stderr."""
+
+    def run(self) -> int:
+        """Do it; returns the exit status."""
+        if self.seed < 0 or self.jobs < 1:
+            raise InputError("--seed takes 0 or more, --jobs takes 1 or more")
+        needs_learning()
+        from roboassembly.furniture.datasets import pick
+        from roboassembly.learning import benchmark
+
+        out = self.out or Path("runs/benchmark-quick" if self.quick else "runs/benchmark")
+        writable_folder(out)
+        for real in self.real:
+            pick(real)
+        if self.write is not None:
+            benchmark.check_marks(self.write)
+        plan = benchmark.Benchmark.quick(self.seed) if self.quick else benchmark.Benchmark(seed=self.seed)
+        plan = replace(plan, real=self.real, shipped=plan.shipped and not self.retrain)
+        follow(benchmark.run(plan, out, self.jobs), out)
+        told = benchmark.report(plan, out)
+        lines = benchmark.table(told)
+        (out / "benchmark.json").write_text(json.dumps(told, indent=1) + "\n")
+        (out / "table.md").write_text("\n".join(lines) + "\n")
+        if self.write is not None:
+            benchmark.put_into(self.write, lines)
+        if self.json:
+            print_json(told)
+        else:
+            print("\n".join(lines))
+        return DONE

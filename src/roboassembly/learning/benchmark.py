@@ -1,0 +1,381 @@
+"""The paper's table, from nothing: experts, both multi-task policies, and how all of them do on unseen furniture.
+
+One stage after another, each kept in the run's folder; whatever is there already is not done again.
+
+    autoencoder.npz  experts/  lessons/     of the training chairs
+    paper/policy.npz  relational/policy.npz
+    episodes/<row>.jsonl                    every episode as it ends
+    benchmark.json  table.md                what all of it says
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from roboassembly.errors import InputError
+from roboassembly.furniture.datasets import RECIPES, Pick, manifest_path, pick
+from roboassembly.learning import apprentices, autoencoder, checkpoint, expert_lessons, multitask, paper_imitation
+from roboassembly.learning.apprentices import ExpertTraining, Mastery
+from roboassembly.learning.evaluate import Episode, Evaluation, evaluate, one_thread_each, success
+from roboassembly.learning.gather import file_of
+from roboassembly.learning.multitask import Curriculum, Progress
+from roboassembly.learning.part_clouds import gather_clouds
+from roboassembly.learning.policies import weights_hash
+from roboassembly.solvers.curate import build
+
+SETTING = "object-centric"
+BEGIN, END = f"<!-- roboassembly benchmark --setting {SETTING}", "<!-- end of the benchmark -->"
+"""What stands between them in a document is written by `put_into`."""
+
+
+@dataclass(frozen=True)
+class Benchmark:
+    """What is trained and measured, and for how long."""
+
+    set: str = "chairs-412"
+    train_limit: int | None = None
+    """The first so many training chairs only."""
+    test_limit: int | None = None
+    """The first so many test chairs only."""
+    real: tuple[str, ...] = ()
+    """Sets of real furniture besides, `folder:PATH`, for the relational policy."""
+    shipped: bool = True
+    """Take the relational policy of the package; else train one."""
+    features: autoencoder.Training = field(default_factory=autoencoder.Training)
+    extra_clouds: int = 300
+    """Generated pieces whose parts the auto-encoder sees besides."""
+    experts: ExpertTraining = field(default_factory=ExpertTraining)
+    side_by_side: int = 4
+    plays: int = 6
+    """Of each expert, to become lessons."""
+    paper: paper_imitation.Training = field(default_factory=paper_imitation.Training)
+    relational: Curriculum = field(default_factory=Curriculum)
+    seed: int = 0
+
+    @staticmethod
+    def quick(seed: int = 0) -> Benchmark:
+        """All stages, tiny: to see that they work, not what they reach."""
+        return Benchmark(
+            set="chairs-24", train_limit=4, test_limit=4, shipped=False, seed=seed,
+            features=autoencoder.Training(steps=60), extra_clouds=4,
+            experts=ExpertTraining(steps=2_000), plays=2,
+            paper=paper_imitation.Training(steps=60),
+            relational=Curriculum(extra=4, validation=2, rounds=1, steps=40, round_steps=20),
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of the table."""
+
+    name: str
+    """Of what is measured."""
+    on: str
+    """Furniture."""
+    paper: float | None
+    """Success in the paper, per cent; None where it has no such row."""
+    paper_steps: str
+    """Planning steps in the paper."""
+    figures: dict[str, Any]
+    """`n`, `success_rate`, `ci95`, `planning_steps_mean`, ..."""
+    command: str
+    """That measures it alone."""
+
+
+def run(b: Benchmark, folder: Path, jobs: int) -> Iterator[Progress]:
+    """Do all stages that are not done yet; afterwards `rows` tells the table.
+
+    Args:
+        b: what.
+        folder: of the run.
+        jobs: processes.
+
+    Raises:
+        InputError: no such set, or the folder holds another benchmark's run.
+    """
+    if b.set not in RECIPES:
+        raise InputError(f"--set {b.set}: the table is made on a generated set; one of {', '.join(RECIPES)}")
+    folder.mkdir(parents=True, exist_ok=True)
+    _same_run(b, folder)
+    if not manifest_path(b.set).is_file():
+        for done, of in build(RECIPES[b.set], 0, jobs):
+            yield Progress(f"data set {b.set}", done, of, {})
+    train = pick(f"{b.set}:train")[: b.train_limit]
+    with _timed(folder, "experts"):
+        yield from _experts(b, folder, train, jobs)
+    with _timed(folder, "paper"):
+        training = replace(b.paper, seed=b.seed)
+        yield from multitask.teach_paper([folder / "lessons"], folder / "autoencoder.npz", folder / "paper", training)
+    if not b.shipped:
+        with _timed(folder, "relational"):
+            lessons = replace(b.relational, set=f"{b.set}:train", limit=b.train_limit, seed=b.seed)
+            yield from multitask.teach(lessons, folder / "relational", jobs)
+    with _timed(folder, "evaluation"):
+        for trial in _trials(b, folder):
+            yield from _tried(trial, folder, b.seed, jobs)
+
+
+def _experts(b: Benchmark, folder: Path, picks: Sequence[Pick], jobs: int) -> Iterator[Progress]:
+    extractor = folder / "autoencoder.npz"
+    training = replace(b.experts, seed=b.seed)
+    features = replace(b.features, seed=b.seed)
+    with one_thread_each():
+        if not extractor.is_file() or int(checkpoint.load(extractor, autoencoder.KIND).extra["step"]) < features.steps:
+            clouds = gather_clouds(picks, jobs=jobs, extra=b.extra_clouds)
+            for step, terms in autoencoder.train(clouds, extractor, features, {"set": b.set, "limit": b.train_limit}):
+                yield Progress("auto-encoder", step, features.steps, terms)
+        mastered = 0
+        for done, result in enumerate(
+            apprentices.train(
+                picks, folder / "experts", training, extractor, {"set": b.set}, jobs=jobs, side_by_side=b.side_by_side
+            ),
+            1,
+        ):
+            mastered += result.mastered
+            yield Progress("experts", done, len(picks), {"mastered": mastered})
+        lessons = folder / "lessons"
+        for done, _ in enumerate(
+            expert_lessons.teach(picks, folder / "experts", lessons, plays=b.plays, seed=b.seed, jobs=jobs), 1
+        ):
+            yield Progress("experts' lessons", done, len(picks), {})
+
+
+@dataclass(frozen=True)
+class _Trial:
+    """Episodes to play."""
+
+    name: str
+    policy: str
+    """As `roboassembly evaluate --policy` takes it."""
+    search: bool
+    set: str
+    limit: int | None
+    paper: float | None
+    paper_steps: str = ""
+
+    @property
+    def file(self) -> str:
+        set_name = self.set.replace(":", "-").replace("/", "-").strip("-")
+        return f"{self.name.replace(' ', '-')}-{set_name}.jsonl"
+
+    def command(self, seed: int) -> str:
+        limit = "" if self.limit is None else f" --limit {self.limit}"
+        search = " --search" if self.search else ""
+        return f"roboassembly evaluate --policy {self.policy}{search} --set {self.set}{limit} --seed {seed} --json"
+
+
+def _trials(b: Benchmark, folder: Path) -> list[_Trial]:
+    test, limit = f"{b.set}:test", b.test_limit
+    relational = "relational" if b.shipped else str(folder / "relational" / "policy.npz")
+    every = [
+        _Trial("RRT-Connect in 6M dimensions", "joint-rrt", False, test, limit, 18.8, "91.7k"),
+        _Trial("random", "random", False, test, limit, None),
+        _Trial("preset paper", str(folder / "paper" / "policy.npz"), False, test, limit, 74.5, "37.8k"),
+        _Trial("relational", relational, False, test, limit, 74.5, "37.8k"),
+        _Trial("relational with search", relational, True, test, limit, None),
+        _Trial("search alone", "search", False, test, limit, None),
+    ]
+    for real in b.real:
+        every += [
+            _Trial("relational", relational, False, real, None, None),
+            _Trial("relational with search", relational, True, real, None, None),
+        ]
+    return every
+
+
+def _tried(trial: _Trial, folder: Path, seed: int, jobs: int) -> Iterator[Progress]:
+    """Play what is not played yet."""
+    picks = pick(trial.set)[: trial.limit]
+    path = folder / "episodes" / trial.file
+    there = _episodes(path, trial, seed)
+    if len(there) == len(picks):
+        return
+    path.parent.mkdir(exist_ok=True)
+    lines = [json.dumps(_head(trial, seed)), *(json.dumps(asdict(e)) for e in there)]
+    scratch = path.with_suffix(".part")
+    scratch.write_text("".join(line + "\n" for line in lines))
+    scratch.replace(path)
+    with path.open("a") as file:
+        for done, episode in enumerate(
+            evaluate(trial.policy, picks[len(there) :], seed, jobs, search=trial.search), len(there) + 1
+        ):
+            file.write(json.dumps(asdict(episode)) + "\n")
+            file.flush()
+            there.append(episode)
+            solved = sum(e.success for e in there) / len(there)
+            yield Progress(f"{trial.name}, {trial.set}", done, len(picks), {"success": solved})
+
+
+def _head(trial: _Trial, seed: int) -> dict[str, Any]:
+    """What episodes belong to; of other weights or another set they are played again."""
+    picks = pick(trial.set)[: trial.limit]
+    return {
+        "trial": asdict(trial),
+        "seed": seed,
+        "weights": weights_hash(trial.policy),
+        "set_hash": multitask.set_hash(picks),
+    }
+
+
+def _episodes(path: Path, trial: _Trial, seed: int) -> list[Episode]:
+    """Those of a file, the last line perhaps half written."""
+    if not path.is_file():
+        return []
+    out: list[Episode] = []
+    for number, line in enumerate(path.read_text().splitlines()):
+        try:
+            told = json.loads(line)
+            if number == 0:
+                if told != _head(trial, seed):
+                    return []
+                continue
+            out.append(Episode(**{**told, "actions": tuple(tuple(a) for a in told["actions"])}))
+        except (json.JSONDecodeError, TypeError, KeyError):
+            break
+    return out
+
+
+def rows(b: Benchmark, folder: Path) -> list[Row]:
+    """The table of a run that is done."""
+    out = []
+    picks = pick(f"{b.set}:train")[: b.train_limit]
+    split_of = {p.name: p.entry.split for p in picks if p.entry is not None}
+    results = [apprentices.read(file_of(folder / "experts", p.name)) for p in picks]
+    told = f"roboassembly train expert --set {b.set}:train --seed {b.seed} --json"
+    for split, paper in (("easy", 79.4), ("hard", 66.4)):
+        some = [r for r in results if split_of[r.name] == split]
+        if some:
+            out.append(Row("experts", f"{split} training chairs", paper, "", mastery(some), told))
+    for trial in _trials(b, folder):
+        evaluation = Evaluation(
+            trial.policy, trial.set, b.seed, tuple(_episodes(folder / "episodes" / trial.file, trial, b.seed)),
+            trial.search,
+        )  # fmt: skip
+        told = trial.command(b.seed)
+        figures = evaluation.to_json()
+        unseen = [e for e in evaluation.episodes if e.unseen]
+        out.append(Row(trial.name, trial.set, trial.paper, trial.paper_steps, figures, told))
+        if trial.policy not in ("joint-rrt", "random", "search") and unseen:
+            rest = replace(evaluation, episodes=tuple(unseen)).to_json()
+            out.append(Row(trial.name, f"{trial.set}, families in no training", None, "", rest, told))
+    return out
+
+
+def mastery(results: Sequence[Mastery]) -> dict[str, Any]:
+    """How many chairs were mastered, with the 95 % Wilson interval, and what it took."""
+    done = [r for r in results if r.mastered]
+    return {
+        **success([r.mastered for r in results]),
+        "mastered": len(done),
+        "trials_success_rate": sum(r.success_rate for r in results) / len(results),
+        "steps_mean": sum(r.steps for r in results) / len(results),
+        "steps_mean_mastered": sum(r.steps for r in done) / len(done) if done else None,
+        "planned_mean": sum(r.planned for r in results) / len(results),
+        "seconds": sum(r.seconds for r in results),
+    }
+
+
+def report(b: Benchmark, folder: Path) -> dict[str, Any]:
+    """All that the run says, as JSON."""
+    seconds = folder / "seconds.json"
+    machine = f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"
+    return {
+        "setting": SETTING,
+        "set": b.set,
+        "seed": b.seed,
+        "date": time.strftime("%Y-%m-%d"),
+        "machine": machine,
+        "seconds": json.loads(seconds.read_text()) if seconds.is_file() else {},
+        "rows": [asdict(row) for row in rows(b, folder)],
+        "out": str(folder),
+    }
+
+
+def table(told: dict[str, Any]) -> list[str]:
+    """Lines of Markdown, from `report`."""
+    lines = [
+        f"On {told['date']}, {told['machine']}, seed {told['seed']}.",
+        "",
+        "| | on | paper, % | here, % | 95 % | n | planning steps, paper | here | of the solved |",
+        "| --- | --- | --- | --- | --- | --- | --- | --- | --- |",
+    ]
+    for row in told["rows"]:
+        f = row["figures"]
+        low, high = f["ci95"]
+        steps = [_count(f.get(name)) for name in ("planning_steps_mean", "planning_steps_mean_solved")]
+        cells = [
+            row["name"], row["on"], "" if row["paper"] is None else f"{row['paper']:.1f}",
+            f"{100 * f['success_rate']:.1f}", f"{100 * low:.1f}–{100 * high:.1f}", str(f["n"]), row["paper_steps"],
+            *steps,
+        ]  # fmt: skip
+        lines.append(f"| {' | '.join(cells)} |")
+    commands = list(dict.fromkeys(row["command"] for row in told["rows"]))
+    lines += ["", "Each row alone:", "", *(f"- `{command}`" for command in commands)]
+    if told["seconds"]:
+        lines += ["", "Wall time: " + ", ".join(f"{k} {v / 60:.0f} min" for k, v in told["seconds"].items()) + "."]
+    return lines
+
+
+def _count(value: float | None) -> str:
+    return "" if value is None else f"{value:,.0f}"
+
+
+def check_marks(document: Path) -> tuple[str, str, str]:
+    """A document up to the table, the first mark, and from the table on.
+
+    Raises:
+        InputError: it cannot be read, or has no marks.
+    """
+    try:
+        text = document.read_text()
+    except OSError as error:
+        raise InputError(f"cannot read {document}: {error.strerror or error}") from None
+    before, mark, rest = text.partition(BEGIN)
+    inside, end, after = rest.partition(END)
+    if not mark or not end:
+        raise InputError(f"{document} has no lines '{BEGIN} -->' and '{END}' to write between")
+    return before, mark + inside.partition("\n")[0], end + after
+
+
+def put_into(document: Path, lines: Sequence[str]) -> None:
+    """Replace what stands between the marks in a document.
+
+    Raises:
+        InputError: it cannot be read, or has no marks.
+    """
+    before, mark, after = check_marks(document)
+    scratch = document.with_name(f".{document.name}.part")
+    scratch.write_text(f"{before}{mark}\n\n" + "\n".join(lines) + f"\n\n{after}")
+    scratch.replace(document)
+
+
+def _same_run(b: Benchmark, folder: Path) -> None:
+    """Refuse a folder of another benchmark."""
+    path, about = folder / "about.json", json.loads(json.dumps(asdict(b)))
+    if path.is_file():
+        before = json.loads(path.read_text())
+        other = [name for name, value in about.items() if before.get(name) != value and name not in ("real",)]
+        if other:
+            raise InputError(f"{folder} holds a benchmark with another {', '.join(other)}; take a new folder")
+    path.write_text(json.dumps(about, indent=1))
+
+
+@contextmanager
+def _timed(folder: Path, stage: str) -> Iterator[None]:
+    """Add up the seconds of a stage over all the runs that it took."""
+    begun = time.monotonic()
+    try:
+        yield
+    finally:
+        path = folder / "seconds.json"
+        seconds = json.loads(path.read_text()) if path.is_file() else {}
+        seconds[stage] = round(seconds.get(stage, 0.0) + time.monotonic() - begun, 1)
+        path.write_text(json.dumps(seconds))
