@@ -18,7 +18,7 @@ from roboassembly.learning.batches import pad, size_for
 from roboassembly.learning.features import of_pairs, of_ways
 from roboassembly.learning.lessons import Course, Teacher, answers
 from roboassembly.learning.loops import closing_groups
-from roboassembly.learning.tokens import PATCH, POINT, Tokens, tokenize
+from roboassembly.learning.tokens import PATCH, POINT, Memory, Tokens, tokenize
 
 CONFIG = relational.RelationalConfig(token=16, pair=8, layers=1, heads=2, ends=4, conflicts=2)
 
@@ -53,6 +53,14 @@ def test_tokens_do_not_depend_on_where_parts_lie() -> None:
     assert not np.allclose(observed(0)[0]["poses"], observed(1)[0]["poses"])
     for name in ("patch", "own", "meet", "beside", "loops"):
         assert np.array_equal(getattr(one, name), getattr(two, name)), name
+
+
+def test_a_memory_changes_nothing(cantilever: Course) -> None:
+    memory = Memory(most=40)
+    for lesson in cantilever.lessons:
+        fresh, remembered = cantilever.tokens(lesson), cantilever.tokens(lesson, memory)
+        for name in Tokens.__dataclass_fields__:
+            assert np.array_equal(getattr(fresh, name), getattr(remembered, name)), name
 
 
 def test_loops_close_where_a_third_group_fits_both() -> None:

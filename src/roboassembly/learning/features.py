@@ -21,10 +21,20 @@ _FAR = 0.5
 
 def turns(frame: Array) -> Array:
     """(b, n, n, 3, 3) turn that takes the group of each token onto the group of each other once they are joined."""
-    xp = frame.__array_namespace__()
-    # The first axis is the moving token's: v_from_u = F_v flip F_u^T.
-    flip = xp.asarray(FLIP, dtype=frame.dtype)
-    return xp.einsum("blic,bkjc->bklij", frame * flip, frame)
+    return turns_between(frame, frame)
+
+
+def turns_between(moving: Array, waiting: Array) -> Array:
+    """(..., k, l, 3, 3) turn from the frame of moving tokens' group into that of waiting tokens' group.
+
+    Args:
+        moving: (..., k, 3, 3) `group_from_point` rotations.
+        waiting: (..., l, 3, 3) the same of the others.
+    """
+    xp = moving.__array_namespace__()
+    # v_from_u = F_v flip F_u^T
+    flip = xp.asarray(FLIP, dtype=moving.dtype)
+    return xp.einsum("...lic,...kjc->...klij", waiting * flip, moving)
 
 
 def same_way(turn: Array) -> Array:

@@ -21,7 +21,7 @@ from roboassembly.learning.batches import PADDED, pad, size_for
 from roboassembly.learning.gather import file_of
 from roboassembly.learning.lessons import Course, answers
 from roboassembly.learning.runs import Run
-from roboassembly.learning.tokens import Tokens
+from roboassembly.learning.tokens import Memory, Tokens
 
 _FEW = 8
 """Chairs that are not worth starting processes for."""
@@ -58,8 +58,9 @@ def examples_of(courses: Sequence[Course]) -> list[Example]:
     """All lessons of some courses."""
     out = []
     for index, course in enumerate(courses):
+        memory = Memory()
         for lesson in course.lessons:
-            tokens = course.tokens(lesson)
+            tokens = course.tokens(lesson, memory)
             small = replace(tokens, beside=tokens.beside.astype(np.float16))
             out.append(Example(index, small, *answers(tokens, lesson)))
     return out

@@ -23,7 +23,7 @@ from jaxtyping import Bool, Float16, Float32, Int16, UInt8
 from roboassembly.envs.observation import Observer
 from roboassembly.errors import InputError
 from roboassembly.furniture.model import MAX_POINTS, Furniture
-from roboassembly.learning.tokens import Tokens, tokens_of
+from roboassembly.learning.tokens import Memory, Tokens, tokens_of
 from roboassembly.solvers.oracle import Joint, Oracle
 from roboassembly.task.groups import TaskState
 from roboassembly.task.object_centric import UP_AXES, ObjectCentricTask
@@ -61,14 +61,15 @@ class Course:
     clouds: Float32[np.ndarray, "P C 3"]
     lessons: tuple[Lesson, ...]
 
-    def tokens(self, lesson: Lesson) -> Tokens:
-        """What the policy sees of a state."""
+    def tokens(self, lesson: Lesson, memory: Memory | None = None) -> Tokens:
+        """What the policy sees of a state; a memory saves time from state to state."""
         return tokens_of(
             self.clouds.astype(float),
             lesson.points.astype(float),
             lesson.connections.astype(float),
             lesson.free,
             lesson.group,
+            memory,
         )
 
     def save(self, path: Path) -> None:

@@ -67,9 +67,9 @@ def _sockets(
     k, l = one[rows], two[columns]  # noqa: E741
     turn = (frame[k] * FLIP) @ frame[l].transpose(0, 2, 1)  # first group from second group
     there = np.einsum("pij,pbj->pbi", turn, at[two][None] - at[l][:, None]) + at[k][:, None]
-    flipped = frame[one] * FLIP
-    shift = np.einsum("aji,pabj->pabi", flipped, there[:, None] - at[one][None, :, None])
-    turned = np.einsum("aji,pjm,bmn->pabin", flipped, turn, frame[two] * FLIP, optimize=True)
+    back = (frame[one] * FLIP).transpose(0, 2, 1)[None, :, None]
+    shift = (back @ (there[:, None] - at[one][None, :, None])[..., None])[..., 0]
+    turned = back @ (turn[:, None] @ (frame[two] * FLIP))[:, None]
     p, a, b = (i.ravel() for i in np.indices(shift.shape[:3]))
     names = np.stack([k[p], l[p], one[a], two[b]], axis=1)
     second = (names[:, 0] != names[:, 2]) & (names[:, 1] != names[:, 3])

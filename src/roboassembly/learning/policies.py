@@ -33,7 +33,7 @@ from roboassembly.learning import checkpoint, relational
 from roboassembly.learning.checkpoint import Checkpoint
 from roboassembly.learning.layers import Params, sigmoid
 from roboassembly.learning.lessons import CLOUD_POINTS
-from roboassembly.learning.tokens import tokenize
+from roboassembly.learning.tokens import Memory, tokenize
 from roboassembly.solvers.guide import Guide, Suggestion
 from roboassembly.task.groups import TaskState
 from roboassembly.task.object_centric import ObjectCentricTask
@@ -121,6 +121,7 @@ class RelationalPolicy:
     params: Params
     name: str = relational.KIND
     cloud_points: int = CLOUD_POINTS
+    memory: Memory = field(default_factory=Memory, repr=False)
 
     @staticmethod
     def from_checkpoint(loaded: Checkpoint, where: str) -> RelationalPolicy:
@@ -142,7 +143,7 @@ class RelationalPolicy:
     def values(self, observation: Observation, mask: Mask) -> Values:
         """Logits that actions are good; -inf where the action does not exist."""
         out = np.full(mask.shape, -np.inf, np.float32)
-        tokens = tokenize(observation, mask)
+        tokens = tokenize(observation, mask, self.memory)
         if len(tokens.part):
             u, k = tokens.part[:, None], tokens.point[:, None]
             v, l = tokens.part[None], tokens.point[None]  # noqa: E741

@@ -10,14 +10,18 @@ this is what tells a policy which way the furniture stands.
 
 from __future__ import annotations
 
+import hashlib
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
+from typing import Any, TypeVar
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int, UInt8
 from scipy.spatial import KDTree
 
-from roboassembly.learning.features import possible, same_way, turns
+from roboassembly.learning.features import possible, same_way, turns, turns_between
 from roboassembly.learning.loops import closing_groups
 from roboassembly.poses import rotations_from_euler
 
@@ -26,6 +30,7 @@ GRID_STEPS = (0.010, 0.040, 0.150)
 GRID = np.stack(np.meshgrid(*[np.arange(-2.0, 3.0)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
 """Five a side, in steps, in the connection point's frame."""
 PATCH = len(GRID_STEPS) * len(GRID)
+T = TypeVar("T")
 POINT = 21
 """Numbers that describe a point."""
 _SPREAD = 160
@@ -62,19 +67,47 @@ class Tokens:
     """Of `closing_groups`."""
 
 
+class Memory:
+    """What was computed about groups and pairs of groups: from one state to the next most of them stay the same.
+
+    Args:
+        most: entries; all are forgotten when there are more.
+    """
+
+    def __init__(self, most: int = 4096) -> None:
+        self._most = most
+        self._known: dict[bytes, Any] = {}
+
+    def get(self, key: bytes, compute: Callable[[], T]) -> T:
+        """What `compute` gives, or gave for this key before."""
+        if key not in self._known:
+            if len(self._known) >= self._most:
+                self._known.clear()
+            self._known[key] = compute()
+        return self._known[key]
+
+
 @dataclass(frozen=True, eq=False)
 class _GroupView:
-    """One group in the frame of its most singular part."""
+    """One group in the frame of its most singular part, with its free points."""
 
-    cloud: Float[np.ndarray, "c 3"]
+    key: bytes
+    """Of all that it consists of."""
+    at: Float[np.ndarray, "k 3"]
+    frame: Float[np.ndarray, "k 3 3"]
+    patch: UInt8[np.ndarray, "k 375"]
     some: Float[np.ndarray, "s 3"]
     """Points of the cloud, at most `_SPREAD`."""
-    tokens: Int[np.ndarray, "k"]
-    size: int
+
+    @staticmethod
+    def of(key: bytes, cloud: Float[np.ndarray, "c 3"], at: np.ndarray, frame: np.ndarray) -> _GroupView:
+        return _GroupView(key, at, frame, _patches(cloud, at, frame), cloud[:: -(-len(cloud) // _SPREAD)])
 
 
-def tokenize(observation: dict[str, np.ndarray], mask: Bool[np.ndarray, "P P K K 6"]) -> Tokens:
-    """Tokens of an observation and its action mask."""
+def tokenize(
+    observation: dict[str, np.ndarray], mask: Bool[np.ndarray, "P P K K 6"], memory: Memory | None = None
+) -> Tokens:
+    """Tokens of an observation and its action mask; a memory saves time from state to state."""
     usable = np.asarray(mask[..., 0].any(axis=(1, 3)))  # of u and k; the mask is symmetric
     connections = observation["connections"].astype(float)
     return tokens_of(
@@ -83,6 +116,7 @@ def tokenize(observation: dict[str, np.ndarray], mask: Bool[np.ndarray, "P P K K
         connections,
         usable,
         _groups(connections),
+        memory,
     )
 
 
@@ -92,40 +126,54 @@ def tokens_of(
     connections: Float[np.ndarray, "P P 6"],
     free: Bool[np.ndarray, "P K"],
     group: Int[np.ndarray, "P"],
+    memory: Memory | None = None,
 ) -> Tokens:
     """As `tokenize`, from its ingredients: arrays as in `envs.observation`, free points, and each part's group."""
+    memory = memory or Memory()
     part, point = np.nonzero(free)
-    alike = _alike(clouds)
-    turn, shift, upright = _into_group_frames(clouds, connections, group, alike)
+    shapes = [hashlib.blake2b(np.ascontiguousarray(cloud), digest_size=16).digest() for cloud in clouds]
+    count = Counter(shapes)
+    alike = np.array([count[shape] for shape in shapes])
+    sides = np.array(
+        [memory.get(shape, partial(np.ptp, cloud, axis=0)) for shape, cloud in zip(shapes, clouds, strict=True)]
+    )
+    turn, shift, upright = _into_group_frames(sides, connections, group, alike)
     position = points[part, point, :3]
     normal, tangent = points[part, point, 3:6], points[part, point, 6:9]
     frame = np.stack([tangent, np.cross(normal, tangent), normal], axis=-1)
     in_group = turn[part] @ frame
     at = np.einsum("nij,nj->ni", turn[part], position) + shift[part]
     names, token_group = np.unique(group[part], return_inverse=True)
-    views = []
-    for index, name in enumerate(names):
+    size = np.zeros(len(part))
+    groups = [np.flatnonzero(token_group == index) for index in range(len(names))]
+    views: list[_GroupView] = []
+    for name, tokens in zip(names, groups, strict=True):
         members = np.flatnonzero(group == name)
-        cloud = np.concatenate([clouds[i] @ turn[i].T + shift[i] for i in members])
-        stride = -(-len(cloud) // _SPREAD)
-        views.append(_GroupView(cloud, cloud[::stride], np.flatnonzero(token_group == index), len(members)))
+        arrays = (turn[members], shift[members], at[tokens], in_group[tokens])
+        key = hashlib.blake2b(b"".join([*(shapes[i] for i in members), *(a.tobytes() for a in arrays)])).digest()
+
+        def view(key: bytes = key, members: np.ndarray = members, tokens: np.ndarray = tokens) -> _GroupView:
+            cloud = np.concatenate([clouds[i] @ turn[i].T + shift[i] for i in members])
+            return _GroupView.of(key, cloud, at[tokens], in_group[tokens])
+
+        views.append(memory.get(key, view))
+        size[tokens] = len(members)
     own = np.zeros((len(part), POINT), np.float32)
     own[:, 2:5] = -2.0 * np.einsum("nji,nj->ni", frame, position)
-    own[:, 5:8] = 2.0 * np.ptp(clouds[part], axis=1)
+    own[:, 5:8] = 2.0 * sides[part]
     own[:, 8:11] = 2.0 * position
     own[:, 11:14], own[:, 14:17] = normal, tangent
     own[:, 17], own[:, 18] = alike[part] / 4.0, alike[part] == 1
     own[:, 19], own[:, 20] = np.bincount(part, minlength=len(clouds))[part] / 5.0, upright[part]
     patch, extent = np.zeros((len(part), PATCH), np.uint8), np.zeros((len(part), 3), np.float32)
-    for view in views:
-        own[view.tokens, 0], own[view.tokens, 1] = view.size / 5.0, len(view.tokens) / 10.0
-        patch[view.tokens] = _patches(view.cloud, at[view.tokens], in_group[view.tokens])
-        extent[view.tokens] = np.ptp(view.some, axis=0)
-    turn = turns(in_group[None])[0]
-    meet, beside = _pairs(views, turn, at, in_group)
-    valid = token_group[:, None] != token_group
-    groups = [view.tokens for view in views]
-    loops = closing_groups(groups, at, in_group, possible(same_way(turn), upright[part], valid))
+    own[:, 0] = size / 5.0
+    for view, tokens in zip(views, groups, strict=True):
+        own[tokens, 1] = len(tokens) / 10.0
+        patch[tokens], extent[tokens] = view.patch, np.ptp(view.some, axis=0)
+    meet, beside = _pairs(views, groups, memory)
+    parallel = same_way(turns(in_group[None])[0])
+    can = possible(parallel, upright[part], token_group[:, None] != token_group)
+    loops = closing_groups(groups, at, in_group, can)
     return Tokens(
         part, point, token_group, patch, own, in_group.astype(np.float32), at.astype(np.float32), extent, meet, beside,
         np.minimum(loops, 255).astype(np.uint8),
@@ -138,15 +186,8 @@ def _groups(connections: Float[np.ndarray, "P P 6"]) -> Int[np.ndarray, "P"]:
     return np.argmax(joined, axis=1)
 
 
-def _alike(clouds: Float[np.ndarray, "P C 3"]) -> Int[np.ndarray, "P"]:
-    """How many parts have each part's shape: equal parts have equal clouds."""
-    names = [cloud.tobytes() for cloud in clouds]
-    count = Counter(names)
-    return np.array([count[name] for name in names])
-
-
 def _into_group_frames(
-    clouds: Float[np.ndarray, "P C 3"],
+    sides: Float[np.ndarray, "P 3"],
     connections: Float[np.ndarray, "P P 6"],
     group: Int[np.ndarray, "P"],
     alike: Int[np.ndarray, "P"],
@@ -157,7 +198,7 @@ def _into_group_frames(
     """
     upright = np.zeros(len(group), bool)
     turn, shift = np.tile(np.eye(3), (len(group), 1, 1)), np.zeros((len(group), 3))
-    extent = np.ptp(clouds, axis=1).max(axis=1)
+    extent = sides.max(axis=1)
     for name in np.unique(group):
         members = np.flatnonzero(group == name)
         reference = members[np.lexsort((members, -extent[members], alike[members]))[0]]
@@ -182,45 +223,42 @@ def _patches(
 
 
 def _pairs(
-    views: list[_GroupView], turn: Float[np.ndarray, "n n 3 3"], at: Float[np.ndarray, "n 3"],
-    frame: Float[np.ndarray, "n 3 3"],
-) -> tuple[UInt8[np.ndarray, "n n 4"], Float32[np.ndarray, "n n 6"]]:  # fmt: skip
+    views: list[_GroupView], groups: list[Int[np.ndarray, "k"]], memory: Memory
+) -> tuple[UInt8[np.ndarray, "n n 4"], Float32[np.ndarray, "n n 6"]]:
     """What would come of mating any two points of different groups: `meet` and `beside`."""
-    n = len(at)
+    n = sum(map(len, groups))
     meet, beside = np.zeros((n, n, 4), np.uint8), np.zeros((n, n, 6), np.float32)
-    for a, first in enumerate(views):
-        for b, second in enumerate(views):
-            if a == b:
+    for first, moving in zip(views, groups, strict=True):
+        for second, waiting in zip(views, groups, strict=True):
+            if moving is waiting:
                 continue
-            moving, waiting = first.tokens, second.tokens
-            turned = turn[np.ix_(moving, waiting)]
-            shift = at[waiting][None] - (turned @ at[moving][:, None, :, None])[..., 0]
-            if a < b:
-                counts = _meetings(turned, shift, at, frame, moving, waiting)
-                meet[np.ix_(moving, waiting)] = counts
-                meet[np.ix_(waiting, moving)] = counts.transpose(1, 0, 2)
-            beside[np.ix_(moving, waiting)] = _beside(turned, shift, first, second)
+            told = memory.get(first.key + second.key, partial(_pairs_of, first, second))
+            meet[np.ix_(moving, waiting)], beside[np.ix_(moving, waiting)] = told
     return meet, beside
 
 
-def _meetings(
-    turn: np.ndarray, shift: np.ndarray, at: np.ndarray, frame: np.ndarray, moving: np.ndarray, waiting: np.ndarray
-) -> UInt8[np.ndarray, "k l 4"]:
+def _pairs_of(first: _GroupView, second: _GroupView) -> tuple[UInt8[np.ndarray, "k l 4"], Float[np.ndarray, "k l 6"]]:
+    """For a moving and a waiting group."""
+    turn = turns_between(first.frame, second.frame)
+    shift = second.at[None] - (turn @ first.at[:, None, :, None])[..., 0]
+    return _meetings(turn, shift, first, second), _beside(turn, shift, first, second)
+
+
+def _meetings(turn: np.ndarray, shift: np.ndarray, first: _GroupView, second: _GroupView) -> UInt8[np.ndarray, "k l 4"]:
     """How many other free points of the two groups would meet, miss each other a little, or come close."""
     # (k, l, m, 3): tokens of the moving group, and their normals and tangents, where the pair would bring them.
     back = turn.transpose(0, 1, 3, 2)
-    there = at[moving] @ back + shift[:, :, None]
-    apart = np.sqrt(np.maximum(_squares(there)[..., None] + _squares(at[waiting]) - 2.0 * (there @ at[waiting].T), 0.0))
-    opposed = (frame[moving, :, 2] @ back) @ frame[waiting, :, 2].T < -0.99
-    along = (frame[moving, :, 0] @ back) @ frame[waiting, :, 0].T > 0.99
+    at, frame = second.at, second.frame
+    there = first.at @ back + shift[:, :, None]
+    apart = np.sqrt(np.maximum(_squares(there)[..., None] + _squares(at) - 2.0 * (there @ at.T), 0.0))
+    opposed = (first.frame[:, :, 2] @ back) @ frame[:, :, 2].T < -0.99
+    along = (first.frame[:, :, 0] @ back) @ frame[:, :, 0].T > 0.99
     hit = (apart < _HIT) & opposed
-    counts = [
-        hit.any(axis=3).sum(axis=2) - 1,
-        (hit & along).any(axis=3).sum(axis=2) - 1,
-        ((apart < _NEAR) & ~hit).any(axis=3).sum(axis=2),
-        ((apart < _AROUND) & ~hit).any(axis=3).sum(axis=2),
-    ]
-    return np.maximum(np.stack(counts, axis=-1), 0).astype(np.uint8)
+    near = (apart < _NEAR) & ~hit
+    around = (apart < _AROUND) & ~hit
+    counts = [np.any(x, axis=3).sum(axis=2) for x in (hit, hit & along, near, around)]
+    # The pair itself meets, too.
+    return np.maximum(np.stack(counts, axis=-1) - np.array([1, 1, 0, 0]), 0).astype(np.uint8)
 
 
 def _squares(vectors: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n"]:
