@@ -100,7 +100,12 @@ class _GroupView:
     """Points of the cloud, at most `_SPREAD`."""
 
     @staticmethod
-    def of(key: bytes, cloud: Float[np.ndarray, "c 3"], at: np.ndarray, frame: np.ndarray) -> _GroupView:
+    def of(
+        key: bytes, clouds: Float[np.ndarray, "p c 3"], turn: np.ndarray, shift: np.ndarray, at: np.ndarray,
+        frame: np.ndarray,
+    ) -> _GroupView:  # fmt: skip
+        """Put together from its parts, each with its pose."""
+        cloud = (clouds @ turn.transpose(0, 2, 1) + shift[:, None]).reshape(-1, 3)
         return _GroupView(key, at, frame, _patches(cloud, at, frame), cloud[:: -(-len(cloud) // _SPREAD)])
 
 
@@ -131,7 +136,7 @@ def tokens_of(
     """As `tokenize`, from its ingredients: arrays as in `envs.observation`, free points, and each part's group."""
     memory = memory or Memory()
     part, point = np.nonzero(free)
-    shapes = [hashlib.blake2b(np.ascontiguousarray(cloud), digest_size=16).digest() for cloud in clouds]
+    shapes = [hashlib.blake2b(cloud.tobytes(), digest_size=16).digest() for cloud in clouds]
     count = Counter(shapes)
     alike = np.array([count[shape] for shape in shapes])
     sides = np.array(
@@ -151,12 +156,7 @@ def tokens_of(
         members = np.flatnonzero(group == name)
         arrays = (turn[members], shift[members], at[tokens], in_group[tokens])
         key = hashlib.blake2b(b"".join([*(shapes[i] for i in members), *(a.tobytes() for a in arrays)])).digest()
-
-        def view(key: bytes = key, members: np.ndarray = members, tokens: np.ndarray = tokens) -> _GroupView:
-            cloud = np.concatenate([clouds[i] @ turn[i].T + shift[i] for i in members])
-            return _GroupView.of(key, cloud, at[tokens], in_group[tokens])
-
-        views.append(memory.get(key, view))
+        views.append(memory.get(key, partial(_GroupView.of, key, clouds[members], *arrays)))
         size[tokens] = len(members)
     own = np.zeros((len(part), POINT), np.float32)
     own[:, 2:5] = -2.0 * np.einsum("nji,nj->ni", frame, position)
