@@ -50,6 +50,7 @@ class PairRule:
             for m, t in zip(self._members, self._turns, strict=True)
         ]
         self._slots = [np.repeat(m, len(t)) for m, t in zip(self._members, self._turns, strict=True)]
+        self._places: dict[tuple[object, ...], list[tuple[tuple[int, ...], tuple[SE3, ...]]]] = {}
 
     def judge(self, u_group: Group, v_group: Group, u: int, k: int, v: int, l: int) -> Merge | None:  # noqa: E741
         """The merge that point `k` of part `u` onto point `l` of part `v` makes, or None if the pair is wrong."""
@@ -81,12 +82,22 @@ class PairRule:
     def places(self, group: Group) -> Iterator[Group]:
         """The group where it is, told in every set of slots that it could take: its own first, each set once."""
         yield group
-        given = {frozenset(group.slots)}
-        for slots, placed in self._embeddings(group.parts, group.furniture_from_part):
-            if frozenset(slots.tolist()) not in given:
-                given.add(frozenset(slots.tolist()))
-                world = group.world_from_furniture * group.furniture_from_part[0] * placed[0].inverse()
-                yield Group(group.parts, tuple(int(s) for s in slots), tuple(placed), world)
+        for slots, placed in self._other_places(group):
+            world = group.world_from_furniture * group.furniture_from_part[0] * placed[0].inverse()
+            yield Group(group.parts, slots, placed, world)
+
+    def _other_places(self, group: Group) -> list[tuple[tuple[int, ...], tuple[SE3, ...]]]:
+        """Other sets of slots that a group could take, and its parts there; kept, being asked for often."""
+        turns = np.round([p.rotation for p in group.furniture_from_part], 3) + 0.0
+        key = (group.parts, group.slots, turns.tobytes())
+        if key not in self._places:
+            found: dict[frozenset[int], tuple[tuple[int, ...], tuple[SE3, ...]]] = {}
+            for slots, placed in self._embeddings(group.parts, group.furniture_from_part):
+                told = tuple(slots.tolist())
+                found.setdefault(frozenset(told), (told, tuple(placed)))
+            found.pop(frozenset(group.slots), None)
+            self._places[key] = list(found.values())
+        return self._places[key]
 
     def own_places(self, state: TaskState) -> Iterator[TaskState]:
         """The same state told so that every slot is claimed once, in each way that its joined groups allow.
