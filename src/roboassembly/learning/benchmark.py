@@ -29,11 +29,15 @@ from roboassembly.learning.gather import file_of
 from roboassembly.learning.multitask import Curriculum, Progress
 from roboassembly.learning.part_clouds import gather_clouds
 from roboassembly.learning.policies import weights_hash
+from roboassembly.learning.relational import RelationalConfig
 from roboassembly.solvers.curate import build
 
 SETTING = "object-centric"
 BEGIN, END = f"<!-- roboassembly benchmark --setting {SETTING}", "<!-- end of the benchmark -->"
 """What stands between them in a document is written by `put_into`."""
+
+
+_TINY = RelationalConfig(token=32, pair=16, layers=1, heads=2, ends=8, conflicts=2)
 
 
 @dataclass(frozen=True)
@@ -68,7 +72,7 @@ class Benchmark:
             features=autoencoder.Training(steps=60), extra_clouds=4,
             experts=ExpertTraining(steps=2_000), plays=2,
             paper=paper_imitation.Training(steps=60),
-            relational=Curriculum(extra=4, validation=2, rounds=1, steps=40, round_steps=20),
+            relational=Curriculum(extra=4, validation=2, rounds=1, steps=40, round_steps=20, network=_TINY),
         )  # fmt: skip
 
 
@@ -119,7 +123,7 @@ def run(b: Benchmark, folder: Path, jobs: int) -> Iterator[Progress]:
             lessons = replace(b.relational, set=f"{b.set}:train", limit=b.train_limit, seed=b.seed)
             yield from multitask.teach(lessons, folder / "relational", jobs)
     with _timed(folder, "evaluation"):
-        for trial in _trials(b, folder):
+        for trial in trials(b, folder):
             yield from _tried(trial, folder, b.seed, jobs)
 
 
@@ -149,7 +153,7 @@ def _experts(b: Benchmark, folder: Path, picks: Sequence[Pick], jobs: int) -> It
 
 
 @dataclass(frozen=True)
-class _Trial:
+class Trial:
     """Episodes to play."""
 
     name: str
@@ -163,39 +167,42 @@ class _Trial:
 
     @property
     def file(self) -> str:
+        """That keeps its episodes."""
         set_name = self.set.replace(":", "-").replace("/", "-").strip("-")
         return f"{self.name.replace(' ', '-')}-{set_name}.jsonl"
 
     def command(self, seed: int) -> str:
+        """That plays the same."""
         limit = "" if self.limit is None else f" --limit {self.limit}"
         search = " --search" if self.search else ""
         return f"roboassembly evaluate --policy {self.policy}{search} --set {self.set}{limit} --seed {seed} --json"
 
 
-def _trials(b: Benchmark, folder: Path) -> list[_Trial]:
+def trials(b: Benchmark, folder: Path) -> list[Trial]:
+    """All that is played once the training is done, in the table's order."""
     test, limit = f"{b.set}:test", b.test_limit
     relational = "relational" if b.shipped else str(folder / "relational" / "policy.npz")
     every = [
-        _Trial("RRT-Connect in 6M dimensions", "joint-rrt", False, test, limit, 18.8, "91.7k"),
-        _Trial("random", "random", False, test, limit, None),
-        _Trial("preset paper", str(folder / "paper" / "policy.npz"), False, test, limit, 74.5, "37.8k"),
-        _Trial("relational", relational, False, test, limit, 74.5, "37.8k"),
-        _Trial("relational with search", relational, True, test, limit, None),
-        _Trial("search alone", "search", False, test, limit, None),
+        Trial("RRT-Connect in 6M dimensions", "joint-rrt", False, test, limit, 18.8, "91.7k"),
+        Trial("random", "random", False, test, limit, None),
+        Trial("preset paper", str(folder / "paper" / "policy.npz"), False, test, limit, 74.5, "37.8k"),
+        Trial("relational", relational, False, test, limit, 74.5, "37.8k"),
+        Trial("relational with search", relational, True, test, limit, None),
+        Trial("search alone", "search", False, test, limit, None),
     ]
     for real in b.real:
         every += [
-            _Trial("relational", relational, False, real, None, None),
-            _Trial("relational with search", relational, True, real, None, None),
+            Trial("relational", relational, False, real, None, None),
+            Trial("relational with search", relational, True, real, None, None),
         ]
     return every
 
 
-def _tried(trial: _Trial, folder: Path, seed: int, jobs: int) -> Iterator[Progress]:
+def _tried(trial: Trial, folder: Path, seed: int, jobs: int) -> Iterator[Progress]:
     """Play what is not played yet."""
     picks = pick(trial.set)[: trial.limit]
     path = folder / "episodes" / trial.file
-    there = _episodes(path, trial, seed)
+    there = episodes_of(path, trial, seed)
     if len(there) == len(picks):
         return
     path.parent.mkdir(exist_ok=True)
@@ -214,7 +221,7 @@ def _tried(trial: _Trial, folder: Path, seed: int, jobs: int) -> Iterator[Progre
             yield Progress(f"{trial.name}, {trial.set}", done, len(picks), {"success": solved})
 
 
-def _head(trial: _Trial, seed: int) -> dict[str, Any]:
+def _head(trial: Trial, seed: int) -> dict[str, Any]:
     """What episodes belong to; of other weights or another set they are played again."""
     picks = pick(trial.set)[: trial.limit]
     return {
@@ -225,7 +232,7 @@ def _head(trial: _Trial, seed: int) -> dict[str, Any]:
     }
 
 
-def _episodes(path: Path, trial: _Trial, seed: int) -> list[Episode]:
+def episodes_of(path: Path, trial: Trial, seed: int) -> list[Episode]:
     """Those of a file, the last line perhaps half written."""
     if not path.is_file():
         return []
@@ -254,9 +261,9 @@ def rows(b: Benchmark, folder: Path) -> list[Row]:
         some = [r for r in results if split_of[r.name] == split]
         if some:
             out.append(Row("experts", f"{split} training chairs", paper, "", mastery(some), told))
-    for trial in _trials(b, folder):
+    for trial in trials(b, folder):
         evaluation = Evaluation(
-            trial.policy, trial.set, b.seed, tuple(_episodes(folder / "episodes" / trial.file, trial, b.seed)),
+            trial.policy, trial.set, b.seed, tuple(episodes_of(folder / "episodes" / trial.file, trial, b.seed)),
             trial.search,
         )  # fmt: skip
         told = trial.command(b.seed)
