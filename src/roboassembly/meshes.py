@@ -200,6 +200,16 @@ class Witness:
     point_b: Float[np.ndarray, "3"]
 
 
+_POINT = coal.Sphere(1e-9)
+
+
+def distance_to(model: coal.BVHModelOBBRSS, point: Float[np.ndarray, "3"]) -> float:
+    """Metres from a point to the nearest triangle, inside as outside."""
+    place = coal.Transform3s(np.eye(3), np.asarray(point, dtype=float))
+    request, result = coal.DistanceRequest(), coal.DistanceResult()
+    return abs(float(coal.distance(model, coal.Transform3s.Identity(), _POINT, place, request, result)))
+
+
 def nearest_points(a: Mesh, b: Mesh) -> Witness:
     """Exact distance between two surfaces given in the same frame, and where it is attained."""
     here = coal.Transform3s.Identity()

@@ -33,8 +33,6 @@ _SAME_DIRECTION = 0.3
 """Radians: like contacts' normals agree to this."""
 _CONSISTENT = 1e-4
 """Metres and radians: frames that both ends of a connection inherit are one if they agree to this."""
-_SHARED = 2e-6
-"""Metres: like parts whose corners agree to this share one mesh (rounding to 32-bit floats is below it)."""
 
 
 def annotate(name: str, raw: Sequence[RawPart], provenance: Provenance) -> Furniture:
@@ -62,7 +60,7 @@ def annotate(name: str, raw: Sequence[RawPart], provenance: Provenance) -> Furni
     classes, rotations = _classify(centered)
     rotations = _turn_to_match_points(classes, rotations, centers, contacts)
     slots = tuple(SE3(r, c) for r, c in zip(rotations, centers, strict=True))
-    meshes = _part_meshes(centered, classes, slots)
+    meshes = _part_meshes(centered, classes)
     points, connections = _connection_points(contacts, slots, classes)
     grasps = {member: held for c in classes for held in [find_grasps(meshes[c.members[0]])] for member in c.members}
     parts = tuple(
@@ -172,20 +170,12 @@ def _turn_to_match_points(
     return out
 
 
-def _part_meshes(centered: Sequence[Mesh], classes: Sequence[ShapeClass], slots: Sequence[SE3]) -> list[Mesh]:
+def _part_meshes(centered: Sequence[Mesh], classes: Sequence[ShapeClass]) -> list[Mesh]:
+    """Like parts share one mesh: they differ by less than the smallest gap at a mating face."""
     meshes = list(centered)
     for shape_class in classes:
-        first = centered[shape_class.members[0]]
         for member in shape_class.members[1:]:
-            own = centered[member].transformed(SE3(slots[member].rotation.T, np.zeros(3)))
-            same = own.vertices.shape == first.vertices.shape and own.faces.shape == first.faces.shape
-            if (
-                same
-                and np.array_equal(own.faces, first.faces)
-                and np.abs(own.vertices - first.vertices).max() < _SHARED
-            ):
-                own = first
-            meshes[member] = own
+            meshes[member] = centered[shape_class.members[0]]
     return meshes
 
 

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
-from roboassembly.meshes import Mesh
+from roboassembly.meshes import Mesh, distance_to
 
 TOLERANCE = 1e-4
 """Metres: shapes whose corners agree to this are alike. Below the smallest gap at a mating face."""
@@ -19,6 +19,11 @@ MAX_SYMMETRIES = 64
 _BENT = 1e-5
 """Least spread of the normals at a corner; a bend of 0.3° counts, the rounding of a flat face does not."""
 _MAX_CANDIDATES = 4096
+_REACH, _SLACK = 1e-3, 3e-4
+"""Metres beyond the tolerance: of corners before the fit, because two corners alone turn a shape by a little too much
+or too little; and of distances between corners."""
+_MATCHED = 0.5
+"""Least share of the corners that have to lie at corners of the other shape."""
 
 
 def feature_vertices(mesh: Mesh) -> Float[np.ndarray, "k 3"]:
@@ -47,7 +52,7 @@ def rotations_onto(source: Mesh, target: Mesh, tolerance: float = TOLERANCE) -> 
     """Every rotation about the origin that lays `source` onto `target`, smallest angle first.
 
     Both meshes have their centre of mass at the origin of their frame. Shapes agree when each corner of one lies
-    within `tolerance` metres of a corner of the other.
+    within `tolerance` metres of a corner of the other or, as cuts leave some corners that are none, of its surface.
     """
     if abs(source.radius - target.radius) > tolerance + 1e-3 * source.radius:
         return np.empty((0, 3, 3))
@@ -61,20 +66,29 @@ def rotations_onto(source: Mesh, target: Mesh, tolerance: float = TOLERANCE) -> 
     probe = a[np.linspace(0, len(a) - 1, min(len(a), 12)).astype(int)]
     reach, _ = tree_b.query(np.einsum("cij,pj->cpi", candidates, probe))
     found: list[np.ndarray] = []
-    for rotation in candidates[reach.max(axis=1) < 10 * tolerance]:
+    for rotation in candidates[(reach < tolerance + _REACH).mean(axis=1) > _MATCHED]:
         distance, mate = tree_b.query(a @ rotation.T)
-        if distance.max() > 10 * tolerance:
+        near = np.asarray(distance) < tolerance + _REACH
+        if np.mean(near) < _MATCHED:
             continue
-        matrix = Rotation.align_vectors(b[mate], a)[0].as_matrix()
-        if tree_b.query(a @ matrix.T)[0].max() > tolerance or tree_a.query(b @ matrix)[0].max() > tolerance:
+        matrix = Rotation.align_vectors(b[np.asarray(mate)[near]], a[near])[0].as_matrix()
+        if any(np.allclose(matrix, other, atol=1e-3) for other in found):
             continue
-        if not any(np.allclose(matrix, other, atol=1e-3) for other in found):
+        if _lies_on(a @ matrix.T, tree_b, target, tolerance) and _lies_on(b @ matrix, tree_a, source, tolerance):
             found.append(matrix)
     if not found:
         return np.empty((0, 3, 3))
     angles = np.linalg.norm(Rotation.from_matrix(np.array(found)).as_rotvec(), axis=1)
     order = np.argsort(np.round(angles, 6), kind="stable")[:MAX_SYMMETRIES]
     return np.array(found)[order]
+
+
+def _lies_on(points: Float[np.ndarray, "n 3"], corners: KDTree, mesh: Mesh, tolerance: float) -> bool:
+    """Whether all points lie at corners of a mesh, or at least on its surface."""
+    odd = points[corners.query(points)[0] > tolerance]
+    if len(odd) > (1.0 - _MATCHED) * len(points):
+        return False
+    return all(distance_to(mesh.bvh, point) <= tolerance for point in odd)
 
 
 def symmetries(mesh: Mesh, tolerance: float = TOLERANCE) -> Float[np.ndarray, "n 3 3"]:
@@ -91,8 +105,10 @@ def _candidate_rotations(
 ) -> Float[np.ndarray, "c 3 3"]:
     """Rotations that take two well-chosen corners of `a` to corners of `b` at the same radii and distance."""
     radius_a, radius_b = np.linalg.norm(a, axis=1), np.linalg.norm(b, axis=1)
-    slack = 4 * tolerance
-    likely = np.array([(np.abs(radius_b - r) < slack).sum() for r in radius_a])
+    slack = tolerance + _SLACK
+    likely = np.array([(np.abs(radius_b - r) < slack).sum() for r in radius_a], dtype=float)
+    # A corner without a mate says nothing: cuts leave some that are none.
+    likely[likely == 0] = np.inf
     far = radius_a > 0.5 * radius_a.max()
     first = int(np.lexsort((-radius_a, np.where(far, likely, np.inf)))[0])
     lever = np.linalg.norm(np.cross(a, a[first]), axis=1) / radius_a[first]

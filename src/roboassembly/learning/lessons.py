@@ -119,6 +119,8 @@ class Course:
             raise InputError(f"{path} is not a course of lessons: {error}; remove it and build it again") from None
 
 
+_TURNED = 0.02
+"""Largest difference of two rotations that count as one."""
 Student = Callable[[Tokens], tuple[int, int, int]]
 """Picks the ordered pair of tokens and `w` that it thinks best."""
 
@@ -129,6 +131,7 @@ class Teacher:
     def __init__(self, furniture: Furniture, clouds: Float32[np.ndarray, "P C 3"]) -> None:
         self.oracle = Oracle(ObjectCentricTask(furniture))
         self.course = Course(furniture.name, clouds, ())
+        self._alone = {c.members[0] for c in furniture.classes if len(c.members) == 1}
         self._observer = Observer(furniture, len(furniture.parts), MAX_POINTS, 1)
 
     def lesson(self, state: TaskState, joints: list[Joint]) -> Lesson:
@@ -159,7 +162,7 @@ class Teacher:
         before: list[tuple[TaskState, list[Joint], Joint]] = []
         while not state.complete:
             joints = self.oracle.joints(state)
-            good = [j for j in joints if j.good]
+            good = self._upright([j for j in joints if j.good])
             if not good:
                 # Equal parts whose points differ: slots alone do not tell that this cannot go on. Take it back.
                 if not before:
@@ -167,7 +170,7 @@ class Teacher:
                 state, joints, joint = before.pop()
                 lessons.pop()
                 joints = [replace(j, solvable=False) if j is joint else j for j in joints]
-                good = [j for j in joints if j.good]
+                good = self._upright([j for j in joints if j.good])
                 if not good:
                     break
                 lessons.append(self.lesson(state, joints))
@@ -182,6 +185,22 @@ class Teacher:
             rest = (g for g in state.groups if g is not u_group and g is not v_group)
             state = TaskState((*rest, joint.merge.merged))
         return lessons, mistakes
+
+    def _upright(self, joints: list[Joint]) -> list[Joint]:
+        """Those that leave parts without a like of their own standing as delivered, if there are any.
+
+        A symmetric part may be turned as well, but one who sees from the parts' frames how the furniture stands has no
+        reason to.
+        """
+
+        def turned(joint: Joint) -> bool:
+            merged = joint.merge.merged
+            alone = [
+                r.rotation for p, r in zip(merged.parts, merged.furniture_from_part, strict=True) if p in self._alone
+            ]
+            return any(np.abs(r - alone[0]).max() > _TURNED for r in alone[1:])
+
+        return [j for j in joints if not turned(j)] or joints
 
     def _judge(self, student: Student, lesson: Lesson, good: list[Joint]) -> Joint | None:
         """The student's choice if it is good."""

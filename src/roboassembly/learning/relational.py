@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float32
 
 from roboassembly.learning.batches import pad
-from roboassembly.learning.features import PAIR, WAY, of_pairs, of_ways
+from roboassembly.learning.features import PAIR, WAY, of_pairs, of_ways, possible, same_way, turns
 from roboassembly.learning.layers import (
     Array,
     Params,
@@ -36,6 +36,8 @@ from roboassembly.learning.tokens import PATCH, POINT, Tokens
 KIND = "relational"
 """Of checkpoints."""
 MAX_GROUPS = 20
+_DOUBT = 10.0
+"""Taken off the logits of pairs after which two groups that are surely upright would not stand the same way."""
 _REL = 13
 """Numbers of one token's frame in another's: rotation, translation, and whether there is any."""
 
@@ -125,8 +127,12 @@ def apply(p: Params, t: dict[str, Array]) -> tuple[Array, Array, Array]:
 
 def values(p: Params, tokens: Tokens) -> Float32[np.ndarray, "n n 6"]:
     """Q of all actions in one state, on NumPy; -inf where two tokens are in one group."""
-    _, q, valid = apply(p, pad([tokens], len(tokens.part)))
-    return np.where(valid[0, :, :, None], q[0], -np.inf)
+    t = pad([tokens], len(tokens.part))
+    _, q, valid = apply(p, t)
+    can = np.asarray(possible(same_way(turns(t["frame"])), t["own"][..., -1] > 0, valid))[0]
+    # Lessons do not tell: where a part is symmetric, standing it the other way round is right as well.
+    doubt = np.where(can | ~can.any(), np.float32(0.0), np.float32(_DOUBT))
+    return np.where(valid[0, :, :, None], q[0] - doubt[:, :, None], -np.inf)
 
 
 def best(p: Params, tokens: Tokens) -> tuple[int, int, int]:

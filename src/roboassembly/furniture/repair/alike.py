@@ -18,14 +18,14 @@ from roboassembly.furniture.repair.surface import to_surface
 from roboassembly.furniture.repair.trim import TIDY, without_slivers
 from roboassembly.meshes import Mesh
 
+SAME_SHAPE = 1e-3
+"""Metres: parts whose corners agree to this are delivered alike; whoever drew them meant one part."""
 MAX_TURNS = 16
 """Symmetries of a shape that are tried to lay its members' cuts over one another."""
 MAX_EXTRA = 0.03
 """Share of its volume that a part may lose, beyond what the most trimmed of its like lost, to stay like it."""
 WORTH_TURNING = 0.001
 """Share of a part's volume that another turn must save."""
-SAME_VOLUME = 1e-6
-"""Parts that have lost the same share, to this, are taken as still alike."""
 MAX_FEATURED_FACES = 60_000
 """Parts of more triangles are not compared."""
 
@@ -65,7 +65,7 @@ def likenesses(parts: Sequence[RawPart]) -> list[Likeness]:
         for master in range(index):
             if out[master].master != master or not _comparable(centred[master], mesh):
                 continue
-            turns = rotations_onto(centred[master], mesh)
+            turns = rotations_onto(centred[master], mesh, SAME_SHAPE)
             if len(turns):
                 found = Likeness(master, turns[:MAX_TURNS], out[master].centre, centre)
                 break
@@ -96,12 +96,21 @@ def keep_alike(pieces: list[Piece], alike: Sequence[Likeness], limits: RepairLim
             _share_cuts(pieces, alike, members, limits)
 
 
+def _still_alike(bodies: Sequence[m3.Manifold]) -> bool:
+    """Whether the first body can be laid onto each of the others."""
+    centred = []
+    for body in bodies:
+        skin = to_surface(body)
+        mesh = Mesh(skin.vertices, skin.faces)
+        centred.append(Mesh(mesh.vertices - mesh.center_of_mass, mesh.faces))
+    return all(len(rotations_onto(centred[0], mesh)) for mesh in centred[1:])
+
+
 def _share_cuts(pieces: list[Piece], alike: Sequence[Likeness], members: list[int], limits: RepairLimits) -> None:
     master = members[0]
     moved = [pieces[p].moved for p in members]
     unmoved = [pieces[p].body.translate(tuple((-m).tolist())) for p, m in zip(members, moved, strict=True)]
-    volumes = [body.volume() for body in unmoved]
-    if max(volumes) - min(volumes) < SAME_VOLUME * pieces[master].whole:
+    if _still_alike(unmoved):
         return
     common, chosen = unmoved[0], [0]
     for p, body in zip(members[1:], unmoved[1:], strict=True):

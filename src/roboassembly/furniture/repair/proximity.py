@@ -7,8 +7,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from roboassembly.furniture.repair.surface import Surface
+from roboassembly.meshes import distance_to
 
-_POINT = coal.Sphere(1e-9)
 _STILL = coal.Transform3s.Identity()
 
 
@@ -58,6 +58,4 @@ class Shell:
 
     def distance_to(self, point: Float[np.ndarray, "3"]) -> float:
         """Metres from a point to the nearest triangle."""
-        place = coal.Transform3s(np.eye(3), np.asarray(point, dtype=float))
-        request, result = coal.DistanceRequest(), coal.DistanceResult()
-        return abs(float(coal.distance(self.model, _STILL, _POINT, place, request, result)))
+        return distance_to(self.model, point)
