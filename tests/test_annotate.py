@@ -320,6 +320,34 @@ def test_nearly_alike_is_not_alike(other: Mesh) -> None:
     assert len(rotations_onto(other, box)) == 0
 
 
+@pytest.mark.parametrize(("off", "alike"), [(0.00005, True), (0.0003, False)])
+def test_a_corner_that_a_cut_left_on_an_edge_does_not_count(off: float, alike: bool) -> None:
+    box = shapes.brick(0.1, 0.2, 0.3)
+    cut = box.trimesh.subdivide()
+    vertices = np.array(cut.vertices)
+    middle = np.flatnonzero(np.isclose(vertices, [0.05, 0.1, 0.0]).all(axis=1))
+    vertices[middle] += [off, off, 0.0]
+    bent = Mesh(vertices, np.array(cut.faces))
+    assert len(rotations_onto(box, bent)) == len(rotations_onto(bent, box)) == (4 if alike else 0)
+
+
+def test_like_parts_share_a_mesh_where_there_is_room() -> None:
+    # Two posts under a board; one is 0.05 mm thicker, which would close the gap to a third part beside it.
+    def furniture(gap: float) -> Furniture:
+        board = shapes.brick(0.4, 0.4, 0.02).transformed(SE3(np.eye(3), np.array([0.0, 0.0, 0.3102])))
+        thick = shapes.brick(0.04005, 0.04, 0.6).transformed(SE3(np.eye(3), np.array([-0.1, 0.0, 0.0])))
+        thin = shapes.brick(0.04, 0.04, 0.6).transformed(SE3(np.eye(3), np.array([0.1, 0.0, 0.0])))
+        beside = shapes.brick(0.02, 0.1, 0.5).transformed(SE3(np.eye(3), np.array([0.13 + gap, 0.0, 0.0])))
+        raw = [RawPart(n, m) for n, m in (("board", board), ("thick", thick), ("thin", thin), ("beside", beside))]
+        return annotate("posts", raw, ORIGIN)
+
+    for gap, shared in ((0.0002, True), (0.00004, False)):
+        made = furniture(gap)
+        assert made.class_of[1] == made.class_of[2]
+        assert (made.parts[1].mesh is made.parts[2].mesh) == shared
+        assert relative_error(made) < 1e-6
+
+
 def bent_slat(sides: int, height: float = 0.02) -> Mesh:
     """A slat bent like an S, of many short pieces: the turn about z by half is its only symmetry."""
     along = np.linspace(-0.2, 0.2, sides + 1)

@@ -26,13 +26,19 @@ from roboassembly.furniture.model import (
     ShapeClass,
     check_part_count,
 )
-from roboassembly.meshes import Mesh
+from roboassembly.meshes import Mesh, nearest_points
 from roboassembly.poses import SE3
 
 _SAME_DIRECTION = 0.3
 """Radians: like contacts' normals agree to this."""
 _CONSISTENT = 1e-4
 """Metres and radians: frames that both ends of a connection inherit are one if they agree to this."""
+
+
+_ROUNDING = 2e-6
+"""Metres."""
+_ROOM = 0.5
+"""Share of the distance from a neighbour that has to stay where a part takes over its like's mesh."""
 
 
 def annotate(name: str, raw: Sequence[RawPart], provenance: Provenance) -> Furniture:
@@ -60,7 +66,7 @@ def annotate(name: str, raw: Sequence[RawPart], provenance: Provenance) -> Furni
     classes, rotations = _classify(centered)
     rotations = _turn_to_match_points(classes, rotations, centers, contacts)
     slots = tuple(SE3(r, c) for r, c in zip(rotations, centers, strict=True))
-    meshes = _part_meshes(centered, classes)
+    meshes = _part_meshes([p.mesh for p in raw], centered, classes, slots, contacts)
     points, connections = _connection_points(contacts, slots, classes)
     grasps = {member: held for c in classes for held in [find_grasps(meshes[c.members[0]])] for member in c.members}
     parts = tuple(
@@ -170,13 +176,36 @@ def _turn_to_match_points(
     return out
 
 
-def _part_meshes(centered: Sequence[Mesh], classes: Sequence[ShapeClass]) -> list[Mesh]:
-    """Like parts share one mesh: they differ by less than the smallest gap at a mating face."""
+def _part_meshes(
+    raw: Sequence[Mesh], centered: Sequence[Mesh], classes: Sequence[ShapeClass], slots: Sequence[SE3],
+    contacts: Sequence[Contact],
+) -> list[Mesh]:  # fmt: skip
+    """In their parts' frames. Like parts share the first one's mesh, unless a neighbour leaves no room for it."""
     meshes = list(centered)
     for shape_class in classes:
+        first = centered[shape_class.members[0]]
         for member in shape_class.members[1:]:
-            meshes[member] = centered[shape_class.members[0]]
+            own = centered[member].transformed(SE3(slots[member].rotation.T, np.zeros(3)))
+            meshes[member] = first if _same(own, first) or _has_room(member, first, raw, slots, contacts) else own
     return meshes
+
+
+def _same(one: Mesh, two: Mesh) -> bool:
+    """Whether two meshes are one but for rounding to 32-bit floats."""
+    if one.vertices.shape != two.vertices.shape or not np.array_equal(one.faces, two.faces):
+        return False
+    return bool(np.abs(one.vertices - two.vertices).max() < _ROUNDING)
+
+
+def _has_room(member: int, mesh: Mesh, raw: Sequence[Mesh], slots: Sequence[SE3], contacts: Sequence[Contact]) -> bool:
+    """Whether a mesh in a member's slot keeps most of the distance from all that the member touches."""
+    placed = mesh.transformed(slots[member])
+    for contact in contacts:
+        if member in (contact.a, contact.b):
+            other = raw[contact.b if member == contact.a else contact.a]
+            if nearest_points(placed, other).distance < _ROOM * nearest_points(raw[member], other).distance:
+                return False
+    return True
 
 
 @dataclass(eq=False)
