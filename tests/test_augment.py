@@ -21,7 +21,7 @@ from roboassembly.task.object_centric import UP_AXES
 def course() -> Course:
     furniture = catalogue.make("three_legged", 1)
     clouds = np.array([surface_points(p.mesh, 96) for p in furniture.parts], np.float32)
-    lessons, _ = Teacher(furniture, clouds).play(np.random.default_rng(0))
+    lessons = Teacher(furniture, clouds).play(np.random.default_rng(0)).lessons
     n = int(lessons[1].free.sum())
     valued = replace(lessons[1], values=np.random.default_rng(1).normal(size=(n, n, 6)).astype(np.float16))
     return Course(furniture.name, clouds, (lessons[0], valued, *lessons[2:]))

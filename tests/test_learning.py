@@ -28,8 +28,7 @@ def course(name: str, points: int = 64) -> Course:
     furniture = catalogue.make(family, int(seed))
     clouds = np.array([surface_points(p.mesh, points) for p in furniture.parts], np.float32)
     teacher = Teacher(furniture, clouds)
-    lessons, _ = teacher.play(np.random.default_rng(0))
-    return Course(furniture.name, clouds, tuple(lessons))
+    return Course(furniture.name, clouds, teacher.play(np.random.default_rng(0)).lessons)
 
 
 @pytest.fixture(scope="module")
@@ -185,8 +184,28 @@ def test_a_student_that_errs_is_set_right(cantilever: Course) -> None:
     def hopeless(tokens: Tokens) -> tuple[int, int, int]:
         return 0, 0, 0
 
-    lessons, mistakes = teacher.play(np.random.default_rng(0), hopeless)
-    assert len(lessons) == mistakes == 3
+    play = teacher.play(np.random.default_rng(0), hopeless)
+    assert len(play.lessons) == play.mistakes == 3
+
+
+def test_dead_ends_are_lessons_too() -> None:
+    furniture = catalogue.make("ladder", 0)
+    clouds = np.array([surface_points(p.mesh, 64) for p in furniture.parts], np.float32)
+    teacher = Teacher(furniture, clouds)
+    play = teacher.play(np.random.default_rng(1))
+    assert len(play.lessons) == len(furniture.parts) - 1
+    assert len(play.dead_ends) > 2
+    for lesson in play.dead_ends:
+        assert not lesson.joints[:, 4].any()
+    taught = imitation.examples_of([Course("ladder:0", clouds, (*play.lessons, *play.dead_ends))])
+    assert [e.good.any() for e in taught] == [True] * len(play.lessons) + [False] * len(play.dead_ends)
+    # What is learnt of them is that nothing is good; which choice is made there does not matter.
+    params = relational.init(np.random.default_rng(0), CONFIG)
+    dead = [e for e in taught if not e.good.any()][:2]
+    _, terms = imitation.losses(params, imitation.batch_of(dead, size_for(max(len(e.right) for e in dead))))
+    assert not np.asarray(terms["choice"]).any()
+    assert (np.asarray(terms["values"]) > 0.0).all()
+    assert imitation.share_good(params, taught) == imitation.share_good(params, taught[: len(play.lessons)])
 
 
 def test_training_learns_a_chair_and_resumes_where_it_was_killed(cantilever: Course, tmp_path: Path) -> None:

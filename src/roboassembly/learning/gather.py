@@ -98,9 +98,9 @@ def _gather(name: str, *, folder: Path, plays: int, seed: int, student: Path | N
     mistakes = choices = 0
     for index in range(plays):
         rng = np.random.default_rng([seed, int(number), index])
-        lessons, wrong = teacher.play(rng, moves)
-        mistakes, choices = mistakes + wrong, choices + len(lessons)
-        for lesson in lessons:
+        play = teacher.play(rng, moves)
+        mistakes, choices = mistakes + play.mistakes, choices + len(play.lessons)
+        for lesson in (*play.lessons, *play.dead_ends):
             found.setdefault(lesson.group.tobytes(), lesson)
     replace(teacher.course, name=name, lessons=tuple(found.values())).save(file_of(folder, name))
     return Gathered(name, len(found), mistakes, choices, time.monotonic() - begun)

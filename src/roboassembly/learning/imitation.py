@@ -156,14 +156,18 @@ def losses(params: relational.Params, batch: dict[str, Any]) -> tuple[jax.Array,
     values = (_cross_entropy(q, is_good) * weight).sum((1, 2, 3)) / count / 6.0
     flat = jnp.where(valid[..., None], q, -1e9).reshape(len(q), -1)
     good = is_good.reshape(len(q), -1)
+    # In a dead end no choice is good, and what is learnt is that.
+    hope = good.any(1)
     choice = jax.nn.logsumexp(flat, 1) - jax.nn.logsumexp(jnp.where(good > 0, flat, -1e9), 1)
-    chosen = jnp.take_along_axis(good, jnp.argmax(flat, 1)[:, None], 1)[:, 0]
+    choice = jnp.where(hope, choice, 0.0)
+    chosen = jnp.where(hope, jnp.take_along_axis(good, jnp.argmax(flat, 1)[:, None], 1)[:, 0], 1.0)
     terms = {"pairs": pairs, "values": values, "choice": choice, "chosen": chosen}
     return (0.3 * pairs + values + choice).mean(), terms
 
 
 def share_good(params: Any, examples: Sequence[Example]) -> float:
-    """In what share of the states the surest action is a good one."""
+    """In what share of the states that are no dead ends the surest action is a good one."""
+    examples = [e for e in examples if e.good.any()]
     good = 0.0
     for size, indices in _by_size(examples).items():
         of_size = [examples[i] for i in indices]
@@ -176,7 +180,11 @@ def share_good(params: Any, examples: Sequence[Example]) -> float:
 
 @jax.jit
 def _chosen(params: Any, batch: dict[str, Any]) -> jax.Array:
-    return losses(params, batch)[1]["chosen"]
+    tokens = {name: batch[name] for name in ("group", *PADDED)}
+    _, q, valid = relational.apply(params, tokens)
+    flat = relational.ranked(tokens, q, valid).reshape(len(q), -1)
+    good = batch["good"].reshape(len(q), -1)
+    return jnp.take_along_axis(good, jnp.argmax(flat, 1)[:, None], 1)[:, 0]
 
 
 def _cross_entropy(logit: jax.Array, truth: jax.Array) -> jax.Array:

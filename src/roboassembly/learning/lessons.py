@@ -119,10 +119,31 @@ class Course:
             raise InputError(f"{path} is not a course of lessons: {error}; remove it and build it again") from None
 
 
+_DEAD = 0.5
+"""Share of states with a way into a dead end where one is looked at."""
 _TURNED = 0.02
 """Largest difference of two rotations that count as one."""
 Student = Callable[[Tokens], tuple[int, int, int]]
 """Picks the ordered pair of tokens and `w` that it thinks best."""
+
+
+@dataclass(frozen=True, eq=False)
+class Play:
+    """What one play from loose parts to the end gave."""
+
+    lessons: tuple[Lesson, ...]
+    """Of each state."""
+    dead_ends: tuple[Lesson, ...]
+    """Of some states next to those, from which the furniture cannot be finished."""
+    mistakes: int
+    """Choices of the student that were not good."""
+
+
+def _after(state: TaskState, joint: Joint) -> TaskState:
+    """What is left to be joined."""
+    u_group, v_group = state.groups[state.group_of[joint.u]], state.groups[state.group_of[joint.v]]
+    rest = (g for g in state.groups if g is not u_group and g is not v_group)
+    return TaskState((*rest, joint.merge.merged))
 
 
 class Teacher:
@@ -147,18 +168,15 @@ class Teacher:
             np.array(rows, np.int16).reshape(-1, 5 + len(UP_AXES)),
         )
 
-    def play(self, rng: np.random.Generator, student: Student | None = None) -> tuple[list[Lesson], int]:
+    def play(self, rng: np.random.Generator, student: Student | None = None) -> Play:
         """One play from loose parts to the end.
 
         Args:
             rng: draws among good moves where there is no student or it errs.
             student: moves as long as it is right.
-
-        Returns:
-            A lesson for each state, and how many mistakes the student made.
         """
         task = self.oracle.task
-        state, lessons, mistakes = task.initial_state(rng), [], 0
+        state, lessons, ends, mistakes = task.initial_state(rng), [], [], 0
         before: list[tuple[TaskState, list[Joint], Joint]] = []
         while not state.complete:
             joints = self.oracle.joints(state)
@@ -181,10 +199,12 @@ class Teacher:
                 mistakes += student is not None and joint is None
                 joint = joint or good[rng.integers(len(good))]
             before.append((state, joints, joint))
-            u_group, v_group = state.groups[state.group_of[joint.u]], state.groups[state.group_of[joint.v]]
-            rest = (g for g in state.groups if g is not u_group and g is not v_group)
-            state = TaskState((*rest, joint.merge.merged))
-        return lessons, mistakes
+            dead = [j for j in self._upright(joints) if any(j.ways) and not j.solvable]
+            if dead and rng.random() < _DEAD:
+                end = _after(state, dead[rng.integers(len(dead))])
+                ends.append(self.lesson(end, [replace(j, solvable=False) for j in self.oracle.joints(end)]))
+            state = _after(state, joint)
+        return Play(tuple(lessons), tuple(ends), mistakes)
 
     def _upright(self, joints: list[Joint]) -> list[Joint]:
         """Those that leave parts without a like of their own standing as delivered, if there are any.

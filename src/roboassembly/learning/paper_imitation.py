@@ -252,12 +252,13 @@ def losses(network: Any, inputs: Any, batch: dict[str, Any]) -> tuple[jax.Array,
 
 
 def share_good(params: Params, examples: Sequence[Example]) -> float:
-    """In what share of the states the furniture can be finished after the best-valued action.
+    """In what share of the states that are no dead ends the furniture can be finished after the best-valued action.
 
     Args:
         params: of a checkpoint of kind `paper`.
         examples: the states.
     """
+    examples = [e for e in examples if (e.worth >= WHOLE).any()]
     good = np.zeros(len(examples), bool)
     for row, e in enumerate(examples):
         batch = batch_of([e], None)

@@ -129,10 +129,19 @@ def values(p: Params, tokens: Tokens) -> Float32[np.ndarray, "n n 6"]:
     """Q of all actions in one state, on NumPy; -inf where two tokens are in one group."""
     t = pad([tokens], len(tokens.part))
     _, q, valid = apply(p, t)
-    can = np.asarray(possible(same_way(turns(t["frame"])), t["own"][..., -1] > 0, valid))[0]
-    # Lessons do not tell: where a part is symmetric, standing it the other way round is right as well.
-    doubt = np.where(can | ~can.any(), np.float32(0.0), np.float32(_DOUBT))
-    return np.where(valid[0, :, :, None], q[0] - doubt[:, :, None], -np.inf)
+    return np.asarray(ranked(t, q, valid))[0]
+
+
+def ranked(t: dict[str, Array], q: Array, valid: Array) -> Array:
+    """(b, n, n, 6) Q by which a policy chooses, from what `apply` says; -inf where two tokens are in one group.
+
+    Lessons do not tell everything: where a part is symmetric, standing it the other way round is right as well. So
+    pairs after which two upright groups would not stand the same way come last.
+    """
+    xp = q.__array_namespace__()
+    can = possible(same_way(turns(xp.astype(t["frame"], xp.float32))), t["own"][..., -1] > 0, valid)
+    doubt = xp.where(can | ~xp.any(can, axis=(1, 2), keepdims=True), 0.0, _DOUBT)
+    return xp.where(valid[..., None], q - xp.astype(doubt, q.dtype)[..., None], -xp.inf)
 
 
 def best(p: Params, tokens: Tokens) -> tuple[int, int, int]:
