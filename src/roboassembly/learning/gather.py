@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
+from itertools import cycle, islice
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -15,10 +17,12 @@ import numpy as np
 from roboassembly.envs.observation import surface_points
 from roboassembly.errors import FurnitureError
 from roboassembly.furniture import catalogue
-from roboassembly.furniture.generate import CHAIRS, PRACTICE
+from roboassembly.furniture.generate import CHAIRS
 from roboassembly.learning import checkpoint, relational
 from roboassembly.learning.lessons import CLOUD_POINTS, Course, Lesson, Student, Teacher
 
+_KINDS = ("", "fused", "", "lattice", "fused", "carcass")
+"""Families of extra pieces, in turn; a chair of the next family where there is none."""
 EXTRA_SEEDS = 1_000_000_000
 """Seeds of extra chairs start here, where those of no data set reach."""
 
@@ -36,20 +40,21 @@ class Gathered:
 
 
 def extra_names(count: int, unseen: Sequence[str], first: int = EXTRA_SEEDS) -> list[str]:
-    """Names of `count` pieces that no data set holds: chairs of all families in turn but the unseen ones, and after
-    each chair a frame to practise on.
+    """Names of `count` pieces that no data set holds: a third of them chairs, of all families in turn but the unseen
+    ones, the others to practise on.
 
     Args:
         count: how many.
         unseen: families to leave out.
         first: their seeds start here.
     """
-    families = [f for f in CHAIRS if f not in unseen]
-    practice = list(PRACTICE)
+    chairs = cycle(f for f in CHAIRS if f not in unseen)
+    used: Counter[str] = Counter()
     names = []
-    for i in range(count):
-        of, turn = (practice, i // 2) if i % 2 else (families, i // 2)
-        names.append(f"{of[turn % len(of)]}:{first + turn // len(of)}")
+    for kind in islice(cycle(_KINDS), count):
+        family = kind or next(chairs)
+        names.append(f"{family}:{first + used[family]}")
+        used[family] += 1
     return names
 
 

@@ -7,6 +7,7 @@ left hand.
 from __future__ import annotations
 
 import zlib
+from functools import partial
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from roboassembly.furniture.generate import (
     cantilever,
     carcass,
     folding,
+    fused,
     ladder,
     lattice,
     panel,
@@ -82,6 +84,18 @@ FAMILIES: dict[str, Family] = {
     )
 }
 """Everything that can be made from a seed, by name."""
+
+FUSED_FROM = (
+    "ladder", "windsor", "panel", "pedestal", "sled", "stool", "upholstered", "cantilever", "three_legged", "throne",
+    "plank", "shell", "bench", "lattice", "lattice", "lattice", "carcass", "carcass",
+)  # fmt: skip
+"""What `fused` joins parts of, some more often: only families that data sets train on, and practice."""
+FAMILIES["fused"] = Family(
+    "fused",
+    "other families' parts joined at random",
+    partial(fused.build, tuple(FAMILIES[name].build for name in FUSED_FROM)),
+    "practice",
+)
 
 CHAIRS: dict[str, Family] = {name: family for name, family in FAMILIES.items() if family.kind == "chair"}
 """The built-in chairs: what is trained on and measured."""
