@@ -9,7 +9,7 @@ import pytest
 
 from roboassembly.envs.observation import surface_points
 from roboassembly.furniture import catalogue
-from roboassembly.learning.augment import Change, changed
+from roboassembly.learning.augment import VIEWS, Change, changed, seen, ways_after
 from roboassembly.learning.batches import pad
 from roboassembly.learning.features import of_ways
 from roboassembly.learning.lessons import Course, Teacher, answers
@@ -48,7 +48,7 @@ def test_what_fits_what_stays_and_ways_follow_their_axes(course: Course, turns: 
     for before, after in zip(course.lessons, other.lessons, strict=True):
         a, b = course.tokens(before), other.tokens(after)
         # How other points would meet, and how high the groups would stand with each axis up.
-        for name in ("meet", "loops"):
+        for name in ("meet", "loops", "bridges"):
             assert np.array_equal(getattr(a, name), getattr(b, name)), name
         assert np.allclose(ways(a), ways(b)[:, :, order], atol=2e-3)
         right, good = answers(a, before)
@@ -57,6 +57,20 @@ def test_what_fits_what_stays_and_ways_follow_their_axes(course: Course, turns: 
         assert np.array_equal(good, good_after[:, :, order])
         if before.values is not None and after.values is not None:
             assert np.array_equal(before.values, after.values[:, :, order])
+
+
+@pytest.mark.parametrize("change", VIEWS)
+def test_tokens_can_be_changed_without_the_clouds(course: Course, change: Change) -> None:
+    other = changed(course, change)
+    for before, after in zip(course.lessons, other.lessons, strict=True):
+        told, wanted = seen(course.tokens(before), change), other.tokens(after)
+        assert np.abs(told.patch.astype(int) - wanted.patch).max() <= 1
+        for name in set(Tokens.__dataclass_fields__) - {"patch"}:
+            assert np.allclose(getattr(told, name), getattr(wanted, name), atol=1e-5), name
+        _, good = answers(course.tokens(before), before)
+        assert np.array_equal(answers(wanted, after)[1][:, :, ways_after(change)], good)
+    with pytest.raises(ValueError, match="clouds"):
+        seen(told, Change(scale=2.0))
 
 
 def test_sizes_scale_and_nothing_turns(course: Course) -> None:

@@ -17,7 +17,7 @@ from roboassembly.learning import checkpoint, imitation, layers, relational
 from roboassembly.learning.batches import pad, size_for
 from roboassembly.learning.features import of_pairs, of_ways
 from roboassembly.learning.lessons import Course, Teacher, answers
-from roboassembly.learning.loops import closing_groups
+from roboassembly.learning.loops import closing_bridges, closing_groups
 from roboassembly.learning.tokens import PATCH, POINT, Memory, Tokens, tokenize
 
 CONFIG = relational.RelationalConfig(token=16, pair=8, layers=1, heads=2, ends=4, conflicts=2)
@@ -50,7 +50,7 @@ def values(params: dict, tokens: Tokens) -> np.ndarray:
 def test_tokens_do_not_depend_on_where_parts_lie() -> None:
     one, two = (tokenize(*observed(seed)) for seed in (0, 1))
     assert not np.allclose(observed(0)[0]["poses"], observed(1)[0]["poses"])
-    for name in ("patch", "own", "meet", "beside", "loops"):
+    for name in ("patch", "own", "meet", "beside", "loops", "bridges"):
         assert np.array_equal(getattr(one, name), getattr(two, name)), name
 
 
@@ -85,6 +85,24 @@ def test_loops_close_where_a_third_group_fits_both() -> None:
     assert not closing_groups(groups[:2], at, frame, possible).any()
 
 
+def test_bridges_close_where_two_groups_reach_as_far() -> None:
+    # Two posts; a rod of 0.5 m at their feet, one at their tops, and a third that is 4 cm longer.
+    holes = [[0, 0, 0], [0, 0, 1]]
+    at = np.array([*holes, *holes, [0, 0, 0], [0.5, 0, 0], [0, 0, 0], [0.5, 0, 0], [0, 0, 0], [0.54, 0, 0]], float)
+    normal = np.array([[1, 0, 0]] * 2 + [[-1, 0, 0]] * 2 + [[-1, 0, 0], [1, 0, 0]] * 3, float)
+    tangent = np.tile([0.0, 0.0, 1.0], (len(at), 1))
+    frame = np.stack([tangent, np.cross(normal, tangent), normal], axis=2)
+    groups = [np.array([2 * i, 2 * i + 1]) for i in range(5)]
+    possible = normal @ normal.T < -0.5
+    possible &= ~np.kron(np.eye(5, dtype=bool), np.ones((2, 2), bool))
+    found = closing_bridges(groups, at, frame, possible)
+    assert np.array_equal(found, found.T)
+    # Each end of the two equal rods may take either hole of a post, the other rod and the other post being witnesses.
+    assert found[0, 4] == found[1, 4] == found[2, 5] == found[3, 5] == found[1, 6] == 2
+    assert not found[:, 8:].any()
+    assert not found[~possible].any()
+
+
 def test_features_of_a_pair_by_hand() -> None:
     # A point on top of a group 1 m wide and 0.2 m high, and one below another, 0.4 m wide and high.
     frame = np.array([np.eye(3), np.diag([1.0, -1.0, -1.0])])
@@ -95,7 +113,7 @@ def test_features_of_a_pair_by_hand() -> None:
         np.array([[0.0, 0.0, 0.2], [0.1, 0.0, 0.0]], np.float32),
         np.array([[1.0, 1.0, 0.2], [0.4, 0.4, 0.4]], np.float32),
         np.zeros((2, 2, 4), np.uint8), np.array([[[0.0] * 6, [-0.4, -0.3, -0.2, 0.2, 0.3, -0.4]]] * 2, np.float32),
-        np.array([[0, 2], [2, 0]], np.uint8),
+        np.array([[0, 2], [2, 0]], np.uint8), np.array([[0, 3], [3, 0]], np.uint8),
     )  # fmt: skip
     t = pad([tokens], 2)
     valid = ~np.eye(2, dtype=bool)[None]
@@ -107,7 +125,7 @@ def test_features_of_a_pair_by_hand() -> None:
     assert np.allclose(shift, [0.1, 0.0, -0.2])  # of the moving group, the row's
     assert np.allclose(sizes, [0.2, 0.4])
     assert np.allclose(pair[0, 1, 21:24], [1.0, 1.0, 0.2])  # the moving group's extent
-    assert np.allclose(pair[0, 1, 24:], [1.0, 2 / 3, np.log(3.0), 1.0, 1.0, 1.0, 1.0, 1.0, 1.0])
+    assert np.allclose(pair[0, 1, 24:], [1, 1, 1, 2 / 3, np.log(3), 1, 1, 1, 1, 0.1, np.log(4), 1, 1, 1, 1])
     way = of_ways({k: v.astype(np.float32) for k, v in t.items()})[0, 0, 1]
     up = way[0]  # its lowest point is 0.2 m lower than the waiting group's with +z up, its highest 0.4 m
     assert np.allclose(up[[0, 2, 4, 5]], [-0.4, -0.8, -1.0, 2 * -0.5], atol=1e-6)

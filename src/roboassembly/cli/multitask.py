@@ -32,15 +32,15 @@ class Multitask:
     """Folder of the run; the result is policy.npz in it."""
     limit: int | None = None
     """The first so many chairs of the set only."""
-    extra: int = 2_000
-    """Generated pieces besides: chairs of the same families, and frames and boxes to practise on (relational)."""
+    extra: int = 6_000
+    """Generated pieces besides: chairs of the same families, and others to practise on (relational)."""
     plays: int = 1
     """Of each piece in each round (relational)."""
     rounds: int = 1
     """Of the policy's own plays (relational)."""
     steps: int | None = None
-    """Updates: 12,000 (relational, in the first round), 20,000 (paper)."""
-    round_steps: int = 6_000
+    """Updates: 16,000 (relational, in the first round), 20,000 (paper)."""
+    round_steps: int = 8_000
     """Updates in each later round (relational)."""
     lessons: tuple[Path, ...] = ()
     """Folders of lessons, of `train expert` or of a relational run (paper)."""
@@ -75,7 +75,7 @@ class Multitask:
 
         curriculum = Curriculum(
             set=self.set, limit=self.limit, extra=self.extra, plays=self.plays, rounds=self.rounds,
-            steps=self.steps or 12_000, round_steps=self.round_steps, seed=self.seed,
+            steps=self.steps or 16_000, round_steps=self.round_steps, seed=self.seed,
         )  # fmt: skip
         return teach(curriculum, self.out, self.jobs)
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from roboassembly.learning.lessons import Course, Lesson
+from roboassembly.learning.tokens import GRID_STEPS, Tokens
 from roboassembly.poses import euler_from_rotations, rotations_from_euler
 from roboassembly.task.object_centric import UP_AXES
 
@@ -43,6 +44,47 @@ class Change:
         return turn @ self.mirror
 
 
+VIEWS = tuple(Change(turns, mirrored) for mirrored in (False, True) for turns in range(4))
+"""All changes that keep the size: what a policy sees may be told in eight ways."""
+
+
+def seen(tokens: Tokens, change: Change) -> Tokens:
+    """The same tokens of furniture so changed, as `changed` and `Course.tokens` would give them; the size stays.
+
+    Raises:
+        ValueError: the change is of size.
+    """
+    if change.scale != 1.0:
+        raise ValueError(f"a change of size ({change.scale}) needs the clouds")
+    m = change.matrix
+    side = np.array([1.0, -1.0 if change.mirrored else 1.0, 1.0])
+    own = tokens.own.copy()
+    own[:, 2:5] = tokens.own[:, 2:5] * side
+    own[:, 5:8] = tokens.own[:, 5:8] @ np.abs(m).T
+    for first in (8, 11, 14):
+        own[:, first : first + 3] = tokens.own[:, first : first + 3] @ m.T
+    patch = tokens.patch
+    if change.mirrored:
+        patch = patch.reshape(len(patch), len(GRID_STEPS), 5, 5, 5)[:, :, :, ::-1].reshape(patch.shape)
+    low, high = tokens.beside[..., :3], tokens.beside[..., 3:]
+    ahead, back = np.maximum(m, 0.0).T, np.maximum(-m, 0.0).T
+    beside = np.concatenate([low @ ahead - high @ back, high @ ahead - low @ back], axis=-1)
+    return replace(
+        tokens,
+        own=own,
+        patch=patch,
+        frame=(m @ tokens.frame * side).astype(np.float32),
+        position=(tokens.position @ m.T).astype(np.float32),
+        extent=(tokens.extent @ np.abs(m).T).astype(np.float32),
+        beside=beside.astype(tokens.beside.dtype),
+    )
+
+
+def ways_after(change: Change) -> Int[np.ndarray, "6"]:
+    """The new `w` of each old one."""
+    return np.argmax(UP_AXES @ change.matrix.T @ UP_AXES.T, axis=1)
+
+
 def changed(course: Course, change: Change) -> Course:
     """The same lessons about furniture so changed."""
     clouds = (change.scale * course.clouds @ change.matrix.T).astype(np.float32)
@@ -53,7 +95,7 @@ def _lesson(lesson: Lesson, change: Change) -> Lesson:
     m, scale = change.matrix, change.scale
     points = lesson.points.reshape(*lesson.points.shape[:2], 3, 3) @ m.T
     points[:, :, 0] *= scale
-    order = np.argmax(UP_AXES @ m.T @ UP_AXES.T, axis=1)  # old w to new w
+    order = ways_after(change)
     joints = lesson.joints.copy()
     joints[:, 5 + order] = lesson.joints[:, 5:]
     values = lesson.values

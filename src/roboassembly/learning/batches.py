@@ -10,8 +10,8 @@ from roboassembly.learning.tokens import Tokens
 
 SIZES = (16, 32, 48, 64, 96, 128, 160, 200)
 """Tokens; 200 is 20 parts of 10 points."""
-PADDED = ("patch", "own", "frame", "position", "extent", "meet", "beside", "loops")
-_PAIRS = ("meet", "beside", "loops")
+PADDED = ("patch", "own", "frame", "position", "extent", "meet", "beside", "loops", "bridges")
+_PAIRS = ("meet", "beside", "loops", "bridges")
 
 
 def size_for(n: int) -> int:

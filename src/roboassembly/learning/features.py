@@ -8,7 +8,7 @@ from __future__ import annotations
 from roboassembly.learning.layers import Array
 from roboassembly.task.object_centric import UP_AXES
 
-PAIR, WAY = 33, 7
+PAIR, WAY = 39, 7
 """Numbers that describe an ordered pair of points, and a pair with a `w`."""
 FLIP = (1.0, -1.0, -1.0)
 """Mating turns the normal and leaves the tangent."""
@@ -54,7 +54,7 @@ def possible(alike: Array, upright: Array, valid: Array) -> Array:
 
 
 def of_pairs(t: dict[str, Array], valid: Array) -> Array:
-    """(b, n, n, 33) for a batch of tokens, as `batches.pad` makes it; rows of pairs move onto columns."""
+    """(b, n, n, 39) for a batch of tokens, as `batches.pad` makes it; rows of pairs move onto columns."""
     xp = t["frame"].__array_namespace__()
     turn = turns(t["frame"])
     moved = xp.einsum("bklij,bkj->bkli", turn, t["position"])
@@ -75,7 +75,7 @@ def of_pairs(t: dict[str, Array], valid: Array) -> Array:
         xp.stack(sizes, axis=-1),
         xp.max(xp.abs(turn), axis=(-2, -1))[..., None],
         spread,
-        _rivalry(xp, t["loops"], possible(parallel, t["own"][..., -1] > 0, valid)),
+        _rivalry(xp, t["loops"], t["bridges"], possible(parallel, t["own"][..., -1] > 0, valid)),
     ]
     return xp.concatenate(told, axis=-1) * xp.astype(valid, number)[..., None]
 
@@ -103,22 +103,25 @@ def _cosine(turn: Array) -> Array:
     return (turn[..., 0, 0] + turn[..., 1, 1] + turn[..., 2, 2] - 1.0) / 2.0
 
 
-def _rivalry(xp: Array, loops: Array, can: Array) -> Array:
-    """Whether a pair is possible at all, with how many third groups it closes a loop, and how that compares."""
+def _rivalry(xp: Array, loops: Array, bridges: Array, can: Array) -> Array:
+    """Whether a pair is possible, how many loops of three and of four groups it closes, and how that compares."""
     number = xp.float32
     rivals = xp.maximum(xp.sum(xp.astype(can, number), axis=2), 1.0)
-    most = xp.maximum(xp.max(loops, axis=2), 1.0)
     told = [
         xp.astype(can, number),
-        loops / 3.0,
-        xp.log1p(loops),
-        xp.astype(loops > 0, number),
-        loops / most[:, :, None],
-        loops / most[:, None],
-        loops / xp.max(most, axis=1)[:, None, None],
         xp.broadcast_to(1.0 / rivals[:, :, None], loops.shape),
         xp.broadcast_to(1.0 / rivals[:, None], loops.shape),
     ]
+    for count in (loops, bridges):
+        most = xp.maximum(xp.max(count, axis=2), 1.0)
+        told += [
+            count / 3.0 if count is loops else count / 30.0,
+            xp.log1p(count),
+            xp.astype(count > 0, number),
+            count / most[:, :, None],
+            count / most[:, None],
+            count / xp.max(most, axis=1)[:, None, None],
+        ]
     return xp.stack(told, axis=-1)
 
 

@@ -16,7 +16,7 @@ import numpy as np
 import optax
 
 from roboassembly.learning import checkpoint, relational
-from roboassembly.learning.augment import Change, changed
+from roboassembly.learning.augment import VIEWS, seen, ways_after
 from roboassembly.learning.batches import PADDED, pad, size_for
 from roboassembly.learning.gather import file_of
 from roboassembly.learning.lessons import Course, answers
@@ -39,6 +39,10 @@ class Training:
     weight_decay: float = 1e-3
     batch: int = 16
     """States of 48 tokens; fewer of larger ones, more of smaller ones."""
+    views: bool = True
+    """Show every state another way round each time: mirrored, turned by quarter turns."""
+    blind: float = 0.15
+    """Share of the states in which the surface around the points is hidden, so that not all rests on it."""
     seed: int = 0
     keep_every: float = 60.0
     """Seconds between checkpoints."""
@@ -66,50 +70,59 @@ def examples_of(courses: Sequence[Course]) -> list[Example]:
     return out
 
 
-def load_examples(folder: Path, names: Sequence[str], jobs: int, seed: int | None = None) -> list[Example]:
+def load_examples(folder: Path, names: Sequence[str], jobs: int) -> list[Example]:
     """All lessons of some chairs, made ready in parallel.
 
     Args:
         folder: of `gather`.
         names: of the chairs.
         jobs: chairs at a time.
-        seed: of random changes, one for each chair; none if None.
 
     Raises:
         InputError: a file of lessons is broken.
     """
     paths = [file_of(folder, name) for name in names]
-    seeds = [None if seed is None else (seed, index) for index in range(len(paths))]
     if jobs == 1 or len(paths) < _FEW:
-        batches = list(map(_examples_in, paths, seeds))
+        batches = list(map(_examples_in, paths))
     else:
         with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-            batches = list(pool.map(_examples_in, paths, seeds, chunksize=4))
+            batches = list(pool.map(_examples_in, paths, chunksize=4))
     return [replace(e, course=index) for index, batch in enumerate(batches) for e in batch]
 
 
-def _examples_in(path: Path, seed: tuple[int, int] | None) -> list[Example]:
-    course = Course.load(path)
-    if seed is not None:
-        course = changed(course, Change.draw(np.random.default_rng(seed)))
-    return examples_of([course])
+def _examples_in(path: Path) -> list[Example]:
+    return examples_of([Course.load(path)])
 
 
-def batch_of(examples: Sequence[Example], size: int) -> dict[str, np.ndarray]:
-    """Padded arrays with answers."""
-    batch = pad([e.tokens for e in examples], size)
+def batch_of(
+    examples: Sequence[Example], size: int, rng: np.random.Generator | None = None, blind: float = 0.0
+) -> dict[str, np.ndarray]:
+    """Padded arrays with answers.
+
+    Args:
+        examples: states.
+        size: tokens that all are padded to.
+        rng: draws for each state which way the furniture faces and whether it is mirrored; as it is without.
+        blind: share of the states in which nothing is seen of the surface around the points.
+    """
+    views = [VIEWS[0] if rng is None else VIEWS[int(rng.integers(len(VIEWS)))] for _ in examples]
+    batch = pad([seen(e.tokens, view) for e, view in zip(examples, views, strict=True)], size)
     batch["right"] = np.zeros((len(examples), size, size), np.uint8)
     batch["good"] = np.zeros((len(examples), size, size, 6), np.uint8)
-    for row, e in enumerate(examples):
+    for row, (e, view) in enumerate(zip(examples, views, strict=True)):
         n = len(e.right)
-        batch["right"][row, :n, :n], batch["good"][row, :n, :n] = e.right, e.good
+        batch["right"][row, :n, :n] = e.right
+        batch["good"][row, :n, :n, ways_after(view)] = np.moveaxis(e.good, 2, 0)
+        if rng is not None and rng.random() < blind:
+            batch["patch"][row] = 255
     return batch
 
 
 def batches(
-    examples: Sequence[Example], rng: np.random.Generator, batch: int, first: int = 0
+    examples: Sequence[Example], rng: np.random.Generator, training: Training, first: int = 0
 ) -> Iterator[dict[str, np.ndarray]]:
     """One pass over all examples, those of like size together, from the batch with number `first` on."""
+    batch = training.batch
     jobs = []
     for size, indices in _by_size(examples).items():
         count = _count(batch, size)
@@ -119,7 +132,8 @@ def batches(
         jobs.extend((size, chunk) for chunk in shuffled.reshape(-1, count))
     for index in rng.permutation(len(jobs))[first:]:
         size, chunk = jobs[index]
-        yield batch_of([examples[i] for i in chunk], size)
+        views = np.random.default_rng([training.seed, int(index), int(chunk[0])]) if training.views else None
+        yield batch_of([examples[i] for i in chunk], size, views, training.blind)
 
 
 def batches_in(examples: Sequence[Example], batch: int) -> int:
@@ -239,7 +253,7 @@ def train(
     while step < training.steps:
         # What a step sees follows from its number, so that a resumed run ends as one that was never stopped.
         rng = np.random.default_rng([training.seed, step // per_pass])
-        for batch in batches(examples, rng, training.batch, first=step % per_pass):
+        for batch in batches(examples, rng, training, first=step % per_pass):
             params, state, terms = _update(training, params, state, batch)
             step += 1
             run.keep(step, params, state)

@@ -15,6 +15,8 @@ from scipy.spatial import KDTree
 
 from roboassembly.learning.features import FLIP
 
+_MOST_BRIDGES = 3_000
+"""Ways from one group to another by way of a third, that are compared with each other; more are thinned out."""
 _POSITION, _DIRECTION = 0.004, 0.05
 """Metres, and norm of the difference of directions: what counts as the same. Gaps at joints add up to 2 mm a loop."""
 
@@ -79,3 +81,56 @@ def _sockets(
 def _told(shift: Float[np.ndarray, "s 3"], turn: Float[np.ndarray, "s 3 3"]) -> Float[np.ndarray, "s 9"]:
     """A relative pose in tolerances."""
     return np.concatenate([shift / _POSITION, turn[:, :, 2] / _DIRECTION, turn[:, :, 0] / _DIRECTION], axis=1)
+
+
+def closing_bridges(
+    groups: Sequence[Int[np.ndarray, "_"]],
+    at: Float[np.ndarray, "n 3"],
+    frame: Float[np.ndarray, "n 3 3"],
+    possible: Bool[np.ndarray, "n n"],
+) -> Int[np.ndarray, "n n"]:
+    """For two points of different groups, how many other groups close a loop of four with theirs; symmetric.
+
+    A group that lies between two others, as a rod between two legs, fixes how these lie to each other. Where another
+    group between the same two fixes the same, each of the four joints speaks for the others.
+
+    Args:
+        groups: points of each group.
+        at: where each point is, in its group's frame, metres.
+        frame: `group_from_point` rotation of each point.
+        possible: pairs that may be joined; symmetric. All others neither count nor close a loop.
+    """
+    out = np.zeros(possible.shape, int)
+    owner = np.zeros(len(at), int)
+    for name, tokens in enumerate(groups):
+        owner[tokens] = name
+    rows, columns = np.nonzero(possible)
+    by_row = [np.flatnonzero(owner[rows] == name) for name in range(len(groups))]
+    by_column = [np.flatnonzero(owner[columns] == name) for name in range(len(groups))]
+    turn = (frame[rows] * FLIP) @ frame[columns].transpose(0, 2, 1)  # group of the row from that of the column
+    shift = at[rows] - np.einsum("pij,pj->pi", turn, at[columns])
+    for one in range(len(groups)):
+        for two in range(one):
+            first, second = by_row[one], by_column[two]
+            i, j = np.nonzero(owner[columns[first]][:, None] == owner[rows[second]][None])
+            first, second = first[i], second[j]
+            through = columns[first] != rows[second]
+            first, second = first[through], second[through]
+            if len(first) > _MOST_BRIDGES:
+                kept = np.linspace(0, len(first) - 1, _MOST_BRIDGES).astype(int)
+                first, second = first[kept], second[kept]
+            if len(first) < 2:
+                continue
+            moved = (turn[first] @ shift[second][:, :, None])[..., 0] + shift[first]
+            a, b = KDTree(moved).query_pairs(_POSITION, output_type="ndarray").T
+            apart = (owner[columns[first[a]]] != owner[columns[first[b]]]) & (rows[first[a]] != rows[first[b]])
+            apart &= columns[second[a]] != columns[second[b]]
+            a, b = a[apart], b[apart]
+            turned = (turn[first] @ turn[second])[:, :, ::2]
+            alike = np.abs(turned[a] - turned[b]).max(axis=(1, 2)) < _DIRECTION
+            a, b = a[alike], b[alike]
+            for joint in (first, second):
+                for here, there in ((a, b), (b, a)):
+                    support = np.unique(np.stack([joint[here], owner[columns[first[there]]]], axis=1), axis=0)
+                    np.add.at(out, (rows[support[:, 0]], columns[support[:, 0]]), 1)
+    return out + out.T

@@ -37,20 +37,18 @@ class Curriculum:
     """Its chairs are all taught."""
     limit: int | None = None
     """The first so many of them only."""
-    extra: int = 2_000
-    """Generated pieces besides: chairs of the set's training families, frames and boxes to practise on."""
+    extra: int = 6_000
+    """Generated pieces besides: chairs of the set's training families, and others to practise on."""
     validation: int = 60
     """Pieces of neither on which progress is told."""
     plays: int = 1
     """Of each piece, in each round."""
     rounds: int = 1
     """Of aggregation."""
-    steps: int = 12_000
+    steps: int = 16_000
     """Updates in the first round."""
-    round_steps: int = 6_000
+    round_steps: int = 8_000
     """Updates in each later one."""
-    augment: bool = True
-    """Teach every chair also mirrored, turned and in another size."""
     learning_rate: float = 2e-3
     batch: int = 16
     seed: int = 0
@@ -94,11 +92,7 @@ def teach(curriculum: Curriculum, folder: Path, jobs: int) -> Iterator[Progress]
         yield from _gathered(f"lessons {round_}", names, lessons, curriculum, jobs, last)
         path = folder / f"policy-{round_}.npz"
         steps = curriculum.round_steps if round_ else curriculum.steps
-        # In the first round both as they are and changed, later changed only, each round in another way.
-        if round_ == 0 or not curriculum.augment:
-            examples += imitation.load_examples(lessons, names, jobs)
-        if curriculum.augment:
-            examples += imitation.load_examples(lessons, names, jobs, seed=curriculum.seed + round_)
+        examples += imitation.load_examples(lessons, names, jobs)
         if not finished(path, steps):
             rate = curriculum.learning_rate * (0.5 if round_ else 1.0)
             training = Training(steps, rate, batch=curriculum.batch, seed=curriculum.seed + round_)

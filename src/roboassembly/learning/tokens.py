@@ -22,7 +22,7 @@ from jaxtyping import Bool, Float, Float32, Int, UInt8
 from scipy.spatial import KDTree
 
 from roboassembly.learning.features import possible, same_way, turns, turns_between
-from roboassembly.learning.loops import closing_groups
+from roboassembly.learning.loops import closing_bridges, closing_groups
 from roboassembly.poses import rotations_from_euler
 
 GRID_STEPS = (0.010, 0.040, 0.150)
@@ -65,6 +65,8 @@ class Tokens:
     """How much higher the moving group's lower bounds would be than the waiting one's, and its upper bounds, metres."""
     loops: UInt8[np.ndarray, "n n"]
     """Of `closing_groups`."""
+    bridges: UInt8[np.ndarray, "n n"]
+    """Of `closing_bridges`."""
 
 
 class Memory:
@@ -173,10 +175,11 @@ def tokens_of(
     meet, beside = _pairs(views, groups, memory)
     parallel = same_way(turns(in_group[None])[0])
     can = possible(parallel, upright[part], token_group[:, None] != token_group)
-    loops = closing_groups(groups, at, in_group, can)
+    loops = np.minimum(closing_groups(groups, at, in_group, can), 255)
+    bridges = np.minimum(closing_bridges(groups, at, in_group, can), 255)
     return Tokens(
         part, point, token_group, patch, own, in_group.astype(np.float32), at.astype(np.float32), extent, meet, beside,
-        np.minimum(loops, 255).astype(np.uint8),
+        loops.astype(np.uint8), bridges.astype(np.uint8),
     )  # fmt: skip
 
 
