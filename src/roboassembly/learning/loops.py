@@ -131,6 +131,7 @@ def closing_bridges(
             a, b = a[alike], b[alike]
             for joint in (first, second):
                 for here, there in ((a, b), (b, a)):
-                    support = np.unique(np.stack([joint[here], owner[columns[first[there]]]], axis=1), axis=0)
-                    np.add.at(out, (rows[support[:, 0]], columns[support[:, 0]]), 1)
+                    # Each witness counts once for a pair.
+                    support = np.unique(joint[here] * len(groups) + owner[columns[first[there]]]) // len(groups)
+                    np.add.at(out, (rows[support], columns[support]), 1)
     return out + out.T
