@@ -9,11 +9,12 @@ import pytest
 
 from roboassembly.envs.observation import surface_points
 from roboassembly.furniture import catalogue
-from roboassembly.learning.augment import VIEWS, Change, changed, seen, ways_after
+from roboassembly.learning.augment import changed
 from roboassembly.learning.batches import pad
 from roboassembly.learning.features import of_ways
 from roboassembly.learning.lessons import Course, Teacher, answers
 from roboassembly.learning.tokens import Tokens
+from roboassembly.learning.views import VIEWS, Change, seen, ways_after
 from roboassembly.task.object_centric import UP_AXES
 
 

@@ -14,11 +14,16 @@ from roboassembly.envs.observation import surface_points
 from roboassembly.errors import InputError
 from roboassembly.furniture import catalogue
 from roboassembly.learning import checkpoint, imitation, layers, relational
+from roboassembly.learning.augment import changed
 from roboassembly.learning.batches import pad, size_for
 from roboassembly.learning.features import of_pairs, of_ways
 from roboassembly.learning.lessons import Course, Teacher, answers
 from roboassembly.learning.loops import closing_bridges, closing_groups
+from roboassembly.learning.situation import Situation
 from roboassembly.learning.tokens import PATCH, POINT, Memory, Tokens, tokenize
+from roboassembly.learning.views import VIEWS, ways_after
+from roboassembly.poses import rotations_from_euler
+from roboassembly.solvers.search import solve
 
 CONFIG = relational.RelationalConfig(token=16, pair=8, layers=1, heads=2, ends=4, conflicts=2)
 
@@ -52,6 +57,25 @@ def test_tokens_do_not_depend_on_where_parts_lie() -> None:
     assert not np.allclose(observed(0)[0]["poses"], observed(1)[0]["poses"])
     for name in ("patch", "own", "meet", "beside", "loops", "bridges"):
         assert np.array_equal(getattr(one, name), getattr(two, name)), name
+
+
+@pytest.mark.parametrize("name", ["cantilever:1", "panel:2"])
+def test_what_is_imagined_of_a_merge_comes_true(name: str) -> None:
+    env = ObjectCentricEnv(name, cloud_points=64)
+    observation, info = env.reset(seed=0)
+    plan = solve(catalogue.find(name), 0).plan
+    for step in plan.steps:
+        u, v, k, l, _ = step.action  # noqa: E741
+        imagined = Situation.of(observation, info["action_mask"]).after(u, k, v, l)
+        observation, _, _, _, info = env.step(np.array(step.action))
+        seen = Situation.of(observation, info["action_mask"])
+        n = len(env.state.part_poses)
+        assert np.array_equal(imagined.group[:n], seen.group[:n])
+        assert np.abs(imagined.connections[..., :3] - seen.connections[..., :3]).max() < 0.003
+        told, wanted = (rotations_from_euler(s.connections[:n, :n, 3:]) for s in (imagined, seen))
+        assert np.abs(told - wanted).max() < 0.01
+        assert np.array_equal(imagined.free, seen.free)
+    assert info["success"]
 
 
 def test_a_memory_changes_nothing(cantilever: Course) -> None:
@@ -155,6 +179,19 @@ def test_numpy_and_jax_say_the_same_and_padding_changes_nothing(cantilever: Cour
         for a, b in zip(here, there, strict=True):
             assert np.allclose(a[row, :count, :count], np.asarray(b)[row, :count, :count], atol=1e-4)
         assert not np.asarray(there[2])[row, count:].any()
+
+
+def test_views_are_averaged(cantilever: Course) -> None:
+    params = relational.init(np.random.default_rng(0), CONFIG)
+    tokens = cantilever.tokens(cantilever.lessons[0])
+    alone = relational.values(params, tokens)
+    assert np.array_equal(alone, relational.values(params, tokens, VIEWS[:1]))
+    other = changed(cantilever, VIEWS[5])
+    turned = relational.values(params, other.tokens(other.lessons[0]))[..., ways_after(VIEWS[5])]
+    both = relational.values(params, tokens, (VIEWS[0], VIEWS[5]))
+    valid = np.isfinite(alone)
+    assert np.allclose(both[valid], 0.5 * (alone + turned)[valid], atol=1e-2)
+    assert np.isneginf(both[~valid]).all()
 
 
 def test_layers_by_hand() -> None:

@@ -16,12 +16,12 @@ import numpy as np
 import optax
 
 from roboassembly.learning import checkpoint, relational
-from roboassembly.learning.augment import VIEWS, seen, ways_after
 from roboassembly.learning.batches import PADDED, pad, size_for
 from roboassembly.learning.gather import file_of
 from roboassembly.learning.lessons import Course, answers
 from roboassembly.learning.runs import Run
 from roboassembly.learning.tokens import Memory, Tokens
+from roboassembly.learning.views import VIEWS, seen, ways_after
 
 _FEW = 8
 """Chairs that are not worth starting processes for."""

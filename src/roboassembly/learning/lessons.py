@@ -23,6 +23,7 @@ from jaxtyping import Bool, Float16, Float32, Int16, UInt8
 from roboassembly.envs.observation import Observer
 from roboassembly.errors import InputError
 from roboassembly.furniture.model import MAX_POINTS, Furniture
+from roboassembly.learning.situation import Situation, groups_of
 from roboassembly.learning.tokens import Memory, Tokens, tokens_of
 from roboassembly.solvers.oracle import Joint, Oracle
 from roboassembly.task.groups import TaskState
@@ -49,8 +50,7 @@ class Lesson:
     @property
     def group(self) -> np.ndarray:
         """Each part's group, named by its first part."""
-        joined = (self.connections != 0).any(axis=2) | np.eye(len(self.connections), dtype=bool)
-        return np.argmax(joined, axis=1)
+        return groups_of(self.connections)
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,13 +63,16 @@ class Course:
 
     def tokens(self, lesson: Lesson, memory: Memory | None = None) -> Tokens:
         """What the policy sees of a state; a memory saves time from state to state."""
-        return tokens_of(
+        return tokens_of(self.situation(lesson), memory)
+
+    def situation(self, lesson: Lesson) -> Situation:
+        """What a policy is told of a state."""
+        return Situation(
             self.clouds.astype(float),
             lesson.points.astype(float),
             lesson.connections.astype(float),
             lesson.free,
             lesson.group,
-            memory,
         )
 
     def save(self, path: Path) -> None:

@@ -21,13 +21,14 @@ from jaxtyping import Bool, Float, Float16, Float32, Int16
 from roboassembly.errors import InputError
 from roboassembly.furniture.model import MAX_POINTS
 from roboassembly.learning import autoencoder, paper
-from roboassembly.learning.augment import Change, changed
+from roboassembly.learning.augment import changed
 from roboassembly.learning.autoencoder import CLOUD_POINTS
 from roboassembly.learning.batches import size_for
 from roboassembly.learning.layers import Params
 from roboassembly.learning.lessons import Course, Lesson
 from roboassembly.learning.paper import STATE, PaperConfig, PaperState
 from roboassembly.learning.runs import Run
+from roboassembly.learning.views import Change
 from roboassembly.task.object_centric import UP_AXES
 
 LAMBDA = 50.0

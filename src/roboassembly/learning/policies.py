@@ -33,7 +33,9 @@ from roboassembly.learning import checkpoint, relational
 from roboassembly.learning.checkpoint import Checkpoint
 from roboassembly.learning.layers import Params, sigmoid
 from roboassembly.learning.lessons import CLOUD_POINTS
-from roboassembly.learning.tokens import Memory, tokenize
+from roboassembly.learning.situation import Situation
+from roboassembly.learning.tokens import Memory, tokenize, tokens_of
+from roboassembly.learning.views import VIEWS
 from roboassembly.solvers.guide import Guide, Suggestion
 from roboassembly.task.groups import TaskState
 from roboassembly.task.object_centric import ObjectCentricTask
@@ -47,6 +49,8 @@ SHIPPED = ("relational", "paper")
 NAMES = (RANDOM, *SHIPPED)
 _TIE = 1e-3
 """Values nearer than this to the best count as equal: rounding must not choose between equal parts."""
+_CONSIDERED = 400
+"""Actions among which those of different groups are looked for."""
 _SUGGESTIONS = 32
 """That a guide makes in a state, at most."""
 _LARGEST, _DEEPEST = 4096, 64
@@ -121,6 +125,10 @@ class RelationalPolicy:
     params: Params
     name: str = relational.KIND
     cloud_points: int = CLOUD_POINTS
+    views: int = 1
+    """Ways in which each state is looked at, up to eight: more are surer and take longer."""
+    ahead: int = 0
+    """Of how many actions it imagines what would be left after them."""
     memory: Memory = field(default_factory=Memory, repr=False)
 
     @staticmethod
@@ -147,7 +155,7 @@ class RelationalPolicy:
         if len(tokens.part):
             u, k = tokens.part[:, None], tokens.point[:, None]
             v, l = tokens.part[None], tokens.point[None]  # noqa: E741
-            out[u, v, k, l] = relational.values(self.params, tokens)
+            out[u, v, k, l] = relational.values(self.params, tokens, VIEWS[: self.views])
         return out
 
     def probabilities(self, observation: Observation, mask: Mask) -> Values:
@@ -155,12 +163,42 @@ class RelationalPolicy:
         return sigmoid(self.values(observation, mask))
 
     def act(self, observation: Observation, mask: Mask) -> Int[np.ndarray, "5"]:
-        """The surest action.
+        """The surest action; with `ahead`, the one after which the furniture most surely can be finished.
 
         Raises:
             InputError: there is none.
         """
-        return surest(self.values(observation, mask))
+        values = self.values(observation, mask)
+        action = surest(values)
+        if self.ahead < 2:
+            return action
+        situation = Situation.of(observation, mask)
+        best = -np.inf
+        for candidate in _candidates(values, situation.group, self.ahead):
+            u, v, k, l, _ = candidate  # noqa: E741
+            after = tokens_of(situation.after(u, k, v, l), self.memory)
+            chance = _log_sigmoid(float(values[candidate]))
+            if after.group.max(initial=0) > 0:
+                chance += _log_sigmoid(float(relational.values(self.params, after, VIEWS[: self.views]).max()))
+            if chance > best:
+                best, action = chance, np.array(candidate)
+        return action
+
+
+def _candidates(values: Values, group: Int[np.ndarray, "P"], count: int) -> list[tuple[int, ...]]:
+    """The best action of each two groups, best first."""
+    order = np.argsort(values, axis=None)[::-1][:_CONSIDERED]
+    out: dict[frozenset[int], tuple[int, ...]] = {}
+    for flat in order:
+        action = tuple(int(i) for i in np.unravel_index(flat, values.shape))
+        if values[action] == -np.inf or len(out) == count:
+            break
+        out.setdefault(frozenset((int(group[action[0]]), int(group[action[1]]))), action)
+    return list(out.values())
+
+
+def _log_sigmoid(logit: float) -> float:
+    return float(-np.logaddexp(0.0, -logit))
 
 
 def surest(values: Values) -> Int[np.ndarray, "5"]:

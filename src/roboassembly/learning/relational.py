@@ -11,6 +11,7 @@ Indifferent to the numbering of parts and points, and to their number.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,6 +33,7 @@ from roboassembly.learning.layers import (
     softplus,
 )
 from roboassembly.learning.tokens import PATCH, POINT, Tokens
+from roboassembly.learning.views import VIEWS, Change, seen, ways_after
 
 KIND = "relational"
 """Of checkpoints."""
@@ -125,11 +127,19 @@ def apply(p: Params, t: dict[str, Array]) -> tuple[Array, Array, Array]:
     return right, linear(p["q"], ways)[..., 0], valid
 
 
-def values(p: Params, tokens: Tokens) -> Float32[np.ndarray, "n n 6"]:
-    """Q of all actions in one state, on NumPy; -inf where two tokens are in one group."""
-    t = pad([tokens], len(tokens.part))
+def values(p: Params, tokens: Tokens, views: Sequence[Change] = VIEWS[:1]) -> Float32[np.ndarray, "n n 6"]:
+    """Q of all actions in one state, on NumPy; -inf where two tokens are in one group.
+
+    Args:
+        p: of `init`.
+        tokens: of the state.
+        views: ways to look at it; what they say is averaged.
+    """
+    t = pad([seen(tokens, view) for view in views], len(tokens.part))
     _, q, valid = apply(p, t)
-    return np.asarray(ranked(t, q, valid))[0]
+    told = np.asarray(ranked(t, q, valid))
+    every = [q[..., ways_after(view)] for q, view in zip(told, views, strict=True)]
+    return np.mean(np.stack(every), axis=0).astype(np.float32)
 
 
 def ranked(t: dict[str, Array], q: Array, valid: Array) -> Array:

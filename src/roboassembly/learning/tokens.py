@@ -23,6 +23,7 @@ from scipy.spatial import KDTree
 
 from roboassembly.learning.features import possible, same_way, turns, turns_between
 from roboassembly.learning.loops import closing_bridges, closing_groups
+from roboassembly.learning.situation import Situation
 from roboassembly.poses import rotations_from_euler
 
 GRID_STEPS = (0.010, 0.040, 0.150)
@@ -114,28 +115,14 @@ class _GroupView:
 def tokenize(
     observation: dict[str, np.ndarray], mask: Bool[np.ndarray, "P P K K 6"], memory: Memory | None = None
 ) -> Tokens:
-    """Tokens of an observation and its action mask; a memory saves time from state to state."""
-    usable = np.asarray(mask[..., 0].any(axis=(1, 3)))  # of u and k; the mask is symmetric
-    connections = observation["connections"].astype(float)
-    return tokens_of(
-        observation["shapes"].astype(float),
-        observation["connection_points"].astype(float),
-        connections,
-        usable,
-        _groups(connections),
-        memory,
-    )
+    """Tokens of an observation and its action mask."""
+    return tokens_of(Situation.of(observation, mask), memory)
 
 
-def tokens_of(
-    clouds: Float[np.ndarray, "P C 3"],
-    points: Float[np.ndarray, "P K 9"],
-    connections: Float[np.ndarray, "P P 6"],
-    free: Bool[np.ndarray, "P K"],
-    group: Int[np.ndarray, "P"],
-    memory: Memory | None = None,
-) -> Tokens:
-    """As `tokenize`, from its ingredients: arrays as in `envs.observation`, free points, and each part's group."""
+def tokens_of(situation: Situation, memory: Memory | None = None) -> Tokens:
+    """Tokens of what is there; a memory saves time from state to state."""
+    clouds, points, group = situation.clouds, situation.points, situation.group
+    connections, free = situation.connections, situation.free
     memory = memory or Memory()
     part, point = np.nonzero(free)
     shapes = [hashlib.blake2b(cloud.tobytes(), digest_size=16).digest() for cloud in clouds]
@@ -181,12 +168,6 @@ def tokens_of(
         part, point, token_group, patch, own, in_group.astype(np.float32), at.astype(np.float32), extent, meet, beside,
         loops.astype(np.uint8), bridges.astype(np.uint8),
     )  # fmt: skip
-
-
-def _groups(connections: Float[np.ndarray, "P P 6"]) -> Int[np.ndarray, "P"]:
-    """Each part's group, named by its first part: parts whose relative pose is told are joined."""
-    joined = (connections != 0).any(axis=2) | np.eye(len(connections), dtype=bool)
-    return np.argmax(joined, axis=1)
 
 
 def _into_group_frames(
