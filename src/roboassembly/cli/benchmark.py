@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
-from roboassembly.cli.multitask import follow, needs_learning
+from roboassembly.cli.multitask import PACKAGES, follow, needs
 from roboassembly.cli.output import DONE, print_json, writable_folder
 from roboassembly.errors import InputError
 
@@ -40,7 +40,7 @@ class Benchmark:
         """Do it; returns the exit status."""
         if self.seed < 0 or self.jobs < 1:
             raise InputError("--seed takes 0 or more, --jobs takes 1 or more")
-        needs_learning()
+        needs(*PACKAGES)
         from roboassembly.furniture.datasets import pick
         from roboassembly.learning import benchmark
 

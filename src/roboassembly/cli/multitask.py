@@ -20,6 +20,10 @@ if TYPE_CHECKING:
     from roboassembly.learning.multitask import Progress
 
 
+PACKAGES = ("jax", "optax", "tensorboardX", "matplotlib")
+"""That a run with logs and curves needs."""
+
+
 @dataclass(frozen=True)
 class Multitask:
     """One policy for all chairs, by imitation; stopped at any moment, the same command goes on where it was."""
@@ -59,7 +63,7 @@ class Multitask:
             raise InputError("--seed, --extra, --rounds take 0 or more, --plays, --round-steps and --jobs 1 or more")
         if 0 in (self.limit, self.steps) or min(self.limit or 1, self.steps or 1) < 1:
             raise InputError("--limit and --steps take 1 or more")
-        needs_learning()
+        needs(*PACKAGES)
         writable_folder(self.out)
         last = follow(self._relational() if self.preset == "relational" else self._paper(), self.out)
         path = self.out / "policy.npz"
@@ -89,13 +93,13 @@ class Multitask:
         return teach_paper(self.lessons, self.extractor, self.out, training)
 
 
-def needs_learning() -> None:
+def needs(*packages: str) -> None:
     """Refuse where what training needs is not installed.
 
     Raises:
         MissingExtraError: it is not.
     """
-    for package in ("jax", "optax", "tensorboardX", "matplotlib"):
+    for package in packages:
         if find_spec(package) is None:
             raise MissingExtraError(package, "learn")
 

@@ -5,26 +5,19 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
 from tqdm import tqdm
 
-from roboassembly.cli.multitask import Multitask
+from roboassembly.cli.multitask import Multitask, needs
 from roboassembly.cli.output import DONE, DONE_BADLY, print_json, say, writable_folder
-from roboassembly.errors import InputError, MissingExtraError
+from roboassembly.errors import InputError
 
 if TYPE_CHECKING:
     from roboassembly.furniture.datasets import Pick
     from roboassembly.learning.apprentices import Mastery
-
-
-def _needs(*packages: str) -> None:
-    for package in packages:
-        if find_spec(package) is None:
-            raise MissingExtraError(package, "learn")
 
 
 @dataclass(frozen=True)
@@ -60,7 +53,7 @@ class Autoencoder:
             raise InputError("--seed takes 0 or more, --jobs takes 1 or more")
         if min(self.limit or 1, self.steps or 1) < 1 or 0 in (self.limit, self.steps):
             raise InputError("--limit and --steps take 1 or more")
-        _needs("jax", "optax")
+        needs("jax", "optax")
         # Many small networks, one process each: threads would only get in each other's way.
         os.environ.setdefault("OMP_NUM_THREADS", "1")
         os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
@@ -145,7 +138,7 @@ class Expert(Autoencoder):
 
 def _report(picks: Sequence[Pick], results: Sequence[Mastery]) -> dict[str, object]:
     """Figures over all chairs, and over those of each split if the set has any."""
-    from roboassembly.learning.benchmark import mastery
+    from roboassembly.learning.apprentices import mastery
 
     split_of = {p.name: p.entry.split for p in picks if p.entry is not None}
     out: dict[str, object] = dict(mastery(results))

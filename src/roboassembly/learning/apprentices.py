@@ -27,6 +27,7 @@ from roboassembly.errors import InputError
 from roboassembly.furniture.datasets import Pick, furniture_hash
 from roboassembly.learning import autoencoder, checkpoint, double_q, experts
 from roboassembly.learning.autoencoder import CLOUD_POINTS
+from roboassembly.learning.evaluate import success
 from roboassembly.learning.experts import KIND, POINT_SIZES, Chair, Expert, chair_of, play
 from roboassembly.learning.gather import file_of
 from roboassembly.learning.layers import Params
@@ -326,6 +327,20 @@ def read(path: Path) -> Mastery:
         InputError: the file is not an expert's.
     """
     return Mastery(**checkpoint.load(path, KIND).config["result"])
+
+
+def mastery(results: Sequence[Mastery]) -> dict[str, Any]:
+    """How many chairs were mastered, with the 95 % Wilson interval, and what it took."""
+    done = [r for r in results if r.mastered]
+    return {
+        **success([r.mastered for r in results]),
+        "mastered": len(done),
+        "trials_success_rate": sum(r.success_rate for r in results) / len(results),
+        "steps_mean": sum(r.steps for r in results) / len(results),
+        "steps_mean_mastered": sum(r.steps for r in done) / len(done) if done else None,
+        "planned_mean": sum(r.planned for r in results) / len(results),
+        "seconds": sum(r.seconds for r in results),
+    }
 
 
 def load(path: Path, task: ObjectCentricTask) -> Expert:

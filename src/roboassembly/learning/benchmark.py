@@ -23,8 +23,8 @@ from typing import Any
 from roboassembly.errors import InputError
 from roboassembly.furniture.datasets import RECIPES, Pick, manifest_path, pick
 from roboassembly.learning import apprentices, autoencoder, checkpoint, expert_lessons, multitask, paper_imitation
-from roboassembly.learning.apprentices import ExpertTraining, Mastery
-from roboassembly.learning.evaluate import Episode, Evaluation, evaluate, one_thread_each, success
+from roboassembly.learning.apprentices import ExpertTraining, mastery
+from roboassembly.learning.evaluate import Episode, Evaluation, evaluate, one_thread_each
 from roboassembly.learning.gather import file_of
 from roboassembly.learning.multitask import Curriculum, Progress
 from roboassembly.learning.part_clouds import gather_clouds
@@ -274,20 +274,6 @@ def rows(b: Benchmark, folder: Path) -> list[Row]:
             rest = replace(evaluation, episodes=tuple(unseen)).to_json()
             out.append(Row(trial.name, f"{trial.set}, families in no training", None, "", rest, told))
     return out
-
-
-def mastery(results: Sequence[Mastery]) -> dict[str, Any]:
-    """How many chairs were mastered, with the 95 % Wilson interval, and what it took."""
-    done = [r for r in results if r.mastered]
-    return {
-        **success([r.mastered for r in results]),
-        "mastered": len(done),
-        "trials_success_rate": sum(r.success_rate for r in results) / len(results),
-        "steps_mean": sum(r.steps for r in results) / len(results),
-        "steps_mean_mastered": sum(r.steps for r in done) / len(done) if done else None,
-        "planned_mean": sum(r.planned for r in results) / len(results),
-        "seconds": sum(r.seconds for r in results),
-    }
 
 
 def report(b: Benchmark, folder: Path) -> dict[str, Any]:

@@ -7,10 +7,8 @@ drawn, so that lessons show more than one way. As in the paper only successful p
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +21,7 @@ from roboassembly.learning.apprentices import load
 from roboassembly.learning.experts import Expert, Move, finished, play
 from roboassembly.learning.gather import file_of
 from roboassembly.learning.lessons import CLOUD_POINTS, Course, Lesson
+from roboassembly.learning.processes import as_done
 from roboassembly.task.object_centric import ObjectCentricTask
 
 _MARGIN = 0.06
@@ -101,12 +100,7 @@ def teach(picks: Sequence[Pick], experts: Path, folder: Path, *, plays: int, see
     folder.mkdir(parents=True, exist_ok=True)
     left = [p for p in picks if file_of(experts, p.name).is_file() and not file_of(folder, p.name).is_file()]
     work = partial(_teach, experts=experts, folder=folder, plays=plays, seed=seed)
-    if jobs == 1:
-        yield from map(work, left)
-        return
-    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-        for done in as_completed([pool.submit(work, p) for p in left]):
-            yield done.result()
+    yield from as_done(work, left, jobs)
 
 
 def _teach(pick: Pick, *, experts: Path, folder: Path, plays: int, seed: int) -> Taught:

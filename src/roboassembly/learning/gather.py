@@ -5,11 +5,9 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from itertools import cycle, islice
-from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +18,7 @@ from roboassembly.furniture import catalogue
 from roboassembly.furniture.generate import CHAIRS
 from roboassembly.learning import checkpoint, relational
 from roboassembly.learning.lessons import CLOUD_POINTS, Course, Lesson, Student, Teacher
+from roboassembly.learning.processes import as_done
 
 _KINDS = ("", "fused", "", "lattice", "fused", "carcass")
 """Families of extra pieces, in turn; a chair of the next family where there is none."""
@@ -79,12 +78,7 @@ def gather(
     folder.mkdir(parents=True, exist_ok=True)
     left = [name for name in names if not file_of(folder, name).is_file()]
     work = partial(_gather, folder=folder, plays=plays, seed=seed, student=student)
-    if jobs == 1:
-        yield from map(work, left)
-        return
-    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-        for done in as_completed([pool.submit(work, name) for name in left]):
-            yield done.result()
+    yield from as_done(work, left, jobs)
 
 
 def _gather(name: str, *, folder: Path, plays: int, seed: int, student: Path | None) -> Gathered:

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, replace
 from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +14,10 @@ import numpy as np
 import optax
 
 from roboassembly.learning import checkpoint, relational
-from roboassembly.learning.batches import PADDED, pad, size_for
+from roboassembly.learning.batches import pad, size_for
 from roboassembly.learning.gather import file_of
 from roboassembly.learning.lessons import Course, answers
+from roboassembly.learning.processes import in_order
 from roboassembly.learning.runs import Run
 from roboassembly.learning.tokens import Memory, Tokens
 from roboassembly.learning.views import VIEWS, seen, ways_after
@@ -82,11 +81,7 @@ def load_examples(folder: Path, names: Sequence[str], jobs: int) -> list[Example
         InputError: a file of lessons is broken.
     """
     paths = [file_of(folder, name) for name in names]
-    if jobs == 1 or len(paths) < _FEW:
-        batches = list(map(_examples_in, paths))
-    else:
-        with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-            batches = list(pool.map(_examples_in, paths, chunksize=4))
+    batches = in_order(_examples_in, paths, 1 if len(paths) < _FEW else jobs, chunk=4)
     return [replace(e, course=index) for index, batch in enumerate(batches) for e in batch]
 
 
@@ -160,8 +155,7 @@ def losses(params: relational.Params, batch: dict[str, Any]) -> tuple[jax.Array,
     the log of the share of the softmax over all actions that good ones have: the surest action must be a good one.
     `chosen` is how often it is.
     """
-    tokens = {name: batch[name] for name in ("group", *PADDED)}
-    right, q, valid = relational.apply(params, tokens)
+    right, q, valid = relational.apply(params, batch)
     known = valid.astype(jnp.float32)
     is_right, is_good = batch["right"].astype(jnp.float32), batch["good"].astype(jnp.float32)
     count = jnp.maximum((is_right * known).sum((1, 2)), 1.0)
@@ -194,9 +188,8 @@ def share_good(params: Any, examples: Sequence[Example]) -> float:
 
 @jax.jit
 def _chosen(params: Any, batch: dict[str, Any]) -> jax.Array:
-    tokens = {name: batch[name] for name in ("group", *PADDED)}
-    _, q, valid = relational.apply(params, tokens)
-    flat = relational.ranked(tokens, q, valid).reshape(len(q), -1)
+    _, q, valid = relational.apply(params, batch)
+    flat = relational.ranked(batch, q, valid).reshape(len(q), -1)
     good = batch["good"].reshape(len(q), -1)
     return jnp.take_along_axis(good, jnp.argmax(flat, 1)[:, None], 1)[:, 0]
 

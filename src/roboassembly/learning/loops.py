@@ -67,8 +67,8 @@ def _sockets(
     """How a second point of one group and one of another lie to each other, as a plug would, for each possible pair."""
     rows, columns = np.nonzero(possible[np.ix_(one, two)])
     k, l = one[rows], two[columns]  # noqa: E741
-    turn = (frame[k] * FLIP) @ frame[l].transpose(0, 2, 1)  # first group from second group
-    there = np.einsum("pij,pbj->pbi", turn, at[two][None] - at[l][:, None]) + at[k][:, None]
+    turn, origin = _laid(k, l, at, frame)
+    there = np.einsum("pij,bj->pbi", turn, at[two]) + origin[:, None]
     back = (frame[one] * FLIP).transpose(0, 2, 1)[None, :, None]
     shift = (back @ (there[:, None] - at[one][None, :, None])[..., None])[..., 0]
     turned = back @ (turn[:, None] @ (frame[two] * FLIP))[:, None]
@@ -76,6 +76,17 @@ def _sockets(
     names = np.stack([k[p], l[p], one[a], two[b]], axis=1)
     second = (names[:, 0] != names[:, 2]) & (names[:, 1] != names[:, 3])
     return names[second], _told(shift.reshape(-1, 3), turned.reshape(-1, 3, 3))[second]
+
+
+def _laid(
+    k: Int[np.ndarray, "p"],
+    l: Int[np.ndarray, "p"],  # noqa: E741
+    at: Float[np.ndarray, "n 3"],
+    frame: Float[np.ndarray, "n 3 3"],
+) -> tuple[Float[np.ndarray, "p 3 3"], Float[np.ndarray, "p 3"]]:
+    """Poses of the groups of points `l` in those of points `k` once each two are joined."""
+    turn = (frame[k] * FLIP) @ frame[l].transpose(0, 2, 1)
+    return turn, at[k] - np.einsum("pij,pj->pi", turn, at[l])
 
 
 def _told(shift: Float[np.ndarray, "s 3"], turn: Float[np.ndarray, "s 3 3"]) -> Float[np.ndarray, "s 9"]:
@@ -107,8 +118,7 @@ def closing_bridges(
     rows, columns = np.nonzero(possible)
     by_row = [np.flatnonzero(owner[rows] == name) for name in range(len(groups))]
     by_column = [np.flatnonzero(owner[columns] == name) for name in range(len(groups))]
-    turn = (frame[rows] * FLIP) @ frame[columns].transpose(0, 2, 1)  # group of the row from that of the column
-    shift = at[rows] - np.einsum("pij,pj->pi", turn, at[columns])
+    turn, shift = _laid(rows, columns, at, frame)
     for one in range(len(groups)):
         for two in range(one):
             first, second = by_row[one], by_column[two]

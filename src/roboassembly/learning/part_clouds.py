@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
 
 import numpy as np
 from jaxtyping import Float32
@@ -15,6 +13,7 @@ from roboassembly.furniture.datasets import Pick
 from roboassembly.furniture.generate import CHAIRS
 from roboassembly.learning.autoencoder import CLOUD_POINTS
 from roboassembly.learning.gather import extra_names
+from roboassembly.learning.processes import in_order
 
 
 def gather_clouds(picks: Sequence[Pick], *, jobs: int, extra: int = 300) -> Float32[np.ndarray, "c n 3"]:
@@ -28,12 +27,7 @@ def gather_clouds(picks: Sequence[Pick], *, jobs: int, extra: int = 300) -> Floa
     families = {p.entry.family for p in picks if p.entry is not None}
     names = extra_names(extra, [f for f in CHAIRS if f not in families]) if families else []
     work = [*picks, *names]
-    if jobs == 1:
-        clouds = list(map(_clouds, work))
-    else:
-        with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-            clouds = list(pool.map(_clouds, work, chunksize=8))
-    return np.concatenate(clouds)
+    return np.concatenate(list(in_order(_clouds, work, jobs, chunk=8)))
 
 
 def _clouds(piece: Pick | str) -> Float32[np.ndarray, "p n 3"]:

@@ -34,7 +34,7 @@ from roboassembly.learning.checkpoint import Checkpoint
 from roboassembly.learning.layers import Params, sigmoid
 from roboassembly.learning.lessons import CLOUD_POINTS
 from roboassembly.learning.situation import Situation
-from roboassembly.learning.tokens import Memory, tokenize, tokens_of
+from roboassembly.learning.tokens import Memory, tokens_of
 from roboassembly.learning.views import VIEWS
 from roboassembly.solvers.guide import Guide, Suggestion
 from roboassembly.task.groups import TaskState
@@ -150,8 +150,11 @@ class RelationalPolicy:
 
     def values(self, observation: Observation, mask: Mask) -> Values:
         """Logits that actions are good; -inf where the action does not exist."""
+        return self._values(Situation.of(observation, mask), mask)
+
+    def _values(self, situation: Situation, mask: Mask) -> Values:
         out = np.full(mask.shape, -np.inf, np.float32)
-        tokens = tokenize(observation, mask, self.memory)
+        tokens = tokens_of(situation, self.memory)
         if len(tokens.part):
             u, k = tokens.part[:, None], tokens.point[:, None]
             v, l = tokens.part[None], tokens.point[None]  # noqa: E741
@@ -168,11 +171,11 @@ class RelationalPolicy:
         Raises:
             InputError: there is none.
         """
-        values = self.values(observation, mask)
+        situation = Situation.of(observation, mask)
+        values = self._values(situation, mask)
         action = surest(values)
         if self.ahead < 2:
             return action
-        situation = Situation.of(observation, mask)
         best = -np.inf
         for candidate in _candidates(values, situation.group, self.ahead):
             u, v, k, l, _ = candidate  # noqa: E741

@@ -20,6 +20,7 @@ from scipy.spatial import KDTree
 
 from roboassembly.errors import InputError
 from roboassembly.furniture.model import MAX_PARTS
+from roboassembly.learning.features import turns_between
 from roboassembly.learning.kinds import Kind, Named, Table, equals
 from roboassembly.learning.layers import Params
 from roboassembly.planning.problem import Budget
@@ -35,8 +36,6 @@ UNKNOWN, MERGES, FAILS, BLOCKED = range(4)
 """What is known of an action; it fails from `FAILS` on: a wrong pair or a goal in collision, or no way to the goal."""
 _KNOWN = {Verdict.MERGED: MERGES, Verdict.GOAL_IN_COLLISION: FAILS}
 WAYS = len(UP_AXES)
-_FLIP = np.array([1.0, -1.0, -1.0])
-"""Mating turns the normal and leaves the tangent."""
 _CACHED = 1_500
 """States whose table of what is known is kept."""
 State = tuple[int, ...]
@@ -174,7 +173,7 @@ class Rehearsal:
         turns_u, at_u, gap_u = self._frames(one, self._kinds[self._groups[one].kind].free)
         turns_v, at_v, gap_v = self._frames(two, self._kinds[self._groups[two].kind].free)
         at_v = at_v[None] + 0.5 * (gap_u[:, None] + gap_v[None])[..., None] * turns_v[None, :, :, 2]
-        turn = np.einsum("lij,j,kmj->klim", turns_v, _FLIP, turns_u)
+        turn = turns_between(turns_u, turns_v)
         shift = at_v - np.einsum("klij,kj->kli", turn, at_u)
         flat = turn.reshape(*turn.shape[:2], 9)
         return np.concatenate([shift / POSITION_TOLERANCE, flat / ANGLE_TOLERANCE], axis=2)

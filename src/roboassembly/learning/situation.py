@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Int
 from roboassembly.learning.features import FLIP
 from roboassembly.poses import euler_from_rotations, rotations_from_euler
 
-_MEET, _OPPOSED = 0.004, -0.99
+MEET, OPPOSED = 0.004, -0.99
 """Metres, and cosine of two normals: points that would touch."""
 
 
@@ -41,11 +41,11 @@ class Situation:
         """What would be left if point `k` of part `u` met point `l` of part `v`: their groups one, and their points
         that then touch no longer free. Gaps at joints are neglected."""
         movers, waiting = np.flatnonzero(self.group == self.group[u]), np.flatnonzero(self.group == self.group[v])
-        turn = (_frame(self.points[v, l]) * FLIP) @ _frame(self.points[u, k]).T  # v from u
+        turn = (frames_of(self.points[v, l]) * FLIP) @ frames_of(self.points[u, k]).T  # v from u
         shift = self.points[v, l, :3] - turn @ self.points[u, k, :3]
-        moved, shifted = self._from(u, movers)
-        turns = np.concatenate([turn @ moved, self._from(v, waiting)[0]])
-        shifts = np.concatenate([shifted @ turn.T + shift, self._from(v, waiting)[1]])
+        (moved, shifted), (waited, where) = self._from(u, movers), self._from(v, waiting)
+        turns = np.concatenate([turn @ moved, waited])
+        shifts = np.concatenate([shifted @ turn.T + shift, where])
         members = np.concatenate([movers, waiting])
         back = turns.transpose(0, 2, 1)
         relative = back[:, None] @ turns[None]
@@ -59,8 +59,9 @@ class Situation:
         ends, points = np.nonzero(free[members])
         at = np.einsum("nij,nj->ni", turns[ends], self.points[members[ends], points, :3]) + shifts[ends]
         out = np.einsum("nij,nj->ni", turns[ends], self.points[members[ends], points, 3:6])
-        near = np.linalg.norm(at[:, None] - at[None], axis=2) < _MEET
-        touch = near & (out @ out.T < _OPPOSED) & ((ends < len(movers))[:, None] != (ends < len(movers))[None])
+        near = np.linalg.norm(at[:, None] - at[None], axis=2) < MEET
+        moves = ends < len(movers)
+        touch = near & (out @ out.T < OPPOSED) & (moves[:, None] != moves[None])
         taken = touch.any(axis=1)
         free[members[ends[taken]], points[taken]] = False
         free[u, k] = free[v, l] = False
@@ -80,7 +81,7 @@ def groups_of(connections: Float[np.ndarray, "P P 6"]) -> Int[np.ndarray, "P"]:
     return np.argmax(joined, axis=1)
 
 
-def _frame(point: Float[np.ndarray, "9"]) -> Float[np.ndarray, "3 3"]:
-    """`part_from_point` rotation."""
-    normal, tangent = point[3:6], point[6:9]
+def frames_of(points: Float[np.ndarray, "*n 9"]) -> Float[np.ndarray, "*n 3 3"]:
+    """`part_from_point` rotations."""
+    normal, tangent = points[..., 3:6], points[..., 6:9]
     return np.stack([tangent, np.cross(normal, tangent), normal], axis=-1)

@@ -23,7 +23,7 @@ from scipy.spatial import KDTree
 
 from roboassembly.learning.features import possible, same_way, turns, turns_between
 from roboassembly.learning.loops import closing_bridges, closing_groups
-from roboassembly.learning.situation import Situation
+from roboassembly.learning.situation import MEET, OPPOSED, Situation, frames_of
 from roboassembly.poses import rotations_from_euler
 
 GRID_STEPS = (0.010, 0.040, 0.150)
@@ -36,8 +36,8 @@ POINT = 21
 """Numbers that describe a point."""
 _SPREAD = 160
 """Points of a group's cloud by which its extent after mating is told."""
-_HIT, _NEAR, _AROUND = 0.004, 0.012, 0.040
-"""Metres: points that coincide, that ought to coincide, and that lie in each other's way."""
+_NEAR, _AROUND = 0.012, 0.040
+"""Metres: points that ought to coincide, and that lie in each other's way."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,7 +134,7 @@ def tokens_of(situation: Situation, memory: Memory | None = None) -> Tokens:
     turn, shift, upright = _into_group_frames(sides, connections, group, alike)
     position = points[part, point, :3]
     normal, tangent = points[part, point, 3:6], points[part, point, 6:9]
-    frame = np.stack([tangent, np.cross(normal, tangent), normal], axis=-1)
+    frame = frames_of(points[part, point])
     in_group = turn[part] @ frame
     at = np.einsum("nij,nj->ni", turn[part], position) + shift[part]
     names, token_group = np.unique(group[part], return_inverse=True)
@@ -235,9 +235,9 @@ def _meetings(turn: np.ndarray, shift: np.ndarray, first: _GroupView, second: _G
     at, frame = second.at, second.frame
     there = first.at @ back + shift[:, :, None]
     apart = np.sqrt(np.maximum(_squares(there)[..., None] + _squares(at) - 2.0 * (there @ at.T), 0.0))
-    opposed = (first.frame[:, :, 2] @ back) @ frame[:, :, 2].T < -0.99
-    along = (first.frame[:, :, 0] @ back) @ frame[:, :, 0].T > 0.99
-    hit = (apart < _HIT) & opposed
+    opposed = (first.frame[:, :, 2] @ back) @ frame[:, :, 2].T < OPPOSED
+    along = (first.frame[:, :, 0] @ back) @ frame[:, :, 0].T > -OPPOSED
+    hit = (apart < MEET) & opposed
     near = (apart < _NEAR) & ~hit
     around = (apart < _AROUND) & ~hit
     counts = [np.any(x, axis=3).sum(axis=2) for x in (hit, hit & along, near, around)]
