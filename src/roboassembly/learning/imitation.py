@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from roboassembly.learning import checkpoint, relational
 from roboassembly.learning.batches import pad, size_for
 from roboassembly.learning.gather import file_of
 from roboassembly.learning.lessons import Course, answers
-from roboassembly.learning.processes import in_order
+from roboassembly.learning.processes import in_order, made_ahead
 from roboassembly.learning.runs import Run
 from roboassembly.learning.tokens import Memory, Tokens
 from roboassembly.learning.views import VIEWS, seen, ways_after
@@ -242,14 +243,21 @@ def train(
         params = checkpoint.load(initial, relational.KIND).params
     run = Run(path, relational.KIND, about, training.steps, training.keep_every)
     step, params, state = run.resume(params, optimiser(training).init(params))
+    for batch in made_ahead(_shown(examples, training, step)):
+        params, state, terms = _update(training, params, state, batch)
+        step += 1
+        run.keep(step, params, state)
+        yield step, {k: float(v) for k, v in terms.items()}
+
+
+def _shown(examples: Sequence[Example], training: Training, step: int) -> Iterator[dict[str, np.ndarray]]:
+    """What is shown in each step after `step`.
+
+    That follows from the step's number, so that a resumed run ends as one that was never stopped.
+    """
     per_pass = batches_in(examples, training.batch)
     while step < training.steps:
-        # What a step sees follows from its number, so that a resumed run ends as one that was never stopped.
         rng = np.random.default_rng([training.seed, step // per_pass])
-        for batch in batches(examples, rng, training, first=step % per_pass):
-            params, state, terms = _update(training, params, state, batch)
+        for batch in islice(batches(examples, rng, training, first=step % per_pass), training.steps - step):
+            yield batch
             step += 1
-            run.keep(step, params, state)
-            yield step, {k: float(v) for k, v in terms.items()}
-            if step == training.steps:
-                break

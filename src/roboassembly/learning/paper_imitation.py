@@ -27,6 +27,7 @@ from roboassembly.learning.batches import size_for
 from roboassembly.learning.layers import Params
 from roboassembly.learning.lessons import Course, Lesson
 from roboassembly.learning.paper import STATE, PaperConfig, PaperState
+from roboassembly.learning.processes import made_ahead
 from roboassembly.learning.runs import Run
 from roboassembly.learning.views import Change
 from roboassembly.task.object_centric import UP_AXES
@@ -314,19 +315,23 @@ def train(
     step, params, state = run.resume({"network": network}, optimiser(training).init(network))
     network = params["network"]
     inputs = params["inputs"] if step else _inputs(examples, training.seed)
-    per_pass = -(-len(examples) // training.batch)
-    pass_, order = -1, np.zeros(0, int)
-    while step < training.steps:
-        if step // per_pass != pass_:
-            pass_ = step // per_pass
-            order = _order(examples, training.batch, np.random.default_rng([training.seed, 0, pass_]))
-        rng = np.random.default_rng([training.seed, 1, step])
-        chosen = [examples[i] for i in order[step % per_pass]]
-        batch = batch_of(chosen, rng, scatter=training.scatter)
+    for batch in made_ahead(_shown(examples, training, step)):
         network, state, terms = _update(training, network, inputs, state, batch)
         step += 1
         run.keep(step, {"encoder": encoder, "inputs": inputs, "network": network}, state)
         yield step, {k: float(v) for k, v in terms.items()}
+
+
+def _shown(examples: Sequence[Example], training: Training, step: int) -> Iterator[dict[str, np.ndarray]]:
+    """What is shown in each step after `step`; it follows from the step's number."""
+    per_pass = -(-len(examples) // training.batch)
+    pass_, order = -1, np.zeros(0, int)
+    for number in range(step, training.steps):
+        if number // per_pass != pass_:
+            pass_ = number // per_pass
+            order = _order(examples, training.batch, np.random.default_rng([training.seed, 0, pass_]))
+        rng = np.random.default_rng([training.seed, 1, number])
+        yield batch_of([examples[i] for i in order[number % per_pass]], rng, scatter=training.scatter)
 
 
 def _order(examples: Sequence[Example], batch: int, rng: np.random.Generator) -> np.ndarray:

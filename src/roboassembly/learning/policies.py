@@ -128,7 +128,9 @@ class RelationalPolicy:
     views: int = 1
     """Ways in which each state is looked at, up to eight: more are surer and take longer."""
     ahead: int = 0
-    """Of how many actions it imagines what would be left after them."""
+    """Plans that it follows in imagination, side by side; none below two."""
+    depth: int = 1
+    """Merges that it imagines of each."""
     memory: Memory = field(default_factory=Memory, repr=False)
 
     @staticmethod
@@ -166,26 +168,67 @@ class RelationalPolicy:
         return sigmoid(self.values(observation, mask))
 
     def act(self, observation: Observation, mask: Mask) -> Int[np.ndarray, "5"]:
-        """The surest action; with `ahead`, the one after which the furniture most surely can be finished.
+        """The surest action; with `ahead`, the first of the plan after which the furniture most surely can be finished.
 
         Raises:
             InputError: there is none.
         """
         situation = Situation.of(observation, mask)
         values = self._values(situation, mask)
-        action = surest(values)
         if self.ahead < 2:
-            return action
-        best = -np.inf
-        for candidate in _candidates(values, situation.group, self.ahead):
-            u, v, k, l, _ = candidate  # noqa: E741
-            after = tokens_of(situation.after(u, k, v, l), self.memory)
-            chance = _log_sigmoid(float(values[candidate]))
-            if after.group.max(initial=0) > 0:
-                chance += _log_sigmoid(float(relational.values(self.params, after, VIEWS[: self.views]).max()))
-            if chance > best:
-                best, action = chance, np.array(candidate)
-        return action
+            return surest(values)
+        return self._plan(_Plan(situation, values), mask)
+
+    def _plan(self, start: _Plan, mask: Mask) -> Int[np.ndarray, "5"]:
+        """Beam search in imagination: `depth` merges deep, `ahead` plans wide."""
+        plans = [start]
+        for _ in range(self.depth):
+            wider: dict[frozenset[_Pair], tuple[_Plan, tuple[int, ...], float]] = {}
+            for plan in plans:
+                for action in _candidates(plan.values, plan.situation.group, self.ahead):
+                    u, v, k, l, _ = action  # noqa: E741
+                    chance = plan.chance + _log_sigmoid(float(plan.values[action]))
+                    # Merges in another order are the same plan.
+                    key = plan.pairs | {frozenset(((u, k), (v, l)))}
+                    if key not in wider or chance > wider[key][2]:
+                        wider[key] = plan, action, chance
+            if not wider:
+                break
+            likely = sorted(wider.items(), key=lambda item: -item[1][2])[: self.ahead]
+            plans = [self._imagined(plan, action, chance, key, mask) for key, (plan, action, chance) in likely]
+        best = max(plans, key=lambda plan: plan.chance + plan.hope)
+        return surest(start.values) if best.first is None else np.array(best.first)
+
+    def _imagined(
+        self, plan: _Plan, action: tuple[int, ...], chance: float, pairs: frozenset[_Pair], mask: Mask
+    ) -> _Plan:
+        u, v, k, l, _ = action  # noqa: E741
+        after = plan.situation.after(u, k, v, l)
+        return _Plan(after, self._values(after, mask), plan.first or action, chance, pairs)
+
+
+_Pair = frozenset[tuple[int, int]]
+
+
+@dataclass(frozen=True, eq=False)
+class _Plan:
+    """Merges in imagination, and what would be left."""
+
+    situation: Situation
+    values: Values
+    first: tuple[int, ...] | None = None
+    """The action to begin with."""
+    chance: float = 0.0
+    """Logarithm, that all merges so far are good."""
+    pairs: frozenset[_Pair] = frozenset()
+
+    @property
+    def hope(self) -> float:
+        """Logarithm of the chance that it can be finished; certain where nothing is left to be joined."""
+        best = float(self.values.max(initial=-np.inf))
+        if best == -np.inf:
+            return 0.0 if self.situation.joined else -np.inf
+        return _log_sigmoid(best)
 
 
 def _candidates(values: Values, group: Int[np.ndarray, "P"], count: int) -> list[tuple[int, ...]]:

@@ -37,6 +37,11 @@ class Situation:
             groups_of(connections),
         )
 
+    @property
+    def joined(self) -> bool:
+        """Whether all parts are one group; rows that only fill the arrays up are none."""
+        return len(np.unique(self.group[self.points.any(axis=(1, 2))])) < 2
+
     def after(self, u: int, k: int, v: int, l: int) -> Situation:  # noqa: E741
         """What would be left if point `k` of part `u` met point `l` of part `v`: their groups one, and their points
         that then touch no longer free. Gaps at joints are neglected."""
