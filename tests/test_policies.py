@@ -16,16 +16,11 @@ from roboassembly.envs.object_centric import ObjectCentricEnv
 from roboassembly.errors import InputError, UnknownNameError
 from roboassembly.furniture import catalogue
 from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS
-from roboassembly.learning import autoencoder, checkpoint, paper, policies, relational
+from roboassembly.learning import autoencoder, checkpoint, loading, paper, relational
 from roboassembly.learning.checkpoint import Checkpoint
-from roboassembly.learning.policies import (
-    ConfidentPolicy,
-    RandomPolicy,
-    RelationalPolicy,
-    guide_of,
-    load_policy,
-    surest,
-)
+from roboassembly.learning.loading import load_policy
+from roboassembly.learning.policies import ConfidentPolicy, RandomPolicy, guide_of, surest
+from roboassembly.learning.relational_policy import RelationalPolicy
 from roboassembly.learning.tokens import tokenize
 from roboassembly.solvers.search import solve
 
@@ -105,7 +100,7 @@ def test_names_and_files(params: dict, tmp_path: Path, monkeypatch: pytest.Monke
     assert loaded.cloud_points == 2048
     np.testing.assert_array_equal(loaded.params["q"]["w"], params["q"]["w"])
     # What is shipped is read from the package's own folder.
-    monkeypatch.setattr(policies.resources, "files", lambda package: tmp_path)
+    monkeypatch.setattr(loading.resources, "files", lambda package: tmp_path)
     with pytest.raises(InputError, match="no weights for the policy 'relational'"):
         load_policy("relational")
     save(tmp_path / "weights" / "relational.npz", params)
@@ -171,7 +166,7 @@ def test_acting_imports_no_jax(params: dict, tmp_path: Path) -> None:
     script = (
         "import sys\n"
         "from roboassembly.learning.evaluate import play_episode\n"
-        "from roboassembly.learning.policies import load_policy\n"
+        "from roboassembly.learning.loading import load_policy\n"
         "from roboassembly.furniture import catalogue\n"
         "play_episode(load_policy(sys.argv[1]), catalogue.make('cantilever', 1), 0)\n"
         "assert 'jax' not in sys.modules and 'optax' not in sys.modules\n"

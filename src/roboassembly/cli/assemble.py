@@ -94,7 +94,8 @@ class Assemble:
 
         if self.policy == NO_POLICY:
             return partial(solve, seed=self.seed)
-        from roboassembly.learning.policies import guide_of, load_policy
+        from roboassembly.learning.loading import load_policy
+        from roboassembly.learning.policies import guide_of
 
         policy = load_policy(self.policy, self.seed)
         if self.search:

@@ -26,9 +26,9 @@ from roboassembly.learning import apprentices, autoencoder, checkpoint, expert_l
 from roboassembly.learning.apprentices import ExpertTraining, mastery
 from roboassembly.learning.evaluate import Episode, Evaluation, evaluate, one_thread_each
 from roboassembly.learning.gather import file_of
+from roboassembly.learning.loading import weights_hash
 from roboassembly.learning.multitask import Curriculum, Progress
 from roboassembly.learning.part_clouds import gather_clouds
-from roboassembly.learning.policies import weights_hash
 from roboassembly.learning.relational import RelationalConfig
 from roboassembly.solvers.curate import build
 

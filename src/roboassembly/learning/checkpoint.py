@@ -6,9 +6,9 @@ import json
 import os
 import zipfile
 import zlib
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -16,9 +16,15 @@ from roboassembly import __version__
 from roboassembly.errors import InputError
 from roboassembly.learning.layers import Params
 
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
 FORMAT = 1
 _META = "meta.json"
 _BETWEEN = "/"
+_LARGEST, _DEEPEST = 4096, 64
+"""Of any size, and of layers, in a checkpoint's configuration: a broken file must not ask for all memory."""
+Config = TypeVar("Config", bound="DataclassInstance")
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,6 +98,55 @@ def load(path: Path, kind: str | None = None) -> Checkpoint:
         else:
             extra[rest] = array
     return Checkpoint(version, params, config, extra)
+
+
+def network_config(usual: Config, found: Any, where: str) -> Config:
+    """The sizes of a network from a checkpoint's configuration, checked.
+
+    Args:
+        usual: such a configuration, for the names and kinds of its fields.
+        found: what the checkpoint has.
+        where: the file.
+
+    Raises:
+        InputError: it has other fields, or sizes that are none.
+    """
+    known = {f.name: getattr(usual, f.name) for f in fields(usual)}
+    if not isinstance(found, dict) or found.keys() != known.keys():
+        told = ", ".join(sorted(found)) if isinstance(found, dict) else repr(found)
+        raise InputError(f"'{where}': config['network'] holds {told}; it should hold {', '.join(known)}")
+    for name, value in found.items():
+        if type(value) is not type(known[name]):
+            raise InputError(f"'{where}': config['network']['{name}'] is {value!r}; like {known[name]!r} would do")
+        most = _DEEPEST if name == "layers" else _LARGEST
+        if isinstance(value, int) and not isinstance(value, bool) and not 1 <= value <= most:
+            raise InputError(f"'{where}': config['network']['{name}'] is {value}; 1 to {most} would do")
+    return replace(usual, **found)
+
+
+def check_arrays(found: Params, wanted: Params, where: str, above: str = "") -> None:
+    """That a checkpoint's arrays have the names, shapes and kind of numbers of a network.
+
+    Raises:
+        InputError: naming the first that does not fit.
+    """
+    if found.keys() != wanted.keys():
+        lacks, more = sorted(wanted.keys() - found.keys()), sorted(found.keys() - wanted.keys())
+        raise InputError(
+            f"'{where}' does not fit its own configuration: at '{above or '/'}' it lacks {lacks} and has {more} besides"
+        )
+    for name, value in wanted.items():
+        own, at = found[name], f"{above}/{name}"
+        if isinstance(value, dict) != isinstance(own, dict):
+            raise InputError(f"'{where}': '{at}' is not what its configuration asks for")
+        if isinstance(value, dict):
+            check_arrays(own, value, where, at)
+        elif own.shape != value.shape or own.dtype != value.dtype:
+            raise InputError(
+                f"'{where}': '{at}' is {own.dtype} {own.shape}; its configuration asks for {value.dtype} {value.shape}"
+            )
+        elif not np.isfinite(own).all():
+            raise InputError(f"'{where}': '{at}' has numbers that are not finite; the training went wrong")
 
 
 def _flat(params: Params, above: str = "") -> list[tuple[str, np.ndarray]]:

@@ -21,7 +21,8 @@ from roboassembly.envs.object_centric import ObjectCentricEnv
 from roboassembly.errors import InputError, RoboAssemblyError, UnknownNameError
 from roboassembly.furniture.datasets import Pick
 from roboassembly.furniture.model import Furniture
-from roboassembly.learning.policies import NAMES, RANDOM, Policy, RandomPolicy, guide_of, load_policy
+from roboassembly.learning.loading import NAMES, load_policy
+from roboassembly.learning.policies import RANDOM, Policy, RandomPolicy, guide_of
 from roboassembly.planning.problem import Budget, PlanningStatus
 from roboassembly.solvers.guide import Guide
 from roboassembly.solvers.joint_rrt import solve_jointly

@@ -1,0 +1,73 @@
+"""Policies by name, or from a checkpoint."""
+
+from __future__ import annotations
+
+import hashlib
+from importlib import resources
+from importlib.resources.abc import Traversable
+from pathlib import Path
+
+import numpy as np
+
+from roboassembly.errors import InputError, UnknownNameError
+from roboassembly.learning import checkpoint, relational
+from roboassembly.learning.checkpoint import Checkpoint
+from roboassembly.learning.policies import RANDOM, Policy, RandomPolicy
+from roboassembly.learning.relational_policy import RelationalPolicy
+
+SHIPPED = ("relational", "paper")
+"""Policies whose checkpoints belong into the package, as `weights/NAME.npz`."""
+NAMES = (RANDOM, *SHIPPED)
+
+
+def load_policy(name: str, seed: int = 0) -> Policy:
+    """A policy by name, or from a checkpoint.
+
+    Args:
+        name: `random`, `relational`, `paper`, or the path of a checkpoint.
+        seed: of policies that draw.
+
+    Raises:
+        UnknownNameError: no such policy.
+        InputError: the checkpoint is missing, broken, or of another network.
+    """
+    if name == RANDOM:
+        return RandomPolicy(np.random.default_rng(seed))
+    if name in SHIPPED:
+        place = _shipped(name)
+        if not place.is_file():
+            raise InputError(
+                f"this installation has no weights for the policy '{name}'; train it (roboassembly train) and give "
+                "the checkpoint's path"
+            )
+        with resources.as_file(place) as path:
+            return _of_checkpoint(checkpoint.load(path), name)
+    path = Path(name)
+    if not (path.exists() or path.suffix == ".npz" or "/" in name):
+        raise UnknownNameError("policy", name, [*NAMES, "PATH.npz"])
+    return _of_checkpoint(checkpoint.load(path), name)
+
+
+def _shipped(name: str) -> Traversable:
+    return resources.files("roboassembly.learning") / "weights" / f"{name}.npz"
+
+
+def weights_hash(name: str) -> str:
+    """Of a policy's checkpoint, by name or path; empty if there is none."""
+    place = _shipped(name) if name in SHIPPED else Path(name)
+    return hashlib.sha256(place.read_bytes()).hexdigest()[:16] if place.is_file() else ""
+
+
+def _of_checkpoint(loaded: Checkpoint, where: str) -> Policy:
+    if loaded.kind == relational.KIND:
+        return RelationalPolicy.from_checkpoint(loaded, where)
+    if loaded.kind == "paper":
+        from roboassembly.learning import autoencoder, paper
+
+        rng, zeros = np.random.default_rng(0), np.zeros(paper.STATE, np.float32)
+        network = paper.init(rng, checkpoint.network_config(paper.PaperConfig(), loaded.config.get("network"), where))
+        inputs = {"mean": zeros, "scale": zeros}
+        wanted = {"network": network, "inputs": inputs, "encoder": autoencoder.init(rng)}
+        checkpoint.check_arrays(loaded.params, wanted, where)
+        return paper.PaperPolicy.from_checkpoint(loaded)
+    raise InputError(f"'{where}' holds a '{loaded.kind}' network, which is no policy; '{relational.KIND}' would do")

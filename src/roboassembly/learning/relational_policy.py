@@ -1,0 +1,151 @@
+"""The relational network as a policy: values of all actions, and plans that it follows in imagination."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Int
+
+from roboassembly.envs.observation import Observation
+from roboassembly.errors import InputError
+from roboassembly.learning import checkpoint, relational
+from roboassembly.learning.checkpoint import Checkpoint
+from roboassembly.learning.layers import Params, sigmoid
+from roboassembly.learning.lessons import CLOUD_POINTS
+from roboassembly.learning.policies import Mask, Values, surest
+from roboassembly.learning.situation import Situation
+from roboassembly.learning.tokens import Memory, tokens_of
+from roboassembly.learning.views import VIEWS
+
+_CONSIDERED = 400
+"""Actions among which those of different groups are looked for."""
+
+
+@dataclass(frozen=True, eq=False)
+class RelationalPolicy:
+    """The relational network, on NumPy; the surest choice first."""
+
+    params: Params
+    name: str = relational.KIND
+    cloud_points: int = CLOUD_POINTS
+    views: int = 1
+    """Ways in which each state is looked at, up to eight: more are surer and take longer."""
+    ahead: int = 0
+    """Plans that it follows in imagination, side by side; none below two."""
+    depth: int = 1
+    """Merges that it imagines of each."""
+    memory: Memory = field(default_factory=Memory, repr=False)
+
+    @staticmethod
+    def from_checkpoint(loaded: Checkpoint, where: str) -> RelationalPolicy:
+        """The policy that a checkpoint holds.
+
+        Args:
+            loaded: of kind `relational`.
+            where: the file, for messages and reports.
+
+        Raises:
+            InputError: its configuration or arrays are not those of such a network.
+        """
+        config = checkpoint.network_config(relational.RelationalConfig(), loaded.config.get("network"), where)
+        if config.token % config.heads:
+            raise InputError(f"'{where}': {config.heads} heads do not divide tokens of {config.token}; they must")
+        checkpoint.check_arrays(loaded.params, relational.init(np.random.default_rng(0), config), where)
+        return RelationalPolicy(loaded.params, where)
+
+    def values(self, observation: Observation, mask: Mask) -> Values:
+        """Logits that actions are good; -inf where the action does not exist."""
+        return self._values(Situation.of(observation, mask), mask)
+
+    def _values(self, situation: Situation, mask: Mask) -> Values:
+        out = np.full(mask.shape, -np.inf, np.float32)
+        tokens = tokens_of(situation, self.memory)
+        if len(tokens.part):
+            u, k = tokens.part[:, None], tokens.point[:, None]
+            v, l = tokens.part[None], tokens.point[None]  # noqa: E741
+            out[u, v, k, l] = relational.values(self.params, tokens, VIEWS[: self.views])
+        return out
+
+    def probabilities(self, observation: Observation, mask: Mask) -> Values:
+        """Chance that the furniture can still be finished after each action."""
+        return sigmoid(self.values(observation, mask))
+
+    def act(self, observation: Observation, mask: Mask) -> Int[np.ndarray, "5"]:
+        """The surest action; with `ahead`, the first of the plan after which the furniture most surely can be finished.
+
+        Raises:
+            InputError: there is none.
+        """
+        situation = Situation.of(observation, mask)
+        values = self._values(situation, mask)
+        if self.ahead < 2:
+            return surest(values)
+        return self._plan(_Plan(situation, values), mask)
+
+    def _plan(self, start: _Plan, mask: Mask) -> Int[np.ndarray, "5"]:
+        """Beam search in imagination: `depth` merges deep, `ahead` plans wide."""
+        plans = [start]
+        for _ in range(self.depth):
+            wider: dict[frozenset[_Pair], tuple[_Plan, tuple[int, ...], float]] = {}
+            for plan in plans:
+                for action in _candidates(plan.values, plan.situation.group, self.ahead):
+                    u, v, k, l, _ = action  # noqa: E741
+                    chance = plan.chance + _log_sigmoid(float(plan.values[action]))
+                    # Merges in another order are the same plan.
+                    key = plan.pairs | {frozenset(((u, k), (v, l)))}
+                    if key not in wider or chance > wider[key][2]:
+                        wider[key] = plan, action, chance
+            if not wider:
+                break
+            likely = sorted(wider.items(), key=lambda item: -item[1][2])[: self.ahead]
+            plans = [self._imagined(plan, action, chance, key, mask) for key, (plan, action, chance) in likely]
+        best = max(plans, key=lambda plan: plan.chance + plan.hope)
+        return surest(start.values) if best.first is None else np.array(best.first)
+
+    def _imagined(
+        self, plan: _Plan, action: tuple[int, ...], chance: float, pairs: frozenset[_Pair], mask: Mask
+    ) -> _Plan:
+        u, v, k, l, _ = action  # noqa: E741
+        after = plan.situation.after(u, k, v, l)
+        return _Plan(after, self._values(after, mask), plan.first or action, chance, pairs)
+
+
+_Pair = frozenset[tuple[int, int]]
+
+
+@dataclass(frozen=True, eq=False)
+class _Plan:
+    """Merges in imagination, and what would be left."""
+
+    situation: Situation
+    values: Values
+    first: tuple[int, ...] | None = None
+    """The action to begin with."""
+    chance: float = 0.0
+    """Logarithm, that all merges so far are good."""
+    pairs: frozenset[_Pair] = frozenset()
+
+    @property
+    def hope(self) -> float:
+        """Logarithm of the chance that it can be finished; certain where nothing is left to be joined."""
+        best = float(self.values.max(initial=-np.inf))
+        if best == -np.inf:
+            return 0.0 if self.situation.joined else -np.inf
+        return _log_sigmoid(best)
+
+
+def _candidates(values: Values, group: Int[np.ndarray, "P"], count: int) -> list[tuple[int, ...]]:
+    """The best action of each two groups, best first."""
+    order = np.argsort(values, axis=None)[::-1][:_CONSIDERED]
+    out: dict[frozenset[int], tuple[int, ...]] = {}
+    for flat in order:
+        action = tuple(int(i) for i in np.unravel_index(flat, values.shape))
+        if values[action] == -np.inf or len(out) == count:
+            break
+        out.setdefault(frozenset((int(group[action[0]]), int(group[action[1]]))), action)
+    return list(out.values())
+
+
+def _log_sigmoid(logit: float) -> float:
+    return float(-np.logaddexp(0.0, -logit))
