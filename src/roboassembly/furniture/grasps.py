@@ -49,6 +49,9 @@ _CENTRAL = 0.25
 """Of that, how much a metre nearer to the centre of mass is worth, and one more to the other side of it."""
 _DISTINCT = 0.02
 """Metres: regions nearer than this must close along axes 45° apart or more."""
+_CROSSWISE = 0.2
+"""Metres of all that is above that closing along another axis is worth: a slat among others can only be held by its
+edges from the front, a rail on a board only by its sides."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,8 +71,9 @@ class _Places:
 def find_grasps(mesh: Mesh) -> tuple[GraspRegion, ...]:
     """Two regions where the hand can hold a part, the one nearer to its centre of mass first; fewer if need be.
 
-    One is the nearest to the centre of mass where the pads lie well; the other is up to 150 mm away from it, beyond
-    the centre of mass where it can be. The same mesh gives the same grasps.
+    One is the nearest to the centre of mass where the pads lie well; the other closes along an axis 45° or more away
+    where there is such a place, is up to 150 mm away, and beyond the centre of mass where it can be. The same mesh
+    gives the same grasps.
 
     Args:
         mesh: a part's, in its frame: metres, the origin at the centre of mass.
@@ -86,10 +90,11 @@ def find_grasps(mesh: Mesh) -> tuple[GraspRegion, ...]:
     if one is None:
         return ()
     apart = np.linalg.norm(places.middle - one.position, axis=1)
-    other = (apart > _DISTINCT) | (np.abs(places.closing @ one.closing) < np.cos(np.pi / 4.0))
+    crosswise = np.abs(places.closing @ one.closing) < np.cos(np.pi / 4.0)
     beyond = apart - off
-    order = np.argsort(_CENTRAL * (off - beyond) + bare - np.minimum(apart, _SPREAD), kind="stable")
-    two = _first_held(hand, places[order[other[order]]])
+    cost = _CENTRAL * (off - beyond) + bare - np.minimum(apart, _SPREAD) - _CROSSWISE * crosswise
+    order = np.argsort(cost, kind="stable")
+    two = _first_held(hand, places[order[((apart > _DISTINCT) | crosswise)[order]]])
     found = (one,) if two is None else (one, two)
     return tuple(sorted(found, key=lambda region: float(np.linalg.norm(region.position))))[:GRASP_REGIONS]
 
