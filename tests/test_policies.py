@@ -5,9 +5,10 @@ from __future__ import annotations
 import subprocess
 import sys
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from itertools import pairwise
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -21,6 +22,7 @@ from roboassembly.learning.checkpoint import Checkpoint
 from roboassembly.learning.loading import load_policy
 from roboassembly.learning.policies import ConfidentPolicy, RandomPolicy, guide_of, surest
 from roboassembly.learning.relational_policy import RelationalPolicy
+from roboassembly.learning.situation import Situation
 from roboassembly.learning.tokens import tokenize
 from roboassembly.solvers.search import solve
 
@@ -65,6 +67,44 @@ def test_values_are_the_networks_at_the_right_places(params: dict, seen) -> None
     chance = policy.probabilities(observation, mask)
     np.testing.assert_allclose(chance[mask], 1.0 / (1.0 + np.exp(-values[mask])), rtol=1e-4, atol=1e-6)
     assert not chance[~mask].any()
+
+
+class _Told(RelationalPolicy):
+    """Values by hand: in `worth`, of the best action of a state, by the pairs of points that are joined in it."""
+
+    worth: ClassVar[dict[frozenset, float]] = {}
+    first: ClassVar[list[tuple[int, ...]]] = []
+
+    def _values(self, situation: Situation, mask: np.ndarray) -> np.ndarray:
+        values = np.full(mask.shape, -np.inf, np.float32)
+        exist = [a for a in self.first if situation.group[a[0]] != situation.group[a[1]]]
+        joined = frozenset(a for a in self.first if a not in exist)
+        for a in exist:
+            values[a] = self.worth.get(joined | {a}, -3.0)
+        return values
+
+
+def test_a_plan_in_imagination_gives_up_what_looks_best_but_leads_nowhere() -> None:
+    env = ObjectCentricEnv("stool", cloud_points=8)
+    observation, info = env.reset(seed=0)
+    mask = info["action_mask"]
+    free = [tuple(int(i) for i in a) for a in np.argwhere(mask)]
+    a = free[0]
+    b = next(x for x in free if len({x[0], x[1], a[0], a[1]}) == 4)
+    c = next(x for x in free if len({x[0], x[1], a[0], a[1], b[0], b[1]}) == 6)
+    policy = _Told({}, ahead=3)
+    _Told.first = [a, b, c]
+    # a looks best and ruins what is left; b and c help each other.
+    _Told.worth = {
+        frozenset({a}): 3.0, frozenset({b}): 2.0, frozenset({c}): 1.0,
+        frozenset({a, b}): -4.0, frozenset({a, c}): -4.0, frozenset({b, c}): 5.0,
+    }  # fmt: skip
+    assert tuple(replace(policy, ahead=0).act(observation, mask)) == a
+    assert tuple(policy.act(observation, mask)) == b
+    # Two merges deep, b before c and c before b are one plan, which begins with the surer.
+    assert tuple(replace(policy, depth=2).act(observation, mask)) == b
+    _Told.worth[frozenset({c})] = 2.5
+    assert tuple(replace(policy, depth=2).act(observation, mask)) == c
 
 
 def test_the_surest_is_the_first_of_those_within_rounding() -> None:
