@@ -28,6 +28,7 @@ from roboassembly.furniture.generate import (
     sideframe,
     splat,
     stool,
+    sunk,
     tables,
     three_legged,
     throne,
@@ -89,11 +90,17 @@ FUSED_FROM = (
     "ladder", "windsor", "panel", "pedestal", "sled", "stool", "upholstered", "cantilever", "three_legged", "throne",
     "plank", "shell", "bench", "lattice", "lattice", "lattice", "carcass", "carcass",
 )  # fmt: skip
-"""What `fused` joins parts of, some more often: only families that data sets train on, and practice."""
+"""What `fused` and `sunk` start from, some more often: only families that data sets train on, and practice."""
 FAMILIES["fused"] = Family(
     "fused",
     "other families' parts joined at random",
     partial(fused.build, tuple(FAMILIES[name].build for name in FUSED_FROM)),
+    "practice",
+)
+FAMILIES["sunk"] = Family(
+    "sunk",
+    "other families' parts driven into each other, and repaired like imported ones",
+    partial(sunk.build, tuple(FAMILIES[name].build for name in (*FUSED_FROM, "fused", "fused", "fused"))),
     "practice",
 )
 

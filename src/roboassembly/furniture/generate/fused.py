@@ -58,7 +58,7 @@ def _stretch(rng: np.random.Generator) -> Float[np.ndarray, "3 3"]:
 def _joined(parts: Sequence[RawPart], rng: np.random.Generator) -> list[Piece]:
     contacts = find_contacts([p.mesh for p in parts], [p.name for p in parts])
     group = _groups(parts, contacts, rng)
-    solids = [from_triangles(p.mesh.vertices.copy(), p.mesh.faces.copy()) for p in parts]
+    solids = [from_triangles(p.mesh.vertices, p.mesh.faces) for p in parts]
     out: list[Piece] = []
     for name in dict.fromkeys(group):
         members = [i for i, g in enumerate(group) if g == name]

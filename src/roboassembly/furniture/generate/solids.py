@@ -94,7 +94,9 @@ def from_triangles(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f
     if np.einsum("ij,ij->", a, np.cross(b, c)) < 0:
         faces = faces[:, ::-1]
     mesh = manifold3d.Mesh64(
-        np.ascontiguousarray(vertices, dtype=np.float64), np.ascontiguousarray(faces, dtype=np.uint64)
+        # Copies: the library takes no arrays that must not be written to.
+        np.array(vertices, dtype=np.float64, order="C"),
+        np.array(faces, dtype=np.uint64, order="C"),
     )
     return Solid(mesh)
 
