@@ -10,6 +10,7 @@ import pytest
 import shapes
 from roboassembly.furniture.generate import FAMILIES
 from roboassembly.furniture.model import Furniture
+from roboassembly.meshes import distance_to
 from roboassembly.poses import SE3
 from roboassembly.task.groups import Group, TaskState, body, center_of_mass, hull_points
 from roboassembly.task.pairs import Merge, PairRule, mate
@@ -26,13 +27,14 @@ def judge(furniture: Furniture, u: int, k: int, v: int, l: int) -> Merge | None:
 
 
 def congruent(furniture: Furniture, group: Group) -> bool:
-    """Parts on distinct slots of like parts, each mesh lying exactly where the slot's own part would."""
+    """Parts on distinct slots of like parts, each mesh lying on the surface where the slot's own part would."""
     for part, slot, where in zip(group.parts, group.slots, group.furniture_from_part, strict=True):
         if furniture.class_of[part] != furniture.class_of[slot]:
             return False
-        here = np.array([where.act(v) for v in furniture.parts[part].mesh.vertices])
-        there = np.array([furniture.assembled[slot].act(v) for v in furniture.parts[slot].mesh.vertices])
-        if np.linalg.norm(here[:, None] - there[None], axis=2).min(axis=1).max() > 2e-4:
+        own = furniture.assembled[slot].actInv(where)
+        if any(
+            distance_to(furniture.parts[slot].mesh.bvh, own.act(v)) > 2e-4 for v in furniture.parts[part].mesh.vertices
+        ):
             return False
     return len(set(group.slots)) == len(group.slots)
 
