@@ -20,7 +20,7 @@ from roboassembly.learning.features import of_pairs, of_ways
 from roboassembly.learning.lessons import Course, Teacher, answers
 from roboassembly.learning.loops import closing_bridges, closing_groups
 from roboassembly.learning.situation import Situation
-from roboassembly.learning.tokens import PATCH, POINT, Memory, Tokens, tokenize
+from roboassembly.learning.tokens import PATCH, POINT, Memory, Tokens, tokens_of
 from roboassembly.learning.views import VIEWS, ways_after
 from roboassembly.poses import rotations_from_euler
 from roboassembly.solvers.search import solve
@@ -53,7 +53,7 @@ def values(params: dict, tokens: Tokens) -> np.ndarray:
 
 
 def test_tokens_do_not_depend_on_where_parts_lie() -> None:
-    one, two = (tokenize(*observed(seed)) for seed in (0, 1))
+    one, two = (tokens_of(Situation.of(*observed(seed))) for seed in (0, 1))
     assert not np.allclose(observed(0)[0]["poses"], observed(1)[0]["poses"])
     for name in ("patch", "own", "meet", "beside", "loops", "bridges"):
         assert np.array_equal(getattr(one, name), getattr(two, name)), name
@@ -162,7 +162,8 @@ def test_values_follow_a_renumbering_of_parts() -> None:
     shuffled = {k: v[order] for k, v in observation.items()}
     shuffled["connections"] = shuffled["connections"][:, order]
     params = relational.init(np.random.default_rng(0), CONFIG)
-    plain, turned = tokenize(observation, mask), tokenize(shuffled, mask[order][:, order])
+    plain = tokens_of(Situation.of(observation, mask))
+    turned = tokens_of(Situation.of(shuffled, mask[order][:, order]))
     where = {(int(order[p]), int(k)): i for i, (p, k) in enumerate(zip(turned.part, turned.point, strict=True))}
     index = [where[int(p), int(k)] for p, k in zip(plain.part, plain.point, strict=True)]
     assert np.allclose(values(params, turned)[np.ix_(index, index)], values(params, plain), atol=1e-4)

@@ -23,7 +23,7 @@ from roboassembly.learning.loading import load_policy
 from roboassembly.learning.policies import ConfidentPolicy, RandomPolicy, guide_of, surest
 from roboassembly.learning.relational_policy import RelationalPolicy
 from roboassembly.learning.situation import Situation
-from roboassembly.learning.tokens import tokenize
+from roboassembly.learning.tokens import tokens_of
 from roboassembly.solvers.search import solve
 
 CONFIG = relational.RelationalConfig(token=16, pair=8, layers=1, heads=2, ends=4, conflicts=2)
@@ -53,7 +53,7 @@ def test_values_are_the_networks_at_the_right_places(params: dict, seen) -> None
     values = policy.values(observation, mask)
     assert values.dtype == np.float32
     np.testing.assert_array_equal(np.isfinite(values), mask)
-    tokens = tokenize(observation, mask)
+    tokens = tokens_of(Situation.of(observation, mask))
     row, column, w = relational.best(params, tokens)
     best = (tokens.part[row], tokens.part[column], tokens.point[row], tokens.point[column], w)
     assert values[best] == values.max()
@@ -75,8 +75,8 @@ class _Told(RelationalPolicy):
     worth: ClassVar[dict[frozenset, float]] = {}
     first: ClassVar[list[tuple[int, ...]]] = []
 
-    def _values(self, situation: Situation, mask: np.ndarray) -> np.ndarray:
-        values = np.full(mask.shape, -np.inf, np.float32)
+    def _values(self, situation: Situation) -> np.ndarray:
+        values = np.full(situation.actions, -np.inf, np.float32)
         exist = [a for a in self.first if situation.group[a[0]] != situation.group[a[1]]]
         joined = frozenset(a for a in self.first if a not in exist)
         for a in exist:

@@ -56,10 +56,10 @@ class RelationalPolicy:
 
     def values(self, observation: Observation, mask: Mask) -> Values:
         """Logits that actions are good; -inf where the action does not exist."""
-        return self._values(Situation.of(observation, mask), mask)
+        return self._values(Situation.of(observation, mask))
 
-    def _values(self, situation: Situation, mask: Mask) -> Values:
-        out = np.full(mask.shape, -np.inf, np.float32)
+    def _values(self, situation: Situation) -> Values:
+        out = np.full(situation.actions, -np.inf, np.float32)
         tokens = tokens_of(situation, self.memory)
         if len(tokens.part):
             u, k = tokens.part[:, None], tokens.point[:, None]
@@ -78,12 +78,12 @@ class RelationalPolicy:
             InputError: there is none.
         """
         situation = Situation.of(observation, mask)
-        values = self._values(situation, mask)
+        values = self._values(situation)
         if self.ahead < 2:
             return surest(values)
-        return self._plan(_Plan(situation, values), mask)
+        return self._plan(_Plan(situation, values))
 
-    def _plan(self, start: _Plan, mask: Mask) -> Int[np.ndarray, "5"]:
+    def _plan(self, start: _Plan) -> Int[np.ndarray, "5"]:
         """Beam search in imagination: `depth` merges deep, `ahead` plans wide."""
         plans = [start]
         for _ in range(self.depth):
@@ -99,16 +99,14 @@ class RelationalPolicy:
             if not wider:
                 break
             likely = sorted(wider.items(), key=lambda item: -item[1][2])[: self.ahead]
-            plans = [self._imagined(plan, action, chance, key, mask) for key, (plan, action, chance) in likely]
+            plans = [self._imagined(plan, action, chance, key) for key, (plan, action, chance) in likely]
         best = max(plans, key=lambda plan: plan.chance + plan.hope)
         return surest(start.values) if best.first is None else np.array(best.first)
 
-    def _imagined(
-        self, plan: _Plan, action: tuple[int, ...], chance: float, pairs: frozenset[_Pair], mask: Mask
-    ) -> _Plan:
+    def _imagined(self, plan: _Plan, action: tuple[int, ...], chance: float, pairs: frozenset[_Pair]) -> _Plan:
         u, v, k, l, _ = action  # noqa: E741
         after = plan.situation.after(u, k, v, l)
-        return _Plan(after, self._values(after, mask), plan.first or action, chance, pairs)
+        return _Plan(after, self._values(after), plan.first or action, chance, pairs)
 
 
 _Pair = frozenset[tuple[int, int]]
@@ -137,12 +135,14 @@ class _Plan:
 
 def _candidates(values: Values, group: Int[np.ndarray, "P"], count: int) -> list[tuple[int, ...]]:
     """The best action of each two groups, best first."""
-    order = np.argsort(values, axis=None)[::-1][:_CONSIDERED]
+    # Few of all actions exist; of equal ones the first counts, on every machine.
+    exist = np.flatnonzero(values > -np.inf)
+    order = exist[np.argsort(-values.ravel()[exist], kind="stable")[:_CONSIDERED]]
     out: dict[frozenset[int], tuple[int, ...]] = {}
     for flat in order:
-        action = tuple(int(i) for i in np.unravel_index(flat, values.shape))
-        if values[action] == -np.inf or len(out) == count:
+        if len(out) == count:
             break
+        action = tuple(int(i) for i in np.unravel_index(flat, values.shape))
         out.setdefault(frozenset((int(group[action[0]]), int(group[action[1]]))), action)
     return list(out.values())
 

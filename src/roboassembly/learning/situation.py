@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float, Int
 
 from roboassembly.learning.features import FLIP
 from roboassembly.poses import euler_from_rotations, rotations_from_euler
+from roboassembly.task.object_centric import UP_AXES
 
 MEET, OPPOSED = 0.004, -0.99
 """Metres, and cosine of two normals: points that would touch."""
@@ -36,6 +37,12 @@ class Situation:
             np.asarray(mask[..., 0].any(axis=(1, 3))),  # of u and k; the mask is symmetric
             groups_of(connections),
         )
+
+    @property
+    def actions(self) -> tuple[int, int, int, int, int]:
+        """Shape of the mask of actions `(u, v, k, l, w)`."""
+        parts, points = self.free.shape
+        return parts, parts, points, points, len(UP_AXES)
 
     @property
     def joined(self) -> bool:

@@ -112,13 +112,6 @@ class _GroupView:
         return _GroupView(key, at, frame, _patches(cloud, at, frame), cloud[:: -(-len(cloud) // _SPREAD)])
 
 
-def tokenize(
-    observation: dict[str, np.ndarray], mask: Bool[np.ndarray, "P P K K 6"], memory: Memory | None = None
-) -> Tokens:
-    """Tokens of an observation and its action mask."""
-    return tokens_of(Situation.of(observation, mask), memory)
-
-
 def tokens_of(situation: Situation, memory: Memory | None = None) -> Tokens:
     """Tokens of what is there; a memory saves time from state to state."""
     clouds, points, group = situation.clouds, situation.points, situation.group

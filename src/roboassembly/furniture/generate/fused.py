@@ -8,19 +8,18 @@ straight lines still can be afterwards.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Float
 
 from roboassembly.errors import FurnitureError
 from roboassembly.furniture.contacts import Contact, find_contacts
-from roboassembly.furniture.generate.pieces import Piece, as_parts
+from roboassembly.furniture.generate.pieces import Build, Piece, as_parts
 from roboassembly.furniture.generate.solids import Solid, from_triangles, triangles
 from roboassembly.furniture.model import RawPart
 from roboassembly.meshes import Mesh
 
-Build = Callable[[np.random.Generator | None], Sequence[Piece]]
 _FEWEST = 3
 _TRIES = 20
 _OVERLAP = 1e-4

@@ -32,14 +32,17 @@ class Piece:
     """`furniture_from_solid`."""
 
 
+Build = Callable[[np.random.Generator | None], Sequence[Piece]]
+"""Makes pieces in a frame with the floor at z = 0; without a generator, the catalogue model."""
+
+
 @dataclass(frozen=True)
 class Family:
     """A structure of furniture: every seed is a size and style of it; seed 0 is the catalogue model."""
 
     name: str
     description: str
-    build: Callable[[np.random.Generator | None], Sequence[Piece]]
-    """Pieces in a frame with the floor at z = 0; without a generator, the catalogue model."""
+    build: Build
     kind: Kind = "chair"
 
 

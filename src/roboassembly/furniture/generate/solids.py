@@ -93,8 +93,8 @@ def from_triangles(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f
     a, b, c = (vertices[faces[:, i]] for i in range(3))
     if np.einsum("ij,ij->", a, np.cross(b, c)) < 0:
         faces = faces[:, ::-1]
+    # Copies: the library takes no arrays that must not be written to.
     mesh = manifold3d.Mesh64(
-        # Copies: the library takes no arrays that must not be written to.
         np.array(vertices, dtype=np.float64, order="C"),
         np.array(faces, dtype=np.uint64, order="C"),
     )

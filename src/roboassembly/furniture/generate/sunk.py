@@ -7,20 +7,19 @@ another family made are driven into their neighbours, and repaired.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from roboassembly.errors import FurnitureError
 from roboassembly.furniture.contacts import Contact, find_contacts
-from roboassembly.furniture.generate.pieces import Piece, as_parts
+from roboassembly.furniture.generate.pieces import Build, Piece, as_parts
 from roboassembly.furniture.generate.solids import from_triangles, triangles
 from roboassembly.furniture.model import RawPart
 from roboassembly.furniture.repair import repair
 from roboassembly.meshes import Mesh
 
-Build = Callable[[np.random.Generator | None], Sequence[Piece]]
 _TRIES = 20
 _SHALLOWEST, _DEEPEST = 0.0003, 0.012
 """Metres that a part is driven into another; shallow is as frequent as deep."""
