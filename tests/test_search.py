@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Sequence
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -463,3 +464,12 @@ def test_removable_sets_of_the_captive_slat(captive_slat: Furniture) -> None:
     rest = [set(s) for s in graphs.removable(frozenset({1, 2, 3}), straight=True)]
     assert all(len(s) in (1, 2) and s != {3} for s in rest)
     assert rest
+
+
+def test_removable_sets_take_no_group_apart(captive_slat: Furniture) -> None:
+    graphs, everything = BlockingGraphs(captive_slat), frozenset(range(4))
+    every = set(graphs.removable(everything, straight=True))
+    for pair in combinations(range(4), 2):
+        group = frozenset(pair)
+        whole = set(graphs.removable(everything, True, [group]))
+        assert whole == {s for s in every if group <= s or not group & s}

@@ -17,7 +17,7 @@ from roboassembly.errors import InputError, MissingExtraError
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from roboassembly.learning.multitask import Progress
+    from roboassembly.learning.progress import Progress
 
 
 PACKAGES = ("jax", "optax", "tensorboardX", "matplotlib")

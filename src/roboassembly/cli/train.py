@@ -9,15 +9,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
-from tqdm import tqdm
 
-from roboassembly.cli.multitask import Multitask, needs
-from roboassembly.cli.output import DONE, DONE_BADLY, print_json, say, writable_folder
+from roboassembly.cli.multitask import PACKAGES, Multitask, follow, needs
+from roboassembly.cli.output import DONE, DONE_BADLY, print_json, writable_folder
 from roboassembly.errors import InputError
 
 if TYPE_CHECKING:
     from roboassembly.furniture.datasets import Pick
     from roboassembly.learning.apprentices import Mastery
+    from roboassembly.learning.single_task import Schooling
 
 
 @dataclass(frozen=True)
@@ -42,45 +42,40 @@ class Autoencoder:
     def run(self) -> int:
         """Do it; returns the exit status."""
         picks = self.prepared()
-        report = self.train(picks)
+        last = self.featured(picks)
         if self.json:
-            print_json(report)
+            chamfer = last.get("auto-encoder/chamfer")
+            print_json({"set": self.set, "steps": self.schooling().features.steps, "chamfer": chamfer,
+                        "out": str(self.out)})  # fmt: skip
         return DONE
 
     def prepared(self) -> list[Pick]:
-        """The furniture, once everything is checked and JAX is told to keep to one thread."""
+        """The furniture, once everything is checked."""
         if self.seed < 0 or self.jobs < 1:
             raise InputError("--seed takes 0 or more, --jobs takes 1 or more")
         if min(self.limit or 1, self.steps or 1) < 1 or 0 in (self.limit, self.steps):
             raise InputError("--limit and --steps take 1 or more")
-        needs("jax", "optax")
-        # Many small networks, one process each: threads would only get in each other's way.
-        os.environ.setdefault("OMP_NUM_THREADS", "1")
-        os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
-        os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false")
+        needs(*PACKAGES)
         from roboassembly.furniture.datasets import pick
 
         picks = pick(self.set)[: self.limit]
         writable_folder(self.out)
         return picks
 
-    def train(self, picks: Sequence[Pick]) -> dict[str, object]:
-        """Train, or go on; what is to be told."""
-        from roboassembly.learning import autoencoder
-        from roboassembly.learning.part_clouds import gather_clouds
+    def schooling(self) -> Schooling:
+        """How."""
+        from roboassembly.learning.single_task import Schooling
 
-        training = autoencoder.Training(seed=self.seed)
-        training = training if self.steps is None else replace(training, steps=self.steps)
-        clouds = gather_clouds(picks, jobs=self.jobs)
-        loss = 0.0
-        with tqdm(total=training.steps, unit="step") as progress:
-            for step, terms in autoencoder.train(
-                clouds, self.out / "autoencoder.npz", training, {"set": self.set, "limit": self.limit}
-            ):
-                loss = terms["chamfer"]
-                progress.update(step - progress.n)
-                progress.set_postfix(chamfer=f"{loss:.5f}")
-        return {"clouds": len(clouds), "steps": training.steps, "chamfer": loss, "out": str(self.out)}
+        plain = Schooling()
+        features = plain.features if self.steps is None else replace(plain.features, steps=self.steps)
+        return replace(plain, features=features).seeded(self.seed)
+
+    def featured(self, picks: Sequence[Pick]) -> dict[str, float]:
+        """Train the auto-encoder unless it is done; what it said last."""
+        from roboassembly.learning.single_task import teach_features
+
+        notes = {"set": self.set, "limit": self.limit}
+        return follow(teach_features(picks, self.out, self.schooling(), notes, self.jobs), self.out)
 
 
 @dataclass(frozen=True)
@@ -99,41 +94,26 @@ class Expert(Autoencoder):
         if min(self.side_by_side, self.plays) < 1:
             raise InputError("--side-by-side and --plays take 1 or more")
         picks = self.prepared()
-        path = self.out / "autoencoder.npz"
-        if not path.exists():
-            say(f"no {path} yet: training the auto-encoder first")
-            replace(self, steps=None).train(picks)
-        return self._experts(picks, path)
+        self.featured(picks)
+        from roboassembly.learning.single_task import results, teach_experts
 
-    def _experts(self, picks: Sequence[Pick], extractor: Path) -> int:
-        from roboassembly.learning import expert_lessons
-        from roboassembly.learning.apprentices import ExpertTraining, train
-
-        training = ExpertTraining(seed=self.seed)
-        training = training if self.steps is None else replace(training, steps=self.steps)
-        folder = self.out / "experts"
-        results: list[Mastery] = []
-        with tqdm(total=len(picks), unit="chair") as progress:
-            for result in train(
-                picks, folder, training, extractor, {"set": self.set}, jobs=self.jobs, side_by_side=self.side_by_side
-            ):
-                results.append(result)
-                progress.update()
-                progress.set_postfix(mastered=sum(r.mastered for r in results))
-        with tqdm(total=len(picks), unit="chair", desc="lessons") as progress:
-            lessons = 0
-            for taught in expert_lessons.teach(
-                picks, folder, self.out / "lessons", plays=self.plays, seed=self.seed, jobs=self.jobs
-            ):
-                lessons += taught.lessons
-                progress.update()
-        report = _report(picks, results)
+        follow(teach_experts(picks, self.out, self.schooling(), {"set": self.set}, self.jobs), self.out)
+        trained = results(picks, self.out)
+        report = _report(picks, trained)
         if self.json:
             print_json({**report, "set": self.set, "seed": self.seed, "out": str(self.out)})
         else:
             for split, figures in report.items():
                 print(f"{split}: {figures}")
-        return DONE if any(r.mastered for r in results) else DONE_BADLY
+        return DONE if any(r.mastered for r in trained) else DONE_BADLY
+
+    def schooling(self) -> Schooling:
+        """How."""
+        from roboassembly.learning.single_task import Schooling
+
+        plain = Schooling(side_by_side=self.side_by_side, plays=self.plays)
+        experts = plain.experts if self.steps is None else replace(plain.experts, steps=self.steps)
+        return replace(plain, experts=experts).seeded(self.seed)
 
 
 def _report(picks: Sequence[Pick], results: Sequence[Mastery]) -> dict[str, object]:

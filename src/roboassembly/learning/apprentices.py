@@ -32,6 +32,7 @@ from roboassembly.learning.experts import KIND, POINT_SIZES, Chair, Expert, chai
 from roboassembly.learning.gather import file_of
 from roboassembly.learning.layers import Params
 from roboassembly.learning.learner import Learner, LearnerConfig, Memory
+from roboassembly.learning.processes import one_thread_each
 from roboassembly.learning.rehearsal import Rehearsal, State
 from roboassembly.task.object_centric import ObjectCentricTask, Verdict
 
@@ -296,7 +297,8 @@ def train(
             yield from (read(file_of(folder, p.name)) for p in lot)
         return
     with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-        running = {pool.submit(work, lot) for lot in lots}
+        with one_thread_each():
+            running = {pool.submit(work, lot) for lot in lots}
         while left:
             done, running = wait(running, timeout=2.0)
             for future in done:

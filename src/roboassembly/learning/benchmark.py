@@ -21,15 +21,15 @@ from pathlib import Path
 from typing import Any
 
 from roboassembly.errors import InputError
-from roboassembly.furniture.datasets import RECIPES, Pick, manifest_path, pick
-from roboassembly.learning import apprentices, autoencoder, checkpoint, expert_lessons, multitask, paper_imitation
+from roboassembly.furniture.datasets import RECIPES, manifest_path, pick
+from roboassembly.learning import autoencoder, multitask, paper_imitation
 from roboassembly.learning.apprentices import ExpertTraining, mastery
-from roboassembly.learning.evaluate import Episode, Evaluation, evaluate, one_thread_each
-from roboassembly.learning.gather import file_of
+from roboassembly.learning.evaluate import Episode, Evaluation, evaluate
 from roboassembly.learning.loading import weights_hash
-from roboassembly.learning.multitask import Curriculum, Progress
-from roboassembly.learning.part_clouds import gather_clouds
+from roboassembly.learning.multitask import Curriculum
+from roboassembly.learning.progress import Progress
 from roboassembly.learning.relational import RelationalConfig
+from roboassembly.learning.single_task import Schooling, extractor_of, results, teach_experts, teach_features
 from roboassembly.solvers.curate import build
 
 SETTING = "object-centric"
@@ -53,13 +53,7 @@ class Benchmark:
     """Sets of real furniture besides, `folder:PATH`, for the relational policy."""
     shipped: bool = True
     """Take the relational policy of the package; else train one."""
-    features: autoencoder.Training = field(default_factory=autoencoder.Training)
-    extra_clouds: int = 300
-    """Generated pieces whose parts the auto-encoder sees besides."""
-    experts: ExpertTraining = field(default_factory=ExpertTraining)
-    side_by_side: int = 4
-    plays: int = 6
-    """Of each expert, to become lessons."""
+    schooling: Schooling = field(default_factory=Schooling)
     paper: paper_imitation.Training = field(default_factory=paper_imitation.Training)
     relational: Curriculum = field(default_factory=Curriculum)
     seed: int = 0
@@ -69,8 +63,7 @@ class Benchmark:
         """All stages, tiny: to see that they work, not what they reach."""
         return Benchmark(
             set="chairs-24", train_limit=4, test_limit=4, shipped=False, seed=seed,
-            features=autoencoder.Training(steps=60), extra_clouds=4,
-            experts=ExpertTraining(steps=2_000), plays=2,
+            schooling=Schooling(autoencoder.Training(steps=60), 4, ExpertTraining(steps=2_000), plays=2),
             paper=paper_imitation.Training(steps=60),
             relational=Curriculum(extra=4, validation=2, rounds=1, steps=40, round_steps=20, network=_TINY),
         )  # fmt: skip
@@ -114,10 +107,12 @@ def run(b: Benchmark, folder: Path, jobs: int) -> Iterator[Progress]:
             yield Progress(f"data set {b.set}", done, of, {})
     train = pick(f"{b.set}:train")[: b.train_limit]
     with _timed(folder, "experts"):
-        yield from _experts(b, folder, train, jobs)
+        schooling = b.schooling.seeded(b.seed)
+        yield from teach_features(train, folder, schooling, {"set": b.set, "limit": b.train_limit}, jobs)
+        yield from teach_experts(train, folder, schooling, {"set": b.set}, jobs)
     with _timed(folder, "paper"):
         training = replace(b.paper, seed=b.seed)
-        yield from multitask.teach_paper([folder / "lessons"], folder / "autoencoder.npz", folder / "paper", training)
+        yield from multitask.teach_paper([folder / "lessons"], extractor_of(folder), folder / "paper", training)
     if not b.shipped:
         with _timed(folder, "relational"):
             lessons = replace(b.relational, set=f"{b.set}:train", limit=b.train_limit, seed=b.seed)
@@ -125,31 +120,6 @@ def run(b: Benchmark, folder: Path, jobs: int) -> Iterator[Progress]:
     with _timed(folder, "evaluation"):
         for trial in trials(b, folder):
             yield from _tried(trial, folder, b.seed, jobs)
-
-
-def _experts(b: Benchmark, folder: Path, picks: Sequence[Pick], jobs: int) -> Iterator[Progress]:
-    extractor = folder / "autoencoder.npz"
-    training = replace(b.experts, seed=b.seed)
-    features = replace(b.features, seed=b.seed)
-    with one_thread_each():
-        if not extractor.is_file() or int(checkpoint.load(extractor, autoencoder.KIND).extra["step"]) < features.steps:
-            clouds = gather_clouds(picks, jobs=jobs, extra=b.extra_clouds)
-            for step, terms in autoencoder.train(clouds, extractor, features, {"set": b.set, "limit": b.train_limit}):
-                yield Progress("auto-encoder", step, features.steps, terms)
-        mastered = 0
-        for done, result in enumerate(
-            apprentices.train(
-                picks, folder / "experts", training, extractor, {"set": b.set}, jobs=jobs, side_by_side=b.side_by_side
-            ),
-            1,
-        ):
-            mastered += result.mastered
-            yield Progress("experts", done, len(picks), {"mastered": mastered})
-        lessons = folder / "lessons"
-        for done, _ in enumerate(
-            expert_lessons.teach(picks, folder / "experts", lessons, plays=b.plays, seed=b.seed, jobs=jobs), 1
-        ):
-            yield Progress("experts' lessons", done, len(picks), {})
 
 
 @dataclass(frozen=True)
@@ -255,10 +225,10 @@ def rows(b: Benchmark, folder: Path) -> list[Row]:
     out = []
     picks = pick(f"{b.set}:train")[: b.train_limit]
     split_of = {p.name: p.entry.split for p in picks if p.entry is not None}
-    results = [apprentices.read(file_of(folder / "experts", p.name)) for p in picks]
+    trained = results(picks, folder)
     told = f"roboassembly train expert --set {b.set}:train --seed {b.seed} --json"
     for split, paper in (("easy", 79.4), ("hard", 66.4)):
-        some = [r for r in results if split_of[r.name] == split]
+        some = [r for r in trained if split_of[r.name] == split]
         if some:
             out.append(Row("experts", f"{split} training chairs", paper, "", mastery(some), told))
     for trial in trials(b, folder):

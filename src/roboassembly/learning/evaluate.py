@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import math
-import os
 import time
 import zlib
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from multiprocessing import get_context
@@ -23,6 +21,7 @@ from roboassembly.furniture.datasets import Pick
 from roboassembly.furniture.model import Furniture
 from roboassembly.learning.loading import NAMES, load_policy
 from roboassembly.learning.policies import RANDOM, Policy, RandomPolicy, guide_of
+from roboassembly.learning.processes import one_thread_each
 from roboassembly.planning.problem import Budget, PlanningStatus
 from roboassembly.solvers.guide import Guide
 from roboassembly.solvers.joint_rrt import solve_jointly
@@ -33,11 +32,6 @@ from roboassembly.task.plan import Plan, PlanStep
 
 _Z = 1.959963984540054
 """97.5 % of a standard normal distribution lies below."""
-_ONE_THREAD = {
-    **dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"), "1"),
-    "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false",
-    "XLA_PYTHON_CLIENT_PREALLOCATE": "false",
-}
 
 
 @dataclass(frozen=True)
@@ -306,18 +300,3 @@ def _play_piece(own: Player, pick: Pick, seeds: list[int]) -> list[Episode]:
     if pick.entry is not None:
         known = {"family": pick.entry.family, "unseen": pick.entry.unseen}
     return [replace(own(furniture, seed), **known) for seed in seeds]
-
-
-@contextmanager
-def one_thread_each() -> Iterator[None]:
-    """Processes started meanwhile compute with one thread, so that they do not fight for cores."""
-    before = {name: os.environ.get(name) for name in _ONE_THREAD}
-    os.environ.update(_ONE_THREAD)
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value

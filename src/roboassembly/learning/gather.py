@@ -20,7 +20,7 @@ from roboassembly.learning import checkpoint, relational
 from roboassembly.learning.lessons import CLOUD_POINTS, Course, Lesson, Student, Teacher
 from roboassembly.learning.processes import as_done
 
-_KINDS = ("", "sunk", "fused", "", "sunk", "lattice", "", "sunk", "fused", "", "sunk", "carcass")
+_KINDS = ("", "sunk", "fused", "", "fused", "lattice", "", "sunk", "fused", "", "fused", "carcass")
 """Families of extra pieces, in turn; a chair of the next family where there is none."""
 EXTRA_SEEDS = 1_000_000_000
 """Seeds of extra chairs start here, where those of no data set reach."""

@@ -24,6 +24,7 @@ from roboassembly.learning.gather import EXTRA_SEEDS, extra_names, file_of, gath
 from roboassembly.learning.imitation import Example, Training
 from roboassembly.learning.lessons import Course
 from roboassembly.learning.paper import PaperConfig
+from roboassembly.learning.progress import Progress
 from roboassembly.learning.relational import RelationalConfig
 
 _VALIDATION_SEEDS = EXTRA_SEEDS + 1_000_000
@@ -53,16 +54,6 @@ class Curriculum:
     batch: int = 16
     seed: int = 0
     network: RelationalConfig = field(default_factory=RelationalConfig)
-
-
-@dataclass(frozen=True)
-class Progress:
-    """How far one stage is, and what it says."""
-
-    stage: str
-    done: int
-    total: int
-    scalars: dict[str, float]
 
 
 def teach(curriculum: Curriculum, folder: Path, jobs: int) -> Iterator[Progress]:

@@ -7,7 +7,7 @@ of it. Only neighbours are looked at; the planner judges the rest.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from functools import cached_property
 
 import numpy as np
@@ -35,7 +35,7 @@ class BlockingGraphs:
         self.states = 0
         """Configurations tested for collision so far."""
         self._worlds: dict[tuple[int, int], CollisionWorld] = {}
-        self._known_candidates: dict[frozenset[int], list[tuple[frozenset[int], int]]] = {}
+        self._known_candidates: dict[int, list[tuple[int, int]]] = {}
 
     @cached_property
     def directions(self) -> Float[np.ndarray, "d 3"]:
@@ -102,56 +102,79 @@ class BlockingGraphs:
         self.states += world.states
         return out
 
-    def removable(self, among: frozenset[int], straight: bool) -> Iterator[frozenset[int]]:
+    def removable(
+        self, among: frozenset[int], straight: bool, whole: Collection[frozenset[int]] = ()
+    ) -> Iterator[frozenset[int]]:
         """Sub-assemblies of `among` that no neighbour holds back; small ones and upward ones first.
 
         Both the sub-assembly and the rest hold together. With `straight`, only those that can go all the way out
         along their direction (no ground, nothing else around).
+
+        Args:
+            among: parts.
+            straight: as said.
+            whole: groups that are not to be taken apart.
         """
-        given: set[frozenset[int]] = set()
-        for closed, direction in self._candidates(among):
-            if closed in given or among - closed in given:
+        kept = [_mask(group) for group in whole]
+        everything = _mask(among)
+        given: set[int] = set()
+        for closed, direction in self._candidates(everything):
+            if closed in given or everything - closed in given or any(0 != g & closed != g for g in kept):
                 continue
-            if straight and not self.leaves(closed, among - closed, direction):
+            if straight and not self._leaves(closed, everything - closed, direction):
                 continue
             given.add(closed)
-            yield closed
+            yield frozenset(_bits(closed))
 
-    def _candidates(self, among: frozenset[int]) -> list[tuple[frozenset[int], int]]:
+    def _candidates(self, among: int) -> list[tuple[int, int]]:
         """Closed sets with a direction's index each: for every part, the smallest that holds it."""
         if among not in self._known_candidates:
-            directions_of: dict[frozenset[int], list[int]] = {}
-            for index, arcs in enumerate(self.arcs):
-                for closed in {_closure(part, arcs, among) for part in among}:
+            directions_of: dict[int, list[int]] = {}
+            for index, arcs in enumerate(self._arcs):
+                for closed in {_closure(1 << part, arcs, among) for part in _bits(among)}:
                     directions_of.setdefault(closed, []).append(index)
             found = [
                 (closed, index)
                 for closed, indices in directions_of.items()
-                if len(closed) < len(among) and self._whole(closed) and self._whole(among - closed)
+                if closed != among and self._whole(closed) and self._whole(among - closed)
                 for index in indices
             ]
-            found.sort(key=lambda item: (len(item[0]), -round(float(self.directions[item[1], 2]), 3), sorted(item[0])))
+            up = self.directions[:, 2].round(3)
+            found.sort(key=lambda item: (item[0].bit_count(), -up[item[1]], _bits(item[0])))
             self._known_candidates[among] = found
         return self._known_candidates[among]
+
+    @cached_property
+    def _arcs(self) -> list[list[int]]:
+        """`arcs`, a bit for each part that would be hit."""
+        return [[_mask(arcs[p]) for p in range(len(self._furniture.parts))] for arcs in self.arcs]
 
     def leaves(self, moving: frozenset[int], still: frozenset[int], direction: int) -> bool:
         """Whether `moving` can go straight out of `still`, all the way, along one of `directions`.
 
         A set leaves straight if each of its parts passes each of the others: far fewer tests than sets.
         """
-        stay = _mask(still)
+        return self._leaves(_mask(moving), _mask(still), direction)
+
+    def _leaves(self, moving: int, still: int, direction: int) -> bool:
         blocked, free = self._blocks[direction], self._passes[direction]
-        if any(blocked[p] & stay for p in moving):
+        movers = _bits(moving)
+        if any(blocked[p] & still for p in movers):
             return False
-        unknown = [(p, q) for p in moving if stay & ~free[p] for q in still if not free[p] >> q & 1]
+        unknown = [(p, q) for p in movers for q in _bits(still & ~free[p])]
         # Neighbours first: they are the likeliest to be in the way.
-        unknown.sort(key=lambda pair: (pair[1] not in self._furniture.neighbours[pair[0]], pair))
+        unknown.sort(key=lambda pair: (not self._near[pair[0]] >> pair[1] & 1, pair))
         for p, q in unknown:
             passes = self._try_to_pass(p, q, self.directions[direction])
             (free if passes else blocked)[p] |= 1 << q
             if not passes:
                 return False
         return True
+
+    @cached_property
+    def _near(self) -> list[int]:
+        """For each part, a bit for each that touches it."""
+        return [_mask(parts) for parts in self._furniture.neighbours]
 
     @cached_property
     def _blocks(self) -> list[list[int]]:
@@ -178,19 +201,32 @@ class BlockingGraphs:
         self.states += world.states - before
         return free
 
-    def _whole(self, parts: frozenset[int]) -> bool:
-        return len(self._furniture.connected_components(parts)) == 1
+    def _whole(self, parts: int) -> bool:
+        """Whether connections hold the parts together."""
+        return _closure(parts & -parts, self._near, parts) == parts
 
 
-def _mask(parts: frozenset[int]) -> int:
+def _mask(parts: Iterable[int]) -> int:
+    """A bit for each part."""
     return sum(1 << p for p in parts)
 
 
-def _closure(part: int, arcs: dict[int, set[int]], among: frozenset[int]) -> frozenset[int]:
-    """The part and all that would have to move with it."""
-    closed, stack = {part}, [part]
-    while stack:
-        for other in arcs[stack.pop()] & among - closed:
-            closed.add(other)
-            stack.append(other)
-    return frozenset(closed)
+def _bits(mask: int) -> list[int]:
+    """The parts of a mask, ascending."""
+    out = []
+    while mask:
+        lowest = mask & -mask
+        out.append(lowest.bit_length() - 1)
+        mask -= lowest
+    return out
+
+
+def _closure(parts: int, arcs: Sequence[int], among: int) -> int:
+    """The parts and all of `among` to which arcs lead from them."""
+    closed = fresh = parts
+    while fresh:
+        lowest = fresh & -fresh
+        new = arcs[lowest.bit_length() - 1] & among & ~closed
+        closed |= new
+        fresh = (fresh - lowest) | new
+    return closed

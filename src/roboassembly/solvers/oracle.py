@@ -166,10 +166,7 @@ class Oracle:
     def _halves(self, partition: frozenset[Parts]) -> Iterator[tuple[frozenset[Parts], frozenset[Parts]]]:
         """Ways to take the union of some groups apart in two, as partitions of the halves."""
         whole = frozenset[int]().union(*partition)
-        for closed in self.graphs.removable(whole, True):
-            one = frozenset(g for g in partition if g <= closed)
-            other = partition - one
-            if any(g & closed for g in other):
-                continue
+        for closed in self.graphs.removable(whole, True, partition):
             if self.ways(closed, whole - closed).any() or self.ways(whole - closed, closed).any():
-                yield one, other
+                one = frozenset(g for g in partition if g <= closed)
+                yield one, partition - one

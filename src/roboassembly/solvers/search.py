@@ -1,9 +1,8 @@
 """Finds a whole action sequence: reason backward by disassembly, let the task's own planner judge every merge.
 
-Backward: take the furniture apart in the mind, sub-assembly by sub-assembly, along blocking graphs; a set of parts
-can be put together if it splits into two that can be separated and each can be put together itself (an AND/OR
-search with memory). Forward: carry the merges out. Where the planner refuses a merge, that split is struck out and
-the rest thought through again; where nothing is left, the last merge is taken back.
+Backward: an order of merges by taking the furniture apart in the mind (`solvers.disassembly`). Forward: carry the
+merges out. Where the planner refuses a merge, that split is struck out and the rest thought through again; where
+nothing is left, the last merge is taken back.
 
 Three rounds, each wider and dearer than the last: straight exits only and no sampling planner; everything that no
 neighbour holds back; at last every split of a set into two connected halves, so that nothing assemblable is missed
@@ -18,15 +17,15 @@ from __future__ import annotations
 
 import time
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from itertools import count, takewhile
+from itertools import takewhile
 
 import numpy as np
 
 from roboassembly.furniture.model import Furniture
 from roboassembly.planning.problem import Budget
-from roboassembly.solvers.blocking import BlockingGraphs
+from roboassembly.solvers.disassembly import Disassembly, Partition, Parts, Split, partition_of
 from roboassembly.solvers.guide import Guide
 from roboassembly.task.groups import TaskState, corresponding_point
 from roboassembly.task.object_centric import UP_AXES, ObjectCentricTask, Verdict
@@ -44,10 +43,6 @@ _GUIDED_WIDTH = 5
 """Suggestions tried in each state."""
 _GUIDED_SCORE = 0.1
 """Suggestions below it are left alone."""
-Parts = frozenset[int]
-"""Slots of the furniture, which is what the search reasons about: equal parts may have swapped theirs."""
-Split = tuple[Parts, Parts]
-"""Two sub-assemblies; the first is the one that leaves."""
 
 
 @dataclass(frozen=True)
@@ -102,7 +97,6 @@ _ROUNDS = (
 @dataclass(eq=False)
 class _Search:
     task: ObjectCentricTask
-    graphs: BlockingGraphs
     limits: SearchLimits
     seed: int
     round: _Round = _ROUNDS[0]
@@ -120,8 +114,15 @@ class _Search:
     strays: int = 0
     verdicts: dict[str, int] = field(default_factory=dict)
 
+    def __post_init__(self) -> None:
+        self.disassembly = Disassembly(self.task.furniture, self.exhausted)
+
+    def states(self) -> int:
+        """Configurations tested for collision so far."""
+        return self.planning_steps + self.disassembly.graphs.states
+
     def exhausted(self) -> bool:
-        return self.planning_steps + self.graphs.states > self.limits.states or self.attempts >= self.limits.attempts
+        return self.states() > self.limits.states or self.attempts >= self.limits.attempts
 
     def follow(self, guide: Guide, state: TaskState) -> bool:
         """Depth first from `state` along the guide's suggestions; the steps taken are kept if it succeeds."""
@@ -159,9 +160,9 @@ class _Search:
     def hopeless(self, state: TaskState | None) -> bool:
         """Whether reasoning sees no way on from a state, in which equal parts may have swapped places."""
         told = next(self.task.pairs.own_places(state), None) if state is not None else None
-        if told is None or (partition := _partition(told)) in self.dead:
+        if told is None or (partition := partition_of(told)) in self.dead:
             return True
-        return self.disassemble(partition, self.refused) is None
+        return self.reasoned(partition, self.refused) is None
 
     def joined(self, state: TaskState, action: tuple[int, ...]) -> TaskState | None:
         """What would be joined after an action; nothing is planned, nothing moves. None if the pair is wrong."""
@@ -184,14 +185,14 @@ class _Search:
         """
         if state.complete:
             return True
-        partition = _partition(state)
+        partition = partition_of(state)
         if partition in self.dead:
             return False
         if merges and not partition.issuperset(merges[0]):
             merges = ()
         excluded: set[frozenset[Parts]] = set()
         while not self.exhausted():
-            merges = merges or self.disassemble(partition, self.refused | excluded) or ()
+            merges = merges or self.reasoned(partition, self.refused | excluded) or ()
             if not merges:
                 break
             (leaving, staying), *rest = merges
@@ -244,8 +245,8 @@ class _Search:
         end = {one: k, two: l}
         scored: list[tuple[float, tuple[int, ...]]] = []
         for u, v, moving, waiting in ((one, two, leaving, staying), (two, one, staying, leaving)):
-            directions = self.exits(moving, waiting)
-            low_moving, low_waiting = self.lowest(moving), self.lowest(waiting)
+            directions = self.disassembly.exits(moving, waiting)
+            low_moving, low_waiting = self.disassembly.lowest(moving), self.disassembly.lowest(waiting)
             for w, up in enumerate(UP_AXES):
                 rise = max((float(d @ up) for d in directions), default=0.0)
                 sinks = low_moving[w] < low_waiting[w] - 1e-3
@@ -270,82 +271,12 @@ class _Search:
                 return (one, k), (two, l)
         return None
 
-    def exits(self, moving: Parts, waiting: Parts) -> list[np.ndarray]:
-        """Directions along which no part of `moving` is held by a part of `waiting`."""
-        return [
-            d
-            for d, arcs in zip(self.graphs.directions, self.graphs.arcs, strict=True)
-            if not any(arcs[p] & waiting for p in moving)
-        ]
-
-    def lowest(self, parts: Parts) -> np.ndarray:
-        """How far the parts reach down when each of the six axes points up, in the furniture's frame."""
-        f = self.task.furniture
-        points = np.concatenate(
-            [
-                f.parts[p].mesh.hull_vertices @ f.assembled[p].rotation.T + f.assembled[p].translation
-                for p in sorted(parts)
-            ]
-        )
-        return (points @ UP_AXES.T).min(axis=0)
-
-    def disassemble(self, partition: frozenset[Parts], struck: set[frozenset[Parts]]) -> list[Split] | None:
-        """Merges, in an order in which they can be made, that build the whole from the groups of `partition`."""
+    def reasoned(self, partition: Partition, struck: set[frozenset[Parts]]) -> list[Split] | None:
+        """An order that goes on from a partition, its time counted as planning."""
         begun = time.perf_counter()
-        whole = frozenset().union(*partition)
-        memory: dict[Parts, list[Split] | None] = {}
-
-        def build(parts: Parts) -> list[Split] | None:
-            if parts in partition:
-                return []
-            if parts not in memory:
-                memory[parts] = None
-                memory[parts] = next(ways(parts), None)
-            return memory[parts]
-
-        def ways(parts: Parts) -> Iterator[list[Split]]:
-            for leaving, staying in self.splits(parts, partition):
-                if self.exhausted():
-                    return
-                if frozenset((leaving, staying)) in struck:
-                    continue
-                first = build(staying)
-                second = build(leaving) if first is not None else None
-                if first is not None and second is not None:
-                    yield [*first, *second, (leaving, staying)]
-
-        order = build(whole)
+        order = self.disassembly.order(partition, struck, self.round.straight, self.round.exhaustive)
         self.planning_seconds += time.perf_counter() - begun
         return order
-
-    def splits(self, parts: Parts, partition: frozenset[Parts]) -> Iterator[Split]:
-        """Ways to take `parts` in two that break no group: those that blocking graphs offer, then all others."""
-        groups = [g for g in partition if g <= parts]
-        offered: set[frozenset[Parts]] = set()
-        for closed in self.graphs.removable(parts, self.round.straight):
-            if all(g <= closed or not g & closed for g in groups):
-                offered.add(frozenset((closed, parts - closed)))
-                yield closed, parts - closed
-        for half in self.connected_halves(parts, groups) if self.round.exhaustive else ():
-            if frozenset((half, parts - half)) not in offered:
-                yield half, parts - half
-
-    def connected_halves(self, parts: Parts, groups: list[Parts]) -> Iterator[Parts]:
-        """Connected unions of groups, up to half of them, whose complement is connected too; small ones first."""
-        furniture = self.task.furniture
-        layer = set(groups)
-        for size in count(1):
-            if 2 * size > len(groups):
-                return
-            for half in sorted(layer, key=sorted):
-                if len(furniture.connected_components(parts - half)) == 1:
-                    yield half
-            reach = {h: frozenset().union(*(furniture.neighbours[p] for p in h)) & parts - h for h in layer}
-            layer = {h | g for h in layer for g in groups if g & reach[h]}
-
-
-def _partition(state: TaskState) -> frozenset[Parts]:
-    return frozenset(frozenset(g.slots) for g in state.groups)
 
 
 def solve(
@@ -376,7 +307,7 @@ def solve_from(
     if state is None:
         nothing = Plan(task.furniture, initial.part_poses, (), False, seed)
         return SearchResult(nothing, 0, 0.0, 0, 0, "two groups need the same place in the furniture")
-    search = _Search(task, BlockingGraphs(task.furniture), limits, seed)
+    search = _Search(task, limits, seed)
     success = False
     if guide is not None:
         search.limits = SearchLimits(limits.states // _GUIDED_SHARE, limits.attempts // _GUIDED_SHARE)
@@ -395,7 +326,7 @@ def solve_from(
         reason = f"{spent} after {search.attempts} merges tried ({verdicts or 'none'})"
     return SearchResult(
         Plan(task.furniture, initial.part_poses, tuple(search.steps), success, seed),
-        search.planning_steps + search.graphs.states,
+        search.states(),
         search.planning_seconds,
         search.attempts,
         search.backtracks,
