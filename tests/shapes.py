@@ -160,9 +160,9 @@ class Checker:
 
     def __init__(self, scene: Scene) -> None:
         body = next(b for b in scene.bodies if b.moves)
-        self._moving = [(s.body_from_mesh, _object(s.mesh, SE3.Identity())) for s in body.shapes]
+        self._moving = [(s.body_from_mesh, fcl_object(s.mesh, SE3.Identity())) for s in body.shapes]
         self._still = [
-            _object(s.mesh, b.pose * s.body_from_mesh) for b in scene.bodies if not b.moves for s in b.shapes
+            fcl_object(s.mesh, b.pose * s.body_from_mesh) for b in scene.bodies if not b.moves for s in b.shapes
         ]
         self._points = np.concatenate([transform_points(s.body_from_mesh, s.mesh.vertices) for s in body.shapes]).T
         self._ground = scene.ground
@@ -204,7 +204,7 @@ def sampled(path: Sequence[SE3], step: float, radius: float) -> list[SE3]:
     return out
 
 
-def _object(mesh: Mesh, where: SE3) -> fcl.CollisionObject:
+def fcl_object(mesh: Mesh, where: SE3) -> fcl.CollisionObject:
     model = fcl.BVHModel()
     model.beginModel(len(mesh.vertices), len(mesh.faces))
     model.addSubModel(mesh.vertices, mesh.faces)

@@ -31,7 +31,7 @@ RETREAT = 0.10
 
 _WHEEL = "example-robot-data"
 _ROBOT = "cmeel.prefix/share/example-robot-data/robots/panda_description"
-_TIPS = "panda_hand_tcp"
+TIPS = "panda_hand_tcp"
 _PALM, _FINGERS = "panda_hand", ("panda_leftfinger", "panda_rightfinger")
 _SLIDES = ("panda_finger_joint1", "panda_finger_joint2")
 
@@ -163,7 +163,7 @@ def _hand() -> _Hand:
     geometry = pin.buildGeomFromUrdf(
         model, urdf, pin.GeometryType.COLLISION, package_dirs=[str(folder.parent.parent.parent)]
     )
-    data, tips = model.createData(), model.getFrameId(_TIPS)
+    data, tips = model.createData(), model.getFrameId(TIPS)
 
     def in_tips(link: str, configuration: Float[np.ndarray, "q"]) -> SE3:
         pin.framesForwardKinematics(model, data, configuration)

@@ -170,6 +170,13 @@ class Mesh:
         model.endModel()
         return model
 
+    @cached_property
+    def convex(self) -> coal.ConvexBase:
+        """The convex hull as a solid."""
+        model = Mesh.from_trimesh(self.hull).bvh
+        model.buildConvexHull(True, "Qt")
+        return model.convex
+
     def contains(self, point: Float[np.ndarray, "3"]) -> bool:
         """Whether a point of the mesh's frame, not on the surface, lies inside.
 

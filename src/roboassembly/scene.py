@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import coal
+
 from roboassembly.meshes import Mesh
 from roboassembly.poses import SE3
 
@@ -14,6 +16,13 @@ class Shape:
 
     mesh: Mesh
     body_from_mesh: SE3
+    convex: bool = False
+    """It is known to be convex, so its inside counts too."""
+
+    @property
+    def geometry(self) -> coal.CollisionGeometry:
+        """What collision checks take."""
+        return self.mesh.convex if self.convex else self.mesh.bvh
 
 
 @dataclass(frozen=True, eq=False)

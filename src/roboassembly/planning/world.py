@@ -46,7 +46,7 @@ def collision_pool(scene: Scene) -> Pool:
         own = []
         for s, shape in enumerate(body.shapes):
             placement = shape.body_from_mesh if body.moves else body.pose * shape.body_from_mesh
-            own.append(geometry.addGeometryObject(pin.GeometryObject(f"b{b}/{s}", joint, placement, shape.mesh.bvh)))
+            own.append(geometry.addGeometryObject(pin.GeometryObject(f"b{b}/{s}", joint, placement, shape.geometry)))
         (owners.append if body.moves else still.extend)(own)
     if scene.ground:
         slab = coal.Box(_GROUND_SIZE, _GROUND_SIZE, _GROUND_THICKNESS)

@@ -1,0 +1,88 @@
+"""The shapes of a mobile Franka and what carries them: read once, for planning, physics and pictures alike."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+import pinocchio as pin
+import trimesh
+from jaxtyping import Float
+
+from roboassembly.gripper import hand_bodies, panda_folder
+from roboassembly.meshes import Mesh
+from roboassembly.poses import SE3, transform_points
+from roboassembly.robots.kinematics import JOINTS, arm
+from roboassembly.robots.platform import CLEARANCE, HEIGHT, LENGTH, PLATFORM_FROM_MOUNT, WIDTH
+
+PLATFORM, HAND = 0, JOINTS
+"""Carriers: the platform, joints 1 to 7; the hand is fixed to the last."""
+DOF = 3 + JOINTS
+
+
+@dataclass(frozen=True, eq=False)
+class Link:
+    """A convex shape."""
+
+    name: str
+    carrier: int
+    """0 for the platform, 1 to 7 for what a joint turns."""
+    mesh: Mesh
+    """In the carrier's frame."""
+
+
+@cache
+def links() -> tuple[Link, ...]:
+    """Platform and arm, without the hand; convex hulls of the URDF's collision meshes."""
+    box = trimesh.creation.box((LENGTH, WIDTH, HEIGHT - CLEARANCE))
+    box.apply_translation([0.0, 0.0, 0.5 * (HEIGHT + CLEARANCE)])
+    out = [Link("platform", PLATFORM, Mesh.from_trimesh(box))]
+    folder = panda_folder()
+    urdf = str(folder / "urdf/panda.urdf")
+    model = pin.buildModelFromUrdf(urdf)
+    geometry = pin.buildGeomFromUrdf(
+        model, urdf, pin.GeometryType.COLLISION, package_dirs=[str(folder.parent.parent.parent)]
+    )
+    for shape in geometry.geometryObjects:
+        name = model.frames[shape.parentFrame].name
+        if name.startswith("panda_link"):
+            carrier = shape.parentJoint
+            placement = shape.placement if carrier else PLATFORM_FROM_MOUNT * shape.placement
+            hull = trimesh.convex.convex_hull(transform_points(placement, np.array(shape.geometry.vertices())))
+            out.append(Link(name.removeprefix("panda_"), carrier, Mesh.from_trimesh(hull)))
+    return tuple(out)
+
+
+def hand_links(opening: float) -> tuple[tuple[Link, SE3], ...]:
+    """Palm and fingers, each with its `last_joint_from_mesh`, the pads `opening` metres apart."""
+    tips = SE3(*arm().tips)
+    return tuple(
+        (Link(name, HAND, mesh), tips * pose)
+        for name, (mesh, pose) in zip(("palm", "left_finger", "right_finger"), hand_bodies(opening), strict=True)
+    )
+
+
+def placed(configuration: Float[np.ndarray, "10"], opening: float) -> list[tuple[Link, SE3]]:
+    """Every link with its `world_from_mesh`."""
+    rotations, origins = arm().frames(configuration[None, 3:])
+    platform = world_from_platform(configuration)
+    carriers = [platform]
+    carriers += [platform * PLATFORM_FROM_MOUNT * SE3(r, t) for r, t in zip(rotations[0], origins[0], strict=True)]
+    out = [(link, carriers[link.carrier]) for link in links()]
+    return out + [(link, carriers[HAND] * pose) for link, pose in hand_links(opening)]
+
+
+def world_from_platform(configuration: Float[np.ndarray, "10"]) -> SE3:
+    """Where the platform is."""
+    x, y, angle = configuration[:3]
+    cosine, sine = np.cos(angle), np.sin(angle)
+    turn = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+    return SE3(turn, np.array([x, y, 0.0]))
+
+
+def world_from_tips(configuration: Float[np.ndarray, "10"]) -> SE3:
+    """Where the finger tips are."""
+    tips = arm().poses(configuration[None, 3:])
+    mount = world_from_platform(configuration) * PLATFORM_FROM_MOUNT
+    return mount * SE3(tips.rotation[0], tips.translation[0])

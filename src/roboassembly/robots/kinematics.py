@@ -1,0 +1,148 @@
+"""Where the Panda's hand is for many configurations at once, and which configurations bring it somewhere.
+
+Poses are those of the frame between the finger tips (`gripper.hand_pose`), in the frame of the arm's mount.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+import pinocchio as pin
+from jaxtyping import Bool, Float
+
+from roboassembly.gripper import TIPS, panda_folder
+
+JOINTS = 7
+_STEPS = 12
+"""Of Newton's method, at most; from a near guess three or four do."""
+_LONGEST = 0.35
+"""Radians that a joint turns in one of them."""
+_DAMPING = 1e-4
+POSITION_TOLERANCE = 1e-7
+"""Metres: far below the clearance of a joint between parts."""
+ROTATION_TOLERANCE = 1e-7
+"""Radians."""
+
+
+@dataclass(frozen=True, eq=False)
+class Poses:
+    """Many poses."""
+
+    rotation: Float[np.ndarray, "n 3 3"]
+    translation: Float[np.ndarray, "n 3"]
+
+
+@dataclass(frozen=True, eq=False)
+class Arm:
+    """The Panda's seven joints, one after the other: each turns about the z axis of its own frame."""
+
+    placements: Poses
+    """`before_from_joint` at zero."""
+    tips: tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]
+    """`last_joint_from_tips`."""
+    low: Float[np.ndarray, "7"]
+    high: Float[np.ndarray, "7"]
+    """Radians."""
+
+    def frames(self, q: Float[np.ndarray, "n 7"]) -> tuple[Float[np.ndarray, "n 7 3 3"], Float[np.ndarray, "n 7 3"]]:
+        """Rotation and origin of each joint's frame, turned with it, in the mount's frame."""
+        n = len(q)
+        rotations, origins = np.empty((n, JOINTS, 3, 3)), np.empty((n, JOINTS, 3))
+        rotation, translation = np.broadcast_to(np.eye(3), (n, 3, 3)), np.zeros((n, 3))
+        cosine, sine = np.cos(q), np.sin(q)
+        for j in range(JOINTS):
+            translation = translation + rotation @ self.placements.translation[j]
+            rotation = rotation @ self.placements.rotation[j]
+            c, s = cosine[:, j, None], sine[:, j, None]
+            x, y = rotation[..., 0], rotation[..., 1]
+            rotation = np.stack([c * x + s * y, c * y - s * x, rotation[..., 2]], axis=-1)
+            rotations[:, j], origins[:, j] = rotation, translation
+        return rotations, origins
+
+    def poses(self, q: Float[np.ndarray, "n 7"]) -> Poses:
+        """`mount_from_tips`."""
+        return self._tips(*self.frames(q))
+
+    def jacobians(self, q: Float[np.ndarray, "n 7"]) -> tuple[Poses, Float[np.ndarray, "n 6 7"]]:
+        """`mount_from_tips`, and the geometric Jacobians: linear rows first, in the mount's axes, at the tips."""
+        rotations, origins = self.frames(q)
+        tips, axes = self._tips(rotations, origins), rotations[..., 2]
+        linear = np.cross(axes, tips.translation[:, None] - origins)
+        return tips, np.concatenate([linear, axes], axis=2).transpose(0, 2, 1)
+
+    def _tips(self, rotations: Float[np.ndarray, "n 7 3 3"], origins: Float[np.ndarray, "n 7 3"]) -> Poses:
+        last = rotations[:, -1]
+        return Poses(last @ self.tips[0], origins[:, -1] + last @ self.tips[1])
+
+    def solve(
+        self, wanted: Poses, guess: Float[np.ndarray, "n 7"]
+    ) -> tuple[Float[np.ndarray, "n 7"], Bool[np.ndarray, "n"]]:
+        """Configurations within the joints' limits that bring the tips to the wanted poses, and where that was found.
+
+        Newton's method with a little damping, on all at once.
+
+        Args:
+            wanted: `mount_from_tips`.
+            guess: configurations to start from.
+        """
+        q = np.array(guess, dtype=float)
+        done = np.zeros(len(q), dtype=bool)
+        active = np.arange(len(q))
+        for _ in range(_STEPS):
+            tips, jacobian = self.jacobians(q[active])
+            off = wanted.translation[active] - tips.translation
+            turn = rotation_vectors(wanted.rotation[active] @ tips.rotation.transpose(0, 2, 1))
+            near = (np.linalg.norm(off, axis=1) < POSITION_TOLERANCE) & (
+                np.linalg.norm(turn, axis=1) < ROTATION_TOLERANCE
+            )
+            done[active[near]] = True
+            keep = ~near
+            if not keep.any():
+                break
+            active, jacobian = active[keep], jacobian[keep]
+            error = np.concatenate([off, turn], axis=1)[keep]
+            square = jacobian @ jacobian.transpose(0, 2, 1) + _DAMPING**2 * np.eye(6)
+            step = np.einsum("nij,ni->nj", jacobian, np.linalg.solve(square, error[..., None])[..., 0])
+            step *= np.minimum(1.0, _LONGEST / np.maximum(np.abs(step).max(axis=1), 1e-12))[:, None]
+            q[active] += step
+        return q, done & self.within(q)
+
+    def within(self, q: Float[np.ndarray, "n 7"]) -> Bool[np.ndarray, "n"]:
+        """Whether the joints' limits are kept."""
+        return np.asarray(((q >= self.low) & (q <= self.high)).all(axis=1))
+
+    def manipulability(self, q: Float[np.ndarray, "n 7"]) -> Float[np.ndarray, "n"]:
+        """Yoshikawa's measure (1985, "Manipulability of Robotic Mechanisms"): the volume of the velocity ellipsoid."""
+        _, jacobian = self.jacobians(q)
+        return np.sqrt(np.maximum(np.linalg.det(jacobian @ jacobian.transpose(0, 2, 1)), 0.0))
+
+
+@cache
+def arm() -> Arm:
+    """The Panda's, from its URDF."""
+    model = pin.buildModelFromUrdf(str(panda_folder() / "urdf/panda.urdf"))
+    placements = [model.jointPlacements[i] for i in range(1, JOINTS + 1)]
+    tips = model.frames[model.getFrameId(TIPS)].placement
+    return Arm(
+        Poses(np.array([p.rotation for p in placements]), np.array([p.translation for p in placements])),
+        (np.array(tips.rotation), np.array(tips.translation)),
+        np.array(model.lowerPositionLimit[:JOINTS]),
+        np.array(model.upperPositionLimit[:JOINTS]),
+    )
+
+
+def rotation_vectors(rotation: Float[np.ndarray, "n 3 3"]) -> Float[np.ndarray, "n 3"]:
+    """Axis times angle; near half a turn only roughly, which Newton's method does not mind."""
+    skew = 0.5 * np.stack(
+        [
+            rotation[:, 2, 1] - rotation[:, 1, 2],
+            rotation[:, 0, 2] - rotation[:, 2, 0],
+            rotation[:, 1, 0] - rotation[:, 0, 1],
+        ],
+        axis=1,
+    )
+    sine = np.linalg.norm(skew, axis=1)
+    angle = np.arctan2(sine, 0.5 * (np.trace(rotation, axis1=1, axis2=2) - 1.0))
+    return skew * np.where(sine > 1e-12, angle / np.maximum(sine, 1e-12), 1.0)[:, None]

@@ -1,0 +1,205 @@
+"""One mobile Franka among still things: exact checks against python-fcl, certified edges, paths and lines."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import fcl
+import numpy as np
+import pytest
+
+from roboassembly.furniture import catalogue
+from roboassembly.meshes import Mesh
+from roboassembly.planning.problem import Budget
+from roboassembly.planning.robot_path import Floor, connect, line, path_is_free
+from roboassembly.planning.robot_world import Held, RobotWorld
+from roboassembly.poses import SE3, rotation_angle
+from roboassembly.robots.body import DOF, placed, world_from_tips
+from roboassembly.robots.kinematics import arm
+from roboassembly.scene import Body, Shape
+from shapes import brick, fcl_object, pose, still
+
+OPENING = 0.03
+FOLDED = np.array([0.0, -1.2, 0.0, -2.6, 0.0, 2.0, 0.785])
+
+
+class RobotChecker:
+    """Whether a robot and what it holds hit still things or the ground: python-fcl on the same triangles."""
+
+    def __init__(self, others: Sequence[Body], held: Held | None) -> None:
+        self._held = () if held is None else held.shapes
+        self._others = [fcl_object(s.mesh, b.pose * s.body_from_mesh) for b in others for s in b.shapes]
+        self._own: dict[int, fcl.CollisionObject] = {}
+
+    def hits(self, q: np.ndarray) -> bool:
+        tips = world_from_tips(q)
+        own = [(link.mesh, where) for link, where in placed(q, OPENING)]
+        own += [(s.mesh, tips * s.body_from_mesh) for s in self._held]
+        return any(self._touches(index, mesh, where) for index, (mesh, where) in enumerate(own))
+
+    def _touches(self, index: int, mesh: Mesh, where: SE3) -> bool:
+        if (mesh.vertices @ where.rotation[2]).min() + where.translation[2] <= 0.0:
+            return True
+        thing = self._own.setdefault(index, fcl_object(mesh, where))
+        thing.setTransform(fcl.Transform(where.rotation, where.translation))
+        # A solid wholly inside another has no touching surface: robots and parts here are too large for that.
+        return any(fcl.collide(thing, other, fcl.CollisionRequest(), fcl.CollisionResult()) for other in self._others)
+
+
+@pytest.fixture(scope="module")
+def around() -> list[Body]:
+    """Half of a chair's parts, hanging around."""
+    furniture = catalogue.make("ladder", 0)
+    n = len(furniture.parts) // 2
+    return [
+        still(f"part{i}", p.mesh, SE3(a.rotation, np.array([1.3 * (i % 3), 1.3 * (i // 3), 0.8])))
+        for i, (p, a) in enumerate(zip(furniture.parts[n:], furniture.assembled[n:], strict=True))
+    ]
+
+
+RACKET = Held((Shape(brick(0.6, 0.028, 0.03), pose(z=0.01)), Shape(brick(0.3, 0.3, 0.02), pose(z=0.06))))
+"""A bar between the pads, a plate in front of it."""
+
+
+def drawn(rng: np.random.Generator, n: int) -> np.ndarray:
+    place = np.concatenate([rng.uniform(-0.5, 3.0, (n, 2)), rng.uniform(-np.pi, np.pi, (n, 1))], axis=1)
+    return np.concatenate([place, rng.uniform(arm().low, arm().high, (n, 7))], axis=1)
+
+
+@pytest.mark.parametrize("held", [None, RACKET], ids=["empty", "loaded"])
+def test_free_means_what_fcl_finds_free(around: list[Body], held: Held | None) -> None:
+    rng = np.random.default_rng(0)
+    q = drawn(rng, 150)
+    world, empty = RobotWorld(around, OPENING, held), RobotWorld([], OPENING, held)
+    checker = RobotChecker(around, held)
+    free, alone = world.free(q), empty.free(q)
+    assert world.states == len(q)
+    assert not (free & ~alone).any()
+    hits = np.array([checker.hits(c) for c in q])
+    # What the robot does to itself aside, both say the same.
+    assert (~free & alone == hits & alone).all()
+    assert 5 < (hits & alone).sum() < 145
+
+
+def test_the_robot_may_not_fold_into_itself() -> None:
+    world, rng = RobotWorld([], OPENING), np.random.default_rng(4)
+    assert world.free(np.array([[0.0, 0.0, 0.0, *FOLDED]])).all()
+    q = np.concatenate([np.zeros((300, 3)), rng.uniform(arm().low, arm().high, (300, 7))], axis=1)
+    low, high = ("platform", "link0", "link1"), ("link5", "link6", "palm", "left_finger", "right_finger")
+    hits = 0
+    for free, c in zip(world.free(q), q, strict=True):
+        where = {link.name: fcl_object(link.mesh, at) for link, at in placed(c, OPENING)}
+        request, result = fcl.CollisionRequest(), fcl.CollisionResult()
+        folded = any(fcl.collide(where[a], where[b], request, result) for a in low for b in high)
+        hits += folded
+        assert not (free and folded)
+    assert hits > 5
+
+
+@pytest.mark.parametrize("held", [None, RACKET], ids=["empty", "loaded"])
+def test_certified_edges_are_free_all_along(around: list[Body], held: Held | None) -> None:
+    rng = np.random.default_rng(1)
+    world, dense = RobotWorld(around, OPENING, held), RobotWorld(around, OPENING, held)
+    q = drawn(rng, 600)
+    q = q[world.free(q)]
+    told = []
+    for a, b in pairwise(q[:80]):
+        b = a + (b - a) * rng.uniform(0.02, 0.3)
+        before = world.states
+        told.append(world.edge_is_free(a, b))
+        spent = world.states - before
+        # 3 mm of the farthest point: the platform's way, and each joint's turn by at most 1.8 m.
+        count = int(np.ceil((np.linalg.norm((b - a)[:2]) + 1.8 * np.abs(b - a)[2:].sum()) / 0.003))
+        assert told[-1] == dense.free(a + np.outer(np.linspace(0.0, 1.0, count + 1), b - a)).all()
+        assert spent < count or not told[-1]
+    assert 10 < sum(told) < 70
+
+
+def test_clearance_is_a_margin_that_is_kept() -> None:
+    wall = still("wall", brick(0.02, 4.0, 2.0), pose(x=1.0, z=1.0))
+    world = RobotWorld([wall], OPENING)
+    q = np.array([0.0, 0.0, np.pi, *FOLDED])
+    # The platform turned away from the wall: its corner is 0.29 m behind its middle.
+    for gap in (0.2, 0.03, 0.003):
+        at = q.copy()
+        at[0] = 0.99 - 0.29 - gap
+        kept = world.clearance(at[None])[0]
+        assert kept <= gap
+        assert kept >= min(gap, 0.06) - 0.05
+    inside = q.copy()
+    inside[0] = 0.8
+    assert world.clearance(inside[None])[0] == 0.0
+
+
+def test_a_path_leads_around_and_is_free(around: list[Body]) -> None:
+    held = RACKET
+    start, goal = np.array([-1.5, -1.5, 0.0, *FOLDED]), np.array([3.5, 3.5, 2.0, *FOLDED])
+    ways = []
+    for _ in range(2):
+        world = RobotWorld(around, OPENING, held)
+        assert world.free(np.array([start, goal])).all()
+        ways.append(connect(world, start, goal, Floor(5.0), Budget(20_000), 7))
+    path = ways[0]
+    assert path is not None
+    assert ways[1] is not None
+    assert all(np.array_equal(a, b) for a, b in zip(path, ways[1], strict=True))
+    assert np.array_equal(path[0], start)
+    assert np.allclose(path[-1], goal)
+    checker = RobotChecker(around, held)
+    states = [a + f * (b - a) for a, b in pairwise(path) for f in np.linspace(0.0, 1.0, 25)]
+    assert not any(checker.hits(q) for q in states)
+    assert max(np.abs(q[:2]).max() for q in states) <= 5.0
+
+
+def test_a_spent_budget_gives_no_path() -> None:
+    pen = [still(f"wall{i}", brick(4.0, 0.05, 1.5), w) for i, w in enumerate(_walls())]
+    world = RobotWorld(pen, OPENING)
+    start, goal = np.array([0.0, 0.0, 0.0, *FOLDED]), np.array([5.0, 0.0, 0.0, *FOLDED])
+    assert world.free(np.array([start, goal])).all()
+    assert connect(world, start, goal, Floor(8.0), Budget(1_500), 0) is None
+    assert world.states < 5_000
+
+
+def _walls() -> list[SE3]:
+    quarter = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    return [pose(y=2.0, z=0.75), pose(y=-2.0, z=0.75), pose(2.0, 0.0, 0.75, quarter), pose(-2.0, 0.0, 0.75, quarter)]
+
+
+@pytest.mark.parametrize("drive", [True, False])
+def test_the_hand_goes_straight_and_does_not_turn(drive: bool) -> None:
+    start = np.array([0.3, -0.2, 0.8, 0.1, -0.5, 0.2, -2.2, 0.1, 1.9, 0.6])
+    offset = np.array([0.06, 0.04, 0.08])
+    way = line(start, offset, drive=drive)
+    assert way is not None
+    from_, along = world_from_tips(start), offset / np.linalg.norm(offset)
+    for a, b in pairwise(way):
+        for f in np.linspace(0.0, 1.0, 9):
+            tips = world_from_tips(a + f * (b - a))
+            off = tips.translation - from_.translation
+            assert np.linalg.norm(off - along * (off @ along)) < 2e-4
+            assert rotation_angle(tips.rotation.T @ from_.rotation) < 1e-3
+    assert world_from_tips(way[-1]).translation == pytest.approx(from_.translation + offset, abs=1e-6)
+    moved = np.linalg.norm(way[-1][:2] - start[:2])
+    assert moved == pytest.approx(np.hypot(0.06, 0.04) if drive else 0.0)
+
+
+def test_level_lines_are_driven_and_what_the_arm_cannot_is_refused() -> None:
+    start = np.array([0.0, 0.0, 0.0, *FOLDED])
+    driven = line(start, np.array([1.0, -2.0, 0.0]))
+    assert driven is not None
+    assert len(driven) == 2
+    assert np.array_equal(driven[1] - driven[0], [1.0, -2.0, *np.zeros(DOF - 2)])
+    assert line(start, np.array([0.0, 0.0, 2.0])) is None
+    assert line(start, np.zeros(3)) == (start,)
+
+
+def test_a_line_into_a_wall_is_not_free() -> None:
+    wall = still("wall", brick(0.02, 4.0, 2.0), pose(x=1.5, z=1.0))
+    world = RobotWorld([wall], OPENING)
+    start = np.array([0.0, 0.0, 0.0, *FOLDED])
+    short, long = (line(start, np.array([x, 0.0, 0.0])) for x in (0.2, 1.5))
+    assert short is not None
+    assert long is not None
+    assert path_is_free(world, short)
+    assert not path_is_free(world, long)
