@@ -15,7 +15,7 @@ from roboassembly.learning.features import of_ways
 from roboassembly.learning.lessons import Course, Teacher, answers
 from roboassembly.learning.tokens import Tokens
 from roboassembly.learning.views import VIEWS, Change, seen, ways_after
-from roboassembly.task.object_centric import UP_AXES
+from roboassembly.task.rules import UP_AXES
 
 
 @pytest.fixture(scope="module")

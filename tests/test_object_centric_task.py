@@ -14,8 +14,9 @@ from roboassembly.poses import SE3
 from roboassembly.scene import Scene
 from roboassembly.task.groups import Group, TaskState, body, center_of_mass, hull_points
 from roboassembly.task.layout import GROUND_CLEARANCE, group_footprint
-from roboassembly.task.object_centric import UP_AXES, ObjectCentricTask, Outcome, Verdict
+from roboassembly.task.object_centric import ObjectCentricTask, Outcome, Verdict
 from roboassembly.task.plan import SETTLING_INTERVAL
+from roboassembly.task.rules import UP_AXES
 from shapes import Checker, pose, turn
 
 UP, DOWN = 0, 1

@@ -149,8 +149,7 @@ def _convex_shapes(back: float) -> tuple[Any, ...]:
     shapes = []
     for mesh in (hand.palm, *hand.fingers):
         swept = Mesh.from_trimesh(_hull(np.concatenate([mesh.vertices, mesh.vertices - [0.0, 0.0, back]])))
-        swept.bvh.buildConvexHull(True, "Qt")
-        shapes.append(swept.bvh.convex)
+        shapes.append(swept.convex)
     return tuple(shapes)
 
 

@@ -143,6 +143,12 @@ def poses_to_configurations(poses: Sequence[SE3]) -> Float[np.ndarray, "7 n"]:
     return out
 
 
+def turn_about_vertical(angle: float) -> Float[np.ndarray, "3 3"]:
+    """Rotation by an angle, radians, about z."""
+    cosine, sine = np.cos(angle), np.sin(angle)
+    return np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+
+
 def align_axis(source: Float[np.ndarray, "3"], target: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
     """The smallest rotation that takes the unit vector `source` to the unit vector `target`."""
     quaternion = pin.Quaternion.FromTwoVectors(np.asarray(source, float), np.asarray(target, float))

@@ -16,7 +16,8 @@ from roboassembly.furniture import catalogue
 from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS, Furniture
 from roboassembly.planning.problem import Budget
 from roboassembly.task.groups import TaskState
-from roboassembly.task.object_centric import UP_AXES, ObjectCentricTask, Outcome, Verdict
+from roboassembly.task.object_centric import ObjectCentricTask, Outcome, Verdict
+from roboassembly.task.rules import UP_AXES
 
 MERGE_REWARD = 1.0
 COMPLETION_REWARD = 4.0

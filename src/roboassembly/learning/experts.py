@@ -17,7 +17,8 @@ from jaxtyping import Bool, Float32, Int
 from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS
 from roboassembly.learning.layers import Array, Params, gelu, init_linear, init_mlp, linear, mlp
 from roboassembly.task.groups import TaskState
-from roboassembly.task.object_centric import UP_AXES, ObjectCentricTask, Verdict
+from roboassembly.task.object_centric import ObjectCentricTask, Verdict
+from roboassembly.task.rules import UP_AXES
 
 KIND = "expert"
 """Of checkpoints."""

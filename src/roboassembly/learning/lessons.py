@@ -27,7 +27,8 @@ from roboassembly.learning.situation import Situation, groups_of
 from roboassembly.learning.tokens import Memory, Tokens, tokens_of
 from roboassembly.solvers.oracle import Joint, Oracle
 from roboassembly.task.groups import TaskState
-from roboassembly.task.object_centric import UP_AXES, ObjectCentricTask
+from roboassembly.task.object_centric import ObjectCentricTask
+from roboassembly.task.rules import UP_AXES
 
 CLOUD_POINTS = 2048
 """A part, as the relational policy sees it: fine enough to show tenons and holes."""

@@ -34,7 +34,7 @@ from roboassembly.learning import autoencoder
 from roboassembly.learning.autoencoder import CLOUD_POINTS, FEATURE
 from roboassembly.learning.checkpoint import Checkpoint
 from roboassembly.learning.layers import Array, Params, gelu, init_linear, init_norm, linear, norm
-from roboassembly.task.object_centric import UP_AXES
+from roboassembly.task.rules import UP_AXES
 
 KIND = "paper"
 """Of checkpoints."""

@@ -30,7 +30,7 @@ from roboassembly.learning.paper import STATE, PaperConfig, PaperState
 from roboassembly.learning.processes import made_ahead
 from roboassembly.learning.runs import Run
 from roboassembly.learning.views import Change
-from roboassembly.task.object_centric import UP_AXES
+from roboassembly.task.rules import UP_AXES
 
 LAMBDA = 50.0
 """The paper's weight of L2."""

@@ -27,8 +27,9 @@ from roboassembly.planning.problem import Budget
 from roboassembly.poses import SE3
 from roboassembly.task.groups import Group, TaskState
 from roboassembly.task.layout import free_spot, group_footprint
-from roboassembly.task.object_centric import UP_AXES, ObjectCentricTask, Verdict
+from roboassembly.task.object_centric import ObjectCentricTask, Verdict
 from roboassembly.task.pairs import ANGLE_TOLERANCE, POSITION_TOLERANCE
+from roboassembly.task.rules import UP_AXES
 
 BUDGET = Budget(states=0)
 """Of the planner: straight retreats only. What they do not solve, a sampling planner seldom does."""

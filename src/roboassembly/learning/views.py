@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from roboassembly.learning.tokens import GRID_STEPS, Tokens
-from roboassembly.task.object_centric import UP_AXES
+from roboassembly.task.rules import UP_AXES
 
 _SCALES = (0.7, 1.4)
 

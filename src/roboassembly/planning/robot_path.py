@@ -42,12 +42,15 @@ class Floor:
 def connect(
     world: RobotWorld, start: Configuration, goal: Configuration, floor: Floor, budget: Budget, seed: int
 ) -> Path | None:
-    """Way-points from `start` to `goal`, both known to be free; None if the budget ran out.
+    """Way-points from `start` to `goal`; None if either is not free or the budget ran out.
 
     The platform turns the short way round.
     """
     begun = time.perf_counter()
     goal = nearest_turn(goal, start)
+    # OMPL would wait for another goal for ever.
+    if not world.free(np.array([start, goal])).all():
+        return None
     if world.edge_is_free(start, goal):
         return start, goal
     space = base.RealVectorStateSpace(DOF)

@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from roboassembly.gripper import hand_bodies, panda_folder
 from roboassembly.meshes import Mesh
-from roboassembly.poses import SE3, transform_points
+from roboassembly.poses import SE3, transform_points, turn_about_vertical
 from roboassembly.robots.kinematics import JOINTS, arm
 from roboassembly.robots.platform import CLEARANCE, HEIGHT, LENGTH, PLATFORM_FROM_MOUNT, WIDTH
 
@@ -76,9 +76,7 @@ def placed(configuration: Float[np.ndarray, "10"], opening: float) -> list[tuple
 def world_from_platform(configuration: Float[np.ndarray, "10"]) -> SE3:
     """Where the platform is."""
     x, y, angle = configuration[:3]
-    cosine, sine = np.cos(angle), np.sin(angle)
-    turn = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
-    return SE3(turn, np.array([x, y, 0.0]))
+    return SE3(turn_about_vertical(angle), np.array([x, y, 0.0]))
 
 
 def world_from_tips(configuration: Float[np.ndarray, "10"]) -> SE3:

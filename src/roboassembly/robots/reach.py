@@ -25,6 +25,8 @@ _LIMBER = 0.02
 """Yoshikawa's measure that they have at least; the Panda's best is about 0.14."""
 _METRES_A_RADIAN = 0.3
 """How much farther away, for the look-up, is a row of another tilt."""
+_GUIDE_ROW = 64
+"""The so many-th nearest row tells how many are near."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,6 +87,12 @@ def reach(world_from_tips: SE3, count: int, rng: np.random.Generator) -> Reach:
     q, found = arm().solve(in_mount(place, world_from_tips), table.q[rows])
     configurations = np.concatenate([place, q], axis=1)[found]
     return Reach(configurations, arm().manipulability(q[found]))
+
+
+def nearness(world_from_tips: Poses) -> Float[np.ndarray, "n"]:
+    """How far the table's rows are from each pose, metres and tilt together: the less, the more ways there are."""
+    far, _ = _table().tree.query(_keys(world_from_tips), k=[_GUIDE_ROW])
+    return far[:, 0]
 
 
 def in_mount(place: Float[np.ndarray, "n 3"], world_from_tips: SE3) -> Poses:

@@ -15,7 +15,7 @@ import numpy as np
 from roboassembly.furniture.model import Furniture
 from roboassembly.solvers.blocking import BlockingGraphs
 from roboassembly.task.groups import TaskState
-from roboassembly.task.object_centric import UP_AXES
+from roboassembly.task.rules import UP_AXES
 
 Parts = frozenset[int]
 """Slots of the furniture, which is what is reasoned about: equal parts may have swapped theirs."""

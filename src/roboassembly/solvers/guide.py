@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol, TypeVar
 
-from roboassembly.task.groups import TaskState
-from roboassembly.task.object_centric import ObjectCentricTask
+State_contra = TypeVar("State_contra", contravariant=True)
 
 
 @dataclass(frozen=True)
@@ -20,9 +19,9 @@ class Suggestion:
     """How likely the furniture can still be finished after it, 0 to 1."""
 
 
-class Guide(Protocol):
+class Guide(Protocol[State_contra]):
     """Suggests what to do in a state."""
 
-    def __call__(self, task: ObjectCentricTask, state: TaskState) -> Sequence[Suggestion]:
+    def __call__(self, task: Any, state: State_contra) -> Sequence[Suggestion]:
         """Actions worth trying, the most promising first; any may be wrong, and there may be none."""
         ...

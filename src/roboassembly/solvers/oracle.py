@@ -18,8 +18,9 @@ from jaxtyping import Bool, Float
 from roboassembly.furniture.model import SAME_POINT
 from roboassembly.solvers.blocking import BlockingGraphs
 from roboassembly.task.groups import TaskState
-from roboassembly.task.object_centric import UP_AXES, ObjectCentricTask
+from roboassembly.task.object_centric import ObjectCentricTask
 from roboassembly.task.pairs import Merge
+from roboassembly.task.rules import UP_AXES
 
 Parts = frozenset[int]
 """Slots of the furniture."""

@@ -8,7 +8,8 @@ import numpy as np
 
 from roboassembly.planning.problem import Budget
 from roboassembly.task.groups import TaskState, corresponding_point
-from roboassembly.task.object_centric import UP_AXES, ObjectCentricTask, Verdict
+from roboassembly.task.object_centric import ObjectCentricTask, Verdict
+from roboassembly.task.rules import UP_AXES
 
 
 @dataclass(frozen=True, eq=False)

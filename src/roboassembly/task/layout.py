@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from roboassembly.furniture.model import Furniture
 from roboassembly.meshes import Mesh
-from roboassembly.poses import SE3
+from roboassembly.poses import SE3, turn_about_vertical
 from roboassembly.task.groups import Group, TaskState, hull_points
 
 GROUND_CLEARANCE = 1e-3
@@ -110,8 +110,7 @@ def scattered(furniture: Furniture, rng: np.random.Generator) -> TaskState:
     for part in furniture.parts:
         rotations, likely = resting_rotations(part.mesh)
         rest = rotations[rng.choice(len(rotations), p=likely)]
-        yaw = rng.uniform(-np.pi, np.pi)
-        turn = np.array([[np.cos(yaw), -np.sin(yaw), 0.0], [np.sin(yaw), np.cos(yaw), 0.0], [0.0, 0.0, 1.0]]) @ rest
+        turn = turn_about_vertical(rng.uniform(-np.pi, np.pi)) @ rest
         points = part.mesh.hull_vertices @ turn.T
         placed.append((SE3(turn, np.array([0.0, 0.0, GROUND_CLEARANCE - points[:, 2].min()])), footprint(points)))
     side = float(np.sqrt(sum(np.pi * (c.radius + SPACING) ** 2 for _, c in placed) / _CROWDING))

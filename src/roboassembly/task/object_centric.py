@@ -5,16 +5,16 @@ Everything here is a pure function of state, action and seed; the environment an
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import StrEnum
-from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS, Furniture
+from roboassembly.furniture.model import Furniture
 from roboassembly.planning.mating import MatingProblem, plan_mating
-from roboassembly.planning.problem import Budget, PathResult, PlanningStatus
+from roboassembly.planning.problem import Budget, PathResult
 from roboassembly.planning.world import CollisionWorld
 from roboassembly.poses import SE3, align_axis
 from roboassembly.scene import Scene
@@ -23,13 +23,7 @@ from roboassembly.task.groups import Group, TaskState, body, center_of_mass, hul
 from roboassembly.task.layout import GROUND_CLEARANCE, Circle, footprint, free_spot, group_footprint, scattered
 from roboassembly.task.pairs import Merge, PairRule
 from roboassembly.task.plan import SETTLING_INTERVAL, PlanStep
-
-UP_AXES: Float[np.ndarray, "6 3"] = np.array(
-    [[0, 0, 1], [0, 0, -1], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]], dtype=float
-)
-"""The axis of the furniture's frame that points up while v's group waits, for each `w`."""
-_AGAINST = -0.2
-"""Cosine: a retreat may run this much against a contact's normal, because a patch's mean normal is only a mean."""
+from roboassembly.task.rules import UP_AXES, Rules
 
 
 class Verdict(StrEnum):
@@ -80,40 +74,33 @@ class ObjectCentricTask:
     def __init__(self, furniture: Furniture, budget: Budget | None = None) -> None:
         self.furniture = furniture
         self.budget = budget or Budget()
+        self.rules = Rules(furniture)
 
-    @cached_property
+    @property
     def pairs(self) -> PairRule:
         """Which pairs are right."""
-        return PairRule(self.furniture)
-
-    @cached_property
-    def _has_point(self) -> Bool[np.ndarray, "parts points"]:
-        counts = np.array([len(p.points) for p in self.furniture.parts])
-        return np.arange(MAX_POINTS)[None] < counts[:, None]
+        return self.rules.pairs
 
     def initial_state(self, rng: np.random.Generator) -> TaskState:
         """All parts apart, at random on the ground."""
         return scattered(self.furniture, rng)
 
+    def joined(self, state: TaskState) -> TaskState:
+        """The groups of a state: all that it is."""
+        return state
+
+    def own_places(self, state: TaskState) -> Iterator[TaskState]:
+        """The same state told so that every slot is claimed once (`PairRule.own_places`)."""
+        return self.pairs.own_places(state)
+
     def free_points(self, state: TaskState) -> Bool[np.ndarray, "20 10"]:
         """Which connection points exist and do not touch anything yet, padded."""
-        free = np.zeros((MAX_PARTS, MAX_POINTS), dtype=bool)
-        free[: len(self.furniture.parts)] = self._has_point
-        for part, point in state.occupied(self.furniture):
-            free[part, point] = False
-        return free
+        return self.rules.free_points(state)
 
     def exists(self, state: TaskState, action: tuple[int, ...]) -> bool:
         """Whether the action names free points of two parts in different groups."""
-        u, v, k, l, w = action  # noqa: E741
-        n = len(self.furniture.parts)
-        if not (0 <= u < n and 0 <= v < n and 0 <= w < len(UP_AXES)):
-            return False
-        if not (0 <= k < len(self.furniture.parts[u].points) and 0 <= l < len(self.furniture.parts[v].points)):
-            return False
-        if state.group_of[u] == state.group_of[v]:
-            return False
-        return not {(u, k), (v, l)} & state.occupied(self.furniture)
+        *pair, w = action
+        return 0 <= w < len(UP_AXES) and self.rules.pair_exists(state, *pair)
 
     def step(self, state: TaskState, action: tuple[int, ...], seed: int, budget: Budget | None = None) -> Outcome:
         """Carry out `(u, v, k, l, w)`.
@@ -185,37 +172,9 @@ class ObjectCentricTask:
             start=mover.pose,
             goal=mating.u_goal.world_from_furniture * shift,
             partner="waiting",
-            retreats=tuple(turn @ d for d in self.retreats(mating, turn)),
+            retreats=tuple(turn @ d for d in self.rules.retreats(mating.u_group, mating.v_group, mating.merged, turn)),
         )
         return Scene((mover, *still)), turn, problem
-
-    def retreats(self, mating: Mating, turn: Float[np.ndarray, "3 3"]) -> list[Float[np.ndarray, "3"]]:
-        """Directions in the furniture's frame along which u's group may let go of v's, the most promising first.
-
-        Candidates are the contact normals and their mean, the long axes of the parts that meet, and the axes of the
-        furniture; those against a contact's normal are left out.
-        """
-        slot_of = dict(zip(mating.merged.parts, mating.merged.slots, strict=True))
-        u_slots = {slot_of[p] for p in mating.u_group.parts}
-        v_slots = {slot_of[p] for p in mating.v_group.parts}
-        normals, axes = [], [*UP_AXES]
-        for slot in sorted(v_slots):
-            for k, point in enumerate(self.furniture.parts[slot].points):
-                other = self.furniture.mate_of.get((slot, k))
-                if other is not None and other[0] in u_slots:
-                    normals.append(self.furniture.assembled[slot].rotation @ point.normal)
-                    for meeting in (slot, other[0]):
-                        own = self.furniture.assembled[meeting].rotation @ self.furniture.parts[meeting].mesh.long_axis
-                        axes.extend([own, -own])
-        along = np.array(normals)
-        mean = along.sum(axis=0)
-        if np.linalg.norm(mean) > 1e-6:
-            axes.append(mean / np.linalg.norm(mean))
-        candidates = np.concatenate([along, np.array(axes)])
-        against = (candidates @ along.T).min(axis=1)
-        rising = (candidates @ turn.T)[:, 2]
-        order = np.argsort(-np.round(against + 0.3 * rising, 3), kind="stable")
-        return [candidates[i] for i in order if against[i] > _AGAINST]
 
     def _apply(self, state: TaskState, action: tuple[int, ...], mating: Mating, result: PathResult) -> Outcome:
         others = [group_footprint(self.furniture, g) for g in mating.others]
@@ -253,6 +212,3 @@ class ObjectCentricTask:
             planning_seconds=result.seconds,
         )
         return Outcome(Verdict.MERGED, after, step, result.states, result.seconds)
-
-
-__all__ = ["UP_AXES", "Mating", "ObjectCentricTask", "Outcome", "PlanningStatus", "Verdict"]

@@ -17,12 +17,14 @@ from roboassembly.furniture.contacts import Contact, find_contacts
 from roboassembly.furniture.generate.pieces import Build, Piece, as_parts
 from roboassembly.furniture.generate.solids import from_triangles, triangles
 from roboassembly.furniture.model import RawPart
-from roboassembly.furniture.repair import repair
+from roboassembly.furniture.repair import RepairLimits, repair
 from roboassembly.meshes import Mesh
 
 _TRIES = 20
 _SHALLOWEST, _DEEPEST = 0.0003, 0.012
 """Metres that a part is driven into another; shallow is as frequent as deep."""
+_LIMITS = RepairLimits(openings=8)
+"""What needs more is not worth the minutes that it would take."""
 _ALIKE = 0.02
 """Share of the volume that two parts may differ by to be driven in alike."""
 
@@ -33,7 +35,7 @@ def build(bases: Sequence[Build], rng: np.random.Generator | None) -> list[Piece
     for _ in range(_TRIES):
         try:
             parts = as_parts(bases[int(rng.integers(len(bases)))](rng))
-            repaired = repair(_driven_in(parts, rng)).parts
+            repaired = repair(_driven_in(parts, rng), limits=_LIMITS).parts
             return [Piece(p.name, p.label, from_triangles(p.mesh.vertices, p.mesh.faces)) for p in repaired]
         except FurnitureError:
             continue  # some overlaps are refused

@@ -17,5 +17,7 @@ class RepairLimits:
     """Metres that the delivered surface may stick out of the solid made of it (99th percentile)."""
     faces: int = 3000
     """Triangles a part is simplified to; where it is trimmed in many places it may keep a few more."""
+    openings: int = 24
+    """Sockets cut open before giving up; each may take seconds."""
     captive: bool = False
     """Whether parts may be left that hold each other fast, so that none of them can leave in any direction."""

@@ -21,8 +21,6 @@ from roboassembly.furniture.repair.surface import to_surface
 from roboassembly.furniture.repair.trim import Cut, cut_with, inflate
 from roboassembly.poses import align_axis
 
-MAX_CUTS = 24
-"""Openings cut before giving up."""
 MAX_WHOLE = 7
 """Of a captive set of up to this many parts every subset is tried as the one that leaves; of larger ones, single
 parts and pairs."""
@@ -69,7 +67,7 @@ def open_up(pieces: list[Piece], gap: float, limits: RepairLimits) -> None:
     given_up: set[Parts] = set()
     tried: set[_Way] = set()
     memory = Memory()
-    for _ in range(MAX_CUTS):
+    for _ in range(limits.openings):
         shells = [piece.shell for piece in pieces]
         graph = blocking(shells, memory)
         exits = Exits(shells, graph, memory)

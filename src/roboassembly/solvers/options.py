@@ -1,0 +1,99 @@
+"""Which actions join two sub-assemblies, the most promising first: for the search, once it knows what to join."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import product
+
+import numpy as np
+
+from roboassembly.furniture.model import Furniture
+from roboassembly.solvers.disassembly import Disassembly, Parts
+from roboassembly.task.full import FullState, FullTask, Joint
+from roboassembly.task.groups import TaskState, corresponding_point
+from roboassembly.task.rules import UP_AXES
+
+_HOPELESS = -0.5
+"""Score of an option that the first round leaves out: it would end in the ground, or leave the joint downward."""
+_ARMS = 8
+"""Actions tried that pass all tests before arms come in."""
+Action = tuple[int, ...]
+End = tuple[int, int]
+"""Part and point."""
+
+
+def ends(furniture: Furniture, state: TaskState, leaving: Parts, staying: Parts) -> Iterator[tuple[End, End]]:
+    """Parts and points of both groups that touch when the groups are joined: the leaving one's first."""
+    part_in = {slot: part for g in state.groups for part, slot in zip(g.parts, g.slots, strict=True)}
+    for c in furniture.connections:
+        a, b = (c.part_a, c.point_a), (c.part_b, c.point_b)
+        if c.part_a in staying and c.part_b in leaving:
+            a, b = b, a
+        elif not (c.part_a in leaving and c.part_b in staying):
+            continue
+        one, two = part_in[a[0]], part_in[b[0]]
+        k, l = corresponding_point(furniture, *a, one), corresponding_point(furniture, *b, two)  # noqa: E741
+        if k is not None and l is not None:
+            yield (one, k), (two, l)
+
+
+def upright(disassembly: Disassembly, state: TaskState, leaving: Parts, staying: Parts, straight: bool) -> list[Action]:
+    """`(u, v, k, l, w)`. Rising out of the joint is best; ending up in the ground is worst.
+
+    Args:
+        disassembly: of the furniture.
+        state: in which both are groups.
+        leaving: slots of the one.
+        staying: slots of the other.
+        straight: leave out what needs more than a straight way.
+    """
+    pair = next(ends(disassembly.furniture, state, leaving, staying), None)
+    if pair is None:
+        return []
+    (one, k), (two, l) = pair  # noqa: E741
+    end = {one: k, two: l}
+    scored: list[tuple[float, Action]] = []
+    for u, v, moving, waiting in ((one, two, leaving, staying), (two, one, staying, leaving)):
+        directions = disassembly.exits(moving, waiting)
+        low_moving, low_waiting = disassembly.lowest(moving), disassembly.lowest(waiting)
+        for w, up in enumerate(UP_AXES):
+            rise = max((float(d @ up) for d in directions), default=0.0)
+            sinks = low_moving[w] < low_waiting[w] - 1e-3
+            score = rise - 3.0 * sinks - 0.2 * (len(moving) > len(waiting))
+            scored.append((round(score, 3), (u, v, end[u], end[v], w)))
+    scored.sort(key=lambda item: -item[0])
+    return [action for score, action in scored if score > _HOPELESS or not straight]
+
+
+def grasping(task: FullTask, state: FullState, leaving: Parts, staying: Parts) -> Iterator[Action]:
+    """`(u, v, k, l, g_a, g_b)` that pass all tests before arms come in; R_b holds the heavier group first.
+
+    Args:
+        task: the rules.
+        state: in which both are groups.
+        leaving: slots of the one.
+        staying: slots of the other.
+    """
+    furniture = task.furniture
+    pairs = list(ends(furniture, state.groups, leaving, staying))
+    heavy = [sum(furniture.parts[p].mesh.volume for p in slots) for slots in (leaving, staying)]
+    if heavy[0] > heavy[1]:
+        pairs = [(b, a) for a, b in pairs]
+    given = 0
+    for roles in (pairs, [(b, a) for a, b in pairs]):
+        for action in _shuffled(task, state, roles):
+            if isinstance(task.joint(state.groups, action), Joint):
+                yield action
+                given += 1
+                if given == _ARMS:
+                    return
+
+
+def _shuffled(task: FullTask, state: FullState, pairs: list[tuple[End, End]]) -> list[Action]:
+    """All that exist with grasps that the hands can take, in an order that tries unlike ones early."""
+    takes: dict[int, list[int]] = {}
+    for part in {end[0] for pair in pairs for end in pair}:
+        takes[part] = task.free_grasps(state.groups, part)
+    actions = [(u, v, k, m, g_a, g_b) for (u, k), (v, m) in pairs for g_a, g_b in product(takes[u], takes[v])]
+    order = np.random.default_rng(0).permutation(len(actions))
+    return [actions[i] for i in order]

@@ -1,0 +1,232 @@
+"""The workcell: posts that rise out of the floor in a ring and hold parts and groups from below, and room to drive.
+
+A post has a suction cup on its top. Whatever it holds hangs higher than the robots' platforms, so that these drive
+beneath it, and only posts are in their way. An empty post sinks into the floor.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+import trimesh
+from jaxtyping import Float
+
+from roboassembly.errors import InputError
+from roboassembly.furniture.model import Furniture
+from roboassembly.furniture.rays import Rays
+from roboassembly.gripper import MAX_OPENING, HandAgainst
+from roboassembly.meshes import WOOD_DENSITY, Mesh
+from roboassembly.poses import SE3, transform_points, turn_about_vertical
+from roboassembly.scene import Body, Shape
+from roboassembly.task.groups import Group, center_of_mass, hull_points
+from roboassembly.task.layout import Circle, footprint, resting_rotations
+
+POST_RADIUS = 0.018
+"""Metres."""
+CUP_GAP = 1e-3
+"""Metres between a cup and what it holds: its lip is soft, and not part of the exact geometry."""
+LOWEST = 0.6
+"""Metres above the floor of whatever a post holds: the platforms are 0.4 m high."""
+LANE = 0.35
+"""Metres between the circles of neighbours in the ring."""
+BETWEEN_POSTS = 0.9
+"""Metres: wide enough for a platform."""
+SMALLEST_RING = 1.6
+"""Metres, its radius."""
+LARGEST = 1.3
+"""Metres across: what two arms can still turn and set down."""
+PAYLOAD = 3.0
+"""Kilograms that a Panda can carry."""
+_POST_LENGTH = 2.0
+_GRID, _GRID_STEP = 9, 0.03
+"""Places around the centre of mass where a cup is tried."""
+_RIM = 8
+_OFF_CENTER = 1.0
+"""Share of the grasps that a cup a metre nearer to the centre of mass is worth."""
+WIDER = 0.02
+"""Metres that a hand opens wider than what it comes for."""
+
+
+@dataclass(frozen=True, eq=False)
+class Stand:
+    """A post in use."""
+
+    top: Float[np.ndarray, "3"]
+    """Where its cup ends, metres, world."""
+
+    def body(self, name: str) -> Body:
+        """Its shape. It goes down through the floor."""
+        return Body(name, (Shape(_post(), SE3.Identity(), convex=True),), SE3(np.eye(3), self.top))
+
+
+@cache
+def _post() -> Mesh:
+    post = trimesh.creation.cylinder(POST_RADIUS, _POST_LENGTH, sections=16)
+    post.apply_translation([0.0, 0.0, -0.5 * _POST_LENGTH])
+    return Mesh.from_trimesh(post)
+
+
+@dataclass(frozen=True, eq=False)
+class Cell:
+    """Where posts can rise, for one piece of furniture."""
+
+    radius: float
+    """Of the ring, metres."""
+    density: float
+    """kg/m³, so that the whole stays within the payload."""
+
+    @property
+    def floor(self) -> float:
+        """Metres from the middle to the walls, which nobody crosses."""
+        return self.radius + 2.0
+
+
+def check_size(furniture: Furniture) -> float:
+    """The density at which a robot can carry the whole.
+
+    Raises:
+        InputError: a part has no grasp, or the furniture is too large for the cell.
+    """
+    for part in furniture.parts:
+        if not part.grasps:
+            raise InputError(
+                f"{furniture.name}: no hand can hold part '{part.name}'; the full setting needs two opposite sides "
+                "less than 76 mm apart on every part"
+            )
+    corners = np.concatenate(
+        [transform_points(a, p.mesh.hull_vertices) for p, a in zip(furniture.parts, furniture.assembled, strict=True)]
+    )
+    across = float(np.linalg.norm(np.ptp(corners, axis=0)))
+    if across > LARGEST * np.sqrt(3.0):
+        raise InputError(
+            f"{furniture.name} is {across:.2f} m from corner to corner; the cell takes {LARGEST * np.sqrt(3.0):.2f} m"
+        )
+    volume = sum(p.mesh.volume for p in furniture.parts)
+    return min(WOOD_DENSITY, PAYLOAD / volume)
+
+
+def laid_out(furniture: Furniture, rng: np.random.Generator) -> tuple[Cell, tuple[Group, ...], tuple[Stand, ...]]:
+    """Every part alone on a post of the ring, in a random order and pose.
+
+    Raises:
+        InputError: the furniture does not suit the cell, or a post finds no place beneath a part.
+    """
+    density = check_size(furniture)
+    held: list[tuple[Group, Stand, float]] = []
+    for index, part in enumerate(furniture.parts):
+        rotations, likely = resting_rotations(part.mesh)
+        for rest in rng.choice(len(rotations), size=min(8, len(rotations)), replace=False, p=likely):
+            turn = turn_about_vertical(rng.uniform(-np.pi, np.pi))
+            slot = furniture.assembled[index]
+            group = Group((index,), (index,), (slot,), SE3(turn @ rotations[rest], np.zeros(3)) * slot.inverse())
+            found = on_post(furniture, group, np.zeros(2))
+            if found is not None:
+                held.append((*found, reach_from(furniture, *found)))
+                break
+        else:
+            raise InputError(f"{furniture.name}: no post can hold part '{part.name}' from below")
+    order = rng.permutation(len(held))
+    widths = np.array([held[i][2] for i in order])
+    chords = np.maximum(widths + np.roll(widths, -1) + LANE, BETWEEN_POSTS)
+    radius = max(SMALLEST_RING, float(chords.sum()) / (2.0 * np.pi) * 1.05)
+    angles = np.cumsum(chords / chords.sum()) * 2.0 * np.pi + rng.uniform(0.0, 2.0 * np.pi)
+    groups: list[Group] = [held[0][0]] * len(held)
+    stands: list[Stand] = [held[0][1]] * len(held)
+    for i, angle in zip(order, angles, strict=True):
+        shift = radius * np.array([np.cos(angle), np.sin(angle), 0.0])
+        group, stand, _ = held[i]
+        groups[i] = group.moved_to(SE3(np.eye(3), shift) * group.world_from_furniture)
+        stands[i] = Stand(stand.top + shift)
+    return Cell(radius, density), tuple(groups), tuple(stands)
+
+
+def reach_from(furniture: Furniture, group: Group, stand: Stand) -> float:
+    """Metres that a group reaches out level from its post."""
+    points = transform_points(group.world_from_furniture, hull_points(furniture, group))
+    return float(np.linalg.norm(points[:, :2] - stand.top[:2], axis=1).max())
+
+
+def circle_of(furniture: Furniture, group: Group) -> Circle:
+    """What a group covers of the floor, seen from above."""
+    return footprint(transform_points(group.world_from_furniture, hull_points(furniture, group)))
+
+
+def on_post(furniture: Furniture, group: Group, place: Float[np.ndarray, "2"]) -> tuple[Group, Stand] | None:
+    """A group, turned as it is, moved onto a post at `place`; None if no post can hold it near its centre of mass.
+
+    Of the places for the cup the one is taken that leaves most of the group's grasps to the hands.
+    """
+    turn = group.world_from_furniture.rotation
+    group = group.moved_to(SE3(turn, np.zeros(3)))
+    center = turn @ center_of_mass(furniture, group)
+    poses = group.part_poses()
+    span = (np.arange(_GRID) - _GRID // 2) * _GRID_STEP
+    offsets = np.stack(np.meshgrid(span, span), axis=-1).reshape(-1, 2)
+    offsets = offsets[np.argsort(np.linalg.norm(offsets, axis=1), kind="stable")]
+    angles = np.arange(_RIM) * 2.0 * np.pi / _RIM
+    rim = POST_RADIUS * np.concatenate([np.zeros((1, 2)), np.stack([np.cos(angles), np.sin(angles)], axis=1)])
+    feet = (center[:2] + offsets[:, None] + rim).reshape(-1, 2)
+    height = np.full(len(feet), np.inf)
+    lowest = min(
+        float((furniture.parts[i].mesh.hull_vertices @ p.rotation[2]).min() + p.translation[2])
+        for i, p in zip(group.parts, poses, strict=True)
+    )
+    below = np.concatenate([feet, np.full((len(feet), 1), lowest - 0.1)], axis=1)
+    for part, pose in zip(group.parts, poses, strict=True):
+        back = pose.inverse()
+        up = np.tile(back.rotation @ [0.0, 0.0, 1.0], (len(feet), 1))
+        reach, _ = _rays(furniture.parts[part].mesh).first_hits(transform_points(back, below), up)
+        height = np.minimum(height, lowest - 0.1 + reach)
+    height = height.reshape(len(offsets), -1)
+    held = np.flatnonzero(np.isfinite(height[:, 0]))
+    if not len(held):
+        return None
+    tops = np.concatenate([center[:2] + offsets[held], height[held].min(axis=1)[:, None] - CUP_GAP], axis=1)
+    free = _free_hands(furniture, group, tops)
+    best = int(np.argmax(np.round(free, 6) - _OFF_CENTER * np.linalg.norm(offsets[held], axis=1)))
+    shift = np.array([*(place - tops[best, :2]), LOWEST - lowest])
+    return group.moved_to(SE3(turn, shift)), Stand(tops[best] + shift)
+
+
+def _free_hands(furniture: Furniture, group: Group, tops: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n"]:
+    """Share of the group's grasps whose hand a post at each place leaves alone."""
+    positions, closing, approach, opening = [], [], [], []
+    for part, pose in zip(group.parts, group.part_poses(), strict=True):
+        for region in furniture.parts[part].grasps:
+            for direction in region.approaches:
+                positions.append(pose.act(region.position))
+                closing.append(pose.rotation @ region.closing)
+                approach.append(pose.rotation @ direction)
+                opening.append(min(MAX_OPENING, region.width + WIDER))
+    count = len(positions)
+    from_post = (np.array(positions)[None] - tops[:, None]).reshape(-1, 3)
+    several = len(tops)
+    hits = _against_post().touches(
+        from_post,
+        np.tile(closing, (several, 1)),
+        np.tile(approach, (several, 1)),
+        np.tile(opening, several),
+        coming=True,
+    )
+    return 1.0 - hits.reshape(several, count).mean(axis=1)
+
+
+@cache
+def _against_post() -> HandAgainst:
+    return HandAgainst(_post())
+
+
+@cache
+def _rays(mesh: Mesh) -> Rays:
+    return Rays(mesh)
+
+
+def free_place(wanted: Sequence[Float[np.ndarray, "2"]], radius: float, taken: Sequence[Circle]) -> np.ndarray | None:
+    """The first of the wanted places where a circle keeps clear of all others; None if there is none."""
+    for place in wanted:
+        if all(np.linalg.norm(place - c.center) > radius + c.radius + 0.5 * LANE for c in taken):
+            return place
+    return None

@@ -1,0 +1,263 @@
+"""The full step: two mobile Frankas take two groups, join them, and set the whole on a post.
+
+Everything here is a pure function of state, action and seed; the environment and the solvers both call it.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from itertools import islice
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from roboassembly.furniture.model import Furniture
+from roboassembly.planning.problem import Budget
+from roboassembly.poses import SE3
+from roboassembly.task.cell import Cell, laid_out
+from roboassembly.task.groups import Group, TaskState
+from roboassembly.task.joining import Hold, Way, can_let_go, can_take, hold, ways_out
+from roboassembly.task.legs import TUCKED, LegError, LegPlanner, Meeting, Obstacle
+from roboassembly.task.moments import Leg, Moment, Robot, Standing
+from roboassembly.task.pairs import Merge
+from roboassembly.task.rules import Rules
+
+GRASPS = 8
+BUDGET = Budget(states=8_000)
+"""Of each path."""
+_MEETINGS = 4
+"""Meetings that are driven to before giving up."""
+_APART = 0.6
+"""Metres of each robot from the middle at the beginning."""
+
+
+class FullVerdict(StrEnum):
+    """How a step ended. Everything but `MERGED` ends the episode."""
+
+    MERGED = "merged"
+    NOT_AN_ACTION = "not_an_action"
+    """A part, point or grasp that is not there, a point that is not free, or two parts of one group: masked out."""
+    WRONG_PAIR = "wrong_pair"
+    GRASP_BLOCKED = "grasp_blocked"
+    """The hand cannot come to the part past the rest of its group."""
+    JOINT_BLOCKED = "joint_blocked"
+    """The groups or the hands are in each other's way at the joint, or on every straight way into it."""
+    CANNOT_LET_GO = "cannot_let_go"
+    """The hand of R_a could not leave the merged group."""
+    NO_ARM_SOLUTION = "no_arm_solution"
+    NO_PATH = "no_path"
+    NO_STAND = "no_stand"
+
+
+@dataclass(frozen=True, eq=False)
+class FullState:
+    """Where all is between two steps."""
+
+    groups: TaskState
+    moment: Moment
+    """Its `standing` are the groups, in their order."""
+    cell: Cell
+
+
+@dataclass(frozen=True, eq=False)
+class FullStep:
+    """The record of one merge."""
+
+    action: tuple[int, ...]
+    """`(u, v, k, l, g_a, g_b)`."""
+    legs: tuple[Leg, ...]
+    planning_steps: int
+    """Configurations tested for collision."""
+    planning_seconds: float
+
+
+@dataclass(frozen=True, eq=False)
+class FullPlan:
+    """A whole assembly by two robots."""
+
+    furniture: Furniture
+    initial: FullState
+    steps: tuple[FullStep, ...]
+    success: bool
+    seed: int
+
+
+@dataclass(frozen=True, eq=False)
+class FullOutcome:
+    """What a step led to."""
+
+    verdict: FullVerdict
+    leg: str
+    """In which it failed; empty if it did not."""
+    state: FullState
+    """The new one; the old one unless merged."""
+    step: FullStep | None
+    """The record, if merged."""
+    legs: tuple[Leg, ...]
+    """As far as they were planned."""
+    planning_steps: int
+    planning_seconds: float
+
+
+@dataclass(frozen=True, eq=False)
+class Joint:
+    """A right pair and two grasps that pass all tests before any arm comes in."""
+
+    merge: Merge
+    u: Group
+    """In its own frame."""
+    v: Group
+    hold_a: Hold
+    """Of u's group, in its own frame."""
+    hold_b: Hold
+    ways: tuple[Way, ...]
+    """Straight out of the joint."""
+
+
+class FullTask:
+    """The rules of the full setting for one piece of furniture."""
+
+    def __init__(self, furniture: Furniture, budget: Budget | None = None) -> None:
+        self.furniture = furniture
+        self.budget = budget or BUDGET
+        self.rules = Rules(furniture)
+
+    def initial_state(self, rng: np.random.Generator) -> FullState:
+        """All parts on posts, both robots in the middle of the ring.
+
+        Raises:
+            InputError: the furniture does not suit the cell.
+        """
+        cell, groups, stands = laid_out(self.furniture, rng)
+        a, b = (Robot(np.array([_APART * side, 0.0, rng.uniform(-np.pi, np.pi), *TUCKED]), 0.0) for side in (-1.0, 1.0))
+        standing = tuple(Standing(g, s) for g, s in zip(groups, stands, strict=True))
+        return FullState(TaskState(groups), Moment(standing, (a, b)), cell)
+
+    def free_points(self, state: FullState) -> Bool[np.ndarray, "20 10"]:
+        """Which connection points exist and do not touch anything yet, padded."""
+        return self.rules.free_points(state.groups)
+
+    def exists(self, state: FullState, action: tuple[int, ...]) -> bool:
+        """Whether the action names free points of two parts in different groups, and grasps that these parts have."""
+        u, v, k, l, g_a, g_b = action  # noqa: E741
+        if not self.rules.pair_exists(state.groups, u, v, k, l):
+            return False
+        return all(0 <= g < 4 * len(self.furniture.parts[p].grasps) for p, g in ((u, g_a), (v, g_b)))
+
+    def joined(self, state: FullState) -> TaskState:
+        """The groups of a state."""
+        return state.groups
+
+    def own_places(self, state: FullState) -> Iterator[FullState]:
+        """The same state told so that every slot is claimed once (`PairRule.own_places`)."""
+        for groups in self.rules.pairs.own_places(state.groups):
+            standing = tuple(Standing(g, s.stand) for g, s in zip(groups.groups, state.moment.standing, strict=True))
+            yield replace(state, groups=groups, moment=replace(state.moment, standing=standing))
+
+    def free_grasps(self, state: TaskState, part: int) -> list[int]:
+        """Grasps of a part that the rest of its group leaves free."""
+        group = state.groups[state.group_of[part]]
+        holds = [(g, hold(self.furniture, group, part, g)) for g in range(GRASPS)]
+        return [g for g, held in holds if held is not None and can_take(self.furniture, group, held)]
+
+    def step(self, state: FullState, action: tuple[int, ...], seed: int, budget: Budget | None = None) -> FullOutcome:
+        """Carry out `(u, v, k, l, g_a, g_b)`: R_a takes u by grasp `g_a`, R_b takes v by grasp `g_b`.
+
+        Args:
+            state: unchanged.
+            action: any integers; those that name no action get the verdict `NOT_AN_ACTION`.
+            seed: of all that is drawn.
+            budget: of each path, instead of the task's own.
+        """
+        begun = time.perf_counter()
+        rng = np.random.default_rng(seed)
+        legs = LegPlanner(self.furniture, state.cell, state.moment, budget or self.budget, rng)
+
+        def failed(verdict: FullVerdict, leg: str) -> FullOutcome:
+            seconds = time.perf_counter() - begun
+            return FullOutcome(verdict, leg, state, None, tuple(legs.legs), legs.states, seconds)
+
+        if not self.exists(state, action):
+            return failed(FullVerdict.NOT_AN_ACTION, "")
+        joint = self.joint(state.groups, action)
+        if isinstance(joint, Refusal):
+            return failed(joint.verdict, joint.leg)
+        try:
+            after = self._carried_out(legs, state, joint)
+        except LegError as no:
+            return failed(FullVerdict(no.why.value), no.leg)
+        seconds = time.perf_counter() - begun
+        step = FullStep(action, tuple(legs.legs), legs.states, seconds)
+        return FullOutcome(FullVerdict.MERGED, "", after, step, step.legs, step.planning_steps, seconds)
+
+    def joint(self, state: TaskState, action: tuple[int, ...]) -> Joint | Refusal:
+        """The cheap tests of an action that exists: pair, hands at their grasps, both at the joint."""
+        u, v, k, l, g_a, g_b = action  # noqa: E741
+        furniture = self.furniture
+        one, two = state.groups[state.group_of[u]], state.groups[state.group_of[v]]
+        merge = self.rules.pairs.judge(one, two, u, k, v, l)
+        if merge is None:
+            return Refusal(FullVerdict.WRONG_PAIR, "")
+        hold_a, hold_b = hold(furniture, one, u, g_a), hold(furniture, two, v, g_b)
+        if hold_a is None or not can_take(furniture, one, hold_a):
+            return Refusal(FullVerdict.GRASP_BLOCKED, "grasp u")
+        if hold_b is None or not can_take(furniture, two, hold_b):
+            return Refusal(FullVerdict.GRASP_BLOCKED, "grasp v")
+        u_placed, v_placed = one.moved_to(merge.furniture_from_u), two.moved_to(merge.furniture_from_v)
+        directions = self.rules.retreats(one, two, merge.merged, np.eye(3))
+        ways = ways_out(furniture, u_placed, v_placed, hold_a, hold_b, _distinct(directions))
+        if not ways:
+            return Refusal(FullVerdict.JOINT_BLOCKED, "mate")
+        in_b = hold_b.moved(merge.furniture_from_v)
+        if not can_let_go(furniture, merge.merged, hold_a.moved(merge.furniture_from_u), in_b.hand(hold_b.closed)):
+            return Refusal(FullVerdict.CANNOT_LET_GO, "back off from u")
+        return Joint(merge, one, two, hold_a, hold_b, tuple(ways))
+
+    def _carried_out(self, legs: LegPlanner, state: FullState, joint: Joint) -> FullState:
+        merge = joint.merge
+        hold_a, hold_b = joint.hold_a.moved(merge.furniture_from_u), joint.hold_b.moved(merge.furniture_from_v)
+        u, v = _reframed(joint.u, merge.furniture_from_u), _reframed(joint.v, merge.furniture_from_v)
+        meetings = legs.meetings(hold_a, hold_b, u, v, joint.ways, merge.merged)
+        # Whether they can meet at all is found out before anything moves.
+        first = next(meetings, None)
+        if first is None:
+            raise LegError(Obstacle.NO_ARM_SOLUTION, "mate")
+        places = [s.stand.top[:2] for s in state.moment.standing]
+        for robot, group, held, name in ((0, joint.u, joint.hold_a, "u"), (1, joint.v, joint.hold_b, "v")):
+            index = next(i for i, s in enumerate(legs.moment.standing) if s.group.parts == group.parts)
+            legs.fetch(robot, index, held, name)
+        if not any(legs.join(m) for m in islice(_chain(first, meetings), _MEETINGS)):
+            raise LegError(Obstacle.NO_PATH, "drive u")
+        legs.part(merge.merged, hold_a, hold_b)
+        legs.set_down(places)
+        groups = TaskState(tuple(s.group for s in legs.moment.standing))
+        return FullState(groups, legs.moment, state.cell)
+
+
+@dataclass(frozen=True)
+class Refusal:
+    """What an action fails by before any arm comes in."""
+
+    verdict: FullVerdict
+    leg: str
+
+
+def _chain(first: Meeting, rest: Iterator[Meeting]) -> Iterator[Meeting]:
+    yield first
+    yield from rest
+
+
+def _reframed(group: Group, by: SE3) -> Group:
+    """The same group told in the frame of the merged one."""
+    return replace(group, furniture_from_part=tuple(by * p for p in group.furniture_from_part))
+
+
+def _distinct(directions: list[Float[np.ndarray, "3"]]) -> list[Float[np.ndarray, "3"]]:
+    out: list[Float[np.ndarray, "3"]] = []
+    for d in directions:
+        if not any(float(d @ o) > 1.0 - 1e-6 for o in out):
+            out.append(d)
+    return out

@@ -1,0 +1,146 @@
+"""What two hands and two groups do to each other at a joint, before any arm comes in: cheap tests that must hold."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from roboassembly.furniture.model import Furniture, GraspRegion
+from roboassembly.gripper import MAX_OPENING, RETREAT, hand_bodies, hand_pose
+from roboassembly.planning.world import CollisionWorld
+from roboassembly.poses import SE3
+from roboassembly.scene import Body, Scene, Shape
+from roboassembly.task.cell import WIDER
+from roboassembly.task.groups import Group, body
+
+TOUCH = 2e-4
+"""Metres between a pad and what it holds, in the exact geometry."""
+_CLEAR = 0.02
+"""Metres beyond which a retreat that has left the partner's boxes goes on."""
+_LONGEST = 0.6
+_SHORTEST, _SHORT_OF, _AMPLE = 0.03, 0.005, 0.2
+
+
+@dataclass(frozen=True, eq=False)
+class Hold:
+    """A hand that holds one part of a group."""
+
+    part: int
+    grasp: int
+    """0 to 7: region, then direction."""
+    furniture_from_tips: SE3
+    """In the group's frame."""
+    approach: Float[np.ndarray, "3"]
+    """Unit vector of the group's frame along which the hand comes."""
+    closed: float
+    """Metres between the pads."""
+    open: float
+
+    def moved(self, by: SE3) -> Hold:
+        """The same, told in another frame: `other_from_group`."""
+        return replace(self, furniture_from_tips=by * self.furniture_from_tips, approach=by.rotation @ self.approach)
+
+    def hand(self, opening: float, shift: Float[np.ndarray, "3"] | None = None, moves: bool = False) -> Body:
+        """The hand as a body of the group's frame."""
+        pose = self.furniture_from_tips
+        if shift is not None:
+            pose = SE3(pose.rotation, pose.translation + shift)
+        return Body("hand", hand_shapes(opening), pose, moves)
+
+
+def hand_shapes(opening: float) -> tuple[Shape, ...]:
+    """Palm and fingers in the frame of the finger tips."""
+    return tuple(Shape(mesh, pose, convex=True) for mesh, pose in hand_bodies(opening))
+
+
+def hold(furniture: Furniture, group: Group, part: int, grasp: int) -> Hold | None:
+    """How a hand holds a part with grasp 0 to 7; None if the part has no such grasp."""
+    regions = furniture.parts[part].grasps
+    region_index, direction = divmod(grasp, 4)
+    if region_index >= len(regions):
+        return None
+    region: GraspRegion = regions[region_index]
+    own = group.furniture_from_part[group.parts.index(part)]
+    approach = region.approaches[direction]
+    return Hold(
+        part,
+        grasp,
+        own * hand_pose(region.position, region.closing, approach),
+        own.rotation @ approach,
+        region.width + 2.0 * TOUCH,
+        min(MAX_OPENING, region.width + WIDER),
+    )
+
+
+def can_take(furniture: Furniture, group: Group, held: Hold) -> bool:
+    """Whether the open hand comes straight to the part, and closes, and meets nothing of the group."""
+    still = group.moved_to(SE3.Identity())
+    return _comes(held, [body(furniture, still, "group")]) and CollisionWorld(
+        Scene((held.hand(held.closed, moves=True), body(furniture, still, "group")), ground=False)
+    ).is_free(held.furniture_from_tips)
+
+
+def _comes(held: Hold, still: Sequence[Body]) -> bool:
+    hand = held.hand(held.open, moves=True)
+    world = CollisionWorld(Scene((hand, *still), ground=False))
+    goal = held.furniture_from_tips
+    back = SE3(goal.rotation, goal.translation - RETREAT * held.approach)
+    return world.is_free(goal) and world.edge_is_free(goal, back)
+
+
+@dataclass(frozen=True, eq=False)
+class Way:
+    """A straight way out of a joint."""
+
+    direction: Float[np.ndarray, "3"]
+    """Unit vector of the merged group's frame, along which u's group and the hand that holds it leave."""
+    length: float
+    """Metres, until nothing of it is beside anything of v's."""
+
+
+def ways_out(
+    furniture: Furniture,
+    u_group: Group,
+    v_group: Group,
+    hold_u: Hold,
+    hold_v: Hold,
+    directions: Sequence[Float[np.ndarray, "3"]],
+) -> list[Way] | None:
+    """Straight ways along which u's group leaves v's, both in the merged group's frame and both held.
+
+    None if they, or the hands, are in each other's way where they are joined.
+    """
+    moving = Body(
+        "moving",
+        (*body(furniture, u_group, "u").shapes, *_in(hold_u, hold_u.closed)),
+        u_group.world_from_furniture,
+        True,
+    )
+    still = Body(
+        "still", (*body(furniture, v_group, "v").shapes, *_in(hold_v, hold_v.closed)), v_group.world_from_furniture
+    )
+    world = CollisionWorld(Scene((moving, still), ground=False))
+    goal = moving.pose
+    if not world.is_free(goal):
+        return None
+    out = []
+    for d in directions:
+        length = min(world.distance_to_clear(goal, d, "still") + _CLEAR, _LONGEST)
+        reached = length * world.free_fraction(goal, SE3(goal.rotation, goal.translation + length * d))
+        if reached >= length:
+            out.append(Way(d, length))
+        elif reached > _SHORTEST:
+            out.append(Way(d, reached - _SHORT_OF))
+    return sorted(out, key=lambda way: -min(way.length, _AMPLE))
+
+
+def can_let_go(furniture: Furniture, merged: Group, held: Hold, other: Body) -> bool:
+    """Whether the hand, open again, backs out of the merged group and past the other hand."""
+    return _comes(held, [body(furniture, merged, "merged"), other])
+
+
+def _in(held: Hold, opening: float) -> tuple[Shape, ...]:
+    return tuple(Shape(s.mesh, held.furniture_from_tips * s.body_from_mesh, s.convex) for s in hand_shapes(opening))

@@ -1,0 +1,91 @@
+"""What both settings share: which points are free, which pairs exist, which are right, how joints come apart."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS, Furniture
+from roboassembly.task.groups import Group, TaskState
+from roboassembly.task.pairs import PairRule
+
+UP_AXES: Float[np.ndarray, "6 3"] = np.array(
+    [[0, 0, 1], [0, 0, -1], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]], dtype=float
+)
+"""The axes of the furniture's frame; that which points up while v's group waits, for each `w`."""
+_AGAINST = -0.2
+"""Cosine: a retreat may run this much against a contact's normal, because a patch's mean normal is only a mean."""
+
+
+class Rules:
+    """The rules about pairs for one piece of furniture."""
+
+    def __init__(self, furniture: Furniture) -> None:
+        self.furniture = furniture
+
+    @cached_property
+    def pairs(self) -> PairRule:
+        """Which pairs are right."""
+        return PairRule(self.furniture)
+
+    @cached_property
+    def _has_point(self) -> Bool[np.ndarray, "parts points"]:
+        counts = np.array([len(p.points) for p in self.furniture.parts])
+        return np.arange(MAX_POINTS)[None] < counts[:, None]
+
+    def free_points(self, state: TaskState) -> Bool[np.ndarray, "20 10"]:
+        """Which connection points exist and do not touch anything yet, padded."""
+        free = np.zeros((MAX_PARTS, MAX_POINTS), dtype=bool)
+        free[: len(self.furniture.parts)] = self._has_point
+        for part, point in state.occupied(self.furniture):
+            free[part, point] = False
+        return free
+
+    def pair_exists(self, state: TaskState, u: int, v: int, k: int, l: int) -> bool:  # noqa: E741
+        """Whether `k` and `l` are free points of the parts `u` and `v`, and those in different groups."""
+        n = len(self.furniture.parts)
+        if not (0 <= u < n and 0 <= v < n):
+            return False
+        if not (0 <= k < len(self.furniture.parts[u].points) and 0 <= l < len(self.furniture.parts[v].points)):
+            return False
+        if state.group_of[u] == state.group_of[v]:
+            return False
+        return not {(u, k), (v, l)} & state.occupied(self.furniture)
+
+    def retreats(
+        self, u_group: Group, v_group: Group, merged: Group, turn: Float[np.ndarray, "3 3"]
+    ) -> list[Float[np.ndarray, "3"]]:
+        """Directions in the furniture's frame along which u's group may let go of v's, the most promising first.
+
+        Candidates are the contact normals and their mean, the long axes of the parts that meet, and the axes of the
+        furniture; those against a contact's normal are left out.
+
+        Args:
+            u_group: moves.
+            v_group: waits.
+            merged: both, joined.
+            turn: `world_from_furniture` while they are joined; of equally good directions that which rises is first.
+        """
+        slot_of = dict(zip(merged.parts, merged.slots, strict=True))
+        u_slots = {slot_of[p] for p in u_group.parts}
+        v_slots = {slot_of[p] for p in v_group.parts}
+        normals, axes = [], [*UP_AXES]
+        for slot in sorted(v_slots):
+            for k, point in enumerate(self.furniture.parts[slot].points):
+                other = self.furniture.mate_of.get((slot, k))
+                if other is not None and other[0] in u_slots:
+                    normals.append(self.furniture.assembled[slot].rotation @ point.normal)
+                    for meeting in (slot, other[0]):
+                        own = self.furniture.assembled[meeting].rotation @ self.furniture.parts[meeting].mesh.long_axis
+                        axes.extend([own, -own])
+        along = np.array(normals)
+        mean = along.sum(axis=0)
+        if np.linalg.norm(mean) > 1e-6:
+            axes.append(mean / np.linalg.norm(mean))
+        candidates = np.concatenate([along, np.array(axes)])
+        against = (candidates @ along.T).min(axis=1)
+        rising = (candidates @ turn.T)[:, 2]
+        order = np.argsort(-np.round(against + 0.3 * rising, 3), kind="stable")
+        return [candidates[i] for i in order if against[i] > _AGAINST]
