@@ -218,7 +218,9 @@ def sweep(
         prisms = [m3.Manifold.hull_points(np.concatenate([t, t + shift])) for t in corners[ahead]]
         return m3.Manifold.batch_boolean([grown, *prisms], m3.OpType.Add)
     up = align_axis(way, np.array([0.0, 0.0, 1.0]))
-    turned = grown.transform(np.column_stack([up, np.zeros(3)]))
-    bottom, top = turned.bounding_box()[2], turned.bounding_box()[5]
-    shadow = m3.Manifold.extrude(turned.project().simplify(0.3 * gap), top - bottom + length)
+    # The plain body has far fewer faces than the grown one, and a shadow is as easily grown.
+    turned = close.simplify(0.3 * gap).transform(np.column_stack([up, np.zeros(3)]))
+    bottom, top = turned.bounding_box()[2] - 1.3 * gap, turned.bounding_box()[5] + 1.3 * gap
+    outline = turned.project().offset(1.3 * gap, m3.JoinType.Miter).simplify(0.3 * gap)
+    shadow = m3.Manifold.extrude(outline, top - bottom + length)
     return shadow.translate((0.0, 0.0, bottom)).transform(np.column_stack([up.T, np.zeros(3)]))
