@@ -13,7 +13,9 @@ from scipy.spatial.transform import Rotation
 from roboassembly.furniture.annotate import annotate
 from roboassembly.furniture.model import Furniture, Provenance, RawPart
 from roboassembly.meshes import Mesh
+from roboassembly.planning.robot_world import Held
 from roboassembly.poses import SE3, interpolate, transform_points
+from roboassembly.robots.body import placed, world_from_tips
 from roboassembly.scene import Body, Scene, Shape
 
 HERE = SE3.Identity()
@@ -210,3 +212,31 @@ def fcl_object(mesh: Mesh, where: SE3) -> fcl.CollisionObject:
     model.addSubModel(mesh.vertices, mesh.faces)
     model.endModel()
     return fcl.CollisionObject(model, fcl.Transform(where.rotation, where.translation))
+
+
+class RobotChecker:
+    """Whether a robot and what it holds hit still things or the ground: python-fcl on the same triangles."""
+
+    def __init__(self, others: Sequence[Body], held: Held | None, opening: float) -> None:
+        self._opening = opening
+        self._held = () if held is None else held.shapes
+        self._others = fcl.DynamicAABBTreeCollisionManager()
+        self._others.registerObjects([fcl_object(s.mesh, b.pose * s.body_from_mesh) for b in others for s in b.shapes])
+        self._others.setup()
+        self._own: dict[int, fcl.CollisionObject] = {}
+
+    def hits(self, q: np.ndarray) -> bool:
+        tips = world_from_tips(q)
+        own = [(link.mesh, where) for link, where in placed(q, self._opening)]
+        own += [(s.mesh, tips * s.body_from_mesh) for s in self._held]
+        return any(self._touches(index, mesh, where) for index, (mesh, where) in enumerate(own))
+
+    def _touches(self, index: int, mesh: Mesh, where: SE3) -> bool:
+        if (mesh.vertices @ where.rotation[2]).min() + where.translation[2] <= 0.0:
+            return True
+        thing = self._own.setdefault(index, fcl_object(mesh, where))
+        thing.setTransform(fcl.Transform(where.rotation, where.translation))
+        # A solid wholly inside another has no touching surface: robots and parts here are too large for that.
+        found = fcl.CollisionData()
+        self._others.collide(thing, found, fcl.defaultCollisionCallback)
+        return found.result.is_collision

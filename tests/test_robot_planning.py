@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from itertools import pairwise
 
 import fcl
@@ -10,7 +9,6 @@ import numpy as np
 import pytest
 
 from roboassembly.furniture import catalogue
-from roboassembly.meshes import Mesh
 from roboassembly.planning.problem import Budget
 from roboassembly.planning.robot_path import Floor, connect, line, path_is_free
 from roboassembly.planning.robot_world import Held, RobotWorld
@@ -18,33 +16,10 @@ from roboassembly.poses import SE3, rotation_angle
 from roboassembly.robots.body import DOF, placed, world_from_tips
 from roboassembly.robots.kinematics import arm
 from roboassembly.scene import Body, Shape
-from shapes import brick, fcl_object, pose, still
+from shapes import RobotChecker, brick, fcl_object, pose, still
 
 OPENING = 0.03
 FOLDED = np.array([0.0, -1.2, 0.0, -2.6, 0.0, 2.0, 0.785])
-
-
-class RobotChecker:
-    """Whether a robot and what it holds hit still things or the ground: python-fcl on the same triangles."""
-
-    def __init__(self, others: Sequence[Body], held: Held | None) -> None:
-        self._held = () if held is None else held.shapes
-        self._others = [fcl_object(s.mesh, b.pose * s.body_from_mesh) for b in others for s in b.shapes]
-        self._own: dict[int, fcl.CollisionObject] = {}
-
-    def hits(self, q: np.ndarray) -> bool:
-        tips = world_from_tips(q)
-        own = [(link.mesh, where) for link, where in placed(q, OPENING)]
-        own += [(s.mesh, tips * s.body_from_mesh) for s in self._held]
-        return any(self._touches(index, mesh, where) for index, (mesh, where) in enumerate(own))
-
-    def _touches(self, index: int, mesh: Mesh, where: SE3) -> bool:
-        if (mesh.vertices @ where.rotation[2]).min() + where.translation[2] <= 0.0:
-            return True
-        thing = self._own.setdefault(index, fcl_object(mesh, where))
-        thing.setTransform(fcl.Transform(where.rotation, where.translation))
-        # A solid wholly inside another has no touching surface: robots and parts here are too large for that.
-        return any(fcl.collide(thing, other, fcl.CollisionRequest(), fcl.CollisionResult()) for other in self._others)
 
 
 @pytest.fixture(scope="module")
@@ -72,7 +47,7 @@ def test_free_means_what_fcl_finds_free(around: list[Body], held: Held | None) -
     rng = np.random.default_rng(0)
     q = drawn(rng, 150)
     world, empty = RobotWorld(around, OPENING, held), RobotWorld([], OPENING, held)
-    checker = RobotChecker(around, held)
+    checker = RobotChecker(around, held, OPENING)
     free, alone = world.free(q), empty.free(q)
     assert world.states == len(q)
     assert not (free & ~alone).any()
@@ -146,7 +121,7 @@ def test_a_path_leads_around_and_is_free(around: list[Body]) -> None:
     assert all(np.array_equal(a, b) for a, b in zip(path, ways[1], strict=True))
     assert np.array_equal(path[0], start)
     assert np.allclose(path[-1], goal)
-    checker = RobotChecker(around, held)
+    checker = RobotChecker(around, held, OPENING)
     states = [a + f * (b - a) for a, b in pairwise(path) for f in np.linspace(0.0, 1.0, 25)]
     assert not any(checker.hits(q) for q in states)
     assert max(np.abs(q[:2]).max() for q in states) <= 5.0

@@ -43,7 +43,8 @@ PAYLOAD = 3.0
 _POST_LENGTH = 2.0
 _GRID, _GRID_STEP = 9, 0.03
 """Places around the centre of mass where a cup is tried."""
-_RIM = 8
+_COARSE, _FINE = POST_RADIUS, 1e-3
+"""Metres between rays by which a cup's height is told, for each place and for the one that is chosen."""
 _OFF_CENTER = 1.0
 """Share of the grasps that a cup a metre nearer to the centre of mass is worth."""
 WIDER = 0.02
@@ -162,33 +163,46 @@ def on_post(furniture: Furniture, group: Group, place: Float[np.ndarray, "2"]) -
     turn = group.world_from_furniture.rotation
     group = group.moved_to(SE3(turn, np.zeros(3)))
     center = turn @ center_of_mass(furniture, group)
-    poses = group.part_poses()
+    points = transform_points(group.world_from_furniture, hull_points(furniture, group))
+    lowest = float(points[:, 2].min())
     span = (np.arange(_GRID) - _GRID // 2) * _GRID_STEP
     offsets = np.stack(np.meshgrid(span, span), axis=-1).reshape(-1, 2)
     offsets = offsets[np.argsort(np.linalg.norm(offsets, axis=1), kind="stable")]
-    angles = np.arange(_RIM) * 2.0 * np.pi / _RIM
-    rim = POST_RADIUS * np.concatenate([np.zeros((1, 2)), np.stack([np.cos(angles), np.sin(angles)], axis=1)])
-    feet = (center[:2] + offsets[:, None] + rim).reshape(-1, 2)
-    height = np.full(len(feet), np.inf)
-    lowest = min(
-        float((furniture.parts[i].mesh.hull_vertices @ p.rotation[2]).min() + p.translation[2])
-        for i, p in zip(group.parts, poses, strict=True)
-    )
-    below = np.concatenate([feet, np.full((len(feet), 1), lowest - 0.1)], axis=1)
-    for part, pose in zip(group.parts, poses, strict=True):
-        back = pose.inverse()
-        up = np.tile(back.rotation @ [0.0, 0.0, 1.0], (len(feet), 1))
-        reach, _ = _rays(furniture.parts[part].mesh).first_hits(transform_points(back, below), up)
-        height = np.minimum(height, lowest - 0.1 + reach)
-    height = height.reshape(len(offsets), -1)
+    feet = center[:2] + offsets[:, None] + _disc(_COARSE)
+    height = _undersides(furniture, group, feet.reshape(-1, 2), lowest - 0.1).reshape(feet.shape[:2])
     held = np.flatnonzero(np.isfinite(height[:, 0]))
     if not len(held):
         return None
     tops = np.concatenate([center[:2] + offsets[held], height[held].min(axis=1)[:, None] - CUP_GAP], axis=1)
     free = _free_hands(furniture, group, tops)
-    best = int(np.argmax(np.round(free, 6) - _OFF_CENTER * np.linalg.norm(offsets[held], axis=1)))
-    shift = np.array([*(place - tops[best, :2]), LOWEST - lowest])
-    return group.moved_to(SE3(turn, shift)), Stand(tops[best] + shift)
+    top = tops[int(np.argmax(np.round(free, 6) - _OFF_CENTER * np.linalg.norm(offsets[held], axis=1)))]
+    # What is round may bulge between few rays.
+    top[2] = _undersides(furniture, group, top[:2] + _disc(_FINE), lowest - 0.1).min() - CUP_GAP
+    shift = np.array([*(place - top[:2]), LOWEST - lowest])
+    return group.moved_to(SE3(turn, shift)), Stand(top + shift)
+
+
+def _disc(step: float) -> Float[np.ndarray, "n 2"]:
+    """Places on a cup, the middle first, `step` metres apart, the rim among them."""
+    out = [np.zeros((1, 2))]
+    for radius in np.linspace(0.0, POST_RADIUS, round(POST_RADIUS / step) + 1)[1:]:
+        angles = np.linspace(0.0, 2.0 * np.pi, max(8, round(2.0 * np.pi * radius / step)), endpoint=False)
+        out.append(radius * np.stack([np.cos(angles), np.sin(angles)], axis=1))
+    return np.concatenate(out)
+
+
+def _undersides(
+    furniture: Furniture, group: Group, feet: Float[np.ndarray, "n 2"], start: float
+) -> Float[np.ndarray, "n"]:
+    """Height of what is first met going up from each place at height `start`, metres; infinite where there is none."""
+    height = np.full(len(feet), np.inf)
+    below = np.concatenate([feet, np.full((len(feet), 1), start)], axis=1)
+    for part, pose in zip(group.parts, group.part_poses(), strict=True):
+        back = pose.inverse()
+        up = np.tile(back.rotation @ [0.0, 0.0, 1.0], (len(feet), 1))
+        reach, _ = _rays(furniture.parts[part].mesh).first_hits(transform_points(back, below), up)
+        height = np.minimum(height, start + reach)
+    return height
 
 
 def _free_hands(furniture: Furniture, group: Group, tops: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n"]:

@@ -1,0 +1,100 @@
+"""The workcell: parts on posts, reachable and apart; what it refuses."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import combinations
+
+import fcl
+import numpy as np
+import pytest
+
+from roboassembly.errors import InputError
+from roboassembly.furniture.model import Furniture
+from roboassembly.meshes import WOOD_DENSITY
+from roboassembly.poses import SE3
+from roboassembly.task import cell
+from roboassembly.task.cell import BETWEEN_POSTS, LOWEST, PAYLOAD, check_size, laid_out, on_post, reach_from
+from roboassembly.task.groups import Group
+from shapes import block, fcl_object, furniture, of_solid
+
+
+@pytest.fixture(scope="module")
+def stool(chair) -> Furniture:
+    return chair("stool", 0)
+
+
+def alone(piece: Furniture, part: int, turn: np.ndarray) -> Group:
+    slot = piece.assembled[part]
+    return Group((part,), (part,), (slot,), SE3(turn, np.zeros(3)) * slot.inverse())
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_every_part_waits_on_a_post_of_its_own(stool: Furniture, seed: int) -> None:
+    room, groups, stands = laid_out(stool, np.random.default_rng(seed))
+    assert [g.parts for g in groups] == [(i,) for i in range(len(stool.parts))]
+    placed = []
+    for group, stand in zip(groups, stands, strict=True):
+        mesh, pose = stool.parts[group.parts[0]].mesh, group.part_poses()[0]
+        points = mesh.vertices @ pose.rotation.T + pose.translation
+        assert points[:, 2].min() == pytest.approx(LOWEST)
+        assert np.linalg.norm(stand.top[:2]) == pytest.approx(room.radius)
+        # Held near its centre of mass, which is the part's origin.
+        assert np.linalg.norm(pose.translation[:2] - stand.top[:2]) < 0.18
+        (post,) = stand.body("post").shapes
+        placed.append((fcl_object(mesh, pose), fcl_object(post.mesh, SE3(np.eye(3), stand.top))))
+    for thing, post in placed:
+        gap = fcl.distance(thing, post, fcl.DistanceRequest(), fcl.DistanceResult())
+        assert 0.5e-3 < gap < 1.5e-3
+    for (a, stand_a, one), (b, stand_b, two) in combinations(zip(groups, stands, placed, strict=True), 2):
+        apart = np.linalg.norm(stand_a.top - stand_b.top)
+        assert apart > 0.9 * BETWEEN_POSTS
+        assert apart > reach_from(stool, a, stand_a) + reach_from(stool, b, stand_b)
+        for x in one:
+            for y in two:
+                assert not fcl.collide(x, y, fcl.CollisionRequest(), fcl.CollisionResult())
+
+
+def test_the_layout_follows_the_generator(stool: Furniture) -> None:
+    one, two, other = (laid_out(stool, np.random.default_rng(s))[1] for s in (5, 5, 6))
+    for a, b in zip(one, two, strict=True):
+        assert np.array_equal(a.world_from_furniture.homogeneous, b.world_from_furniture.homogeneous)
+    assert not np.allclose(one[0].world_from_furniture.translation, other[0].world_from_furniture.translation)
+
+
+def test_the_density_keeps_the_whole_within_the_payload(stool: Furniture, table: Furniture) -> None:
+    for piece in (stool, table):
+        volume = sum(p.mesh.volume for p in piece.parts)
+        density = check_size(piece) if all(p.grasps for p in piece.parts) else None
+        if density is not None:
+            assert density == pytest.approx(min(WOOD_DENSITY, PAYLOAD / volume))
+            assert density * volume <= PAYLOAD + 1e-9
+
+
+def test_furniture_that_does_not_suit_the_cell_is_refused(stool: Furniture, monkeypatch: pytest.MonkeyPatch) -> None:
+    bare = replace(stool, parts=(replace(stool.parts[0], grasps=()), *stool.parts[1:]))
+    with pytest.raises(InputError, match=f"no hand can hold part '{stool.parts[0].name}'"):
+        laid_out(bare, np.random.default_rng(0))
+    monkeypatch.setattr(cell, "LARGEST", 0.2)
+    with pytest.raises(InputError, match=r"is 0\.\d+ m from corner to corner; the cell takes 0\.35 m"):
+        laid_out(stool, np.random.default_rng(0))
+
+
+def test_a_cup_needs_something_above_it() -> None:
+    frame = block((-0.25, -0.25, 0.0), (0.25, 0.25, 0.03)) - block((-0.2, -0.2, -0.1), (0.2, 0.2, 0.1))
+    foot = block((-0.25, -0.25, 0.0305), (-0.2, -0.2, 0.1))
+    piece = furniture("frame", {"frame": of_solid(frame), "foot": of_solid(foot)})
+    # Lying it is a hole all around its centre; on edge there is a rail above its centre.
+    assert on_post(piece, alone(piece, 0, np.eye(3)), np.zeros(2)) is None
+    edge = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+    found = on_post(piece, alone(piece, 0, edge), np.array([1.0, 2.0]))
+    assert found is not None
+    assert found[1].top == pytest.approx([1.0, 2.0, LOWEST - cell.CUP_GAP], abs=1e-9)
+
+
+def test_the_cup_stays_away_from_the_hands(stool: Furniture) -> None:
+    # A stretcher lies level; its grasps are on it, and the post ends where most of them are free.
+    part = next(i for i, p in enumerate(stool.parts) if "stretcher" in p.name)
+    _, groups, stands = laid_out(stool, np.random.default_rng(0))
+    free = cell._free_hands(stool, groups[part], stands[part].top[None])
+    assert free[0] >= 0.5

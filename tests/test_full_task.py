@@ -1,0 +1,213 @@
+"""The full step: two robots fetch, meet, join and set down; every leg audited by python-fcl."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from roboassembly.furniture.model import Furniture
+from roboassembly.planning.problem import Budget
+from roboassembly.poses import rotation_angle
+from roboassembly.robots.body import world_from_tips
+from roboassembly.solvers.disassembly import partition_of
+from roboassembly.solvers.options import grasping
+from roboassembly.solvers.search import SearchLimits, solve_full
+from roboassembly.task.full import FullOutcome, FullState, FullTask, FullVerdict, Joint
+from roboassembly.task.moments import Leg
+from shapes import RobotChecker
+
+LEGS = [
+    "drive to u", "approach u", "lift u", "drive to v", "approach v", "lift v", "drive", "drive", "mate",
+    "back off from u", "leave u", "carry", "set down", "back off", "leave",
+]  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def stool(chair) -> Furniture:
+    return chair("stool", 0)
+
+
+@pytest.fixture(scope="module")
+def task(stool: Furniture) -> FullTask:
+    return FullTask(stool)
+
+
+@pytest.fixture(scope="module")
+def start(task: FullTask) -> FullState:
+    return task.initial_state(np.random.default_rng(0))
+
+
+@pytest.fixture(scope="module")
+def merged(task: FullTask, start: FullState) -> FullOutcome:
+    """The first step of the stool that succeeds: a stretcher into a leg."""
+    for action in grasping(task, start, *stretcher_and_leg(task.furniture)):
+        outcome = task.step(start, action, 3)
+        if outcome.verdict is FullVerdict.MERGED:
+            return outcome
+    pytest.fail("no action merges")
+
+
+def stretcher_and_leg(stool: Furniture) -> tuple[frozenset[int], frozenset[int]]:
+    c = next(c for c in stool.connections if {"stretcher", "leg"} <= _kinds(stool, c))
+    return frozenset({c.part_a}), frozenset({c.part_b})
+
+
+def _kinds(stool: Furniture, c) -> set[str]:
+    names = (stool.parts[c.part_a].name, stool.parts[c.part_b].name)
+    return {kind for kind in ("stretcher", "leg") if any(kind in n for n in names)}
+
+
+def dense(leg: Leg, step: float) -> list[np.ndarray]:
+    """Configurations along a leg, `step` metres and radians apart."""
+    out = [leg.path[0]]
+    for a, b in pairwise(leg.path):
+        moved = np.linalg.norm((b - a)[:2]) + np.abs(b - a)[2:].sum()
+        count = max(1, int(np.ceil(moved / step)))
+        out += [a + (b - a) * i / count for i in range(1, count + 1)]
+    return out
+
+
+def test_the_start_is_free(task: FullTask, start: FullState) -> None:
+    for robot in (0, 1):
+        own = start.moment.robots[robot]
+        checker = RobotChecker(start.moment.around(task.furniture, robot), None, own.opening)
+        assert not checker.hits(own.at)
+
+
+def test_what_is_no_action_or_wrong_costs_nothing(task: FullTask, start: FullState, merged: FullOutcome) -> None:
+    assert merged.step is not None
+    u, v, k, l, g_a, g_b = merged.step.action  # noqa: E741
+    for action in ((u, u, k, l, g_a, g_b), (u, v, 9, l, g_a, g_b), (u, v, k, l, 8, g_b), (99, v, k, l, g_a, g_b)):
+        outcome = task.step(start, action, 0)
+        assert outcome.verdict is FullVerdict.NOT_AN_ACTION
+        assert outcome.state is start
+    legs = [i for i, p in enumerate(task.furniture.parts) if "leg" in p.name]
+    outcome = task.step(start, (legs[0], legs[1], 0, 0, 0, 0), 0)
+    assert outcome.verdict is FullVerdict.WRONG_PAIR
+    assert (outcome.planning_steps, outcome.legs, outcome.step) == (0, (), None)
+    # Joined points are not free any more.
+    assert task.step(merged.state, merged.step.action, 0).verdict is FullVerdict.NOT_AN_ACTION
+
+
+def test_the_legs_follow_each_other_as_in_the_paper(merged: FullOutcome) -> None:
+    legs = merged.legs
+    assert [leg.name.removesuffix(" u").removesuffix(" v") if leg.name in ("drive u", "drive v") else leg.name
+            for leg in legs] == LEGS  # fmt: skip
+    assert [leg.robot for leg in legs] == [0, 0, 0, 1, 1, 1, legs[6].robot, legs[7].robot, 0, 0, 0, 1, 1, 1, 1]
+    for leg in legs:
+        assert np.allclose(leg.path[0], leg.moment.robots[leg.robot].at)
+    for before, leg in pairwise(legs):
+        for robot in (0, 1):
+            assert np.array_equal(before.after.robots[robot].at, leg.moment.robots[robot].at)
+
+
+@pytest.mark.parametrize("step", [0.08, pytest.param(0.008, marks=pytest.mark.slow)])
+def test_no_leg_touches_anything(task: FullTask, merged: FullOutcome, step: float) -> None:
+    for leg in merged.legs:
+        own = leg.moment.robots[leg.robot]
+        held = None if own.grip is None else own.grip.held(task.furniture)
+        checker = RobotChecker(leg.moment.around(task.furniture, leg.robot), held, own.opening)
+        hits = [q for q in dense(leg, step) if checker.hits(q)]
+        assert not hits, leg.name
+
+
+def test_no_part_floats_or_jumps(task: FullTask, merged: FullOutcome) -> None:
+    def poses(groups) -> dict[int, np.ndarray]:
+        return {p: pose.homogeneous for g in groups for p, pose in zip(g.parts, g.part_poses(), strict=True)}
+
+    n = len(task.furniture.parts)
+    for before, leg in pairwise(merged.legs):
+        there, here = poses(before.after.groups()), poses(leg.moment.groups())
+        assert sorted(here) == list(range(n))
+        # Where a hand takes over or lets go, nothing moves but by rounding.
+        assert all(np.allclose(there[p], here[p], atol=2e-6) for p in range(n)), leg.name
+    final = merged.state
+    assert len(final.moment.standing) == len(final.groups.groups) == n - 1
+    for group, standing in zip(final.groups.groups, final.moment.standing, strict=True):
+        assert group is standing.group
+    assert final.moment.robots[0].grip is None
+    assert final.moment.robots[1].grip is None
+
+
+def test_mated_parts_are_where_the_furniture_has_them(task: FullTask, merged: FullOutcome) -> None:
+    mate = next(leg for leg in merged.legs if leg.name == "mate")
+    where = {p: q for g in mate.after.groups() for p, q in zip(g.parts, g.part_poses(), strict=True)}
+    joined = next(g for g in merged.state.groups.groups if len(g.parts) == 2)
+    one, two = joined.parts
+    wanted = joined.furniture_from_part[0].actInv(joined.furniture_from_part[1])
+    got = where[one].actInv(where[two])
+    assert np.linalg.norm(got.translation - wanted.translation) < 1e-5
+    assert rotation_angle(got.rotation.T @ wanted.rotation) < 1e-5
+
+
+def test_hands_come_lift_and_mate_in_straight_lines(merged: FullOutcome) -> None:
+    for leg in merged.legs:
+        if leg.name.split()[0] in ("approach", "lift", "mate", "back"):
+            tips = [world_from_tips(q) for q in leg.path]
+            start, end = tips[0].translation, tips[-1].translation
+            along = (end - start) / np.linalg.norm(end - start)
+            off = np.array([t.translation - start for t in tips])
+            assert np.abs(off - np.outer(off @ along, along)).max() < 1e-5, leg.name
+            assert max(rotation_angle(t.rotation.T @ tips[0].rotation) for t in tips) < 1e-5, leg.name
+            if leg.name.startswith("lift"):
+                assert along == pytest.approx([0.0, 0.0, 1.0], abs=1e-6)
+
+
+def test_the_same_seed_takes_the_same_way(task: FullTask, start: FullState, merged: FullOutcome) -> None:
+    assert merged.step is not None
+    again = task.step(start, merged.step.action, 3)
+    assert again.planning_steps == merged.planning_steps
+    for a, b in zip(again.legs, merged.legs, strict=True):
+        assert a.name == b.name
+        assert all(np.array_equal(p, q) for p, q in zip(a.path, b.path, strict=True))
+
+
+def test_a_grasp_that_the_group_blocks_is_told_before_anything_moves(task: FullTask, merged: FullOutcome) -> None:
+    state = merged.state
+    joined = next(g for g in state.groups.groups if len(g.parts) == 2)
+    for u in joined.parts:
+        free = set(task.free_grasps(state.groups, u))
+        for c in task.furniture.connections:
+            if (
+                u == c.part_a
+                and c.part_b not in joined.parts
+                and task.exists(state, (u, c.part_b, c.point_a, c.point_b, 0, 0))
+            ):
+                for g in set(range(8)) - free:
+                    outcome = task.step(state, (u, c.part_b, c.point_a, c.point_b, g, 0), 0)
+                    assert (outcome.verdict, outcome.leg) == (FullVerdict.GRASP_BLOCKED, "grasp u")
+                    assert outcome.state is state
+                    assert outcome.legs == ()
+
+
+def test_without_a_budget_there_is_no_path(task: FullTask, start: FullState, merged: FullOutcome) -> None:
+    assert merged.step is not None
+    outcome = task.step(start, merged.step.action, 3, Budget(states=1))
+    # Straight edges need no search, so it may get some way.
+    assert outcome.verdict in (FullVerdict.NO_PATH, FullVerdict.MERGED)
+    assert outcome.planning_steps < merged.planning_steps
+
+
+def test_options_pass_the_cheap_tests_and_name_the_split(task: FullTask, start: FullState) -> None:
+    leaving, staying = stretcher_and_leg(task.furniture)
+    assert {leaving, staying} <= partition_of(start.groups)
+    options = list(grasping(task, start, leaving, staying))
+    assert options
+    for action in options:
+        assert task.exists(start, action)
+        assert {action[0], action[1]} == {*leaving, *staying}
+        assert isinstance(task.joint(start.groups, action), Joint)
+
+
+@pytest.mark.slow
+def test_the_search_assembles_a_stool_with_two_robots(stool: Furniture) -> None:
+    result = solve_full(stool, 0)
+    assert result.plan.success, result.reason
+    assert len(result.plan.steps) == len(stool.parts) - 1
+    again = solve_full(stool, 0)
+    assert [s.action for s in again.plan.steps] == [s.action for s in result.plan.steps]
+    gone = solve_full(stool, 0, limits=SearchLimits(attempts=2))
+    assert not gone.plan.success
+    assert "limits reached after 2 merges tried" in gone.reason
