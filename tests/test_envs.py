@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 import warnings
+from copy import deepcopy
+from dataclasses import replace
+from functools import cache
 from pathlib import Path
+from typing import Any
 
 import gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
-from roboassembly.envs import OBJECT_CENTRIC
+from roboassembly.envs import FULL, OBJECT_CENTRIC
+from roboassembly.envs.assembly import AssemblyEnv
+from roboassembly.envs.full import FullEnv
 from roboassembly.envs.object_centric import ObjectCentricEnv
 from roboassembly.envs.wrappers import DiscreteActions
 from roboassembly.errors import InputError, UnknownNameError
@@ -18,7 +24,8 @@ from roboassembly.furniture import catalogue, storage
 from roboassembly.furniture.model import Furniture, Provenance, RawFurniture, RawPart
 from roboassembly.meshes import Mesh
 from roboassembly.poses import pose_to_euler
-from roboassembly.solvers.search import solve
+from roboassembly.solvers.disassembly import Disassembly, partition_of
+from roboassembly.solvers.options import grasping, upright
 
 trimesh = pytest.importorskip("trimesh")
 
@@ -42,17 +49,51 @@ SAMPLE = ("ladder", "windsor", "pedestal", "stool")
 SOURCES = {**{name: (lambda name=name: catalogue.make(name, 1)) for name in SAMPLE}, "imported": _imported}
 
 
-@pytest.fixture(scope="module", params=SOURCES)
-def furniture(request: pytest.FixtureRequest) -> Furniture:
-    return SOURCES[request.param]()
+CASES = [(ObjectCentricEnv, name) for name in SOURCES] + [(FullEnv, name) for name in ("stool", "imported")]
+"""Every environment, and what it assembles; two robots take their time, so they get less."""
+AnEnv = AssemblyEnv[Any, Any, Any]
+
+
+@cache
+def piece(name: str) -> Furniture:
+    return SOURCES[name]()
+
+
+@pytest.fixture(scope="module", params=CASES, ids=[f"{env.__name__}-{name}" for env, name in CASES])
+def case(request: pytest.FixtureRequest) -> tuple[type[AnEnv], str]:
+    return request.param
+
+
+@pytest.fixture(scope="module")
+def furniture(case: tuple[type[AnEnv], str]) -> Furniture:
+    return piece(case[1])
 
 
 @pytest.fixture
-def env(furniture: Furniture) -> ObjectCentricEnv:
-    return ObjectCentricEnv(furniture)
+def env(case: tuple[type[AnEnv], str], furniture: Furniture) -> AnEnv:
+    return case[0](furniture)
 
 
-def test_gymnasium_checker(env: ObjectCentricEnv) -> None:
+@cache
+def reasoning(furniture: Furniture) -> Disassembly:
+    return Disassembly(furniture, lambda: False)
+
+
+def right_action(env: AnEnv) -> tuple[int, ...]:
+    """One that merges, now, and leaves the furniture completable."""
+    seed = int(deepcopy(env.np_random).integers(2**31 - 1))
+    told = next(env.task.own_places(env.state))
+    disassembly = reasoning(env.task.furniture)
+    order = disassembly.order(partition_of(env.task.joined(told)), set(), straight=True, exhaustive=False)
+    assert order
+    if isinstance(env, FullEnv):
+        options = grasping(env.task, told, *order[0])
+    else:
+        options = upright(disassembly, told, *order[0], straight=True)
+    return next(a for a in options if env.task.step(env.state, a, seed).step is not None)
+
+
+def test_gymnasium_checker(env: AnEnv) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         warnings.filterwarnings("ignore", message=".*not within the observation space bounds.*infinity.*")
@@ -61,21 +102,20 @@ def test_gymnasium_checker(env: ObjectCentricEnv) -> None:
         check_env(env, skip_render_check=True)
 
 
-def test_discrete_view_passes_the_checker(env: ObjectCentricEnv) -> None:
+def test_discrete_view_passes_the_checker(env: AnEnv) -> None:
     check_env(DiscreteActions(env), skip_render_check=True)
 
 
-def test_episode_of_right_actions(env: ObjectCentricEnv, furniture: Furniture) -> None:
-    """The searched actions earn one a merge and four at the end, and the chair stands as designed."""
-    plan = solve(furniture, 11).plan
-    assert plan.success
+def test_episode_of_right_actions(env: AnEnv, furniture: Furniture) -> None:
+    """Right actions earn one a merge and four at the end."""
     observation, info = env.reset(seed=11)
     assert info["groups"] == len(furniture.parts)
     assert not info["success"]
-    rewards = []
-    for step in plan.steps:
-        assert info["action_mask"][step.action], "a right action must exist"
-        observation, reward, terminated, truncated, info = env.step(np.array(step.action))
+    rewards, terminated = [], False
+    while not terminated:
+        action = right_action(env)
+        assert info["action_mask"][action], "a right action must exist"
+        observation, reward, terminated, truncated, info = env.step(np.array(action))
         assert env.observation_space.contains(observation)
         assert (info["verdict"], truncated) == ("merged", False)
         assert info["planning_steps"] > 0
@@ -86,7 +126,7 @@ def test_episode_of_right_actions(env: ObjectCentricEnv, furniture: Furniture) -
     assert not info["action_mask"].any()
 
 
-def test_observation_is_the_papers_state(env: ObjectCentricEnv, furniture: Furniture) -> None:
+def test_observation_is_the_papers_state(env: AnEnv, furniture: Furniture) -> None:
     observation, _ = env.reset(seed=2)
     n = len(furniture.parts)
     assert {k: v.shape for k, v in observation.items()} == {
@@ -99,7 +139,9 @@ def test_observation_is_the_papers_state(env: ObjectCentricEnv, furniture: Furni
     assert not any(observation[k][n:].any() for k in observation)
     assert not observation["connections"].any(), "nothing is joined at first"
     for p, part in enumerate(furniture.parts):
-        np.testing.assert_allclose(observation["poses"][p], pose_to_euler(env.state.part_poses[p]), atol=1e-6)
+        np.testing.assert_allclose(
+            observation["poses"][p], pose_to_euler(env.task.joined(env.state).part_poses[p]), atol=1e-6
+        )
         low, high = part.mesh.bounds
         assert (observation["shapes"][p] >= low - 1e-6).all()
         assert (observation["shapes"][p] <= high + 1e-6).all()
@@ -107,15 +149,16 @@ def test_observation_is_the_papers_state(env: ObjectCentricEnv, furniture: Furni
             np.testing.assert_allclose(observation["connection_points"][p, k, :3], point.position, atol=1e-6)
         assert not observation["connection_points"][p, len(part.points) :].any()
 
-    step = solve(furniture, 2).plan.steps[0]
-    observation, *_ = env.step(np.array(step.action))
-    u, v = step.action[:2]
-    relative = env.state.part_poses[u].actInv(env.state.part_poses[v])
+    action = right_action(env)
+    observation, *_ = env.step(np.array(action))
+    u, v = action[:2]
+    poses = env.task.joined(env.state).part_poses
+    relative = poses[u].actInv(poses[v])
     np.testing.assert_allclose(observation["connections"][u, v], pose_to_euler(relative), atol=1e-5)
     assert np.count_nonzero(observation["connections"].any(axis=2)) == 2
 
 
-def test_observations_are_fresh_arrays(env: ObjectCentricEnv) -> None:
+def test_observations_are_fresh_arrays(env: AnEnv) -> None:
     first, _ = env.reset(seed=0)
     for array in first.values():
         array.fill(7.0)
@@ -123,33 +166,38 @@ def test_observations_are_fresh_arrays(env: ObjectCentricEnv) -> None:
     assert not any((array == 7.0).all() for array in second.values())
 
 
-def test_mask_by_the_book(env: ObjectCentricEnv, furniture: Furniture) -> None:
+def test_mask_by_the_book(env: AnEnv, furniture: Furniture) -> None:
     _, info = env.reset(seed=0)
     mask = info["action_mask"]
     assert mask.shape == tuple(env.action_space.nvec)
     points = [len(p.points) for p in furniture.parts]
-    expected = 6 * sum(a * b for i, a in enumerate(points) for j, b in enumerate(points) if i != j)
+    grasps = [4 * len(p.grasps) for p in furniture.parts]
+    ways = [[g * h for h in grasps] if isinstance(env, FullEnv) else [6] * len(points) for g in grasps]
+    expected = sum(a * b * ways[i][j] for i, a in enumerate(points) for j, b in enumerate(points) if i != j)
     assert mask.sum() == expected
     np.testing.assert_array_equal(mask, env.action_masks())
 
 
-def test_mask_does_not_leak_the_answer(env: ObjectCentricEnv, furniture: Furniture) -> None:
+def test_mask_does_not_leak_the_answer(env: AnEnv, furniture: Furniture) -> None:
     """Nothing but existence: every pair of points of different groups is allowed, right or wrong."""
     _, info = env.reset(seed=0)
-    plan = solve(furniture, 0).plan
-    for step in plan.steps[: len(plan.steps) // 2]:
-        *_, info = env.step(np.array(step.action))
-    mask, free = info["action_mask"], env.task.free_points(env.state)
+    for _ in range(2 if isinstance(env, FullEnv) else len(furniture.parts) // 2):
+        *_, info = env.step(np.array(right_action(env)))
+    joined = env.task.joined(env.state)
+    mask, free = info["action_mask"], env.task.rules.free_points(joined)
     for u in range(20):
         for v in range(20):
             there = u < len(furniture.parts) and v < len(furniture.parts)
-            apart = there and env.state.group_of[u] != env.state.group_of[v]
+            apart = there and joined.group_of[u] != joined.group_of[v]
             expected = free[u][:, None] & free[v][None] if apart else np.zeros((10, 10), bool)
-            np.testing.assert_array_equal(mask[u, v].all(axis=-1), expected)
+            # Of grasps it tells which a part has: all eight, or the four of its one region.
+            np.testing.assert_array_equal(mask[u, v].reshape(10, 10, -1).any(axis=-1), expected)
+            assert len({way.tobytes() for way in mask[u, v][expected]}) <= 1
 
 
-def test_masked_actions_end_the_episode(env: ObjectCentricEnv) -> None:
-    for action in ([0, 0, 0, 0, 0], [19, 0, 9, 0, 0], [0, 1, 9, 9, 5]):
+def test_masked_actions_end_the_episode(env: AnEnv) -> None:
+    more = [0] * (len(env.action_space.nvec) - 5)
+    for action in ([0, 0, 0, 0, 0, *more], [19, 0, 9, 0, 0, *more], [0, 1, 9, 9, 5, *more]):
         _, info = env.reset(seed=0)
         if info["action_mask"][tuple(action)]:
             continue
@@ -157,7 +205,7 @@ def test_masked_actions_end_the_episode(env: ObjectCentricEnv) -> None:
         assert (reward, terminated, info["verdict"]) == (0.0, True, "not_an_action")
 
 
-def test_wrong_pairs_end_the_episode_and_change_nothing(env: ObjectCentricEnv) -> None:
+def test_wrong_pairs_end_the_episode_and_change_nothing(env: AnEnv) -> None:
     env.reset(seed=0)
     rng = np.random.default_rng(0)
     choices = np.argwhere(env.action_masks())
@@ -174,13 +222,13 @@ def test_wrong_pairs_end_the_episode_and_change_nothing(env: ObjectCentricEnv) -
     assert wrong > 5
 
 
-def test_seeds_reproduce_episodes(env: ObjectCentricEnv) -> None:
+def test_seeds_reproduce_episodes(env: AnEnv) -> None:
     def play(seed: int) -> list[np.ndarray]:
         observation, _ = env.reset(seed=seed)
         seen = [observation["poses"]]
         rng = np.random.default_rng(seed)
-        for action in solve(env.task.furniture, seed).plan.steps[:3]:
-            observation, *_ = env.step(np.array(action.action))
+        for _ in range(2):
+            observation, *_ = env.step(np.array(right_action(env)))
             seen.append(observation["poses"])
         choices = np.argwhere(env.action_masks())
         observation, *_ = env.step(choices[rng.integers(len(choices))])
@@ -210,6 +258,24 @@ def test_made_through_gymnasium_and_vectorised() -> None:
     assert terminated.tolist() == [True, True]
     assert list(info["verdict"]) == ["not_an_action"] * 2
     envs.close()
+
+
+def test_the_full_setting_through_gymnasium() -> None:
+    env = gymnasium.make(FULL, furniture="stool")
+    _, info = env.reset(seed=0)
+    assert info["action_mask"].shape == (20, 20, 10, 10, 8, 8)
+    assert info["leg"] == ""
+    assert 0.0 < info["density"] <= 700.0
+    *_, info = env.step(np.zeros(6, int))
+    assert info["verdict"] == "not_an_action"
+
+
+def test_furniture_that_two_robots_cannot_hold_is_refused_at_reset() -> None:
+    stool = catalogue.make("stool")
+    bare = replace(stool, parts=(*stool.parts[:-1], replace(stool.parts[-1], grasps=())))
+    env = FullEnv(bare)
+    with pytest.raises(InputError, match=f"no hand can hold part '{bare.parts[-1].name}'"):
+        env.reset(seed=0)
 
 
 def test_smaller_spaces_for_small_furniture() -> None:

@@ -3,9 +3,15 @@
 from gymnasium.envs import registration
 
 OBJECT_CENTRIC = "RoboAssembly/ObjectCentric-v0"
+FULL = "RoboAssembly/Full-v0"
+_ENTRIES = {
+    OBJECT_CENTRIC: "roboassembly.envs.object_centric:ObjectCentricEnv",
+    FULL: "roboassembly.envs.full:FullEnv",
+}
 
 
 def register() -> None:
     """Tell Gymnasium the environments' names; `import roboassembly` does it."""
-    if OBJECT_CENTRIC not in registration.registry:
-        registration.register(OBJECT_CENTRIC, entry_point="roboassembly.envs.object_centric:ObjectCentricEnv")
+    for name, entry in _ENTRIES.items():
+        if name not in registration.registry:
+            registration.register(name, entry_point=entry)
