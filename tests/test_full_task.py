@@ -14,7 +14,8 @@ from roboassembly.robots.body import world_from_tips
 from roboassembly.solvers.disassembly import partition_of
 from roboassembly.solvers.options import grasping
 from roboassembly.solvers.search import SearchLimits, solve_full
-from roboassembly.task.full import FullOutcome, FullState, FullTask, FullVerdict, Joint
+from roboassembly.task.full import FullOutcome, FullTask, FullVerdict, Joint
+from roboassembly.task.full_plan import FullState
 from roboassembly.task.moments import Leg
 from shapes import RobotChecker
 

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
@@ -30,8 +30,8 @@ class Assemble:
 
     furniture: Annotated[str, tyro.conf.Positional] = "ladder"
     """A built-in chair (`ladder`, `windsor:3` for another of its kind, ...) or a furniture folder."""
-    setting: Literal["object-centric"] = "object-centric"
-    """What moves the parts: they fly by themselves."""
+    setting: Literal["object-centric", "full"] = "object-centric"
+    """What moves the parts: they fly by themselves, or two mobile Frankas move them."""
     seed: int = 0
     """Where the parts lie at first, and what the planner draws."""
     out: Path = Path("assembly")
@@ -51,6 +51,8 @@ class Assemble:
             raise InputError(f"--seed {self.seed} is negative; 0 or more would do")
         if not self.search and self.policy == NO_POLICY:
             raise InputError("--no-search needs a --policy to play alone; 'relational' would do")
+        if self.setting == "full" and self.policy != NO_POLICY:
+            raise InputError(f"--policy {self.policy} chooses no grasps; --setting full takes --policy none")
         from roboassembly.furniture import catalogue
 
         started = time.perf_counter()
@@ -69,6 +71,7 @@ class Assemble:
         outputs = self._write(result, solved)
         report = {
             "success": result.plan.success,
+            "setting": self.setting,
             "furniture": furniture.name,
             "parts": len(furniture.parts),
             "policy": self.policy,
@@ -88,10 +91,12 @@ class Assemble:
                 print(path)
         return DONE if result.plan.success else DONE_BADLY
 
-    def _solver(self) -> Callable[[Furniture], SearchResult]:
+    def _solver(self) -> Callable[[Furniture], SearchResult[Any]]:
         """What finds the plan. A policy that is of no use is told before anything is done."""
-        from roboassembly.solvers.search import SearchResult, solve
+        from roboassembly.solvers.search import SearchResult, solve, solve_full
 
+        if self.setting == "full":
+            return partial(solve_full, seed=self.seed)
         if self.policy == NO_POLICY:
             return partial(solve, seed=self.seed)
         from roboassembly.learning.loading import load_policy
@@ -102,7 +107,7 @@ class Assemble:
             return partial(solve, seed=self.seed, guide=guide_of(policy))
         from roboassembly.learning.evaluate import play
 
-        def alone(furniture: Furniture) -> SearchResult:
+        def alone(furniture: Furniture) -> SearchResult[Any]:
             done = play(policy, furniture, self.seed)
             failed = f"{self.policy} alone: merge {len(done.actions)} ended as {done.verdict}"
             return SearchResult(
@@ -118,10 +123,10 @@ class Assemble:
 
         return alone
 
-    def _told(self, result: SearchResult) -> str:
+    def _told(self, result: SearchResult[Any]) -> str:
         return "" if self.policy == NO_POLICY else f", {result.guided} of them chosen by {self.policy}"
 
-    def _write(self, result: SearchResult, solved: float) -> dict[str, str]:
+    def _write(self, result: SearchResult[Any], solved: float) -> dict[str, str]:
         from roboassembly.furniture import storage
         from roboassembly.task import plan_file
         from roboassembly.viewer.film import write_film

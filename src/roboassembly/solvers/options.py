@@ -9,7 +9,8 @@ import numpy as np
 
 from roboassembly.furniture.model import Furniture
 from roboassembly.solvers.disassembly import Disassembly, Parts
-from roboassembly.task.full import FullState, FullTask, Joint
+from roboassembly.task.full import FullTask, Joint
+from roboassembly.task.full_plan import FullState
 from roboassembly.task.groups import TaskState, corresponding_point
 from roboassembly.task.rules import UP_AXES
 

@@ -27,7 +27,8 @@ from roboassembly.solvers.disassembly import Disassembly, Parts
 from roboassembly.solvers.forward import Action, Round, Search, SearchLimits, SearchResult
 from roboassembly.solvers.guide import Guide
 from roboassembly.solvers.options import grasping, upright
-from roboassembly.task.full import FullPlan, FullState, FullTask
+from roboassembly.task.full import FullTask
+from roboassembly.task.full_plan import FullPlan, FullState
 from roboassembly.task.groups import TaskState
 from roboassembly.task.object_centric import ObjectCentricTask
 from roboassembly.task.plan import Plan

@@ -17,7 +17,8 @@ from jaxtyping import Bool, Float
 from roboassembly.furniture.model import Furniture
 from roboassembly.planning.problem import Budget
 from roboassembly.poses import SE3
-from roboassembly.task.cell import Cell, laid_out
+from roboassembly.task.cell import laid_out
+from roboassembly.task.full_plan import FullState, FullStep
 from roboassembly.task.groups import Group, TaskState
 from roboassembly.task.joining import Hold, Way, can_let_go, can_take, hold, ways_out
 from roboassembly.task.legs import TUCKED, LegError, LegPlanner, Meeting, Obstacle
@@ -50,39 +51,6 @@ class FullVerdict(StrEnum):
     NO_ARM_SOLUTION = "no_arm_solution"
     NO_PATH = "no_path"
     NO_STAND = "no_stand"
-
-
-@dataclass(frozen=True, eq=False)
-class FullState:
-    """Where all is between two steps."""
-
-    groups: TaskState
-    moment: Moment
-    """Its `standing` are the groups, in their order."""
-    cell: Cell
-
-
-@dataclass(frozen=True, eq=False)
-class FullStep:
-    """The record of one merge."""
-
-    action: tuple[int, ...]
-    """`(u, v, k, l, g_a, g_b)`."""
-    legs: tuple[Leg, ...]
-    planning_steps: int
-    """Configurations tested for collision."""
-    planning_seconds: float
-
-
-@dataclass(frozen=True, eq=False)
-class FullPlan:
-    """A whole assembly by two robots."""
-
-    furniture: Furniture
-    initial: FullState
-    steps: tuple[FullStep, ...]
-    success: bool
-    seed: int
 
 
 @dataclass(frozen=True, eq=False)

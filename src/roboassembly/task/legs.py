@@ -356,11 +356,14 @@ class LegPlanner:
     def _places(
         self, merged: Group, near: Configuration, wanted: Sequence[Float[np.ndarray, "2"]]
     ) -> Iterator[Standing]:
-        """Ways for the merged group to stand on a post, each axis up once."""
+        """Ways for the merged group to stand on a post, each axis up once; finished furniture upright if it can."""
         taken = [circle_of(self.furniture, s.group) for s in self.moment.standing]
         order = np.argsort([np.linalg.norm(p - near[:2]) for p in wanted])
         places = [wanted[o] * f for f in _OUTWARD for o in order]
-        for w in self.rng.permutation(len(UP_AXES)):
+        axes = self.rng.permutation(len(UP_AXES))
+        if len(merged.parts) == len(self.furniture.parts):
+            axes = np.concatenate([[0], axes[axes != 0]])
+        for w in axes:
             turn = turn_about_vertical(self.rng.uniform(-np.pi, np.pi)) @ align_axis(UP_AXES[w], UP_AXES[0])
             found = on_post(self.furniture, merged.moved_to(SE3(turn, np.zeros(3))), np.zeros(2))
             if found is None:

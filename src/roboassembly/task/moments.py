@@ -96,6 +96,11 @@ class Moment:
         a, b = self.robots
         return replace(self, robots=(new, b) if robot == 0 else (a, new))
 
+    @property
+    def stands(self) -> tuple[Stand, ...]:
+        """Posts that are up."""
+        return (*(s.stand for s in self.standing), *self.posts)
+
     def groups(self) -> list[Group]:
         """All groups where they are, those in hands last."""
         held = [r.grip.placed(r.at) for r in self.robots if r.grip is not None]

@@ -2,12 +2,17 @@
 
     format, version   "roboassembly.plan", 1
     furniture         name, parts (their names, in order), source
-    setting, seed, success
+    setting           "object-centric" or "full"
+    seed, success
     initial           pose of every part before the first step
-    steps             one object a merge, see `_Step`
+    steps             one object a merge, see `_Step` (object-centric) and `_FullStep` (full)
+    robots, posts     full only: both robots' configurations at first; where cups of posts ever end
 
 Poses are `(x, y, z, qw, qx, qy, qz)`, metres, world frame, z up, ground at z = 0. Between two way-points of `path` the
 translation is linear and the rotation spherical-linear, both from 0 to 1 together.
+
+A robot's configuration is `(x, y, angle, q1 ... q7)`: its platform, then the Panda's joints; metres and radians.
+Between two of a leg all ten numbers go linearly. R_a is robot 0, R_b is robot 1.
 """
 
 from __future__ import annotations
@@ -17,6 +22,9 @@ from pathlib import Path
 import msgspec
 
 from roboassembly.poses import SE3, pose_to_seven
+from roboassembly.task.full_plan import FullPlan, FullStep
+from roboassembly.task.groups import TaskState
+from roboassembly.task.moments import Leg
 from roboassembly.task.plan import Plan, PlanStep
 
 FORMAT = "roboassembly.plan"
@@ -53,7 +61,30 @@ class _Furniture(msgspec.Struct):
     source: str
 
 
-class _File(msgspec.Struct):
+class _Leg(msgspec.Struct):
+    name: str
+    robot: int
+    """Which moves; the other one stands still."""
+    opening: float
+    """Metres between its finger pads."""
+    path: list[list[float]]
+    """Its configurations."""
+    held: list[_Placed]
+    """What its hand holds: poses of parts in the frame of the finger tips."""
+    posts: list[int]
+    """That are up meanwhile."""
+
+
+class _FullStep(msgspec.Struct):
+    action: list[int]
+    """`[u, v, k, l, g_a, g_b]`."""
+    legs: list[_Leg]
+    after: list[list[float]]
+    """World pose of every part when the step is over."""
+    planning_steps: int
+
+
+class _File(msgspec.Struct, omit_defaults=True):
     format: str
     version: int
     furniture: _Furniture
@@ -61,26 +92,39 @@ class _File(msgspec.Struct):
     seed: int
     success: bool
     initial: list[list[float]]
-    steps: list[_Step]
+    steps: list[_Step] | list[_FullStep]
+    robots: list[list[float]] = []
+    posts: list[list[float]] = []
+    density: float = 0.0
+    """kg/m³ of the parts, full only."""
 
 
-def encode(plan: Plan) -> bytes:
+def encode(plan: Plan | FullPlan) -> bytes:
     """The contents of `plan.json`."""
     furniture = plan.furniture
+    full = isinstance(plan, FullPlan)
     document = _File(
         FORMAT,
         VERSION,
         _Furniture(furniture.name, [p.name for p in furniture.parts], furniture.provenance.source),
-        "object-centric",
+        "full" if full else "object-centric",
         plan.seed,
         plan.success,
-        [pose_to_seven(p) for p in plan.initial],
-        [_step(s) for s in plan.steps],
+        [pose_to_seven(p) for p in (plan.initial.groups.part_poses if full else plan.initial)],
+        [],
     )
+    if full:
+        posts = {id(stand): i for i, stand in enumerate(plan.stands)}
+        document.steps = [_full_step(s, posts) for s in plan.steps]
+        document.robots = [r.at.tolist() for r in plan.initial.moment.robots]
+        document.posts = [s.top.tolist() for s in plan.stands]
+        document.density = plan.initial.cell.density
+    else:
+        document.steps = [_step(s) for s in plan.steps]
     return msgspec.json.format(msgspec.json.encode(document), indent=1) + b"\n"
 
 
-def write(plan: Plan, path: Path) -> None:
+def write(plan: Plan | FullPlan, path: Path) -> None:
     """Write `plan.json` to `path`."""
     path.write_bytes(encode(plan))
 
@@ -97,6 +141,22 @@ def _step(step: PlanStep) -> _Step:
         step.planning_steps,
         step.planner,
     )
+
+
+def _full_step(step: FullStep, posts: dict[int, int]) -> _FullStep:
+    where = TaskState(tuple(step.legs[-1].after.groups())).part_poses
+    legs = [_leg(leg, posts) for leg in step.legs]
+    return _FullStep(list(step.action), legs, [pose_to_seven(p) for p in where], step.planning_steps)
+
+
+def _leg(leg: Leg, posts: dict[int, int]) -> _Leg:
+    robot = leg.moment.robots[leg.robot]
+    held: dict[int, SE3] = {}
+    if robot.grip is not None:
+        group, tips = robot.grip.group, robot.grip.hold.furniture_from_tips
+        held = {p: tips.actInv(pose) for p, pose in zip(group.parts, group.furniture_from_part, strict=True)}
+    up = sorted(posts[id(stand)] for stand in leg.moment.stands)
+    return _Leg(leg.name, leg.robot, robot.opening, [q.tolist() for q in leg.path], _placed(held), up)
 
 
 def _placed(poses: dict[int, SE3]) -> list[_Placed]:

@@ -1,4 +1,4 @@
-"""The colours of the pictures: orange moves, green waits, wood lies still."""
+"""The colours of the pictures: orange moves, green waits, wood lies still; robots are blue and white."""
 
 from __future__ import annotations
 
@@ -13,6 +13,9 @@ Color = tuple[float, float, float]
 MOVING: Color = (0.95, 0.45, 0.08)
 WAITING: Color = (0.28, 0.66, 0.32)
 WOOD: Color = (0.80, 0.66, 0.49)
+ROBOT_A: Color = (0.62, 0.70, 0.82)
+ROBOT_B: Color = (0.90, 0.90, 0.92)
+POST: Color = (0.45, 0.47, 0.50)
 BACKGROUND: Color = (0.945, 0.953, 0.961)
 FLOOR: Color = (0.90, 0.905, 0.91)
 FLOOR_LINES: Color = (0.82, 0.83, 0.845)
@@ -20,8 +23,11 @@ FLOOR_LINES: Color = (0.82, 0.83, 0.845)
 
 def part_colors(roles: Sequence[Role]) -> list[Color]:
     """One colour a part. Parts differ a little in brightness, so that two in contact can be told apart."""
-    base = {Role.MOVING: MOVING, Role.WAITING: WAITING, Role.IDLE: WOOD}
-    return [_shade(base[role], index) for index, role in enumerate(roles)]
+    return [_plain[role] if role in _plain else _shade(_base[role], index) for index, role in enumerate(roles)]
+
+
+_base = {Role.MOVING: MOVING, Role.WAITING: WAITING, Role.IDLE: WOOD}
+_plain = {Role.ROBOT_A: ROBOT_A, Role.ROBOT_B: ROBOT_B, Role.POST: POST}
 
 
 def wood_colors(count: int) -> list[Color]:

@@ -13,13 +13,13 @@ from jaxtyping import UInt8
 from roboassembly.errors import InputError
 from roboassembly.furniture.model import Furniture
 from roboassembly.poses import SE3, transform_points
-from roboassembly.task.plan import Plan
 from roboassembly.viewer.colors import BACKGROUND, part_colors, to_bytes, wood_colors
 from roboassembly.viewer.files import replaced
 from roboassembly.viewer.framing import box_corners, fit, follow
 from roboassembly.viewer.gl import RenderingUnavailableError
+from roboassembly.viewer.playing import AnyPlan, timeline_of
 from roboassembly.viewer.stage import STILL, Quality, Stage, check_size
-from roboassembly.viewer.timeline import Phase, Timeline, make_timeline
+from roboassembly.viewer.timeline import Phase, Timeline
 
 __all__ = [
     "RenderingUnavailableError",
@@ -30,17 +30,15 @@ __all__ = [
     "write_storyboard",
 ]
 
-SECONDS_PER_STEP = 1.8
-
 
 def write_film(
-    plan: Plan,
+    plan: AnyPlan,
     path: Path,
     *,
     width: int = 960,
     height: int = 540,
     fps: int = 24,
-    seconds_per_step: float = SECONDS_PER_STEP,
+    seconds_per_step: float | None = None,
     quality: Quality | None = None,
 ) -> None:
     """Write an H.264 film (`.mp4`, plays in browsers) of the whole plan, or of as much of it as there is.
@@ -51,7 +49,7 @@ def write_film(
         width: Pixels, even.
         height: Pixels, even.
         fps: Frames a second.
-        seconds_per_step: About how long each step lasts.
+        seconds_per_step: About how long each step lasts; as long as suits the setting if not given.
         quality: If not given, the best where there is a graphics card, and a faster one where there is none.
 
     Raises:
@@ -61,7 +59,7 @@ def write_film(
     if width % 2 or height % 2:
         raise InputError(f"film of {width} x {height} pixels; H.264 asks for even numbers")
     check_size(width, height)
-    timeline = make_timeline(plan, frames_per_second=fps, seconds_per_step=seconds_per_step)
+    timeline = timeline_of(plan, fps, seconds_per_step)
     views = follow(timeline, width / height)
     try:
         imageio_ffmpeg.get_ffmpeg_exe()
@@ -91,7 +89,7 @@ def write_film(
 
 
 def render_pictures(
-    plan: Plan, *, width: int = 1280, height: int = 720, quality: Quality = STILL
+    plan: AnyPlan, *, width: int = 1280, height: int = 720, quality: Quality = STILL
 ) -> list[UInt8[np.ndarray, "height width 3"]]:
     """Stills with captions: the parts as they lie, each step when half its path is played, and the end.
 
@@ -99,7 +97,7 @@ def render_pictures(
         RenderingUnavailableError: this machine cannot draw off screen.
         InputError: a size that cannot be.
     """
-    timeline = make_timeline(plan, frames_per_second=10.0)
+    timeline = timeline_of(plan, 10.0, None)
     views = follow(timeline, width / height)
     out = []
     with _stage(timeline, width, height, quality) as stage:
@@ -109,7 +107,7 @@ def render_pictures(
     return out
 
 
-def write_storyboard(plan: Plan, path: Path, *, columns: int = 4, width: int = 480, height: int = 360) -> None:
+def write_storyboard(plan: AnyPlan, path: Path, *, columns: int = 4, width: int = 480, height: int = 360) -> None:
     """Write `render_pictures` as one PNG, row by row; `width` and `height` are of each picture, in pixels.
 
     Raises:
@@ -172,7 +170,7 @@ def key_frames(timeline: Timeline) -> list[int]:
     out = [0]
     for step in sorted({frame.step for frame in timeline.frames if frame.step is not None}):
         moving = [i for i, frame in enumerate(timeline.frames) if frame.step == step and frame.phase is Phase.MOVING]
-        out.append(moving[len(moving) // 2])
+        out.append(next((i for i in moving if timeline.frames[i].key), moving[len(moving) // 2]))
     return [*out, len(timeline.frames) - 1]
 
 
@@ -180,7 +178,7 @@ def _stage(timeline: Timeline, width: int, height: int, quality: Quality | None)
     points = timeline.box_corners.reshape(-1, 3)
     center = 0.5 * (points.min(axis=0) + points.max(axis=0))
     radius = float(np.linalg.norm(points - center, axis=1).max())
-    meshes = [part.mesh for part in timeline.furniture.parts]
+    meshes = [thing.mesh for thing in timeline.things]
     return Stage(meshes, width, height, center=center, radius=radius, quality=quality)
 
 

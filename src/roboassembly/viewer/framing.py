@@ -109,7 +109,7 @@ def _actions(timeline: Timeline, corners: Float[np.ndarray, "frames parts 8 3"])
     for step in {frame.step for frame in frames if frame.step is not None}:
         own = [i for i, frame in enumerate(frames) if frame.step == step]
         first = next((i for i in own if frames[i].phase is not Phase.PAUSE), own[0])
-        parts = [p for p, role in enumerate(frames[first].roles) if role is not Role.IDLE]
+        parts = [p for p, role in enumerate(frames[first].roles) if role is not Role.IDLE and timeline.things[p].framed]
         # The box around what each part sweeps: eight points instead of eight a frame.
         lows, highs = corners[own][:, parts].min(axis=(0, 2)), corners[own][:, parts].max(axis=(0, 2))
         swept[step] = _between(lows, highs)

@@ -14,30 +14,31 @@ import rich
 from viser import ViserServer
 
 from roboassembly.poses import SE3, pose_to_seven
-from roboassembly.task.plan import Plan
 from roboassembly.viewer.colors import FLOOR_LINES, Color, part_colors, to_bytes
 from roboassembly.viewer.files import replaced
 from roboassembly.viewer.framing import FIELD_OF_VIEW, fit
 from roboassembly.viewer.page import BODY, HEAD
+from roboassembly.viewer.playing import AnyPlan, timeline_of
 from roboassembly.viewer.shading import shade
-from roboassembly.viewer.timeline import Timeline, make_timeline
+from roboassembly.viewer.timeline import Timeline
 
 FRAMES_PER_SECOND = 30.0
-SECONDS_PER_STEP = 3.0
+SLOWER = 1.6
+"""Than a film: who has a slider looks more closely."""
 EXPOSURE = 0.76
 ASPECTS = (0.45, 0.6, 0.8, 1.0, 1.25, 1.6, 2.0)
 """Width over height of the windows that a first view is computed for; a window takes the next narrower one."""
 
 
-def write_html(plan: Plan, path: Path, *, seconds_per_step: float = SECONDS_PER_STEP) -> None:
+def write_html(plan: AnyPlan, path: Path, *, seconds_per_step: float | None = None) -> None:
     """Write a page that plays the plan in any browser, from a file, without a network.
 
     Args:
         plan: What to show; one that failed is shown as far as it got.
         path: The file; one that is there is replaced, once the new one is whole.
-        seconds_per_step: About how long each step lasts.
+        seconds_per_step: About how long each step lasts; as long as suits the setting if not given.
     """
-    timeline = make_timeline(plan, frames_per_second=FRAMES_PER_SECOND, seconds_per_step=seconds_per_step)
+    timeline = timeline_of(plan, FRAMES_PER_SECOND, seconds_per_step, slower=SLOWER)
     page = _dressed(_recorded(timeline), timeline)
     with replaced(Path(path)) as unfinished:
         unfinished.write_text(page, encoding="utf-8")
@@ -59,18 +60,19 @@ def _recorded(timeline: Timeline) -> str:
         server.initial_camera.look_at = view.target
         server.initial_camera.position = view.position
         handles = []
-        for index, part in enumerate(timeline.furniture.parts):
-            shaded = shade(part.mesh)
-            seven = _rounded(first.poses[index])
+        for index, thing in enumerate(timeline.things):
+            shaded = shade(thing.mesh)
+            seven = _rounded(first.poses[index] or SE3.Identity())
             handles.append(
                 scene.add_mesh_simple(
-                    f"/parts/{index}_{part.name.replace('/', '_')}",
+                    f"/{thing.name}",
                     shaded.vertices.astype(np.float32),
                     shaded.faces.astype(np.uint32),
                     color=_lit(colors[index]),
-                    side="front" if part.mesh.is_solid else "double",
+                    side="front" if thing.mesh.is_solid else "double",
                     position=seven[:3],
                     wxyz=seven[3:],
+                    visible=first.poses[index] is not None,
                 )
             )
         recording = server.get_scene_serializer()
@@ -81,8 +83,11 @@ def _recorded(timeline: Timeline) -> str:
                 handle.color = _lit(colors[index])  # recorded only where it changes
                 pose = frame.poses[index]
                 if pose is not shown[index]:
-                    seven = _rounded(pose)
-                    handle.position, handle.wxyz = seven[:3], seven[3:]
+                    if (pose is None) != (shown[index] is None):
+                        handle.visible = pose is not None
+                    if pose is not None:
+                        seven = _rounded(pose)
+                        handle.position, handle.wxyz = seven[:3], seven[3:]
                     shown[index] = pose
             recording.insert_sleep(1.0 / timeline.frames_per_second)
         return recording.as_html()
@@ -139,7 +144,7 @@ def _server() -> Iterator[ViserServer]:
 
 def _dressed(page: str, timeline: Timeline) -> str:
     """Add to viser's page a title, captions, a first view for this window's shape, and a slider for thumbs."""
-    name = html.escape(timeline.furniture.name)
+    name = html.escape(timeline.name)
     points = timeline.box_corners.reshape(-1, 3)
     views = [[aspect, *map(float, fit(points, aspect).position)] for aspect in ASPECTS]
     captions = [[round(time, 4), caption] for time, caption in timeline.captions]

@@ -29,6 +29,7 @@ GRID_SPACING = 0.5
 """Metres between the lines on the ground; twice as much in a wide scene."""
 LINE_WIDTH = 1.0
 """Pixels."""
+_OUT_OF_SIGHT = SE3(np.eye(3), np.array([0.0, 0.0, -100.0]))
 GRID_REACH = 1.8
 """Half the width of the ruled square, in radii of what is shown."""
 
@@ -102,10 +103,10 @@ class Stage:
         self._stack.close()
 
     def picture(
-        self, poses: Sequence[SE3], colors: Sequence[Color], view: View, caption: str = ""
+        self, poses: Sequence[SE3 | None], colors: Sequence[Color], view: View, caption: str = ""
     ) -> UInt8[np.ndarray, "height width 3"]:
-        """Draw each mesh at its `world_from_mesh`, and a caption in the upper left corner."""
-        sevens = np.array([pose_to_seven(pose) for pose in poses])
+        """Draw each mesh at its `world_from_mesh`, if it has one, and a caption in the upper left corner."""
+        sevens = np.array([pose_to_seven(pose or _OUT_OF_SIGHT) for pose in poses])
         self._data.mocap_pos[:] = sevens[:, :3]
         self._data.mocap_quat[:] = sevens[:, 3:]
         self._model.geom_rgba[1:, :3] = colors

@@ -24,6 +24,7 @@ from jaxtyping import Float
 
 from roboassembly.errors import InputError
 from roboassembly.furniture.model import Furniture
+from roboassembly.meshes import Mesh
 from roboassembly.poses import SE3, from_quaternion, interpolate, rotation_angle, transform_points
 from roboassembly.task.plan import SETTLING_INTERVAL, Plan, PlanStep
 
@@ -48,11 +49,14 @@ STILL_DISTANCE = 5e-4
 
 
 class Role(enum.StrEnum):
-    """What a part is doing."""
+    """What a part is doing; or what else a thing is."""
 
     IDLE = "idle"
     WAITING = "waiting"
     MOVING = "moving"
+    ROBOT_A = "robot_a"
+    ROBOT_B = "robot_b"
+    POST = "post"
 
 
 class Phase(enum.StrEnum):
@@ -67,23 +71,38 @@ class Phase(enum.StrEnum):
 
 
 @dataclass(frozen=True, eq=False)
+class Thing:
+    """Something to be drawn."""
+
+    name: str
+    mesh: Mesh
+    framed: bool = True
+    """The camera keeps it in the picture."""
+
+
+@dataclass(frozen=True, eq=False)
 class Frame:
     """One picture."""
 
-    poses: tuple[SE3, ...]
-    """`world_from_part` of every part."""
+    poses: tuple[SE3 | None, ...]
+    """`world_from_mesh` of every thing; none of what is not to be seen. Framed things are always seen."""
     roles: tuple[Role, ...]
     step: int | None
     """Index into the plan's steps; none before the first and after the last."""
     phase: Phase
     caption: str
+    key: bool = False
+    """Tells best what its step is about; where none does, the one in the middle of its way."""
 
 
 @dataclass(frozen=True, eq=False)
 class Timeline:
     """All frames, equally spaced in time; the first is at time zero."""
 
-    furniture: Furniture
+    name: str
+    """Of the furniture."""
+    things: tuple[Thing, ...]
+    """Parts first; framed ones before those that are not."""
     frames: tuple[Frame, ...]
     frames_per_second: float
 
@@ -102,11 +121,13 @@ class Timeline:
         return tuple(out)
 
     @cached_property
-    def box_corners(self) -> Float[np.ndarray, "frames parts 8 3"]:
-        """World corners of every part's own bounding box, in metres."""
-        rotations = np.array([[pose.rotation for pose in frame.poses] for frame in self.frames])
-        translations = np.array([[pose.translation for pose in frame.poses] for frame in self.frames])
-        local = np.array([list(itertools.product(*part.mesh.bounds.T)) for part in self.furniture.parts])
+    def box_corners(self) -> Float[np.ndarray, "frames things 8 3"]:
+        """World corners of every framed thing's own bounding box, in metres."""
+        framed = [thing for thing in self.things if thing.framed]
+        poses = [[pose or SE3.Identity() for pose in frame.poses[: len(framed)]] for frame in self.frames]
+        rotations = np.array([[pose.rotation for pose in row] for row in poses])
+        translations = np.array([[pose.translation for pose in row] for row in poses])
+        local = np.array([list(itertools.product(*thing.mesh.bounds.T)) for thing in framed])
         return np.einsum("fpij,pcj->fpci", rotations, local) + translations[:, :, None]
 
 
@@ -116,29 +137,49 @@ def make_timeline(plan: Plan, *, frames_per_second: float = 30.0, seconds_per_st
     Raises:
         InputError: a rate or duration that is not a positive finite number.
     """
+    check_rates(frames_per_second, seconds_per_step)
+    builder = _Builder(plan, frames_per_second, seconds_per_step)
+    return Timeline(plan.furniture.name, parts_of(plan.furniture), tuple(builder.frames()), frames_per_second)
+
+
+def check_rates(frames_per_second: float, seconds_per_step: float) -> None:
+    """Raise `InputError` unless both are positive finite numbers."""
     for name, value in (("frames_per_second", frames_per_second), ("seconds_per_step", seconds_per_step)):
         if not (np.isfinite(value) and value > 0):
             raise InputError(f"{name} is {value}; a positive number would do")
-    builder = _Builder(plan, frames_per_second, seconds_per_step)
-    return Timeline(plan.furniture, tuple(builder.frames()), frames_per_second)
+
+
+def parts_of(furniture: Furniture) -> tuple[Thing, ...]:
+    """The parts as things."""
+    return tuple(Thing(f"parts/{i}_{p.name.replace('/', '_')}", p.mesh) for i, p in enumerate(furniture.parts))
 
 
 def step_caption(plan: Plan, index: int) -> str:
     """For example `step 3 of 14: back_slat_1 onto post_left`."""
     step = plan.steps[index]
-    u, v = step.action[:2]
-    names = [part.name for part in plan.furniture.parts]
-
-    def group(part: int, size: int) -> str:
-        return names[part] if size <= 1 else f"{names[part]} (+{size - 1})"
-
-    what = f"{group(u, len(step.moving))} onto {group(v, len(step.waiting))}"
-    return f"step {index + 1} of {_expected_steps(plan)}: {what}"
+    what = onto(plan.furniture, step.action, len(step.moving), len(step.waiting))
+    return f"step {index + 1} of {expected_steps(plan.furniture, len(plan.steps))}: {what}"
 
 
-def _expected_steps(plan: Plan) -> int:
+def onto(furniture: Furniture, action: tuple[int, ...], moving: int, waiting: int) -> str:
+    """For example `back_slat_1 onto post_left (+3)`, from how many parts there are in both groups."""
+    names = [
+        furniture.parts[part].name + (f" (+{size - 1})" if size > 1 else "")
+        for part, size in zip(action[:2], (moving, waiting), strict=True)
+    ]
+    return " onto ".join(names)
+
+
+def expected_steps(furniture: Furniture, there: int) -> int:
     """Each step merges two groups, so that a whole assembly takes one step fewer than there are parts."""
-    return max(len(plan.steps), len(plan.furniture.parts) - 1)
+    return max(there, len(furniture.parts) - 1)
+
+
+def ending_caption(furniture: Furniture, steps: int, success: bool) -> str:
+    """How it came out."""
+    if success:
+        return f"{furniture.name}: assembled in {steps} step{'s' if steps != 1 else ''}"
+    return f"{furniture.name}: not assembled, stopped after {steps} of {expected_steps(furniture, steps)} steps"
 
 
 @dataclass(frozen=True)
@@ -157,10 +198,7 @@ class _Builder:
         for index, step in enumerate(plan.steps):
             yield from self._step(index, step, poses)
             poses = step.after
-        if plan.success:
-            ending = f"{name}: assembled in {steps} step{'s' if steps != 1 else ''}"
-        else:
-            ending = f"{name}: not assembled, stopped after {steps} of {_expected_steps(plan)} steps"
+        ending = ending_caption(plan.furniture, steps, plan.success)
         yield from itertools.repeat(Frame(poses, idle, None, Phase.FINALE, ending), self._count(FINALE_SECONDS))
 
     def _count(self, seconds: float) -> int:

@@ -1,0 +1,32 @@
+"""Any plan in time, whatever the setting."""
+
+from __future__ import annotations
+
+from roboassembly.task.full_plan import FullPlan
+from roboassembly.task.plan import Plan
+from roboassembly.viewer.robots import make_full_timeline
+from roboassembly.viewer.timeline import Timeline, make_timeline
+
+AnyPlan = Plan | FullPlan
+SECONDS_PER_STEP, FULL_SECONDS_PER_STEP = 1.8, 6.0
+
+
+def timeline_of(
+    plan: AnyPlan, frames_per_second: float, seconds_per_step: float | None, *, slower: float = 1.0
+) -> Timeline:
+    """Lay a plan out in time.
+
+    Args:
+        plan: of either setting; one that failed is laid out as far as it got.
+        frames_per_second: positive.
+        seconds_per_step: about how long each step lasts; as long as suits the setting if None.
+        slower: than that, if it is None.
+
+    Raises:
+        InputError: a rate or duration that is not a positive finite number.
+    """
+    if isinstance(plan, FullPlan):
+        seconds = FULL_SECONDS_PER_STEP * slower if seconds_per_step is None else seconds_per_step
+        return make_full_timeline(plan, frames_per_second=frames_per_second, seconds_per_step=seconds)
+    seconds = SECONDS_PER_STEP * slower if seconds_per_step is None else seconds_per_step
+    return make_timeline(plan, frames_per_second=frames_per_second, seconds_per_step=seconds)
