@@ -1,0 +1,139 @@
+"""An assembly by two robots as a record: plan.json tells all of it, and the pictures show it."""
+
+from __future__ import annotations
+
+import json
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from roboassembly.poses import SE3, pose_from_seven
+from roboassembly.robots.body import placed, world_from_tips
+from roboassembly.solvers.disassembly import Disassembly, partition_of
+from roboassembly.solvers.options import grasping
+from roboassembly.task import plan_file
+from roboassembly.task.cell import LOWEST
+from roboassembly.task.full import FullTask
+from roboassembly.task.full_plan import FullPlan
+from roboassembly.viewer.film import key_frames
+from roboassembly.viewer.playing import timeline_of
+from roboassembly.viewer.timeline import Role, Timeline
+
+
+@pytest.fixture(scope="module")
+def plan(chair) -> FullPlan:
+    """The first two merges of a stool."""
+    task = FullTask(chair("stool", 0))
+    disassembly = Disassembly(task.furniture, lambda: False)
+    initial = state = next(task.own_places(task.initial_state(np.random.default_rng(0))))
+    steps = []
+    for _ in range(2):
+        order = disassembly.order(partition_of(state.groups), set(), straight=True, exhaustive=False)
+        assert order
+        outcomes = (task.step(state, action, 1) for action in grasping(task, state, *order[0]))
+        outcome = next(o for o in outcomes if o.step is not None)
+        state = next(task.own_places(outcome.state))
+        steps.append(outcome.step)
+    return FullPlan(task.furniture, initial, tuple(steps), False, 0)
+
+
+@pytest.fixture(scope="module")
+def timeline(plan: FullPlan) -> Timeline:
+    return timeline_of(plan, 10.0, 20.0)
+
+
+def test_the_file_alone_tells_where_everything_is(plan: FullPlan) -> None:
+    text = plan_file.encode(plan)
+    assert text == plan_file.encode(plan)
+    told = json.loads(text)
+    assert (told["format"], told["version"], told["setting"]) == ("roboassembly.plan", 1, "full")
+    assert told["density"] == plan.initial.cell.density
+    where = [pose_from_seven(p) for p in told["initial"]]
+    robots = [np.array(q) for q in told["robots"]]
+    for step in told["steps"]:
+        for leg in step["legs"]:
+            path = [np.array(q) for q in leg["path"]]
+            assert np.allclose(path[0], robots[leg["robot"]])
+            start, end = world_from_tips(path[0]), world_from_tips(path[-1])
+            for held in leg["held"]:
+                in_hand = pose_from_seven(held["pose"])
+                assert np.allclose((start * in_hand).homogeneous, where[held["part"]].homogeneous, atol=1e-5)
+                where[held["part"]] = end * in_hand
+            robots[leg["robot"]] = path[-1]
+            assert set(leg["posts"]) <= set(range(len(told["posts"])))
+        for got, wanted in zip(where, step["after"], strict=True):
+            assert np.allclose(got.homogeneous, pose_from_seven(wanted).homogeneous, atol=1e-5)
+    assert len(told["steps"]) == len(plan.steps)
+
+
+def test_what_no_hand_holds_hangs_above_a_post(plan: FullPlan) -> None:
+    parts = plan.furniture.parts
+    for step in plan.steps:
+        for standing in step.legs[-1].after.standing:
+            points = np.concatenate(
+                [
+                    parts[p].mesh.vertices @ pose.rotation.T + pose.translation
+                    for p, pose in zip(standing.group.parts, standing.group.part_poses(), strict=True)
+                ]
+            )
+            assert points[:, 2].min() == pytest.approx(LOWEST, abs=1e-6)
+            above = points[np.linalg.norm(points[:, :2] - standing.stand.top[:2], axis=1) < 0.3]
+            assert len(above)
+
+
+def test_frames_show_the_plan(plan: FullPlan, timeline: Timeline) -> None:
+    n, own = len(plan.furniture.parts), len(placed(plan.initial.moment.robots[0].at, 0.0))
+    assert len(timeline.things) == n + 2 * own + len(plan.stands)
+    first, last = timeline.frames[0], timeline.frames[-1]
+    for frame, moment in ((first, plan.initial.moment), (last, plan.steps[-1].legs[-1].after)):
+        assert all(len(things) == len(timeline.things) for things in (frame.poses, frame.roles))
+        where = {p: q for g in moment.groups() for p, q in zip(g.parts, g.part_poses(), strict=True)}
+        for p in range(n):
+            assert _same(frame.poses[p], where[p])
+        for robot in (0, 1):
+            links = placed(moment.robots[robot].at, moment.robots[robot].opening)
+            for i, (_, pose) in enumerate(links):
+                assert _same(frame.poses[n + robot * own + i], pose)
+        up = {id(s) for s in moment.stands}
+        assert [pose is not None for pose in frame.poses[n + 2 * own :]] == [id(s) in up for s in plan.stands]
+    assert first.caption == "stool-0: 9 parts, two robots"
+    assert "R_a: mate" in " ".join(f.caption for f in timeline.frames)
+
+
+def test_nothing_jumps_from_frame_to_frame(timeline: Timeline) -> None:
+    framed = [i for i, thing in enumerate(timeline.things) if thing.framed]
+    for a, b in pairwise(timeline.frames):
+        moved = [np.linalg.norm(_there(b.poses[i]).translation - _there(a.poses[i]).translation) for i in framed]
+        # A tenth of a second; fingers open and close from one leg to the next.
+        assert max(moved) < 0.35
+
+
+def test_only_one_robot_moves_at_a_time(plan: FullPlan, timeline: Timeline) -> None:
+    n, own = len(plan.furniture.parts), len(placed(plan.initial.moment.robots[0].at, 0.0))
+    for a, b in pairwise(timeline.frames):
+        if a.step is None or b.step is None or a.caption != b.caption:
+            continue
+        still = [
+            all(a.poses[n + robot * own + i] is b.poses[n + robot * own + i] for i in range(own)) for robot in (0, 1)
+        ]
+        assert any(still)
+
+
+def test_pictures_are_of_mates(plan: FullPlan, timeline: Timeline) -> None:
+    shown = [timeline.frames[i] for i in key_frames(timeline)]
+    assert len(shown) == len(plan.steps) + 2
+    for frame, step in zip(shown[1:-1], plan.steps, strict=True):
+        assert frame.caption.endswith("R_a: mate")
+        u, v = step.action[:2]
+        assert frame.roles[u] is Role.MOVING
+        assert frame.roles[v] is Role.WAITING
+
+
+def _same(a: SE3 | None, b: SE3) -> bool:
+    return a is not None and np.allclose(a.homogeneous, b.homogeneous, atol=1e-9)
+
+
+def _there(pose: SE3 | None) -> SE3:
+    assert pose is not None
+    return pose
