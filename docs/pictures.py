@@ -10,7 +10,7 @@ from roboassembly.furniture.generate import CHAIRS, FAMILIES
 from roboassembly.furniture.model import Part
 from roboassembly.gripper import hand_bodies, hand_pose
 from roboassembly.poses import SE3
-from roboassembly.solvers.search import solve
+from roboassembly.solvers.search import solve, solve_full
 from roboassembly.viewer.colors import WOOD
 from roboassembly.viewer.film import render_contact_sheet, write_storyboard
 from roboassembly.viewer.framing import box_corners, fit
@@ -51,6 +51,8 @@ def write_grasps(name: str, path: Path, columns: int, size: int) -> None:
 
 write_grasps("ladder", IMAGES / "grasps.png", columns=5, size=200)
 write_storyboard(solve(catalogue.make("ladder"), 0).plan, IMAGES / "storyboard.png", columns=4, width=360, height=240)
+two_robots = solve_full(catalogue.make("stool"), 0).plan
+write_storyboard(two_robots, IMAGES / "two_robots.png", columns=5, width=320, height=240)
 render_contact_sheet([catalogue.make(f) for f in FAMILIES], IMAGES / "families.png", columns=7, size=200)
 sixty = [catalogue.make(list(CHAIRS)[i % len(CHAIRS)], 1 + i // len(CHAIRS)) for i in range(60)]
 render_contact_sheet(sixty, IMAGES / "sixty.png", columns=10, size=140, names=[""] * 60)
