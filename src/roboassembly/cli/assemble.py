@@ -10,6 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
+import numpy as np
 import tyro
 
 from roboassembly.cli.output import DONE, DONE_BADLY, print_json, say, writable_folder
@@ -18,6 +19,7 @@ from roboassembly.errors import InputError
 if TYPE_CHECKING:
     from roboassembly.furniture.model import Furniture
     from roboassembly.solvers.search import SearchResult
+    from roboassembly.task.full_plan import FullPlan
 
 NO_POLICY = "none"
 DEFAULT_POLICY = NO_POLICY
@@ -32,6 +34,8 @@ class Assemble:
     """A built-in chair (`ladder`, `windsor:3` for another of its kind, ...) or a furniture folder."""
     setting: Literal["object-centric", "full"] = "object-centric"
     """What moves the parts: they fly by themselves, or two mobile Frankas move them."""
+    execution: Literal["kinematic", "dynamic"] = "kinematic"
+    """Of `--setting full`: paths planned and checked, or carried out by actuated robots in physics besides."""
     seed: int = 0
     """Where the parts lie at first, and what the planner draws."""
     out: Path = Path("assembly")
@@ -53,6 +57,8 @@ class Assemble:
             raise InputError("--no-search needs a --policy to play alone; 'relational' would do")
         if self.setting == "full" and self.policy != NO_POLICY:
             raise InputError(f"--policy {self.policy} chooses no grasps; --setting full takes --policy none")
+        if self.execution == "dynamic" and self.setting != "full":
+            raise InputError("--execution dynamic takes --setting full: there are no robots in the other one")
         from roboassembly.furniture import catalogue
 
         started = time.perf_counter()
@@ -69,8 +75,10 @@ class Assemble:
         else:
             say(f"not assembled: {result.reason}")
         outputs = self._write(result, solved)
+        executed = self._executed(result.plan) if self.execution == "dynamic" else {}
+        success = result.plan.success and executed.get("success", True)
         report = {
-            "success": result.plan.success,
+            "success": success,
             "setting": self.setting,
             "furniture": furniture.name,
             "parts": len(furniture.parts),
@@ -83,13 +91,14 @@ class Assemble:
             "seed": self.seed,
             "reason": result.reason,
             "outputs": outputs,
+            **({"execution": executed} if executed else {}),
         }
         if self.json:
             print_json(report)
         else:
             for path in outputs.values():
                 print(path)
-        return DONE if result.plan.success else DONE_BADLY
+        return DONE if success else DONE_BADLY
 
     def _solver(self) -> Callable[[Furniture], SearchResult[Any]]:
         """What finds the plan. A policy that is of no use is told before anything is done."""
@@ -122,6 +131,30 @@ class Assemble:
             )
 
         return alone
+
+    def _executed(self, plan: FullPlan) -> dict[str, Any]:
+        """Carry a plan out in physics; what to tell of it."""
+        from roboassembly.task.execution import execute_plan
+
+        say("carrying it out ...")
+        done = execute_plan(plan)
+        failed = next((d for d in done if not d.success), None)
+        told: dict[str, Any] = {
+            "success": plan.success and failed is None,
+            "steps": sum(d.success for d in done),
+            "simulated_seconds": round(sum(d.seconds for d in done), 1),
+            "tracking_error_mm": round(1e3 * max((d.tracking for d in done), default=0.0), 2),
+            "pad_force_N": round(max((d.pad_force for d in done), default=0.0), 1),
+            "joint_error_mm": round(1e3 * max((d.joint_position for d in done), default=0.0), 2),
+            "joint_error_deg": round(float(np.rad2deg(max((d.joint_angle for d in done), default=0.0))), 3),
+            "reason": "" if failed is None else f"merge {len(done)}: {failed.ending.value} in '{failed.leg}'",
+        }
+        if failed is None:
+            say(f"carried out in {told['simulated_seconds']} simulated s: fingers at most "
+                f"{told['tracking_error_mm']} mm off their paths, joints {told['joint_error_mm']} mm")  # fmt: skip
+        else:
+            say(f"not carried out: {told['reason']}")
+        return told
 
     def _told(self, result: SearchResult[Any]) -> str:
         return "" if self.policy == NO_POLICY else f", {result.guided} of them chosen by {self.policy}"

@@ -33,7 +33,9 @@ def compile_scene(scene: Scene) -> mujoco.MjModel:
 
 
 def _add_body(spec: mujoco.MjSpec, body: Body, known: dict[int, str]) -> None:
-    node = spec.worldbody.add_body(name=body.name, pos=body.pose.translation, quat=_wxyz(body.pose.rotation))
+    node = spec.worldbody.add_body(
+        name=body.name, pos=body.pose.translation, quat=rotation_to_quaternion(body.pose.rotation)
+    )
     if body.moves:
         node.add_freejoint(name=body.name)
         mass, center, inertia = mass_properties(body)
@@ -58,7 +60,7 @@ def _add_body(spec: mujoco.MjSpec, body: Body, known: dict[int, str]) -> None:
             type=mujoco.mjtGeom.mjGEOM_MESH,
             meshname=known[id(shape.mesh)],
             pos=shape.body_from_mesh.translation,
-            quat=_wxyz(shape.body_from_mesh.rotation),
+            quat=rotation_to_quaternion(shape.body_from_mesh.rotation),
             friction=_FRICTION,
             condim=6,
             mass=0.0 if body.moves else 1.0,
@@ -79,7 +81,8 @@ def mass_properties(body: Body) -> tuple[float, np.ndarray, np.ndarray]:
     return total, center, inertia
 
 
-def _wxyz(rotation: np.ndarray) -> np.ndarray:
+def rotation_to_quaternion(rotation: np.ndarray) -> np.ndarray:
+    """`w, x, y, z` of a rotation, as MuJoCo has it."""
     quaternion = np.empty(4)
     mujoco.mju_mat2Quat(quaternion, np.ascontiguousarray(rotation).ravel())
     return quaternion

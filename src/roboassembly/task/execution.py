@@ -1,0 +1,177 @@
+"""`dynamic` execution: the legs of a planned step carried out in physics, and what comes out held against the plan.
+
+Each step begins where the plan has everything. The states that the robots really come through are checked exactly,
+against all that is around; only the two groups may touch each other while they are mated.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from enum import StrEnum
+
+import numpy as np
+from jaxtyping import Float
+
+from roboassembly.furniture.model import Furniture
+from roboassembly.meshes import WOOD_DENSITY
+from roboassembly.planning.robot_world import RobotWorld
+from roboassembly.poses import rotation_angle
+from roboassembly.simulation.execution import Cell, Load, between_pads
+from roboassembly.simulation.model import mass_properties
+from roboassembly.task.full_plan import FullPlan, FullStep
+from roboassembly.task.groups import Group, body
+from roboassembly.task.joining import Hold
+from roboassembly.task.moments import Grip, Leg
+
+JOINT_POSITION, JOINT_ANGLE = 0.002, float(np.deg2rad(2.0))
+"""Metres and radians within which two groups must come before they are joined."""
+MOST_TRACKING = 0.005
+"""Metres that finger tips may be off their path."""
+_LINES = ("approach", "lift", "mate", "back", "set")
+"""First words of legs that are straight lines near other things, and gone slowly."""
+_SLOWLY = 0.3
+_AUDITED = 10
+"""Every so many-th time step is checked."""
+
+
+class Ending(StrEnum):
+    """How an execution ended."""
+
+    DONE = "done"
+    NOT_GRASPED = "not_grasped"
+    """A pad did not touch the part."""
+    OFF_THE_PATH = "off_the_path"
+    """The finger tips strayed from the planned path."""
+    COLLISION = "collision"
+    """A state that a robot came through touches something."""
+    NOT_MATED = "not_mated"
+    """The groups were too far from where they join."""
+
+
+@dataclass(frozen=True)
+class Executed:
+    """What became of one step."""
+
+    ending: Ending
+    leg: str
+    """In which it failed; empty if it did not."""
+    seconds: float
+    """Simulated."""
+    tracking: float
+    """Metres, the farthest that finger tips were off their path."""
+    pad_force: float
+    """Newtons, the largest on a pad."""
+    joint_position: float
+    """Metres that the joint was off when it was made."""
+    joint_angle: float
+    """Radians."""
+    states: int
+    """Checked exactly."""
+
+    @property
+    def success(self) -> bool:
+        """Whether all legs were carried out."""
+        return self.ending is Ending.DONE
+
+
+def execute_plan(plan: FullPlan) -> list[Executed]:
+    """Carry out a plan, up to the first step that fails."""
+    out: list[Executed] = []
+    for step in plan.steps:
+        out.append(execute(plan.furniture, plan.initial.cell.density, step))
+        if not out[-1].success:
+            break
+    return out
+
+
+def execute(furniture: Furniture, density: float, step: FullStep) -> Executed:
+    """Carry out the legs of one merge.
+
+    Args:
+        furniture: what is assembled.
+        density: kg/m³.
+        step: planned.
+    """
+    return _Execution(furniture, density, step).run()
+
+
+class _Execution:
+    def __init__(self, furniture: Furniture, density: float, step: FullStep) -> None:
+        self.furniture, self.legs = furniture, step.legs
+        named = {leg.name: leg for leg in step.legs}
+        self.grips = [_grip(named["lift u"]), _grip(named["lift v"])]
+        openings = [named[f"drive to {name}"].moment.robots[r].opening for r, name in enumerate("uv")]
+        start = step.legs[0].moment
+        loads = [self._load(grip.group, grip.hold, density) for grip in self.grips]
+        self.cell = Cell([r.at for r in start.robots], openings, loads)
+        self.states = 0
+        self.joint = (0.0, 0.0)
+
+    def _load(self, group: Group, hold: Hold, density: float) -> Load:
+        mass, center, inertia = mass_properties(body(self.furniture, group, "load"))
+        share = density / WOOD_DENSITY
+        own = group.furniture_from_part[group.parts.index(hold.part)]
+        clip = between_pads(self.furniture.parts[hold.part].mesh, own.actInv(hold.furniture_from_tips))
+        return Load(group.world_from_furniture, share * mass, center, share * inertia, (clip.transformed(own),))
+
+    def run(self) -> Executed:
+        for leg in self.legs:
+            ending = self._leg(leg)
+            if ending is not Ending.DONE:
+                return self._told(ending, leg.name)
+        return self._told(Ending.DONE, "")
+
+    def _told(self, ending: Ending, leg: str) -> Executed:
+        log = self.cell.log
+        tracking = max(log.tracking, default=0.0)
+        return Executed(ending, leg, self.cell.seconds, tracking, log.pad_force, *self.joint, self.states)
+
+    def _leg(self, leg: Leg) -> Ending:
+        cell, first = self.cell, len(self.cell.log.tracking)
+        cell.follow(leg.robot, leg.path, _SLOWLY if leg.name.split()[0] in _LINES else 1.0)
+        if max(cell.log.tracking[first:]) > MOST_TRACKING:
+            return Ending.OFF_THE_PATH
+        if self._touches(leg, np.array([q[leg.robot] for q in cell.log.samples[first::_AUDITED]])):
+            return Ending.COLLISION
+        if leg.name in ("approach u", "approach v"):
+            return Ending.DONE if cell.grasp(leg.robot, leg.robot) else Ending.NOT_GRASPED
+        if leg.name == "mate":
+            self.joint = self._joint_error(leg)
+            if self.joint[0] > JOINT_POSITION or self.joint[1] > JOINT_ANGLE:
+                return Ending.NOT_MATED
+            cell.join()
+            cell.release(0, self._next(leg).moment.robots[0].opening)
+        if leg.name == "set down":
+            cell.release(1, self._next(leg).moment.robots[1].opening, (0, 1))
+        return Ending.DONE
+
+    def _next(self, leg: Leg) -> Leg:
+        return self.legs[self.legs.index(leg) + 1]
+
+    def _touches(self, leg: Leg, q: Float[np.ndarray, "n 10"]) -> bool:
+        """Whether any state that a robot came through touches anything but what it is meant to."""
+        moment = leg.moment
+        if leg.name == "mate":
+            moment = moment.with_robot(1, replace(moment.robots[1], grip=None))
+        own = moment.robots[leg.robot]
+        held = None if own.grip is None else own.grip.held(self.furniture)
+        self.states += len(q)
+        return not RobotWorld(moment.around(self.furniture, leg.robot), own.opening, held).free(q).all()
+
+    def _joint_error(self, mate: Leg) -> tuple[float, float]:
+        """How far u's group is from where it joins v's, at u's centre of mass: metres and radians."""
+        u, v = (grip.placed(robot.at) for grip, robot in zip(self.grips, mate.after.robots, strict=True))
+        wanted = v.world_from_furniture.actInv(u.world_from_furniture)
+        got = self.cell.pose(1).actInv(self.cell.pose(0))
+        center = self.cell.loads[0].center
+        return (
+            float(np.linalg.norm(got.act(center) - wanted.act(center))),
+            rotation_angle(got.rotation.T @ wanted.rotation),
+        )
+
+
+def _grip(leg: Leg) -> Grip:
+    """What the hand holds on a leg."""
+    grip = leg.moment.robots[leg.robot].grip
+    assert grip is not None
+    return grip

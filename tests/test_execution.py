@@ -1,0 +1,136 @@
+"""Dynamic execution: actuated joints, gravity, fingers that press; states checked exactly, joints where they fit."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from roboassembly.poses import SE3
+from roboassembly.robots.body import world_from_tips
+from roboassembly.simulation.execution import TIME_STEP, Cell, Load, between_pads, paced
+from roboassembly.solvers.options import grasping
+from roboassembly.task.execution import JOINT_ANGLE, JOINT_POSITION, Ending, execute
+from roboassembly.task.full import FullTask
+from roboassembly.task.full_plan import FullStep
+from roboassembly.task.legs import TUCKED
+from shapes import brick, pose
+
+A, B = np.array([0.0, 0.0, 0.0, *TUCKED]), np.array([3.0, 0.0, 0.0, *TUCKED])
+
+
+def held_bar(shift: float = 0.0, mass: float = 0.5) -> Load:
+    """A bar of 30 mm between the fingers of R_a at `A`, `shift` metres along their closing."""
+    tips = world_from_tips(A)
+    bar = brick(0.2, 0.03, 0.02)
+    where = tips * pose(y=shift)
+    return Load(where, mass, np.zeros(3), mass * 1e-3 * np.eye(3), (between_pads(bar, SE3.Identity()),))
+
+
+def far_bar() -> Load:
+    return replace(held_bar(), pose=pose(10.0, 0.0, 1.0))
+
+
+def test_pace_is_at_rest_at_the_ends_and_within_limits() -> None:
+    goal = A + np.array([1.0, 0.5, 0.3, 0.4, 0.1, 0.0, 0.2, 0.0, 0.0, 0.0])
+    rows = list(paced([A, goal]))
+    q, velocity = (np.array(r) for r in zip(*rows, strict=True))
+    assert np.allclose(q[-1], goal)
+    assert np.abs(velocity[-1]).max() < 1e-6
+    assert np.allclose(np.gradient(q, TIME_STEP, axis=0)[5:-5], velocity[5:-5], atol=2e-3)
+    assert np.hypot(velocity[:, 0].max(), velocity[:, 1].max()) < 0.8 * np.sqrt(2.0)
+    assert np.abs(np.gradient(velocity, TIME_STEP, axis=0)[:, :2]).max() < 0.81
+    # 1 m at 0.8 m/s² at most, quintic: sqrt(5.7735 / 0.8) seconds.
+    assert len(rows) * TIME_STEP == pytest.approx(np.sqrt(5.7735 / 0.8), abs=2.0 * TIME_STEP)
+
+
+def test_a_robot_stops_where_its_path_bends() -> None:
+    corner, end = A + np.eye(10)[0], A + np.eye(10)[0] + np.eye(10)[1]
+    rows = list(paced([A, corner, end]))
+    speeds = np.array([np.linalg.norm(v) for _, v in rows])
+    at = int(np.argmin([np.linalg.norm(q - corner) for q, _ in rows]))
+    assert speeds[at] < 1e-6
+    straight = list(paced([A, A + 0.5 * np.eye(10)[0], A + np.eye(10)[0]]))
+    assert min(np.linalg.norm(v) for _, v in straight[50:-50]) > 0.01
+    assert not list(paced([A, A]))
+
+
+def test_fingers_hold_what_is_between_them_and_only_that() -> None:
+    cell = Cell([A, B], [0.05, 0.0], [held_bar(), far_bar()])
+    assert cell.grasp(0, 0)
+    left, right = cell.pad_forces(0, 0)
+    assert 20.0 < left < 60.0
+    assert left == pytest.approx(right, rel=0.1)
+    cell.follow(0, [A, A + np.array([0.3, 0.0, 0.4, 0.2, *np.zeros(6)])])
+    got = cell.tips(0).actInv(cell.pose(0))
+    assert np.linalg.norm(got.translation) < 1e-3
+    assert max(cell.log.tracking) < 3e-3
+
+    empty = Cell([A, B], [0.05, 0.0], [replace(held_bar(), pose=pose(5.0, 0.0, 1.0)), far_bar()])
+    assert not empty.grasp(0, 0)
+
+
+def test_what_nobody_holds_falls() -> None:
+    cell = Cell([A, B], [0.05, 0.0], [held_bar(), far_bar()])
+    assert cell.grasp(0, 0)
+    before = cell.pose(0).translation[2]
+    cell.release(0, 0.08)
+    fell = before - cell.pose(0).translation[2]
+    # 0.4 s of free fall, less what the fingers take to open.
+    assert 0.2 < fell < 0.5 * 9.81 * 0.4**2 + 0.01
+
+
+def test_a_heavy_load_does_not_pull_the_hand_down() -> None:
+    cell = Cell([A, B], [0.05, 0.0], [held_bar(mass=3.0), far_bar()])
+    assert cell.grasp(0, 0)
+    cell.follow(0, [A, A + np.array([0.5, *np.zeros(9)])])
+    off = cell.tips(0).translation - world_from_tips(A + 0.5 * np.eye(10)[0]).translation
+    assert np.linalg.norm(off) < 1e-3
+
+
+@pytest.fixture(scope="module")
+def merge(chair) -> tuple[FullTask, float, FullStep]:
+    """A stretcher into a leg."""
+    task = FullTask(chair("stool", 0))
+    state = task.initial_state(np.random.default_rng(0))
+    names = [p.name for p in task.furniture.parts]
+    c = next(c for c in task.furniture.connections if "stretcher" in names[c.part_a] and "leg" in names[c.part_b])
+    for action in grasping(task, state, frozenset({c.part_a}), frozenset({c.part_b})):
+        step = task.step(state, action, 0).step
+        if step is not None:
+            return task, state.cell.density, step
+    pytest.fail("nothing merges")
+
+
+def test_a_planned_step_is_carried_out(merge: tuple[FullTask, float, FullStep]) -> None:
+    task, density, step = merge
+    done = execute(task.furniture, density, step)
+    assert (done.ending, done.leg) == (Ending.DONE, "")
+    assert done.success
+    assert 0.0 < done.joint_position < JOINT_POSITION
+    assert done.joint_angle < JOINT_ANGLE
+    assert done.tracking < 0.005
+    assert 20.0 < done.pad_force < 60.0
+    assert done.states > 500
+    assert execute(task.furniture, density, step) == done
+
+
+def test_a_path_through_something_fails(merge: tuple[FullTask, float, FullStep]) -> None:
+    task, density, step = merge
+    drive = step.legs[0]
+    post = next(s.stand.top for s in drive.moment.standing)
+    through = drive.path[0].copy()
+    through[:2] = post[:2]
+    bad = replace(drive, path=(drive.path[0], through, *drive.path[1:]))
+    done = execute(task.furniture, density, replace(step, legs=(bad, *step.legs[1:])))
+    assert (done.ending, done.leg) == (Ending.COLLISION, "drive to u")
+
+
+def test_a_grasp_beside_the_part_fails(merge: tuple[FullTask, float, FullStep]) -> None:
+    task, density, step = merge
+    legs = list(step.legs)
+    # R_a stops where the drive ended, 100 mm short of the part.
+    legs[1] = replace(legs[1], path=legs[1].path[:1])
+    done = execute(task.furniture, density, replace(step, legs=tuple(legs)))
+    assert (done.ending, done.leg) == (Ending.NOT_GRASPED, "approach u")
