@@ -247,3 +247,20 @@ def test_quiet_silences_native_writes_and_gives_the_streams_back(capfd: pytest.C
         os.write(1, b"noise")
     os.write(1, b"signal")
     assert capfd.readouterr().out == "signal"
+
+
+@pytest.mark.slow
+def test_robots_against_ompl_over_pybullet() -> None:
+    pytest.importorskip("pybullet")
+    from roboassembly.bench.robots import run_robot_bench
+
+    out = run_robot_bench("stool", states=200, merges=1).to_json()
+    assert out["skipped"] == {}
+    # Bullet has hulls in the moving hand, so it may see collisions where there are none.
+    assert out["states_agree"] > 0.95
+    assert out["path_solved"]["ours"] == out["paths"] == 7
+    assert out["path_ratio_median"] > 5.0
+    assert out["us_per_state"]["pybullet"] > 2.0 * out["us_per_state"]["ours"]
+    assert out["hopeless"] > 20
+    assert out["hopeless_seconds_median"] < 0.1
+    json.dumps(out)

@@ -3,20 +3,26 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
 from roboassembly.cli.output import DONE, print_json, say
 from roboassembly.errors import InputError
 
+if TYPE_CHECKING:
+    from roboassembly.bench.planning import PlanningBenchReport
+    from roboassembly.bench.robots import RobotBenchReport
+
 
 @dataclass(frozen=True)
 class Bench:
-    """Measure planning against OMPL with per-state callbacks over PyBullet and python-fcl."""
+    """Measure against OMPL with per-state callbacks over PyBullet and python-fcl."""
 
-    what: Annotated[Literal["planning"], tyro.conf.Positional] = "planning"
-    """What to measure."""
+    what: Annotated[Literal["planning", "robots"], tyro.conf.Positional] = "planning"
+    """What to measure: merges of parts that fly by themselves, or legs of two mobile Frankas."""
+    furniture: str = "stool"
+    """What the robots assemble."""
     chairs: int = 3
     """Chairs of 15 parts whose merges are planned."""
     seed: int = 0
@@ -28,12 +34,22 @@ class Bench:
 
     def run(self) -> int:
         """Do it; returns the exit status."""
-        if self.chairs < 1:
-            raise InputError(f"--chairs {self.chairs}; 1 or more would do")
+        if self.chairs < 1 or self.seed < 0:
+            raise InputError("--chairs takes 1 or more, --seed 0 or more")
+        if self.what == "robots":
+            return self._robots()
         from roboassembly.bench.planning import PlanningBenchConfig, run_planning_bench
 
         config = PlanningBenchConfig.quick() if self.quick else PlanningBenchConfig(chairs=self.chairs)
-        report = run_planning_bench(replace(config, seed=self.seed), progress=say)
+        return self._told(run_planning_bench(replace(config, seed=self.seed), progress=say))
+
+    def _robots(self) -> int:
+        from roboassembly.bench.robots import run_robot_bench
+
+        states, merges = (200, 1) if self.quick else (2_000, None)
+        return self._told(run_robot_bench(self.furniture, seed=self.seed, states=states, merges=merges, progress=say))
+
+    def _told(self, report: PlanningBenchReport | RobotBenchReport) -> int:
         if self.json:
             print_json(report.to_json())
         else:

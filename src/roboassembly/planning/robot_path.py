@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -53,6 +53,24 @@ def connect(
         return None
     if world.edge_is_free(start, goal):
         return start, goal
+    space, state, read = number_space(start, goal, floor)
+    found = run_rrt_connect(
+        space,
+        state(start),
+        [state(goal)],
+        lambda a, b: world.edge_is_free(read(a), read(b)),
+        lambda s: bool(world.free(read(s)[None])[0]),
+        exhaustion(lambda: world.states, budget, begun),
+        seed,
+        _LONGEST,
+    )
+    return None if found is None else shortcut(world, [read(s) for s in found], seed)
+
+
+def number_space(
+    start: Configuration, goal: Configuration, floor: Floor
+) -> tuple[Any, Callable[[Configuration], Any], Callable[[Any], Configuration]]:
+    """OMPL's space of configurations, and how one becomes a state of it and comes back."""
     space = base.RealVectorStateSpace(DOF)
     bounds = base.RealVectorBounds(DOF)
     low = np.concatenate([[-floor.half, -floor.half, min(start[2], goal[2]) - np.pi], arm().low])
@@ -71,17 +89,7 @@ def connect(
     def read(made: Any) -> Configuration:
         return np.array([made[axis] for axis in range(DOF)])
 
-    found = run_rrt_connect(
-        space,
-        state(start),
-        [state(goal)],
-        lambda a, b: world.edge_is_free(read(a), read(b)),
-        lambda s: bool(world.free(read(s)[None])[0]),
-        exhaustion(lambda: world.states, budget, begun),
-        seed,
-        _LONGEST,
-    )
-    return None if found is None else shortcut(world, [read(s) for s in found], seed)
+    return space, state, read
 
 
 def shortcut(world: RobotWorld, path: Sequence[Configuration], seed: int) -> Path:

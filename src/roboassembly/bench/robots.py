@@ -1,0 +1,404 @@
+"""The robots' benchmark: paths of a mobile Panda that holds a group, against OMPL over PyBullet's Pandas, in one run.
+
+- *States*: the same configurations, exact, by our world and by Bullet: the URDF's Panda on a box, the other one with
+  what it holds, posts and parts as concave meshes. What the moving hand holds are convex hulls there, because Bullet
+  finds no contacts between two concave meshes: less than exact, and faster.
+- *Paths*: start and goal of every leg that is not a straight line. Ours: edges certified in a few tests each. Theirs:
+  OMPL's RRT-Connect, one Python callback for each state, every 20 mm and 20 mrad: ten times coarser than ours.
+- *Steps*: merges that succeed and right pairs that are hopeless, whole.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from statistics import median
+from typing import Any
+
+import numpy as np
+
+from roboassembly.bench.machine import Machine
+from roboassembly.bench.pybullet_backend import quiet
+from roboassembly.errors import InputError, MissingExtraError
+from roboassembly.furniture import catalogue
+from roboassembly.furniture.model import Furniture
+from roboassembly.gripper import panda_folder
+from roboassembly.meshes import Mesh
+from roboassembly.planning.problem import Budget
+from roboassembly.planning.robot_path import Floor, connect, number_space
+from roboassembly.planning.robot_world import RobotWorld
+from roboassembly.planning.rrt import exhaustion, run_rrt_connect
+from roboassembly.poses import SE3, pose_to_seven
+from roboassembly.robots.body import world_from_platform, world_from_tips
+from roboassembly.robots.kinematics import JOINTS
+from roboassembly.robots.platform import CLEARANCE, HEIGHT, LENGTH, PLATFORM_FROM_MOUNT, WIDTH
+from roboassembly.solvers.search import solve_full
+from roboassembly.task.full import FullTask, FullVerdict
+from roboassembly.task.full_plan import FullPlan
+from roboassembly.task.moments import Configuration, Leg
+
+_STEP = 0.02
+"""Metres and radians between two states of theirs."""
+_CAP = 20.0
+"""Seconds after which a plan of theirs is stopped."""
+_BUDGET = Budget(states=20_000)
+
+
+@dataclass(frozen=True)
+class Path:
+    """One leg, by both."""
+
+    leg: str
+    ours_seconds: float
+    ours_states: int
+    ours_solved: bool
+    theirs_seconds: float | None
+    theirs_states: int | None
+    theirs_solved: bool | None
+
+
+@dataclass(frozen=True, eq=False)
+class RobotBenchReport:
+    """What came out."""
+
+    furniture: str
+    parts: int
+    microseconds: dict[str, float]
+    """Of an exact state."""
+    agreement: float | None
+    """Share of states about which Bullet and we agree."""
+    paths: tuple[Path, ...]
+    step_seconds: tuple[float, ...]
+    """Merges of the plan."""
+    hopeless_seconds: tuple[float, ...]
+    """Right pairs that come to nothing."""
+    skipped: dict[str, str]
+    seed: int
+    machine: Machine
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain numbers, strings, lists and dictionaries."""
+        both = [p for p in self.paths if p.theirs_seconds is not None]
+        ratios = [p.theirs_seconds / p.ours_seconds for p in both if p.theirs_seconds is not None]
+        return {
+            "furniture": self.furniture,
+            "parts": self.parts,
+            "us_per_state": self.microseconds,
+            "states_agree": self.agreement,
+            "paths": len(self.paths),
+            "path_seconds_median": {
+                "ours": median(p.ours_seconds for p in self.paths),
+                "pybullet": median(p.theirs_seconds or 0.0 for p in both) if both else None,
+            },
+            "path_states_median": {
+                "ours": median(p.ours_states for p in self.paths),
+                "pybullet": median(p.theirs_states or 0 for p in both) if both else None,
+            },
+            "path_solved": {
+                "ours": sum(p.ours_solved for p in self.paths),
+                "pybullet": sum(bool(p.theirs_solved) for p in both) if both else None,
+            },
+            "path_ratio_median": median(ratios) if ratios else None,
+            "legs": {
+                name: median(p.ours_seconds for p in self.paths if p.leg == name)
+                for name in sorted({p.leg for p in self.paths})
+            },
+            "step_seconds_median": median(self.step_seconds),
+            "assembly_seconds": sum(self.step_seconds),
+            "hopeless_seconds_median": median(self.hopeless_seconds) if self.hopeless_seconds else None,
+            "hopeless": len(self.hopeless_seconds),
+            "skipped": self.skipped,
+            "seed": self.seed,
+            "machine": dataclasses.asdict(self.machine),
+            "per_path": [dataclasses.asdict(p) for p in self.paths],
+        }
+
+    def to_text(self) -> str:
+        """A few lines for people."""
+        out = self.to_json()
+        lines = [
+            f"{self.furniture}, {self.parts} parts, {len(self.step_seconds)} merges, seed {self.seed}",
+            f"{self.machine.cpu}, {self.machine.cores} cores, Python {self.machine.python}",
+            "",
+            *(f"{name:24}{us:8.1f} µs a state" for name, us in self.microseconds.items()),
+            f"{'ours':24}{1e3 * out['path_seconds_median']['ours']:8.1f} ms a path, "
+            f"{out['path_states_median']['ours']:.0f} states, "
+            f"{out['path_solved']['ours']} of {out['paths']} found (medians)",
+        ]
+        if out["path_ratio_median"] is not None:
+            lines.append(
+                f"{'OMPL over PyBullet':24}{1e3 * out['path_seconds_median']['pybullet']:8.1f} ms a path, "
+                f"{out['path_states_median']['pybullet']:.0f} states, {out['path_solved']['pybullet']} found; "
+                f"{out['path_ratio_median']:.1f} times ours"
+            )
+        lines += [f"{name}: skipped, {why}" for name, why in self.skipped.items()]
+        lines.append(
+            f"a merge {out['step_seconds_median']:.2f} s, all of them {out['assembly_seconds']:.2f} s"
+            + ("" if not self.hopeless_seconds else f"; a hopeless one {1e3 * out['hopeless_seconds_median']:.1f} ms")
+        )
+        return "\n".join(lines)
+
+
+def run_robot_bench(
+    name: str = "stool",
+    *,
+    seed: int = 0,
+    states: int = 2_000,
+    merges: int | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> RobotBenchReport:
+    """Measure.
+
+    Args:
+        name: of built-in furniture.
+        seed: of the cell and the planners.
+        states: configurations whose checks are timed.
+        merges: the first so many whose legs are planned; all if None.
+        progress: gets a line now and then.
+
+    Raises:
+        InputError: the furniture does not suit the cell, or is not assembled.
+    """
+    tell = progress or (lambda line: None)
+    furniture = catalogue.find(name)
+    tell("searching an assembly")
+    result = solve_full(furniture, seed)
+    if not result.plan.success:
+        raise InputError(f"{furniture.name} is not assembled by two robots with seed {seed}: {result.reason}")
+    skipped: dict[str, str] = {}
+    bullet: BulletCell | None = None
+    try:
+        bullet = BulletCell()
+    except MissingExtraError as error:
+        skipped["pybullet"] = str(error)
+    try:
+        steps = result.plan.steps[:merges]
+        legs = [leg for step in steps for leg in step.legs if leg.name.split()[0] in ("drive", "carry", "leave")]
+        tell("timing states")
+        microseconds, agreement = _states(furniture, legs, states, bullet, seed)
+        paths = []
+        for count, leg in enumerate(legs):
+            tell(f"path {count + 1} of {len(legs)}")
+            paths.append(_path(furniture, result.plan, leg, bullet, seed))
+    finally:
+        if bullet is not None:
+            bullet.close()
+    tell("hopeless merges")
+    hopeless = _hopeless(furniture, result.plan, seed)
+    return RobotBenchReport(
+        furniture.name, len(furniture.parts), microseconds, agreement, tuple(paths),
+        tuple(s.planning_seconds for s in result.plan.steps), hopeless, skipped, seed, Machine.here(),
+    )  # fmt: skip
+
+
+def _states(
+    furniture: Furniture, legs: list[Leg], count: int, bullet: BulletCell | None, seed: int
+) -> tuple[dict[str, float], float | None]:
+    """Microseconds a state, on configurations around paths of loaded legs."""
+    rng = np.random.default_rng(seed)
+    loaded = [leg for leg in legs if leg.moment.robots[leg.robot].grip is not None] or legs
+    share = max(1, count // len(loaded))
+    ours = theirs = 0.0
+    same = total = 0
+    for leg in loaded:
+        a, b = leg.path[0], leg.path[-1]
+        q = a + rng.random((share, 1)) * (b - a) + rng.normal(0.0, 0.15, (share, len(a)))
+        world = _world(furniture, leg)
+        world.free(q[:1])
+        begun = time.perf_counter()
+        free = world.free(q)
+        ours += time.perf_counter() - begun
+        total += share
+        if bullet is not None:
+            is_free = bullet.set_up(furniture, leg)
+            begun = time.perf_counter()
+            answers = [is_free(c) for c in q]
+            theirs += time.perf_counter() - begun
+            same += int((np.array(answers) == free).sum())
+    out = {"ours": 1e6 * ours / total}
+    if bullet is None:
+        return out, None
+    return {**out, "pybullet": 1e6 * theirs / total}, same / total
+
+
+def _world(furniture: Furniture, leg: Leg) -> RobotWorld:
+    own = leg.moment.robots[leg.robot]
+    held = None if own.grip is None else own.grip.held(furniture)
+    return RobotWorld(leg.moment.around(furniture, leg.robot), own.opening, held)
+
+
+def _path(furniture: Furniture, plan: FullPlan, leg: Leg, bullet: BulletCell | None, seed: int) -> Path:
+    start, goal = leg.path[0], leg.path[-1]
+    floor = Floor(plan.initial.cell.floor)
+    begun = time.perf_counter()
+    world = _world(furniture, leg)
+    found = connect(world, start, goal, floor, _BUDGET, seed)
+    ours = time.perf_counter() - begun
+    if bullet is None:
+        return Path(leg.name, ours, world.states, found is not None, None, None, None)
+    begun = time.perf_counter()
+    is_free = bullet.set_up(furniture, leg)
+    count = 0
+
+    def counted(q: Configuration) -> bool:
+        nonlocal count
+        count += 1
+        return is_free(q)
+
+    def edge(a: Configuration, b: Configuration) -> bool:
+        steps = max(1, int(np.ceil(np.abs(b - a).max() / _STEP)))
+        return all(counted(a + (b - a) * i / steps) for i in range(1, steps + 1))
+
+    space, state, read = number_space(start, goal, floor)
+    solved = run_rrt_connect(
+        space, state(start), [state(goal)], lambda a, b: edge(read(a), read(b)), lambda s: counted(read(s)),
+        exhaustion(lambda: count, Budget(1_000_000, _CAP), begun), seed, None,
+    )  # fmt: skip
+    return Path(leg.name, ours, world.states, found is not None, time.perf_counter() - begun, count, solved is not None)
+
+
+def _hopeless(furniture: Furniture, plan: FullPlan, seed: int, tries: int = 60) -> tuple[float, ...]:
+    """Right pairs of the first state with grasps drawn at random: those that come to nothing."""
+    task, rng = FullTask(furniture), np.random.default_rng(seed)
+    state = next(task.own_places(plan.initial))
+    out = []
+    for _ in range(tries):
+        c = furniture.connections[int(rng.integers(len(furniture.connections)))]
+        pair = (c.part_a, c.part_b, c.point_a, c.point_b)
+        action = (*(pair if rng.random() < 0.5 else (pair[1], pair[0], pair[3], pair[2])), *rng.integers(8, size=2))
+        outcome = task.step(state, tuple(int(i) for i in action), int(rng.integers(2**31 - 1)))
+        if outcome.verdict not in (FullVerdict.MERGED, FullVerdict.NOT_AN_ACTION):
+            out.append(outcome.planning_seconds)
+    return tuple(out)
+
+
+class BulletCell:
+    """The workcell in Bullet: two Pandas from the URDF, platforms, posts, parts.
+
+    Raises:
+        MissingExtraError: PyBullet is not installed.
+    """
+
+    def __init__(self) -> None:
+        with quiet():
+            try:
+                self._bullet: Any = importlib.import_module("pybullet")
+            except ImportError:
+                raise MissingExtraError("pybullet", "bench") from None
+            self._client: int = self._bullet.connect(self._bullet.DIRECT)
+        folder = panda_folder()
+        self._bullet.setAdditionalSearchPath(str(folder.parent.parent.parent), physicsClientId=self._client)
+        self._urdf = str(folder / "urdf/panda.urdf")
+        self._concave: dict[Mesh, int] = {}
+        self._hulls: dict[Mesh, int] = {}
+
+    def close(self) -> None:
+        """End Bullet's world."""
+        self._bullet.disconnect(self._client)
+
+    def set_up(self, furniture: Furniture, leg: Leg) -> Callable[[Configuration], bool]:
+        """Build the scene of a leg in place of the one before; whether a configuration of its robot is free."""
+        bullet, client = self._bullet, self._client
+        bullet.resetSimulation(physicsClientId=client)
+        self._concave.clear()
+        self._hulls.clear()
+        moment = leg.moment
+        own, other = moment.robots[leg.robot], moment.robots[1 - leg.robot]
+        still: list[int] = []
+        for body in moment.around(furniture, leg.robot):
+            if body.name != "robot":
+                still += [
+                    self._add(self._shape(s.mesh, concave=True), body.pose * s.body_from_mesh) for s in body.shapes
+                ]
+        with quiet():
+            movers = [self._robot(own.opening), self._robot(other.opening)]
+        if other.grip is not None:
+            tips = world_from_tips(other.at)
+            for s in other.grip.held(furniture).shapes:
+                still.append(self._add(self._shape(s.mesh, concave=True), tips * s.body_from_mesh))
+        held = [] if own.grip is None else list(own.grip.held(furniture).shapes)
+        load = [self._add(self._shape(s.mesh, concave=False), SE3.Identity()) for s in held]
+        place, joint = bullet.resetBasePositionAndOrientation, bullet.resetJointState
+
+        def put(index: int, q: Configuration) -> None:
+            arm, platform = movers[index]
+            base_pose = world_from_platform(q)
+            self._put(platform, base_pose)
+            self._put(arm, base_pose * PLATFORM_FROM_MOUNT)
+            for j in range(JOINTS):
+                joint(arm, j, float(q[3 + j]), physicsClientId=client)
+
+        put(1, other.at)
+        obstacles = {*still, *movers[1]}
+        overlapping, closest, box = bullet.getOverlappingObjects, bullet.getClosestPoints, bullet.getAABB
+        arm, platform = movers[0]
+        tips_link = next(
+            i for i in range(bullet.getNumJoints(arm, physicsClientId=client))
+            if bullet.getJointInfo(arm, i, physicsClientId=client)[12] == b"panda_hand_tcp"
+        )  # fmt: skip
+        links = range(-1, bullet.getNumJoints(arm, physicsClientId=client))
+
+        def touches(body: int, link: int) -> bool:
+            low, high = box(body, link, physicsClientId=client)
+            near = {other for other, _ in overlapping(low, high, physicsClientId=client) or ()} & obstacles
+            return any(
+                contact[8] < 0.0
+                for other in near
+                for contact in closest(body, other, 0.0, linkIndexA=link, physicsClientId=client)
+            )
+
+        def is_free(q: Configuration) -> bool:
+            put(0, q)
+            if load:
+                position, orientation = bullet.getLinkState(
+                    arm, tips_link, computeForwardKinematics=True, physicsClientId=client
+                )[4:6]
+                for body, s in zip(load, held, strict=True):
+                    where = bullet.multiplyTransforms(position, orientation, *_seven(s.body_from_mesh))
+                    place(body, *where, physicsClientId=client)
+            if touches(platform, -1) or any(touches(arm, link) for link in links):
+                return False
+            if any(touches(body, -1) for body in load):
+                return False
+            return not any(closest(platform, body, 0.0, physicsClientId=client) for body in load)
+
+        return is_free
+
+    def _robot(self, opening: float) -> tuple[int, int]:
+        bullet, client = self._bullet, self._client
+        arm = bullet.loadURDF(self._urdf, useFixedBase=True, physicsClientId=client)
+        for i in range(bullet.getNumJoints(arm, physicsClientId=client)):
+            if b"finger_joint" in bullet.getJointInfo(arm, i, physicsClientId=client)[1]:
+                bullet.resetJointState(arm, i, 0.5 * opening, physicsClientId=client)
+        half = [0.5 * LENGTH, 0.5 * WIDTH, 0.5 * (HEIGHT - CLEARANCE)]
+        shape = bullet.createCollisionShape(
+            bullet.GEOM_BOX, halfExtents=half, collisionFramePosition=[0.0, 0.0, 0.5 * (HEIGHT + CLEARANCE)],
+            physicsClientId=client,
+        )  # fmt: skip
+        return arm, bullet.createMultiBody(0.0, shape, physicsClientId=client)
+
+    def _shape(self, mesh: Mesh, *, concave: bool) -> int:
+        bullet, known = self._bullet, self._concave if concave else self._hulls
+        if mesh not in known:
+            options: dict[str, Any] = {"vertices": mesh.vertices.tolist(), "physicsClientId": self._client}
+            if concave:
+                options |= {"indices": mesh.faces.ravel().tolist(), "flags": bullet.GEOM_FORCE_CONCAVE_TRIMESH}
+            known[mesh] = bullet.createCollisionShape(bullet.GEOM_MESH, **options)
+        return known[mesh]
+
+    def _add(self, shape: int, pose: SE3) -> int:
+        body = self._bullet.createMultiBody(0.0, shape, physicsClientId=self._client)
+        self._put(body, pose)
+        return body
+
+    def _put(self, body: int, pose: SE3) -> None:
+        self._bullet.resetBasePositionAndOrientation(body, *_seven(pose), physicsClientId=self._client)
+
+
+def _seven(pose: SE3) -> tuple[list[float], list[float]]:
+    """Position and quaternion, as Bullet has them."""
+    x, y, z, w, qx, qy, qz = pose_to_seven(pose)
+    return [x, y, z], [qx, qy, qz, w]
