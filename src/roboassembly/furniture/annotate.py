@@ -20,6 +20,7 @@ from roboassembly.furniture.model import (
     Connection,
     ConnectionPoint,
     Furniture,
+    GraspRegion,
     Part,
     Provenance,
     RawPart,
@@ -37,6 +38,10 @@ _CONSISTENT = 1e-4
 
 _ROUNDING = 2e-6
 """Metres."""
+_HAND = 0.25
+"""Metres beyond a part's box that a hand which comes to it may reach."""
+_LIKES = 4
+"""Parts of one shape whose surroundings are looked at for grasps."""
 _ROOM = 0.5
 """Share of the distance from a neighbour that has to stay where a part takes over its like's mesh."""
 
@@ -68,13 +73,32 @@ def annotate(name: str, raw: Sequence[RawPart], provenance: Provenance) -> Furni
     slots = tuple(SE3(r, c) for r, c in zip(rotations, centers, strict=True))
     meshes = _part_meshes([p.mesh for p in raw], centered, classes, slots, contacts)
     points, connections = _connection_points(contacts, slots, classes)
-    grasps = {member: held for c in classes for held in [find_grasps(meshes[c.members[0]])] for member in c.members}
+    grasps: dict[int, tuple[GraspRegion, ...]] = {}
+    for c in classes:
+        around = [_around(member, meshes, slots) for member in c.members[:_LIKES]]
+        held = find_grasps(meshes[c.members[0]], [m for m in around if m is not None])
+        grasps.update(dict.fromkeys(c.members, held))
     parts = tuple(
         Part(part.name, mesh, tuple(points[i]), part.label, grasps[i])
         for i, (part, mesh) in enumerate(zip(raw, meshes, strict=True))
     )
     provenance = replace(provenance, notes=(*provenance.notes, *notes))
     return Furniture(name, parts, slots, connections, classes, provenance)
+
+
+def _around(part: int, meshes: Sequence[Mesh], slots: Sequence[SE3]) -> Mesh | None:
+    """All that a hand at a part could meet in the assembled furniture, in the part's frame; None if there is none."""
+    low, high = meshes[part].bounds
+    near = []
+    for other, (mesh, slot) in enumerate(zip(meshes, slots, strict=True)):
+        moved = mesh.transformed(slots[part].actInv(slot))
+        if other != part and (moved.bounds[0] < high + _HAND).all() and (moved.bounds[1] > low - _HAND).all():
+            near.append(moved)
+    if not near:
+        return None
+    starts = np.cumsum([0, *(len(m.vertices) for m in near[:-1])])
+    faces = [m.faces + start for m, start in zip(near, starts, strict=True)]
+    return Mesh(np.concatenate([m.vertices for m in near]), np.concatenate(faces))
 
 
 def _bounded_contacts(contacts: tuple[Contact, ...], names: Sequence[str]) -> tuple[list[Contact], list[str]]:

@@ -6,6 +6,7 @@ take: come to open, close, and touch nothing but what its pads are to touch. The
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -39,6 +40,8 @@ _SAMPLES, _AXES = 384, 48
 """Points on the surface, and axes through the centre of mass, where opposite sides are looked for."""
 _BLOCK = 12
 """Places tested in one batch; mostly the first holds one that will do."""
+_LOOKED_AT = 96
+"""Places among which one is looked for that the assembled furniture leaves to a hand."""
 _EVENNESS = 0.75
 """Power of a face's area that it is sampled by: by area alone a peg on a seat would be missed."""
 _UNCOVERED = 0.05
@@ -68,16 +71,19 @@ class _Places:
         return _Places(self.middle[which], self.closing[which], self.width[which], self.cover[which])
 
 
-def find_grasps(mesh: Mesh) -> tuple[GraspRegion, ...]:
+def find_grasps(mesh: Mesh, around: Sequence[Mesh] = ()) -> tuple[GraspRegion, ...]:
     """Two regions where the hand can hold a part, the one nearer to its centre of mass first; fewer if need be.
 
     One is the nearest to the centre of mass where the pads lie well; the other closes along an axis 45° or more away
-    where there is such a place, is up to 150 mm away, and beyond the centre of mass where it can be. The same mesh
-    gives the same grasps.
+    where there is such a place, is up to 150 mm away, and beyond the centre of mass where it can be. Where the
+    assembled furniture leaves no hand at the first, the other one is where it does. Of the directions to come from,
+    those that the furniture leaves come first. The same meshes give the same grasps.
 
     Args:
         mesh: a part's, in its frame: metres, the origin at the centre of mass.
+        around: what surrounds the part, or each part of its shape, in the assembled furniture; in its frame.
     """
+    others = [HandAgainst(m) for m in around]
     rays = Rays(mesh)
     places = _opposite_sides(mesh.trimesh, rays)
     places = places[_within_reach(rays, places)]
@@ -86,15 +92,17 @@ def find_grasps(mesh: Mesh) -> tuple[GraspRegion, ...]:
     hand = HandAgainst(mesh)
     bare = _UNCOVERED * (1.0 - places.cover)
     off = np.linalg.norm(places.middle, axis=1)
-    one = _first_held(hand, places[np.argsort(off + bare, kind="stable")])
+    one = _first_held(hand, places[np.argsort(off + bare, kind="stable")], others)
     if one is None:
         return ()
+    locked = [other for other in others if not _left_free(other, one).any()]
     apart = np.linalg.norm(places.middle - one.position, axis=1)
     crosswise = np.abs(places.closing @ one.closing) < np.cos(np.pi / 4.0)
     beyond = apart - off
     cost = _CENTRAL * (off - beyond) + bare - np.minimum(apart, _SPREAD) - _CROSSWISE * crosswise
     order = np.argsort(cost, kind="stable")
-    two = _first_held(hand, places[order[((apart > _DISTINCT) | crosswise)[order]]])
+    distinct = places[order[((apart > _DISTINCT) | crosswise)[order]]]
+    two = _first_held(hand, distinct, others, locked)
     found = (one,) if two is None else (one, two)
     return tuple(sorted(found, key=lambda region: float(np.linalg.norm(region.position))))[:GRASP_REGIONS]
 
@@ -179,30 +187,62 @@ def _around(closing: Float[np.ndarray, "n 3"], count: int) -> Float[np.ndarray, 
     return np.cos(angles)[None, :, None] * first[:, None] + np.sin(angles)[None, :, None] * second[:, None]
 
 
-def _first_held(hand: HandAgainst, places: _Places) -> GraspRegion | None:
-    """The first of the places that the hand can take from enough directions."""
-    for start in range(0, len(places.width), _BLOCK):
+def _first_held(
+    hand: HandAgainst, places: _Places, others: Sequence[HandAgainst], wanted: Sequence[HandAgainst] = ()
+) -> GraspRegion | None:
+    """The first of the places that the hand can take from enough directions.
+
+    Args:
+        hand: against the part.
+        places: in order.
+        others: against what surrounds the part, by which directions are chosen.
+        wanted: those of them that should leave the hand room; of places that most of them leave, the first.
+    """
+    best: GraspRegion | None = None
+    most = -1
+    for start in range(0, len(places.width) if not wanted else min(_LOOKED_AT, len(places.width)), _BLOCK):
         some = places[np.arange(start, min(start + _BLOCK, len(places.width)))]
         ways = _around(some.closing, ANGLES)
         free = ~_touches(hand, some, ways, MAX_OPENING, coming=True)
         for index in np.flatnonzero(free.sum(axis=1) >= APPROACHES):
-            region = _closed_on(hand, some[np.array([index])], ways[[index]], free[index])
-            if region is not None:
-                return region
-    return None
+            place, its_ways = some[np.array([index])], ways[[index]]
+            liked, count = np.zeros(ANGLES), 0
+            for other in others:
+                left = free[index] & ~_touches(other, place, its_ways, MAX_OPENING, coming=True)[0]
+                liked += left
+                count += other in wanted and bool(left.any())
+            if count > most:
+                region = _closed_on(hand, place, its_ways, free[index], liked)
+                if region is not None:
+                    best, most = region, count
+            if best is not None and most == len(wanted):
+                return best
+    # With nothing within those looked at, any will do.
+    return best if best is not None or not wanted else _first_held(hand, places, others)
+
+
+def _left_free(other: HandAgainst, region: GraspRegion) -> Bool[np.ndarray, "4"]:
+    """Directions of a region that something beside the part leaves free."""
+    n = len(region.approaches)
+    middle, closing = np.tile(region.position, (n, 1)), np.tile(region.closing, (n, 1))
+    return ~other.touches(middle, closing, region.approaches, MAX_OPENING, coming=True)
 
 
 def _closed_on(
-    hand: HandAgainst, place: _Places, ways: Float[np.ndarray, "1 a 3"], free: Bool[np.ndarray, "a"]
+    hand: HandAgainst,
+    place: _Places,
+    ways: Float[np.ndarray, "1 a 3"],
+    free: Bool[np.ndarray, "a"],
+    liked: Float[np.ndarray, "a"],
 ) -> GraspRegion | None:
-    """The region at one place, if the hand can close there in four of the `free` directions."""
+    """The region at one place, if the hand can close there in four of the `free` directions; `liked` ones first."""
     for eased in _EASED:
         opening = float(place.width[0]) + eased + 2.0 * CLEARANCE
         held = free & ~_touches(hand, place, ways, opening)[0]
         for share in _OPENINGS if held.sum() >= APPROACHES else ():
             held &= ~_touches(hand, place, ways, opening + share * (MAX_OPENING - opening))[0]
         if held.sum() >= APPROACHES:
-            directions = ways[0][_four_of(held)]
+            directions = ways[0][_four_of(held, liked)]
             return GraspRegion(place.middle[0], place.closing[0], directions, opening - 2.0 * CLEARANCE)
     return None
 
@@ -215,13 +255,17 @@ def _touches(
     return hand.touches(middle, closing, ways.reshape(-1, 3), opening, coming=coming).reshape(n, a)
 
 
-def _four_of(free: Bool[np.ndarray, "a"]) -> list[int]:
-    """Four free directions: the middle of the widest free fan, then always the one farthest from those chosen."""
+def _four_of(free: Bool[np.ndarray, "a"], liked: Float[np.ndarray, "a"]) -> list[int]:
+    """Four free directions: of the most liked, the middle of the widest free fan; then always the one farthest from
+    those chosen, where being liked by all counts as much as half a turn."""
     n = len(free)
     apart_of = np.abs((np.arange(n)[:, None] - np.arange(n) + n // 2) % n - n // 2)
     blocked = np.flatnonzero(~free)
     room = apart_of[:, blocked].min(axis=1) if len(blocked) else np.full(n, n)
-    chosen = [int(np.argmax(np.where(free, room, -1)))]
+    most = liked[free].max()
+    worth = 0.5 * n * liked / most if most > 0 else np.zeros(n)
+    chosen = [int(np.argmax(np.where(free, room + 2.0 * worth, -1)))]
     while len(chosen) < APPROACHES:
-        chosen.append(int(np.argmax(np.where(free, apart_of[:, chosen].min(axis=1), -1))))
+        apart = apart_of[:, chosen].min(axis=1)
+        chosen.append(int(np.argmax(np.where(free & (apart > 0), apart + worth, -1))))
     return chosen

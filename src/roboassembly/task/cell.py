@@ -47,6 +47,10 @@ _COARSE, _FINE = POST_RADIUS, 1e-3
 """Metres between rays by which a cup's height is told, for each place and for the one that is chosen."""
 _OFF_CENTER = 1.0
 """Share of the grasps that a cup a metre nearer to the centre of mass is worth."""
+_FROM_BELOW = 0.5
+"""Vertical component of an approach from which on no arm can be beneath it."""
+_RESTS = 8
+"""Poses of rest in which a part is tried on its post."""
 WIDER = 0.02
 """Metres that a hand opens wider than what it comes for."""
 
@@ -119,16 +123,21 @@ def laid_out(furniture: Furniture, rng: np.random.Generator) -> tuple[Cell, tupl
     held: list[tuple[Group, Stand, float]] = []
     for index, part in enumerate(furniture.parts):
         rotations, likely = resting_rotations(part.mesh)
-        for rest in rng.choice(len(rotations), size=min(8, len(rotations)), replace=False, p=likely):
+        # At random, but so that hands can come to it: of several poses the one that leaves most grasps open.
+        best: tuple[float, Group, Stand] | None = None
+        for rest in rng.choice(len(rotations), size=min(_RESTS, len(rotations)), replace=False, p=likely):
             turn = turn_about_vertical(rng.uniform(-np.pi, np.pi))
             slot = furniture.assembled[index]
             group = Group((index,), (index,), (slot,), SE3(turn @ rotations[rest], np.zeros(3)) * slot.inverse())
             found = on_post(furniture, group, np.zeros(2))
-            if found is not None:
-                held.append((*found, reach_from(furniture, *found)))
-                break
-        else:
+            if found is None:
+                continue
+            share = open_grasps(furniture, *found)
+            if best is None or share > best[0]:
+                best = (share, *found)
+        if best is None:
             raise InputError(f"{furniture.name}: no post can hold part '{part.name}' from below")
+        held.append((*best[1:], reach_from(furniture, *best[1:])))
     order = rng.permutation(len(held))
     widths = np.array([held[i][2] for i in order])
     chords = np.maximum(widths + np.roll(widths, -1) + LANE, BETWEEN_POSTS)
@@ -205,8 +214,13 @@ def _undersides(
     return height
 
 
+def open_grasps(furniture: Furniture, group: Group, stand: Stand) -> float:
+    """Share of a group's grasps to which a hand can come past its post, and not from below."""
+    return float(_free_hands(furniture, group, stand.top[None])[0])
+
+
 def _free_hands(furniture: Furniture, group: Group, tops: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n"]:
-    """Share of the group's grasps whose hand a post at each place leaves alone."""
+    """Share of the group's grasps whose hand a post at each place leaves alone, and that does not come from below."""
     positions, closing, approach, opening = [], [], [], []
     for part, pose in zip(group.parts, group.part_poses(), strict=True):
         for region in furniture.parts[part].grasps:
@@ -215,9 +229,8 @@ def _free_hands(furniture: Furniture, group: Group, tops: Float[np.ndarray, "n 3
                 closing.append(pose.rotation @ region.closing)
                 approach.append(pose.rotation @ direction)
                 opening.append(min(MAX_OPENING, region.width + WIDER))
-    count = len(positions)
+    count, several = len(positions), len(tops)
     from_post = (np.array(positions)[None] - tops[:, None]).reshape(-1, 3)
-    several = len(tops)
     hits = _against_post().touches(
         from_post,
         np.tile(closing, (several, 1)),
@@ -225,7 +238,8 @@ def _free_hands(furniture: Furniture, group: Group, tops: Float[np.ndarray, "n 3
         np.tile(opening, several),
         coming=True,
     )
-    return 1.0 - hits.reshape(several, count).mean(axis=1)
+    below = np.array(approach)[:, 2] > _FROM_BELOW
+    return 1.0 - (hits.reshape(several, count) | below).mean(axis=1)
 
 
 @cache

@@ -21,7 +21,7 @@ from roboassembly.poses import SE3, align_axis, turn_about_vertical
 from roboassembly.robots.body import world_from_tips
 from roboassembly.robots.kinematics import Poses
 from roboassembly.robots.reach import nearness, reach
-from roboassembly.task.cell import Cell, Stand, circle_of, free_place, on_post, reach_from
+from roboassembly.task.cell import Cell, Stand, circle_of, free_place, on_post, open_grasps, reach_from
 from roboassembly.task.groups import Group, hull_points
 from roboassembly.task.joining import Hold, Way
 from roboassembly.task.moments import Configuration, Grip, Leg, Moment, Robot, Standing
@@ -356,22 +356,22 @@ class LegPlanner:
     def _places(
         self, merged: Group, near: Configuration, wanted: Sequence[Float[np.ndarray, "2"]]
     ) -> Iterator[Standing]:
-        """Ways for the merged group to stand on a post, each axis up once; finished furniture upright if it can."""
+        """Ways for the merged group to stand on a post, each axis up once, those first that leave most grasps open;
+        finished furniture upright if it can."""
         taken = [circle_of(self.furniture, s.group) for s in self.moment.standing]
         order = np.argsort([np.linalg.norm(p - near[:2]) for p in wanted])
         places = [wanted[o] * f for f in _OUTWARD for o in order]
-        axes = self.rng.permutation(len(UP_AXES))
-        if len(merged.parts) == len(self.furniture.parts):
-            axes = np.concatenate([[0], axes[axes != 0]])
-        for w in axes:
+        found: list[tuple[float, Group, Stand]] = []
+        for w in self.rng.permutation(len(UP_AXES)):
             turn = turn_about_vertical(self.rng.uniform(-np.pi, np.pi)) @ align_axis(UP_AXES[w], UP_AXES[0])
-            found = on_post(self.furniture, merged.moved_to(SE3(turn, np.zeros(3))), np.zeros(2))
-            if found is None:
-                continue
-            place = free_place(places, reach_from(self.furniture, *found), taken)
+            held = on_post(self.furniture, merged.moved_to(SE3(turn, np.zeros(3))), np.zeros(2))
+            if held is not None:
+                upright = w == 0 and len(merged.parts) == len(self.furniture.parts)
+                found.append((float(upright) + open_grasps(self.furniture, *held), *held))
+        for _, group, stand in sorted(found, key=lambda item: -item[0]):
+            place = free_place(places, reach_from(self.furniture, group, stand), taken)
             if place is None:
                 continue
-            group, stand = found
             shift = np.array([*place, 0.0])
             moved = SE3(np.eye(3), shift) * group.world_from_furniture
             yield Standing(group.moved_to(moved), Stand(stand.top + shift))
