@@ -197,6 +197,34 @@ def test_turned_shape_has_as_many_grasps() -> None:
             check_region(mesh, region, checker)
 
 
+def left_free(around: Mesh, region: GraspRegion) -> np.ndarray:
+    n = len(region.approaches)
+    places = (np.tile(region.position, (n, 1)), np.tile(region.closing, (n, 1)), region.approaches)
+    return ~HandAgainst(around).touches(*places, MAX_OPENING, coming=True)
+
+
+def test_a_region_is_where_the_furniture_leaves_a_hand() -> None:
+    rod = shapes.brick(0.02, 0.7, 0.02)
+    collar = shapes.of_solid(
+        shapes.block((-0.04, -0.22, -0.04), (0.04, 0.22, 0.04))
+        - shapes.block((-0.011, -1.0, -0.011), (0.011, 1.0, 0.011))
+    )
+    assert not any(left_free(collar, region).any() for region in find_grasps(rod))
+    one, two = find_grasps(rod, [collar])
+    assert np.linalg.norm(one.position) < 0.05
+    assert left_free(collar, two).any()
+    assert abs(two.position[1]) > 0.22
+
+
+def test_directions_that_the_furniture_leaves_come_first() -> None:
+    rod, wall = shapes.brick(0.02, 0.3, 0.02), shapes.box((-0.3, -0.3, 0.011), (0.3, 0.3, 0.05))
+    for region in find_grasps(rod, [wall]):
+        if abs(region.closing[0]) > 0.9:
+            # From below and level; never more than the rest from above, through the wall.
+            assert region.approaches[0, 2] > -0.3
+            assert left_free(wall, region)[0]
+
+
 def test_same_mesh_same_grasps_whatever_the_global_seed() -> None:
     def numbers(seed: int) -> list[bytes]:
         np.random.seed(seed)  # noqa: NPY002

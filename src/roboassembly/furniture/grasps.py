@@ -40,8 +40,6 @@ _SAMPLES, _AXES = 384, 48
 """Points on the surface, and axes through the centre of mass, where opposite sides are looked for."""
 _BLOCK = 12
 """Places tested in one batch; mostly the first holds one that will do."""
-_LOOKED_AT = 96
-"""Places among which one is looked for that the assembled furniture leaves to a hand."""
 _EVENNESS = 0.75
 """Power of a face's area that it is sampled by: by area alone a peg on a seat would be missed."""
 _UNCOVERED = 0.05
@@ -102,7 +100,11 @@ def find_grasps(mesh: Mesh, around: Sequence[Mesh] = ()) -> tuple[GraspRegion, .
     cost = _CENTRAL * (off - beyond) + bare - np.minimum(apart, _SPREAD) - _CROSSWISE * crosswise
     order = np.argsort(cost, kind="stable")
     distinct = places[order[((apart > _DISTINCT) | crosswise)[order]]]
-    two = _first_held(hand, distinct, others, locked)
+    if locked:
+        ways = _around(distinct.closing, ANGLES // 2)
+        room = sum((~_touches(other, distinct, ways, MAX_OPENING, coming=True)).any(axis=1) for other in locked)
+        distinct = distinct[np.argsort(-np.asarray(room), kind="stable")]
+    two = _first_held(hand, distinct, others)
     found = (one,) if two is None else (one, two)
     return tuple(sorted(found, key=lambda region: float(np.linalg.norm(region.position))))[:GRASP_REGIONS]
 
@@ -187,38 +189,27 @@ def _around(closing: Float[np.ndarray, "n 3"], count: int) -> Float[np.ndarray, 
     return np.cos(angles)[None, :, None] * first[:, None] + np.sin(angles)[None, :, None] * second[:, None]
 
 
-def _first_held(
-    hand: HandAgainst, places: _Places, others: Sequence[HandAgainst], wanted: Sequence[HandAgainst] = ()
-) -> GraspRegion | None:
+def _first_held(hand: HandAgainst, places: _Places, others: Sequence[HandAgainst]) -> GraspRegion | None:
     """The first of the places that the hand can take from enough directions.
 
     Args:
         hand: against the part.
         places: in order.
         others: against what surrounds the part, by which directions are chosen.
-        wanted: those of them that should leave the hand room; of places that most of them leave, the first.
     """
-    best: GraspRegion | None = None
-    most = -1
-    for start in range(0, len(places.width) if not wanted else min(_LOOKED_AT, len(places.width)), _BLOCK):
+    for start in range(0, len(places.width), _BLOCK):
         some = places[np.arange(start, min(start + _BLOCK, len(places.width)))]
         ways = _around(some.closing, ANGLES)
         free = ~_touches(hand, some, ways, MAX_OPENING, coming=True)
         for index in np.flatnonzero(free.sum(axis=1) >= APPROACHES):
             place, its_ways = some[np.array([index])], ways[[index]]
-            liked, count = np.zeros(ANGLES), 0
+            liked = np.zeros(ANGLES)
             for other in others:
-                left = free[index] & ~_touches(other, place, its_ways, MAX_OPENING, coming=True)[0]
-                liked += left
-                count += other in wanted and bool(left.any())
-            if count > most:
-                region = _closed_on(hand, place, its_ways, free[index], liked)
-                if region is not None:
-                    best, most = region, count
-            if best is not None and most == len(wanted):
-                return best
-    # With nothing within those looked at, any will do.
-    return best if best is not None or not wanted else _first_held(hand, places, others)
+                liked += free[index] & ~_touches(other, place, its_ways, MAX_OPENING, coming=True)[0]
+            region = _closed_on(hand, place, its_ways, free[index], liked)
+            if region is not None:
+                return region
+    return None
 
 
 def _left_free(other: HandAgainst, region: GraspRegion) -> Bool[np.ndarray, "4"]:
