@@ -22,6 +22,7 @@ from scipy.interpolate import CubicSpline
 from roboassembly.gripper import MAX_OPENING, hand_bodies, panda_folder
 from roboassembly.meshes import Mesh
 from roboassembly.poses import SE3, from_quaternion
+from roboassembly.robots.body import world_from_tips
 from roboassembly.robots.kinematics import JOINTS, arm
 from roboassembly.robots.platform import HEIGHT, LENGTH, PLATFORM_FROM_MOUNT, WIDTH
 from roboassembly.simulation.model import rotation_to_quaternion
@@ -96,13 +97,17 @@ class Cell:
             _add_load(spec, f"load{index}", load, index)
             _add_weld(spec, f"post{index}", f"load{index}", "world")
             for name in "ab":
-                _add_weld(spec, f"grip{name}{index}", f"load{index}", f"{name}/link7")
+                _add_weld(spec, f"grip{name}{index}", f"load{index}", f"{name}/link{JOINTS}")
         _add_weld(spec, "joint", "load0", "load1")
         self.model = spec.compile()
         self.data = mujoco.MjData(self.model)
         self.loads = tuple(loads)
         self._joints = [[self.model.joint(f"{n}/{j}").id for j in _names()] for n in "ab"]
         self._fingers = [[self.model.joint(f"{n}/finger{k}").id for k in (0, 1)] for n in "ab"]
+        self._links = [self.model.body(f"{n}/link{JOINTS}").id for n in "ab"]
+        self._bodies = [self.model.body(f"load{index}").id for index in range(len(loads))]
+        self._dofs = [self.model.jnt_dofadr[joints] for joints in self._joints]
+        self._jacobian = np.zeros((3, self.model.nv))
         self._held: list[list[int]] = [[], []]
         for r, (q, opening) in enumerate(zip(robots, openings, strict=True)):
             self.data.qpos[self._addresses(r)] = q
@@ -132,15 +137,13 @@ class Cell:
 
     def pose(self, load: int) -> SE3:
         """`world_from_body` of a load."""
-        body = self.data.body(f"load{load}")
-        return from_quaternion(body.xpos, body.xquat)
+        body = self._bodies[load]
+        return from_quaternion(self.data.xpos[body], self.data.xquat[body])
 
     def tips(self, robot: int) -> SE3:
         """Where the finger tips are."""
-        link = self.data.body(f"{'ab'[robot]}/link7")
-        rotation, origin = arm().tips
-        where = from_quaternion(link.xpos, link.xquat)
-        return where * SE3(rotation, origin)
+        link = self._links[robot]
+        return from_quaternion(self.data.xpos[link], self.data.xquat[link]) * SE3(*arm().tips)
 
     def _open(self, robot: int, opening: float) -> None:
         first = self._controls(robot).stop
@@ -173,8 +176,6 @@ class Cell:
         self._sample(robot, path[-1])
 
     def _sample(self, robot: int, q: Float[np.ndarray, "10"]) -> None:
-        from roboassembly.robots.body import world_from_tips
-
         off = self.tips(robot).translation - world_from_tips(q).translation
         self.log.tracking.append(float(np.linalg.norm(off)))
         self.log.samples.append((self.configuration(0), self.configuration(1)))
@@ -182,15 +183,13 @@ class Cell:
     def _step(self) -> None:
         """One time step, with the torques that carry what each hand holds."""
         self.data.qfrc_applied[:] = 0.0
-        jacobian = np.zeros((3, self.model.nv))
-        for robot in (0, 1):
-            dofs = self.model.jnt_dofadr[self._joints[robot]]
-            for load in self._held[robot]:
-                body = self.model.body(f"load{load}").id
-                link = self.model.body(f"{'ab'[robot]}/link7").id
-                mujoco.mj_jac(self.model, self.data, jacobian, None, self.data.xipos[body], link)
-                weight = np.array([0.0, 0.0, 9.81 * self.model.body_mass[body]])
-                self.data.qfrc_applied[dofs] += jacobian[:, dofs].T @ weight
+        for robot, held in enumerate(self._held):
+            for load in held:
+                body, dofs = self._bodies[load], self._dofs[robot]
+                place = self.data.xipos[body]
+                mujoco.mj_jac(self.model, self.data, self._jacobian, None, place, self._links[robot])
+                weight = -self.model.opt.gravity[2] * self.model.body_mass[body]
+                self.data.qfrc_applied[dofs] += self._jacobian[2, dofs] * weight
         mujoco.mj_step(self.model, self.data)
 
     def grasp(self, robot: int, load: int, seconds: float = 0.6) -> bool:
@@ -212,7 +211,7 @@ class Cell:
         """Newtons that each finger presses on a load."""
         out = [0.0, 0.0]
         force = np.zeros(6)
-        body = self.model.body(f"load{load}").id
+        body = self._bodies[load]
         fingers = [self.model.body(f"{'ab'[robot]}/finger{k}").id for k in (0, 1)]
         for i in range(self.data.ncon):
             contact = self.data.contact[i]
