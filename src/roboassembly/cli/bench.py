@@ -34,8 +34,10 @@ class Bench:
 
     def run(self) -> int:
         """Do it; returns the exit status."""
-        if self.chairs < 1 or self.seed < 0:
-            raise InputError("--chairs takes 1 or more, --seed 0 or more")
+        if self.chairs < 1:
+            raise InputError(f"--chairs {self.chairs}; 1 or more would do")
+        if self.seed < 0:
+            raise InputError(f"--seed {self.seed} is negative; 0 or more would do")
         if self.what == "robots":
             return self._robots()
         from roboassembly.bench.planning import PlanningBenchConfig, run_planning_bench
