@@ -84,13 +84,18 @@ def right_action(env: AnEnv) -> tuple[int, ...]:
     seed = int(deepcopy(env.np_random).integers(2**31 - 1))
     told = next(env.task.own_places(env.state))
     disassembly = reasoning(env.task.furniture)
-    order = disassembly.order(partition_of(env.task.joined(told)), set(), straight=True, exhaustive=False)
-    assert order
-    if isinstance(env, FullEnv):
-        options = grasping(env.task, told, *order[0])
-    else:
-        options = upright(disassembly, told, *order[0], straight=True)
-    return next(a for a in options if env.task.step(env.state, a, seed).step is not None)
+    struck: set[frozenset[frozenset[int]]] = set()
+    while True:
+        order = disassembly.order(partition_of(env.task.joined(told)), struck, straight=True, exhaustive=False)
+        assert order, "nothing merges"
+        if isinstance(env, FullEnv):
+            options = grasping(env.task, told, *order[0])
+        else:
+            options = upright(disassembly, told, *order[0], straight=True)
+        for action in options:
+            if env.task.step(env.state, action, seed).step is not None:
+                return action
+        struck.add(frozenset(order[0]))
 
 
 def test_gymnasium_checker(env: AnEnv) -> None:
@@ -205,12 +210,20 @@ def test_masked_actions_end_the_episode(env: AnEnv) -> None:
         assert (reward, terminated, info["verdict"]) == (0.0, True, "not_an_action")
 
 
+def _is_right(env: AnEnv, action: np.ndarray) -> bool:
+    joined, (u, v, k, l) = env.task.joined(env.state), (int(i) for i in action[:4])  # noqa: E741
+    groups = (joined.groups[joined.group_of[u]], joined.groups[joined.group_of[v]])
+    return env.task.rules.pairs.judge(*groups, u, k, v, l) is not None
+
+
 def test_wrong_pairs_end_the_episode_and_change_nothing(env: AnEnv) -> None:
     env.reset(seed=0)
     rng = np.random.default_rng(0)
     choices = np.argwhere(env.action_masks())
     wrong = 0
     for action in choices[rng.permutation(len(choices))[:60]]:
+        if isinstance(env, FullEnv) and _is_right(env, action):
+            continue  # two robots would take their time to join it
         before, _ = env.reset(seed=0)
         after, reward, terminated, _, info = env.step(action)
         if info["verdict"] != "wrong_pair":
@@ -227,7 +240,7 @@ def test_seeds_reproduce_episodes(env: AnEnv) -> None:
         observation, _ = env.reset(seed=seed)
         seen = [observation["poses"]]
         rng = np.random.default_rng(seed)
-        for _ in range(2):
+        for _ in range(1 if isinstance(env, FullEnv) else 2):
             observation, *_ = env.step(np.array(right_action(env)))
             seen.append(observation["poses"])
         choices = np.argwhere(env.action_masks())

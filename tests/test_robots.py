@@ -56,7 +56,7 @@ def test_inverse_kinematics_comes_back_to_the_pose_within_limits(rng: np.random.
 def test_what_the_arm_cannot_reach_is_not_found(rng: np.random.Generator) -> None:
     q = uniform(rng, 50)
     near = arm().poses(q)
-    far = Poses(near.rotation, [*near.translation, 0.0, 0.0, 3.0])
+    far = Poses(near.rotation, near.translation + np.array([0.0, 0.0, 3.0]))
     _, ok = arm().solve(far, q)
     assert not ok.any()
 

@@ -65,7 +65,7 @@ class Benchmark:
             set="chairs-24", train_limit=4, test_limit=4, shipped=False, seed=seed,
             schooling=Schooling(autoencoder.Training(steps=60), 4, ExpertTraining(steps=2_000), plays=2),
             paper=paper_imitation.Training(steps=60),
-            relational=Curriculum(extra=4, validation=2, rounds=1, steps=40, round_steps=20, network=_TINY),
+            relational=Curriculum(extra=1, validation=1, rounds=1, steps=40, round_steps=20, network=_TINY),
         )  # fmt: skip
 
 
