@@ -207,11 +207,17 @@ def optimiser(t: Training) -> optax.GradientTransformation:
     return optax.chain(optax.clip_by_global_norm(1.0), optax.adamw(schedule, weight_decay=t.weight_decay))
 
 
-@partial(jax.jit, static_argnums=0)
-def _update(t: Training, params: Any, state: Any, batch: dict[str, Any]) -> tuple[Any, Any, dict[str, jax.Array]]:
+@jax.jit
+def _gradient(params: Any, batch: dict[str, Any]) -> tuple[Any, dict[str, jax.Array]]:
+    """What takes long to compile, once for each size of batch, whatever the training."""
     (loss, terms), gradient = jax.value_and_grad(losses, has_aux=True)(params, batch)
+    return gradient, {"loss": loss, **{k: v.mean() for k, v in terms.items()}}
+
+
+@partial(jax.jit, static_argnums=0)
+def _moved(t: Training, params: Any, state: Any, gradient: Any) -> tuple[Any, Any]:
     updates, state = optimiser(t).update(gradient, state, params)
-    return optax.apply_updates(params, updates), state, {"loss": loss, **{k: v.mean() for k, v in terms.items()}}
+    return optax.apply_updates(params, updates), state
 
 
 def train(
@@ -244,7 +250,8 @@ def train(
     run = Run(path, relational.KIND, about, training.steps, training.keep_every)
     step, params, state = run.resume(params, optimiser(training).init(params))
     for batch in made_ahead(_shown(examples, training, step)):
-        params, state, terms = _update(training, params, state, batch)
+        gradient, terms = _gradient(params, batch)
+        params, state = _moved(training, params, state, gradient)
         step += 1
         run.keep(step, params, state)
         yield step, {k: float(v) for k, v in terms.items()}
