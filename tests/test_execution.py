@@ -9,7 +9,7 @@ import pytest
 
 from roboassembly.poses import SE3
 from roboassembly.robots.body import world_from_tips
-from roboassembly.simulation.execution import TIME_STEP, Cell, Load, between_pads, paced
+from roboassembly.simulation.execution import TIME_STEP, Load, StepPhysics, between_pads, paced
 from roboassembly.solvers.options import grasping
 from roboassembly.task.execution import JOINT_ANGLE, JOINT_POSITION, Ending, execute
 from roboassembly.task.full import FullTask
@@ -57,7 +57,7 @@ def test_a_robot_stops_where_its_path_bends() -> None:
 
 
 def test_fingers_hold_what_is_between_them_and_only_that() -> None:
-    cell = Cell([A, B], [0.05, 0.0], [held_bar(), far_bar()])
+    cell = StepPhysics([A, B], [0.05, 0.0], [held_bar(), far_bar()])
     assert cell.grasp(0, 0)
     left, right = cell.pad_forces(0, 0)
     assert 20.0 < left < 60.0
@@ -67,12 +67,12 @@ def test_fingers_hold_what_is_between_them_and_only_that() -> None:
     assert np.linalg.norm(got.translation) < 1e-3
     assert max(cell.log.tracking) < 3e-3
 
-    empty = Cell([A, B], [0.05, 0.0], [replace(held_bar(), pose=pose(5.0, 0.0, 1.0)), far_bar()])
+    empty = StepPhysics([A, B], [0.05, 0.0], [replace(held_bar(), pose=pose(5.0, 0.0, 1.0)), far_bar()])
     assert not empty.grasp(0, 0)
 
 
 def test_what_nobody_holds_falls() -> None:
-    cell = Cell([A, B], [0.05, 0.0], [held_bar(), far_bar()])
+    cell = StepPhysics([A, B], [0.05, 0.0], [held_bar(), far_bar()])
     assert cell.grasp(0, 0)
     before = cell.pose(0).translation[2]
     cell.release(0, 0.08)
@@ -82,7 +82,7 @@ def test_what_nobody_holds_falls() -> None:
 
 
 def test_a_heavy_load_does_not_pull_the_hand_down() -> None:
-    cell = Cell([A, B], [0.05, 0.0], [held_bar(mass=3.0), far_bar()])
+    cell = StepPhysics([A, B], [0.05, 0.0], [held_bar(mass=3.0), far_bar()])
     assert cell.grasp(0, 0)
     cell.follow(0, [A, A + np.array([0.5, *np.zeros(9)])])
     off = cell.tips(0).translation - world_from_tips(A + 0.5 * np.eye(10)[0]).translation

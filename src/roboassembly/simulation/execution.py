@@ -74,7 +74,7 @@ class Log:
     """Both robots' configurations."""
 
 
-class Cell:
+class StepPhysics:
     """The physics of one step: two robots and the two groups that they join.
 
     Args:

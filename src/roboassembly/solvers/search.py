@@ -1,4 +1,4 @@
-"""Finds a whole action sequence: reason backward by disassembly, let the task's own planner judge every merge.
+"""Finds a whole action sequence, in either setting: reason backward by disassembly, let the task judge every merge.
 
 Backward: an order of merges by taking the furniture apart in the mind (`solvers.disassembly`). Forward: carry the
 merges out. Where the planner refuses a merge, that split is struck out and the rest thought through again; where

@@ -16,7 +16,7 @@ from roboassembly.furniture.model import Furniture
 from roboassembly.meshes import WOOD_DENSITY
 from roboassembly.planning.robot_world import RobotWorld
 from roboassembly.poses import rotation_angle
-from roboassembly.simulation.execution import Cell, Load, between_pads
+from roboassembly.simulation.execution import Load, StepPhysics, between_pads
 from roboassembly.simulation.model import mass_properties
 from roboassembly.task.full_plan import FullPlan, FullStep
 from roboassembly.task.groups import Group, body
@@ -103,7 +103,7 @@ class _Execution:
         openings = [named[f"drive to {name}"].moment.robots[r].opening for r, name in enumerate("uv")]
         start = step.legs[0].moment
         loads = [self._load(grip.group, grip.hold, density) for grip in self.grips]
-        self.cell = Cell([r.at for r in start.robots], openings, loads)
+        self.physics = StepPhysics([r.at for r in start.robots], openings, loads)
         self.states = 0
         self.joint = (0.0, 0.0)
 
@@ -122,27 +122,27 @@ class _Execution:
         return self._told(Ending.DONE, "")
 
     def _told(self, ending: Ending, leg: str) -> Executed:
-        log = self.cell.log
+        log = self.physics.log
         tracking = max(log.tracking, default=0.0)
-        return Executed(ending, leg, self.cell.seconds, tracking, log.pad_force, *self.joint, self.states)
+        return Executed(ending, leg, self.physics.seconds, tracking, log.pad_force, *self.joint, self.states)
 
     def _leg(self, leg: Leg) -> Ending:
-        cell, first = self.cell, len(self.cell.log.tracking)
-        cell.follow(leg.robot, leg.path, _SLOWLY if leg.name.split()[0] in _LINES else 1.0)
-        if max(cell.log.tracking[first:]) > MOST_TRACKING:
+        physics, first = self.physics, len(self.physics.log.tracking)
+        physics.follow(leg.robot, leg.path, _SLOWLY if leg.name.split()[0] in _LINES else 1.0)
+        if max(physics.log.tracking[first:]) > MOST_TRACKING:
             return Ending.OFF_THE_PATH
-        if self._touches(leg, np.array([q[leg.robot] for q in cell.log.samples[first::_AUDITED]])):
+        if self._touches(leg, np.array([q[leg.robot] for q in physics.log.samples[first::_AUDITED]])):
             return Ending.COLLISION
         if leg.name in ("approach u", "approach v"):
-            return Ending.DONE if cell.grasp(leg.robot, leg.robot) else Ending.NOT_GRASPED
+            return Ending.DONE if physics.grasp(leg.robot, leg.robot) else Ending.NOT_GRASPED
         if leg.name == "mate":
             self.joint = self._joint_error(leg)
             if self.joint[0] > JOINT_POSITION or self.joint[1] > JOINT_ANGLE:
                 return Ending.NOT_MATED
-            cell.join()
-            cell.release(0, self._next(leg).moment.robots[0].opening)
+            physics.join()
+            physics.release(0, self._next(leg).moment.robots[0].opening)
         if leg.name == "set down":
-            cell.release(1, self._next(leg).moment.robots[1].opening, (0, 1))
+            physics.release(1, self._next(leg).moment.robots[1].opening, (0, 1))
         return Ending.DONE
 
     def _next(self, leg: Leg) -> Leg:
@@ -162,8 +162,8 @@ class _Execution:
         """How far u's group is from where it joins v's, at u's centre of mass: metres and radians."""
         u, v = (grip.placed(robot.at) for grip, robot in zip(self.grips, mate.after.robots, strict=True))
         wanted = v.world_from_furniture.actInv(u.world_from_furniture)
-        got = self.cell.pose(1).actInv(self.cell.pose(0))
-        center = self.cell.loads[0].center
+        got = self.physics.pose(1).actInv(self.physics.pose(0))
+        center = self.physics.loads[0].center
         return (
             float(np.linalg.norm(got.act(center) - wanted.act(center))),
             rotation_angle(got.rotation.T @ wanted.rotation),
