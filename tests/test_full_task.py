@@ -169,7 +169,7 @@ def test_a_grasp_that_the_group_blocks_is_told_before_anything_moves(task: FullT
     state = merged.state
     joined = next(g for g in state.groups.groups if len(g.parts) == 2)
     for u in joined.parts:
-        free = set(task.free_grasps(state.groups, u))
+        free = set(task.free_holds(state.groups, u))
         for c in task.furniture.connections:
             if (
                 u == c.part_a

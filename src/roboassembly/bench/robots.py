@@ -29,7 +29,6 @@ from roboassembly.gripper import panda_folder
 from roboassembly.meshes import Mesh
 from roboassembly.planning.problem import Budget
 from roboassembly.planning.robot_path import Floor, connect, number_space
-from roboassembly.planning.robot_world import RobotWorld
 from roboassembly.planning.rrt import exhaustion, run_rrt_connect
 from roboassembly.poses import SE3, pose_to_seven
 from roboassembly.robots.body import world_from_platform, world_from_tips
@@ -206,7 +205,7 @@ def _states(
     for leg in loaded:
         a, b = leg.path[0], leg.path[-1]
         q = a + rng.random((share, 1)) * (b - a) + rng.normal(0.0, 0.15, (share, len(a)))
-        world = _world(furniture, leg)
+        world = leg.moment.world(furniture, leg.robot)
         world.free(q[:1])
         begun = time.perf_counter()
         free = world.free(q)
@@ -224,17 +223,11 @@ def _states(
     return {**out, "pybullet": 1e6 * theirs / total}, same / total
 
 
-def _world(furniture: Furniture, leg: Leg) -> RobotWorld:
-    own = leg.moment.robots[leg.robot]
-    held = None if own.grip is None else own.grip.held(furniture)
-    return RobotWorld(leg.moment.around(furniture, leg.robot), own.opening, held)
-
-
 def _path(furniture: Furniture, plan: FullPlan, leg: Leg, bullet: BulletCell | None, seed: int) -> Path:
     start, goal = leg.path[0], leg.path[-1]
     floor = Floor(plan.initial.cell.floor)
     begun = time.perf_counter()
-    world = _world(furniture, leg)
+    world = leg.moment.world(furniture, leg.robot)
     found = connect(world, start, goal, floor, _BUDGET, seed)
     ours = time.perf_counter() - begun
     if bullet is None:

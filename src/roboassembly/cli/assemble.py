@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json as jsonlib
+import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -10,7 +11,6 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-import numpy as np
 import tyro
 
 from roboassembly.cli.output import DONE, DONE_BADLY, print_json, say, writable_folder
@@ -146,7 +146,7 @@ class Assemble:
             "tracking_error_mm": round(1e3 * max((d.tracking for d in done), default=0.0), 2),
             "pad_force_N": round(max((d.pad_force for d in done), default=0.0), 1),
             "joint_error_mm": round(1e3 * max((d.joint_position for d in done), default=0.0), 2),
-            "joint_error_deg": round(float(np.rad2deg(max((d.joint_angle for d in done), default=0.0))), 3),
+            "joint_error_deg": round(math.degrees(max((d.joint_angle for d in done), default=0.0)), 3),
             "reason": "" if failed is None else f"merge {len(done)}: {failed.ending.value} in '{failed.leg}'",
         }
         if failed is None:

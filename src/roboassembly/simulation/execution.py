@@ -70,8 +70,8 @@ class Log:
     """Metres from where the finger tips ought to be, at every sample."""
     pad_force: float = 0.0
     """Newtons, the largest normal force on a pad."""
-    samples: list[tuple[Float[np.ndarray, "10"], Float[np.ndarray, "10"]]] = field(default_factory=list)
-    """Both robots' configurations."""
+    samples: list[Float[np.ndarray, "10"]] = field(default_factory=list)
+    """Configurations of the robot that moves, at every sample."""
 
 
 class StepPhysics:
@@ -178,7 +178,7 @@ class StepPhysics:
     def _sample(self, robot: int, q: Float[np.ndarray, "10"]) -> None:
         off = self.tips(robot).translation - world_from_tips(q).translation
         self.log.tracking.append(float(np.linalg.norm(off)))
-        self.log.samples.append((self.configuration(0), self.configuration(1)))
+        self.log.samples.append(self.configuration(robot))
 
     def _step(self) -> None:
         """One time step, with the torques that carry what each hand holds."""
@@ -254,6 +254,7 @@ def _dampings() -> Float[np.ndarray, "10"]:
     return 2.0 * _DAMPING_RATIO * np.sqrt(_all_gains() * inertia)
 
 
+@cache
 def _lag() -> Float[np.ndarray, "10"]:
     """Seconds by which a joint would trail behind without its velocity fed forward."""
     return _dampings() / _all_gains()

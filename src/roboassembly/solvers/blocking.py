@@ -26,6 +26,9 @@ _TOWARD, _AWAY = 0.3, -0.95
 _SAME = 0.9998
 """Cosine above which two directions are one: 1.1°, what a tenon of 20 mm with 0.4 mm of play forgives."""
 
+Parts = frozenset[int]
+"""Slots of the furniture, which is what is reasoned about: equal parts may have swapped theirs."""
+
 
 class BlockingGraphs:
     """Blocking arcs among the parts of one piece of furniture, for a fixed set of directions, found when asked for."""
@@ -36,6 +39,7 @@ class BlockingGraphs:
         """Configurations tested for collision so far."""
         self._worlds: dict[tuple[int, int], CollisionWorld] = {}
         self._known_candidates: dict[int, list[tuple[int, int]]] = {}
+        self._lowest: dict[Parts, Float[np.ndarray, "6"]] = {}
 
     @cached_property
     def directions(self) -> Float[np.ndarray, "d 3"]:
@@ -200,6 +204,19 @@ class BlockingGraphs:
         free = clear == 0.0 or world.edge_is_free(SE3.Identity(), SE3(np.eye(3), (clear + 0.005) * d))
         self.states += world.states - before
         return free
+
+    def lowest(self, parts: Parts) -> Float[np.ndarray, "6"]:
+        """How far the parts reach down when each of the six axes points up, in the furniture's frame."""
+        if parts not in self._lowest:
+            f = self._furniture
+            points = np.concatenate(
+                [
+                    f.parts[p].mesh.hull_vertices @ f.assembled[p].rotation.T + f.assembled[p].translation
+                    for p in sorted(parts)
+                ]
+            )
+            self._lowest[parts] = (points @ UP_AXES.T).min(axis=0)
+        return self._lowest[parts]
 
     def _whole(self, parts: int) -> bool:
         """Whether connections hold the parts together."""

@@ -13,12 +13,9 @@ from itertools import count
 import numpy as np
 
 from roboassembly.furniture.model import Furniture
-from roboassembly.solvers.blocking import BlockingGraphs
+from roboassembly.solvers.blocking import BlockingGraphs, Parts
 from roboassembly.task.groups import TaskState
-from roboassembly.task.rules import UP_AXES
 
-Parts = frozenset[int]
-"""Slots of the furniture, which is what is reasoned about: equal parts may have swapped theirs."""
 Split = tuple[Parts, Parts]
 """Two sub-assemblies; the first is the one that leaves."""
 Partition = frozenset[Parts]
@@ -108,14 +105,3 @@ class Disassembly:
             for d, arcs in zip(self.graphs.directions, self.graphs.arcs, strict=True)
             if not any(arcs[p] & waiting for p in moving)
         ]
-
-    def lowest(self, parts: Parts) -> np.ndarray:
-        """How far the parts reach down when each of the six axes points up, in the furniture's frame."""
-        f = self.furniture
-        points = np.concatenate(
-            [
-                f.parts[p].mesh.hull_vertices @ f.assembled[p].rotation.T + f.assembled[p].translation
-                for p in sorted(parts)
-            ]
-        )
-        return (points @ UP_AXES.T).min(axis=0)

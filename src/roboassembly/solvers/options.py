@@ -56,7 +56,7 @@ def upright(disassembly: Disassembly, state: TaskState, leaving: Parts, staying:
     scored: list[tuple[float, Action]] = []
     for u, v, moving, waiting in ((one, two, leaving, staying), (two, one, staying, leaving)):
         directions = disassembly.exits(moving, waiting)
-        low_moving, low_waiting = disassembly.lowest(moving), disassembly.lowest(waiting)
+        low_moving, low_waiting = disassembly.graphs.lowest(moving), disassembly.graphs.lowest(waiting)
         for w, up in enumerate(UP_AXES):
             rise = max((float(d @ up) for d in directions), default=0.0)
             sinks = low_moving[w] < low_waiting[w] - 1e-3
@@ -82,19 +82,25 @@ def grasping(task: FullTask, state: FullState, leaving: Parts, staying: Parts) -
         pairs = [(b, a) for a, b in pairs]
     given = 0
     for roles in (pairs, [(b, a) for a, b in pairs]):
-        for action in _shuffled(task, state, roles):
-            if isinstance(task.joint(state.groups, action), Joint):
-                yield action
-                given += 1
-                if given == _ARMS:
-                    return
+        for action in _fitting(task, state.groups, roles):
+            yield action
+            given += 1
+            if given == _ARMS:
+                return
 
 
-def _shuffled(task: FullTask, state: FullState, pairs: list[tuple[End, End]]) -> list[Action]:
-    """All that exist with grasps that the hands can take, in an order that tries unlike ones early."""
-    takes: dict[int, list[int]] = {}
-    for part in {end[0] for pair in pairs for end in pair}:
-        takes[part] = task.free_grasps(state.groups, part)
-    actions = [(u, v, k, m, g_a, g_b) for (u, k), (v, m) in pairs for g_a, g_b in product(takes[u], takes[v])]
-    order = np.random.default_rng(0).permutation(len(actions))
-    return [actions[i] for i in order]
+def _fitting(task: FullTask, state: TaskState, pairs: list[tuple[End, End]]) -> Iterator[Action]:
+    """Actions that pass the cheap tests, in an order that tries unlike ones early; what only a pair or only a grasp
+    decides is looked at once for each."""
+    takes = {part: task.free_holds(state, part) for part in {end[0] for pair in pairs for end in pair}}
+    tries = [(one, two, g_a, g_b) for one, two in pairs for g_a, g_b in product(takes[one[0]], takes[two[0]])]
+    merges = {(one, two): task.merge(state, (one[0], two[0], one[1], two[1])) for one, two in pairs}
+    for index in np.random.default_rng(0).permutation(len(tries)):
+        one, two, g_a, g_b = tries[index]
+        (u, k), (v, m) = one, two
+        u_group, v_group = (state.groups[state.group_of[part]] for part in (u, v))
+        merge = merges[one, two]
+        if merge is None:
+            continue
+        if isinstance(task.fitted(u_group, v_group, merge, takes[u][g_a], takes[v][g_b]), Joint):
+            yield u, v, k, m, g_a, g_b

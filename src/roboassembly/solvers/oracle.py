@@ -16,14 +16,12 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from roboassembly.furniture.model import SAME_POINT
-from roboassembly.solvers.blocking import BlockingGraphs
+from roboassembly.solvers.blocking import BlockingGraphs, Parts
 from roboassembly.task.groups import TaskState
 from roboassembly.task.object_centric import ObjectCentricTask
 from roboassembly.task.pairs import Merge
 from roboassembly.task.rules import UP_AXES
 
-Parts = frozenset[int]
-"""Slots of the furniture."""
 _LEAST_RISE = -0.35
 """Least sine of the climb at which a group leaves: flatter or downward exits end on the ground."""
 _PLACES = 24
@@ -61,7 +59,6 @@ class Oracle:
         self.graphs = BlockingGraphs(task.furniture)
         self._exits: dict[tuple[Parts, Parts], Float[np.ndarray, "n 3"]] = {}
         self._solvable: dict[frozenset[Parts], bool] = {}
-        self._lowest: dict[Parts, Float[np.ndarray, "6"]] = {}
 
     @cached_property
     def _mates(self) -> set[tuple[int, int, int, int]]:
@@ -125,7 +122,7 @@ class Oracle:
         if not len(exits):
             return np.zeros(6, bool)
         rises = (exits @ UP_AXES.T).max(axis=0)
-        margin = self.lowest(moving) - self.lowest(waiting)
+        margin = self.graphs.lowest(moving) - self.graphs.lowest(waiting)
         return (margin > -_SINK) & (rises > _LEAST_RISE) & ((rises > -0.02) | (margin > 0.3))
 
     def exits(self, moving: Parts, waiting: Parts) -> Float[np.ndarray, "n 3"]:
@@ -140,19 +137,6 @@ class Oracle:
             self._exits[key] = np.array(found).reshape(-1, 3)
             self._exits[waiting, moving] = -self._exits[key]
         return self._exits[key]
-
-    def lowest(self, parts: Parts) -> Float[np.ndarray, "6"]:
-        """How far the parts reach down when each of the six axes points up, in the furniture's frame."""
-        if parts not in self._lowest:
-            f = self.furniture
-            points = np.concatenate(
-                [
-                    f.parts[p].mesh.hull_vertices @ f.assembled[p].rotation.T + f.assembled[p].translation
-                    for p in sorted(parts)
-                ]
-            )
-            self._lowest[parts] = (points @ UP_AXES.T).min(axis=0)
-        return self._lowest[parts]
 
     def solvable(self, partition: frozenset[Parts]) -> bool:
         """Whether the groups of a partition of some slots can be joined into one, straight exits only."""

@@ -22,7 +22,7 @@ from roboassembly.meshes import WOOD_DENSITY, Mesh
 from roboassembly.poses import SE3, transform_points, turn_about_vertical
 from roboassembly.scene import Body, Shape
 from roboassembly.task.groups import Group, center_of_mass, hull_points
-from roboassembly.task.layout import Circle, footprint, resting_rotations
+from roboassembly.task.layout import Circle, resting_rotations
 
 POST_RADIUS = 0.018
 """Metres."""
@@ -157,11 +157,6 @@ def reach_from(furniture: Furniture, group: Group, stand: Stand) -> float:
     """Metres that a group reaches out level from its post."""
     points = transform_points(group.world_from_furniture, hull_points(furniture, group))
     return float(np.linalg.norm(points[:, :2] - stand.top[:2], axis=1).max())
-
-
-def circle_of(furniture: Furniture, group: Group) -> Circle:
-    """What a group covers of the floor, seen from above."""
-    return footprint(transform_points(group.world_from_furniture, hull_points(furniture, group)))
 
 
 def on_post(furniture: Furniture, group: Group, place: Float[np.ndarray, "2"]) -> tuple[Group, Stand] | None:

@@ -14,7 +14,6 @@ from jaxtyping import Float
 
 from roboassembly.furniture.model import Furniture
 from roboassembly.meshes import WOOD_DENSITY
-from roboassembly.planning.robot_world import RobotWorld
 from roboassembly.poses import rotation_angle
 from roboassembly.simulation.execution import Load, StepPhysics, between_pads
 from roboassembly.simulation.model import mass_properties
@@ -131,7 +130,7 @@ class _Execution:
         physics.follow(leg.robot, leg.path, _SLOWLY if leg.name.split()[0] in _LINES else 1.0)
         if max(physics.log.tracking[first:]) > MOST_TRACKING:
             return Ending.OFF_THE_PATH
-        if self._touches(leg, np.array([q[leg.robot] for q in physics.log.samples[first::_AUDITED]])):
+        if self._touches(leg, np.array(physics.log.samples[first::_AUDITED])):
             return Ending.COLLISION
         if leg.name in ("approach u", "approach v"):
             return Ending.DONE if physics.grasp(leg.robot, leg.robot) else Ending.NOT_GRASPED
@@ -153,10 +152,8 @@ class _Execution:
         moment = leg.moment
         if leg.name == "mate":
             moment = moment.with_robot(1, replace(moment.robots[1], grip=None))
-        own = moment.robots[leg.robot]
-        held = None if own.grip is None else own.grip.held(self.furniture)
         self.states += len(q)
-        return not RobotWorld(moment.around(self.furniture, leg.robot), own.opening, held).free(q).all()
+        return not moment.world(self.furniture, leg.robot).free(q).all()
 
     def _joint_error(self, mate: Leg) -> tuple[float, float]:
         """How far u's group is from where it joins v's, at u's centre of mass: metres and radians."""

@@ -9,10 +9,10 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from itertools import islice
+from itertools import chain, islice
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from roboassembly.furniture.model import Furniture
 from roboassembly.planning.problem import Budget
@@ -21,7 +21,7 @@ from roboassembly.task.cell import laid_out
 from roboassembly.task.full_plan import FullState, FullStep
 from roboassembly.task.groups import Group, TaskState
 from roboassembly.task.joining import Hold, Way, can_let_go, can_take, hold, ways_out
-from roboassembly.task.legs import TUCKED, LegError, LegPlanner, Meeting, Obstacle
+from roboassembly.task.legs import TUCKED, LegError, LegPlanner, Obstacle
 from roboassembly.task.moments import Leg, Moment, Robot, Standing
 from roboassembly.task.pairs import Merge
 from roboassembly.task.rules import Rules
@@ -104,10 +104,6 @@ class FullTask:
         standing = tuple(Standing(g, s) for g, s in zip(groups, stands, strict=True))
         return FullState(TaskState(groups), Moment(standing, (a, b)), cell)
 
-    def free_points(self, state: FullState) -> Bool[np.ndarray, "20 10"]:
-        """Which connection points exist and do not touch anything yet, padded."""
-        return self.rules.free_points(state.groups)
-
     def exists(self, state: FullState, action: tuple[int, ...]) -> bool:
         """Whether the action names free points of two parts in different groups, and grasps that these parts have."""
         u, v, k, l, g_a, g_b = action  # noqa: E741
@@ -125,11 +121,16 @@ class FullTask:
             standing = tuple(Standing(g, s.stand) for g, s in zip(groups.groups, state.moment.standing, strict=True))
             yield replace(state, groups=groups, moment=replace(state.moment, standing=standing))
 
-    def free_grasps(self, state: TaskState, part: int) -> list[int]:
-        """Grasps of a part that the rest of its group leaves free."""
+    def free_holds(self, state: TaskState, part: int) -> dict[int, Hold]:
+        """Grasps of a part that the rest of its group leaves free, and how the hand holds it then."""
         group = state.groups[state.group_of[part]]
         holds = [(g, hold(self.furniture, group, part, g)) for g in range(GRASPS)]
-        return [g for g, held in holds if held is not None and can_take(self.furniture, group, held)]
+        return {g: held for g, held in holds if held is not None and can_take(self.furniture, group, held)}
+
+    def merge(self, state: TaskState, pair: tuple[int, int, int, int]) -> Merge | None:
+        """What the pair `(u, v, k, l)` makes; None if it is wrong."""
+        u, v, k, l = pair  # noqa: E741
+        return self.rules.pairs.judge(state.groups[state.group_of[u]], state.groups[state.group_of[v]], u, k, v, l)
 
     def step(self, state: FullState, action: tuple[int, ...], seed: int, budget: Budget | None = None) -> FullOutcome:
         """Carry out `(u, v, k, l, g_a, g_b)`: R_a takes u by grasp `g_a`, R_b takes v by grasp `g_b`.
@@ -166,7 +167,7 @@ class FullTask:
         u, v, k, l, g_a, g_b = action  # noqa: E741
         furniture = self.furniture
         one, two = state.groups[state.group_of[u]], state.groups[state.group_of[v]]
-        merge = self.rules.pairs.judge(one, two, u, k, v, l)
+        merge = self.merge(state, (u, v, k, l))
         if merge is None:
             return Refusal(FullVerdict.WRONG_PAIR, "")
         hold_a, hold_b = hold(furniture, one, u, g_a), hold(furniture, two, v, g_b)
@@ -174,6 +175,11 @@ class FullTask:
             return Refusal(FullVerdict.GRASP_BLOCKED, "grasp u")
         if hold_b is None or not can_take(furniture, two, hold_b):
             return Refusal(FullVerdict.GRASP_BLOCKED, "grasp v")
+        return self.fitted(one, two, merge, hold_a, hold_b)
+
+    def fitted(self, one: Group, two: Group, merge: Merge, hold_a: Hold, hold_b: Hold) -> Joint | Refusal:
+        """Of the cheap tests those at the joint, for a right pair and hands that can take their groups."""
+        furniture = self.furniture
         u_placed, v_placed = one.moved_to(merge.furniture_from_u), two.moved_to(merge.furniture_from_v)
         directions = self.rules.retreats(one, two, merge.merged, np.eye(3))
         ways = ways_out(furniture, u_placed, v_placed, hold_a, hold_b, _distinct(directions))
@@ -197,7 +203,7 @@ class FullTask:
         for robot, group, held, name in ((0, joint.u, joint.hold_a, "u"), (1, joint.v, joint.hold_b, "v")):
             index = next(i for i, s in enumerate(legs.moment.standing) if s.group.parts == group.parts)
             legs.fetch(robot, index, held, name)
-        if not any(legs.join(m) for m in islice(_chain(first, meetings), _MEETINGS)):
+        if not any(legs.join(m) for m in islice(chain([first], meetings), _MEETINGS)):
             raise LegError(Obstacle.NO_PATH, "drive u")
         legs.part(merge.merged, hold_a, hold_b)
         legs.set_down(places)
@@ -211,11 +217,6 @@ class Refusal:
 
     verdict: FullVerdict
     leg: str
-
-
-def _chain(first: Meeting, rest: Iterator[Meeting]) -> Iterator[Meeting]:
-    yield first
-    yield from rest
 
 
 def _reframed(group: Group, by: SE3) -> Group:

@@ -43,12 +43,9 @@ class Hold:
         """The same, told in another frame: `other_from_group`."""
         return replace(self, furniture_from_tips=by * self.furniture_from_tips, approach=by.rotation @ self.approach)
 
-    def hand(self, opening: float, shift: Float[np.ndarray, "3"] | None = None, moves: bool = False) -> Body:
+    def hand(self, opening: float, moves: bool = False) -> Body:
         """The hand as a body of the group's frame."""
-        pose = self.furniture_from_tips
-        if shift is not None:
-            pose = SE3(pose.rotation, pose.translation + shift)
-        return Body("hand", hand_shapes(opening), pose, moves)
+        return Body("hand", hand_shapes(opening), self.furniture_from_tips, moves)
 
 
 def hand_shapes(opening: float) -> tuple[Shape, ...]:
@@ -77,10 +74,9 @@ def hold(furniture: Furniture, group: Group, part: int, grasp: int) -> Hold | No
 
 def can_take(furniture: Furniture, group: Group, held: Hold) -> bool:
     """Whether the open hand comes straight to the part, and closes, and meets nothing of the group."""
-    still = group.moved_to(SE3.Identity())
-    return _comes(held, [body(furniture, still, "group")]) and CollisionWorld(
-        Scene((held.hand(held.closed, moves=True), body(furniture, still, "group")), ground=False)
-    ).is_free(held.furniture_from_tips)
+    still = body(furniture, group.moved_to(SE3.Identity()), "group")
+    closed = Scene((held.hand(held.closed, moves=True), still), ground=False)
+    return _comes(held, [still]) and CollisionWorld(closed).is_free(held.furniture_from_tips)
 
 
 def _comes(held: Hold, still: Sequence[Body]) -> bool:

@@ -16,14 +16,15 @@ from jaxtyping import Float
 from roboassembly.furniture.model import Furniture
 from roboassembly.planning.problem import Budget
 from roboassembly.planning.robot_path import Floor, Path, connect, line, nearest_turn, path_is_free
-from roboassembly.planning.robot_world import Held, RobotWorld
+from roboassembly.planning.robot_world import RobotWorld
 from roboassembly.poses import SE3, align_axis, turn_about_vertical
 from roboassembly.robots.body import world_from_tips
 from roboassembly.robots.kinematics import Poses
 from roboassembly.robots.reach import nearness, reach
-from roboassembly.task.cell import Cell, Stand, circle_of, free_place, on_post, open_grasps, reach_from
+from roboassembly.task.cell import Cell, Stand, free_place, on_post, open_grasps, reach_from
 from roboassembly.task.groups import Group, hull_points
 from roboassembly.task.joining import Hold, Way
+from roboassembly.task.layout import group_footprint
 from roboassembly.task.moments import Configuration, Grip, Leg, Moment, Robot, Standing
 from roboassembly.task.rules import UP_AXES
 
@@ -106,9 +107,7 @@ class LegPlanner:
 
     def world(self, moment: Moment, robot: int) -> RobotWorld:
         """One robot among all else."""
-        own = moment.robots[robot]
-        held: Held | None = None if own.grip is None else own.grip.held(self.furniture)
-        made = RobotWorld(moment.around(self.furniture, robot), own.opening, held)
+        made = moment.world(self.furniture, robot)
         self._worlds.append(made)
         return made
 
@@ -219,10 +218,10 @@ class LegPlanner:
         """Poses of the merged group, near the middle, with the way out level, those that suit both arms best first."""
         points = hull_points(self.furniture, merged)
         some: list[tuple[Way, SE3]] = []
+        about = align_axis(np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0]))
         for way in ways:
             level = align_axis(way.direction, np.array([1.0, 0.0, 0.0]))
             for spin in np.arange(_SPINS) * 2.0 * np.pi / _SPINS:
-                about = align_axis(np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0]))
                 turn = about @ turn_about_vertical(spin) @ about.T @ level
                 turned = points @ turn.T
                 low, high = turned.min(axis=0), turned.max(axis=0)
@@ -358,7 +357,7 @@ class LegPlanner:
     ) -> Iterator[Standing]:
         """Ways for the merged group to stand on a post, each axis up once, those first that leave most grasps open;
         finished furniture upright if it can."""
-        taken = [circle_of(self.furniture, s.group) for s in self.moment.standing]
+        taken = [group_footprint(self.furniture, s.group) for s in self.moment.standing]
         order = np.argsort([np.linalg.norm(p - near[:2]) for p in wanted])
         places = [wanted[o] * f for f in _OUTWARD for o in order]
         found: list[tuple[float, Group, Stand]] = []

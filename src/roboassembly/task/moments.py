@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from roboassembly.furniture.model import Furniture
 from roboassembly.planning.robot_path import Path
-from roboassembly.planning.robot_world import Held
+from roboassembly.planning.robot_world import Held, RobotWorld
 from roboassembly.poses import SE3
 from roboassembly.robots.body import placed, world_from_tips
 from roboassembly.scene import Body, Shape
@@ -86,6 +86,12 @@ class Moment:
         out += [s.stand.body(f"post{i}") for i, s in enumerate(self.standing)]
         out += [stand.body(f"free post{i}") for i, stand in enumerate(self.posts)]
         return [*out, self.robots[1 - robot].body(furniture)]
+
+    def world(self, furniture: Furniture, robot: int) -> RobotWorld:
+        """The planning model of one robot, with what it holds, among all else."""
+        own = self.robots[robot]
+        held = None if own.grip is None else own.grip.held(furniture)
+        return RobotWorld(self.around(furniture, robot), own.opening, held)
 
     def moved(self, robot: int, at: Configuration) -> Moment:
         """With one robot elsewhere."""
