@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Generic, TypeVar
 
 import gymnasium
 import numpy as np
@@ -16,66 +16,16 @@ from roboassembly.furniture import catalogue
 from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS, Furniture
 from roboassembly.task.groups import TaskState
 from roboassembly.task.rules import Rules
+from roboassembly.task.setting import Outcome, Task
 
 MERGE_REWARD = 1.0
 COMPLETION_REWARD = 4.0
 """On top of the last merge's reward, when all parts are in one group."""
 State = TypeVar("State")
-State_co = TypeVar("State_co", covariant=True)
 
 
-class Outcome(Protocol[State_co]):
-    """What a step of a task led to, as far as an environment tells it."""
-
-    @property
-    def state(self) -> State_co:
-        """The new one; the old one unless merged."""
-        ...
-
-    @property
-    def step(self) -> object | None:
-        """The record, if merged."""
-        ...
-
-    @property
-    def verdict(self) -> str:
-        """How it ended."""
-        ...
-
-    @property
-    def planning_steps(self) -> int:
-        """Configurations tested for collision."""
-        ...
-
-
-class Task(Protocol[State]):
-    """The rules of a setting for one piece of furniture."""
-
-    @property
-    def furniture(self) -> Furniture:
-        """What is assembled."""
-        ...
-
-    @property
-    def rules(self) -> Rules:
-        """About pairs."""
-        ...
-
-    def initial_state(self, rng: np.random.Generator) -> State:
-        """How an episode begins."""
-        ...
-
-    def joined(self, state: State) -> TaskState:
-        """The groups of a state."""
-        ...
-
-    def step(self, state: State, action: tuple[int, ...], seed: int) -> Outcome[State]:
-        """Carry out an action."""
-        ...
-
-
-ATask = TypeVar("ATask", bound=Task[Any])
-AnOutcome = TypeVar("AnOutcome", bound=Outcome[Any])
+ATask = TypeVar("ATask", bound=Task[Any, Any])
+AnOutcome = TypeVar("AnOutcome", bound=Outcome[Any, Any])
 
 
 class AssemblyEnv(gymnasium.Env[Observation, np.ndarray], Generic[ATask, State, AnOutcome]):

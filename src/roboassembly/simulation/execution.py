@@ -8,7 +8,7 @@ around the grasp.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cache
 
@@ -17,7 +17,6 @@ import numpy as np
 import pinocchio as pin
 import trimesh
 from jaxtyping import Float
-from scipy.interpolate import CubicSpline
 
 from roboassembly.gripper import MAX_OPENING, hand_bodies, panda_folder
 from roboassembly.meshes import Mesh
@@ -26,9 +25,8 @@ from roboassembly.robots.body import world_from_tips
 from roboassembly.robots.kinematics import JOINTS, arm
 from roboassembly.robots.platform import HEIGHT, LENGTH, PLATFORM_FROM_MOUNT, WIDTH
 from roboassembly.simulation.model import rotation_to_quaternion
+from roboassembly.simulation.pacing import TIME_STEP, paced
 
-TIME_STEP = 0.002
-"""Seconds."""
 _PLATFORM_MASS = 90.0
 """Kilograms, batteries included."""
 _PLATFORM_GAINS = (6e5, 6e5, 1.5e5)
@@ -366,59 +364,3 @@ def between_pads(mesh: Mesh, frame: SE3) -> Mesh:
     box.apply_transform(frame.homogeneous)
     clipped = trimesh.boolean.intersection([solid, box], engine="manifold")
     return Mesh.from_trimesh(clipped.convex_hull)
-
-
-_SPEEDS = np.array([0.8, 0.8, 1.0, 1.5, 1.5, 1.5, 1.5, 2.0, 2.0, 2.0])
-_ACCELERATIONS = np.array([0.8, 0.8, 1.2, 4.0, 4.0, 4.0, 4.0, 6.0, 6.0, 6.0])
-"""m/s and rad/s, m/s² and rad/s², at most: well within what a Panda does (2.1 rad/s, 7.5 rad/s²)."""
-_PEAK_SPEED, _PEAK_ACCELERATION = 1.875, 5.7735
-"""Of a quintic from rest to rest over unit way and time."""
-_BEND = 0.98
-"""Cosine between edges from which on a robot does not stop at a way-point."""
-
-
-def paced(
-    path: Sequence[Float[np.ndarray, "10"]], slower: float = 1.0
-) -> Iterator[tuple[Float[np.ndarray, "10"], Float[np.ndarray, "10"]]]:
-    """Configurations and velocities, every time step: at rest at the ends and wherever the path bends.
-
-    Args:
-        path: way-points.
-        slower: share of the speed that is allowed.
-    """
-    run = [path[0]]
-    for k in range(1, len(path)):
-        run.append(path[k])
-        if k + 1 < len(path):
-            a, b = (path[k] - path[k - 1]) / _SPEEDS, (path[k + 1] - path[k]) / _SPEEDS
-            if a @ b > _BEND * np.linalg.norm(a) * np.linalg.norm(b):
-                continue
-        yield from _stretch(np.array(run), slower)
-        run = [path[k]]
-
-
-def _stretch(
-    points: Float[np.ndarray, "k 10"], slower: float
-) -> Iterator[tuple[Float[np.ndarray, "10"], Float[np.ndarray, "10"]]]:
-    """One smooth motion through points that lie almost in line: quintic in time."""
-    steps = np.abs(np.diff(points, axis=0))
-    reached = np.concatenate([[0.0], np.cumsum((steps / _SPEEDS).max(axis=1))])
-    if reached[-1] < 1e-9:
-        return
-    way = steps.sum(axis=0)
-    seconds = max(
-        (_PEAK_SPEED * way / (slower * _SPEEDS)).max(),
-        np.sqrt(_PEAK_ACCELERATION * way / (slower * _ACCELERATIONS)).max(),
-    )
-    count = int(np.ceil(seconds / TIME_STEP))
-    # A smooth curve through the points, so that velocities do not jump from edge to edge.
-    curve = CubicSpline(reached, points) if len(points) > 2 else None
-    for i in range(1, count + 1):
-        s = i / count
-        at = reached[-1] * s**3 * (10.0 - 15.0 * s + 6.0 * s * s)
-        rate = reached[-1] * 30.0 * s * s * (1.0 - s) ** 2 / seconds
-        if curve is None:
-            slope = (points[1] - points[0]) / reached[-1]
-            yield points[0] + slope * at, slope * rate
-        else:
-            yield curve(at), curve(at, 1) * rate

@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import time
 import zlib
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from itertools import takewhile
-from typing import Generic, Protocol, TypeVar
+from typing import Generic, TypeVar
 
 import numpy as np
 
-from roboassembly.furniture.model import Furniture
 from roboassembly.planning.problem import Budget
 from roboassembly.solvers.disassembly import Disassembly, Partition, Parts, Split, partition_of
 from roboassembly.solvers.guide import Guide
 from roboassembly.task.groups import TaskState
-from roboassembly.task.rules import Rules
+from roboassembly.task.setting import Task
 
 Action = tuple[int, ...]
 _GUIDED_BUDGET = Budget(states=0)
@@ -32,8 +31,6 @@ _GUIDED_SCORE = 0.1
 
 
 State = TypeVar("State")
-State_co = TypeVar("State_co", covariant=True)
-Step_co = TypeVar("Step_co", covariant=True)
 AStep = TypeVar("AStep")
 APlan = TypeVar("APlan")
 
@@ -78,61 +75,6 @@ class Round:
     """Splits that blocking graphs do not offer, too."""
     budget: Budget | None
     """For each merge, the task's own if None; with no states to spend the planner tries retreats only."""
-
-
-class Outcome(Protocol[State_co, Step_co]):
-    """What comes of handing a merge to a task."""
-
-    @property
-    def state(self) -> State_co:
-        """The new state."""
-        ...
-
-    @property
-    def step(self) -> Step_co | None:
-        """The record; none if it failed."""
-        ...
-
-    @property
-    def verdict(self) -> str:
-        """How it ended."""
-        ...
-
-    @property
-    def planning_steps(self) -> int:
-        """Configurations tested for collision."""
-        ...
-
-    @property
-    def planning_seconds(self) -> float:
-        """Wall time."""
-        ...
-
-
-class Task(Protocol[State, Step_co]):
-    """Rules of a setting, as far as the search needs them."""
-
-    @property
-    def furniture(self) -> Furniture:
-        """What is assembled."""
-        ...
-
-    @property
-    def rules(self) -> Rules:
-        """About pairs."""
-        ...
-
-    def joined(self, state: State) -> TaskState:
-        """The groups of a state."""
-        ...
-
-    def own_places(self, state: State) -> Iterator[State]:
-        """The same state told so that every slot is claimed once."""
-        ...
-
-    def step(self, state: State, action: Action, seed: int, budget: Budget | None = None) -> Outcome[State, Step_co]:
-        """Carry out an action."""
-        ...
 
 
 Options = Callable[[Disassembly, State, Parts, Parts, bool], Iterable[Action]]

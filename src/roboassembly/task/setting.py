@@ -1,0 +1,78 @@
+"""What the object-centric and the full task have in common, for those who do not care which it is."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Protocol, TypeVar
+
+import numpy as np
+
+from roboassembly.furniture.model import Furniture
+from roboassembly.planning.problem import Budget
+from roboassembly.task.groups import TaskState
+from roboassembly.task.rules import Rules
+
+State = TypeVar("State")
+State_co = TypeVar("State_co", covariant=True)
+Step_co = TypeVar("Step_co", covariant=True)
+
+
+class Outcome(Protocol[State_co, Step_co]):
+    """What a step led to."""
+
+    @property
+    def state(self) -> State_co:
+        """The new one; the old one unless merged."""
+        ...
+
+    @property
+    def step(self) -> Step_co | None:
+        """The record, if merged."""
+        ...
+
+    @property
+    def verdict(self) -> str:
+        """How it ended."""
+        ...
+
+    @property
+    def planning_steps(self) -> int:
+        """Configurations tested for collision."""
+        ...
+
+    @property
+    def planning_seconds(self) -> float:
+        """Wall time."""
+        ...
+
+
+class Task(Protocol[State, Step_co]):
+    """The rules of a setting for one piece of furniture."""
+
+    @property
+    def furniture(self) -> Furniture:
+        """What is assembled."""
+        ...
+
+    @property
+    def rules(self) -> Rules:
+        """About pairs."""
+        ...
+
+    def initial_state(self, rng: np.random.Generator) -> State:
+        """How an episode begins."""
+        ...
+
+    def joined(self, state: State) -> TaskState:
+        """The groups of a state."""
+        ...
+
+    def own_places(self, state: State) -> Iterator[State]:
+        """The same state told so that every slot is claimed once."""
+        ...
+
+    def step(
+        self, state: State, action: tuple[int, ...], seed: int, budget: Budget | None = None
+    ) -> Outcome[State, Step_co]:
+        """Carry out an action."""
+        ...
