@@ -102,22 +102,25 @@ class RobotWorld:
                 outer.addCollisionPair(pin.CollisionPair(a, b))
             if a != own[0]:
                 outer.addCollisionPair(pin.CollisionPair(a, ground))
-        for a, b in _own_pairs():
+        both = outer.copy()
+        # What the last joint carries does not move against the load: looked at once.
+        still_links = [a for a, link in zip(own, links(), strict=True) if link.carrier == HAND]
+        self._hopeless = any(_meet(geometry, a, b) for a in still_links for b in load)
+        loaded = [(a, b) for a in own if a not in still_links for b in load]
+        for a, b in (*_own_pairs(), *loaded):
             inner.addCollisionPair(pin.CollisionPair(a, b))
-        for a in own:
-            for b in load:
-                inner.addCollisionPair(pin.CollisionPair(a, b))
+            both.addCollisionPair(pin.CollisionPair(a, b))
         self._outer = _Ladder(model, outer, (*_OUTER_MARGINS, 0.0), {})
         self._inner = _Ladder(model, inner, (*_OWN_MARGINS, 0.0), {})
+        self._both = _Ladder(model, both, (0.0,), {})
         near = [transform_points(pose, link.mesh.hull_vertices) for link, pose in hand_links(opening)]
         near += [transform_points(tips * s.body_from_mesh, s.mesh.hull_vertices) for s in (held.shapes if held else ())]
         self._reach = _reach(np.concatenate(near))
 
     def free(self, q: Configurations) -> Bool[np.ndarray, "n"]:
         """Exact test of each configuration."""
-        last = len(_OUTER_MARGINS)
         self.states += len(q)
-        return ~(self._outer.hits(last, q) | self._inner.hits(last, q))
+        return ~self._both.hits(0, q) & (not self._hopeless)
 
     def clearance(self, q: Configurations) -> Float[np.ndarray, "n"]:
         """The largest of a few margins that each configuration keeps from all around; zero of those that touch."""
@@ -169,6 +172,21 @@ def _spread(q: Configurations) -> Configurations:
     n = len(q)
     order = sorted(range(n), key=lambda i: (-(i & -i).bit_length() if i else 0, i))
     return q[order]
+
+
+def _meet(geometry: pin.GeometryModel, a: int, b: int) -> bool:
+    """Whether two shapes of one carrier touch."""
+    one, other = geometry.geometryObjects[a], geometry.geometryObjects[b]
+    return bool(
+        coal.collide(
+            one.geometry, _transform(one.placement), other.geometry, _transform(other.placement),
+            coal.CollisionRequest(), coal.CollisionResult(),
+        )
+    )  # fmt: skip
+
+
+def _transform(pose: SE3) -> coal.Transform3s:
+    return coal.Transform3s(pose.rotation, pose.translation)
 
 
 @cache
