@@ -12,11 +12,12 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from roboassembly.bench.bullet import quiet
 from roboassembly.bench.fcl_backend import FclPeer
 from roboassembly.bench.merges import BenchMerge, find_chairs, merges_of
 from roboassembly.bench.peers import IsFree, configuration_state, ompl_state, plan_with_peer, state_space
 from roboassembly.bench.planning import PEERS, PlanningBenchConfig, PlanningBenchReport, run_planning_bench
-from roboassembly.bench.pybullet_backend import PyBulletPeer, quiet
+from roboassembly.bench.pybullet_backend import PyBulletPeer
 from roboassembly.bench.same_planner import PeerWorld
 from roboassembly.errors import InputError, MissingExtraError
 from roboassembly.planning.mating import plan_mating

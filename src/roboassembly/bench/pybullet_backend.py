@@ -16,22 +16,14 @@ only, which is right and as fast as the first.
 
 from __future__ import annotations
 
-import contextlib
-import ctypes
-import importlib
-import os
-import sys
 import tempfile
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
-import pinocchio as pin
 
+from roboassembly.bench.bullet import Bullet
 from roboassembly.bench.peers import IsFree, SE3State
-from roboassembly.errors import MissingExtraError
-from roboassembly.meshes import Mesh
 from roboassembly.poses import SE3, transform_points
 from roboassembly.scene import Body, Scene
 
@@ -57,17 +49,11 @@ class PyBulletPeer:
 
     def __init__(self, pieces: Pieces = "triangles") -> None:
         self._pieces: Pieces = pieces
-        with quiet():
-            try:
-                self._bullet: Any = importlib.import_module("pybullet")
-            except ImportError:
-                raise MissingExtraError("pybullet", "bench") from None
-            self._client: int = self._bullet.connect(self._bullet.DIRECT)
-        self._shapes: dict[Mesh, int] = {}
-        self._ground: int = self._bullet.createCollisionShape(
-            self._bullet.GEOM_BOX,
+        self._world = Bullet()
+        self._ground: int = self._world.api.createCollisionShape(
+            self._world.api.GEOM_BOX,
             halfExtents=[_GROUND_SIZE, _GROUND_SIZE, 0.5 * _GROUND_THICKNESS],
-            physicsClientId=self._client,
+            physicsClientId=self._world.client,
         )
         self._bodies: list[int] = []
         self._mover = -1
@@ -75,17 +61,16 @@ class PyBulletPeer:
 
     def set_up(self, scene: Scene) -> IsFree:
         """Build the scene in place of the one before."""
-        bullet, client = self._bullet, self._client
+        bullet, client = self._world.api, self._world.client
         self._clear()
         for body in scene.bodies:
             if body.moves:
                 self._mover = self._add_mover(body)
                 continue
             for shape in body.shapes:
-                numbers = pin.SE3ToXYZQUAT(body.pose * shape.body_from_mesh).tolist()
-                self._add(0.0, self._concave(shape.mesh), numbers)
+                self._add(self._world.concave(shape.mesh), body.pose * shape.body_from_mesh)
         if scene.ground:
-            self._add(0.0, self._ground, [0.0, 0.0, -0.5 * _GROUND_THICKNESS, 0.0, 0.0, 0.0, 1.0])
+            self._add(self._ground, SE3(np.eye(3), np.array([0.0, 0.0, -0.5 * _GROUND_THICKNESS])))
         mover = self._mover
         place, box = bullet.resetBasePositionAndOrientation, bullet.getAABB
         overlapping, closest = bullet.getOverlappingObjects, bullet.getClosestPoints
@@ -106,10 +91,9 @@ class PyBulletPeer:
 
     def depth(self, pose: SE3) -> float:
         """Deepest contact of the moving body at `world_from_body` in the scene set up last, metres."""
-        bullet, client = self._bullet, self._client
+        bullet, client = self._world.api, self._world.client
         mover, others = self._mover, [b for b in self._bodies if b != self._mover]
-        numbers = pin.SE3ToXYZQUAT(pose).tolist()
-        bullet.resetBasePositionAndOrientation(mover, numbers[:3], numbers[3:], physicsClientId=client)
+        self._world.put(mover, pose)
         distances = [
             contact[_DISTANCE]
             for other in others
@@ -119,42 +103,28 @@ class PyBulletPeer:
 
     def close(self) -> None:
         """Disconnect, and remove the files through which pieces were handed over."""
-        with quiet():
-            self._bullet.disconnect(physicsClientId=self._client)
+        self._world.close()
         self._folder.cleanup()
 
-    def _add(self, mass: float, shape: int, numbers: list[float]) -> int:
-        body = self._bullet.createMultiBody(mass, shape, -1, numbers[:3], numbers[3:], physicsClientId=self._client)
-        self._bullet.changeDynamics(body, -1, collisionMargin=0.0, physicsClientId=self._client)
-        self._bodies.append(body)
-        return body
+    def _add(self, shape: int, pose: SE3, mass: float = 0.0) -> int:
+        self._bodies.append(self._world.add(shape, pose, mass))
+        return self._bodies[-1]
 
     def _clear(self) -> None:
         for body in self._bodies:
-            self._bullet.removeBody(body, physicsClientId=self._client)
+            self._world.api.removeBody(body, physicsClientId=self._world.client)
         self._bodies.clear()
-
-    def _concave(self, mesh: Mesh) -> int:
-        if mesh not in self._shapes:
-            self._shapes[mesh] = self._bullet.createCollisionShape(
-                self._bullet.GEOM_MESH,
-                vertices=mesh.vertices.tolist(),
-                indices=mesh.faces.ravel().tolist(),
-                flags=self._bullet.GEOM_FORCE_CONCAVE_TRIMESH,
-                physicsClientId=self._client,
-            )
-        return self._shapes[mesh]
 
     def _add_mover(self, body: Body) -> int:
         """One body with all pieces. Bullet takes several convex pieces from a file only, one per object in it."""
         path = Path(self._folder.name) / "moving.obj"
         path.write_text(_objects(body, self._pieces))
         # Bullet keeps what it has read by file name, which would hand out the last merge's body.
-        self._bullet.setPhysicsEngineParameter(enableFileCaching=0, physicsClientId=self._client)
-        shape = self._bullet.createCollisionShape(
-            self._bullet.GEOM_MESH, fileName=str(path), physicsClientId=self._client
+        self._world.api.setPhysicsEngineParameter(enableFileCaching=0, physicsClientId=self._world.client)
+        shape = self._world.api.createCollisionShape(
+            self._world.api.GEOM_MESH, fileName=str(path), physicsClientId=self._world.client
         )
-        return self._add(1.0, shape, pin.SE3ToXYZQUAT(body.pose).tolist())
+        return self._add(shape, body.pose, 1.0)
 
 
 def _objects(body: Body, pieces: Pieces) -> str:
@@ -174,23 +144,3 @@ def _objects(body: Body, pieces: Pieces) -> str:
             lines.extend(f"f {a} {b} {c}" for a, b, c in (faces + start).tolist())
             start += len(points)
     return "\n".join(lines) + "\n"
-
-
-@contextlib.contextmanager
-def quiet() -> Iterator[None]:
-    """Send what native code prints to nowhere: Bullet announces itself past Python's own streams."""
-    library = ctypes.CDLL("msvcrt" if os.name == "nt" else None)
-    sys.stdout.flush()
-    sys.stderr.flush()
-    library.fflush(None)
-    kept, nowhere = (os.dup(1), os.dup(2)), os.open(os.devnull, os.O_WRONLY)
-    try:
-        os.dup2(nowhere, 1)
-        os.dup2(nowhere, 2)
-        yield
-        library.fflush(None)
-    finally:
-        for stream, copy in zip((1, 2), kept, strict=True):
-            os.dup2(copy, stream)
-            os.close(copy)
-        os.close(nowhere)

@@ -1,8 +1,6 @@
 """The robots' benchmark: paths of a mobile Panda that holds a group, against OMPL over PyBullet's Pandas, in one run.
 
-- *States*: the same configurations, exact, by our world and by Bullet: the URDF's Panda on a box, the other one with
-  what it holds, posts and parts as concave meshes. What the moving hand holds are convex hulls there, because Bullet
-  finds no contacts between two concave meshes: less than exact, and faster.
+- *States*: the same configurations, exact, by our world and by Bullet (`bench.pybullet_cell`).
 - *Paths*: start and goal of every leg that is not a straight line. Ours: edges certified in a few tests each. Theirs:
   OMPL's RRT-Connect, one Python callback for each state, every 20 mm and 20 mrad: ten times coarser than ours.
 - *Steps*: merges that succeed and right pairs that are hopeless, whole.
@@ -11,7 +9,6 @@
 from __future__ import annotations
 
 import dataclasses
-import importlib
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -21,19 +18,13 @@ from typing import Any
 import numpy as np
 
 from roboassembly.bench.machine import Machine
-from roboassembly.bench.pybullet_backend import quiet
+from roboassembly.bench.pybullet_cell import BulletCell
 from roboassembly.errors import InputError, MissingExtraError
 from roboassembly.furniture import catalogue
 from roboassembly.furniture.model import Furniture
-from roboassembly.gripper import panda_folder
-from roboassembly.meshes import Mesh
 from roboassembly.planning.problem import Budget
 from roboassembly.planning.robot_path import Floor, connect, number_space
 from roboassembly.planning.rrt import exhaustion, run_rrt_connect
-from roboassembly.poses import SE3, pose_to_seven
-from roboassembly.robots.body import world_from_platform, world_from_tips
-from roboassembly.robots.kinematics import JOINTS
-from roboassembly.robots.platform import CLEARANCE, HEIGHT, LENGTH, PLATFORM_FROM_MOUNT, WIDTH
 from roboassembly.solvers.search import solve_full
 from roboassembly.task.full import FullTask, FullVerdict
 from roboassembly.task.full_plan import FullPlan
@@ -266,132 +257,3 @@ def _hopeless(furniture: Furniture, plan: FullPlan, seed: int, tries: int = 60) 
         if outcome.verdict not in (FullVerdict.MERGED, FullVerdict.NOT_AN_ACTION):
             out.append(outcome.planning_seconds)
     return tuple(out)
-
-
-class BulletCell:
-    """The workcell in Bullet: two Pandas from the URDF, platforms, posts, parts.
-
-    Raises:
-        MissingExtraError: PyBullet is not installed.
-    """
-
-    def __init__(self) -> None:
-        with quiet():
-            try:
-                self._bullet: Any = importlib.import_module("pybullet")
-            except ImportError:
-                raise MissingExtraError("pybullet", "bench") from None
-            self._client: int = self._bullet.connect(self._bullet.DIRECT)
-        folder = panda_folder()
-        self._bullet.setAdditionalSearchPath(str(folder.parent.parent.parent), physicsClientId=self._client)
-        self._urdf = str(folder / "urdf/panda.urdf")
-        self._concave: dict[Mesh, int] = {}
-        self._hulls: dict[Mesh, int] = {}
-
-    def close(self) -> None:
-        """End Bullet's world."""
-        self._bullet.disconnect(self._client)
-
-    def set_up(self, furniture: Furniture, leg: Leg) -> Callable[[Configuration], bool]:
-        """Build the scene of a leg in place of the one before; whether a configuration of its robot is free."""
-        bullet, client = self._bullet, self._client
-        bullet.resetSimulation(physicsClientId=client)
-        self._concave.clear()
-        self._hulls.clear()
-        moment = leg.moment
-        own, other = moment.robots[leg.robot], moment.robots[1 - leg.robot]
-        still: list[int] = []
-        for body in moment.around(furniture, leg.robot):
-            if body.name != "robot":
-                still += [
-                    self._add(self._shape(s.mesh, concave=True), body.pose * s.body_from_mesh) for s in body.shapes
-                ]
-        with quiet():
-            movers = [self._robot(own.opening), self._robot(other.opening)]
-        if other.grip is not None:
-            tips = world_from_tips(other.at)
-            for s in other.grip.held(furniture).shapes:
-                still.append(self._add(self._shape(s.mesh, concave=True), tips * s.body_from_mesh))
-        held = [] if own.grip is None else list(own.grip.held(furniture).shapes)
-        load = [self._add(self._shape(s.mesh, concave=False), SE3.Identity()) for s in held]
-        place, joint = bullet.resetBasePositionAndOrientation, bullet.resetJointState
-
-        def put(index: int, q: Configuration) -> None:
-            arm, platform = movers[index]
-            base_pose = world_from_platform(q)
-            self._put(platform, base_pose)
-            self._put(arm, base_pose * PLATFORM_FROM_MOUNT)
-            for j in range(JOINTS):
-                joint(arm, j, float(q[3 + j]), physicsClientId=client)
-
-        put(1, other.at)
-        obstacles = {*still, *movers[1]}
-        overlapping, closest, box = bullet.getOverlappingObjects, bullet.getClosestPoints, bullet.getAABB
-        arm, platform = movers[0]
-        tips_link = next(
-            i for i in range(bullet.getNumJoints(arm, physicsClientId=client))
-            if bullet.getJointInfo(arm, i, physicsClientId=client)[12] == b"panda_hand_tcp"
-        )  # fmt: skip
-        links = range(-1, bullet.getNumJoints(arm, physicsClientId=client))
-
-        def touches(body: int, link: int) -> bool:
-            low, high = box(body, link, physicsClientId=client)
-            near = {other for other, _ in overlapping(low, high, physicsClientId=client) or ()} & obstacles
-            return any(
-                contact[8] < 0.0
-                for other in near
-                for contact in closest(body, other, 0.0, linkIndexA=link, physicsClientId=client)
-            )
-
-        def is_free(q: Configuration) -> bool:
-            put(0, q)
-            if load:
-                position, orientation = bullet.getLinkState(
-                    arm, tips_link, computeForwardKinematics=True, physicsClientId=client
-                )[4:6]
-                for body, s in zip(load, held, strict=True):
-                    where = bullet.multiplyTransforms(position, orientation, *_seven(s.body_from_mesh))
-                    place(body, *where, physicsClientId=client)
-            if touches(platform, -1) or any(touches(arm, link) for link in links):
-                return False
-            if any(touches(body, -1) for body in load):
-                return False
-            return not any(closest(platform, body, 0.0, physicsClientId=client) for body in load)
-
-        return is_free
-
-    def _robot(self, opening: float) -> tuple[int, int]:
-        bullet, client = self._bullet, self._client
-        arm = bullet.loadURDF(self._urdf, useFixedBase=True, physicsClientId=client)
-        for i in range(bullet.getNumJoints(arm, physicsClientId=client)):
-            if b"finger_joint" in bullet.getJointInfo(arm, i, physicsClientId=client)[1]:
-                bullet.resetJointState(arm, i, 0.5 * opening, physicsClientId=client)
-        half = [0.5 * LENGTH, 0.5 * WIDTH, 0.5 * (HEIGHT - CLEARANCE)]
-        shape = bullet.createCollisionShape(
-            bullet.GEOM_BOX, halfExtents=half, collisionFramePosition=[0.0, 0.0, 0.5 * (HEIGHT + CLEARANCE)],
-            physicsClientId=client,
-        )  # fmt: skip
-        return arm, bullet.createMultiBody(0.0, shape, physicsClientId=client)
-
-    def _shape(self, mesh: Mesh, *, concave: bool) -> int:
-        bullet, known = self._bullet, self._concave if concave else self._hulls
-        if mesh not in known:
-            options: dict[str, Any] = {"vertices": mesh.vertices.tolist(), "physicsClientId": self._client}
-            if concave:
-                options |= {"indices": mesh.faces.ravel().tolist(), "flags": bullet.GEOM_FORCE_CONCAVE_TRIMESH}
-            known[mesh] = bullet.createCollisionShape(bullet.GEOM_MESH, **options)
-        return known[mesh]
-
-    def _add(self, shape: int, pose: SE3) -> int:
-        body = self._bullet.createMultiBody(0.0, shape, physicsClientId=self._client)
-        self._put(body, pose)
-        return body
-
-    def _put(self, body: int, pose: SE3) -> None:
-        self._bullet.resetBasePositionAndOrientation(body, *_seven(pose), physicsClientId=self._client)
-
-
-def _seven(pose: SE3) -> tuple[list[float], list[float]]:
-    """Position and quaternion, as Bullet has them."""
-    x, y, z, w, qx, qy, qz = pose_to_seven(pose)
-    return [x, y, z], [qx, qy, qz, w]

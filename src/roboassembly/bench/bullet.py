@@ -1,0 +1,97 @@
+"""One world of Bullet's through PyBullet, without a display (`DIRECT`): what its peers here share."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import importlib
+import os
+import sys
+from collections.abc import Iterator
+from typing import Any
+
+import pinocchio as pin
+
+from roboassembly.errors import MissingExtraError
+from roboassembly.meshes import Mesh
+from roboassembly.poses import SE3
+
+
+class Bullet:
+    """A world, its shapes kept; collision margins are zero.
+
+    Raises:
+        MissingExtraError: PyBullet is not installed.
+    """
+
+    def __init__(self) -> None:
+        with quiet():
+            try:
+                self.api: Any = importlib.import_module("pybullet")
+            except ImportError:
+                raise MissingExtraError("pybullet", "bench") from None
+            self.client: int = self.api.connect(self.api.DIRECT)
+        self._shapes: dict[tuple[Mesh, bool], int] = {}
+
+    def concave(self, mesh: Mesh) -> int:
+        """An exact triangle mesh, for bodies that stay. Between two of these Bullet finds no contacts."""
+        return self._mesh(mesh, concave=True)
+
+    def hull(self, mesh: Mesh) -> int:
+        """The convex hull."""
+        return self._mesh(mesh, concave=False)
+
+    def _mesh(self, mesh: Mesh, *, concave: bool) -> int:
+        if (mesh, concave) not in self._shapes:
+            options: dict[str, Any] = {"vertices": mesh.vertices.tolist(), "physicsClientId": self.client}
+            if concave:
+                options |= {"indices": mesh.faces.ravel().tolist(), "flags": self.api.GEOM_FORCE_CONCAVE_TRIMESH}
+            self._shapes[mesh, concave] = self.api.createCollisionShape(self.api.GEOM_MESH, **options)
+        return self._shapes[mesh, concave]
+
+    def add(self, shape: int, pose: SE3, mass: float = 0.0) -> int:
+        """A body at `world_from_shape`."""
+        position, orientation = numbers(pose)
+        body = self.api.createMultiBody(mass, shape, -1, position, orientation, physicsClientId=self.client)
+        self.api.changeDynamics(body, -1, collisionMargin=0.0, physicsClientId=self.client)
+        return body
+
+    def put(self, body: int, pose: SE3) -> None:
+        """Move a body to `world_from_body`."""
+        self.api.resetBasePositionAndOrientation(body, *numbers(pose), physicsClientId=self.client)
+
+    def empty(self) -> None:
+        """Forget all bodies and shapes."""
+        self.api.resetSimulation(physicsClientId=self.client)
+        self._shapes.clear()
+
+    def close(self) -> None:
+        """Disconnect."""
+        with quiet():
+            self.api.disconnect(physicsClientId=self.client)
+
+
+def numbers(pose: SE3) -> tuple[list[float], list[float]]:
+    """Position and quaternion `(x, y, z, w)`."""
+    seven = pin.SE3ToXYZQUAT(pose).tolist()
+    return seven[:3], seven[3:]
+
+
+@contextlib.contextmanager
+def quiet() -> Iterator[None]:
+    """Send what native code prints to nowhere: Bullet announces itself past Python's own streams."""
+    library = ctypes.CDLL("msvcrt" if os.name == "nt" else None)
+    sys.stdout.flush()
+    sys.stderr.flush()
+    library.fflush(None)
+    kept, nowhere = (os.dup(1), os.dup(2)), os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nowhere, 1)
+        os.dup2(nowhere, 2)
+        yield
+        library.fflush(None)
+    finally:
+        for stream, copy in zip((1, 2), kept, strict=True):
+            os.dup2(copy, stream)
+            os.close(copy)
+        os.close(nowhere)
