@@ -13,7 +13,6 @@ from scipy.spatial.transform import Rotation
 from roboassembly.furniture.annotate import annotate
 from roboassembly.furniture.model import Furniture, Provenance, RawPart
 from roboassembly.meshes import Mesh
-from roboassembly.planning.robot_world import Held
 from roboassembly.poses import SE3, interpolate, transform_points
 from roboassembly.robots.body import placed, world_from_tips
 from roboassembly.scene import Body, Scene, Shape
@@ -217,9 +216,9 @@ def fcl_object(mesh: Mesh, where: SE3) -> fcl.CollisionObject:
 class RobotChecker:
     """Whether a robot and what it holds hit still things or the ground: python-fcl on the same triangles."""
 
-    def __init__(self, others: Sequence[Body], held: Held | None, opening: float) -> None:
+    def __init__(self, others: Sequence[Body], held: Sequence[Shape], opening: float) -> None:
         self._opening = opening
-        self._held = () if held is None else held.shapes
+        self._held = held
         self._others = fcl.DynamicAABBTreeCollisionManager()
         self._others.registerObjects([fcl_object(s.mesh, b.pose * s.body_from_mesh) for b in others for s in b.shapes])
         self._others.setup()

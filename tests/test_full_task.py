@@ -73,7 +73,7 @@ def dense(leg: Leg, step: float) -> list[np.ndarray]:
 def test_the_start_is_free(task: FullTask, start: FullState) -> None:
     for robot in (0, 1):
         own = start.moment.robots[robot]
-        checker = RobotChecker(start.moment.around(task.furniture, robot), None, own.opening)
+        checker = RobotChecker(start.moment.around(task.furniture, robot), (), own.opening)
         assert not checker.hits(own.at)
 
 
@@ -108,8 +108,8 @@ def test_the_legs_follow_each_other_as_in_the_paper(merged: FullOutcome) -> None
 def test_no_leg_touches_anything(task: FullTask, merged: FullOutcome, step: float) -> None:
     for leg in merged.legs:
         own = leg.moment.robots[leg.robot]
-        held = None if own.grip is None else own.grip.held(task.furniture)
-        checker = RobotChecker(leg.moment.around(task.furniture, leg.robot), held, own.opening)
+        around = leg.moment.around(task.furniture, leg.robot)
+        checker = RobotChecker(around, own.held(task.furniture), own.opening)
         hits = [q for q in dense(leg, step) if checker.hits(q)]
         assert not hits, leg.name
 

@@ -48,11 +48,9 @@ class BulletCell:
                 still += [world.add(world.concave(s.mesh), body.pose * s.body_from_mesh) for s in body.shapes]
         with quiet():
             movers = [self._robot(own.opening), self._robot(other.opening)]
-        if other.grip is not None:
-            tips = world_from_tips(other.at)
-            held_there = other.grip.held(furniture).shapes
-            still += [world.add(world.concave(s.mesh), tips * s.body_from_mesh) for s in held_there]
-        held = [] if own.grip is None else list(own.grip.held(furniture).shapes)
+        tips = world_from_tips(other.at)
+        still += [world.add(world.concave(s.mesh), tips * s.body_from_mesh) for s in other.held(furniture)]
+        held = own.held(furniture)
         load = [world.add(world.hull(s.mesh), SE3.Identity()) for s in held]
         place, joint = bullet.resetBasePositionAndOrientation, bullet.resetJointState
 

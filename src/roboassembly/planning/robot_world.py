@@ -35,14 +35,6 @@ _ALWAYS = 0.5
 Configurations = Float[np.ndarray, "n 10"]
 
 
-@dataclass(frozen=True, eq=False)
-class Held:
-    """What the hand holds."""
-
-    shapes: tuple[Shape, ...]
-    """Their `body_from_mesh` is `tips_from_mesh`."""
-
-
 @dataclass(eq=False)
 class _Ladder:
     """The same pairs at several margins, the last zero."""
@@ -71,10 +63,11 @@ class RobotWorld:
     Args:
         still: bodies that do not move, the other robot's included.
         opening: metres between the finger pads.
-        held: what the hand holds; its pads are meant to touch it and are not tested against it.
+        held: what the hand holds, `body_from_mesh` being `tips_from_mesh`; its pads are meant to touch it and are not
+            tested against it.
     """
 
-    def __init__(self, still: Sequence[Body], opening: float, held: Held | None = None) -> None:
+    def __init__(self, still: Sequence[Body], opening: float, held: Sequence[Shape] = ()) -> None:
         self.states = 0
         """Configurations tested so far."""
         model, carriers = _model()
@@ -86,10 +79,7 @@ class RobotWorld:
 
         own = [add(link.name, carriers[link.carrier], SE3.Identity(), link.mesh.convex) for link in links()]
         hand = [add(link.name, carriers[HAND], pose, link.mesh.convex) for link, pose in hand_links(opening)]
-        load = [
-            add(f"held{i}", carriers[HAND], tips * s.body_from_mesh, s.geometry)
-            for i, s in enumerate(held.shapes if held is not None else ())
-        ]
+        load = [add(f"held{i}", carriers[HAND], tips * s.body_from_mesh, s.geometry) for i, s in enumerate(held)]
         others = [
             add(f"{b.name}/{i}", 0, b.pose * s.body_from_mesh, s.geometry)
             for b in still
@@ -114,7 +104,7 @@ class RobotWorld:
         self._inner = _Ladder(model, inner, (*_OWN_MARGINS, 0.0), {})
         self._both = _Ladder(model, both, (0.0,), {})
         near = [transform_points(pose, link.mesh.hull_vertices) for link, pose in hand_links(opening)]
-        near += [transform_points(tips * s.body_from_mesh, s.mesh.hull_vertices) for s in (held.shapes if held else ())]
+        near += [transform_points(tips * s.body_from_mesh, s.mesh.hull_vertices) for s in held]
         self._reach = _reach(np.concatenate(near))
 
     def free(self, q: Configurations) -> Bool[np.ndarray, "n"]:

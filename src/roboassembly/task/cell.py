@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, lru_cache
 
 import numpy as np
 import trimesh
@@ -64,13 +64,18 @@ class Stand:
 
     def body(self, name: str) -> Body:
         """Its shape. It goes down through the floor."""
-        return Body(name, (Shape(_post(), SE3.Identity(), convex=True),), SE3(np.eye(3), self.top))
+        return Body(name, (Shape(post_mesh(), SE3.Identity(), convex=True),), SE3(np.eye(3), self.top))
 
 
-@cache
-def _post() -> Mesh:
-    post = trimesh.creation.cylinder(POST_RADIUS, _POST_LENGTH, sections=16)
-    post.apply_translation([0.0, 0.0, -0.5 * _POST_LENGTH])
+@lru_cache(maxsize=256)
+def post_mesh(length: float = _POST_LENGTH) -> Mesh:
+    """A post, the middle of its top in the origin.
+
+    Args:
+        length: metres.
+    """
+    post = trimesh.creation.cylinder(POST_RADIUS, length, sections=16)
+    post.apply_translation([0.0, 0.0, -0.5 * length])
     return Mesh.from_trimesh(post)
 
 
@@ -239,7 +244,7 @@ def _free_hands(furniture: Furniture, group: Group, tops: Float[np.ndarray, "n 3
 
 @cache
 def _against_post() -> HandAgainst:
-    return HandAgainst(_post())
+    return HandAgainst(post_mesh())
 
 
 @cache

@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from roboassembly.furniture.model import Furniture
 from roboassembly.planning.robot_path import Path
-from roboassembly.planning.robot_world import Held, RobotWorld
+from roboassembly.planning.robot_world import RobotWorld
 from roboassembly.poses import SE3
 from roboassembly.robots.body import placed, world_from_tips
 from roboassembly.scene import Body, Shape
@@ -37,14 +37,12 @@ class Grip:
     """Its `world_from_furniture` is of no account: it goes where the hand goes."""
     hold: Hold
 
-    def held(self, furniture: Furniture) -> Held:
+    def shapes(self, furniture: Furniture) -> tuple[Shape, ...]:
         """Its parts, in the frame of the finger tips."""
         tips = self.hold.furniture_from_tips
-        return Held(
-            tuple(
-                Shape(furniture.parts[p].mesh, tips.actInv(pose))
-                for p, pose in zip(self.group.parts, self.group.furniture_from_part, strict=True)
-            )
+        return tuple(
+            Shape(furniture.parts[p].mesh, tips.actInv(pose))
+            for p, pose in zip(self.group.parts, self.group.furniture_from_part, strict=True)
         )
 
     def placed(self, configuration: Configuration) -> Group:
@@ -63,11 +61,14 @@ class Robot:
 
     def body(self, furniture: Furniture) -> Body:
         """As something still."""
-        shapes = [Shape(link.mesh, pose, convex=True) for link, pose in placed(self.at, self.opening)]
-        if self.grip is not None:
-            tips = world_from_tips(self.at)
-            shapes += [Shape(s.mesh, tips * s.body_from_mesh) for s in self.grip.held(furniture).shapes]
-        return Body("robot", tuple(shapes), SE3.Identity())
+        tips = world_from_tips(self.at)
+        links = [Shape(link.mesh, pose, convex=True) for link, pose in placed(self.at, self.opening)]
+        load = [Shape(s.mesh, tips * s.body_from_mesh) for s in self.held(furniture)]
+        return Body("robot", (*links, *load), SE3.Identity())
+
+    def held(self, furniture: Furniture) -> tuple[Shape, ...]:
+        """What is in its hand, in the frame of the finger tips."""
+        return () if self.grip is None else self.grip.shapes(furniture)
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,8 +91,7 @@ class Moment:
     def world(self, furniture: Furniture, robot: int) -> RobotWorld:
         """The planning model of one robot, with what it holds, among all else."""
         own = self.robots[robot]
-        held = None if own.grip is None else own.grip.held(furniture)
-        return RobotWorld(self.around(furniture, robot), own.opening, held)
+        return RobotWorld(self.around(furniture, robot), own.opening, own.held(furniture))
 
     def moved(self, robot: int, at: Configuration) -> Moment:
         """With one robot elsewhere."""

@@ -10,12 +10,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-import trimesh
 
-from roboassembly.meshes import Mesh
 from roboassembly.poses import SE3
 from roboassembly.robots.body import hand_links, links, placed
-from roboassembly.task.cell import POST_RADIUS, Stand
+from roboassembly.task.cell import Stand, post_mesh
 from roboassembly.task.full_plan import FullPlan, FullStep
 from roboassembly.task.moments import Leg, Moment
 from roboassembly.viewer.timeline import (
@@ -60,7 +58,7 @@ class _Builder:
     def things(self) -> tuple[Thing, ...]:
         own = [*links(), *(link for link, _ in hand_links(0.0))]
         robots = [Thing(f"robot_{name}/{i}_{link.name}", link.mesh) for name in "ab" for i, link in enumerate(own)]
-        posts = [Thing(f"posts/{i}", _post(float(s.top[2])), framed=False) for i, s in enumerate(self.stands)]
+        posts = [Thing(f"posts/{i}", post_mesh(float(s.top[2])), framed=False) for i, s in enumerate(self.stands)]
         return (*parts_of(self.plan.furniture), *robots, *posts)
 
     def frames(self) -> Iterator[Frame]:
@@ -111,7 +109,7 @@ class _Builder:
         where = {p: pose for g in moment.groups() for p, pose in zip(g.parts, g.part_poses(), strict=True)}
         robots = [pose for r in moment.robots for _, pose in placed(r.at, r.opening)]
         up = {id(stand) for stand in moment.stands}
-        posts = [SE3(np.eye(3), np.array([*s.top[:2], 0.0])) if id(s) in up else None for s in self.stands]
+        posts = [SE3(np.eye(3), s.top) if id(s) in up else None for s in self.stands]
         return [*(where[p] for p in range(len(where))), *robots, *posts]
 
     def _move(self, poses: list[SE3 | None], leg: Leg, at: np.ndarray) -> None:
@@ -128,13 +126,6 @@ class _Builder:
 def _links() -> int:
     """Of each robot."""
     return len(links()) + len(hand_links(0.0))
-
-
-def _post(height: float) -> Mesh:
-    """A post that stands on the ground, with its cup's rim on top."""
-    post = trimesh.creation.cylinder(POST_RADIUS, height, sections=24)
-    post.apply_translation([0.0, 0.0, 0.5 * height])
-    return Mesh.from_trimesh(post)
 
 
 def _length(leg: Leg) -> float:
