@@ -5,12 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterator
 from functools import cache
 
+import numpy as np
 import pytest
 
 import shapes
 from roboassembly.furniture.annotate import annotate
 from roboassembly.furniture.generate import generate
 from roboassembly.furniture.model import Furniture, Provenance
+from roboassembly.solvers.disassembly import Disassembly, partition_of
+from roboassembly.solvers.options import grasping
+from roboassembly.task.full import FullTask
+from roboassembly.task.full_plan import FullPlan
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -30,6 +35,23 @@ def _chair(family: str, seed: int) -> Furniture:
 def chair():
     """`chair(family, seed)`: annotated generated furniture, made once a session."""
     return _chair
+
+
+@pytest.fixture(scope="session")
+def two_merges(chair) -> FullPlan:
+    """The first two merges of a stool."""
+    task = FullTask(chair("stool", 0))
+    disassembly = Disassembly(task.furniture, lambda: False)
+    initial = state = next(task.own_places(task.initial_state(np.random.default_rng(0))))
+    steps = []
+    for _ in range(2):
+        order = disassembly.order(partition_of(state.groups), set(), straight=True, exhaustive=False)
+        assert order
+        outcomes = (task.step(state, action, 1) for action in grasping(task, state, *order[0]))
+        outcome = next(o for o in outcomes if o.step is not None)
+        state = next(task.own_places(outcome.state))
+        steps.append(outcome.step)
+    return FullPlan(task.furniture, initial, tuple(steps), False, 0)
 
 
 @pytest.fixture(scope="session")

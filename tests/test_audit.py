@@ -11,7 +11,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from roboassembly.bench.audit import ViolationKind, audit_plan
+from roboassembly.audit.object_centric import ViolationKind, audit_plan
 from roboassembly.errors import MissingExtraError
 from roboassembly.furniture import catalogue
 from roboassembly.furniture.annotate import annotate
@@ -147,7 +147,7 @@ def test_a_step_that_forgets_a_part_is_caught() -> None:
 
 def test_the_audit_knows_nothing_of_the_planner() -> None:
     code = (
-        "import sys, roboassembly.bench.audit; "
+        "import sys, roboassembly.audit.object_centric; "
         "print([m for m in sys.modules if m.startswith('roboassembly.planning') or m == 'ompl'])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)

@@ -10,11 +10,8 @@ import pytest
 
 from roboassembly.poses import SE3, pose_from_seven
 from roboassembly.robots.body import placed, world_from_tips
-from roboassembly.solvers.disassembly import Disassembly, partition_of
-from roboassembly.solvers.options import grasping
 from roboassembly.task import plan_file
 from roboassembly.task.cell import LOWEST
-from roboassembly.task.full import FullTask
 from roboassembly.task.full_plan import FullPlan
 from roboassembly.viewer.film import key_frames
 from roboassembly.viewer.playing import timeline_of
@@ -22,33 +19,16 @@ from roboassembly.viewer.timeline import Role, Timeline
 
 
 @pytest.fixture(scope="module")
-def plan(chair) -> FullPlan:
-    """The first two merges of a stool."""
-    task = FullTask(chair("stool", 0))
-    disassembly = Disassembly(task.furniture, lambda: False)
-    initial = state = next(task.own_places(task.initial_state(np.random.default_rng(0))))
-    steps = []
-    for _ in range(2):
-        order = disassembly.order(partition_of(state.groups), set(), straight=True, exhaustive=False)
-        assert order
-        outcomes = (task.step(state, action, 1) for action in grasping(task, state, *order[0]))
-        outcome = next(o for o in outcomes if o.step is not None)
-        state = next(task.own_places(outcome.state))
-        steps.append(outcome.step)
-    return FullPlan(task.furniture, initial, tuple(steps), False, 0)
+def timeline(two_merges: FullPlan) -> Timeline:
+    return timeline_of(two_merges, 20.0, 20.0)
 
 
-@pytest.fixture(scope="module")
-def timeline(plan: FullPlan) -> Timeline:
-    return timeline_of(plan, 20.0, 20.0)
-
-
-def test_the_file_alone_tells_where_everything_is(plan: FullPlan) -> None:
-    text = plan_file.encode(plan)
-    assert text == plan_file.encode(plan)
+def test_the_file_alone_tells_where_everything_is(two_merges: FullPlan) -> None:
+    text = plan_file.encode(two_merges)
+    assert text == plan_file.encode(two_merges)
     told = json.loads(text)
     assert (told["format"], told["version"], told["setting"]) == ("roboassembly.plan", 1, "full")
-    assert told["density"] == plan.initial.cell.density
+    assert told["density"] == two_merges.initial.cell.density
     where = [pose_from_seven(p) for p in told["initial"]]
     robots = [np.array(q) for q in told["robots"]]
     for step in told["steps"]:
@@ -64,12 +44,12 @@ def test_the_file_alone_tells_where_everything_is(plan: FullPlan) -> None:
             assert set(leg["posts"]) <= set(range(len(told["posts"])))
         for got, wanted in zip(where, step["after"], strict=True):
             assert np.allclose(got.homogeneous, pose_from_seven(wanted).homogeneous, atol=1e-5)
-    assert len(told["steps"]) == len(plan.steps)
+    assert len(told["steps"]) == len(two_merges.steps)
 
 
-def test_what_no_hand_holds_hangs_above_a_post(plan: FullPlan) -> None:
-    parts = plan.furniture.parts
-    for step in plan.steps:
+def test_what_no_hand_holds_hangs_above_a_post(two_merges: FullPlan) -> None:
+    parts = two_merges.furniture.parts
+    for step in two_merges.steps:
         for standing in step.legs[-1].after.standing:
             points = np.concatenate(
                 [
@@ -82,11 +62,11 @@ def test_what_no_hand_holds_hangs_above_a_post(plan: FullPlan) -> None:
             assert len(above)
 
 
-def test_frames_show_the_plan(plan: FullPlan, timeline: Timeline) -> None:
-    n, own = len(plan.furniture.parts), len(placed(plan.initial.moment.robots[0].at, 0.0))
-    assert len(timeline.things) == n + 2 * own + len(plan.stands)
+def test_frames_show_the_plan(two_merges: FullPlan, timeline: Timeline) -> None:
+    n, own = len(two_merges.furniture.parts), len(placed(two_merges.initial.moment.robots[0].at, 0.0))
+    assert len(timeline.things) == n + 2 * own + len(two_merges.stands)
     first, last = timeline.frames[0], timeline.frames[-1]
-    for frame, moment in ((first, plan.initial.moment), (last, plan.steps[-1].legs[-1].after)):
+    for frame, moment in ((first, two_merges.initial.moment), (last, two_merges.steps[-1].legs[-1].after)):
         assert all(len(things) == len(timeline.things) for things in (frame.poses, frame.roles))
         where = {p: q for g in moment.groups() for p, q in zip(g.parts, g.part_poses(), strict=True)}
         for p in range(n):
@@ -96,7 +76,7 @@ def test_frames_show_the_plan(plan: FullPlan, timeline: Timeline) -> None:
             for i, (_, pose) in enumerate(links):
                 assert _same(frame.poses[n + robot * own + i], pose)
         up = {id(s) for s in moment.stands}
-        assert [pose is not None for pose in frame.poses[n + 2 * own :]] == [id(s) in up for s in plan.stands]
+        assert [pose is not None for pose in frame.poses[n + 2 * own :]] == [id(s) in up for s in two_merges.stands]
     assert first.caption == "stool-0: 9 parts, two robots"
     assert "R_a: mate" in " ".join(f.caption for f in timeline.frames)
 
@@ -109,8 +89,8 @@ def test_nothing_jumps_from_frame_to_frame(timeline: Timeline) -> None:
         assert max(moved) < 0.25
 
 
-def test_only_one_robot_moves_at_a_time(plan: FullPlan, timeline: Timeline) -> None:
-    n, own = len(plan.furniture.parts), len(placed(plan.initial.moment.robots[0].at, 0.0))
+def test_only_one_robot_moves_at_a_time(two_merges: FullPlan, timeline: Timeline) -> None:
+    n, own = len(two_merges.furniture.parts), len(placed(two_merges.initial.moment.robots[0].at, 0.0))
     for a, b in pairwise(timeline.frames):
         if a.step is None or b.step is None or a.caption != b.caption:
             continue
@@ -120,10 +100,10 @@ def test_only_one_robot_moves_at_a_time(plan: FullPlan, timeline: Timeline) -> N
         assert any(still)
 
 
-def test_pictures_are_of_mates(plan: FullPlan, timeline: Timeline) -> None:
+def test_pictures_are_of_mates(two_merges: FullPlan, timeline: Timeline) -> None:
     shown = [timeline.frames[i] for i in key_frames(timeline)]
-    assert len(shown) == len(plan.steps) + 2
-    for frame, step in zip(shown[1:-1], plan.steps, strict=True):
+    assert len(shown) == len(two_merges.steps) + 2
+    for frame, step in zip(shown[1:-1], two_merges.steps, strict=True):
         assert frame.caption.endswith("R_a: mate")
         u, v = step.action[:2]
         assert frame.roles[u] is Role.MOVING

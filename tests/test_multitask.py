@@ -12,11 +12,11 @@ import pytest
 from roboassembly.errors import InputError
 from roboassembly.furniture import catalogue, datasets
 from roboassembly.learning import autoencoder, checkpoint, imitation, logs, relational
-from roboassembly.learning.evaluate import play_episode
 from roboassembly.learning.gather import EXTRA_SEEDS, extra_names, file_of, gather, load_courses
 from roboassembly.learning.loading import load_policy
 from roboassembly.learning.multitask import Curriculum, set_hash, teach, teach_paper
 from roboassembly.learning.paper_imitation import Training
+from roboassembly.learning.players import play_episode
 from roboassembly.learning.progress import Progress
 
 TINY = relational.RelationalConfig(token=16, pair=8, layers=1, heads=2, ends=4, conflicts=2)

@@ -205,7 +205,7 @@ def test_acting_imports_no_jax(params: dict, tmp_path: Path) -> None:
     file = save(tmp_path / "p.npz", params)
     script = (
         "import sys\n"
-        "from roboassembly.learning.evaluate import play_episode\n"
+        "from roboassembly.learning.players import play_episode\n"
         "from roboassembly.learning.loading import load_policy\n"
         "from roboassembly.furniture import catalogue\n"
         "play_episode(load_policy(sys.argv[1]), catalogue.make('cantilever', 1), 0)\n"

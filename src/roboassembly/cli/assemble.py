@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import json as jsonlib
-import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -114,7 +113,7 @@ class Assemble:
         policy = load_policy(self.policy, self.seed)
         if self.search:
             return partial(solve, seed=self.seed, guide=guide_of(policy))
-        from roboassembly.learning.evaluate import play
+        from roboassembly.learning.players import play
 
         def alone(furniture: Furniture) -> SearchResult[Any]:
             done = play(policy, furniture, self.seed)
@@ -134,27 +133,16 @@ class Assemble:
 
     def _executed(self, plan: FullPlan) -> dict[str, Any]:
         """Carry a plan out in physics; what to tell of it."""
-        from roboassembly.task.execution import execute_plan
+        from roboassembly.task.execution import execute_plan, in_all
 
         say("carrying it out ...")
-        done = execute_plan(plan)
-        failed = next((d for d in done if not d.success), None)
-        told: dict[str, Any] = {
-            "success": plan.success and failed is None,
-            "steps": sum(d.success for d in done),
-            "simulated_seconds": round(sum(d.seconds for d in done), 1),
-            "tracking_error_mm": round(1e3 * max((d.tracking for d in done), default=0.0), 2),
-            "pad_force_N": round(max((d.pad_force for d in done), default=0.0), 1),
-            "joint_error_mm": round(1e3 * max((d.joint_position for d in done), default=0.0), 2),
-            "joint_error_deg": round(math.degrees(max((d.joint_angle for d in done), default=0.0)), 3),
-            "reason": "" if failed is None else f"merge {len(done)}: {failed.ending.value} in '{failed.leg}'",
-        }
-        if failed is None:
-            say(f"carried out in {told['simulated_seconds']} simulated s: fingers at most "
-                f"{told['tracking_error_mm']} mm off their paths, joints {told['joint_error_mm']} mm")  # fmt: skip
+        done = in_all(plan, execute_plan(plan))
+        if not done.reason:
+            say(f"carried out in {done.simulated_seconds} simulated s: fingers at most {done.tracking_error_mm} mm off "
+                f"their paths, joints {done.joint_error_mm} mm")  # fmt: skip
         else:
-            say(f"not carried out: {told['reason']}")
-        return told
+            say(f"not carried out: {done.reason}")
+        return asdict(done)
 
     def _told(self, result: SearchResult[Any]) -> str:
         return "" if self.policy == NO_POLICY else f", {result.guided} of them chosen by {self.policy}"

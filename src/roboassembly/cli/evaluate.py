@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 from tqdm import tqdm
@@ -16,7 +16,8 @@ from roboassembly.cli.output import DONE, print_json, say
 from roboassembly.errors import InputError
 
 if TYPE_CHECKING:
-    from roboassembly.learning.evaluate import Episode, Evaluation
+    from roboassembly.learning.evaluate import Evaluation
+    from roboassembly.learning.players import Episode
 
 
 @dataclass(frozen=True)
@@ -28,10 +29,18 @@ class Evaluate:
     baseline), `right-pairs` or `right-pairs-random-w`."""
     search: bool = False
     """The policy guides the search instead of playing alone."""
+    setting: Literal["object-centric", "full"] = "object-centric"
+    """What moves the parts: they fly by themselves, or two mobile Frankas move them (`search` only)."""
+    execution: Literal["kinematic", "dynamic"] = "kinematic"
+    """Of `--setting full`: planned and checked, or carried out by actuated robots in physics besides."""
+    audit: bool = False
+    """Replay every plan with python-fcl, which planning does not use."""
     set: Annotated[str, tyro.conf.arg(name="set")] = "chairs-412:test"
     """`chairs-412:test` (or `:train`, `:easy`, `:hard`), or `folder:PATH` of furniture folders."""
     limit: int | None = None
     """The first so many pieces only."""
+    sample: int | None = None
+    """So many pieces of the set, drawn by the seed."""
     episodes: int = 1
     """Of each piece, each from another start."""
     seed: int = 0
@@ -45,22 +54,32 @@ class Evaluate:
 
     def run(self) -> int:
         """Do it; returns the exit status."""
-        if self.seed < 0 or min(self.jobs, self.episodes) < 1 or (self.limit is not None and self.limit < 1):
-            raise InputError("--seed takes 0 or more, --jobs, --episodes and --limit take 1 or more")
+        counts = (self.jobs, self.episodes, self.limit, self.sample)
+        if self.seed < 0 or min(n for n in counts if n is not None) < 1:
+            raise InputError("--seed takes 0 or more, --jobs, --episodes, --sample and --limit take 1 or more")
+        if self.limit is not None and self.sample is not None:
+            raise InputError("--limit takes the first pieces and --sample draws some; only one of them would do")
         from roboassembly.furniture.datasets import pick
-        from roboassembly.learning.evaluate import EXPORTABLE, SOLVERS, Evaluation, evaluate
+        from roboassembly.learning.evaluate import Evaluation, evaluate, sampled
+        from roboassembly.learning.players import EXPORTABLE, SOLVERS, Way
 
         if self.export is not None:
             from roboassembly.learning.export import check_target
 
+            if self.setting == "full":
+                raise InputError("--export takes episodes of --setting object-centric")
+
             if self.policy in SOLVERS and self.policy not in EXPORTABLE:
                 raise InputError(f"--export: '{self.policy}' tells no actions; a policy or 'search' would do")
             check_target(self.export)
+        way = Way(self.policy, self.search, self.setting, self.execution, self.audit)
         picks = pick(self.set)[: self.limit]
-        playing = evaluate(self.policy, picks, self.seed, self.jobs, episodes=self.episodes, search=self.search)
+        if self.sample is not None:
+            picks = sampled(picks, self.sample, self.seed)
+        playing = evaluate(way, picks, self.seed, self.jobs, episodes=self.episodes)
         total = len(picks) * self.episodes
         episodes = tuple(tqdm(playing, total=total, unit="episode"))
-        evaluation = Evaluation(self.policy, self.set, self.seed, episodes, self.search)
+        evaluation = Evaluation(way, self.set, self.seed, episodes)
         report = evaluation.to_json()
         if self.export is not None:
             from roboassembly.learning.export import export
@@ -92,7 +111,8 @@ def summary(evaluation: Evaluation) -> list[str]:
         return f"{name:24} {len(episodes):5} {rate}  {100 * low:5.1f}-{100 * high:5.1f} {steps:9,.0f}"
 
     every = evaluation.episodes
-    how = f"{evaluation.policy}{' guiding the search' * evaluation.search} on {evaluation.set}, seed {evaluation.seed}"
+    told, way = evaluation.to_json(), evaluation.way
+    how = f"{told['policy']}{' guiding the search' * way.search} on {evaluation.set}, seed {evaluation.seed}"
     lines = [how, f"{'':24} {'n':>5} {'success':>7}  {'95 %':>11} {'states':>9}", line("all", every)]
     families = sorted({e.family for e in every} - {""})
     if families:
@@ -100,6 +120,10 @@ def summary(evaluation: Evaluation) -> list[str]:
             some = [e for e in every if e.unseen is wanted]
             lines += [line(name, some)] if some else []
         lines += [line(f"  {f}", [e for e in every if e.family == f]) for f in families]
+    if "planned" in told:
+        lines.append(f"planned: {told['planned']['success_rate']:.1%}; all else counts what was carried out")
+    if "violations" in told:
+        lines.append(f"found by the audit: {told['violations']}")
     failed = Counter(e.verdict for e in every if not e.success)
     lines += [f"failed: {n:4} {verdict}" for verdict, n in failed.most_common()]
     return lines

@@ -24,9 +24,10 @@ from roboassembly.errors import InputError
 from roboassembly.furniture.datasets import RECIPES, manifest_path, pick
 from roboassembly.learning import autoencoder, multitask, paper_imitation
 from roboassembly.learning.apprentices import ExpertTraining, mastery
-from roboassembly.learning.evaluate import Episode, Evaluation, evaluate
+from roboassembly.learning.evaluate import Evaluation, evaluate
 from roboassembly.learning.loading import weights_hash
 from roboassembly.learning.multitask import Curriculum
+from roboassembly.learning.players import Episode, Way
 from roboassembly.learning.progress import Progress
 from roboassembly.learning.relational import RelationalConfig
 from roboassembly.learning.single_task import Schooling, extractor_of, results, teach_experts, teach_features
@@ -136,6 +137,11 @@ class Trial:
     paper_steps: str = ""
 
     @property
+    def way(self) -> Way:
+        """To assemble."""
+        return Way(self.policy, self.search)
+
+    @property
     def file(self) -> str:
         """That keeps its episodes."""
         set_name = self.set.replace(":", "-").replace("/", "-").strip("-")
@@ -181,9 +187,7 @@ def _tried(trial: Trial, folder: Path, seed: int, jobs: int) -> Iterator[Progres
     scratch.write_text("".join(line + "\n" for line in lines))
     scratch.replace(path)
     with path.open("a") as file:
-        for done, episode in enumerate(
-            evaluate(trial.policy, picks[len(there) :], seed, jobs, search=trial.search), len(there) + 1
-        ):
+        for done, episode in enumerate(evaluate(trial.way, picks[len(there) :], seed, jobs), len(there) + 1):
             file.write(json.dumps(asdict(episode)) + "\n")
             file.flush()
             there.append(episode)
@@ -214,7 +218,8 @@ def episodes_of(path: Path, trial: Trial, seed: int) -> list[Episode]:
                 if told != _head(trial, seed):
                     return []
                 continue
-            out.append(Episode(**{**told, "actions": tuple(tuple(a) for a in told["actions"])}))
+            told |= {"actions": tuple(tuple(a) for a in told["actions"]), "step_seconds": tuple(told["step_seconds"])}
+            out.append(Episode(**told))
         except (json.JSONDecodeError, TypeError, KeyError):
             break
     return out
@@ -233,8 +238,7 @@ def rows(b: Benchmark, folder: Path) -> list[Row]:
             out.append(Row("experts", f"{split} training chairs", paper, "", mastery(some), told))
     for trial in trials(b, folder):
         evaluation = Evaluation(
-            trial.policy, trial.set, b.seed, tuple(episodes_of(folder / "episodes" / trial.file, trial, b.seed)),
-            trial.search,
+            trial.way, trial.set, b.seed, tuple(episodes_of(folder / "episodes" / trial.file, trial, b.seed))
         )  # fmt: skip
         told = trial.command(b.seed)
         figures = evaluation.to_json()

@@ -26,7 +26,7 @@ from roboassembly import __version__
 from roboassembly.envs import OBJECT_CENTRIC
 from roboassembly.errors import InputError, MissingExtraError
 from roboassembly.furniture.datasets import Pick
-from roboassembly.learning.evaluate import Episode
+from roboassembly.learning.players import Episode
 
 if TYPE_CHECKING:
     from minari.data_collector import EpisodeBuffer

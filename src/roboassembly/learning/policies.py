@@ -9,7 +9,7 @@ A policy of your own needs no base class, only the attributes of `Policy`:
         def act(self, observation, mask):
             return np.argwhere(mask)[0]
 
-    evaluate.play_episode(Mine(), catalogue.make("stool"), seed=0)
+    players.play_episode(Mine(), catalogue.make("stool"), seed=0)
 """
 
 from __future__ import annotations

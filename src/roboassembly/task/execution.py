@@ -6,6 +6,8 @@ against all that is around; only the two groups may touch each other while they 
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
@@ -71,6 +73,42 @@ class Executed:
     def success(self) -> bool:
         """Whether all legs were carried out."""
         return self.ending is Ending.DONE
+
+
+@dataclass(frozen=True)
+class Execution:
+    """What became of a plan, in the units of reports."""
+
+    success: bool
+    ending: str
+    steps: int
+    """Carried out."""
+    simulated_seconds: float
+    tracking_error_mm: float
+    """The farthest that finger tips were off their path."""
+    pad_force_newton: float
+    """The largest on a pad."""
+    joint_error_mm: float
+    """The farthest that two groups were off when they were joined."""
+    joint_error_deg: float
+    reason: str
+    """Empty if it succeeded."""
+
+
+def in_all(plan: FullPlan, done: Sequence[Executed]) -> Execution:
+    """What the executed steps of a plan come to."""
+    failed = next((d for d in done if not d.success), None)
+    return Execution(
+        success=plan.success and failed is None,
+        ending=(failed.ending if failed is not None else Ending.DONE).value,
+        steps=sum(d.success for d in done),
+        simulated_seconds=round(sum(d.seconds for d in done), 1),
+        tracking_error_mm=round(1e3 * max((d.tracking for d in done), default=0.0), 2),
+        pad_force_newton=round(max((d.pad_force for d in done), default=0.0), 1),
+        joint_error_mm=round(1e3 * max((d.joint_position for d in done), default=0.0), 2),
+        joint_error_deg=round(math.degrees(max((d.joint_angle for d in done), default=0.0)), 3),
+        reason="" if failed is None else f"merge {len(done)}: {failed.ending.value} in '{failed.leg}'",
+    )
 
 
 def execute_plan(plan: FullPlan) -> list[Executed]:

@@ -20,6 +20,7 @@ from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation, Slerp
 
 from roboassembly.errors import MissingExtraError
+from roboassembly.furniture.model import Furniture
 from roboassembly.meshes import Mesh
 from roboassembly.poses import SE3
 from roboassembly.task.plan import Plan, PlanStep
@@ -129,24 +130,14 @@ def audit_plan(
 
 class _Audit:
     def __init__(self, plan: Plan, resolution: float, angular_resolution: float) -> None:
-        try:
-            self._fcl: Any = importlib.import_module("fcl")
-        except ImportError:
-            raise MissingExtraError("python-fcl", "bench") from None
+        self._fcl = fcl_module()
         self._plan = plan
         self._resolution, self._angular_resolution = resolution, angular_resolution
         self._meshes = [part.mesh for part in plan.furniture.parts]
-        self._models = {mesh: self._model(mesh) for mesh in self._meshes}
+        self._models = {mesh: fcl_model(self._fcl, mesh) for mesh in self._meshes}
         self._states = 0
         self._counts: Counter[ViolationKind] = Counter()
         self._first: list[Violation] = []
-
-    def _model(self, mesh: Mesh) -> Any:
-        model = self._fcl.BVHModel()
-        model.beginModel(len(mesh.vertices), len(mesh.faces))
-        model.addSubModel(mesh.vertices, mesh.faces)
-        model.endModel()
-        return model
 
     def report(self) -> AuditReport:
         before = self._plan.initial
@@ -160,8 +151,8 @@ class _Audit:
                 self._path(index, step)
             self._rest(index, step.after)
             before = step.after
-        if self._plan.success:
-            self._assembled(before)
+        if self._plan.success and (astray := misplaced(self._plan.furniture, before)):
+            self._found(ViolationKind.NOT_ASSEMBLED, len(self._plan.steps) - 1, -1, astray, float("nan"))
         return AuditReport(len(self._plan.steps), self._states, dict(self._counts), tuple(self._first))
 
     def _found(self, kind: ViolationKind, step: int, state: int, parts: Sequence[int], depth: float) -> None:
@@ -294,44 +285,72 @@ class _Audit:
             for fraction, turn in zip(fractions, turns, strict=True):
                 yield turn, (1.0 - fraction) * a.translation + fraction * b.translation
 
-    def _assembled(self, poses: Sequence[SE3]) -> None:
-        """Some way to lay the furniture over the parts puts each into a slot of its own, up to its symmetries."""
-        furniture = self._plan.furniture
-        slots: list[tuple[Int[np.ndarray, "m"], Float[np.ndarray, "s 3 3"]]] = [
-            (np.array(furniture.classes[c].members), furniture.classes[c].symmetries) for c in furniture.class_of
-        ]
-        anchor = min(range(len(poses)), key=lambda p: len(slots[p][0]) * len(slots[p][1]))
-        best: tuple[int, ...] = tuple(range(len(poses)))
-        for slot in slots[anchor][0]:
-            for turn in slots[anchor][1]:
-                in_slot = furniture.assembled[slot] * SE3(turn, np.zeros(3))
-                astray = self._astray(poses, in_slot * poses[anchor].inverse(), slots)
-                if not astray:
-                    return
-                best = min(best, astray, key=len)
-        self._found(ViolationKind.NOT_ASSEMBLED, len(self._plan.steps) - 1, -1, best, float("nan"))
 
-    def _astray(
-        self,
-        poses: Sequence[SE3],
-        furniture_from_world: SE3,
-        slots: Sequence[tuple[Int[np.ndarray, "m"], Float[np.ndarray, "s 3 3"]]],
-    ) -> tuple[int, ...]:
-        """Parts without a slot of their own after the motion."""
-        taken: set[int] = set()
-        out: list[int] = []
-        for part, pose in enumerate(poses):
-            here = furniture_from_world * pose
-            for slot in slots[part][0]:
-                there = self._plan.furniture.assembled[slot]
-                near = float(np.linalg.norm(here.translation - there.translation)) < 10 * _SAME_POSITION
-                left = there.rotation.T @ here.rotation
-                if slot not in taken and near and min(_angle(t.T @ left) for t in slots[part][1]) < 10 * _SAME_ANGLE:
-                    taken.add(int(slot))
-                    break
-            else:
-                out.append(part)
-        return tuple(out)
+def fcl_module() -> Any:
+    """python-fcl.
+
+    Raises:
+        MissingExtraError: it is not installed.
+    """
+    try:
+        return importlib.import_module("fcl")
+    except ImportError:
+        raise MissingExtraError("python-fcl", "bench") from None
+
+
+def fcl_model(fcl: Any, mesh: Mesh) -> Any:
+    """A mesh as FCL's triangles."""
+    model = fcl.BVHModel()
+    model.beginModel(len(mesh.vertices), len(mesh.faces))
+    model.addSubModel(mesh.vertices, mesh.faces)
+    model.endModel()
+    return model
+
+
+def misplaced(furniture: Furniture, poses: Sequence[SE3]) -> tuple[int, ...]:
+    """Parts without a slot of their own, however the furniture is laid over them; like parts may be swapped, and
+    turned by symmetries of their shape.
+
+    Args:
+        furniture: what should be assembled.
+        poses: of its parts, `world_from_part`.
+    """
+    slots: list[_Slots] = [
+        (np.array(furniture.classes[c].members), furniture.classes[c].symmetries) for c in furniture.class_of
+    ]
+    anchor = min(range(len(poses)), key=lambda p: len(slots[p][0]) * len(slots[p][1]))
+    best: tuple[int, ...] = tuple(range(len(poses)))
+    for slot in slots[anchor][0]:
+        for turn in slots[anchor][1]:
+            in_slot = furniture.assembled[slot] * SE3(turn, np.zeros(3))
+            astray = _astray(furniture, poses, in_slot * poses[anchor].inverse(), slots)
+            if not astray:
+                return ()
+            best = min(best, astray, key=len)
+    return best
+
+
+_Slots = tuple[Int[np.ndarray, "m"], Float[np.ndarray, "s 3 3"]]
+
+
+def _astray(
+    furniture: Furniture, poses: Sequence[SE3], furniture_from_world: SE3, slots: Sequence[_Slots]
+) -> tuple[int, ...]:
+    """Parts without a slot of their own after the motion."""
+    taken: set[int] = set()
+    out: list[int] = []
+    for part, pose in enumerate(poses):
+        here = furniture_from_world * pose
+        for slot in slots[part][0]:
+            there = furniture.assembled[slot]
+            near = float(np.linalg.norm(here.translation - there.translation)) < 10 * _SAME_POSITION
+            left = there.rotation.T @ here.rotation
+            if slot not in taken and near and min(_angle(t.T @ left) for t in slots[part][1]) < 10 * _SAME_ANGLE:
+                taken.add(int(slot))
+                break
+        else:
+            out.append(part)
+    return tuple(out)
 
 
 def _angle(rotation: Float[np.ndarray, "3 3"]) -> float:

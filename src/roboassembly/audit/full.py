@@ -1,0 +1,280 @@
+"""An audit of full plans by other means than those that made them: python-fcl, and Pinocchio's model of the URDF.
+
+Everything is taken from the record of the legs. Arms are placed by Pinocchio from the URDF, which planning does not
+use, and every state is tested, where planning certifies stretches.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from functools import cache
+from itertools import combinations, pairwise
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from jaxtyping import Float
+
+from roboassembly.audit.object_centric import fcl_model, fcl_module, misplaced
+from roboassembly.furniture.model import Furniture
+from roboassembly.gripper import TIPS, hand_bodies, panda_folder
+from roboassembly.meshes import Mesh
+from roboassembly.poses import SE3
+from roboassembly.robots.body import links
+from roboassembly.robots.kinematics import JOINTS
+from roboassembly.robots.platform import PLATFORM_FROM_MOUNT
+from roboassembly.task.full_plan import FullPlan
+from roboassembly.task.moments import Configuration, Leg, Moment, Robot
+
+RESOLUTION = 0.02
+"""Metres that a point of the robot travels between two states, about."""
+_REACH = np.array([1.0, 1.0, 1.6, 1.2, 1.2, 0.9, 0.9, 0.6, 0.5, 0.4])
+"""Metres that a point moves for a metre or radian of each of the ten, about."""
+_SAME = 1e-6
+"""By which two records of one pose or configuration may differ."""
+_LISTED = 20
+_HAND = ("palm", "left finger", "right finger")
+_PADS = _HAND[1:]
+_ENDS = ("link7", *_HAND)
+"""What does not move against the load."""
+
+
+class RobotViolationKind(StrEnum):
+    """What can be wrong with a leg."""
+
+    PENETRATION = "penetration"
+    """The robot or what it holds in something else."""
+    OWN_PENETRATION = "own_penetration"
+    """Two links in each other, or what is held in a link."""
+    GROUND = "ground"
+    JOINT_LIMIT = "joint_limit"
+    JUMP = "jump"
+    """Something is elsewhere than the leg before left it."""
+    NOT_ASSEMBLED = "not_assembled"
+    """What stands there in the end is not the furniture."""
+
+
+@dataclass(frozen=True)
+class RobotViolation:
+    """One thing that is wrong."""
+
+    kind: RobotViolationKind
+    step: int
+    leg: str
+    what: str
+
+
+@dataclass(frozen=True)
+class RobotAuditReport:
+    """What was looked at and what was found."""
+
+    legs: int
+    states: int
+    counts: dict[RobotViolationKind, int]
+    """Violations by kind; penetrations once a state."""
+    first: tuple[RobotViolation, ...]
+
+    @property
+    def passed(self) -> bool:
+        """Nothing is wrong."""
+        return not self.counts
+
+    def summary(self) -> str:
+        """One line."""
+        told = f"{self.legs} legs and {self.states} states audited"
+        if self.passed:
+            return f"{told}: nothing wrong"
+        found = ", ".join(f"{count} {kind.value}" for kind, count in self.counts.items())
+        v = self.first[0]
+        return f"{told}: {found}; first in step {v.step}, {v.leg}: {v.what}"
+
+
+def audit_full_plan(plan: FullPlan, resolution: float = RESOLUTION) -> RobotAuditReport:
+    """Replay the plan and look for anything that could not happen.
+
+    In every leg: the moving robot and what it holds against all that stands, posts, the other robot and what that
+    holds, the ground, and itself; joint limits; that everything is where the leg before left it. At the end: that it is
+    the furniture. The pads may touch what they hold, and a group its post.
+
+    Args:
+        plan: as recorded.
+        resolution: metres between two states, about.
+
+    Raises:
+        MissingExtraError: python-fcl is not installed.
+    """
+    return _RobotAudit(plan, resolution).report()
+
+
+class _RobotAudit:
+    def __init__(self, plan: FullPlan, resolution: float) -> None:
+        self._fcl = fcl_module()
+        self._plan, self._resolution = plan, resolution
+        self._models: dict[Mesh, Any] = {}
+        self._states = self._legs = 0
+        self._counts: Counter[RobotViolationKind] = Counter()
+        self._first: list[RobotViolation] = []
+
+    def report(self) -> RobotAuditReport:
+        before = self._plan.initial.moment
+        for index, step in enumerate(self._plan.steps):
+            for leg in step.legs:
+                self._legs += 1
+                self._continues(index, leg, before)
+                self._walk(index, leg)
+                before = leg.after
+        if self._plan.success and (
+            astray := misplaced(self._plan.furniture, _part_poses(self._plan.furniture, before))
+        ):
+            self._found(RobotViolationKind.NOT_ASSEMBLED, len(self._plan.steps) - 1, "", f"parts {list(astray)}")
+        return RobotAuditReport(self._legs, self._states, dict(self._counts), tuple(self._first))
+
+    def _found(self, kind: RobotViolationKind, step: int, leg: str, what: str) -> None:
+        self._counts[kind] += 1
+        if len(self._first) < _LISTED:
+            self._first.append(RobotViolation(kind, step, leg, what))
+
+    def _continues(self, step: int, leg: Leg, before: Moment) -> None:
+        for name, old, new in zip("ab", before.robots, leg.moment.robots, strict=True):
+            if np.abs(old.at - new.at).max() > _SAME:
+                self._found(RobotViolationKind.JUMP, step, leg.name, f"R_{name}")
+        if np.abs(leg.path[0] - leg.moment.robots[leg.robot].at).max() > _SAME:
+            self._found(RobotViolationKind.JUMP, step, leg.name, "the path's beginning")
+        was, now = (_part_poses(self._plan.furniture, m) for m in (before, leg.moment))
+        for part, (old, new) in enumerate(zip(was, now, strict=True)):
+            if np.abs(old.homogeneous - new.homogeneous).max() > _SAME:
+                self._found(RobotViolationKind.JUMP, step, leg.name, f"part {part}")
+
+    def _walk(self, step: int, leg: Leg) -> None:
+        own, other = leg.moment.robots[leg.robot], leg.moment.robots[1 - leg.robot]
+        still = self._surroundings(leg.moment, other)
+        manager = self._fcl.DynamicAABBTreeCollisionManager()
+        manager.registerObjects([thing for _, thing in still])
+        manager.setup()
+        meshes = _robot_meshes()
+        load = _load(self._plan.furniture, own)
+        moving = {name: self._placed(mesh, SE3.Identity()) for name, mesh in meshes.items()}
+        moving |= {f"held {i}": self._placed(mesh, SE3.Identity()) for i, (mesh, _) in enumerate(load)}
+        shapes = {**meshes, **{f"held {i}": mesh for i, (mesh, _) in enumerate(load)}}
+        constant = {*_ENDS, *(f"held {i}" for i in range(len(load)))}
+        pairs = [*_own_pairs()]
+        pairs += [(link, f"held {i}") for link in meshes if link not in _PADS for i in range(len(load))]
+        low, high = _limits()
+        for state, q in enumerate(_dense(leg.path, self._resolution)):
+            self._states += 1
+            if (q[3:] < low).any() or (q[3:] > high).any():
+                self._found(RobotViolationKind.JOINT_LIMIT, step, leg.name, f"state {state}")
+            where = _robot_poses(q, own.opening)
+            where |= {f"held {i}": where[TIPS] * pose for i, (_, pose) in enumerate(load)}
+            for name, thing in moving.items():
+                at = where[name]
+                thing.setTransform(self._fcl.Transform(at.rotation, at.translation))
+                if (shapes[name].hull_vertices @ at.rotation[2]).min() + at.translation[2] <= 0.0:
+                    self._found(RobotViolationKind.GROUND, step, leg.name, f"{name}, state {state}")
+                if self._meets(manager, thing):
+                    others = [n for n, s in still if self._touch(thing, s)]
+                    what = f"{name} in {', '.join(others)}, state {state}"
+                    self._found(RobotViolationKind.PENETRATION, step, leg.name, what)
+            for a, b in pairs:
+                if (state == 0 or not {a, b} <= constant) and self._touch(moving[a], moving[b]):
+                    self._found(RobotViolationKind.OWN_PENETRATION, step, leg.name, f"{a} in {b}, state {state}")
+
+    def _surroundings(self, moment: Moment, other: Robot) -> list[tuple[str, Any]]:
+        """All that stands still, with names."""
+        furniture = self._plan.furniture
+        out = [
+            (f"part {p}", self._placed(furniture.parts[p].mesh, pose))
+            for s in moment.standing
+            for p, pose in zip(s.group.parts, s.group.part_poses(), strict=True)
+        ]
+        for i, stand in enumerate(moment.stands):
+            body = stand.body(f"post {i}")
+            out += [(body.name, self._placed(s.mesh, body.pose * s.body_from_mesh)) for s in body.shapes]
+        where = _robot_poses(other.at, other.opening)
+        out += [(f"the other's {name}", self._placed(mesh, where[name])) for name, mesh in _robot_meshes().items()]
+        load = _load(furniture, other)
+        return out + [("what the other holds", self._placed(mesh, where[TIPS] * pose)) for mesh, pose in load]
+
+    def _placed(self, mesh: Mesh, pose: SE3) -> Any:
+        if mesh not in self._models:
+            self._models[mesh] = fcl_model(self._fcl, mesh)
+        return self._fcl.CollisionObject(self._models[mesh], self._fcl.Transform(pose.rotation, pose.translation))
+
+    def _meets(self, manager: Any, thing: Any) -> bool:
+        data = self._fcl.CollisionData()
+        manager.collide(thing, data, self._fcl.defaultCollisionCallback)
+        return bool(data.result.is_collision)
+
+    def _touch(self, a: Any, b: Any) -> bool:
+        return bool(self._fcl.collide(a, b, self._fcl.CollisionRequest(), self._fcl.CollisionResult()))
+
+
+def _load(furniture: Furniture, robot: Robot) -> list[tuple[Mesh, SE3]]:
+    """What a hand holds, with `tips_from_part`."""
+    return [(s.mesh, s.body_from_mesh) for s in robot.held(furniture)]
+
+
+def _part_poses(furniture: Furniture, moment: Moment) -> list[SE3]:
+    """Of all parts."""
+    where = {p: pose for g in moment.groups() for p, pose in zip(g.parts, g.part_poses(), strict=True)}
+    return [where[p] for p in range(len(furniture.parts))]
+
+
+def _dense(path: Sequence[Configuration], resolution: float) -> Iterator[Configuration]:
+    """Every state, way-points included."""
+    yield path[0]
+    for a, b in pairwise(path):
+        count = max(1, int(np.ceil(np.abs(b - a) @ _REACH / resolution)))
+        for k in range(1, count + 1):
+            yield a + (b - a) * (k / count)
+
+
+@cache
+def _urdf() -> pin.Model:
+    return pin.buildModelFromUrdf(str(panda_folder() / "urdf/panda.urdf"))
+
+
+@cache
+def _limits() -> tuple[Float[np.ndarray, "7"], Float[np.ndarray, "7"]]:
+    model = _urdf()
+    return np.array(model.lowerPositionLimit[:JOINTS]) - _SAME, np.array(model.upperPositionLimit[:JOINTS]) + _SAME
+
+
+@cache
+def _robot_meshes() -> dict[str, Mesh]:
+    """Platform, links of the arm, palm and fingers."""
+    return {link.name: link.mesh for link in links()} | dict(
+        zip(_HAND, (mesh for mesh, _ in hand_bodies(0.0)), strict=True)
+    )
+
+
+def _robot_poses(q: Configuration, opening: float) -> dict[str, SE3]:
+    """Of every one of them and of the finger tips, in the world."""
+    model = _urdf()
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, np.array([*q[3:], 0.5 * opening, 0.5 * opening]))
+    platform = SE3(pin.rpy.rpyToMatrix(0.0, 0.0, float(q[2])), np.array([q[0], q[1], 0.0]))
+    mount = platform * PLATFORM_FROM_MOUNT
+    tips = mount * data.oMf[model.getFrameId(TIPS)]
+    out = {link.name: mount * data.oMi[link.carrier] if link.carrier else platform for link in links()}
+    out |= {name: tips * pose for name, (_, pose) in zip(_HAND, hand_bodies(opening), strict=True)}
+    return {**out, TIPS: tips}
+
+
+@cache
+def _own_pairs() -> tuple[tuple[str, str], ...]:
+    """Links that may not touch: two joints or more apart, and apart when the arm is straight up."""
+    fcl, meshes, where = fcl_module(), _robot_meshes(), _robot_poses(np.zeros(10), 0.0)
+    carrier = {link.name: link.carrier for link in links()} | dict.fromkeys(_HAND, JOINTS)
+
+    def apart(a: str, b: str) -> bool:
+        one, other = (
+            fcl.CollisionObject(fcl_model(fcl, meshes[n]), fcl.Transform(where[n].rotation, where[n].translation))
+            for n in (a, b)
+        )
+        return not fcl.collide(one, other, fcl.CollisionRequest(), fcl.CollisionResult())
+
+    return tuple((a, b) for a, b in combinations(meshes, 2) if carrier[b] - carrier[a] > 1 and apart(a, b))

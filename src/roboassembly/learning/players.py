@@ -1,0 +1,260 @@
+"""What plays an episode: a policy alone, a policy that guides the search, or a solver; in either setting."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from typing import Any, Literal
+
+import numpy as np
+
+from roboassembly.envs.object_centric import ObjectCentricEnv
+from roboassembly.errors import InputError, UnknownNameError
+from roboassembly.furniture.model import Furniture
+from roboassembly.learning.loading import NAMES, load_policy
+from roboassembly.learning.policies import RANDOM, Policy, RandomPolicy, guide_of
+from roboassembly.planning.problem import Budget, PlanningStatus
+from roboassembly.solvers.guide import Guide
+from roboassembly.solvers.joint_rrt import solve_jointly
+from roboassembly.solvers.prober import probe
+from roboassembly.solvers.search import solve, solve_full
+from roboassembly.task.execution import execute_plan, in_all
+from roboassembly.task.full_plan import FullPlan
+from roboassembly.task.object_centric import ObjectCentricTask, Verdict
+from roboassembly.task.plan import Plan, PlanStep
+
+SettingName = Literal["object-centric", "full"]
+Execution = Literal["kinematic", "dynamic"]
+SEARCH = "search"
+REFUSED = "refused"
+"""Verdict on furniture that does not suit the cell."""
+_NO_PLAN = "no_plan"
+
+
+@dataclass(frozen=True)
+class Episode:
+    """One try at one piece."""
+
+    furniture: str
+    parts: int
+    seed: int
+    """Of the start, and of all that is drawn; `reset(seed=...)` of the environment."""
+    success: bool
+    merges: int
+    verdict: str
+    """How the last step ended (`Verdict`, `FullVerdict`, `Ending`); of a solver: `merged`, or why it did not get
+    there."""
+    planning_steps: int
+    """Configurations tested for collision."""
+    planning_seconds: float
+    policy_seconds: float = 0.0
+    """Time that the policy took to choose."""
+    actions: tuple[tuple[int, ...], ...] = ()
+    """Of each step, where the way of assembling has such."""
+    family: str = ""
+    """Empty if the set does not know."""
+    unseen: bool | None = None
+    """Whether the family occurs in no training; None if the set does not know."""
+    reason: str = ""
+    """Why a solver found nothing, in words."""
+    step_seconds: tuple[float, ...] = ()
+    """Of planning each merge of the plan."""
+    executed: dict[str, Any] | None = None
+    """Of a plan that was carried out in physics: `task.execution.Execution` in numbers."""
+    violations: int | None = None
+    """That an audit of the plan found; None without one."""
+
+
+@dataclass(frozen=True)
+class Way:
+    """A way of assembling."""
+
+    policy: str | Policy = SEARCH
+    """A solver's name, a policy's, the path of a checkpoint, or a policy of your own."""
+    search: bool = False
+    """The policy guides the search; else it plays alone."""
+    setting: SettingName = "object-centric"
+    execution: Execution = "kinematic"
+    """`dynamic`: what is planned in the full setting is carried out in physics besides, and has to succeed there."""
+    audit: bool = False
+    """Replay every plan with python-fcl."""
+
+
+@dataclass(frozen=True, eq=False)
+class Play:
+    """What a policy did alone."""
+
+    plan: Plan
+    """Its merges; not a success if it failed."""
+    actions: tuple[tuple[int, ...], ...]
+    """One more than merges if it failed."""
+    verdict: str
+    """Of the last step."""
+    planning_steps: int
+    planning_seconds: float
+    policy_seconds: float
+
+
+Player = Callable[[Furniture, int], Episode]
+_Played = tuple[Episode, Plan | FullPlan | None]
+
+
+def player(way: Way) -> Player:
+    """What plays an episode of a piece with a seed.
+
+    Raises:
+        UnknownNameError: no such policy.
+        InputError: the checkpoint is of no use, what is named cannot guide the search, or does not know the setting.
+        MissingExtraError: an audit without python-fcl.
+    """
+    if way.execution == "dynamic" and way.setting != "full":
+        raise InputError("--execution dynamic takes --setting full: there are no robots in the other one")
+    if way.audit:
+        from roboassembly.audit.object_centric import fcl_module
+
+        fcl_module()
+    return partial(_play, way, _full_player(way) if way.setting == "full" else _object_centric_player(way))
+
+
+def _play(way: Way, own: Callable[[Furniture, int], _Played], furniture: Furniture, seed: int) -> Episode:
+    episode, plan = own(furniture, seed)
+    if plan is not None:
+        episode = replace(episode, step_seconds=tuple(round(s.planning_seconds, 5) for s in plan.steps))
+    if way.audit and plan is not None:
+        episode = replace(episode, violations=_violations(plan))
+    if way.execution == "dynamic" and isinstance(plan, FullPlan) and plan.success:
+        done = in_all(plan, execute_plan(plan))
+        verdict = episode.verdict if done.success else done.ending
+        episode = replace(episode, success=done.success, verdict=verdict, reason=done.reason, executed=asdict(done))
+    return episode
+
+
+def _violations(plan: Plan | FullPlan) -> int:
+    from roboassembly.audit.full import audit_full_plan
+    from roboassembly.audit.object_centric import audit_plan
+
+    report = audit_full_plan(plan) if isinstance(plan, FullPlan) else audit_plan(plan)
+    return sum(report.counts.values())
+
+
+def _full_player(way: Way) -> Callable[[Furniture, int], _Played]:
+    if way.policy != SEARCH:
+        name = way.policy if isinstance(way.policy, str) else way.policy.name
+        raise InputError(f"'{name}' chooses no grasps; --setting full takes --policy {SEARCH}")
+    return _search_full
+
+
+def _search_full(furniture: Furniture, seed: int) -> _Played:
+    try:
+        result = solve_full(furniture, seed)
+    except InputError as error:
+        parts = len(furniture.parts)
+        return Episode(furniture.name, parts, seed, False, 0, REFUSED, 0, 0.0, reason=str(error)), None
+    plan = result.plan
+    episode = Episode(
+        furniture.name, len(furniture.parts), seed, plan.success, len(plan.steps),
+        Verdict.MERGED.value if plan.success else _NO_PLAN, result.planning_steps, result.planning_seconds,
+        actions=tuple(step.action for step in plan.steps), reason=result.reason,
+    )  # fmt: skip
+    return episode, plan
+
+
+def _object_centric_player(way: Way) -> Callable[[Furniture, int], _Played]:
+    policy = way.policy
+    if isinstance(policy, str):
+        if policy in SOLVERS:
+            if way.search:
+                raise InputError(f"'{policy}' cannot guide the search; a policy that values actions would do")
+            return SOLVERS[policy]
+        if policy == RANDOM and not way.search:
+            # Fresh in each episode: what it draws must not depend on what the worker has played before.
+            return lambda furniture, seed: _alone(RandomPolicy(np.random.default_rng([seed, 1])), furniture, seed)
+        try:
+            policy = load_policy(policy)
+        except UnknownNameError:
+            raise UnknownNameError("policy", str(policy), [*SOLVERS, *NAMES, "PATH.npz"]) from None
+    if way.search:
+        return partial(_search, guide=guide_of(policy))
+    return partial(_alone, policy)
+
+
+def play(policy: Policy, furniture: Furniture, seed: int) -> Play:
+    """Let a policy play one episode of the environment, by `reset` and `step` alone."""
+    env = ObjectCentricEnv(furniture, cloud_points=policy.cloud_points)
+    observation, info = env.reset(seed=seed)
+    initial = env.state.part_poses
+    actions: list[tuple[int, ...]] = []
+    merges: list[PlanStep] = []
+    states, planning, thinking, over = 0, 0.0, 0.0, False
+    while not over:
+        begun = time.perf_counter()
+        action = policy.act(observation, info["action_mask"])
+        thinking += time.perf_counter() - begun
+        observation, _, terminated, truncated, info = env.step(action)
+        over = terminated or truncated
+        actions.append(tuple(int(a) for a in action))
+        states += info["planning_steps"]
+        outcome = env.last_outcome
+        if outcome is not None:
+            planning += outcome.planning_seconds
+            merges += [outcome.step] if outcome.step is not None else []
+    plan = Plan(furniture, initial, tuple(merges), bool(info["success"]), seed)
+    return Play(plan, tuple(actions), info["verdict"], states, planning, thinking)
+
+
+def play_episode(policy: Policy, furniture: Furniture, seed: int) -> Episode:
+    """One episode of a policy, your own included."""
+    return player(Way(policy))(furniture, seed)
+
+
+def _alone(policy: Policy, furniture: Furniture, seed: int) -> _Played:
+    done = play(policy, furniture, seed)
+    episode = Episode(
+        furniture.name, len(furniture.parts), seed, done.plan.success, len(done.plan.steps), done.verdict,
+        done.planning_steps, done.planning_seconds, done.policy_seconds, done.actions,
+    )  # fmt: skip
+    return episode, done.plan
+
+
+def _search(furniture: Furniture, seed: int, guide: Guide | None = None) -> _Played:
+    result = solve(furniture, seed, guide=guide)
+    plan = result.plan
+    episode = Episode(
+        furniture.name, len(furniture.parts), seed, plan.success, len(plan.steps),
+        Verdict.MERGED.value if plan.success else _NO_PLAN, result.planning_steps, result.planning_seconds,
+        result.guide_seconds, tuple(step.action for step in plan.steps), reason=result.reason,
+    )  # fmt: skip
+    return episode, plan
+
+
+def _joint(furniture: Furniture, seed: int) -> _Played:
+    result = solve_jointly(furniture, seed)
+    parts, solved = len(furniture.parts), result.status is PlanningStatus.SOLVED
+    verdict = Verdict.MERGED.value if solved else result.status.value
+    merges = (parts - 1) * solved
+    steps, seconds = result.planning_steps, result.planning_seconds
+    return Episode(furniture.name, parts, seed, solved, merges, verdict, steps, seconds), None
+
+
+def _right_pairs(furniture: Furniture, seed: int, best_w: bool) -> _Played:
+    play = probe(ObjectCentricTask(furniture), seed, best_w=best_w, patient=False, budget=Budget())
+    verdict = Verdict.MERGED.value if play.completed else "stuck"
+    episode = Episode(
+        furniture.name, len(furniture.parts), seed, play.completed, play.merges, verdict, play.planning_steps,
+        play.planning_seconds,
+    )  # fmt: skip
+    return episode, None
+
+
+SOLVERS: dict[str, Callable[[Furniture, int], _Played]] = {
+    SEARCH: _search,
+    "joint-rrt": _joint,
+    "right-pairs": partial(_right_pairs, best_w=True),
+    "right-pairs-random-w": partial(_right_pairs, best_w=False),
+}
+"""`search` knows how the furniture comes apart; `joint-rrt` is the paper's baseline; `right-pairs` always takes a right
+pair, in random order, with its best `w` or a random one: what is left to learn once pairs are known."""
+EXPORTABLE = (SEARCH,)
+"""Solvers whose episodes tell their actions."""

@@ -1,0 +1,112 @@
+"""The independent audit of full plans passes what is right and catches what is not."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from roboassembly.audit.full import RobotAuditReport, RobotViolationKind, audit_full_plan
+from roboassembly.task.full_plan import FullPlan
+from roboassembly.task.moments import Leg
+
+pytest.importorskip("fcl")
+
+COARSE = 0.1
+FOLDED = np.array([0.0, -1.7, 0.0, -3.0, 0.0, 0.0, 0.0])
+LOW = np.array([0.81, 1.75, -0.05, -1.51, 1.08, 2.44, -1.4])
+"""Reaches the ground beside the platform."""
+
+
+def with_leg(plan: FullPlan, index: int, change: Callable[[Leg], Leg]) -> FullPlan:
+    legs = list(plan.steps[0].legs)
+    legs[index] = change(legs[index])
+    step = replace(plan.steps[0], legs=tuple(legs))
+    return replace(plan, steps=(step,))
+
+
+def by_way_of(q: np.ndarray) -> Callable[[Leg], Leg]:
+    return lambda leg: replace(leg, path=(leg.path[0], q, leg.path[-1]))
+
+
+def kinds(report: RobotAuditReport) -> set[RobotViolationKind]:
+    assert not report.passed
+    assert sum(report.counts.values()) >= len(report.first) > 0
+    assert all(kind.value in report.summary() for kind in report.counts)
+    return set(report.counts)
+
+
+def test_a_right_plan_passes(two_merges: FullPlan) -> None:
+    report = audit_full_plan(two_merges, COARSE)
+    assert report.passed, report.summary()
+    assert report.legs == sum(len(step.legs) for step in two_merges.steps)
+    finer = audit_full_plan(replace(two_merges, steps=two_merges.steps[:1]), 0.5 * COARSE)
+    half = audit_full_plan(replace(two_merges, steps=two_merges.steps[:1]), COARSE)
+    assert 1.8 * half.states < finer.states < 2.1 * half.states
+
+
+def test_driving_through_a_post(two_merges: FullPlan) -> None:
+    standing = two_merges.steps[0].legs[0].moment.standing[-1]
+    q = np.array([*standing.stand.top[:2], 0.0, *two_merges.initial.moment.robots[0].at[3:]])
+    report = audit_full_plan(with_leg(two_merges, 0, by_way_of(q)), COARSE)
+    assert RobotViolationKind.PENETRATION in kinds(report)
+    assert any("platform in" in v.what and "post" in v.what for v in report.first)
+
+
+def test_driving_through_the_other_robot(two_merges: FullPlan) -> None:
+    leg = two_merges.steps[0].legs[0]
+    report = audit_full_plan(with_leg(two_merges, 0, by_way_of(leg.moment.robots[1 - leg.robot].at)), COARSE)
+    assert any("the other's platform" in v.what for v in report.first)
+
+
+def test_an_arm_through_itself_through_the_ground_and_past_its_limit(two_merges: FullPlan) -> None:
+    start = two_merges.initial.moment.robots[two_merges.steps[0].legs[0].robot].at
+    for arm, kind in (
+        (FOLDED, RobotViolationKind.OWN_PENETRATION),
+        (LOW, RobotViolationKind.GROUND),
+        (np.array([*start[3:9], 3.0]), RobotViolationKind.JOINT_LIMIT),
+    ):
+        bad = with_leg(two_merges, 0, by_way_of(np.array([*start[:3], *arm])))
+        assert kind in kinds(audit_full_plan(bad, COARSE))
+
+
+def test_what_is_held_through_another_part(two_merges: FullPlan) -> None:
+    """Without the way that avoids it, the mating hand comes out of v's group sideways."""
+    legs = two_merges.steps[0].legs
+    mate = next(i for i, leg in enumerate(legs) if leg.name == "mate")
+
+    def shifted(leg: Leg) -> Leg:
+        off = np.zeros(10)
+        off[:2] = 0.03
+        return replace(leg, path=(*leg.path[:-1], leg.path[-1] + off, leg.path[-1] - off, leg.path[-1]))
+
+    report = audit_full_plan(with_leg(two_merges, mate, shifted), 0.002)
+    assert RobotViolationKind.PENETRATION in kinds(report)
+    assert any(v.leg == "mate" and "what the other holds" in v.what for v in report.first)
+
+
+def test_jumps(two_merges: FullPlan) -> None:
+    report = audit_full_plan(
+        with_leg(two_merges, 1, lambda leg: replace(leg, path=(leg.path[0] + 1e-3, *leg.path[1:]))), COARSE
+    )
+    assert kinds(report) == {RobotViolationKind.JUMP}
+    moment = two_merges.steps[0].legs[2].moment
+    standing = moment.standing[0]
+    away = standing.group.world_from_furniture.copy()
+    away.translation = away.translation + np.array([0.0, 0.0, 0.001])
+    moved = replace(standing, group=standing.group.moved_to(away))
+    report = audit_full_plan(
+        with_leg(
+            two_merges, 2, lambda leg: replace(leg, moment=replace(moment, standing=(moved, *moment.standing[1:])))
+        ),
+        COARSE,
+    )
+    assert RobotViolationKind.JUMP in kinds(report)
+    assert any(v.what.startswith("part ") for v in report.first)
+
+
+def test_what_is_not_assembled(two_merges: FullPlan) -> None:
+    report = audit_full_plan(replace(two_merges, success=True), 1.0)
+    assert report.counts == {RobotViolationKind.NOT_ASSEMBLED: 1}
