@@ -16,7 +16,7 @@ from roboassembly.errors import InputError, MissingExtraError, RoboAssemblyError
 from roboassembly.furniture import catalogue, storage
 from roboassembly.furniture.datasets import Entry, Pick, furniture_hash, pick
 from roboassembly.furniture.model import Furniture
-from roboassembly.learning.evaluate import Evaluation, episode_seed, evaluate, success
+from roboassembly.learning.evaluate import Evaluation, episode_seed, evaluate, sampled, success
 from roboassembly.learning.export import check_target, export
 from roboassembly.learning.players import SOLVERS, Episode, Way, play_episode, player
 from roboassembly.solvers.search import solve
