@@ -7,6 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from roboassembly.errors import InputError
 from roboassembly.furniture.model import Furniture
 from roboassembly.planning.problem import Budget
 from roboassembly.poses import rotation_angle
@@ -17,7 +18,7 @@ from roboassembly.solvers.search import SearchLimits, solve_full
 from roboassembly.task.full import FullOutcome, FullTask, FullVerdict, Joint
 from roboassembly.task.full_plan import FullState
 from roboassembly.task.moments import Leg
-from shapes import RobotChecker
+from shapes import GAP, RobotChecker, brick, furniture, pose
 
 LEGS = [
     "drive to u", "approach u", "lift u", "drive to v", "approach v", "lift v", "drive", "drive", "mate",
@@ -212,3 +213,16 @@ def test_the_search_assembles_a_stool_with_two_robots(stool: Furniture) -> None:
     gone = solve_full(stool, 0, limits=SearchLimits(attempts=2))
     assert not gone.plan.success
     assert "limits reached after 2 merges tried" in gone.reason
+
+
+def test_a_part_that_hands_can_never_join_is_refused(task: FullTask) -> None:
+    """A cushion on a seat: whatever holds it has a finger between the two."""
+    assert task.unjoinable is None
+    lower, upper = brick(0.4, 0.3, 0.02), brick(0.3, 0.2, 0.05).transformed(pose(z=0.035 + GAP))
+    hopeless = FullTask(furniture("pad on a board", {"board": lower, "pad": upper}))
+    assert all(part.grasps for part in hopeless.furniture.parts)
+    with pytest.raises(InputError, match=r"no hand can hold part '(pad|board)' where it is joined to another part"):
+        hopeless.initial_state(np.random.default_rng(0))
+    # A pad that stands out over the edge can be held there.
+    over = upper.transformed(pose(x=0.15))
+    assert FullTask(furniture("pad over an edge", {"board": lower, "pad": over})).unjoinable is None

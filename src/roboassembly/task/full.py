@@ -6,14 +6,16 @@ Everything here is a pure function of state, action and seed; the environment an
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from functools import cached_property
 from itertools import chain, islice
 
 import numpy as np
 from jaxtyping import Float
 
+from roboassembly.errors import InputError
 from roboassembly.furniture.model import Furniture
 from roboassembly.planning.problem import Budget
 from roboassembly.poses import SE3
@@ -97,12 +99,46 @@ class FullTask:
         """All parts on posts, both robots in the middle of the ring.
 
         Raises:
-            InputError: the furniture does not suit the cell.
+            InputError: the furniture does not suit the cell, or hands cannot join a part to any other.
         """
         cell, groups, stands = laid_out(self.furniture, rng)
+        if self.unjoinable is not None:
+            raise InputError(
+                f"{self.furniture.name}: no hand can hold part '{self.furniture.parts[self.unjoinable].name}' where it "
+                "is joined to another part; two opposite sides must stay free there"
+            )
         a, b = (Robot(np.array([_APART * side, 0.0, rng.uniform(-np.pi, np.pi), *TUCKED]), 0.0) for side in (-1.0, 1.0))
         standing = tuple(Standing(g, s) for g, s in zip(groups, stands, strict=True))
         return FullState(TaskState(groups), Moment(standing, (a, b)), cell)
+
+    @cached_property
+    def unjoinable(self) -> int | None:
+        """A part that two hands cannot join to any of its neighbours, even with nothing else around; None if there is
+        none. With more around it they cannot either, so that nobody needs to try."""
+        alone = tuple(Group((i,), (i,), (pose,), SE3.Identity()) for i, pose in enumerate(self.furniture.assembled))
+        takes = [_Takes(self.furniture, group) for group in alone]
+        joined: set[int] = set()
+        for c in self.furniture.connections:
+            if {c.part_a, c.part_b} <= joined:
+                continue
+            a, b = (c.part_a, c.point_a), (c.part_b, c.point_b)
+            if self._hands_join(alone, takes, a, b) or self._hands_join(alone, takes, b, a):
+                joined |= {c.part_a, c.part_b}
+        return next((p for p in range(len(alone)) if p not in joined), None)
+
+    def _hands_join(self, alone: Sequence[Group], takes: Sequence[_Takes], a: _End, b: _End) -> bool:
+        (u, k), (v, m) = a, b
+        merge = self.rules.pairs.judge(alone[u], alone[v], u, k, v, m)
+        if merge is None:
+            return False
+        # In an order that tries unlike grasps early.
+        for index in np.random.default_rng(0).permutation(GRASPS**2).tolist():
+            hold_a, hold_b = takes[u][index // GRASPS], takes[v][index % GRASPS]
+            if hold_a is None or hold_b is None:
+                continue
+            if isinstance(self.fitted(alone[u], alone[v], merge, hold_a, hold_b), Joint):
+                return True
+        return False
 
     def exists(self, state: FullState, action: tuple[int, ...]) -> bool:
         """Whether the action names free points of two parts in different groups, and grasps that these parts have."""
@@ -124,8 +160,8 @@ class FullTask:
     def free_holds(self, state: TaskState, part: int) -> dict[int, Hold]:
         """Grasps of a part that the rest of its group leaves free, and how the hand holds it then."""
         group = state.groups[state.group_of[part]]
-        holds = [(g, hold(self.furniture, group, part, g)) for g in range(GRASPS)]
-        return {g: held for g, held in holds if held is not None and can_take(self.furniture, group, held)}
+        holds = [(g, _taken(self.furniture, group, part, g)) for g in range(GRASPS)]
+        return {g: held for g, held in holds if held is not None}
 
     def merge(self, state: TaskState, pair: tuple[int, int, int, int]) -> Merge | None:
         """What the pair `(u, v, k, l)` makes; None if it is wrong."""
@@ -170,10 +206,11 @@ class FullTask:
         merge = self.merge(state, (u, v, k, l))
         if merge is None:
             return Refusal(FullVerdict.WRONG_PAIR, "")
-        hold_a, hold_b = hold(furniture, one, u, g_a), hold(furniture, two, v, g_b)
-        if hold_a is None or not can_take(furniture, one, hold_a):
+        hold_a = _taken(furniture, one, u, g_a)
+        if hold_a is None:
             return Refusal(FullVerdict.GRASP_BLOCKED, "grasp u")
-        if hold_b is None or not can_take(furniture, two, hold_b):
+        hold_b = _taken(furniture, two, v, g_b)
+        if hold_b is None:
             return Refusal(FullVerdict.GRASP_BLOCKED, "grasp v")
         return self.fitted(one, two, merge, hold_a, hold_b)
 
@@ -217,6 +254,29 @@ class Refusal:
 
     verdict: FullVerdict
     leg: str
+
+
+_End = tuple[int, int]
+"""Part and point."""
+
+
+class _Takes:
+    """How a hand takes a part that is alone, each grasp looked at when it is asked for."""
+
+    def __init__(self, furniture: Furniture, group: Group) -> None:
+        self._furniture, self._group = furniture, group
+        self._known: dict[int, Hold | None] = {}
+
+    def __getitem__(self, grasp: int) -> Hold | None:
+        if grasp not in self._known:
+            self._known[grasp] = _taken(self._furniture, self._group, self._group.parts[0], grasp)
+        return self._known[grasp]
+
+
+def _taken(furniture: Furniture, group: Group, part: int, grasp: int) -> Hold | None:
+    """How the hand holds the part; None if it has no such grasp or the rest of its group is in the way."""
+    held = hold(furniture, group, part, grasp)
+    return held if held is not None and can_take(furniture, group, held) else None
 
 
 def _reframed(group: Group, by: SE3) -> Group:
