@@ -1,9 +1,11 @@
 """Draws the pictures of the README: `.venv/bin/python docs/pictures.py`."""
 
+import tempfile
 from pathlib import Path
 
 import imageio.v3 as iio
 import numpy as np
+from PIL import Image
 
 from roboassembly.furniture import catalogue
 from roboassembly.furniture.generate import CHAIRS, FAMILIES
@@ -12,8 +14,9 @@ from roboassembly.gripper import hand_bodies, hand_pose
 from roboassembly.poses import SE3
 from roboassembly.solvers.search import solve, solve_full
 from roboassembly.viewer.colors import WOOD
-from roboassembly.viewer.film import render_contact_sheet, write_storyboard
+from roboassembly.viewer.film import render_contact_sheet, write_film, write_storyboard
 from roboassembly.viewer.framing import box_corners, fit
+from roboassembly.viewer.playing import AnyPlan
 from roboassembly.viewer.stage import Stage
 
 IMAGES = Path(__file__).parent / "images"
@@ -49,10 +52,20 @@ def write_grasps(name: str, path: Path, columns: int, size: int) -> None:
     iio.imwrite(path, np.concatenate(rows))
 
 
+def write_loop(plan: AnyPlan, path: Path, *, width: int, height: int, fps: int) -> None:
+    """The film of a plan as an animated WebP, which pages show where they are read."""
+    with tempfile.TemporaryDirectory() as folder:
+        film = Path(folder) / "film.mp4"
+        write_film(plan, film, width=width, height=height, fps=fps)
+        frames = [Image.fromarray(frame) for frame in iio.imiter(film, plugin="FFMPEG")]
+    frames[0].save(path, save_all=True, append_images=frames[1:], duration=1000 // fps, loop=0, quality=40, method=4)
+
+
 write_grasps("ladder", IMAGES / "grasps.png", columns=5, size=200)
 write_storyboard(solve(catalogue.make("ladder"), 0).plan, IMAGES / "storyboard.png", columns=4, width=360, height=240)
 two_robots = solve_full(catalogue.make("stool"), 0).plan
 write_storyboard(two_robots, IMAGES / "two_robots.png", columns=5, width=320, height=240)
+write_loop(two_robots, IMAGES / "two_robots.webp", width=480, height=320, fps=8)
 render_contact_sheet([catalogue.make(f) for f in FAMILIES], IMAGES / "families.png", columns=7, size=200)
 sixty = [catalogue.make(list(CHAIRS)[i % len(CHAIRS)], 1 + i // len(CHAIRS)) for i in range(60)]
 render_contact_sheet(sixty, IMAGES / "sixty.png", columns=10, size=140, names=[""] * 60)
