@@ -8,7 +8,7 @@ import pytest
 
 from roboassembly.gripper import TIPS, panda_folder
 from roboassembly.poses import SE3, rotation_angle
-from roboassembly.robots.body import links, placed, world_from_tips
+from roboassembly.robots.body import links, placed, tip_positions, world_from_tips
 from roboassembly.robots.kinematics import Poses, arm, rotation_vectors
 from roboassembly.robots.platform import CLEARANCE, HEIGHT, PLATFORM_FROM_MOUNT
 from roboassembly.robots.reach import reach
@@ -122,3 +122,10 @@ def test_the_pads_are_as_far_apart_as_told_and_the_tips_between_them(rng: np.ran
 def _in(frame: SE3, pose: SE3, points: np.ndarray) -> np.ndarray:
     local = frame.actInv(pose)
     return points @ local.rotation.T + local.translation
+
+
+def test_tip_positions_are_those_of_one_after_the_other() -> None:
+    rng = np.random.default_rng(5)
+    q = np.concatenate([rng.uniform(-2.0, 2.0, (20, 3)), rng.uniform(arm().low, arm().high, (20, 7))], axis=1)
+    one_by_one = np.array([world_from_tips(c).translation for c in q])
+    assert np.allclose(tip_positions(q), one_by_one, atol=1e-12)

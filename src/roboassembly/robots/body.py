@@ -79,6 +79,16 @@ def world_from_platform(configuration: Float[np.ndarray, "10"]) -> SE3:
     return SE3(turn_about_vertical(angle), np.array([x, y, 0.0]))
 
 
+def tip_positions(configurations: Float[np.ndarray, "n 10"]) -> Float[np.ndarray, "n 3"]:
+    """Where the finger tips are, of many."""
+    local = arm().poses(configurations[:, 3:]).translation + PLATFORM_FROM_MOUNT.translation
+    cosine, sine = np.cos(configurations[:, 2]), np.sin(configurations[:, 2])
+    x, y, z = local.T
+    return np.stack(
+        [configurations[:, 0] + cosine * x - sine * y, configurations[:, 1] + sine * x + cosine * y, z], axis=1
+    )
+
+
 def world_from_tips(configuration: Float[np.ndarray, "10"]) -> SE3:
     """Where the finger tips are."""
     tips = arm().poses(configuration[None, 3:])

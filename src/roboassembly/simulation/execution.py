@@ -21,7 +21,7 @@ from jaxtyping import Float
 from roboassembly.gripper import MAX_OPENING, hand_bodies, panda_folder
 from roboassembly.meshes import Mesh
 from roboassembly.poses import SE3, from_quaternion
-from roboassembly.robots.body import world_from_tips
+from roboassembly.robots.body import tip_positions
 from roboassembly.robots.kinematics import JOINTS, arm
 from roboassembly.robots.platform import HEIGHT, LENGTH, PLATFORM_FROM_MOUNT, WIDTH
 from roboassembly.simulation.model import rotation_to_quaternion
@@ -143,6 +143,10 @@ class StepPhysics:
         link = self._links[robot]
         return from_quaternion(self.data.xpos[link], self.data.xquat[link]) * SE3(*arm().tips)
 
+    def _tip_position(self, robot: int) -> Float[np.ndarray, "3"]:
+        link = self._links[robot]
+        return self.data.xpos[link] + self.data.xmat[link].reshape(3, 3) @ arm().tips[1]
+
     def _open(self, robot: int, opening: float) -> None:
         first = self._controls(robot).stop
         self.data.ctrl[first : first + 2] = 0.5 * opening
@@ -164,19 +168,24 @@ class StepPhysics:
 
     def follow(self, robot: int, path: Sequence[Float[np.ndarray, "10"]], slower: float = 1.0) -> None:
         """Move one robot along a path, at its own pace; the other one holds still."""
+        wanted: list[np.ndarray] = []
+        got: list[np.ndarray] = []
+
+        def sample(q: Float[np.ndarray, "10"]) -> None:
+            wanted.append(q)
+            got.append(self._tip_position(robot))
+            self.log.samples.append(self.configuration(robot))
+
         for q, velocity in paced(path, slower):
             self.data.ctrl[self._controls(robot)] = q + velocity * _lag()
             self._step()
-            self._sample(robot, q)
+            sample(q)
         for _ in range(round(0.1 / TIME_STEP)):
             self.data.ctrl[self._controls(robot)] = path[-1]
             self._step()
-        self._sample(robot, path[-1])
-
-    def _sample(self, robot: int, q: Float[np.ndarray, "10"]) -> None:
-        off = self.tips(robot).translation - world_from_tips(q).translation
-        self.log.tracking.append(float(np.linalg.norm(off)))
-        self.log.samples.append(self.configuration(robot))
+        sample(path[-1])
+        off = np.array(got) - tip_positions(np.array(wanted))
+        self.log.tracking += np.linalg.norm(off, axis=1).tolist()
 
     def _step(self) -> None:
         """One time step, with the torques that carry what each hand holds."""
