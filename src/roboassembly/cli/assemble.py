@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from roboassembly.task.full_plan import FullPlan
 
 NO_POLICY = "none"
-DEFAULT_POLICY = NO_POLICY
-"""What `assemble` is guided by unless told otherwise."""
+GUIDES = {"object-centric": "relational", "full": NO_POLICY}
+"""What the search is guided by in each setting unless told otherwise."""
 
 
 @dataclass(frozen=True)
@@ -39,8 +39,9 @@ class Assemble:
     """Where the parts lie at first, and what the planner draws."""
     out: Path = Path("assembly")
     """Folder for plan.json, timings.json, assembly.html, assembly.mp4 and the furniture itself."""
-    policy: str = DEFAULT_POLICY
-    """What guides the search: `relational`, the path of a checkpoint, or `none`."""
+    policy: str | None = None
+    """What guides the search: `relational` (that of the package), the path of a checkpoint, or `none`. If not given,
+    `relational` guides it in the object-centric setting, and nothing in the full one."""
     search: bool = True
     """Take back what leads nowhere; without it the policy plays alone, and its first failure ends it."""
     film: bool = True
@@ -48,14 +49,19 @@ class Assemble:
     json: bool = False
     """Print one JSON object on stdout, all else on stderr."""
 
+    @property
+    def guide(self) -> str:
+        """The policy's name, given or not."""
+        return GUIDES[self.setting] if self.policy is None else self.policy
+
     def run(self) -> int:
         """Do it; returns the exit status."""
         if self.seed < 0:
             raise InputError(f"--seed {self.seed} is negative; 0 or more would do")
-        if not self.search and self.policy == NO_POLICY:
+        if not self.search and self.guide == NO_POLICY:
             raise InputError("--no-search needs a --policy to play alone; 'relational' would do")
-        if self.setting == "full" and self.policy != NO_POLICY:
-            raise InputError(f"--policy {self.policy} chooses no grasps; --setting full takes --policy none")
+        if self.setting == "full" and self.guide != NO_POLICY:
+            raise InputError(f"--policy {self.guide} chooses no grasps; --setting full takes --policy none")
         if self.execution == "dynamic" and self.setting != "full":
             raise InputError("--execution dynamic takes --setting full: there are no robots in the other one")
         from roboassembly.furniture import catalogue
@@ -81,7 +87,7 @@ class Assemble:
             "setting": self.setting,
             "furniture": furniture.name,
             "parts": len(furniture.parts),
-            "policy": self.policy,
+            "policy": self.guide,
             "merges": len(result.plan.steps),
             "guided_merges": result.guided,
             "planning_steps": result.planning_steps,
@@ -105,19 +111,19 @@ class Assemble:
 
         if self.setting == "full":
             return partial(solve_full, seed=self.seed)
-        if self.policy == NO_POLICY:
+        if self.guide == NO_POLICY:
             return partial(solve, seed=self.seed)
         from roboassembly.learning.loading import load_policy
         from roboassembly.learning.policies import guide_of
 
-        policy = load_policy(self.policy, self.seed)
+        policy = load_policy(self.guide, self.seed)
         if self.search:
             return partial(solve, seed=self.seed, guide=guide_of(policy))
         from roboassembly.learning.players import play
 
         def alone(furniture: Furniture) -> SearchResult[Any]:
             done = play(policy, furniture, self.seed)
-            failed = f"{self.policy} alone: merge {len(done.actions)} ended as {done.verdict}"
+            failed = f"{self.guide} alone: merge {len(done.actions)} ended as {done.verdict}"
             return SearchResult(
                 plan=done.plan,
                 planning_steps=done.planning_steps,
@@ -145,7 +151,7 @@ class Assemble:
         return asdict(done)
 
     def _told(self, result: SearchResult[Any]) -> str:
-        return "" if self.policy == NO_POLICY else f", {result.guided} of them chosen by {self.policy}"
+        return "" if self.guide == NO_POLICY else f", {result.guided} of them chosen by {self.guide}"
 
     def _write(self, result: SearchResult[Any], solved: float) -> dict[str, str]:
         from roboassembly.furniture import storage

@@ -29,7 +29,8 @@ class Multitask:
     """One policy for all chairs, by imitation; stopped at any moment, the same command goes on where it was."""
 
     preset: Literal["relational", "paper"] = "relational"
-    """`relational`: lessons of the oracle, and rounds of its own plays corrected. `paper`: Q-values of `--lessons`."""
+    """`relational`: lessons of the oracle, then `--rounds` of its own plays corrected. `paper`: Q-values of
+    `--lessons`."""
     set: Annotated[str, tyro.conf.arg(name="set")] = "chairs-412:train"
     """Generated chairs to teach, `NAME:SPLIT` (relational)."""
     out: Path = Path("runs/multitask")
@@ -40,7 +41,7 @@ class Multitask:
     """Generated pieces besides: chairs of the same families, and others to practise on (relational)."""
     plays: int = 1
     """Of each piece in each round (relational)."""
-    rounds: int = 1
+    rounds: int = 0
     """Of the policy's own plays (relational)."""
     steps: int | None = None
     """Updates: 16,000 (relational, in the first round), 20,000 (paper)."""

@@ -44,8 +44,8 @@ class Curriculum:
     """Pieces of neither on which progress is told."""
     plays: int = 1
     """Of each piece, in each round."""
-    rounds: int = 1
-    """Of aggregation."""
+    rounds: int = 0
+    """Of aggregation, after the first."""
     steps: int = 16_000
     """Updates in the first round."""
     round_steps: int = 8_000

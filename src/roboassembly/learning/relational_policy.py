@@ -31,7 +31,7 @@ class RelationalPolicy:
     cloud_points: int = CLOUD_POINTS
     views: int = 1
     """Ways in which each state is looked at, up to eight: more are surer and take longer."""
-    ahead: int = 0
+    ahead: int = 4
     """Plans that it follows in imagination, side by side; none below two."""
     depth: int = 1
     """Merges that it imagines of each."""
