@@ -26,7 +26,7 @@ from roboassembly.task.object_centric import ObjectCentricTask, Verdict
 from roboassembly.task.plan import Plan, PlanStep
 
 SettingName = Literal["object-centric", "full"]
-Execution = Literal["kinematic", "dynamic"]
+ExecutionName = Literal["kinematic", "dynamic"]
 SEARCH = "search"
 REFUSED = "refused"
 """Verdict on furniture that does not suit the cell."""
@@ -76,7 +76,7 @@ class Way:
     search: bool = False
     """The policy guides the search; else it plays alone."""
     setting: SettingName = "object-centric"
-    execution: Execution = "kinematic"
+    execution: ExecutionName = "kinematic"
     """`dynamic`: what is planned in the full setting is carried out in physics besides, and has to succeed there."""
     audit: bool = False
     """Replay every plan with python-fcl."""
