@@ -55,3 +55,27 @@ def test_nothing_solved_and_nothing_timed() -> None:
     totals, _, _, _, line = tables.table({"items": [item]}, {"per_furniture": []})
     assert totals == "1 of 1 imported, 0 of them assembled"
     assert line == "| a | 2 | 1 | 0.0 | 0.0 | from the cache | not tried |  |  | x, y |"
+
+
+def test_assemblies_by_robots() -> None:
+    blank = {"furniture": "a|b", "parts": 3, "success": False, "verdict": "refused", "reason": "too large",
+             "planning_seconds": 0.0, "step_seconds": [], "executed": None, "violations": None}  # fmt: skip
+    done = {"success": True, "simulated_seconds": 81.3, "tracking_error_mm": 1.25, "joint_error_mm": 0.54, "reason": ""}
+    good = {**blank, "furniture": "c", "success": True, "verdict": "merged", "planning_seconds": 3.04,
+            "step_seconds": [0.5, 1.5, 0.7], "executed": done, "violations": 0}  # fmt: skip
+    strayed = {**good, "success": False, "violations": 2,
+               "executed": {**done, "success": False, "reason": "merge 2: off_the_path in 'mate'"}}  # fmt: skip
+    report = {"execution": "dynamic", "merge_seconds_median": 0.7, "per_furniture": [blank, good, strayed]}
+    totals, _, _, _, *rows = tables.full_table(report)
+    assert totals == (
+        "2 of 3 planned, 1 of them carried out, planning median 3.0 s a piece, 0.70 s a merge, "
+        "2 violations found by the audit"
+    )
+    assert rows[0] == "| a/b | 3 | refused: too large |  |  |  |  |  |  |  |"
+    assert rows[1] == "| c | 3 | yes | 3.0 | 0.70 | yes | 81 | 1.2 | 0.5 | nothing |"
+    assert "off_the_path in 'mate'" in rows[2]
+    assert rows[2].endswith("2 violations |")
+    kinematic = {**report, "execution": "kinematic", "per_furniture": [{**good, "executed": None, "violations": None}]}
+    totals, _, _, _, row = tables.full_table(kinematic)
+    assert totals == "1 of 1 planned, planning median 3.0 s a piece, 0.70 s a merge"
+    assert row == "| c | 3 | yes | 3.0 | 0.70 |  |  |  |  |  |"
