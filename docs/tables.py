@@ -10,8 +10,8 @@ In a folder with the unpacked samples, for one archive after another:
     done
 
 Part of a source, like `ikea_manuals_at_work/parts/Chair`, makes part of a table. `--no-cache`, because the seconds that
-a look-up takes are not those of the import. One file, of `roboassembly evaluate --setting full --json`, makes a table of
-assemblies by robots.
+a look-up takes are not those of the import. One file, of `roboassembly evaluate --setting full --json`, makes a table
+of assemblies by robots.
 """
 
 import json
