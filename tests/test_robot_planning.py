@@ -10,7 +10,7 @@ import pytest
 
 from roboassembly.furniture import catalogue
 from roboassembly.planning.problem import Budget
-from roboassembly.planning.robot_path import Floor, connect, line, path_is_free
+from roboassembly.planning.robot_path import Floor, connect, line, path_is_free, turned_on
 from roboassembly.planning.robot_world import RobotWorld
 from roboassembly.poses import SE3, rotation_angle
 from roboassembly.robots.body import DOF, placed, world_from_tips
@@ -55,6 +55,16 @@ def test_free_means_what_fcl_finds_free(around: list[Body], held: tuple[Shape, .
     # What the robot does to itself aside, both say the same.
     assert (~free & alone == hits & alone).all()
     assert 5 < (hits & alone).sum() < 145
+
+
+def test_a_path_counts_on_from_where_the_robot_is_and_keeps_its_long_turns() -> None:
+    angles = np.array([0.2, 3.6, 7.0, 4.0])
+    path = [np.eye(10)[2] * a for a in angles]
+    for turns in (-3, 0, 2):
+        before = np.eye(10)[2] * (0.2 + 2.0 * np.pi * turns)
+        moved = np.array(turned_on(path, before))
+        assert np.allclose(moved[0], before)
+        assert np.allclose(np.diff(moved[:, 2]), np.diff(angles))
 
 
 def test_the_robot_may_not_fold_into_itself() -> None:

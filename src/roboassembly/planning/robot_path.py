@@ -112,6 +112,15 @@ def nearest_turn(q: Configuration, to: Configuration) -> Configuration:
     return out
 
 
+def turned_on(path: Sequence[Configuration], before: Configuration) -> Path:
+    """The same path with the platform's angle counted on from a configuration where it begins.
+
+    All of it is shifted by the same whole turns: an edge of more than half a turn was planned the long way round.
+    """
+    shift = nearest_turn(path[0], before) - path[0]
+    return tuple(q + shift for q in path)
+
+
 def line(start: Configuration, offset: Float[np.ndarray, "3"], *, drive: bool = True) -> Path | None:
     """Way-points along which the hand goes straight, without turning; None if the arm cannot.
 

@@ -8,6 +8,7 @@ from itertools import product
 import numpy as np
 
 from roboassembly.furniture.model import Furniture
+from roboassembly.poses import SE3
 from roboassembly.solvers.disassembly import Disassembly, Parts
 from roboassembly.task.full import FullTask, Joint
 from roboassembly.task.full_plan import FullState
@@ -95,12 +96,29 @@ def _fitting(task: FullTask, state: TaskState, pairs: list[tuple[End, End]]) -> 
     takes = {part: task.free_holds(state, part) for part in {end[0] for pair in pairs for end in pair}}
     tries = [(one, two, g_a, g_b) for one, two in pairs for g_a, g_b in product(takes[one[0]], takes[two[0]])]
     merges = {(one, two): task.merge(state, (one[0], two[0], one[1], two[1])) for one, two in pairs}
+    alone: dict[tuple[object, ...], bool] = {}
+
+    def hand_fits(pair: tuple[End, End], robot: int, grasp: int) -> bool:
+        merge, part = merges[pair], pair[robot][0]
+        if merge is None:
+            return False
+        # Most pairs of two groups make the same merge.
+        key = (robot, part, grasp, _told(merge.furniture_from_u), _told(merge.furniture_from_v))
+        if key not in alone:
+            u_group, v_group = (state.groups[state.group_of[end[0]]] for end in pair)
+            alone[key] = task.fits_alone(u_group, v_group, merge, takes[part][grasp], robot)
+        return alone[key]
+
     for index in np.random.default_rng(0).permutation(len(tries)):
         one, two, g_a, g_b = tries[index]
         (u, k), (v, m) = one, two
         u_group, v_group = (state.groups[state.group_of[part]] for part in (u, v))
         merge = merges[one, two]
-        if merge is None:
+        if merge is None or not (hand_fits((one, two), 0, g_a) and hand_fits((one, two), 1, g_b)):
             continue
         if isinstance(task.fitted(u_group, v_group, merge, takes[u][g_a], takes[v][g_b]), Joint):
             yield u, v, k, m, g_a, g_b
+
+
+def _told(pose: SE3) -> bytes:
+    return (np.round(pose.homogeneous, 6) + 0.0).tobytes()

@@ -214,16 +214,33 @@ class FullTask:
             return Refusal(FullVerdict.GRASP_BLOCKED, "grasp v")
         return self.fitted(one, two, merge, hold_a, hold_b)
 
+    def fits_alone(self, one: Group, two: Group, merge: Merge, held: Hold, robot: int) -> bool:
+        """Whether one hand suits a joint as long as the other is not there: what `fitted` needs of each.
+
+        Args:
+            one: u's group.
+            two: v's group.
+            merge: of them.
+            held: how the hand holds its group.
+            robot: 0 if it is R_a's and holds u's group, else 1.
+        """
+        hands = (held, None) if robot == 0 else (None, held)
+        if not self._ways(one, two, merge, *hands):
+            return False
+        return robot == 1 or can_let_go(self.furniture, merge.merged, held.moved(merge.furniture_from_u))
+
+    def _ways(self, one: Group, two: Group, merge: Merge, hold_a: Hold | None, hold_b: Hold | None) -> list[Way]:
+        u_placed, v_placed = one.moved_to(merge.furniture_from_u), two.moved_to(merge.furniture_from_v)
+        directions = _distinct(self.rules.retreats(one, two, merge.merged, np.eye(3)))
+        return ways_out(self.furniture, u_placed, v_placed, hold_a, hold_b, directions) or []
+
     def fitted(self, one: Group, two: Group, merge: Merge, hold_a: Hold, hold_b: Hold) -> Joint | Refusal:
         """Of the cheap tests those at the joint, for a right pair and hands that can take their groups."""
-        furniture = self.furniture
-        u_placed, v_placed = one.moved_to(merge.furniture_from_u), two.moved_to(merge.furniture_from_v)
-        directions = self.rules.retreats(one, two, merge.merged, np.eye(3))
-        ways = ways_out(furniture, u_placed, v_placed, hold_a, hold_b, _distinct(directions))
+        ways = self._ways(one, two, merge, hold_a, hold_b)
         if not ways:
             return Refusal(FullVerdict.JOINT_BLOCKED, "mate")
         in_b = hold_b.moved(merge.furniture_from_v)
-        if not can_let_go(furniture, merge.merged, hold_a.moved(merge.furniture_from_u), in_b.hand(hold_b.closed)):
+        if not can_let_go(self.furniture, merge.merged, hold_a.moved(merge.furniture_from_u), in_b.hand(hold_b.closed)):
             return Refusal(FullVerdict.CANNOT_LET_GO, "back off from u")
         return Joint(merge, one, two, hold_a, hold_b, tuple(ways))
 

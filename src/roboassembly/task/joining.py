@@ -101,23 +101,21 @@ def ways_out(
     furniture: Furniture,
     u_group: Group,
     v_group: Group,
-    hold_u: Hold,
-    hold_v: Hold,
+    hold_u: Hold | None,
+    hold_v: Hold | None,
     directions: Sequence[Float[np.ndarray, "3"]],
 ) -> list[Way] | None:
-    """Straight ways along which u's group leaves v's, both in the merged group's frame and both held.
+    """Straight ways along which u's group leaves v's, both in the merged group's frame and held, if a hold is given.
 
     None if they, or the hands, are in each other's way where they are joined.
     """
     moving = Body(
         "moving",
-        (*body(furniture, u_group, "u").shapes, *_in(hold_u, hold_u.closed)),
+        (*body(furniture, u_group, "u").shapes, *_closed(hold_u)),
         u_group.world_from_furniture,
         True,
     )
-    still = Body(
-        "still", (*body(furniture, v_group, "v").shapes, *_in(hold_v, hold_v.closed)), v_group.world_from_furniture
-    )
+    still = Body("still", (*body(furniture, v_group, "v").shapes, *_closed(hold_v)), v_group.world_from_furniture)
     world = CollisionWorld(Scene((moving, still), ground=False))
     goal = moving.pose
     if not world.is_free(goal):
@@ -133,10 +131,13 @@ def ways_out(
     return sorted(out, key=lambda way: -min(way.length, _AMPLE))
 
 
-def can_let_go(furniture: Furniture, merged: Group, held: Hold, other: Body) -> bool:
-    """Whether the hand, open again, backs out of the merged group and past the other hand."""
-    return _comes(held, [body(furniture, merged, "merged"), other])
+def can_let_go(furniture: Furniture, merged: Group, held: Hold, *others: Body) -> bool:
+    """Whether the hand, open again, backs out of the merged group and past others, such as the other hand."""
+    return _comes(held, [body(furniture, merged, "merged"), *others])
 
 
-def _in(held: Hold, opening: float) -> tuple[Shape, ...]:
-    return tuple(Shape(s.mesh, held.furniture_from_tips * s.body_from_mesh, s.convex) for s in hand_shapes(opening))
+def _closed(held: Hold | None) -> tuple[Shape, ...]:
+    if held is None:
+        return ()
+    tips = held.furniture_from_tips
+    return tuple(Shape(s.mesh, tips * s.body_from_mesh, s.convex) for s in hand_shapes(held.closed))

@@ -15,7 +15,7 @@ from jaxtyping import Float
 
 from roboassembly.furniture.model import Furniture
 from roboassembly.planning.problem import Budget
-from roboassembly.planning.robot_path import Floor, Path, connect, line, nearest_turn, path_is_free
+from roboassembly.planning.robot_path import Floor, Path, connect, line, path_is_free, turned_on
 from roboassembly.planning.robot_world import RobotWorld
 from roboassembly.poses import SE3, align_axis, turn_about_vertical
 from roboassembly.robots.body import world_from_tips
@@ -116,7 +116,7 @@ class LegPlanner:
         return connect(world, start, goal, Floor(self.cell.floor), self.budget, seed)
 
     def _add(self, name: str, robot: int, path: Path) -> None:
-        path = _turned(self.moment.robots[robot].at, path)
+        path = turned_on(path, self.moment.robots[robot].at)
         leg = Leg(name, robot, path, self.moment)
         self.legs.append(leg)
         self.moment = leg.after
@@ -378,12 +378,3 @@ class LegPlanner:
 
 def _is_in(group: Group, merged: Group) -> bool:
     return set(group.parts) <= set(merged.parts)
-
-
-def _turned(like: Configuration, path: Sequence[Configuration]) -> Path:
-    """The same path, with the platform's angle counted on from another configuration's."""
-    out = []
-    for q in path:
-        like = nearest_turn(q, like)
-        out.append(like)
-    return tuple(out)
