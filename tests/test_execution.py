@@ -26,7 +26,7 @@ def held_bar(shift: float = 0.0, mass: float = 0.5) -> Load:
     tips = world_from_tips(A)
     bar = brick(0.2, 0.03, 0.02)
     where = tips * pose(y=shift)
-    return Load(where, mass, np.zeros(3), mass * 1e-3 * np.eye(3), (between_pads(bar, SE3.Identity()),))
+    return Load(where, mass, np.zeros(3), mass * 1e-3 * np.eye(3), (between_pads(bar, SE3.Identity(), 0.03),))
 
 
 def far_bar() -> Load:

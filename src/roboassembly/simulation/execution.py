@@ -42,6 +42,8 @@ _PAD_FRICTION = [1.0, 0.02, 0.001]
 """Rubber on wood: sliding, torsional [m], rolling [m]."""
 _CLIP = 0.03
 """Metres around a grasp of the part's surface that the pads can meet."""
+_BEYOND = 1e-3
+"""Metres beyond the pads, likewise."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -361,15 +363,16 @@ def _add_weld(spec: mujoco.MjSpec, name: str, one: str, two: str) -> None:
     weld.solimp = [0.999, 0.9999, 1e-4, 0.5, 2.0]
 
 
-def between_pads(mesh: Mesh, frame: SE3) -> Mesh:
+def between_pads(mesh: Mesh, frame: SE3, width: float) -> Mesh:
     """The part's own surface that pads can meet: the convex hull of what lies around a grasp, in the mesh's frame.
 
     Args:
         mesh: of the part.
         frame: `mesh_from_tips`.
+        width: metres between the pads when they touch. What lies beyond them (the other limb of a frame) is left out.
     """
     solid = mesh.trimesh
-    box = trimesh.creation.box([2.0 * _CLIP, 2.0, 2.0 * _CLIP])
+    box = trimesh.creation.box([2.0 * _CLIP, width + 2.0 * _BEYOND, 2.0 * _CLIP])
     box.apply_transform(frame.homogeneous)
     clipped = trimesh.boolean.intersection([solid, box], engine="manifold")
     return Mesh.from_trimesh(clipped.convex_hull)

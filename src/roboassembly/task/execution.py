@@ -148,7 +148,7 @@ class _Execution:
         mass, center, inertia = mass_properties(body(self.furniture, group, "load"))
         share = density / WOOD_DENSITY
         own = group.furniture_from_part[group.parts.index(hold.part)]
-        clip = between_pads(self.furniture.parts[hold.part].mesh, own.actInv(hold.furniture_from_tips))
+        clip = between_pads(self.furniture.parts[hold.part].mesh, own.actInv(hold.furniture_from_tips), hold.closed)
         return Load(group.world_from_furniture, share * mass, center, share * inertia, (clip.transformed(own),))
 
     def run(self) -> Executed:
