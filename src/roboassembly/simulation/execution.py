@@ -36,12 +36,14 @@ _GAINS = (9000.0, 9000.0, 7000.0, 7000.0, 4000.0, 4000.0, 3000.0)
 _TORQUES = (87.0, 87.0, 87.0, 87.0, 12.0, 12.0, 12.0)
 """N·m, Franka's limits."""
 _DAMPING_RATIO = 1.0
-_GRIP_FORCE = 40.0
+_GRIP_WEIGHTS, _LIGHTEST_GRIP, _GRIP_FORCE = 10.0, 8.0, 40.0
 """Newtons of each finger; the hand's continuous limit is 70."""
 _PAD_FRICTION = [1.0, 0.02, 0.001]
 """Rubber on wood: sliding, torsional [m], rolling [m]."""
 _CLIP = 0.03
 """Metres around a grasp of the part's surface that the pads can meet."""
+_STIFF = [2.0 * TIME_STEP, 1.0], [0.999, 0.9999, 1e-4, 0.5, 2.0]
+"""What holds fast: time constant and damping; impedances."""
 _BEYOND = 1e-3
 """Metres beyond the pads, likewise."""
 
@@ -95,10 +97,10 @@ class StepPhysics:
             _add_robot(spec, name)
         for index, load in enumerate(loads):
             _add_load(spec, f"load{index}", load, index)
-            _add_weld(spec, f"post{index}", f"load{index}", "world")
+            _add_weld(spec, f"post{index}", "world", f"load{index}")
             for name in "ab":
-                _add_weld(spec, f"grip{name}{index}", f"load{index}", f"{name}/link{JOINTS}")
-        _add_weld(spec, "joint", "load0", "load1")
+                _add_weld(spec, f"grip{name}{index}", f"{name}/link{JOINTS}", f"load{index}")
+        _add_weld(spec, "joint", "load1", "load0")
         self.model = spec.compile()
         self.data = mujoco.MjData(self.model)
         self.loads = tuple(loads)
@@ -161,9 +163,11 @@ class StepPhysics:
             a = from_quaternion(self.data.xpos[one], self.data.xquat[one])
             b = from_quaternion(self.data.xpos[two], self.data.xquat[two])
             relative = a.actInv(b)
+            # Held where its weight pulls: a lever would turn it.
+            anchor = self.loads[self._bodies.index(two)].center
             row = self.model.eq_data[eq]
-            row[:3] = 0.0
-            row[3:6] = relative.translation
+            row[:3] = anchor
+            row[3:6] = relative.act(anchor)
             row[6:10] = rotation_to_quaternion(relative.rotation)
             row[10] = 1.0
         self.data.eq_active[eq] = active
@@ -204,6 +208,10 @@ class StepPhysics:
     def grasp(self, robot: int, load: int, seconds: float = 0.6) -> bool:
         """Close the hand; once both pads press the load it is held fast. Whether they do."""
         first = self._controls(robot).stop
+        # As much as the load needs: a light one would be pushed askew.
+        weight = -self.model.opt.gravity[2] * self.model.body_mass[self._bodies[load]]
+        limit = float(np.clip(_GRIP_WEIGHTS * weight, _LIGHTEST_GRIP, _GRIP_FORCE))
+        self.model.actuator_forcerange[first : first + 2] = [-limit, limit]
         for _ in range(round(seconds / TIME_STEP)):
             self.data.ctrl[first : first + 2] = -0.02
             self._step()
@@ -310,6 +318,7 @@ def _add_robot(spec: mujoco.MjSpec, name: str) -> None:
             name=f"{name}/finger{k}", type=mujoco.mjtGeom.mjGEOM_MESH, meshname=mesh_name, mass=0.0,
             contype=1, conaffinity=2, friction=_PAD_FRICTION, condim=4, solref=[0.004, 1.0],
         )  # fmt: skip
+    _couple(spec, f"{name}/finger0", f"{name}/finger1")
     damping = _dampings()
     limits = [1e5, 1e5, 1e5, *_TORQUES]
     for i, joint in enumerate(_names()):
@@ -322,6 +331,15 @@ def _add_robot(spec: mujoco.MjSpec, name: str) -> None:
         actuator.trntype = mujoco.mjtTrn.mjTRN_JOINT
         actuator.set_to_position(kp=4000.0, kv=100.0)
         actuator.forcelimited, actuator.forcerange = True, [-_GRIP_FORCE, _GRIP_FORCE]
+
+
+def _couple(spec: mujoco.MjSpec, one: str, two: str) -> None:
+    """Both fingers open and close by as much, as in Franka's hand."""
+    gear = spec.add_equality(name=f"{one} gear", name1=one, name2=two)
+    gear.type = mujoco.mjtEq.mjEQ_JOINT
+    gear.objtype = mujoco.mjtObj.mjOBJ_JOINT
+    gear.data[:5] = [0.0, 1.0, 0.0, 0.0, 0.0]
+    gear.solref, gear.solimp = _STIFF
 
 
 def _set_inertia(node: mujoco.MjsBody, inertia: pin.Inertia) -> None:
@@ -359,8 +377,7 @@ def _add_weld(spec: mujoco.MjSpec, name: str, one: str, two: str) -> None:
     weld = spec.add_equality(name=name, name1=one, name2=two, active=False)
     weld.type = mujoco.mjtEq.mjEQ_WELD
     weld.objtype = mujoco.mjtObj.mjOBJ_BODY
-    weld.solref = [2.0 * TIME_STEP, 1.0]
-    weld.solimp = [0.999, 0.9999, 1e-4, 0.5, 2.0]
+    weld.solref, weld.solimp = _STIFF
 
 
 def between_pads(mesh: Mesh, frame: SE3, width: float) -> Mesh:
