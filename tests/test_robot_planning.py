@@ -11,7 +11,7 @@ import pytest
 from roboassembly.furniture import catalogue
 from roboassembly.planning.problem import Budget
 from roboassembly.planning.robot_path import Floor, connect, line, path_is_free, turned_on
-from roboassembly.planning.robot_world import RobotWorld
+from roboassembly.planning.robot_world import CLEARANCE, RobotWorld
 from roboassembly.poses import SE3, rotation_angle
 from roboassembly.robots.body import DOF, placed, world_from_tips
 from roboassembly.robots.kinematics import arm
@@ -115,6 +115,15 @@ def test_clearance_is_a_margin_that_is_kept() -> None:
     inside = q.copy()
     inside[0] = 0.8
     assert world.clearance(inside[None])[0] == 0.0
+    near, far = q.copy(), q.copy()
+    near[0], far[0] = 0.99 - 0.29 - 0.5 * CLEARANCE, 0.99 - 0.29 - 1.5 * CLEARANCE
+    both = np.array([near, far])
+    assert world.free(both).all()
+    assert world.clear(both).tolist() == [False, True]
+    # Along the wall, as near as that.
+    assert [world.edge_is_free(c, c + np.eye(10)[1], clear=clear) for c in both for clear in (False, True)] == [
+        True, False, True, True,
+    ]  # fmt: skip
 
 
 def test_a_path_leads_around_and_is_free(around: list[Body]) -> None:
@@ -134,6 +143,7 @@ def test_a_path_leads_around_and_is_free(around: list[Body]) -> None:
     checker = RobotChecker(around, held, OPENING)
     states = [a + f * (b - a) for a, b in pairwise(path) for f in np.linspace(0.0, 1.0, 25)]
     assert not any(checker.hits(q) for q in states)
+    assert world.clear(np.array(states)).all()
     assert max(np.abs(q[:2]).max() for q in states) <= 5.0
 
 

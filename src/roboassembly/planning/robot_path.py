@@ -44,27 +44,29 @@ def connect(
 ) -> Path | None:
     """Way-points from `start` to `goal`; None if either is not free or the budget ran out.
 
-    The platform turns the short way round.
+    `CLEARANCE` is kept all the way if both have it. The platform turns the short way round.
     """
     begun = time.perf_counter()
     goal = nearest_turn(goal, start)
     # OMPL would wait for another goal for ever.
-    if not world.free(np.array([start, goal])).all():
+    ends = np.array([start, goal])
+    if not world.free(ends).all():
         return None
-    if world.edge_is_free(start, goal):
+    clear = bool(world.clear(ends).all())
+    if world.edge_is_free(start, goal, clear=clear):
         return start, goal
     space, state, read = number_space(start, goal, floor)
     found = run_rrt_connect(
         space,
         state(start),
         [state(goal)],
-        lambda a, b: world.edge_is_free(read(a), read(b)),
-        lambda s: bool(world.free(read(s)[None])[0]),
+        lambda a, b: world.edge_is_free(read(a), read(b), clear=clear),
+        lambda s: bool((world.clear if clear else world.free)(read(s)[None])[0]),
         exhaustion(lambda: world.states, budget, begun),
         seed,
         _LONGEST,
     )
-    return None if found is None else shortcut(world, [read(s) for s in found], seed)
+    return None if found is None else shortcut(world, [read(s) for s in found], seed, clear=clear)
 
 
 def number_space(
@@ -92,7 +94,7 @@ def number_space(
     return space, state, read
 
 
-def shortcut(world: RobotWorld, path: Sequence[Configuration], seed: int) -> Path:
+def shortcut(world: RobotWorld, path: Sequence[Configuration], seed: int, *, clear: bool = False) -> Path:
     """Leave out way-points between which the straight edge is free."""
     rng = np.random.default_rng(seed)
     way = list(path)
@@ -100,7 +102,7 @@ def shortcut(world: RobotWorld, path: Sequence[Configuration], seed: int) -> Pat
         if len(way) < 3:
             break
         i, j = sorted(rng.choice(len(way), size=2, replace=False).tolist())
-        if j - i > 1 and world.edge_is_free(way[i], way[j]):
+        if j - i > 1 and world.edge_is_free(way[i], way[j], clear=clear):
             del way[i + 1 : j]
     return tuple(way)
 

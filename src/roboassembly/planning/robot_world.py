@@ -27,6 +27,8 @@ from roboassembly.scene import Body, Shape
 _OUTER_MARGINS = (0.06, 0.015)
 _OWN_MARGINS = (0.02, 0.005)
 """Metres."""
+CLEARANCE = 0.004
+"""Metres from everything else that a robot keeps where it is not on its way to something: it strays a little."""
 _GROUND = (200.0, 200.0, 1.0)
 _SAMPLES = 2_000
 _SPREAD_SAMPLES, _SPREAD_SLACK = 100_000, 1.02
@@ -42,16 +44,17 @@ class _Ladder:
     model: pin.Model
     geometry: pin.GeometryModel
     margins: tuple[float, ...]
-    pools: dict[int, Pool]
+    pools: dict[float, Pool]
 
     def hits(self, level: int, q: Configurations, *, first_only: bool = False) -> Bool[np.ndarray, "n"]:
-        pool = self.pools.get(level)
+        margin = self.margins[level]
+        pool = self.pools.get(margin)
         if pool is None:
-            pool = self.pools[level] = Pool(self.model, self.geometry, 1)
+            pool = self.pools[margin] = Pool(self.model, self.geometry, 1)
             for data in pool.getGeometryDatas():
                 for request in data.collisionRequests:
                     request.break_distance = 0.0
-                    request.security_margin = self.margins[level]
+                    request.security_margin = margin
         return np.array(
             pin.computeCollisionsInParallel(1, pool, np.asfortranarray(q.T), first_only, first_only), dtype=bool
         )
@@ -101,6 +104,7 @@ class RobotWorld:
             inner.addCollisionPair(pin.CollisionPair(a, b))
             both.addCollisionPair(pin.CollisionPair(a, b))
         self._outer = _Ladder(model, outer, (*_OUTER_MARGINS, 0.0), {})
+        self._clear = _Ladder(model, outer, (*_OUTER_MARGINS, CLEARANCE), self._outer.pools)
         self._inner = _Ladder(model, inner, (*_OWN_MARGINS, 0.0), {})
         self._both = _Ladder(model, both, (0.0,), {})
         near = [transform_points(pose, link.mesh.hull_vertices) for link, pose in hand_links(opening)]
@@ -112,6 +116,11 @@ class RobotWorld:
         self.states += len(q)
         return ~self._both.hits(0, q) & (not self._hopeless)
 
+    def clear(self, q: Configurations) -> Bool[np.ndarray, "n"]:
+        """Whether each configuration is free, and at least `CLEARANCE` from all around."""
+        self.states += len(q)
+        return self.free(q) & ~self._clear.hits(len(_OUTER_MARGINS), q)
+
     def clearance(self, q: Configurations) -> Float[np.ndarray, "n"]:
         """The largest of a few margins that each configuration keeps from all around; zero of those that touch."""
         out = np.zeros(len(q))
@@ -120,11 +129,17 @@ class RobotWorld:
             out = np.maximum(out, np.where(self._outer.hits(level, q), 0.0, margin))
         return out
 
-    def edge_is_free(self, a: Float[np.ndarray, "10"], b: Float[np.ndarray, "10"]) -> bool:
-        """Whether every configuration from `a` (taken as tested) to `b` is free; joints and platform move evenly."""
+    def edge_is_free(self, a: Float[np.ndarray, "10"], b: Float[np.ndarray, "10"], *, clear: bool = False) -> bool:
+        """Whether every configuration from `a` (taken as tested) to `b` is free; joints and platform move evenly.
+
+        Args:
+            a: where it begins.
+            b: where it ends.
+            clear: whether `CLEARANCE` is kept besides.
+        """
         step = np.abs(b - a)
         moved = float(np.linalg.norm((b - a)[:2]) + step[2:] @ self._reach)
-        return self._ladder_free(self._outer, a, b, moved) and self._ladder_free(
+        return self._ladder_free(self._clear if clear else self._outer, a, b, moved) and self._ladder_free(
             self._inner, a, b, float(step[3:] @ self._reach[1:])
         )
 

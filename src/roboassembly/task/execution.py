@@ -190,6 +190,9 @@ class _Execution:
         moment = leg.moment
         if leg.name == "mate":
             moment = moment.with_robot(1, replace(moment.robots[1], grip=None))
+        if leg.name in ("lift u", "lift v", "set down"):
+            # The post on which it sits, or is to sit.
+            moment = replace(moment, posts=())
         self.states += len(q)
         return not moment.world(self.furniture, leg.robot).free(q).all()
 

@@ -21,6 +21,8 @@ TOUCH = 2e-4
 _CLEAR = 0.02
 """Metres beyond which a retreat that has left the partner's boxes goes on."""
 _LONGEST = 0.6
+_ASTRAY = 1e-3
+"""Metres of room on each side of an open hand."""
 _SHORTEST, _SHORT_OF, _AMPLE = 0.03, 0.005, 0.2
 
 
@@ -84,7 +86,11 @@ def _comes(held: Hold, still: Sequence[Body]) -> bool:
     world = CollisionWorld(Scene((hand, *still), ground=False))
     goal = held.furniture_from_tips
     back = SE3(goal.rotation, goal.translation - RETREAT * held.approach)
-    return world.is_free(goal) and world.edge_is_free(goal, back)
+    if not (world.is_free(goal) and world.edge_is_free(goal, back)):
+        return False
+    # It may stray a little sideways.
+    aside = (sign * _ASTRAY * axis for axis in goal.rotation.T[:2] for sign in (-1.0, 1.0))
+    return all(world.is_free(SE3(goal.rotation, goal.translation + shift)) for shift in aside)
 
 
 @dataclass(frozen=True, eq=False)
