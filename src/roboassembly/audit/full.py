@@ -126,9 +126,8 @@ class _RobotAudit:
                 self._continues(index, leg, before)
                 self._walk(index, leg)
                 before = leg.after
-        if self._plan.success and (
-            astray := misplaced(self._plan.furniture, _part_poses(self._plan.furniture, before))
-        ):
+        furniture = self._plan.furniture
+        if self._plan.success and (astray := misplaced(furniture, _part_poses(furniture, before))):
             self._found(RobotViolationKind.NOT_ASSEMBLED, len(self._plan.steps) - 1, "", f"parts {list(astray)}")
         return RobotAuditReport(self._legs, self._states, dict(self._counts), tuple(self._first))
 
@@ -154,21 +153,19 @@ class _RobotAudit:
         manager = self._fcl.DynamicAABBTreeCollisionManager()
         manager.registerObjects([thing for _, thing in still])
         manager.setup()
-        meshes = _robot_meshes()
-        load = _load(self._plan.furniture, own)
-        moving = {name: self._placed(mesh, SE3.Identity()) for name, mesh in meshes.items()}
-        moving |= {f"held {i}": self._placed(mesh, SE3.Identity()) for i, (mesh, _) in enumerate(load)}
-        shapes = {**meshes, **{f"held {i}": mesh for i, (mesh, _) in enumerate(load)}}
-        constant = {*_ENDS, *(f"held {i}" for i in range(len(load)))}
-        pairs = [*_own_pairs()]
-        pairs += [(link, f"held {i}") for link in meshes if link not in _PADS for i in range(len(load))]
+        robot = _robot_meshes()
+        load = {f"held {i}": held for i, held in enumerate(_load(self._plan.furniture, own))}
+        shapes = robot | {name: mesh for name, (mesh, _) in load.items()}
+        moving = {name: self._placed(mesh, SE3.Identity()) for name, mesh in shapes.items()}
+        constant = {*_ENDS, *load}
+        pairs = [*_own_pairs(), *((link, name) for link in robot if link not in _PADS for name in load)]
         low, high = _limits()
         for state, q in enumerate(_dense(leg.path, self._resolution)):
             self._states += 1
             if (q[3:] < low).any() or (q[3:] > high).any():
                 self._found(RobotViolationKind.JOINT_LIMIT, step, leg.name, f"state {state}")
             where = _robot_poses(q, own.opening)
-            where |= {f"held {i}": where[TIPS] * pose for i, (_, pose) in enumerate(load)}
+            where |= {name: where[TIPS] * pose for name, (_, pose) in load.items()}
             for name, thing in moving.items():
                 at = where[name]
                 thing.setTransform(self._fcl.Transform(at.rotation, at.translation))
