@@ -19,7 +19,7 @@ from roboassembly.planning.problem import Budget, PlanningStatus
 from roboassembly.solvers.guide import Guide
 from roboassembly.solvers.joint_rrt import solve_jointly
 from roboassembly.solvers.prober import probe
-from roboassembly.solvers.search import solve, solve_full
+from roboassembly.solvers.search import SearchResult, solve, solve_full
 from roboassembly.task.execution import execute_plan, in_all
 from roboassembly.task.full_plan import FullPlan
 from roboassembly.task.object_centric import ObjectCentricTask, Verdict
@@ -152,11 +152,15 @@ def _search_full(furniture: Furniture, seed: int) -> _Played:
     except InputError as error:
         parts = len(furniture.parts)
         return Episode(furniture.name, parts, seed, False, 0, REFUSED, 0, 0.0, reason=str(error)), None
+    return _searched(result)
+
+
+def _searched(result: SearchResult[Plan] | SearchResult[FullPlan]) -> _Played:
     plan = result.plan
     episode = Episode(
-        furniture.name, len(furniture.parts), seed, plan.success, len(plan.steps),
+        plan.furniture.name, len(plan.furniture.parts), plan.seed, plan.success, len(plan.steps),
         Verdict.MERGED.value if plan.success else _NO_PLAN, result.planning_steps, result.planning_seconds,
-        actions=tuple(step.action for step in plan.steps), reason=result.reason,
+        result.guide_seconds, tuple(step.action for step in plan.steps), reason=result.reason,
     )  # fmt: skip
     return episode, plan
 
@@ -219,14 +223,7 @@ def _alone(policy: Policy, furniture: Furniture, seed: int) -> _Played:
 
 
 def _search(furniture: Furniture, seed: int, guide: Guide | None = None) -> _Played:
-    result = solve(furniture, seed, guide=guide)
-    plan = result.plan
-    episode = Episode(
-        furniture.name, len(furniture.parts), seed, plan.success, len(plan.steps),
-        Verdict.MERGED.value if plan.success else _NO_PLAN, result.planning_steps, result.planning_seconds,
-        result.guide_seconds, tuple(step.action for step in plan.steps), reason=result.reason,
-    )  # fmt: skip
-    return episode, plan
+    return _searched(solve(furniture, seed, guide=guide))
 
 
 def _joint(furniture: Furniture, seed: int) -> _Played:
