@@ -42,14 +42,15 @@ def two_merges(chair) -> FullPlan:
     """The first two merges of a stool."""
     task = FullTask(chair("stool", 0))
     disassembly = Disassembly(task.furniture, lambda: False)
-    initial = state = next(task.own_places(task.initial_state(np.random.default_rng(0))))
+    initial = state = task.initial_state(np.random.default_rng(0))
     steps = []
     for _ in range(2):
-        order = disassembly.order(partition_of(state.groups), set(), straight=True, exhaustive=False)
+        told = next(task.rules.pairs.own_places(state.groups))
+        order = disassembly.order(partition_of(told), set(), straight=True, exhaustive=False)
         assert order
-        outcomes = (task.step(state, action, 1) for action in grasping(task, state, *order[0]))
+        outcomes = (task.step(state, action, 1) for action in grasping(task, state, told, *order[0]))
         outcome = next(o for o in outcomes if o.step is not None)
-        state = next(task.own_places(outcome.state))
+        state = outcome.state
         steps.append(outcome.step)
     return FullPlan(task.furniture, initial, tuple(steps), False, 0)
 

@@ -82,16 +82,16 @@ def reasoning(furniture: Furniture) -> Disassembly:
 def right_action(env: AnEnv) -> tuple[int, ...]:
     """One that merges, now, and leaves the furniture completable."""
     seed = int(deepcopy(env.np_random).integers(2**31 - 1))
-    told = next(env.task.own_places(env.state))
+    told = next(env.task.rules.pairs.own_places(env.task.joined(env.state)))
     disassembly = reasoning(env.task.furniture)
     struck: set[frozenset[frozenset[int]]] = set()
     while True:
-        order = disassembly.order(partition_of(env.task.joined(told)), struck, straight=True, exhaustive=False)
+        order = disassembly.order(partition_of(told), struck, straight=True, exhaustive=False)
         assert order, "nothing merges"
         if isinstance(env, FullEnv):
-            options = grasping(env.task, told, *order[0])
+            options = grasping(env.task, env.state, told, *order[0])
         else:
-            options = upright(disassembly, told, *order[0], straight=True)
+            options = upright(disassembly, env.state, told, *order[0], straight=True)
         for action in options:
             if env.task.step(env.state, action, seed).step is not None:
                 return action

@@ -97,7 +97,7 @@ def merge(chair) -> tuple[FullTask, float, FullStep]:
     state = task.initial_state(np.random.default_rng(0))
     names = [p.name for p in task.furniture.parts]
     c = next(c for c in task.furniture.connections if "stretcher" in names[c.part_a] and "leg" in names[c.part_b])
-    for action in grasping(task, state, frozenset({c.part_a}), frozenset({c.part_b})):
+    for action in grasping(task, state, state.groups, frozenset({c.part_a}), frozenset({c.part_b})):
         step = task.step(state, action, 0).step
         if step is not None:
             return task, state.cell.density, step

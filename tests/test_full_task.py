@@ -44,7 +44,7 @@ def start(task: FullTask) -> FullState:
 @pytest.fixture(scope="module")
 def merged(task: FullTask, start: FullState) -> FullOutcome:
     """The first step of the stool that succeeds: a stretcher into a leg."""
-    for action in grasping(task, start, *stretcher_and_leg(task.furniture)):
+    for action in grasping(task, start, start.groups, *stretcher_and_leg(task.furniture)):
         outcome = task.step(start, action, 3)
         if outcome.verdict is FullVerdict.MERGED:
             return outcome
@@ -195,7 +195,7 @@ def test_without_a_budget_there_is_no_path(task: FullTask, start: FullState, mer
 def test_options_pass_the_cheap_tests_and_name_the_split(task: FullTask, start: FullState) -> None:
     leaving, staying = stretcher_and_leg(task.furniture)
     assert {leaving, staying} <= partition_of(start.groups)
-    options = list(grasping(task, start, leaving, staying))
+    options = list(grasping(task, start, start.groups, leaving, staying))
     assert options
     for action in options:
         assert task.exists(start, action)

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from itertools import permutations, product
+from itertools import combinations, permutations, product
 
 import numpy as np
 import pytest
 
 import shapes
-from roboassembly.furniture.generate import FAMILIES
+from roboassembly.furniture.generate import CHAIRS, FAMILIES, OTHERS
 from roboassembly.furniture.model import Furniture
 from roboassembly.meshes import distance_to
 from roboassembly.poses import SE3
+from roboassembly.solvers.options import ends
 from roboassembly.task.groups import Group, TaskState, body, center_of_mass, hull_points
 from roboassembly.task.pairs import Merge, PairRule, mate
 from shapes import pose
@@ -219,6 +220,57 @@ def test_one_merge_can_make_several_contacts(stand: Furniture) -> None:
     merge = PairRule(stand).judge(alone(stand, 0), group, 0, ends[0, 2][0], 2, ends[0, 2][1])
     assert merge is not None
     assert len(TaskState((merge.merged,)).occupied(stand)) == 8
+
+
+@pytest.mark.parametrize("family", [*CHAIRS, *OTHERS])
+def test_wherever_equal_parts_went_open_joints_are_right_pairs(chair, family: str) -> None:
+    """Random right merges, parts turned about and in each other's slots; whatever the furniture still has to join can
+    be joined by the points that `ends` names. A stretcher that was put in end for end is no worse than another."""
+    furniture = chair(family, 0)
+    rule, rng = PairRule(furniture), np.random.default_rng(8)
+    swapped, elsewhere = 0, []
+    for _ in range(3):
+        state = TaskState(tuple(alone(furniture, p, pose(float(p))) for p in range(len(furniture.parts))))
+        while not state.complete:
+            told = next(rule.own_places(state), None)
+            if told is None:
+                break
+            joints = []
+            for one, two in combinations(told.groups, 2):
+                found = list(ends(furniture, state, told, frozenset(one.slots), frozenset(two.slots)))
+                touching = sum(
+                    (c.part_a in one.slots and c.part_b in two.slots)
+                    or (c.part_b in one.slots and c.part_a in two.slots)
+                    for c in furniture.connections
+                )
+                # Told in other slots than its own, a group may have its points elsewhere.
+                moved = any(g not in state.groups for g in (one, two))
+                assert len(found) == touching or (moved and len(found) < touching)
+                joints.extend(found)
+            for (u, k), (v, l) in joints:  # noqa: E741
+                u_group, v_group = state.groups[state.group_of[u]], state.groups[state.group_of[v]]
+                right = rule.judge(u_group, v_group, u, k, v, l) is not None
+                own = all(g.slots == told.groups[state.group_of[g.parts[0]]].slots for g in (u_group, v_group))
+                assert right or not own
+                elsewhere.append(right)
+            # Any right pair will do, not only what the slots would suggest.
+            free = [
+                (p, k) for g in state.groups for p in g.parts for k in range(len(g.points_of(furniture, p)))
+                if (p, k) not in state.occupied(furniture)
+            ]  # fmt: skip
+            while True:
+                (u, k), (v, l) = (free[i] for i in rng.integers(len(free), size=2))  # noqa: E741
+                u_group, v_group = state.groups[state.group_of[u]], state.groups[state.group_of[v]]
+                merge = rule.judge(u_group, v_group, u, k, v, l) if u_group is not v_group else None
+                if merge is not None:
+                    break
+            swapped += merge.merged.slots != merge.merged.parts
+            others = (g for g in state.groups if g is not u_group and g is not v_group)
+            state = TaskState((*others, merge.merged.moved_to(shapes.random_pose(rng, 2))))
+    assert len(elsewhere) > 5
+    # A group told in other slots than its own lies there to within the rule's tolerance only.
+    assert np.mean(elsewhere) > 0.95
+    assert swapped or len(furniture.classes) == len(furniture.parts)
 
 
 def test_groups_that_would_share_a_slot_are_refused(table: Furniture) -> None:

@@ -229,6 +229,15 @@ def test_distance_to_clear() -> None:
     diagonal = (X + Z) / np.sqrt(2)
     assert world.distance_to_clear(here, diagonal, "wall") == pytest.approx(0.15 * np.sqrt(2), abs=1e-6)
     assert world.distance_to_clear(here, X, "nobody") == 0.0
+    # Free to rise from there on: the wall reaches above the body's lower side until it is past it or over it ...
+    assert world.distance_to_clear(here, X, "wall", Z) == pytest.approx(0.25, abs=1e-6)
+    assert world.distance_to_clear(here, diagonal, "wall", Z) == pytest.approx(0.15 * np.sqrt(2), abs=1e-6)
+    # ... and stays above what goes below it.
+    assert world.distance_to_clear(here, -diagonal, "wall", Z) == pytest.approx(0.85 * np.sqrt(2), abs=1e-6)
+    beneath, above = pose(0.3, 0, -0.1), pose(0.3, 0, 0.3)
+    assert world.distance_to_clear(beneath, X, "wall") == 0.0
+    assert world.distance_to_clear(beneath, X, "wall", Z) == pytest.approx(0.25, abs=1e-6)
+    assert world.distance_to_clear(above, X, "wall", Z) == 0.0
     assert world.top == pytest.approx(1.0)
     assert world.lowest_point(here) == pytest.approx(0.05)
     assert world.radius == pytest.approx(0.05 * np.sqrt(3))
@@ -429,6 +438,23 @@ def test_hook_comes_out_in_two_straight_moves() -> None:
     )
     scene = Scene((still("partner", frame), mover(hook, pose(0.5, 0, 0.01))))
     result = mating(scene, pose(z=0.008), Budget(states=0))
+    assert result.solved
+    assert result.planner == "retreat"
+
+
+def test_a_key_slides_out_and_on_from_under_a_roof() -> None:
+    """Out of its hole after 10 cm, but a wide roof is above; it can only rise 40 cm farther on."""
+    c = 0.0005
+    frame = shapes.of_solid(
+        shapes.block((-0.5, -0.3, 0.002), (0.0, 0.3, 0.1))
+        - shapes.block((-0.1, -0.02 - c, 0.04 - c), (1, 0.02 + c, 0.08 + c))
+        + shapes.block((-0.5, -0.3, 0.0), (-0.4, 0.3, 0.6))
+        + shapes.block((-0.5, -0.3, 0.5), (0.4, 0.3, 0.6))
+    )
+    key = shapes.brick(0.1, 0.04, 0.04)
+    scene = Scene((still("partner", frame), mover(key, pose(1.0, 0, 0.03))))
+    # To the left it could rise sooner, but there is no way.
+    result = mating(scene, pose(-0.05 + c, 0, 0.06), Budget(states=0), retreats=(X, Y, -Y))
     assert result.solved
     assert result.planner == "retreat"
 

@@ -19,6 +19,7 @@ from roboassembly.furniture import catalogue
 from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS
 from roboassembly.learning import autoencoder, checkpoint, loading, paper, relational
 from roboassembly.learning.checkpoint import Checkpoint
+from roboassembly.learning.lessons import CLOUD_POINTS
 from roboassembly.learning.loading import load_policy
 from roboassembly.learning.policies import ConfidentPolicy, RandomPolicy, guide_of, surest
 from roboassembly.learning.relational_policy import RelationalPolicy
@@ -47,6 +48,25 @@ def seen() -> tuple[dict[str, np.ndarray], np.ndarray]:
     return observation, info["action_mask"]
 
 
+def test_rounding_does_not_choose_between_equal_parts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What the last bits of a product are may depend on where in memory its factors lie."""
+    env = ObjectCentricEnv("stool:1", cloud_points=CLOUD_POINTS)
+    observation, info = env.reset(seed=0)
+    mask = info["action_mask"]
+    policy = load_policy("relational")
+    assert isinstance(policy, RelationalPolicy)
+    chosen = policy.act(observation, mask)
+    exact, rng = relational.values, np.random.default_rng(0)
+
+    def noisy(params, tokens, views):
+        q = exact(params, tokens, views)
+        return q + rng.uniform(-1e-6, 1e-6, size=q.shape).astype(np.float32)
+
+    monkeypatch.setattr(relational, "values", noisy)
+    for _ in range(5):
+        np.testing.assert_array_equal(policy.act(observation, mask), chosen)
+
+
 def test_values_are_the_networks_at_the_right_places(params: dict, seen) -> None:
     observation, mask = seen
     policy = RelationalPolicy(params)
@@ -60,7 +80,8 @@ def test_values_are_the_networks_at_the_right_places(params: dict, seen) -> None
     q = relational.values(params, tokens)
     rng = np.random.default_rng(1)
     for i, j in rng.integers(len(tokens.part), size=(50, 2)):
-        np.testing.assert_array_equal(values[tokens.part[i], tokens.part[j], tokens.point[i], tokens.point[j]], q[i, j])
+        here = values[tokens.part[i], tokens.part[j], tokens.point[i], tokens.point[j]]
+        np.testing.assert_allclose(here, q[i, j], rtol=0, atol=0.00051)
     action = replace(policy, ahead=0).act(observation, mask)
     assert mask[tuple(action)]
     assert values[tuple(action)] >= values.max() - 1e-3

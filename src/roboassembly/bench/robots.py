@@ -247,13 +247,12 @@ def _path(furniture: Furniture, plan: FullPlan, leg: Leg, bullet: BulletCell | N
 def _hopeless(furniture: Furniture, plan: FullPlan, seed: int, tries: int = 60) -> tuple[float, ...]:
     """Right pairs of the first state with grasps drawn at random: those that come to nothing."""
     task, rng = FullTask(furniture), np.random.default_rng(seed)
-    state = next(task.own_places(plan.initial))
     out = []
     for _ in range(tries):
         c = furniture.connections[int(rng.integers(len(furniture.connections)))]
         pair = (c.part_a, c.part_b, c.point_a, c.point_b)
         action = (*(pair if rng.random() < 0.5 else (pair[1], pair[0], pair[3], pair[2])), *rng.integers(8, size=2))
-        outcome = task.step(state, tuple(int(i) for i in action), int(rng.integers(2**31 - 1)))
+        outcome = task.step(plan.initial, tuple(int(i) for i in action), int(rng.integers(2**31 - 1)))
         if outcome.verdict not in (FullVerdict.MERGED, FullVerdict.NOT_AN_ACTION):
             out.append(outcome.planning_seconds)
     return tuple(out)

@@ -81,8 +81,9 @@ class Observer:
         for group in state.groups:
             for part in group.parts if len(group.parts) > 1 else ():
                 turn = part_from_points(self._furniture, group, part).rotation
-                own = self._furniture.parts[part].points
-                points[part, : len(own)] = _point_rows(own, turn)
+                rows = _point_rows(group.points_of(self._furniture, part), turn)
+                points[part] = 0.0
+                points[part, : len(rows)] = rows
             for i, part_i in enumerate(group.parts):
                 for j, part_j in enumerate(group.parts):
                     if i != j:

@@ -17,7 +17,7 @@ from roboassembly.furniture import catalogue, storage
 from roboassembly.furniture.cache import cache_folder
 from roboassembly.furniture.model import Furniture
 
-VERSION = 4
+VERSION = 5
 EASY, HARD, TEST = "easy", "hard", "test"
 SPLITS = {"train": (EASY, HARD), EASY: (EASY,), HARD: (HARD,), TEST: (TEST,), "all": (EASY, HARD, TEST)}
 """What may follow a set's name after a colon."""

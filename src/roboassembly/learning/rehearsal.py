@@ -55,7 +55,10 @@ class Rehearsal:
 
     def __init__(self, task: ObjectCentricTask, seed: int) -> None:
         self.task, self._seed = task, seed
-        counts = [len(p.points) for p in task.furniture.parts]
+        furniture = task.furniture
+        like = [furniture.classes[c].members for c in furniture.class_of]
+        # A joined part has the points of the part whose slot it takes.
+        counts = [max(len(furniture.parts[other].points) for other in members) for members in like]
         self.part = np.repeat(np.arange(len(counts)), counts)
         """Part of each row; the chair's points are numbered through."""
         self.point = np.concatenate([np.arange(n) for n in counts])
@@ -202,12 +205,13 @@ class Rehearsal:
     ) -> tuple[Float[np.ndarray, "r 3 3"], Float[np.ndarray, "r 3"], Float[np.ndarray, "r"]]:
         """Rotation, origin and gap of some points of a group in its frame."""
         furniture, named = self.task.furniture, self._groups[name]
-        slot_of = dict(zip(named.parts, self._kinds[named.kind].slots, strict=True))
+        slots = self._kinds[named.kind].slots if len(named.parts) > 1 else named.parts
+        slot_of = dict(zip(named.parts, slots, strict=True))
         turns, origins, gaps = [], [], []
         for row in named.rows[points]:
-            part = int(self.part[row])
-            point = furniture.parts[part].points[int(self.point[row])]
-            frame = furniture.assembled[slot_of[part]] * point.frame
+            slot = slot_of[int(self.part[row])]
+            point = furniture.parts[slot].points[int(self.point[row])]
+            frame = furniture.assembled[slot] * point.frame
             turns.append(frame.rotation)
             origins.append(frame.translation)
             gaps.append(point.gap)
@@ -320,9 +324,9 @@ class Rehearsal:
         if key not in self._kind_names:
             self._kind_names[key] = len(self._kinds)
             order = np.argsort(group.slots)
-            occupied = TaskState((group,)).occupied(self.task.furniture)
-            points = [(group.parts[i], k) for i in order for k in range(len(self._points(group.parts[i])))]
-            free = np.array([i for i, point in enumerate(points) if point not in occupied], dtype=int)
+            free_points = self.task.free_points(TaskState((group,)))
+            parts = [group.parts[i] for i in order]
+            free = np.flatnonzero(np.concatenate([free_points[p, : len(self._points(p))] for p in parts]))
             slots, poses = (tuple(of[i] for i in order) for of in (group.slots, group.furniture_from_part))
             self._kinds.append(Kind(slots, poses, group.world_from_furniture, free))  # pyright: ignore[reportArgumentType]
         return self._kind_names[key]

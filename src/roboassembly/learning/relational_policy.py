@@ -18,6 +18,8 @@ from roboassembly.learning.situation import Situation
 from roboassembly.learning.tokens import Memory, tokens_of
 from roboassembly.learning.views import VIEWS
 
+_DECIMALS = 3
+"""Of logits that are told apart."""
 _CONSIDERED = 400
 """Actions among which those of different groups are looked for."""
 
@@ -64,7 +66,8 @@ class RelationalPolicy:
         if len(tokens.part):
             u, k = tokens.part[:, None], tokens.point[:, None]
             v, l = tokens.part[None], tokens.point[None]  # noqa: E741
-            out[u, v, k, l] = relational.values(self.params, tokens, VIEWS[: self.views])
+            # Equal parts are worth the same but for rounding, which must not choose between them, nor between plans.
+            out[u, v, k, l] = np.round(relational.values(self.params, tokens, VIEWS[: self.views]), _DECIMALS)
         return out
 
     def probabilities(self, observation: Observation, mask: Mask) -> Values:

@@ -7,6 +7,7 @@ retreat is found does RRT-Connect search.
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -108,10 +109,9 @@ def _rise(
             if world.edge_is_free(pose, top):
                 return [pose, top]
             continue
-        distance = world.distance_to_clear(pose, d, partner) + 0.005
-        if d[2] < 0:
-            # Never below the ground: no farther than the body can sink.
-            distance = min(distance, max(0.0, (world.lowest_point(pose) - 1e-4) / -d[2]))
+        # Never below the ground: no farther than the body can sink.
+        farthest = max(0.0, (world.lowest_point(pose) - 1e-4) / -d[2]) if d[2] < 0 else np.inf
+        distance = min(world.distance_to_clear(pose, d, partner) + 0.005, farthest)
         if distance <= _PROBE:
             continue
         reached = distance * world.free_fraction(pose, _shifted(pose, distance * d))
@@ -120,9 +120,12 @@ def _rise(
                 blocked.append((d, reached))
             continue
         aside = _shifted(pose, distance * d)
-        top = _at_sky(aside, sky)
-        if world.edge_is_free(aside, top):
-            return [pose, aside, top]
+        # Out of the joint need not be out from under everything.
+        outside = _shifted(pose, min(world.distance_to_clear(pose, d, partner, UP) + 0.005, farthest) * d)
+        for way in ([aside], [aside, outside]):
+            way.append(_at_sky(way[-1], sky))
+            if all(world.edge_is_free(a, b) for a, b in itertools.pairwise(way)):
+                return [pose, *way]
         blocked.append((d, distance))
     for d, reached in blocked:
         for part in (*(p for p in _PARTIAL_RETREATS if p < reached), reached):

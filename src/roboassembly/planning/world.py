@@ -197,10 +197,19 @@ class CollisionWorld:
         meets = overlap.reshape(len(overlap), -1).any(axis=-1)
         return free & ~meets
 
-    def distance_to_clear(self, pose: SE3, direction: Float[np.ndarray, "3"], body: str) -> float:
+    def distance_to_clear(
+        self, pose: SE3, direction: Float[np.ndarray, "3"], body: str, up: Float[np.ndarray, "3"] | None = None
+    ) -> float:
         """Metres of straight travel along the unit vector until no moving box meets a box of the named still body.
 
         From there on, going farther along `direction` meets nothing of that body any more.
+
+        Args:
+            pose: `world_from_body` at the start.
+            direction: unit vector of the world.
+            body: the still one.
+            up: unit vector of the world along which the body is to go on, freely, from where it has come; that of
+                the boxes' axes which comes nearest to it counts.
         """
         own = self._owners == body
         if not own.any():
@@ -214,6 +223,14 @@ class CollisionWorld:
             forward, backward = (still_high - low) / d, (still_low - high) / d
         leave = np.where(d > 1e-9, forward, np.where(d < -1e-9, backward, np.inf))
         apart = ((low > still_high) | (high < still_low)) & (np.abs(d) <= 1e-9)
+        if up is not None:
+            axis = int(np.argmax(np.abs(up @ self._axes)))
+            rises = float(np.sign((up @ self._axes)[axis]))
+            # Going under a box does not help any more, and one that is below is out of the way for good.
+            if rises * d[axis] <= 1e-9:
+                leave[..., axis] = np.inf
+            below = still_high < low if rises > 0 else still_low > high
+            apart[..., axis] = below[..., axis] & (rises * d[axis] >= -1e-9)
         distance = np.where(apart.any(axis=2), 0.0, leave.min(axis=2))
         return float(np.maximum(distance, 0.0).max())
 

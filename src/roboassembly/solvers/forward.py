@@ -77,8 +77,8 @@ class Round:
     """For each merge, the task's own if None; with no states to spend the planner tries retreats only."""
 
 
-Options = Callable[[Disassembly, State, Parts, Parts, bool], Iterable[Action]]
-"""Actions that join two sub-assemblies: `(disassembly, state, leaving, staying, straight)`."""
+Options = Callable[[Disassembly, State, TaskState, Parts, Parts, bool], Iterable[Action]]
+"""Actions that join two sub-assemblies: `(disassembly, state, told, leaving, staying, straight)`, slots of `told`."""
 
 
 @dataclass(eq=False)
@@ -144,17 +144,20 @@ class Search(Generic[State, AStep]):
             self.steps.pop()
             self.backtracks += 1
         # With nothing taken over from the guide, the rounds will do this themselves.
-        told = next(self.task.own_places(state), None)
-        success = bool(self.steps) and told is not None and self.extend(told)
+        success = bool(self.steps) and self.extend(state)
         self.strays += not success and not followed
         return success
 
     def hopeless(self, state: TaskState | None) -> bool:
         """Whether reasoning sees no way on from a state, in which equal parts may have swapped places."""
-        told = next(self.task.rules.pairs.own_places(state), None) if state is not None else None
+        told = self.told(state) if state is not None else None
         if told is None or (partition := partition_of(told)) in self.dead:
             return True
         return self.reasoned(partition, self.refused) is None
+
+    def told(self, state: TaskState) -> TaskState | None:
+        """The state told so that every slot is claimed once; None if its groups would share slots."""
+        return next(self.task.rules.pairs.own_places(state), None)
 
     def joined(self, state: TaskState, action: Action) -> TaskState | None:
         """What would be joined after an action; nothing is planned, nothing moves. None if the pair is wrong."""
@@ -177,8 +180,8 @@ class Search(Generic[State, AStep]):
         """
         if self.task.joined(state).complete:
             return True
-        partition = partition_of(self.task.joined(state))
-        if partition in self.dead:
+        told = self.told(self.task.joined(state))
+        if told is None or (partition := partition_of(told)) in self.dead:
             return False
         if merges and not partition.issuperset(merges[0]):
             merges = ()
@@ -188,7 +191,7 @@ class Search(Generic[State, AStep]):
             if not merges:
                 break
             (leaving, staying), *rest = merges
-            after = self.merge(state, leaving, staying)
+            after = self.merge(state, told, leaving, staying)
             if after is None:
                 self.refused.add(frozenset((leaving, staying)))
             elif self.extend(after, rest):
@@ -201,17 +204,16 @@ class Search(Generic[State, AStep]):
         self.dead.add(partition)
         return False
 
-    def merge(self, state: State, leaving: Parts, staying: Parts) -> State | None:
+    def merge(self, state: State, told: TaskState, leaving: Parts, staying: Parts) -> State | None:
         """Try to join two groups: whoever moves, whatever points up, the most promising first."""
-        for action in self.options(self.disassembly, state, leaving, staying, self.round.straight):
+        for action in self.options(self.disassembly, state, told, leaving, staying, self.round.straight):
             if self.exhausted():
                 return None
             after = self.attempt(state, action, self.round.budget)
             if after is not None:
                 # From where equal parts had swapped places, the pair may have gone into other slots than these.
-                told = next(self.task.own_places(after), None)
-                if told is not None:
-                    return told
+                if self.told(self.task.joined(after)) is not None:
+                    return after
                 self.steps.pop()
         return None
 

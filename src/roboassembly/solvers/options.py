@@ -12,7 +12,7 @@ from roboassembly.poses import SE3
 from roboassembly.solvers.disassembly import Disassembly, Parts
 from roboassembly.task.full import FullTask, Joint
 from roboassembly.task.full_plan import FullState
-from roboassembly.task.groups import TaskState, corresponding_point
+from roboassembly.task.groups import TaskState, told_point
 from roboassembly.task.rules import UP_AXES
 
 _HOPELESS = -0.5
@@ -24,32 +24,46 @@ End = tuple[int, int]
 """Part and point."""
 
 
-def ends(furniture: Furniture, state: TaskState, leaving: Parts, staying: Parts) -> Iterator[tuple[End, End]]:
-    """Parts and points of both groups that touch when the groups are joined: the leaving one's first."""
-    part_in = {slot: part for g in state.groups for part, slot in zip(g.parts, g.slots, strict=True)}
+def ends(
+    furniture: Furniture, state: TaskState, told: TaskState, leaving: Parts, staying: Parts
+) -> Iterator[tuple[End, End]]:
+    """Parts and points of both groups that touch when the groups are joined: the leaving one's first.
+
+    Args:
+        furniture: that is assembled.
+        state: in which both are groups.
+        told: the same so that every slot is claimed once.
+        leaving: slots that the one takes in `told`.
+        staying: slots that the other takes there.
+    """
+    group_in = {slot: index for index, g in enumerate(told.groups) for slot in g.slots}
     for c in furniture.connections:
         a, b = (c.part_a, c.point_a), (c.part_b, c.point_b)
         if c.part_a in staying and c.part_b in leaving:
             a, b = b, a
         elif not (c.part_a in leaving and c.part_b in staying):
             continue
-        one, two = part_in[a[0]], part_in[b[0]]
-        k, l = corresponding_point(furniture, *a, one), corresponding_point(furniture, *b, two)  # noqa: E741
-        if k is not None and l is not None:
-            yield (one, k), (two, l)
+        one, two = (
+            told_point(furniture, state.groups[group_in[end[0]]], told.groups[group_in[end[0]]], end) for end in (a, b)
+        )
+        if one is not None and two is not None:
+            yield one, two
 
 
-def upright(disassembly: Disassembly, state: TaskState, leaving: Parts, staying: Parts, straight: bool) -> list[Action]:
+def upright(
+    disassembly: Disassembly, state: TaskState, told: TaskState, leaving: Parts, staying: Parts, straight: bool
+) -> list[Action]:
     """`(u, v, k, l, w)`. Rising out of the joint is best; ending up in the ground is worst.
 
     Args:
         disassembly: of the furniture.
         state: in which both are groups.
-        leaving: slots of the one.
-        staying: slots of the other.
+        told: the same so that every slot is claimed once.
+        leaving: slots that the one takes in `told`.
+        staying: slots that the other takes there.
         straight: leave out what needs more than a straight way.
     """
-    pair = next(ends(disassembly.furniture, state, leaving, staying), None)
+    pair = next(ends(disassembly.furniture, state, told, leaving, staying), None)
     if pair is None:
         return []
     (one, k), (two, l) = pair  # noqa: E741
@@ -67,17 +81,18 @@ def upright(disassembly: Disassembly, state: TaskState, leaving: Parts, staying:
     return [action for score, action in scored if score > _HOPELESS or not straight]
 
 
-def grasping(task: FullTask, state: FullState, leaving: Parts, staying: Parts) -> Iterator[Action]:
+def grasping(task: FullTask, state: FullState, told: TaskState, leaving: Parts, staying: Parts) -> Iterator[Action]:
     """`(u, v, k, l, g_a, g_b)` that pass all tests before arms come in; R_b holds the heavier group first.
 
     Args:
         task: the rules.
         state: in which both are groups.
-        leaving: slots of the one.
-        staying: slots of the other.
+        told: the same so that every slot is claimed once.
+        leaving: slots that the one takes in `told`.
+        staying: slots that the other takes there.
     """
     furniture = task.furniture
-    pairs = list(ends(furniture, state.groups, leaving, staying))
+    pairs = list(ends(furniture, state.groups, told, leaving, staying))
     heavy = [sum(furniture.parts[p].mesh.volume for p in slots) for slots in (leaving, staying)]
     if heavy[0] > heavy[1]:
         pairs = [(b, a) for a, b in pairs]

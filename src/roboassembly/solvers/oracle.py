@@ -86,8 +86,15 @@ class Oracle:
 
     def joints(self, state: TaskState) -> list[Joint]:
         """Every right ordered pair `(u, k, v, l)` of a state."""
-        free = self.task.free_points(state)
-        ends = [(p, k, kind) for (p, k), kind in sorted(self._kinds.items()) if free[p, k]]
+        taken = state.occupied(self.furniture)
+        ends = [
+            (part, k, self._kinds[slot, k])
+            for group in state.groups
+            for part, slot in zip(group.parts, map(group.slot_of_points, group.parts), strict=True)
+            for k in range(len(self.furniture.parts[slot].points))
+            if (part, k) not in taken
+        ]
+        ends.sort()
         out = []
         for v, l, kind_v in ends:  # noqa: E741
             for u, k, kind_u in ends:
@@ -109,8 +116,8 @@ class Oracle:
     def state_solvable(self, state: TaskState) -> bool:
         """Whether straight exits can finish the furniture from here.
 
-        Told by slots alone. Equal parts whose points could not be made equal (a stool's stretchers, turned end for
-        end) may be stuck all the same; a play that finds out takes its last move back.
+        Told by slots alone. A loose part whose points differ from those of the slots that are left may be stuck all
+        the same; a play that finds out takes its last move back.
         """
         places = islice(self.task.pairs.own_places(state), _PLACES)
         told = {frozenset(frozenset(g.slots) for g in place.groups) for place in places}

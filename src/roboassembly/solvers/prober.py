@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 
 from roboassembly.planning.problem import Budget
-from roboassembly.task.groups import TaskState, corresponding_point
+from roboassembly.solvers.options import End, ends
+from roboassembly.task.groups import TaskState
 from roboassembly.task.object_centric import ObjectCentricTask, Verdict
 from roboassembly.task.rules import UP_AXES
 
@@ -56,25 +58,18 @@ def probe(task: ObjectCentricTask, seed: int, *, best_w: bool, patient: bool, bu
     return Probe(True, merges, steps, seconds)
 
 
-_End = tuple[int, int]
-"""Part and point."""
-
-
-def _open_joints(task: ObjectCentricTask, state: TaskState) -> list[tuple[_End, _End]]:
+def _open_joints(task: ObjectCentricTask, state: TaskState) -> list[tuple[End, End]]:
     """One right pair of points for each connection that is not closed yet."""
-    furniture = task.furniture
-    part_in = {slot: part for g in state.groups for part, slot in zip(g.parts, g.slots, strict=True)}
-    joints = []
-    for c in furniture.connections:
-        a, b = part_in[c.part_a], part_in[c.part_b]
-        k = corresponding_point(furniture, c.part_a, c.point_a, a)
-        l = corresponding_point(furniture, c.part_b, c.point_b, b)  # noqa: E741
-        if state.group_of[a] != state.group_of[b] and k is not None and l is not None:
-            joints.append(((a, k), (b, l)))
+    told = next(task.pairs.own_places(state), None)
+    if told is None:
+        return []
+    joints: list[tuple[End, End]] = []
+    for one, two in combinations(told.groups, 2):
+        joints.extend(ends(task.furniture, state, told, frozenset(one.slots), frozenset(two.slots)))
     return joints
 
 
-def _ways(joint: tuple[_End, _End], rng: np.random.Generator, best_w: bool) -> list[tuple[int, ...]]:
+def _ways(joint: tuple[End, End], rng: np.random.Generator, best_w: bool) -> list[tuple[int, ...]]:
     """Actions that join at these two points: all in random order, or one."""
     (a, k), (b, l) = joint  # noqa: E741
     ways = [(u, v, i, j, w) for w in range(len(UP_AXES)) for u, i, v, j in ((a, k, b, l), (b, l, a, k))]

@@ -69,12 +69,11 @@ def solve_from(
     task: ObjectCentricTask, initial: TaskState, seed: int, limits: SearchLimits, guide: Guide[TaskState] | None = None
 ) -> SearchResult[Plan]:
     """As `solve`, from a state that is given, in which equal parts may have taken each other's places."""
-    state = next(task.own_places(initial), None)
-    if state is None:
+    if next(task.rules.pairs.own_places(initial), None) is None:
         nothing = Plan(task.furniture, initial.part_poses, (), False, seed)
         return SearchResult(nothing, 0, 0.0, 0, 0, _NO_PLACE)
     search = Search(task, upright, limits, seed, _ROUNDS[0])
-    success = search.run(state, _ROUNDS, guide)
+    success = search.run(initial, _ROUNDS, guide)
     return search.result(Plan(task.furniture, initial.part_poses, tuple(search.steps), success, seed), success)
 
 
@@ -94,13 +93,12 @@ def solve_full(
     """
     task = task or FullTask(furniture)
     initial = task.initial_state(np.random.default_rng(seed))
-    state = next(task.own_places(initial))
     search = Search(task, partial(_grasping, task), limits or _FULL_LIMITS, seed, _FULL_ROUNDS[0])
-    success = search.run(state, _FULL_ROUNDS, None)
+    success = search.run(initial, _FULL_ROUNDS, None)
     return search.result(FullPlan(furniture, initial, tuple(search.steps), success, seed), success)
 
 
 def _grasping(
-    task: FullTask, _: Disassembly, state: FullState, leaving: Parts, staying: Parts, straight: bool
+    task: FullTask, _: Disassembly, state: FullState, told: TaskState, leaving: Parts, staying: Parts, straight: bool
 ) -> Iterable[Action]:
-    return grasping(task, state, leaving, staying)
+    return grasping(task, state, told, leaving, staying)

@@ -6,7 +6,7 @@ Everything here is a pure function of state, action and seed; the environment an
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cached_property
@@ -150,12 +150,6 @@ class FullTask:
     def joined(self, state: FullState) -> TaskState:
         """The groups of a state."""
         return state.groups
-
-    def own_places(self, state: FullState) -> Iterator[FullState]:
-        """The same state told so that every slot is claimed once (`PairRule.own_places`)."""
-        for groups in self.rules.pairs.own_places(state.groups):
-            standing = tuple(Standing(g, s.stand) for g, s in zip(groups.groups, state.moment.standing, strict=True))
-            yield replace(state, groups=groups, moment=replace(state.moment, standing=standing))
 
     def free_holds(self, state: TaskState, part: int) -> dict[int, Hold]:
         """Grasps of a part that the rest of its group leaves free, and how the hand holds it then."""

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float
 
-from roboassembly.furniture.model import SAME_POINT, Furniture
+from roboassembly.furniture.model import SAME_POINT, ConnectionPoint, Furniture
 from roboassembly.poses import SE3, orthonormal, transform_points
 from roboassembly.scene import Body, Shape
 
@@ -22,11 +22,23 @@ class Group:
     slots: tuple[int, ...]
     """The slot that each part takes; another part's, where equivalent parts are swapped."""
     furniture_from_part: tuple[SE3, ...]
-    """Each part in its slot, turned by a symmetry of its shape. Its connection points are not turned with it: shape
-    and points are indistinguishable from those of the part whose slot it is, so its points are where that part's are.
+    """Each part in its slot, turned by a symmetry of its shape. Its connection points are not turned with it
+    (`slot_of_points`).
     """
     world_from_furniture: SE3
     """Where the group is."""
+
+    def slot_of_points(self, part: int) -> int:
+        """The slot whose part's connection points a part of this group has.
+
+        A loose part has its own. A joined part is not to be told from the part whose slot it takes, however it was
+        turned on its way there, so it has that part's: the same number, in the same order, at the same places.
+        """
+        return part if len(self.parts) == 1 else self.slots[self.parts.index(part)]
+
+    def points_of(self, furniture: Furniture, part: int) -> tuple[ConnectionPoint, ...]:
+        """Connection points of a part of this group, in the frame of the slot that the part takes."""
+        return furniture.parts[self.slot_of_points(part)].points
 
     def part_poses(self) -> tuple[SE3, ...]:
         """`world_from_part` for each part of the group."""
@@ -64,23 +76,41 @@ class TaskState:
         taken: set[tuple[int, int]] = set()
         for group in self.groups:
             inside = set(group.slots)
-            for part, slot in zip(group.parts, group.slots, strict=True):
+            for part, slot in zip(group.parts, group.slots, strict=True) if len(inside) > 1 else ():
                 for k in range(len(furniture.parts[slot].points)):
                     mate = furniture.mate_of.get((slot, k))
-                    own = corresponding_point(furniture, slot, k, part)
-                    if mate is not None and mate[0] in inside and own is not None:
-                        taken.add((part, own))
+                    if mate is not None and mate[0] in inside:
+                        taken.add((part, k))
         return taken
 
 
-def corresponding_point(furniture: Furniture, slot: int, k: int, part: int) -> int | None:
-    """The point of `part`, in the place of the like part `slot`, that lies where point `k` of that part would."""
-    if part == slot:
-        return k
-    spot = furniture.parts[slot].points[k].position
-    apart = [float(np.linalg.norm(p.position - spot)) for p in furniture.parts[part].points]
-    nearest = int(np.argmin(apart)) if apart else -1
-    return nearest if apart and apart[nearest] < SAME_POINT else None
+def told_point(furniture: Furniture, group: Group, told: Group, end: tuple[int, int]) -> tuple[int, int] | None:
+    """Part and point of a group at a slot's point, where the group is told in other slots (`PairRule.places`).
+
+    Args:
+        furniture: whose slots they are.
+        group: as it is.
+        told: the same parts in the same place, told in other slots.
+        end: slot that `told` takes, and a point of the part whose slot it is.
+
+    Returns:
+        The part in that slot, and the number of its point that lies there; None if it has none there.
+    """
+    slot, k = end
+    part = told.parts[told.slots.index(slot)]
+    if group.slot_of_points(part) == slot:
+        return part, k
+    there = told.world_from_furniture * furniture.assembled[slot]
+    here = group.world_from_furniture * furniture.assembled[group.slots[group.parts.index(part)]]
+    spots = transform_points(here.inverse() * there, np.array([p.position for p in furniture.parts[slot].points]))
+    own = np.array([p.position for p in group.points_of(furniture, part)])
+    # A loose part may still be turned about to lay its points on the slot's.
+    loose = len(group.parts) == 1
+    turns = furniture.classes[furniture.class_of[part]].symmetries if loose else np.eye(3)[None]
+    apart = np.linalg.norm((spots @ turns)[:, :, None] - own, axis=3)
+    best = int(np.argmax((apart.min(axis=2) < SAME_POINT).sum(axis=1)))
+    nearest = int(np.argmin(apart[best, k]))
+    return (part, nearest) if apart[best, k, nearest] < SAME_POINT else None
 
 
 def part_from_points(furniture: Furniture, group: Group, part: int) -> SE3:

@@ -5,7 +5,6 @@ Everything here is a pure function of state, action and seed; the environment an
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -88,10 +87,6 @@ class ObjectCentricTask:
     def joined(self, state: TaskState) -> TaskState:
         """The groups of a state: all that it is."""
         return state
-
-    def own_places(self, state: TaskState) -> Iterator[TaskState]:
-        """The same state told so that every slot is claimed once (`PairRule.own_places`)."""
-        return self.pairs.own_places(state)
 
     def free_points(self, state: TaskState) -> Bool[np.ndarray, "20 10"]:
         """Which connection points exist and do not touch anything yet, padded."""

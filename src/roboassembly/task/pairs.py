@@ -55,8 +55,7 @@ class PairRule:
 
     def judge(self, u_group: Group, v_group: Group, u: int, k: int, v: int, l: int) -> Merge | None:  # noqa: E741
         """The merge that point `k` of part `u` onto point `l` of part `v` makes, or None if the pair is wrong."""
-        parts = self._furniture.parts
-        v_from_u = mate(parts[v].points[l], parts[u].points[k])
+        v_from_u = mate(v_group.points_of(self._furniture, v)[l], u_group.points_of(self._furniture, u)[k])
         frame_of_u = u_group.furniture_from_part[u_group.parts.index(u)]
         frame_of_v = v_group.furniture_from_part[v_group.parts.index(v)]
         points_of_u = self._furniture.assembled[u_group.slots[u_group.parts.index(u)]]

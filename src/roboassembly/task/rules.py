@@ -30,15 +30,12 @@ class Rules:
         """Which pairs are right."""
         return PairRule(self.furniture)
 
-    @cached_property
-    def _has_point(self) -> Bool[np.ndarray, "parts points"]:
-        counts = np.array([len(p.points) for p in self.furniture.parts])
-        return np.arange(MAX_POINTS)[None] < counts[:, None]
-
     def free_points(self, state: TaskState) -> Bool[np.ndarray, "20 10"]:
         """Which connection points exist and do not touch anything yet, padded."""
         free = np.zeros((MAX_PARTS, MAX_POINTS), dtype=bool)
-        free[: len(self.furniture.parts)] = self._has_point
+        for group in state.groups:
+            for part in group.parts:
+                free[part, : len(group.points_of(self.furniture, part))] = True
         for part, point in state.occupied(self.furniture):
             free[part, point] = False
         return free
@@ -48,10 +45,11 @@ class Rules:
         n = len(self.furniture.parts)
         if not (0 <= u < n and 0 <= v < n):
             return False
-        if not (0 <= k < len(self.furniture.parts[u].points) and 0 <= l < len(self.furniture.parts[v].points)):
-            return False
         if state.group_of[u] == state.group_of[v]:
             return False
+        for part, point in ((u, k), (v, l)):
+            if not 0 <= point < len(state.groups[state.group_of[part]].points_of(self.furniture, part)):
+                return False
         return not {(u, k), (v, l)} & state.occupied(self.furniture)
 
     def retreats(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Protocol, TypeVar
 
 import numpy as np
@@ -65,10 +64,6 @@ class Task(Protocol[State, Step_co]):
 
     def joined(self, state: State) -> TaskState:
         """The groups of a state."""
-        ...
-
-    def own_places(self, state: State) -> Iterator[State]:
-        """The same state told so that every slot is claimed once."""
         ...
 
     def step(
