@@ -8,9 +8,8 @@ from statistics import median
 from typing import Annotated, Literal
 
 import tyro
-from tqdm import tqdm
 
-from roboassembly.cli.output import DONE, print_json
+from roboassembly.cli.output import DONE, print_json, progress_bar
 from roboassembly.errors import InputError
 
 
@@ -55,7 +54,7 @@ class Dataset:
         from roboassembly.furniture.datasets import RECIPES
         from roboassembly.solvers.curate import build
 
-        with tqdm(desc=f"building {self.name}", unit="chair") as progress:
+        with progress_bar(desc=f"building {self.name}", unit="chair") as progress:
             for done, of in build(RECIPES[self.name], self.seed, self.jobs):
                 progress.total = of
                 progress.update(done - progress.n)

@@ -10,9 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
-from tqdm import tqdm
 
-from roboassembly.cli.output import DONE, print_json, say
+from roboassembly.cli.output import DONE, print_json, progress_bar, say
 from roboassembly.errors import InputError
 
 if TYPE_CHECKING:
@@ -78,7 +77,7 @@ class Evaluate:
             picks = sampled(picks, self.sample, self.seed)
         playing = evaluate(way, picks, self.seed, self.jobs, episodes=self.episodes)
         total = len(picks) * self.episodes
-        episodes = tuple(tqdm(playing, total=total, unit="episode"))
+        episodes = tuple(progress_bar(playing, total=total, unit="episode"))
         evaluation = Evaluation(way, self.set, self.seed, episodes)
         report = evaluation.to_json()
         if self.export is not None:

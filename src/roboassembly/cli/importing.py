@@ -12,9 +12,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
-from tqdm import tqdm
 
-from roboassembly.cli.output import DONE, print_json, say, writable_folder
+from roboassembly.cli.output import DONE, print_json, progress_bar, say, writable_folder
 from roboassembly.errors import InputError
 
 if TYPE_CHECKING:
@@ -95,7 +94,7 @@ class Import:
         names = _names(folders)
         targets = [self.out if single and self._fresh() else self.out / name for name in names]
         items: list[Item] = []
-        with tqdm(total=len(folders), desc="importing", unit="piece", disable=single) as progress:
+        with progress_bar(total=len(folders), desc="importing", unit="piece", disable=single) as progress:
             for item in self._each(folders, targets, names):
                 items.append(item)
                 progress.update()

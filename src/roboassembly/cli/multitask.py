@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 from tqdm import tqdm
 
-from roboassembly.cli.output import DONE, print_json, say, writable_folder
+from roboassembly.cli.output import DONE, print_json, progress_bar, say, writable_folder
 from roboassembly.errors import InputError, MissingExtraError
 
 if TYPE_CHECKING:
@@ -116,7 +116,7 @@ def follow(progress: Iterable[Progress], folder: Path) -> dict[str, float]:
             if bar is None or bar.desc != p.stage:
                 if bar is not None:
                     bar.close()
-                bar = tqdm(desc=p.stage, total=p.total)
+                bar = progress_bar(desc=p.stage, total=p.total)
             bar.update(p.done - bar.n)
             log.add(p.stage, p.done, p.scalars, last=p.done == p.total)
             last.update({f"{p.stage}/{name}": value for name, value in p.scalars.items()})

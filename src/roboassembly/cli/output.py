@@ -5,11 +5,16 @@ from __future__ import annotations
 import json
 import sys
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
+from typing import Any
+
+from tqdm import tqdm
 
 from roboassembly.errors import InputError
 
+_LOGGED_EVERY = 30.0
+"""Seconds."""
 DONE, DONE_BADLY = 0, 1
 """Exit statuses: it worked; it was tried in earnest and did not work. Bad input is 2."""
 
@@ -17,6 +22,16 @@ DONE, DONE_BADLY = 0, 1
 def say(text: str) -> None:
     """A line for the person who watches."""
     print(text, file=sys.stderr, flush=True)
+
+
+def progress_bar(iterable: Iterable[Any] | None = None, **told: Any) -> tqdm[Any]:
+    """A bar for the person who watches, as `tqdm`; a line now and then where nobody does, so that log files stay small.
+
+    Args:
+        iterable: counted while it is gone through.
+        told: to `tqdm`.
+    """
+    return tqdm(iterable, mininterval=0.1 if sys.stderr.isatty() else _LOGGED_EVERY, **told)
 
 
 def print_json(result: Mapping[str, object]) -> None:
