@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from functools import cache
 
@@ -16,6 +17,13 @@ from roboassembly.solvers.disassembly import Disassembly, partition_of
 from roboassembly.solvers.options import grasping
 from roboassembly.task.full import FullTask
 from roboassembly.task.full_plan import FullPlan
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """What JAX compiles is kept from run to run, and shared by the processes of one."""
+    assert config.cache is not None
+    os.environ["JAX_COMPILATION_CACHE_DIR"] = str(config.cache.mkdir("jax"))
+    os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.5"
 
 
 @pytest.fixture(scope="session", autouse=True)

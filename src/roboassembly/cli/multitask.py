@@ -95,7 +95,7 @@ class Multitask:
 
 
 def needs(*packages: str) -> None:
-    """Refuse where what training needs is not installed.
+    """Refuse where what training needs is not installed; what JAX will compile is kept.
 
     Raises:
         MissingExtraError: it is not.
@@ -103,6 +103,9 @@ def needs(*packages: str) -> None:
     for package in packages:
         if find_spec(package) is None:
             raise MissingExtraError(package, "learn")
+    from roboassembly.learning.processes import keep_compiled
+
+    keep_compiled()
 
 
 def follow(progress: Iterable[Progress], folder: Path) -> dict[str, float]:

@@ -10,7 +10,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
+from itertools import pairwise
 
 import coal
 import numpy as np
@@ -34,30 +35,59 @@ _SAMPLES = 2_000
 _SPREAD_SAMPLES, _SPREAD_SLACK = 100_000, 1.02
 _ALWAYS = 0.5
 """Share of random configurations from which on two links that overlap are taken to be made so."""
+_CHUNK = 8
+"""Configurations looked at first, where the first hit ends it."""
 Configurations = Float[np.ndarray, "n 10"]
 
 
 @dataclass(eq=False)
-class _Ladder:
-    """The same pairs at several margins, the last zero."""
+class _Test:
+    """Pairs of shapes, nearer to each other than a margin or not; their convex hulls are looked at first."""
 
     model: pin.Model
     geometry: pin.GeometryModel
-    margins: tuple[float, ...]
-    pools: dict[float, Pool]
+    hulls: pin.GeometryModel
+    margin: float
 
-    def hits(self, level: int, q: Configurations, *, first_only: bool = False) -> Bool[np.ndarray, "n"]:
-        margin = self.margins[level]
-        pool = self.pools.get(margin)
-        if pool is None:
-            pool = self.pools[margin] = Pool(self.model, self.geometry, 1)
-            for data in pool.getGeometryDatas():
-                for request in data.collisionRequests:
-                    request.break_distance = 0.0
-                    request.security_margin = margin
-        return np.array(
-            pin.computeCollisionsInParallel(1, pool, np.asfortranarray(q.T), first_only, first_only), dtype=bool
-        )
+    @cached_property
+    def _hulls(self) -> Pool:
+        return self._pool(self.hulls)
+
+    @cached_property
+    def _exact(self) -> Pool:
+        return self._pool(self.geometry)
+
+    def _pool(self, geometry: pin.GeometryModel) -> Pool:
+        pool = Pool(self.model, geometry, 1)
+        for data in pool.getGeometryDatas():
+            for request in data.collisionRequests:
+                request.break_distance = 0.0
+                request.security_margin = self.margin
+        return pool
+
+    def hits(self, q: Configurations, *, first_only: bool = False) -> Bool[np.ndarray, "n"]:
+        """Whether any pair is nearer, in each configuration; none after the first that is, with `first_only`."""
+        out = np.zeros(len(q), bool)
+        sizes = _growing(len(q)) if first_only else [len(q)]
+        for begin, end in pairwise(np.cumsum([0, *sizes]).tolist()):
+            near = begin + np.flatnonzero(_collisions(self._hulls, q[begin:end]))
+            if len(near):
+                out[near] = _collisions(self._exact, q[near], first_only)
+            if first_only and out.any():
+                break
+        return out
+
+
+def _collisions(pool: Pool, q: Configurations, first_only: bool = False) -> Bool[np.ndarray, "n"]:
+    return np.array(pin.computeCollisionsInParallel(1, pool, np.asfortranarray(q.T), True, first_only), dtype=bool)
+
+
+def _growing(count: int) -> list[int]:
+    """Lengths that add up to a count, each twice the one before."""
+    out: list[int] = []
+    while (rest := count - sum(out)) > 0:
+        out.append(min(rest, _CHUNK << len(out)))
+    return out
 
 
 class RobotWorld:
@@ -103,10 +133,20 @@ class RobotWorld:
         for a, b in (*_own_pairs(), *loaded):
             inner.addCollisionPair(pin.CollisionPair(a, b))
             both.addCollisionPair(pin.CollisionPair(a, b))
-        self._outer = _Ladder(model, outer, (*_OUTER_MARGINS, 0.0), {})
-        self._clear = _Ladder(model, outer, (*_OUTER_MARGINS, CLEARANCE), self._outer.pools)
-        self._inner = _Ladder(model, inner, (*_OWN_MARGINS, 0.0), {})
-        self._both = _Ladder(model, both, (0.0,), {})
+        meshes = [*held, *(s for b in still for s in b.shapes)]
+        hulls = {i: s.mesh.convex for i, s in zip([*load, *others], meshes, strict=True) if not s.convex}
+
+        def tests(pairs: pin.GeometryModel, margins: Sequence[float]) -> list[_Test]:
+            hulled = pairs.copy()
+            for index, hull in hulls.items():
+                hulled.geometryObjects[index].geometry = hull
+            return [_Test(model, pairs, hulled, margin) for margin in margins]
+
+        # A test takes a millisecond to set up: the exact one is shared.
+        (self._all,) = tests(both, (0.0,))
+        *around, clear = tests(outer, (*_OUTER_MARGINS, CLEARANCE))
+        self._outer, self._clear = (*around, self._all), (*around, clear)
+        self._inner = (*tests(inner, _OWN_MARGINS), self._all)
         near = [transform_points(pose, link.mesh.hull_vertices) for link, pose in hand_links(opening)]
         near += [transform_points(tips * s.body_from_mesh, s.mesh.hull_vertices) for s in held]
         self._reach = _reach(np.concatenate(near))
@@ -114,19 +154,19 @@ class RobotWorld:
     def free(self, q: Configurations) -> Bool[np.ndarray, "n"]:
         """Exact test of each configuration."""
         self.states += len(q)
-        return ~self._both.hits(0, q) & (not self._hopeless)
+        return ~self._all.hits(q) & (not self._hopeless)
 
     def clear(self, q: Configurations) -> Bool[np.ndarray, "n"]:
         """Whether each configuration is free, and at least `CLEARANCE` from all around."""
         self.states += len(q)
-        return self.free(q) & ~self._clear.hits(len(_OUTER_MARGINS), q)
+        return self.free(q) & ~self._clear[-1].hits(q)
 
     def clearance(self, q: Configurations) -> Float[np.ndarray, "n"]:
         """The largest of a few margins that each configuration keeps from all around; zero of those that touch."""
         out = np.zeros(len(q))
-        for level, margin in enumerate(self._outer.margins[:-1]):
+        for test in self._outer[:-1]:
             self.states += len(q)
-            out = np.maximum(out, np.where(self._outer.hits(level, q), 0.0, margin))
+            out = np.maximum(out, np.where(test.hits(q), 0.0, test.margin))
         return out
 
     def edge_is_free(self, a: Float[np.ndarray, "10"], b: Float[np.ndarray, "10"], *, clear: bool = False) -> bool:
@@ -143,31 +183,32 @@ class RobotWorld:
             self._inner, a, b, float(step[3:] @ self._reach[1:])
         )
 
-    def _ladder_free(self, ladder: _Ladder, a: np.ndarray, b: np.ndarray, moved: float) -> bool:
+    def _ladder_free(self, ladder: Sequence[_Test], a: np.ndarray, b: np.ndarray, moved: float) -> bool:
+        """Whether an edge passes the last test of a ladder all along; the others, of falling margins, save work."""
         if moved < 1e-9:
             return True
-        last = len(ladder.margins) - 1
         stretches = np.array([[0.0, 1.0]])
-        for level, margin in enumerate(ladder.margins):
-            spacing = 2.0 * margin if level < last else RESOLUTION
+        for test in ladder:
+            last = test is ladder[-1]
+            spacing = RESOLUTION if last else 2.0 * test.margin
             counts = np.maximum(1, np.ceil((stretches[:, 1] - stretches[:, 0]) * moved / spacing)).astype(int)
             cuts = [np.linspace(low, high, n + 1) for (low, high), n in zip(stretches, counts, strict=True)]
             low, high = np.concatenate([c[:-1] for c in cuts]), np.concatenate([c[1:] for c in cuts])
-            if level == last:
-                return not self._any_hit(ladder, level, a + np.outer(high, b - a))
+            if last:
+                return not self._any_hit(test, a + np.outer(high, b - a))
             middle = a + np.outer(0.5 * (low + high), b - a)
             # A coarse look for what is plainly in the way comes before certifying.
-            if level == 0 and self._any_hit(ladder, last, _spread(np.concatenate([middle, b[None]]))):
+            if test is ladder[0] and self._any_hit(ladder[-1], _spread(np.concatenate([middle, b[None]]))):
                 return False
             self.states += len(middle)
-            near = ladder.hits(level, middle)
+            near = test.hits(middle)
             if not near.any():
                 return True
             stretches = np.stack([low[near], high[near]], axis=1)
         return True
 
-    def _any_hit(self, ladder: _Ladder, level: int, q: Configurations) -> bool:
-        hits = ladder.hits(level, q, first_only=True)
+    def _any_hit(self, test: _Test, q: Configurations) -> bool:
+        hits = test.hits(q, first_only=True)
         self.states += int(np.argmax(hits)) + 1 if hits.any() else len(q)
         return bool(hits.any())
 
