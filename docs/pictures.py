@@ -7,12 +7,18 @@ import imageio.v3 as iio
 import numpy as np
 from PIL import Image
 
+from roboassembly.envs.object_centric import existing_actions
+from roboassembly.envs.observation import Observer
 from roboassembly.furniture import catalogue
 from roboassembly.furniture.generate import CHAIRS, FAMILIES
-from roboassembly.furniture.model import Part
+from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS, Furniture, Part
 from roboassembly.gripper import hand_bodies, hand_pose
+from roboassembly.learning.loading import load_policy
 from roboassembly.poses import SE3
+from roboassembly.solvers.oracle import Oracle
 from roboassembly.solvers.search import solve, solve_full
+from roboassembly.task.groups import TaskState
+from roboassembly.task.object_centric import ObjectCentricTask
 from roboassembly.viewer.colors import WOOD
 from roboassembly.viewer.film import render_contact_sheet, write_film, write_storyboard
 from roboassembly.viewer.framing import box_corners, fit
@@ -20,6 +26,7 @@ from roboassembly.viewer.playing import AnyPlan
 from roboassembly.viewer.stage import Stage
 
 IMAGES = Path(__file__).parent / "images"
+GROUPS = [(0.85, 0.65, 0.35), (0.35, 0.55, 0.80), (0.80, 0.40, 0.35), (0.45, 0.70, 0.45), (0.65, 0.50, 0.75)]
 HAND = [(0.86, 0.88, 0.90), (0.25, 0.28, 0.32), (0.25, 0.28, 0.32)]
 
 
@@ -52,6 +59,33 @@ def write_grasps(name: str, path: Path, columns: int, size: int) -> None:
     iio.imwrite(path, np.concatenate(rows))
 
 
+def groups_as_they_lie(furniture: Furniture, state: TaskState, width: int, height: int) -> np.ndarray:
+    """A state of the object-centric task, its groups in colours of their own."""
+    meshes = [part.mesh for part in furniture.parts]
+    points = np.concatenate([box_corners(m, p) for m, p in zip(meshes, state.part_poses, strict=True)])
+    view = fit(points, width / height)
+    radius = float(np.linalg.norm(points - view.target, axis=1).max())
+    with Stage(meshes, width, height, center=view.target, radius=radius) as stage:
+        colors = [GROUPS[state.group_of[p] % len(GROUPS)] for p in range(len(meshes))]
+        return stage.picture(list(state.part_poses), colors, view)
+
+
+def write_dead_end(name: str, path: Path, *, width: int, height: int) -> None:
+    """The policy alone, led into a dead end: before its last good state, and after the merge that shut a part out."""
+    furniture = catalogue.find(name)
+    task, policy = ObjectCentricTask(furniture), load_policy("relational")
+    oracle, observer = Oracle(task), Observer(furniture, MAX_PARTS, MAX_POINTS, policy.cloud_points)
+    state = task.initial_state(np.random.default_rng(0))
+    while not state.complete:
+        action = policy.act(observer.observe(state), existing_actions(task, state))
+        after = task.step(state, tuple(int(i) for i in action), 0).state
+        if after is state or not oracle.state_solvable(after):
+            break
+        state = after
+    pictures = [groups_as_they_lie(furniture, s, width, height) for s in (state, after)]
+    iio.imwrite(path, np.concatenate(pictures, axis=1))
+
+
 def write_loop(plan: AnyPlan, path: Path, *, width: int, height: int, fps: int) -> None:
     """The film of a plan as an animated WebP, which pages show where they are read."""
     with tempfile.TemporaryDirectory() as folder:
@@ -62,6 +96,7 @@ def write_loop(plan: AnyPlan, path: Path, *, width: int, height: int, fps: int) 
 
 
 write_grasps("ladder", IMAGES / "grasps.png", columns=5, size=200)
+write_dead_end("splat:8", IMAGES / "dead_end.png", width=480, height=320)
 write_storyboard(solve(catalogue.make("ladder"), 0).plan, IMAGES / "storyboard.png", columns=4, width=360, height=240)
 two_robots = solve_full(catalogue.make("stool"), 0).plan
 write_storyboard(two_robots, IMAGES / "two_robots.png", columns=5, width=320, height=240)

@@ -197,7 +197,7 @@ def _states(
         a, b = leg.path[0], leg.path[-1]
         q = a + rng.random((share, 1)) * (b - a) + rng.normal(0.0, 0.15, (share, len(a)))
         world = leg.moment.world(furniture, leg.robot)
-        world.free(q[:1])
+        world.free(q)  # sets up, as `set_up` does for Bullet
         begun = time.perf_counter()
         free = world.free(q)
         ours += time.perf_counter() - begun
