@@ -83,7 +83,7 @@ def without_times(report: dict[str, Any]) -> list[Any]:
         for name in [n for n in figures if "seconds" in n]:
             del figures[name]
         for episode in figures.get("per_furniture", []):
-            del episode["planning_seconds"], episode["policy_seconds"]
+            del episode["planning_seconds"], episode["policy_seconds"], episode["step_seconds"]
     return rows
 
 

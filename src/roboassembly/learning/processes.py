@@ -20,7 +20,6 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 _ONE_THREAD = {
     **dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"), "1"),
-    "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false",
     "XLA_PYTHON_CLIENT_PREALLOCATE": "false",
 }
 
@@ -74,8 +73,10 @@ def keep_compiled() -> None:
 @contextmanager
 def one_thread_each() -> Iterator[None]:
     """Processes started meanwhile compute with one thread, so that they do not fight for cores."""
-    before = {name: os.environ.get(name) for name in _ONE_THREAD}
-    os.environ.update(_ONE_THREAD)
+    flags = f"{os.environ.get('XLA_FLAGS', '')} --xla_cpu_multi_thread_eigen=false".strip()
+    ours = {**_ONE_THREAD, "XLA_FLAGS": flags}
+    before = {name: os.environ.get(name) for name in ours}
+    os.environ.update(ours)
     try:
         yield
     finally:
