@@ -20,8 +20,7 @@ from roboassembly.task.full_plan import FullPlan
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """What JAX compiles is compiled in haste, kept from run to run, and shared by the processes of one."""
-    os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0")
+    """What JAX compiles is kept from run to run, and shared by the processes of one."""
     if (kept := getattr(config, "cache", None)) is not None:
         os.environ["JAX_COMPILATION_CACHE_DIR"] = str(kept.mkdir("jax"))
         os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.5"
