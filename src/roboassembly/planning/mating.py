@@ -7,7 +7,6 @@ retreat is found does RRT-Connect search.
 
 from __future__ import annotations
 
-import itertools
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -120,12 +119,14 @@ def _rise(
                 blocked.append((d, reached))
             continue
         aside = _shifted(pose, distance * d)
+        top = _at_sky(aside, sky)
+        if world.edge_is_free(aside, top):
+            return [pose, aside, top]
         # Out of the joint need not be out from under everything.
         outside = _shifted(pose, min(world.distance_to_clear(pose, d, partner, UP) + 0.005, farthest) * d)
-        for way in ([aside], [aside, outside]):
-            way.append(_at_sky(way[-1], sky))
-            if all(world.edge_is_free(a, b) for a, b in itertools.pairwise(way)):
-                return [pose, *way]
+        top = _at_sky(outside, sky)
+        if world.edge_is_free(aside, outside) and world.edge_is_free(outside, top):
+            return [pose, aside, outside, top]
         blocked.append((d, distance))
     for d, reached in blocked:
         for part in (*(p for p in _PARTIAL_RETREATS if p < reached), reached):

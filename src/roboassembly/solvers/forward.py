@@ -150,14 +150,10 @@ class Search(Generic[State, AStep]):
 
     def hopeless(self, state: TaskState | None) -> bool:
         """Whether reasoning sees no way on from a state, in which equal parts may have swapped places."""
-        told = self.told(state) if state is not None else None
+        told = self.task.rules.pairs.told(state) if state is not None else None
         if told is None or (partition := partition_of(told)) in self.dead:
             return True
         return self.reasoned(partition, self.refused) is None
-
-    def told(self, state: TaskState) -> TaskState | None:
-        """The state told so that every slot is claimed once; None if its groups would share slots."""
-        return next(self.task.rules.pairs.own_places(state), None)
 
     def joined(self, state: TaskState, action: Action) -> TaskState | None:
         """What would be joined after an action; nothing is planned, nothing moves. None if the pair is wrong."""
@@ -180,7 +176,7 @@ class Search(Generic[State, AStep]):
         """
         if self.task.joined(state).complete:
             return True
-        told = self.told(self.task.joined(state))
+        told = self.task.rules.pairs.told(self.task.joined(state))
         if told is None or (partition := partition_of(told)) in self.dead:
             return False
         if merges and not partition.issuperset(merges[0]):
@@ -212,7 +208,7 @@ class Search(Generic[State, AStep]):
             after = self.attempt(state, action, self.round.budget)
             if after is not None:
                 # From where equal parts had swapped places, the pair may have gone into other slots than these.
-                if self.told(self.task.joined(after)) is not None:
+                if self.task.rules.pairs.told(self.task.joined(after)) is not None:
                     return after
                 self.steps.pop()
         return None

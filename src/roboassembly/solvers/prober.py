@@ -60,7 +60,7 @@ def probe(task: ObjectCentricTask, seed: int, *, best_w: bool, patient: bool, bu
 
 def _open_joints(task: ObjectCentricTask, state: TaskState) -> list[tuple[End, End]]:
     """One right pair of points for each connection that is not closed yet."""
-    told = next(task.pairs.own_places(state), None)
+    told = task.pairs.told(state)
     if told is None:
         return []
     joints: list[tuple[End, End]] = []

@@ -69,7 +69,7 @@ def solve_from(
     task: ObjectCentricTask, initial: TaskState, seed: int, limits: SearchLimits, guide: Guide[TaskState] | None = None
 ) -> SearchResult[Plan]:
     """As `solve`, from a state that is given, in which equal parts may have taken each other's places."""
-    if next(task.rules.pairs.own_places(initial), None) is None:
+    if task.pairs.told(initial) is None:
         nothing = Plan(task.furniture, initial.part_poses, (), False, seed)
         return SearchResult(nothing, 0, 0.0, 0, 0, _NO_PLACE)
     search = Search(task, upright, limits, seed, _ROUNDS[0])

@@ -120,6 +120,10 @@ class PairRule:
             moved.update(zip(joined, told, strict=True))
             yield TaskState(tuple(moved.get(g, g) for g in state.groups))
 
+    def told(self, state: TaskState) -> TaskState | None:
+        """The first of `own_places`; None if the groups would share slots whatever they took."""
+        return next(self.own_places(state), None)
+
     def _disjoint(self, groups: Sequence[Group], taken: frozenset[int]) -> Iterator[list[Group]]:
         """Places of several groups that share no slot."""
         if not groups:
