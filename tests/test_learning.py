@@ -264,6 +264,17 @@ def test_dead_ends_are_lessons_too() -> None:
     assert imitation.share_good(params, taught) == imitation.share_good(params, taught[: len(play.lessons)])
 
 
+def test_a_gradient_is_the_same_in_pieces(cantilever: Course) -> None:
+    examples = imitation.examples_of([cantilever])[:4]
+    params = relational.init(np.random.default_rng(0), CONFIG)
+    batch = imitation.batch_of(examples, 48)  # 192 tokens: pieces of two states
+    whole, _ = jax.jit(jax.grad(imitation.losses, has_aux=True))(params, batch)
+    told, terms = imitation.gradient_of(params, batch)
+    for a, b in zip(jax.tree.leaves(whole), jax.tree.leaves(told), strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-3, atol=1e-5)
+    assert terms["loss"] == pytest.approx(float(imitation.losses(params, batch)[0]), rel=1e-5)
+
+
 def test_training_learns_a_chair_and_resumes_where_it_was_killed(cantilever: Course, tmp_path: Path) -> None:
     examples = imitation.examples_of([cantilever])
     training = imitation.Training(steps=60, learning_rate=1e-2, warmup=5, batch=2, keep_every=0.0)

@@ -111,9 +111,7 @@ class Rehearsal:
         row, column, w = action
         one, two = key[:2]
         names = (int(self.part[row]), int(self.part[column]), int(self.point[row]), int(self.point[column]), w)
-        before = self.laid_out(state)
-        u_group, v_group = (before.groups[before.group_of[p]] for p in names[:2])
-        merge = self.task.pairs.judge(u_group, v_group, names[0], names[2], names[1], names[3])
+        merge = self.task.pairs.judge(self._group(one), self._group(two), names[0], names[2], names[1], names[3])
         alike = self._alike(one, two, row, column)
         if merge is None:
             self._count(self._tried[0], one, two, alike)
@@ -128,6 +126,7 @@ class Rehearsal:
             self._count(self._tried[1].T, one, two, alike)
         if not merges or label not in self._kind_names:
             self.planned += 1
+            before = self.laid_out(state)
             kinds = self._groups[one].kind, self._groups[two].kind
             seed = int(np.random.SeedSequence([self._seed, *kinds, *key[2:], w]).generate_state(1)[0])
             if label in self._kind_names:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from itertools import combinations
 
 import numpy as np
 import trimesh
@@ -60,27 +59,25 @@ def free_spot(wanted: Circle, taken: Sequence[Circle], spacing: float = SPACING)
     offset = wanted.center - centers
     distance = np.linalg.norm(offset, axis=1)
     outward = np.where(distance[:, None] > 1e-9, offset / np.maximum(distance, 1e-9)[:, None], np.array([1.0, 0.0]))
-    candidates = [wanted.center, *(centers + outward * reach[:, None])]
-    for i, j in combinations(range(len(taken)), 2):
-        candidates.extend(_crossings(centers[i], reach[i], centers[j], reach[j]))
-    places = np.array(candidates)
+    places = np.concatenate([wanted.center[None], centers + outward * reach[:, None], _crossings(centers, reach)])
     room = np.linalg.norm(places[:, None] - centers[None], axis=2) - reach[None]
     places = places[(room > -1e-9).all(axis=1)]
     return places[np.argmin(np.round(np.linalg.norm(places - wanted.center, axis=1), 9))]
 
 
-def _crossings(
-    a: Float[np.ndarray, "2"], reach_a: float, b: Float[np.ndarray, "2"], reach_b: float
-) -> list[Float[np.ndarray, "2"]]:
-    between = b - a
-    d = float(np.linalg.norm(between))
-    if d < 1e-9 or d > reach_a + reach_b or d < abs(reach_a - reach_b):
-        return []
-    along = (d * d + reach_a * reach_a - reach_b * reach_b) / (2 * d)
-    across = np.sqrt(max(0.0, reach_a * reach_a - along * along))
-    unit = between / d
-    normal = np.array([-unit[1], unit[0]])
-    return [a + along * unit + across * normal, a + along * unit - across * normal]
+def _crossings(centers: Float[np.ndarray, "n 2"], reach: Float[np.ndarray, "n"]) -> Float[np.ndarray, "k 2"]:
+    """Where any two of some circles meet."""
+    i, j = np.triu_indices(len(centers), 1)
+    between = centers[j] - centers[i]
+    d = np.linalg.norm(between, axis=1)
+    meet = (d >= 1e-9) & (d <= reach[i] + reach[j]) & (d >= np.abs(reach[i] - reach[j]))
+    i, j, between, d = i[meet], j[meet], between[meet], d[meet]
+    along = (d * d + reach[i] ** 2 - reach[j] ** 2) / (2 * d)
+    across = np.sqrt(np.maximum(0.0, reach[i] ** 2 - along * along))
+    unit = between / d[:, None]
+    normal = np.stack([-unit[:, 1], unit[:, 0]], axis=1)
+    foot = centers[i] + along[:, None] * unit
+    return np.concatenate([foot + across[:, None] * normal, foot - across[:, None] * normal])
 
 
 @lru_cache(maxsize=4096)
