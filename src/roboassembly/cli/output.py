@@ -31,7 +31,8 @@ def progress_bar(iterable: Iterable[Any] | None = None, **told: Any) -> tqdm[Any
         iterable: counted while it is gone through.
         told: to `tqdm`.
     """
-    return tqdm(iterable, mininterval=0.1 if sys.stderr.isatty() else _LOGGED_EVERY, **told)
+    # A run that goes on begins with many at once; by itself tqdm would then expect as many more before it shows any.
+    return tqdm(iterable, mininterval=0.1 if sys.stderr.isatty() else _LOGGED_EVERY, miniters=1, **told)
 
 
 def print_json(result: Mapping[str, object]) -> None:
