@@ -17,8 +17,9 @@ import shapes
 from roboassembly import gripper
 from roboassembly.envs.observation import Observer
 from roboassembly.errors import MissingRobotError
-from roboassembly.furniture import storage
+from roboassembly.furniture import catalogue, storage
 from roboassembly.furniture.annotate import annotate
+from roboassembly.furniture.datasets import furniture_hash
 from roboassembly.furniture.generate import CHAIRS, FAMILIES
 from roboassembly.furniture.grasps import CLEARANCE, FRICTION, MAX_WIDTH, find_grasps
 from roboassembly.furniture.model import Furniture, GraspRegion, Provenance, RawPart
@@ -267,6 +268,16 @@ def cushioned() -> Furniture:
         RawPart("bar", shapes.box((-0.02, -0.2, 0.0), (0.02, 0.2, 0.04))),
     ]
     return annotate("cushioned", raw, Provenance("test"))
+
+
+def test_furniture_without_grasps_is_the_same_in_all_else(chair) -> None:
+    whole, bare = chair("windsor", 0), catalogue.make("windsor", 0, with_grasps=False)
+    assert not any(p.grasps for p in bare.parts)
+    assert all(p.grasps for p in whole.parts)
+    assert furniture_hash(bare) == furniture_hash(whole)
+    for a, b in zip(bare.parts, whole.parts, strict=True):
+        assert [p.frame.homogeneous.tolist() for p in a.points] == [p.frame.homogeneous.tolist() for p in b.points]
+    assert bare.connections == whole.connections
 
 
 def test_parts_that_no_hand_can_hold_are_named(cushioned: Furniture, chair) -> None:

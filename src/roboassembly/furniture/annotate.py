@@ -46,7 +46,7 @@ _ROOM = 0.5
 """Share of the distance from a neighbour that has to stay where a part takes over its like's mesh."""
 
 
-def annotate(name: str, raw: Sequence[RawPart], provenance: Provenance) -> Furniture:
+def annotate(name: str, raw: Sequence[RawPart], provenance: Provenance, *, with_grasps: bool = True) -> Furniture:
     """Annotate parts given at their places in the assembled furniture.
 
     Contacts follow the paper: parts nearer than 5 mm are connected, and each connection has a point on either part,
@@ -56,6 +56,13 @@ def annotate(name: str, raw: Sequence[RawPart], provenance: Provenance) -> Furni
     Parts of one shape get frames in which their meshes coincide, and the same points: tangents are carried from
     member to member wherever the furniture allows it, so that four equal legs fit each other's places. They get the
     same grasps too.
+
+    Args:
+        name: of the furniture.
+        raw: the parts.
+        provenance: kept in the furniture.
+        with_grasps: find them, which takes most of the time; without, the furniture is for parts that move by
+            themselves only.
 
     Raises:
         FurnitureError: part count, repeated names, parts that penetrate, parts that do not touch.
@@ -74,12 +81,12 @@ def annotate(name: str, raw: Sequence[RawPart], provenance: Provenance) -> Furni
     meshes = _part_meshes([p.mesh for p in raw], centered, classes, slots, contacts)
     points, connections = _connection_points(contacts, slots, classes)
     grasps: dict[int, tuple[GraspRegion, ...]] = {}
-    for c in classes:
+    for c in classes if with_grasps else ():
         around = [_around(member, meshes, slots) for member in c.members[:_LIKES]]
         held = find_grasps(meshes[c.members[0]], [m for m in around if m is not None])
         grasps.update(dict.fromkeys(c.members, held))
     parts = tuple(
-        Part(part.name, mesh, tuple(points[i]), part.label, grasps[i])
+        Part(part.name, mesh, tuple(points[i]), part.label, grasps.get(i, ()))
         for i, (part, mesh) in enumerate(zip(raw, meshes, strict=True))
     )
     provenance = replace(provenance, notes=(*provenance.notes, *notes))

@@ -14,8 +14,13 @@ DEFAULT = "ladder"
 """What is assembled when nothing is named: a chair of 15 parts with mortise-and-tenon joints."""
 
 
-def make(family: str, seed: int = 0) -> Furniture:
+def make(family: str, seed: int = 0, *, with_grasps: bool = True) -> Furniture:
     """Generate and annotate one chair.
+
+    Args:
+        family: one of `FAMILIES`.
+        seed: 0 or more.
+        with_grasps: as of `annotate`.
 
     Raises:
         UnknownNameError: no such family.
@@ -23,7 +28,8 @@ def make(family: str, seed: int = 0) -> Furniture:
     """
     if seed < 0:
         raise InputError(f"seed {seed} is negative; 0 or more would do")
-    return annotate(f"{family}-{seed}", generate(family, seed), Provenance("generated", f"{family}:{seed}", "MIT"))
+    provenance = Provenance("generated", f"{family}:{seed}", "MIT")
+    return annotate(f"{family}-{seed}", generate(family, seed), provenance, with_grasps=with_grasps)
 
 
 def find(name: str) -> Furniture:

@@ -121,13 +121,17 @@ def load_manifest(name: str) -> Manifest:
     return manifest
 
 
-def make_entry(entry: Entry) -> Furniture:
+def make_entry(entry: Entry, *, with_grasps: bool = True) -> Furniture:
     """Generate an entry's furniture.
+
+    Args:
+        entry: of a data set.
+        with_grasps: as of `annotate`.
 
     Raises:
         InputError: it does not come out as when the set was built.
     """
-    furniture = catalogue.make(entry.family, entry.seed)
+    furniture = catalogue.make(entry.family, entry.seed, with_grasps=with_grasps)
     if furniture_hash(furniture) != entry.hash:
         raise InputError(f"{entry.name} is no longer what its data set was built from; build the set again")
     return furniture
@@ -152,10 +156,10 @@ class Pick:
     entry: Entry | None
     folder: Path | None
 
-    def furniture(self) -> Furniture:
-        """Make or load it."""
+    def furniture(self, *, with_grasps: bool = True) -> Furniture:
+        """Make it, if need be without grasps, or load it."""
         if self.entry is not None:
-            return make_entry(self.entry)
+            return make_entry(self.entry, with_grasps=with_grasps)
         assert self.folder is not None
         return storage.load(self.folder)
 

@@ -163,7 +163,7 @@ class Bench:
 
     def _enter(self, pick: Pick) -> None:
         t = self._training
-        task = ObjectCentricTask(pick.furniture())
+        task = ObjectCentricTask(pick.furniture(with_grasps=False))
         clouds = np.array([surface_points(p.mesh, CLOUD_POINTS) for p in task.furniture.parts], np.float32)
         chair = chair_of(task, autoencoder.encode(self._extractor, clouds))
         number = [t.seed, *pick.name.encode()]
@@ -285,7 +285,8 @@ def train(
     left = [p for p in picks if p not in there]
     by_size: dict[int, list[Pick]] = {}
     for p in left:
-        by_size.setdefault(size_of(sum(len(part.points) for part in p.furniture().parts)), []).append(p)
+        parts = p.furniture(with_grasps=False).parts
+        by_size.setdefault(size_of(sum(len(part.points) for part in parts)), []).append(p)
     lots = [lot for size in sorted(by_size) for lot in _lots(by_size[size], jobs, side_by_side)]
     work = partial(
         _train_lot, folder=folder, training=training, extractor=extractor, notes=notes, side_by_side=side_by_side,

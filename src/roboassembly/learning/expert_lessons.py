@@ -104,7 +104,7 @@ def teach(picks: Sequence[Pick], experts: Path, folder: Path, *, plays: int, see
 
 
 def _teach(pick: Pick, *, experts: Path, folder: Path, plays: int, seed: int) -> Taught:
-    task = ObjectCentricTask(pick.furniture())
+    task = ObjectCentricTask(pick.furniture(with_grasps=False))
     course, done = expert_course(load(file_of(experts, pick.name), task), task, pick.name, plays, seed)
     if course.lessons:
         course.save(file_of(folder, pick.name))

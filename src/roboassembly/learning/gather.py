@@ -85,7 +85,7 @@ def _gather(name: str, *, folder: Path, plays: int, seed: int, student: Path | N
     begun = time.monotonic()
     family, _, number = name.partition(":")
     try:
-        furniture = catalogue.make(family, int(number))
+        furniture = catalogue.make(family, int(number), with_grasps=False)
     except FurnitureError:
         # One in some hundred practice frames does not come out; nothing is learnt from it.
         Course(name, np.zeros((0, CLOUD_POINTS, 3), np.float32), ()).save(file_of(folder, name))

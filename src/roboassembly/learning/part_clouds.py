@@ -33,7 +33,7 @@ def gather_clouds(picks: Sequence[Pick], *, jobs: int, extra: int = 300) -> Floa
 def _clouds(piece: Pick | str) -> Float32[np.ndarray, "p n 3"]:
     if isinstance(piece, str):
         family, _, number = piece.partition(":")
-        furniture = catalogue.make(family, int(number))
+        furniture = catalogue.make(family, int(number), with_grasps=False)
     else:
-        furniture = piece.furniture()
+        furniture = piece.furniture(with_grasps=False)
     return np.array([surface_points(p.mesh, CLOUD_POINTS) for p in furniture.parts], np.float32)
