@@ -37,8 +37,8 @@ UNKNOWN, MERGES, FAILS, BLOCKED = range(4)
 """What is known of an action; it fails from `FAILS` on: a wrong pair or a goal in collision, or no way to the goal."""
 _KNOWN = {Verdict.MERGED: MERGES, Verdict.GOAL_IN_COLLISION: FAILS}
 WAYS = len(UP_AXES)
-_CACHED = 1_500
-"""States whose table of what is known is kept."""
+_CACHED = 150e6
+"""Bytes of tables of what is known that are kept, each of one state."""
 State = tuple[int, ...]
 """Names of its groups, ascending."""
 Action = tuple[int, int, int]
@@ -248,7 +248,7 @@ class Rehearsal:
                             out[r, c, way] = verdict
                             out[r[whole], c[whole]] = FAILS
         self._cache[state] = (self._known.count, out)
-        if len(self._cache) > _CACHED:
+        if len(self._cache) * out.nbytes > _CACHED:
             del self._cache[next(iter(self._cache))]
         return out
 
