@@ -11,10 +11,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, wait
+from concurrent.futures import wait
 from dataclasses import asdict, dataclass, field
 from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -30,9 +29,10 @@ from roboassembly.learning.autoencoder import CLOUD_POINTS
 from roboassembly.learning.evaluate import success
 from roboassembly.learning.experts import KIND, POINT_SIZES, Chair, Expert, chair_of, play
 from roboassembly.learning.gather import file_of
+from roboassembly.learning.kinds import point_counts
 from roboassembly.learning.layers import Params
 from roboassembly.learning.learner import Learner, LearnerConfig, Memory
-from roboassembly.learning.processes import one_thread_each
+from roboassembly.learning.processes import one_thread_each, workers
 from roboassembly.learning.rehearsal import Rehearsal, State
 from roboassembly.task.object_centric import ObjectCentricTask, Verdict
 
@@ -196,7 +196,7 @@ class Bench:
 
     def _one(self, i: int) -> tuple[Any, Any, Any]:
         """Weights, target and moments of one pupil."""
-        return tuple(jax.tree.map(lambda x: np.asarray(x[i]), t) for t in (self._params, self._target, self._moments))  # pyright: ignore[reportReturnType]
+        return double_q.one_of((self._params, self._target, self._moments), i)
 
     def _replace(self, leaving: list[int]) -> None:
         stay = [i for i in range(len(self._pupils)) if i not in leaving]
@@ -285,8 +285,8 @@ def train(
     left = [p for p in picks if p not in there]
     by_size: dict[int, list[Pick]] = {}
     for p in left:
-        parts = p.furniture(with_grasps=False).parts
-        by_size.setdefault(size_of(sum(len(part.points) for part in parts)), []).append(p)
+        counts = point_counts(p.furniture(with_grasps=False))
+        by_size.setdefault(size_of(int(counts.sum())), []).append(p)
     lots = [lot for size in sorted(by_size) for lot in _lots(by_size[size], jobs, side_by_side)]
     work = partial(
         _train_lot, folder=folder, training=training, extractor=extractor, notes=notes, side_by_side=side_by_side,
@@ -297,7 +297,7 @@ def train(
             work(lot)
             yield from (read(file_of(folder, p.name)) for p in lot)
         return
-    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+    with workers(jobs) as pool:
         with one_thread_each():
             running = {pool.submit(work, lot) for lot in lots}
         while left:

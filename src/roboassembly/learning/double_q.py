@@ -73,19 +73,29 @@ def optimiser(rate: float) -> optax.GradientTransformation:
     return optax.chain(optax.clip_by_global_norm(_CLIP), optax.adam(rate))
 
 
-@partial(jax.jit, static_argnums=0)
 def update(rate: float, params: Any, target: Any, moments: Any, batch: Any) -> tuple[Any, Any, Any]:
     """One step of Adam for each of several experts; all arrays have an expert's number as their first axis."""
-
-    def one(expert: tuple[Any, Any, Any, Any]) -> tuple[Any, Any, Any]:
-        p, t, m, b = expert
-        value, gradient = jax.value_and_grad(loss)(p, t, b)
-        change, m = optimiser(rate).update(gradient, m, p)
-        return optax.apply_updates(p, change), m, value
-
     experts = params, target, moments, batch
-    # On a CPU one after another: all at once would go through memory, not through the cache, and takes twice as long.
-    return jax.lax.map(one, experts) if jax.default_backend() == "cpu" else jax.vmap(one)(experts)
+    if jax.default_backend() != "cpu":
+        return _update_all(rate, *experts)
+    # On a CPU one after another: all at once would go through memory, not through the cache, which takes twice as long,
+    # and would be compiled anew for every number of experts.
+    several = [_update(rate, *one_of(experts, i)) for i in range(len(batch["part"]))]
+    return jax.tree.map(lambda *leaves: np.stack(leaves), *several)
+
+
+def _updated(rate: float, params: Any, target: Any, moments: Any, batch: Any) -> tuple[Any, Any, Any]:
+    value, gradient = jax.value_and_grad(loss)(params, target, batch)
+    change, moments = optimiser(rate).update(gradient, moments, params)
+    return optax.apply_updates(params, change), moments, value
+
+
+@partial(jax.jit, static_argnums=0)
+def _update_all(rate: float, params: Any, target: Any, moments: Any, batch: Any) -> tuple[Any, Any, Any]:
+    return jax.vmap(partial(_updated, rate))(params, target, moments, batch)
+
+
+_update = jax.jit(_updated, static_argnums=0)
 
 
 @jax.jit
@@ -94,6 +104,6 @@ def values(params: Any, features: Any, part: Any, joined: Any, free: Any) -> Any
     return jax.vmap(lambda p, f, o, j, x: apply(p, f, o, j[None], x[None])[0])(params, features, part, joined, free)
 
 
-def as_numpy(tree: Any) -> Any:
-    """The same with NumPy arrays."""
-    return jax.tree.map(np.asarray, tree)
+def one_of(tree: Any, i: int) -> Any:
+    """Of arrays over several experts those of one."""
+    return jax.tree.map(lambda x: np.asarray(x)[i], tree)

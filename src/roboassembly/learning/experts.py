@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float32, Int
 
 from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS
+from roboassembly.learning.kinds import point_counts
 from roboassembly.learning.layers import Array, Params, gelu, init_linear, init_mlp, linear, mlp
 from roboassembly.task.groups import TaskState
 from roboassembly.task.object_centric import ObjectCentricTask, Verdict
@@ -49,9 +50,15 @@ class Chair:
 
 def chair_of(task: ObjectCentricTask, shapes: Float32[np.ndarray, "P s"]) -> Chair:
     """What of a chair never changes; `shapes` are the features of its parts."""
-    parts = task.furniture.parts
-    part = np.repeat(np.arange(len(parts)), [len(p.points) for p in parts])
-    own = np.array([[p.position * 2.0, p.normal, p.tangent] for piece in parts for p in piece.points])
+    furniture = task.furniture
+    parts, counts = furniture.parts, point_counts(furniture)
+    part = np.repeat(np.arange(len(parts)), counts)
+    rows = []
+    for c, piece, count in zip(furniture.class_of, parts, counts, strict=True):
+        # Points that only a like of the part has: it gets them in that one's slot.
+        most = max((parts[m].points for m in furniture.classes[c].members), key=len)
+        rows += [*piece.points, *most[len(piece.points) : count]]
+    own = np.array([[p.position * 2.0, p.normal, p.tangent] for p in rows])
     size = next(s for s in POINT_SIZES if s >= len(part))
     features = np.zeros((size, 9 + shapes.shape[1]), np.float32)
     features[: len(part), :9], features[: len(part), 9:] = own.reshape(-1, 9), shapes[part]
@@ -146,9 +153,8 @@ def told(task: ObjectCentricTask, state: TaskState) -> tuple[Bool[np.ndarray, "2
     joined = np.zeros((MAX_PARTS, MAX_PARTS), bool)
     for group in state.groups:
         joined[np.ix_(group.parts, group.parts)] = True
-    parts = task.furniture.parts
     free = task.free_points(state)
-    return joined, np.concatenate([free[i, : len(p.points)] for i, p in enumerate(parts)])
+    return joined, np.concatenate([free[i, :count] for i, count in enumerate(point_counts(task.furniture))])
 
 
 def play(expert: Expert, task: ObjectCentricTask, seed: int, margin: float = 0.0) -> list[Move]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Int
 
-from roboassembly.furniture.model import SAME_POINT
+from roboassembly.furniture.model import SAME_POINT, Furniture
 from roboassembly.poses import SE3
 from roboassembly.task.object_centric import ObjectCentricTask
 
@@ -56,6 +56,12 @@ class Table:
     def since(self, first: int) -> Int[np.ndarray, "k w"]:
         """Rows from the `first` on; not to be changed."""
         return self._rows[first : self.count]
+
+
+def point_counts(furniture: Furniture) -> Int[np.ndarray, "P"]:
+    """How many points each part may come to have: a joined part has those of the part whose slot it takes."""
+    own = np.array([len(part.points) for part in furniture.parts])
+    return np.array([own[list(furniture.classes[c].members)].max() for c in furniture.class_of])
 
 
 def equals(task: ObjectCentricTask) -> Int[np.ndarray, "P"]:

@@ -9,7 +9,7 @@ import re
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
-from multiprocessing import get_context
+from multiprocessing import active_children, get_context
 from pathlib import Path
 from typing import TypeVar, cast
 
@@ -24,12 +24,28 @@ _ONE_THREAD = {
 }
 
 
+@contextmanager
+def workers(jobs: int) -> Iterator[ProcessPoolExecutor]:
+    """Processes to work in. When what they are used for ends early, be it by an error, they end too; by itself a pool
+    would first do all that it was given."""
+    others = active_children()
+    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+        try:
+            yield pool
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            for process in active_children():
+                if process not in others:
+                    process.terminate()
+            raise
+
+
 def in_order(work: Callable[[Item], Result], items: Sequence[Item], jobs: int, chunk: int) -> Iterator[Result]:
     """What `work` gives for each item, in their order; `chunk` of them go to a process at a time."""
     if jobs == 1:
         yield from map(work, items)
         return
-    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+    with workers(jobs) as pool:
         with one_thread_each():
             results = pool.map(work, items, chunksize=chunk)
         yield from results
@@ -40,7 +56,7 @@ def as_done(work: Callable[[Item], Result], items: Sequence[Item], jobs: int) ->
     if jobs == 1:
         yield from map(work, items)
         return
-    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+    with workers(jobs) as pool:
         with one_thread_each():
             futures = [pool.submit(work, item) for item in items]
         for done in as_completed(futures):

@@ -21,7 +21,7 @@ from scipy.spatial import KDTree
 from roboassembly.errors import InputError
 from roboassembly.furniture.model import MAX_PARTS
 from roboassembly.learning.features import turns_between
-from roboassembly.learning.kinds import Kind, Named, Table, equals
+from roboassembly.learning.kinds import Kind, Named, Table, equals, point_counts
 from roboassembly.learning.layers import Params
 from roboassembly.planning.problem import Budget
 from roboassembly.poses import SE3
@@ -55,10 +55,7 @@ class Rehearsal:
 
     def __init__(self, task: ObjectCentricTask, seed: int) -> None:
         self.task, self._seed = task, seed
-        furniture = task.furniture
-        like = [furniture.classes[c].members for c in furniture.class_of]
-        # A joined part has the points of the part whose slot it takes.
-        counts = [max(len(furniture.parts[other].points) for other in members) for members in like]
+        counts = point_counts(task.furniture)
         self.part = np.repeat(np.arange(len(counts)), counts)
         """Part of each row; the chair's points are numbered through."""
         self.point = np.concatenate([np.arange(n) for n in counts])

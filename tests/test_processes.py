@@ -1,0 +1,40 @@
+"""Work in processes: an error, or a reader who has seen enough, ends all of it at once."""
+
+from __future__ import annotations
+
+import time
+
+import pytest
+
+from roboassembly.learning.processes import as_done, in_order
+
+_LONG = 300.0
+"""Seconds that nobody waits for."""
+
+
+def work(seconds: float) -> float:
+    """Sleep, or fail if that is no time to sleep."""
+    time.sleep(seconds)
+    return seconds
+
+
+def test_results_come_in_order_or_as_they_are_done() -> None:
+    assert list(in_order(work, [0.2, 0.0, 0.1], 2, chunk=1)) == [0.2, 0.0, 0.1]
+    assert sorted(as_done(work, [0.2, 0.0, 0.1], 2)) == [0.0, 0.1, 0.2]
+    assert list(in_order(work, [0.0, 0.0], 1, chunk=1)) == [0.0, 0.0]
+
+
+@pytest.mark.parametrize("several", [as_done, lambda *args: in_order(*args, chunk=1)])
+def test_an_error_is_not_kept_back_by_other_work(several) -> None:
+    begun = time.monotonic()
+    with pytest.raises(ValueError, match="sleep"):
+        list(several(work, [-1.0, _LONG, _LONG, _LONG], 2))
+    assert time.monotonic() - begun < 0.5 * _LONG
+
+
+def test_nobody_works_on_for_a_reader_who_has_gone() -> None:
+    begun = time.monotonic()
+    results = as_done(work, [0.0, _LONG, _LONG], 2)
+    assert next(results) == 0.0
+    del results
+    assert time.monotonic() - begun < 0.5 * _LONG
