@@ -23,9 +23,11 @@ from roboassembly.errors import InputError, UnknownNameError
 from roboassembly.furniture import catalogue, storage
 from roboassembly.furniture.model import Furniture, Provenance, RawFurniture, RawPart
 from roboassembly.meshes import Mesh
-from roboassembly.poses import pose_to_euler
+from roboassembly.poses import SE3, pose_to_euler, rotations_from_euler
 from roboassembly.solvers.disassembly import Disassembly, partition_of
 from roboassembly.solvers.options import grasping, upright
+from roboassembly.task.groups import Group
+from roboassembly.task.joining import hold
 
 trimesh = pytest.importorskip("trimesh")
 
@@ -137,7 +139,7 @@ def test_observation_is_the_papers_state(env: AnEnv, furniture: Furniture) -> No
     assert {k: v.shape for k, v in observation.items()} == {
         "shapes": (20, 128, 3),
         "connection_points": (20, 10, 9),
-        "grasp_regions": (20, 2, 6),
+        "grasp_regions": (20, 2, 4, 6),
         "poses": (20, 6),
         "connections": (20, 20, 6),
     }
@@ -153,6 +155,14 @@ def test_observation_is_the_papers_state(env: AnEnv, furniture: Furniture) -> No
         for k, point in enumerate(part.points):
             np.testing.assert_allclose(observation["connection_points"][p, k, :3], point.position, atol=1e-6)
         assert not observation["connection_points"][p, len(part.points) :].any()
+        alone = Group((p,), (p,), (SE3.Identity(),), SE3.Identity())
+        for g in range(4 * len(part.grasps)):
+            held = hold(furniture, alone, p, g)
+            assert held is not None
+            told, tips = observation["grasp_regions"][p].reshape(8, 6)[g].astype(float), held.furniture_from_tips
+            np.testing.assert_allclose(told[:3], tips.translation, atol=1e-6)
+            np.testing.assert_allclose(rotations_from_euler(told[3:]), tips.rotation, atol=1e-5)
+        assert not observation["grasp_regions"][p, len(part.grasps) :].any()
 
     action = right_action(env)
     observation, *_ = env.step(np.array(action))

@@ -4,13 +4,13 @@
 |---|---|---|---|
 | `shapes` | (P, C, 3) | points on each part's surface, part frame | m |
 | `connection_points` | (P, K, 9) | position, outward normal, tangent, part frame | m, 1, 1 |
-| `grasp_regions` | (P, 2, 6) | hand between the finger tips, part frame: translation, Euler angles | m, rad |
+| `grasp_regions` | (P, 2, 4, 6) | hand in four directions, part frame: translation, Euler angles | m, rad |
 | `poses` | (P, 6) | world pose of each part: translation and Euler angles | m, rad |
 | `connections` | (P, P, 6) | pose of part j in part i's frame if both are in one group, else 0 | m, rad |
 
 P, K and C are `max_parts`, `max_points` and `cloud_points`. Rows of parts and points that are not there are 0, and
-so are those of grasp regions that a part lacks. A grasp's frame is the hand's at the first of its four directions: z
-along the approach, y along the fingers' closing.
+so are those of grasp regions that a part lacks. A hand's frame lies between the finger tips: z along the approach, y
+along the fingers' closing. Region i and direction j are grasp 4i + j.
 Euler angles are roll, pitch and yaw with `R = Rz(yaw) Ry(pitch) Rx(roll)`.
 """
 
@@ -23,6 +23,7 @@ import trimesh
 from gymnasium import spaces
 from jaxtyping import Float, Float32
 
+from roboassembly.furniture.grasps import APPROACHES
 from roboassembly.furniture.model import GRASP_REGIONS, ConnectionPoint, Furniture
 from roboassembly.gripper import hand_pose
 from roboassembly.meshes import Mesh
@@ -48,7 +49,7 @@ def observation_space(max_parts: int, max_points: int, cloud_points: int) -> spa
         {
             "shapes": box(np.full((max_parts, cloud_points, 3), REACH)),
             "connection_points": box(np.tile([REACH] * 3 + [1.0] * 6, (max_parts, max_points, 1))),
-            "grasp_regions": box(np.tile(pose, (max_parts, GRASP_REGIONS, 1))),
+            "grasp_regions": box(np.tile(pose, (max_parts, GRASP_REGIONS, APPROACHES, 1))),
             "poses": box(np.tile(pose, (max_parts, 1))),
             "connections": box(np.tile(pose, (max_parts, max_parts, 1))),
         }
@@ -63,13 +64,14 @@ class Observer:
         self._shapes = np.zeros((max_parts, cloud_points, 3), np.float32)
         self._furniture = furniture
         self._points = np.zeros((max_parts, max_points, 9), np.float32)
-        self._grasps = np.zeros((max_parts, GRASP_REGIONS, 6), np.float32)
+        self._grasps = np.zeros((max_parts, GRASP_REGIONS, APPROACHES, 6), np.float32)
         self._max_parts = max_parts
         for p, part in enumerate(furniture.parts):
             self._shapes[p] = surface_points(part.mesh, cloud_points)
             self._points[p, : len(part.points)] = _point_rows(part.points, np.eye(3))
             for g, grasp in enumerate(part.grasps[:GRASP_REGIONS]):
-                self._grasps[p, g] = pose_to_euler(hand_pose(grasp.position, grasp.closing, grasp.approaches[0]))
+                hands = [hand_pose(grasp.position, grasp.closing, approach) for approach in grasp.approaches]
+                self._grasps[p, g] = [pose_to_euler(hand) for hand in hands]
 
     def observe(self, state: TaskState) -> Observation:
         """Fresh arrays; changing them changes nothing else."""
