@@ -233,7 +233,7 @@ def test_the_full_setting_audited_and_carried_out(armchair: Furniture) -> None:
 
 
 def test_what_the_full_setting_refuses() -> None:
-    with pytest.raises(InputError, match="'random' chooses no grasps; --setting full takes --policy search"):
+    with pytest.raises(InputError, match="'joint-rrt' chooses no grasps; --setting full takes --policy search"):
         player(Way("random", setting="full"))
     with pytest.raises(InputError, match="'replay' chooses no grasps"):
         player(Way(Replay({}), setting="full"))

@@ -60,8 +60,6 @@ class Assemble:
             raise InputError(f"--seed {self.seed} is negative; 0 or more would do")
         if not self.search and self.guide == NO_POLICY:
             raise InputError("--no-search needs a --policy to play alone; 'relational' would do")
-        if self.setting == "full" and self.guide != NO_POLICY:
-            raise InputError(f"--policy {self.guide} chooses no grasps; --setting full takes --policy none")
         if self.execution == "dynamic" and self.setting != "full":
             raise InputError("--execution dynamic takes --setting full: there are no robots in the other one")
         from roboassembly.furniture import catalogue
@@ -109,20 +107,21 @@ class Assemble:
         """What finds the plan. A policy that is of no use is told before anything is done."""
         from roboassembly.solvers.search import SearchResult, solve, solve_full
 
-        if self.setting == "full":
-            return partial(solve_full, seed=self.seed)
+        solver: Any = solve_full if self.setting == "full" else solve
         if self.guide == NO_POLICY:
-            return partial(solve, seed=self.seed)
+            return partial(solver, seed=self.seed)
         from roboassembly.learning.loading import load_policy
-        from roboassembly.learning.policies import guide_of
+        from roboassembly.learning.policies import guide_of, settings_of
 
         policy = load_policy(self.guide, self.seed)
+        if self.setting not in settings_of(policy):
+            raise InputError(f"--policy {self.guide} chooses no grasps; --setting full takes --policy {NO_POLICY}")
         if self.search:
-            return partial(solve, seed=self.seed, guide=guide_of(policy))
+            return partial(solver, seed=self.seed, guide=guide_of(policy))
         from roboassembly.learning.players import play
 
         def alone(furniture: Furniture) -> SearchResult[Any]:
-            done = play(policy, furniture, self.seed)
+            done = play(policy, furniture, self.seed, self.setting)
             failed = f"{self.guide} alone: merge {len(done.actions)} ended as {done.verdict}"
             return SearchResult(
                 plan=done.plan,

@@ -56,13 +56,20 @@ class FullEnv(AssemblyEnv[FullTask, FullState, FullOutcome]):
         super().__init__(tasks, (GRASPS, GRASPS), max_parts, max_points, cloud_points)
 
     def _existing(self, task: FullTask, state: FullState) -> Bool[np.ndarray, "P P K K 8 8"]:
-        pairs = existing_pairs(task.rules, state.groups, *self._padding)
-        grasps = np.zeros((self._padding[0], GRASPS), bool)
-        for index, part in enumerate(task.furniture.parts):
-            grasps[index, : 4 * len(part.grasps)] = True
-        hands = grasps[:, None, :, None] & grasps[None, :, None, :]
-        return pairs[..., None, None] & hands[:, :, None, None]
+        return existing_actions(task, state, *self._padding)
 
     def _info(self, verdict: str, planning_steps: int) -> dict[str, Any]:
         told = super()._info(verdict, planning_steps)
         return {**told, "leg": self._outcome.leg if self._outcome else "", "density": self.state.cell.density}
+
+
+def existing_actions(
+    task: FullTask, state: FullState, max_parts: int = MAX_PARTS, max_points: int = MAX_POINTS
+) -> Bool[np.ndarray, "P P K K 8 8"]:
+    """The mask of actions that exist in a state, indexed by `(u, v, k, l, g_a, g_b)`."""
+    pairs = existing_pairs(task.rules, state.groups, max_parts, max_points)
+    grasps = np.zeros((max_parts, GRASPS), bool)
+    for index, part in enumerate(task.furniture.parts):
+        grasps[index, : 4 * len(part.grasps)] = True
+    hands = grasps[:, None, :, None] & grasps[None, :, None, :]
+    return pairs[..., None, None] & hands[:, :, None, None]

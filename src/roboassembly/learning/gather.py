@@ -13,12 +13,18 @@ from pathlib import Path
 import numpy as np
 
 from roboassembly.envs.observation import surface_points
-from roboassembly.errors import FurnitureError
+from roboassembly.errors import InputError
 from roboassembly.furniture import catalogue
 from roboassembly.furniture.generate import CHAIRS
+from roboassembly.furniture.model import Furniture
 from roboassembly.learning import checkpoint, relational
 from roboassembly.learning.lessons import CLOUD_POINTS, Course, Lesson, Student, Teacher
 from roboassembly.learning.processes import as_done
+from roboassembly.solvers.hand_oracle import HandOracle
+from roboassembly.solvers.oracle import Oracle
+from roboassembly.task.full import FullTask
+from roboassembly.task.object_centric import ObjectCentricTask
+from roboassembly.task.setting import SettingName
 
 _KINDS = ("", "sunk", "fused", "", "fused", "lattice", "", "sunk", "fused", "", "fused", "carcass")
 """Families of extra pieces, in turn; a chair of the next family where there is none."""
@@ -63,8 +69,9 @@ def file_of(folder: Path, name: str) -> Path:
 
 
 def gather(
-    names: Sequence[str], folder: Path, *, plays: int, seed: int, jobs: int, student: Path | None = None
-) -> Iterator[Gathered]:
+    names: Sequence[str], folder: Path, *, plays: int, seed: int, jobs: int, student: Path | None = None,
+    setting: SettingName = "object-centric",
+) -> Iterator[Gathered]:  # fmt: skip
     """Write the lessons of generated chairs, those that are there already excepted; yields as chairs are done.
 
     Args:
@@ -74,24 +81,26 @@ def gather(
         seed: of the starts and moves.
         jobs: chairs at a time.
         student: checkpoint of the relational policy that moves; random good moves without.
+        setting: whose rules are taught. Furniture that does not suit robots gives no lessons in the full one.
     """
     folder.mkdir(parents=True, exist_ok=True)
     left = [name for name in names if not file_of(folder, name).is_file()]
-    work = partial(_gather, folder=folder, plays=plays, seed=seed, student=student)
+    work = partial(_gather, folder=folder, plays=plays, seed=seed, student=student, setting=setting)
     yield from as_done(work, left, jobs)
 
 
-def _gather(name: str, *, folder: Path, plays: int, seed: int, student: Path | None) -> Gathered:
+def _gather(name: str, *, folder: Path, plays: int, seed: int, student: Path | None, setting: SettingName) -> Gathered:
     begun = time.monotonic()
     family, _, number = name.partition(":")
     try:
-        furniture = catalogue.make(family, int(number), with_grasps=False)
-    except FurnitureError:
-        # One in some hundred practice frames does not come out; nothing is learnt from it.
+        furniture = catalogue.make(family, int(number), with_grasps=setting == "full")
+        oracle = _oracle(furniture, setting)
+    except InputError:
+        # One in some hundred practice frames does not come out, or hands cannot hold it; nothing is learnt from it.
         Course(name, np.zeros((0, CLOUD_POINTS, 3), np.float32), ()).save(file_of(folder, name))
         return Gathered(name, 0, 0, 0, time.monotonic() - begun)
     clouds = np.array([surface_points(p.mesh, CLOUD_POINTS) for p in furniture.parts], np.float32)
-    teacher = Teacher(furniture, clouds)
+    teacher = Teacher(furniture, clouds, oracle)
     moves = None if student is None else _student(student)
     found: dict[bytes, Lesson] = {}
     mistakes = choices = 0
@@ -103,6 +112,14 @@ def _gather(name: str, *, folder: Path, plays: int, seed: int, student: Path | N
             found.setdefault(lesson.group.tobytes(), lesson)
     replace(teacher.course, name=name, lessons=tuple(found.values())).save(file_of(folder, name))
     return Gathered(name, len(found), mistakes, choices, time.monotonic() - begun)
+
+
+def _oracle(furniture: Furniture, setting: SettingName) -> Oracle:
+    if setting == "object-centric":
+        return Oracle(ObjectCentricTask(furniture))
+    task = FullTask(furniture)
+    task.check_hands()
+    return HandOracle(task)
 
 
 @lru_cache(maxsize=1)

@@ -23,7 +23,7 @@ from jaxtyping import Bool, Float16, Float32, Int16, UInt8
 from roboassembly.envs.observation import Observer
 from roboassembly.errors import InputError
 from roboassembly.furniture.model import MAX_POINTS, Furniture
-from roboassembly.learning.situation import Situation, groups_of
+from roboassembly.learning.situation import GRASPS, Situation, groups_of
 from roboassembly.learning.tokens import Memory, Tokens, tokens_of
 from roboassembly.solvers.oracle import Joint, Oracle
 from roboassembly.task.groups import TaskState
@@ -74,6 +74,8 @@ class Course:
             lesson.connections.astype(float),
             lesson.free,
             lesson.group,
+            np.zeros((len(self.clouds), GRASPS, 6)),
+            lesson.poses.astype(float),
         )
 
     def save(self, path: Path) -> None:
@@ -151,10 +153,18 @@ def _after(state: TaskState, joint: Joint) -> TaskState:
 
 
 class Teacher:
-    """Knows one chair by heart and examines plays of it."""
+    """Knows one chair by heart and examines plays of it.
 
-    def __init__(self, furniture: Furniture, clouds: Float32[np.ndarray, "P C 3"]) -> None:
-        self.oracle = Oracle(ObjectCentricTask(furniture))
+    Args:
+        furniture: the chair.
+        clouds: of its parts, as the policy sees them.
+        oracle: of the setting that is taught; the object-centric one if not given.
+    """
+
+    def __init__(
+        self, furniture: Furniture, clouds: Float32[np.ndarray, "P C 3"], oracle: Oracle | None = None
+    ) -> None:
+        self.oracle = oracle or Oracle(ObjectCentricTask(furniture))
         self.course = Course(furniture.name, clouds, ())
         self._alone = {c.members[0] for c in furniture.classes if len(c.members) == 1}
         self._observer = Observer(furniture, len(furniture.parts), MAX_POINTS, 1)

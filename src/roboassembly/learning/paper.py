@@ -147,6 +147,7 @@ class PaperPolicy:
 
     name = "paper"
     cloud_points = CLOUD_POINTS
+    settings = ("object-centric",)
 
     def __init__(self, params: Params) -> None:
         """Of a checkpoint: `network` of `init`, `inputs` of `standard`, `encoder` of the auto-encoder."""

@@ -10,11 +10,12 @@ from typing import Any, Literal
 
 import numpy as np
 
+from roboassembly.envs.full import FullEnv
 from roboassembly.envs.object_centric import ObjectCentricEnv
 from roboassembly.errors import InputError, UnknownNameError
 from roboassembly.furniture.model import Furniture
 from roboassembly.learning.loading import NAMES, load_policy
-from roboassembly.learning.policies import RANDOM, Policy, RandomPolicy, guide_of
+from roboassembly.learning.policies import RANDOM, Policy, RandomPolicy, guide_of, settings_of
 from roboassembly.planning.problem import Budget, PlanningStatus
 from roboassembly.solvers.guide import Guide
 from roboassembly.solvers.joint_rrt import solve_jointly
@@ -23,9 +24,9 @@ from roboassembly.solvers.search import SearchResult, solve, solve_full
 from roboassembly.task.execution import execute_plan, in_all
 from roboassembly.task.full_plan import FullPlan
 from roboassembly.task.object_centric import ObjectCentricTask, Verdict
-from roboassembly.task.plan import Plan, PlanStep
+from roboassembly.task.plan import Plan
+from roboassembly.task.setting import SettingName
 
-SettingName = Literal["object-centric", "full"]
 ExecutionName = Literal["kinematic", "dynamic"]
 SEARCH = "search"
 REFUSED = "refused"
@@ -86,7 +87,7 @@ class Way:
 class Play:
     """What a policy did alone."""
 
-    plan: Plan
+    plan: Plan | FullPlan
     """Its merges; not a success if it failed."""
     actions: tuple[tuple[int, ...], ...]
     """One more than merges if it failed."""
@@ -115,7 +116,7 @@ def player(way: Way) -> Player:
         from roboassembly.audit.object_centric import fcl_module
 
         fcl_module()
-    return partial(_play, way, _full_player(way) if way.setting == "full" else _object_centric_player(way))
+    return partial(_play, way, _own(way))
 
 
 def _play(way: Way, own: Callable[[Furniture, int], _Played], furniture: Furniture, seed: int) -> Episode:
@@ -139,20 +140,15 @@ def _violations(plan: Plan | FullPlan) -> int:
     return sum(report.counts.values())
 
 
-def _full_player(way: Way) -> Callable[[Furniture, int], _Played]:
-    if way.policy != SEARCH:
-        name = way.policy if isinstance(way.policy, str) else way.policy.name
-        raise InputError(f"'{name}' chooses no grasps; --setting full takes --policy {SEARCH}")
-    return _search_full
-
-
-def _search_full(furniture: Furniture, seed: int) -> _Played:
+def _search_full(furniture: Furniture, seed: int, guide: Guide | None = None) -> _Played:
     try:
-        result = solve_full(furniture, seed)
+        return _searched(solve_full(furniture, seed, guide=guide))
     except InputError as error:
-        parts = len(furniture.parts)
-        return Episode(furniture.name, parts, seed, False, 0, REFUSED, 0, 0.0, reason=str(error)), None
-    return _searched(result)
+        return _refused(furniture, seed, error), None
+
+
+def _refused(furniture: Furniture, seed: int, why: InputError) -> Episode:
+    return Episode(furniture.name, len(furniture.parts), seed, False, 0, REFUSED, 0, 0.0, reason=str(why))
 
 
 def _searched(result: SearchResult[Plan] | SearchResult[FullPlan]) -> _Played:
@@ -165,32 +161,47 @@ def _searched(result: SearchResult[Plan] | SearchResult[FullPlan]) -> _Played:
     return episode, plan
 
 
-def _object_centric_player(way: Way) -> Callable[[Furniture, int], _Played]:
-    policy = way.policy
+def _own(way: Way) -> Callable[[Furniture, int], _Played]:
+    """What plays in the way's setting, without what may follow."""
+    policy, full = way.policy, way.setting == "full"
+    solvers = FULL_SOLVERS if full else SOLVERS
     if isinstance(policy, str):
-        if policy in SOLVERS:
+        if policy in solvers:
             if way.search:
                 raise InputError(f"'{policy}' cannot guide the search; a policy that values actions would do")
-            return SOLVERS[policy]
+            return solvers[policy]
+        if policy in SOLVERS:
+            raise InputError(f"'{policy}' chooses no grasps; --setting full takes --policy {SEARCH}")
         if policy == RANDOM and not way.search:
             # Fresh in each episode: what it draws must not depend on what the worker has played before.
-            return lambda furniture, seed: _alone(RandomPolicy(np.random.default_rng([seed, 1])), furniture, seed)
+            return lambda furniture, seed: _alone(
+                RandomPolicy(np.random.default_rng([seed, 1])), way.setting, furniture, seed
+            )
         try:
             policy = load_policy(policy)
         except UnknownNameError:
-            raise UnknownNameError("policy", str(policy), [*SOLVERS, *NAMES, "PATH.npz"]) from None
+            raise UnknownNameError("policy", str(policy), [*solvers, *NAMES, "PATH.npz"]) from None
+    if way.setting not in settings_of(policy):
+        raise InputError(
+            f"'{policy.name}' chooses no grasps; --setting full takes --policy {SEARCH}, or a policy whose `settings` "
+            "name it"
+        )
     if way.search:
-        return partial(_search, guide=guide_of(policy))
-    return partial(_alone, policy)
+        return partial(_search_full if full else _search, guide=guide_of(policy))
+    return partial(_alone, policy, way.setting)
 
 
-def play(policy: Policy, furniture: Furniture, seed: int) -> Play:
-    """Let a policy play one episode of the environment, by `reset` and `step` alone."""
-    env = ObjectCentricEnv(furniture, cloud_points=policy.cloud_points)
+def play(policy: Policy, furniture: Furniture, seed: int, setting: SettingName = "object-centric") -> Play:
+    """Let a policy play one episode of the environment, by `reset` and `step` alone.
+
+    Raises:
+        InputError: the furniture does not suit the setting.
+    """
+    env: Any = (FullEnv if setting == "full" else ObjectCentricEnv)(furniture, cloud_points=policy.cloud_points)
     observation, info = env.reset(seed=seed)
-    initial = env.state.part_poses
+    initial = env.state
     actions: list[tuple[int, ...]] = []
-    merges: list[PlanStep] = []
+    merges: list[Any] = []
     states, planning, thinking, over = 0, 0.0, 0.0, False
     while not over:
         begun = time.perf_counter()
@@ -204,7 +215,10 @@ def play(policy: Policy, furniture: Furniture, seed: int) -> Play:
         if outcome is not None:
             planning += outcome.planning_seconds
             merges += [outcome.step] if outcome.step is not None else []
-    plan = Plan(furniture, initial, tuple(merges), bool(info["success"]), seed)
+    if setting == "full":
+        plan = FullPlan(furniture, initial, tuple(merges), bool(info["success"]), seed)
+    else:
+        plan = Plan(furniture, initial.part_poses, tuple(merges), bool(info["success"]), seed)
     return Play(plan, tuple(actions), info["verdict"], states, planning, thinking)
 
 
@@ -213,8 +227,13 @@ def play_episode(policy: Policy, furniture: Furniture, seed: int) -> Episode:
     return player(Way(policy))(furniture, seed)
 
 
-def _alone(policy: Policy, furniture: Furniture, seed: int) -> _Played:
-    done = play(policy, furniture, seed)
+def _alone(policy: Policy, setting: SettingName, furniture: Furniture, seed: int) -> _Played:
+    try:
+        done = play(policy, furniture, seed, setting)
+    except InputError as error:
+        if setting == "full":
+            return _refused(furniture, seed, error), None
+        raise
     episode = Episode(
         furniture.name, len(furniture.parts), seed, done.plan.success, len(done.plan.steps), done.verdict,
         done.planning_steps, done.planning_seconds, done.policy_seconds, done.actions,
@@ -253,5 +272,6 @@ SOLVERS: dict[str, Callable[[Furniture, int], _Played]] = {
 }
 """`search` knows how the furniture comes apart; `joint-rrt` is the paper's baseline; `right-pairs` always takes a right
 pair, in random order, with its best `w` or a random one: what is left to learn once pairs are known."""
+FULL_SOLVERS: dict[str, Callable[[Furniture, int], _Played]] = {SEARCH: _search_full}
 EXPORTABLE = (SEARCH,)
 """Solvers whose episodes tell their actions."""

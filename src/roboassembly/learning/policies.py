@@ -10,24 +10,27 @@ A policy of your own needs no base class, only the attributes of `Policy`:
             return np.argwhere(mask)[0]
 
     players.play_episode(Mine(), catalogue.make("stool"), seed=0)
+
+One that plays with robots says so: `settings = ("object-centric", "full")`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float32, Int
 
-from roboassembly.envs.object_centric import existing_actions
+from roboassembly.envs import full, object_centric
 from roboassembly.envs.observation import Observation, Observer
 from roboassembly.errors import InputError
 from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS, Furniture
 from roboassembly.solvers.guide import Guide, Suggestion
-from roboassembly.task.groups import TaskState
+from roboassembly.task.full import FullTask
 from roboassembly.task.object_centric import ObjectCentricTask
+from roboassembly.task.setting import SettingName
 
 RANDOM = "random"
 _TIE = 1e-3
@@ -35,9 +38,9 @@ _TIE = 1e-3
 _SUGGESTIONS = 32
 """That a guide makes in a state, at most."""
 
-Mask = Bool[np.ndarray, "P P K K 6"]
-"""Which actions `(u, v, k, l, w)` exist, as in `info["action_mask"]`."""
-Values = Float32[np.ndarray, "P P K K 6"]
+Mask = Bool[np.ndarray, "P P K K ..."]
+"""Which actions `(u, v, k, l, w)` exist, or `(u, v, k, l, g_a, g_b)` with robots, as in `info["action_mask"]`."""
+Values = Float32[np.ndarray, "P P K K ..."]
 
 
 class Policy(Protocol):
@@ -53,9 +56,15 @@ class Policy(Protocol):
         """Points of each part's cloud that observations must have."""
         ...
 
-    def act(self, observation: Observation, mask: Mask) -> Int[np.ndarray, "5"]:
-        """The action `(u, v, k, l, w)` to take; arrays as in `envs.observation`, padded."""
+    def act(self, observation: Observation, mask: Mask) -> Int[np.ndarray, "_"]:
+        """The action to take, `(u, v, k, l, w)` or `(u, v, k, l, g_a, g_b)`; arrays as in `envs.observation`,
+        padded."""
         ...
+
+
+def settings_of(policy: Policy) -> tuple[SettingName, ...]:
+    """In which a policy can play: its attribute `settings`; object-centric if it has none."""
+    return getattr(policy, "settings", ("object-centric",))
 
 
 @runtime_checkable
@@ -83,8 +92,9 @@ class RandomPolicy:
     rng: np.random.Generator
     name: str = RANDOM
     cloud_points: int = 1
+    settings: tuple[SettingName, ...] = ("object-centric", "full")
 
-    def act(self, observation: Observation, mask: Mask) -> Int[np.ndarray, "5"]:
+    def act(self, observation: Observation, mask: Mask) -> Int[np.ndarray, "_"]:
         """One of the existing actions, all alike.
 
         Raises:
@@ -96,7 +106,7 @@ class RandomPolicy:
         return np.array(np.unravel_index(self.rng.choice(choices), mask.shape))
 
 
-def surest(values: Values) -> Int[np.ndarray, "5"]:
+def surest(values: Values) -> Int[np.ndarray, "_"]:
     """The action of the greatest value; of those within rounding of it, the first.
 
     Raises:
@@ -115,11 +125,13 @@ class _PolicyGuide:
     policy: ValuePolicy
     _seen: tuple[Furniture, Observer] | None = field(default=None, init=False)
 
-    def __call__(self, task: ObjectCentricTask, state: TaskState) -> Sequence[Suggestion]:
+    def __call__(self, task: ObjectCentricTask | FullTask, state: Any) -> Sequence[Suggestion]:
         if self._seen is None or self._seen[0] is not task.furniture:
             observer = Observer(task.furniture, MAX_PARTS, MAX_POINTS, self.policy.cloud_points)
             self._seen = task.furniture, observer
-        observation, mask = self._seen[1].observe(state), existing_actions(task, state)
+        observation = self._seen[1].observe(task.joined(state))
+        exist = full.existing_actions if isinstance(task, FullTask) else object_centric.existing_actions
+        mask = exist(task, state)  # pyright: ignore[reportArgumentType]
         if isinstance(self.policy, ConfidentPolicy):
             scores = self.policy.probabilities(observation, mask)
         else:

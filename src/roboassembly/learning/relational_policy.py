@@ -9,19 +9,31 @@ from jaxtyping import Int
 
 from roboassembly.envs.observation import Observation
 from roboassembly.errors import InputError
-from roboassembly.learning import checkpoint, relational
+from roboassembly.learning import checkpoint, grasping, relational
 from roboassembly.learning.checkpoint import Checkpoint
+from roboassembly.learning.hands import handling_of
 from roboassembly.learning.layers import Params, sigmoid
 from roboassembly.learning.lessons import CLOUD_POINTS
 from roboassembly.learning.policies import Mask, Values, surest
 from roboassembly.learning.situation import Situation
 from roboassembly.learning.tokens import Memory, tokens_of
 from roboassembly.learning.views import VIEWS
+from roboassembly.task.setting import SettingName
 
+_HANDS = "hands"
+"""Under which name a checkpoint holds the weights of the network that chooses grasps."""
+_WITH_GRASPS = 6
+"""Dimensions of a mask of actions with two grasps."""
 _DECIMALS = 3
 """Of logits that are told apart."""
 _CONSIDERED = 400
 """Actions among which those of different groups are looked for."""
+_HANDLED = 12
+"""Right pairs, the surest ones, for which hands are looked for."""
+_HOPELESS = -20.0
+"""Logarithm of the chance that is left where nothing can be joined any more."""
+_UNHANDLED = -8.0
+"""Logarithm of the chance of hands that nobody looked at."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +49,14 @@ class RelationalPolicy:
     """Plans that it follows in imagination, side by side; none below two."""
     depth: int = 1
     """Merges that it imagines of each."""
+    hands: Params | None = None
+    """Of the network that chooses grasps (`grasping`); None if there is none, and no playing with robots then."""
     memory: Memory = field(default_factory=Memory, repr=False)
+
+    @property
+    def settings(self) -> tuple[SettingName, ...]:
+        """In which it can play."""
+        return ("object-centric",) if self.hands is None else ("object-centric", "full")
 
     @staticmethod
     def from_checkpoint(loaded: Checkpoint, where: str) -> RelationalPolicy:
@@ -53,12 +72,24 @@ class RelationalPolicy:
         config = checkpoint.network_config(relational.RelationalConfig(), loaded.config.get("network"), where)
         if config.token % config.heads:
             raise InputError(f"'{where}': {config.heads} heads do not divide tokens of {config.token}; they must")
-        checkpoint.check_arrays(loaded.params, relational.init(np.random.default_rng(0), config), where)
-        return RelationalPolicy(loaded.params, where)
+        wanted = relational.init(np.random.default_rng(0), config)
+        params = {name: array for name, array in loaded.params.items() if name != _HANDS}
+        checkpoint.check_arrays(params, wanted, where)
+        hands = loaded.params.get(_HANDS)
+        if hands is not None:
+            checkpoint.check_arrays(hands, grasping.init(np.random.default_rng(0)), where)
+        return RelationalPolicy(params, where, hands=hands)
 
     def values(self, observation: Observation, mask: Mask) -> Values:
-        """Logits that actions are good; -inf where the action does not exist."""
-        return self._values(Situation.of(observation, mask))
+        """Logits that actions are good, or with robots the logarithms of their chances; -inf where the action does not
+        exist.
+
+        Raises:
+            InputError: the policy knows nothing of hands, and the mask is one of grasps.
+        """
+        situation = Situation.of(observation, mask)
+        values = self._values(situation)
+        return values if mask.ndim == values.ndim else self._held(situation, values, mask)
 
     def _values(self, situation: Situation) -> Values:
         out = np.full(situation.actions, -np.inf, np.float32)
@@ -72,19 +103,53 @@ class RelationalPolicy:
 
     def probabilities(self, observation: Observation, mask: Mask) -> Values:
         """Chance that the furniture can still be finished after each action."""
-        return sigmoid(self.values(observation, mask))
+        values = self.values(observation, mask)
+        return np.exp(values) if mask.ndim == _WITH_GRASPS else sigmoid(values)
 
-    def act(self, observation: Observation, mask: Mask) -> Int[np.ndarray, "5"]:
+    def act(self, observation: Observation, mask: Mask) -> Int[np.ndarray, "_"]:
         """The surest action; with `ahead`, the first of the plan after which the furniture most surely can be finished.
 
         Raises:
-            InputError: there is none.
+            InputError: there is none, or the policy knows nothing of hands and is asked for grasps.
         """
+        if mask.ndim == _WITH_GRASPS:
+            return surest(self.values(observation, mask))
         situation = Situation.of(observation, mask)
         values = self._values(situation)
         if self.ahead < 2:
             return surest(values)
         return self._plan(_Plan(situation, values))
+
+    def _held(self, situation: Situation, values: Values, mask: Mask) -> Values:
+        """Of actions with two grasps: that the pair is good, that something good is left then, that the hands fit."""
+        if self.hands is None:
+            raise InputError(f"the policy '{self.name}' has learnt nothing of hands; --setting object-centric would do")
+        pairs = -np.logaddexp(0.0, -values.max(axis=-1))
+        if self.ahead > 1:
+            pairs = self._hopeful(situation, values, pairs)
+        out = np.where(mask, pairs[..., None, None] + _UNHANDLED, -np.inf).astype(np.float32)
+        flat = pairs.ravel()
+        for index in np.argsort(-flat, kind="stable")[:_HANDLED]:
+            if flat[index] > -np.inf:
+                u, v, k, l = (int(i) for i in np.unravel_index(index, pairs.shape))  # noqa: E741
+                chance = grasping.log_chance(self.hands, handling_of(situation, u, k, v, l))
+                out[u, v, k, l] = np.where(mask[u, v, k, l], flat[index] + chance, -np.inf)
+        return np.round(out, _DECIMALS)
+
+    def _hopeful(self, situation: Situation, values: Values, pairs: np.ndarray) -> np.ndarray:
+        """With what is left after the best merge of each two groups added to all their pairs."""
+        group = situation.group
+        hopes: dict[frozenset[int], float] = {}
+        for action in _candidates(values, group, self.ahead):
+            plan = self._imagined(_Plan(situation, values), action, 0.0, frozenset())
+            hopes[frozenset((int(group[action[0]]), int(group[action[1]])))] = max(plan.hope, _HOPELESS)
+        # Nobody looked at the others because they are worse.
+        out = pairs + min(hopes.values(), default=0.0)
+        for two, hope in hopes.items():
+            one, other = sorted(two)
+            here = np.isin(group, one)[:, None] & np.isin(group, other)[None]
+            out = np.where((here | here.T)[..., None, None], pairs + hope, out)
+        return out
 
     def _plan(self, start: _Plan) -> Int[np.ndarray, "5"]:
         """Beam search in imagination: `depth` merges deep, `ahead` plans wide."""

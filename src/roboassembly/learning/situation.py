@@ -11,6 +11,8 @@ from roboassembly.learning.features import FLIP
 from roboassembly.poses import euler_from_rotations, rotations_from_euler
 from roboassembly.task.rules import UP_AXES
 
+GRASPS = 8
+"""Of a part."""
 MEET, OPPOSED = 0.004, -0.99
 """Metres, and cosine of two normals: points that would touch."""
 
@@ -25,17 +27,23 @@ class Situation:
     free: Bool[np.ndarray, "P K"]
     group: Int[np.ndarray, "P"]
     """Of each part, named by its first part."""
+    hands: Float[np.ndarray, "P 8 6"]
+    """Of each grasp, in the part's frame; 0 where there is none, or nobody asks."""
+    poses: Float[np.ndarray, "P 6"]
+    """Of parts in the world."""
 
     @staticmethod
-    def of(observation: dict[str, np.ndarray], mask: Bool[np.ndarray, "P P K K 6"]) -> Situation:
+    def of(observation: dict[str, np.ndarray], mask: Bool[np.ndarray, "P P K K ..."]) -> Situation:
         """Of an observation and the mask of existing actions."""
         connections = observation["connections"].astype(float)
         return Situation(
             observation["shapes"].astype(float),
             observation["connection_points"].astype(float),
             connections,
-            np.asarray(mask[..., 0].any(axis=(1, 3))),  # of u and k; the mask is symmetric
+            np.asarray(mask.reshape(*mask.shape[:4], -1).any(axis=(1, 3, 4))),  # of u and k; the mask is symmetric
             groups_of(connections),
+            observation["grasp_regions"].reshape(len(connections), -1, 6).astype(float),
+            observation["poses"].astype(float),
         )
 
     @property
@@ -55,7 +63,7 @@ class Situation:
         movers, waiting = np.flatnonzero(self.group == self.group[u]), np.flatnonzero(self.group == self.group[v])
         turn = (frames_of(self.points[v, l]) * FLIP) @ frames_of(self.points[u, k]).T  # v from u
         shift = self.points[v, l, :3] - turn @ self.points[u, k, :3]
-        (moved, shifted), (waited, where) = self._from(u, movers), self._from(v, waiting)
+        (moved, shifted), (waited, where) = self.relative(u, movers), self.relative(v, waiting)
         turns = np.concatenate([turn @ moved, waited])
         shifts = np.concatenate([shifted @ turn.T + shift, where])
         members = np.concatenate([movers, waiting])
@@ -79,7 +87,7 @@ class Situation:
         free[u, k] = free[v, l] = False
         return replace(self, connections=connections, free=free, group=group)
 
-    def _from(
+    def relative(
         self, part: int, members: Int[np.ndarray, "m"]
     ) -> tuple[Float[np.ndarray, "m 3 3"], Float[np.ndarray, "m 3"]]:
         """`part_from_member`; connections say nothing of a part and itself."""

@@ -18,8 +18,6 @@ from roboassembly.task.groups import TaskState
 from roboassembly.task.setting import Task
 
 Action = tuple[int, ...]
-_GUIDED_BUDGET = Budget(states=0)
-"""For each merge that a guide suggests: retreats only, as in the first round."""
 _GUIDED_STRAYS = 3
 """Times that a guide may lead to where nothing goes on; then reasoning takes over."""
 _GUIDED_SHARE = 4
@@ -133,7 +131,7 @@ class Search(Generic[State, AStep]):
             if self.strays and self.hopeless(self.joined(self.task.joined(state), suggestion.action)):
                 continue
             tries += 1
-            after = self.attempt(state, suggestion.action, _GUIDED_BUDGET)
+            after = self.attempt(state, suggestion.action, self.round.budget)
             if after is None:
                 continue
             followed += 1

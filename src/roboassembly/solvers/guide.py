@@ -14,7 +14,7 @@ class Suggestion:
     """One action to try."""
 
     action: tuple[int, ...]
-    """`(u, v, k, l, w)`."""
+    """`(u, v, k, l, w)`, or `(u, v, k, l, g_a, g_b)` with robots."""
     score: float
     """How likely the furniture can still be finished after it, 0 to 1."""
 

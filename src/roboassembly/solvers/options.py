@@ -98,16 +98,22 @@ def grasping(task: FullTask, state: FullState, told: TaskState, leaving: Parts, 
         pairs = [(b, a) for a, b in pairs]
     given = 0
     for roles in (pairs, [(b, a) for a, b in pairs]):
-        for action in _fitting(task, state.groups, roles):
+        for action in fitting(task, state.groups, roles):
             yield action
             given += 1
             if given == _ARMS:
                 return
 
 
-def _fitting(task: FullTask, state: TaskState, pairs: list[tuple[End, End]]) -> Iterator[Action]:
+def fitting(task: FullTask, state: TaskState, pairs: list[tuple[End, End]]) -> Iterator[Action]:
     """Actions that pass the cheap tests, in an order that tries unlike ones early; what only a pair or only a grasp
-    decides is looked at once for each."""
+    decides is looked at once for each.
+
+    Args:
+        task: the rules.
+        state: of which both groups are part.
+        pairs: points to be joined, those of R_a's group first.
+    """
     takes = {part: task.free_holds(state, part) for part in {end[0] for pair in pairs for end in pair}}
     tries = [(one, two, g_a, g_b) for one, two in pairs for g_a, g_b in product(takes[one[0]], takes[two[0]])]
     merges = {(one, two): task.merge(state, (one[0], two[0], one[1], two[1])) for one, two in pairs}

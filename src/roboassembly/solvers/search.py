@@ -78,7 +78,12 @@ def solve_from(
 
 
 def solve_full(
-    furniture: Furniture, seed: int, *, task: FullTask | None = None, limits: SearchLimits | None = None
+    furniture: Furniture,
+    seed: int,
+    *,
+    task: FullTask | None = None,
+    limits: SearchLimits | None = None,
+    guide: Guide[FullState] | None = None,
 ) -> SearchResult[FullPlan]:
     """As `solve`, for two robots in the workcell.
 
@@ -87,6 +92,7 @@ def solve_full(
         seed: of the cell's layout and of the planner.
         task: of this furniture, to share what it has computed; a new one if None.
         limits: when to give up.
+        guide: suggests merges; plain reasoning if None.
 
     Raises:
         InputError: the furniture does not suit the cell.
@@ -94,7 +100,7 @@ def solve_full(
     task = task or FullTask(furniture)
     initial = task.initial_state(np.random.default_rng(seed))
     search = Search(task, partial(_grasping, task), limits or _FULL_LIMITS, seed, _FULL_ROUNDS[0])
-    success = search.run(initial, _FULL_ROUNDS, None)
+    success = search.run(initial, _FULL_ROUNDS, guide)
     return search.result(FullPlan(furniture, initial, tuple(search.steps), success, seed), success)
 
 

@@ -19,7 +19,7 @@ from roboassembly.errors import InputError
 from roboassembly.furniture.model import Furniture
 from roboassembly.planning.problem import Budget
 from roboassembly.poses import SE3
-from roboassembly.task.cell import laid_out
+from roboassembly.task.cell import check_size, laid_out
 from roboassembly.task.full_plan import FullState, FullStep
 from roboassembly.task.groups import Group, TaskState
 from roboassembly.task.joining import Hold, Way, can_let_go, can_take, hold, ways_out
@@ -101,15 +101,24 @@ class FullTask:
         Raises:
             InputError: the furniture does not suit the cell, or hands cannot join a part to any other.
         """
+        self.check_hands()
         cell, groups, stands = laid_out(self.furniture, rng)
+        a, b = (Robot(np.array([_APART * side, 0.0, rng.uniform(-np.pi, np.pi), *TUCKED]), 0.0) for side in (-1.0, 1.0))
+        standing = tuple(Standing(g, s) for g, s in zip(groups, stands, strict=True))
+        return FullState(TaskState(groups), Moment(standing, (a, b)), cell)
+
+    def check_hands(self) -> None:
+        """Refuse furniture that two robots cannot assemble, whatever else they do.
+
+        Raises:
+            InputError: it is too large for the cell, no hand can hold a part, or hands cannot join it to any other.
+        """
+        check_size(self.furniture)
         if self.unjoinable is not None:
             raise InputError(
                 f"{self.furniture.name}: no hand can hold part '{self.furniture.parts[self.unjoinable].name}' where it "
                 "is joined to another part; two opposite sides must stay free there"
             )
-        a, b = (Robot(np.array([_APART * side, 0.0, rng.uniform(-np.pi, np.pi), *TUCKED]), 0.0) for side in (-1.0, 1.0))
-        standing = tuple(Standing(g, s) for g, s in zip(groups, stands, strict=True))
-        return FullState(TaskState(groups), Moment(standing, (a, b)), cell)
 
     @cached_property
     def unjoinable(self) -> int | None:

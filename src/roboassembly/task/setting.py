@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Protocol, TypeVar
+from typing import Literal, Protocol, TypeVar
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from roboassembly.planning.problem import Budget
 from roboassembly.task.groups import TaskState
 from roboassembly.task.rules import Rules
 
+SettingName = Literal["object-centric", "full"]
 State = TypeVar("State")
 State_co = TypeVar("State_co", covariant=True)
 Step_co = TypeVar("Step_co", covariant=True)

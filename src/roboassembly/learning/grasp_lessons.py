@@ -1,0 +1,180 @@
+"""What the relational policy is taught about hands: which of them could join right pairs, in plays of many chairs.
+
+A play takes right pairs after which the furniture can still be finished, as the oracle knows, and tries grasps at
+random until one works out. For each pair it is kept which hands pass the cheap tests, and what became of those that
+were tried.
+"""
+
+from __future__ import annotations
+
+import os
+import zipfile
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, Float32, Int8
+
+from roboassembly.envs.observation import Observer, surface_points
+from roboassembly.errors import InputError
+from roboassembly.furniture.model import MAX_POINTS, Furniture
+from roboassembly.learning.lessons import CLOUD_POINTS
+from roboassembly.learning.situation import GRASPS, Situation, groups_of
+from roboassembly.solvers.hand_oracle import HandOracle
+from roboassembly.solvers.oracle import Joint
+from roboassembly.task.full import FullTask
+from roboassembly.task.full import Joint as Held
+from roboassembly.task.full_plan import FullState
+
+UNKNOWN, BLOCKED, FITS, MERGES, FAILS = -1, 0, 1, 2, 3
+"""What is known of two grasps at a pair: nothing, that cheap tests fail, that they pass, and then what the arms say."""
+_TOGETHER = 16
+"""Pairs of hands that fit alone of which it is found out whether they fit together."""
+_PAIRS = 3
+"""Right pairs of a state that are tried before a play is given up."""
+
+
+@dataclass(frozen=True, eq=False)
+class GraspLesson:
+    """One right pair of one state."""
+
+    points: Float32[np.ndarray, "P K 9"]
+    connections: Float32[np.ndarray, "P P 6"]
+    free: Bool[np.ndarray, "P K"]
+    poses: Float32[np.ndarray, "P 6"]
+    pair: tuple[int, int, int, int]
+    """u, k, v, l."""
+    known: Int8[np.ndarray, "8 8"]
+
+
+@dataclass(frozen=True, eq=False)
+class GraspCourse:
+    """The lessons of one chair."""
+
+    name: str
+    clouds: Float32[np.ndarray, "P C 3"]
+    hands: Float32[np.ndarray, "P 8 6"]
+    lessons: tuple[GraspLesson, ...]
+
+    def situation(self, lesson: GraspLesson) -> Situation:
+        """What a policy is told of a state."""
+        connections = lesson.connections.astype(float)
+        return Situation(
+            self.clouds.astype(float), lesson.points.astype(float), connections, lesson.free, groups_of(connections),
+            self.hands.astype(float), lesson.poses.astype(float),
+        )  # fmt: skip
+
+    def save(self, path: Path) -> None:
+        """Write as npz, whole or not at all; clouds are rounded to half a millimetre."""
+        scratch = path.with_name(f".{path.name}.{os.getpid()}.npz")
+        np.savez_compressed(
+            scratch,
+            name=np.array(self.name),
+            clouds=self.clouds.astype(np.float16),
+            hands=self.hands,
+            points=np.array([x.points for x in self.lessons]),
+            connections=np.array([x.connections for x in self.lessons]),
+            free=np.array([x.free for x in self.lessons]),
+            poses=np.array([x.poses for x in self.lessons]),
+            pairs=np.array([x.pair for x in self.lessons], np.int16).reshape(-1, 4),
+            known=np.array([x.known for x in self.lessons], np.int8).reshape(-1, GRASPS, GRASPS),
+        )
+        scratch.replace(path)
+
+    @staticmethod
+    def load(path: Path) -> GraspCourse:
+        """Read what `save` wrote.
+
+        Raises:
+            InputError: the file is broken.
+        """
+        try:
+            with np.load(path, allow_pickle=False) as z:
+                arrays = [z[name] for name in ("points", "connections", "free", "poses", "pairs", "known")]
+                lessons = tuple(
+                    GraspLesson(p, c, f, w, tuple(pair.tolist()), known)
+                    for p, c, f, w, pair, known in zip(*arrays, strict=True)
+                )
+                return GraspCourse(str(z["name"]), z["clouds"].astype(np.float32), z["hands"], lessons)
+        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+            raise InputError(f"{path} is not a course of grasps: {error}; remove it and build it again") from None
+
+
+class GraspTeacher:
+    """Plays one chair with two robots, and watches which hands work.
+
+    Args:
+        furniture: the chair.
+        tries: of pairs of hands that fit, for each pair of points.
+    """
+
+    def __init__(self, furniture: Furniture, tries: int) -> None:
+        self.task, self.tries = FullTask(furniture), tries
+        self._oracle = HandOracle(self.task)
+        self._observer = Observer(furniture, len(furniture.parts), MAX_POINTS, 1)
+
+    def course(self, rng: np.random.Generator, plays: int) -> GraspCourse:
+        """Lessons from some plays.
+
+        Raises:
+            InputError: the furniture does not suit the cell.
+        """
+        furniture = self.task.furniture
+        clouds = np.array([surface_points(p.mesh, CLOUD_POINTS) for p in furniture.parts], np.float32)
+        lessons: list[GraspLesson] = []
+        hands = np.zeros((len(clouds), GRASPS, 6), np.float32)
+        for _ in range(plays):
+            state = self.task.initial_state(rng)
+            hands = self._observer.observe(state.groups)["grasp_regions"].reshape(hands.shape)
+            lessons += self.play(state, rng)
+        return GraspCourse(furniture.name, clouds, hands, tuple(lessons))
+
+    def play(self, state: FullState, rng: np.random.Generator) -> Iterator[GraspLesson]:
+        """One play, as far as it leads."""
+        ahead: FullState | None = state
+        while ahead is not None and not ahead.groups.complete:
+            state, ahead = ahead, None
+            joints = [j for j in self._oracle.joints(state.groups) if j.good]
+            for index in rng.permutation(len(joints))[:_PAIRS]:
+                lesson, ahead = self._lesson(state, joints[index], rng)
+                yield lesson
+                if ahead is not None:
+                    break
+
+    def _lesson(self, state: FullState, joint: Joint, rng: np.random.Generator) -> tuple[GraspLesson, FullState | None]:
+        """What is found out about one pair, and the state after it, if hands were found that join it."""
+        known = self._fitting(state, joint, rng)
+        after = None
+        for g_a, g_b in rng.permutation(np.argwhere(known == FITS))[: self.tries].tolist():
+            action = (joint.u, joint.v, joint.k, joint.l, g_a, g_b)
+            outcome = self.task.step(state, action, int(rng.integers(2**31 - 1)))
+            known[g_a, g_b] = FAILS if outcome.step is None else MERGES
+            if outcome.step is not None:
+                after = outcome.state
+                break
+        seen = self._observer.observe(state.groups)
+        free = self.task.rules.free_points(state.groups)[: len(seen["poses"])]
+        pair = (joint.u, joint.k, joint.v, joint.l)
+        return GraspLesson(
+            seen["connection_points"], seen["connections"], free, seen["poses"], pair, known
+        ), after  # fmt: skip
+
+    def _fitting(self, state: FullState, joint: Joint, rng: np.random.Generator) -> Int8[np.ndarray, "8 8"]:
+        """The cheap tests: of each hand alone, and of some pairs of them together."""
+        task, groups, merge = self.task, state.groups, joint.merge
+        u_group, v_group = groups.groups[groups.group_of[joint.u]], groups.groups[groups.group_of[joint.v]]
+        out = np.full((GRASPS, GRASPS), BLOCKED, np.int8)
+        ends = joint.u, joint.v
+        hands = [
+            {g: h for g, h in task.free_holds(groups, part).items() if task.fits_alone(u_group, v_group, merge, h, r)}
+            for r, part in enumerate(ends)
+        ]
+        both = [(a, b) for a in hands[0] for b in hands[1]]
+        out[tuple(np.array(both, int).reshape(-1, 2).T)] = UNKNOWN
+        for index in rng.permutation(len(both))[:_TOGETHER]:
+            a, b = both[index]
+            fits = isinstance(task.fitted(u_group, v_group, merge, hands[0][a], hands[1][b]), Held)
+            out[a, b] = FITS if fits else BLOCKED
+        return out
