@@ -40,7 +40,7 @@ class LearnerConfig:
     """Share of moves into the unknown that are drawn; the others take the highest Q."""
     wander: float = 0.8
     """Share of the other moves that take any merge known to work; the others take the highest Q."""
-    practice: float = 0.5
+    practice: float = 0.85
     """Share of episodes in which a play is improved (`practice`), until the chair has been finished."""
     greedy_every: int = 10
     """Every so many episodes is played by Q alone; twice as often ..."""

@@ -1,0 +1,233 @@
+"""Hands as the relational policy sees them: clearances against exact geometry, lessons of grasps, play with robots."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import shapes
+from roboassembly.envs.full import FullEnv
+from roboassembly.envs.observation import Observer, surface_points
+from roboassembly.errors import InputError
+from roboassembly.furniture import catalogue
+from roboassembly.furniture.model import MAX_POINTS, Furniture
+from roboassembly.learning import checkpoint, grasping, relational
+from roboassembly.learning.grasp_lessons import BLOCKED, FITS, UNKNOWN, GraspCourse, GraspTeacher
+from roboassembly.learning.hands import ONE, TWO, Handling, handling_of
+from roboassembly.learning.lessons import Teacher
+from roboassembly.learning.loading import load_policy
+from roboassembly.learning.players import Way, player
+from roboassembly.learning.relational_policy import RelationalPolicy
+from roboassembly.learning.situation import GRASPS, Situation, groups_of
+from roboassembly.poses import SE3
+from roboassembly.solvers.hand_oracle import HandOracle
+from roboassembly.solvers.options import fitting
+from roboassembly.task.full import FullTask, FullVerdict
+from roboassembly.task.full import Joint as Held
+from roboassembly.task.groups import Group, TaskState
+from roboassembly.task.joining import can_take, hold
+
+AT_OTHER = 2
+"""Column of `Handling.one`: room of the closed hand beside the other group, where the two are joined."""
+
+
+def situation(furniture: Furniture, state: TaskState, cloud_points: int = 2048) -> Situation:
+    """What a policy is told, without paddings."""
+    n = len(furniture.parts)
+    seen = Observer(furniture, n, MAX_POINTS, cloud_points).observe(state)
+    free = FullTask(furniture).rules.free_points(state)[:n]
+    connections = seen["connections"].astype(float)
+    return Situation(
+        seen["shapes"].astype(float), seen["connection_points"].astype(float), connections, free,
+        groups_of(connections), seen["grasp_regions"].reshape(n, GRASPS, 6).astype(float), seen["poses"].astype(float),
+    )  # fmt: skip
+
+
+def apart(furniture: Furniture, rng: np.random.Generator) -> TaskState:
+    """Every part alone, anywhere and anyhow."""
+    return TaskState(
+        tuple(
+            Group((i,), (i,), (a,), shapes.random_pose(rng, 2.0) * a.inverse())
+            for i, a in enumerate(furniture.assembled)
+        )
+    )
+
+
+@pytest.fixture(scope="module")
+def post_on_board() -> Furniture:
+    """A bar upright in the middle of a board: a hand that comes to the bar's lower end from above meets nothing but
+    the board, 60 mm below its grasp; one that holds the board's edge is far from the bar."""
+    return shapes.furniture(
+        "post",
+        {
+            "board": shapes.box((-0.3, -0.3, 0.0), (0.3, 0.3, 0.02)),
+            "bar": shapes.box((-0.02, -0.02, 0.02 + shapes.GAP), (0.02, 0.02, 0.32)),
+        },
+    )
+
+
+def test_clearances_are_those_of_the_geometry(post_on_board: Furniture) -> None:
+    seen = handling_of(situation(post_on_board, apart(post_on_board, np.random.default_rng(0))), 1, 0, 0, 0)
+    assert seen.one.shape == (2, GRASPS, ONE)
+    assert seen.two.shape == (GRASPS, GRASPS, TWO)
+    assert seen.there.all() == all(len(p.grasps) == 2 for p in post_on_board.parts)
+    bar, board = post_on_board.parts[1], post_on_board.assembled[0]
+    for g, (region, direction) in enumerate((r, d) for r in bar.grasps for d in r.approaches):
+        # Joined, the hand's lowest point is above the board by: the grasp's height less what the hand reaches down.
+        at = post_on_board.assembled[1].act(region.position)
+        down = post_on_board.assembled[1].rotation @ direction
+        assert board.translation[2] == pytest.approx(0.01)
+        if abs(down[2]) < 0.1:
+            # It comes from the side, its widest body is the palm: 63 mm to the sides, 20 mm along the fingers' breadth.
+            assert (seen.one[0, g, AT_OTHER] < 1.0) == (at[2] - 0.02 < 0.07), (g, at, down)
+
+
+def test_hands_that_the_own_group_blocks_are_seen_to_be_blocked() -> None:
+    furniture = catalogue.make("ladder", 3)
+    *parts, last = range(len(furniture.parts))
+    # All but one part joined, that one far away.
+    whole = Group(tuple(parts), tuple(parts), furniture.assembled[:last], SE3.Identity())
+    alone = Group((last,), (last,), (furniture.assembled[last],), shapes.pose(x=3.0))
+    told = situation(furniture, TaskState((whole, alone)))
+    seen, free = [], []
+    for part in parts:
+        handling = handling_of(told, part, 0, last, 0)
+        for g in range(GRASPS):
+            held = hold(furniture, whole, part, g)
+            assert (held is not None) == handling.there[g].any()
+            if held is not None:
+                seen.append(handling.one[0, g, 0])
+                free.append(can_take(furniture, whole, held))
+    seen, free = np.array(seen), np.array(free)
+    assert 0.1 < free.mean() < 0.9
+    # Boxes are a little larger than the hand, clouds have gaps: told apart for nearly all.
+    assert seen[free].mean() > seen[~free].mean() + 0.3
+    assert ((seen > 0.0) == free).mean() > 0.8
+
+
+def test_where_things_lie_does_not_matter_but_for_what_is_up(post_on_board: Furniture) -> None:
+    rng = np.random.default_rng(0)
+    state = apart(post_on_board, rng)
+    turn = SE3(shapes.turn((0.0, 0.0, 1.0), 1.0), np.array([0.4, -0.3, 0.0]))
+    moved = TaskState(tuple(g.moved_to(turn * g.world_from_furniture) for g in state.groups))
+    a, b = (handling_of(situation(post_on_board, s), 1, 0, 0, 0) for s in (state, moved))
+    np.testing.assert_allclose(a.one, b.one, atol=1e-4)
+    np.testing.assert_allclose(a.two, b.two, atol=1e-4)
+
+
+def test_hand_oracle_says_what_the_task_says() -> None:
+    task = FullTask(catalogue.make("stool", 3))
+    oracle = HandOracle(task)
+    rng = np.random.default_rng(0)
+    state = task.initial_state(rng).groups
+    joints = oracle.joints(state)
+    assert any(j.good for j in joints)
+    for index in rng.permutation(len(joints))[:12]:
+        joint = joints[index]
+        pairs = [((joint.u, joint.k), (joint.v, joint.l))]
+        found = next(fitting(task, state, pairs), None)
+        if found is not None:
+            assert joint.ways.all()
+            assert isinstance(task.joint(state, found), Held)
+        if not joint.ways.any():
+            assert found is None
+        assert joint.ways.all() == joint.ways.any()
+    # What a play of good pairs leads to is never without a good pair.
+    clouds = np.array([surface_points(p.mesh, 32) for p in task.furniture.parts], np.float32)
+    play = Teacher(task.furniture, clouds, oracle).play(rng)
+    assert len(play.lessons) == len(task.furniture.parts) - 1
+
+
+@pytest.fixture(scope="module")
+def course() -> GraspCourse:
+    return GraspTeacher(shapes.stand(), tries=1).course(np.random.default_rng(0), plays=2)
+
+
+def test_lessons_of_grasps_are_what_fresh_tests_say(course: GraspCourse, tmp_path: Path) -> None:
+    task = FullTask(shapes.stand())
+    first = task.initial_state(np.random.default_rng(0)).groups
+    assert len(course.lessons) >= len(task.furniture.parts) - 1
+    lesson = course.lessons[0]
+    u, k, v, l = lesson.pair  # noqa: E741
+    for g_a, g_b in np.argwhere(lesson.known != UNKNOWN).tolist():
+        fresh = task.joint(first, (u, v, k, l, g_a, g_b))
+        assert isinstance(fresh, Held) == (lesson.known[g_a, g_b] != BLOCKED)
+    course.save(tmp_path / "a.npz")
+    again = GraspCourse.load(tmp_path / "a.npz")
+    assert again.name == course.name
+    assert np.array_equal(again.hands, course.hands)
+    for a, b in zip(again.lessons, course.lessons, strict=True):
+        assert a.pair == b.pair
+        assert np.array_equal(a.known, b.known)
+        assert np.array_equal(a.connections, b.connections)
+    (tmp_path / "a.npz").write_bytes(b"no archive")
+    with pytest.raises(InputError, match="remove it"):
+        GraspCourse.load(tmp_path / "a.npz")
+
+
+def test_chances_of_hands_by_hand() -> None:
+    params = grasping.init(np.random.default_rng(0))
+    params["pair"]["1"]["w"][:], params["pair"]["1"]["b"][:] = 0.0, [0.0, np.log(3.0)]
+    there = np.ones((GRASPS, GRASPS), bool)
+    there[3] = False
+    one, two = np.zeros((2, GRASPS, ONE), np.float32), np.zeros((GRASPS, GRASPS, TWO), np.float32)
+    chance = grasping.log_chance(params, Handling(one, two, there))
+    # Half a chance of room, three quarters that the arms find a way.
+    assert np.exp(chance[there]) == pytest.approx(0.375)
+    assert (chance[~there] == -np.inf).all()
+
+
+def test_grasps_are_learnt(course: GraspCourse, tmp_path: Path) -> None:
+    pytest.importorskip("jax")
+    from roboassembly.learning import grasp_imitation
+
+    course.save(tmp_path / "a.npz")
+    examples = grasp_imitation.examples_of([tmp_path / "a.npz"], 1)
+    training = grasp_imitation.Training(steps=400, batch=8)
+    steps = list(grasp_imitation.train(examples, tmp_path / "net.npz", training, {}))
+    assert steps[-1][1]["loss"] < 0.5 * steps[0][1]["loss"]
+    params = checkpoint.load(tmp_path / "net.npz", grasping.KIND).params
+    assert grasp_imitation.quality(params, examples)["room"] > 0.9
+    assert set(np.unique(examples.known)) <= {UNKNOWN, BLOCKED, FITS, 2, 3}
+
+
+def test_a_policy_with_hands_plays_with_robots() -> None:
+    furniture = catalogue.make("three_legged", 1)
+    shipped = load_policy("relational")
+    assert isinstance(shipped, RelationalPolicy)
+    policy = replace(shipped, hands=grasping.init(np.random.default_rng(0)))
+    env = FullEnv(furniture, cloud_points=policy.cloud_points)
+    observation, info = env.reset(seed=0)
+    mask = info["action_mask"]
+    values = policy.values(observation, mask)
+    assert values.shape == mask.shape
+    assert np.array_equal(values > -np.inf, mask)
+    assert ((policy.probabilities(observation, mask) > 0.0) <= mask).all()
+    action = policy.act(observation, mask)
+    assert mask[tuple(action)]
+    *_, told = env.step(action)
+    # Pairs are known to it, hands are not.
+    assert told["verdict"] not in (FullVerdict.WRONG_PAIR, FullVerdict.NOT_AN_ACTION)
+    done = player(Way(policy, setting="full"))(furniture, 0)
+    assert done.actions
+    assert len(done.actions[0]) == 6
+    with pytest.raises(InputError, match="learnt nothing of hands"):
+        replace(shipped, hands=None).values(observation, mask)
+
+
+def test_a_checkpoint_carries_hands(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    hands, params = grasping.init(rng), relational.init(rng, relational.RelationalConfig())
+    config = {"network": asdict(relational.RelationalConfig())}
+    whole = checkpoint.Checkpoint(relational.KIND, {**params, "hands": hands}, config, {})
+    checkpoint.save(tmp_path / "p.npz", whole)
+    policy = load_policy(str(tmp_path / "p.npz"))
+    assert isinstance(policy, RelationalPolicy)
+    assert policy.settings == ("object-centric", "full")
+    broken = {**hands, "two": {"w": hands["two"]["w"][:2], "b": hands["two"]["b"]}}
+    checkpoint.save(tmp_path / "p.npz", replace(whole, params={**params, "hands": broken}))
+    with pytest.raises(InputError, match="two"):
+        load_policy(str(tmp_path / "p.npz"))
