@@ -25,9 +25,10 @@ _RESTART = 6
 """Plays without progress after which an altogether new one is begun."""
 _SHAKE = 0.4
 """Share of changes that also move some other pair."""
-_DELAY = 0.3
-"""Share of plays in which some part is left out until nothing else can be joined. Where one part ends it all if it
-comes early (a seat across a ring of legs and rungs), and every play so far had it early, nothing else would tell."""
+_DELAYED = (0.7, 0.15, 0.1, 0.05)
+"""Shares of plays in which no part, one, two or three are left out until nothing else can be joined. Where a part ends
+it all if it comes early (a seat across a ring of legs and rungs), and every play so far had it early, nothing else
+would tell."""
 _WORSE = 0.03
 """Share of plays that are kept although they led less far."""
 _GIVE_UP = 2
@@ -55,8 +56,8 @@ class Practice:
         """... and how many groups it leaves over."""
         self._episodes = self._idle = 0
         self._caution = float(rng.choice(_CAUTION))
-        self._late = -1
-        """The part that is left out until nothing else can be joined; -1 for none."""
+        self._late: list[int] = []
+        """Parts that are left out until nothing else can be joined, in the order in which they then come."""
         count = len(rehearsal.like)
         self._merges: list[tuple[tuple[int, ...], tuple[int, ...]]] = []
         """Groups joined in this episode."""
@@ -74,9 +75,12 @@ class Practice:
             if pick is not None:
                 return pick
         hopeful = self._hopeful(state, known, exists)
-        late = self.rehearsal.part == self._late
-        early = hopeful & ~(late[:, None] | late[None])
-        return self._pick(state, early, known) or self._pick(state, hopeful, known)
+        for first in range(len(self._late) + 1):
+            late = np.isin(self.rehearsal.part, self._late[first:])
+            pick = self._pick(state, hopeful & ~(late[:, None] | late[None]), known)
+            if pick is not None:
+                return pick
+        return None
 
     def _pick(self, state: State, hopeful: Bool[np.ndarray, "m m"], known: np.ndarray) -> Action | None:
         """The next pair of the plan, or any other; None if there is none."""
@@ -187,7 +191,8 @@ class Practice:
         """A new play: the kept one with a pair of what was left over earlier in it."""
         rng, plan = self.rng, list(self._kept)
         self._caution = float(rng.choice(_CAUTION))
-        self._late = int(rng.integers(len(self.rehearsal.like))) if rng.random() < _DELAY else -1
+        several = int(rng.choice(len(_DELAYED), p=_DELAYED))
+        self._late = rng.permutation(len(self.rehearsal.like))[:several].tolist()
         if not plan:
             self._plan = []
             return
@@ -214,7 +219,8 @@ class Practice:
             "plan": np.array(self._plan, np.int32).reshape(-1, 2),
             "done": np.array(self._done, np.int32).reshape(-1, 2),
             "kept": np.array(self._kept, np.int32).reshape(-1, 2),
-            "counts": np.array([self._left, self._episodes, self._idle, self._late], np.int64),
+            "counts": np.array([self._left, self._episodes, self._idle], np.int64),
+            "late": np.array(self._late, np.int64),
             "last": np.array([] if self._last is None else [self._last], np.int32).reshape(-1, 2),
             "together": self._together.copy(),
             "left_over": self._left_over.copy(),
@@ -228,5 +234,6 @@ class Practice:
         )
         self._together, self._left_over = arrays["together"].copy(), arrays["left_over"].copy()
         self._last = next(((a, b) for a, b in arrays["last"].tolist()), None)
-        self._left, self._episodes, self._idle, self._late = arrays["counts"].tolist()
+        self._left, self._episodes, self._idle = arrays["counts"].tolist()
+        self._late = arrays["late"].tolist()
         self._caution = float(arrays["caution"])
