@@ -234,7 +234,7 @@ def test_the_full_setting_audited_and_carried_out(armchair: Furniture) -> None:
 
 def test_what_the_full_setting_refuses() -> None:
     with pytest.raises(InputError, match="'joint-rrt' chooses no grasps; --setting full takes --policy search"):
-        player(Way("random", setting="full"))
+        player(Way("joint-rrt", setting="full"))
     with pytest.raises(InputError, match="'replay' chooses no grasps"):
         player(Way(Replay({}), setting="full"))
     with pytest.raises(InputError, match="--execution dynamic takes --setting full"):

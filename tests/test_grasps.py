@@ -295,13 +295,14 @@ def test_grasps_are_saved_and_loaded(cushioned: Furniture, tmp_path) -> None:
 
 def test_observation_holds_the_frame_of_the_hand(cushioned: Furniture) -> None:
     rows = Observer(cushioned, 20, 10, 16)._grasps
-    assert rows.shape == (20, 2, 6)
+    assert rows.shape == (20, 2, 4, 6)
     assert not rows[0].any()
     assert not rows[2:].any()
-    for row, region in zip(rows[1], cushioned.parts[1].grasps, strict=True):
-        tips = hand_pose(region.position, region.closing, region.approaches[0])
-        np.testing.assert_allclose(row[:3], tips.translation, atol=1e-6)
-        np.testing.assert_allclose(rotations_from_euler(row[3:].astype(float)), tips.rotation, atol=1e-6)
+    for four, region in zip(rows[1], cushioned.parts[1].grasps, strict=True):
+        for row, approach in zip(four, region.approaches, strict=True):
+            tips = hand_pose(region.position, region.closing, approach)
+            np.testing.assert_allclose(row[:3], tips.translation, atol=1e-6)
+            np.testing.assert_allclose(rotations_from_euler(row[3:].astype(float)), tips.rotation, atol=1e-6)
 
 
 def test_hand_has_the_size_of_the_real_one() -> None:

@@ -211,6 +211,8 @@ def test_a_policy_with_hands_plays_with_robots() -> None:
     *_, told = env.step(action)
     # Pairs are known to it, hands are not.
     assert told["verdict"] not in (FullVerdict.WRONG_PAIR, FullVerdict.NOT_AN_ACTION)
+    drawn = player(Way("random", setting="full"))(furniture, 0)
+    assert (drawn.success, len(drawn.actions)) == (False, drawn.merges + 1)
     done = player(Way(policy, setting="full"))(furniture, 0)
     assert done.actions
     assert len(done.actions[0]) == 6
