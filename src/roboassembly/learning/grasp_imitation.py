@@ -17,6 +17,7 @@ from roboassembly.errors import InputError
 from roboassembly.learning import grasping
 from roboassembly.learning.grasp_lessons import BLOCKED, FAILS, MERGES, UNKNOWN, GraspCourse
 from roboassembly.learning.hands import handling_of
+from roboassembly.learning.imitation import cross_entropy
 from roboassembly.learning.layers import Array, Params
 from roboassembly.learning.processes import in_order
 from roboassembly.learning.runs import Run
@@ -78,18 +79,14 @@ def losses(params: Params, batch: dict[str, Array]) -> tuple[Array, dict[str, Ar
     logits = grasping.apply(params, batch["one"], batch["two"])
     known, there = batch["known"], batch["there"]
     told = there & (known != UNKNOWN)
-    room = _mean(_cross_entropy(logits[..., 0], known != BLOCKED), told)
+    room = _mean(cross_entropy(logits[..., 0], known != BLOCKED), told)
     tried = there & ((known == MERGES) | (known == FAILS))
-    arms = _mean(_cross_entropy(logits[..., 1], known == MERGES), tried)
+    arms = _mean(cross_entropy(logits[..., 1], known == MERGES), tried)
     return room + _FIRM * arms, {"room": room, "arms": arms}
 
 
 def _mean(values: Array, which: Array) -> Array:
     return (values * which).sum() / jnp.maximum(which.sum(), 1)
-
-
-def _cross_entropy(logit: Array, truth: Array) -> Array:
-    return jnp.maximum(logit, 0.0) - logit * truth + jnp.log1p(jnp.exp(-jnp.abs(logit)))
 
 
 def optimiser(t: Training) -> optax.GradientTransformation:

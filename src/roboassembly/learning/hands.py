@@ -13,8 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32
 
 from roboassembly.gripper import MAX_OPENING, RETREAT, hand_bodies
-from roboassembly.learning.features import FLIP
-from roboassembly.learning.situation import GRASPS, Situation, frames_of
+from roboassembly.learning.situation import GRASPS, Situation
 from roboassembly.poses import rotations_from_euler
 
 ONE, TWO = 27, 9
@@ -57,9 +56,7 @@ class _Held:
 
 def handling_of(s: Situation, u: int, k: int, v: int, l: int) -> Handling:  # noqa: E741
     """Of a pair: what every hand at `u` and every hand at `v` would meet."""
-    turn = (frames_of(s.points[v, l]) * FLIP) @ frames_of(s.points[u, k]).T  # v from u
-    shift = s.points[v, l, :3] - turn @ s.points[u, k, :3]
-    a, b = _held(s, u, turn, shift), _held(s, v, np.eye(3), np.zeros(3))
+    a, b = _held(s, u, *s.mated(u, k, v, l)), _held(s, v, np.eye(3), np.zeros(3))
     way, joint = s.points[v, l, 3:6], s.points[v, l, :3]
     one = np.stack([_one(a, b, way, joint), _one(b, a, -way, joint)]).astype(np.float32)
     return Handling(one, _two(a, b, way).astype(np.float32), a.there[:, None] & b.there[None])

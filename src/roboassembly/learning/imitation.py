@@ -163,9 +163,9 @@ def losses(params: relational.Params, batch: dict[str, Any]) -> tuple[jax.Array,
     known = valid.astype(jnp.float32)
     is_right, is_good = batch["right"].astype(jnp.float32), batch["good"].astype(jnp.float32)
     count = jnp.maximum((is_right * known).sum((1, 2)), 1.0)
-    pairs = (_cross_entropy(right, is_right) * known * (1.0 + 4.0 * is_right)).sum((1, 2)) / count
+    pairs = (cross_entropy(right, is_right) * known * (1.0 + 4.0 * is_right)).sum((1, 2)) / count
     weight = known[..., None] * (0.2 + is_right[..., None])
-    values = (_cross_entropy(q, is_good) * weight).sum((1, 2, 3)) / count / 6.0
+    values = (cross_entropy(q, is_good) * weight).sum((1, 2, 3)) / count / 6.0
     flat = jnp.where(valid[..., None], q, -1e9).reshape(len(q), -1)
     good = is_good.reshape(len(q), -1)
     # In a dead end no choice is good, and what is learnt is that.
@@ -198,7 +198,8 @@ def _chosen(params: Any, batch: dict[str, Any]) -> jax.Array:
     return jnp.take_along_axis(good, jnp.argmax(flat, 1)[:, None], 1)[:, 0]
 
 
-def _cross_entropy(logit: jax.Array, truth: jax.Array) -> jax.Array:
+def cross_entropy(logit: jax.Array, truth: jax.Array) -> jax.Array:
+    """Binary, of a logit, without overflow."""
     return jnp.maximum(logit, 0.0) - logit * truth + jnp.log1p(jnp.exp(-jnp.abs(logit)))
 
 

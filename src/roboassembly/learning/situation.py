@@ -61,8 +61,7 @@ class Situation:
         """What would be left if point `k` of part `u` met point `l` of part `v`: their groups one, and their points
         that then touch no longer free. Gaps at joints are neglected."""
         movers, waiting = np.flatnonzero(self.group == self.group[u]), np.flatnonzero(self.group == self.group[v])
-        turn = (frames_of(self.points[v, l]) * FLIP) @ frames_of(self.points[u, k]).T  # v from u
-        shift = self.points[v, l, :3] - turn @ self.points[u, k, :3]
+        turn, shift = self.mated(u, k, v, l)
         (moved, shifted), (waited, where) = self.relative(u, movers), self.relative(v, waiting)
         turns = np.concatenate([turn @ moved, waited])
         shifts = np.concatenate([shifted @ turn.T + shift, where])
@@ -86,6 +85,11 @@ class Situation:
         free[members[ends[taken]], points[taken]] = False
         free[u, k] = free[v, l] = False
         return replace(self, connections=connections, free=free, group=group)
+
+    def mated(self, u: int, k: int, v: int, l: int) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]:  # noqa: E741
+        """`v_from_u`, parts, if point `k` of part `u` met point `l` of part `v`; gaps are neglected."""
+        turn = (frames_of(self.points[v, l]) * FLIP) @ frames_of(self.points[u, k]).T
+        return turn, self.points[v, l, :3] - turn @ self.points[u, k, :3]
 
     def relative(
         self, part: int, members: Int[np.ndarray, "m"]
