@@ -7,7 +7,7 @@ import zlib
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from itertools import takewhile
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
@@ -61,6 +61,8 @@ class SearchResult(Generic[APlan]):
     """The plan's first so many merges are the guide's."""
     guide_seconds: float = 0.0
     """Time that the guide took; not part of `planning_seconds`."""
+    states: tuple[Any, ...] = ()
+    """What each of the plan's steps led to, in the task's own terms."""
 
 
 @dataclass(frozen=True)
@@ -79,6 +81,27 @@ Options = Callable[[Disassembly, State, TaskState, Parts, Parts, bool], Iterable
 """Actions that join two sub-assemblies: `(disassembly, state, told, leaving, staying, straight)`, slots of `told`."""
 
 
+@dataclass(frozen=True)
+class Standing:
+    """How far a search is."""
+
+    merges: int
+    """Taken at present; they may be taken back."""
+    attempts: int
+    """Merges handed to the planner so far."""
+    states: int
+    """Configurations tested for collision so far."""
+
+
+Watch = Callable[[Standing], bool]
+"""Asked before each merge that is tried; the search gives up where it says False."""
+
+
+def planner_seed(seed: int, action: Action) -> int:
+    """What the planner draws from for an action, wherever in a plan it stands."""
+    return int(np.random.SeedSequence([seed, zlib.crc32(repr(action).encode())]).generate_state(1)[0])
+
+
 @dataclass(eq=False)
 class Search(Generic[State, AStep]):
     """One search, in any setting."""
@@ -91,9 +114,13 @@ class Search(Generic[State, AStep]):
     """Present one; that by which a guide's suggestions are thought over, at first."""
     refused: set[frozenset[Parts]] = field(default_factory=set)
     """Splits that the planner would not join, whoever moves and whatever points up."""
+    watch: Watch | None = None
     dead: set[frozenset[Parts]] = field(default_factory=set)
     """Partitions from which nothing led on."""
-    steps: list[AStep] = field(default_factory=list)
+    taken: list[tuple[AStep, State]] = field(default_factory=list)
+    """The steps taken, and what each led to."""
+    stopped: bool = False
+    """By whom watches."""
     planning_steps: int = 0
     planning_seconds: float = 0.0
     attempts: int = 0
@@ -111,8 +138,8 @@ class Search(Generic[State, AStep]):
         return self.planning_steps + self.disassembly.graphs.states
 
     def exhausted(self) -> bool:
-        """Whether the limits are reached."""
-        return self.states() > self.limits.states or self.attempts >= self.limits.attempts
+        """Whether the limits are reached, or the search is to give up."""
+        return self.stopped or self.states() > self.limits.states or self.attempts >= self.limits.attempts
 
     def follow(self, guide: Guide[State], state: State) -> bool:
         """Depth first from `state` along the guide's suggestions; the steps taken are kept if it succeeds."""
@@ -139,10 +166,10 @@ class Search(Generic[State, AStep]):
             if self.follow(guide, after):
                 return True
             self.guided -= 1
-            self.steps.pop()
+            self.taken.pop()
             self.backtracks += 1
         # With nothing taken over from the guide, the rounds will do this themselves.
-        success = bool(self.steps) and self.extend(state)
+        success = bool(self.taken) and self.extend(state)
         self.strays += not success and not followed
         return success
 
@@ -166,7 +193,7 @@ class Search(Generic[State, AStep]):
         return TaskState((*others, merge.merged))
 
     def extend(self, state: State, merges: Sequence[Split] = ()) -> bool:
-        """Depth first from `state`; the steps taken are kept in `self.steps` if it succeeds.
+        """Depth first from `state`; the steps taken are kept in `self.taken` if it succeeds.
 
         Args:
             state: where to go on.
@@ -191,7 +218,7 @@ class Search(Generic[State, AStep]):
             elif self.extend(after, rest):
                 return True
             else:
-                self.steps.pop()
+                self.taken.pop()
                 self.backtracks += 1
                 excluded.add(frozenset((leaving, staying)))
             merges = ()
@@ -208,20 +235,22 @@ class Search(Generic[State, AStep]):
                 # From where equal parts had swapped places, the pair may have gone into other slots than these.
                 if self.task.rules.pairs.told(self.task.joined(after)) is not None:
                     return after
-                self.steps.pop()
+                self.taken.pop()
         return None
 
     def attempt(self, state: State, action: Action, budget: Budget | None) -> State | None:
-        """Hand one merge to the planner; None if it refuses, else its step is appended to `self.steps`."""
+        """Hand one merge to the planner; None if it refuses, else its step is appended to `self.taken`."""
+        if self.watch is not None and not self.watch(Standing(len(self.taken), self.attempts, self.states())):
+            self.stopped = True
+            return None
         self.attempts += 1
-        words = np.random.SeedSequence([self.seed, zlib.crc32(repr(action).encode())]).generate_state(1)
-        outcome = self.task.step(state, action, int(words[0]), budget)
+        outcome = self.task.step(state, action, planner_seed(self.seed, action), budget)
         self.planning_steps += outcome.planning_steps
         self.planning_seconds += outcome.planning_seconds
         self.verdicts[outcome.verdict] = self.verdicts.get(outcome.verdict, 0) + 1
         if outcome.step is None:
             return None
-        self.steps.append(outcome.step)
+        self.taken.append((outcome.step, outcome.state))
         return outcome.state
 
     def reasoned(self, partition: Partition, struck: set[frozenset[Parts]]) -> list[Split] | None:
@@ -232,7 +261,7 @@ class Search(Generic[State, AStep]):
         return order
 
     def run(self, state: State, rounds: Sequence[Round], guide: Guide[State] | None) -> bool:
-        """All of it, the guide first; whether `steps` assemble the furniture."""
+        """All of it, the guide first; whether `taken` assembles the furniture."""
         if guide is not None:
             whole = self.limits
             self.limits = SearchLimits(whole.states // _GUIDED_SHARE, whole.attempts // _GUIDED_SHARE)
@@ -250,13 +279,15 @@ class Search(Generic[State, AStep]):
         return False
 
     def result(self, plan: APlan, success: bool) -> SearchResult[APlan]:
-        """A plan of `steps`, and what it took."""
+        """A plan of `taken`, and what it took."""
         reason = ""
         if not success:
-            spent = "limits reached" if self.exhausted() else "no order of merges is left"
+            spent = "no order of merges is left"
+            if self.exhausted():
+                spent = "stopped" if self.stopped else "limits reached"
             verdicts = ", ".join(f"{n} {v}" for v, n in sorted(self.verdicts.items()))
             reason = f"{spent} after {self.attempts} merges tried ({verdicts or 'none'})"
         return SearchResult(
             plan, self.states(), self.planning_seconds, self.attempts, self.backtracks, reason, self.guided,
-            self.guide_seconds,
+            self.guide_seconds, tuple(state for _, state in self.taken),
         )  # fmt: skip

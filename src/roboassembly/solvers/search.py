@@ -24,7 +24,7 @@ import numpy as np
 from roboassembly.furniture.model import Furniture
 from roboassembly.planning.problem import Budget
 from roboassembly.solvers.disassembly import Disassembly, Parts
-from roboassembly.solvers.forward import Action, Round, Search, SearchLimits, SearchResult
+from roboassembly.solvers.forward import Action, Round, Search, SearchLimits, SearchResult, Watch
 from roboassembly.solvers.guide import Guide
 from roboassembly.solvers.options import grasping, upright
 from roboassembly.task.full import FullTask
@@ -41,7 +41,8 @@ _ROUNDS = (
 
 
 _FULL_ROUNDS = tuple(replace(r, budget=None) for r in _ROUNDS)
-_FULL_LIMITS = SearchLimits(states=6_000_000, attempts=200)
+FULL_LIMITS = SearchLimits(states=6_000_000, attempts=200)
+"""Unless told otherwise, with robots."""
 _NO_PLACE = "two groups need the same place in the furniture"
 
 
@@ -66,15 +67,21 @@ def solve(
 
 
 def solve_from(
-    task: ObjectCentricTask, initial: TaskState, seed: int, limits: SearchLimits, guide: Guide[TaskState] | None = None
+    task: ObjectCentricTask,
+    initial: TaskState,
+    seed: int,
+    limits: SearchLimits,
+    guide: Guide[TaskState] | None = None,
+    watch: Watch | None = None,
 ) -> SearchResult[Plan]:
     """As `solve`, from a state that is given, in which equal parts may have taken each other's places."""
     if task.pairs.told(initial) is None:
         nothing = Plan(task.furniture, initial.part_poses, (), False, seed)
         return SearchResult(nothing, 0, 0.0, 0, 0, _NO_PLACE)
-    search = Search(task, upright, limits, seed, _ROUNDS[0])
+    search = Search(task, upright, limits, seed, _ROUNDS[0], watch=watch)
     success = search.run(initial, _ROUNDS, guide)
-    return search.result(Plan(task.furniture, initial.part_poses, tuple(search.steps), success, seed), success)
+    steps = tuple(step for step, _ in search.taken)
+    return search.result(Plan(task.furniture, initial.part_poses, steps, success, seed), success)
 
 
 def solve_full(
@@ -99,9 +106,22 @@ def solve_full(
     """
     task = task or FullTask(furniture)
     initial = task.initial_state(np.random.default_rng(seed))
-    search = Search(task, partial(_grasping, task), limits or _FULL_LIMITS, seed, _FULL_ROUNDS[0])
+    return solve_full_from(task, initial, seed, limits or FULL_LIMITS, guide)
+
+
+def solve_full_from(
+    task: FullTask,
+    initial: FullState,
+    seed: int,
+    limits: SearchLimits,
+    guide: Guide[FullState] | None = None,
+    watch: Watch | None = None,
+) -> SearchResult[FullPlan]:
+    """As `solve_full`, from a state that is given."""
+    search = Search(task, partial(_grasping, task), limits, seed, _FULL_ROUNDS[0], watch=watch)
     success = search.run(initial, _FULL_ROUNDS, guide)
-    return search.result(FullPlan(furniture, initial, tuple(search.steps), success, seed), success)
+    steps = tuple(step for step, _ in search.taken)
+    return search.result(FullPlan(task.furniture, initial, steps, success, seed), success)
 
 
 def _grasping(

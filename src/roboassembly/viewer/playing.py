@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from roboassembly.task.full_plan import FullPlan
 from roboassembly.task.plan import Plan
-from roboassembly.viewer.robots import make_full_timeline
-from roboassembly.viewer.timeline import Timeline, make_timeline
+from roboassembly.viewer.robots import FullDirector, make_full_timeline
+from roboassembly.viewer.timeline import Director, Timeline, make_timeline
 
 AnyPlan = Plan | FullPlan
 SECONDS_PER_STEP, FULL_SECONDS_PER_STEP = 1.8, 6.0
@@ -30,3 +30,10 @@ def timeline_of(
         return make_full_timeline(plan, frames_per_second=frames_per_second, seconds_per_step=seconds)
     seconds = SECONDS_PER_STEP * slower if seconds_per_step is None else seconds_per_step
     return make_timeline(plan, frames_per_second=frames_per_second, seconds_per_step=seconds)
+
+
+def director_of(plan: AnyPlan, frames_per_second: float) -> Director | FullDirector:
+    """Makes frames of a plan step by step, each as long as suits the setting."""
+    if isinstance(plan, FullPlan):
+        return FullDirector(plan, frames_per_second, FULL_SECONDS_PER_STEP)
+    return Director(plan, frames_per_second, SECONDS_PER_STEP)

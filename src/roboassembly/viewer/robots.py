@@ -8,13 +8,14 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from roboassembly.poses import SE3
 from roboassembly.robots.body import hand_links, links, placed
 from roboassembly.task.cell import Stand, post_mesh
-from roboassembly.task.full_plan import FullPlan, FullStep
+from roboassembly.task.full_plan import FullPlan
 from roboassembly.task.moments import Leg, Moment
 from roboassembly.viewer.timeline import (
     FINALE_SECONDS,
@@ -44,43 +45,58 @@ def make_full_timeline(plan: FullPlan, *, frames_per_second: float, seconds_per_
         InputError: a rate or duration that is not a positive finite number.
     """
     check_rates(frames_per_second, seconds_per_step)
-    builder = _Builder(plan, frames_per_second, seconds_per_step, plan.stands)
-    return Timeline(plan.furniture.name, builder.things(), tuple(builder.frames()), frames_per_second)
+    director = FullDirector(plan, frames_per_second, seconds_per_step)
+    return Timeline(plan.furniture.name, director.things, tuple(director.frames()), frames_per_second)
 
 
 @dataclass(frozen=True)
-class _Builder:
+class FullDirector:
+    """Makes frames of a plan, all or those of one step."""
+
     plan: FullPlan
     fps: float
     seconds: float
-    stands: tuple[Stand, ...]
+    """About how long a step lasts."""
 
+    @cached_property
+    def stands(self) -> tuple[Stand, ...]:
+        """All posts that are ever up."""
+        return self.plan.stands
+
+    @property
     def things(self) -> tuple[Thing, ...]:
+        """What the frames show; posts last, those of a longer plan after those of a shorter one."""
         own = [*links(), *(link for link, _ in hand_links(0.0))]
         robots = [Thing(f"robot_{name}/{i}_{link.name}", link.mesh) for name in "ab" for i, link in enumerate(own)]
         posts = [Thing(f"posts/{i}", post_mesh(float(s.top[2])), framed=False) for i, s in enumerate(self.stands)]
         return (*parts_of(self.plan.furniture), *robots, *posts)
 
-    def frames(self) -> Iterator[Frame]:
-        plan, steps = self.plan, len(self.plan.steps)
-        first = plan.initial.moment
-        opening = f"{plan.furniture.name}: {len(plan.furniture.parts)} parts, two robots"
-        yield from self._still(first, Phase.OVERTURE, opening, OVERTURE_SECONDS)
-        for index, step in enumerate(plan.steps):
-            yield from self._step(index, step)
-        last = plan.steps[-1].legs[-1].after if steps else first
-        ending = ending_caption(plan.furniture, steps, plan.success)
-        yield from self._still(last, Phase.FINALE, ending, FINALE_SECONDS)
+    def opening(self) -> Frame:
+        """Before the first step."""
+        furniture = self.plan.furniture
+        text = f"{furniture.name}: {len(furniture.parts)} parts, two robots"
+        return self._still(self.plan.initial.moment, Phase.OVERTURE, text)
 
-    def _still(self, moment: Moment, phase: Phase, caption: str, seconds: float) -> Iterator[Frame]:
+    def frames(self) -> Iterator[Frame]:
+        """All of them."""
+        plan, steps = self.plan, len(self.plan.steps)
+        yield from itertools.repeat(self.opening(), self._count(OVERTURE_SECONDS))
+        for index in range(steps):
+            yield from self.step(index)
+        last = plan.steps[-1].legs[-1].after if steps else plan.initial.moment
+        ending = self._still(last, Phase.FINALE, ending_caption(plan.furniture, steps, plan.success))
+        yield from itertools.repeat(ending, self._count(FINALE_SECONDS))
+
+    def _still(self, moment: Moment, phase: Phase, caption: str) -> Frame:
         roles = self._roles([Role.IDLE] * len(self.plan.furniture.parts))
-        return itertools.repeat(Frame(tuple(self._poses(moment)), roles, None, phase, caption), self._count(seconds))
+        return Frame(tuple(self._poses(moment)), roles, None, phase, caption)
 
     def _count(self, seconds: float) -> int:
         return max(1, round(seconds * self.fps))
 
-    def _step(self, index: int, step: FullStep) -> Iterator[Frame]:
-        furniture = self.plan.furniture
+    def step(self, index: int) -> Iterator[Frame]:
+        """Those of one step."""
+        furniture, step = self.plan.furniture, self.plan.steps[index]
         weights = np.array([max(_SHORTEST, _length(leg)) ** 0.5 for leg in step.legs])
         own = [next(g.parts for g in step.legs[0].moment.groups() if part in g.parts) for part in step.action[:2]]
         what = onto(furniture, step.action, *map(len, own))

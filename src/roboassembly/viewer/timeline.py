@@ -138,8 +138,8 @@ def make_timeline(plan: Plan, *, frames_per_second: float = 30.0, seconds_per_st
         InputError: a rate or duration that is not a positive finite number.
     """
     check_rates(frames_per_second, seconds_per_step)
-    builder = _Builder(plan, frames_per_second, seconds_per_step)
-    return Timeline(plan.furniture.name, parts_of(plan.furniture), tuple(builder.frames()), frames_per_second)
+    director = Director(plan, frames_per_second, seconds_per_step)
+    return Timeline(plan.furniture.name, director.things, tuple(director.frames()), frames_per_second)
 
 
 def check_rates(frames_per_second: float, seconds_per_step: float) -> None:
@@ -183,28 +183,44 @@ def ending_caption(furniture: Furniture, steps: int, success: bool) -> str:
 
 
 @dataclass(frozen=True)
-class _Builder:
+class Director:
+    """Makes frames of a plan, all or those of one step."""
+
     plan: Plan
     fps: float
     seconds: float
+    """About how long a step lasts."""
+
+    @property
+    def things(self) -> tuple[Thing, ...]:
+        """What the frames show."""
+        return parts_of(self.plan.furniture)
+
+    def opening(self) -> Frame:
+        """Before the first step."""
+        idle = (Role.IDLE,) * len(self.plan.initial)
+        text = f"{self.plan.furniture.name}: {len(self.plan.initial)} parts"
+        return Frame(self.plan.initial, idle, None, Phase.OVERTURE, text)
 
     def frames(self) -> Iterator[Frame]:
+        """All of them."""
         plan = self.plan
         idle = (Role.IDLE,) * len(plan.initial)
-        name, steps = plan.furniture.name, len(plan.steps)
-        opening = Frame(plan.initial, idle, None, Phase.OVERTURE, f"{name}: {len(plan.initial)} parts")
-        yield from itertools.repeat(opening, self._count(OVERTURE_SECONDS))
-        poses = plan.initial
-        for index, step in enumerate(plan.steps):
-            yield from self._step(index, step, poses)
-            poses = step.after
+        steps = len(plan.steps)
+        yield from itertools.repeat(self.opening(), self._count(OVERTURE_SECONDS))
+        for index in range(steps):
+            yield from self.step(index)
+        poses = plan.steps[-1].after if steps else plan.initial
         ending = ending_caption(plan.furniture, steps, plan.success)
         yield from itertools.repeat(Frame(poses, idle, None, Phase.FINALE, ending), self._count(FINALE_SECONDS))
 
     def _count(self, seconds: float) -> int:
         return max(1, round(seconds * self.fps))
 
-    def _step(self, index: int, step: PlanStep, before: tuple[SE3, ...]) -> Iterator[Frame]:
+    def step(self, index: int) -> Iterator[Frame]:
+        """Those of one step."""
+        step = self.plan.steps[index]
+        before = self.plan.steps[index - 1].after if index else self.plan.initial
         caption = step_caption(self.plan, index)
         n = len(before)
         roles = tuple(
