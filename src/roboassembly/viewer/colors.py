@@ -16,6 +16,7 @@ WOOD: Color = (0.80, 0.66, 0.49)
 ROBOT_A: Color = (0.62, 0.70, 0.82)
 ROBOT_B: Color = (0.90, 0.90, 0.92)
 POST: Color = (0.45, 0.47, 0.50)
+_GOLDEN = 0.6180339887
 BACKGROUND: Color = (0.945, 0.953, 0.961)
 FLOOR: Color = (0.90, 0.905, 0.91)
 FLOOR_LINES: Color = (0.82, 0.83, 0.845)
@@ -35,9 +36,14 @@ def wood_colors(count: int) -> list[Color]:
     return part_colors([Role.IDLE] * count)
 
 
+def spread_colors(kinds: Sequence[int]) -> list[Color]:
+    """One colour a part, the same for parts of one kind, well apart for different kinds."""
+    return [colorsys.hls_to_rgb((0.08 + k * _GOLDEN) % 1.0, 0.62 - 0.14 * (k % 2), 0.55) for k in kinds]
+
+
 def _shade(color: Color, index: int) -> Color:
     # Multiples of the golden ratio modulo one: neighbours in the list never come out alike.
-    spread = (index * 0.6180339887) % 1.0 - 0.5
+    spread = (index * _GOLDEN) % 1.0 - 0.5
     hue, lightness, saturation = colorsys.rgb_to_hls(*color)
     return colorsys.hls_to_rgb(hue, lightness * (1.0 + 0.14 * spread), saturation)
 

@@ -63,7 +63,7 @@ def _recorded(timeline: Timeline) -> str:
 
 @contextmanager
 def quiet_server(host: str, port: int) -> Iterator[ViserServer]:
-    """A viser server that does not announce itself and that is gone afterwards.
+    """A viser server that does not announce itself, shows no axes of the world, and is gone afterwards.
 
     viser records only through a server, too. It announces itself through rich's console, from two threads, whatever
     `verbose` says; so that console is kept quiet meanwhile.
@@ -76,6 +76,7 @@ def quiet_server(host: str, port: int) -> Iterator[ViserServer]:
     was_quiet, console.quiet = console.quiet, True
     try:
         server = ViserServer(host=host, port=port, verbose=False)
+        server.scene.world_axes.visible = False
         try:
             yield server
         finally:

@@ -75,7 +75,6 @@ class Tableau:
 def set_the_scene(scene: SceneApi, points: Float[np.ndarray, "n 3"]) -> None:
     """Light, and a ruled floor that reaches past all of the world points given."""
     scene.set_up_direction("+z")
-    scene.world_axes.visible = False
     scene.configure_default_lights(enabled=True, cast_shadow=True)
     low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
     reach = float((high - low).max())

@@ -1,0 +1,152 @@
+"""What is drawn on parts besides themselves: connection points to click on, their frames, and grasp regions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import trimesh
+from jaxtyping import Bool, Float
+from scipy.spatial import ConvexHull
+from viser import BatchedMeshHandle, LineSegmentsHandle, SceneApi
+
+from roboassembly.furniture.model import MAX_POINTS, Furniture
+from roboassembly.gripper import hand_pose
+from roboassembly.viewer.colors import MOVING, WAITING, Color, to_bytes
+
+End = tuple[int, int]
+"""Part and point."""
+Chosen = tuple[End | None, End | None]
+"""What is to move, and what is to wait."""
+_DOT: Color = (0.16, 0.32, 0.62)
+_DOT_RADIUS, _CHOSEN_RADIUS = 0.007, 0.012
+"""Metres."""
+_PIN, _LONGEST_PIN = 0.012, 0.06
+"""Metres that a dot stands off the part's hull along the point's normal, so that it shows, and from the point at most:
+points lie in the middle of what touches, which often is inside a tenon or at the bottom of a mortise."""
+_AXIS = 0.04
+"""Metres: length of a frame's axes."""
+_FINGER, _APPROACH = 0.03, 0.06
+"""Metres: half the length of a finger's line, and how far a hand's way in is drawn."""
+_AXES = np.array([[220, 60, 50], [60, 160, 70], [50, 100, 210]], np.uint8)
+_GRASP = np.array([150, 60, 160], np.uint8)
+_BALL = trimesh.creation.icosphere(subdivisions=2, radius=1.0)
+
+
+@dataclass(eq=False)
+class Marks:
+    """Marks on all parts of a piece; they hang on the parts' meshes, and so move with them.
+
+    Args:
+        scene: of one client.
+        furniture: whose parts they are on.
+        names: of the parts' meshes in the scene.
+        clicked: told which end was clicked on.
+    """
+
+    scene: SceneApi
+    furniture: Furniture
+    names: Sequence[str]
+    clicked: Callable[[End], None]
+    _dots: list[BatchedMeshHandle] = field(default_factory=list, init=False)
+    _pins: list[LineSegmentsHandle] = field(default_factory=list, init=False)
+    _frames: list[LineSegmentsHandle] = field(default_factory=list, init=False)
+    _grasps: list[LineSegmentsHandle] = field(default_factory=list, init=False)
+    _shown: tuple[np.ndarray, Chosen] | None = field(default=None, init=False)
+
+    def lay(
+        self, points: Float[np.ndarray, "20 10 9"], free: Bool[np.ndarray, "20 10"], frames: bool, grasps: bool
+    ) -> None:
+        """Draw all anew.
+
+        Args:
+            points: position, normal and tangent in the parts' frames.
+            free: which of them can be joined.
+            frames: draw the points' frames, too.
+            grasps: draw grasp regions, too.
+        """
+        self.clear()
+        for part, name in enumerate(self.names):
+            heads = self._heads(part, points[part])
+            self._dots.append(self._put_dots(part, name, heads))
+            self._pins.append(self._put_pins(name, points[part, :, :3], heads))
+            if frames and free[part].any():
+                self._frames.append(self._put_frames(name, points[part][free[part]]))
+            if grasps and self.furniture.parts[part].grasps:
+                self._grasps.append(self._put_grasps(part, name))
+
+    def show(self, free: Bool[np.ndarray, "20 10"], chosen: Chosen) -> None:
+        """Show those points only, and which two are chosen."""
+        if self._shown is not None and self._shown[1] == chosen and np.array_equal(self._shown[0], free):
+            return
+        self._shown = free, chosen
+        for part, (handle, pins) in enumerate(zip(self._dots, self._pins, strict=True)):
+            pins.visible = bool(free[part].any())
+            sizes = np.where(free[part], _DOT_RADIUS, 0.0)
+            colors = np.tile(np.array(to_bytes(_DOT), np.uint8), (MAX_POINTS, 1))
+            for end, color in zip(chosen, (MOVING, WAITING), strict=True):
+                if end is not None and end[0] == part:
+                    sizes[end[1]], colors[end[1]] = _CHOSEN_RADIUS, to_bytes(color)
+            handle.batched_scales = sizes.astype(np.float32)
+            handle.batched_colors = colors
+
+    def clear(self) -> None:
+        """Take all marks away."""
+        for handle in (*self._dots, *self._pins, *self._frames, *self._grasps):
+            handle.remove()
+        self._dots, self._pins, self._frames, self._grasps = [], [], [], []
+        self._shown = None
+
+    def _heads(self, part: int, rows: Float[np.ndarray, "10 9"]) -> Float[np.ndarray, "10 3"]:
+        """Where a part's dots are."""
+        position, normal = rows[:, :3], rows[:, 3:6]
+        planes = ConvexHull(self.furniture.parts[part].mesh.hull_vertices).equations
+        toward = normal @ planes[:, :3].T
+        with np.errstate(divide="ignore", invalid="ignore"):
+            leave = np.where(toward > 1e-6, -(position @ planes[:, :3].T + planes[:, 3]) / toward, np.inf)
+        return position + np.clip(leave.min(axis=1) + _PIN, _PIN, _LONGEST_PIN)[:, None] * normal
+
+    def _put_pins(
+        self, name: str, feet: Float[np.ndarray, "10 3"], heads: Float[np.ndarray, "10 3"]
+    ) -> LineSegmentsHandle:
+        return self._put_lines(f"/{name}/pins", np.stack([feet, heads], axis=1), np.tile(to_bytes(_DOT), (10, 2, 1)))
+
+    def _put_dots(self, part: int, name: str, positions: Float[np.ndarray, "10 3"]) -> BatchedMeshHandle:
+        handle = self.scene.add_batched_meshes_simple(
+            f"/{name}/points",
+            _BALL.vertices.astype(np.float32),
+            _BALL.faces.astype(np.uint32),
+            batched_wxyzs=np.tile(np.array([1.0, 0.0, 0.0, 0.0], np.float32), (MAX_POINTS, 1)),
+            batched_positions=positions.astype(np.float32),
+            batched_scales=np.zeros(MAX_POINTS, np.float32),
+            lod="off",
+            cast_shadow=False,
+            receive_shadow=False,
+        )
+        handle.on_click(lambda event: self.clicked((part, event.instance_index or 0)))
+        return handle
+
+    def _put_frames(self, name: str, rows: Float[np.ndarray, "n 9"]) -> LineSegmentsHandle:
+        position, normal, tangent = rows[:, :3], rows[:, 3:6], rows[:, 6:]
+        axes = np.stack([tangent, np.cross(normal, tangent), normal], axis=1)
+        lines = np.stack([np.repeat(position[:, None], 3, 1), position[:, None] + _AXIS * axes], axis=2)
+        colors = np.tile(_AXES[None, :, None], (len(rows), 1, 2, 1)).reshape(-1, 2, 3)
+        return self._put_lines(f"/{name}/frames", lines.reshape(-1, 2, 3), colors)
+
+    def _put_grasps(self, part: int, name: str) -> LineSegmentsHandle:
+        lines = []
+        for grasp in self.furniture.parts[part].grasps:
+            for approach in grasp.approaches:
+                hand = hand_pose(grasp.position, grasp.closing, approach)
+                pads = [grasp.position + side * 0.5 * grasp.width * hand.rotation[:, 1] for side in (-1.0, 1.0)]
+                lines += [[pad, pad - _FINGER * approach] for pad in pads]
+                lines.append([grasp.position - _FINGER * approach, grasp.position - _APPROACH * approach])
+                lines.append([pad - _FINGER * approach for pad in pads])
+        colors = np.tile(_GRASP, (len(lines), 2, 1))
+        return self._put_lines(f"/{name}/grasps", np.array(lines), colors)
+
+    def _put_lines(self, name: str, lines: Float[np.ndarray, "n 2 3"], colors: np.ndarray) -> LineSegmentsHandle:
+        return self.scene.add_line_segments(
+            name, lines.astype(np.float32), colors, thickness=2.0, thickness_units="screen"
+        )

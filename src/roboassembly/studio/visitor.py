@@ -1,0 +1,399 @@
+"""One visitor: what is asked for in the browser is queued, and done by a thread of the visitor's own, in turn."""
+
+from __future__ import annotations
+
+import queue
+import tempfile
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from viser import ClientHandle, UploadedFile
+
+from roboassembly.errors import InputError, RoboAssemblyError
+from roboassembly.furniture.model import Furniture
+from roboassembly.learning.loading import load_policy
+from roboassembly.learning.policies import Policy, guide_of, settings_of
+from roboassembly.solvers.forward import Standing
+from roboassembly.solvers.guide import Guide
+from roboassembly.studio.marks import Chosen
+from roboassembly.studio.panel import NONE, PICKS, Actions, Panel
+from roboassembly.studio.screen import FRAMES_PER_SECOND, Screen
+from roboassembly.studio.session import Session
+from roboassembly.studio.wares import Wares, open_path, open_upload
+from roboassembly.studio.words import WAYS, told
+from roboassembly.task import plan_file
+from roboassembly.task.setting import SettingName
+from roboassembly.viewer.html import write_html
+
+_PROGRESS_EVERY = 0.1
+"""Seconds."""
+
+
+@dataclass(frozen=True)
+class House:
+    """What all visitors share."""
+
+    wares: Wares
+    policies: tuple[str, ...]
+    """As `roboassembly assemble --policy` takes them; the first is chosen at first."""
+    furniture: str
+    """Opened at first, as `open_path` takes it."""
+    scale: float | None
+    """Of 3D files, metres per unit."""
+    setting: SettingName
+    """At first."""
+    seed: int
+    """At first."""
+    paths: bool
+    """Whether visitors may open folders of this machine by name."""
+
+
+class Visitor:
+    """A browser that shows the page; `close` when it is gone.
+
+    Args:
+        client: the browser.
+        house: what all visitors share.
+    """
+
+    def __init__(self, client: ClientHandle, house: House) -> None:
+        self.client, self._house = client, house
+        self._asked: queue.Queue[Callable[[], None] | None] = queue.Queue()
+        self._cancelled = threading.Event()
+        self._screen: Screen | None = None
+        self.session: Session | None = None
+        """Once furniture is open."""
+        self._policies: dict[str, Policy] = {}
+        self._gone = False
+        self.panel = Panel(
+            client.gui,
+            house.wares.sources(),
+            house.policies,
+            house.paths,
+            Actions(
+                open=lambda: self._ask(self._open),
+                upload=lambda file: self._ask(lambda: self._upload(file)),
+                open_path=lambda path: self._ask(lambda: self._open_path(path)),
+                choose=lambda: self._ask(self._choose),
+                join=lambda: self._ask(self._join),
+                undo=lambda: self._ask(self._undo),
+                suggest=lambda: self._ask(self._suggest),
+                run=lambda how: self._ask(lambda: self._run(how)),
+                cancel=self._cancelled.set,
+                scrub=lambda: self._ask(self._scrub),
+                play=lambda: self._ask(self._toggle),
+                look=lambda: self._ask(self._look),
+                save=lambda name: self._ask(lambda: self._save(name)),
+            ),
+        )
+        self.panel.setting.value, self.panel.seed.value = house.setting, house.seed
+        self._ask(lambda: self._open_path(house.furniture))
+        self._thread = threading.Thread(target=self._serve, name=f"visitor-{client.client_id}", daemon=True)
+        self._thread.start()
+
+    @property
+    def at_work(self) -> bool:
+        """Whether its thread still runs."""
+        return self._thread.is_alive()
+
+    def close(self) -> None:
+        """Stop whatever runs, soon."""
+        self._gone = True
+        self._asked.put(None)
+
+    def _ask(self, request: Callable[[], None]) -> None:
+        self._asked.put(request)
+
+    def _serve(self) -> None:
+        try:
+            self._work()
+        finally:
+            if not self._gone:
+                self._say("✗ Something broke here, and the terminal tells what. Load the page again.")
+
+    def _work(self) -> None:
+        """Do what is asked for, one after another; while nothing is, play on."""
+        while True:
+            due = time.monotonic() + 1.0 / FRAMES_PER_SECOND
+            try:
+                playing = self._screen is not None and self._screen.playing
+                request = self._asked.get(timeout=1.0 / FRAMES_PER_SECOND if playing else None)
+            except queue.Empty:
+                self._advance(max(0.0, time.monotonic() - due))
+                continue
+            if request is None or self._gone:
+                return
+            self._cancelled.clear()
+            try:
+                request()
+            except RoboAssemblyError as error:
+                self._say(f"✗ {error}")
+
+    # Opening
+
+    def _open(self) -> None:
+        panel = self.panel
+        self._begin(lambda: self._house.wares.open(panel.source.value, panel.piece.value, int(panel.number.value)))
+
+    def _open_path(self, path: str) -> None:
+        if not path.strip():
+            raise InputError("no folder named; write one, or a built-in chair like 'ladder:3'")
+        self._begin(lambda: open_path(path.strip(), self._house.scale))
+
+    def _upload(self, file: UploadedFile) -> None:
+        self._say(f"Reading {Path(file.name).name}; repair may take a while …")
+        self._begin(lambda: open_upload(file.name, file.content, self._house.scale))
+
+    def _begin(self, make: Callable[[], Furniture]) -> None:
+        """A new session; what was there stays if the furniture cannot be had."""
+        session = Session(make(), self.panel.setting.value, int(self.panel.seed.value))
+        with self.client.atomic():
+            if self._screen is not None:
+                self._screen.clear()
+            self.session = session
+            self._screen = Screen(self.client, session, lambda *end: self._ask(lambda: self._picked(*end)))
+            self._screen.look = self.panel.look
+            self._list_ways()
+            self._settle()
+        self._say("Click a point of one part, then one of another, and join them; or let it run.")
+
+    # Choosing
+
+    def _list_ways(self) -> None:
+        session = self._present
+        for control, choice in zip(self.panel.ways, [*session.choices(), None], strict=False):
+            control.visible = choice is not None
+            if choice is None:
+                continue
+            name, count = choice
+            if name == "w":
+                control.label, control.options = "Waits with (w)", tuple(f"{i}: {way}" for i, way in enumerate(WAYS))
+            else:
+                control.label = f"R_{name[-1]} takes it by ({name})"
+                control.options = tuple(f"{i}: region {i // 4}, direction {i % 4}" for i in range(count))
+
+    def _list_ends(self) -> None:
+        """What can be chosen now; what was chosen stays, if it can."""
+        session, panel = self._present, self.panel
+        free = session.free()
+        names = session.furniture.parts
+        parts = [f"{i}: {names[i].name}" for i in range(len(names)) if free[i].any()]
+        for control in (panel.u, panel.v):
+            _offer(control, parts)
+        for part, point in ((panel.u, panel.k), (panel.v, panel.l)):
+            own = [] if part.value == NONE else [str(k) for k in np.flatnonzero(free[_number(part.value)])]
+            _offer(point, own)
+
+    def _choose(self) -> None:
+        with self.client.atomic():
+            self._list_ends()
+            self._shown.choose(self._chosen())
+
+    def _picked(self, part: int, point: int | None) -> None:
+        """A part or one of its points was clicked on."""
+        session, panel = self._present, self.panel
+        if not session.free()[part].any():
+            return
+        moving = panel.next.value == PICKS[0]
+        which, at = (panel.u, panel.k) if moving else (panel.v, panel.l)
+        with self.client.atomic():
+            which.value = f"{part}: {session.furniture.parts[part].name}"
+            self._list_ends()
+            if point is not None:
+                at.value = str(point)
+                panel.next.value = PICKS[moving]
+            self._shown.choose(self._chosen())
+
+    def _chosen(self) -> Chosen:
+        panel = self.panel
+        ends = ((panel.u.value, panel.k.value), (panel.v.value, panel.l.value))
+        one, two = (None if NONE in end else (_number(end[0]), int(end[1])) for end in ends)
+        return one, two
+
+    # Doing
+
+    def _join(self) -> None:
+        session, (one, two) = self._present, self._chosen()
+        if one is None or two is None:
+            raise InputError("choose a point of what moves and one of what waits first")
+        ways = [_number(c.value) for c, _ in zip(self.panel.ways, session.choices(), strict=False)]
+        tried = session.attempt((one[0], two[0], one[1], two[1], *ways))
+        if tried.merged:
+            self._shown.extend()
+        self._settle()
+        self._say(told(session.furniture, tried))
+
+    def _undo(self) -> None:
+        if not self._present.undo():
+            raise InputError("there is nothing to take back")
+        self._shown.shorten()
+        self._settle()
+        self._say("Took the last step back.")
+
+    def _suggest(self) -> None:
+        session, panel = self._present, self.panel
+        action = session.suggestion(self._guide())
+        if action is None:
+            self._say("The policy sees nothing worth trying.")
+            return
+        u, v, k, l, *ways = action  # noqa: E741
+        with self.client.atomic():
+            for control, part in ((panel.u, u), (panel.v, v)):
+                control.value = f"{part}: {session.furniture.parts[part].name}"
+            self._list_ends()
+            panel.k.value, panel.l.value = str(k), str(l)
+            for control, way in zip(panel.ways, ways, strict=False):
+                control.value = control.options[way]
+            self._shown.choose(self._chosen())
+        self._say("This is what the policy would do; join them, if you agree.")
+
+    def _guide(self) -> Guide:
+        return guide_of(self._policy(self.panel.policy.value))
+
+    def _policy(self, name: str) -> Policy:
+        if name not in self._policies:
+            self._policies[name] = load_policy(name)
+        policy = self._policies[name]
+        if self._present.setting not in settings_of(policy):
+            raise InputError(f"policy '{name}' chooses no grasps; the search alone would do")
+        return policy
+
+    def _run(self, how: str) -> None:
+        session, panel = self._present, self.panel
+        if session.joined.complete:
+            raise InputError("all is assembled; undo some steps or open something else first")
+        guide = self._guide() if how != "search" else None
+        before = session.merges
+        panel.busy(True)
+        try:
+            said = self._alone(guide) if how == "alone" and guide else session.search(guide, self._watch())
+        finally:
+            panel.busy(False)
+        if session.merges > before:
+            self._shown.extend()
+        self._settle()
+        done = session.merges - before
+        self._say(
+            f"✗ {said}" if said else f"✓ Assembled: {done} merges, {session.planning_steps:,} states checked in all."
+        )
+
+    def _watch(self) -> Callable[[Standing], bool]:
+        whole, told_at = len(self._present.furniture.parts) - 1, 0.0
+        done = self._present.merges
+
+        def watch(standing: Standing) -> bool:
+            nonlocal told_at
+            if time.monotonic() - told_at > _PROGRESS_EVERY:
+                told_at = time.monotonic()
+                self.panel.progress.value = 100.0 * (done + standing.merges) / whole
+                self._say(
+                    f"… {done + standing.merges} of {whole} merges, {standing.attempts} tried, "
+                    f"{standing.states:,} states checked"
+                )
+            return not (self._cancelled.is_set() or self._gone)
+
+        return watch
+
+    def _alone(self, guide: Guide) -> str:
+        """The policy's surest choice again and again; why it ended, empty if the furniture stands."""
+        session, watch, states = self._present, self._watch(), self._present.planning_steps
+        for k in range(len(session.furniture.parts)):
+            if session.joined.complete:
+                return ""
+            if not watch(Standing(k, k, session.planning_steps - states)):
+                return "Stopped."
+            action = session.suggestion(guide)
+            if action is None:
+                return "The policy sees nothing worth trying."
+            tried = session.attempt(action)
+            if not tried.merged:
+                return told(session.furniture, tried).removeprefix("✗ ")
+        return ""
+
+    # Showing
+
+    @property
+    def _present(self) -> Session:
+        if self.session is None:
+            raise InputError("no furniture is open")
+        return self.session
+
+    @property
+    def _shown(self) -> Screen:
+        if self._screen is None:
+            raise InputError("no furniture is open")
+        return self._screen
+
+    def _settle(self) -> None:
+        """Bring all that depends on the state up to date."""
+        session, panel, screen = self._present, self.panel, self._shown
+        with self.client.atomic():
+            panel.time.max = max(1, screen.last)
+            panel.time.visible = panel.play.visible = screen.last > 0
+            panel.time.value = screen.at
+            self._list_ends()
+            screen.choose(self._chosen())
+            screen.refresh()
+            whole = len(session.furniture.parts) - 1
+            failed = f" · {session.failures} failed" if session.failures else ""
+            panel.status.content = (
+                f"**{session.furniture.name}** · {session.merges} of {whole} merges{failed} · "
+                f"{session.planning_steps:,} states checked · reward {session.reward:g}"
+            )
+
+    def _look(self) -> None:
+        with self.client.atomic():
+            self._shown.look = self.panel.look
+            self._shown.refresh()
+
+    def _scrub(self) -> None:
+        self._shown.playing = False
+        with self.client.atomic():
+            self._shown.show(int(self.panel.time.value))
+
+    def _toggle(self) -> None:
+        screen = self._shown
+        if not screen.playing and screen.at == screen.last:
+            screen.show(0)
+        screen.playing = not screen.playing
+
+    def _advance(self, late: float) -> None:
+        """The next frame, or a later one if it is high time."""
+        screen = self._shown
+        with self.client.atomic():
+            screen.show(screen.at + 1 + int(late * FRAMES_PER_SECOND))
+            self.panel.time.value = screen.at
+        screen.playing = screen.at < screen.last
+
+    def _say(self, text: str) -> None:
+        self.panel.message.content = text
+
+    def _save(self, name: str) -> None:
+        plan = self._present.plan()
+        if name == "plan.json":
+            content = plan_file.encode(plan)
+        else:
+            with tempfile.TemporaryDirectory() as folder:
+                path = Path(folder) / name
+                write_html(plan, path)
+                content = path.read_bytes()
+        self.client.send_file_download(name, content, save_immediately=True)
+        self._say(f"Saved {name}.")
+
+
+def _number(text: str) -> int:
+    return int(text.partition(":")[0])
+
+
+def _offer(control: Any, options: list[str]) -> None:
+    """New options of a dropdown; the choice stays, if it can."""
+    value = control.value
+    wanted = (NONE, *options)
+    if control.options != wanted:
+        control.options = wanted
+    control.value = value if value in wanted else NONE
