@@ -30,11 +30,15 @@ from roboassembly.studio import wares
 from roboassembly.studio.server import studio
 from roboassembly.studio.session import Session
 from roboassembly.studio.visitor import House, Visitor
-from roboassembly.studio.wares import Wares, open_path, open_upload, unpack
+from roboassembly.studio.wares import Wares, open_path, open_plan, open_upload, unpack
 from roboassembly.studio.words import told
+from roboassembly.task import plan_file
 from roboassembly.task.full import FullVerdict
 from roboassembly.task.object_centric import Verdict
 from test_search import digest
+
+# Browsers that go away in the middle of something.
+pytestmark = pytest.mark.filterwarnings("ignore:Queued a")
 
 
 @pytest.fixture(scope="module")
@@ -117,6 +121,31 @@ def test_a_search_that_is_stopped_says_so_and_leaves_all_as_it_was(stool):
     assert seen == [0, 1, 2]
     assert session.merges == 0
     assert session.search(None, go_on) == ""
+
+
+def test_a_plan_that_was_saved_is_done_again_to_the_last_bit(stool, tmp_path):
+    session = Session(stool, seed=9)
+    session.search(None, go_on)
+    plan_file.write(session.plan(), tmp_path / "plan.json")
+    storage.save(stool, tmp_path / "furniture")
+    script, furniture = open_plan(tmp_path / "plan.json")
+    again = Session(furniture, script.setting, script.seed)
+    assert again.repeat(script, go_on) == ""
+    assert plan_file.encode(again.plan()) == (tmp_path / "plan.json").read_bytes()
+    with pytest.raises(InputError, match="whose parts are others"):
+        Session(catalogue.make("plank")).repeat(script, go_on)
+    with pytest.raises(InputError, match="setting"):
+        Session(stool, "full").repeat(script, go_on)
+
+
+def test_a_plan_without_its_furniture_is_found_by_name_or_refused(stool, tmp_path):
+    session = Session(stool, seed=9)
+    content = plan_file.encode(session.plan())
+    (tmp_path / "plan.json").write_bytes(content)
+    assert open_plan(tmp_path / "plan.json")[1].name == "stool-0"
+    (tmp_path / "plan.json").write_bytes(content.replace(b'"stool-0"', b'"sofa-0"'))
+    with pytest.raises(InputError, match="furniture' that holds it"):
+        open_plan(tmp_path / "plan.json")
 
 
 def test_robots_are_asked_for_grasps_and_furniture_they_cannot_hold_is_refused(stool):
@@ -348,6 +377,23 @@ def test_a_whole_assembly_by_buttons_then_undo(came, stool):
         browser.press(panel.undo)
         until(lambda: merges(came[0]) == len(stool.parts) - 2)
         assert not panel.undo.disabled
+
+
+def test_a_plan_that_is_brought_is_done_again_on_the_furniture_shown(came, stool):
+    other = Session(stool, seed=4)
+    other.search(None, go_on)
+    content = plan_file.encode(other.plan())
+    with studio(house(), "127.0.0.1", 0) as server:
+        browser = Browser(server)
+        until(lambda: len(came) == 1 and merges(came[0]) == 0)
+        browser.upload(came[0], "plan.json", len(content), [content])
+        until(lambda: came[0].panel.message.content.startswith("✓ Done again"))
+        assert came[0].session is not None
+        assert came[0].session.seed == came[0].panel.seed.value == 4
+        assert plan_file.encode(came[0].session.plan()) == content
+        browser.upload(came[0], "plan.json", 7, [b"{}     "])
+        until(lambda: "is no plan" in came[0].panel.message.content)
+        assert merges(came[0]) == len(stool.parts) - 1
 
 
 def test_a_long_search_is_cancelled(came, monkeypatch):

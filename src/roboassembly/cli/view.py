@@ -20,7 +20,7 @@ class View:
 
     furniture: Annotated[str, tyro.conf.Positional] = "ladder"
     """Shown at first: a built-in chair (`ladder`, `windsor:3`, ...), a furniture folder, or 3D files: a folder of STL,
-    OBJ, PLY or GLB files, one a part, or one GLB scene."""
+    OBJ, PLY or GLB files, one a part, or one GLB scene; or a plan.json, which is done again."""
     setting: Literal["object-centric", "full"] = "object-centric"
     """What moves the parts at first: they fly by themselves, or two mobile Frankas move them."""
     seed: int = 0

@@ -121,7 +121,8 @@ class Panel:
         _by_hand(self.source, self._list_pieces)
         self.upload = gui.add_upload_button(
             "Bring your own", icon=Icon.UPLOAD,
-            hint="A ZIP archive of STL, OBJ, PLY or GLB files, one a part, as they stand assembled; or one GLB scene.",
+            hint="A ZIP archive of STL, OBJ, PLY or GLB files, one a part, as they stand assembled; one GLB scene; or "
+            "the plan.json of the furniture shown.",
         )  # fmt: skip
         self.upload.on_upload(lambda event: actions.upload(event.target.value))
         self.path: GuiTextHandle | None = None

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -14,7 +13,7 @@ from roboassembly.envs.assembly import COMPLETION_REWARD, MERGE_REWARD
 from roboassembly.envs.observation import Observer
 from roboassembly.errors import InputError
 from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS, Furniture
-from roboassembly.solvers.forward import SearchLimits, Standing, planner_seed
+from roboassembly.solvers.forward import SearchLimits, Standing, Watch, planner_seed
 from roboassembly.solvers.guide import Guide
 from roboassembly.solvers.search import FULL_LIMITS, solve_from, solve_full_from
 from roboassembly.task.full import FullTask
@@ -22,6 +21,7 @@ from roboassembly.task.full_plan import FullPlan
 from roboassembly.task.groups import TaskState
 from roboassembly.task.object_centric import ObjectCentricTask
 from roboassembly.task.plan import Plan
+from roboassembly.task.plan_file import Script
 from roboassembly.task.rules import UP_AXES
 from roboassembly.task.setting import SettingName
 
@@ -123,6 +123,33 @@ class Session:
         leg = getattr(outcome, "leg", "")
         return Tried(action, str(outcome.verdict), leg, outcome.planning_steps, outcome.planning_seconds)
 
+    def repeat(self, script: Script, watch: Watch) -> str:
+        """Do a plan again from here, each step planned and checked anew.
+
+        Args:
+            script: of a plan of the same furniture in the same setting.
+            watch: as of `search`.
+
+        Returns:
+            Why it ended early; empty if it did not.
+
+        Raises:
+            InputError: it is a plan of other parts, or of the other setting.
+        """
+        parts = tuple(p.name for p in self.furniture.parts)
+        if script.parts != parts:
+            raise InputError(f"the plan is of '{script.furniture}', whose parts are others than those shown")
+        if script.setting != self.setting:
+            raise InputError(f"the plan is of setting '{script.setting}'; open the furniture in that one")
+        before = self.planning_steps
+        for index, action in enumerate(script.actions):
+            if not watch(Standing(index, index, self.planning_steps - before)):
+                return "stopped"
+            tried = self.attempt(action)
+            if not tried.merged:
+                return f"step {index + 1} of the plan ended as {tried.verdict} this time"
+        return ""
+
     def undo(self) -> bool:
         """Take the newest step back; False if there is none."""
         if not self._steps:
@@ -131,7 +158,7 @@ class Session:
         self._states.pop()
         return True
 
-    def search(self, guide: Guide | None, watch: Callable[[Standing], bool]) -> str:
+    def search(self, guide: Guide | None, watch: Watch) -> str:
         """Look for a way to the end from here, and take it.
 
         Args:

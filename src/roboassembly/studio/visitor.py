@@ -18,18 +18,20 @@ from roboassembly.errors import InputError, RoboAssemblyError
 from roboassembly.furniture.model import Furniture
 from roboassembly.learning.loading import load_policy
 from roboassembly.learning.policies import Policy, guide_of, settings_of
-from roboassembly.solvers.forward import Standing
+from roboassembly.solvers.forward import Standing, Watch
 from roboassembly.solvers.guide import Guide
 from roboassembly.studio.marks import Chosen
 from roboassembly.studio.panel import NONE, PICKS, Actions, Panel
 from roboassembly.studio.screen import FRAMES_PER_SECOND, Screen
 from roboassembly.studio.session import Session
-from roboassembly.studio.wares import Wares, open_path, open_upload
+from roboassembly.studio.wares import Wares, open_path, open_plan, open_upload
 from roboassembly.studio.words import WAYS, told
 from roboassembly.task import plan_file
+from roboassembly.task.plan_file import Script
 from roboassembly.task.setting import SettingName
 from roboassembly.viewer.html import write_html
 
+_PLAN = ".json"
 _PROGRESS_EVERY = 0.1
 """Seconds."""
 
@@ -141,17 +143,36 @@ class Visitor:
         self._begin(lambda: self._house.wares.open(panel.source.value, panel.piece.value, int(panel.number.value)))
 
     def _open_path(self, path: str) -> None:
-        if not path.strip():
+        path = path.strip()
+        if not path:
             raise InputError("no folder named; write one, or a built-in chair like 'ladder:3'")
-        self._begin(lambda: open_path(path.strip(), self._house.scale))
+        if path.endswith(_PLAN):
+            script, furniture = open_plan(Path(path))
+            self._begin(lambda: furniture, script)
+            self._repeat(script)
+        else:
+            self._begin(lambda: open_path(path, self._house.scale))
+
+    def _repeat(self, script: Script) -> None:
+        self._busily(lambda watch: self._present.repeat(script, watch), "Done again")
 
     def _upload(self, file: UploadedFile) -> None:
+        if file.name.lower().endswith(_PLAN):
+            script = plan_file.decode(file.content, Path(file.name).name)
+            self._begin(lambda: self._present.furniture, script)
+            self._repeat(script)
+            return
         self._say(f"Reading {Path(file.name).name}; repair may take a while …")
         self._begin(lambda: open_upload(file.name, file.content, self._house.scale))
 
-    def _begin(self, make: Callable[[], Furniture]) -> None:
-        """A new session; what was there stays if the furniture cannot be had."""
-        session = Session(make(), self.panel.setting.value, int(self.panel.seed.value))
+    def _begin(self, make: Callable[[], Furniture], script: Script | None = None) -> None:
+        """A new session, as a plan asks for if one is given; what was there stays if the furniture cannot be had."""
+        panel = self.panel
+        setting, seed = (
+            (panel.setting.value, int(panel.seed.value)) if script is None else (script.setting, script.seed)
+        )
+        session = Session(make(), setting, seed)
+        panel.setting.value, panel.seed.value = setting, seed
         with self.client.atomic():
             if self._screen is not None:
                 self._screen.clear()
@@ -264,25 +285,36 @@ class Visitor:
         return policy
 
     def _run(self, how: str) -> None:
-        session, panel = self._present, self.panel
+        session = self._present
         if session.joined.complete:
             raise InputError("all is assembled; undo some steps or open something else first")
         guide = self._guide() if how != "search" else None
+        if how == "alone" and guide is not None:
+            self._busily(lambda watch: self._alone(guide, watch), "Assembled")
+        else:
+            self._busily(lambda watch: session.search(guide, watch), "Assembled")
+
+    def _busily(self, work: Callable[[Watch], str], done: str) -> None:
+        """Do what takes its time, and show what it came to.
+
+        Args:
+            work: tells why it ended early; empty if it did not.
+            done: said if it did not.
+        """
+        session = self._present
         before = session.merges
-        panel.busy(True)
+        self.panel.busy(True)
         try:
-            said = self._alone(guide) if how == "alone" and guide else session.search(guide, self._watch())
+            said = work(self._watch())
         finally:
-            panel.busy(False)
+            self.panel.busy(False)
         if session.merges > before:
             self._shown.extend()
         self._settle()
-        done = session.merges - before
-        self._say(
-            f"✗ {said}" if said else f"✓ Assembled: {done} merges, {session.planning_steps:,} states checked in all."
-        )
+        count = f"{session.merges - before} merges, {session.planning_steps:,} states checked in all"
+        self._say(f"✗ {said}" if said else f"✓ {done}: {count}.")
 
-    def _watch(self) -> Callable[[Standing], bool]:
+    def _watch(self) -> Watch:
         whole, told_at = len(self._present.furniture.parts) - 1, 0.0
         done = self._present.merges
 
@@ -299,9 +331,9 @@ class Visitor:
 
         return watch
 
-    def _alone(self, guide: Guide) -> str:
+    def _alone(self, guide: Guide, watch: Watch) -> str:
         """The policy's surest choice again and again; why it ended, empty if the furniture stands."""
-        session, watch, states = self._present, self._watch(), self._present.planning_steps
+        session, states = self._present, self._present.planning_steps
         for k in range(len(session.furniture.parts)):
             if session.joined.complete:
                 return ""

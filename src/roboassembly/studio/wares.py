@@ -18,6 +18,8 @@ from roboassembly.furniture.generate import FAMILIES
 from roboassembly.furniture.importers import IMPORTERS
 from roboassembly.furniture.importers.pipeline import finish
 from roboassembly.furniture.model import Furniture
+from roboassembly.task import plan_file
+from roboassembly.task.plan_file import Script
 
 BUILT_IN = "built-in"
 LARGEST_UPLOAD = 50_000_000
@@ -90,6 +92,29 @@ def _of_set(source: str, piece: str) -> Furniture:
     if found is None:
         raise InputError(f"there is no piece '{piece}' in {source}")
     return found.furniture()
+
+
+def open_plan(path: Path) -> tuple[Script, Furniture]:
+    """A plan and its furniture, as `roboassembly assemble` writes them side by side.
+
+    Args:
+        path: of `plan.json`; `furniture/` lies beside it, or its furniture is a built-in one.
+
+    Raises:
+        InputError: one of them is not there, or cannot be read.
+    """
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"cannot read '{path}': {error.strerror or error}") from None
+    script = plan_file.decode(content, str(path))
+    beside = path.parent / "furniture"
+    if beside.is_dir():
+        return script, storage.load(beside)
+    family, _, number = script.furniture.rpartition("-")
+    if family in FAMILIES and number.isdigit():
+        return script, catalogue.make(family, int(number))
+    raise InputError(f"'{path}' is of '{script.furniture}', and there is no '{beside}' that holds it")
 
 
 def unpack(name: str, content: bytes, folder: Path) -> Path:

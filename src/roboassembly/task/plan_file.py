@@ -17,18 +17,22 @@ Between two of a leg all ten numbers go linearly. R_a is robot 0, R_b is robot 1
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import msgspec
 
+from roboassembly.errors import InputError
 from roboassembly.poses import SE3, pose_to_seven
 from roboassembly.task.full_plan import FullPlan, FullStep
 from roboassembly.task.groups import TaskState
 from roboassembly.task.moments import Leg
 from roboassembly.task.plan import Plan, PlanStep
+from roboassembly.task.setting import SettingName
 
 FORMAT = "roboassembly.plan"
 VERSION = 1
+_LARGEST = 2**31
 
 
 class _Placed(msgspec.Struct):
@@ -99,6 +103,21 @@ class _File(msgspec.Struct, omit_defaults=True):
     """kg/m³ of the parts, full only."""
 
 
+class _Done(msgspec.Struct):
+    action: list[int]
+
+
+class _Told(msgspec.Struct):
+    """As much of a file as is read."""
+
+    format: str
+    version: int
+    furniture: _Furniture
+    setting: SettingName
+    seed: int
+    steps: list[_Done]
+
+
 def encode(plan: Plan | FullPlan) -> bytes:
     """The contents of `plan.json`."""
     furniture = plan.furniture
@@ -127,6 +146,49 @@ def encode(plan: Plan | FullPlan) -> bytes:
 def write(plan: Plan | FullPlan, path: Path) -> None:
     """Write `plan.json` to `path`."""
     path.write_bytes(encode(plan))
+
+
+@dataclass(frozen=True)
+class Script:
+    """What of a plan it takes to do it again."""
+
+    furniture: str
+    """Its name."""
+    parts: tuple[str, ...]
+    """Their names."""
+    setting: SettingName
+    seed: int
+    actions: tuple[tuple[int, ...], ...]
+
+
+def decode(content: bytes, where: str) -> Script:
+    """Read the contents of `plan.json`.
+
+    What it says of poses and paths is not taken over: whoever does the plan again plans and checks it again.
+
+    Args:
+        content: of the file.
+        where: the file's name, for errors.
+
+    Raises:
+        InputError: it is no plan, of another version, or an action has the wrong length.
+    """
+    try:
+        told = msgspec.json.decode(content, type=_Told)
+    except (msgspec.DecodeError, RecursionError) as error:
+        raise InputError(f"'{where}' is no plan: {error}; `roboassembly assemble` writes one") from None
+    if told.format != FORMAT or told.version != VERSION:
+        raise InputError(
+            f"'{where}' has format {told.format!r}, version {told.version}; this program reads {FORMAT!r}, {VERSION}"
+        )
+    length = 6 if told.setting == "full" else 5
+    for index, step in enumerate(told.steps):
+        if len(step.action) != length or not all(-_LARGEST < i < _LARGEST for i in step.action):
+            raise InputError(f"'{where}': step {index}: action {step.action}; {length} small whole numbers would do")
+    if not 0 <= told.seed < _LARGEST:
+        raise InputError(f"'{where}': seed {told.seed}; 0 to {_LARGEST - 1} would do")
+    actions = tuple(tuple(step.action) for step in told.steps)
+    return Script(told.furniture.name, tuple(told.furniture.parts), told.setting, told.seed, actions)
 
 
 def _step(step: PlanStep) -> _Step:
