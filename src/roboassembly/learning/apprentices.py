@@ -46,6 +46,8 @@ class ExpertTraining:
 
     steps: int = 40_000
     """Of the environment, at most, as in the paper; a chair that is mastered earlier stops earlier."""
+    least_steps: int = 1_600
+    """Of the environment, even if the chair is mastered before: its values are to be taught, and must have settled."""
     update_every: int = 8
     """Steps."""
     target_every: int = 50
@@ -211,7 +213,7 @@ class Bench:
         """Whether the pupil has mastered the chair, or has had its steps; writes its file if so."""
         learner, t = pupil.learner, self._training
         mastered = False
-        if learner.mastered and pupil.proven < learner.steps and learner.at == 0:
+        if learner.mastered and learner.steps >= t.least_steps and pupil.proven < learner.steps and learner.at == 0:
             mastered = self._proves(pupil, Expert(pupil.chair, self._one(i)[0]))
         if not mastered and learner.steps < t.steps:
             return False

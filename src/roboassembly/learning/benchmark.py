@@ -64,7 +64,9 @@ class Benchmark:
         """All stages, tiny: to see that they work, not what they reach."""
         return Benchmark(
             set="chairs-24", train_limit=4, test_limit=4, shipped=False, seed=seed,
-            schooling=Schooling(autoencoder.Training(steps=60), 4, ExpertTraining(steps=2_000), plays=2),
+            schooling=Schooling(
+                autoencoder.Training(steps=60), 4, ExpertTraining(steps=2_000, least_steps=400), plays=2
+            ),
             paper=paper_imitation.Training(steps=60),
             relational=Curriculum(extra=1, validation=1, rounds=1, steps=40, round_steps=20, network=_TINY),
         )  # fmt: skip

@@ -81,6 +81,8 @@ def load(path: Path, kind: str | None = None) -> Checkpoint:
         raise InputError(
             f"'{path}' is not a checkpoint ({error}); name a file that `roboassembly train` wrote"
         ) from None
+    if not isinstance(config, dict):
+        raise InputError(f"'{path}': its configuration is {config!r}, not an object; train again")
     if found != FORMAT:
         raise InputError(f"'{path}' has format {found}, this program reads {FORMAT}; train again")
     if kind is not None and version != kind:

@@ -11,6 +11,8 @@ It rests on outcomes of the learner's own steps alone, and only tells which know
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -25,16 +27,31 @@ _RESTART = 6
 """Plays without progress after which an altogether new one is begun."""
 _SHAKE = 0.4
 """Share of changes that also move some other pair."""
-_DELAYED = (0.7, 0.15, 0.1, 0.05)
+_DELAYED = (0.4, 0.35, 0.15, 0.1)
 """Shares of plays in which no part, one, two or three are left out until nothing else can be joined. Where a part ends
 it all if it comes early (a seat across a ring of legs and rungs), and every play so far had it early, nothing else
 would tell."""
 _WORSE = 0.03
 """Share of plays that are kept although they led less far."""
-_GIVE_UP = 2
-"""Ways without a path after which a play gives two groups up, although other ways were not tried."""
+_FEW = 3
+"""Groups left with which it is worth it to try more ways."""
+_GIVE_UP = (2, 6)
+"""Ways without a path after which a play gives two groups up, although other ways were not tried; the same with few
+groups left."""
 _SWAP = 4.0
 """How much more likely an action is tried whose roles, swapped, had no free goal; and less, if they had no path."""
+_ORDERED = 0.6
+"""Share of plays that close all joints along one axis of the furniture before those along the next: frames first, then
+what goes between frames, then what closes them all at once. A frame that is closed one joint at a time ends with a rail
+that no longer goes in."""
+_ORDERS = tuple(itertools.permutations(range(3)))
+_DARE, _LEAST, _FORGET = 2.0, 0.03, 0.995
+"""With nothing familiar left, a strange action is tried as often as such have merged lately, times `_DARE`, and at
+least so often; else the play is over. What is lately forgets so much an episode."""
+_STRICT = 0.97
+"""Share of plays that first join only groups whose parts then lie to each other as was seen before. Which points fit
+has been found out soon; that the same points are a wrong pair in other groups, because equal parts are in each other's
+places, is what most steps would otherwise go into."""
 _CAUTION = (0.0, 2.0, 5.0, 10.0)
 """How much a play avoids joining parts after which others were left over in earlier plays; drawn for each play."""
 
@@ -59,6 +76,13 @@ class Practice:
         self._late: list[int] = []
         """Parts that are left out until nothing else can be joined, in the order in which they then come."""
         count = len(rehearsal.like)
+        self._axes: tuple[int, ...] | None = None
+        """The order in which this play closes joints, by their axes."""
+        self._strict = True
+        self._daring = False
+        """Whether the action that was told last joins groups in a strange way."""
+        self._dared = np.zeros(2)
+        """How often that failed, and merged, lately."""
         self._merges: list[tuple[tuple[int, ...], tuple[int, ...]]] = []
         """Groups joined in this episode."""
         self._together = np.zeros((count, count, count), np.int32)
@@ -84,6 +108,11 @@ class Practice:
 
     def _pick(self, state: State, hopeful: Bool[np.ndarray, "m m"], known: np.ndarray) -> Action | None:
         """The next pair of the plan, or any other; None if there is none."""
+        self._daring = False
+        if self._strict:
+            hopeful = self._sure(state, hopeful, known)
+        if self._axes is not None:
+            hopeful = self._in_order(state, hopeful)
         for pair in self._plan:
             if hopeful[pair]:
                 return self._way(pair, known)
@@ -94,6 +123,30 @@ class Practice:
         weight = np.exp(-self._caution * (risk - risk.min()))
         row, column = others[self.rng.choice(len(others), p=weight / weight.sum())].tolist()
         return self._way((row, column), known)
+
+    def _sure(self, state: State, hopeful: Bool[np.ndarray, "m m"], known: np.ndarray) -> Bool[np.ndarray, "m m"]:
+        """Of the pairs those that nothing speaks against; where there are none, sometimes all of them, else none."""
+        strange = np.zeros_like(hopeful)
+        for row, column in np.argwhere(np.triu(hopeful)).tolist():
+            works = (known[row, column] == MERGES).any() or (known[column, row] == MERGES).any()
+            strange[row, column] = strange[column, row] = not works and self.rehearsal.strange(state, row, column) > 0
+        chance = max(_DARE * (self._dared[1] + 1.0) / (self._dared.sum() + 2.0), _LEAST)
+        if (hopeful & ~strange).any() and (self._axes is None or not strange.any() or self.rng.random() > chance):
+            return hopeful & ~strange
+        self._daring = bool(hopeful.any()) and self.rng.random() < chance
+        return hopeful & self._daring
+
+    def _in_order(self, state: State, hopeful: Bool[np.ndarray, "m m"]) -> Bool[np.ndarray, "m m"]:
+        """Of the pairs those that join along the axis that is first in the play's order."""
+        pairs = np.argwhere(np.triu(hopeful))
+        if not len(pairs):
+            return hopeful
+        axes = self._axes or ()
+        rank = np.array([axes.index(self.rehearsal.axis(state, row, column)) for row, column in pairs.tolist()])
+        out = np.zeros_like(hopeful)
+        rows, columns = pairs[rank == rank.min()].T
+        out[rows, columns] = out[columns, rows] = True
+        return out
 
     def _risk(self, state: State) -> Float[np.ndarray, "P P"]:
         """For two parts, how many third ones are likely to be left over if their groups are joined now."""
@@ -113,7 +166,7 @@ class Practice:
         """Pairs that were right before and are not given up here; symmetric."""
         works, blocked = (known == MERGES).any(axis=2), (known == BLOCKED).sum(axis=2)
         open_ = (known == UNKNOWN).any(axis=2)
-        open_ = works | works.T | ((open_ | open_.T) & (blocked + blocked.T < _GIVE_UP))
+        open_ = works | works.T | ((open_ | open_.T) & (blocked + blocked.T < _GIVE_UP[len(state) <= _FEW]))
         out = exists & (self.rehearsal.tried[1] > 0) & open_
         if not out.any():
             return out
@@ -149,6 +202,7 @@ class Practice:
 
     def joined(self, state: State, action: Action) -> None:
         """The action merged, in a state."""
+        self._dared[1] += self._daring
         groups = self.rehearsal.members(state)
         one, two = (next(g for g in groups if self.rehearsal.part[row] in g) for row in action[:2])
         self._merges.append((one, two))
@@ -158,6 +212,8 @@ class Practice:
     def end(self, state: State, stuck: bool) -> None:
         """The episode ended in a state, because nothing was left to try or because a try failed."""
         self._episodes += 1
+        self._dared[0] += self._daring and not stuck and len(state) > 1
+        self._dared *= _FORGET
         if stuck or self._episodes > _PATIENCE:
             self._judge(state)
             self._change(state)
@@ -191,8 +247,10 @@ class Practice:
         """A new play: the kept one with a pair of what was left over earlier in it."""
         rng, plan = self.rng, list(self._kept)
         self._caution = float(rng.choice(_CAUTION))
+        self._strict = bool(rng.random() < _STRICT)
+        self._axes = _ORDERS[rng.integers(len(_ORDERS))] if rng.random() < _ORDERED else None
         several = int(rng.choice(len(_DELAYED), p=_DELAYED))
-        self._late = rng.permutation(len(self.rehearsal.like))[:several].tolist()
+        self._late = rng.choice(len(self.rehearsal.like), several, replace=False, p=self._lateness(state)).tolist()
         if not plan:
             self._plan = []
             return
@@ -204,6 +262,27 @@ class Practice:
             row, column = right[rng.integers(len(right))].tolist()
             plan.insert(int(rng.integers(len(plan))), (row, column))
         self._plan = plan
+
+    def _lateness(self, state: State) -> Float[np.ndarray, "P"]:
+        """How likely each part is left out in the next play, after one that left a state over; sums to 1.
+
+        Rather those with many points, or those that can be joined to several of the parts to which a group left over
+        belongs: a seat that holds the legs between which a rung was to go.
+        """
+        part, like = self.rehearsal.part, self.rehearsal.like
+        first = np.flatnonzero(np.diff(part, prepend=-1))
+        fits = np.logical_or.reduceat(np.logical_or.reduceat(self.rehearsal.tried[1] > 0, first, 0), first, 1)
+        if self.rng.random() < 0.5:
+            counts = np.bincount(part).astype(float) ** 2
+            return counts / counts.sum()
+        weight = np.ones(len(like))
+        groups = sorted(self.rehearsal.members(state), key=len)
+        for group in groups[:-1]:
+            mates = np.array(fits[list(group)].any(axis=0))
+            mates[list(group)] = False
+            links = (fits & mates).sum(axis=1)
+            weight = weight + np.where((links >= 2) & ~mates, links, 0) ** 2
+        return weight / weight.sum()
 
     def _over(self, plan: list[Pair]) -> Bool[np.ndarray, "m m"]:
         """Pairs of points of parts that the plan leaves in different groups."""
@@ -221,6 +300,9 @@ class Practice:
             "kept": np.array(self._kept, np.int32).reshape(-1, 2),
             "counts": np.array([self._left, self._episodes, self._idle], np.int64),
             "late": np.array(self._late, np.int64),
+            "axes": np.array(self._axes or (), np.int64),
+            "flags": np.array([self._strict, self._daring]),
+            "dared": self._dared.copy(),
             "last": np.array([] if self._last is None else [self._last], np.int32).reshape(-1, 2),
             "together": self._together.copy(),
             "left_over": self._left_over.copy(),
@@ -236,4 +318,7 @@ class Practice:
         self._last = next(((a, b) for a, b in arrays["last"].tolist()), None)
         self._left, self._episodes, self._idle = arrays["counts"].tolist()
         self._late = arrays["late"].tolist()
+        self._axes = tuple(arrays["axes"].tolist()) or None
+        self._strict, self._daring = (bool(flag) for flag in arrays["flags"])
+        self._dared = arrays["dared"].copy()
         self._caution = float(arrays["caution"])

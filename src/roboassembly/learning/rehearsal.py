@@ -23,6 +23,7 @@ from roboassembly.furniture.model import MAX_PARTS
 from roboassembly.learning.features import turns_between
 from roboassembly.learning.kinds import Kind, Named, Table, equals, point_counts
 from roboassembly.learning.layers import Params
+from roboassembly.learning.relations import Placed, Relations
 from roboassembly.planning.problem import Budget
 from roboassembly.poses import SE3
 from roboassembly.task.groups import Group, TaskState
@@ -73,6 +74,11 @@ class Rehearsal:
         """Two groups and their points to the merged group. (Which slots it is told in depends on the very parts.)"""
         self._cache: dict[State, tuple[int, Int8[np.ndarray, "n n 6"]]] = {}
         self._meets: dict[tuple[int, int], Int[np.ndarray, "k l"]] = {}
+        self._axes: dict[tuple[int, int], int] = {}
+        self._relations = Relations()
+        self._related: set[int] = set()
+        """Kinds of groups whose relations were seen."""
+        self._between: dict[tuple[int, int, int, int], Int[np.ndarray, "n"]] = {}
         n = len(self.part)
         self._tried = np.zeros((2, n, n), np.int32)
         self._went = np.zeros((2, n, n, WAYS), np.int32)
@@ -195,6 +201,43 @@ class Rehearsal:
                 out[np.ix_(rows, columns)] = self._meets[key]
                 out[np.ix_(columns, rows)] = self._meets[key].T
         return out
+
+    def strange(self, state: State, row: int, column: int) -> int:
+        """How many parts of the two points' groups, joined so, would lie to each other as was never seen in a group."""
+        one, two = self.owner(state, row), self.owner(state, column)
+        u, v = self._groups[one], self._groups[two]
+        k, l = self._local(one, row), self._local(two, column)  # noqa: E741
+        key = (u.kind, v.kind, k, l)
+        if key not in self._between:
+            free_u, free_v = self._kinds[u.kind].free, self._kinds[v.kind].free
+            motion = self._motions(one, two)[int(np.searchsorted(free_u, k)), int(np.searchsorted(free_v, l))]
+            turn, shift = motion[3:].reshape(3, 3) * ANGLE_TOLERANCE, motion[:3] * POSITION_TOLERANCE
+            moved = [p.moved(turn, shift) for p in self._placed(one)]
+            self._between[key] = self._relations.between(moved, self._placed(two))
+        return self._relations.strange(self._between[key])
+
+    def axis(self, state: State, row: int, column: int) -> int:
+        """Along which axis of the furniture's frame two points come together, as it looks to the larger group."""
+        one, two = self.owner(state, row), self.owner(state, column)
+        if (len(self._groups[one].rows), one) < (len(self._groups[two].rows), two):
+            one, row = two, column
+        if (one, row) not in self._axes:
+            turns, _, _ = self._frames(one, np.array([self._local(one, row)]))
+            self._axes[one, row] = int(np.argmax(np.abs(turns[0, :, 2])))
+        return self._axes[one, row]
+
+    def _placed(self, name: int) -> list[Placed]:
+        """The parts of a group in its frame."""
+        named, group = self._groups[name], self._group(name)
+        # Parts that are equal may have points that others of them lack.
+        count = {p: len(group.points_of(self.task.furniture, p)) for p in group.parts}
+        there = [i for i, row in enumerate(named.rows) if self.point[row] < count[int(self.part[row])]]
+        _, origins, _ = self._frames(name, np.array(there, int))
+        part_of = self.part[named.rows[there]]
+        return [
+            Placed(int(self.like[p]), pose.translation, origins[part_of == p])
+            for p, pose in zip(group.parts, group.furniture_from_part, strict=True)
+        ]
 
     def _frames(
         self, name: int, points: Int[np.ndarray, "r"]
@@ -335,6 +378,9 @@ class Rehearsal:
             self._names[kind, parts] = len(self._groups)
             rows = np.concatenate([np.array(self._points(p), dtype=int) for p in parts])
             self._groups.append(Named(kind, parts, rows))
+            if kind not in self._related:
+                self._related.add(kind)
+                self._relations.see(self._placed(len(self._groups) - 1))
         return self._names[kind, parts]
 
     def to_arrays(self) -> Params:

@@ -1,0 +1,283 @@
+"""What people hand in, broken in every way: a result, or one clear line. Sources of furniture: `test_import_fuzz`."""
+
+from __future__ import annotations
+
+import copy
+import io
+import json
+import warnings
+from collections.abc import Iterator
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from roboassembly.cli import main
+from roboassembly.envs.object_centric import ObjectCentricEnv
+from roboassembly.errors import FurnitureError, InputError
+from roboassembly.furniture import catalogue, storage
+from roboassembly.learning.loading import load_policy
+from roboassembly.studio.session import Session
+from roboassembly.task import plan_file
+from roboassembly.task.full import FullVerdict
+from roboassembly.task.object_centric import Verdict
+
+ODD: tuple[Any, ...] = (
+    None, True, False, 0, -1, 1, 2**31, -(2**31), 2**63, 2**70, 0.5, -0.0, 1e308, -1e-308, "", "a", "../../etc/passwd",
+    "\0", "é\u202e", "x" * 5_000, [], [[]], {}, {"a": 1}, [0] * 50, [None], "nan", "1e999",
+)  # fmt: skip
+WORDS = (
+    "", "-1", "0", "1", "nan", "1e999", "-", "--", "..", "/", "/proc/self/mem", "/dev/null", "no_such", "ladder:-1",
+    "ladder:x", "ladder:99999999999999999999", "folder:", "folder:/", "chairs-412", "chairs-412:none", "é", "a" * 3_000,
+    "{}", "stool", "object-centric", "full", "relational", "[]", "1,2", "\n", "--json", "--help-me",
+    "@file", "%s", "$HOME", "*",
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def stool():
+    return catalogue.make("stool")
+
+
+def nodes(document: Any, above: tuple = ()) -> Iterator[tuple]:
+    """Ways to all values in a JSON document."""
+    yield above
+    inner = (
+        document.items() if isinstance(document, dict) else enumerate(document) if isinstance(document, list) else ()
+    )
+    for key, value in inner:
+        yield from nodes(value, (*above, key))
+
+
+def mutated(document: Any, rng: np.random.Generator) -> Any:
+    """A value replaced by an odd one, taken away, or given twice; up to three times."""
+    document = copy.deepcopy(document)
+    for _ in range(rng.integers(1, 4)):
+        ways = [w for w in nodes(document) if w]
+        if not ways:
+            return document
+        *way, last = ways[rng.integers(len(ways))]
+        at = document
+        for key in way:
+            at = at[key]
+        match rng.integers(4):
+            case 0:
+                del at[last]
+            case 1 if isinstance(at, list):
+                at.insert(int(rng.integers(len(at) + 1)), copy.deepcopy(at[last]))
+            case 2 if isinstance(at[last], int | float) and not isinstance(at[last], bool):
+                at[last] = at[last] * float(rng.choice([-1.0, 1e-9, 1e9, 1.001])) + float(rng.choice([0.0, 1.0]))
+            case _:
+                at[last] = copy.deepcopy(ODD[rng.integers(len(ODD))])
+    return document
+
+
+def broken(content: bytes, rng: np.random.Generator) -> bytes:
+    """Bytes flipped, cut out, doubled, or the end cut off."""
+    out = bytearray(content)
+    for _ in range(rng.integers(1, 6)):
+        a, b = sorted(rng.integers(0, len(out) + 1, 2).tolist())
+        match rng.integers(4):
+            case 0 if a < len(out):
+                out[a] ^= 1 << int(rng.integers(8))
+            case 1:
+                del out[a : min(b, a + 40)]
+            case 2:
+                out[a:a] = out[a : min(b, a + 40)]
+            case _ if rng.random() < 0.2:
+                del out[a:]
+    return bytes(out)
+
+
+def one_line(error: BaseException) -> None:
+    text = str(error)
+    assert text
+    assert "\n" not in text.strip(), text
+    assert len(text) < 12_000
+
+
+def check_plan(content: bytes, session: Session) -> None:
+    try:
+        script = plan_file.decode(content, "plan.json")
+        session.repeat(script, lambda _: session.merges < 3)
+    except InputError as error:
+        one_line(error)
+    while session.undo():
+        pass
+
+
+def check_folder(folder: Path) -> None:
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", RuntimeWarning)
+            furniture = storage.load(folder)
+    except FurnitureError as error:
+        one_line(error)
+        return
+    # What passes has to be furniture that can be worked with.
+    env = ObjectCentricEnv(furniture)
+    _, info = env.reset(seed=0)
+    action = np.argwhere(info["action_mask"])[0]
+    assert env.step(action)[4]["verdict"] in set(Verdict)
+
+
+def check_checkpoint(path: Path, env: ObjectCentricEnv) -> None:
+    try:
+        policy = load_policy(str(path))
+    except InputError as error:
+        one_line(error)
+        return
+    with np.errstate(all="ignore"):
+        observation, info = env.reset(seed=0)
+        action = policy.act(observation, info["action_mask"])
+    assert info["action_mask"][tuple(action)]
+
+
+def try_plans(count: int, seed: int, stool) -> None:
+    rng = np.random.default_rng(seed)
+    session = Session(stool, seed=2)
+    session.search(None, lambda _: True)
+    whole = plan_file.encode(session.plan())
+    while session.undo():
+        pass
+    document = json.loads(whole)
+    for k in range(count):
+        content = broken(whole, rng) if k % 2 else json.dumps(mutated(document, rng)).encode()
+        check_plan(content, session)
+
+
+def try_folders(count: int, seed: int, stool, folder: Path) -> None:
+    rng = np.random.default_rng(seed)
+    storage.save(stool, folder)
+    files = sorted(p for p in folder.rglob("*") if p.is_file())
+    kept = {p: p.read_bytes() for p in files}
+    document = json.loads(kept[folder / storage.FILE_NAME])
+    for k in range(count):
+        if k % 3:
+            (folder / storage.FILE_NAME).write_text(json.dumps(mutated(document, rng)))
+        else:
+            path = files[rng.integers(len(files))]
+            path.write_bytes(broken(kept[path], rng))
+        check_folder(folder)
+        for path, content in kept.items():
+            path.write_bytes(content)
+
+
+def try_checkpoints(count: int, seed: int, stool, folder: Path) -> None:
+    rng = np.random.default_rng(seed)
+    whole = (resources.files("roboassembly.learning") / "weights" / "relational.npz").read_bytes()
+    env = ObjectCentricEnv(stool, cloud_points=load_policy("relational").cloud_points)
+    with np.load(io.BytesIO(whole)) as file:
+        arrays = {name: file[name] for name in file.files}
+    about = next(n for n, a in arrays.items() if a.dtype == np.uint8 and a.ndim == 1)
+    document = json.loads(arrays[about].tobytes())
+    path = folder / "policy.npz"
+    for k in range(count):
+        if k % 3 == 0:
+            path.write_bytes(broken(whole, rng))
+        else:
+            changed = dict(arrays)
+            if k % 3 == 1:
+                changed[about] = np.frombuffer(json.dumps(mutated(document, rng)).encode(), np.uint8)
+            else:
+                name = str(rng.choice([n for n in arrays if n != about]))
+                match rng.integers(5):
+                    case 0:
+                        del changed[name]
+                    case 1:
+                        changed[name] = changed[name][..., :-1]
+                    case 2:
+                        changed[name] = changed[name].astype(np.complex64)
+                    case 3:
+                        changed[name] = np.full_like(changed[name], np.nan)
+                    case _:
+                        changed[f"{name}x"] = changed[name]
+            np.savez(path, **changed)
+        check_checkpoint(path, env)
+
+
+COMMANDS: dict[str, tuple[str, ...]] = {
+    "assemble": ("--setting", "--execution", "--seed", "--out", "--policy", "--no-search", "--no-film", "--json"),
+    "import": ("--out", "--scale", "--up", "--jobs", "--no-cache", "--json"),
+    "generate": ("--out", "--seed", "--json"),
+    "export": ("--out", "--json"),
+    "dataset build": ("--seed", "--jobs", "--json"),
+    "dataset show": ("--json",),
+    "dataset list": ("--json",),
+    "evaluate": ("--policy", "--search", "--set", "--limit", "--sample", "--episodes", "--seed", "--jobs", "--setting",
+                 "--execution", "--json"),
+    "train autoencoder": ("--set", "--out", "--steps", "--seed", "--json"),
+    "train expert": ("--set", "--out", "--steps", "--seed", "--jobs", "--json"),
+    "train multitask": ("--set", "--out", "--preset", "--rounds", "--seed", "--jobs", "--json"),
+    "benchmark": ("--setting", "--real", "--out", "--write", "--seed", "--jobs", "--json"),
+    "view": ("--setting", "--seed", "--scale", "--folders", "--host", "--port", "--json"),
+}  # fmt: skip
+TYPED = ("--seed", "--jobs", "--setting", "--scale", "--steps", "--port", "--limit", "--episodes", "--preset")
+"""Options that take a number, or one of a few words."""
+
+
+def try_command_lines(count: int, seed: int, capsys, monkeypatch, folder: Path) -> None:
+    """Every line ends in a value that cannot be right, and so the command at once, with status 2 and what is wrong."""
+    rng = np.random.default_rng(seed)
+    monkeypatch.chdir(folder)
+    for _ in range(count):
+        command = str(rng.choice(list(COMMANDS)))
+        options = COMMANDS[command]
+        words = command.split()
+        for _ in range(rng.integers(0, 3)):
+            words += [str(rng.choice(options)), str(rng.choice(WORDS))]
+        typed = [option for option in options if option in TYPED]
+        option = str(rng.choice(typed)) if typed and rng.random() < 0.7 else "--no-such-option"
+        words += [option, "x y z"]
+        with pytest.raises(SystemExit) as end:
+            main(words)
+        told = capsys.readouterr()
+        assert end.value.code == 2, (words, told)
+        assert "Traceback" not in told.err, words
+        assert told.err.strip() or told.out.strip(), words
+    assert not [p for p in folder.iterdir() if p.suffix != ".npz"], "bad input left something behind"
+
+
+def test_broken_plans(stool):
+    try_plans(150, 0, stool)
+
+
+def test_broken_furniture_folders(stool, tmp_path):
+    try_folders(60, 0, stool, tmp_path / "f")
+
+
+def test_broken_checkpoints(stool, tmp_path):
+    try_checkpoints(60, 0, stool, tmp_path)
+
+
+def test_wrong_command_lines(tmp_path, capsys, monkeypatch):
+    try_command_lines(60, 0, capsys, monkeypatch, tmp_path)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(1, 5))
+def test_many_broken_plans(seed, stool):
+    try_plans(2_500, seed, stool)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(1, 5))
+def test_many_broken_furniture_folders(seed, stool, tmp_path):
+    try_folders(1_000, seed, stool, tmp_path / "f")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(1, 3))
+def test_many_broken_checkpoints(seed, stool, tmp_path):
+    try_checkpoints(1_000, seed, stool, tmp_path)
+
+
+@pytest.mark.slow
+def test_many_wrong_command_lines(tmp_path, capsys, monkeypatch):
+    try_command_lines(1_000, 1, capsys, monkeypatch, tmp_path)
+
+
+def test_every_verdict_is_one_the_page_knows():
+    assert {str(v) for v in Verdict} & {str(v) for v in FullVerdict} == {"merged", "not_an_action", "wrong_pair"}
