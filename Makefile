@@ -5,7 +5,7 @@ PYTHON ?= python3
 BIN := $(VENV)/bin
 ARGS ?=
 
-.PHONY: demo test test-all lint clean
+.PHONY: demo test test-all lint docs gallery clean
 
 demo: $(VENV)/.run
 	$(BIN)/roboassembly assemble $(ARGS)
@@ -13,7 +13,7 @@ demo: $(VENV)/.run
 test: $(VENV)/.dev
 	$(BIN)/pytest -n 2 $(ARGS)
 
-test-all: $(VENV)/.dev $(VENV)/.rl
+test-all: $(VENV)/.dev $(VENV)/.rl $(VENV)/.browser
 	$(BIN)/pytest -n 2 -m "slow or not slow" $(ARGS)
 
 lint: $(VENV)/.dev
@@ -21,6 +21,14 @@ lint: $(VENV)/.dev
 	$(BIN)/ruff check .
 	$(BIN)/pyright
 	$(BIN)/lint-imports
+
+# Not --quiet: MkDocs would then count no warnings, and --strict would have nothing to go by.
+docs: $(VENV)/.dev
+	$(BIN)/python docs/site.py
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
+
+gallery: $(VENV)/.dev
+	$(BIN)/python docs/gallery.py
 
 $(VENV)/bin/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
@@ -46,6 +54,14 @@ $(VENV)/.dev: pyproject.toml | $(VENV)/bin/python
 $(VENV)/.rl: $(VENV)/.dev
 	@$(BIN)/python -m pip install --quiet torch==2.13.0 || $(BIN)/python -m pip install --quiet torch
 	@$(call install,--editable '.[rl]')
+	@touch $@
+
+# A Chromium that is there is taken; else the system's package manager or Playwright's own installer is asked for one.
+$(VENV)/.browser: $(VENV)/.dev
+	@$(call install,playwright)
+	@command -v chromium chromium-browser google-chrome >/dev/null || \
+		apt-get install -y --no-install-recommends chromium >/dev/null 2>&1 || \
+		$(BIN)/playwright install chromium || echo "no Chromium: the studio's tests in a browser will be skipped" >&2
 	@touch $@
 
 clean:

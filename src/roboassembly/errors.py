@@ -27,6 +27,10 @@ class FurnitureError(InputError):
     """Furniture, or a file that should hold some, breaks a rule of the format or of geometry."""
 
 
+class PolicyError(InputError):
+    """What a policy answers is no answer: not an action, or not a value for each."""
+
+
 class UnknownNameError(InputError):
     """A name that is not registered; the message offers near misses, or everything there is."""
 

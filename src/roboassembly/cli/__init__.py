@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import sys
 from collections.abc import Sequence
-from typing import Annotated
+from typing import Annotated, Any
 
 import tyro
 
@@ -18,10 +19,12 @@ from roboassembly.cli.generate import Generate
 from roboassembly.cli.importing import Import
 from roboassembly.cli.output import DONE_BADLY, print_json
 from roboassembly.cli.train import Train
+from roboassembly.cli.view import View
 from roboassembly.errors import InputError, RoboAssemblyError
 
 _Command = (
     Annotated[Assemble, tyro.conf.subcommand("assemble")]
+    | Annotated[View, tyro.conf.subcommand("view")]
     | Annotated[Import, tyro.conf.subcommand("import")]
     | Annotated[Generate, tyro.conf.subcommand("generate")]
     | Annotated[Export, tyro.conf.subcommand("export")]
@@ -33,15 +36,28 @@ _Command = (
 )
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Run one command and exit: 0 done, 1 not solved or not possible here, 2 bad input."""
-    command = tyro.cli(
+_NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EACCES, errno.EPERM)
+"""Disks that are full or may not be written; it may turn out in the middle of a command."""
+
+
+def parse(arguments: Sequence[str] | None = None) -> Any:
+    """The command that a line asks for, not run yet; exits with 0 after `--help`, with 2 if there is no such command.
+
+    Args:
+        arguments: the words after `roboassembly`; the process's own if None.
+    """
+    return tyro.cli(
         _Command,  # pyright: ignore[reportArgumentType]
         prog="roboassembly",
         description="Plan, simulate and learn furniture assembly.",
         args=arguments,
         config=(tyro.conf.FlagCreatePairsOff, tyro.conf.OmitSubcommandPrefixes),
     )
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run one command and exit: 0 done, 1 not solved or not possible here, 2 bad input."""
+    command = parse(arguments)
     try:
         status = command.run()
     except RoboAssemblyError as error:
@@ -49,6 +65,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
         if command.json:
             print_json({"success": False, "error": str(error)})
         status = 2 if isinstance(error, InputError) else DONE_BADLY
+    except OSError as error:
+        if error.errno not in _NO_ROOM:
+            raise
+        told = f"cannot write {error.filename or 'all of it'}: {error.strerror}"
+        print(f"error: {told}", file=sys.stderr)
+        if command.json:
+            print_json({"success": False, "error": told})
+        status = DONE_BADLY
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         status = 130

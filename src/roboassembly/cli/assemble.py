@@ -40,8 +40,9 @@ class Assemble:
     out: Path = Path("assembly")
     """Folder for plan.json, timings.json, assembly.html, assembly.mp4 and the furniture itself."""
     policy: str | None = None
-    """What guides the search: `relational` (that of the package), the path of a checkpoint, or `none`. If not given,
-    `relational` guides it in the object-centric setting, and nothing in the full one."""
+    """What guides the search: `relational` (that of the package), the path of a checkpoint or of a Python file of your
+    own, which is executed (docs/your-own-policy.md), or `none`. If not given, `relational` guides it in the
+    object-centric setting, and nothing in the full one."""
     search: bool = True
     """Take back what leads nowhere; without it the policy plays alone, and its first failure ends it."""
     film: bool = True
@@ -111,11 +112,10 @@ class Assemble:
         if self.guide == NO_POLICY:
             return partial(solver, seed=self.seed)
         from roboassembly.learning.loading import load_policy
-        from roboassembly.learning.policies import guide_of, settings_of
+        from roboassembly.learning.policies import check_setting, guide_of
 
         policy = load_policy(self.guide, self.seed)
-        if self.setting not in settings_of(policy):
-            raise InputError(f"--policy {self.guide} chooses no grasps; --setting full takes --policy {NO_POLICY}")
+        check_setting(policy, self.setting, NO_POLICY)
         if self.search:
             return partial(solver, seed=self.seed, guide=guide_of(policy))
         from roboassembly.learning.players import play

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import json
-import os
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
+from roboassembly.cli.jobs import CORES, Jobs
 from roboassembly.cli.multitask import PACKAGES, follow, needs
 from roboassembly.cli.output import DONE, print_json, writable_folder
 from roboassembly.errors import InputError
@@ -31,7 +31,7 @@ class Benchmark:
     """A document, like docs/results.md, that takes the table between its marks."""
     seed: int = 0
     """Of everything."""
-    jobs: int = os.cpu_count() or 1
+    jobs: Jobs = CORES
     """Processes."""
     json: bool = False
     """Print one JSON object on stdout, all else on stderr."""

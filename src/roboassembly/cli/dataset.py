@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
 from statistics import median
 from typing import Annotated, Literal
 
 import tyro
 
+from roboassembly.cli.jobs import CORES, Jobs
 from roboassembly.cli.output import DONE, print_json, progress_bar
 from roboassembly.errors import InputError
 
@@ -23,7 +23,7 @@ class Dataset:
     """Which set."""
     seed: int = 0
     """Another seed, other chairs."""
-    jobs: int = os.cpu_count() or 1
+    jobs: Jobs = CORES
     """Chairs at a time."""
     json: bool = False
     """Print one JSON object on stdout, all else on stderr."""

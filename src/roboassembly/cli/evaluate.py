@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
+from roboassembly.cli.jobs import CORES, Jobs
 from roboassembly.cli.output import DONE, print_json, progress_bar, say
 from roboassembly.errors import InputError
 
@@ -24,12 +24,14 @@ class Evaluate:
     """Measure a way of assembling on a set of furniture."""
 
     policy: str = "search"
-    """`relational`, `paper`, `random` or the path of a checkpoint; or a solver: `search`, `joint-rrt` (the paper's
-    baseline), `right-pairs` or `right-pairs-random-w`."""
+    """`relational`, `paper`, `random`, the path of a checkpoint or of a Python file of your own, which is executed
+    (docs/your-own-policy.md); or a solver: `search`, `joint-rrt` (the paper's baseline), `right-pairs` or
+    `right-pairs-random-w`."""
     search: bool = False
     """The policy guides the search instead of playing alone."""
     setting: Literal["object-centric", "full"] = "object-centric"
-    """What moves the parts: they fly by themselves, or two mobile Frankas move them (`search` only)."""
+    """What moves the parts: they fly by themselves, or two mobile Frankas move them (`search`, `random`, or a policy
+    of your own that chooses grasps)."""
     execution: Literal["kinematic", "dynamic"] = "kinematic"
     """Of `--setting full`: planned and checked, or carried out by actuated robots in physics besides."""
     audit: bool = False
@@ -44,7 +46,7 @@ class Evaluate:
     """Of each piece, each from another start."""
     seed: int = 0
     """Of the starts and the planner."""
-    jobs: int = os.cpu_count() or 1
+    jobs: Jobs = CORES
     """Pieces at a time."""
     export: Path | None = None
     """Write the successful episodes as a Minari data set: a new folder, named like `chairs-v0`."""

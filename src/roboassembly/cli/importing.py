@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import time
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -13,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
+from roboassembly.cli.jobs import CORES, Jobs
 from roboassembly.cli.output import DONE, print_json, progress_bar, say, writable_folder
 from roboassembly.errors import InputError
 
@@ -72,7 +72,7 @@ class Import:
     """Metres per unit of the source's files; if not given, as the format says, or a typical size for the furniture."""
     up: UpAxis | None = None
     """Up axis of the files, for `folder` only; if not given, y for GLB and z for all else."""
-    jobs: int = os.cpu_count() or 1
+    jobs: Jobs = CORES
     """Pieces at a time."""
     cache: bool = True
     """Use what an earlier import of the same files came to."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 from tqdm import tqdm
 
+from roboassembly.cli.jobs import CORES, Jobs
 from roboassembly.cli.output import DONE, print_json, progress_bar, say, writable_folder
 from roboassembly.errors import InputError, MissingExtraError
 
@@ -53,7 +53,7 @@ class Multitask:
     """Checkpoint of the auto-encoder (paper)."""
     seed: int = 0
     """Of weights, starts and order."""
-    jobs: int = os.cpu_count() or 1
+    jobs: Jobs = CORES
     """Processes."""
     json: bool = False
     """Print one JSON object on stdout, all else on stderr."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from roboassembly.cli.jobs import CORES, Jobs
 from roboassembly.cli.multitask import PACKAGES, Multitask, follow, needs
 from roboassembly.cli.output import DONE, DONE_BADLY, print_json, writable_folder
 from roboassembly.errors import InputError
@@ -34,7 +34,7 @@ class Autoencoder:
     """Updates (4,000)."""
     seed: int = 0
     """Of weights and order."""
-    jobs: int = os.cpu_count() or 1
+    jobs: Jobs = CORES
     """Processes."""
     json: bool = False
     """Print one JSON object on stdout, all else on stderr."""

@@ -90,7 +90,7 @@ def export(
     env = gymnasium.make(OBJECT_CENTRIC, furniture=names, cloud_points=cloud_points, disable_env_checker=True)
     path.parent.mkdir(parents=True, exist_ok=True)
     written = steps = 0
-    with tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent) as scratch:
+    with tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent.resolve()) as scratch:
         storage = MinariStorage.new(
             Path(scratch) / "data", env.observation_space, env.action_space, env.spec, data_format="hdf5"
         )

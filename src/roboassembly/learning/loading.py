@@ -1,8 +1,9 @@
-"""Policies by name, or from a checkpoint."""
+"""Policies by name, from a checkpoint, or from a Python file of one's own."""
 
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Callable
 from importlib import resources
 from importlib.resources.abc import Traversable
 from pathlib import Path
@@ -10,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from roboassembly.errors import InputError, UnknownNameError
-from roboassembly.learning import checkpoint, relational
+from roboassembly.learning import checkpoint, policy_file, relational
 from roboassembly.learning.checkpoint import Checkpoint
 from roboassembly.learning.policies import RANDOM, Policy, RandomPolicy
 from roboassembly.learning.relational_policy import RelationalPolicy
@@ -18,21 +19,47 @@ from roboassembly.learning.relational_policy import RelationalPolicy
 SHIPPED = ("relational", "paper")
 """Policies whose checkpoints belong into the package, as `weights/NAME.npz`."""
 NAMES = (RANDOM, *SHIPPED)
+FILES = ("PATH.npz", f"PATH{policy_file.SUFFIX}")
+"""What else names one, for messages."""
+Maker = Callable[[int], Policy]
+"""Makes a policy for an episode with a seed."""
 
 
 def load_policy(name: str, seed: int = 0) -> Policy:
-    """A policy by name, or from a checkpoint.
+    """A policy by name or from a file, for one episode.
 
     Args:
-        name: `random`, `relational`, `paper`, or the path of a checkpoint.
-        seed: of policies that draw.
+        name: `random`, `relational`, `paper`, the path of a checkpoint, or of a Python file, which is executed.
+        seed: of the episode.
 
     Raises:
         UnknownNameError: no such policy.
-        InputError: the checkpoint is missing, broken, or of another network.
+        InputError: the file is missing, broken, of another network, or makes no policy.
+    """
+    return maker_of(name)(seed)
+
+
+def maker_of(name: str) -> Maker:
+    """What makes a policy for each episode: the same every time, but of policies that may draw one that knows nothing
+    of what it has played before. Files are read, and those in Python executed, once.
+
+    Args:
+        name: as of `load_policy`.
+
+    Raises:
+        UnknownNameError: no such policy.
+        InputError: the file is missing, broken, or of another network.
     """
     if name == RANDOM:
-        return RandomPolicy(np.random.default_rng(seed))
+        return lambda seed: RandomPolicy(np.random.default_rng([seed, 1]))
+    if Path(name).suffix == policy_file.SUFFIX:
+        return policy_file.load(Path(name))
+    policy = _kept(name)
+    return lambda seed: policy
+
+
+def _kept(name: str) -> Policy:
+    """A policy that draws nothing."""
     if name in SHIPPED:
         place = _shipped(name)
         if not place.is_file():
@@ -44,7 +71,7 @@ def load_policy(name: str, seed: int = 0) -> Policy:
             return _of_checkpoint(checkpoint.load(path), name)
     path = Path(name)
     if not (path.exists() or path.suffix == ".npz" or "/" in name):
-        raise UnknownNameError("policy", name, [*NAMES, "PATH.npz"])
+        raise UnknownNameError("policy", name, [*NAMES, *FILES])
     return _of_checkpoint(checkpoint.load(path), name)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from typing import Any, Literal
@@ -12,10 +12,10 @@ import numpy as np
 
 from roboassembly.envs.full import FullEnv
 from roboassembly.envs.object_centric import ObjectCentricEnv
-from roboassembly.errors import InputError, UnknownNameError
+from roboassembly.errors import InputError, PolicyError, UnknownNameError
 from roboassembly.furniture.model import Furniture
-from roboassembly.learning.loading import NAMES, load_policy
-from roboassembly.learning.policies import RANDOM, Policy, RandomPolicy, guide_of, settings_of
+from roboassembly.learning.loading import FILES, NAMES, Maker, maker_of
+from roboassembly.learning.policies import Policy, check_setting, chosen, guide_of
 from roboassembly.planning.problem import Budget, PlanningStatus
 from roboassembly.solvers.guide import Guide
 from roboassembly.solvers.joint_rrt import solve_jointly
@@ -73,7 +73,7 @@ class Way:
     """A way of assembling."""
 
     policy: str | Policy = SEARCH
-    """A solver's name, a policy's, the path of a checkpoint, or a policy of your own."""
+    """A solver's name, a policy's, the path of a checkpoint or of a Python file, or a policy of your own."""
     search: bool = False
     """The policy guides the search; else it plays alone."""
     setting: SettingName = "object-centric"
@@ -107,7 +107,7 @@ def player(way: Way) -> Player:
 
     Raises:
         UnknownNameError: no such policy.
-        InputError: the checkpoint is of no use, what is named cannot guide the search, or does not know the setting.
+        InputError: the file is of no use, what is named cannot guide the search, or does not know the setting.
         MissingExtraError: an audit without python-fcl.
     """
     if way.execution == "dynamic" and way.setting != "full":
@@ -143,6 +143,8 @@ def _violations(plan: Plan | FullPlan) -> int:
 def _search_full(furniture: Furniture, seed: int, guide: Guide | None = None) -> _Played:
     try:
         return _searched(solve_full(furniture, seed, guide=guide))
+    except PolicyError:
+        raise
     except InputError as error:
         return _refused(furniture, seed, error), None
 
@@ -172,29 +174,31 @@ def _own(way: Way) -> Callable[[Furniture, int], _Played]:
             return solvers[policy]
         if policy in SOLVERS:
             raise InputError(f"'{policy}' chooses no grasps; --setting full takes --policy {SEARCH}")
-        if policy == RANDOM and not way.search:
-            # Fresh in each episode: what it draws must not depend on what the worker has played before.
-            return lambda furniture, seed: _alone(
-                RandomPolicy(np.random.default_rng([seed, 1])), way.setting, furniture, seed
-            )
-        try:
-            policy = load_policy(policy)
-        except UnknownNameError:
-            raise UnknownNameError("policy", str(policy), [*solvers, *NAMES, "PATH.npz"]) from None
-    if way.setting not in settings_of(policy):
-        raise InputError(
-            f"'{policy.name}' chooses no grasps; --setting full takes --policy {SEARCH}, or a policy whose `settings` "
-            "name it"
-        )
+    make = _maker(policy, solvers)
+    # One to look at; each episode has its own.
+    looked_at = make(0)
+    check_setting(looked_at, way.setting, SEARCH)
     if way.search:
-        return partial(_search_full if full else _search, guide=guide_of(policy))
-    return partial(_alone, policy, way.setting)
+        guide_of(looked_at)
+        search = _search_full if full else _search
+        return lambda furniture, seed: search(furniture, seed, guide_of(make(seed)))
+    return lambda furniture, seed: _alone(make(seed), way.setting, furniture, seed)
+
+
+def _maker(policy: str | Policy, solvers: Iterable[str]) -> Maker:
+    if not isinstance(policy, str):
+        return lambda seed: policy
+    try:
+        return maker_of(policy)
+    except UnknownNameError:
+        raise UnknownNameError("policy", policy, [*solvers, *NAMES, *FILES]) from None
 
 
 def play(policy: Policy, furniture: Furniture, seed: int, setting: SettingName = "object-centric") -> Play:
     """Let a policy play one episode of the environment, by `reset` and `step` alone.
 
     Raises:
+        PolicyError: what the policy picks is no action.
         InputError: the furniture does not suit the setting.
     """
     env: Any = (FullEnv if setting == "full" else ObjectCentricEnv)(furniture, cloud_points=policy.cloud_points)
@@ -205,11 +209,11 @@ def play(policy: Policy, furniture: Furniture, seed: int, setting: SettingName =
     states, planning, thinking, over = 0, 0.0, 0.0, False
     while not over:
         begun = time.perf_counter()
-        action = policy.act(observation, info["action_mask"])
+        action = chosen(policy, observation, info["action_mask"])
         thinking += time.perf_counter() - begun
-        observation, _, terminated, truncated, info = env.step(action)
+        observation, _, terminated, truncated, info = env.step(np.array(action))
         over = terminated or truncated
-        actions.append(tuple(int(a) for a in action))
+        actions.append(action)
         states += info["planning_steps"]
         outcome = env.last_outcome
         if outcome is not None:
@@ -230,6 +234,8 @@ def play_episode(policy: Policy, furniture: Furniture, seed: int) -> Episode:
 def _alone(policy: Policy, setting: SettingName, furniture: Furniture, seed: int) -> _Played:
     try:
         done = play(policy, furniture, seed, setting)
+    except PolicyError:
+        raise
     except InputError as error:
         if setting == "full":
             return _refused(furniture, seed, error), None

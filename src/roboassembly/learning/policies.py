@@ -12,6 +12,15 @@ A policy of your own needs no base class, only the attributes of `Policy`:
     players.play_episode(Mine(), catalogue.make("stool"), seed=0)
 
 One that plays with robots says so: `settings = ("object-centric", "full")`.
+
+In a file of its own, `my_policy.py`, all commands take it (`roboassembly evaluate --policy my_policy.py`). The file
+defines `policy`: a function that gets a seed and returns a policy, or a class whose objects are made of a seed.
+
+    def policy(seed: int) -> Mine:
+        return Mine()
+
+It is called for every episode anew, with another seed each, so that nothing depends on what was played before; what
+takes long, like reading weights, is better done once in the file. `docs/your-own-policy.md` has examples.
 """
 
 from __future__ import annotations
@@ -25,7 +34,7 @@ from jaxtyping import Bool, Float32, Int
 
 from roboassembly.envs import full, object_centric
 from roboassembly.envs.observation import Observation, Observer
-from roboassembly.errors import InputError
+from roboassembly.errors import InputError, PolicyError
 from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS, Furniture
 from roboassembly.solvers.guide import Guide, Suggestion
 from roboassembly.task.full import FullTask
@@ -33,6 +42,8 @@ from roboassembly.task.object_centric import ObjectCentricTask
 from roboassembly.task.setting import SettingName
 
 RANDOM = "random"
+MAKER = "policy"
+"""What a policy's file defines."""
 _TIE = 1e-3
 """Values nearer than this to the best count as equal: rounding must not choose between equal parts."""
 _SUGGESTIONS = 32
@@ -65,6 +76,42 @@ class Policy(Protocol):
 def settings_of(policy: Policy) -> tuple[SettingName, ...]:
     """In which a policy can play: its attribute `settings`; object-centric if it has none."""
     return getattr(policy, "settings", ("object-centric",))
+
+
+def chosen(policy: Policy, observation: Observation, mask: Mask) -> tuple[int, ...]:
+    """The action that a policy picks.
+
+    Raises:
+        PolicyError: it is no row of whole numbers, one for each axis of the mask.
+    """
+    picked = policy.act(observation, mask)
+    try:
+        action = np.asarray(picked)
+    except (TypeError, ValueError):
+        action = np.empty(0)
+    if action.shape != (mask.ndim,) or action.dtype.kind not in "iu":
+        told = " ".join(repr(picked).split())
+        raise PolicyError(f"the policy '{policy.name}' picked {told:.200}; {mask.ndim} whole numbers would do")
+    return tuple(int(a) for a in action)
+
+
+def check_setting(policy: Policy, setting: SettingName, solver: str) -> None:
+    """That a policy can play in a setting.
+
+    Args:
+        policy: any.
+        setting: `object-centric` or `full`.
+        solver: that could be named instead.
+
+    Raises:
+        InputError: it cannot.
+    """
+    if setting not in settings_of(policy):
+        lacks = "chooses no grasps" if setting == "full" else "plays with robots only"
+        raise InputError(
+            f"'{policy.name}' {lacks}; --setting {setting} takes --policy {solver}, or a policy whose `settings` "
+            "name it"
+        )
 
 
 @runtime_checkable
@@ -133,10 +180,11 @@ class _PolicyGuide:
         exist = full.existing_actions if isinstance(task, FullTask) else object_centric.existing_actions
         mask = exist(task, state)  # pyright: ignore[reportArgumentType]
         if isinstance(self.policy, ConfidentPolicy):
-            scores = self.policy.probabilities(observation, mask)
+            scores = _told(self.policy, "probabilities", self.policy.probabilities(observation, mask), mask)
         else:
             # Of values we know only which are better, so the best is always worth a try.
-            values = self.policy.values(observation, mask)
+            values = _told(self.policy, "values", self.policy.values(observation, mask), mask)
+            values = np.where(mask, values, -np.inf)
             best = values.max()
             scores = np.exp(values - best) if np.isfinite(best) else np.zeros_like(values)
         flat = np.where(mask, scores, 0.0).ravel()
@@ -150,6 +198,20 @@ class _PolicyGuide:
         ]
 
 
+def _told(policy: Policy, what: str, values: Values, mask: Mask) -> Values:
+    """What a policy says of all actions.
+
+    Raises:
+        PolicyError: it has another shape than the mask, or says nothing of an action that exists.
+    """
+    values = np.asarray(values)
+    if values.shape != mask.shape:
+        raise PolicyError(f"`{what}` of the policy '{policy.name}' has the shape {values.shape}, the mask {mask.shape}")
+    if np.isnan(values[mask]).any():
+        raise PolicyError(f"`{what}` of the policy '{policy.name}' is not a number for some action that exists")
+    return values
+
+
 def guide_of(policy: Policy) -> Guide:
     """Lets a policy guide the search (`solvers.search.solve(..., guide=...)`).
 
@@ -157,5 +219,8 @@ def guide_of(policy: Policy) -> Guide:
         InputError: the policy does not value actions.
     """
     if not isinstance(policy, ValuePolicy):
-        raise InputError(f"the policy '{policy.name}' does not value actions, so it cannot guide the search")
+        raise InputError(
+            f"the policy '{policy.name}' does not value actions (it has no method `values`), so it cannot guide the "
+            "search; alone it can play"
+        )
     return _PolicyGuide(policy)

@@ -1,0 +1,279 @@
+"""What a long life brings: very many steps, sudden ends at any moment, disks that are full. See docs/reliability.md."""
+
+from __future__ import annotations
+
+import gc
+import hashlib
+import json
+import os
+import resource
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from roboassembly.audit.object_centric import audit_plan
+from roboassembly.envs.object_centric import ObjectCentricEnv
+from roboassembly.furniture import storage
+from roboassembly.furniture.generate import FAMILIES
+from roboassembly.furniture.importers import IMPORTERS
+from roboassembly.furniture.importers.pipeline import finish
+from roboassembly.furniture.model import Furniture
+from roboassembly.learning import checkpoint
+from roboassembly.learning.loading import load_policy
+from roboassembly.learning.policies import guide_of
+from roboassembly.studio.wares import open_path
+from roboassembly.task.plan import Plan
+
+_COMMAND = [sys.executable, "-m", "roboassembly.cli"]
+
+
+def resident() -> int:
+    """Bytes of memory that this process holds."""
+    return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
+
+
+def hundred(folder: Path) -> list[tuple[str, Any]]:
+    """A hundred pieces of all sources, each made when it is its turn: real ones if there, plain files, generated."""
+    out: list[tuple[str, Any]] = []
+    samples = os.environ.get("ROBOASSEMBLY_SAMPLES")
+    if samples:
+        importer = IMPORTERS["ikea-manual"]
+        out += [
+            (path.name, lambda path=path: finish(path.name, importer.read(path)).furniture)
+            for path in importer.find(Path(samples))[:20]
+        ]
+    out += [
+        (f"folder {family}", lambda family=family: as_files(open_path(f"{family}:1"), folder / family))
+        for family in ("stool", "plank", "splat")
+    ]
+    families = list(FAMILIES)
+    for k in range(100 - len(out)):
+        name = f"{families[k % len(families)]}:{k // len(families)}"
+        out.append((name, lambda name=name: open_path.__wrapped__(name)))
+    return out
+
+
+def as_files(furniture: Furniture, folder: Path) -> Furniture:
+    """The furniture as someone else's STL files, read again."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for part, pose in zip(furniture.parts, furniture.assembled, strict=True):
+        mesh = part.mesh.trimesh.copy()
+        mesh.apply_transform(pose.homogeneous)
+        mesh.export(folder / f"{part.name}.stl")
+    return open_path.__wrapped__(str(folder))
+
+
+def steps(furniture: Furniture, count: int, seed: int) -> tuple[int, str, int]:
+    """So many steps: any action, or one that a policy suggests, so that plays go on; every merge audited.
+
+    Returns:
+        Merges, hash of all that was observed, and violations that the audit found.
+    """
+    rng = np.random.default_rng(seed)
+    policy = load_policy("relational")
+    guide = guide_of(policy)
+    env = ObjectCentricEnv(furniture)
+    digest, merges, violations, records = hashlib.sha256(), 0, 0, []
+    observation, info = env.reset(seed=seed)
+    initial = env.state.part_poses
+    for _ in range(count):
+        suggestions = guide(env.task, env.state) if rng.random() < 0.5 else ()
+        if suggestions:
+            action = np.array(suggestions[min(int(rng.integers(3)), len(suggestions) - 1)].action)
+        else:
+            choices = np.argwhere(info["action_mask"])
+            action = choices[rng.integers(len(choices))]
+        observation, reward, terminated, truncated, info = env.step(action)
+        for value in observation.values():
+            assert np.isfinite(value).all()
+            digest.update(value.tobytes())
+        digest.update(repr((action.tolist(), reward, terminated, info["verdict"])).encode())
+        if env.last_outcome is not None and env.last_outcome.step is not None:
+            records.append(env.last_outcome.step)
+            merges += 1
+        if terminated or truncated:
+            if records:
+                plan = Plan(furniture, initial, tuple(records), bool(info["success"]), seed)
+                violations += sum(audit_plan(plan).counts.values())
+                records = []
+            observation, info = env.reset(seed=int(rng.integers(2**31)))
+            initial = env.state.part_poses
+    return merges, digest.hexdigest(), violations
+
+
+@pytest.mark.slow
+def test_ten_thousand_steps_on_a_hundred_pieces(tmp_path):
+    """No exception, no penetration, memory flat, and the same again from the same seed."""
+    held: list[int] = []
+    merges = violations = 0
+    for index, (name, make) in enumerate(hundred(tmp_path)):
+        furniture = make()
+        one = steps(furniture, 100, index)
+        if index % 10 == 0:
+            assert steps(furniture, 100, index)[1] == one[1], name
+        merges, violations = merges + one[0], violations + one[2]
+        del furniture
+        gc.collect()
+        held.append(resident())
+    early, late = (float(np.median(part)) for part in (held[20:40], held[-20:]))
+    print(f"10,000 steps, {merges} merges, {violations} violations, memory {early / 1e6:.0f} to {late / 1e6:.0f} MB")
+    assert merges > 1_000
+    assert violations == 0
+    assert late < 1.05 * early
+
+
+# Sudden ends
+
+
+def started(arguments: list[str], cache: Path) -> subprocess.Popen[bytes]:
+    environment = {**os.environ, "ROBOASSEMBLY_CACHE": str(cache), "OMP_NUM_THREADS": "1"}
+    return subprocess.Popen(
+        [*_COMMAND, *arguments], env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True
+    )
+
+
+def whole(folder: Path) -> None:
+    """Every file that is not marked as unfinished can be read to the end."""
+    for path in folder.rglob("*"):
+        if not path.is_file() or path.suffix in (".part", ".tmp") or path.name.startswith("."):
+            continue
+        if path.suffix == ".npz":
+            checkpoint.load(path) if b"meta" in path.read_bytes()[:4000] else np.load(path, allow_pickle=False).close()
+        elif path.suffix == ".json":
+            json.loads(path.read_bytes())
+
+
+def killed_again_and_again(arguments: list[str], cache: Path, out: Path, kills: int, longest: float, seed: int) -> int:
+    """Run a command, kill it and all its processes at random moments, then let it end.
+
+    Returns:
+        How many kills hit it before it had ended by itself.
+    """
+    rng, hits = np.random.default_rng(seed), 0
+    for _ in range(kills):
+        process = started(arguments, cache)
+        try:
+            process.wait(timeout=float(rng.uniform(0.2, longest)))
+        except subprocess.TimeoutExpired:
+            hits += 1
+            os.killpg(process.pid, signal.SIGKILL)
+        told = process.communicate()[1].decode()
+        assert "Traceback" not in told, told
+        for folder in (cache, out):
+            whole(folder)
+    process = started(arguments, cache)
+    told = process.communicate(timeout=900)[1].decode()
+    assert process.returncode == 0, told
+    whole(out)
+    return hits
+
+
+@pytest.mark.slow
+def test_dataset_build_survives_kills(tmp_path):
+    arguments = ["dataset", "build", "chairs-24", "--jobs", "2", "--json"]
+    hits = killed_again_and_again(arguments, tmp_path / "a", tmp_path / "a", 15, 12.0, 0)
+    subprocess.run(
+        [*_COMMAND, *arguments], env={**os.environ, "ROBOASSEMBLY_CACHE": str(tmp_path / "b")}, check=True,
+        capture_output=True,
+    )  # fmt: skip
+    one, two = (json.loads((tmp_path / name / "chairs-24.json").read_bytes()) for name in "ab")
+    assert one == two
+    print(f"dataset build: {hits} kills")
+    assert hits >= 8
+
+
+@pytest.mark.slow
+def test_import_survives_kills(tmp_path):
+    for k, family in enumerate(("stool", "plank", "ladder", "windsor", "splat", "shell")):
+        as_files(open_path(f"{family}:{k}"), tmp_path / "files" / family)
+    arguments = ["import", "folder", str(tmp_path / "files"), "--out", str(tmp_path / "out"), "--jobs", "2", "--json"]
+    hits = killed_again_and_again(arguments, tmp_path / "cache", tmp_path / "out", 15, 10.0, 1)
+    for folder in sorted((tmp_path / "out").iterdir()):
+        storage.load(folder)
+    assert len(list((tmp_path / "out").iterdir())) == 6
+    print(f"import: {hits} kills")
+    assert hits >= 8
+
+
+@pytest.mark.slow
+def test_training_survives_kills(tmp_path):
+    subprocess.run(
+        [*_COMMAND, "dataset", "build", "chairs-24", "--json"], check=True, capture_output=True,
+        env={**os.environ, "ROBOASSEMBLY_CACHE": str(tmp_path / "cache")},
+    )  # fmt: skip
+    out = tmp_path / "out"
+    arguments = ["train", "expert", "--set", "chairs-24:easy", "--limit", "2", "--steps", "6000", "--out", str(out)]
+    hits = killed_again_and_again([*arguments, "--json"], tmp_path / "cache", out, 10, 40.0, 2)
+    print(f"train: {hits} kills")
+    assert hits >= 5
+
+
+@pytest.mark.slow
+def test_the_benchmark_survives_kills(tmp_path):
+    out = tmp_path / "out"
+    arguments = ["benchmark", "--quick", "--out", str(out), "--json"]
+    hits = killed_again_and_again(arguments, tmp_path / "cache", out, 10, 60.0, 3)
+    told = json.loads((out / "benchmark.json").read_bytes())
+    assert told["rows"]
+    print(f"benchmark: {hits} kills")
+    assert hits >= 5
+
+
+# Disks
+
+
+def limited(largest: int):
+    """What a process does before it starts: no file may grow beyond so many bytes, as on a disk that is full."""
+
+    def limit() -> None:
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (largest, largest))
+
+    return limit
+
+
+def lines_of(arguments: list[str], cache: Path, largest: int | None = None) -> tuple[int, list[str]]:
+    """Exit status and what is said on stderr, progress aside."""
+    done = subprocess.run(
+        [*_COMMAND, *arguments], capture_output=True, text=True, timeout=300,
+        env={**os.environ, "ROBOASSEMBLY_CACHE": str(cache)}, preexec_fn=limited(largest) if largest else None,
+    )  # fmt: skip
+    said = done.stderr.replace("\r", "\n").splitlines()
+    return done.returncode, [line[line.find("error: ") :] for line in said if "error: " in line or "Traceback" in line]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("largest", [100, 20_000])
+def test_a_full_disk_is_one_clear_line(largest, tmp_path):
+    as_files(open_path("stool"), tmp_path / "files")
+    for arguments in (
+        ["assemble", "stool", "--no-film", "--out", str(tmp_path / "a")],
+        ["generate", "windsor", "--out", str(tmp_path / "g")],
+        ["import", "folder", str(tmp_path / "files"), "--out", str(tmp_path / "i"), "--jobs", "1"],
+        ["export", "mjcf", "windsor", "--out", str(tmp_path / "x")],
+        ["dataset", "build", "chairs-24", "--jobs", "1"],
+        ["train", "autoencoder", "--set", "chairs-24:easy", "--steps", "20", "--out", str(tmp_path / "t")],
+    ):
+        status, lines = lines_of(arguments, tmp_path / "cache", largest)
+        if status == 0:  # all that it writes was small enough
+            assert largest > 100, arguments
+            continue
+        assert status in (1, 2), (arguments, lines)
+        assert len(lines) <= 1, (arguments, lines)
+        assert not lines or lines[0].startswith("error: "), (arguments, lines)
+
+
+def test_folders_that_cannot_be_written_are_one_clear_line(tmp_path):
+    for command in (["assemble", "stool", "--no-film"], ["generate", "stool"], ["export", "mjcf", "stool"]):
+        begun = time.monotonic()
+        status, lines = lines_of([*command, "--out", "/proc/no/such"], tmp_path)
+        assert status == 2, command
+        assert len(lines) == 1, lines
+        assert "/proc/no" in lines[0]
+        assert time.monotonic() - begun < 60.0
