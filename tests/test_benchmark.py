@@ -42,7 +42,7 @@ def test_the_whole_table_from_nothing(tmp_path: Path, capsys: pytest.CaptureFixt
         low, high = figures["ci95"]
         assert 0.0 <= low <= figures["success_rate"] <= high <= 1.0
     tests = rows["relational", "chairs-24:test"]["figures"]["per_furniture"]
-    assert len(tests) == 4
+    assert len(tests) == 3
     assert {e["furniture"] for e in tests} == {
         e["furniture"] for e in rows["search alone", "chairs-24:test"]["figures"]["per_furniture"]
     }

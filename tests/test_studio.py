@@ -347,11 +347,12 @@ def merges(visitor: Visitor) -> int:
     return -1 if visitor.session is None else visitor.session.merges
 
 
-def test_fifty_visitors_each_have_a_session_of_their_own(came):
+@pytest.mark.parametrize("count", [8, pytest.param(50, marks=pytest.mark.slow)])
+def test_visitors_each_have_a_session_of_their_own(count, came):
     threads = threading.active_count()
     with studio(house(), "127.0.0.1", 0) as server:
-        browsers = [Browser(server) for _ in range(50)]
-        until(lambda: len(came) == 50 and all(merges(v) == 0 for v in came))
+        browsers = [Browser(server) for _ in range(count)]
+        until(lambda: len(came) == count and all(merges(v) == 0 for v in came))
         for k in (0, 7):
             browsers[k].press(came[k].panel.suggest)
             browsers[k].press(came[k].panel.join)

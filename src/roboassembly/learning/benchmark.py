@@ -63,11 +63,11 @@ class Benchmark:
     def quick(seed: int = 0) -> Benchmark:
         """All stages, tiny: to see that they work, not what they reach."""
         return Benchmark(
-            set="chairs-24", train_limit=4, test_limit=4, shipped=False, seed=seed,
+            set="chairs-24", train_limit=3, test_limit=3, shipped=False, seed=seed,
             schooling=Schooling(
-                autoencoder.Training(steps=60), 4, ExpertTraining(steps=2_000, least_steps=400), plays=2
+                autoencoder.Training(steps=40), 4, ExpertTraining(steps=1_600, least_steps=400), plays=2
             ),
-            paper=paper_imitation.Training(steps=60),
+            paper=paper_imitation.Training(steps=40),
             relational=Curriculum(extra=1, validation=1, rounds=1, steps=40, round_steps=20, network=_TINY),
         )  # fmt: skip
 
