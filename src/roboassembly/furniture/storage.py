@@ -38,6 +38,8 @@ from roboassembly.poses import SE3, pose_from_seven, pose_to_seven, rotation_ang
 
 FORMAT = "roboassembly.furniture"
 VERSION = 1
+_LONGEST_NAME = 255
+"""Bytes of a file name: what common file systems take."""
 FILE_NAME = "furniture.json"
 MESHES = "meshes"
 
@@ -333,13 +335,16 @@ def _read_mesh(folder: Path, name: str, where: str) -> Mesh:
     path = folder / name
     if "\0" in name:
         raise FurnitureError(f"{where}: mesh file name {name!r} holds a zero byte")
+    if len(name.encode()) > _LONGEST_NAME:
+        raise FurnitureError(f"{where}: mesh file name '{name[:40]}...' is too long")
     if not path.resolve().is_relative_to(folder.resolve()):
         raise FurnitureError(f"{where}: mesh '{name}' lies outside the furniture folder")
     if not path.is_file():
         raise FurnitureError(f"{where}: mesh file {path} is missing")
     try:
         loaded = trimesh.load_mesh(path, file_type="ply", process=False)
-    except (ValueError, IndexError, KeyError, TypeError, OSError, EOFError, AttributeError) as error:
+    except (ValueError, IndexError, KeyError, TypeError, OSError, EOFError, AttributeError, NameError) as error:
+        # trimesh's reader gets lost in broken headers in many ways, unbound names among them.
         raise FurnitureError(f"{where}: mesh {path} cannot be read as PLY: {error}") from None
     if not isinstance(loaded, trimesh.Trimesh):
         raise FurnitureError(f"{where}: mesh {path} has no faces")
@@ -353,7 +358,7 @@ def _read_mesh(folder: Path, name: str, where: str) -> Mesh:
 
 def _unit(vector: _Triple, where: str) -> np.ndarray:
     array = np.array(vector)
-    length = float(np.linalg.norm(array))
+    length = math.hypot(*vector)
     if not math.isclose(length, 1.0, abs_tol=1e-3):
         raise FurnitureError(f"{where}: {list(vector)} is not a unit vector (length {length:.4g})")
     return array

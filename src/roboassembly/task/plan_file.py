@@ -175,7 +175,7 @@ def decode(content: bytes, where: str) -> Script:
     """
     try:
         told = msgspec.json.decode(content, type=_Told)
-    except (msgspec.DecodeError, RecursionError) as error:
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise InputError(f"'{where}' is no plan: {error}; `roboassembly assemble` writes one") from None
     if told.format != FORMAT or told.version != VERSION:
         raise InputError(
