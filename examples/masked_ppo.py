@@ -255,8 +255,10 @@ def main() -> None:
     env = Pairs(gymnasium.make(name, furniture=told.furniture, cloud_points=CLOUD))
     torch.manual_seed(told.seed)
     scores = trained(told.setting) if weights(SETTINGS[0]).is_file() else Scores()
-    learner(env, scores, robots, told.seed).learn(told.steps)
-    torch.save(scores.state_dict(), weights(told.setting))
+    model = learner(env, scores, robots, told.seed)
+    while model.num_timesteps < told.steps:
+        model.learn(model.n_steps, reset_num_timesteps=False)
+        torch.save(scores.state_dict(), weights(told.setting))
     print(weights(told.setting))
 
 
