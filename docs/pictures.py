@@ -103,4 +103,4 @@ write_storyboard(two_robots, IMAGES / "two_robots.png", columns=5, width=320, he
 write_loop(two_robots, IMAGES / "two_robots.webp", width=480, height=320, fps=8)
 render_contact_sheet([catalogue.make(f) for f in FAMILIES], IMAGES / "families.png", columns=7, size=200)
 sixty = [catalogue.make(list(CHAIRS)[i % len(CHAIRS)], 1 + i // len(CHAIRS)) for i in range(60)]
-render_contact_sheet(sixty, IMAGES / "sixty.png", columns=10, size=140, names=[""] * 60)
+render_contact_sheet(sixty, IMAGES / "sixty.png", columns=10, size=140, names=False)

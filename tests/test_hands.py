@@ -21,7 +21,7 @@ from roboassembly.learning.lessons import Teacher
 from roboassembly.learning.loading import load_policy
 from roboassembly.learning.players import Way, player
 from roboassembly.learning.relational_policy import RelationalPolicy
-from roboassembly.learning.situation import GRASPS, Situation, groups_of
+from roboassembly.learning.situation import Situation, groups_of
 from roboassembly.poses import SE3
 from roboassembly.solvers.hand_oracle import HandOracle
 from roboassembly.solvers.options import fitting
@@ -29,6 +29,7 @@ from roboassembly.task.full import FullTask, FullVerdict
 from roboassembly.task.full import Joint as Held
 from roboassembly.task.groups import Group, TaskState
 from roboassembly.task.joining import can_take, hold
+from roboassembly.task.rules import GRASPS
 
 AT_OTHER = 2
 """Column of `Handling.one`: room of the closed hand beside the other group, where the two are joined."""

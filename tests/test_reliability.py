@@ -7,6 +7,7 @@ import hashlib
 import json
 import os
 import resource
+import shutil
 import signal
 import subprocess
 import sys
@@ -150,42 +151,51 @@ def whole(folder: Path) -> None:
 
 
 def killed_again_and_again(arguments: list[str], cache: Path, out: Path, kills: int, longest: float, seed: int) -> int:
-    """Run a command, kill it and all its processes at random moments, then let it end.
+    """Run a command, kill it and all its processes at so many random moments, then let it end.
+
+    Where it has ended before its moment came, it starts once more from nothing.
 
     Returns:
-        How many kills hit it before it had ended by itself.
+        How often it came to its end in between.
     """
-    rng, hits = np.random.default_rng(seed), 0
-    for _ in range(kills):
+    rng, hits, ends = np.random.default_rng(seed), 0, 0
+    kept = {path for path in cache.rglob("*") if path.is_file()}
+    while hits < kills:
         process = started(arguments, cache)
         try:
-            process.wait(timeout=float(rng.uniform(0.2, longest)))
+            told = process.communicate(timeout=float(rng.uniform(0.2, longest)))[1].decode()
+            assert process.returncode == 0, told
         except subprocess.TimeoutExpired:
             hits += 1
             os.killpg(process.pid, signal.SIGKILL)
-        told = process.communicate()[1].decode()
+            told = process.communicate()[1].decode()
         assert "Traceback" not in told, told
         for folder in (cache, out):
             whole(folder)
+        if process.returncode == 0:
+            ends += 1
+            shutil.rmtree(out, ignore_errors=True)
+            for path in (p for p in cache.rglob("*") if p.is_file() and p not in kept):
+                path.unlink()
+            assert ends < 2 * kills, f"it ends before {longest} s; take shorter moments"
     process = started(arguments, cache)
     told = process.communicate(timeout=900)[1].decode()
     assert process.returncode == 0, told
     whole(out)
-    return hits
+    print(f"{' '.join(arguments[:2])}: {hits} kills, {ends} ends in between")
+    return ends
 
 
 @pytest.mark.slow
 def test_dataset_build_survives_kills(tmp_path):
     arguments = ["dataset", "build", "chairs-24", "--jobs", "2", "--json"]
-    hits = killed_again_and_again(arguments, tmp_path / "a", tmp_path / "a", 15, 12.0, 0)
+    killed_again_and_again(arguments, tmp_path / "a", tmp_path / "a", 15, 12.0, 0)
     subprocess.run(
         [*_COMMAND, *arguments], env={**os.environ, "ROBOASSEMBLY_CACHE": str(tmp_path / "b")}, check=True,
         capture_output=True,
     )  # fmt: skip
     one, two = (json.loads((tmp_path / name / "chairs-24.json").read_bytes()) for name in "ab")
     assert one == two
-    print(f"dataset build: {hits} kills")
-    assert hits >= 8
 
 
 @pytest.mark.slow
@@ -193,12 +203,10 @@ def test_import_survives_kills(tmp_path):
     for k, family in enumerate(("stool", "plank", "ladder", "windsor", "splat", "shell")):
         as_files(open_path(f"{family}:{k}"), tmp_path / "files" / family)
     arguments = ["import", "folder", str(tmp_path / "files"), "--out", str(tmp_path / "out"), "--jobs", "2", "--json"]
-    hits = killed_again_and_again(arguments, tmp_path / "cache", tmp_path / "out", 15, 10.0, 1)
+    killed_again_and_again(arguments, tmp_path / "cache", tmp_path / "out", 15, 8.0, 1)
     for folder in sorted((tmp_path / "out").iterdir()):
         storage.load(folder)
     assert len(list((tmp_path / "out").iterdir())) == 6
-    print(f"import: {hits} kills")
-    assert hits >= 8
 
 
 @pytest.mark.slow
@@ -209,20 +217,16 @@ def test_training_survives_kills(tmp_path):
     )  # fmt: skip
     out = tmp_path / "out"
     arguments = ["train", "expert", "--set", "chairs-24:easy", "--limit", "2", "--steps", "6000", "--out", str(out)]
-    hits = killed_again_and_again([*arguments, "--json"], tmp_path / "cache", out, 10, 40.0, 2)
-    print(f"train: {hits} kills")
-    assert hits >= 5
+    killed_again_and_again([*arguments, "--json"], tmp_path / "cache", out, 10, 40.0, 2)
 
 
 @pytest.mark.slow
 def test_the_benchmark_survives_kills(tmp_path):
     out = tmp_path / "out"
     arguments = ["benchmark", "--quick", "--out", str(out), "--json"]
-    hits = killed_again_and_again(arguments, tmp_path / "cache", out, 10, 60.0, 3)
+    killed_again_and_again(arguments, tmp_path / "cache", out, 10, 60.0, 3)
     told = json.loads((out / "benchmark.json").read_bytes())
     assert told["rows"]
-    print(f"benchmark: {hits} kills")
-    assert hits >= 5
 
 
 # Disks

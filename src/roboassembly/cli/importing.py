@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import time
-from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict, dataclass
-from multiprocessing import get_context
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -15,6 +13,7 @@ import tyro
 from roboassembly.cli.jobs import CORES, Jobs
 from roboassembly.cli.output import DONE, print_json, progress_bar, say, writable_folder
 from roboassembly.errors import InputError
+from roboassembly.processes import workers
 
 if TYPE_CHECKING:
     from roboassembly.furniture.importers.kept import Summary
@@ -120,8 +119,7 @@ class Import:
         if self.jobs == 1 or len(folders) == 1:
             yield from map(import_piece, work)
             return
-        # Forking a process that has already started threads (BLAS, GL) can hang; spawning cannot.
-        with ProcessPoolExecutor(min(self.jobs, len(folders)), mp_context=get_context("spawn")) as pool:
+        with workers(min(self.jobs, len(folders))) as pool:
             for piece, future in [(piece, pool.submit(import_piece, piece)) for piece in work]:
                 try:
                     yield future.result()

@@ -103,7 +103,7 @@ def needs(*packages: str) -> None:
     for package in packages:
         if find_spec(package) is None:
             raise MissingExtraError(package, "learn")
-    from roboassembly.learning.processes import keep_compiled
+    from roboassembly.learning.compiled import keep_compiled
 
     keep_compiled()
 

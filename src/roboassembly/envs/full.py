@@ -12,8 +12,9 @@ from roboassembly.envs.assembly import AssemblyEnv, existing_pairs, pieces_of
 from roboassembly.furniture import catalogue
 from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS, Furniture
 from roboassembly.planning.problem import Budget
-from roboassembly.task.full import GRASPS, FullOutcome, FullTask
+from roboassembly.task.full import FullOutcome, FullTask
 from roboassembly.task.full_plan import FullState
+from roboassembly.task.rules import GRASPS
 
 
 class FullEnv(AssemblyEnv[FullTask, FullState, FullOutcome]):

@@ -32,8 +32,8 @@ from roboassembly.learning.gather import file_of
 from roboassembly.learning.kinds import point_counts
 from roboassembly.learning.layers import Params
 from roboassembly.learning.learner import Learner, LearnerConfig, Memory
-from roboassembly.learning.processes import one_thread_each, workers
 from roboassembly.learning.rehearsal import Rehearsal, State
+from roboassembly.processes import one_thread_each, workers
 from roboassembly.task.object_centric import ObjectCentricTask, Verdict
 
 _TRIAL_SEEDS = 10_000

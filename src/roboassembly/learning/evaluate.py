@@ -5,10 +5,9 @@ from __future__ import annotations
 import math
 import zlib
 from collections.abc import Iterator, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
-from multiprocessing import get_context
 from statistics import median
 from typing import Any
 
@@ -17,7 +16,7 @@ import numpy as np
 from roboassembly.errors import RoboAssemblyError
 from roboassembly.furniture.datasets import Pick
 from roboassembly.learning.players import Episode, Player, Way, player
-from roboassembly.learning.processes import one_thread_each
+from roboassembly.processes import one_thread_each, workers
 
 _Z = 1.959963984540054
 """97.5 % of a standard normal distribution lies below."""
@@ -123,14 +122,13 @@ def evaluate(way: Way, picks: Sequence[Pick], seed: int, jobs: int, *, episodes:
 
 
 def _in_processes(way: Way, work: Sequence[tuple[Pick, list[int]]], jobs: int) -> Iterator[Episode]:
-    # Spawned, because a fork would share the planner's and the renderer's threads.
     futures: list[Future[list[Episode]]] = []
-    pool = ProcessPoolExecutor(min(jobs, len(work)), get_context("spawn"), _start, (way,))
     try:
-        with one_thread_each():
-            futures = [pool.submit(_play_here, pick, seeds) for pick, seeds in work]
-        for future in futures:
-            yield from future.result()
+        with workers(min(jobs, len(work)), _start, (way,)) as pool:
+            with one_thread_each():
+                futures = [pool.submit(_play_here, pick, seeds) for pick, seeds in work]
+            for future in futures:
+                yield from future.result()
     except BrokenProcessPool:
         done = sum(f.done() and not f.exception() for f in futures)
         late = ", ".join(pick.name for (pick, _), f in zip(work, futures, strict=False) if f.exception())
@@ -138,8 +136,6 @@ def _in_processes(way: Way, work: Sequence[tuple[Pick, list[int]]], jobs: int) -
             f"a worker process died (out of memory?) after {done} of {len(work)} pieces, among them not: {late:.200}; "
             "fewer --jobs would take less memory, --jobs 1 would show which piece it was"
         ) from None
-    finally:
-        pool.shutdown(cancel_futures=True)
 
 
 _here: dict[str, Player] = {}

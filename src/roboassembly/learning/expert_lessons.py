@@ -21,7 +21,7 @@ from roboassembly.learning.apprentices import load
 from roboassembly.learning.experts import Expert, Move, finished, play
 from roboassembly.learning.gather import file_of
 from roboassembly.learning.lessons import CLOUD_POINTS, Course, Lesson
-from roboassembly.learning.processes import as_done
+from roboassembly.processes import as_done
 from roboassembly.task.object_centric import ObjectCentricTask
 
 _MARGIN = 0.06

@@ -19,7 +19,7 @@ from roboassembly.furniture.generate import CHAIRS
 from roboassembly.furniture.model import Furniture
 from roboassembly.learning import checkpoint, relational
 from roboassembly.learning.lessons import CLOUD_POINTS, Course, Lesson, Student, Teacher
-from roboassembly.learning.processes import as_done
+from roboassembly.processes import as_done
 from roboassembly.solvers.hand_oracle import HandOracle
 from roboassembly.solvers.oracle import Oracle
 from roboassembly.task.full import FullTask

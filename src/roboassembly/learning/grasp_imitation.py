@@ -19,8 +19,8 @@ from roboassembly.learning.grasp_lessons import BLOCKED, FAILS, MERGES, UNKNOWN,
 from roboassembly.learning.hands import handling_of
 from roboassembly.learning.imitation import cross_entropy
 from roboassembly.learning.layers import Array, Params
-from roboassembly.learning.processes import in_order
 from roboassembly.learning.runs import Run
+from roboassembly.processes import in_order
 
 _FIRM = 2.0
 """Weight of what the arms said, which is known of few, against what the cheap tests did."""

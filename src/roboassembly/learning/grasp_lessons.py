@@ -21,12 +21,13 @@ from roboassembly.envs.observation import Observer, surface_points
 from roboassembly.errors import InputError
 from roboassembly.furniture.model import MAX_POINTS, Furniture
 from roboassembly.learning.lessons import CLOUD_POINTS
-from roboassembly.learning.situation import GRASPS, Situation, groups_of
+from roboassembly.learning.situation import Situation, groups_of
 from roboassembly.solvers.hand_oracle import HandOracle
 from roboassembly.solvers.oracle import Joint
 from roboassembly.task.full import FullTask
 from roboassembly.task.full import Joint as Held
 from roboassembly.task.full_plan import FullState
+from roboassembly.task.rules import GRASPS
 
 UNKNOWN, BLOCKED, FITS, MERGES, FAILS = -1, 0, 1, 2, 3
 """What is known of two grasps at a pair: nothing, that cheap tests fail, that they pass, and then what the arms say."""

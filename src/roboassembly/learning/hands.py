@@ -13,8 +13,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32
 
 from roboassembly.gripper import MAX_OPENING, RETREAT, hand_bodies
-from roboassembly.learning.situation import GRASPS, Situation
+from roboassembly.learning.situation import Situation
 from roboassembly.poses import rotations_from_euler
+from roboassembly.task.rules import GRASPS
 
 ONE, TWO = 27, 9
 """Numbers that describe one hand at a joint, and two together."""

@@ -18,10 +18,10 @@ from roboassembly.learning import checkpoint, relational
 from roboassembly.learning.batches import pad, size_for
 from roboassembly.learning.gather import file_of
 from roboassembly.learning.lessons import Course, answers
-from roboassembly.learning.processes import in_order, made_ahead
 from roboassembly.learning.runs import Run
 from roboassembly.learning.tokens import Memory, Tokens
 from roboassembly.learning.views import VIEWS, seen, ways_after
+from roboassembly.processes import in_order, made_ahead
 
 _FEW = 8
 """Chairs that are not worth starting processes for."""

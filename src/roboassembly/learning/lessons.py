@@ -23,12 +23,12 @@ from jaxtyping import Bool, Float16, Float32, Int16, UInt8
 from roboassembly.envs.observation import Observer
 from roboassembly.errors import InputError
 from roboassembly.furniture.model import MAX_POINTS, Furniture
-from roboassembly.learning.situation import GRASPS, Situation, groups_of
+from roboassembly.learning.situation import Situation, groups_of
 from roboassembly.learning.tokens import Memory, Tokens, tokens_of
 from roboassembly.solvers.oracle import Joint, Oracle
 from roboassembly.task.groups import TaskState
 from roboassembly.task.object_centric import ObjectCentricTask
-from roboassembly.task.rules import UP_AXES
+from roboassembly.task.rules import GRASPS, UP_AXES
 
 CLOUD_POINTS = 2048
 """A part, as the relational policy sees it: fine enough to show tenons and holes."""

@@ -27,9 +27,9 @@ from roboassembly.learning.batches import size_for
 from roboassembly.learning.layers import Params
 from roboassembly.learning.lessons import Course, Lesson
 from roboassembly.learning.paper import STATE, PaperConfig, PaperState
-from roboassembly.learning.processes import made_ahead
 from roboassembly.learning.runs import Run
 from roboassembly.learning.views import Change
+from roboassembly.processes import made_ahead
 from roboassembly.task.rules import UP_AXES
 
 LAMBDA = 50.0

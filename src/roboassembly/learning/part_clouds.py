@@ -13,7 +13,7 @@ from roboassembly.furniture.datasets import Pick
 from roboassembly.furniture.generate import CHAIRS
 from roboassembly.learning.autoencoder import CLOUD_POINTS
 from roboassembly.learning.gather import extra_names
-from roboassembly.learning.processes import in_order
+from roboassembly.processes import in_order
 
 
 def gather_clouds(picks: Sequence[Pick], *, jobs: int, extra: int = 300) -> Float32[np.ndarray, "c n 3"]:

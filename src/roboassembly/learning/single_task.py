@@ -19,8 +19,8 @@ from roboassembly.learning import apprentices, autoencoder, checkpoint, expert_l
 from roboassembly.learning.apprentices import ExpertTraining, Mastery
 from roboassembly.learning.gather import file_of
 from roboassembly.learning.part_clouds import gather_clouds
-from roboassembly.learning.processes import one_thread_each
 from roboassembly.learning.progress import Progress
+from roboassembly.processes import one_thread_each
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,6 @@ from roboassembly.learning.features import FLIP
 from roboassembly.poses import euler_from_rotations, rotations_from_euler
 from roboassembly.task.rules import UP_AXES
 
-GRASPS = 8
-"""Of a part."""
 MEET, OPPOSED = 0.004, -0.99
 """Metres, and cosine of two normals: points that would touch."""
 

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
 from itertools import cycle, islice
-from multiprocessing import get_context
 from pathlib import Path
 
 import msgspec
@@ -25,6 +23,7 @@ from roboassembly.furniture.datasets import (
 )
 from roboassembly.furniture.generate import CHAIRS
 from roboassembly.planning.problem import Budget
+from roboassembly.processes import workers
 from roboassembly.solvers.prober import probe
 from roboassembly.solvers.search import SearchLimits, solve
 from roboassembly.task.object_centric import ObjectCentricTask
@@ -90,7 +89,7 @@ def build(recipe: Recipe, seed: int, jobs: int) -> Iterator[tuple[int, int]]:
         *_draw(list(recipe.unseen_families), recipe.test_unseen, seed),
     ]
     chosen: list[Candidate] = []
-    with journal.open("ab") as log, ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+    with journal.open("ab") as log, workers(jobs) as pool:
         todo = [w for w in wanted if w not in known]
         done = len(wanted) - len(todo)
         yield done, len(wanted)

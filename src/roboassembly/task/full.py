@@ -26,9 +26,8 @@ from roboassembly.task.joining import Hold, Way, can_let_go, can_take, hold, way
 from roboassembly.task.legs import TUCKED, LegError, LegPlanner, Obstacle
 from roboassembly.task.moments import Leg, Moment, Robot, Standing
 from roboassembly.task.pairs import Merge
-from roboassembly.task.rules import Rules
+from roboassembly.task.rules import GRASPS, Rules
 
-GRASPS = 8
 BUDGET = Budget(states=8_000)
 """Of each path."""
 _MEETINGS = 4

@@ -15,6 +15,8 @@ UP_AXES: Float[np.ndarray, "6 3"] = np.array(
     [[0, 0, 1], [0, 0, -1], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]], dtype=float
 )
 """The axes of the furniture's frame; that which points up while v's group waits, for each `w`."""
+GRASPS = 8
+"""Of a part: two regions, each from four directions."""
 _AGAINST = -0.2
 """Cosine: a retreat may run this much against a contact's normal, because a patch's mean normal is only a mean."""
 

@@ -2,20 +2,13 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
-import platform
-import re
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
 from multiprocessing import active_children, get_context
-from pathlib import Path
-from typing import TypeVar, cast
+from typing import Any, TypeVar, cast
 
-from roboassembly.furniture.cache import cache_folder
-
-_CPU_INFO = Path("/proc/cpuinfo")
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 _ONE_THREAD = {
@@ -25,11 +18,21 @@ _ONE_THREAD = {
 
 
 @contextmanager
-def workers(jobs: int) -> Iterator[ProcessPoolExecutor]:
+def workers(
+    jobs: int, start: Callable[..., None] | None = None, arguments: tuple[Any, ...] = ()
+) -> Iterator[ProcessPoolExecutor]:
     """Processes to work in. When what they are used for ends early, be it by an error, they end too; by itself a pool
-    would first do all that it was given."""
+    would first do all that it was given.
+
+    Spawned: a fork would share threads of the planner, the renderer and BLAS, and can hang.
+
+    Args:
+        jobs: how many.
+        start: what each does first, with `arguments`.
+        arguments: of `start`.
+    """
     others = active_children()
-    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+    with ProcessPoolExecutor(jobs, get_context("spawn"), start, arguments) as pool:
         try:
             yield pool
         except BaseException:
@@ -71,19 +74,6 @@ def made_ahead(items: Iterator[Item]) -> Iterator[Item]:
         while (item := upcoming.result()) is not end:
             upcoming = pool.submit(next, items, end)
             yield cast("Item", item)
-
-
-def keep_compiled() -> None:
-    """From now on what JAX compiles, here and in processes started from here, is kept in the cache folder.
-
-    To be called before JAX is imported. `$JAX_COMPILATION_CACHE_DIR` names another place.
-    """
-    flags = re.search(r"^(flags|Features)\s*:(.*)$", _CPU_INFO.read_text(), re.M) if _CPU_INFO.is_file() else None
-    # Compiled for this kind of processor: a home folder may be shared by machines of several.
-    kind = f"{platform.machine()} {flags[2] if flags else platform.processor()}"
-    folder = cache_folder() / "jax" / hashlib.sha256(kind.encode()).hexdigest()[:12]
-    os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(folder))
-    os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.5")
 
 
 @contextmanager
