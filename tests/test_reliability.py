@@ -20,6 +20,7 @@ import pytest
 
 from roboassembly.audit.object_centric import audit_plan
 from roboassembly.envs.object_centric import ObjectCentricEnv
+from roboassembly.errors import InputError
 from roboassembly.furniture import storage
 from roboassembly.furniture.generate import FAMILIES
 from roboassembly.furniture.importers import IMPORTERS
@@ -31,6 +32,13 @@ from roboassembly.learning.policies import guide_of
 from roboassembly.studio.wares import open_path
 from roboassembly.task.plan import Plan
 
+_REAL = (
+    ("ikea-manual", "ikea_manuals_at_work", 16),
+    ("furniture-bench", "furniture_bench", 8),
+    ("ikea-env", "clvrai_furniture", 10),
+    ("partnet", "partnet", 5),
+)
+"""Importers, their folders of samples, and how many pieces of each, where they are there."""
 _COMMAND = [sys.executable, "-m", "roboassembly.cli"]
 
 
@@ -42,13 +50,14 @@ def resident() -> int:
 def hundred(folder: Path) -> list[tuple[str, Any]]:
     """A hundred pieces of all sources, each made when it is its turn: real ones if there, plain files, generated."""
     out: list[tuple[str, Any]] = []
-    samples = os.environ.get("ROBOASSEMBLY_SAMPLES")
-    if samples:
-        importer = IMPORTERS["ikea-manual"]
-        out += [
-            (path.name, lambda path=path: finish(path.name, importer.read(path)).furniture)
-            for path in importer.find(Path(samples))[:20]
-        ]
+    samples = Path(os.environ.get("ROBOASSEMBLY_SAMPLES", "/nonexistent"))
+    for kind, where, count in _REAL:
+        if (samples / where).is_dir():
+            importer = IMPORTERS[kind]
+            out += [
+                (f"{kind} {path.name}", lambda path=path, importer=importer: real(path, importer))
+                for path in importer.find(samples / where)[:count]
+            ]
     out += [
         (f"folder {family}", lambda family=family: as_files(open_path(f"{family}:1"), folder / family))
         for family in ("stool", "plank", "splat")
@@ -57,7 +66,16 @@ def hundred(folder: Path) -> list[tuple[str, Any]]:
     for k in range(100 - len(out)):
         name = f"{families[k % len(families)]}:{k // len(families)}"
         out.append((name, lambda name=name: open_path.__wrapped__(name)))
-    return out
+    # Mixed, so that memory early and late is that of like furniture.
+    return [out[i] for i in np.random.default_rng(0).permutation(len(out))]
+
+
+def real(path: Path, importer: Any) -> Furniture:
+    """A piece of real furniture; a built-in chair where the importer refuses it."""
+    try:
+        return finish(path.name, importer.read(path)).furniture
+    except InputError:
+        return open_path.__wrapped__("stool")
 
 
 def as_files(furniture: Furniture, folder: Path) -> Furniture:
