@@ -27,9 +27,10 @@ from roboassembly.learning.loading import load_policy
 from roboassembly.learning.policies import guide_of
 from roboassembly.solvers.search import solve
 from roboassembly.studio import wares
+from roboassembly.studio.house import House
 from roboassembly.studio.server import studio
 from roboassembly.studio.session import Session
-from roboassembly.studio.visitor import House, Visitor
+from roboassembly.studio.visitor import Visitor
 from roboassembly.studio.wares import Wares, open_path, open_plan, open_upload, unpack
 from roboassembly.studio.words import told
 from roboassembly.task import plan_file
@@ -287,7 +288,7 @@ def test_brought_files_that_are_no_furniture_leave_nothing_behind(tmp_path, monk
 
 
 def house(**told) -> House:
-    return House(**({"wares": Wares(), "policies": ("relational",), "furniture": "stool", "scale": None,
+    return House(**({"folders": (), "policies": ("relational",), "furniture": "stool", "scale": None,
                      "setting": "object-centric", "seed": 0, "paths": False} | told))  # fmt: skip
 
 

@@ -43,9 +43,8 @@ class View:
 
     def run(self) -> int:
         """Serve until interrupted; returns the exit status."""
+        from roboassembly.studio.house import House
         from roboassembly.studio.server import LOOPBACK, silence, studio
-        from roboassembly.studio.visitor import House
-        from roboassembly.studio.wares import Wares, open_path
 
         if self.seed < 0:
             raise InputError(f"--seed {self.seed} is negative; 0 or more would do")
@@ -54,11 +53,13 @@ class View:
                 raise InputError(f"--folders {folder}: there is no such folder")
         here = Path("furniture")
         folders = self.folders or ((here,) if here.is_dir() else ())
-        if not Path(self.furniture).exists():
-            # Names are told at once to be wrong; files take their time, and are read while the browser starts.
-            open_path(self.furniture, self.scale)
+        if self.furniture != View.furniture and not Path(self.furniture).exists():
+            # Names are told at once to be wrong; all else is read or made while the browser loads the page.
+            from roboassembly.studio.wares import open_path
+
+            open_path(self.furniture, self.scale, with_grasps=self.setting == "full")
         house = House(
-            Wares(tuple(f for f in folders if any(f.glob("*/furniture.json")))),
+            tuple(f for f in folders if any(f.glob("*/furniture.json"))),
             ("relational", *self.policies),
             self.furniture,
             self.scale,

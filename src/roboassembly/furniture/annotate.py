@@ -80,17 +80,23 @@ def annotate(name: str, raw: Sequence[RawPart], provenance: Provenance, *, with_
     slots = tuple(SE3(r, c) for r, c in zip(rotations, centers, strict=True))
     meshes = _part_meshes([p.mesh for p in raw], centered, classes, slots, contacts)
     points, connections = _connection_points(contacts, slots, classes)
-    grasps: dict[int, tuple[GraspRegion, ...]] = {}
-    for c in classes if with_grasps else ():
-        around = [_around(member, meshes, slots) for member in c.members[:_LIKES]]
-        held = find_grasps(meshes[c.members[0]], [m for m in around if m is not None])
-        grasps.update(dict.fromkeys(c.members, held))
     parts = tuple(
-        Part(part.name, mesh, tuple(points[i]), part.label, grasps.get(i, ()))
-        for i, (part, mesh) in enumerate(zip(raw, meshes, strict=True))
+        Part(part.name, mesh, tuple(own), part.label) for part, mesh, own in zip(raw, meshes, points, strict=True)
     )
     provenance = replace(provenance, notes=(*provenance.notes, *notes))
-    return Furniture(name, parts, slots, connections, classes, provenance)
+    furniture = Furniture(name, parts, slots, connections, classes, provenance)
+    return add_grasps(furniture) if with_grasps else furniture
+
+
+def add_grasps(furniture: Furniture) -> Furniture:
+    """The same furniture with the grasps that hands find on its parts; those it has are forgotten."""
+    meshes = [part.mesh for part in furniture.parts]
+    grasps: dict[int, tuple[GraspRegion, ...]] = {}
+    for c in furniture.classes:
+        around = [_around(member, meshes, furniture.assembled) for member in c.members[:_LIKES]]
+        held = find_grasps(meshes[c.members[0]], [m for m in around if m is not None])
+        grasps.update(dict.fromkeys(c.members, held))
+    return replace(furniture, parts=tuple(replace(p, grasps=grasps[i]) for i, p in enumerate(furniture.parts)))
 
 
 def _around(part: int, meshes: Sequence[Mesh], slots: Sequence[SE3]) -> Mesh | None:

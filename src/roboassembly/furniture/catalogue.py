@@ -32,8 +32,12 @@ def make(family: str, seed: int = 0, *, with_grasps: bool = True) -> Furniture:
     return annotate(f"{family}-{seed}", generate(family, seed), provenance, with_grasps=with_grasps)
 
 
-def find(name: str) -> Furniture:
+def find(name: str, *, with_grasps: bool = True) -> Furniture:
     """Furniture by `FAMILY`, `FAMILY:SEED`, or the path of a furniture folder.
+
+    Args:
+        name: of it.
+        with_grasps: as of `annotate`; a folder has those that were found for it in any case.
 
     Raises:
         UnknownNameError: neither a family nor a path.
@@ -41,7 +45,7 @@ def find(name: str) -> Furniture:
     """
     family, _, seed = name.partition(":")
     if family in FAMILIES and (seed.isdigit() or not seed):
-        return make(family, int(seed or 0))
+        return make(family, int(seed or 0), with_grasps=with_grasps)
     if Path(name).exists() or "/" in name:
         return storage.load(name)
     if family in FAMILIES:

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float
 from scipy.spatial import ConvexHull
 from viser import BatchedMeshHandle, LineSegmentsHandle, SceneApi
 
-from roboassembly.furniture.model import MAX_POINTS, Furniture
+from roboassembly.furniture.model import MAX_POINTS, Furniture, GraspRegion
 from roboassembly.gripper import hand_pose
 from roboassembly.viewer.colors import MOVING, WAITING, Color, to_bytes
 
@@ -56,7 +56,11 @@ class Marks:
     _shown: tuple[np.ndarray, Chosen] | None = field(default=None, init=False)
 
     def lay(
-        self, points: Float[np.ndarray, "20 10 9"], free: Bool[np.ndarray, "20 10"], frames: bool, grasps: bool
+        self,
+        points: Float[np.ndarray, "20 10 9"],
+        free: Bool[np.ndarray, "20 10"],
+        frames: bool,
+        grasps: Sequence[Sequence[GraspRegion]],
     ) -> None:
         """Draw all anew.
 
@@ -64,7 +68,7 @@ class Marks:
             points: position, normal and tangent in the parts' frames.
             free: which of them can be joined.
             frames: draw the points' frames, too.
-            grasps: draw grasp regions, too.
+            grasps: of each part, to be drawn too; none where they are not asked for.
         """
         self.clear()
         for part, name in enumerate(self.names):
@@ -73,8 +77,8 @@ class Marks:
             self._pins.append(self._put_pins(name, points[part, :, :3], heads))
             if frames and free[part].any():
                 self._frames.append(self._put_frames(name, points[part][free[part]]))
-            if grasps and self.furniture.parts[part].grasps:
-                self._grasps.append(self._put_grasps(part, name))
+            if grasps and grasps[part]:
+                self._grasps.append(self._put_grasps(name, grasps[part]))
 
     def show(self, free: Bool[np.ndarray, "20 10"], chosen: Chosen) -> None:
         """Show those points only, and which two are chosen."""
@@ -134,9 +138,9 @@ class Marks:
         colors = np.tile(_AXES[None, :, None], (len(rows), 1, 2, 1)).reshape(-1, 2, 3)
         return self._put_lines(f"/{name}/frames", lines.reshape(-1, 2, 3), colors)
 
-    def _put_grasps(self, part: int, name: str) -> LineSegmentsHandle:
+    def _put_grasps(self, name: str, grasps: Sequence[GraspRegion]) -> LineSegmentsHandle:
         lines = []
-        for grasp in self.furniture.parts[part].grasps:
+        for grasp in grasps:
             for approach in grasp.approaches:
                 hand = hand_pose(grasp.position, grasp.closing, approach)
                 pads = [grasp.position + side * 0.5 * grasp.width * hand.rotation[:, 1] for side in (-1.0, 1.0)]

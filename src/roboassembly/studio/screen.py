@@ -110,7 +110,8 @@ class Screen:
     def refresh(self) -> None:
         """Marks as the session and the look are now."""
         session = self._session
-        self._marks.lay(session.points(), session.free(), self.look.frames, self.look.grasps)
+        grasps = [part.grasps for part in session.held.parts] if self.look.grasps else []
+        self._marks.lay(session.points(), session.free(), self.look.frames, grasps)
         self.show(self.at)
 
     def choose(self, chosen: Chosen) -> None:

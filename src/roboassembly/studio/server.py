@@ -7,14 +7,17 @@ import socket
 import threading
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from typing import TYPE_CHECKING
 
 from viser import ClientHandle, ViserServer, _messages, infra
 
-from roboassembly.errors import InputError
-from roboassembly.studio.visitor import House, Visitor
-from roboassembly.studio.wares import LARGEST_UPLOAD
-from roboassembly.viewer.html import quiet_server
+from roboassembly.errors import InputError, RoboAssemblyError
+from roboassembly.studio.house import LARGEST_UPLOAD, House
+from roboassembly.viewer.server import quiet_server
+
+if TYPE_CHECKING:
+    from roboassembly.studio.visitor import Visitor
 
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
 MOST_VISITORS = 64
@@ -36,12 +39,21 @@ def studio(house: House, host: str, port: int) -> Iterator[ViserServer]:
     _check(host, port)
     with quiet_server(host, port) as server:
         visitors: dict[int, Visitor] = {}
+        gone: set[int] = set()
+        """Who may have left before they were let in."""
         lock = threading.Lock()
         _shut_tunnel(server)
+        ready = threading.Thread(target=_prepare, args=(house,), name="prepare", daemon=True)
+        ready.start()
 
         def come(client: ClientHandle) -> None:
             _limit_uploads(client)
+            ready.join()
+            from roboassembly.studio.visitor import Visitor
+
             with lock:
+                if client.client_id in gone:
+                    return
                 full = len(visitors) >= MOST_VISITORS
                 if not full:
                     visitors[client.client_id] = Visitor(client, house)
@@ -51,6 +63,7 @@ def studio(house: House, host: str, port: int) -> Iterator[ViserServer]:
         def go(client: ClientHandle) -> None:
             with lock:
                 visitor = visitors.pop(client.client_id, None)
+                gone.add(client.client_id)
             if visitor is not None:
                 visitor.close()
 
@@ -61,6 +74,15 @@ def studio(house: House, host: str, port: int) -> Iterator[ViserServer]:
         finally:
             for visitor in visitors.values():
                 visitor.close()
+
+
+def _prepare(house: House) -> None:
+    """Load what visitors need, and make what they see first, while the browser is still loading the page."""
+    from roboassembly.studio import visitor
+
+    # Whoever comes will be told what is wrong with it.
+    with suppress(RoboAssemblyError):
+        visitor.open_first(house)
 
 
 def _check(host: str, port: int) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from jaxtyping import Bool, Float32
 from roboassembly.envs.assembly import COMPLETION_REWARD, MERGE_REWARD
 from roboassembly.envs.observation import Observer
 from roboassembly.errors import InputError
+from roboassembly.furniture.annotate import add_grasps
 from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS, Furniture
 from roboassembly.solvers.forward import SearchLimits, Standing, Watch, planner_seed
 from roboassembly.solvers.guide import Guide
@@ -77,6 +79,11 @@ class Session:
         self._states: list[Any] = [self.task.initial_state(np.random.default_rng(self.seed))]
         self._steps: list[Any] = []
         self._observer = Observer(self.furniture, MAX_PARTS, MAX_POINTS, 1)
+
+    @cached_property
+    def held(self) -> Furniture:
+        """The furniture with its grasps, which may have been left out."""
+        return self.furniture if any(p.grasps for p in self.furniture.parts) else add_grasps(self.furniture)
 
     @property
     def state(self) -> Any:

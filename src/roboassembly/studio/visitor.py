@@ -7,7 +7,6 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +19,7 @@ from roboassembly.learning.loading import load_policy
 from roboassembly.learning.policies import Policy, guide_of, settings_of
 from roboassembly.solvers.forward import Standing, Watch
 from roboassembly.solvers.guide import Guide
+from roboassembly.studio.house import House
 from roboassembly.studio.marks import Chosen
 from roboassembly.studio.panel import NONE, PICKS, Actions, Panel
 from roboassembly.studio.screen import FRAMES_PER_SECOND, Screen
@@ -28,7 +28,6 @@ from roboassembly.studio.wares import Wares, open_path, open_plan, open_upload
 from roboassembly.studio.words import WAYS, told
 from roboassembly.task import plan_file
 from roboassembly.task.plan_file import Script
-from roboassembly.task.setting import SettingName
 from roboassembly.viewer.html import write_html
 
 _PLAN = ".json"
@@ -36,23 +35,14 @@ _PROGRESS_EVERY = 0.1
 """Seconds."""
 
 
-@dataclass(frozen=True)
-class House:
-    """What all visitors share."""
+def open_first(house: House) -> None:
+    """Make what visitors see first; the next to open it gets the same at once.
 
-    wares: Wares
-    policies: tuple[str, ...]
-    """As `roboassembly assemble --policy` takes them; the first is chosen at first."""
-    furniture: str
-    """Opened at first, as `open_path` takes it."""
-    scale: float | None
-    """Of 3D files, metres per unit."""
-    setting: SettingName
-    """At first."""
-    seed: int
-    """At first."""
-    paths: bool
-    """Whether visitors may open folders of this machine by name."""
+    Raises:
+        InputError: as `open_path`.
+    """
+    if not house.furniture.endswith(_PLAN):
+        open_path(house.furniture, house.scale, with_grasps=house.setting == "full")
 
 
 class Visitor:
@@ -65,6 +55,7 @@ class Visitor:
 
     def __init__(self, client: ClientHandle, house: House) -> None:
         self.client, self._house = client, house
+        self._wares = Wares(house.folders)
         self._asked: queue.Queue[Callable[[], None] | None] = queue.Queue()
         self._cancelled = threading.Event()
         self._screen: Screen | None = None
@@ -74,7 +65,7 @@ class Visitor:
         self._gone = False
         self.panel = Panel(
             client.gui,
-            house.wares.sources(),
+            self._wares.sources(),
             house.policies,
             house.paths,
             Actions(
@@ -140,7 +131,10 @@ class Visitor:
 
     def _open(self) -> None:
         panel = self.panel
-        self._begin(lambda: self._house.wares.open(panel.source.value, panel.piece.value, int(panel.number.value)))
+        number = int(panel.number.value)
+        self._begin(
+            lambda: self._wares.open(panel.source.value, panel.piece.value, number, with_grasps=self._with_grasps)
+        )
 
     def _open_path(self, path: str) -> None:
         path = path.strip()
@@ -151,7 +145,11 @@ class Visitor:
             self._begin(lambda: furniture, script)
             self._repeat(script)
         else:
-            self._begin(lambda: open_path(path, self._house.scale))
+            self._begin(lambda: open_path(path, self._house.scale, with_grasps=self._with_grasps))
+
+    @property
+    def _with_grasps(self) -> bool:
+        return self.panel.setting.value == "full"
 
     def _repeat(self, script: Script) -> None:
         self._busily(lambda watch: self._present.repeat(script, watch), "Done again")

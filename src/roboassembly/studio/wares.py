@@ -18,12 +18,11 @@ from roboassembly.furniture.generate import FAMILIES
 from roboassembly.furniture.importers import IMPORTERS
 from roboassembly.furniture.importers.pipeline import finish
 from roboassembly.furniture.model import Furniture
+from roboassembly.studio.house import LARGEST_UPLOAD
 from roboassembly.task import plan_file
 from roboassembly.task.plan_file import Script
 
 BUILT_IN = "built-in"
-LARGEST_UPLOAD = 50_000_000
-"""Bytes of a file, packed or unpacked."""
 MOST_FILES = 500
 """In an archive."""
 _ARCHIVE = ".zip"
@@ -45,39 +44,41 @@ class Wares:
         sets += [f"folder:{folder}" for folder in self.folders]
         return {BUILT_IN: list(FAMILIES)} | {source: [p.name for p in pick(source)] for source in sets}
 
-    def open(self, source: str, piece: str, number: int = 0) -> Furniture:
+    def open(self, source: str, piece: str, number: int = 0, *, with_grasps: bool = True) -> Furniture:
         """Make or load a piece.
 
         Args:
             source: one of `sources()`.
             piece: of it.
             number: which of a built-in family.
+            with_grasps: as of `open_path`.
 
         Raises:
             InputError: there is no such piece, or it cannot be read.
         """
         if source == BUILT_IN:
-            return open_path(f"{piece}:{number}")
+            return open_path(f"{piece}:{number}", with_grasps=with_grasps)
         if source not in self.sources():
             raise InputError(f"there is no source '{source}' here")
-        return _of_set(source, piece)
+        return _of_set(source, piece, with_grasps=with_grasps)
 
 
 @lru_cache(maxsize=16)
-def open_path(name: str, scale: float | None = None) -> Furniture:
+def open_path(name: str, scale: float | None = None, *, with_grasps: bool = True) -> Furniture:
     """Furniture by name, a furniture folder, or 3D files that are read, repaired and annotated first.
 
     Args:
         name: as `roboassembly assemble` takes it, or the path of a GLB file or of a folder of STL, OBJ, PLY or GLB
             files, one a part.
         scale: metres per unit of such files; guessed if None.
+        with_grasps: find them on a built-in piece, which takes longer than all else; others come with theirs.
 
     Raises:
         InputError: neither, or files that are no furniture.
     """
     path = Path(name)
     if not path.exists() or (path / storage.FILE_NAME).is_file():
-        return catalogue.find(name)
+        return catalogue.find(name, with_grasps=with_grasps)
     importer = IMPORTERS["folder"]
     found = importer.find(path)
     if len(found) > 1:
@@ -87,11 +88,11 @@ def open_path(name: str, scale: float | None = None) -> Furniture:
 
 
 @lru_cache(maxsize=16)
-def _of_set(source: str, piece: str) -> Furniture:
+def _of_set(source: str, piece: str, *, with_grasps: bool) -> Furniture:
     found: Pick | None = next((p for p in pick(source) if p.name == piece), None)
     if found is None:
         raise InputError(f"there is no piece '{piece}' in {source}")
-    return found.furniture()
+    return found.furniture(with_grasps=with_grasps)
 
 
 def open_plan(path: Path) -> tuple[Script, Furniture]:

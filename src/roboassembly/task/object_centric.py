@@ -17,7 +17,6 @@ from roboassembly.planning.problem import Budget, PathResult
 from roboassembly.planning.world import CollisionWorld
 from roboassembly.poses import SE3, align_axis
 from roboassembly.scene import Scene
-from roboassembly.simulation.settle import settle
 from roboassembly.task.groups import Group, TaskState, body, center_of_mass, hull_points
 from roboassembly.task.layout import GROUND_CLEARANCE, Circle, footprint, free_spot, group_footprint, scattered
 from roboassembly.task.pairs import Merge, PairRule
@@ -175,6 +174,9 @@ class ObjectCentricTask:
         others = [group_footprint(self.furniture, g) for g in mating.others]
         joined = body(self.furniture, mating.merged, "merged",
                       origin=center_of_mass(self.furniture, mating.merged), moves=True)  # fmt: skip
+        # Physics takes a tenth of the time in which a command starts, and nothing has fallen before the first merge.
+        from roboassembly.simulation.settle import settle
+
         settled = settle(joined, SETTLING_INTERVAL)
         motions = [pose * joined.pose.inverse() for pose in settled.poses]
         rested = mating.merged.moved_to(motions[-1] * mating.merged.world_from_furniture)

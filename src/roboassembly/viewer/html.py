@@ -4,19 +4,15 @@ from __future__ import annotations
 
 import html
 import json
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from string import Template
-
-import rich
-from viser import ViserServer
 
 from roboassembly.viewer.colors import part_colors
 from roboassembly.viewer.files import replaced
 from roboassembly.viewer.framing import FIELD_OF_VIEW, fit
 from roboassembly.viewer.page import BODY, HEAD
 from roboassembly.viewer.playing import AnyPlan, timeline_of
+from roboassembly.viewer.server import quiet_server
 from roboassembly.viewer.tableau import Tableau, set_the_scene
 from roboassembly.viewer.timeline import Timeline
 
@@ -59,30 +55,6 @@ def _recorded(timeline: Timeline) -> str:
             tableau.show(frame.poses, part_colors(frame.roles))
             recording.insert_sleep(1.0 / timeline.frames_per_second)
         return recording.as_html()
-
-
-@contextmanager
-def quiet_server(host: str, port: int) -> Iterator[ViserServer]:
-    """A viser server that does not announce itself, shows no axes of the world, and is gone afterwards.
-
-    viser records only through a server, too. It announces itself through rich's console, from two threads, whatever
-    `verbose` says; so that console is kept quiet meanwhile.
-
-    Args:
-        host: address to listen on.
-        port: any free one if 0.
-    """
-    console = rich.get_console()
-    was_quiet, console.quiet = console.quiet, True
-    try:
-        server = ViserServer(host=host, port=port, verbose=False)
-        server.scene.world_axes.visible = False
-        try:
-            yield server
-        finally:
-            server.stop()
-    finally:
-        console.quiet = was_quiet
 
 
 def _dressed(page: str, timeline: Timeline) -> str:
