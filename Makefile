@@ -53,7 +53,7 @@ $(VENV)/.dev: pyproject.toml | $(VENV)/bin/python
 # By pip in any case: it takes a CPU build of PyTorch where the machine offers one, which uv does not look for.
 $(VENV)/.rl: $(VENV)/.dev
 	@$(BIN)/python -m pip install --quiet torch==2.13.0 || $(BIN)/python -m pip install --quiet torch
-	@$(call install,--editable '.[rl]')
+	@$(call install,--editable '.[rl,ray]')
 	@touch $@
 
 # A Chromium that is there is taken; else the system's package manager or Playwright's own installer is asked for one.

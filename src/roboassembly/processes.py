@@ -1,13 +1,16 @@
-"""Work on many pieces, in processes of their own unless there is to be one only; or ahead of use, in a thread."""
+"""Work on many pieces, in processes of their own unless there is to be one only, on this machine or on a cluster; or
+ahead of use, in a thread."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor, as_completed
+from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
 from multiprocessing import active_children, get_context
 from typing import Any, TypeVar, cast
+
+from roboassembly.cluster import Cluster, connected
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -17,10 +20,40 @@ _ONE_THREAD = {
 }
 
 
+_spread: list[str] = []
+"""The cluster that `workers` come from, if any."""
+
+
 @contextmanager
-def workers(
-    jobs: int, start: Callable[..., None] | None = None, arguments: tuple[Any, ...] = ()
-) -> Iterator[ProcessPoolExecutor]:
+def spread(address: str | None, jobs: int) -> Iterator[int]:
+    """Within the block, workers come from a Ray cluster.
+
+    Args:
+        address: as `connected` takes it; None leaves them on this machine.
+        jobs: to use on this machine.
+
+    Yields:
+        How many to use.
+
+    Raises:
+        MissingExtraError: without Ray.
+        InputError: no cluster answers there.
+    """
+    if address is None:
+        yield jobs
+        return
+    ours = ("ROBOASSEMBLY_", "JAX_", "PYTHONPATH")
+    kept = {name: value for name, value in os.environ.items() if name.startswith(ours)}
+    with connected(address, {**_ONE_THREAD, "XLA_FLAGS": _one_thread_flags(), **kept}) as count:
+        _spread.append(address)
+        try:
+            yield count
+        finally:
+            _spread.pop()
+
+
+@contextmanager
+def workers(jobs: int, start: Callable[..., None] | None = None, arguments: tuple[Any, ...] = ()) -> Iterator[Executor]:
     """Processes to work in. When what they are used for ends early, be it by an error, they end too; by itself a pool
     would first do all that it was given.
 
@@ -31,6 +64,15 @@ def workers(
         start: what each does first, with `arguments`.
         arguments: of `start`.
     """
+    if _spread:
+        cluster = Cluster(start, arguments)
+        try:
+            yield cluster
+        except BaseException:
+            cluster.shutdown(wait=False, cancel_futures=True)
+            raise
+        cluster.shutdown()
+        return
     others = active_children()
     with ProcessPoolExecutor(jobs, get_context("spawn"), start, arguments) as pool:
         try:
@@ -79,8 +121,7 @@ def made_ahead(items: Iterator[Item]) -> Iterator[Item]:
 @contextmanager
 def one_thread_each() -> Iterator[None]:
     """Processes started meanwhile compute with one thread, so that they do not fight for cores."""
-    flags = f"{os.environ.get('XLA_FLAGS', '')} --xla_cpu_multi_thread_eigen=false".strip()
-    ours = {**_ONE_THREAD, "XLA_FLAGS": flags}
+    ours = {**_ONE_THREAD, "XLA_FLAGS": _one_thread_flags()}
     before = {name: os.environ.get(name) for name in ours}
     os.environ.update(ours)
     try:
@@ -91,3 +132,7 @@ def one_thread_each() -> Iterator[None]:
                 del os.environ[name]
             else:
                 os.environ[name] = value
+
+
+def _one_thread_flags() -> str:
+    return f"{os.environ.get('XLA_FLAGS', '')} --xla_cpu_multi_thread_eigen=false".strip()

@@ -7,10 +7,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
-from roboassembly.cli.jobs import CORES, Jobs
+from roboassembly.cli.jobs import CORES, Jobs, Ray
 from roboassembly.cli.multitask import PACKAGES, follow, needs
 from roboassembly.cli.output import DONE, print_json, writable_folder
 from roboassembly.errors import InputError
+from roboassembly.processes import spread
 
 
 @dataclass(frozen=True)
@@ -33,6 +34,7 @@ class Benchmark:
     """Of everything."""
     jobs: Jobs = CORES
     """Processes."""
+    ray: Ray = None
     json: bool = False
     """Print one JSON object on stdout, all else on stderr."""
 
@@ -52,7 +54,8 @@ class Benchmark:
             benchmark.check_marks(self.write)
         plan = benchmark.Benchmark.quick(self.seed) if self.quick else benchmark.Benchmark(seed=self.seed)
         plan = replace(plan, real=self.real, shipped=plan.shipped and not self.retrain)
-        follow(benchmark.run(plan, out, self.jobs), out)
+        with spread(self.ray, self.jobs) as jobs:
+            follow(benchmark.run(plan, out, jobs), out)
         told = benchmark.report(plan, out)
         lines = benchmark.table(told)
         (out / "benchmark.json").write_text(json.dumps(told, indent=1) + "\n")

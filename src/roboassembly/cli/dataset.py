@@ -8,9 +8,10 @@ from typing import Annotated, Literal
 
 import tyro
 
-from roboassembly.cli.jobs import CORES, Jobs
+from roboassembly.cli.jobs import CORES, Jobs, Ray
 from roboassembly.cli.output import DONE, print_json, progress_bar
 from roboassembly.errors import InputError
+from roboassembly.processes import spread
 
 
 @dataclass(frozen=True)
@@ -25,6 +26,7 @@ class Dataset:
     """Another seed, other chairs."""
     jobs: Jobs = CORES
     """Chairs at a time."""
+    ray: Ray = None
     json: bool = False
     """Print one JSON object on stdout, all else on stderr."""
 
@@ -54,8 +56,8 @@ class Dataset:
         from roboassembly.furniture.datasets import RECIPES
         from roboassembly.solvers.curate import build
 
-        with progress_bar(desc=f"building {self.name}", unit="chair") as progress:
-            for done, of in build(RECIPES[self.name], self.seed, self.jobs):
+        with spread(self.ray, self.jobs) as jobs, progress_bar(desc=f"building {self.name}", unit="chair") as progress:
+            for done, of in build(RECIPES[self.name], self.seed, jobs):
                 progress.total = of
                 progress.update(done - progress.n)
 

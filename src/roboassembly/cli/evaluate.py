@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from roboassembly.cli.jobs import CORES, Jobs
+from roboassembly.cli.jobs import CORES, Jobs, Ray
 from roboassembly.cli.output import DONE, print_json, progress_bar, say
 from roboassembly.errors import InputError
+from roboassembly.processes import spread
 
 if TYPE_CHECKING:
     from roboassembly.learning.evaluate import Evaluation
@@ -48,6 +49,7 @@ class Evaluate:
     """Of the starts and the planner."""
     jobs: Jobs = CORES
     """Pieces at a time."""
+    ray: Ray = None
     export: Path | None = None
     """Write the successful episodes as a Minari data set: a new folder, named like `chairs-v0`."""
     json: bool = False
@@ -77,9 +79,10 @@ class Evaluate:
         picks = pick(self.set)[: self.limit]
         if self.sample is not None:
             picks = sampled(picks, self.sample, self.seed)
-        playing = evaluate(way, picks, self.seed, self.jobs, episodes=self.episodes)
         total = len(picks) * self.episodes
-        episodes = tuple(progress_bar(playing, total=total, unit="episode"))
+        with spread(self.ray, self.jobs) as jobs:
+            playing = evaluate(way, picks, self.seed, jobs, episodes=self.episodes)
+            episodes = tuple(progress_bar(playing, total=total, unit="episode"))
         evaluation = Evaluation(way, self.set, self.seed, episodes)
         report = evaluation.to_json()
         if self.export is not None:

@@ -1,4 +1,4 @@
-"""How many processes a command works with: `jobs: Jobs = CORES`."""
+"""How many processes a command works with, and where: `jobs: Jobs = CORES`, `ray: Ray = None`."""
 
 from __future__ import annotations
 
@@ -10,3 +10,11 @@ import tyro
 CORES = os.cpu_count() or 1
 Jobs = Annotated[int, tyro.conf.arg(help_behavior_hint="(default: one a core)")]
 """Its help is the same on every machine."""
+Ray = Annotated[
+    str | None,
+    tyro.conf.arg(
+        help="Spread the work over a Ray cluster: HOST:PORT of its head, `auto`, or `local`. All machines need this "
+        "package, and the same folders under the same paths."
+    ),
+]
+"""Address of a Ray cluster."""

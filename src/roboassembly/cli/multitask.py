@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 from tqdm import tqdm
 
-from roboassembly.cli.jobs import CORES, Jobs
+from roboassembly.cli.jobs import CORES, Jobs, Ray
 from roboassembly.cli.output import DONE, print_json, progress_bar, say, writable_folder
 from roboassembly.errors import InputError, MissingExtraError
+from roboassembly.processes import spread
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -55,6 +56,7 @@ class Multitask:
     """Of weights, starts and order."""
     jobs: Jobs = CORES
     """Processes."""
+    ray: Ray = None
     json: bool = False
     """Print one JSON object on stdout, all else on stderr."""
 
@@ -66,7 +68,8 @@ class Multitask:
             raise InputError("--limit and --steps take 1 or more")
         needs(*PACKAGES)
         writable_folder(self.out)
-        last = follow(self._relational() if self.preset == "relational" else self._paper(), self.out)
+        with spread(self.ray, self.jobs) as jobs:
+            last = follow(self._relational(jobs) if self.preset == "relational" else self._paper(), self.out)
         path = self.out / "policy.npz"
         report = {"preset": self.preset, "policy": str(path), "set": self.set, "seed": self.seed, "last": last}
         if self.json:
@@ -75,14 +78,14 @@ class Multitask:
             print(f"{path}: try it with roboassembly evaluate --policy {path}")
         return DONE
 
-    def _relational(self) -> Iterable[Progress]:
+    def _relational(self, jobs: int) -> Iterable[Progress]:
         from roboassembly.learning.multitask import Curriculum, teach
 
         curriculum = Curriculum(
             set=self.set, limit=self.limit, extra=self.extra, plays=self.plays, rounds=self.rounds,
             steps=self.steps or 16_000, round_steps=self.round_steps, seed=self.seed,
         )  # fmt: skip
-        return teach(curriculum, self.out, self.jobs)
+        return teach(curriculum, self.out, jobs)
 
     def _paper(self) -> Iterable[Progress]:
         if not self.lessons or self.extractor is None:

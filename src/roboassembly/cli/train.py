@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from roboassembly.cli.jobs import CORES, Jobs
+from roboassembly.cli.jobs import CORES, Jobs, Ray
 from roboassembly.cli.multitask import PACKAGES, Multitask, follow, needs
 from roboassembly.cli.output import DONE, DONE_BADLY, print_json, writable_folder
 from roboassembly.errors import InputError
+from roboassembly.processes import spread
 
 if TYPE_CHECKING:
     from roboassembly.furniture.datasets import Pick
@@ -36,13 +37,15 @@ class Autoencoder:
     """Of weights and order."""
     jobs: Jobs = CORES
     """Processes."""
+    ray: Ray = None
     json: bool = False
     """Print one JSON object on stdout, all else on stderr."""
 
     def run(self) -> int:
         """Do it; returns the exit status."""
         picks = self.prepared()
-        last = self.featured(picks)
+        with spread(self.ray, self.jobs) as jobs:
+            last = self.featured(picks, jobs)
         if self.json:
             chamfer = last.get("auto-encoder/chamfer")
             print_json({"set": self.set, "steps": self.schooling().features.steps, "chamfer": chamfer,
@@ -70,12 +73,12 @@ class Autoencoder:
         features = plain.features if self.steps is None else replace(plain.features, steps=self.steps)
         return replace(plain, features=features).seeded(self.seed)
 
-    def featured(self, picks: Sequence[Pick]) -> dict[str, float]:
+    def featured(self, picks: Sequence[Pick], jobs: int) -> dict[str, float]:
         """Train the auto-encoder unless it is done; what it said last."""
         from roboassembly.learning.single_task import teach_features
 
         notes = {"set": self.set, "limit": self.limit}
-        return follow(teach_features(picks, self.out, self.schooling(), notes, self.jobs), self.out)
+        return follow(teach_features(picks, self.out, self.schooling(), notes, jobs), self.out)
 
 
 @dataclass(frozen=True)
@@ -94,10 +97,11 @@ class Expert(Autoencoder):
         if min(self.side_by_side, self.plays) < 1:
             raise InputError("--side-by-side and --plays take 1 or more")
         picks = self.prepared()
-        self.featured(picks)
         from roboassembly.learning.single_task import results, teach_experts
 
-        follow(teach_experts(picks, self.out, self.schooling(), {"set": self.set}, self.jobs), self.out)
+        with spread(self.ray, self.jobs) as jobs:
+            self.featured(picks, jobs)
+            follow(teach_experts(picks, self.out, self.schooling(), {"set": self.set}, jobs), self.out)
         trained = results(picks, self.out)
         report = _report(picks, trained)
         if self.json:
