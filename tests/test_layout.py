@@ -22,7 +22,6 @@ from roboassembly.task.layout import (
     footprint,
     free_spot,
     group_footprint,
-    resting_rotations,
     scattered,
 )
 
@@ -81,7 +80,7 @@ def solid_angle(a: float, b: float, distance: float) -> float:
 
 def test_a_box_rests_on_its_six_faces() -> None:
     sides = (0.1, 0.2, 0.3)
-    rotations, likely = resting_rotations(shapes.brick(*sides))
+    rotations, likely = shapes.brick(*sides).resting_rotations
     assert likely.sum() == pytest.approx(1.0)
     down = np.array([r.T @ [0, 0, -1] for r in rotations])
     assert np.allclose(rotations @ rotations.transpose(0, 2, 1), np.eye(3), atol=1e-9)
@@ -104,7 +103,7 @@ def test_a_box_rests_on_its_six_faces() -> None:
 
 
 def test_a_cube_rests_on_each_face_alike() -> None:
-    _, likely = resting_rotations(shapes.brick(0.1, 0.1, 0.1))
+    _, likely = shapes.brick(0.1, 0.1, 0.1).resting_rotations
     assert np.allclose(np.sort(likely)[-6:], 1 / 6, atol=1e-6)
 
 
@@ -114,7 +113,7 @@ def test_poses_of_rest_are_at_rest(chair, family: str, seed: int) -> None:
     furniture = chair(family, seed)
     for shape_class in furniture.classes:
         mesh = furniture.parts[shape_class.members[0]].mesh
-        rotations, likely = resting_rotations(mesh)
+        rotations, likely = mesh.resting_rotations
         best = rotations[int(np.argmax(likely))]
         low = float((mesh.hull_vertices @ best[2]).min())
         settled = settle(
@@ -146,7 +145,7 @@ def test_scattered_parts_lie_apart_on_the_ground(chair, family: str, seed: int) 
         assert np.linalg.norm(a.center - b.center) >= a.radius + b.radius + SPACING - 1e-7
     for part, where in enumerate(state.part_poses):
         mesh = furniture.parts[part].mesh
-        rotations, _ = resting_rotations(mesh)
+        rotations, _ = mesh.resting_rotations
         # Up to a turn about the vertical it is one of the poses of rest.
         assert (rotations[:, 2] @ where.rotation[2]).max() > 1 - 1e-9
         assert np.allclose(where.rotation @ where.rotation.T, np.eye(3), atol=1e-9)

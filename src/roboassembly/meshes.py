@@ -11,6 +11,7 @@ import coal
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import ConvexHull, QhullError
+from scipy.spatial.transform import Rotation
 
 from roboassembly.errors import FurnitureError
 from roboassembly.poses import SE3, transform_points
@@ -140,6 +141,28 @@ class Mesh:
         normals = self.hull.face_normals[np.linalg.norm(self.hull.face_normals, axis=1) > 0.5]
         heights = self.hull_vertices @ normals.T
         return float((heights.max(axis=0) - heights.min(axis=0)).min())
+
+    @cached_property
+    def resting_rotations(self) -> tuple[Float[np.ndarray, "n 3 3"], Float[np.ndarray, "n"]]:
+        """Orientations in which it rests on the ground, and how likely each is when it is dropped anyhow.
+
+        Quasi-static tumbling of the convex hull (Goldberg et al. 1999, "Part Pose Statistics: Estimators and
+        Experiments"), as trimesh computes it.
+        """
+        import trimesh
+
+        # Slivers of a hull make trimesh divide by zero; their poses come out as NaN and are dropped here.
+        with np.errstate(invalid="ignore", divide="ignore"):
+            transforms, likely = trimesh.poses.compute_stable_poses(
+                self.hull, center_mass=self.center_of_mass, sigma=0.0, n_samples=1, threshold=0.0
+            )
+        likely = np.asarray(likely)
+        usable = np.isfinite(transforms).all(axis=(1, 2)) & np.isfinite(likely) & (likely > 0)
+        if not usable.any():
+            return np.eye(3)[None], np.ones(1)
+        # trimesh's rotations are orthonormal to about 1e-6 only.
+        rotations = Rotation.from_matrix(np.asarray(transforms)[usable, :3, :3]).as_matrix()
+        return rotations, likely[usable] / likely[usable].sum()
 
     @cached_property
     def bounds(self) -> Float[np.ndarray, "2 3"]:

@@ -22,7 +22,7 @@ from roboassembly.meshes import WOOD_DENSITY, Mesh
 from roboassembly.poses import SE3, transform_points, turn_about_vertical
 from roboassembly.scene import Body, Shape
 from roboassembly.task.groups import Group, center_of_mass, hull_points
-from roboassembly.task.layout import Circle, resting_rotations
+from roboassembly.task.layout import Circle
 
 POST_RADIUS = 0.018
 """Metres."""
@@ -127,7 +127,7 @@ def laid_out(furniture: Furniture, rng: np.random.Generator) -> tuple[Cell, tupl
     density = check_size(furniture)
     held: list[tuple[Group, Stand, float]] = []
     for index, part in enumerate(furniture.parts):
-        rotations, likely = resting_rotations(part.mesh)
+        rotations, likely = part.mesh.resting_rotations
         # At random, but so that hands can come to it: of several poses the one that leaves most grasps open.
         best: tuple[float, Group, Stand] | None = None
         for rest in rng.choice(len(rotations), size=min(_RESTS, len(rotations)), replace=False, p=likely):

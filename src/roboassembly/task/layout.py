@@ -4,15 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
-import trimesh
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation
 
 from roboassembly.furniture.model import Furniture
-from roboassembly.meshes import Mesh
 from roboassembly.poses import SE3, turn_about_vertical
 from roboassembly.task.groups import Group, TaskState, hull_points
 
@@ -80,32 +76,11 @@ def _crossings(centers: Float[np.ndarray, "n 2"], reach: Float[np.ndarray, "n"])
     return np.concatenate([foot + across[:, None] * normal, foot - across[:, None] * normal])
 
 
-@lru_cache(maxsize=4096)
-def resting_rotations(mesh: Mesh) -> tuple[Float[np.ndarray, "n 3 3"], Float[np.ndarray, "n"]]:
-    """Orientations in which a part rests on the ground, and how likely each is when it is dropped anyhow.
-
-    Quasi-static tumbling of the convex hull (Goldberg et al. 1999, "Part Pose Statistics: Estimators and
-    Experiments"), as trimesh computes it.
-    """
-    # Slivers of a hull make trimesh divide by zero; their poses come out as NaN and are dropped here.
-    with np.errstate(invalid="ignore", divide="ignore"):
-        transforms, likely = trimesh.poses.compute_stable_poses(
-            mesh.hull, center_mass=mesh.center_of_mass, sigma=0.0, n_samples=1, threshold=0.0
-        )
-    likely = np.asarray(likely)
-    usable = np.isfinite(transforms).all(axis=(1, 2)) & np.isfinite(likely) & (likely > 0)
-    if not usable.any():
-        return np.eye(3)[None], np.ones(1)
-    # trimesh's rotations are orthonormal to about 1e-6 only.
-    rotations = Rotation.from_matrix(np.asarray(transforms)[usable, :3, :3]).as_matrix()
-    return rotations, likely[usable] / likely[usable].sum()
-
-
 def scattered(furniture: Furniture, rng: np.random.Generator) -> TaskState:
     """Every part alone, at rest on the ground in a random place and pose."""
     placed: list[tuple[SE3, Circle]] = []
     for part in furniture.parts:
-        rotations, likely = resting_rotations(part.mesh)
+        rotations, likely = part.mesh.resting_rotations
         rest = rotations[rng.choice(len(rotations), p=likely)]
         turn = turn_about_vertical(rng.uniform(-np.pi, np.pi)) @ rest
         points = part.mesh.hull_vertices @ turn.T
