@@ -54,7 +54,7 @@ class FullEnv(AssemblyEnv[FullTask, FullState, FullOutcome]):
         budget: Budget | None = None,
     ) -> None:
         tasks = [FullTask(piece, budget) for piece in pieces_of(furniture)]
-        super().__init__(tasks, (GRASPS, GRASPS), max_parts, max_points, cloud_points)
+        super().__init__(tasks, FullTask.ways, max_parts, max_points, cloud_points)
 
     def _existing(self, task: FullTask, state: FullState) -> Bool[np.ndarray, "P P K K 8 8"]:
         return existing_actions(task, state, *self._padding)

@@ -52,7 +52,7 @@ class ObjectCentricEnv(AssemblyEnv[ObjectCentricTask, TaskState, Outcome]):
         budget: Budget | None = None,
     ) -> None:
         tasks = [ObjectCentricTask(piece, budget) for piece in pieces_of(furniture)]
-        super().__init__(tasks, (len(UP_AXES),), max_parts, max_points, cloud_points)
+        super().__init__(tasks, ObjectCentricTask.ways, max_parts, max_points, cloud_points)
 
     def _existing(self, task: ObjectCentricTask, state: TaskState) -> Bool[np.ndarray, "P P K K 6"]:
         return existing_actions(task, state, *self._padding)

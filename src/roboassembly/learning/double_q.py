@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 
-from roboassembly.learning.experts import WAYS, apply, existing
+from roboassembly.learning.experts import apply, existing
 from roboassembly.learning.layers import Array, Params
 
 _CLIP = 5.0
@@ -43,13 +43,13 @@ def loss(p: Params, target: Params, batch: dict[str, Array]) -> Array:
     Args:
         p: of the network that learns.
         target: of the target network.
-        batch: `features` and `part` of the chair; `joined`, `free`, `fails` (b, n, n, 6) of states; of some merges
+        batch: `features` and `part` of the chair; `joined`, `free`, `fails` (b, n, n, w) of states; of some merges
             known in each, `actions` (b, k, 3), `rewards`, `done`, `bound` and `real` (b, k), and the states that they
             lead to, `next_joined` (b * k, ...) and `next_free`. Rewards and bounds in shares of the best return.
     """
     fixed = batch["features"], batch["part"]
     q = apply(p, *fixed, batch["joined"], batch["free"])
-    b, n = q.shape[:2]
+    b, n, _, ways = q.shape
     fails = batch["fails"].astype(jnp.float32)
     # Wrong pairs are by far the most; what matters is not to rank one of them first, so the largest count most.
     wrong = (jnp.maximum(q, 0.0) ** 2 + 0.05 * q**2) * fails
@@ -57,8 +57,8 @@ def loss(p: Params, target: Params, batch: dict[str, Array]) -> Array:
     row, column, way = (batch["actions"][..., i] for i in range(3))
     chosen = q[jnp.arange(b)[:, None], row, column, way]
     after = batch["next_joined"], batch["next_free"]
-    online = jax.lax.stop_gradient(apply(p, *fixed, *after)).reshape(-1, n * n * WAYS)
-    there = jnp.repeat(existing(batch["part"], *after).reshape(-1, n * n), WAYS, axis=1)
+    online = jax.lax.stop_gradient(apply(p, *fixed, *after)).reshape(-1, n * n * ways)
+    there = jnp.repeat(existing(batch["part"], *after).reshape(-1, n * n), ways, axis=1)
     ahead = double_q_target(
         batch["rewards"].ravel(), batch["done"].ravel(), online, apply(target, *fixed, *after).reshape(online.shape),
         there,

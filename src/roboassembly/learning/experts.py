@@ -2,14 +2,16 @@
 
 As in the paper a state goes in as one vector, and Q-values of all actions come out. What differs: Q of
 `(u, v, k, l, w)` is read off the two points and `w` (a product of embeddings), where the paper decodes a vector for
-each action; and of the state that goes in, what is constant for one chair (features and points) describes the points,
-absolute poses are left out (they do not matter to what fits what), and of the connections it is told which parts are
-joined and which points are free (with one chair, this tells the relative poses too).
+each action; with robots it is the sum of what `g_a` and `g_b` add; and of the state that goes in, what is constant for
+one chair (features and points) describes the points, absolute poses are left out (they do not matter to what fits
+what), and of the connections it is told which parts are joined and which points are free (with one chair, this tells
+the relative poses too).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float32, Int
@@ -19,11 +21,10 @@ from roboassembly.learning.kinds import point_counts
 from roboassembly.learning.layers import Array, Params, gelu, init_linear, init_mlp, linear, mlp
 from roboassembly.task.groups import TaskState
 from roboassembly.task.object_centric import ObjectCentricTask, Verdict
-from roboassembly.task.rules import UP_AXES
+from roboassembly.task.setting import Task
 
 KIND = "expert"
 """Of checkpoints."""
-WAYS = len(UP_AXES)
 POINT_SIZES = (12, 20, 28, 36, 44, 52, 64, 80, 100, 130, 160, MAX_PARTS * MAX_POINTS)
 """Points are padded to one of these, so that few shapes are compiled."""
 _WIDTH, _RANK = 64, 32
@@ -41,6 +42,8 @@ class Chair:
     points: int
     """That are real."""
     parts: int
+    ways: tuple[int, ...]
+    """Choices after the two points: of `w`, or of `g_a` and `g_b`. Together they are numbered through."""
 
     @property
     def best(self) -> float:
@@ -48,7 +51,7 @@ class Chair:
         return self.parts + 3.0
 
 
-def chair_of(task: ObjectCentricTask, shapes: Float32[np.ndarray, "P s"]) -> Chair:
+def chair_of(task: Task[Any, Any], shapes: Float32[np.ndarray, "P s"]) -> Chair:
     """What of a chair never changes; `shapes` are the features of its parts."""
     furniture = task.furniture
     parts, counts = furniture.parts, point_counts(furniture)
@@ -62,16 +65,19 @@ def chair_of(task: ObjectCentricTask, shapes: Float32[np.ndarray, "P s"]) -> Cha
     size = next(s for s in POINT_SIZES if s >= len(part))
     features = np.zeros((size, 9 + shapes.shape[1]), np.float32)
     features[: len(part), :9], features[: len(part), 9:] = own.reshape(-1, 9), shapes[part]
-    return Chair(features, np.pad(part, (0, size - len(part))), len(part), len(parts))
+    return Chair(features, np.pad(part, (0, size - len(part))), len(part), len(parts), task.ways)
 
 
-def init(rng: np.random.Generator, points: int, features: int) -> Params:
+def init(
+    rng: np.random.Generator, points: int, features: int, ways: tuple[int, ...] = ObjectCentricTask.ways
+) -> Params:
     """Fresh weights.
 
     Args:
         rng: draws them.
         points: padded.
         features: numbers that describe a point for good.
+        ways: of the chair.
     """
     return {
         "state": init_mlp(rng, len(_ABOVE[0]) + points, 128, _WIDTH),
@@ -80,9 +86,15 @@ def init(rng: np.random.Generator, points: int, features: int) -> Params:
         "hidden": init_linear(rng, _WIDTH, _WIDTH),
         "u": init_linear(rng, _WIDTH, _RANK),
         "v": init_linear(rng, _WIDTH, _RANK),
-        "ways": rng.normal(0.0, _RANK**-0.5, (_RANK, WAYS)).astype(np.float32),
-        "way_u": init_linear(rng, _WIDTH, WAYS),
-        "way_v": init_linear(rng, _WIDTH, WAYS),
+        "heads": {str(i): _init_head(rng, count) for i, count in enumerate(ways)},
+    }
+
+
+def _init_head(rng: np.random.Generator, ways: int) -> Params:
+    return {
+        "ways": rng.normal(0.0, _RANK**-0.5, (_RANK, ways)).astype(np.float32),
+        "u": init_linear(rng, _WIDTH, ways),
+        "v": init_linear(rng, _WIDTH, ways),
     }
 
 
@@ -97,7 +109,7 @@ def apply(p: Params, features: Array, part: Array, joined: Array, free: Array) -
         free: (b, n) whether a point exists and is free, 1 or 0.
 
     Returns:
-        (b, n, n, 6).
+        (b, n, n, w) over all ways.
     """
     xp = joined.__array_namespace__()
     b, n = free.shape
@@ -107,10 +119,21 @@ def apply(p: Params, features: Array, part: Array, joined: Array, free: Array) -
     token = linear(p["token"], xp.concatenate([fixed, joined[:, part], size, free[..., None]], axis=2))
     token = gelu(token + whole[:, None] + p["slot"][None])
     token = gelu(linear(p["hidden"], token))
-    u = linear(p["u"], token)[:, :, None] * p["ways"].T
-    pairs = xp.reshape(u, (b, n * WAYS, _RANK)) @ xp.swapaxes(linear(p["v"], token), 1, 2)
-    q = xp.moveaxis(xp.reshape(pairs, (b, n, WAYS, n)), 2, 3)
-    return q + linear(p["way_u"], token)[:, :, None] + linear(p["way_v"], token)[:, None]
+    u, v = linear(p["u"], token), linear(p["v"], token)
+    q, *more = (_apply_head(p["heads"][str(i)], token, u, v) for i in range(len(p["heads"])))
+    for other in more:
+        q = xp.reshape(q[..., :, None] + other[..., None, :], (b, n, n, -1))
+    return q
+
+
+def _apply_head(p: Params, token: Array, u: Array, v: Array) -> Array:
+    """(b, n, n, w): what one choice adds."""
+    xp = token.__array_namespace__()
+    b, n, _ = u.shape
+    ways = p["ways"].shape[1]
+    moved = xp.reshape(u[:, :, None] * p["ways"].T, (b, n * ways, _RANK))
+    pairs = xp.reshape(moved @ xp.swapaxes(v, 1, 2), (b, n, ways, n))
+    return xp.moveaxis(pairs, 2, 3) + linear(p["u"], token)[:, :, None] + linear(p["v"], token)[:, None]
 
 
 def existing(part: Array, joined: Array, free: Array) -> Array:
@@ -126,7 +149,7 @@ class Expert:
     chair: Chair
     params: Params
 
-    def values(self, joined: Bool[np.ndarray, "20 20"], free: Bool[np.ndarray, "m"]) -> Float32[np.ndarray, "m m 6"]:
+    def values(self, joined: Bool[np.ndarray, "20 20"], free: Bool[np.ndarray, "m"]) -> Float32[np.ndarray, "m m w"]:
         """Q over all points of the chair, in shares of the best return; -inf where the action does not exist."""
         c, m = self.chair, len(free)
         padded = np.zeros((1, len(c.part)), np.float32)
@@ -142,22 +165,22 @@ class Move:
     """One step of a play."""
 
     state: TaskState
-    values: Float32[np.ndarray, "m m 6"]
+    values: Float32[np.ndarray, "m m w"]
     action: tuple[int, int, int]
-    """Rows of the two points and `w`."""
-    verdict: Verdict
+    """Rows of the two points and number of the way."""
+    verdict: str
 
 
-def told(task: ObjectCentricTask, state: TaskState) -> tuple[Bool[np.ndarray, "20 20"], Bool[np.ndarray, "m"]]:
+def told(task: Task[Any, Any], state: TaskState) -> tuple[Bool[np.ndarray, "20 20"], Bool[np.ndarray, "m"]]:
     """Of a state, which parts are joined and which points are free: what an expert sees."""
     joined = np.zeros((MAX_PARTS, MAX_PARTS), bool)
     for group in state.groups:
         joined[np.ix_(group.parts, group.parts)] = True
-    free = task.free_points(state)
+    free = task.rules.free_points(state)
     return joined, np.concatenate([free[i, :count] for i, count in enumerate(point_counts(task.furniture))])
 
 
-def play(expert: Expert, task: ObjectCentricTask, seed: int, margin: float = 0.0) -> list[Move]:
+def play(expert: Expert, task: Task[Any, Any], seed: int, margin: float = 0.0) -> list[Move]:
     """One episode in the real environment, nothing remembered.
 
     Args:
@@ -168,14 +191,15 @@ def play(expert: Expert, task: ObjectCentricTask, seed: int, margin: float = 0.0
     """
     rng = np.random.default_rng(seed)
     state, moves = task.initial_state(rng), []
-    while not state.complete:
-        values = expert.values(*told(task, state))
-        row, column, w = choose(values, rng, margin)
+    while not task.joined(state).complete:
+        values = expert.values(*told(task, task.joined(state)))
+        row, column, way = choose(values, rng, margin)
         part, point = expert.chair.part, _point(expert.chair)
-        action = (int(part[row]), int(part[column]), int(point[row]), int(point[column]), w)
+        ways = (int(i) for i in np.unravel_index(way, task.ways))
+        action = (int(part[row]), int(part[column]), int(point[row]), int(point[column]), *ways)
         outcome = task.step(state, action, int(rng.integers(2**31 - 1)))
-        moves.append(Move(state, values, (row, column, w), outcome.verdict))
-        if outcome.verdict is not Verdict.MERGED:
+        moves.append(Move(task.joined(state), values, (row, column, way), outcome.verdict))
+        if outcome.verdict != Verdict.MERGED:
             break
         state = outcome.state
     return moves
@@ -183,10 +207,10 @@ def play(expert: Expert, task: ObjectCentricTask, seed: int, margin: float = 0.0
 
 def finished(moves: list[Move], chair: Chair) -> bool:
     """Whether a play ended with the whole chair."""
-    return len(moves) == chair.parts - 1 and moves[-1].verdict is Verdict.MERGED
+    return len(moves) == chair.parts - 1 and moves[-1].verdict == Verdict.MERGED
 
 
-def choose(values: Float32[np.ndarray, "m m 6"], rng: np.random.Generator, margin: float = 0.0) -> tuple[int, int, int]:
+def choose(values: Float32[np.ndarray, "m m w"], rng: np.random.Generator, margin: float = 0.0) -> tuple[int, int, int]:
     """The action with the highest Q, or any that is at most `margin` below."""
     best = values.max()
     pick = int(rng.choice(np.flatnonzero(values.ravel() >= best - margin))) if margin else int(values.argmax())

@@ -9,7 +9,6 @@ from jaxtyping import Int
 
 from roboassembly.furniture.model import SAME_POINT, Furniture
 from roboassembly.poses import SE3
-from roboassembly.task.object_centric import ObjectCentricTask
 
 _SAME_AXIS = 1e-2
 """Of unit vectors of two points that count as equal, largest difference."""
@@ -64,9 +63,8 @@ def point_counts(furniture: Furniture) -> Int[np.ndarray, "P"]:
     return np.array([own[list(furniture.classes[c].members)].max() for c in furniture.class_of])
 
 
-def equals(task: ObjectCentricTask) -> Int[np.ndarray, "P"]:
+def equals(furniture: Furniture) -> Int[np.ndarray, "P"]:
     """For each part the first one that equals it, in shape and in connection points."""
-    furniture = task.furniture
     points = [np.array([[p.position, p.normal, p.tangent] for p in part.points]) for part in furniture.parts]
     out = np.arange(len(points))
     for i, own in enumerate(points):

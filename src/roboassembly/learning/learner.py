@@ -18,7 +18,8 @@ from jaxtyping import Bool, Float32
 from roboassembly.learning.experts import Chair
 from roboassembly.learning.layers import Params
 from roboassembly.learning.practice import Practice
-from roboassembly.learning.rehearsal import FAILS, MERGES, UNKNOWN, WAYS, Action, Rehearsal, State
+from roboassembly.learning.rehearsal import Action, Rehearsal, State
+from roboassembly.learning.trials import FAILS, MERGES, UNKNOWN
 
 _RECENT = 4_000
 """Visits that the younger half of the replay memory reaches back."""
@@ -130,7 +131,7 @@ class Memory:
             [rng.choice(self.recent[-_RECENT:], third), rng.choice(path, third), rng.choice(left, c.batch - 2 * third)]
         )
         n, m = len(self.chair.part), self.chair.points
-        fails = np.zeros((c.batch, n, n, WAYS), bool)
+        fails = np.zeros((c.batch, n, n, self.rehearsal.ways), bool)
         actions = np.zeros((c.batch, c.backups, 3), np.int32)
         after = np.zeros((c.batch, c.backups), int)
         real = np.zeros((c.batch, c.backups), np.float32)
@@ -204,7 +205,7 @@ class Learner:
         """Whether any play finished the chair."""
         return self.memory.best[0] > 1.0 - 1e-6
 
-    def move(self, q: Float32[np.ndarray, "n n 6"]) -> None:
+    def move(self, q: Float32[np.ndarray, "n n w"]) -> None:
         """One step of the environment; starts a new episode where one ends.
 
         Args:
@@ -243,10 +244,10 @@ class Learner:
         self.at = 0
         del self.memory.recent[: -2 * _RECENT]
 
-    def _choose(self, state: State, q: Float32[np.ndarray, "n n 6"]) -> Action:
+    def _choose(self, state: State, q: Float32[np.ndarray, "n n w"]) -> Action:
         c, rng, rehearsal = self.config, self.rng, self.memory.rehearsal
         m = self.memory.chair.points
-        exists = np.broadcast_to(rehearsal.exists(state)[..., None], (m, m, WAYS))
+        exists = np.broadcast_to(rehearsal.exists(state)[..., None], (m, m, rehearsal.ways))
         q = np.where(exists, q[:m, :m], -np.inf)
         if self._greedy:
             return _unravel(int(np.argmax(q)), q.shape)
@@ -276,7 +277,7 @@ class Learner:
         hope = ((merged + 0.5) / (failed + merged + 1.0)) ** 2
         return int(self.rng.choice(untried, p=hope / hope.sum()))
 
-    def _untried(self, unknown: Bool[np.ndarray, "m m 6"]) -> np.ndarray:
+    def _untried(self, unknown: Bool[np.ndarray, "m m w"]) -> np.ndarray:
         """Flat indices of actions worth a try: of points that have been a right pair, or that were never tried."""
         wrong, right = self.memory.rehearsal.tried > 0
         familiar = np.flatnonzero(unknown & right[..., None])

@@ -17,7 +17,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from roboassembly.learning.layers import Params
-from roboassembly.learning.rehearsal import BLOCKED, FAILS, MERGES, UNKNOWN, WAYS, Action, Rehearsal, State
+from roboassembly.learning.rehearsal import Action, Rehearsal, State
+from roboassembly.learning.trials import BLOCKED, FAILS, MERGES, UNKNOWN
 
 Pair = tuple[int, int]
 """Rows of two points, the lower first."""
@@ -35,9 +36,6 @@ _WORSE = 0.03
 """Share of plays that are kept although they led less far."""
 _FEW = 3
 """Groups left with which it is worth it to try more ways."""
-_GIVE_UP = (2, 6)
-"""Ways without a path after which a play gives two groups up, although other ways were not tried; the same with few
-groups left."""
 _SWAP = 4.0
 """How much more likely an action is tried whose roles, swapped, had no free goal; and less, if they had no path."""
 _ORDERED = 0.6
@@ -166,7 +164,11 @@ class Practice:
         """Pairs that were right before and are not given up here; symmetric."""
         works, blocked = (known == MERGES).any(axis=2), (known == BLOCKED).sum(axis=2)
         open_ = (known == UNKNOWN).any(axis=2)
-        open_ = works | works.T | ((open_ | open_.T) & (blocked + blocked.T < _GIVE_UP[len(state) <= _FEW]))
+        open_ = (
+            works
+            | works.T
+            | ((open_ | open_.T) & (blocked + blocked.T < self.rehearsal.trial.patience[len(state) <= _FEW]))
+        )
         out = exists & (self.rehearsal.tried[1] > 0) & open_
         if not out.any():
             return out
@@ -183,21 +185,22 @@ class Practice:
         if not len(fresh):
             return None
         row, column = fresh[self.rng.integers(len(fresh))].tolist()
-        return row, column, int(self.rng.integers(WAYS))
+        return row, column, int(self.rng.integers(self.rehearsal.ways))
 
     def _way(self, pair: Pair, known: np.ndarray) -> Action:
         """Who moves, and with which `w`."""
         row, column = self._last = pair
-        actions = [(a, b, w) for a, b in ((row, column), (column, row)) for w in range(WAYS)]
+        actions = [(a, b, w) for a, b in ((row, column), (column, row)) for w in range(self.rehearsal.ways)]
         works = [a for a in actions if known[a] == MERGES]
         if works:
             return works[self.rng.integers(len(works))]
         untried = [a for a in actions if known[a] == UNKNOWN]
         failed, merged = np.array([self.rehearsal.went(a, b)[:, w] for a, b, w in untried]).T
         hope = ((merged + 0.5) / (failed + merged + 1.0)) ** 2
-        # Where the goal was in collision, it often was the ground's; then who waits should move.
-        swapped = np.array([known[b, a, w] for a, b, w in untried])
-        hope *= np.select([swapped == FAILS, swapped == BLOCKED], [_SWAP, 1.0 / _SWAP], 1.0)
+        if self.rehearsal.trial.roles_matter:
+            # Where the goal was in collision, it often was the ground's; then who waits should move.
+            swapped = np.array([known[b, a, w] for a, b, w in untried])
+            hope *= np.select([swapped == FAILS, swapped == BLOCKED], [_SWAP, 1.0 / _SWAP], 1.0)
         return untried[self.rng.choice(len(untried), p=hope / hope.sum())]
 
     def joined(self, state: State, action: Action) -> None:

@@ -24,44 +24,41 @@ from roboassembly.learning.features import turns_between
 from roboassembly.learning.kinds import Kind, Named, Table, equals, point_counts
 from roboassembly.learning.layers import Params
 from roboassembly.learning.relations import Placed, Relations
-from roboassembly.planning.problem import Budget
+from roboassembly.learning.trials import FAILS, MERGES, UNKNOWN, trial_of
 from roboassembly.poses import SE3
+from roboassembly.task.full import FullTask
 from roboassembly.task.groups import Group, TaskState
 from roboassembly.task.layout import free_spot, group_footprint
-from roboassembly.task.object_centric import ObjectCentricTask, Verdict
+from roboassembly.task.object_centric import ObjectCentricTask
 from roboassembly.task.pairs import ANGLE_TOLERANCE, POSITION_TOLERANCE
-from roboassembly.task.rules import UP_AXES
 
-BUDGET = Budget(states=0)
-"""Of the planner: straight retreats only. What they do not solve, a sampling planner seldom does."""
-UNKNOWN, MERGES, FAILS, BLOCKED = range(4)
-"""What is known of an action; it fails from `FAILS` on: a wrong pair or a goal in collision, or no way to the goal."""
-_KNOWN = {Verdict.MERGED: MERGES, Verdict.GOAL_IN_COLLISION: FAILS}
-WAYS = len(UP_AXES)
 _CACHED = 150e6
 """Bytes of tables of what is known that are kept, each of one state."""
 State = tuple[int, ...]
 """Names of its groups, ascending."""
 Action = tuple[int, int, int]
-"""Rows of the two points among all points of the chair, and `w`."""
+"""Rows of the two points among all points of the chair, and the number of the way: `w`, or `8 g_a + g_b`."""
 
 
 class Rehearsal:
     """An environment with a memory, for one chair.
 
     Args:
-        task: of the chair.
+        task: of the chair, in either setting.
         seed: of the one start that all episodes share, and of the planner.
     """
 
-    def __init__(self, task: ObjectCentricTask, seed: int) -> None:
+    def __init__(self, task: ObjectCentricTask | FullTask, seed: int) -> None:
         self.task, self._seed = task, seed
+        self.ways = int(np.prod(task.ways))
+        """That every two points have."""
+        self.trial = trial_of(task)
         counts = point_counts(task.furniture)
         self.part = np.repeat(np.arange(len(counts)), counts)
         """Part of each row; the chair's points are numbered through."""
         self.point = np.concatenate([np.arange(n) for n in counts])
         self._first = np.cumsum([0, *counts])
-        self.like = equals(task)
+        self.like = equals(task.furniture)
         """The first part that equals each part."""
         self._row_like = self._first[self.like[self.part]] + self.point
         self._kinds: list[Kind] = []
@@ -81,10 +78,11 @@ class Rehearsal:
         self._between: dict[tuple[int, int, int, int], Int[np.ndarray, "n"]] = {}
         n = len(self.part)
         self._tried = np.zeros((2, n, n), np.int32)
-        self._went = np.zeros((2, n, n, WAYS), np.int32)
+        self._went = np.zeros((2, n, n, self.ways), np.int32)
         self.planned = 0
         """Merges that were planned, not remembered."""
-        initial = task.initial_state(np.random.default_rng(seed))
+        rng = np.random.default_rng(seed)
+        initial = task.initial_state(rng).groups if isinstance(task, FullTask) else task.initial_state(rng)
         self._start = {g.parts[0]: g for g in initial.groups}
         self.start: State = tuple(sorted(self._loose(p) for p in range(len(counts))))
 
@@ -93,8 +91,8 @@ class Rehearsal:
         """How often two points were found to be a wrong pair, and a right one, whatever the groups; symmetric."""
         return self._tried[:, self._row_like][:, :, self._row_like]
 
-    def went(self, row: int | np.ndarray, column: int | np.ndarray) -> Int[np.ndarray, "2 *k 6"]:
-        """How often right pairs of points failed, and merged, with each `w`, whatever the groups."""
+    def went(self, row: int | np.ndarray, column: int | np.ndarray) -> Int[np.ndarray, "2 *k w"]:
+        """How often right pairs of points failed, and merged, in each way, whatever the groups."""
         return self._went[:, self._row_like[row], self._row_like[column]]
 
     def step(self, state: State, action: Action) -> State | None:
@@ -114,7 +112,7 @@ class Rehearsal:
         row, column, w = action
         one, two = key[:2]
         names = (int(self.part[row]), int(self.part[column]), int(self.point[row]), int(self.point[column]), w)
-        merge = self.task.pairs.judge(self._group(one), self._group(two), names[0], names[2], names[1], names[3])
+        merge = self.task.rules.pairs.judge(self._group(one), self._group(two), names[0], names[2], names[1], names[3])
         alike = self._alike(one, two, row, column)
         if merge is None:
             self._count(self._tried[0], one, two, alike)
@@ -129,28 +127,28 @@ class Rehearsal:
             self._count(self._tried[1].T, one, two, alike)
         if not merges or label not in self._kind_names:
             self.planned += 1
-            before = self.laid_out(state)
             kinds = self._groups[one].kind, self._groups[two].kind
             seed = int(np.random.SeedSequence([self._seed, *kinds, *key[2:], w]).generate_state(1)[0])
-            if label in self._kind_names:
-                # How it comes to rest is known; only whether it comes about is not.
-                mating = self.task.prepare(before, names)
-                assert mating is not None
-                result = self.task.plan(mating, seed, BUDGET)
-                verdict = Verdict.MERGED if result.solved else Verdict(result.status.value)
-            else:
-                outcome = self.task.step(before, names, seed, BUDGET)
-                verdict = outcome.verdict
-                if verdict is Verdict.MERGED:
-                    self._kind(next(g for g in outcome.state.groups if names[0] in g.parts), label)
-            merges = verdict is Verdict.MERGED
-            self._count(self._went[int(merges), :, :, w], one, two, alike)
-            self._learn(one, two, alike, w, _KNOWN.get(verdict, BLOCKED))
+            groups = self._group(one), self._group(two)
+            found = self.trial(groups, lambda: self.laid_out(state), names, seed, label in self._kind_names)
+            if found.merged is not None and label not in self._kind_names:
+                self._kind(found.merged, label)
+            merges = found.verdict == MERGES
+            if self.trial.by_part:
+                alike = self._of_same_parts(one, two, alike)
+            for way in found.ways:
+                self._count(self._went[int(merges), :, :, way], one, two, alike)
+                self._learn(one, two, alike, way, found.verdict)
         if merges:
             part_in = dict(zip(merge.merged.slots, merge.merged.parts, strict=True))
             kind = self._kind_names[label]
             self._outcomes[key] = self._name(kind, tuple(part_in[slot] for slot in self._kinds[kind].slots))
         return merges
+
+    def _of_same_parts(self, one: int, two: int, alike: Int[np.ndarray, "a 2"]) -> Int[np.ndarray, "a 2"]:
+        """Of such pairs those between the same two parts as the first."""
+        parts = [self.part[self._groups[g].rows[alike[:, i]]] for i, g in enumerate((one, two))]
+        return alike[(parts[0] == parts[0][0]) & (parts[1] == parts[1][0])]
 
     def _count(self, counts: np.ndarray, one: int, two: int, alike: Int[np.ndarray, "a 2"]) -> None:
         rows, columns = (self._row_like[self._groups[g].rows[alike[:, i]]] for i, g in enumerate((one, two)))
@@ -260,12 +258,13 @@ class Rehearsal:
         """From now on the action fails wherever such groups meet."""
         row, column, w = action
         one, two = self.owner(state, row), self.owner(state, column)
-        self._learn(one, two, self._alike(one, two, row, column), w, FAILS)
+        alike = self._alike(one, two, row, column)
+        self._learn(one, two, self._of_same_parts(one, two, alike) if self.trial.by_part else alike, w, FAILS)
 
-    def known(self, state: State) -> Int8[np.ndarray, "n n 6"]:
+    def known(self, state: State) -> Int8[np.ndarray, "n n w"]:
         """What is known of each action of a state: `UNKNOWN`, `MERGES`, `FAILS` or `BLOCKED`. Not to be changed."""
         n = len(self.part)
-        seen, out = self._cache.pop(state, None) or (0, np.zeros((n, n, WAYS), np.int8))
+        seen, out = self._cache.pop(state, None) or (0, np.zeros((n, n, self.ways), np.int8))
         fresh = self._known.since(seen)
         if len(fresh):
             members: dict[int, list[Named]] = {}
@@ -363,7 +362,7 @@ class Rehearsal:
         if key not in self._kind_names:
             self._kind_names[key] = len(self._kinds)
             order = np.argsort(group.slots)
-            free_points = self.task.free_points(TaskState((group,)))
+            free_points = self.task.rules.free_points(TaskState((group,)))
             parts = [group.parts[i] for i in order]
             free = np.flatnonzero(np.concatenate([free_points[p, : len(self._points(p))] for p in parts]))
             slots, poses = (tuple(of[i] for i in order) for of in (group.slots, group.furniture_from_part))

@@ -89,6 +89,9 @@ class Joint:
 class FullTask:
     """The rules of the full setting for one piece of furniture."""
 
+    ways = (GRASPS, GRASPS)
+    """Choices that an action has after its pair: `g_a` and `g_b`."""
+
     def __init__(self, furniture: Furniture, budget: Budget | None = None) -> None:
         self.furniture = furniture
         self.budget = budget or BUDGET

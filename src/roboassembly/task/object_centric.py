@@ -69,6 +69,9 @@ class Mating:
 class ObjectCentricTask:
     """The rules of the object-centric setting for one piece of furniture."""
 
+    ways = (len(UP_AXES),)
+    """Choices that an action has after its pair: `w`."""
+
     def __init__(self, furniture: Furniture, budget: Budget | None = None) -> None:
         self.furniture = furniture
         self.budget = budget or Budget()

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from roboassembly.furniture.model import Furniture, mate
-from roboassembly.poses import SE3
+from roboassembly.poses import SE3, rotation_angle
 from roboassembly.task.groups import Group, TaskState
 
 POSITION_TOLERANCE = 3e-3
@@ -22,6 +22,10 @@ legs under a top that does not lie quite level on them."""
 ANGLE_TOLERANCE = float(np.deg2rad(2.0))
 """Radians between a part and its slot, after the best symmetry of its shape."""
 _COSINE = 1.0 + 2.0 * np.cos(ANGLE_TOLERANCE)
+_STIFF_POSITION, _STIFF_ANGLE = 1e-5, 1e-4
+"""Metres and radians by which parts of one group may be told elsewhere: what is joined stays as it is. Tolerance is for
+what is not joined yet; else a group that takes other slots, those of parts that are equal within tolerance only, would
+be bent into them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +67,8 @@ class PairRule:
         v_group_from_u_group = points_of_v * v_from_u * points_of_u.inverse()
         members = (*v_group.parts, *u_group.parts)
         poses = (*v_group.furniture_from_part, *(v_group_from_u_group * p for p in u_group.furniture_from_part))
-        fit = next(self._embeddings(members, poses), None)
+        joined = (range(len(v_group.parts)), range(len(v_group.parts), len(members)))
+        fit = next(self._embeddings(members, poses, joined), None)
         if fit is None:
             return None
         slots, placed = fit
@@ -92,7 +97,8 @@ class PairRule:
         key = (group.parts, group.slots, turns.tobytes())
         if key not in self._places:
             found: dict[frozenset[int], tuple[tuple[int, ...], tuple[SE3, ...]]] = {}
-            for slots, placed in self._embeddings(group.parts, group.furniture_from_part):
+            joined = (range(len(group.parts)),)
+            for slots, placed in self._embeddings(group.parts, group.furniture_from_part, joined):
                 told = tuple(slots.tolist())
                 found.setdefault(frozenset(told), (told, tuple(placed)))
             found.pop(frozenset(group.slots), None)
@@ -135,9 +141,15 @@ class PairRule:
                     yield [group, *others]
 
     def _embeddings(
-        self, members: tuple[int, ...], poses: tuple[SE3, ...]
+        self, members: tuple[int, ...], poses: tuple[SE3, ...], joined: Sequence[range]
     ) -> Iterator[tuple[Int[np.ndarray, "m"], list[SE3]]]:
-        """Distinct slots of their classes for parts at `poses` after one common motion: the least first, by angle."""
+        """Distinct slots of their classes for parts at `poses` after one common motion: the least first, by angle.
+
+        Args:
+            members: the parts.
+            poses: where each is.
+            joined: which of them, by their places in `members`, are rigidly joined.
+        """
         classes = self._class_of[list(members)]
         ways = [len(self._slots[c]) for c in classes]
         anchor = int(np.argmin(ways))
@@ -157,7 +169,7 @@ class PairRule:
             if len(set(slots.tolist())) < len(slots):
                 continue
             exact = self._in_slots(classes, slots, motions[candidate] @ rotations)
-            if exact is not None:
+            if exact is not None and all(_is_rigid([(poses[i], exact[i]) for i in some]) for some in joined):
                 yield slots, exact
 
     def _in_slots(
@@ -173,3 +185,15 @@ class PairRule:
                 return None
             out.append(SE3(ways[best], self._slot_positions[slot]))
         return out
+
+
+def _is_rigid(moved: Sequence[tuple[SE3, SE3]]) -> bool:
+    """Whether one motion takes all first poses to the second ones."""
+    motion = moved[0][1] * moved[0][0].inverse()
+    for before, after in moved[1:]:
+        there = motion * before
+        if np.linalg.norm(there.translation - after.translation) > _STIFF_POSITION:
+            return False
+        if rotation_angle(there.rotation.T @ after.rotation) > _STIFF_ANGLE:
+            return False
+    return True

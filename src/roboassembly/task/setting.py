@@ -59,6 +59,11 @@ class Task(Protocol[State, Step_co]):
         """About pairs."""
         ...
 
+    @property
+    def ways(self) -> tuple[int, ...]:
+        """How many choices an action has after its pair: of `w`, or of `g_a` and `g_b`."""
+        ...
+
     def initial_state(self, rng: np.random.Generator) -> State:
         """How an episode begins."""
         ...
