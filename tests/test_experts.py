@@ -13,7 +13,9 @@ from roboassembly.furniture.datasets import Pick, pick
 from roboassembly.learning import autoencoder, checkpoint, experts
 from roboassembly.learning.experts import Chair, Expert, chair_of, play, told
 from roboassembly.learning.practice import Practice
-from roboassembly.learning.rehearsal import FAILS, MERGES, UNKNOWN, WAYS, Rehearsal
+from roboassembly.learning.rehearsal import Rehearsal
+from roboassembly.learning.trials import FAILS, MERGES, UNKNOWN
+from roboassembly.task.full import FullTask, Refusal
 from roboassembly.task.object_centric import ObjectCentricTask, Verdict
 
 jax = pytest.importorskip("jax")
@@ -44,7 +46,7 @@ def _play_at_random(rehearsal: Rehearsal, rng: np.random.Generator, episodes: in
     for _ in range(episodes):
         state = rehearsal.start
         while len(state) > 1:
-            known, exists = rehearsal.known(state), rehearsal.exists(state)[..., None] & np.ones(WAYS, bool)
+            known, exists = rehearsal.known(state), rehearsal.exists(state)[..., None] & np.ones(rehearsal.ways, bool)
             options = np.argwhere(exists & (known < FAILS))
             if not len(options):
                 break
@@ -68,7 +70,7 @@ def test_equal_parts_with_other_points_can_be_learnt() -> None:
     learner = Learner(Memory(rehearsal, chair), LearnerConfig(), np.random.default_rng(0))
     n = len(chair.part)
     for _ in range(300):
-        learner.move(np.zeros((n, n, WAYS), np.float32))
+        learner.move(np.zeros((n, n, 6), np.float32))
     assert learner.memory.sample(learner.rng, learner.config)["fails"].any()
     expert = Expert(chair, experts.init(np.random.default_rng(0), n, chair.features.shape[1]))
     assert play(expert, task, 0)
@@ -102,6 +104,51 @@ def test_remembered_outcomes_are_those_of_fresh_steps(family: str) -> None:
     assert checked > 30
     # Equal parts are equal to a tolerance, and where things lie may decide in a close case.
     assert differing <= 0.03 * checked
+
+
+def test_what_is_remembered_of_hands_is_what_fresh_tests_say() -> None:
+    """200 outcomes: all tests but the arms' depend on the groups alone, so that nothing may differ."""
+    task = FullTask(catalogue.make("three_legged", 24))
+    rehearsal, rng = Rehearsal(task, 3), np.random.default_rng(0)
+    _play_at_random(rehearsal, rng, 150)
+    states, checked = [rehearsal.start], {MERGES: 0, FAILS: 0}
+    for state in states:
+        known, exists = rehearsal.known(state), rehearsal.exists(state)[..., None]
+        before = rehearsal.laid_out(state)
+        for verdict, some in ((MERGES, known == MERGES), (FAILS, known >= FAILS)):
+            actions = np.argwhere(some & exists)
+            for row, column, way in actions[rng.permutation(len(actions))[: 100 - checked[verdict]]].tolist():
+                ends = (rehearsal.part[row], rehearsal.part[column], rehearsal.point[row], rehearsal.point[column])
+                fresh = task.joint(before, (*(int(n) for n in ends), *divmod(way, 8)))
+                assert isinstance(fresh, Refusal) == (verdict == FAILS)
+                checked[verdict] += 1
+                if verdict == MERGES:
+                    after = rehearsal.step(state, (row, column, way))
+                    assert after is not None
+                    states += [after] if len(after) > 1 and after not in states else []
+    assert checked == {MERGES: 100, FAILS: 100}
+
+
+def test_an_expert_plays_with_robots() -> None:
+    task = FullTask(catalogue.make("three_legged", 24))
+    chair = _chair(task)
+    assert chair.ways == (8, 8)
+    n = len(chair.part)
+    learner = Learner(Memory(Rehearsal(task, 0), chair), LearnerConfig(), np.random.default_rng(0))
+    for _ in range(40):
+        learner.move(np.zeros((n, n, 64), np.float32))
+    batch = learner.memory.sample(learner.rng, learner.config)
+    assert batch["fails"].shape[1:] == (n, n, 64)
+    expert = Expert(chair, experts.init(np.random.default_rng(0), n, chair.features.shape[1], chair.ways))
+    moves = play(expert, task, 0)
+    assert moves
+    assert moves[0].values.shape == (chair.points, chair.points, 64)
+    # What the two hands add is added up.
+    joined, free = told(task, task.initial_state(np.random.default_rng(0)).groups)
+    q = expert.values(joined, free)
+    u, v = np.argwhere(np.isfinite(q).all(axis=2))[0]
+    grid = q[u, v].reshape(8, 8)
+    np.testing.assert_allclose(grid - grid[:1] - grid[:, :1] + grid[0, 0], 0.0, atol=1e-5)
 
 
 def test_nothing_is_known_before_it_was_tried() -> None:
@@ -198,7 +245,7 @@ def test_a_small_chair_is_mastered_and_taught(tmp_path: Path) -> None:
     lesson = course.lessons[0]
     n = int(lesson.free.sum())
     assert lesson.values is not None
-    assert lesson.values.shape == (n, n, WAYS)
+    assert lesson.values.shape == (n, n, 6)
     best = len(task.furniture.parts) + 3.0
     assert float(lesson.values.max()) == pytest.approx(best, rel=0.25)
     course.save(tmp_path / "course.npz")
@@ -237,7 +284,7 @@ def test_greedy_plays_choose_by_value_alone() -> None:
     chair = _chair(task)
     learner = Learner(Memory(Rehearsal(task, 0), chair), LearnerConfig(greedy_every=1), np.random.default_rng(0))
     n = len(chair.part)
-    q = np.zeros((n, n, WAYS), np.float32)
+    q = np.zeros((n, n, 6), np.float32)
     rows = np.argwhere(learner.memory.rehearsal.exists(learner.memory.states[0]))
     row, column = rows[7].tolist()
     q[row, column, 4] = 1.0

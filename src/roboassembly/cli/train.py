@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
@@ -87,8 +87,10 @@ class Expert(Autoencoder):
 
     steps: int | None = None
     """Of the environment, for each chair, at most (40,000)."""
+    setting: Literal["object-centric", "full"] = "object-centric"
+    """What moves the parts: they fly by themselves, or two mobile Frankas move them."""
     plays: int = 6
-    """Of each expert, to become lessons."""
+    """Of each expert, to become lessons (object-centric)."""
     side_by_side: int = 4
     """Experts trained in one call in each process; many more on a GPU."""
 
@@ -117,7 +119,7 @@ class Expert(Autoencoder):
 
         plain = Schooling(side_by_side=self.side_by_side, plays=self.plays)
         experts = plain.experts if self.steps is None else replace(plain.experts, steps=self.steps)
-        return replace(plain, experts=experts).seeded(self.seed)
+        return replace(plain, experts=replace(experts, setting=self.setting)).seeded(self.seed)
 
 
 def _report(picks: Sequence[Pick], results: Sequence[Mastery]) -> dict[str, object]:

@@ -12,7 +12,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import wait
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -34,7 +34,9 @@ from roboassembly.learning.layers import Params
 from roboassembly.learning.learner import Learner, LearnerConfig, Memory
 from roboassembly.learning.rehearsal import Rehearsal, State
 from roboassembly.processes import one_thread_each, workers
+from roboassembly.task.full import FullTask
 from roboassembly.task.object_centric import ObjectCentricTask, Verdict
+from roboassembly.task.setting import SettingName
 
 _TRIAL_SEEDS = 10_000
 """Seeds of the plays by which a finished expert is measured start here."""
@@ -58,7 +60,21 @@ class ExpertTraining:
     trials: int = 5
     """Plays in the real environment, from other starts, by which the expert is measured in the end."""
     seed: int = 0
+    setting: SettingName = "object-centric"
+    """Parts fly by themselves, or two robots move them."""
     learner: LearnerConfig = field(default_factory=LearnerConfig)
+
+    def task_of(self, pick: Pick) -> ObjectCentricTask | FullTask:
+        """The chair in the setting.
+
+        Raises:
+            InputError: it cannot be made, or two robots could not assemble it whatever they did.
+        """
+        if self.setting == "object-centric":
+            return ObjectCentricTask(pick.furniture(with_grasps=False))
+        task = FullTask(pick.furniture())
+        task.check_hands()
+        return task
 
 
 @dataclass(frozen=True)
@@ -76,6 +92,8 @@ class Mastery:
     """Of the trials."""
     seconds: float
     """Of training, shared with the chairs trained beside it."""
+    refused: str = ""
+    """Why the chair does not suit the setting; it is not trained then."""
 
 
 @dataclass(eq=False)
@@ -83,7 +101,7 @@ class _Pupil:
     """One chair in training."""
 
     pick: Pick
-    task: ObjectCentricTask
+    task: ObjectCentricTask | FullTask
     chair: Chair
     learner: Learner
     seconds: float = 0.0
@@ -121,9 +139,7 @@ class Bench:
         self._folder, self._training, self._extractor, self._notes = folder, training, extractor, notes
         self._pupils: list[_Pupil] = []
         self._weights: list[tuple[Any, Any, Any]] = []
-        while self._waiting and len(self._pupils) < side_by_side:
-            self._enter(self._waiting.pop(0))
-        self._stack()
+        self._fill(side_by_side)
 
     def run(self, keep_every: float) -> None:
         """Train all, writing what is on its way every `keep_every` seconds."""
@@ -163,16 +179,34 @@ class Bench:
                 lambda new, old: jnp.where(due.reshape(-1, *[1] * (new.ndim - 1)), new, old), self._params, self._target
             )
 
-    def _enter(self, pick: Pick) -> None:
+    def _fill(self, count: int) -> None:
+        """Let chairs in until there are so many."""
+        while self._waiting and len(self._pupils) < count:
+            pick = self._waiting.pop(0)
+            try:
+                task = self._training.task_of(pick)
+            except InputError as error:
+                if self._training.setting == "object-centric":
+                    raise
+                self._refuse(pick, str(error))
+            else:
+                self._enter(pick, task)
+        self._stack()
+
+    def _refuse(self, pick: Pick, why: str) -> None:
+        result = Mastery(pick.name, False, 0, 0, 0.0, 0.0, why)
+        config = {**self._notes, "furniture": pick.name, "training": asdict(self._training), "result": asdict(result)}
+        checkpoint.save(file_of(self._folder, pick.name), checkpoint.Checkpoint(KIND, {}, config, {}))
+
+    def _enter(self, pick: Pick, task: ObjectCentricTask | FullTask) -> None:
         t = self._training
-        task = ObjectCentricTask(pick.furniture(with_grasps=False))
         clouds = np.array([surface_points(p.mesh, CLOUD_POINTS) for p in task.furniture.parts], np.float32)
         chair = chair_of(task, autoencoder.encode(self._extractor, clouds))
         number = [t.seed, *pick.name.encode()]
         rng = np.random.default_rng(number)
         memory = Memory(Rehearsal(task, int(rng.integers(2**31))), chair)
         pupil = _Pupil(pick, task, chair, Learner(memory, t.learner, rng))
-        params: Any = experts.init(rng, len(chair.part), chair.features.shape[1])
+        params: Any = experts.init(rng, len(chair.part), chair.features.shape[1], chair.ways)
         target, moments = params, double_q.optimiser(t.learning_rate).init(params)
         path = partial_of(self._folder, pick.name)
         if path.exists():
@@ -204,10 +238,7 @@ class Bench:
         stay = [i for i in range(len(self._pupils)) if i not in leaving]
         self._weights = [self._one(i) for i in stay]
         self._pupils = [self._pupils[i] for i in stay]
-        for _ in leaving:
-            if self._waiting:
-                self._enter(self._waiting.pop(0))
-        self._stack()
+        self._fill(len(stay) + len(leaving))
 
     def _is_done(self, pupil: _Pupil, i: int) -> bool:
         """Whether the pupil has mastered the chair, or has had its steps; writes its file if so."""
@@ -241,7 +272,7 @@ class Bench:
                 state: State | None = learner.memory.rehearsal.start
                 for move in moves[:-1]:
                     state = learner.memory.rehearsal.step(state, move.action) if state is not None else None
-                if state is not None and moves[-1].verdict is not Verdict.WRONG_PAIR:
+                if state is not None and moves[-1].verdict != Verdict.WRONG_PAIR:
                     learner.correct(state, moves[-1].action)
                 return False
         return True
@@ -335,11 +366,15 @@ def read(path: Path) -> Mastery:
 
 
 def mastery(results: Sequence[Mastery]) -> dict[str, Any]:
-    """How many chairs were mastered, with the 95 % Wilson interval, and what it took."""
+    """How many chairs were mastered, with the 95 % Wilson interval, and what it took; the refused left out."""
+    refused, results = sum(bool(r.refused) for r in results), [r for r in results if not r.refused]
+    if not results:
+        return {**success([]), "mastered": 0, "refused": refused}
     done = [r for r in results if r.mastered]
     return {
         **success([r.mastered for r in results]),
         "mastered": len(done),
+        "refused": refused,
         "trials_success_rate": sum(r.success_rate for r in results) / len(results),
         "steps_mean": sum(r.steps for r in results) / len(results),
         "steps_mean_mastered": sum(r.steps for r in done) / len(done) if done else None,
@@ -348,7 +383,7 @@ def mastery(results: Sequence[Mastery]) -> dict[str, Any]:
     }
 
 
-def load(path: Path, task: ObjectCentricTask) -> Expert:
+def load(path: Path, task: ObjectCentricTask | FullTask) -> Expert:
     """An expert that was trained.
 
     Raises:
@@ -359,4 +394,4 @@ def load(path: Path, task: ObjectCentricTask) -> Expert:
         raise InputError(f"'{path}' is an expert for {kept.config['furniture']}, which is not this furniture")
     shapes = np.zeros((len(task.furniture.parts), kept.extra["features"].shape[1] - 9), np.float32)
     plain = chair_of(task, shapes)
-    return Expert(Chair(kept.extra["features"], plain.part, plain.points, plain.parts), kept.params)
+    return Expert(replace(plain, features=kept.extra["features"]), kept.params)

@@ -76,6 +76,8 @@ def teach_experts(
 ) -> Iterator[Progress]:
     """Train an expert for each chair, then write the lessons of those that finish it, from where the run was left.
 
+    With robots there are no lessons: hands are taught by `grasp_lessons`.
+
     Args:
         picks: the chairs.
         folder: of the run, with the auto-encoder in it.
@@ -91,6 +93,8 @@ def teach_experts(
     for done, result in enumerate(training, 1):
         mastered += result.mastered
         yield Progress("experts", done, len(picks), {"mastered": mastered})
+    if schooling.experts.setting == "full":
+        return
     teaching = expert_lessons.teach(picks, experts, folder / "lessons", plays=schooling.plays, seed=seed, jobs=jobs)
     for done, taught in enumerate(teaching, 1):
         lessons += taught.lessons
