@@ -244,7 +244,7 @@ class Bench:
         """Whether the pupil has mastered the chair, or has had its steps; writes its file if so."""
         learner, t = pupil.learner, self._training
         mastered = False
-        if learner.mastered and learner.steps >= t.least_steps and pupil.proven < learner.steps and learner.at == 0:
+        if learner.mastered and learner.steps >= t.least_steps and pupil.proven < learner.steps:
             mastered = self._proves(pupil, Expert(pupil.chair, self._one(i)[0]))
         if not mastered and learner.steps < t.steps:
             return False
