@@ -337,11 +337,11 @@ def came(monkeypatch) -> list[Visitor]:
     return visitors
 
 
-def until(true: Callable[[], bool], seconds: float = 60.0) -> None:
+def until(true: Callable[[], bool], seconds: float = 60.0, every: float = 0.02) -> None:
     end = time.monotonic() + seconds
     while not true():
         assert time.monotonic() < end, "it did not come to that"
-        time.sleep(0.02)
+        time.sleep(every)
 
 
 def merges(visitor: Visitor) -> int:
@@ -379,6 +379,26 @@ def test_a_whole_assembly_by_buttons_then_undo(came, stool):
         browser.press(panel.undo)
         until(lambda: merges(came[0]) == len(stool.parts) - 2)
         assert not panel.undo.disabled
+
+
+@pytest.mark.slow
+def test_a_step_is_shown_soon(came, stool):
+    """From the button to the new state and the first frame of the way there."""
+    seconds = []
+    with studio(house(), "127.0.0.1", 0) as server:
+        browser = Browser(server)
+        until(lambda: len(came) == 1 and merges(came[0]) == 0)
+        panel = came[0].panel
+        for merge in range(len(stool.parts) - 1):
+            browser.press(panel.suggest)
+            until(lambda: "what the policy would do" in panel.message.content)
+            there, begun = f" {merge + 1} of {len(stool.parts) - 1} merges", time.monotonic()
+            browser.press(panel.join)
+            until(lambda there=there: there in panel.status.content, every=0.002)
+            seconds.append(time.monotonic() - begun)
+            until(lambda: panel.time.value == panel.time.max)
+    print(f"a step: median {np.median(seconds):.3f} s, at most {max(seconds):.3f} s")
+    assert np.median(seconds) < 1.0
 
 
 def test_a_plan_that_is_brought_is_done_again_on_the_furniture_shown(came, stool):
