@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Executor, Future
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -36,9 +37,7 @@ class Cluster(Executor):
     """
 
     def __init__(self, start: Callable[..., None] | None = None, arguments: tuple[Any, ...] = ()) -> None:
-        import ray
-
-        self._ray = ray
+        self._ray = ray = import_module("ray")
         self._task = ray.remote(num_cpus=1, max_retries=_RETRIES)(_work)
         # Large arguments are sent once, not with every task.
         self._told = ray.put((uuid.uuid4().hex, Path.cwd(), start, arguments))
@@ -108,7 +107,7 @@ def connected(address: str, environment: Mapping[str, str]) -> Iterator[int]:
         InputError: no cluster answers there.
     """
     try:
-        import ray
+        ray = import_module("ray")
     except ModuleNotFoundError:
         raise MissingExtraError("ray", "ray") from None
     try:

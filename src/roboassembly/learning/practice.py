@@ -46,6 +46,8 @@ _ORDERS = tuple(itertools.permutations(range(3)))
 _DARE, _LEAST, _FORGET = 2.0, 0.03, 0.995
 """With nothing familiar left, a strange action is tried as often as such have merged lately, times `_DARE`, and at
 least so often; else the play is over. What is lately forgets so much an episode."""
+_MOSTLY_STRANGE, _RECKLESS = 0.4, 0.1
+"""Where more than this share of it is strange, groups are joined in so few of the cases in which strange ones are."""
 _STRICT = 0.97
 """Share of plays that first join only groups whose parts then lie to each other as was seen before. Which points fit
 has been found out soon; that the same points are a wrong pair in other groups, because equal parts are in each other's
@@ -124,14 +126,17 @@ class Practice:
 
     def _sure(self, state: State, hopeful: Bool[np.ndarray, "m m"], known: np.ndarray) -> Bool[np.ndarray, "m m"]:
         """Of the pairs those that nothing speaks against; where there are none, sometimes all of them, else none."""
-        strange = np.zeros_like(hopeful)
+        share = np.zeros(hopeful.shape)
         for row, column in np.argwhere(np.triu(hopeful)).tolist():
             works = (known[row, column] == MERGES).any() or (known[column, row] == MERGES).any()
-            strange[row, column] = strange[column, row] = not works and self.rehearsal.strange(state, row, column) > 0
+            share[row, column] = share[column, row] = 0.0 if works else self.rehearsal.strange(state, row, column)
+        strange = share > 0.0
         chance = max(_DARE * (self._dared[1] + 1.0) / (self._dared.sum() + 2.0), _LEAST)
         if (hopeful & ~strange).any() and (self._axes is None or not strange.any() or self.rng.random() > chance):
             return hopeful & ~strange
         self._daring = bool(hopeful.any()) and self.rng.random() < chance
+        if self._daring and self.rng.random() > _RECKLESS:
+            hopeful = hopeful & (share <= _MOSTLY_STRANGE)
         return hopeful & self._daring
 
     def _in_order(self, state: State, hopeful: Bool[np.ndarray, "m m"]) -> Bool[np.ndarray, "m m"]:

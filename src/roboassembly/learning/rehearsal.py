@@ -200,8 +200,9 @@ class Rehearsal:
                 out[np.ix_(columns, rows)] = self._meets[key].T
         return out
 
-    def strange(self, state: State, row: int, column: int) -> int:
-        """How many parts of the two points' groups, joined so, would lie to each other as was never seen in a group."""
+    def strange(self, state: State, row: int, column: int) -> float:
+        """Of all pairs of parts of the two points' groups, joined so, the share that would lie to each other as was
+        never seen in a group."""
         one, two = self.owner(state, row), self.owner(state, column)
         u, v = self._groups[one], self._groups[two]
         k, l = self._local(one, row), self._local(two, column)  # noqa: E741
@@ -212,7 +213,8 @@ class Rehearsal:
             turn, shift = motion[3:].reshape(3, 3) * ANGLE_TOLERANCE, motion[:3] * POSITION_TOLERANCE
             moved = [p.moved(turn, shift) for p in self._placed(one)]
             self._between[key] = self._relations.between(moved, self._placed(two))
-        return self._relations.strange(self._between[key])
+        numbers = self._between[key]
+        return self._relations.strange(numbers) / len(numbers)
 
     def axis(self, state: State, row: int, column: int) -> int:
         """Along which axis of the furniture's frame two points come together, as it looks to the larger group."""
@@ -233,7 +235,7 @@ class Rehearsal:
         _, origins, _ = self._frames(name, np.array(there, int))
         part_of = self.part[named.rows[there]]
         return [
-            Placed(int(self.like[p]), pose.translation, origins[part_of == p])
+            Placed(self.task.furniture.class_of[p], pose.translation, origins[part_of == p])
             for p, pose in zip(group.parts, group.furniture_from_part, strict=True)
         ]
 
@@ -354,8 +356,8 @@ class Rehearsal:
         return self._name(self._kind(group, ((-1, int(self.like[part])),)), (part,))
 
     def _key(self, merged: Group) -> tuple[tuple[int, int], ...]:
-        """Slots in order, and what fills them."""
-        return tuple(sorted((s, int(self.like[p])) for s, p in zip(merged.slots, merged.parts, strict=True)))
+        """Slots in order. Which equal parts fill them makes no difference: they have the points of their slots then."""
+        return tuple((s, -1) for s in sorted(merged.slots))
 
     def _kind(self, group: Group, key: tuple[tuple[int, int], ...]) -> int:
         """The kind of a group, after `key`."""

@@ -60,9 +60,9 @@ class Trial(Protocol):
 class Flying:
     """Parts move by themselves: a path has to be there, and what is joined falls."""
 
-    roles_matter = True
-    by_part = False
-    patience = (2, 6)
+    roles_matter: bool = True
+    by_part: bool = False
+    patience: tuple[int, int] = (2, 6)
 
     def __init__(self, task: ObjectCentricTask) -> None:
         self._task = task
@@ -91,9 +91,9 @@ class Held:
     """Two hands hold the groups. Everything is tested but the arms: what they cannot do comes out in the plays in the
     real environment by which a chair counts as mastered, and is taken over then."""
 
-    roles_matter = False
-    by_part = True
-    patience = (10, 40)
+    roles_matter: bool = False
+    by_part: bool = True
+    patience: tuple[int, int] = (10, 40)
 
     def __init__(self, task: FullTask) -> None:
         self._task = task
