@@ -80,10 +80,11 @@ def _lesson(expert: Expert, task: ObjectCentricTask, observer: Observer, move: M
 
 
 def _values(expert: Expert, move: Move) -> Float16[np.ndarray, "n n 6"]:
-    """Q over free points in returns; 0 where the action does not exist."""
+    """Q over free points in returns, at most what is left to be had; 0 where the action does not exist."""
     rows = np.flatnonzero(np.isfinite(move.values).any(axis=(1, 2)))
     values = move.values[np.ix_(rows, rows)]
-    return np.where(np.isfinite(values), values * expert.chair.best, 0.0).astype(np.float16)
+    most = len(move.state.groups) + 3.0  # a point a merge, four more for the last
+    return np.where(np.isfinite(values), np.minimum(values * expert.chair.best, most), 0.0).astype(np.float16)
 
 
 def teach(picks: Sequence[Pick], experts: Path, folder: Path, *, plays: int, seed: int, jobs: int) -> Iterator[Taught]:
