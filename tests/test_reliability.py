@@ -8,6 +8,7 @@ import gc
 import hashlib
 import json
 import os
+import re
 import resource
 import shutil
 import signal
@@ -273,7 +274,9 @@ def lines_of(arguments: list[str], cache: Path, largest: int | None = None) -> t
         env={**os.environ, "ROBOASSEMBLY_CACHE": str(cache)}, preexec_fn=limited(largest) if largest else None,
     )  # fmt: skip
     said = done.stderr.replace("\r", "\n").splitlines()
-    return done.returncode, [line[line.find("error: ") :] for line in said if "error: " in line or "Traceback" in line]
+    # Ours begins with the word, perhaps behind a progress bar; JAX warns of compiled code that was only half written.
+    ours = (re.search(r"(?<![a-z] )error: .*|Traceback.*", line) for line in said)
+    return done.returncode, [found[0] for found in ours if found]
 
 
 @pytest.mark.slow
