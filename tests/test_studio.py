@@ -381,6 +381,19 @@ def test_a_whole_assembly_by_buttons_then_undo(came, stool):
         assert not panel.undo.disabled
 
 
+def test_a_plan_of_robots_is_brought_to_furniture_that_was_opened_without_grasps(came, stool):
+    content = plan_file.encode(Session(stool, "full", seed=3).plan())
+    with studio(house(), "127.0.0.1", 0) as server:
+        browser = Browser(server)
+        until(lambda: len(came) == 1 and merges(came[0]) == 0)
+        assert came[0].session is not None
+        assert not any(part.grasps for part in came[0].session.furniture.parts)
+        browser.upload(came[0], "plan.json", len(content), [content])
+        until(lambda: came[0].session is not None and came[0].session.setting == "full")
+        assert came[0].session.seed == 3
+        assert all(part.grasps for part in came[0].session.furniture.parts)
+
+
 @pytest.mark.slow
 def test_a_step_is_shown_soon(came, stool):
     """From the button to the new state and the first frame of the way there."""

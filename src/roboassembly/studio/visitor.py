@@ -157,7 +157,7 @@ class Visitor:
     def _upload(self, file: UploadedFile) -> None:
         if file.name.lower().endswith(_PLAN):
             script = plan_file.decode(file.content, Path(file.name).name)
-            self._begin(lambda: self._present.furniture, script)
+            self._begin(lambda: self._present.held if script.setting == "full" else self._present.furniture, script)
             self._repeat(script)
             return
         self._say(f"Reading {Path(file.name).name}; repair may take a while …")
