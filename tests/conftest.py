@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import shapes
+from roboassembly.cli import main
 from roboassembly.furniture.annotate import annotate
 from roboassembly.furniture.generate import generate
 from roboassembly.furniture.model import Furniture, Provenance
@@ -81,3 +83,16 @@ def armchair() -> Furniture:
 @pytest.fixture(scope="session")
 def captive_slat() -> Furniture:
     return shapes.captive_slat()
+
+
+@pytest.fixture
+def run(capfd: pytest.CaptureFixture[str]) -> Callable[..., tuple[int, str, str]]:
+    """Runs a command line: exit status, stdout and stderr."""
+
+    def go(*arguments: str | Path) -> tuple[int, str, str]:
+        with pytest.raises(SystemExit) as stop:
+            main([str(a) for a in arguments])
+        out, err = capfd.readouterr()
+        return int(stop.value.code or 0), out, err
+
+    return go

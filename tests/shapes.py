@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import pairwise
+from pathlib import Path
 
 import fcl
 import manifold3d
@@ -239,3 +240,14 @@ class RobotChecker:
         found = fcl.CollisionData()
         self._others.collide(thing, found, fcl.defaultCollisionCallback)
         return found.result.is_collision
+
+
+def write_stl(furniture: Furniture, folder: Path, scale: float = 1.0) -> Path:
+    """Plain STL files of the assembled parts, one each, as someone would bring them."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for part, slot in zip(furniture.parts, furniture.assembled, strict=True):
+        mesh = part.mesh.trimesh.copy()
+        mesh.apply_transform(slot.homogeneous)
+        mesh.apply_scale(scale)
+        mesh.export(folder / f"{part.name}.stl")
+    return folder

@@ -14,22 +14,11 @@ import numpy as np
 import pytest
 import trimesh
 
-from roboassembly.cli import main
 from roboassembly.furniture import catalogue, storage
 from roboassembly.task.object_centric import Verdict
 
 Run = Callable[..., tuple[int, str, str]]
-
-
-@pytest.fixture
-def run(capfd: pytest.CaptureFixture[str]) -> Run:
-    def go(*arguments: str | Path) -> tuple[int, str, str]:
-        with pytest.raises(SystemExit) as stop:
-            main([str(a) for a in arguments])
-        out, err = capfd.readouterr()
-        return int(stop.value.code or 0), out, err
-
-    return go
+"""Of the fixture `run`."""
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,6 @@ import pickle
 import re
 import subprocess
 import sys
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
@@ -16,7 +15,6 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from roboassembly.cli import main
 from roboassembly.envs.full import FullEnv
 from roboassembly.envs.object_centric import ObjectCentricEnv
 from roboassembly.errors import InputError, PolicyError, UnknownNameError
@@ -28,8 +26,8 @@ from roboassembly.learning.loading import load_policy, maker_of
 from roboassembly.learning.players import Episode, Way, play, player
 from roboassembly.learning.policies import guide_of
 from roboassembly.solvers.search import solve, solve_full
+from test_cli import Run
 
-Run = Callable[..., tuple[int, str, str]]
 ROOT = Path(__file__).parents[1]
 DOC, EXAMPLE = ROOT / "docs" / "your-own-policy.md", ROOT / "examples" / "masked_ppo.py"
 
@@ -88,17 +86,6 @@ class Plan:
 policy = Plan
 """
 """A class that is made of a seed. It values the actions of a plan, each a little less than the one before."""
-
-
-@pytest.fixture
-def run(capfd: pytest.CaptureFixture[str]) -> Run:
-    def go(*arguments: str | Path) -> tuple[int, str, str]:
-        with pytest.raises(SystemExit) as stop:
-            main([str(a) for a in arguments])
-        out, err = capfd.readouterr()
-        return int(stop.value.code or 0), out, err
-
-    return go
 
 
 @pytest.fixture(scope="session")

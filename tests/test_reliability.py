@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import shapes
 from roboassembly.audit.object_centric import audit_plan
 from roboassembly.envs.object_centric import ObjectCentricEnv
 from roboassembly.errors import InputError
@@ -86,12 +87,7 @@ def real(path: Path, importer: Any) -> Furniture:
 
 def as_files(furniture: Furniture, folder: Path) -> Furniture:
     """The furniture as someone else's STL files, read again."""
-    folder.mkdir(parents=True, exist_ok=True)
-    for part, pose in zip(furniture.parts, furniture.assembled, strict=True):
-        mesh = part.mesh.trimesh.copy()
-        mesh.apply_transform(pose.homogeneous)
-        mesh.export(folder / f"{part.name}.stl")
-    return open_path.__wrapped__(str(folder))
+    return open_path.__wrapped__(str(shapes.write_stl(furniture, folder)))
 
 
 def steps(furniture: Furniture, count: int, seed: int) -> tuple[int, list[str], int]:

@@ -20,6 +20,7 @@ from viser import GuiButtonHandle, ViserServer, _messages
 from websockets.sync.client import connect
 from websockets.typing import Subprotocol
 
+import shapes
 from roboassembly.audit.object_centric import audit_plan
 from roboassembly.errors import InputError
 from roboassembly.furniture import catalogue, storage
@@ -186,13 +187,7 @@ def test_all_sources_open(stool, tmp_path):
 
 def mesh_folder(furniture, folder: Path) -> Path:
     """Plain STL files of the assembled parts, in millimetres."""
-    folder.mkdir(parents=True)
-    for part, pose in zip(furniture.parts, furniture.assembled, strict=True):
-        mesh = part.mesh.trimesh.copy()
-        mesh.apply_transform(pose.homogeneous)
-        mesh.apply_scale(1000.0)
-        mesh.export(folder / f"{part.name}.stl")
-    return folder
+    return shapes.write_stl(furniture, folder, scale=1000.0)
 
 
 def zipped(files: dict[str, bytes]) -> bytes:

@@ -15,28 +15,19 @@ import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 
-import msgspec
 import numpy as np
 import pytest
 import viser
-from viser import _messages
 from websockets.sync.client import connect
 from websockets.typing import Subprotocol
+
+import shapes
+from test_studio import CAMERA, packed
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="make test-all installs it")
 
 pytestmark = pytest.mark.slow
 _FLAGS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"]
-CAMERA = msgspec.msgpack.encode(
-    {
-        "type": "ViewerCameraMessage",
-        **vars(
-            _messages.ViewerCameraMessage(
-                (1.0, 0.0, 0.0, 0.0), (2.0, 2.0, 1.0), 0.6, 0.01, 100.0, 600, 800, (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)
-            )
-        ),
-    }
-)
 MERGES = 8
 """Of the stool."""
 
@@ -150,7 +141,7 @@ def test_the_first_picture_is_there_soon():
             assert process.stdout is not None
             url = json.loads(process.stdout.readline())["url"].replace("http://localhost", "ws://127.0.0.1")
             with connect(url, subprotocols=[Subprotocol(f"viser-v{viser.__version__}")], max_size=None) as browser:
-                browser.send(CAMERA)
+                browser.send(packed(CAMERA))
                 last, size = begun, 0
                 while time.monotonic() - last < 2.0 or not size:
                     with contextlib.suppress(TimeoutError):
@@ -200,11 +191,9 @@ def test_own_stl_files_are_brought_and_assembled(page, tmp_path):
 
     stool = catalogue.make("stool", 2)
     archive = tmp_path / "mine.zip"
-    with zipfile.ZipFile(archive, "w") as packed:
-        for part, pose in zip(stool.parts, stool.assembled, strict=True):
-            mesh = part.mesh.trimesh.copy()
-            mesh.apply_transform(pose.homogeneous)
-            packed.writestr(f"{part.name}.stl", mesh.export(file_type="stl"))
+    with zipfile.ZipFile(archive, "w") as archived:
+        for file in shapes.write_stl(stool, tmp_path / "mine").iterdir():
+            archived.write(file, file.name)
     turn_to(page, "Furniture")
     with page.expect_file_chooser() as chooser:
         press(page, "Bring your own")

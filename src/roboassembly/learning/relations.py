@@ -22,7 +22,7 @@ class Placed:
     """A part in its group's frame."""
 
     like: int
-    """The first part that equals it."""
+    """Number of its class: parts of one class are told from each other by nothing."""
     center: Float[np.ndarray, "3"]
     points: Float[np.ndarray, "k 3"]
 

@@ -24,7 +24,6 @@ from roboassembly.task.groups import TaskState
 from roboassembly.task.object_centric import ObjectCentricTask
 from roboassembly.task.plan import Plan
 from roboassembly.task.plan_file import Script
-from roboassembly.task.rules import UP_AXES
 from roboassembly.task.setting import SettingName
 
 _PLANNER = threading.Lock()
@@ -115,7 +114,8 @@ class Session:
 
     def choices(self) -> tuple[tuple[str, int], ...]:
         """What an action has after `(u, v, k, l)`: the name of each and how many there are at most."""
-        return (("g_a", 8), ("g_b", 8)) if self.setting == "full" else (("w", len(UP_AXES)),)
+        names = ("g_a", "g_b") if self.setting == "full" else ("w",)
+        return tuple(zip(names, self.task.ways, strict=True))
 
     def attempt(self, action: tuple[int, ...]) -> Tried:
         """Carry out an action; if it works, it is the newest step."""
