@@ -15,7 +15,9 @@ from roboassembly.learning.experts import Chair, Expert, chair_of, play, told
 from roboassembly.learning.practice import Practice
 from roboassembly.learning.rehearsal import Rehearsal
 from roboassembly.learning.trials import FAILS, MERGES, UNKNOWN
+from roboassembly.poses import SE3
 from roboassembly.task.full import FullTask, Refusal
+from roboassembly.task.groups import Group
 from roboassembly.task.object_centric import ObjectCentricTask, Verdict
 
 jax = pytest.importorskip("jax")
@@ -127,6 +129,24 @@ def test_what_is_remembered_of_hands_is_what_fresh_tests_say() -> None:
                     assert after is not None
                     states += [after] if len(after) > 1 and after not in states else []
     assert checked == {MERGES: 100, FAILS: 100}
+
+
+def test_how_a_part_is_turned_in_its_slot_matters_to_hands_only() -> None:
+    furniture = catalogue.make("three_legged", 24)
+    part = next(p for p, c in enumerate(furniture.class_of) if len(furniture.classes[c].symmetries) > 1)
+    other = next(
+        c.part_b if c.part_a == part else c.part_a for c in furniture.connections if part in (c.part_a, c.part_b)
+    )
+    parts = tuple(sorted((part, other)))
+    turn = furniture.classes[furniture.class_of[part]].symmetries[-1]
+    groups = []
+    for rotation in (np.eye(3), turn):
+        turned = {part: furniture.assembled[part] * SE3(rotation, np.zeros(3)), other: furniture.assembled[other]}
+        groups.append(Group(parts, parts, tuple(turned[p] for p in parts), SE3.Identity()))
+    assert not np.allclose(turn, np.eye(3))
+    hands, flying = Rehearsal(FullTask(furniture), 0), Rehearsal(ObjectCentricTask(furniture), 0)
+    assert len({hands._key(g) for g in groups}) == 2
+    assert len({flying._key(g) for g in groups}) == 1
 
 
 def test_an_expert_plays_with_robots() -> None:

@@ -27,7 +27,7 @@ from roboassembly.learning.relations import Placed, Relations
 from roboassembly.learning.trials import FAILS, MERGES, UNKNOWN, trial_of
 from roboassembly.poses import SE3
 from roboassembly.task.full import FullTask
-from roboassembly.task.groups import Group, TaskState
+from roboassembly.task.groups import Group, TaskState, part_from_points
 from roboassembly.task.layout import free_spot, group_footprint
 from roboassembly.task.object_centric import ObjectCentricTask
 from roboassembly.task.pairs import ANGLE_TOLERANCE, POSITION_TOLERANCE
@@ -356,8 +356,18 @@ class Rehearsal:
         return self._name(self._kind(group, ((-1, int(self.like[part])),)), (part,))
 
     def _key(self, merged: Group) -> tuple[tuple[int, int], ...]:
-        """Slots in order. Which equal parts fill them makes no difference: they have the points of their slots then."""
-        return tuple((s, -1) for s in sorted(merged.slots))
+        """Slots in order. Which equal parts fill them makes no difference: they have the points of their slots then.
+
+        Hands hold a part where its own grasps are, so that to them it matters how it is turned in its slot.
+        """
+        turns = (self._turn(merged, part) if self.trial.by_part else -1 for part in merged.parts)
+        return tuple(sorted(zip(merged.slots, turns, strict=True)))
+
+    def _turn(self, group: Group, part: int) -> int:
+        """By which symmetry of its shape a part is turned in its slot, as a number."""
+        furniture = self.task.furniture
+        symmetries = furniture.classes[furniture.class_of[part]].symmetries
+        return int(np.argmax(np.einsum("nij,ij->n", symmetries, part_from_points(furniture, group, part).rotation)))
 
     def _kind(self, group: Group, key: tuple[tuple[int, int], ...]) -> int:
         """The kind of a group, after `key`."""
