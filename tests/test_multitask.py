@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Iterator
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import msgspec
@@ -12,12 +13,14 @@ import pytest
 from roboassembly.errors import InputError
 from roboassembly.furniture import catalogue, datasets
 from roboassembly.learning import autoencoder, checkpoint, imitation, logs, relational
-from roboassembly.learning.gather import EXTRA_SEEDS, extra_names, file_of, gather, load_courses
+from roboassembly.learning.gather import EXTRA_SEEDS, extra_names, file_of, gather, hands_of, load_courses
+from roboassembly.learning.layers import Params
 from roboassembly.learning.loading import load_policy
 from roboassembly.learning.multitask import Curriculum, set_hash, teach, teach_paper
 from roboassembly.learning.paper_imitation import Training
 from roboassembly.learning.players import play_episode
 from roboassembly.learning.progress import Progress
+from roboassembly.learning.relational_policy import RelationalPolicy
 
 TINY = relational.RelationalConfig(token=16, pair=8, layers=1, heads=2, ends=4, conflicts=2)
 SMALL = Curriculum(
@@ -67,6 +70,42 @@ def test_lessons_are_gathered_once_and_by_the_student(tmp_path: Path) -> None:
     taught = list(gather(names[:1], tmp_path / "1", plays=1, seed=0, jobs=1, student=student))
     assert taught[0].choices == 3  # four parts
     assert 0 < taught[0].mistakes <= 3
+
+
+def test_a_curriculum_with_robots_ends_in_one_policy_for_both_settings(
+    two_chairs: list[str], tmp_path: Path
+) -> None:  # fmt: skip
+    with pytest.raises(InputError, match="--start relational"):
+        next(teach(replace(SMALL, setting="full"), tmp_path / "none", 1))
+    with pytest.raises(InputError, match="its network"):
+        next(teach(replace(SMALL, setting="full", start="relational"), tmp_path / "none", 1))
+    start = tmp_path / "start.npz"
+    weights = relational.init(np.random.default_rng(0), TINY)
+    config = {"network": asdict(TINY)}
+    checkpoint.save(start, checkpoint.Checkpoint(relational.KIND, weights, config, {}), half=True)
+    curriculum = replace(SMALL, setting="full", start=str(start), rounds=0, extra=0, validation=0, grasp_steps=5)
+    folder = tmp_path / "run"
+    stages = {p.stage for p in teach(curriculum, folder, 1)}
+    assert {"lessons 0", "policy 0", "grasps"} <= stages
+    assert all(file_of(hands_of(folder / "lessons" / "0"), name).is_file() for name in two_chairs)
+    policy = load_policy(str(folder / "policy.npz"))
+    assert isinstance(policy, RelationalPolicy)
+    assert policy.settings == ("object-centric", "full")
+    assert policy.held is not None
+    before = checkpoint.load(start, relational.KIND).params
+    # The one setting is what it was; for the other both networks have learnt.
+    flat = dict(_flat(policy.params))
+    assert all(np.array_equal(v, flat[k]) for k, v in _flat(before))
+    assert any(not np.array_equal(v, flat[k]) for k, v in _flat(policy.held))
+    assert {p.stage for p in teach(curriculum, folder, 1)} == set()
+
+
+def _flat(params: Params, above: str = "") -> Iterator[tuple[str, np.ndarray]]:
+    for name, value in params.items():
+        if isinstance(value, dict):
+            yield from _flat(value, f"{above}{name}/")
+        else:
+            yield above + name, value
 
 
 def test_a_curriculum_goes_on_where_it_was_stopped(two_chairs: list[str], tmp_path: Path) -> None:

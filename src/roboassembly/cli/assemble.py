@@ -8,10 +8,11 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
+from roboassembly.cli.options import Execution, Setting
 from roboassembly.cli.output import DONE, DONE_BADLY, print_json, say, writable_folder
 from roboassembly.errors import InputError
 
@@ -31,9 +32,9 @@ class Assemble:
 
     furniture: Annotated[str, tyro.conf.Positional] = "ladder"
     """A built-in chair (`ladder`, `windsor:3` for another of its kind, ...) or a furniture folder."""
-    setting: Literal["object-centric", "full"] = "object-centric"
+    setting: Setting = "object-centric"
     """What moves the parts: they fly by themselves, or two mobile Frankas move them."""
-    execution: Literal["kinematic", "dynamic"] = "kinematic"
+    execution: Execution = "kinematic"
     """Of `--setting full`: paths planned and checked, or carried out by actuated robots in physics besides."""
     seed: int = 0
     """Where the parts lie at first, and what the planner draws."""

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
-from roboassembly.cli.jobs import CORES, Jobs, Ray
 from roboassembly.cli.multitask import PACKAGES, follow, needs
+from roboassembly.cli.options import CORES, Jobs, Ray
 from roboassembly.cli.output import DONE, print_json, writable_folder
 from roboassembly.errors import InputError
 from roboassembly.processes import spread

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from roboassembly.cli.jobs import CORES, Jobs, Ray
+from roboassembly.cli.options import CORES, Jobs, Ray
 from roboassembly.cli.output import DONE, print_json, progress_bar
 from roboassembly.errors import InputError
 from roboassembly.processes import spread

@@ -6,11 +6,11 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from roboassembly.cli.jobs import CORES, Jobs, Ray
+from roboassembly.cli.options import CORES, Execution, Jobs, Ray, Setting
 from roboassembly.cli.output import DONE, print_json, progress_bar, say
 from roboassembly.errors import InputError
 from roboassembly.processes import spread
@@ -30,10 +30,10 @@ class Evaluate:
     `right-pairs-random-w`."""
     search: bool = False
     """The policy guides the search instead of playing alone."""
-    setting: Literal["object-centric", "full"] = "object-centric"
+    setting: Setting = "object-centric"
     """What moves the parts: they fly by themselves, or two mobile Frankas move them (`search`, `random`, or a policy
     of your own that chooses grasps)."""
-    execution: Literal["kinematic", "dynamic"] = "kinematic"
+    execution: Execution = "kinematic"
     """Of `--setting full`: planned and checked, or carried out by actuated robots in physics besides."""
     audit: bool = False
     """Replay every plan with python-fcl, which planning does not use."""

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from roboassembly.cli.jobs import CORES, Jobs
+from roboassembly.cli.options import CORES, Jobs
 from roboassembly.cli.output import DONE, print_json, progress_bar, say, writable_folder
 from roboassembly.errors import InputError
 from roboassembly.processes import workers

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 from tqdm import tqdm
 
-from roboassembly.cli.jobs import CORES, Jobs, Ray
+from roboassembly.cli.options import CORES, Jobs, Ray, Setting
 from roboassembly.cli.output import DONE, print_json, progress_bar, say, writable_folder
 from roboassembly.errors import InputError, MissingExtraError
 from roboassembly.processes import spread
@@ -44,8 +44,12 @@ class Multitask:
     """Of each piece in each round (relational)."""
     rounds: int = 0
     """Of the policy's own plays (relational)."""
+    setting: Setting = "object-centric"
+    """Parts fly by themselves, or two mobile Frankas move them (relational)."""
+    start: str | None = None
+    """Policy to begin with, `relational` or a checkpoint (relational); with robots `relational` if not given."""
     steps: int | None = None
-    """Updates: 16,000 (relational, in the first round), 20,000 (paper)."""
+    """Updates: 16,000 (relational, in the first round; 4,000 with robots), 20,000 (paper)."""
     round_steps: int = 8_000
     """Updates in each later round (relational)."""
     lessons: tuple[Path, ...] = ()
@@ -81,9 +85,11 @@ class Multitask:
     def _relational(self, jobs: int) -> Iterable[Progress]:
         from roboassembly.learning.multitask import Curriculum, teach
 
+        full = self.setting == "full"
         curriculum = Curriculum(
             set=self.set, limit=self.limit, extra=self.extra, plays=self.plays, rounds=self.rounds,
-            steps=self.steps or 16_000, round_steps=self.round_steps, seed=self.seed,
+            steps=self.steps or (4_000 if full else 16_000), round_steps=self.round_steps, seed=self.seed,
+            setting=self.setting, start=self.start or ("relational" if full else ""),
         )  # fmt: skip
         return teach(curriculum, self.out, jobs)
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from roboassembly.cli.jobs import CORES, Jobs, Ray
 from roboassembly.cli.multitask import PACKAGES, Multitask, follow, needs
+from roboassembly.cli.options import CORES, Jobs, Ray, Setting
 from roboassembly.cli.output import DONE, DONE_BADLY, print_json, writable_folder
 from roboassembly.errors import InputError
 from roboassembly.processes import spread
@@ -87,7 +87,7 @@ class Expert(Autoencoder):
 
     steps: int | None = None
     """Of the environment, for each chair, at most (40,000)."""
-    setting: Literal["object-centric", "full"] = "object-centric"
+    setting: Setting = "object-centric"
     """What moves the parts: they fly by themselves, or two mobile Frankas move them."""
     plays: int = 6
     """Of each expert, to become lessons (object-centric)."""

@@ -6,10 +6,11 @@ import threading
 import webbrowser
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import tyro
 
+from roboassembly.cli.options import Setting
 from roboassembly.cli.output import DONE, print_json, say
 from roboassembly.errors import InputError
 
@@ -21,7 +22,7 @@ class View:
     furniture: Annotated[str, tyro.conf.Positional] = "ladder"
     """Shown at first: a built-in chair (`ladder`, `windsor:3`, ...), a furniture folder, or 3D files: a folder of STL,
     OBJ, PLY or GLB files, one a part, or one GLB scene; or a plan.json, which is done again."""
-    setting: Literal["object-centric", "full"] = "object-centric"
+    setting: Setting = "object-centric"
     """What moves the parts at first: they fly by themselves, or two mobile Frankas move them."""
     seed: int = 0
     """Where the parts lie at first, and what the planner draws."""

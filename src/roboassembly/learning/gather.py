@@ -18,6 +18,7 @@ from roboassembly.furniture import catalogue
 from roboassembly.furniture.generate import CHAIRS
 from roboassembly.furniture.model import Furniture
 from roboassembly.learning import checkpoint, relational
+from roboassembly.learning.grasp_lessons import GraspTeacher
 from roboassembly.learning.lessons import CLOUD_POINTS, Course, Lesson, Student, Teacher
 from roboassembly.processes import as_done
 from roboassembly.solvers.hand_oracle import HandOracle
@@ -28,6 +29,8 @@ from roboassembly.task.setting import SettingName
 
 _KINDS = ("", "sunk", "fused", "", "fused", "lattice", "", "sunk", "fused", "", "fused", "carcass")
 """Families of extra pieces, in turn; a chair of the next family where there is none."""
+_TRIES = 3
+"""Pairs of hands that are tried at a pair of points, until one joins them."""
 EXTRA_SEEDS = 1_000_000_000
 """Seeds of extra chairs start here, where those of no data set reach."""
 
@@ -68,11 +71,18 @@ def file_of(folder: Path, name: str) -> Path:
     return folder / f"{name.replace(':', '_')}.npz"
 
 
+def hands_of(folder: Path) -> Path:
+    """Where the lessons of grasps (`grasp_lessons`) lie that belong to those of a folder, under the same names."""
+    return folder / "hands"
+
+
 def gather(
     names: Sequence[str], folder: Path, *, plays: int, seed: int, jobs: int, student: Path | None = None,
     setting: SettingName = "object-centric",
 ) -> Iterator[Gathered]:  # fmt: skip
     """Write the lessons of generated chairs, those that are there already excepted; yields as chairs are done.
+
+    In the full setting there are lessons of grasps besides (`hands_of`).
 
     Args:
         names: `family:seed` of each.
@@ -83,7 +93,7 @@ def gather(
         student: checkpoint of the relational policy that moves; random good moves without.
         setting: whose rules are taught. Furniture that does not suit robots gives no lessons in the full one.
     """
-    folder.mkdir(parents=True, exist_ok=True)
+    (hands_of(folder) if setting == "full" else folder).mkdir(parents=True, exist_ok=True)
     left = [name for name in names if not file_of(folder, name).is_file()]
     work = partial(_gather, folder=folder, plays=plays, seed=seed, student=student, setting=setting)
     yield from as_done(work, left, jobs)
@@ -110,6 +120,9 @@ def _gather(name: str, *, folder: Path, plays: int, seed: int, student: Path | N
         mistakes, choices = mistakes + play.mistakes, choices + len(play.lessons)
         for lesson in (*play.lessons, *play.dead_ends):
             found.setdefault(lesson.group.tobytes(), lesson)
+    if isinstance(oracle, HandOracle):
+        hands = GraspTeacher(oracle.full, _TRIES, oracle).course(np.random.default_rng([seed, int(number)]), plays)
+        hands.save(file_of(hands_of(folder), name))
     replace(teacher.course, name=name, lessons=tuple(found.values())).save(file_of(folder, name))
     return Gathered(name, len(found), mistakes, choices, time.monotonic() - begun)
 

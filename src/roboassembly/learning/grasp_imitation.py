@@ -15,15 +15,15 @@ import optax
 
 from roboassembly.errors import InputError
 from roboassembly.learning import grasping
-from roboassembly.learning.grasp_lessons import BLOCKED, FAILS, MERGES, UNKNOWN, GraspCourse
+from roboassembly.learning.grasp_lessons import UNKNOWN, YES, GraspCourse
 from roboassembly.learning.hands import handling_of
 from roboassembly.learning.imitation import cross_entropy
 from roboassembly.learning.layers import Array, Params
 from roboassembly.learning.runs import Run
 from roboassembly.processes import in_order
 
-_FIRM = 2.0
-"""Weight of what the arms said, which is known of few, against what the cheap tests did."""
+_TOGETHER = ("room", "meet", "rest")
+"""What is said of two hands, in this order."""
 
 
 @dataclass(frozen=True)
@@ -47,9 +47,9 @@ class Examples:
     one: np.ndarray
     two: np.ndarray
     there: np.ndarray
-    known: np.ndarray
-    chair: np.ndarray
-    """Number of the chair of each."""
+    take: np.ndarray
+    together: np.ndarray
+    """`room`, `meet` and `rest` of `GraspLesson`, along the last axis."""
 
 
 def examples_of(paths: Sequence[Path], jobs: int) -> Examples:
@@ -58,11 +58,10 @@ def examples_of(paths: Sequence[Path], jobs: int) -> Examples:
     Raises:
         InputError: a file is broken, or there are no lessons.
     """
-    rows = [(i, row) for i, some in enumerate(in_order(_rows, paths, jobs, chunk=4)) for row in some]
+    rows = [row for some in in_order(_rows, paths, jobs, chunk=4) for row in some]
     if not rows:
         raise InputError("no lessons of grasps to learn from")
-    one, two, there, known = (np.array(column) for column in zip(*(row for _, row in rows), strict=True))
-    return Examples(one, two, there, known, np.array([i for i, _ in rows]))
+    return Examples(*(np.array(column) for column in zip(*rows, strict=True)))
 
 
 def _rows(path: Path) -> list[tuple[np.ndarray, ...]]:
@@ -70,23 +69,24 @@ def _rows(path: Path) -> list[tuple[np.ndarray, ...]]:
     out = []
     for lesson in course.lessons:
         seen = handling_of(course.situation(lesson), *lesson.pair)
-        out.append((seen.one, seen.two, seen.there, lesson.known))
+        together = np.stack([lesson.room, lesson.meet, lesson.rest], axis=-1)
+        out.append((seen.one, seen.two, seen.there, lesson.take, together))
     return out
 
 
 def losses(params: Params, batch: dict[str, Array]) -> tuple[Array, dict[str, Array]]:
-    """Binary cross-entropy of both answers where they are known, averaged over pairs of points."""
-    logits = grasping.apply(params, batch["one"], batch["two"])
-    known, there = batch["known"], batch["there"]
-    told = there & (known != UNKNOWN)
-    room = _mean(cross_entropy(logits[..., 0], known != BLOCKED), told)
-    tried = there & ((known == MERGES) | (known == FAILS))
-    arms = _mean(cross_entropy(logits[..., 1], known == MERGES), tried)
-    return room + _FIRM * arms, {"room": room, "arms": arms}
+    """Binary cross-entropy of each answer, averaged over where it is known."""
+    take, together = grasping.apply(params, batch["one"], batch["two"])
+    terms = {"take": _mean(take, batch["take"])}
+    there = batch["there"][..., None]
+    known = jnp.where(there, batch["together"], UNKNOWN)
+    terms |= {name: _mean(together[..., i], known[..., i]) for i, name in enumerate(_TOGETHER)}
+    return sum(terms.values(), jnp.zeros(())), terms
 
 
-def _mean(values: Array, which: Array) -> Array:
-    return (values * which).sum() / jnp.maximum(which.sum(), 1)
+def _mean(logits: Array, known: Array) -> Array:
+    told = known != UNKNOWN
+    return (cross_entropy(logits, known == YES) * told).sum() / jnp.maximum(told.sum(), 1)
 
 
 def optimiser(t: Training) -> optax.GradientTransformation:
@@ -117,26 +117,30 @@ def train(
     while step < training.steps:
         rng = np.random.default_rng([training.seed, step])
         chosen = rng.integers(len(examples.one), size=training.batch)
-        names = ("one", "two", "there", "known")
-        params, state, terms = _update(training, params, state, {k: getattr(examples, k)[chosen] for k in names})
+        batch = {name: array[chosen] for name, array in vars(examples).items()}
+        params, state, terms = _update(training, params, state, batch)
         step += 1
         run.keep(step, params, state)
         yield step, {k: float(v) for k, v in terms.items()}
 
 
 def quality(params: Params, examples: Examples) -> dict[str, float]:
-    """How often the surest hands are good ones.
+    """What the network makes of lessons.
 
     Returns:
-        `room`: share of pairs of points with hands that fit of which the surest fit; `arms`: of those that were tried,
-        share that the network puts on the right side of a half.
+        For each answer the share of those known that it is on the right side of; and `first`, of pairs of points with
+        hands known to have room, the share where the surest of all hands looked at have.
     """
-    logits = np.asarray(grasping.apply(params, examples.one, examples.two))
-    told = examples.there & (examples.known != UNKNOWN)
-    fits = told & (examples.known != BLOCKED)
-    hope = np.flatnonzero(fits.any(axis=(1, 2)))
-    first = np.where(told, logits.sum(axis=3), -np.inf)[hope].reshape(len(hope), -1).argmax(axis=1)
-    tried = (examples.known == MERGES) | (examples.known == FAILS)
-    arms = (logits[..., 1][tried] > 0.0) == (examples.known[tried] == MERGES)
-    return {"room": float(fits[hope].reshape(len(hope), -1)[np.arange(len(hope)), first].mean()),
-            "arms": float(arms.mean())}  # fmt: skip
+    take, together = (np.asarray(x) for x in grasping.apply(params, examples.one, examples.two))
+    out = {"take": _right(take, examples.take)}
+    out |= {name: _right(together[..., i], examples.together[..., i]) for i, name in enumerate(_TOGETHER)}
+    room = np.where(examples.there, examples.together[..., 0], UNKNOWN)
+    hope = np.flatnonzero((room == YES).any(axis=(1, 2)))
+    sure = np.where(room != UNKNOWN, together[..., 0], -np.inf)[hope].reshape(len(hope), -1)
+    fits = (room[hope] == YES).reshape(len(hope), -1)
+    return out | {"first": float(fits[np.arange(len(hope)), sure.argmax(axis=1)].mean())}
+
+
+def _right(logits: np.ndarray, known: np.ndarray) -> float:
+    told = known != UNKNOWN
+    return float(((logits > 0.0) == (known == YES))[told].mean()) if told.any() else 1.0

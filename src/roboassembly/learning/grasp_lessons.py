@@ -1,8 +1,8 @@
 """What the relational policy is taught about hands: which of them could join right pairs, in plays of many chairs.
 
 A play takes right pairs after which the furniture can still be finished, as the oracle knows, and tries grasps at
-random until one works out. For each pair it is kept which hands pass the cheap tests, and what became of those that
-were tried.
+random until one works out. For each pair it is kept which hands can take the groups, which two have room at the joint,
+where the arms reach it, and what became of those that were tried.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from jaxtyping import Bool, Float32, Int8
 
 from roboassembly.envs.observation import Observer, surface_points
 from roboassembly.errors import InputError
-from roboassembly.furniture.model import MAX_POINTS, Furniture
+from roboassembly.furniture.model import MAX_POINTS
 from roboassembly.learning.lessons import CLOUD_POINTS
 from roboassembly.learning.situation import Situation, groups_of
 from roboassembly.solvers.hand_oracle import HandOracle
@@ -27,12 +27,15 @@ from roboassembly.solvers.oracle import Joint
 from roboassembly.task.full import FullTask
 from roboassembly.task.full import Joint as Held
 from roboassembly.task.full_plan import FullState
+from roboassembly.task.joining import Hold
 from roboassembly.task.rules import GRASPS
 
-UNKNOWN, BLOCKED, FITS, MERGES, FAILS = -1, 0, 1, 2, 3
-"""What is known of two grasps at a pair: nothing, that cheap tests fail, that they pass, and then what the arms say."""
+UNKNOWN, NO, YES = -1, 0, 1
+"""What is known of a hand, or of two."""
 _TOGETHER = 16
 """Pairs of hands that fit alone of which it is found out whether they fit together."""
+_MEET = 6
+"""Pairs of hands that fit together of which it is found out whether the arms reach the joint."""
 _PAIRS = 3
 """Right pairs of a state that are tried before a play is given up."""
 
@@ -47,7 +50,14 @@ class GraspLesson:
     poses: Float32[np.ndarray, "P 6"]
     pair: tuple[int, int, int, int]
     """u, k, v, l."""
-    known: Int8[np.ndarray, "8 8"]
+    take: Int8[np.ndarray, "2 8"]
+    """Whether R_a can take u's group from its post with each hand, and R_b v's."""
+    room: Int8[np.ndarray, "8 8"]
+    """Whether two hands have room at their parts and at the joint."""
+    meet: Int8[np.ndarray, "8 8"]
+    """Whether both arms reach the joint then, somewhere."""
+    rest: Int8[np.ndarray, "8 8"]
+    """Whether all else works out then, too."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +90,8 @@ class GraspCourse:
             free=np.array([x.free for x in self.lessons]),
             poses=np.array([x.poses for x in self.lessons]),
             pairs=np.array([x.pair for x in self.lessons], np.int16).reshape(-1, 4),
-            known=np.array([x.known for x in self.lessons], np.int8).reshape(-1, GRASPS, GRASPS),
+            take=np.array([x.take for x in self.lessons], np.int8).reshape(-1, 2, GRASPS),
+            together=np.array([(x.room, x.meet, x.rest) for x in self.lessons], np.int8).reshape(-1, 3, GRASPS, GRASPS),
         )
         scratch.replace(path)
 
@@ -93,10 +104,10 @@ class GraspCourse:
         """
         try:
             with np.load(path, allow_pickle=False) as z:
-                arrays = [z[name] for name in ("points", "connections", "free", "poses", "pairs", "known")]
+                names = ("points", "connections", "free", "poses", "pairs", "take", "together")
                 lessons = tuple(
-                    GraspLesson(p, c, f, w, tuple(pair.tolist()), known)
-                    for p, c, f, w, pair, known in zip(*arrays, strict=True)
+                    GraspLesson(p, c, f, w, tuple(pair.tolist()), take, *together)
+                    for p, c, f, w, pair, take, together in zip(*(z[name] for name in names), strict=True)
                 )
                 return GraspCourse(str(z["name"]), z["clouds"].astype(np.float32), z["hands"], lessons)
         except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
@@ -107,14 +118,15 @@ class GraspTeacher:
     """Plays one chair with two robots, and watches which hands work.
 
     Args:
-        furniture: the chair.
-        tries: of pairs of hands that fit, for each pair of points.
+        task: the chair.
+        tries: of pairs of hands that seem to work, for each pair of points.
+        oracle: of the task, if there is one already.
     """
 
-    def __init__(self, furniture: Furniture, tries: int) -> None:
-        self.task, self.tries = FullTask(furniture), tries
-        self._oracle = HandOracle(self.task)
-        self._observer = Observer(furniture, len(furniture.parts), MAX_POINTS, 1)
+    def __init__(self, task: FullTask, tries: int, oracle: HandOracle | None = None) -> None:
+        self.task, self.tries = task, tries
+        self._oracle = oracle or HandOracle(task)
+        self._observer = Observer(task.furniture, len(task.furniture.parts), MAX_POINTS, 1)
 
     def course(self, rng: np.random.Generator, plays: int) -> GraspCourse:
         """Lessons from some plays.
@@ -146,12 +158,12 @@ class GraspTeacher:
 
     def _lesson(self, state: FullState, joint: Joint, rng: np.random.Generator) -> tuple[GraspLesson, FullState | None]:
         """What is found out about one pair, and the state after it, if hands were found that join it."""
-        known = self._fitting(state, joint, rng)
-        after = None
-        for g_a, g_b in rng.permutation(np.argwhere(known == FITS))[: self.tries].tolist():
-            action = (joint.u, joint.v, joint.k, joint.l, g_a, g_b)
-            outcome = self.task.step(state, action, int(rng.integers(2**31 - 1)))
-            known[g_a, g_b] = FAILS if outcome.step is None else MERGES
+        take, room, meet = self._tested(state, joint, rng)
+        rest, after = np.full((GRASPS, GRASPS), UNKNOWN, np.int8), None
+        taken = (take[0, :, None] == YES) & (take[1] == YES)
+        for g_a, g_b in rng.permutation(np.argwhere(taken & (meet == YES)))[: self.tries].tolist():
+            outcome = self.task.step(state, (joint.u, joint.v, joint.k, joint.l, g_a, g_b), _seed(rng))
+            rest[g_a, g_b] = NO if outcome.step is None else YES
             if outcome.step is not None:
                 after = outcome.state
                 break
@@ -159,23 +171,35 @@ class GraspTeacher:
         free = self.task.rules.free_points(state.groups)[: len(seen["poses"])]
         pair = (joint.u, joint.k, joint.v, joint.l)
         return GraspLesson(
-            seen["connection_points"], seen["connections"], free, seen["poses"], pair, known
+            seen["connection_points"], seen["connections"], free, seen["poses"], pair, take, room, meet, rest
         ), after  # fmt: skip
 
-    def _fitting(self, state: FullState, joint: Joint, rng: np.random.Generator) -> Int8[np.ndarray, "8 8"]:
-        """The cheap tests: of each hand alone, and of some pairs of them together."""
+    def _tested(
+        self, state: FullState, joint: Joint, rng: np.random.Generator
+    ) -> tuple[Int8[np.ndarray, "2 8"], Int8[np.ndarray, "8 8"], Int8[np.ndarray, "8 8"]]:
+        """Each hand alone, and some pairs of them together: `take`, `room` and `meet` of a lesson."""
         task, groups, merge = self.task, state.groups, joint.merge
         u_group, v_group = groups.groups[groups.group_of[joint.u]], groups.groups[groups.group_of[joint.v]]
-        out = np.full((GRASPS, GRASPS), BLOCKED, np.int8)
-        ends = joint.u, joint.v
-        hands = [
-            {g: h for g, h in task.free_holds(groups, part).items() if task.fits_alone(u_group, v_group, merge, h, r)}
-            for r, part in enumerate(ends)
-        ]
+        take = np.full((2, GRASPS), UNKNOWN, np.int8)
+        room, meet = np.full((GRASPS, GRASPS), NO, np.int8), np.full((GRASPS, GRASPS), UNKNOWN, np.int8)
+        hands: list[dict[int, Hold]] = []
+        for robot, part in enumerate((joint.u, joint.v)):
+            holds = task.free_holds(groups, part)
+            for g, held in holds.items():
+                take[robot, g] = task.can_take(state, part, held, robot, _seed(rng))
+            hands.append({g: h for g, h in holds.items() if task.fits_alone(u_group, v_group, merge, h, robot)})
         both = [(a, b) for a in hands[0] for b in hands[1]]
-        out[tuple(np.array(both, int).reshape(-1, 2).T)] = UNKNOWN
+        room[tuple(np.array(both, int).reshape(-1, 2).T)] = UNKNOWN
+        met = 0
         for index in rng.permutation(len(both))[:_TOGETHER]:
             a, b = both[index]
-            fits = isinstance(task.fitted(u_group, v_group, merge, hands[0][a], hands[1][b]), Held)
-            out[a, b] = FITS if fits else BLOCKED
-        return out
+            fitted = task.fitted(u_group, v_group, merge, hands[0][a], hands[1][b])
+            room[a, b] = isinstance(fitted, Held)
+            if isinstance(fitted, Held) and met < _MEET:
+                met += 1
+                meet[a, b] = task.can_meet(state, fitted, _seed(rng))
+        return take, room, meet
+
+
+def _seed(rng: np.random.Generator) -> int:
+    return int(rng.integers(2**31 - 1))

@@ -17,7 +17,7 @@ from roboassembly.learning.situation import Situation
 from roboassembly.poses import rotations_from_euler
 from roboassembly.task.rules import GRASPS
 
-ONE, TWO = 27, 9
+ONE, TWO = 28, 9
 """Numbers that describe one hand at a joint, and two together."""
 _FAR = 0.05
 """Metres beyond which it does not matter how far something is from a hand."""
@@ -34,7 +34,7 @@ _CLOSED = 0.03
 class Handling:
     """Two hands at a joint; rows are grasps of u's part, columns those of v's."""
 
-    one: Float32[np.ndarray, "2 8 27"]
+    one: Float32[np.ndarray, "2 8 28"]
     """Of R_a's hand at u, and of R_b's at v."""
     two: Float32[np.ndarray, "8 8 9"]
     there: Bool[np.ndarray, "8 8"]
@@ -88,12 +88,15 @@ def _one(own: _Held, other: _Held, way: Float[np.ndarray, "3"], joint: Float[np.
     middle, up = 0.5 * (low + high), own.world[:, 2]
     heights = own.whole @ up
     from_joint, from_middle = own.at - joint, own.at - middle
+    level = from_middle - np.outer(from_middle @ up, up)
+    outward = level / np.maximum(np.linalg.norm(level, axis=1, keepdims=True), 1e-6)
     told = [
         np.clip(clearance, -_FAR, _FAR) / _FAR,
         np.tanh(clearance / _NEAR),
         np.stack([approach @ way, np.abs(closing @ way), approach @ up, np.abs(closing @ up)], axis=1),
         2.0 * np.stack([np.linalg.norm(from_joint, axis=1), from_joint @ way, from_middle @ up], axis=1),
-        2.0 * np.linalg.norm(from_middle - np.outer(from_middle @ up, up), axis=1)[:, None],
+        2.0 * np.linalg.norm(level, axis=1)[:, None],
+        np.einsum("gi,gi->g", approach, outward)[:, None],
         np.full((GRASPS, 3), [float(np.ptp(heights)), float(np.linalg.norm(high - low)), 2e-5 * len(own.whole)]),
         np.stack([own.at @ up - heights.min(), (len(own.rest) > 0) * np.ones(GRASPS)], axis=1),
     ]

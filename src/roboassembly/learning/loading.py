@@ -60,6 +60,19 @@ def maker_of(name: str) -> Maker:
 
 def _kept(name: str) -> Policy:
     """A policy that draws nothing."""
+    return _of_checkpoint(checkpoint_of(name), name)
+
+
+def checkpoint_of(name: str) -> Checkpoint:
+    """What a policy's checkpoint holds.
+
+    Args:
+        name: `relational`, `paper`, or the path of a checkpoint.
+
+    Raises:
+        UnknownNameError: no such policy.
+        InputError: the file is missing or broken.
+    """
     if name in SHIPPED:
         place = _shipped(name)
         if not place.is_file():
@@ -68,11 +81,11 @@ def _kept(name: str) -> Policy:
                 "the checkpoint's path"
             )
         with resources.as_file(place) as path:
-            return _of_checkpoint(checkpoint.load(path), name)
+            return checkpoint.load(path)
     path = Path(name)
     if not (path.exists() or path.suffix == ".npz" or "/" in name):
         raise UnknownNameError("policy", name, [*NAMES, *FILES])
-    return _of_checkpoint(checkpoint.load(path), name)
+    return checkpoint.load(path)
 
 
 def _shipped(name: str) -> Traversable:

@@ -7,6 +7,10 @@ done again, so that a run that was stopped goes on where it was.
     lessons/0/…        of random good moves       policy-0.npz   taught with them
     lessons/1/…        of policy-0's plays        policy-1.npz   taught with both
     …                                             policy.npz     the last one, to be shipped
+
+In the full setting all of this begins with the weights of a policy that knows the object-centric one, and lessons of
+grasps (`lessons/*/hands`) teach a second network, `grasping.npz`. `policy.npz` holds all three then, so that one file
+plays in both settings.
 """
 
 from __future__ import annotations
@@ -19,13 +23,25 @@ from typing import Any
 
 from roboassembly.errors import InputError
 from roboassembly.furniture.datasets import RECIPES, Pick, pick
-from roboassembly.learning import autoencoder, checkpoint, imitation, paper, paper_imitation, relational
-from roboassembly.learning.gather import EXTRA_SEEDS, extra_names, file_of, gather
+from roboassembly.learning import (
+    autoencoder,
+    checkpoint,
+    grasp_imitation,
+    grasping,
+    imitation,
+    paper,
+    paper_imitation,
+    relational,
+)
+from roboassembly.learning.gather import EXTRA_SEEDS, extra_names, file_of, gather, hands_of
 from roboassembly.learning.imitation import Example, Training
 from roboassembly.learning.lessons import Course
+from roboassembly.learning.loading import checkpoint_of
 from roboassembly.learning.paper import PaperConfig
 from roboassembly.learning.progress import Progress
 from roboassembly.learning.relational import RelationalConfig
+from roboassembly.learning.relational_policy import HANDS, HELD, RelationalPolicy
+from roboassembly.task.setting import SettingName
 
 _VALIDATION_SEEDS = EXTRA_SEEDS + 1_000_000
 
@@ -54,6 +70,11 @@ class Curriculum:
     batch: int = 16
     seed: int = 0
     network: RelationalConfig = field(default_factory=RelationalConfig)
+    setting: SettingName = "object-centric"
+    start: str = ""
+    """Policy to begin with, by name or path; needed in the full setting, where it is kept for the other one."""
+    grasp_steps: int = 12_000
+    """Updates of the network that chooses grasps (full)."""
 
 
 def teach(curriculum: Curriculum, folder: Path, jobs: int) -> Iterator[Progress]:
@@ -69,6 +90,7 @@ def teach(curriculum: Curriculum, folder: Path, jobs: int) -> Iterator[Progress]
     """
     if curriculum.set.partition(":")[0] not in RECIPES:
         raise InputError(f"--set {curriculum.set}: lessons are made of generated chairs; one of {', '.join(RECIPES)}")
+    started = _start_of(curriculum, folder)
     picks = pick(curriculum.set)[: curriculum.limit]
     unseen = RECIPES[curriculum.set.partition(":")[0]].unseen_families
     names = [p.name for p in picks] + extra_names(curriculum.extra, unseen)
@@ -77,7 +99,7 @@ def teach(curriculum: Curriculum, folder: Path, jobs: int) -> Iterator[Progress]
     yield from _gathered("validation", held_out, folder / "lessons" / "validation", curriculum, jobs, None)
     validation = imitation.load_examples(folder / "lessons" / "validation", held_out, jobs)
     examples: list[Example] = []
-    last: Path | None = None
+    last = started
     for round_ in range(curriculum.rounds + 1):
         lessons = folder / "lessons" / str(round_)
         yield from _gathered(f"lessons {round_}", names, lessons, curriculum, jobs, last)
@@ -93,7 +115,46 @@ def teach(curriculum: Curriculum, folder: Path, jobs: int) -> Iterator[Progress]
         last = path
     assert last is not None
     final = checkpoint.load(last, relational.KIND)
-    checkpoint.save(folder / "policy.npz", checkpoint.Checkpoint(final.kind, final.params, final.config, {}), half=True)
+    params = final.params
+    if curriculum.setting == "full":
+        assert started is not None
+        hands = [hands_of(folder / "lessons" / str(r)) for r in range(curriculum.rounds + 1)]
+        grasps = folder / "grasping.npz"
+        yield from _taught_grasps(hands, names, grasps, curriculum, notes, jobs)
+        held = {HELD: params, HANDS: checkpoint.load(grasps, grasping.KIND).params}
+        params = {**checkpoint.load(started, relational.KIND).params, **held}
+    checkpoint.save(folder / "policy.npz", checkpoint.Checkpoint(final.kind, params, final.config, {}), half=True)
+
+
+def _start_of(c: Curriculum, folder: Path) -> Path | None:
+    """The weights to begin with, by themselves; None where there are none.
+
+    Raises:
+        InputError: there is no such policy, it is of another network, or none is named in the full setting.
+    """
+    if not c.start:
+        if c.setting == "full":
+            raise InputError("--setting full goes on from a policy that knows the pairs: --start relational would do")
+        return None
+    loaded = checkpoint_of(c.start)
+    policy = RelationalPolicy.from_checkpoint(loaded, c.start) if loaded.kind == relational.KIND else None
+    if policy is None or loaded.config.get("network") != asdict(c.network):
+        raise InputError(f"--start {c.start}: its network is not the one to be taught; --start relational would do")
+    path = folder / "start.npz"
+    checkpoint.save(path, checkpoint.Checkpoint(loaded.kind, policy.params, loaded.config, {}))
+    return path
+
+
+def _taught_grasps(
+    folders: Sequence[Path], names: Sequence[str], path: Path, c: Curriculum, notes: dict[str, Any], jobs: int
+) -> Iterator[Progress]:
+    training = grasp_imitation.Training(steps=c.grasp_steps, seed=c.seed)
+    files = [file for folder in folders for name in names if (file := file_of(folder, name)).is_file()]
+    if finished(path, training.steps, grasping.KIND):
+        return
+    examples = grasp_imitation.examples_of(files, jobs)
+    for step, terms in grasp_imitation.train(examples, path, training, notes):
+        yield Progress("grasps", step, training.steps, terms)
 
 
 def _gathered(
@@ -101,7 +162,10 @@ def _gathered(
 ) -> Iterator[Progress]:
     there = sum(file_of(folder, name).is_file() for name in names)
     mistakes = choices = 0
-    for done, g in enumerate(gather(names, folder, plays=c.plays, seed=c.seed, jobs=jobs, student=student), 1):
+    gathering = gather(
+        names, folder, plays=c.plays, seed=c.seed, jobs=jobs, student=student, setting=c.setting
+    )  # fmt: skip
+    for done, g in enumerate(gathering, 1):
         mistakes, choices = mistakes + g.mistakes, choices + g.choices
         scalars = {"mistakes": mistakes / max(choices, 1)} if student else {}
         yield Progress(stage, there + done, len(names), scalars)
@@ -156,9 +220,9 @@ def lessons_hash(files: Sequence[Path]) -> str:
     return digest.hexdigest()[:16]
 
 
-def finished(path: Path, steps: int) -> bool:
-    """Whether the checkpoint at `path` has had its steps."""
-    return path.is_file() and int(checkpoint.load(path, relational.KIND).extra["step"]) >= steps
+def finished(path: Path, steps: int, kind: str = relational.KIND) -> bool:
+    """Whether the checkpoint at `path`, of a kind of network, has had its steps."""
+    return path.is_file() and int(checkpoint.load(path, kind).extra["step"]) >= steps
 
 
 def set_hash(picks: Sequence[Pick]) -> str:

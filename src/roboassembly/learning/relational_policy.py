@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Int
@@ -20,8 +20,9 @@ from roboassembly.learning.tokens import Memory, tokens_of
 from roboassembly.learning.views import VIEWS
 from roboassembly.task.setting import SettingName
 
-_HANDS = "hands"
-"""Under which name a checkpoint holds the weights of the network that chooses grasps."""
+HANDS, HELD = "hands", "held"
+"""Under which names a checkpoint holds the weights of the network that chooses grasps, and of the one that values pairs
+where hands have to join them."""
 _WITH_GRASPS = 6
 """Dimensions of a mask of actions with two grasps."""
 _DECIMALS = 3
@@ -51,6 +52,8 @@ class RelationalPolicy:
     """Merges that it imagines of each."""
     hands: Params | None = None
     """Of the network that chooses grasps (`grasping`); None if there is none, and no playing with robots then."""
+    held: Params | None = None
+    """Like `params`, for what hands have to join; the same if None."""
     memory: Memory = field(default_factory=Memory, repr=False)
 
     @property
@@ -73,12 +76,12 @@ class RelationalPolicy:
         if config.token % config.heads:
             raise InputError(f"'{where}': {config.heads} heads do not divide tokens of {config.token}; they must")
         wanted = relational.init(np.random.default_rng(0), config)
-        params = {name: array for name, array in loaded.params.items() if name != _HANDS}
-        checkpoint.check_arrays(params, wanted, where)
-        hands = loaded.params.get(_HANDS)
-        if hands is not None:
-            checkpoint.check_arrays(hands, grasping.init(np.random.default_rng(0)), where)
-        return RelationalPolicy(params, where, hands=hands)
+        params = {name: array for name, array in loaded.params.items() if name not in (HANDS, HELD)}
+        hands, held = loaded.params.get(HANDS), loaded.params.get(HELD)
+        for own, like in ((params, wanted), (held, wanted), (hands, grasping.init(np.random.default_rng(0)))):
+            if own is not None:
+                checkpoint.check_arrays(own, like, where)
+        return RelationalPolicy(params, where, hands=hands, held=held)
 
     def values(self, observation: Observation, mask: Mask) -> Values:
         """Logits that actions are good, or with robots the logarithms of their chances; -inf where the action does not
@@ -88,8 +91,12 @@ class RelationalPolicy:
             InputError: the policy knows nothing of hands, and the mask is one of grasps.
         """
         situation = Situation.of(observation, mask)
-        values = self._values(situation)
-        return values if mask.ndim == values.ndim else self._held(situation, values, mask)
+        if mask.ndim != _WITH_GRASPS:
+            return self._values(situation)
+        if self.hands is None:
+            raise InputError(f"the policy '{self.name}' has learnt nothing of hands; --setting object-centric would do")
+        pairs = self if self.held is None else replace(self, params=self.held)
+        return pairs._held(situation, pairs._values(situation), self.hands, mask)
 
     def _values(self, situation: Situation) -> Values:
         out = np.full(situation.actions, -np.inf, np.float32)
@@ -120,10 +127,8 @@ class RelationalPolicy:
             return surest(values)
         return self._plan(_Plan(situation, values))
 
-    def _held(self, situation: Situation, values: Values, mask: Mask) -> Values:
+    def _held(self, situation: Situation, values: Values, hands: Params, mask: Mask) -> Values:
         """Of actions with two grasps: that the pair is good, that something good is left then, that the hands fit."""
-        if self.hands is None:
-            raise InputError(f"the policy '{self.name}' has learnt nothing of hands; --setting object-centric would do")
         pairs = -np.logaddexp(0.0, -values.max(axis=-1))
         if self.ahead > 1:
             pairs = self._hopeful(situation, values, pairs)
@@ -132,7 +137,7 @@ class RelationalPolicy:
         for index in np.argsort(-flat, kind="stable")[:_HANDLED]:
             if flat[index] > -np.inf:
                 u, v, k, l = (int(i) for i in np.unravel_index(index, pairs.shape))  # noqa: E741
-                chance = grasping.log_chance(self.hands, handling_of(situation, u, k, v, l))
+                chance = grasping.log_chance(hands, handling_of(situation, u, k, v, l))
                 out[u, v, k, l] = np.where(mask[u, v, k, l], flat[index] + chance, -np.inf)
         return np.round(out, _DECIMALS)
 

@@ -6,7 +6,7 @@ Everything here is a pure function of state, action and seed; the environment an
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cached_property
@@ -23,7 +23,7 @@ from roboassembly.task.cell import check_size, laid_out
 from roboassembly.task.full_plan import FullState, FullStep
 from roboassembly.task.groups import Group, TaskState
 from roboassembly.task.joining import Hold, Way, can_let_go, can_take, hold, ways_out
-from roboassembly.task.legs import TUCKED, LegError, LegPlanner, Obstacle
+from roboassembly.task.legs import TUCKED, LegError, LegPlanner, Meeting, Obstacle
 from roboassembly.task.moments import Leg, Moment, Robot, Standing
 from roboassembly.task.pairs import Merge
 from roboassembly.task.rules import GRASPS, Rules
@@ -31,7 +31,7 @@ from roboassembly.task.rules import GRASPS, Rules
 BUDGET = Budget(states=8_000)
 """Of each path."""
 _MEETINGS = 4
-"""Meetings that are driven to before giving up."""
+"""Meetings that are driven to, and gone on from, before giving up."""
 _APART = 0.6
 """Metres of each robot from the middle at the beginning."""
 
@@ -183,8 +183,7 @@ class FullTask:
             budget: of each path, instead of the task's own.
         """
         begun = time.perf_counter()
-        rng = np.random.default_rng(seed)
-        legs = LegPlanner(self.furniture, state.cell, state.moment, budget or self.budget, rng)
+        legs = self._planner(state, seed, budget)
 
         def failed(verdict: FullVerdict, leg: str) -> FullOutcome:
             seconds = time.perf_counter() - begun
@@ -219,6 +218,28 @@ class FullTask:
             return Refusal(FullVerdict.GRASP_BLOCKED, "grasp v")
         return self.fitted(one, two, merge, hold_a, hold_b)
 
+    def can_take(self, state: FullState, part: int, held: Hold, robot: int, seed: int) -> bool:
+        """Whether a robot can take the group of a part and lift it from its post, wherever it comes from.
+
+        Args:
+            state: unchanged.
+            part: that is held.
+            held: how, of `free_holds`.
+            robot: 0 or 1.
+            seed: of what is drawn.
+        """
+        legs = self._planner(state, seed)
+        index = next(i for i, s in enumerate(state.moment.standing) if part in s.group.parts)
+        return legs.can_take(robot, index, held)
+
+    def can_meet(self, state: FullState, joint: Joint, seed: int) -> bool:
+        """Whether both arms reach the joint in some pose of it, and R_a comes straight out."""
+        return next(_meetings(self._planner(state, seed), joint), None) is not None
+
+    def _planner(self, state: FullState, seed: int, budget: Budget | None = None) -> LegPlanner:
+        rng = np.random.default_rng(seed)
+        return LegPlanner(self.furniture, state.cell, state.moment, budget or self.budget, rng)
+
     def fits_alone(self, one: Group, two: Group, merge: Merge, held: Hold, robot: int) -> bool:
         """Whether one hand suits a joint as long as the other is not there: what `fitted` needs of each.
 
@@ -252,8 +273,7 @@ class FullTask:
     def _carried_out(self, legs: LegPlanner, state: FullState, joint: Joint) -> FullState:
         merge = joint.merge
         hold_a, hold_b = joint.hold_a.moved(merge.furniture_from_u), joint.hold_b.moved(merge.furniture_from_v)
-        u, v = _reframed(joint.u, merge.furniture_from_u), _reframed(joint.v, merge.furniture_from_v)
-        meetings = legs.meetings(hold_a, hold_b, u, v, joint.ways, merge.merged)
+        meetings = _meetings(legs, joint)
         # Whether they can meet at all is found out before anything moves.
         first = next(meetings, None)
         if first is None:
@@ -262,9 +282,19 @@ class FullTask:
         for robot, group, held, name in ((0, joint.u, joint.hold_a, "u"), (1, joint.v, joint.hold_b, "v")):
             index = next(i for i, s in enumerate(legs.moment.standing) if s.group.parts == group.parts)
             legs.fetch(robot, index, held, name)
-        if not any(legs.join(m) for m in islice(chain([first], meetings), _MEETINGS)):
-            raise LegError(Obstacle.NO_PATH, "drive u")
-        legs.part(merge.merged, hold_a, hold_b)
+        failed = LegError(Obstacle.NO_PATH, "drive u")
+        for meeting in islice(chain([first], meetings), _MEETINGS):
+            before = legs.reached
+            try:
+                if legs.join(meeting):
+                    legs.part(merge.merged, hold_a, hold_b)
+                    break
+            except LegError as no:
+                # From here R_a does not get away, from elsewhere it may.
+                failed = no
+                legs.back_to(before)
+        else:
+            raise failed
         legs.set_down(places)
         groups = TaskState(tuple(s.group for s in legs.moment.standing))
         return FullState(groups, legs.moment, state.cell)
@@ -299,6 +329,14 @@ def _taken(furniture: Furniture, group: Group, part: int, grasp: int) -> Hold | 
     """How the hand holds the part; None if it has no such grasp or the rest of its group is in the way."""
     held = hold(furniture, group, part, grasp)
     return held if held is not None and can_take(furniture, group, held) else None
+
+
+def _meetings(legs: LegPlanner, joint: Joint) -> Iterator[Meeting]:
+    """Of both groups at the joint."""
+    merge = joint.merge
+    hold_a, hold_b = joint.hold_a.moved(merge.furniture_from_u), joint.hold_b.moved(merge.furniture_from_v)
+    u, v = _reframed(joint.u, merge.furniture_from_u), _reframed(joint.v, merge.furniture_from_v)
+    return legs.meetings(hold_a, hold_b, u, v, joint.ways, merge.merged)
 
 
 def _reframed(group: Group, by: SE3) -> Group:

@@ -82,6 +82,22 @@ class Meeting:
     """R_a's, out of the joint."""
 
 
+@dataclass(eq=False)
+class _Taking:
+    """A robot takes a standing group."""
+
+    before: Moment
+    """Its hand open."""
+    loaded: Moment
+    """The group in its hand, the post still there."""
+    world: RobotWorld
+    """As it comes."""
+    tries: Iterator[tuple[Path, Path]]
+    """Straight back from the group, and straight up with it."""
+    failed: str
+    """The leg that the last try failed in."""
+
+
 class LegPlanner:
     """Plans the legs of one step, one after the other, and keeps them.
 
@@ -104,6 +120,15 @@ class LegPlanner:
     def states(self) -> int:
         """Configurations tested for collision so far."""
         return sum(w.states for w in self._worlds)
+
+    @property
+    def reached(self) -> tuple[Moment, tuple[Leg, ...]]:
+        """How far it is, to come `back_to`."""
+        return self.moment, tuple(self.legs)
+
+    def back_to(self, reached: tuple[Moment, tuple[Leg, ...]]) -> None:
+        """Take back the legs planned since then."""
+        self.moment, self.legs = reached[0], list(reached[1])
 
     def world(self, moment: Moment, robot: int) -> RobotWorld:
         """One robot among all else."""
@@ -133,27 +158,12 @@ class LegPlanner:
         Raises:
             LegError: it cannot be.
         """
-        before = self.moment.with_robot(robot, replace(self.moment.robots[robot], opening=hold.open, grip=None))
-        group, stand = self.moment.standing[index].group, self.moment.standing[index].stand
-        rest = tuple(s for i, s in enumerate(before.standing) if i != index)
-        taken = Robot(before.robots[robot].at, hold.closed, Grip(group, hold))
-        loaded = replace(before, standing=rest, posts=(*before.posts, stand)).with_robot(robot, taken)
-        tips = group.world_from_furniture * hold.furniture_from_tips
-        world, lifting = self.world(before, robot), self.world(loaded, robot)
-        q = before.robots[robot].at
-        leg = f"grasp {name}"
-        for at in self._ways_to_stand(world, tips, q, leg):
-            back = line(at, -_BACK * tips.rotation[:, 2])
-            if back is None or not path_is_free(world, back):
-                leg = f"approach {name}"
-                continue
-            up = line(at, np.array([0.0, 0.0, _LIFT]))
-            if up is None or not path_is_free(lifting, up):
-                leg = f"lift {name}"
-                continue
-            way = self._go(world, q, back[-1])
+        taking = self._taking(robot, index, hold, name)
+        before, loaded = taking.before, taking.loaded
+        for back, up in taking.tries:
+            way = self._go(taking.world, before.robots[robot].at, back[-1])
             if way is None:
-                leg = f"drive to {name}"
+                taking.failed = f"drive to {name}"
                 continue
             self.moment = before
             self._add(f"drive to {name}", robot, way)
@@ -162,7 +172,43 @@ class LegPlanner:
             self._add(f"lift {name}", robot, up)
             self.moment = replace(self.moment, posts=before.posts)
             return
-        raise LegError(Obstacle.NO_PATH, leg)
+        raise LegError(Obstacle.NO_PATH, taking.failed)
+
+    def can_take(self, robot: int, index: int, hold: Hold) -> bool:
+        """Whether a standing group can be taken and lifted, wherever the robot comes from; as `fetch`."""
+        try:
+            return next(self._taking(robot, index, hold, "").tries, None) is not None
+        except LegError:
+            return False
+
+    def _taking(self, robot: int, index: int, hold: Hold, name: str) -> _Taking:
+        """Ways to take a standing group and lift it, `fetch` without the drive.
+
+        Raises:
+            LegError: there is no way to stand (from the first of the tries).
+        """
+        before = self.moment.with_robot(robot, replace(self.moment.robots[robot], opening=hold.open, grip=None))
+        group, stand = self.moment.standing[index].group, self.moment.standing[index].stand
+        rest = tuple(s for i, s in enumerate(before.standing) if i != index)
+        taken = Robot(before.robots[robot].at, hold.closed, Grip(group, hold))
+        loaded = replace(before, standing=rest, posts=(*before.posts, stand)).with_robot(robot, taken)
+        tips = group.world_from_furniture * hold.furniture_from_tips
+        world, lifting = self.world(before, robot), self.world(loaded, robot)
+
+        def tries() -> Iterator[tuple[Path, Path]]:
+            for at in self._ways_to_stand(world, tips, before.robots[robot].at, f"grasp {name}"):
+                back = line(at, -_BACK * tips.rotation[:, 2])
+                if back is None or not path_is_free(world, back):
+                    taking.failed = f"approach {name}"
+                    continue
+                up = line(at, np.array([0.0, 0.0, _LIFT]))
+                if up is None or not path_is_free(lifting, up):
+                    taking.failed = f"lift {name}"
+                    continue
+                yield back, up
+
+        taking = _Taking(before, loaded, world, tries(), f"grasp {name}")
+        return taking
 
     def _ways_to_stand(self, world: RobotWorld, tips: SE3, near: Configuration, leg: str) -> Iterator[Configuration]:
         """Free configurations with the finger tips there, the nearest first.
@@ -248,7 +294,7 @@ class LegPlanner:
     def join(self, meeting: Meeting) -> bool:
         """Drive both robots to a meeting and mate; False, and nothing is changed, if there is no way."""
         drives = ((1, meeting.b, "drive v"), (0, meeting.out[-1], "drive u"))
-        before = self.moment, list(self.legs)
+        before = self.reached
         for order in (drives, drives[::-1]):
             for robot, goal, name in order:
                 way = self._go(self.world(self.moment, robot), self.moment.robots[robot].at, goal)
@@ -258,7 +304,7 @@ class LegPlanner:
             else:
                 self._add("mate", 0, tuple(reversed(meeting.out)))
                 return True
-            self.moment, self.legs = before[0], list(before[1])
+            self.back_to(before)
         return False
 
     def part(self, merged: Group, hold_a: Hold, hold_b: Hold) -> None:

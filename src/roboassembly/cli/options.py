@@ -1,9 +1,9 @@
-"""How many processes a command works with, and where: `jobs: Jobs = CORES`, `ray: Ray = None`."""
+"""Options that several commands take, `jobs: Jobs = CORES` for instance."""
 
 from __future__ import annotations
 
 import os
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 
@@ -18,3 +18,7 @@ Ray = Annotated[
     ),
 ]
 """Address of a Ray cluster."""
+Setting = Literal["object-centric", "full"]
+"""`task.setting.SettingName`, which takes a while to import."""
+Execution = Literal["kinematic", "dynamic"]
+"""`learning.players.ExecutionName`."""
