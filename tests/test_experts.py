@@ -21,10 +21,11 @@ from roboassembly.task.groups import Group
 from roboassembly.task.object_centric import ObjectCentricTask, Verdict
 
 jax = pytest.importorskip("jax")
-from roboassembly.learning import apprentices, double_q  # noqa: E402
+from roboassembly.learning import apprentices, double_q, paper_imitation  # noqa: E402
 from roboassembly.learning.apprentices import Bench, ExpertTraining  # noqa: E402
 from roboassembly.learning.expert_lessons import expert_course  # noqa: E402
 from roboassembly.learning.learner import Learner, LearnerConfig, Memory  # noqa: E402
+from roboassembly.learning.paper_imitation import Augmentation  # noqa: E402
 
 
 def test_double_q_target_by_hand() -> None:
@@ -267,7 +268,10 @@ def test_a_small_chair_is_mastered_and_taught(tmp_path: Path) -> None:
     assert lesson.values is not None
     assert lesson.values.shape == (n, n, 6)
     best = len(task.furniture.parts) + 3.0
-    assert float(lesson.values.max()) == pytest.approx(best, rel=0.25)
+    # Values may overshoot; what is taught does not.
+    taught = paper_imitation.examples_of([course], _extractor(), Augmentation(copies=0))[0]
+    exist = taught.group[:, None] != taught.group
+    assert 0.75 * best <= float(taught.taught()[exist].max()) <= best
     course.save(tmp_path / "course.npz")
     other = ObjectCentricTask(catalogue.make("stool", 1))
     with pytest.raises(InputError, match="is an expert for"):

@@ -15,6 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import shapes
+from roboassembly.envs.full import FullEnv
 from roboassembly.envs.object_centric import ObjectCentricEnv
 from roboassembly.envs.observation import Observer, surface_points
 from roboassembly.errors import InputError
@@ -24,13 +26,17 @@ from roboassembly.learning import autoencoder, checkpoint, layers, paper
 from roboassembly.learning import paper_imitation as imitation
 from roboassembly.learning.autoencoder import CLOUD_POINTS
 from roboassembly.learning.lessons import Course, Lesson, Teacher
+from roboassembly.learning.loading import load_policy
 from roboassembly.learning.paper import PaperConfig, PaperPolicy, PaperState
 from roboassembly.learning.paper_imitation import Augmentation, Example, Training
 from roboassembly.poses import rotations_from_euler
+from roboassembly.solvers.hand_oracle import HandOracle
 from roboassembly.solvers.oracle import Oracle
+from roboassembly.task.full import FullTask
 from roboassembly.task.groups import TaskState
 from roboassembly.task.object_centric import ObjectCentricTask
 
+STATE = paper.size(False)
 SMALL = PaperConfig(hidden=24, feature=16, slot=8)
 ENCODER = autoencoder.init(np.random.default_rng(1))
 
@@ -63,9 +69,9 @@ def test_the_state_vector_is_padded_section_by_section() -> None:
     points[1, 4:] = 0.0  # a part with four points
     poses, connections = rng.normal(size=(3, 6)), np.zeros((3, 3, 6))
     connections[0, 2], connections[2, 0] = rng.normal(size=(2, 6))
-    vector = np.zeros(paper.STATE, np.float32)
+    vector = np.zeros(STATE, np.float32)
     PaperState(features, points, poses, connections).write(vector)
-    assert paper.STATE == 20 * 48 + 20 * 10 * 9 + 20 * 6 + 20 * 20 * 6 == 5280
+    assert STATE == 20 * 48 + 20 * 10 * 9 + 20 * 6 + 20 * 20 * 6 == 5280
     assert vector[48 + 5] == np.float32(features[1, 5])
     assert not vector[3 * 48 : 20 * 48].any()
     assert vector[960 + 90 + 3 * 9 + 8] == np.float32(points[1, 3, 8])
@@ -78,14 +84,14 @@ def test_the_state_vector_is_padded_section_by_section() -> None:
     assert vector[2880 + (2 * 20 + 0) * 6 + 4] == np.float32(connections[2, 0, 4])
     assert np.count_nonzero(vector[2880:]) == 12
     # Fewer points than ten on every part: the same vector.
-    fewer = np.zeros(paper.STATE, np.float32)
+    fewer = np.zeros(STATE, np.float32)
     PaperState(features[1:2], points[1:2, :4], poses[1:2], connections[1:2, 1:2]).write(fewer)
     assert fewer[960 + 3 * 9 + 8] == vector[960 + 90 + 3 * 9 + 8]
     assert not fewer[960 + 4 * 9 : 2760].any()
 
 
 def test_inputs_are_normalised_by_what_is_there() -> None:
-    states = np.zeros((2, paper.STATE), np.float32)
+    states = np.zeros((2, STATE), np.float32)
     states[0, 0], states[0, 48], states[1, 0] = 1.0, 3.0, 5.0  # channel 0 of the features of three parts
     states[0, 1] = states[0, 49] = states[1, 1] = 7.0  # a constant channel
     inputs = paper.standard(states)
@@ -154,11 +160,58 @@ def test_exact_values_are_returns_to_go() -> None:
     assert exact[1, 2].tolist() == [0, 0, 0, 1, 0, 0]
     assert exact.sum() == 13.0
     # An expert is believed before the oracle.
-    values = np.arange(96, dtype=np.float16).reshape(4, 4, 6)
+    values = np.arange(96, dtype=np.float16).reshape(4, 4, 6) / 10.0
     by_expert = replace(course, lessons=(replace(lesson, values=values),))
     taught = imitation.batch_of(imitation.examples_of([by_expert], ENCODER, Augmentation(copies=0)), None)
-    assert np.array_equal(taught["target"][0, :4, :4], values)
+    # But more than two merges and the whole are not to be had.
+    assert np.array_equal(taught["target"][0, :4, :4], np.minimum(values, 6.0))
     assert not taught["target"][0, 4:].any()
+
+
+def test_with_robots_what_both_grasps_add_is_taught_and_chosen(tmp_path: Path) -> None:
+    stand = shapes.stand()
+    task = FullTask(stand)
+    clouds = np.array([surface_points(p.mesh, CLOUD_POINTS) for p in stand.parts], np.float32)
+    teacher = Teacher(stand, clouds, HandOracle(task))
+    rng = np.random.default_rng(0)
+    hands = Observer(stand, 4, 10, 1).observe(task.initial_state(rng).groups)["grasp_regions"].reshape(4, 8, 6)
+    lessons = []
+    for lesson in teacher.play(rng).lessons:
+        n = int(lesson.free.sum())
+        lessons.append(replace(lesson, values=rng.uniform(0.0, 4.0, (n, n, 16)).astype(np.float16)))
+    course = replace(teacher.course, lessons=tuple(lessons), hands=hands)
+    course.save(tmp_path / "stand.npz")
+    again = Course.load(tmp_path / "stand.npz")
+    assert again.hands is not None
+    assert np.array_equal(again.hands, hands)
+    examples = imitation.examples_of([again], ENCODER, Augmentation(copies=0))
+    batch = imitation.batch_of(examples[:1], None)
+    first = lessons[0].values
+    assert first is not None
+    n = len(first)
+    assert batch["target"].shape[3] == 64
+    # Grasps 2 and 5 of the first pair: way 8 * 2 + 5. Four parts: at most three merges and the whole are to be had.
+    both = float(first[0, 1, 2]) + float(first[0, 1, 8 + 5])
+    assert batch["target"][0, 0, 1, 21] == pytest.approx(min(both, 7.0), abs=1e-3)
+    assert batch["target"].max() == 7.0
+    assert batch["state"].shape[1] == 5280 + 20 * 8 * 6
+    assert batch["state"][0, 5280 + 48 + 3] == pytest.approx(hands[1, 0, 3])
+    path = tmp_path / "paper.npz"
+    list(imitation.train(examples, ENCODER, path, Training(steps=3, batch=2, warmup=1), SMALL, {}))
+    policy = load_policy(str(path))
+    assert isinstance(policy, PaperPolicy)
+    assert policy.settings == ("full",)
+    env = FullEnv(stand, cloud_points=policy.cloud_points)
+    observation, info = env.reset(seed=0)
+    mask = info["action_mask"]
+    values = policy.values(observation, mask)
+    assert np.array_equal(np.isfinite(values), mask)
+    u, v, k, l, g_a, g_b = policy.act(observation, mask)  # noqa: E741
+    assert values[u, v, k, l, g_a, g_b] == values.max()
+    plain = replace(course, hands=None, lessons=tuple(replace(x, values=None) for x in lessons))
+    mixed = examples + imitation.examples_of([plain], ENCODER, Augmentation(copies=0))
+    with pytest.raises(InputError, match="both settings"):
+        next(imitation.train(mixed, ENCODER, tmp_path / "mixed.npz", Training(steps=3), SMALL, {}))
 
 
 def test_a_batch_names_slots_and_what_exists(examples: list[Example]) -> None:
@@ -210,9 +263,9 @@ def test_noise_is_on_the_clouds_alone(examples: list[Example], course: Course) -
 
 def test_q_is_what_its_factors_say_on_numpy_and_jax() -> None:
     rng = np.random.default_rng(0)
-    p, state = paper.init(rng, SMALL), rng.normal(size=(2, paper.STATE)).astype(np.float32)
-    p["way_u"]["b"] += np.arange(6, dtype=np.float32)
-    inputs = {"mean": np.full(paper.STATE, 0.1, np.float32), "scale": np.full(paper.STATE, 2.0, np.float32)}
+    p, state = paper.init(rng, SMALL), rng.normal(size=(2, STATE)).astype(np.float32)
+    p["heads"]["0"]["u"]["b"] += np.arange(6, dtype=np.float32)
+    inputs = {"mean": np.full(STATE, 0.1, np.float32), "scale": np.full(STATE, 2.0, np.float32)}
     slot = np.array([[0, 57, 199], [3, 3, 8]], np.int32)
     q = paper.apply(p, inputs, state, slot)
     assert q.shape == (2, 3, 3, 6)
@@ -221,7 +274,9 @@ def test_q_is_what_its_factors_say_on_numpy_and_jax() -> None:
         whole = layers.gelu(layers.norm(layer["norm"], layers.linear(layer["map"], whole)))
     a, b = np.split(layers.linear(p["slots"], whole).reshape(2, 200, 16), 2, axis=2)
     expected = (
-        (a[0, 57] * b[0, 199]) @ p["ways"] + layers.linear(p["way_u"], a[0, 57]) + layers.linear(p["way_v"], b[0, 199])
+        (a[0, 57] * b[0, 199]) @ p["heads"]["0"]["ways"]
+        + layers.linear(p["heads"]["0"]["u"], a[0, 57])
+        + layers.linear(p["heads"]["0"]["v"], b[0, 199])
     )
     assert q[0, 1, 2] == pytest.approx(10.0 * expected, abs=1e-3)
     assert np.array_equal(q[1, 0], q[1, 1])
@@ -261,7 +316,7 @@ def test_the_policy_agrees_with_training(examples: list[Example], course: Course
     policy = PaperPolicy(params)
     values = policy.values(observation, mask)
     part, point = np.nonzero(mask.any(axis=(1, 3, 4)))
-    state = np.zeros((1, paper.STATE), np.float32)
+    state = np.zeros((1, STATE), np.float32)
     n = len(chair.parts)
     PaperState(
         autoencoder.encode(ENCODER, course.clouds), observation["connection_points"][:n], observation["poses"][:n],
@@ -305,7 +360,7 @@ def test_checkpoints_of_other_networks_are_refused() -> None:
         PaperPolicy.from_checkpoint(checkpoint.Checkpoint("relational", {}, {}, {}))
     with pytest.raises(InputError, match="sizes of its network"):
         PaperPolicy.from_checkpoint(checkpoint.Checkpoint(paper.KIND, {}, {}, {}))
-    small, inputs = paper.init(np.random.default_rng(0), SMALL), np.zeros(paper.STATE, np.float32)
+    small, inputs = paper.init(np.random.default_rng(0), SMALL), np.zeros(STATE, np.float32)
     params = {"encoder": ENCODER, "inputs": {"mean": inputs, "scale": inputs}, "network": small}
     config = {"network": {"hidden": 24, "feature": 16, "slot": 8}}
     assert PaperPolicy.from_checkpoint(checkpoint.Checkpoint(paper.KIND, params, config, {})).name == "paper"

@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Bool, Float32, Int
 
 from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS
+from roboassembly.learning import heads
 from roboassembly.learning.kinds import point_counts
 from roboassembly.learning.layers import Array, Params, gelu, init_linear, init_mlp, linear, mlp
 from roboassembly.task.groups import TaskState
@@ -86,15 +87,7 @@ def init(
         "hidden": init_linear(rng, _WIDTH, _WIDTH),
         "u": init_linear(rng, _WIDTH, _RANK),
         "v": init_linear(rng, _WIDTH, _RANK),
-        "heads": {str(i): _init_head(rng, count) for i, count in enumerate(ways)},
-    }
-
-
-def _init_head(rng: np.random.Generator, ways: int) -> Params:
-    return {
-        "ways": rng.normal(0.0, _RANK**-0.5, (_RANK, ways)).astype(np.float32),
-        "u": init_linear(rng, _WIDTH, ways),
-        "v": init_linear(rng, _WIDTH, ways),
+        "heads": heads.init(rng, _WIDTH, _RANK, ways),
     }
 
 
@@ -111,8 +104,13 @@ def apply(p: Params, features: Array, part: Array, joined: Array, free: Array) -
     Returns:
         (b, n, n, w) over all ways.
     """
+    return heads.together(added(p, features, part, joined, free))
+
+
+def added(p: Params, features: Array, part: Array, joined: Array, free: Array) -> list[Array]:
+    """What each choice adds to the Q of two points, (b, n, n, w) each; arguments as of `apply`."""
     xp = joined.__array_namespace__()
-    b, n = free.shape
+    b = len(free)
     whole = mlp(p["state"], xp.concatenate([joined[:, _ABOVE[0], _ABOVE[1]], free], axis=1))
     size = xp.sum(joined, axis=2)[:, part, None] / 5.0
     fixed = xp.broadcast_to(features[None], (b, *features.shape))
@@ -120,20 +118,7 @@ def apply(p: Params, features: Array, part: Array, joined: Array, free: Array) -
     token = gelu(token + whole[:, None] + p["slot"][None])
     token = gelu(linear(p["hidden"], token))
     u, v = linear(p["u"], token), linear(p["v"], token)
-    q, *more = (_apply_head(p["heads"][str(i)], token, u, v) for i in range(len(p["heads"])))
-    for other in more:
-        q = xp.reshape(q[..., :, None] + other[..., None, :], (b, n, n, -1))
-    return q
-
-
-def _apply_head(p: Params, token: Array, u: Array, v: Array) -> Array:
-    """(b, n, n, w): what one choice adds."""
-    xp = token.__array_namespace__()
-    b, n, _ = u.shape
-    ways = p["ways"].shape[1]
-    moved = xp.reshape(u[:, :, None] * p["ways"].T, (b, n * ways, _RANK))
-    pairs = xp.reshape(moved @ xp.swapaxes(v, 1, 2), (b, n, ways, n))
-    return xp.moveaxis(pairs, 2, 3) + linear(p["u"], token)[:, :, None] + linear(p["v"], token)[:, None]
+    return heads.added(p["heads"], u, v, token, token)
 
 
 def existing(part: Array, joined: Array, free: Array) -> Array:
@@ -151,13 +136,19 @@ class Expert:
 
     def values(self, joined: Bool[np.ndarray, "20 20"], free: Bool[np.ndarray, "m"]) -> Float32[np.ndarray, "m m w"]:
         """Q over all points of the chair, in shares of the best return; -inf where the action does not exist."""
-        c, m = self.chair, len(free)
-        padded = np.zeros((1, len(c.part)), np.float32)
-        padded[0, :m] = free
-        told = joined[None].astype(np.float32)
-        q = apply(self.params, c.features, c.part, told, padded)
-        exists = existing(c.part, told, padded)
-        return np.where(exists[..., None], q, -np.inf)[0, :m, :m]
+        seen, m = self._seen(joined, free), len(free)
+        exists = existing(*seen[1:])[0, :m, :m]
+        return np.where(exists[..., None], heads.together(self.added(joined, free)), -np.inf)
+
+    def added(self, joined: Bool[np.ndarray, "20 20"], free: Bool[np.ndarray, "m"]) -> list[np.ndarray]:
+        """What each choice adds to that, (m, m, w) each, whether the action exists or not."""
+        m = len(free)
+        return [np.asarray(x)[0, :m, :m] for x in added(self.params, *self._seen(joined, free))]
+
+    def _seen(self, joined: np.ndarray, free: np.ndarray) -> tuple[np.ndarray, ...]:
+        padded = np.zeros((1, len(self.chair.part)), np.float32)
+        padded[0, : len(free)] = free
+        return self.chair.features, self.chair.part, joined[None].astype(np.float32), padded
 
 
 @dataclass(frozen=True, eq=False)

@@ -45,8 +45,9 @@ class Lesson:
     """World pose of each part, as in the observation."""
     joints: Int16[np.ndarray, "j 11"]
     """Ordered right pairs: u, k, v, l, whether the furniture can be finished after it, and the six ways."""
-    values: Float16[np.ndarray, "n n 6"] | None = None
-    """An expert's Q-values over free points in the order of parts and points; None where the oracle taught."""
+    values: Float16[np.ndarray, "n n w"] | None = None
+    """An expert's Q-values over free points in the order of parts and points, not limited to what can be had, nor to
+    actions that exist: of each `w`, or what each `g_a` and then what each `g_b` adds. None where the oracle taught."""
 
     @property
     def group(self) -> np.ndarray:
@@ -61,6 +62,8 @@ class Course:
     name: str
     clouds: Float32[np.ndarray, "P C 3"]
     lessons: tuple[Lesson, ...]
+    hands: Float32[np.ndarray, "P 8 6"] | None = None
+    """The hand at each grasp, as in the observation; None in the object-centric setting."""
 
     def tokens(self, lesson: Lesson, memory: Memory | None = None) -> Tokens:
         """What the policy sees of a state; a memory saves time from state to state."""
@@ -74,7 +77,7 @@ class Course:
             lesson.connections.astype(float),
             lesson.free,
             lesson.group,
-            np.zeros((len(self.clouds), GRASPS, 6)),
+            np.zeros((len(self.clouds), GRASPS, 6)) if self.hands is None else self.hands.astype(float),
             lesson.poses.astype(float),
         )
 
@@ -88,12 +91,14 @@ class Course:
             scratch,
             name=np.array(self.name),
             clouds=self.clouds.astype(np.float16),
+            hands=np.zeros((0, GRASPS, 6), np.float32) if self.hands is None else self.hands,
             points=np.array([lesson.points for lesson in self.lessons]),
             connections=np.array([lesson.connections for lesson in self.lessons]),
             free=np.array([lesson.free for lesson in self.lessons]),
             poses=np.array([lesson.poses for lesson in self.lessons]),
             valued=np.array([lesson.values is not None for lesson in self.lessons], bool),
             values=np.concatenate(values) if values else np.zeros(0, np.float16),
+            choices=np.array(max((x.values.shape[2] for x in self.lessons if x.values is not None), default=0)),
             joints=np.concatenate(joints) if count else np.zeros((0, 11), np.int16),
             state=np.repeat(np.arange(count), [len(j) for j in joints]),
         )
@@ -110,7 +115,7 @@ class Course:
             with np.load(path, allow_pickle=False) as z:
                 joints, state = z["joints"], z["state"]
                 points, connections, free, poses = z["points"], z["connections"], z["free"], z["poses"]
-                shapes = [(n, n, len(UP_AXES)) for n in free.sum(axis=(1, 2)) * z["valued"]] if len(free) else []
+                shapes = [(n, n, int(z["choices"])) for n in free.sum(axis=(1, 2)) * z["valued"]] if len(free) else []
                 ends = np.cumsum([np.prod(shape) for shape in shapes], dtype=int)
                 values = [v.reshape(s) for v, s in zip(np.split(z["values"], ends)[:-1], shapes, strict=True)]
                 lessons = tuple(
@@ -120,7 +125,8 @@ class Course:
                     )
                     for i in range(len(points))
                 )  # fmt: skip
-                return Course(str(z["name"]), z["clouds"].astype(np.float32), lessons)
+                hands = z["hands"] if len(z["hands"]) else None
+                return Course(str(z["name"]), z["clouds"].astype(np.float32), lessons, hands)
         except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
             raise InputError(f"{path} is not a course of lessons: {error}; remove it and build it again") from None
 

@@ -104,8 +104,9 @@ def _of_checkpoint(loaded: Checkpoint, where: str) -> Policy:
     if loaded.kind == "paper":
         from roboassembly.learning import autoencoder, paper
 
-        rng, zeros = np.random.default_rng(0), np.zeros(paper.STATE, np.float32)
-        network = paper.init(rng, checkpoint.network_config(paper.PaperConfig(), loaded.config.get("network"), where))
+        config = checkpoint.network_config(paper.PaperConfig(), loaded.config.get("network"), where)
+        rng, zeros = np.random.default_rng(0), np.zeros(paper.size(config.hands), np.float32)
+        network = paper.init(rng, config)
         inputs = {"mean": zeros, "scale": zeros}
         wanted = {"network": network, "inputs": inputs, "encoder": autoencoder.init(rng)}
         checkpoint.check_arrays(loaded.params, wanted, where)

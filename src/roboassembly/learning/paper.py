@@ -9,6 +9,7 @@ each with zeros where a part or a point is not there:
 | connection points: position, outward normal, tangent, part frame | (20, 10, 9) | m, 1, 1 |
 | world pose of each part: translation, Euler angles | (20, 6) | m, rad |
 | connection matrix: pose of part j in part i's frame if they are joined | (20, 20, 6) | m, rad |
+| with robots: the hand at each grasp, part frame | (20, 8, 6) | m, rad |
 
 An MLP, with layer normalisation, makes a global feature of it. From that, all 200 slots for points are given an
 embedding in the role of the moving point and one in that of the waiting point, and
@@ -16,7 +17,8 @@ embedding in the role of the moving point and one in that of the waiting point, 
     Q(u, k, v, l, w) = sum_d a[u, k, d] b[v, l, d] W[d, w] + A[u, k, w] + B[v, l, w]
 
 with A and B affine in a and b: 240,000 values by way of 200 · 2 · d numbers, where the best `w` depends on the pair.
-Weights belong to slots; so, as in the paper, the network knows parts by their numbers, too.
+With robots it is a sum of two of these, of `g_a` and of `g_b` (`heads`). Weights belong to slots; so, as in the paper,
+the network knows parts by their numbers, too.
 """
 
 from __future__ import annotations
@@ -30,11 +32,14 @@ from jaxtyping import Bool, Float, Float32, Int
 from roboassembly.envs.observation import Observation
 from roboassembly.errors import InputError
 from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS
-from roboassembly.learning import autoencoder
+from roboassembly.learning import autoencoder, heads
 from roboassembly.learning.autoencoder import CLOUD_POINTS, FEATURE
 from roboassembly.learning.checkpoint import Checkpoint
 from roboassembly.learning.layers import Array, Params, gelu, init_linear, init_norm, linear, norm
-from roboassembly.task.rules import UP_AXES
+from roboassembly.task.full import FullTask
+from roboassembly.task.object_centric import ObjectCentricTask
+from roboassembly.task.rules import GRASPS
+from roboassembly.task.setting import SettingName
 
 KIND = "paper"
 """Of checkpoints."""
@@ -47,7 +52,8 @@ SECTIONS = {
     "connections": (MAX_PARTS, MAX_PARTS, 6),
 }
 """Of the state vector, in order, and their shapes."""
-STATE = sum(int(np.prod(shape)) for shape in SECTIONS.values())
+GRASP_SECTION = {"grasps": (MAX_PARTS, GRASPS, 6)}
+"""What the state vector has besides with robots."""
 _RETURN = 10.0
 """About the return of a play: the network's outputs are in this unit inside, so that they start out of order one."""
 
@@ -60,16 +66,28 @@ class PaperState:
     points: Float[np.ndarray, "P K 9"]
     poses: Float[np.ndarray, "P 6"]
     connections: Float[np.ndarray, "P P 6"]
+    grasps: Float[np.ndarray, "P 8 6"] | None = None
+    """With robots."""
 
-    def write(self, into: Float32[np.ndarray, "5280"]) -> None:
+    def write(self, into: Float32[np.ndarray, "s"]) -> None:
         """Put it into a vector of zeros."""
         begin = 0
-        for name, shape in SECTIONS.items():
+        for name, shape in sections(self.grasps is not None).items():
             end = begin + int(np.prod(shape))
             value = getattr(self, name)
             # The last axis is never padded.
             into[begin:end].reshape(shape)[tuple(slice(n) for n in value.shape[:-1])] = value
             begin = end
+
+
+def sections(hands: bool) -> dict[str, tuple[int, ...]]:
+    """Of the state vector, in order, and their shapes."""
+    return {**SECTIONS, **(GRASP_SECTION if hands else {})}
+
+
+def size(hands: bool) -> int:
+    """Of the state vector: 5,280, with hands 6,240."""
+    return sum(int(np.prod(shape)) for shape in sections(hands).values())
 
 
 @dataclass(frozen=True)
@@ -81,6 +99,13 @@ class PaperConfig:
     """Of the global feature."""
     slot: int = 16
     """Of an embedding."""
+    hands: bool = False
+    """For the full setting."""
+
+    @property
+    def ways(self) -> tuple[int, ...]:
+        """Choices after the two points."""
+        return FullTask.ways if self.hands else ObjectCentricTask.ways
 
 
 def init(rng: np.random.Generator, c: PaperConfig) -> Params:
@@ -88,22 +113,20 @@ def init(rng: np.random.Generator, c: PaperConfig) -> Params:
     return {
         "state": {
             str(i): {"map": init_linear(rng, a, b), "norm": init_norm(b)}
-            for i, (a, b) in enumerate(pairwise((STATE, c.hidden, c.hidden, c.feature)))
+            for i, (a, b) in enumerate(pairwise((size(c.hands), c.hidden, c.hidden, c.feature)))
         },
         "slots": init_linear(rng, c.feature, SLOTS * 2 * c.slot),
-        "ways": rng.normal(1.0, 0.5, (c.slot, len(UP_AXES))).astype(np.float32) * c.slot**-0.5,
-        "way_u": init_linear(rng, c.slot, len(UP_AXES)),
-        "way_v": init_linear(rng, c.slot, len(UP_AXES)),
+        "heads": heads.init(rng, c.slot, c.slot, c.ways, mean=1.0, spread=0.5),
     }
 
 
-def standard(states: Float[np.ndarray, "b 5280"]) -> dict[str, Float32[np.ndarray, "5280"]]:
+def standard(states: Float[np.ndarray, "b s"]) -> dict[str, Float32[np.ndarray, "s"]]:
     """Mean and reciprocal deviation of each channel (the last axis of a section) over what is there, all slots alike.
 
     Constant channels are left out by a factor of 0.
     """
     means, scales, begin = [], [], 0
-    for shape in SECTIONS.values():
+    for shape in sections(states.shape[1] > size(False)).values():
         end = begin + int(np.prod(shape))
         rows = states[:, begin:end].reshape(-1, shape[-1])
         rows = rows[(rows != 0).any(axis=1)]
@@ -121,14 +144,14 @@ def apply(p: Params, inputs: Params, state: Array, slot: Array) -> Array:
     Args:
         p: of `init`.
         inputs: of `standard`.
-        state: (b, 5280).
+        state: (b, s), s as of `size`.
         slot: (b, n) points to value, as numbers of slots.
 
     Returns:
-        (b, n, n, 6) undiscounted return: 1 for each merge, 4 more for the whole. Rows move onto columns.
+        (b, n, n, w) over all ways, undiscounted return: 1 for each merge, 4 more for the whole. Rows move onto columns.
     """
     xp = state.__array_namespace__()
-    b, n = slot.shape
+    b = len(slot)
     whole = (state - inputs["mean"]) * inputs["scale"]
     for i in range(len(p["state"])):
         layer = p["state"][str(i)]
@@ -137,9 +160,7 @@ def apply(p: Params, inputs: Params, state: Array, slot: Array) -> Array:
     some = slots[xp.arange(b)[:, None], slot]
     half = some.shape[2] // 2
     u, v = some[..., :half], some[..., half:]
-    moved = xp.reshape(u[:, :, None] * p["ways"].T, (b, n * len(UP_AXES), half))
-    pairs = xp.moveaxis(xp.reshape(moved @ xp.swapaxes(v, 1, 2), (b, n, len(UP_AXES), n)), 2, 3)
-    return _RETURN * (pairs + linear(p["way_u"], u)[:, :, None] + linear(p["way_v"], v)[:, None])
+    return _RETURN * heads.together(heads.added(p["heads"], u, v, u, v))
 
 
 class PaperPolicy:
@@ -147,11 +168,11 @@ class PaperPolicy:
 
     name = "paper"
     cloud_points = CLOUD_POINTS
-    settings = ("object-centric",)
 
-    def __init__(self, params: Params) -> None:
+    def __init__(self, params: Params, hands: bool = False) -> None:
         """Of a checkpoint: `network` of `init`, `inputs` of `standard`, `encoder` of the auto-encoder."""
-        self._params = params
+        self._params, self._hands = params, hands
+        self.settings: tuple[SettingName, ...] = ("full",) if hands else ("object-centric",)
         self._seen: tuple[np.ndarray, np.ndarray] | None = None
 
     @classmethod
@@ -168,7 +189,8 @@ class PaperPolicy:
             network = init(rng, PaperConfig(**checkpoint.config["network"]))
         except (KeyError, TypeError):
             raise InputError("the checkpoint does not tell the sizes of its network; train again") from None
-        empty = np.zeros(STATE, np.float32)
+        hands = bool(checkpoint.config["network"].get("hands"))
+        empty = np.zeros(size(hands), np.float32)
         own = {"network": network, "inputs": {"mean": empty, "scale": empty}, "encoder": autoencoder.init(rng)}
         found, wanted = _shapes(checkpoint.params), _shapes(own)
         differing = sorted(k for k in found.keys() | wanted.keys() if found.get(k) != wanted.get(k))
@@ -177,23 +199,26 @@ class PaperPolicy:
             raise InputError(
                 f"the checkpoint's '{k}' has shape {found.get(k)}, this program takes {wanted.get(k)}; train again"
             )
-        return cls(checkpoint.params)
+        return cls(checkpoint.params, hands)
 
-    def values(self, observation: Observation, mask: Bool[np.ndarray, "P P K K 6"]) -> Float32[np.ndarray, "P P K K 6"]:
-        """Q of `(u, v, k, l, w)`; -inf where the mask says that the action does not exist."""
-        part, point = np.nonzero(mask.any(axis=(1, 3, 4)) | mask.any(axis=(0, 2, 4)))
+    def values(
+        self, observation: Observation, mask: Bool[np.ndarray, "P P K K ..."]
+    ) -> Float32[np.ndarray, "P P K K ..."]:
+        """Q of every action; -inf where the mask says that it does not exist."""
+        exists = mask.reshape(*mask.shape[:4], -1)
+        part, point = np.nonzero(exists.any(axis=(1, 3, 4)) | exists.any(axis=(0, 2, 4)))
         out = np.full(mask.shape, -np.inf, np.float32)
         if len(part):
-            state = np.zeros((1, STATE), np.float32)
+            state = np.zeros((1, size(self._hands)), np.float32)
             self._state(observation).write(state[0])
             slot = (MAX_POINTS * part + point)[None]
             q = apply(self._params["network"], self._params["inputs"], state, slot)[0]
             u, v = part[:, None], part[None]
-            out[u, v, point[:, None], point[None]] = q
+            out[u, v, point[:, None], point[None]] = q.reshape(*q.shape[:2], *mask.shape[4:])
         return np.where(mask, out, np.float32(-np.inf))
 
-    def act(self, observation: Observation, mask: Bool[np.ndarray, "P P K K 6"]) -> Int[np.ndarray, "5"]:
-        """The action `(u, v, k, l, w)` that is worth most.
+    def act(self, observation: Observation, mask: Bool[np.ndarray, "P P K K ..."]) -> Int[np.ndarray, "_"]:
+        """The action that is worth most.
 
         Raises:
             InputError: no action exists.
@@ -216,6 +241,7 @@ class PaperPolicy:
             observation["connection_points"][:parts],
             observation["poses"][:parts],
             observation["connections"][:parts, :parts],
+            observation["grasp_regions"][:parts].reshape(parts, GRASPS, 6) if self._hands else None,
         )
 
 

@@ -20,16 +20,19 @@ from jaxtyping import Bool, Float, Float16, Float32, Int16
 
 from roboassembly.errors import InputError
 from roboassembly.furniture.model import MAX_POINTS
-from roboassembly.learning import autoencoder, paper
+from roboassembly.learning import autoencoder, heads, paper
 from roboassembly.learning.augment import changed
 from roboassembly.learning.autoencoder import CLOUD_POINTS
 from roboassembly.learning.batches import size_for
 from roboassembly.learning.layers import Params
 from roboassembly.learning.lessons import Course, Lesson
-from roboassembly.learning.paper import STATE, PaperConfig, PaperState
+from roboassembly.learning.paper import PaperConfig, PaperState
 from roboassembly.learning.runs import Run
+from roboassembly.learning.situation import groups_of
 from roboassembly.learning.views import Change
 from roboassembly.processes import made_ahead
+from roboassembly.task.full import FullTask
+from roboassembly.task.object_centric import ObjectCentricTask
 from roboassembly.task.rules import UP_AXES
 
 LAMBDA = 50.0
@@ -92,8 +95,10 @@ class Example:
     """Rows and columns of right pairs."""
     worth: Float32[np.ndarray, "j 6"]
     """Exact Q-values of right pairs; all others' are 0."""
-    values: Float16[np.ndarray, "n n 6"] | None
-    """An expert's Q-values, taught in place of `worth` if there are any."""
+    values: Float16[np.ndarray, "n n h"] | None
+    """An expert's Q-values as in `Lesson`, taught in place of `worth` if there are any."""
+    grasps: Float32[np.ndarray, "P 8 6"] | None
+    """The hand at each grasp, with robots."""
 
     @property
     def parts(self) -> int:
@@ -102,7 +107,16 @@ class Example:
 
     def state(self, copy: int) -> PaperState:
         """With one of the copies of the features."""
-        return PaperState(self.features[copy], self.points, self.poses, self.connections)
+        return PaperState(self.features[copy], self.points, self.poses, self.connections, self.grasps)
+
+    def taught(self) -> Float32[np.ndarray, "n n w"]:
+        """Q-values to imitate: the expert's, at most what is left to be had, or exact ones."""
+        if self.values is None:
+            return self.exact()
+        ways = FullTask.ways if self.grasps is not None else ObjectCentricTask.ways
+        each = np.split(self.values.astype(np.float32), np.cumsum(ways)[:-1], axis=2)
+        merges = len(np.unique(groups_of(self.connections))) - 1
+        return np.clip(heads.together(each), None, merges + WHOLE)
 
     def exact(self) -> Float32[np.ndarray, "n n 6"]:
         """Exact Q-values."""
@@ -140,7 +154,7 @@ def _examples_of_one(course: Course, index: int, encoder: Params, a: Augmentatio
         noisy = [clouds + rng.normal(0.0, a.noise, clouds.shape).astype(np.float32) for _ in range(a.copies)]
         features = _features(encoder, np.concatenate([clouds, *noisy])).reshape(1 + a.copies, len(clouds), -1)
         for lesson in version.lessons:
-            yield _example(lesson, index, features)
+            yield _example(lesson, index, features, version.hands)
 
 
 def _features(encoder: Params, clouds: Float32[np.ndarray, "b n 3"]) -> Float32[np.ndarray, "b 48"]:
@@ -154,7 +168,9 @@ def _features(encoder: Params, clouds: Float32[np.ndarray, "b n 3"]) -> Float32[
 _encode = jax.jit(autoencoder.encode)
 
 
-def _example(lesson: Lesson, index: int, features: Float32[np.ndarray, "c P 48"]) -> Example:
+def _example(
+    lesson: Lesson, index: int, features: Float32[np.ndarray, "c P 48"], grasps: Float32[np.ndarray, "P 8 6"] | None
+) -> Example:
     part, point = np.nonzero(lesson.free)
     number = np.full(lesson.free.shape, -1)
     number[part, point] = np.arange(len(part))
@@ -171,6 +187,7 @@ def _example(lesson: Lesson, index: int, features: Float32[np.ndarray, "c P 48"]
         joints=np.stack([number[u, k], number[v, l]], axis=1).astype(np.int16),
         worth=worth_of(lesson),
         values=lesson.values,
+        grasps=grasps,
     )
 
 
@@ -202,14 +219,15 @@ def batch_of(
         scatter: let groups lie elsewhere.
 
     Returns:
-        `state` (b, 5280), `slot` (b, n), `exists` (b, n, n) and `target` (b, n, n, 6).
+        `state` (b, s), `slot` (b, n), `exists` (b, n, n) and `target` (b, n, n, w).
     """
+    hands = examples[0].grasps is not None
     b, n = len(examples), size_for(max(len(e.part) for e in examples))
     batch = {
-        "state": np.zeros((b, STATE), np.float32),
+        "state": np.zeros((b, paper.size(hands)), np.float32),
         "slot": np.zeros((b, n), np.int32),
         "exists": np.zeros((b, n, n), bool),
-        "target": np.zeros((b, n, n, len(UP_AXES)), np.float32),
+        "target": np.zeros((b, n, n, np.prod(PaperConfig(hands=hands).ways)), np.float32),
     }
     for row, e in enumerate(examples):
         state = e.state(int(rng.integers(len(e.features))) if rng is not None else 0)
@@ -219,10 +237,7 @@ def batch_of(
         free = slice(len(e.part))
         batch["slot"][row, free] = MAX_POINTS * e.part + e.point
         batch["exists"][row, free, free] = e.group[:, None] != e.group[None]
-        if e.values is not None:
-            batch["target"][row, free, free] = e.values
-        else:
-            batch["target"][row, e.joints[:, 0], e.joints[:, 1]] = e.worth
+        batch["target"][row, free, free] = e.taught()
     return batch
 
 
@@ -301,14 +316,18 @@ def train(
         encoder: of the auto-encoder that made their features; kept in the checkpoint, unchanged.
         path: of the checkpoint, written every `training.keep_every` seconds, every 1,000 steps and at the end.
         training: how.
-        config: of the network.
+        config: of the network; whether it chooses grasps follows from the lessons.
         notes: kept in the checkpoint: what it was trained on.
 
     Raises:
-        InputError: there is nothing to learn from, or the checkpoint at `path` is of other training.
+        InputError: there is nothing to learn from, lessons are of both settings, or the checkpoint at `path` is of
+            other training.
     """
     if not examples:
         raise InputError(f"no lessons for '{path}'; gather some first")
+    config = replace(config, hands=examples[0].grasps is not None)
+    if any((e.grasps is not None) != config.hands for e in examples):
+        raise InputError(f"the lessons for '{path}' are of both settings; give those of one")
     about = {"network": asdict(config), "training": asdict(training), **notes}
     network: Any = paper.init(np.random.default_rng(training.seed), config)
     run = Run(path, paper.KIND, about, training.steps, training.keep_every)
@@ -345,7 +364,7 @@ def _order(examples: Sequence[Example], batch: int, rng: np.random.Generator) ->
 
 def _inputs(examples: Sequence[Example], seed: int) -> Params:
     some = np.random.default_rng([seed, 2]).permutation(len(examples))[:_NORMALISED_BY]
-    states = np.zeros((len(some), STATE), np.float32)
+    states = np.zeros((len(some), paper.size(examples[0].grasps is not None)), np.float32)
     for row, i in zip(states, some, strict=True):
         examples[i].state(0).write(row)
     return dict(paper.standard(states))

@@ -76,8 +76,6 @@ def teach_experts(
 ) -> Iterator[Progress]:
     """Train an expert for each chair, then write the lessons of those that finish it, from where the run was left.
 
-    With robots there are no lessons: hands are taught by `grasp_lessons`.
-
     Args:
         picks: the chairs.
         folder: of the run, with the auto-encoder in it.
@@ -85,7 +83,7 @@ def teach_experts(
         notes: kept in the experts' files.
         jobs: processes.
     """
-    experts, seed = folder / "experts", schooling.experts.seed
+    experts = folder / "experts"
     training = apprentices.train(
         picks, experts, schooling.experts, extractor_of(folder), notes, jobs=jobs, side_by_side=schooling.side_by_side
     )
@@ -93,9 +91,9 @@ def teach_experts(
     for done, result in enumerate(training, 1):
         mastered += result.mastered
         yield Progress("experts", done, len(picks), {"mastered": mastered})
-    if schooling.experts.setting == "full":
-        return
-    teaching = expert_lessons.teach(picks, experts, folder / "lessons", plays=schooling.plays, seed=seed, jobs=jobs)
+    teaching = expert_lessons.teach(
+        picks, experts, folder / "lessons", schooling.experts, plays=schooling.plays, jobs=jobs
+    )
     for done, taught in enumerate(teaching, 1):
         lessons += taught.lessons
         yield Progress("experts' lessons", done, len(picks), {"lessons": lessons})
