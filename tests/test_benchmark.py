@@ -25,7 +25,7 @@ def told(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, Any]:
 
 def test_the_whole_table_from_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out, document = tmp_path / "run", tmp_path / "results.md"
-    document.write_text(f"# Figures\n\n{benchmark.BEGIN} -->\nold\n{benchmark.END}\n\nThe rest.\n")
+    document.write_text(f"# Figures\n\n{benchmark.begin('object-centric')} -->\nold\n{benchmark.END}\n\nThe rest.\n")
     first = told(capsys, "--out", str(out), "--write", str(document))
 
     rows = {(r["name"], r["on"]): r for r in first["rows"]}
@@ -73,6 +73,24 @@ def test_the_whole_table_from_nothing(tmp_path: Path, capsys: pytest.CaptureFixt
 
     with pytest.raises(InputError, match="another seed"):
         next(benchmark.run(benchmark.Benchmark.quick(seed=1), out, 1))
+
+
+@pytest.mark.slow
+def test_the_whole_table_with_robots(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "run"
+    first = told(capsys, "--setting", "full", "--out", str(out))
+    rows = {(r["name"], r["on"]): r for r in first["rows"]}
+    assert rows["experts", "easy training chairs"]["paper"] == 59.3
+    assert rows["preset paper", "chairs-24:test"]["paper"] == rows["relational", "chairs-24:test"]["paper"] == 50.0
+    assert rows["search alone", "chairs-24:test"]["figures"]["success_rate"] == 1.0
+    planned = rows["relational with search", "chairs-24:test"]["figures"]
+    assert planned["success_rate"] == 1.0
+    carried = rows["relational with search: its plans carried out in physics", "chairs-24:test"]["figures"]
+    assert carried["n"] == planned["n"]
+    for episode in rows["random", "chairs-24:test"]["figures"]["per_furniture"]:
+        assert not episode["success"]
+    again = told(capsys, "--setting", "full", "--out", str(out))
+    assert without_times(again) == without_times(first)
 
 
 def without_times(report: dict[str, Any]) -> list[Any]:

@@ -5,10 +5,9 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
 
 from roboassembly.cli.multitask import PACKAGES, follow, needs
-from roboassembly.cli.options import CORES, Jobs, Ray
+from roboassembly.cli.options import CORES, Jobs, Ray, Setting
 from roboassembly.cli.output import DONE, print_json, writable_folder
 from roboassembly.errors import InputError
 from roboassembly.processes import spread
@@ -18,8 +17,8 @@ from roboassembly.processes import spread
 class Benchmark:
     """Make the paper's table: train experts and policies, play them all; stopped at any moment, it goes on."""
 
-    setting: Literal["object-centric"] = "object-centric"
-    """Parts that move by themselves."""
+    setting: Setting = "object-centric"
+    """What moves the parts: they fly by themselves, or two mobile Frankas move them."""
     quick: bool = False
     """All of it, tiny, in three minutes: to see that it works."""
     retrain: bool = False
@@ -27,7 +26,7 @@ class Benchmark:
     real: tuple[str, ...] = ()
     """Sets of real furniture besides, each `folder:PATH` of furniture folders."""
     out: Path | None = None
-    """Folder of the run (runs/benchmark, runs/benchmark-quick)."""
+    """Folder of the run (runs/benchmark, with -full and -quick behind it)."""
     write: Path | None = None
     """A document, like docs/results.md, that takes the table between its marks."""
     seed: int = 0
@@ -46,13 +45,15 @@ class Benchmark:
         from roboassembly.furniture.datasets import pick
         from roboassembly.learning import benchmark
 
-        out = self.out or Path("runs/benchmark-quick" if self.quick else "runs/benchmark")
+        usual = "runs/benchmark" + "-full" * (self.setting == "full") + "-quick" * self.quick
+        out = self.out or Path(usual)
         writable_folder(out)
         for real in self.real:
             pick(real)
         if self.write is not None:
-            benchmark.check_marks(self.write)
-        plan = benchmark.Benchmark.quick(self.seed) if self.quick else benchmark.Benchmark(seed=self.seed)
+            benchmark.check_marks(self.write, self.setting)
+        make = benchmark.Benchmark.quick if self.quick else benchmark.Benchmark.whole
+        plan = make(self.setting, self.seed)
         plan = replace(plan, real=self.real, shipped=plan.shipped and not self.retrain)
         with spread(self.ray, self.jobs) as jobs:
             follow(benchmark.run(plan, out, jobs), out)
@@ -61,7 +62,7 @@ class Benchmark:
         (out / "benchmark.json").write_text(json.dumps(told, indent=1) + "\n")
         (out / "table.md").write_text("\n".join(lines) + "\n")
         if self.write is not None:
-            benchmark.put_into(self.write, lines)
+            benchmark.put_into(self.write, lines, self.setting)
         if self.json:
             print_json(told)
         else:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -38,8 +38,9 @@ class Multitask:
     """Folder of the run; the result is policy.npz in it."""
     limit: int | None = None
     """The first so many chairs of the set only."""
-    extra: int = 6_000
-    """Generated pieces besides: chairs of the same families, and others to practise on (relational)."""
+    extra: int | None = None
+    """Generated pieces besides: chairs of the same families, and others to practise on (relational); 6,000, with robots
+    400."""
     plays: int = 1
     """Of each piece in each round (relational)."""
     rounds: int = 0
@@ -66,7 +67,7 @@ class Multitask:
 
     def run(self) -> int:
         """Do it; returns the exit status."""
-        if self.seed < 0 or min(self.extra, self.rounds) < 0 or min(self.plays, self.jobs, self.round_steps) < 1:
+        if self.seed < 0 or min(self.extra or 0, self.rounds) < 0 or min(self.plays, self.jobs, self.round_steps) < 1:
             raise InputError("--seed, --extra, --rounds take 0 or more, --plays, --round-steps and --jobs 1 or more")
         if 0 in (self.limit, self.steps) or min(self.limit or 1, self.steps or 1) < 1:
             raise InputError("--limit and --steps take 1 or more")
@@ -85,11 +86,11 @@ class Multitask:
     def _relational(self, jobs: int) -> Iterable[Progress]:
         from roboassembly.learning.multitask import Curriculum, teach
 
-        full = self.setting == "full"
-        curriculum = Curriculum(
-            set=self.set, limit=self.limit, extra=self.extra, plays=self.plays, rounds=self.rounds,
-            steps=self.steps or (4_000 if full else 16_000), round_steps=self.round_steps, seed=self.seed,
-            setting=self.setting, start=self.start or ("relational" if full else ""),
+        usual = Curriculum.with_hands() if self.setting == "full" else Curriculum()
+        curriculum = replace(
+            usual, set=self.set, limit=self.limit, extra=usual.extra if self.extra is None else self.extra,
+            plays=self.plays, rounds=self.rounds, steps=self.steps or usual.steps, round_steps=self.round_steps,
+            seed=self.seed, start=self.start or usual.start,
         )  # fmt: skip
         return teach(curriculum, self.out, jobs)
 

@@ -89,14 +89,14 @@ class Expert(Autoencoder):
     """Of the environment, for each chair, at most (40,000)."""
     setting: Setting = "object-centric"
     """What moves the parts: they fly by themselves, or two mobile Frankas move them."""
-    plays: int = 6
-    """Of each expert, to become lessons (object-centric)."""
+    plays: int | None = None
+    """Of each expert, to become lessons; 6, with robots 2."""
     side_by_side: int = 4
     """Experts trained in one call in each process; many more on a GPU."""
 
     def run(self) -> int:
         """Do it; returns the exit status."""
-        if min(self.side_by_side, self.plays) < 1:
+        if min(self.side_by_side, 1 if self.plays is None else self.plays) < 1:
             raise InputError("--side-by-side and --plays take 1 or more")
         picks = self.prepared()
         from roboassembly.learning.single_task import results, teach_experts
@@ -117,7 +117,8 @@ class Expert(Autoencoder):
         """How."""
         from roboassembly.learning.single_task import Schooling
 
-        plain = Schooling(side_by_side=self.side_by_side, plays=self.plays)
+        plays = self.plays or (2 if self.setting == "full" else 6)
+        plain = Schooling(side_by_side=self.side_by_side, plays=plays)
         experts = plain.experts if self.steps is None else replace(plain.experts, steps=self.steps)
         return replace(plain, experts=replace(experts, setting=self.setting)).seeded(self.seed)
 

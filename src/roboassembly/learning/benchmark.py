@@ -17,6 +17,7 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -27,24 +28,32 @@ from roboassembly.learning.apprentices import ExpertTraining, mastery
 from roboassembly.learning.evaluate import Evaluation, evaluate
 from roboassembly.learning.loading import weights_hash
 from roboassembly.learning.multitask import Curriculum
-from roboassembly.learning.players import Episode, Way
+from roboassembly.learning.players import REFUSED, Episode, ExecutionName, Way
 from roboassembly.learning.progress import Progress
 from roboassembly.learning.relational import RelationalConfig
 from roboassembly.learning.single_task import Schooling, extractor_of, results, teach_experts, teach_features
 from roboassembly.solvers.curate import build
+from roboassembly.task.setting import SettingName
 
-SETTING = "object-centric"
-BEGIN, END = f"<!-- roboassembly benchmark --setting {SETTING}", "<!-- end of the benchmark -->"
-"""What stands between them in a document is written by `put_into`."""
-
-
+END = "<!-- end of the benchmark -->"
+PAPER: dict[SettingName, dict[str, float]] = {
+    "object-centric": {"easy": 79.4, "hard": 66.4, "test": 74.5},
+    "full": {"easy": 59.3, "hard": 25.8, "test": 50.0},
+}
+"""Success in the paper, per cent: of experts on easy and hard training chairs, of the policy on unseen ones."""
 _TINY = RelationalConfig(token=32, pair=16, layers=1, heads=2, ends=8, conflicts=2)
+
+
+def begin(setting: SettingName) -> str:
+    """How the mark begins after which, up to `END`, `put_into` writes the table of a setting."""
+    return f"<!-- roboassembly benchmark --setting {setting}"
 
 
 @dataclass(frozen=True)
 class Benchmark:
     """What is trained and measured, and for how long."""
 
+    setting: SettingName = "object-centric"
     set: str = "chairs-412"
     train_limit: int | None = None
     """The first so many training chairs only."""
@@ -60,15 +69,25 @@ class Benchmark:
     seed: int = 0
 
     @staticmethod
-    def quick(seed: int = 0) -> Benchmark:
+    def whole(setting: SettingName = "object-centric", seed: int = 0) -> Benchmark:
+        """The paper's table."""
+        plain = Benchmark(setting, seed=seed)
+        if setting == "object-centric":
+            return plain
+        schooling = replace(plain.schooling, experts=replace(plain.schooling.experts, setting=setting), plays=2)
+        return replace(plain, schooling=schooling, relational=Curriculum.with_hands())
+
+    @staticmethod
+    def quick(setting: SettingName = "object-centric", seed: int = 0) -> Benchmark:
         """All stages, tiny: to see that they work, not what they reach."""
+        experts = ExpertTraining(steps=1_600, least_steps=400, setting=setting)
+        relational = Curriculum(extra=1, validation=1, rounds=1, steps=40, round_steps=20, network=_TINY)
+        if setting == "full":
+            relational = replace(Curriculum.with_hands(), extra=0, validation=0, steps=2, grasp_steps=40)
         return Benchmark(
-            set="chairs-24", train_limit=3, test_limit=3, shipped=False, seed=seed,
-            schooling=Schooling(
-                autoencoder.Training(steps=40), 4, ExpertTraining(steps=1_600, least_steps=400), plays=2
-            ),
-            paper=paper_imitation.Training(steps=40),
-            relational=Curriculum(extra=1, validation=1, rounds=1, steps=40, round_steps=20, network=_TINY),
+            setting, set="chairs-24", train_limit=3, test_limit=2 if setting == "full" else 3, shipped=False, seed=seed,
+            schooling=Schooling(autoencoder.Training(steps=40), 4, experts, plays=2),
+            paper=paper_imitation.Training(steps=40), relational=relational,
         )  # fmt: skip
 
 
@@ -80,14 +99,14 @@ class Row:
     """Of what is measured."""
     on: str
     """Furniture."""
-    paper: float | None
-    """Success in the paper, per cent; None where it has no such row."""
-    paper_steps: str
-    """Planning steps in the paper."""
     figures: dict[str, Any]
     """`n`, `success_rate`, `ci95`, `planning_steps_mean`, ..."""
     command: str
     """That measures it alone."""
+    paper: float | None = None
+    """Success in the paper, per cent; None where it has no such row."""
+    paper_steps: str = ""
+    """Planning steps in the paper."""
 
 
 def run(b: Benchmark, folder: Path, jobs: int) -> Iterator[Progress]:
@@ -129,19 +148,21 @@ def run(b: Benchmark, folder: Path, jobs: int) -> Iterator[Progress]:
 class Trial:
     """Episodes to play."""
 
+    setting: SettingName
     name: str
     policy: str
     """As `roboassembly evaluate --policy` takes it."""
     search: bool
     set: str
     limit: int | None
-    paper: float | None
+    paper: float | None = None
     paper_steps: str = ""
+    execution: ExecutionName = "kinematic"
 
     @property
     def way(self) -> Way:
         """To assemble."""
-        return Way(self.policy, self.search)
+        return Way(self.policy, self.search, self.setting, self.execution)
 
     @property
     def file(self) -> str:
@@ -152,26 +173,33 @@ class Trial:
     def command(self, seed: int) -> str:
         """That plays the same."""
         limit = "" if self.limit is None else f" --limit {self.limit}"
-        search = " --search" if self.search else ""
-        return f"roboassembly evaluate --policy {self.policy}{search} --set {self.set}{limit} --seed {seed} --json"
+        how = " --search" if self.search else ""
+        how += " --setting full" if self.setting == "full" else ""
+        how += " --execution dynamic" if self.execution == "dynamic" else ""
+        return f"roboassembly evaluate --policy {self.policy}{how} --set {self.set}{limit} --seed {seed} --json"
 
 
 def trials(b: Benchmark, folder: Path) -> list[Trial]:
     """All that is played once the training is done, in the table's order."""
     test, limit = f"{b.set}:test", b.test_limit
     relational = "relational" if b.shipped else str(folder / "relational" / "policy.npz")
+    paper, of_paper = str(folder / "paper" / "policy.npz"), PAPER[b.setting]["test"]
+    full = b.setting == "full"
+    steps = "" if full else "37.8k"
+    trial = partial(Trial, b.setting)
     every = [
-        Trial("RRT-Connect in 6M dimensions", "joint-rrt", False, test, limit, 18.8, "91.7k"),
-        Trial("random", "random", False, test, limit, None),
-        Trial("preset paper", str(folder / "paper" / "policy.npz"), False, test, limit, 74.5, "37.8k"),
-        Trial("relational", relational, False, test, limit, 74.5, "37.8k"),
-        Trial("relational with search", relational, True, test, limit, None),
-        Trial("search alone", "search", False, test, limit, None),
+        trial("random", "random", False, test, limit),
+        trial("preset paper", paper, False, test, limit, of_paper, steps),
+        trial("relational", relational, False, test, limit, of_paper, steps),
+        trial("relational with search", relational, True, test, limit, execution="dynamic" if full else "kinematic"),
+        trial("search alone", "search", False, test, limit),
     ]
+    if not full:
+        every.insert(0, trial("RRT-Connect in 6M dimensions", "joint-rrt", False, test, limit, 18.8, "91.7k"))
     for real in b.real:
         every += [
-            Trial("relational", relational, False, real, None, None),
-            Trial("relational with search", relational, True, real, None, None),
+            trial("relational", relational, False, real, None),
+            trial("relational with search", relational, True, real, None),
         ]
     return every
 
@@ -233,23 +261,37 @@ def rows(b: Benchmark, folder: Path) -> list[Row]:
     picks = pick(f"{b.set}:train")[: b.train_limit]
     split_of = {p.name: p.entry.split for p in picks if p.entry is not None}
     trained = results(picks, folder)
-    told = f"roboassembly train expert --set {b.set}:train --seed {b.seed} --json"
-    for split, paper in (("easy", 79.4), ("hard", 66.4)):
+    full = " --setting full" if b.setting == "full" else ""
+    told = f"roboassembly train expert{full} --set {b.set}:train --seed {b.seed} --json"
+    for split in ("easy", "hard"):
         some = [r for r in trained if split_of[r.name] == split]
-        if some:
-            out.append(Row("experts", f"{split} training chairs", paper, "", mastery(some), told))
+        figures = mastery(some)
+        if figures["n"]:
+            out.append(Row("experts", f"{split} training chairs", figures, told, PAPER[b.setting][split]))
     for trial in trials(b, folder):
-        evaluation = Evaluation(
-            trial.way, trial.set, b.seed, tuple(episodes_of(folder / "episodes" / trial.file, trial, b.seed))
-        )  # fmt: skip
-        told = trial.command(b.seed)
-        figures = evaluation.to_json()
-        unseen = [e for e in evaluation.episodes if e.unseen]
-        out.append(Row(trial.name, trial.set, trial.paper, trial.paper_steps, figures, told))
-        if trial.policy not in ("joint-rrt", "random", "search") and unseen:
-            rest = replace(evaluation, episodes=tuple(unseen)).to_json()
-            out.append(Row(trial.name, f"{trial.set}, families in no training", None, "", rest, told))
+        out += _rows_of(trial, b.seed, episodes_of(folder / "episodes" / trial.file, trial, b.seed))
     return out
+
+
+def _rows_of(trial: Trial, seed: int, every: Sequence[Episode]) -> Iterator[Row]:
+    """All, those of unseen families, and what became of plans in physics."""
+    played = [e for e in every if e.verdict != REFUSED]
+    carried = [e for e in played if e.executed is not None]
+    if trial.execution == "dynamic":
+        played = [replace(e, success=e.executed is not None) for e in played]
+    unseen = [e for e in played if e.unseen]
+
+    def row(name: str, on: str, some: Sequence[Episode]) -> Row:
+        return Row(name, on, Evaluation(trial.way, trial.set, seed, tuple(some)).to_json(), trial.command(seed))
+
+    if played:
+        whole = row(trial.name, trial.set, played)
+        figures = whole.figures | {"refused": len(every) - len(played)}
+        yield replace(whole, figures=figures, paper=trial.paper, paper_steps=trial.paper_steps)
+    if unseen and trial.policy not in ("joint-rrt", "random", "search"):
+        yield row(trial.name, f"{trial.set}, families in no training", unseen)
+    if carried:
+        yield row(f"{trial.name}: its plans carried out in physics", trial.set, carried)
 
 
 def report(b: Benchmark, folder: Path) -> dict[str, Any]:
@@ -257,7 +299,7 @@ def report(b: Benchmark, folder: Path) -> dict[str, Any]:
     seconds = folder / "seconds.json"
     machine = f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"
     return {
-        "setting": SETTING,
+        "setting": b.setting,
         "set": b.set,
         "seed": b.seed,
         "date": time.strftime("%Y-%m-%d"),
@@ -286,6 +328,10 @@ def table(told: dict[str, Any]) -> list[str]:
             *steps,
         ]  # fmt: skip
         lines.append(f"| {' | '.join(cells)} |")
+    if any(row["figures"].get("refused") for row in told["rows"]):
+        counts = {row["on"]: row["figures"]["refused"] for row in told["rows"] if row["figures"].get("refused")}
+        lines += ["", "Left out because no two hands can hold and join all their parts: "
+                  + ", ".join(f"{count} of {on}" for on, count in counts.items()) + "."]  # fmt: skip
     commands = list(dict.fromkeys(row["command"] for row in told["rows"]))
     lines += ["", "Each row alone:", "", *(f"- `{command}`" for command in commands)]
     if told["seconds"]:
@@ -297,8 +343,8 @@ def _count(value: float | None) -> str:
     return "" if value is None else f"{value:,.0f}"
 
 
-def check_marks(document: Path) -> tuple[str, str, str]:
-    """A document up to the table, the first mark, and from the table on.
+def check_marks(document: Path, setting: SettingName = "object-centric") -> tuple[str, str, str]:
+    """A document up to the table of a setting, the first mark, and from the table on.
 
     Raises:
         InputError: it cannot be read, or has no marks.
@@ -307,20 +353,20 @@ def check_marks(document: Path) -> tuple[str, str, str]:
         text = document.read_text()
     except OSError as error:
         raise InputError(f"cannot read {document}: {error.strerror or error}") from None
-    before, mark, rest = text.partition(BEGIN)
+    before, mark, rest = text.partition(begin(setting))
     inside, end, after = rest.partition(END)
     if not mark or not end:
-        raise InputError(f"{document} has no lines '{BEGIN} -->' and '{END}' to write between")
+        raise InputError(f"{document} has no lines '{begin(setting)} -->' and '{END}' to write between")
     return before, mark + inside.partition("\n")[0], end + after
 
 
-def put_into(document: Path, lines: Sequence[str]) -> None:
-    """Replace what stands between the marks in a document.
+def put_into(document: Path, lines: Sequence[str], setting: SettingName = "object-centric") -> None:
+    """Replace what stands between the marks of a setting in a document.
 
     Raises:
         InputError: it cannot be read, or has no marks.
     """
-    before, mark, after = check_marks(document)
+    before, mark, after = check_marks(document, setting)
     scratch = document.with_name(f".{document.name}.part")
     scratch.write_text(f"{before}{mark}\n\n" + "\n".join(lines) + f"\n\n{after}")
     scratch.replace(document)

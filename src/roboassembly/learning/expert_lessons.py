@@ -102,7 +102,7 @@ def teach(
     Args:
         picks: the chairs.
         experts: folder of the experts' files.
-        folder: gets a file of lessons for each chair of which a play finished.
+        folder: gets a file for each chair, without lessons if no play finished.
         training: of the experts; its seed is that of starts and draws.
         plays: of each chair.
         jobs: chairs at a time.
@@ -117,6 +117,5 @@ def teach(
 def _teach(pick: Pick, *, experts: Path, folder: Path, training: ExpertTraining, plays: int) -> Taught:
     task = training.task_of(pick)
     course, done = expert_course(load(file_of(experts, pick.name), task), task, pick.name, plays, training.seed)
-    if course.lessons:
-        course.save(file_of(folder, pick.name))
+    course.save(file_of(folder, pick.name))
     return Taught(pick.name, plays, done, len(course.lessons))

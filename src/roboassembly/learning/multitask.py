@@ -76,6 +76,11 @@ class Curriculum:
     grasp_steps: int = 12_000
     """Updates of the network that chooses grasps (full)."""
 
+    @staticmethod
+    def with_hands() -> Curriculum:
+        """What the shipped policy learns besides to play with robots."""
+        return Curriculum(extra=400, steps=4_000, learning_rate=5e-4, setting="full", start="relational")
+
 
 def teach(curriculum: Curriculum, folder: Path, jobs: int) -> Iterator[Progress]:
     """Run the whole curriculum in `folder`, from where it was left.

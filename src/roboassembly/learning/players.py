@@ -59,7 +59,7 @@ class Episode:
     unseen: bool | None = None
     """Whether the family occurs in no training; None if the set does not know."""
     reason: str = ""
-    """Why a solver found nothing, in words."""
+    """Why a solver found nothing, in words; the leg in which a policy's last step failed with robots."""
     step_seconds: tuple[float, ...] = ()
     """Of planning each merge of the plan."""
     executed: dict[str, Any] | None = None
@@ -96,6 +96,8 @@ class Play:
     planning_steps: int
     planning_seconds: float
     policy_seconds: float
+    leg: str = ""
+    """In which the last step failed, with robots."""
 
 
 Player = Callable[[Furniture, int], Episode]
@@ -223,7 +225,7 @@ def play(policy: Policy, furniture: Furniture, seed: int, setting: SettingName =
         plan = FullPlan(furniture, initial, tuple(merges), bool(info["success"]), seed)
     else:
         plan = Plan(furniture, initial.part_poses, tuple(merges), bool(info["success"]), seed)
-    return Play(plan, tuple(actions), info["verdict"], states, planning, thinking)
+    return Play(plan, tuple(actions), info["verdict"], states, planning, thinking, info.get("leg", ""))
 
 
 def play_episode(policy: Policy, furniture: Furniture, seed: int) -> Episode:
@@ -242,7 +244,7 @@ def _alone(policy: Policy, setting: SettingName, furniture: Furniture, seed: int
         raise
     episode = Episode(
         furniture.name, len(furniture.parts), seed, done.plan.success, len(done.plan.steps), done.verdict,
-        done.planning_steps, done.planning_seconds, done.policy_seconds, done.actions,
+        done.planning_steps, done.planning_seconds, done.policy_seconds, done.actions, reason=done.leg,
     )  # fmt: skip
     return episode, done.plan
 
