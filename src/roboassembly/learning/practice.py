@@ -52,6 +52,9 @@ _STRICT = 0.97
 """Share of plays that first join only groups whose parts then lie to each other as was seen before. Which points fit
 has been found out soon; that the same points are a wrong pair in other groups, because equal parts are in each other's
 places, is what most steps would otherwise go into."""
+_CAREFUL = 0.8
+"""Share of plays that first join groups between which nothing else belongs that would no longer go in: a rail goes to
+one of its posts before the other."""
 _CAUTION = (0.0, 2.0, 5.0, 10.0)
 """How much a play avoids joining parts after which others were left over in earlier plays; drawn for each play."""
 
@@ -78,7 +81,7 @@ class Practice:
         count = len(rehearsal.like)
         self._axes: tuple[int, ...] | None = None
         """The order in which this play closes joints, by their axes."""
-        self._strict = True
+        self._strict = self._careful = True
         self._daring = False
         """Whether the action that was told last joins groups in a strange way."""
         self._dared = np.zeros(2)
@@ -111,6 +114,8 @@ class Practice:
         self._daring = False
         if self._strict:
             hopeful = self._sure(state, hopeful, known)
+        if self._careful:
+            hopeful = self._unlocked(state, hopeful)
         if self._axes is not None:
             hopeful = self._in_order(state, hopeful)
         for pair in self._plan:
@@ -138,6 +143,17 @@ class Practice:
         if self._daring and self.rng.random() > _RECKLESS:
             hopeful = hopeful & (share <= _MOSTLY_STRANGE)
         return hopeful & self._daring
+
+    def _unlocked(self, state: State, hopeful: Bool[np.ndarray, "m m"]) -> Bool[np.ndarray, "m m"]:
+        """Of the pairs those that lock fewest groups out."""
+        pairs = np.argwhere(np.triu(hopeful))
+        if not len(pairs):
+            return hopeful
+        out = np.zeros_like(hopeful)
+        locked = np.array([self.rehearsal.locked_out(state, row, column) for row, column in pairs.tolist()])
+        rows, columns = pairs[locked == locked.min()].T
+        out[rows, columns] = out[columns, rows] = True
+        return out
 
     def _in_order(self, state: State, hopeful: Bool[np.ndarray, "m m"]) -> Bool[np.ndarray, "m m"]:
         """Of the pairs those that join along the axis that is first in the play's order."""
@@ -256,6 +272,7 @@ class Practice:
         rng, plan = self.rng, list(self._kept)
         self._caution = float(rng.choice(_CAUTION))
         self._strict = bool(rng.random() < _STRICT)
+        self._careful = bool(rng.random() < _CAREFUL)
         self._axes = _ORDERS[rng.integers(len(_ORDERS))] if rng.random() < _ORDERED else None
         several = int(rng.choice(len(_DELAYED), p=_DELAYED))
         self._late = rng.choice(len(self.rehearsal.like), several, replace=False, p=self._lateness(state)).tolist()
@@ -309,7 +326,7 @@ class Practice:
             "counts": np.array([self._left, self._episodes, self._idle], np.int64),
             "late": np.array(self._late, np.int64),
             "axes": np.array(self._axes or (), np.int64),
-            "flags": np.array([self._strict, self._daring]),
+            "flags": np.array([self._strict, self._daring, self._careful]),
             "dared": self._dared.copy(),
             "last": np.array([] if self._last is None else [self._last], np.int32).reshape(-1, 2),
             "together": self._together.copy(),
@@ -327,6 +344,6 @@ class Practice:
         self._left, self._episodes, self._idle = arrays["counts"].tolist()
         self._late = arrays["late"].tolist()
         self._axes = tuple(arrays["axes"].tolist()) or None
-        self._strict, self._daring = (bool(flag) for flag in arrays["flags"])
+        self._strict, self._daring, self._careful = (bool(flag) for flag in arrays["flags"])
         self._dared = arrays["dared"].copy()
         self._caution = float(arrays["caution"])

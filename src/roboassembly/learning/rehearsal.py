@@ -14,6 +14,8 @@ No knowledge of the chair is used, but rules that hold for all furniture and tha
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from jaxtyping import Bool, Float, Int, Int8
 from scipy.spatial import KDTree
@@ -32,12 +34,31 @@ from roboassembly.task.layout import free_spot, group_footprint
 from roboassembly.task.object_centric import ObjectCentricTask
 from roboassembly.task.pairs import ANGLE_TOLERANCE, POSITION_TOLERANCE
 
+_SAME_WAY = 0.7
+"""Cosine: joints whose normals are within 45° can be closed in one straight move."""
 _CACHED = 150e6
 """Bytes of tables of what is known that are kept, each of one state."""
 State = tuple[int, ...]
 """Names of its groups, ascending."""
 Action = tuple[int, int, int]
 """Rows of the two points among all points of the chair, and the number of the way: `w`, or `8 g_a + g_b`."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Fits:
+    """Ways in which one group fits another."""
+
+    rows: Int[np.ndarray, "n"]
+    """Numbers of its points."""
+    turns: Float[np.ndarray, "n 3 3"]
+    shifts: Float[np.ndarray, "n 3"]
+    """Of its frame in the other's."""
+    normals: Float[np.ndarray, "n 3"]
+    """Of its points, in its frame."""
+
+
+def _unscaled(motion: Float[np.ndarray, "12"]) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]:
+    return motion[3:].reshape(3, 3) * ANGLE_TOLERANCE, motion[:3] * POSITION_TOLERANCE
 
 
 class Rehearsal:
@@ -73,6 +94,8 @@ class Rehearsal:
         self._meets: dict[tuple[int, int], Int[np.ndarray, "k l"]] = {}
         self._axes: dict[tuple[int, int], int] = {}
         self._relations = Relations()
+        self._fits: dict[tuple[int, int], _Fits] = {}
+        self._locked: dict[tuple[int, int, int, int, int], bool] = {}
         self._related: set[int] = set()
         """Kinds of groups whose relations were seen."""
         self._between: dict[tuple[int, int, int, int], Int[np.ndarray, "n"]] = {}
@@ -152,6 +175,9 @@ class Rehearsal:
 
     def _count(self, counts: np.ndarray, one: int, two: int, alike: Int[np.ndarray, "a 2"]) -> None:
         rows, columns = (self._row_like[self._groups[g].rows[alike[:, i]]] for i, g in enumerate((one, two)))
+        if (counts[rows, columns] == 0).any():
+            # Another two points are known to fit, or not to.
+            self._fits, self._locked = {}, {}
         counts[rows, columns] += 1
 
     def _learn(self, one: int, two: int, alike: Int[np.ndarray, "a 2"], w: int, verdict: int) -> None:
@@ -215,6 +241,51 @@ class Rehearsal:
             self._between[key] = self._relations.between(moved, self._placed(two))
         numbers = self._between[key]
         return self._relations.strange(numbers) / len(numbers)
+
+    def locked_out(self, state: State, row: int, column: int) -> int:
+        """How many other groups would no longer go in if two points were joined: those that belong between the two
+        groups, as far as known by which points fit, with joints of which one faces another way than the other."""
+        one, two = self.owner(state, row), self.owner(state, column)
+        u, v = self._groups[one], self._groups[two]
+        k, l = self._local(one, row), self._local(two, column)  # noqa: E741
+        count = 0
+        for name in state:
+            if name in (one, two):
+                continue
+            key = (u.kind, v.kind, k, l, self._groups[name].kind)
+            if key not in self._locked:
+                self._locked[key] = self._locks(one, two, k, l, name)
+            count += self._locked[key]
+        return count
+
+    def _locks(self, one: int, two: int, k: int, l: int, other: int) -> bool:  # noqa: E741
+        u, v = self._groups[one], self._groups[two]
+        free_u, free_v = self._kinds[u.kind].free, self._kinds[v.kind].free
+        motion = _unscaled(self._motions(one, two)[int(np.searchsorted(free_u, k)), int(np.searchsorted(free_v, l))])
+        on_one, on_two = self._fitting(other, one), self._fitting(other, two)
+        if not len(on_one.rows) or not len(on_two.rows):
+            return False
+        turns = motion[0] @ on_one.turns
+        shifts = on_one.shifts @ motion[0].T + motion[1]
+        near = np.linalg.norm(shifts[:, None] - on_two.shifts[None], axis=2) < 2.0 * POSITION_TOLERANCE
+        alike = np.einsum("aij,bij->ab", turns, on_two.turns) > 1.0 + 2.0 * np.cos(2.0 * ANGLE_TOLERANCE)
+        facing = on_one.normals @ on_two.normals.T > _SAME_WAY
+        return bool((near & alike & ~facing & (on_one.rows[:, None] != on_two.rows[None])).any())
+
+    def _fitting(self, one: int, two: int) -> _Fits:
+        """The ways in which a group's free points are known to fit another's."""
+        u, v = self._groups[one], self._groups[two]
+        key = (u.kind, v.kind)
+        if key not in self._fits:
+            free_u, free_v = self._kinds[u.kind].free, self._kinds[v.kind].free
+            right = self.tried[1][np.ix_(u.rows[free_u], v.rows[free_v])] > 0
+            rows, columns = np.nonzero(right)
+            motions = self._motions(one, two)[rows, columns] if len(rows) else np.zeros((0, 12))
+            turns, shifts = motions[:, 3:].reshape(-1, 3, 3) * ANGLE_TOLERANCE, motions[:, :3] * POSITION_TOLERANCE
+            frames, _, _ = self._frames(one, free_u)
+            normals = frames[rows, :, 2] if len(rows) else np.zeros((0, 3))
+            self._fits[key] = _Fits(rows, turns, shifts, normals)
+        return self._fits[key]
 
     def axis(self, state: State, row: int, column: int) -> int:
         """Along which axis of the furniture's frame two points come together, as it looks to the larger group."""
