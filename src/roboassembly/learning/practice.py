@@ -134,7 +134,8 @@ class Practice:
         share = np.zeros(hopeful.shape)
         for row, column in np.argwhere(np.triu(hopeful)).tolist():
             works = (known[row, column] == MERGES).any() or (known[column, row] == MERGES).any()
-            share[row, column] = share[column, row] = 0.0 if works else self.rehearsal.strange(state, row, column)
+            strangeness = 0.0 if works else self.rehearsal.joints.strange(state, row, column)
+            share[row, column] = share[column, row] = strangeness
         strange = share > 0.0
         chance = max(_DARE * (self._dared[1] + 1.0) / (self._dared.sum() + 2.0), _LEAST)
         if (hopeful & ~strange).any() and (self._axes is None or not strange.any() or self.rng.random() > chance):
@@ -150,7 +151,7 @@ class Practice:
         if not len(pairs):
             return hopeful
         out = np.zeros_like(hopeful)
-        locked = np.array([self.rehearsal.locked_out(state, row, column) for row, column in pairs.tolist()])
+        locked = np.array([self.rehearsal.joints.locked_out(state, row, column) for row, column in pairs.tolist()])
         rows, columns = pairs[locked == locked.min()].T
         out[rows, columns] = out[columns, rows] = True
         return out
@@ -161,7 +162,7 @@ class Practice:
         if not len(pairs):
             return hopeful
         axes = self._axes or ()
-        rank = np.array([axes.index(self.rehearsal.axis(state, row, column)) for row, column in pairs.tolist()])
+        rank = np.array([axes.index(self.rehearsal.joints.axis(state, row, column)) for row, column in pairs.tolist()])
         out = np.zeros_like(hopeful)
         rows, columns = pairs[rank == rank.min()].T
         out[rows, columns] = out[columns, rows] = True
@@ -194,7 +195,7 @@ class Practice:
         if not out.any():
             return out
         # Of the ways to bring two groups together, the one in which most points meet.
-        meets = np.where(out, self.rehearsal.meets(state), 0)
+        meets = np.where(out, self.rehearsal.joints.meets(state), 0)
         owner = self.rehearsal.owners(state)
         member = np.array([owner == name for name in state])
         most = np.array([[meets[np.ix_(a, b)].max(initial=0) for b in member] for a in member])
