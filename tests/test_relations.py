@@ -55,16 +55,16 @@ def test_in_rehearsal_the_first_right_pair_makes_its_like_familiar(family: str):
     start = rehearsal.start
     right = None
     for row, column in np.argwhere(np.triu(rehearsal.exists(start))).tolist():
-        assert rehearsal.strange(start, row, column) == 1, "nothing was seen yet"
+        assert rehearsal.joints.strange(start, row, column) == 1, "nothing was seen yet"
         for w in range(6):
             rehearsal.step(start, (row, column, w))
         if (rehearsal.known(start)[row, column] == MERGES).any():
             right = row, column
             break
     assert right is not None
-    assert rehearsal.strange(start, *right) == 0
+    assert rehearsal.joints.strange(start, *right) == 0
     for row, column in np.argwhere((rehearsal.known(start) == FAILS).all(axis=2)).tolist():
-        assert rehearsal.strange(start, row, column) == 1
+        assert rehearsal.joints.strange(start, row, column) == 1
 
 
 def test_an_axis_is_that_of_the_larger_group_s_point():
@@ -77,4 +77,4 @@ def test_an_axis_is_that_of_the_larger_group_s_point():
             for p, k in ends
             if k < len(task.furniture.parts[p].points)
         ]
-        assert rehearsal.axis(rehearsal.start, row, column) in [int(np.argmax(np.abs(n))) for n in normals]
+        assert rehearsal.joints.axis(rehearsal.start, row, column) in [int(np.argmax(np.abs(n))) for n in normals]
