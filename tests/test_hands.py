@@ -144,7 +144,7 @@ def test_hand_oracle_says_what_the_task_says() -> None:
 
 @pytest.fixture(scope="module")
 def course() -> GraspCourse:
-    return GraspTeacher(FullTask(shapes.stand()), tries=1).course(np.random.default_rng(0), plays=2)
+    return GraspTeacher(FullTask(shapes.stand()), tries=1).course(np.random.default_rng(0), plays=1)
 
 
 def test_lessons_of_grasps_are_what_fresh_tests_say(course: GraspCourse, tmp_path: Path) -> None:
