@@ -90,7 +90,7 @@ class Expert(Autoencoder):
     setting: Setting = "object-centric"
     """What moves the parts: they fly by themselves, or two mobile Frankas move them."""
     plays: int | None = None
-    """Of each expert, to become lessons; 6, with robots 2."""
+    """Of each expert, to become lessons; 6, with robots 4."""
     side_by_side: int = 4
     """Experts trained in one call in each process; many more on a GPU."""
 
@@ -117,7 +117,7 @@ class Expert(Autoencoder):
         """How."""
         from roboassembly.learning.single_task import Schooling
 
-        plays = self.plays or (2 if self.setting == "full" else 6)
+        plays = self.plays or (4 if self.setting == "full" else 6)
         plain = Schooling(side_by_side=self.side_by_side, plays=plays)
         experts = plain.experts if self.steps is None else replace(plain.experts, steps=self.steps)
         return replace(plain, experts=replace(experts, setting=self.setting)).seeded(self.seed)

@@ -74,7 +74,7 @@ class Benchmark:
         plain = Benchmark(setting, seed=seed)
         if setting == "object-centric":
             return plain
-        schooling = replace(plain.schooling, experts=replace(plain.schooling.experts, setting=setting), plays=2)
+        schooling = replace(plain.schooling, experts=replace(plain.schooling.experts, setting=setting), plays=4)
         return replace(plain, schooling=schooling, relational=Curriculum.with_hands())
 
     @staticmethod
@@ -86,7 +86,7 @@ class Benchmark:
             relational = replace(Curriculum.with_hands(), extra=0, validation=0, steps=2, grasp_steps=40)
         return Benchmark(
             setting, set="chairs-24", train_limit=3, test_limit=2 if setting == "full" else 3, shipped=False, seed=seed,
-            schooling=Schooling(autoencoder.Training(steps=40), 4, experts, plays=2),
+            schooling=Schooling(autoencoder.Training(steps=40), 4, experts, plays=8 if setting == "full" else 2),
             paper=paper_imitation.Training(steps=40), relational=relational,
         )  # fmt: skip
 
