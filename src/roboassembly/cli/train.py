@@ -117,10 +117,10 @@ class Expert(Autoencoder):
         """How."""
         from roboassembly.learning.single_task import Schooling
 
-        plays = self.plays or (4 if self.setting == "full" else 6)
-        plain = Schooling(side_by_side=self.side_by_side, plays=plays)
-        experts = plain.experts if self.steps is None else replace(plain.experts, steps=self.steps)
-        return replace(plain, experts=replace(experts, setting=self.setting)).seeded(self.seed)
+        usual = Schooling.usual(self.setting)
+        experts = usual.experts if self.steps is None else replace(usual.experts, steps=self.steps)
+        plays = self.plays or usual.plays
+        return replace(usual, experts=experts, side_by_side=self.side_by_side, plays=plays).seeded(self.seed)
 
 
 def _report(picks: Sequence[Pick], results: Sequence[Mastery]) -> dict[str, object]:

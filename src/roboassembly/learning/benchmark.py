@@ -74,8 +74,7 @@ class Benchmark:
         plain = Benchmark(setting, seed=seed)
         if setting == "object-centric":
             return plain
-        schooling = replace(plain.schooling, experts=replace(plain.schooling.experts, setting=setting), plays=4)
-        return replace(plain, schooling=schooling, relational=Curriculum.with_hands())
+        return replace(plain, schooling=Schooling.usual(setting), relational=Curriculum.with_hands())
 
     @staticmethod
     def quick(setting: SettingName = "object-centric", seed: int = 0) -> Benchmark:

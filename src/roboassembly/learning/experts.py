@@ -137,8 +137,8 @@ class Expert:
     def values(self, joined: Bool[np.ndarray, "20 20"], free: Bool[np.ndarray, "m"]) -> Float32[np.ndarray, "m m w"]:
         """Q over all points of the chair, in shares of the best return; -inf where the action does not exist."""
         seen, m = self._seen(joined, free), len(free)
-        exists = existing(*seen[1:])[0, :m, :m]
-        return np.where(exists[..., None], heads.together(self.added(joined, free)), -np.inf)
+        q = np.where(existing(*seen[1:])[..., None], apply(self.params, *seen), -np.inf)
+        return q[0, :m, :m]
 
     def added(self, joined: Bool[np.ndarray, "20 20"], free: Bool[np.ndarray, "m"]) -> list[np.ndarray]:
         """What each choice adds to that, (m, m, w) each, whether the action exists or not."""

@@ -35,8 +35,9 @@ class _Fits:
     """Of its points, in its frame."""
 
 
-def _unscaled(motion: Float[np.ndarray, "12"]) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]:
-    return motion[3:].reshape(3, 3) * ANGLE_TOLERANCE, motion[:3] * POSITION_TOLERANCE
+def _unscaled(motions: Float[np.ndarray, "*n 12"]) -> tuple[Float[np.ndarray, "*n 3 3"], Float[np.ndarray, "*n 3"]]:
+    turns = motions[..., 3:].reshape(*motions.shape[:-1], 3, 3)
+    return turns * ANGLE_TOLERANCE, motions[..., :3] * POSITION_TOLERANCE
 
 
 class Joints:
@@ -75,7 +76,7 @@ class Joints:
         As numbers among the points of each group.
         """
         k, l = self._all.local(one, row), self._all.local(two, column)  # noqa: E741
-        u, v = self._all.kinds[self._all.groups[one].kind].free, self._all.kinds[self._all.groups[two].kind].free
+        u, v = self._all.free(one), self._all.free(two)
         motion = self._motions(one, two)
         i, j = int(np.searchsorted(u, k)), int(np.searchsorted(v, l))
         same = np.linalg.norm(motion - motion[i, j], axis=2) < 1.0
@@ -85,13 +86,20 @@ class Joints:
 
     def _motions(self, one: int, two: int) -> Float[np.ndarray, "k l 12"]:
         """How each free point of a group, laid on each of another's, places the two; in tolerances."""
-        turns_u, at_u, gap_u = self._all.frames(one, self._all.kinds[self._all.groups[one].kind].free)
-        turns_v, at_v, gap_v = self._all.frames(two, self._all.kinds[self._all.groups[two].kind].free)
+        turns_u, at_u, gap_u = self._all.frames(one, self._all.free(one))
+        turns_v, at_v, gap_v = self._all.frames(two, self._all.free(two))
         at_v = at_v[None] + 0.5 * (gap_u[:, None] + gap_v[None])[..., None] * turns_v[None, :, :, 2]
         turn = turns_between(turns_u, turns_v)
         shift = at_v - np.einsum("klij,kj->kli", turn, at_u)
         flat = turn.reshape(*turn.shape[:2], 9)
         return np.concatenate([shift / POSITION_TOLERANCE, flat / ANGLE_TOLERANCE], axis=2)
+
+    def _motion(
+        self, one: int, two: int, k: int, l: int  # noqa: E741
+    ) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]:  # fmt: skip
+        """Where a group is in the other's frame with its point `k` on the other's `l`."""
+        at = int(np.searchsorted(self._all.free(one), k)), int(np.searchsorted(self._all.free(two), l))
+        return _unscaled(self._motions(one, two)[at])
 
     def meets(self, state: Sequence[int]) -> Int[np.ndarray, "m m"]:
         """For two free points of different groups, how many pairs of points would meet if these did; symmetric."""
@@ -106,7 +114,7 @@ class Joints:
                     tree = KDTree(motions.reshape(-1, 12))
                     counts = tree.query_ball_point(tree.data, 1.0, return_length=True)
                     self._meets[key] = np.asarray(counts, np.int32).reshape(motions.shape[:2])
-                rows, columns = u.rows[self._all.kinds[u.kind].free], v.rows[self._all.kinds[v.kind].free]
+                rows, columns = u.rows[self._all.free(one)], v.rows[self._all.free(two)]
                 out[np.ix_(rows, columns)] = self._meets[key]
                 out[np.ix_(columns, rows)] = self._meets[key].T
         return out
@@ -119,9 +127,7 @@ class Joints:
         k, l = self._all.local(one, row), self._all.local(two, column)  # noqa: E741
         key = (u.kind, v.kind, k, l)
         if key not in self._between:
-            free_u, free_v = self._all.kinds[u.kind].free, self._all.kinds[v.kind].free
-            motion = self._motions(one, two)[int(np.searchsorted(free_u, k)), int(np.searchsorted(free_v, l))]
-            turn, shift = motion[3:].reshape(3, 3) * ANGLE_TOLERANCE, motion[:3] * POSITION_TOLERANCE
+            turn, shift = self._motion(one, two, k, l)
             moved = [p.moved(turn, shift) for p in self._placed(one)]
             self._between[key] = self._relations.between(moved, self._placed(two))
         numbers = self._between[key]
@@ -144,14 +150,11 @@ class Joints:
         return count
 
     def _locks(self, one: int, two: int, k: int, l: int, other: int) -> bool:  # noqa: E741
-        u, v = self._all.groups[one], self._all.groups[two]
-        free_u, free_v = self._all.kinds[u.kind].free, self._all.kinds[v.kind].free
-        motion = _unscaled(self._motions(one, two)[int(np.searchsorted(free_u, k)), int(np.searchsorted(free_v, l))])
+        turn, shift = self._motion(one, two, k, l)
         on_one, on_two = self._fitting(other, one), self._fitting(other, two)
         if not len(on_one.rows) or not len(on_two.rows):
             return False
-        turns = motion[0] @ on_one.turns
-        shifts = on_one.shifts @ motion[0].T + motion[1]
+        turns, shifts = turn @ on_one.turns, on_one.shifts @ turn.T + shift
         near = np.linalg.norm(shifts[:, None] - on_two.shifts[None], axis=2) < 2.0 * POSITION_TOLERANCE
         alike = np.einsum("aij,bij->ab", turns, on_two.turns) > 1.0 + 2.0 * np.cos(2.0 * ANGLE_TOLERANCE)
         facing = on_one.normals @ on_two.normals.T > _SAME_WAY
@@ -162,11 +165,11 @@ class Joints:
         u, v = self._all.groups[one], self._all.groups[two]
         key = (u.kind, v.kind)
         if key not in self._fits:
-            free_u, free_v = self._all.kinds[u.kind].free, self._all.kinds[v.kind].free
+            free_u, free_v = self._all.free(one), self._all.free(two)
             right = self._right()[np.ix_(u.rows[free_u], v.rows[free_v])] > 0
             rows, columns = np.nonzero(right)
             motions = self._motions(one, two)[rows, columns] if len(rows) else np.zeros((0, 12))
-            turns, shifts = motions[:, 3:].reshape(-1, 3, 3) * ANGLE_TOLERANCE, motions[:, :3] * POSITION_TOLERANCE
+            turns, shifts = _unscaled(motions)
             frames, _, _ = self._all.frames(one, free_u)
             normals = frames[rows, :, 2] if len(rows) else np.zeros((0, 3))
             self._fits[key] = _Fits(rows, turns, shifts, normals)

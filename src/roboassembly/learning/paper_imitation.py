@@ -31,8 +31,6 @@ from roboassembly.learning.runs import Run
 from roboassembly.learning.situation import groups_of
 from roboassembly.learning.views import Change
 from roboassembly.processes import made_ahead
-from roboassembly.task.full import FullTask
-from roboassembly.task.object_centric import ObjectCentricTask
 from roboassembly.task.rules import UP_AXES
 
 LAMBDA = 50.0
@@ -113,7 +111,7 @@ class Example:
         """Q-values to imitate: the expert's, at most what is left to be had, or exact ones."""
         if self.values is None:
             return self.exact()
-        ways = FullTask.ways if self.grasps is not None else ObjectCentricTask.ways
+        ways = PaperConfig(hands=self.grasps is not None).ways
         each = np.split(self.values.astype(np.float32), np.cumsum(ways)[:-1], axis=2)
         merges = len(np.unique(groups_of(self.connections))) - 1
         return np.clip(heads.together(each), None, merges + WHOLE)

@@ -184,7 +184,7 @@ class Rehearsal:
         """The group of each free point of a state, -1 for others. Pairs exist between points of different groups."""
         owner = np.full(len(self.part), -1)
         for name in state:
-            owner[self.every.groups[name].rows[self.every.kinds[self.every.groups[name].kind].free]] = name
+            owner[self.every.groups[name].rows[self.every.free(name)]] = name
         return owner
 
     def joined(self, state: State) -> Bool[np.ndarray, "20 20"]:

@@ -21,6 +21,7 @@ from roboassembly.learning.gather import file_of
 from roboassembly.learning.part_clouds import gather_clouds
 from roboassembly.learning.progress import Progress
 from roboassembly.processes import one_thread_each
+from roboassembly.task.setting import SettingName
 
 
 @dataclass(frozen=True)
@@ -35,6 +36,11 @@ class Schooling:
     """Experts trained in one call in each process."""
     plays: int = 6
     """Of each expert, to become lessons."""
+
+    @staticmethod
+    def usual(setting: SettingName) -> Schooling:
+        """In a setting: with robots plays take long."""
+        return Schooling(experts=ExpertTraining(setting=setting), plays=4 if setting == "full" else 6)
 
     def seeded(self, seed: int) -> Schooling:
         """The same with another seed."""
