@@ -23,10 +23,13 @@ from roboassembly.task.cell import check_size, laid_out
 from roboassembly.task.full_plan import FullState, FullStep
 from roboassembly.task.groups import Group, TaskState
 from roboassembly.task.joining import Hold, Way, can_let_go, can_take, hold, ways_out
-from roboassembly.task.legs import TUCKED, LegError, LegPlanner, Meeting, Obstacle
+from roboassembly.task.legs import TUCKED, LegError, Legs, Obstacle
+from roboassembly.task.meeting import Meeting, join, meetings, part
 from roboassembly.task.moments import Leg, Moment, Robot, Standing
 from roboassembly.task.pairs import Merge
+from roboassembly.task.placing import set_down
 from roboassembly.task.rules import GRASPS, Rules
+from roboassembly.task.taking import can_fetch, fetch
 
 BUDGET = Budget(states=8_000)
 """Of each path."""
@@ -84,6 +87,11 @@ class Joint:
     hold_b: Hold
     ways: tuple[Way, ...]
     """Straight out of the joint."""
+
+    @property
+    def hands(self) -> tuple[Hold, Hold]:
+        """Both holds, in the merged group's frame."""
+        return self.hold_a.moved(self.merge.furniture_from_u), self.hold_b.moved(self.merge.furniture_from_v)
 
 
 class FullTask:
@@ -230,15 +238,15 @@ class FullTask:
         """
         legs = self._planner(state, seed)
         index = next(i for i, s in enumerate(state.moment.standing) if part in s.group.parts)
-        return legs.can_take(robot, index, held)
+        return can_fetch(legs, robot, index, held)
 
     def can_meet(self, state: FullState, joint: Joint, seed: int) -> bool:
         """Whether both arms reach the joint in some pose of it, and R_a comes straight out."""
         return next(_meetings(self._planner(state, seed), joint), None) is not None
 
-    def _planner(self, state: FullState, seed: int, budget: Budget | None = None) -> LegPlanner:
+    def _planner(self, state: FullState, seed: int, budget: Budget | None = None) -> Legs:
         rng = np.random.default_rng(seed)
-        return LegPlanner(self.furniture, state.cell, state.moment, budget or self.budget, rng)
+        return Legs(self.furniture, state.cell, state.moment, budget or self.budget, rng)
 
     def fits_alone(self, one: Group, two: Group, merge: Merge, held: Hold, robot: int) -> bool:
         """Whether one hand suits a joint as long as the other is not there: what `fitted` needs of each.
@@ -270,24 +278,22 @@ class FullTask:
             return Refusal(FullVerdict.CANNOT_LET_GO, "back off from u")
         return Joint(merge, one, two, hold_a, hold_b, tuple(ways))
 
-    def _carried_out(self, legs: LegPlanner, state: FullState, joint: Joint) -> FullState:
-        merge = joint.merge
-        hold_a, hold_b = joint.hold_a.moved(merge.furniture_from_u), joint.hold_b.moved(merge.furniture_from_v)
-        meetings = _meetings(legs, joint)
+    def _carried_out(self, legs: Legs, state: FullState, joint: Joint) -> FullState:
+        some = _meetings(legs, joint)
         # Whether they can meet at all is found out before anything moves.
-        first = next(meetings, None)
+        first = next(some, None)
         if first is None:
             raise LegError(Obstacle.NO_ARM_SOLUTION, "mate")
         places = [s.stand.top[:2] for s in state.moment.standing]
         for robot, group, held, name in ((0, joint.u, joint.hold_a, "u"), (1, joint.v, joint.hold_b, "v")):
             index = next(i for i, s in enumerate(legs.moment.standing) if s.group.parts == group.parts)
-            legs.fetch(robot, index, held, name)
+            fetch(legs, robot, index, held, name)
         failed = LegError(Obstacle.NO_PATH, "drive u")
-        for meeting in islice(chain([first], meetings), _MEETINGS):
+        for meeting in islice(chain([first], some), _MEETINGS):
             before = legs.reached
             try:
-                if legs.join(meeting):
-                    legs.part(merge.merged, hold_a, hold_b)
+                if join(legs, meeting):
+                    part(legs, joint.merge.merged, *joint.hands)
                     break
             except LegError as no:
                 # From here R_a does not get away, from elsewhere it may.
@@ -295,7 +301,7 @@ class FullTask:
                 legs.back_to(before)
         else:
             raise failed
-        legs.set_down(places)
+        set_down(legs, places)
         groups = TaskState(tuple(s.group for s in legs.moment.standing))
         return FullState(groups, legs.moment, state.cell)
 
@@ -331,12 +337,11 @@ def _taken(furniture: Furniture, group: Group, part: int, grasp: int) -> Hold | 
     return held if held is not None and can_take(furniture, group, held) else None
 
 
-def _meetings(legs: LegPlanner, joint: Joint) -> Iterator[Meeting]:
+def _meetings(legs: Legs, joint: Joint) -> Iterator[Meeting]:
     """Of both groups at the joint."""
     merge = joint.merge
-    hold_a, hold_b = joint.hold_a.moved(merge.furniture_from_u), joint.hold_b.moved(merge.furniture_from_v)
     u, v = _reframed(joint.u, merge.furniture_from_u), _reframed(joint.v, merge.furniture_from_v)
-    return legs.meetings(hold_a, hold_b, u, v, joint.ways, merge.merged)
+    return meetings(legs, *joint.hands, u, v, joint.ways, merge.merged)
 
 
 def _reframed(group: Group, by: SE3) -> Group:

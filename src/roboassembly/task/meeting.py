@@ -1,0 +1,153 @@
+"""The legs by which two robots join what they hold: they meet, one brings its group in, and lets go of it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from roboassembly.planning.robot_path import Path, line, path_is_free
+from roboassembly.poses import SE3, align_axis, turn_about_vertical
+from roboassembly.robots.kinematics import Poses
+from roboassembly.robots.reach import nearness, reach
+from roboassembly.task.groups import Group, hull_points
+from roboassembly.task.joining import Hold, Way
+from roboassembly.task.legs import GUESSES, TUCKED, LegError, Legs, Obstacle
+from roboassembly.task.moments import Configuration, Grip, Robot
+
+_SPINS = 16
+"""Turns about the way into a joint in which two groups may meet."""
+_HEIGHTS = (0.45, 0.6, 0.75, 0.9)
+"""Metres above the floor of the lowest point of two groups that meet."""
+_MEETINGS = 6
+"""Poses to meet in that are looked at, those that both arms reach best first."""
+_PLACES_OF_B, _PLACES_OF_A = 3, 4
+"""Ways to stand at a meeting that are tried."""
+
+
+@dataclass(frozen=True, eq=False)
+class Meeting:
+    """How two robots stand when they join two groups."""
+
+    world_from_furniture: SE3
+    """Of the merged group."""
+    a: Configuration
+    b: Configuration
+    out: Path
+    """R_a's, out of the joint."""
+
+
+def meetings(
+    legs: Legs, hold_a: Hold, hold_b: Hold, u: Group, v: Group, ways: Sequence[Way], merged: Group
+) -> Iterator[Meeting]:
+    """Ways to stand in which both hands, each with its group, have them joined, and R_a comes straight out.
+
+    Args:
+        legs: so far.
+        hold_a: of u's group, in the merged group's frame.
+        hold_b: of v's group, in the merged group's frame.
+        u: in the merged group's frame.
+        v: in the merged group's frame.
+        ways: straight out of the joint.
+        merged: both.
+    """
+    rest = replace(legs.moment, standing=tuple(s for s in legs.moment.standing if not _is_in(s.group, merged)))
+    grip_a, grip_b = Grip(u, hold_a), Grip(v, hold_b)
+    far = np.array([1e3, 0.0, 0.0, *TUCKED])
+    absent = rest.with_robot(0, Robot(far, hold_a.closed, grip_a)).with_robot(1, Robot(far, hold_b.closed, grip_b))
+    world_a, world_b = legs.world(absent, 0), legs.world(absent, 1)
+    for way, pose in _poses_to_meet(legs, hold_a, hold_b, ways, merged):
+        b = reach(pose * hold_b.furniture_from_tips, GUESSES, legs.rng).configurations
+        a = reach(pose * hold_a.furniture_from_tips, GUESSES, legs.rng).configurations
+        b, a = (q[w.free(q)] if len(q) else q for q, w in ((b, world_b), (a, world_a)))
+        if not len(a) or not len(b):
+            continue
+        # The farther R_b stands from where R_a would, the less they are in each other's way.
+        apart = np.linalg.norm(b[:, None, :2] - a[None, :, :2], axis=2).mean(axis=1)
+        for at_b in b[np.argsort(-apart)[:_PLACES_OF_B]]:
+            world = legs.world(absent.moved(1, at_b), 0)
+            free = a[world.free(a)]
+            order = np.argsort(-np.linalg.norm(free[:, :2] - at_b[:2], axis=1))
+            for at_a in free[order[:_PLACES_OF_A]]:
+                out = line(at_a, way.length * (pose.rotation @ way.direction))
+                if out is not None and path_is_free(world, out):
+                    yield Meeting(pose, at_a, at_b, out)
+
+
+def _poses_to_meet(
+    legs: Legs, hold_a: Hold, hold_b: Hold, ways: Sequence[Way], merged: Group
+) -> Iterator[tuple[Way, SE3]]:
+    """Poses of the merged group, near the middle, with the way out level, those that suit both arms best first."""
+    points = hull_points(legs.furniture, merged)
+    some: list[tuple[Way, SE3]] = []
+    about = align_axis(np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0]))
+    for way in ways:
+        level = align_axis(way.direction, np.array([1.0, 0.0, 0.0]))
+        for spin in np.arange(_SPINS) * 2.0 * np.pi / _SPINS:
+            turn = about @ turn_about_vertical(spin) @ about.T @ level
+            turned = points @ turn.T
+            low, high = turned.min(axis=0), turned.max(axis=0)
+            for height in _HEIGHTS:
+                shift = np.array([*(-0.5 * (low + high)[:2]), height - low[2]])
+                some.append((way, SE3(turn, shift)))
+    far = np.maximum(
+        *(
+            nearness(
+                Poses(
+                    np.array([p.rotation @ h.furniture_from_tips.rotation for _, p in some]),
+                    np.array([p.act(h.furniture_from_tips.translation) for _, p in some]),
+                )
+            )
+            for h in (hold_a, hold_b)
+        )
+    )
+    for index in np.argsort(far, kind="stable")[:_MEETINGS]:
+        way, pose = some[index]
+        spot = 0.3 * legs.cell.radius * legs.rng.uniform(-1.0, 1.0, 2)
+        drawn = SE3(turn_about_vertical(legs.rng.uniform(-np.pi, np.pi)), np.array([*spot, 0.0]))
+        yield way, drawn * pose
+
+
+def join(legs: Legs, meeting: Meeting) -> bool:
+    """Drive both robots to a meeting and mate; False, and nothing is changed, if there is no way."""
+    drives = ((1, meeting.b, "drive v"), (0, meeting.out[-1], "drive u"))
+    before = legs.reached
+    for order in (drives, drives[::-1]):
+        for robot, goal, name in order:
+            way = legs.go(legs.world(legs.moment, robot), legs.moment.robots[robot].at, goal)
+            if way is None:
+                break
+            legs.add(name, robot, way)
+        else:
+            legs.add("mate", 0, tuple(reversed(meeting.out)))
+            return True
+        legs.back_to(before)
+    return False
+
+
+def part(legs: Legs, merged: Group, hold_a: Hold, hold_b: Hold) -> None:
+    """R_a opens its hand, backs off and drives away; R_b holds the merged group.
+
+    Args:
+        legs: so far; those of this are added.
+        merged: both groups.
+        hold_a: of it.
+        hold_b: of it.
+
+    Raises:
+        LegError: it cannot be.
+    """
+    a, b = legs.moment.robots
+    legs.moment = legs.moment.with_robot(1, replace(b, grip=Grip(merged, hold_b)))
+    legs.moment = legs.moment.with_robot(0, Robot(a.at, hold_a.open))
+    world = legs.world(legs.moment, 0)
+    back = legs.back(world, a.at)
+    if back is None:
+        raise LegError(Obstacle.NO_PATH, "back off from u")
+    legs.add("back off from u", 0, back)
+    legs.park(0, world, "leave u")
+
+
+def _is_in(group: Group, merged: Group) -> bool:
+    return set(group.parts) <= set(merged.parts)

@@ -1,0 +1,92 @@
+"""The legs by which a robot sets what it holds on a post that rises for it, and leaves."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float
+
+from roboassembly.planning.robot_path import line, path_is_free
+from roboassembly.poses import SE3, align_axis, turn_about_vertical
+from roboassembly.task.cell import Stand, free_place, on_post, open_grasps, reach_from
+from roboassembly.task.groups import Group
+from roboassembly.task.layout import group_footprint
+from roboassembly.task.legs import LIFT, LegError, Legs, Obstacle
+from roboassembly.task.moments import Configuration, Robot, Standing
+from roboassembly.task.rules import UP_AXES
+
+_OUTWARD = (1.0, 1.15, 1.3)
+"""Where a merged group may stand: as far from the middle as a post of before, or farther by so much."""
+
+
+def set_down(legs: Legs, wanted: Sequence[Float[np.ndarray, "2"]]) -> None:
+    """R_b sets what it holds on a post that rises for it, and drives away.
+
+    Args:
+        legs: so far; those of this are added.
+        wanted: places in the ring that are free.
+
+    Raises:
+        LegError: it cannot be.
+    """
+    robot = legs.moment.robots[1]
+    assert robot.grip is not None
+    grip = robot.grip
+    failed = LegError(Obstacle.NO_STAND, "set down")
+    carrying = legs.world(legs.moment, 1)
+    for standing in _places(legs, grip.group, robot.at, wanted):
+        tips = standing.group.world_from_furniture * grip.hold.furniture_from_tips
+        with_post = replace(legs.moment, posts=(*legs.moment.posts, standing.stand))
+        after = replace(legs.moment, standing=(*legs.moment.standing, standing))
+        after = after.with_robot(1, Robot(robot.at, grip.hold.open))
+        lowering, leaving = legs.world(with_post, 1), legs.world(after, 1)
+        try:
+            some = legs.ways_to_stand(lowering, tips, robot.at, "set down")
+        except LegError as none:
+            failed = none
+            continue
+        failed = LegError(Obstacle.NO_PATH, "set down")
+        for at in some:
+            above = line(at, np.array([0.0, 0.0, LIFT]))
+            if above is None or not path_is_free(lowering, above):
+                continue
+            back = legs.back(leaving, at)
+            if back is None:
+                continue
+            path = legs.go(carrying, robot.at, above[-1])
+            if path is None:
+                continue
+            legs.add("carry", 1, path)
+            legs.moment = replace(legs.moment, posts=with_post.posts)
+            legs.add("set down", 1, tuple(reversed(above)))
+            legs.moment = after.moved(1, legs.moment.robots[1].at)
+            legs.add("back off", 1, back)
+            legs.park(1, leaving, "leave")
+            return
+    raise failed
+
+
+def _places(
+    legs: Legs, merged: Group, near: Configuration, wanted: Sequence[Float[np.ndarray, "2"]]
+) -> Iterator[Standing]:
+    """Ways for the merged group to stand on a post, each axis up once, those first that leave most grasps open;
+    finished furniture upright if it can."""
+    taken = [group_footprint(legs.furniture, s.group) for s in legs.moment.standing]
+    order = np.argsort([np.linalg.norm(p - near[:2]) for p in wanted])
+    places = [wanted[o] * f for f in _OUTWARD for o in order]
+    found: list[tuple[float, Group, Stand]] = []
+    for w in legs.rng.permutation(len(UP_AXES)):
+        turn = turn_about_vertical(legs.rng.uniform(-np.pi, np.pi)) @ align_axis(UP_AXES[w], UP_AXES[0])
+        held = on_post(legs.furniture, merged.moved_to(SE3(turn, np.zeros(3))), np.zeros(2))
+        if held is not None:
+            upright = w == 0 and len(merged.parts) == len(legs.furniture.parts)
+            found.append((float(upright) + open_grasps(legs.furniture, *held), *held))
+    for _, group, stand in sorted(found, key=lambda item: -item[0]):
+        place = free_place(places, reach_from(legs.furniture, group, stand), taken)
+        if place is None:
+            continue
+        shift = np.array([*place, 0.0])
+        moved = SE3(np.eye(3), shift) * group.world_from_furniture
+        yield Standing(group.moved_to(moved), Stand(stand.top + shift))

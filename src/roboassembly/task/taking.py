@@ -1,0 +1,98 @@
+"""The legs by which a robot takes a standing group: it drives to it, closes its hand and lifts it from its post."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from roboassembly.planning.robot_path import Path, line, path_is_free
+from roboassembly.planning.robot_world import RobotWorld
+from roboassembly.task.joining import Hold
+from roboassembly.task.legs import BACK, LIFT, LegError, Legs, Obstacle
+from roboassembly.task.moments import Grip, Moment, Robot
+
+
+@dataclass(eq=False)
+class _Taking:
+    """A robot takes a standing group."""
+
+    before: Moment
+    """Its hand open."""
+    loaded: Moment
+    """The group in its hand, the post still there."""
+    world: RobotWorld
+    """As it comes."""
+    tries: Iterator[tuple[Path, Path]]
+    """Straight back from the group, and straight up with it."""
+    failed: str
+    """The leg that the last try failed in."""
+
+
+def fetch(legs: Legs, robot: int, index: int, hold: Hold, name: str) -> None:
+    """Drive to a standing group, take it and lift it from its post, which sinks into the floor.
+
+    Args:
+        legs: so far; those of this are added.
+        robot: 0 or 1.
+        index: among `moment.standing`.
+        hold: of the group.
+        name: of the group, for the legs.
+
+    Raises:
+        LegError: it cannot be.
+    """
+    taking = _taking(legs, robot, index, hold, name)
+    before, loaded = taking.before, taking.loaded
+    for back, up in taking.tries:
+        way = legs.go(taking.world, before.robots[robot].at, back[-1])
+        if way is None:
+            taking.failed = f"drive to {name}"
+            continue
+        legs.moment = before
+        legs.add(f"drive to {name}", robot, way)
+        legs.add(f"approach {name}", robot, tuple(reversed(back)))
+        legs.moment = loaded.moved(robot, legs.moment.robots[robot].at)
+        legs.add(f"lift {name}", robot, up)
+        legs.moment = replace(legs.moment, posts=before.posts)
+        return
+    raise LegError(Obstacle.NO_PATH, taking.failed)
+
+
+def can_fetch(legs: Legs, robot: int, index: int, hold: Hold) -> bool:
+    """Whether a standing group can be taken and lifted, wherever the robot comes from; as `fetch`."""
+    try:
+        return next(_taking(legs, robot, index, hold, "").tries, None) is not None
+    except LegError:
+        return False
+
+
+def _taking(legs: Legs, robot: int, index: int, hold: Hold, name: str) -> _Taking:
+    """Ways to take a standing group and lift it, `fetch` without the drive.
+
+    Raises:
+        LegError: there is no way to stand (from the first of the tries).
+    """
+    before = legs.moment.with_robot(robot, replace(legs.moment.robots[robot], opening=hold.open, grip=None))
+    group, stand = legs.moment.standing[index].group, legs.moment.standing[index].stand
+    rest = tuple(s for i, s in enumerate(before.standing) if i != index)
+    taken = Robot(before.robots[robot].at, hold.closed, Grip(group, hold))
+    loaded = replace(before, standing=rest, posts=(*before.posts, stand)).with_robot(robot, taken)
+    tips = group.world_from_furniture * hold.furniture_from_tips
+    world, lifting = legs.world(before, robot), legs.world(loaded, robot)
+
+    def tries() -> Iterator[tuple[Path, Path]]:
+        for at in legs.ways_to_stand(world, tips, before.robots[robot].at, f"grasp {name}"):
+            back = line(at, -BACK * tips.rotation[:, 2])
+            if back is None or not path_is_free(world, back):
+                taking.failed = f"approach {name}"
+                continue
+            up = line(at, np.array([0.0, 0.0, LIFT]))
+            if up is None or not path_is_free(lifting, up):
+                taking.failed = f"lift {name}"
+                continue
+            yield back, up
+
+    taking = _Taking(before, loaded, world, tries(), f"grasp {name}")
+    return taking
