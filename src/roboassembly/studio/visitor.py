@@ -8,9 +8,7 @@ import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
-import numpy as np
 from viser import ClientHandle, UploadedFile
 
 from roboassembly.errors import InputError, RoboAssemblyError
@@ -19,13 +17,13 @@ from roboassembly.learning.loading import load_policy
 from roboassembly.learning.policies import Policy, guide_of, settings_of
 from roboassembly.solvers.forward import Standing, Watch
 from roboassembly.solvers.guide import Guide
+from roboassembly.studio.chooser import Chooser
 from roboassembly.studio.house import House
-from roboassembly.studio.marks import Chosen
-from roboassembly.studio.panel import NONE, PICKS, Actions, Panel
+from roboassembly.studio.panel import Actions, Panel
 from roboassembly.studio.screen import FRAMES_PER_SECOND, Screen
 from roboassembly.studio.session import Session
 from roboassembly.studio.wares import Wares, open_path, open_plan, open_upload
-from roboassembly.studio.words import WAYS, told
+from roboassembly.studio.words import told
 from roboassembly.task import plan_file
 from roboassembly.task.plan_file import Script
 from roboassembly.viewer.html import write_html
@@ -59,6 +57,7 @@ class Visitor:
         self._asked: queue.Queue[Callable[[], None] | None] = queue.Queue()
         self._cancelled = threading.Event()
         self._screen: Screen | None = None
+        self._chooser: Chooser | None = None
         self.session: Session | None = None
         """Once furniture is open."""
         self._policies: dict[str, Policy] = {}
@@ -177,71 +176,30 @@ class Visitor:
             self.session = session
             self._screen = Screen(self.client, session, lambda *end: self._ask(lambda: self._picked(*end)))
             self._screen.look = self.panel.look
-            self._list_ways()
+            self._chooser = Chooser(panel, session)
             self._settle()
         self._say("Click a point of one part, then one of another, and join them; or let it run.")
 
     # Choosing
 
-    def _list_ways(self) -> None:
-        session = self._present
-        for control, choice in zip(self.panel.ways, [*session.choices(), None], strict=False):
-            control.visible = choice is not None
-            if choice is None:
-                continue
-            name, count = choice
-            if name == "w":
-                control.label, control.options = "Waits with (w)", tuple(f"{i}: {way}" for i, way in enumerate(WAYS))
-            else:
-                control.label = f"R_{name[-1]} takes it by ({name})"
-                control.options = tuple(f"{i}: region {i // 4}, direction {i % 4}" for i in range(count))
-
-    def _list_ends(self) -> None:
-        """What can be chosen now; what was chosen stays, if it can."""
-        session, panel = self._present, self.panel
-        free = session.free()
-        names = session.furniture.parts
-        parts = [f"{i}: {names[i].name}" for i in range(len(names)) if free[i].any()]
-        for control in (panel.u, panel.v):
-            _offer(control, parts)
-        for part, point in ((panel.u, panel.k), (panel.v, panel.l)):
-            own = [] if part.value == NONE else [str(k) for k in np.flatnonzero(free[_number(part.value)])]
-            _offer(point, own)
-
     def _choose(self) -> None:
         with self.client.atomic():
-            self._list_ends()
-            self._shown.choose(self._chosen())
+            self._choice.offer()
+            self._shown.choose(self._choice.ends)
 
     def _picked(self, part: int, point: int | None) -> None:
         """A part or one of its points was clicked on."""
-        session, panel = self._present, self.panel
-        if not session.free()[part].any():
-            return
-        moving = panel.next.value == PICKS[0]
-        which, at = (panel.u, panel.k) if moving else (panel.v, panel.l)
         with self.client.atomic():
-            which.value = f"{part}: {session.furniture.parts[part].name}"
-            self._list_ends()
-            if point is not None:
-                at.value = str(point)
-                panel.next.value = PICKS[moving]
-            self._shown.choose(self._chosen())
-
-    def _chosen(self) -> Chosen:
-        panel = self.panel
-        ends = ((panel.u.value, panel.k.value), (panel.v.value, panel.l.value))
-        one, two = (None if NONE in end else (_number(end[0]), int(end[1])) for end in ends)
-        return one, two
+            if self._choice.pick(part, point):
+                self._shown.choose(self._choice.ends)
 
     # Doing
 
     def _join(self) -> None:
-        session, (one, two) = self._present, self._chosen()
+        session, (one, two) = self._present, self._choice.ends
         if one is None or two is None:
             raise InputError("choose a point of what moves and one of what waits first")
-        ways = [_number(c.value) for c, _ in zip(self.panel.ways, session.choices(), strict=False)]
-        tried = session.attempt((one[0], two[0], one[1], two[1], *ways))
+        tried = session.attempt((one[0], two[0], one[1], two[1], *self._choice.ways))
         if tried.merged:
             self._shown.extend()
         self._settle()
@@ -255,20 +213,13 @@ class Visitor:
         self._say("Took the last step back.")
 
     def _suggest(self) -> None:
-        session, panel = self._present, self.panel
-        action = session.suggestion(self._guide())
+        action = self._present.suggestion(self._guide())
         if action is None:
             self._say("The policy sees nothing worth trying.")
             return
-        u, v, k, l, *ways = action  # noqa: E741
         with self.client.atomic():
-            for control, part in ((panel.u, u), (panel.v, v)):
-                control.value = f"{part}: {session.furniture.parts[part].name}"
-            self._list_ends()
-            panel.k.value, panel.l.value = str(k), str(l)
-            for control, way in zip(panel.ways, ways, strict=False):
-                control.value = control.options[way]
-            self._shown.choose(self._chosen())
+            self._choice.set(action)
+            self._shown.choose(self._choice.ends)
         self._say("This is what the policy would do; join them, if you agree.")
 
     def _guide(self) -> Guide:
@@ -359,6 +310,12 @@ class Visitor:
             raise InputError("no furniture is open")
         return self._screen
 
+    @property
+    def _choice(self) -> Chooser:
+        if self._chooser is None:
+            raise InputError("no furniture is open")
+        return self._chooser
+
     def _settle(self) -> None:
         """Bring all that depends on the state up to date."""
         session, panel, screen = self._present, self.panel, self._shown
@@ -366,8 +323,8 @@ class Visitor:
             panel.time.max = max(1, screen.last)
             panel.time.visible = panel.play.visible = screen.last > 0
             panel.time.value = screen.at
-            self._list_ends()
-            screen.choose(self._chosen())
+            self._choice.offer()
+            screen.choose(self._choice.ends)
             screen.refresh()
             whole = len(session.furniture.parts) - 1
             failed = f" · {session.failures} failed" if session.failures else ""
@@ -414,16 +371,3 @@ class Visitor:
                 content = path.read_bytes()
         self.client.send_file_download(name, content, save_immediately=True)
         self._say(f"Saved {name}.")
-
-
-def _number(text: str) -> int:
-    return int(text.partition(":")[0])
-
-
-def _offer(control: Any, options: list[str]) -> None:
-    """New options of a dropdown; the choice stays, if it can."""
-    value = control.value
-    wanted = (NONE, *options)
-    if control.options != wanted:
-        control.options = wanted
-    control.value = value if value in wanted else NONE
