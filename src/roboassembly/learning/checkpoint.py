@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import zipfile
-import zlib
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -14,6 +11,7 @@ import numpy as np
 
 from roboassembly import __version__
 from roboassembly.errors import InputError
+from roboassembly.learning import archive
 from roboassembly.learning.layers import Params
 
 if TYPE_CHECKING:
@@ -53,12 +51,7 @@ def save(path: Path, checkpoint: Checkpoint, *, half: bool = False) -> None:
     meta = {"format": FORMAT, "version": __version__, "kind": checkpoint.kind, "config": checkpoint.config}
     arrays[_META] = np.frombuffer(json.dumps(meta).encode(), dtype=np.uint8)
     path.parent.mkdir(parents=True, exist_ok=True)
-    scratch = path.with_name(f".{path.name}.{os.getpid()}.npz")
-    try:
-        np.savez_compressed(scratch, allow_pickle=False, **arrays)
-        scratch.replace(path)
-    finally:
-        scratch.unlink(missing_ok=True)
+    archive.write(path, arrays)
 
 
 def load(path: Path, kind: str | None = None) -> Checkpoint:
@@ -72,15 +65,10 @@ def load(path: Path, kind: str | None = None) -> Checkpoint:
     """
     if not path.is_file():
         raise InputError(f"no checkpoint at '{path}'; name a file that `roboassembly train` wrote")
-    try:
-        with np.load(path, allow_pickle=False) as z:
-            meta = json.loads(bytes(z[_META]).decode())
-            arrays = {name: z[name] for name in z.files if name != _META}
-            found, version, config = meta["format"], meta["kind"], meta["config"]
-    except (OSError, ValueError, KeyError, EOFError, TypeError, zipfile.BadZipFile, zlib.error) as error:
-        raise InputError(
-            f"'{path}' is not a checkpoint ({error}); name a file that `roboassembly train` wrote"
-        ) from None
+    with archive.reading(path, "a checkpoint", "name a file that `roboassembly train` wrote") as z:
+        meta = json.loads(bytes(z[_META]).decode())
+        arrays = {name: z[name] for name in z if name != _META}
+        found, version, config = meta["format"], meta["kind"], meta["config"]
     if not isinstance(config, dict):
         raise InputError(f"'{path}': its configuration is {config!r}, not an object; train again")
     if found != FORMAT:

@@ -7,9 +7,6 @@ where the arms reach it, and what became of those that were tried.
 
 from __future__ import annotations
 
-import os
-import zipfile
-import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,8 +15,8 @@ import numpy as np
 from jaxtyping import Bool, Float32, Int8
 
 from roboassembly.envs.observation import Observer, surface_points
-from roboassembly.errors import InputError
 from roboassembly.furniture.model import MAX_POINTS
+from roboassembly.learning import archive
 from roboassembly.learning.lessons import CLOUD_POINTS
 from roboassembly.learning.situation import Situation, groups_of
 from roboassembly.solvers.hand_oracle import HandOracle
@@ -79,21 +76,21 @@ class GraspCourse:
 
     def save(self, path: Path) -> None:
         """Write as npz, whole or not at all; clouds are rounded to half a millimetre."""
-        scratch = path.with_name(f".{path.name}.{os.getpid()}.npz")
-        np.savez_compressed(
-            scratch,
-            name=np.array(self.name),
-            clouds=self.clouds.astype(np.float16),
-            hands=self.hands,
-            points=np.array([x.points for x in self.lessons]),
-            connections=np.array([x.connections for x in self.lessons]),
-            free=np.array([x.free for x in self.lessons]),
-            poses=np.array([x.poses for x in self.lessons]),
-            pairs=np.array([x.pair for x in self.lessons], np.int16).reshape(-1, 4),
-            take=np.array([x.take for x in self.lessons], np.int8).reshape(-1, 2, GRASPS),
-            together=np.array([(x.room, x.meet, x.rest) for x in self.lessons], np.int8).reshape(-1, 3, GRASPS, GRASPS),
-        )
-        scratch.replace(path)
+        arrays = {
+            "name": np.array(self.name),
+            "clouds": self.clouds.astype(np.float16),
+            "hands": self.hands,
+            "points": np.array([x.points for x in self.lessons]),
+            "connections": np.array([x.connections for x in self.lessons]),
+            "free": np.array([x.free for x in self.lessons]),
+            "poses": np.array([x.poses for x in self.lessons]),
+            "pairs": np.array([x.pair for x in self.lessons], np.int16).reshape(-1, 4),
+            "take": np.array([x.take for x in self.lessons], np.int8).reshape(-1, 2, GRASPS),
+            "together": np.array([(x.room, x.meet, x.rest) for x in self.lessons], np.int8).reshape(
+                -1, 3, GRASPS, GRASPS
+            ),
+        }
+        archive.write(path, arrays)
 
     @staticmethod
     def load(path: Path) -> GraspCourse:
@@ -102,16 +99,13 @@ class GraspCourse:
         Raises:
             InputError: the file is broken.
         """
-        try:
-            with np.load(path, allow_pickle=False) as z:
-                names = ("points", "connections", "free", "poses", "pairs", "take", "together")
-                lessons = tuple(
-                    GraspLesson(p, c, f, w, tuple(pair.tolist()), take, *together)
-                    for p, c, f, w, pair, take, together in zip(*(z[name] for name in names), strict=True)
-                )
-                return GraspCourse(str(z["name"]), z["clouds"].astype(np.float32), z["hands"], lessons)
-        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
-            raise InputError(f"{path} is not a course of grasps: {error}; remove it and build it again") from None
+        with archive.reading(path, "a course of grasps", "remove it and build it again") as z:
+            names = ("points", "connections", "free", "poses", "pairs", "take", "together")
+            lessons = tuple(
+                GraspLesson(p, c, f, w, tuple(pair.tolist()), take, *together)
+                for p, c, f, w, pair, take, together in zip(*(z[name] for name in names), strict=True)
+            )
+            return GraspCourse(str(z["name"]), z["clouds"].astype(np.float32), z["hands"], lessons)
 
 
 class GraspTeacher:

@@ -10,9 +10,6 @@ become lessons (DAgger, Ross et al. 2011, "A Reduction of Imitation Learning and
 
 from __future__ import annotations
 
-import os
-import zipfile
-import zlib
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -21,8 +18,8 @@ import numpy as np
 from jaxtyping import Bool, Float16, Float32, Int16, UInt8
 
 from roboassembly.envs.observation import Observer
-from roboassembly.errors import InputError
 from roboassembly.furniture.model import MAX_POINTS, Furniture
+from roboassembly.learning import archive
 from roboassembly.learning.situation import Situation, groups_of
 from roboassembly.learning.tokens import Memory, Tokens, tokens_of
 from roboassembly.solvers.oracle import Joint, Oracle
@@ -86,23 +83,21 @@ class Course:
         count = len(self.lessons)
         joints = [lesson.joints for lesson in self.lessons]
         values = [lesson.values.ravel() for lesson in self.lessons if lesson.values is not None]
-        scratch = path.with_name(f".{path.name}.{os.getpid()}.npz")
-        np.savez_compressed(
-            scratch,
-            name=np.array(self.name),
-            clouds=self.clouds.astype(np.float16),
-            hands=np.zeros((0, GRASPS, 6), np.float32) if self.hands is None else self.hands,
-            points=np.array([lesson.points for lesson in self.lessons]),
-            connections=np.array([lesson.connections for lesson in self.lessons]),
-            free=np.array([lesson.free for lesson in self.lessons]),
-            poses=np.array([lesson.poses for lesson in self.lessons]),
-            valued=np.array([lesson.values is not None for lesson in self.lessons], bool),
-            values=np.concatenate(values) if values else np.zeros(0, np.float16),
-            choices=np.array(max((x.values.shape[2] for x in self.lessons if x.values is not None), default=0)),
-            joints=np.concatenate(joints) if count else np.zeros((0, 11), np.int16),
-            state=np.repeat(np.arange(count), [len(j) for j in joints]),
-        )
-        scratch.replace(path)
+        arrays = {
+            "name": np.array(self.name),
+            "clouds": self.clouds.astype(np.float16),
+            "hands": np.zeros((0, GRASPS, 6), np.float32) if self.hands is None else self.hands,
+            "points": np.array([lesson.points for lesson in self.lessons]),
+            "connections": np.array([lesson.connections for lesson in self.lessons]),
+            "free": np.array([lesson.free for lesson in self.lessons]),
+            "poses": np.array([lesson.poses for lesson in self.lessons]),
+            "valued": np.array([lesson.values is not None for lesson in self.lessons], bool),
+            "values": np.concatenate(values) if values else np.zeros(0, np.float16),
+            "choices": np.array(max((x.values.shape[2] for x in self.lessons if x.values is not None), default=0)),
+            "joints": np.concatenate(joints) if count else np.zeros((0, 11), np.int16),
+            "state": np.repeat(np.arange(count), [len(j) for j in joints]),
+        }
+        archive.write(path, arrays)
 
     @staticmethod
     def load(path: Path) -> Course:
@@ -111,24 +106,21 @@ class Course:
         Raises:
             InputError: the file is broken.
         """
-        try:
-            with np.load(path, allow_pickle=False) as z:
-                joints, state = z["joints"], z["state"]
-                points, connections, free, poses = z["points"], z["connections"], z["free"], z["poses"]
-                shapes = [(n, n, int(z["choices"])) for n in free.sum(axis=(1, 2)) * z["valued"]] if len(free) else []
-                ends = np.cumsum([np.prod(shape) for shape in shapes], dtype=int)
-                values = [v.reshape(s) for v, s in zip(np.split(z["values"], ends)[:-1], shapes, strict=True)]
-                lessons = tuple(
-                    Lesson(
-                        points[i], connections[i], free[i], poses[i], joints[state == i],
-                        values[i] if z["valued"][i] else None,
-                    )
-                    for i in range(len(points))
-                )  # fmt: skip
-                hands = z["hands"] if len(z["hands"]) else None
-                return Course(str(z["name"]), z["clouds"].astype(np.float32), lessons, hands)
-        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
-            raise InputError(f"{path} is not a course of lessons: {error}; remove it and build it again") from None
+        with archive.reading(path, "a course of lessons", "remove it and build it again") as z:
+            joints, state = z["joints"], z["state"]
+            points, connections, free, poses = z["points"], z["connections"], z["free"], z["poses"]
+            shapes = [(n, n, int(z["choices"])) for n in free.sum(axis=(1, 2)) * z["valued"]] if len(free) else []
+            ends = np.cumsum([np.prod(shape) for shape in shapes], dtype=int)
+            values = [v.reshape(s) for v, s in zip(np.split(z["values"], ends)[:-1], shapes, strict=True)]
+            lessons = tuple(
+                Lesson(
+                    points[i], connections[i], free[i], poses[i], joints[state == i],
+                    values[i] if z["valued"][i] else None,
+                )
+                for i in range(len(points))
+            )  # fmt: skip
+            hands = z["hands"] if len(z["hands"]) else None
+            return Course(str(z["name"]), z["clouds"].astype(np.float32), lessons, hands)
 
 
 _DEAD = 0.5
