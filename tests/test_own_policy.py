@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import pickle
 import re
@@ -26,6 +25,7 @@ from roboassembly.learning.loading import load_policy, maker_of
 from roboassembly.learning.players import Episode, Way, play, player
 from roboassembly.learning.policies import guide_of
 from roboassembly.solvers.search import solve, solve_full
+from scripts import script
 from test_cli import Run
 
 ROOT = Path(__file__).parents[1]
@@ -389,13 +389,7 @@ def test_the_pages_files_play_in_both_settings(tmp_path: Path, stool: Furniture)
 def example(tmp_path_factory: pytest.TempPathFactory) -> ModuleType:
     pytest.importorskip("torch")
     pytest.importorskip("sb3_contrib")
-    path = write(tmp_path_factory.mktemp("example") / "masked_ppo.py", EXAMPLE.read_text())
-    spec = importlib.util.spec_from_file_location("masked_ppo_example", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return script(write(tmp_path_factory.mktemp("example") / "masked_ppo.py", EXAMPLE.read_text()))
 
 
 @pytest.mark.slow

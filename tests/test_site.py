@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-import importlib.util
 import re
-from pathlib import Path
 
 import pytest
 
+from scripts import script
+
 pytest.importorskip("ziamath")
 
-SCRIPT = Path(__file__).parents[1] / "docs" / "site.py"
-spec = importlib.util.spec_from_file_location("site_pages", SCRIPT)
-assert spec is not None
-assert spec.loader is not None
-site = importlib.util.module_from_spec(spec)
-spec.loader.exec_module(site)
+site = script("docs/site.py")
 
 
 def test_commands_page_has_every_command(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 from pathlib import Path
 
@@ -10,13 +9,9 @@ import pytest
 import trimesh
 
 from roboassembly.cli import main
+from scripts import script
 
-SCRIPT = Path(__file__).parents[1] / "docs" / "tables.py"
-spec = importlib.util.spec_from_file_location("tables", SCRIPT)
-assert spec is not None
-assert spec.loader is not None
-tables = importlib.util.module_from_spec(spec)
-spec.loader.exec_module(tables)
+tables = script("docs/tables.py")
 
 
 def run(capsys: pytest.CaptureFixture[str], *arguments: object) -> dict:

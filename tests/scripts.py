@@ -1,0 +1,20 @@
+"""Scripts that stand outside the package, loaded as modules."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+from types import ModuleType
+
+ROOT = Path(__file__).parents[1]
+
+
+def script(place: str | Path) -> ModuleType:
+    """The script at a place in the repository, or anywhere, run as an import would run it."""
+    path = ROOT / place
+    spec = importlib.util.spec_from_file_location(f"script_{path.stem}", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
