@@ -11,7 +11,7 @@ from jaxtyping import Float
 from ompl import base
 
 from roboassembly.planning.problem import Budget, PlanningStatus
-from roboassembly.planning.rrt import exhaustion, pose_of, run_rrt_connect, set_pose
+from roboassembly.planning.rrt import box_around, exhaustion, pose_of, run_rrt_connect, set_pose
 from roboassembly.planning.world import ANGULAR_RESOLUTION, RESOLUTION, collision_pool, first_hit
 from roboassembly.poses import SE3, interpolate, poses_to_configurations, rotation_angle
 from roboassembly.scene import Scene
@@ -80,11 +80,8 @@ def joint_rrt_connect(
     space = base.CompoundStateSpace()
     parts = []
     for a, b in zip(start, goal, strict=True):
-        part, box = base.SE3StateSpace(), base.RealVectorBounds(3)
-        for axis in range(3):
-            box.setLow(axis, float(min(bounds[0][axis], a.translation[axis], b.translation[axis])))
-            box.setHigh(axis, float(max(bounds[1][axis], a.translation[axis], b.translation[axis])))
-        part.setBounds(box)
+        part = base.SE3StateSpace()
+        part.setBounds(box_around(bounds, [a.translation, b.translation]))
         space.addSubspace(part, 1.0)
         parts.append(part)
 

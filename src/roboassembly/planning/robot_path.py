@@ -14,7 +14,7 @@ from ompl import base
 
 from roboassembly.planning.problem import Budget
 from roboassembly.planning.robot_world import RobotWorld
-from roboassembly.planning.rrt import exhaustion, run_rrt_connect
+from roboassembly.planning.rrt import box_around, exhaustion, run_rrt_connect
 from roboassembly.poses import SE3
 from roboassembly.robots.body import DOF, world_from_tips
 from roboassembly.robots.kinematics import arm
@@ -74,13 +74,9 @@ def number_space(
 ) -> tuple[Any, Callable[[Configuration], Any], Callable[[Any], Configuration]]:
     """OMPL's space of configurations, and how one becomes a state of it and comes back."""
     space = base.RealVectorStateSpace(DOF)
-    bounds = base.RealVectorBounds(DOF)
     low = np.concatenate([[-floor.half, -floor.half, min(start[2], goal[2]) - np.pi], arm().low])
     high = np.concatenate([[floor.half, floor.half, max(start[2], goal[2]) + np.pi], arm().high])
-    for axis in range(DOF):
-        bounds.setLow(axis, float(min(low[axis], start[axis], goal[axis])))
-        bounds.setHigh(axis, float(max(high[axis], start[axis], goal[axis])))
-    space.setBounds(bounds)
+    space.setBounds(box_around(np.array([low, high]), [start, goal]))
 
     def state(q: Configuration) -> Any:
         made: Any = space.allocState()

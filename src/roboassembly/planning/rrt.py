@@ -80,6 +80,15 @@ def run_rrt_connect(
     return copies
 
 
+def box_around(bounds: Float[np.ndarray, "2 n"], points: Sequence[Float[np.ndarray, "n"]]) -> base.RealVectorBounds:
+    """OMPL's bounds: lowest and highest values, widened so that some points lie within."""
+    box = base.RealVectorBounds(bounds.shape[1])
+    for axis, values in enumerate(np.vstack([bounds, *points]).T.tolist()):
+        box.setLow(axis, min(values))
+        box.setHigh(axis, max(values))
+    return box
+
+
 def exhaustion(states: Callable[[], int], budget: Budget, begun: float) -> Exhausted:
     """Tells when the budget is spent: states from the counter's value now, seconds from `begun`."""
     limit = states() + budget.states
@@ -106,14 +115,7 @@ def rrt_connect(
         seed: the same seed gives the same path.
     """
     space = base.SE3StateSpace()
-    box = base.RealVectorBounds(3)
-    everywhere = [start.translation, *(g.translation for g in goals)]
-    low = np.minimum(bounds[0], np.min(everywhere, axis=0))
-    high = np.maximum(bounds[1], np.max(everywhere, axis=0))
-    for axis in range(3):
-        box.setLow(axis, float(low[axis]))
-        box.setHigh(axis, float(high[axis]))
-    space.setBounds(box)
+    space.setBounds(box_around(bounds, [start.translation, *(g.translation for g in goals)]))
 
     def state(pose: SE3) -> Any:
         made = space.allocState()
