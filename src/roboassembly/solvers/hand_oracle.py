@@ -43,7 +43,7 @@ class HandOracle(Oracle):
             elif c.part_b in moving and c.part_a in waiting:
                 pairs.append((b, a))
         state = TaskState((self._group(moving), self._group(waiting)))
-        return next(fitting(self.full, state, pairs), None) is not None
+        return next(fitting(self.full, state, pairs, in_turn=True), None) is not None
 
     def _group(self, slots: Parts) -> Group:
         """Parts in their own slots."""

@@ -13,7 +13,8 @@ from roboassembly.solvers.disassembly import Disassembly, Parts
 from roboassembly.task.full import FullTask, Joint
 from roboassembly.task.full_plan import FullState
 from roboassembly.task.groups import TaskState, told_point
-from roboassembly.task.rules import UP_AXES
+from roboassembly.task.joining import Hold
+from roboassembly.task.rules import GRASPS, UP_AXES
 
 _HOPELESS = -0.5
 """Score of an option that the first round leaves out: it would end in the ground, or leave the joint downward."""
@@ -105,7 +106,9 @@ def grasping(task: FullTask, state: FullState, told: TaskState, leaving: Parts, 
                 return
 
 
-def fitting(task: FullTask, state: TaskState, pairs: list[tuple[End, End]]) -> Iterator[Action]:
+def fitting(
+    task: FullTask, state: TaskState, pairs: list[tuple[End, End]], *, in_turn: bool = False
+) -> Iterator[Action]:
     """Actions that pass the cheap tests, in an order that tries unlike ones early; what only a pair or only a grasp
     decides is looked at once for each.
 
@@ -113,31 +116,38 @@ def fitting(task: FullTask, state: TaskState, pairs: list[tuple[End, End]]) -> I
         task: the rules.
         state: of which both groups are part.
         pairs: points to be joined, those of R_a's group first.
+        in_turn: look at each grasp when its turn comes, in another order: for who needs to know whether there are any.
     """
-    takes = {part: task.free_holds(state, part) for part in {end[0] for pair in pairs for end in pair}}
-    tries = [(one, two, g_a, g_b) for one, two in pairs for g_a, g_b in product(takes[one[0]], takes[two[0]])]
+    groups = {part: state.groups[state.group_of[part]] for part in {end[0] for pair in pairs for end in pair}}
+
+    def taken(part: int, grasp: int) -> Hold | None:
+        return task.taken(groups[part], part, grasp)
+
+    grasps = {part: [g for g in range(GRASPS) if in_turn or taken(part, g) is not None] for part in groups}
+    tries = [(one, two, g_a, g_b) for one, two in pairs for g_a, g_b in product(grasps[one[0]], grasps[two[0]])]
     merges = {(one, two): task.merge(state, (one[0], two[0], one[1], two[1])) for one, two in pairs}
     alone: dict[tuple[object, ...], bool] = {}
 
     def hand_fits(pair: tuple[End, End], robot: int, grasp: int) -> bool:
         merge, part = merges[pair], pair[robot][0]
-        if merge is None:
+        held = taken(part, grasp)
+        if merge is None or held is None:
             return False
         # Most pairs of two groups make the same merge.
         key = (robot, part, grasp, _told(merge.furniture_from_u), _told(merge.furniture_from_v))
         if key not in alone:
-            u_group, v_group = (state.groups[state.group_of[end[0]]] for end in pair)
-            alone[key] = task.fits_alone(u_group, v_group, merge, takes[part][grasp], robot)
+            alone[key] = task.fits_alone(groups[pair[0][0]], groups[pair[1][0]], merge, held, robot)
         return alone[key]
 
     for index in np.random.default_rng(0).permutation(len(tries)):
         one, two, g_a, g_b = tries[index]
         (u, k), (v, m) = one, two
-        u_group, v_group = (state.groups[state.group_of[part]] for part in (u, v))
-        merge = merges[one, two]
-        if merge is None or not (hand_fits((one, two), 0, g_a) and hand_fits((one, two), 1, g_b)):
+        merge, hold_a, hold_b = merges[one, two], taken(u, g_a), taken(v, g_b)
+        if merge is None or hold_a is None or hold_b is None:
             continue
-        if isinstance(task.fitted(u_group, v_group, merge, takes[u][g_a], takes[v][g_b]), Joint):
+        if not (hand_fits((one, two), 0, g_a) and hand_fits((one, two), 1, g_b)):
+            continue
+        if isinstance(task.fitted(groups[u], groups[v], merge, hold_a, hold_b), Joint):
             yield u, v, k, m, g_a, g_b
 
 

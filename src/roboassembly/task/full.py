@@ -35,6 +35,8 @@ BUDGET = Budget(states=8_000)
 """Of each path."""
 _MEETINGS = 4
 """Meetings that are driven to, and gone on from, before giving up."""
+_REMEMBERED = 20_000
+"""Hands at groups."""
 _APART = 0.6
 """Metres of each robot from the middle at the beginning."""
 
@@ -104,6 +106,7 @@ class FullTask:
         self.furniture = furniture
         self.budget = budget or BUDGET
         self.rules = Rules(furniture)
+        self._holds: dict[tuple[int, int, tuple[int, ...], bytes], Hold | None] = {}
 
     def initial_state(self, rng: np.random.Generator) -> FullState:
         """All parts on posts, both robots in the middle of the ring.
@@ -135,24 +138,23 @@ class FullTask:
         """A part that two hands cannot join to any of its neighbours, even with nothing else around; None if there is
         none. With more around it they cannot either, so that nobody needs to try."""
         alone = tuple(Group((i,), (i,), (pose,), SE3.Identity()) for i, pose in enumerate(self.furniture.assembled))
-        takes = [_Takes(self.furniture, group) for group in alone]
         joined: set[int] = set()
         for c in self.furniture.connections:
             if {c.part_a, c.part_b} <= joined:
                 continue
             a, b = (c.part_a, c.point_a), (c.part_b, c.point_b)
-            if self._hands_join(alone, takes, a, b) or self._hands_join(alone, takes, b, a):
+            if self._hands_join(alone, a, b) or self._hands_join(alone, b, a):
                 joined |= {c.part_a, c.part_b}
         return next((p for p in range(len(alone)) if p not in joined), None)
 
-    def _hands_join(self, alone: Sequence[Group], takes: Sequence[_Takes], a: _End, b: _End) -> bool:
+    def _hands_join(self, alone: Sequence[Group], a: _End, b: _End) -> bool:
         (u, k), (v, m) = a, b
         merge = self.rules.pairs.judge(alone[u], alone[v], u, k, v, m)
         if merge is None:
             return False
         # In an order that tries unlike grasps early.
         for index in np.random.default_rng(0).permutation(GRASPS**2).tolist():
-            hold_a, hold_b = takes[u][index // GRASPS], takes[v][index % GRASPS]
+            hold_a, hold_b = self.taken(alone[u], u, index // GRASPS), self.taken(alone[v], v, index % GRASPS)
             if hold_a is None or hold_b is None:
                 continue
             if isinstance(self.fitted(alone[u], alone[v], merge, hold_a, hold_b), Joint):
@@ -173,8 +175,19 @@ class FullTask:
     def free_holds(self, state: TaskState, part: int) -> dict[int, Hold]:
         """Grasps of a part that the rest of its group leaves free, and how the hand holds it then."""
         group = state.groups[state.group_of[part]]
-        holds = [(g, _taken(self.furniture, group, part, g)) for g in range(GRASPS)]
+        holds = [(g, self.taken(group, part, g)) for g in range(GRASPS)]
         return {g: held for g, held in holds if held is not None}
+
+    def taken(self, group: Group, part: int, grasp: int) -> Hold | None:
+        """How a hand takes a part; None if the part has no such grasp or the rest of its group is in the way."""
+        # Groups are looked at again and again while others change, and this depends on nothing else.
+        key = (part, grasp, group.parts, b"".join(p.homogeneous.tobytes() for p in group.furniture_from_part))
+        if key not in self._holds:
+            if len(self._holds) >= _REMEMBERED:
+                self._holds.clear()
+            held = hold(self.furniture, group, part, grasp)
+            self._holds[key] = held if held is not None and can_take(self.furniture, group, held) else None
+        return self._holds[key]
 
     def merge(self, state: TaskState, pair: tuple[int, int, int, int]) -> Merge | None:
         """What the pair `(u, v, k, l)` makes; None if it is wrong."""
@@ -213,15 +226,14 @@ class FullTask:
     def joint(self, state: TaskState, action: tuple[int, ...]) -> Joint | Refusal:
         """The cheap tests of an action that exists: pair, hands at their grasps, both at the joint."""
         u, v, k, l, g_a, g_b = action  # noqa: E741
-        furniture = self.furniture
         one, two = state.groups[state.group_of[u]], state.groups[state.group_of[v]]
         merge = self.merge(state, (u, v, k, l))
         if merge is None:
             return Refusal(FullVerdict.WRONG_PAIR, "")
-        hold_a = _taken(furniture, one, u, g_a)
+        hold_a = self.taken(one, u, g_a)
         if hold_a is None:
             return Refusal(FullVerdict.GRASP_BLOCKED, "grasp u")
-        hold_b = _taken(furniture, two, v, g_b)
+        hold_b = self.taken(two, v, g_b)
         if hold_b is None:
             return Refusal(FullVerdict.GRASP_BLOCKED, "grasp v")
         return self.fitted(one, two, merge, hold_a, hold_b)
@@ -316,25 +328,6 @@ class Refusal:
 
 _End = tuple[int, int]
 """Part and point."""
-
-
-class _Takes:
-    """How a hand takes a part that is alone, each grasp looked at when it is asked for."""
-
-    def __init__(self, furniture: Furniture, group: Group) -> None:
-        self._furniture, self._group = furniture, group
-        self._known: dict[int, Hold | None] = {}
-
-    def __getitem__(self, grasp: int) -> Hold | None:
-        if grasp not in self._known:
-            self._known[grasp] = _taken(self._furniture, self._group, self._group.parts[0], grasp)
-        return self._known[grasp]
-
-
-def _taken(furniture: Furniture, group: Group, part: int, grasp: int) -> Hold | None:
-    """How the hand holds the part; None if it has no such grasp or the rest of its group is in the way."""
-    held = hold(furniture, group, part, grasp)
-    return held if held is not None and can_take(furniture, group, held) else None
 
 
 def _meetings(legs: Legs, joint: Joint) -> Iterator[Meeting]:
