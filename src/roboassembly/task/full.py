@@ -271,18 +271,18 @@ class FullTask:
             robot: 0 if it is R_a's and holds u's group, else 1.
         """
         hands = (held, None) if robot == 0 else (None, held)
-        if not self._ways(one, two, merge, *hands):
+        if next(self._ways(one, two, merge, *hands), None) is None:
             return False
         return robot == 1 or can_let_go(self.furniture, merge.merged, held.moved(merge.furniture_from_u))
 
-    def _ways(self, one: Group, two: Group, merge: Merge, hold_a: Hold | None, hold_b: Hold | None) -> list[Way]:
+    def _ways(self, one: Group, two: Group, merge: Merge, hold_a: Hold | None, hold_b: Hold | None) -> Iterator[Way]:
         u_placed, v_placed = one.moved_to(merge.furniture_from_u), two.moved_to(merge.furniture_from_v)
         directions = _distinct(self.rules.retreats(one, two, merge.merged, np.eye(3)))
-        return ways_out(self.furniture, u_placed, v_placed, hold_a, hold_b, directions) or []
+        return ways_out(self.furniture, u_placed, v_placed, hold_a, hold_b, directions)
 
     def fitted(self, one: Group, two: Group, merge: Merge, hold_a: Hold, hold_b: Hold) -> Joint | Refusal:
         """Of the cheap tests those at the joint, for a right pair and hands that can take their groups."""
-        ways = self._ways(one, two, merge, hold_a, hold_b)
+        ways = sorted(self._ways(one, two, merge, hold_a, hold_b), key=lambda way: -way.room)
         if not ways:
             return Refusal(FullVerdict.JOINT_BLOCKED, "mate")
         in_b = hold_b.moved(merge.furniture_from_v)

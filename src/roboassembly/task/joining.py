@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -102,6 +102,11 @@ class Way:
     length: float
     """Metres, until nothing of it is beside anything of v's."""
 
+    @property
+    def room(self) -> float:
+        """Metres, as far as more of them are better."""
+        return min(self.length, _AMPLE)
+
 
 def ways_out(
     furniture: Furniture,
@@ -110,11 +115,9 @@ def ways_out(
     hold_u: Hold | None,
     hold_v: Hold | None,
     directions: Sequence[Float[np.ndarray, "3"]],
-) -> list[Way] | None:
-    """Straight ways along which u's group leaves v's, both in the merged group's frame and held, if a hold is given.
-
-    None if they, or the hands, are in each other's way where they are joined.
-    """
+) -> Iterator[Way]:
+    """Straight ways along which u's group leaves v's, both in the merged group's frame and held, if a hold is given;
+    none if they, or the hands, are in each other's way where they are joined."""
     moving = Body(
         "moving",
         (*body(furniture, u_group, "u").shapes, *_closed(hold_u)),
@@ -125,16 +128,14 @@ def ways_out(
     world = CollisionWorld(Scene((moving, still), ground=False))
     goal = moving.pose
     if not world.is_free(goal):
-        return None
-    out = []
+        return
     for d in directions:
         length = min(world.distance_to_clear(goal, d, "still") + _CLEAR, _LONGEST)
         reached = length * world.free_fraction(goal, SE3(goal.rotation, goal.translation + length * d))
         if reached >= length:
-            out.append(Way(d, length))
+            yield Way(d, length)
         elif reached > _SHORTEST:
-            out.append(Way(d, reached - _SHORT_OF))
-    return sorted(out, key=lambda way: -min(way.length, _AMPLE))
+            yield Way(d, reached - _SHORT_OF)
 
 
 def can_let_go(furniture: Furniture, merged: Group, held: Hold, *others: Body) -> bool:
