@@ -37,6 +37,41 @@ def test_double_q_target_by_hand() -> None:
     assert double_q.double_q_target(reward, done, online, target, exists) == pytest.approx([1.3, 3.0, 5.0])
 
 
+def test_margin_loss_by_hand() -> None:
+    # Four actions in each of three states.
+    q = np.array([[0.5, 0.7, 0.3, 0.9], [0.5, 0.2, 0.3, 0.1], [0.9, 0.2, 0.3, 0.1]]).reshape(3, 2, 2, 1)
+    exists = np.array([[1, 1, 1, 0], [1, 1, 1, 1], [1, 1, 1, 1]], bool).reshape(q.shape)
+    whole = np.array([[1, 0, 1, 0], [0, 0, 0, 0], [1, 0, 0, 0]], bool).reshape(q.shape)
+    # 0.7 + 0.1 is above 0.5, the better of two that lead to the whole (0.9 is of an action that does not exist); with
+    # no such action nothing is asked; and 0.3 + 0.1 is below 0.9.
+    assert double_q.margin_loss(q, exists, whole) == pytest.approx([0.3, 0.0, 0.0])
+
+
+def test_what_led_to_the_whole_chair_is_told_apart() -> None:
+    task = _task()
+    chair = _chair(task)
+    learner = Learner(Memory(Rehearsal(task, 3), chair), LearnerConfig(), np.random.default_rng(0))
+    memory, m, n = learner.memory, chair.points, len(chair.part)
+    while not learner.finished_once:
+        assert len(memory.states) == 1 or not memory.sample(learner.rng, learner.config)["whole"].any()
+        learner.move(np.zeros((n, n, 6), np.float32))
+    batch, path = memory.sample(learner.rng, LearnerConfig(batch=300)), memory.best_path()
+    start = (batch["joined"] == memory.joined[0]).all(axis=(1, 2))
+    assert start.any()
+    for whole in batch["whole"][start]:
+        assert whole.any()
+        for action in np.argwhere(whole).tolist():
+            states = [memory.states[0]]
+            # Take the best merges from there on: they do end with the chair.
+            states.append(memory.states[memory.merges[0][tuple(action)]])
+            while len(states[-1]) > 1:
+                known = memory.merges[memory.index[states[-1]]]
+                states.append(memory.states[max(known.values(), key=lambda j: memory.reward(j) + memory.best[j])])
+            assert len(states) == chair.parts
+    assert len(path) == chair.parts - 1
+    assert not batch["whole"][:, m:].any()
+
+
 def _task() -> ObjectCentricTask:
     return ObjectCentricTask(catalogue.make("cantilever", 1))
 

@@ -1,8 +1,11 @@
 """Double DQN (van Hasselt et al. 2016) for many experts at once: losses and one compiled update.
 
-Two things are added that a memory of whole states makes possible. All that is known to fail in a state is a target of
-0 in every update, not one action at a time. And a target is never below the best return that was ever lived through
-from there (optimality tightening, He et al. 2017, with the bound itself as the target).
+Three things are added that a memory of whole states makes possible. All that is known to fail in a state is a target of
+0 in every update, not one action at a time. A target is never below the best return that was ever lived through from
+there (optimality tightening, He et al. 2017, with the bound itself as the target). And where an action has led to the
+whole chair, all others have to be worth less by a margin (the large-margin loss of Hester et al. 2018, "Deep Q-learning
+from Demonstrations"; here a learner's own plays are the demonstrations): most actions of a state are never tried, and
+one of thousands that Q thinks too much of ends a play.
 """
 
 from __future__ import annotations
@@ -19,6 +22,8 @@ from roboassembly.learning.experts import apply, existing
 from roboassembly.learning.layers import Array, Params
 
 _CLIP = 5.0
+_MARGIN = 0.1
+"""In shares of the best return."""
 
 
 def double_q_target(reward: Array, done: Array, next_online: Array, next_target: Array, exists: Array) -> Array:
@@ -46,6 +51,7 @@ def loss(p: Params, target: Params, batch: dict[str, Array]) -> Array:
         batch: `features` and `part` of the chair; `joined`, `free`, `fails` (b, n, n, w) of states; of some merges
             known in each, `actions` (b, k, 3), `rewards`, `done`, `bound` and `real` (b, k), and the states that they
             lead to, `next_joined` (b * k, ...) and `next_free`. Rewards and bounds in shares of the best return.
+            `whole` (b, n, n, w): actions that have led to the whole chair.
     """
     fixed = batch["features"], batch["part"]
     q = apply(p, *fixed, batch["joined"], batch["free"])
@@ -65,7 +71,22 @@ def loss(p: Params, target: Params, batch: dict[str, Array]) -> Array:
     ).reshape(chosen.shape)  # fmt: skip
     ahead = jnp.clip(jnp.maximum(ahead, batch["bound"]), 0.0, 1.0)
     right = (chosen - ahead) ** 2 * batch["real"]
-    return (wrong + 2.0 * right.sum(1) / jnp.maximum(batch["real"].sum(1), 1.0)).mean()
+    short = margin_loss(q, existing(*(batch[name] for name in ("part", "joined", "free")))[..., None], batch["whole"])
+    return (wrong + 2.0 * right.sum(1) / jnp.maximum(batch["real"].sum(1), 1.0) + short).mean()
+
+
+def margin_loss(q: Array, exists: Array, whole: Array) -> Array:
+    """By how much the best of some actions falls short of all others and a margin; 0 where there are no such actions.
+
+    Args:
+        q: (b, n, n, w).
+        exists: (b, n, n, 1) or more.
+        whole: (b, n, n, w) the actions.
+    """
+    xp = q.__array_namespace__()
+    best = xp.max(xp.where(whole, q, -xp.inf), axis=(1, 2, 3))
+    others = xp.max(xp.where(exists & ~whole, q, -xp.inf), axis=(1, 2, 3)) + _MARGIN
+    return xp.where(xp.any(whole, axis=(1, 2, 3)) & (others > best), others - best, 0.0)
 
 
 def optimiser(rate: float) -> optax.GradientTransformation:

@@ -122,6 +122,11 @@ class Memory:
             at = max(self.merges[at].values(), key=lambda after: self.reward(after) + self.best[after])
         return out
 
+    def _finishes(self, before: int, after: int) -> bool:
+        """Whether a merge has led to the whole chair."""
+        merges_and_more = len(self.states[before]) - 1 + 4.0
+        return self.reward(after) + self.best[after] > merges_and_more / self.chair.best - 1e-6
+
     def sample(self, rng: np.random.Generator, c: LearnerConfig) -> dict[str, np.ndarray]:
         """A batch: a third of it states lately seen, a third those of the best play, a third any left by a merge."""
         third = c.batch // 3
@@ -135,10 +140,13 @@ class Memory:
         actions = np.zeros((c.batch, c.backups, 3), np.int32)
         after = np.zeros((c.batch, c.backups), int)
         real = np.zeros((c.batch, c.backups), np.float32)
+        whole = np.zeros((c.batch, n, n, self.rehearsal.ways), bool)
         for row, i in enumerate(chosen.tolist()):
             state = self.states[i]
             fails[row, :m, :m] = (self.rehearsal.known(state) >= FAILS) & self.rehearsal.exists(state)[..., None]
             known = list(self.merges[i].items())
+            for action, follower in known:
+                whole[row][action] = self._finishes(i, follower)
             for slot in range(min(c.backups, len(known))):
                 if slot == 0:
                     action, follower = max(known, key=lambda one: self.reward(one[1]) + self.best[one[1]])
@@ -160,6 +168,7 @@ class Memory:
             "done": np.array([len(self.states[i]) == 1 for i in flat]).reshape(shape),
             "bound": (rewards + ahead).reshape(shape),
             "real": real,
+            "whole": whole,
             "next_joined": np.array([self.joined[i] for i in flat], np.float32),
             "next_free": np.array([self.free[i] for i in flat], np.float32),
         }
