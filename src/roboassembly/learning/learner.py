@@ -9,6 +9,7 @@ the chair is mastered choose by Q alone.
 from __future__ import annotations
 
 import json
+from bisect import insort
 from dataclasses import dataclass
 from typing import Any
 
@@ -65,6 +66,8 @@ class Memory:
         """Highest return from each state so far, in shares of the best return."""
         self.recent: list[int] = []
         self._parents: list[set[int]] = []
+        self._left: list[int] = []
+        """Ascending, those with merges."""
         self.add(rehearsal.start)
 
     def add(self, state: State) -> int:
@@ -87,6 +90,8 @@ class Memory:
 
     def merged(self, before: int, action: Action, after: int) -> None:
         """Take in a merge."""
+        if not self.merges[before]:
+            insort(self._left, before)
         self.merges[before][action] = after
         self._parents[after].add(before)
         self._raise(before, after)
@@ -106,6 +111,7 @@ class Memory:
             known = self.rehearsal.known(state)
             self.merges[i] = {a: j for a, j in self.merges[i].items() if known[a] == MERGES}
         self.best = [0.0] * len(self.states)
+        self._left = [i for i, merges in enumerate(self.merges) if merges]
         self._parents = [set() for _ in self.states]
         for i, merges in enumerate(self.merges):
             for j in merges.values():
@@ -130,7 +136,7 @@ class Memory:
     def sample(self, rng: np.random.Generator, c: LearnerConfig) -> dict[str, np.ndarray]:
         """A batch: a third of it states lately seen, a third those of the best play, a third any left by a merge."""
         third = c.batch // 3
-        left = [i for i, m in enumerate(self.merges) if m] or [0]
+        left = self._left or [0]
         path = self.best_path() or [0]
         chosen = np.concatenate(
             [rng.choice(self.recent[-_RECENT:], third), rng.choice(path, third), rng.choice(left, c.batch - 2 * third)]
