@@ -14,6 +14,7 @@ from roboassembly.task.full import FullTask, Joint
 from roboassembly.task.full_plan import FullState
 from roboassembly.task.groups import TaskState, told_point
 from roboassembly.task.joining import Hold
+from roboassembly.task.pairs import Merge
 from roboassembly.task.rules import GRASPS, UP_AXES
 
 _HOPELESS = -0.5
@@ -128,15 +129,11 @@ def fitting(
     merges = {(one, two): task.merge(state, (one[0], two[0], one[1], two[1])) for one, two in pairs}
     alone: dict[tuple[object, ...], bool] = {}
 
-    def hand_fits(pair: tuple[End, End], robot: int, grasp: int) -> bool:
-        merge, part = merges[pair], pair[robot][0]
-        held = taken(part, grasp)
-        if merge is None or held is None:
-            return False
+    def hand_fits(u: int, v: int, merge: Merge, held: Hold, robot: int) -> bool:
         # Most pairs of two groups make the same merge.
-        key = (robot, part, grasp, _told(merge.furniture_from_u), _told(merge.furniture_from_v))
+        key = (robot, held.part, held.grasp, _told(merge.furniture_from_u), _told(merge.furniture_from_v))
         if key not in alone:
-            alone[key] = task.fits_alone(groups[pair[0][0]], groups[pair[1][0]], merge, held, robot)
+            alone[key] = task.fits_alone(groups[u], groups[v], merge, held, robot)
         return alone[key]
 
     for index in np.random.default_rng(0).permutation(len(tries)):
@@ -145,7 +142,7 @@ def fitting(
         merge, hold_a, hold_b = merges[one, two], taken(u, g_a), taken(v, g_b)
         if merge is None or hold_a is None or hold_b is None:
             continue
-        if not (hand_fits((one, two), 0, g_a) and hand_fits((one, two), 1, g_b)):
+        if not (hand_fits(u, v, merge, hold_a, 0) and hand_fits(u, v, merge, hold_b, 1)):
             continue
         if isinstance(task.fitted(groups[u], groups[v], merge, hold_a, hold_b), Joint):
             yield u, v, k, m, g_a, g_b
