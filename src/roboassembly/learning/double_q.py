@@ -71,7 +71,8 @@ def loss(p: Params, target: Params, batch: dict[str, Array]) -> Array:
     ).reshape(chosen.shape)  # fmt: skip
     ahead = jnp.clip(jnp.maximum(ahead, batch["bound"]), 0.0, 1.0)
     right = (chosen - ahead) ** 2 * batch["real"]
-    short = margin_loss(q, existing(*(batch[name] for name in ("part", "joined", "free")))[..., None], batch["whole"])
+    exists = existing(batch["part"], batch["joined"], batch["free"])
+    short = margin_loss(q, exists[..., None], batch["whole"])
     return (wrong + 2.0 * right.sum(1) / jnp.maximum(batch["real"].sum(1), 1.0) + short).mean()
 
 
