@@ -59,12 +59,9 @@ class PairRule:
 
     def judge(self, u_group: Group, v_group: Group, u: int, k: int, v: int, l: int) -> Merge | None:  # noqa: E741
         """The merge that point `k` of part `u` onto point `l` of part `v` makes, or None if the pair is wrong."""
-        v_from_u = mate(v_group.points_of(self._furniture, v)[l], u_group.points_of(self._furniture, u)[k])
+        v_group_from_u_group = self.dictated(u_group, v_group, u, k, v, l)
         frame_of_u = u_group.furniture_from_part[u_group.parts.index(u)]
         frame_of_v = v_group.furniture_from_part[v_group.parts.index(v)]
-        points_of_u = self._furniture.assembled[u_group.slots[u_group.parts.index(u)]]
-        points_of_v = self._furniture.assembled[v_group.slots[v_group.parts.index(v)]]
-        v_group_from_u_group = points_of_v * v_from_u * points_of_u.inverse()
         members = (*v_group.parts, *u_group.parts)
         poses = (*v_group.furniture_from_part, *(v_group_from_u_group * p for p in u_group.furniture_from_part))
         joined = (range(len(v_group.parts)), range(len(v_group.parts), len(members)))
@@ -83,6 +80,13 @@ class PairRule:
         exact_u = placed[members.index(u)] * frame_of_u.inverse()
         exact_v = placed[members.index(v)] * frame_of_v.inverse()
         return Merge(merged, exact_u, exact_v)
+
+    def dictated(self, u_group: Group, v_group: Group, u: int, k: int, v: int, l: int) -> SE3:  # noqa: E741
+        """`v_group_from_u_group` once point `k` of part `u` lies on point `l` of part `v`, right or wrong."""
+        v_from_u = mate(v_group.points_of(self._furniture, v)[l], u_group.points_of(self._furniture, u)[k])
+        points_of_u = self._furniture.assembled[u_group.slots[u_group.parts.index(u)]]
+        points_of_v = self._furniture.assembled[v_group.slots[v_group.parts.index(v)]]
+        return points_of_v * v_from_u * points_of_u.inverse()
 
     def places(self, group: Group) -> Iterator[Group]:
         """The group where it is, told in every set of slots that it could take: its own first, each set once."""
