@@ -90,6 +90,13 @@ def _growing(count: int) -> list[int]:
     return out
 
 
+@dataclass
+class Tally:
+    """Outlives the world whose states it counts: tests that are set up hold megabytes, to be used for the next."""
+
+    states: int = 0
+
+
 class RobotWorld:
     """The planning model of one robot among still things.
 
@@ -101,8 +108,7 @@ class RobotWorld:
     """
 
     def __init__(self, still: Sequence[Body], opening: float, held: Sequence[Shape] = ()) -> None:
-        self.states = 0
-        """Configurations tested so far."""
+        self.tally = Tally()
         model, carriers = _model()
         tips = SE3(*arm().tips)
         geometry = pin.GeometryModel()
@@ -151,21 +157,26 @@ class RobotWorld:
         near += [transform_points(tips * s.body_from_mesh, s.mesh.hull_vertices) for s in held]
         self._reach = _reach(np.concatenate(near))
 
+    @property
+    def states(self) -> int:
+        """Configurations tested so far."""
+        return self.tally.states
+
     def free(self, q: Configurations) -> Bool[np.ndarray, "n"]:
         """Exact test of each configuration."""
-        self.states += len(q)
+        self.tally.states += len(q)
         return ~self._all.hits(q) & (not self._hopeless)
 
     def clear(self, q: Configurations) -> Bool[np.ndarray, "n"]:
         """Whether each configuration is free, and at least `CLEARANCE` from all around."""
-        self.states += len(q)
+        self.tally.states += len(q)
         return self.free(q) & ~self._clear[-1].hits(q)
 
     def clearance(self, q: Configurations) -> Float[np.ndarray, "n"]:
         """The largest of a few margins that each configuration keeps from all around; zero of those that touch."""
         out = np.zeros(len(q))
         for test in self._outer[:-1]:
-            self.states += len(q)
+            self.tally.states += len(q)
             out = np.maximum(out, np.where(test.hits(q), 0.0, test.margin))
         return out
 
@@ -200,7 +211,7 @@ class RobotWorld:
             # A coarse look for what is plainly in the way comes before certifying.
             if test is ladder[0] and self._any_hit(ladder[-1], _spread(np.concatenate([middle, b[None]]))):
                 return False
-            self.states += len(middle)
+            self.tally.states += len(middle)
             near = test.hits(middle)
             if not near.any():
                 return True
@@ -209,7 +220,7 @@ class RobotWorld:
 
     def _any_hit(self, test: _Test, q: Configurations) -> bool:
         hits = test.hits(q, first_only=True)
-        self.states += int(np.argmax(hits)) + 1 if hits.any() else len(q)
+        self.tally.states += int(np.argmax(hits)) + 1 if hits.any() else len(q)
         return bool(hits.any())
 
 

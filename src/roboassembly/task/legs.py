@@ -14,7 +14,7 @@ import numpy as np
 from roboassembly.furniture.model import Furniture
 from roboassembly.planning.problem import Budget
 from roboassembly.planning.robot_path import Floor, Path, connect, line, path_is_free, turned_on
-from roboassembly.planning.robot_world import RobotWorld
+from roboassembly.planning.robot_world import RobotWorld, Tally
 from roboassembly.poses import SE3
 from roboassembly.robots.body import world_from_tips
 from roboassembly.robots.reach import reach
@@ -69,12 +69,12 @@ class Legs:
     ) -> None:
         self.furniture, self.cell, self.moment, self.budget, self.rng = furniture, cell, moment, budget, rng
         self.legs: list[Leg] = []
-        self._worlds: list[RobotWorld] = []
+        self._tallies: list[Tally] = []
 
     @property
     def states(self) -> int:
         """Configurations tested for collision so far."""
-        return sum(w.states for w in self._worlds)
+        return sum(tally.states for tally in self._tallies)
 
     @property
     def reached(self) -> tuple[Moment, tuple[Leg, ...]]:
@@ -88,7 +88,7 @@ class Legs:
     def world(self, moment: Moment, robot: int) -> RobotWorld:
         """One robot among all else."""
         made = moment.world(self.furniture, robot)
-        self._worlds.append(made)
+        self._tallies.append(made.tally)
         return made
 
     def go(self, world: RobotWorld, start: Configuration, goal: Configuration) -> Path | None:
