@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from itertools import product
 
 import numpy as np
@@ -12,7 +12,7 @@ from roboassembly.poses import SE3
 from roboassembly.solvers.disassembly import Disassembly, Parts
 from roboassembly.task.full import FullTask, Joint
 from roboassembly.task.full_plan import FullState
-from roboassembly.task.groups import TaskState, told_point
+from roboassembly.task.groups import Group, TaskState, told_point
 from roboassembly.task.joining import Hold
 from roboassembly.task.pairs import Merge
 from roboassembly.task.rules import GRASPS, UP_AXES
@@ -24,6 +24,7 @@ _ARMS = 8
 Action = tuple[int, ...]
 End = tuple[int, int]
 """Part and point."""
+_OfOneHand = Callable[[Group, Group, Merge, Hold, int], bool]
 
 
 def ends(
@@ -127,14 +128,14 @@ def fitting(
     grasps = {part: [g for g in range(GRASPS) if in_turn or taken(part, g) is not None] for part in groups}
     tries = [(one, two, g_a, g_b) for one, two in pairs for g_a, g_b in product(grasps[one[0]], grasps[two[0]])]
     merges = {(one, two): task.merge(state, (one[0], two[0], one[1], two[1])) for one, two in pairs}
-    alone: dict[tuple[object, ...], bool] = {}
+    known: dict[tuple[object, ...], bool] = {}
 
-    def hand_fits(u: int, v: int, merge: Merge, held: Hold, robot: int) -> bool:
+    def passes(test: _OfOneHand, u: int, v: int, merge: Merge, held: Hold, robot: int) -> bool:
         # Most pairs of two groups make the same merge.
-        key = (robot, held.part, held.grasp, _told(merge.furniture_from_u), _told(merge.furniture_from_v))
-        if key not in alone:
-            alone[key] = task.fits_alone(groups[u], groups[v], merge, held, robot)
-        return alone[key]
+        key = (test, robot, held.part, held.grasp, _told(merge.furniture_from_u), _told(merge.furniture_from_v))
+        if key not in known:
+            known[key] = test(groups[u], groups[v], merge, held, robot)
+        return known[key]
 
     for index in np.random.default_rng(0).permutation(len(tries)):
         one, two, g_a, g_b = tries[index]
@@ -142,7 +143,9 @@ def fitting(
         merge, hold_a, hold_b = merges[one, two], taken(u, g_a), taken(v, g_b)
         if merge is None or hold_a is None or hold_b is None:
             continue
-        if not (hand_fits(u, v, merge, hold_a, 0) and hand_fits(u, v, merge, hold_b, 1)):
+        # Whether either hand has room costs a tenth of whether one of them gets out.
+        tests = product((task.has_room, task.fits_alone), ((hold_a, 0), (hold_b, 1)))
+        if not all(passes(test, u, v, merge, held, robot) for test, (held, robot) in tests):
             continue
         if isinstance(task.fitted(groups[u], groups[v], merge, hold_a, hold_b), Joint):
             yield u, v, k, m, g_a, g_b

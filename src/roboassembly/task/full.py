@@ -22,7 +22,7 @@ from roboassembly.poses import SE3
 from roboassembly.task.cell import check_size, laid_out
 from roboassembly.task.full_plan import FullState, FullStep
 from roboassembly.task.groups import Group, TaskState
-from roboassembly.task.joining import Hold, Way, can_let_go, can_take, hold, ways_out
+from roboassembly.task.joining import Hold, Way, can_let_go, can_take, has_room, hold, ways_out
 from roboassembly.task.legs import TUCKED, LegError, Legs, Obstacle
 from roboassembly.task.meeting import Meeting, join, meetings, part
 from roboassembly.task.moments import Leg, Moment, Robot, Standing
@@ -259,6 +259,14 @@ class FullTask:
     def _planner(self, state: FullState, seed: int, budget: Budget | None = None) -> Legs:
         rng = np.random.default_rng(seed)
         return Legs(self.furniture, state.cell, state.moment, budget or self.budget, rng)
+
+    def has_room(self, one: Group, two: Group, merge: Merge, held: Hold, robot: int) -> bool:
+        """Whether one hand meets nothing of the group that it does not hold, where both are joined: the part of
+        `fits_alone` that costs least. Arguments as there."""
+        placed = two.moved_to(merge.furniture_from_v) if robot == 0 else one.moved_to(merge.furniture_from_u)
+        return has_room(
+            self.furniture, placed, held.moved(merge.furniture_from_u if robot == 0 else merge.furniture_from_v)
+        )
 
     def fits_alone(self, one: Group, two: Group, merge: Merge, held: Hold, robot: int) -> bool:
         """Whether one hand suits a joint as long as the other is not there: what `fitted` needs of each.

@@ -76,9 +76,14 @@ def hold(furniture: Furniture, group: Group, part: int, grasp: int) -> Hold | No
 
 def can_take(furniture: Furniture, group: Group, held: Hold) -> bool:
     """Whether the open hand comes straight to the part, and closes, and meets nothing of the group."""
-    still = body(furniture, group.moved_to(SE3.Identity()), "group")
-    closed = Scene((held.hand(held.closed, moves=True), still), ground=False)
-    return _comes(held, [still]) and CollisionWorld(closed).is_free(held.furniture_from_tips)
+    alone = group.moved_to(SE3.Identity())
+    return _comes(held, [body(furniture, alone, "group")]) and has_room(furniture, alone, held)
+
+
+def has_room(furniture: Furniture, group: Group, held: Hold) -> bool:
+    """Whether the closed hand meets nothing of a group, where both are."""
+    scene = Scene((held.hand(held.closed, moves=True), body(furniture, group, "group")), ground=False)
+    return CollisionWorld(scene).is_free(held.furniture_from_tips)
 
 
 def _comes(held: Hold, still: Sequence[Body]) -> bool:
