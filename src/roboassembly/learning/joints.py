@@ -166,7 +166,7 @@ class Joints:
         key = (u.kind, v.kind)
         if key not in self._fits:
             free_u, free_v = self._all.free(one), self._all.free(two)
-            right = self._right()[np.ix_(u.rows[free_u], v.rows[free_v])] > 0
+            right = self._right()[np.ix_(u.rows[free_u], v.rows[free_v])]
             rows, columns = np.nonzero(right)
             motions = self._motions(one, two)[rows, columns] if len(rows) else np.zeros((0, 12))
             turns, shifts = _unscaled(motions)

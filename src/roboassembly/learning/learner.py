@@ -88,6 +88,10 @@ class Memory:
         """Of a merge that leads to a state: 1, and 4 more for the last, in shares of the best return."""
         return (1.0 + 4.0 * (len(self.states[after]) == 1)) / self.chair.best
 
+    def worth(self, after: int) -> float:
+        """Reward of a merge that leads to a state, and the best that has come after it."""
+        return self.reward(after) + self.best[after]
+
     def merged(self, before: int, action: Action, after: int) -> None:
         """Take in a merge."""
         if not self.merges[before]:
@@ -100,7 +104,7 @@ class Memory:
         pending = [(before, after)]
         while pending:
             before, after = pending.pop()
-            worth = self.reward(after) + self.best[after]
+            worth = self.worth(after)
             if worth > self.best[before] + 1e-9:
                 self.best[before] = worth
                 pending += [(parent, before) for parent in self._parents[before]]
@@ -125,13 +129,13 @@ class Memory:
         out, at = [], 0
         while self.merges[at]:
             out.append(at)
-            at = max(self.merges[at].values(), key=lambda after: self.reward(after) + self.best[after])
+            at = max(self.merges[at].values(), key=self.worth)
         return out
 
     def _finishes(self, before: int, after: int) -> bool:
         """Whether a merge has led to the whole chair."""
         merges_and_more = len(self.states[before]) - 1 + 4.0
-        return self.reward(after) + self.best[after] > merges_and_more / self.chair.best - 1e-6
+        return self.worth(after) > merges_and_more / self.chair.best - 1e-6
 
     def sample(self, rng: np.random.Generator, c: LearnerConfig) -> dict[str, np.ndarray]:
         """A batch: a third of it states lately seen, a third those of the best play, a third any left by a merge."""
@@ -155,7 +159,7 @@ class Memory:
                 whole[row][action] = self._finishes(i, follower)
             for slot in range(min(c.backups, len(known))):
                 if slot == 0:
-                    action, follower = max(known, key=lambda one: self.reward(one[1]) + self.best[one[1]])
+                    action, follower = max(known, key=lambda one: self.worth(one[1]))
                 else:
                     action, follower = known[rng.integers(len(known))]
                 actions[row, slot], after[row, slot], real[row, slot] = action, follower, 1.0
