@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import weakref
 from itertools import pairwise
 
 import numpy as np
@@ -17,6 +18,7 @@ from roboassembly.solvers.options import grasping
 from roboassembly.solvers.search import SearchLimits, solve_full
 from roboassembly.task.full import FullOutcome, FullTask, FullVerdict, Joint
 from roboassembly.task.full_plan import FullState
+from roboassembly.task.legs import Legs
 from roboassembly.task.moments import Leg
 from shapes import GAP, RobotChecker, brick, furniture, pose
 
@@ -49,6 +51,32 @@ def merged(task: FullTask, start: FullState) -> FullOutcome:
         if outcome.verdict is FullVerdict.MERGED:
             return outcome
     pytest.fail("no action merges")
+
+
+def test_a_world_is_let_go_and_its_states_still_count(task: FullTask, start: FullState) -> None:
+    legs = Legs(task.furniture, start.cell, start.moment, Budget(), np.random.default_rng(0))
+    world = legs.world(start.moment, 0)
+    world.free(np.array([start.moment.robots[0].at, start.moment.robots[1].at]))
+    there = weakref.ref(world)
+    del world
+    assert there() is None
+    assert legs.states == 2
+
+
+def test_room_of_one_hand_is_part_of_what_fits(task: FullTask, start: FullState) -> None:
+    state, told = start.groups, set[tuple[bool, bool]]()
+    for c in task.furniture.connections:
+        u, v = c.part_a, c.part_b
+        merge = task.merge(state, (u, v, c.point_a, c.point_b))
+        assert merge is not None
+        u_group, v_group = state.groups[state.group_of[u]], state.groups[state.group_of[v]]
+        for robot, part in enumerate((u, v)):
+            for held in task.free_holds(state, part).values():
+                room = task.has_room(u_group, v_group, merge, held, robot)
+                fits = task.fits_alone(u_group, v_group, merge, held, robot)
+                assert room or not fits
+                told.add((room, fits))
+    assert {(True, True), (False, False)} <= told
 
 
 def stretcher_and_leg(stool: Furniture) -> tuple[frozenset[int], frozenset[int]]:

@@ -263,10 +263,10 @@ class FullTask:
     def has_room(self, one: Group, two: Group, merge: Merge, held: Hold, robot: int) -> bool:
         """Whether one hand meets nothing of the group that it does not hold, where both are joined: the part of
         `fits_alone` that costs least. Arguments as there."""
-        placed = two.moved_to(merge.furniture_from_v) if robot == 0 else one.moved_to(merge.furniture_from_u)
-        return has_room(
-            self.furniture, placed, held.moved(merge.furniture_from_u if robot == 0 else merge.furniture_from_v)
-        )
+        own, other, placed = merge.furniture_from_u, merge.furniture_from_v, two
+        if robot == 1:
+            own, other, placed = other, own, one
+        return has_room(self.furniture, placed.moved_to(other), held.moved(own))
 
     def fits_alone(self, one: Group, two: Group, merge: Merge, held: Hold, robot: int) -> bool:
         """Whether one hand suits a joint as long as the other is not there: what `fitted` needs of each.
