@@ -26,25 +26,24 @@ from roboassembly.meshes import Mesh
 from roboassembly.poses import SE3
 from roboassembly.task.groups import Group, TaskState
 from roboassembly.task.joining import hold
-from roboassembly.viewer.framing import box_corners, fit
-from roboassembly.viewer.stage import Stage
+from roboassembly.viewer.colors import Color
+from roboassembly.viewer.film import render_meshes
+from roboassembly.viewer.framing import box_corners
 
 WIDTH, HEIGHT = 480, 340
 MOVED, WAITING, OTHER, HAND = (0.30, 0.50, 0.80), (0.88, 0.55, 0.25), (0.80, 0.80, 0.78), (0.25, 0.28, 0.32)
-Piece = tuple[Mesh, SE3, tuple[float, float, float]]
+Piece = tuple[Mesh, SE3, Color]
 
 
 def drawn(pieces: Sequence[Piece]) -> np.ndarray:
     """Meshes above the ground, from where all of them are seen."""
     points = np.concatenate([box_corners(mesh, pose) for mesh, pose, _ in pieces])
     lift = SE3(np.eye(3), np.array([0.0, 0.0, 0.02 - min(points[:, 2].min(), 0.02)]))
-    view = fit(points + lift.translation, WIDTH / HEIGHT)
-    radius = float(np.linalg.norm(points + lift.translation - view.target, axis=1).max())
-    with Stage([mesh for mesh, _, _ in pieces], WIDTH, HEIGHT, center=view.target, radius=radius) as stage:
-        return stage.picture([lift * pose for _, pose, _ in pieces], [color for _, _, color in pieces], view)
+    meshes, poses, colors = zip(*pieces, strict=True)
+    return render_meshes(meshes, [lift * pose for pose in poses], colors, WIDTH, HEIGHT)
 
 
-def of_group(furniture: Furniture, group: Group, at: SE3, color: tuple[float, float, float]) -> Iterable[Piece]:
+def of_group(furniture: Furniture, group: Group, at: SE3, color: Color) -> Iterable[Piece]:
     """The parts of a group whose frame is at a pose."""
     for part, pose in zip(group.parts, group.furniture_from_part, strict=True):
         yield furniture.parts[part].mesh, at * pose, color

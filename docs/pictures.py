@@ -20,10 +20,9 @@ from roboassembly.solvers.search import solve, solve_full
 from roboassembly.task.groups import TaskState
 from roboassembly.task.object_centric import ObjectCentricTask
 from roboassembly.viewer.colors import WOOD
-from roboassembly.viewer.film import render_contact_sheet, write_film, write_storyboard
-from roboassembly.viewer.framing import box_corners, fit
+from roboassembly.viewer.film import render_contact_sheet, render_meshes, write_film, write_storyboard
+from roboassembly.viewer.framing import box_corners
 from roboassembly.viewer.playing import AnyPlan
-from roboassembly.viewer.stage import Stage
 
 IMAGES = Path(__file__).parent / "images"
 GROUPS = [(0.85, 0.65, 0.35), (0.35, 0.55, 0.80), (0.80, 0.40, 0.35), (0.45, 0.70, 0.45), (0.65, 0.50, 0.75)]
@@ -41,10 +40,7 @@ def part_in_hands(part: Part, turn: np.ndarray, size: int) -> np.ndarray:
             colors.append(color)
     points = np.concatenate([box_corners(mesh, pose) for mesh, pose in zip(meshes, poses, strict=True)])
     lift = SE3(np.eye(3), np.array([0.0, 0.0, 0.05 - points[:, 2].min()]))
-    view = fit(points + lift.translation, 1.0)
-    radius = float(np.linalg.norm(points + lift.translation - view.target, axis=1).max())
-    with Stage(meshes, size, size, center=view.target, radius=radius) as stage:
-        return stage.picture([lift * pose for pose in poses], colors, view)
+    return render_meshes(meshes, [lift * pose for pose in poses], colors, size, size)
 
 
 def write_grasps(name: str, path: Path, columns: int, size: int) -> None:
@@ -62,12 +58,8 @@ def write_grasps(name: str, path: Path, columns: int, size: int) -> None:
 def groups_as_they_lie(furniture: Furniture, state: TaskState, width: int, height: int) -> np.ndarray:
     """A state of the object-centric task, its groups in colours of their own."""
     meshes = [part.mesh for part in furniture.parts]
-    points = np.concatenate([box_corners(m, p) for m, p in zip(meshes, state.part_poses, strict=True)])
-    view = fit(points, width / height)
-    radius = float(np.linalg.norm(points - view.target, axis=1).max())
-    with Stage(meshes, width, height, center=view.target, radius=radius) as stage:
-        colors = [GROUPS[state.group_of[p] % len(GROUPS)] for p in range(len(meshes))]
-        return stage.picture(list(state.part_poses), colors, view)
+    colors = [GROUPS[state.group_of[p] % len(GROUPS)] for p in range(len(meshes))]
+    return render_meshes(meshes, state.part_poses, colors, width, height)
 
 
 def write_dead_end(name: str, path: Path, *, width: int, height: int) -> None:

@@ -66,7 +66,7 @@ def test_what_led_to_the_whole_chair_is_told_apart() -> None:
             states.append(memory.states[memory.merges[0][tuple(action)]])
             while len(states[-1]) > 1:
                 known = memory.merges[memory.index[states[-1]]]
-                states.append(memory.states[max(known.values(), key=lambda j: memory.reward(j) + memory.best[j])])
+                states.append(memory.states[max(known.values(), key=memory.worth)])
             assert len(states) == chair.parts
     assert len(path) == chair.parts - 1
     assert not batch["whole"][:, m:].any()

@@ -245,15 +245,15 @@ def test_a_student_that_errs_is_set_right(cantilever: Course) -> None:
 
 
 def test_dead_ends_are_lessons_too() -> None:
-    furniture = catalogue.make("stool", 0)
+    furniture = catalogue.make("windsor", 0)
     clouds = np.array([surface_points(p.mesh, 64) for p in furniture.parts], np.float32)
     teacher = Teacher(furniture, clouds)
     play = teacher.play(np.random.default_rng(1))
     assert len(play.lessons) == len(furniture.parts) - 1
-    assert len(play.dead_ends) == 2
+    assert len(play.dead_ends) > 2
     for lesson in play.dead_ends:
         assert not lesson.joints[:, 4].any()
-    taught = imitation.examples_of([Course("stool:0", clouds, (*play.lessons, *play.dead_ends))])
+    taught = imitation.examples_of([Course("windsor:0", clouds, (*play.lessons, *play.dead_ends))])
     assert [e.good.any() for e in taught] == [True] * len(play.lessons) + [False] * len(play.dead_ends)
     # What is learnt of them is that nothing is good; which choice is made there does not matter.
     params = relational.init(np.random.default_rng(0), CONFIG)

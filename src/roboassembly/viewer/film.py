@@ -12,8 +12,9 @@ from jaxtyping import UInt8
 
 from roboassembly.errors import InputError
 from roboassembly.furniture.model import Furniture
+from roboassembly.meshes import Mesh
 from roboassembly.poses import SE3, transform_points
-from roboassembly.viewer.colors import BACKGROUND, part_colors, to_bytes, wood_colors
+from roboassembly.viewer.colors import BACKGROUND, Color, part_colors, to_bytes, wood_colors
 from roboassembly.viewer.files import replaced
 from roboassembly.viewer.framing import box_corners, fit, follow
 from roboassembly.viewer.gl import RenderingUnavailableError
@@ -25,6 +26,7 @@ __all__ = [
     "RenderingUnavailableError",
     "render_contact_sheet",
     "render_furniture",
+    "render_meshes",
     "render_pictures",
     "write_film",
     "write_storyboard",
@@ -140,14 +142,27 @@ def render_furniture(
     )
     ground = SE3(np.eye(3), np.array([0.0, 0.0, -lowest]))
     poses = [ground * pose for pose in furniture.assembled]
+    picture = render_meshes(meshes, poses, wood_colors(len(poses)), width, height, quality=quality, caption=caption)
+    if path is not None:
+        _write_png(Path(path), picture)
+    return picture
+
+
+def render_meshes(
+    meshes: Sequence[Mesh], poses: Sequence[SE3], colors: Sequence[Color], width: int, height: int, *,
+    quality: Quality = STILL, caption: str = "",
+) -> UInt8[np.ndarray, "height width 3"]:  # fmt: skip
+    """Draw meshes at their `world_from_mesh`, from where all of them are seen.
+
+    Raises:
+        RenderingUnavailableError: this machine cannot draw off screen.
+        InputError: a size that cannot be.
+    """
     points = np.concatenate([box_corners(mesh, pose) for mesh, pose in zip(meshes, poses, strict=True)])
     view = fit(points, width / height)
     radius = float(np.linalg.norm(points - view.target, axis=1).max())
     with Stage(meshes, width, height, center=view.target, radius=radius, quality=quality) as stage:
-        picture = stage.picture(poses, wood_colors(len(poses)), view, caption)
-    if path is not None:
-        _write_png(Path(path), picture)
-    return picture
+        return stage.picture(poses, colors, view, caption)
 
 
 def render_contact_sheet(
