@@ -14,7 +14,7 @@ from roboassembly.learning import autoencoder, checkpoint, experts
 from roboassembly.learning.experts import Chair, Expert, chair_of, play, told
 from roboassembly.learning.practice import Practice
 from roboassembly.learning.rehearsal import Rehearsal
-from roboassembly.learning.trials import FAILS, MERGES, UNKNOWN
+from roboassembly.learning.trials import BLOCKED, FAILS, MERGES, UNKNOWN
 from roboassembly.poses import SE3
 from roboassembly.task.full import FullTask, Refusal
 from roboassembly.task.groups import Group
@@ -37,6 +37,15 @@ def test_double_q_target_by_hand() -> None:
     assert double_q.double_q_target(reward, done, online, target, exists) == pytest.approx([1.3, 3.0, 5.0])
 
 
+def test_the_best_of_two_choices_that_add_up_is_that_of_all_their_combinations() -> None:
+    rng = np.random.default_rng(0)
+    online, target = ([rng.normal(size=(5, 4, ways)) for ways in (3, 2)] for _ in range(2))
+    highest, there = double_q.best_ways(online, target)
+    whole = [(x[..., :, None] + y[..., None, :]).reshape(5, 4, 6) for x, y in (online, target)]
+    assert highest == pytest.approx(whole[0].max(-1))
+    assert there == pytest.approx(np.take_along_axis(whole[1], whole[0].argmax(-1)[..., None], -1)[..., 0])
+
+
 def test_margin_loss_by_hand() -> None:
     # Four actions in each of three states.
     q = np.array([[0.5, 0.7, 0.3, 0.9], [0.5, 0.2, 0.3, 0.1], [0.9, 0.2, 0.3, 0.1]]).reshape(3, 2, 2, 1)
@@ -44,7 +53,7 @@ def test_margin_loss_by_hand() -> None:
     whole = np.array([[1, 0, 1, 0], [0, 0, 0, 0], [1, 0, 0, 0]], bool).reshape(q.shape)
     # 0.7 + 0.1 is above 0.5, the better of two that lead to the whole (0.9 is of an action that does not exist); with
     # no such action nothing is asked; and 0.3 + 0.1 is below 0.9.
-    assert double_q.margin_loss(q, exists, whole) == pytest.approx([0.3, 0.0, 0.0])
+    assert double_q.margin_loss([q], exists, whole) == pytest.approx([0.3, 0.0, 0.0])
 
 
 def test_what_led_to_the_whole_chair_is_told_apart() -> None:
@@ -145,26 +154,27 @@ def test_remembered_outcomes_are_those_of_fresh_steps(family: str) -> None:
 
 
 def test_what_is_remembered_of_hands_is_what_fresh_tests_say() -> None:
-    """200 outcomes: all tests but the arms' depend on the groups alone, so that nothing may differ."""
+    """250 outcomes: all tests but the arms' depend on the groups alone, so that nothing may differ."""
     task = FullTask(catalogue.make("three_legged", 24))
     rehearsal, rng = Rehearsal(task, 3), np.random.default_rng(0)
     _play_at_random(rehearsal, rng, 150)
-    states, checked = [rehearsal.start], {MERGES: 0, FAILS: 0}
+    states, asked = [rehearsal.start], {MERGES: 100, FAILS: 50, BLOCKED: 100}
+    checked = dict.fromkeys(asked, 0)
     for state in states:
         known, exists = rehearsal.known(state), rehearsal.exists(state)[..., None]
         before = rehearsal.laid_out(state)
-        for verdict, some in ((MERGES, known == MERGES), (FAILS, known >= FAILS)):
-            actions = np.argwhere(some & exists)
-            for row, column, way in actions[rng.permutation(len(actions))[: 100 - checked[verdict]]].tolist():
+        for verdict, most in asked.items():
+            actions = np.argwhere((known == verdict) & exists)
+            for row, column, way in actions[rng.permutation(len(actions))[: most - checked[verdict]]].tolist():
                 ends = (rehearsal.part[row], rehearsal.part[column], rehearsal.point[row], rehearsal.point[column])
                 fresh = task.joint(before, (*(int(n) for n in ends), *divmod(way, 8)))
-                assert isinstance(fresh, Refusal) == (verdict == FAILS)
+                assert isinstance(fresh, Refusal) == (verdict != MERGES)
                 checked[verdict] += 1
                 if verdict == MERGES:
                     after = rehearsal.step(state, (row, column, way))
                     assert after is not None
                     states += [after] if len(after) > 1 and after not in states else []
-    assert checked == {MERGES: 100, FAILS: 100}
+    assert checked == asked
 
 
 def test_how_a_part_is_turned_in_its_slot_matters_to_hands_only() -> None:

@@ -331,6 +331,11 @@ def table(told: dict[str, Any]) -> list[str]:
         counts = {row["on"]: row["figures"]["refused"] for row in told["rows"] if row["figures"].get("refused")}
         lines += ["", "Left out because no two hands can hold and join all their parts: "
                   + ", ".join(f"{count} of {on}" for on, count in counts.items()) + "."]  # fmt: skip
+    fresh = {r["on"]: f["trials_success_rate"] for r in told["rows"] if "trials_success_rate" in (f := r["figures"])}
+    if told["setting"] == "full" and fresh:
+        lines += ["", "Experts count as in the paper, where paths once found are kept: by plays from starts that they "
+                  "were taught on. From starts that they were not taught on they finish "
+                  + ", ".join(f"{100 * rate:.1f} % of {on}" for on, rate in fresh.items()) + "."]  # fmt: skip
     commands = list(dict.fromkeys(row["command"] for row in told["rows"]))
     lines += ["", "Each row alone:", "", *(f"- `{command}`" for command in commands)]
     if told["seconds"]:

@@ -1,7 +1,9 @@
 """What an expert teaches the multi-task policy: its plays in the real environment, with its Q-values.
 
 The first play takes the action with the highest Q throughout; in later ones any action that is almost as good may be
-drawn, so that lessons show more than one way. As in the paper only successful plays become lessons.
+drawn, so that lessons show more than one way. With robots the first plays repeat those by which the chair was mastered:
+from other starts the arms often cannot do what an expert, which does not see where things lie, tells them. As in the
+paper only successful plays become lessons.
 """
 
 from __future__ import annotations
@@ -43,7 +45,7 @@ class Taught:
 
 
 def expert_course(
-    expert: Expert, task: ObjectCentricTask | FullTask, name: str, plays: int, seed: int = 0
+    expert: Expert, task: ObjectCentricTask | FullTask, name: str, plays: int, seed: int = 0, proofs: int = 0
 ) -> tuple[Course, int]:
     """Lessons from an expert's plays, those that finish the chair only; Q-values are undiscounted returns.
 
@@ -53,6 +55,7 @@ def expert_course(
         name: of the chair.
         plays: to try.
         seed: of their starts and draws.
+        proofs: so many of the plays, the first, are those by which the chair was mastered.
 
     Returns:
         The course, and how many plays finished.
@@ -64,7 +67,9 @@ def expert_course(
     hands: np.ndarray | None = None
     done = 0
     for index in range(plays):
-        moves = play(expert, task, _SEEDS + 1_000 * seed + index, margin=_MARGIN if index else 0.0)
+        proof = index < proofs
+        start = index if proof else _SEEDS + 1_000 * seed + index
+        moves = play(expert, task, start, margin=_MARGIN if index and not proof else 0.0)
         if finished(moves, expert.chair):
             done += 1
             lessons += [_lesson(expert, task, observer, move) for move in moves]
@@ -116,6 +121,8 @@ def teach(
 
 def _teach(pick: Pick, *, experts: Path, folder: Path, training: ExpertTraining, plays: int) -> Taught:
     task = training.task_of(pick)
-    course, done = expert_course(load(file_of(experts, pick.name), task), task, pick.name, plays, training.seed)
+    proofs = training.proofs if training.setting == "full" else 0
+    expert = load(file_of(experts, pick.name), task)
+    course, done = expert_course(expert, task, pick.name, plays, training.seed, proofs)
     course.save(file_of(folder, pick.name))
     return Taught(pick.name, plays, done, len(course.lessons))

@@ -109,10 +109,29 @@ class Held:
         if not isinstance(joint, Refusal):
             return Found(MERGES, [way], joint.merge.merged)
         if joint.verdict is FullVerdict.GRASP_BLOCKED:
-            # Whatever the other hand does.
-            u_is = joint.leg == "grasp u"
-            return Found(BLOCKED, [g_a * GRASPS + g if u_is else g * GRASPS + g_b for g in range(GRASPS)])
-        return Found(BLOCKED, [way])
+            return Found(BLOCKED, _sharing(g_a, g_b, joint.leg == "grasp u", joint.leg == "grasp v"))
+        return Found(BLOCKED, self._as_blocked(groups, names))
+
+    def _as_blocked(self, groups: tuple[Group, Group], names: tuple[int, ...]) -> Sequence[int]:
+        """All ways that are blocked at the joint by what blocks this one: the groups, one hand by itself, or both."""
+        (one, two), (u, v, k, l, way) = groups, names  # noqa: E741
+        merge = self._task.merge(TaskState(groups), (u, v, k, l))
+        assert merge is not None
+
+        def blocked(robot: int, group: Group, part: int, grasp: int) -> bool:
+            held = self._task.taken(group, part, grasp)
+            return held is None or not self._task.fits_alone(one, two, merge, held, robot)
+
+        g_a, g_b = divmod(way, GRASPS)
+        a, b = blocked(0, one, u, g_a), blocked(1, two, v, g_b)
+        if a and b and not self._task.comes_apart(one, two, merge):
+            return range(GRASPS**2)
+        return _sharing(g_a, g_b, a, b) or [way]
+
+
+def _sharing(g_a: int, g_b: int, a: bool, b: bool) -> list[int]:
+    """The ways with `g_a`, whatever the other hand does, those with `g_b`, or both."""
+    return [x * GRASPS + y for x in range(GRASPS) for y in range(GRASPS) if (a and x == g_a) or (b and y == g_b)]
 
 
 def trial_of(task: ObjectCentricTask | FullTask) -> Trial:

@@ -268,6 +268,11 @@ class FullTask:
             own, other, placed = other, own, one
         return has_room(self.furniture, placed.moved_to(other), held.moved(own))
 
+    def comes_apart(self, one: Group, two: Group, merge: Merge) -> bool:
+        """Whether two groups come straight out of their joint as long as no hand holds them. Arguments as of
+        `fits_alone`."""
+        return next(self._ways(one, two, merge, None, None), None) is not None
+
     def fits_alone(self, one: Group, two: Group, merge: Merge, held: Hold, robot: int) -> bool:
         """Whether one hand suits a joint as long as the other is not there: what `fitted` needs of each.
 
