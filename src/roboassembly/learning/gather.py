@@ -31,6 +31,8 @@ _KINDS = ("", "sunk", "fused", "", "fused", "lattice", "", "sunk", "fused", "", 
 """Families of extra pieces, in turn; a chair of the next family where there is none."""
 _TRIES = 3
 """Pairs of hands that are tried at a pair of points, until one joins them."""
+_MOST_HELD = 17
+"""Parts, at most, of furniture taught with robots: what the oracle asks of hands grows exponentially with them."""
 EXTRA_SEEDS = 1_000_000_000
 """Seeds of extra chairs start here, where those of no data set reach."""
 
@@ -106,7 +108,8 @@ def _gather(name: str, *, folder: Path, plays: int, seed: int, student: Path | N
         furniture = catalogue.make(family, int(number), with_grasps=setting == "full")
         oracle = _oracle(furniture, setting)
     except InputError:
-        # One in some hundred practice frames does not come out, or hands cannot hold it; nothing is learnt from it.
+        # One in some hundred practice frames does not come out, hands cannot hold it, or it has too many parts; nothing
+        # is learnt from it.
         Course(name, np.zeros((0, CLOUD_POINTS, 3), np.float32), ()).save(file_of(folder, name))
         return Gathered(name, 0, 0, 0, time.monotonic() - begun)
     clouds = np.array([surface_points(p.mesh, CLOUD_POINTS) for p in furniture.parts], np.float32)
@@ -130,6 +133,10 @@ def _gather(name: str, *, folder: Path, plays: int, seed: int, student: Path | N
 def _oracle(furniture: Furniture, setting: SettingName) -> Oracle:
     if setting == "object-centric":
         return Oracle(ObjectCentricTask(furniture))
+    if len(furniture.parts) > _MOST_HELD:
+        raise InputError(
+            f"{furniture.name} has {len(furniture.parts)} parts; with robots at most {_MOST_HELD} are taught"
+        )
     task = FullTask(furniture)
     task.check_hands()
     return HandOracle(task)

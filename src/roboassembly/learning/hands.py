@@ -1,7 +1,8 @@
 """What two hands would meet at a joint, told from clouds: the relational policy's view of `g_a` and `g_b`.
 
 Only what the observation tells is used: clouds, the hand's pose for each grasp, and how parts lie to each other. A hand
-is three boxes. What it meets is told by how far the nearest point of a cloud is outside them, or how deep inside.
+is three convex bodies. What it meets is told by how far the nearest point of a cloud is outside them, or how deep
+inside; how far it is open, by the points of the held part between its pads.
 """
 
 from __future__ import annotations
@@ -11,23 +12,29 @@ from functools import cache
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32
+from scipy.spatial import ConvexHull
 
 from roboassembly.gripper import MAX_OPENING, RETREAT, hand_bodies
 from roboassembly.learning.situation import Situation
 from roboassembly.poses import rotations_from_euler
+from roboassembly.task.cell import WIDER
 from roboassembly.task.rules import GRASPS
 
-ONE, TWO = 28, 9
+ONE, TWO = 35, 9
 """Numbers that describe one hand at a joint, and two together."""
 _FAR = 0.05
 """Metres beyond which it does not matter how far something is from a hand."""
 _NEAR = 0.01
-_AROUND = 0.35
-"""Metres from the finger tips within which anything of a hand can be."""
+_APART = 0.6
+"""Metres between the tips of two hands beyond which they do not meet."""
 _WAY = (0.0, 0.03, 0.10, 0.20)
 """Metres out of the joint at which a hand is looked at."""
 _CLOSED = 0.03
-"""Metres between the pads of a hand that holds something."""
+"""Metres between the pads of a hand that holds something of which there is no point between them."""
+_LOOSE = 0.003
+"""Metres by which a closed hand is opened to tell what else of its part it meets."""
+_PAD = 0.011
+"""Metres from its middle to the rims of a pad."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +55,10 @@ class _Held:
     turn: Float[np.ndarray, "8 3 3"]
     at: Float[np.ndarray, "8 3"]
     there: Bool[np.ndarray, "8"]
+    width: Float[np.ndarray, "8"]
+    """Metres between the pads, as far as the cloud tells."""
+    own: Float[np.ndarray, "c 3"]
+    """Points of the held part."""
     rest: Float[np.ndarray, "m 3"]
     """Points of all its parts but the held one."""
     whole: Float[np.ndarray, "n 3"]
@@ -71,21 +82,35 @@ def _held(s: Situation, part: int, turn: np.ndarray, shift: np.ndarray) -> _Held
     poses = s.hands[part]
     hands = turn @ rotations_from_euler(poses[:, 3:])
     world = turn @ rotations_from_euler(s.poses[part, 3:]).T
+    at, own = poses[:, :3] @ turn.T + shift, clouds[members == part][0]
     return _Held(
-        hands, poses[:, :3] @ turn.T + shift, poses.any(axis=1), clouds[members != part].reshape(-1, 3),
+        hands, at, poses.any(axis=1), _widths(hands, at, own), own, clouds[members != part].reshape(-1, 3),
         clouds.reshape(-1, 3), world,
     )  # fmt: skip
 
 
+def _widths(turn: np.ndarray, at: np.ndarray, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "8"]:
+    """Metres between the pads of each hand, by the points that are between them."""
+    local = np.einsum("gnj,gji->gni", points - at[:, None], turn)
+    between = (np.abs(local[..., 0]) < _PAD) & (np.abs(local[..., 2]) < _PAD)
+    across = np.where(between & (np.abs(local[..., 1]) < 0.5 * MAX_OPENING + _LOOSE), np.abs(local[..., 1]), 0.0)
+    width = 2.0 * across.max(axis=1)
+    return np.where(width > 0.0, width, _CLOSED)
+
+
 def _one(own: _Held, other: _Held, way: Float[np.ndarray, "3"], joint: Float[np.ndarray, "3"]) -> np.ndarray:
     """Of each hand of one group, while the other comes or waits; `way` is the one out of the joint."""
-    coming, closed = _boxes(MAX_OPENING, RETREAT), _boxes(_CLOSED, 0.0)
-    clear = [_clearance(own, own.rest, coming), _clearance(own, other.whole, coming)]
-    clear += [_clearance(own, other.whole - out * way, closed) for out in _WAY]
-    clearance = np.stack([*clear, np.minimum.reduce(clear[2:])], axis=1)
+    wide = np.minimum(MAX_OPENING, own.width + WIDER)
+    clear = np.full((GRASPS, 9), _FAR)
+    for g in np.flatnonzero(own.there).tolist():
+        held, rest, met = (_around(own, g, points) for points in (own.own, own.rest, other.whole))
+        clear[g, :3] = [_clearance(points, wide[g], RETREAT) for points in (held, rest, met)]
+        clear[g, 3:5] = _clearance(held, own.width[g] + _LOOSE), _clearance(rest, own.width[g])
+        clear[g, 5:] = [_clearance(met - out * (way @ own.turn[g])[:, None], own.width[g]) for out in _WAY]
+    clearance = np.concatenate([clear, clear[:, 5:].min(axis=1, keepdims=True)], axis=1)
     approach, closing = own.turn[:, :, 2], own.turn[:, :, 1]
     low, high = own.whole.min(axis=0), own.whole.max(axis=0)
-    middle, up = 0.5 * (low + high), own.world[:, 2]
+    middle, size, up = 0.5 * (low + high), float(np.linalg.norm(high - low)), own.world[:, 2]
     heights = own.whole @ up
     from_joint, from_middle = own.at - joint, own.at - middle
     level = from_middle - np.outer(from_middle @ up, up)
@@ -95,11 +120,12 @@ def _one(own: _Held, other: _Held, way: Float[np.ndarray, "3"], joint: Float[np.
         np.tanh(clearance / _NEAR),
         np.stack([approach @ way, np.abs(closing @ way), approach @ up, np.abs(closing @ up)], axis=1),
         2.0 * np.stack([np.linalg.norm(from_joint, axis=1), from_joint @ way, from_middle @ up], axis=1),
+        own.width[:, None] / MAX_OPENING,
         2.0 * np.linalg.norm(level, axis=1)[:, None],
         np.einsum("gi,gi->g", approach, outward)[:, None],
-        np.full((GRASPS, 3), [float(np.ptp(heights)), float(np.linalg.norm(high - low)), 2e-5 * len(own.whole)]),
+        np.full((GRASPS, 3), [float(np.ptp(heights)), size, 2e-5 * len(own.whole)]),
         np.stack([own.at @ up - heights.min(), (len(own.rest) > 0) * np.ones(GRASPS)], axis=1),
-    ]
+    ]  # fmt: skip
     return np.concatenate(told, axis=1)
 
 
@@ -107,12 +133,14 @@ def _two(a: _Held, b: _Held, way: Float[np.ndarray, "3"]) -> np.ndarray:
     """Of two hands at the joint."""
     apart = a.at[:, None] - b.at[None]
     distance = np.linalg.norm(apart, axis=2)
-    surface = _surface(_CLOSED)
-    clear = np.zeros((2, GRASPS, GRASPS))
-    for g in range(GRASPS):
-        skin = surface @ b.turn[g].T + b.at[g]
-        clear[0, :, g] = _clearance(a, skin, _boxes(_CLOSED, 0.0))
-        clear[1, :, g] = _clearance(a, skin, _boxes(MAX_OPENING, RETREAT))
+    surface, opens = _surface()
+    skins = (surface + b.width[:, None, None] * opens) @ b.turn.transpose(0, 2, 1) + b.at[:, None]
+    wide = np.minimum(MAX_OPENING, a.width + WIDER)
+    clear = np.full((2, GRASPS, GRASPS), _FAR)
+    for g in np.flatnonzero(a.there).tolist():
+        for h in np.flatnonzero(b.there & (distance[g] < _APART)).tolist():
+            near = _around(a, g, skins[h])
+            clear[:, g, h] = _clearance(near, a.width[g]), _clearance(near, wide[g], RETREAT)
     of_a, of_b = a.turn[:, :, 2], b.turn[:, :, 2]
     return np.stack(
         [
@@ -128,31 +156,79 @@ def _two(a: _Held, b: _Held, way: Float[np.ndarray, "3"]) -> np.ndarray:
     )
 
 
-def _clearance(held: _Held, points: Float[np.ndarray, "n 3"], boxes: Float[np.ndarray, "3 2 3"]) -> np.ndarray:
-    """For each hand, metres from its boxes to the nearest point, negative inside; `_FAR` at most."""
-    out = np.full(GRASPS, _FAR)
-    for g in np.flatnonzero(held.there):
-        near = points[((points - held.at[g]) ** 2).sum(axis=1) < _AROUND**2]
-        if len(near):
-            local = (near - held.at[g]) @ held.turn[g]
-            beyond = np.maximum(boxes[:, None, 0] - local, local - boxes[:, None, 1]).max(axis=2)
-            out[g] = min(_FAR, beyond.min())
-    return out
+def _around(held: _Held, grasp: int, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "3 m"]:
+    """In the frame of a hand's tips, the points that it could meet: as it comes, and a way out of the joint."""
+    local = held.turn[grasp].T @ (points - held.at[grasp]).T
+    low, high = _reach()
+    return local[:, ((local > low[:, None]) & (local < high[:, None])).all(axis=0)]
+
+
+def _clearance(points: Float[np.ndarray, "3 n"], opening: float, back: float = 0.0) -> float:
+    """Metres from a hand to the nearest of some points in the frame of its tips, negative inside; `_FAR` at most.
+
+    Args:
+        points: of `_around`.
+        opening: metres between the pads.
+        back: metres from behind which the hand comes; its whole way counts.
+    """
+    bodies = _bodies(back)
+    opened = opening * bodies.opens
+    p = points - opened[..., None]
+    out = np.maximum(bodies.low[..., None] - p, p - bodies.high[..., None]).max(axis=1)
+    nearest = float(out.min(initial=_FAR))
+    if nearest >= _NEAR:
+        return nearest
+    # Boxes tell what is near, the bodies' faces how near.
+    close = out < _NEAR
+    beyond = [
+        (normals @ p[i][:, close[i]] - offsets).max(axis=0).min(initial=_FAR)
+        for i, (normals, offsets) in enumerate(bodies.faces)
+        if close[i].any()
+    ]
+    return float(min(beyond))
+
+
+@dataclass(frozen=True, eq=False)
+class _Bodies:
+    """Palm and fingers of the closed hand, all convex, in the tips' frame."""
+
+    low: Float[np.ndarray, "3 3"]
+    """Corners of their boxes."""
+    high: Float[np.ndarray, "3 3"]
+    faces: tuple[tuple[Float[np.ndarray, "f 3"], Float[np.ndarray, "f 1"]], ...]
+    """Normals of their faces, and how far these are from the origin."""
+    opens: Float[np.ndarray, "3 3"]
+    """How far each moves for each metre between the pads."""
 
 
 @cache
-def _boxes(opening: float, back: float) -> Float[np.ndarray, "3 2 3"]:
-    """Lower and upper corners of palm and fingers in the tips' frame, swept from `back` metres behind."""
-    out = []
-    for mesh, pose in hand_bodies(opening):
-        points = mesh.vertices @ pose.rotation.T + pose.translation
-        out.append([points.min(axis=0) - [0.0, 0.0, back], points.max(axis=0)])
-    return np.array(out)
+def _bodies(back: float) -> _Bodies:
+    """The hand, swept from `back` metres behind."""
+    corners, faces, opens = [], [], []
+    for (mesh, shut), (_, open_) in zip(hand_bodies(0.0), hand_bodies(1.0), strict=True):
+        points = mesh.vertices @ shut.rotation.T + shut.translation
+        hull = ConvexHull(np.concatenate([points, points - [0.0, 0.0, back]]))
+        planes = np.unique(hull.equations.round(9), axis=0)
+        corners.append((hull.min_bound, hull.max_bound))
+        faces.append((planes[:, :3], -planes[:, 3:]))
+        opens.append(open_.translation - shut.translation)
+    low, high = np.array(corners).transpose(1, 0, 2)
+    return _Bodies(low, high, tuple(faces), np.array(opens))
 
 
 @cache
-def _surface(opening: float) -> Float[np.ndarray, "n 3"]:
-    """Points on the boxes of a hand."""
+def _reach() -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+    """Corners of a box around all that a hand can meet, in the frame of its tips."""
+    bodies, more = _bodies(RETREAT), _FAR + _WAY[-1]
+    more += 0.5 * MAX_OPENING
+    return bodies.low.min(axis=0) - more, bodies.high.max(axis=0) + more
+
+
+@cache
+def _surface() -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
+    """Points on the boxes of a closed hand, and how far each moves for each metre between the pads."""
     grid = np.stack(np.meshgrid(*[np.linspace(0.0, 1.0, 5)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
     grid = grid[((grid == 0.0) | (grid == 1.0)).any(axis=1)]
-    return np.concatenate([low + grid * (high - low) for low, high in _boxes(opening, 0.0)])
+    hand = _bodies(0.0)
+    points = hand.low[:, None] + grid * (hand.high - hand.low)[:, None]
+    return points.reshape(-1, 3), np.repeat(hand.opens, len(grid), axis=0)

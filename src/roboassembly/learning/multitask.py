@@ -8,9 +8,13 @@ done again, so that a run that was stopped goes on where it was.
     lessons/1/…        of policy-0's plays        policy-1.npz   taught with both
     …                                             policy.npz     the last one, to be shipped
 
-In the full setting all of this begins with the weights of a policy that knows the object-centric one, and lessons of
-grasps (`lessons/*/hands`) teach a second network, `grasping.npz`. `policy.npz` holds all three then, so that one file
-plays in both settings.
+In the full setting this begins with the weights of a policy that knows the object-centric one, and ends with the first
+round; lessons of grasps teach a second network, and the rounds are its own:
+
+    lessons/0/hands/…  of random hands            grasping-0.npz  taught with them
+    practice/1/…       of player-1's plays        grasping-1.npz  taught with both
+
+`policy.npz` holds all three then, so that one file plays in both settings.
 """
 
 from __future__ import annotations
@@ -34,7 +38,9 @@ from roboassembly.learning import (
     relational,
 )
 from roboassembly.learning.gather import EXTRA_SEEDS, extra_names, file_of, gather, hands_of
+from roboassembly.learning.grasp_practice import practise
 from roboassembly.learning.imitation import Example, Training
+from roboassembly.learning.layers import Params
 from roboassembly.learning.lessons import Course
 from roboassembly.learning.loading import checkpoint_of
 from roboassembly.learning.paper import PaperConfig
@@ -61,7 +67,7 @@ class Curriculum:
     plays: int = 1
     """Of each piece, in each round."""
     rounds: int = 0
-    """Of aggregation, after the first."""
+    """Of aggregation, after the first; with hands, of what its own plays tell of them."""
     steps: int = 16_000
     """Updates in the first round."""
     round_steps: int = 8_000
@@ -79,7 +85,7 @@ class Curriculum:
     @staticmethod
     def with_hands() -> Curriculum:
         """What the shipped policy learns besides to play with robots."""
-        return Curriculum(extra=400, steps=4_000, learning_rate=5e-4, setting="full", start="relational")
+        return Curriculum(extra=240, rounds=1, steps=4_000, learning_rate=5e-4, setting="full", start="relational")
 
 
 def teach(curriculum: Curriculum, folder: Path, jobs: int) -> Iterator[Progress]:
@@ -105,7 +111,8 @@ def teach(curriculum: Curriculum, folder: Path, jobs: int) -> Iterator[Progress]
     validation = imitation.load_examples(folder / "lessons" / "validation", held_out, jobs)
     examples: list[Example] = []
     last = started
-    for round_ in range(curriculum.rounds + 1):
+    full = curriculum.setting == "full"
+    for round_ in range(1 if full else curriculum.rounds + 1):
         lessons = folder / "lessons" / str(round_)
         yield from _gathered(f"lessons {round_}", names, lessons, curriculum, jobs, last)
         path = folder / f"policy-{round_}.npz"
@@ -120,15 +127,41 @@ def teach(curriculum: Curriculum, folder: Path, jobs: int) -> Iterator[Progress]
         last = path
     assert last is not None
     final = checkpoint.load(last, relational.KIND)
-    params = final.params
-    if curriculum.setting == "full":
+    if full:
         assert started is not None
-        hands = [hands_of(folder / "lessons" / str(r)) for r in range(curriculum.rounds + 1)]
-        grasps = folder / "grasping.npz"
-        yield from _taught_grasps(hands, names, grasps, curriculum, notes, jobs)
-        held = {HELD: params, HANDS: checkpoint.load(grasps, grasping.KIND).params}
-        params = {**checkpoint.load(started, relational.KIND).params, **held}
-    checkpoint.save(folder / "policy.npz", checkpoint.Checkpoint(final.kind, params, final.config, {}), half=True)
+        learnt = {**checkpoint.load(started, relational.KIND).params, HELD: final.params}
+        yield from _taught_hands(learnt, final.config, names, folder, curriculum, notes, jobs)
+    else:
+        _write(folder / "policy.npz", final.params, final.config)
+
+
+def _taught_hands(
+    learnt: Params, config: dict[str, Any], names: Sequence[str], folder: Path, c: Curriculum, notes: dict[str, Any],
+    jobs: int,
+) -> Iterator[Progress]:  # fmt: skip
+    """The network that chooses grasps: taught once, and again after each round of its own plays."""
+    lessons = [hands_of(folder / "lessons" / "0")]
+    for round_ in range(c.rounds + 1):
+        if round_:
+            lessons.append(folder / "practice" / str(round_))
+            there = sum(file_of(lessons[-1], name).is_file() for name in names)
+            mistakes = tried = 0
+            player = folder / f"player-{round_}.npz"
+            practice = practise(names, lessons[-1], player, plays=c.plays, seed=c.seed + round_, jobs=jobs)
+            for done, g in enumerate(practice, 1):
+                mistakes, tried = mistakes + g.mistakes, tried + g.choices
+                scalars = {"mistakes": mistakes / max(tried, 1)}
+                yield Progress(f"practice {round_}", there + done, len(names), scalars)
+        grasps = folder / f"grasping-{round_}.npz"
+        yield from _taught_grasps(lessons, names, grasps, c, notes, jobs)
+        taught = {**learnt, HANDS: checkpoint.load(grasps, grasping.KIND).params}
+        last = round_ == c.rounds
+        _write(folder / ("policy.npz" if last else f"player-{round_ + 1}.npz"), taught, config)
+
+
+def _write(path: Path, params: Params, config: dict[str, Any]) -> None:
+    """A policy to play with."""
+    checkpoint.save(path, checkpoint.Checkpoint(relational.KIND, params, config, {}), half=True)
 
 
 def _start_of(c: Curriculum, folder: Path) -> Path | None:
