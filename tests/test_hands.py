@@ -9,18 +9,20 @@ import numpy as np
 import pytest
 
 import shapes
-from roboassembly.envs.full import FullEnv
+from roboassembly.envs.full import FullEnv, existing_actions
 from roboassembly.envs.observation import Observer, surface_points
 from roboassembly.errors import InputError
 from roboassembly.furniture import catalogue
 from roboassembly.furniture.model import MAX_POINTS, Furniture
 from roboassembly.learning import checkpoint, grasping, relational
+from roboassembly.learning.gather import file_of
 from roboassembly.learning.grasp_lessons import NO, UNKNOWN, YES, GraspCourse, GraspTeacher
+from roboassembly.learning.grasp_practice import lesson_of, practise
 from roboassembly.learning.hands import ONE, TWO, Handling, handling_of
 from roboassembly.learning.lessons import Teacher
 from roboassembly.learning.loading import load_policy
 from roboassembly.learning.players import Way, player
-from roboassembly.learning.relational_policy import RelationalPolicy
+from roboassembly.learning.relational_policy import HANDS, RelationalPolicy
 from roboassembly.learning.situation import Situation, groups_of
 from roboassembly.poses import SE3
 from roboassembly.solvers.hand_oracle import HandOracle
@@ -32,7 +34,7 @@ from roboassembly.task.joining import can_take, hold
 from roboassembly.task.rules import GRASPS
 
 COMING = [0, 1]
-"""Columns of `Handling.one`: room of the open hand on its way to its part, beside that part and the rest of its group."""
+"""Columns of `Handling.one`: room of the open hand on its way, beside its part and beside the rest of its group."""
 AT_OTHER = 5
 """Column of `Handling.one`: room of the closed hand beside the other group, where the two are joined."""
 
@@ -198,6 +200,47 @@ def test_lessons_of_grasps_are_what_fresh_tests_say(course: GraspCourse, tmp_pat
     (tmp_path / "a.npz").write_bytes(b"no archive")
     with pytest.raises(InputError, match="remove it"):
         GraspCourse.load(tmp_path / "a.npz")
+
+
+def test_what_an_action_tells_of_its_hands() -> None:
+    task = FullTask(shapes.stand())
+    state = task.initial_state(np.random.default_rng(0))
+    observer = Observer(task.furniture, len(task.furniture.parts), MAX_POINTS, 1)
+    rng, seen = np.random.default_rng(1), set[FullVerdict]()
+    right = [a for a in np.argwhere(existing_actions(task, state)).tolist() if task.merge(state.groups, tuple(a[:4]))]
+    for index in rng.permutation(len(right))[:24]:
+        action = tuple(right[index])
+        fresh, outcome = task.joint(state.groups, action), task.step(state, action, 5)
+        lesson = lesson_of(task, state, observer, action, outcome)
+        u, v, k, l, g_a, g_b = action  # noqa: E741
+        assert lesson.pair == (u, k, v, l)
+        # One answer each at most, and what was found out before anything moved is what a fresh test says.
+        assert all((told != UNKNOWN).sum() <= 1 for told in (lesson.room, lesson.meet, lesson.rest))
+        assert lesson.room[g_a, g_b] == (YES if isinstance(fresh, Held) else NO)
+        assert (lesson.rest[g_a, g_b] == YES) == (outcome.verdict is FullVerdict.MERGED)
+        told = [lesson.room[g_a, g_b], lesson.meet[g_a, g_b], *lesson.take[[0, 1], [g_a, g_b]], lesson.rest[g_a, g_b]]
+        assert told.count(NO) == (outcome.verdict is not FullVerdict.MERGED)
+        # After a first no nothing is known.
+        assert set(told[told.index(NO) + 1 :] if NO in told else ()) <= {UNKNOWN}
+        seen.add(outcome.verdict)
+    assert FullVerdict.MERGED in seen
+    assert len(seen) > 1
+
+
+def test_practice_is_written_once_and_the_same_again(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    config = relational.RelationalConfig(token=16, pair=8, layers=1, heads=2, ends=4, conflicts=2)
+    params = {**relational.init(rng, config), HANDS: grasping.init(rng)}
+    player_file, names = tmp_path / "player.npz", ["three_legged:24", "upholstered:14"]
+    checkpoint.save(player_file, checkpoint.Checkpoint(relational.KIND, params, {"network": asdict(config)}, {}))
+    done = {g.name: g for g in practise(names, tmp_path / "a", player_file, plays=1, seed=3, jobs=1)}
+    # No hand can hold an upholstered chair.
+    assert done["upholstered:14"].states == 0
+    assert not list(practise(names, tmp_path / "a", player_file, plays=1, seed=3, jobs=1))
+    again = {g.name: g for g in practise(names, tmp_path / "b", player_file, plays=1, seed=3, jobs=1)}
+    for name, told in done.items():
+        assert (told.states, told.mistakes) == (again[name].states, again[name].mistakes)
+        assert len(GraspCourse.load(file_of(tmp_path / "a", name)).lessons) == told.states
 
 
 def test_chances_of_hands_by_hand() -> None:

@@ -84,11 +84,12 @@ def test_a_curriculum_with_robots_ends_in_one_policy_for_both_settings(
     config = {"network": asdict(TINY)}
     checkpoint.save(start, checkpoint.Checkpoint(relational.KIND, weights, config, {}), half=True)
     curriculum = replace(
-        SMALL, setting="full", start=str(start), rounds=0, limit=1, extra=0, validation=0, grasp_steps=5
+        SMALL, setting="full", start=str(start), rounds=1, limit=1, extra=0, validation=0, grasp_steps=5
     )
     folder = tmp_path / "run"
     stages = {p.stage for p in teach(curriculum, folder, 1)}
-    assert {"lessons 0", "policy 0", "grasps"} <= stages
+    assert {"lessons 0", "policy 0", "grasps", "practice 1"} <= stages
+    assert all(file_of(folder / "practice" / "1", name).is_file() for name in two_chairs[:1])
     assert all(file_of(hands_of(folder / "lessons" / "0"), name).is_file() for name in two_chairs[:1])
     policy = load_policy(str(folder / "policy.npz"))
     assert isinstance(policy, RelationalPolicy)
