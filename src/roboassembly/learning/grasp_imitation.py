@@ -32,7 +32,7 @@ class Training:
 
     steps: int = 12_000
     learning_rate: float = 2e-3
-    weight_decay: float = 0.5
+    weight_decay: float = 0.3
     """As much as this, because what arms can do is known of few actions only."""
     batch: int = 64
     """Pairs of points, with all their pairs of hands."""

@@ -20,11 +20,15 @@ from roboassembly.poses import rotations_from_euler
 from roboassembly.task.cell import WIDER
 from roboassembly.task.rules import GRASPS
 
-ONE, TWO = 35, 9
+ONE, TWO = 43, 9
 """Numbers that describe one hand at a joint, and two together."""
 _FAR = 0.05
 """Metres beyond which it does not matter how far something is from a hand."""
 _NEAR = 0.01
+_ARM, _ARM_FAR = ((0.13, 0.30), (0.30, 0.50)), 0.3
+"""Metres from the tips to where wrist and forearm begin and end; and from these to what does not matter to them."""
+_POST = 12
+"""Points of a post that are looked at."""
 _APART = 0.6
 """Metres between the tips of two hands beyond which they do not meet."""
 _WAY = (0.0, 0.03, 0.10, 0.20)
@@ -65,6 +69,14 @@ class _Held:
     world: Float[np.ndarray, "3 3"]
     """World directions in that frame, as columns: where the group stands now."""
 
+    def post(self) -> Float[np.ndarray, "n 3"]:
+        """Points of the post that holds the group, about below its middle."""
+        at = self.whole @ self.world
+        middle, lowest = at.mean(axis=0), at[:, 2].min()
+        down = np.tile([middle[0], middle[1], lowest], (_POST, 1))
+        down[:, 2] -= np.arange(_POST) * 0.04
+        return down @ self.world.T
+
 
 def handling_of(s: Situation, u: int, k: int, v: int, l: int) -> Handling:  # noqa: E741
     """Of a pair: what every hand at `u` and every hand at `v` would meet."""
@@ -101,12 +113,17 @@ def _widths(turn: np.ndarray, at: np.ndarray, points: Float[np.ndarray, "n 3"]) 
 def _one(own: _Held, other: _Held, way: Float[np.ndarray, "3"], joint: Float[np.ndarray, "3"]) -> np.ndarray:
     """Of each hand of one group, while the other comes or waits; `way` is the one out of the joint."""
     wide = np.minimum(MAX_OPENING, own.width + WIDER)
-    clear = np.full((GRASPS, 9), _FAR)
+    clear, arm = np.full((GRASPS, 9), _FAR), np.full((GRASPS, 8), _ARM_FAR)
+    post = own.post()
     for g in np.flatnonzero(own.there).tolist():
         held, rest, met = (_around(own, g, points) for points in (own.own, own.rest, other.whole))
         clear[g, :3] = [_clearance(points, wide[g], RETREAT) for points in (held, rest, met)]
         clear[g, 3:5] = _clearance(held, own.width[g] + _LOOSE), _clearance(rest, own.width[g])
         clear[g, 5:] = [_clearance(met - out * (way @ own.turn[g])[:, None], own.width[g]) for out in _WAY]
+        whole = np.concatenate([held, rest], axis=1)
+        away = met - _WAY[-1] * (way @ own.turn[g])[:, None]
+        below = own.turn[g].T @ (post - own.at[g]).T
+        arm[g] = [_from_arm(points, *stretch) for stretch in _ARM for points in (whole, met, away, below)]
     clearance = np.concatenate([clear, clear[:, 5:].min(axis=1, keepdims=True)], axis=1)
     approach, closing = own.turn[:, :, 2], own.turn[:, :, 1]
     low, high = own.whole.min(axis=0), own.whole.max(axis=0)
@@ -118,6 +135,7 @@ def _one(own: _Held, other: _Held, way: Float[np.ndarray, "3"], joint: Float[np.
     told = [
         np.clip(clearance, -_FAR, _FAR) / _FAR,
         np.tanh(clearance / _NEAR),
+        arm / _ARM_FAR,
         np.stack([approach @ way, np.abs(closing @ way), approach @ up, np.abs(closing @ up)], axis=1),
         2.0 * np.stack([np.linalg.norm(from_joint, axis=1), from_joint @ way, from_middle @ up], axis=1),
         own.width[:, None] / MAX_OPENING,
@@ -161,6 +179,14 @@ def _around(held: _Held, grasp: int, points: Float[np.ndarray, "n 3"]) -> Float[
     local = held.turn[grasp].T @ (points - held.at[grasp]).T
     low, high = _reach()
     return local[:, ((local > low[:, None]) & (local < high[:, None])).all(axis=0)]
+
+
+def _from_arm(points: Float[np.ndarray, "3 n"], near: float, far: float) -> float:
+    """Metres from the line behind a hand, between two distances from its tips, to the nearest of some points in their
+    frame: where the arm will be."""
+    beside = points.copy()
+    beside[2] -= np.clip(points[2], -far, -near)
+    return float(np.sqrt((beside**2).sum(axis=0).min(initial=_ARM_FAR**2)))
 
 
 def _clearance(points: Float[np.ndarray, "3 n"], opening: float, back: float = 0.0) -> float:
