@@ -31,6 +31,9 @@ _CONSIDERED = 400
 """Actions among which those of different groups are looked for."""
 _HANDLED = 12
 """Right pairs, the surest ones, for which hands are looked for."""
+_ENOUGH, _HARDLY = 5, 0.03
+"""With so many actions of which the logarithms of their chances are less than this below what any hands could make of
+the next pair, that one is not looked at."""
 _HOPELESS = -20.0
 """Logarithm of the chance that is left where nothing can be joined any more."""
 _UNHANDLED = -8.0
@@ -134,11 +137,15 @@ class RelationalPolicy:
             pairs = self._hopeful(situation, values, pairs)
         out = np.where(mask, pairs[..., None, None] + _UNHANDLED, -np.inf).astype(np.float32)
         flat = pairs.ravel()
+        found = np.full(_ENOUGH, -np.inf)
         for index in np.argsort(-flat, kind="stable")[:_HANDLED]:
-            if flat[index] > -np.inf:
-                u, v, k, l = (int(i) for i in np.unravel_index(index, pairs.shape))  # noqa: E741
-                chance = grasping.log_chance(hands, handling_of(situation, u, k, v, l))
-                out[u, v, k, l] = np.where(mask[u, v, k, l], flat[index] + chance, -np.inf)
+            # No hands make an action surer than its pair is.
+            if flat[index] == -np.inf or found[0] > flat[index] - _HARDLY:
+                break
+            u, v, k, l = (int(i) for i in np.unravel_index(index, pairs.shape))  # noqa: E741
+            chance = grasping.log_chance(hands, handling_of(situation, u, k, v, l))
+            out[u, v, k, l] = np.where(mask[u, v, k, l], flat[index] + chance, -np.inf)
+            found = np.sort([*found, *out[u, v, k, l].ravel()])[-_ENOUGH:]
         return np.round(out, _DECIMALS)
 
     def _hopeful(self, situation: Situation, values: Values, pairs: np.ndarray) -> np.ndarray:
