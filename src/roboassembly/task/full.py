@@ -33,7 +33,7 @@ from roboassembly.task.taking import can_fetch, fetch
 
 BUDGET = Budget(states=8_000)
 """Of each path."""
-_MEETINGS = 4
+_MEETINGS = 6
 """Meetings that are driven to, and gone on from, before giving up."""
 _REMEMBERED = 20_000
 """Hands at groups."""
@@ -53,7 +53,7 @@ class FullVerdict(StrEnum):
     JOINT_BLOCKED = "joint_blocked"
     """The groups or the hands are in each other's way at the joint, or on every straight way into it."""
     CANNOT_LET_GO = "cannot_let_go"
-    """The hand of R_a could not leave the merged group."""
+    """The hand of R_a, or of R_b once the other is gone, could not leave the merged group."""
     NO_ARM_SOLUTION = "no_arm_solution"
     NO_PATH = "no_path"
     NO_STAND = "no_stand"
@@ -286,7 +286,8 @@ class FullTask:
         hands = (held, None) if robot == 0 else (None, held)
         if next(self._ways(one, two, merge, *hands), None) is None:
             return False
-        return robot == 1 or can_let_go(self.furniture, merge.merged, held.moved(merge.furniture_from_u))
+        merged_from_own = merge.furniture_from_u if robot == 0 else merge.furniture_from_v
+        return can_let_go(self.furniture, merge.merged, held.moved(merged_from_own))
 
     def _ways(self, one: Group, two: Group, merge: Merge, hold_a: Hold | None, hold_b: Hold | None) -> Iterator[Way]:
         u_placed, v_placed = one.moved_to(merge.furniture_from_u), two.moved_to(merge.furniture_from_v)
@@ -301,6 +302,8 @@ class FullTask:
         in_b = hold_b.moved(merge.furniture_from_v)
         if not can_let_go(self.furniture, merge.merged, hold_a.moved(merge.furniture_from_u), in_b.hand(hold_b.closed)):
             return Refusal(FullVerdict.CANNOT_LET_GO, "back off from u")
+        if not can_let_go(self.furniture, merge.merged, in_b):
+            return Refusal(FullVerdict.CANNOT_LET_GO, "back off")
         return Joint(merge, one, two, hold_a, hold_b, tuple(ways))
 
     def _carried_out(self, legs: Legs, state: FullState, joint: Joint) -> FullState:
@@ -318,7 +321,7 @@ class FullTask:
             before = legs.reached
             try:
                 if join(legs, meeting):
-                    part(legs, joint.merge.merged, *joint.hands)
+                    part(legs, meeting, joint.merge.merged, *joint.hands)
                     break
             except LegError as no:
                 # From here R_a does not get away, from elsewhere it may.

@@ -29,8 +29,8 @@ LIFT = 0.06
 """Metres that a group rises straight from its post before anything else, and sinks onto it."""
 BACK = 0.10
 """Metres that an open hand comes and goes straight."""
-_TRIES = 12
-"""Of arm configurations handed to the planner, the nearest first."""
+TRIES = 12
+"""Ways to stand at a pose to which the planner looks for a path."""
 _PARKINGS = 12
 """Places to drive to afterwards that are tried."""
 
@@ -103,18 +103,22 @@ class Legs:
         self.legs.append(leg)
         self.moment = leg.after
 
-    def ways_to_stand(self, world: RobotWorld, tips: SE3, near: Configuration, leg: str) -> Iterator[Configuration]:
-        """Free configurations with the finger tips there, the nearest first.
+    def ways_to_stand(
+        self, world: RobotWorld, tips: SE3, near: Configuration, leg: str, draws: int = 1
+    ) -> Iterator[Configuration]:
+        """Free configurations with the finger tips there, the nearest of each draw of `GUESSES` first.
 
         Raises:
             LegError: there is none.
         """
-        found = reach(tips, GUESSES, self.rng).configurations
-        free = found[world.free(found)] if len(found) else found
-        if not len(free):
+        none = True
+        for _ in range(draws):
+            found = reach(tips, GUESSES, self.rng).configurations
+            free = found[world.free(found)] if len(found) else found
+            none = none and not len(free)
+            yield from free[np.argsort(np.linalg.norm(free[:, :2] - near[:2], axis=1))]
+        if none:
             raise LegError(Obstacle.NO_ARM_SOLUTION, leg)
-        order = np.argsort(np.linalg.norm(free[:, :2] - near[:2], axis=1))
-        return iter(free[order[:_TRIES]])
 
     def back(self, world: RobotWorld, at: Configuration) -> Path | None:
         """Straight back out of a grasp, driving or from where the platform stands."""

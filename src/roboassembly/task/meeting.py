@@ -6,14 +6,16 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from jaxtyping import Float
 
 from roboassembly.planning.robot_path import Path, line, path_is_free
+from roboassembly.planning.robot_world import RobotWorld
 from roboassembly.poses import SE3, align_axis, turn_about_vertical
 from roboassembly.robots.kinematics import Poses
 from roboassembly.robots.reach import nearness, reach
 from roboassembly.task.groups import Group, hull_points
 from roboassembly.task.joining import Hold, Way
-from roboassembly.task.legs import GUESSES, TUCKED, LegError, Legs, Obstacle
+from roboassembly.task.legs import GUESSES, TUCKED, Legs
 from roboassembly.task.moments import Configuration, Grip, Robot
 
 _SPINS = 16
@@ -24,6 +26,8 @@ _MEETINGS = 6
 """Poses to meet in that are looked at, those that both arms reach best first."""
 _PLACES_OF_B, _PLACES_OF_A = 3, 4
 """Ways to stand at a meeting that are tried."""
+_BEYOND = (0.4, 0.15, 0.0)
+"""Metres beyond the end of the way into a joint from which R_a comes, if it can: paths end where there is room."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,12 +40,15 @@ class Meeting:
     b: Configuration
     out: Path
     """R_a's, out of the joint."""
+    back: Path
+    """Of R_a's empty hand, once both are joined."""
 
 
 def meetings(
     legs: Legs, hold_a: Hold, hold_b: Hold, u: Group, v: Group, ways: Sequence[Way], merged: Group
 ) -> Iterator[Meeting]:
-    """Ways to stand in which both hands, each with its group, have them joined, and R_a comes straight out.
+    """Ways to stand in which both hands, each with its group, have them joined, R_a comes straight out, and its empty
+    hand straight back; first one in each pose of the joint, since what is wrong with one often is with its like.
 
     Args:
         legs: so far.
@@ -57,22 +64,45 @@ def meetings(
     far = np.array([1e3, 0.0, 0.0, *TUCKED])
     absent = rest.with_robot(0, Robot(far, hold_a.closed, grip_a)).with_robot(1, Robot(far, hold_b.closed, grip_b))
     world_a, world_b = legs.world(absent, 0), legs.world(absent, 1)
-    for way, pose in _poses_to_meet(legs, hold_a, hold_b, ways, merged):
+    letting_go = absent.with_robot(0, Robot(far, hold_a.open)).with_robot(
+        1, Robot(far, hold_b.closed, Grip(merged, hold_b))
+    )
+
+    def of_pose(way: Way, pose: SE3) -> Iterator[Meeting]:
         b = reach(pose * hold_b.furniture_from_tips, GUESSES, legs.rng).configurations
         a = reach(pose * hold_a.furniture_from_tips, GUESSES, legs.rng).configurations
         b, a = (q[w.free(q)] if len(q) else q for q, w in ((b, world_b), (a, world_a)))
         if not len(a) or not len(b):
-            continue
+            return
         # The farther R_b stands from where R_a would, the less they are in each other's way.
         apart = np.linalg.norm(b[:, None, :2] - a[None, :, :2], axis=2).mean(axis=1)
         for at_b in b[np.argsort(-apart)[:_PLACES_OF_B]]:
-            world = legs.world(absent.moved(1, at_b), 0)
+            world, empty = legs.world(absent.moved(1, at_b), 0), legs.world(letting_go.moved(1, at_b), 0)
             free = a[world.free(a)]
             order = np.argsort(-np.linalg.norm(free[:, :2] - at_b[:2], axis=1))
             for at_a in free[order[:_PLACES_OF_A]]:
-                out = line(at_a, way.length * (pose.rotation @ way.direction))
-                if out is not None and path_is_free(world, out):
-                    yield Meeting(pose, at_a, at_b, out)
+                out = _way_out(world, at_a, pose.rotation @ way.direction, way.length)
+                back = None if out is None else legs.back(empty, at_a)
+                if out is not None and back is not None:
+                    yield Meeting(pose, at_a, at_b, out, back)
+
+    left = [of_pose(way, pose) for way, pose in _poses_to_meet(legs, hold_a, hold_b, ways, merged)]
+    while left:
+        for some in tuple(left):
+            meeting = next(some, None)
+            if meeting is None:
+                left.remove(some)
+            else:
+                yield meeting
+
+
+def _way_out(world: RobotWorld, at: Configuration, direction: Float[np.ndarray, "3"], length: float) -> Path | None:
+    """R_a's straight way out of a joint, as far as there is any use in it; None if there is none of the length."""
+    for beyond in _BEYOND:
+        out = line(at, (length + beyond) * direction)
+        if out is not None and path_is_free(world, out):
+            return out
+    return None
 
 
 def _poses_to_meet(
@@ -126,27 +156,24 @@ def join(legs: Legs, meeting: Meeting) -> bool:
     return False
 
 
-def part(legs: Legs, merged: Group, hold_a: Hold, hold_b: Hold) -> None:
+def part(legs: Legs, meeting: Meeting, merged: Group, hold_a: Hold, hold_b: Hold) -> None:
     """R_a opens its hand, backs off and drives away; R_b holds the merged group.
 
     Args:
         legs: so far; those of this are added.
+        meeting: in which they were joined.
         merged: both groups.
         hold_a: of it.
         hold_b: of it.
 
     Raises:
-        LegError: it cannot be.
+        LegError: R_a cannot drive away.
     """
     a, b = legs.moment.robots
     legs.moment = legs.moment.with_robot(1, replace(b, grip=Grip(merged, hold_b)))
     legs.moment = legs.moment.with_robot(0, Robot(a.at, hold_a.open))
-    world = legs.world(legs.moment, 0)
-    back = legs.back(world, a.at)
-    if back is None:
-        raise LegError(Obstacle.NO_PATH, "back off from u")
-    legs.add("back off from u", 0, back)
-    legs.park(0, world, "leave u")
+    legs.add("back off from u", 0, meeting.back)
+    legs.park(0, legs.world(legs.moment, 0), "leave u")
 
 
 def _is_in(group: Group, merged: Group) -> bool:

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import islice
 
 import numpy as np
 
 from roboassembly.planning.robot_path import Path, line, path_is_free
 from roboassembly.planning.robot_world import RobotWorld
 from roboassembly.task.joining import Hold
-from roboassembly.task.legs import BACK, LIFT, LegError, Legs, Obstacle
+from roboassembly.task.legs import BACK, LIFT, TRIES, LegError, Legs, Obstacle
 from roboassembly.task.moments import Grip, Moment, Robot
+
+_DRAWS = 3
+"""Times that ways to stand are looked for before there is none."""
 
 
 @dataclass(eq=False)
@@ -45,7 +49,7 @@ def fetch(legs: Legs, robot: int, index: int, hold: Hold, name: str) -> None:
     """
     taking = _taking(legs, robot, index, hold, name)
     before, loaded = taking.before, taking.loaded
-    for back, up in taking.tries:
+    for back, up in islice(taking.tries, TRIES):
         way = legs.go(taking.world, before.robots[robot].at, back[-1])
         if way is None:
             taking.failed = f"drive to {name}"
@@ -83,7 +87,7 @@ def _taking(legs: Legs, robot: int, index: int, hold: Hold, name: str) -> _Takin
     world, lifting = legs.world(before, robot), legs.world(loaded, robot)
 
     def tries() -> Iterator[tuple[Path, Path]]:
-        for at in legs.ways_to_stand(world, tips, before.robots[robot].at, f"grasp {name}"):
+        for at in legs.ways_to_stand(world, tips, before.robots[robot].at, f"grasp {name}", _DRAWS):
             back = line(at, -BACK * tips.rotation[:, 2])
             if back is None or not path_is_free(world, back):
                 taking.failed = f"approach {name}"
