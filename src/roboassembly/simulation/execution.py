@@ -38,6 +38,8 @@ _TORQUES = (87.0, 87.0, 87.0, 87.0, 12.0, 12.0, 12.0)
 _DAMPING_RATIO = 1.0
 _GRIP_WEIGHTS, _LIGHTEST_GRIP, _GRIP_FORCE = 10.0, 8.0, 40.0
 """Newtons of each finger; the hand's continuous limit is 70."""
+_YIELDING = 0.1
+"""Share of its stiffness that an arm keeps while its hand closes, so that the hand centres itself on what it holds."""
 _PAD_FRICTION = [1.0, 0.02, 0.001]
 """Rubber on wood: sliding, torsional [m], rolling [m]."""
 _CLIP = 0.03
@@ -212,9 +214,11 @@ class StepPhysics:
         weight = -self.model.opt.gravity[2] * self.model.body_mass[self._bodies[load]]
         limit = float(np.clip(_GRIP_WEIGHTS * weight, _LIGHTEST_GRIP, _GRIP_FORCE))
         self.model.actuator_forcerange[first : first + 2] = [-limit, limit]
+        self._stiffen(robot, _YIELDING)
         for _ in range(round(seconds / TIME_STEP)):
             self.data.ctrl[first : first + 2] = -0.02
             self._step()
+        self._stiffen(robot, 1.0)
         forces = self.pad_forces(robot, load)
         self.log.pad_force = max(self.log.pad_force, *forces)
         if min(forces) < 1.0:
@@ -223,6 +227,12 @@ class StepPhysics:
         self._weld(f"post{load}", False)
         self._held[robot].append(load)
         return True
+
+    def _stiffen(self, robot: int, share: float) -> None:
+        """Let the arm's joints hold with a share of their stiffness."""
+        joints = slice(self._controls(robot).stop - JOINTS, self._controls(robot).stop)
+        self.model.actuator_gainprm[joints, 0] = share * np.array(_GAINS)
+        self.model.actuator_biasprm[joints, 1] = -share * np.array(_GAINS)
 
     def pad_forces(self, robot: int, load: int) -> tuple[float, float]:
         """Newtons that each finger presses on a load."""

@@ -30,7 +30,8 @@ MOST_TRACKING = 0.005
 """Metres that finger tips may be off their path."""
 _LINES = ("approach", "lift", "mate", "back", "set")
 """First words of legs that are straight lines near other things, and gone slowly."""
-_SLOWLY = 0.3
+_SLOWLY, _LOADED = 0.3, 0.7
+"""Shares of the speed at which robots go elsewhere: on those legs, and with a group in the hand."""
 _AUDITED = 10
 """Every so many-th time step is checked."""
 
@@ -165,7 +166,8 @@ class _Execution:
 
     def _leg(self, leg: Leg) -> Ending:
         physics, first = self.physics, len(self.physics.log.tracking)
-        physics.follow(leg.robot, leg.path, _SLOWLY if leg.name.split()[0] in _LINES else 1.0)
+        speed = 1.0 if leg.moment.robots[leg.robot].grip is None else _LOADED
+        physics.follow(leg.robot, leg.path, _SLOWLY if leg.name.split()[0] in _LINES else speed)
         if max(physics.log.tracking[first:]) > MOST_TRACKING:
             return Ending.OFF_THE_PATH
         if self._touches(leg, np.array(physics.log.samples[first::_AUDITED])):
