@@ -199,15 +199,16 @@ def _clearance(points: Float[np.ndarray, "3 n"], opening: float, back: float = 0
     """
     bodies = _bodies(back)
     opened = opening * bodies.opens
-    p = points - opened[..., None]
-    out = np.maximum(bodies.low[..., None] - p, p - bodies.high[..., None]).max(axis=1)
+    middle, half = 0.5 * (bodies.low + bodies.high) + opened, 0.5 * (bodies.high - bodies.low)
+    beside = np.abs(points - middle[..., None]) - half[..., None]
+    out = np.maximum(np.maximum(beside[:, 0], beside[:, 1]), beside[:, 2])
     nearest = float(out.min(initial=_FAR))
     if nearest >= _NEAR:
         return nearest
     # Boxes tell what is near, the bodies' faces how near.
     close = out < _NEAR
     beyond = [
-        (normals @ p[i][:, close[i]] - offsets).max(axis=0).min(initial=_FAR)
+        (normals @ (points[:, close[i]] - opened[i][:, None]) - offsets).max(axis=0).min(initial=_FAR)
         for i, (normals, offsets) in enumerate(bodies.faces)
         if close[i].any()
     ]
