@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import weakref
-from itertools import pairwise
+from dataclasses import replace
+from itertools import pairwise, product
 
 import numpy as np
 import pytest
@@ -18,8 +19,9 @@ from roboassembly.solvers.options import grasping
 from roboassembly.solvers.search import SearchLimits, solve_full
 from roboassembly.task.full import FullOutcome, FullTask, FullVerdict, Joint
 from roboassembly.task.full_plan import FullState
-from roboassembly.task.legs import Legs
+from roboassembly.task.legs import LegError, Legs
 from roboassembly.task.moments import Leg
+from roboassembly.task.taking import _taking
 from shapes import GAP, RobotChecker, brick, furniture, pose
 
 LEGS = [
@@ -220,6 +222,38 @@ def test_without_a_budget_there_is_no_path(task: FullTask, start: FullState, mer
     assert outcome.planning_steps < merged.planning_steps
 
 
+def test_a_robot_that_stands_in_the_way_drives_elsewhere(task: FullTask, start: FullState, merged: FullOutcome) -> None:
+    assert merged.step is not None
+    action = merged.step.action
+    held = task.free_holds(start.groups, action[0])[action[4]]
+    index = next(i for i, s in enumerate(start.moment.standing) if action[0] in s.group.parts)
+    post = start.moment.standing[index].stand.top[:2]
+
+    def without_r_b_moving(state: FullState) -> bool:
+        legs = Legs(task.furniture, state.cell, state.moment, task.budget, np.random.default_rng(0))
+        try:
+            return next(_taking(legs, 0, index, held, "u").tries, None) is not None
+        except LegError:
+            return False
+
+    for angle, far in product(np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False), (0.45, 0.6)):
+        place = post + far * np.array([np.cos(angle), np.sin(angle)])
+        at = np.concatenate([place, start.moment.robots[1].at[2:]])
+        state = replace(start, moment=start.moment.moved(1, at))
+        if state.moment.world(task.furniture, 1).free(at[None])[0] and not without_r_b_moving(state):
+            break
+    else:
+        pytest.fail("R_b is nowhere in the way")
+    assert task.can_take(state, action[0], held, 0, 0), "that is for the other robot to see to"
+    outcome = task.step(state, action, 0)
+    assert outcome.verdict is FullVerdict.MERGED
+    assert [leg.robot for leg in outcome.legs if leg.name == "make way"] == [1]
+    for leg in outcome.legs:
+        own = leg.moment.robots[leg.robot]
+        checker = RobotChecker(leg.moment.around(task.furniture, leg.robot), own.held(task.furniture), own.opening)
+        assert not [q for q in dense(leg, 0.08) if checker.hits(q)], leg.name
+
+
 def test_options_pass_the_cheap_tests_and_name_the_split(task: FullTask, start: FullState) -> None:
     leaving, staying = stretcher_and_leg(task.furniture)
     assert {leaving, staying} <= partition_of(start.groups)
@@ -236,6 +270,10 @@ def test_the_search_assembles_a_stool_with_two_robots(stool: Furniture) -> None:
     result = solve_full(stool, 0)
     assert result.plan.success, result.reason
     assert len(result.plan.steps) == len(stool.parts) - 1
+    for step in result.plan.steps:
+        end = step.legs[-1].after
+        free = [end.world(stool, robot).free(end.robots[robot].at[None])[0] for robot in (0, 1)]
+        assert all(free), "a post rose where a robot stands"
     again = solve_full(stool, 0)
     assert [s.action for s in again.plan.steps] == [s.action for s in result.plan.steps]
     gone = solve_full(stool, 0, limits=SearchLimits(attempts=2))

@@ -252,9 +252,10 @@ def _rays(mesh: Mesh) -> Rays:
     return Rays(mesh)
 
 
-def free_place(wanted: Sequence[Float[np.ndarray, "2"]], radius: float, taken: Sequence[Circle]) -> np.ndarray | None:
-    """The first of the wanted places where a circle keeps clear of all others; None if there is none."""
-    for place in wanted:
-        if all(np.linalg.norm(place - c.center) > radius + c.radius + 0.5 * LANE for c in taken):
-            return place
-    return None
+def free_places(wanted: Sequence[Float[np.ndarray, "2"]], radius: float, taken: Sequence[Circle]) -> list[np.ndarray]:
+    """Those of the wanted places where a circle keeps clear of all others."""
+    return [
+        place
+        for place in wanted
+        if all(np.linalg.norm(place - c.center) > radius + c.radius + 0.5 * LANE for c in taken)
+    ]

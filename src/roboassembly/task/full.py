@@ -29,7 +29,7 @@ from roboassembly.task.moments import Leg, Moment, Robot, Standing
 from roboassembly.task.pairs import Merge
 from roboassembly.task.placing import set_down
 from roboassembly.task.rules import GRASPS, Rules
-from roboassembly.task.taking import can_fetch, fetch
+from roboassembly.task.taking import can_fetch, fetch_both
 
 BUDGET = Budget(states=8_000)
 """Of each path."""
@@ -313,23 +313,23 @@ class FullTask:
         if first is None:
             raise LegError(Obstacle.NO_ARM_SOLUTION, "mate")
         places = [s.stand.top[:2] for s in state.moment.standing]
-        for robot, group, held, name in ((0, joint.u, joint.hold_a, "u"), (1, joint.v, joint.hold_b, "v")):
-            index = next(i for i, s in enumerate(legs.moment.standing) if s.group.parts == group.parts)
-            fetch(legs, robot, index, held, name)
+        fetch_both(legs, ((joint.u, joint.hold_a, "u"), (joint.v, joint.hold_b, "v")))
         failed = LegError(Obstacle.NO_PATH, "drive u")
         for meeting in islice(chain([first], some), _MEETINGS):
             before = legs.reached
             try:
                 if join(legs, meeting):
                     part(legs, meeting, joint.merge.merged, *joint.hands)
+                    set_down(legs, places)
                     break
             except LegError as no:
-                # From here R_a does not get away, from elsewhere it may.
+                # From here R_a does not get away, or R_b, from elsewhere they may.
                 failed = no
                 legs.back_to(before)
+                if no.final:
+                    raise
         else:
             raise failed
-        set_down(legs, places)
         groups = TaskState(tuple(s.group for s in legs.moment.standing))
         return FullState(groups, legs.moment, state.cell)
 

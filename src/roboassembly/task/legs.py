@@ -46,11 +46,17 @@ class Obstacle(StrEnum):
 
 
 class LegError(Exception):
-    """A leg cannot be planned."""
+    """A leg cannot be planned.
 
-    def __init__(self, why: Obstacle, leg: str) -> None:
+    Args:
+        why: it cannot.
+        leg: its name.
+        final: whether other legs before it would not help.
+    """
+
+    def __init__(self, why: Obstacle, leg: str, *, final: bool = False) -> None:
         super().__init__(f"{leg}: {why}")
-        self.why, self.leg = why, leg
+        self.why, self.leg, self.final = why, leg, final
 
 
 class Legs:

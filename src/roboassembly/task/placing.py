@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import islice
 
 import numpy as np
@@ -12,18 +12,32 @@ from jaxtyping import Float
 from roboassembly.planning.robot_path import Path, line, path_is_free
 from roboassembly.planning.robot_world import RobotWorld
 from roboassembly.poses import SE3, align_axis, turn_about_vertical
-from roboassembly.task.cell import Stand, free_place, on_post, open_grasps, reach_from
+from roboassembly.task.cell import Stand, free_places, on_post, open_grasps, reach_from
 from roboassembly.task.groups import Group
-from roboassembly.task.joining import Hold
 from roboassembly.task.layout import group_footprint
-from roboassembly.task.legs import LIFT, TRIES, LegError, Legs, Obstacle
-from roboassembly.task.moments import Configuration, Robot, Standing
+from roboassembly.task.legs import LIFT, LegError, Legs, Obstacle
+from roboassembly.task.moments import Configuration, Moment, Robot, Standing
 from roboassembly.task.rules import UP_AXES
 
 _OUTWARD = (1.0, 1.15, 1.3)
 """Where a merged group may stand: as far from the middle as a post of before, or farther by so much."""
 _ROUNDS = 3
-"""Times that each way to stand is tried, turned otherwise."""
+"""Times that each way to stand is tried, turned otherwise and elsewhere."""
+_OF_ONE, _CARRIES = 3, 12
+"""Ways to come to one way to stand, and to all of them, to which the planner looks for a path."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Down:
+    """A way to set the group down, `set_down` without the drive and what follows."""
+
+    with_post: Moment
+    after: Moment
+    """The group on its post, the hand open and not yet gone."""
+    leaving: RobotWorld
+    above: Path
+    """Straight up from where the group stands."""
+    back: Path
 
 
 def set_down(legs: Legs, wanted: Sequence[Float[np.ndarray, "2"]]) -> None:
@@ -37,13 +51,20 @@ def set_down(legs: Legs, wanted: Sequence[Float[np.ndarray, "2"]]) -> None:
         LegError: it cannot be.
     """
     before = legs.reached
-    grip = before[0].robots[1].grip
-    assert grip is not None
-    failed = LegError(Obstacle.NO_STAND, "set down")
+    robot = legs.moment.robots[1]
     carrying = legs.world(legs.moment, 1)
-    for standing in _places(legs, grip.group, legs.moment.robots[1].at, wanted):
+    failed = LegError(Obstacle.NO_PATH, "set down")
+    for down in islice(_ways_down(legs, wanted), _CARRIES):
+        path = legs.go(carrying, robot.at, down.above[-1])
+        if path is None:
+            continue
+        legs.add("carry", 1, path)
+        legs.moment = replace(legs.moment, posts=down.with_post.posts)
+        legs.add("set down", 1, tuple(reversed(down.above)))
+        legs.moment = down.after.moved(1, legs.moment.robots[1].at)
+        legs.add("back off", 1, down.back)
         try:
-            _set_on(legs, standing, grip.hold, carrying)
+            legs.park(1, down.leaving, "leave")
         except LegError as no:
             failed = no
             legs.back_to(before)
@@ -52,54 +73,55 @@ def set_down(legs: Legs, wanted: Sequence[Float[np.ndarray, "2"]]) -> None:
     raise failed
 
 
-def _set_on(legs: Legs, standing: Standing, hold: Hold, carrying: RobotWorld) -> None:
-    """R_b sets what it holds down as it shall stand, and drives away.
+def _ways_down(legs: Legs, wanted: Sequence[Float[np.ndarray, "2"]]) -> Iterator[_Down]:
+    """Ways to set down what R_b holds, those first that leave most grasps open.
 
     Raises:
-        LegError: it cannot be; some legs may have been added.
+        LegError: there is none.
     """
-    robot = legs.moment.robots[1]
-    with_post = replace(legs.moment, posts=(*legs.moment.posts, standing.stand))
-    after = replace(legs.moment, standing=(*legs.moment.standing, standing))
-    after = after.with_robot(1, Robot(robot.at, hold.open))
-    if not legs.world(after, 0).free(after.robots[0].at[None])[0]:
-        # R_a stands where the post would rise.
-        raise LegError(Obstacle.NO_STAND, "set down")
-    lowering, leaving = legs.world(with_post, 1), legs.world(after, 1)
-
-    def ways() -> Iterator[tuple[Path, Path]]:
-        tips = standing.group.world_from_furniture * hold.furniture_from_tips
-        for at in legs.ways_to_stand(lowering, tips, robot.at, "set down"):
-            above = line(at, np.array([0.0, 0.0, LIFT]))
-            if above is None or not path_is_free(lowering, above):
-                continue
-            back = legs.back(leaving, at)
-            if back is not None:
-                yield above, back
-
-    for above, back in islice(ways(), TRIES):
-        path = legs.go(carrying, robot.at, above[-1])
-        if path is None:
-            continue
-        legs.add("carry", 1, path)
-        legs.moment = replace(legs.moment, posts=with_post.posts)
-        legs.add("set down", 1, tuple(reversed(above)))
-        legs.moment = after.moved(1, legs.moment.robots[1].at)
-        legs.add("back off", 1, back)
-        legs.park(1, leaving, "leave")
-        return
-    raise LegError(Obstacle.NO_PATH, "set down")
+    start, robot = legs.moment, legs.moment.robots[1]
+    grip = robot.grip
+    assert grip is not None
+    failed = LegError(Obstacle.NO_STAND, "set down", final=True)
+    found = False
+    for standing in _places(legs, grip.group, robot.at, wanted):
+        with_post = replace(start, posts=(*start.posts, standing.stand))
+        after = replace(start, standing=(*start.standing, standing)).with_robot(1, Robot(robot.at, grip.hold.open))
+        if not legs.world(after, 0).free(after.robots[0].at[None])[0]:
+            continue  # R_a stands where the post would rise
+        lowering, leaving = legs.world(with_post, 1), legs.world(after, 1)
+        tips = standing.group.world_from_furniture * grip.hold.furniture_from_tips
+        ways = 0
+        try:
+            for at in legs.ways_to_stand(lowering, tips, robot.at, "set down"):
+                above = line(at, np.array([0.0, 0.0, LIFT]))
+                if above is None or not path_is_free(lowering, above):
+                    continue
+                back = legs.back(leaving, at)
+                if back is None:
+                    continue
+                found = True
+                yield _Down(with_post, after, leaving, above, back)
+                ways += 1
+                if ways == _OF_ONE:
+                    break
+        except LegError as none:
+            failed = LegError(none.why, none.leg, final=True)
+        else:
+            failed = LegError(Obstacle.NO_PATH, "set down", final=True)
+    if not found:
+        raise failed
 
 
 def _places(
     legs: Legs, merged: Group, near: Configuration, wanted: Sequence[Float[np.ndarray, "2"]]
 ) -> Iterator[Standing]:
-    """Ways for the merged group to stand on a post, turned at random, each axis up once and then again, those of each
-    round first that leave most grasps open; finished furniture upright if it can."""
+    """Ways for the merged group to stand on a post, turned at random: each axis up once, and then again in another
+    place, those of each round first that leave most grasps open; finished furniture upright if it can."""
     taken = [group_footprint(legs.furniture, s.group) for s in legs.moment.standing]
     order = np.argsort([np.linalg.norm(p - near[:2]) for p in wanted])
     places = [wanted[o] * f for f in _OUTWARD for o in order]
-    for _ in range(_ROUNDS):
+    for round_ in range(_ROUNDS):
         found: list[tuple[float, Group, Stand]] = []
         for w in legs.rng.permutation(len(UP_AXES)):
             turn = turn_about_vertical(legs.rng.uniform(-np.pi, np.pi)) @ align_axis(UP_AXES[w], UP_AXES[0])
@@ -108,9 +130,9 @@ def _places(
                 upright = w == 0 and len(merged.parts) == len(legs.furniture.parts)
                 found.append((float(upright) + open_grasps(legs.furniture, *held), *held))
         for _, group, stand in sorted(found, key=lambda item: -item[0]):
-            place = free_place(places, reach_from(legs.furniture, group, stand), taken)
-            if place is None:
+            fit = free_places(places, reach_from(legs.furniture, group, stand), taken)
+            if not fit:
                 continue
-            shift = np.array([*place, 0.0])
+            shift = np.array([*fit[round_ % len(fit)], 0.0])
             moved = SE3(np.eye(3), shift) * group.world_from_furniture
             yield Standing(group.moved_to(moved), Stand(stand.top + shift))

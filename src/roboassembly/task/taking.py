@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
 
@@ -10,12 +10,18 @@ import numpy as np
 
 from roboassembly.planning.robot_path import Path, line, path_is_free
 from roboassembly.planning.robot_world import RobotWorld
+from roboassembly.robots.body import DOF
+from roboassembly.task.groups import Group
 from roboassembly.task.joining import Hold
 from roboassembly.task.legs import BACK, LIFT, TRIES, LegError, Legs, Obstacle
 from roboassembly.task.moments import Grip, Moment, Robot
 
 _DRAWS = 3
 """Times that ways to stand are looked for before there is none."""
+_MAKING_WAY = 3
+"""Times that the other robot drives elsewhere."""
+_AWAY = np.array([1e3, *[0.0] * (DOF - 1)])
+"""Where a robot is in nobody's way."""
 
 
 @dataclass(eq=False)
@@ -34,7 +40,60 @@ class _Taking:
     """The leg that the last try failed in."""
 
 
-def fetch(legs: Legs, robot: int, index: int, hold: Hold, name: str) -> None:
+def fetch_both(legs: Legs, wanted: Sequence[tuple[Group, Hold, str]]) -> None:
+    """R_a takes one standing group, R_b another one, in the order that works.
+
+    Args:
+        legs: so far; those of this are added.
+        wanted: R_a's group, how it is held, and its name for the legs; then R_b's.
+
+    Raises:
+        LegError: it cannot be.
+    """
+    before = legs.reached
+    try:
+        for robot in (0, 1):
+            _fetch_past(legs, robot, *wanted[robot])
+    except LegError as no:
+        legs.back_to(before)
+        if no.final:
+            raise
+        try:
+            for robot in (1, 0):
+                _fetch_past(legs, robot, *wanted[robot])
+        except LegError:
+            # Of two failures the one in the usual order is told.
+            raise no from None
+
+
+def _fetch_past(legs: Legs, robot: int, group: Group, hold: Hold, name: str) -> None:
+    """Take a standing group; if the other robot stands in the way, and holds nothing, it drives elsewhere.
+
+    Raises:
+        LegError: it cannot be.
+    """
+    index = _index(legs, group)
+    before, other = legs.reached, 1 - robot
+    for left in reversed(range(_MAKING_WAY + 1)):
+        try:
+            _fetch(legs, robot, index, hold, name)
+        except LegError as no:
+            legs.back_to(before)
+            if left == 0 or legs.moment.robots[other].grip is not None:
+                raise
+            if not can_fetch(legs, robot, index, hold):
+                raise LegError(no.why, no.leg, final=True) from None
+            legs.park(other, legs.world(legs.moment, other), "make way")
+        else:
+            return
+
+
+def _index(legs: Legs, group: Group) -> int:
+    """Of a group among those that stand."""
+    return next(i for i, s in enumerate(legs.moment.standing) if s.group.parts == group.parts)
+
+
+def _fetch(legs: Legs, robot: int, index: int, hold: Hold, name: str) -> None:
     """Drive to a standing group, take it and lift it from its post, which sinks into the floor.
 
     Args:
@@ -65,11 +124,16 @@ def fetch(legs: Legs, robot: int, index: int, hold: Hold, name: str) -> None:
 
 
 def can_fetch(legs: Legs, robot: int, index: int, hold: Hold) -> bool:
-    """Whether a standing group can be taken and lifted, wherever the robot comes from; as `fetch`."""
+    """Whether a standing group can be taken and lifted, wherever the robot comes from and the other one is."""
+    before, other = legs.moment, 1 - robot
+    away = before.robots[other].at + _AWAY
+    legs.moment = before.moved(other, away)
     try:
         return next(_taking(legs, robot, index, hold, "").tries, None) is not None
     except LegError:
         return False
+    finally:
+        legs.moment = before
 
 
 def _taking(legs: Legs, robot: int, index: int, hold: Hold, name: str) -> _Taking:
