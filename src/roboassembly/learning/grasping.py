@@ -46,13 +46,6 @@ def apply(p: Params, one: Array, two: Array) -> tuple[Array, Array]:
     return mlp(p["take"], one)[..., 0], together
 
 
-def log_room(p: Params, handling: Handling) -> float:
-    """Logarithm of the chance that the two hands most likely to have room at the pair have it, wherever the groups
-    wait; -inf without grasps."""
-    _, together = apply(p, handling.one[None], handling.two[None])
-    return float(np.where(handling.there, -np.logaddexp(0.0, -together[0, ..., 0]), -np.inf).max())
-
-
 def log_chance(p: Params, handling: Handling) -> Float32[np.ndarray, "8 8"]:
     """Logarithm of the chance that each pair of hands can join the pair; -inf where a grasp does not exist."""
     take, together = (-np.logaddexp(0.0, -logits[0]) for logits in apply(p, handling.one[None], handling.two[None]))

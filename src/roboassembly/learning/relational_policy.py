@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -35,15 +34,6 @@ _HANDLED = 12
 _ENOUGH, _HARDLY = 5, 0.03
 """With so many actions of which the logarithms of their chances are less than this below what any hands could make of
 the next pair, that one is not looked at."""
-_ROOMY, _LOOKED_AT = -0.2, 4
-"""Logarithm of the chance of room for hands from which on no more is looked for; and pairs of a group, the likeliest
-ones, among which it is looked for."""
-_PLAUSIBLE = -2.0
-"""Logit of the least likely of them."""
-_HOPEFUL = -0.3
-"""Logarithm of the chance of a merge and of what is left then, from which on no others are imagined."""
-_IMAGINED = 10
-"""Merges of which it is imagined with robots what is left."""
 _HOPELESS = -20.0
 """Logarithm of the chance that is left where nothing can be joined any more."""
 _UNHANDLED = -8.0
@@ -144,7 +134,7 @@ class RelationalPolicy:
         """Of actions with two grasps: that the pair is good, that something good is left then, that the hands fit."""
         pairs = -np.logaddexp(0.0, -values.max(axis=-1))
         if self.ahead > 1:
-            pairs = self._hopeful(situation, values, pairs, hands)
+            pairs = self._hopeful(situation, values, pairs)
         out = np.where(mask, pairs[..., None, None] + _UNHANDLED, -np.inf).astype(np.float32)
         flat = pairs.ravel()
         found = np.full(_ENOUGH, -np.inf)
@@ -158,18 +148,13 @@ class RelationalPolicy:
             found = np.sort([*found, *out[u, v, k, l].ravel()])[-_ENOUGH:]
         return np.round(out, _DECIMALS)
 
-    def _hopeful(self, situation: Situation, values: Values, pairs: np.ndarray, hands: Params) -> np.ndarray:
+    def _hopeful(self, situation: Situation, values: Values, pairs: np.ndarray) -> np.ndarray:
         """With what is left after the best merge of each two groups added to all their pairs."""
         group = situation.group
         hopes: dict[frozenset[int], float] = {}
-        best = -np.inf
-        for number, action in enumerate(_candidates(values, group, _IMAGINED)):
-            if number >= self.ahead and best > _HOPEFUL:
-                break
+        for action in _candidates(values, group, self.ahead):
             plan = self._imagined(_Plan(situation, values), action, 0.0, frozenset())
-            hope = max(min(plan.hope, self._room_left(plan, hands)), _HOPELESS)
-            hopes[frozenset((int(group[action[0]]), int(group[action[1]])))] = hope
-            best = max(best, hope + float(pairs[action[:4]]))
+            hopes[frozenset((int(group[action[0]]), int(group[action[1]])))] = max(plan.hope, _HOPELESS)
         # Nobody looked at the others because they are worse.
         out = pairs + min(hopes.values(), default=0.0)
         for two, hope in hopes.items():
@@ -177,26 +162,6 @@ class RelationalPolicy:
             here = np.isin(group, one)[:, None] & np.isin(group, other)[None]
             out = np.where((here | here.T)[..., None, None], pairs + hope, out)
         return out
-
-    def _room_left(self, plan: _Plan, hands: Params) -> float:
-        """Logarithm of the chance that hands can still join each group to some other: of the worst one.
-
-        Groups only grow, so that hands which have no room at a joint now will never have any.
-        """
-        s, values = plan.situation, plan.values.max(axis=-1)
-        likely = np.flatnonzero(values > _PLAUSIBLE)
-        room: dict[int, list[float]] = {}
-        for flat in likely[np.argsort(-values.ravel()[likely], kind="stable")]:
-            u, v, k, l = (int(i) for i in np.unravel_index(flat, values.shape))  # noqa: E741
-            if u > v:
-                continue  # the same joint with the robots swapped
-            of_groups = [room.setdefault(int(s.group[part]), []) for part in (u, v)]
-            if all(len(known) >= _LOOKED_AT or max(known, default=-np.inf) > _ROOMY for known in of_groups):
-                continue
-            found = self.memory.get(_key(s, u, k, v, l), lambda: grasping.log_room(hands, handling_of(s, u, k, v, l)))  # noqa: B023
-            for known in of_groups:
-                known.append(found)
-        return min((max(known) for known in room.values() if known), default=0.0)
 
     def _plan(self, start: _Plan) -> Int[np.ndarray, "5"]:
         """Beam search in imagination: `depth` merges deep, `ahead` plans wide."""
@@ -260,17 +225,6 @@ def _candidates(values: Values, group: Int[np.ndarray, "P"], count: int) -> list
         action = tuple(int(i) for i in np.unravel_index(flat, values.shape))
         out.setdefault(frozenset((int(group[action[0]]), int(group[action[1]]))), action)
     return list(out.values())
-
-
-def _key(s: Situation, u: int, k: int, v: int, l: int) -> bytes:  # noqa: E741
-    """Of all that tells whether hands have room at a joint."""
-    digest = hashlib.blake2b(digest_size=16)
-    for part, point in ((u, k), (v, l)):
-        members = np.flatnonzero(s.group == s.group[part])
-        for array in (s.clouds[members], s.connections[part, members].round(4), s.hands[part], s.points[part, point]):
-            digest.update(array.tobytes())
-        digest.update(s.poses[part, 3:].tobytes())
-    return digest.digest()
 
 
 def _log_sigmoid(logit: float) -> float:
