@@ -40,9 +40,9 @@ class Multitask:
     """The first so many chairs of the set only."""
     extra: int | None = None
     """Generated pieces besides: chairs of the same families, and others to practise on (relational); 6,000, with robots
-    240."""
-    plays: int = 1
-    """Of each piece in each round (relational)."""
+    400."""
+    plays: int | None = None
+    """Of each piece in each round (relational): 1, with robots 4."""
     rounds: int | None = None
     """Of the policy's own plays (relational): 0, with robots 1."""
     setting: Setting = "object-centric"
@@ -70,7 +70,7 @@ class Multitask:
         if (
             self.seed < 0
             or min(self.extra or 0, self.rounds or 0) < 0
-            or min(self.plays, self.jobs, self.round_steps) < 1
+            or min(1 if self.plays is None else self.plays, self.jobs, self.round_steps) < 1
         ):
             raise InputError("--seed, --extra, --rounds take 0 or more, --plays, --round-steps and --jobs 1 or more")
         if 0 in (self.limit, self.steps) or min(self.limit or 1, self.steps or 1) < 1:
@@ -93,7 +93,7 @@ class Multitask:
         usual = Curriculum.with_hands() if self.setting == "full" else Curriculum()
         curriculum = replace(
             usual, set=self.set, limit=self.limit, extra=usual.extra if self.extra is None else self.extra,
-            plays=self.plays, rounds=usual.rounds if self.rounds is None else self.rounds,
+            plays=self.plays or usual.plays, rounds=usual.rounds if self.rounds is None else self.rounds,
             steps=self.steps or usual.steps, round_steps=self.round_steps, seed=self.seed,
             start=self.start or usual.start,
         )  # fmt: skip

@@ -82,7 +82,7 @@ class Benchmark:
         experts = ExpertTraining(steps=1_600, least_steps=400, setting=setting)
         relational = Curriculum(extra=1, validation=1, steps=40, network=_TINY)
         if setting == "full":
-            relational = replace(Curriculum.with_hands(), extra=0, validation=0, steps=2, grasp_steps=40)
+            relational = replace(Curriculum.with_hands(), extra=0, validation=0, plays=1, steps=2, grasp_steps=40)
         return Benchmark(
             setting, set="chairs-24", train_limit=3, test_limit=2 if setting == "full" else 3, shipped=False, seed=seed,
             schooling=Schooling(autoencoder.Training(steps=40), 4, experts, plays=8 if setting == "full" else 2),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from itertools import cycle, islice
@@ -80,11 +80,11 @@ def hands_of(folder: Path) -> Path:
 
 def gather(
     names: Sequence[str], folder: Path, *, plays: int, seed: int, jobs: int, student: Path | None = None,
-    setting: SettingName = "object-centric",
+    setting: SettingName = "object-centric", with_grasps: Collection[str] = (),
 ) -> Iterator[Gathered]:  # fmt: skip
     """Write the lessons of generated chairs, those that are there already excepted; yields as chairs are done.
 
-    In the full setting there are lessons of grasps besides (`hands_of`).
+    In the full setting there may be lessons of grasps besides (`hands_of`); they take several times as long.
 
     Args:
         names: `family:seed` of each.
@@ -94,14 +94,21 @@ def gather(
         jobs: chairs at a time.
         student: checkpoint of the relational policy that moves; random good moves without.
         setting: whose rules are taught. Furniture that does not suit robots gives no lessons in the full one.
+        with_grasps: names of those of which there are lessons of grasps, of one play each.
     """
     (hands_of(folder) if setting == "full" else folder).mkdir(parents=True, exist_ok=True)
     left = [name for name in names if not file_of(folder, name).is_file()]
-    work = partial(_gather, folder=folder, plays=plays, seed=seed, student=student, setting=setting)
+    work = partial(
+        _gather, folder=folder, plays=plays, seed=seed, student=student, setting=setting,
+        with_grasps=frozenset(with_grasps),
+    )  # fmt: skip
     yield from as_done(work, left, jobs)
 
 
-def _gather(name: str, *, folder: Path, plays: int, seed: int, student: Path | None, setting: SettingName) -> Gathered:
+def _gather(
+    name: str, *, folder: Path, plays: int, seed: int, student: Path | None, setting: SettingName,
+    with_grasps: frozenset[str],
+) -> Gathered:  # fmt: skip
     begun = time.monotonic()
     family, _, number = name.partition(":")
     try:
@@ -123,8 +130,8 @@ def _gather(name: str, *, folder: Path, plays: int, seed: int, student: Path | N
         mistakes, choices = mistakes + play.mistakes, choices + len(play.lessons)
         for lesson in (*play.lessons, *play.dead_ends):
             found.setdefault(lesson.group.tobytes(), lesson)
-    if isinstance(oracle, HandOracle):
-        hands = GraspTeacher(oracle.full, _TRIES, oracle).course(np.random.default_rng([seed, int(number)]), plays)
+    if isinstance(oracle, HandOracle) and name in with_grasps:
+        hands = GraspTeacher(oracle.full, _TRIES, oracle).course(np.random.default_rng([seed, int(number)]), 1)
         hands.save(file_of(hands_of(folder), name))
     replace(teacher.course, name=name, lessons=tuple(found.values())).save(file_of(folder, name))
     return Gathered(name, len(found), mistakes, choices, time.monotonic() - begun)

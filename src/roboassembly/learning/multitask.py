@@ -65,7 +65,7 @@ class Curriculum:
     validation: int = 60
     """Pieces of neither on which progress is told."""
     plays: int = 1
-    """Of each piece, in each round."""
+    """Of each piece, in each round; with hands, of lessons of pairs."""
     rounds: int = 0
     """Of aggregation, after the first; with hands, of what its own plays tell of them."""
     steps: int = 16_000
@@ -85,7 +85,9 @@ class Curriculum:
     @staticmethod
     def with_hands() -> Curriculum:
         """What the shipped policy learns besides to play with robots."""
-        return Curriculum(extra=240, rounds=1, steps=4_000, learning_rate=5e-4, setting="full", start="relational")
+        return Curriculum(
+            extra=400, plays=4, rounds=1, steps=8_000, learning_rate=5e-4, setting="full", start="relational"
+        )
 
 
 def teach(curriculum: Curriculum, folder: Path, jobs: int) -> Iterator[Progress]:
@@ -114,7 +116,8 @@ def teach(curriculum: Curriculum, folder: Path, jobs: int) -> Iterator[Progress]
     full = curriculum.setting == "full"
     for round_ in range(1 if full else curriculum.rounds + 1):
         lessons = folder / "lessons" / str(round_)
-        yield from _gathered(f"lessons {round_}", names, lessons, curriculum, jobs, last)
+        with_grasps = [p.name for p in picks] if full else []
+        yield from _gathered(f"lessons {round_}", names, lessons, curriculum, jobs, last, with_grasps)
         path = folder / f"policy-{round_}.npz"
         steps = curriculum.round_steps if round_ else curriculum.steps
         examples += imitation.load_examples(lessons, names, jobs)
@@ -147,7 +150,7 @@ def _taught_hands(
             there = sum(file_of(lessons[-1], name).is_file() for name in names)
             mistakes = tried = 0
             player = folder / f"player-{round_}.npz"
-            practice = practise(names, lessons[-1], player, plays=c.plays, seed=c.seed + round_, jobs=jobs)
+            practice = practise(names, lessons[-1], player, plays=1, seed=c.seed + round_, jobs=jobs)
             for done, g in enumerate(practice, 1):
                 mistakes, tried = mistakes + g.mistakes, tried + g.choices
                 scalars = {"mistakes": mistakes / max(tried, 1)}
@@ -196,12 +199,14 @@ def _taught_grasps(
 
 
 def _gathered(
-    stage: str, names: Sequence[str], folder: Path, c: Curriculum, jobs: int, student: Path | None
-) -> Iterator[Progress]:
+    stage: str, names: Sequence[str], folder: Path, c: Curriculum, jobs: int, student: Path | None,
+    with_grasps: Sequence[str] = (),
+) -> Iterator[Progress]:  # fmt: skip
     there = sum(file_of(folder, name).is_file() for name in names)
     mistakes = choices = 0
     gathering = gather(
-        names, folder, plays=c.plays, seed=c.seed, jobs=jobs, student=student, setting=c.setting
+        names, folder, plays=c.plays, seed=c.seed, jobs=jobs, student=student, setting=c.setting,
+        with_grasps=with_grasps,
     )  # fmt: skip
     for done, g in enumerate(gathering, 1):
         mistakes, choices = mistakes + g.mistakes, choices + g.choices
