@@ -7,9 +7,9 @@ from jaxtyping import Bool
 
 from roboassembly.poses import SE3
 from roboassembly.solvers.blocking import Parts
-from roboassembly.solvers.options import fitting
+from roboassembly.solvers.options import End, fitting
 from roboassembly.solvers.oracle import Oracle
-from roboassembly.task.full import FullTask
+from roboassembly.task.full import FullTask, Joint
 from roboassembly.task.groups import Group, TaskState
 from roboassembly.task.object_centric import ObjectCentricTask
 from roboassembly.task.rules import UP_AXES
@@ -26,6 +26,8 @@ class HandOracle(Oracle):
         super().__init__(ObjectCentricTask(task.furniture))
         self.full = task
         self._held: dict[tuple[Parts, Parts], bool] = {}
+        self._worked: dict[frozenset[End], tuple[int, int]] = {}
+        """Of two points the hands that joined them last, at the part that comes first."""
 
     def ways(self, moving: Parts, waiting: Parts) -> Bool[np.ndarray, "6"]:
         """Whether R_a can bring `moving` to `waiting`, which R_b holds; six times the same."""
@@ -43,7 +45,22 @@ class HandOracle(Oracle):
             elif c.part_b in moving and c.part_a in waiting:
                 pairs.append((b, a))
         state = TaskState((self._group(moving), self._group(waiting)))
-        return next(fitting(self.full, state, pairs, in_turn=True), None) is not None
+        if any(self._again(state, one, two) for one, two in pairs):
+            return True
+        found = next(fitting(self.full, state, pairs, in_turn=True), None)
+        if found is not None:
+            u, v, k, m, g_a, g_b = found
+            self._worked[frozenset(((u, k), (v, m)))] = (g_a, g_b) if u < v else (g_b, g_a)
+        return found is not None
+
+    def _again(self, state: TaskState, one: End, two: End) -> bool:
+        """Whether the hands that joined two points before do so here: a hand that has room in one group mostly has in
+        its like."""
+        worked = self._worked.get(frozenset((one, two)))
+        if worked is None:
+            return False
+        g_a, g_b = worked if one[0] < two[0] else worked[::-1]
+        return isinstance(self.full.joint(state, (one[0], two[0], one[1], two[1], g_a, g_b)), Joint)
 
     def _group(self, slots: Parts) -> Group:
         """Parts in their own slots."""
