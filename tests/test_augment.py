@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from roboassembly.envs.observation import surface_points
+from roboassembly.envs.observation import Observer, surface_points
 from roboassembly.furniture import catalogue
+from roboassembly.furniture.model import MAX_POINTS
 from roboassembly.learning.augment import changed
 from roboassembly.learning.batches import pad
 from roboassembly.learning.features import of_ways
@@ -20,12 +21,13 @@ from roboassembly.task.rules import UP_AXES
 
 @pytest.fixture(scope="module")
 def course() -> Course:
-    furniture = catalogue.make("three_legged", 1)
+    furniture = catalogue.make("three_legged", 1, with_grasps=True)
     clouds = np.array([surface_points(p.mesh, 96) for p in furniture.parts], np.float32)
+    hands = Observer(furniture, len(furniture.parts), MAX_POINTS, 1).hands
     lessons = Teacher(furniture, clouds).play(np.random.default_rng(0)).lessons
     n = int(lessons[1].free.sum())
     valued = replace(lessons[1], values=np.random.default_rng(1).normal(size=(n, n, 6)).astype(np.float16))
-    return Course(furniture.name, clouds, (lessons[0], valued, *lessons[2:]))
+    return Course(furniture.name, clouds, (lessons[0], valued, *lessons[2:]), hands)
 
 
 def test_a_change_by_hand() -> None:
@@ -66,12 +68,30 @@ def test_tokens_can_be_changed_without_the_clouds(course: Course, change: Change
     for before, after in zip(course.lessons, other.lessons, strict=True):
         told, wanted = seen(course.tokens(before), change), other.tokens(after)
         assert np.abs(told.patch.astype(int) - wanted.patch).max() <= 1
-        for name in set(Tokens.__dataclass_fields__) - {"patch"}:
+        for name in set(Tokens.__dataclass_fields__) - {"patch", "hold", "room"}:
             assert np.allclose(getattr(told, name), getattr(wanted, name), atol=1e-5), name
         _, good = answers(course.tokens(before), before)
         assert np.array_equal(answers(wanted, after)[1][:, :, ways_after(change)], good)
     with pytest.raises(ValueError, match="clouds"):
         seen(told, Change(scale=2.0))
+
+
+@pytest.mark.parametrize("change", VIEWS)
+def test_hands_are_mirrored_and_turned_with_the_parts(course: Course, change: Change) -> None:
+    other = changed(course, change)
+    assert course.hands is not None
+    assert other.hands is not None
+    there = course.hands.any(axis=2)
+    assert there.any()
+    assert np.array_equal(other.hands.any(axis=2), there)
+    np.testing.assert_allclose(other.hands[there][:, :3], course.hands[there][:, :3] @ change.matrix.T, atol=1e-6)
+    for before, after in zip(course.lessons, other.lessons, strict=True):
+        told, wanted = seen(course.tokens(before, hands=True), change), other.tokens(after, hands=True)
+        for a, b in ((told.hold, wanted.hold), (told.room, wanted.room)):
+            assert a is not None
+            assert b is not None
+            # The meshes of the two fingers are each other's mirror image but for a millimetre, a tenth of the scale.
+            np.testing.assert_allclose(a.astype(float), b.astype(float), atol=0.1 if change.mirrored else 2e-3)
 
 
 def test_sizes_scale_and_nothing_turns(course: Course) -> None:

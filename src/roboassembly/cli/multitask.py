@@ -42,7 +42,7 @@ class Multitask:
     """Generated pieces besides: chairs of the same families, and others to practise on (relational); 6,000, with robots
     400."""
     plays: int | None = None
-    """Of each piece in each round (relational): 1, with robots 4."""
+    """Of each piece in each round (relational): 1, with robots 3."""
     rounds: int | None = None
     """Of the policy's own plays (relational): 0, with robots 1."""
     setting: Setting = "object-centric"
@@ -50,7 +50,7 @@ class Multitask:
     start: str | None = None
     """Policy to begin with, `relational` or a checkpoint (relational); with robots `relational` if not given."""
     steps: int | None = None
-    """Updates: 16,000 (relational, in the first round; 4,000 with robots), 20,000 (paper)."""
+    """Updates: 16,000 (relational, in the first round; 8,000 with robots), 20,000 (paper)."""
     round_steps: int = 8_000
     """Updates in each later round (relational)."""
     lessons: tuple[Path, ...] = ()

@@ -73,6 +73,11 @@ class Observer:
                 hands = [hand_pose(grasp.position, grasp.closing, approach) for approach in grasp.approaches]
                 self._grasps[p, g] = [pose_to_euler(hand) for hand in hands]
 
+    @property
+    def hands(self) -> Float32[np.ndarray, "P 8 6"]:
+        """`grasp_regions`, of each part one grasp after another; 0 in furniture without grasps."""
+        return self._grasps.reshape(self._max_parts, -1, 6).copy()
+
     def observe(self, state: TaskState) -> Observation:
         """Fresh arrays; changing them changes nothing else."""
         poses = np.zeros((self._max_parts, 6), np.float32)

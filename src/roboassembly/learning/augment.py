@@ -15,7 +15,12 @@ from roboassembly.poses import euler_from_rotations, rotations_from_euler
 def changed(course: Course, change: Change) -> Course:
     """The same lessons about furniture so changed."""
     clouds = (change.scale * course.clouds @ change.matrix.T).astype(np.float32)
-    return replace(course, clouds=clouds, lessons=tuple(_lesson(lesson, change) for lesson in course.lessons))
+    hands = course.hands
+    if hands is not None:
+        # A hand is its own mirror image.
+        hands = _poses(hands, change.matrix, change.side, change.scale).astype(np.float32)
+    lessons = tuple(_lesson(lesson, change) for lesson in course.lessons)
+    return replace(course, clouds=clouds, hands=hands, lessons=lessons)
 
 
 def _lesson(lesson: Lesson, change: Change) -> Lesson:

@@ -26,7 +26,6 @@ from roboassembly.learning.lessons import CLOUD_POINTS, Course, Lesson
 from roboassembly.processes import as_done
 from roboassembly.task.full import FullTask
 from roboassembly.task.object_centric import ObjectCentricTask
-from roboassembly.task.rules import GRASPS
 
 _MARGIN = 0.06
 """Of Q, in shares of the best return: one merge is worth 0.05 to 0.25 of it."""
@@ -64,7 +63,6 @@ def expert_course(
     clouds = np.array([surface_points(p.mesh, CLOUD_POINTS) for p in parts], np.float32)
     observer = Observer(task.furniture, len(parts), MAX_POINTS, 1)
     lessons: list[Lesson] = []
-    hands: np.ndarray | None = None
     done = 0
     for index in range(plays):
         proof = index < proofs
@@ -73,9 +71,7 @@ def expert_course(
         if finished(moves, expert.chair):
             done += 1
             lessons += [_lesson(expert, task, observer, move) for move in moves]
-            if isinstance(task, FullTask):
-                hands = observer.observe(moves[0].state)["grasp_regions"].reshape(len(parts), GRASPS, 6)
-    return Course(name, clouds, tuple(lessons), hands), done
+    return Course(name, clouds, tuple(lessons), observer.hands if isinstance(task, FullTask) else None), done
 
 
 def _lesson(expert: Expert, task: ObjectCentricTask | FullTask, observer: Observer, move: Move) -> Lesson:

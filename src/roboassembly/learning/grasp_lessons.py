@@ -131,12 +131,9 @@ class GraspTeacher:
         furniture = self.task.furniture
         clouds = np.array([surface_points(p.mesh, CLOUD_POINTS) for p in furniture.parts], np.float32)
         lessons: list[GraspLesson] = []
-        hands = np.zeros((len(clouds), GRASPS, 6), np.float32)
         for _ in range(plays):
-            state = self.task.initial_state(rng)
-            hands = self._observer.observe(state.groups)["grasp_regions"].reshape(hands.shape)
-            lessons += self.play(state, rng)
-        return GraspCourse(furniture.name, clouds, hands, tuple(lessons))
+            lessons += self.play(self.task.initial_state(rng), rng)
+        return GraspCourse(furniture.name, clouds, self._observer.hands, tuple(lessons))
 
     def play(self, state: FullState, rng: np.random.Generator) -> Iterator[GraspLesson]:
         """One play, as far as it leads."""

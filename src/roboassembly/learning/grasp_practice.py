@@ -71,10 +71,10 @@ def _practise(name: str, *, folder: Path, policy: Path, plays: int, seed: int) -
         parts = task.furniture.parts
         clouds = np.array([surface_points(p.mesh, CLOUD_POINTS) for p in parts], np.float32)
         observer = Observer(task.furniture, len(parts), MAX_POINTS, 1)
+        hands = observer.hands
         for index in range(plays):
             rng = np.random.default_rng([seed, int(number), index])
             state = task.initial_state(rng)
-            hands = observer.observe(state.groups)["grasp_regions"].reshape(len(parts), GRASPS, 6)
             lessons += play(task, state, observer, guide_of(_policy(policy)), rng)
     GraspCourse(name, clouds, hands, tuple(lessons)).save(file_of(folder, name))
     mistakes = sum(not (lesson.rest == YES).any() for lesson in lessons)

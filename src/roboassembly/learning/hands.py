@@ -22,10 +22,10 @@ from roboassembly.task.rules import GRASPS
 
 ONE, TWO = 43, 9
 """Numbers that describe one hand at a joint, and two together."""
-_FAR = 0.05
+FAR = 0.05
 """Metres beyond which it does not matter how far something is from a hand."""
 _NEAR = 0.01
-_ARM, _ARM_FAR = ((0.13, 0.30), (0.30, 0.50)), 0.3
+ARM_STRETCHES, ARM_FAR = ((0.13, 0.30), (0.30, 0.50)), 0.3
 """Metres from the tips to where wrist and forearm begin and end; and from these to what does not matter to them."""
 _POST = 12
 """Points of a post that are looked at."""
@@ -96,12 +96,12 @@ def _held(s: Situation, part: int, turn: np.ndarray, shift: np.ndarray) -> _Held
     world = turn @ rotations_from_euler(s.poses[part, 3:]).T
     at, own = poses[:, :3] @ turn.T + shift, clouds[members == part][0]
     return _Held(
-        hands, at, poses.any(axis=1), _widths(hands, at, own), own, clouds[members != part].reshape(-1, 3),
+        hands, at, poses.any(axis=1), widths(hands, at, own), own, clouds[members != part].reshape(-1, 3),
         clouds.reshape(-1, 3), world,
     )  # fmt: skip
 
 
-def _widths(turn: np.ndarray, at: np.ndarray, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "8"]:
+def widths(turn: np.ndarray, at: np.ndarray, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "8"]:
     """Metres between the pads of each hand, by the points that are between them."""
     local = np.einsum("gnj,gji->gni", points - at[:, None], turn)
     between = (np.abs(local[..., 0]) < _PAD) & (np.abs(local[..., 2]) < _PAD)
@@ -113,18 +113,18 @@ def _widths(turn: np.ndarray, at: np.ndarray, points: Float[np.ndarray, "n 3"]) 
 def _one(own: _Held, other: _Held, way: Float[np.ndarray, "3"], joint: Float[np.ndarray, "3"]) -> np.ndarray:
     """Of each hand of one group, while the other comes or waits; `way` is the one out of the joint."""
     wide = np.minimum(MAX_OPENING, own.width + WIDER)
-    clear, arm = np.full((GRASPS, 9), _FAR), np.full((GRASPS, 8), _ARM_FAR)
+    clear, arm = np.full((GRASPS, 9), FAR), np.full((GRASPS, 8), ARM_FAR)
     post = own.post()
     for g in np.flatnonzero(own.there).tolist():
-        held, rest, met = (_around(own, g, points) for points in (own.own, own.rest, other.whole))
-        clear[g, :3] = [_clearance(points, wide[g], RETREAT) for points in (held, rest, met)]
-        clear[g, 3:5] = _clearance(held, own.width[g] + _LOOSE), _clearance(rest, own.width[g])
-        clear[g, 5:] = [_clearance(met - out * (way @ own.turn[g])[:, None], own.width[g]) for out in _WAY]
+        held, rest, met = (around(own.turn[g], own.at[g], points) for points in (own.own, own.rest, other.whole))
+        clear[g, :3] = [clearance(points, wide[g], RETREAT) for points in (held, rest, met)]
+        clear[g, 3:5] = clearance(held, own.width[g] + _LOOSE), clearance(rest, own.width[g])
+        clear[g, 5:] = [clearance(met - out * (way @ own.turn[g])[:, None], own.width[g]) for out in _WAY]
         whole = np.concatenate([held, rest], axis=1)
         away = met - _WAY[-1] * (way @ own.turn[g])[:, None]
         below = own.turn[g].T @ (post - own.at[g]).T
-        arm[g] = [_from_arm(points, *stretch) for stretch in _ARM for points in (whole, met, away, below)]
-    clearance = np.concatenate([clear, clear[:, 5:].min(axis=1, keepdims=True)], axis=1)
+        arm[g] = [from_arm(points, *stretch) for stretch in ARM_STRETCHES for points in (whole, met, away, below)]
+    room = np.concatenate([clear, clear[:, 5:].min(axis=1, keepdims=True)], axis=1)
     approach, closing = own.turn[:, :, 2], own.turn[:, :, 1]
     low, high = own.whole.min(axis=0), own.whole.max(axis=0)
     middle, size, up = 0.5 * (low + high), float(np.linalg.norm(high - low)), own.world[:, 2]
@@ -133,9 +133,9 @@ def _one(own: _Held, other: _Held, way: Float[np.ndarray, "3"], joint: Float[np.
     level = from_middle - np.outer(from_middle @ up, up)
     outward = level / np.maximum(np.linalg.norm(level, axis=1, keepdims=True), 1e-6)
     told = [
-        np.clip(clearance, -_FAR, _FAR) / _FAR,
-        np.tanh(clearance / _NEAR),
-        arm / _ARM_FAR,
+        np.clip(room, -FAR, FAR) / FAR,
+        np.tanh(room / _NEAR),
+        arm / ARM_FAR,
         np.stack([approach @ way, np.abs(closing @ way), approach @ up, np.abs(closing @ up)], axis=1),
         2.0 * np.stack([np.linalg.norm(from_joint, axis=1), from_joint @ way, from_middle @ up], axis=1),
         own.width[:, None] / MAX_OPENING,
@@ -154,15 +154,15 @@ def _two(a: _Held, b: _Held, way: Float[np.ndarray, "3"]) -> np.ndarray:
     surface, opens = _surface()
     skins = (surface + b.width[:, None, None] * opens) @ b.turn.transpose(0, 2, 1) + b.at[:, None]
     wide = np.minimum(MAX_OPENING, a.width + WIDER)
-    clear = np.full((2, GRASPS, GRASPS), _FAR)
+    clear = np.full((2, GRASPS, GRASPS), FAR)
     for g in np.flatnonzero(a.there).tolist():
         for h in np.flatnonzero(b.there & (distance[g] < _APART)).tolist():
-            near = _around(a, g, skins[h])
-            clear[:, g, h] = _clearance(near, a.width[g]), _clearance(near, wide[g], RETREAT)
+            near = around(a.turn[g], a.at[g], skins[h])
+            clear[:, g, h] = clearance(near, a.width[g]), clearance(near, wide[g], RETREAT)
     of_a, of_b = a.turn[:, :, 2], b.turn[:, :, 2]
     return np.stack(
         [
-            *(np.clip(clear, -_FAR, _FAR) / _FAR),
+            *(np.clip(clear, -FAR, FAR) / FAR),
             *np.tanh(clear / _NEAR),
             of_a @ of_b.T,
             2.0 * distance,
@@ -174,26 +174,29 @@ def _two(a: _Held, b: _Held, way: Float[np.ndarray, "3"]) -> np.ndarray:
     )
 
 
-def _around(held: _Held, grasp: int, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "3 m"]:
-    """In the frame of a hand's tips, the points that it could meet: as it comes, and a way out of the joint."""
-    local = held.turn[grasp].T @ (points - held.at[grasp]).T
+def around(
+    turn: Float[np.ndarray, "3 3"], at: Float[np.ndarray, "3"], points: Float[np.ndarray, "n 3"]
+) -> Float[np.ndarray, "3 m"]:
+    """In the frame of a hand's tips, whose pose is given, the points that it could meet: as it comes, and a way out of
+    the joint."""
+    local = turn.T @ (points - at).T
     low, high = _reach()
     return local[:, ((local > low[:, None]) & (local < high[:, None])).all(axis=0)]
 
 
-def _from_arm(points: Float[np.ndarray, "3 n"], near: float, far: float) -> float:
+def from_arm(points: Float[np.ndarray, "3 n"], near: float, far: float) -> float:
     """Metres from the line behind a hand, between two distances from its tips, to the nearest of some points in their
     frame: where the arm will be."""
     beside = points.copy()
     beside[2] -= np.clip(points[2], -far, -near)
-    return float(np.sqrt((beside**2).sum(axis=0).min(initial=_ARM_FAR**2)))
+    return float(np.sqrt((beside**2).sum(axis=0).min(initial=ARM_FAR**2)))
 
 
-def _clearance(points: Float[np.ndarray, "3 n"], opening: float, back: float = 0.0) -> float:
-    """Metres from a hand to the nearest of some points in the frame of its tips, negative inside; `_FAR` at most.
+def clearance(points: Float[np.ndarray, "3 n"], opening: float, back: float = 0.0) -> float:
+    """Metres from a hand to the nearest of some points in the frame of its tips, negative inside; `FAR` at most.
 
     Args:
-        points: of `_around`.
+        points: of `around`.
         opening: metres between the pads.
         back: metres from behind which the hand comes; its whole way counts.
     """
@@ -202,13 +205,13 @@ def _clearance(points: Float[np.ndarray, "3 n"], opening: float, back: float = 0
     middle, half = 0.5 * (bodies.low + bodies.high) + opened, 0.5 * (bodies.high - bodies.low)
     beside = np.abs(points - middle[..., None]) - half[..., None]
     out = np.maximum(np.maximum(beside[:, 0], beside[:, 1]), beside[:, 2])
-    nearest = float(out.min(initial=_FAR))
+    nearest = float(out.min(initial=FAR))
     if nearest >= _NEAR:
         return nearest
     # Boxes tell what is near, the bodies' faces how near.
     close = out < _NEAR
     beyond = [
-        (normals @ (points[:, close[i]] - opened[i][:, None]) - offsets).max(axis=0).min(initial=_FAR)
+        (normals @ (points[:, close[i]] - opened[i][:, None]) - offsets).max(axis=0).min(initial=FAR)
         for i, (normals, offsets) in enumerate(bodies.faces)
         if close[i].any()
     ]
@@ -243,10 +246,17 @@ def _bodies(back: float) -> _Bodies:
     return _Bodies(low, high, tuple(faces), np.array(opens))
 
 
+def boxes() -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3 3"], Float[np.ndarray, "3 3"]]:
+    """Corners of the boxes around palm and fingers of the closed hand, in the frame of its tips, and how far each moves
+    for each metre between the pads."""
+    bodies = _bodies(0.0)
+    return bodies.low, bodies.high, bodies.opens
+
+
 @cache
 def _reach() -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
     """Corners of a box around all that a hand can meet, in the frame of its tips."""
-    bodies, more = _bodies(RETREAT), _FAR + _WAY[-1]
+    bodies, more = _bodies(RETREAT), FAR + _WAY[-1]
     more += 0.5 * MAX_OPENING
     return bodies.low.min(axis=0) - more, bodies.high.max(axis=0) + more
 

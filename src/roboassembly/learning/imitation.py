@@ -67,7 +67,7 @@ def examples_of(courses: Sequence[Course]) -> list[Example]:
     for index, course in enumerate(courses):
         memory = Memory()
         for lesson in course.lessons:
-            tokens = course.tokens(lesson, memory)
+            tokens = course.tokens(lesson, memory, hands=course.hands is not None)
             small = replace(tokens, beside=tokens.beside.astype(np.float16))
             out.append(Example(index, small, *answers(tokens, lesson)))
     return out
@@ -267,6 +267,8 @@ def train(
     params = relational.init(np.random.default_rng(training.seed), config)
     if initial is not None:
         params = checkpoint.load(initial, relational.KIND).params
+    if examples and examples[0].tokens.hold is not None and "hold" not in params:
+        params |= relational.init_hands(np.random.default_rng([training.seed, 1]), config)
     run = Run(path, relational.KIND, about, training.steps, training.keep_every)
     step, params, state = run.resume(params, optimiser(training).init(params))
     for batch in made_ahead(_shown(examples, training, step)):

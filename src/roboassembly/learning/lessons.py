@@ -22,6 +22,7 @@ from roboassembly.furniture.model import MAX_POINTS, Furniture
 from roboassembly.learning import archive
 from roboassembly.learning.situation import Situation, groups_of
 from roboassembly.learning.tokens import Memory, Tokens, tokens_of
+from roboassembly.solvers.hand_oracle import HandOracle
 from roboassembly.solvers.oracle import Joint, Oracle
 from roboassembly.task.groups import TaskState
 from roboassembly.task.object_centric import ObjectCentricTask
@@ -62,9 +63,9 @@ class Course:
     hands: Float32[np.ndarray, "P 8 6"] | None = None
     """The hand at each grasp, as in the observation; None in the object-centric setting."""
 
-    def tokens(self, lesson: Lesson, memory: Memory | None = None) -> Tokens:
-        """What the policy sees of a state; a memory saves time from state to state."""
-        return tokens_of(self.situation(lesson), memory)
+    def tokens(self, lesson: Lesson, memory: Memory | None = None, hands: bool = False) -> Tokens:
+        """What the policy sees of a state, as `tokens_of` tells it."""
+        return tokens_of(self.situation(lesson), memory, hands)
 
     def situation(self, lesson: Lesson) -> Situation:
         """What a policy is told of a state."""
@@ -163,9 +164,11 @@ class Teacher:
         self, furniture: Furniture, clouds: Float32[np.ndarray, "P C 3"], oracle: Oracle | None = None
     ) -> None:
         self.oracle = oracle or Oracle(ObjectCentricTask(furniture))
-        self.course = Course(furniture.name, clouds, ())
         self._alone = {c.members[0] for c in furniture.classes if len(c.members) == 1}
         self._observer = Observer(furniture, len(furniture.parts), MAX_POINTS, 1)
+        self.course = Course(
+            furniture.name, clouds, (), self._observer.hands if isinstance(oracle, HandOracle) else None
+        )
 
     def lesson(self, state: TaskState, joints: list[Joint]) -> Lesson:
         """A state as the policy sees it, with the answers."""

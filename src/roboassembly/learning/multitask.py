@@ -86,8 +86,9 @@ class Curriculum:
     def with_hands() -> Curriculum:
         """What the shipped policy learns besides to play with robots."""
         return Curriculum(
-            extra=400, plays=4, rounds=1, steps=8_000, learning_rate=5e-4, setting="full", start="relational"
-        )
+            extra=400, validation=24, plays=3, rounds=1, steps=8_000, learning_rate=1e-3, setting="full",
+            start="relational",
+        )  # fmt: skip
 
 
 def teach(curriculum: Curriculum, folder: Path, jobs: int) -> Iterator[Progress]:

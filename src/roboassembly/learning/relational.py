@@ -32,6 +32,7 @@ from roboassembly.learning.layers import (
     sigmoid,
     softplus,
 )
+from roboassembly.learning.room import HOLD, ROOM
 from roboassembly.learning.tokens import PATCH, POINT, Tokens
 from roboassembly.learning.views import VIEWS, Change, seen, ways_after
 
@@ -84,12 +85,25 @@ def init(rng: np.random.Generator, c: RelationalConfig) -> Params:
     }
 
 
+def init_hands(rng: np.random.Generator, c: RelationalConfig) -> Params:
+    """Fresh weights besides, for a network that sees what room there is for hands; they change nothing yet."""
+    return {
+        "hold": init_mlp(rng, HOLD, 48, 48),
+        "held": _silent(init_linear(rng, 48, c.token)),
+        "room": {"0": init_linear(rng, 2 * ROOM, 32), "1": _silent(init_linear(rng, 32, c.pair))},
+    }
+
+
+def _silent(p: Params) -> Params:
+    return {name: np.zeros_like(value) for name, value in p.items()}
+
+
 def apply(p: Params, t: dict[str, Array]) -> tuple[Array, Array, Array]:
     """Values of all pairs.
 
     Args:
-        p: of `init`.
-        t: a batch of tokens, as `batches.pad` makes it.
+        p: of `init`, perhaps with those of `init_hands`.
+        t: a batch of tokens, as `batches.pad` makes it; with what is told of hands where the weights ask for it.
 
     Returns:
         right: (b, n, n) logit that the ordered pair is right.
@@ -104,9 +118,14 @@ def apply(p: Params, t: dict[str, Array]) -> tuple[Array, Array, Array]:
     same_group = group[:, :, None] == group[:, None, :]
     valid, same = both & ~same_group, xp.astype(both & same_group, xp.float32)[..., None]
     token = mlp(p["patch"], 1.0 - xp.astype(t["patch"], xp.float32) / 255.0) + mlp(p["own"], t["own"])
+    if "hold" in p:
+        grasps = gelu(mlp(p["hold"], t["hold"])) * t["hold"][..., -1:]
+        token = token + linear(p["held"], xp.max(grasps, axis=2))
 
     mates = linear(p["pair_u"], token)[:, :, None] + linear(p["pair_v"], token)[:, None]
     judged = mlp(p["judge"], gelu(mates + linear(p["pair_own"], of_pairs(t, valid))))
+    if "room" in p:
+        judged = judged + mlp(p["room"], xp.concatenate([t["room"], xp.swapaxes(t["room"], 1, 2)], axis=-1))
     right = linear(p["right"], judged)[..., 0]
     belief = sigmoid(right) * xp.astype(valid, xp.float32)
     belief = xp.maximum(belief, xp.swapaxes(belief, 1, 2))

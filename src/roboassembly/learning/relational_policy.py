@@ -81,7 +81,8 @@ class RelationalPolicy:
         wanted = relational.init(np.random.default_rng(0), config)
         params = {name: array for name, array in loaded.params.items() if name not in (HANDS, HELD)}
         hands, held = loaded.params.get(HANDS), loaded.params.get(HELD)
-        for own, like in ((params, wanted), (held, wanted), (hands, grasping.init(np.random.default_rng(0)))):
+        with_hands = wanted | relational.init_hands(np.random.default_rng(0), config)
+        for own, like in ((params, wanted), (held, with_hands), (hands, grasping.init(np.random.default_rng(0)))):
             if own is not None:
                 checkpoint.check_arrays(own, like, where)
         return RelationalPolicy(params, where, hands=hands, held=held)
@@ -103,7 +104,7 @@ class RelationalPolicy:
 
     def _values(self, situation: Situation) -> Values:
         out = np.full(situation.actions, -np.inf, np.float32)
-        tokens = tokens_of(situation, self.memory)
+        tokens = tokens_of(situation, self.memory, hands="hold" in self.params)
         if len(tokens.part):
             u, k = tokens.part[:, None], tokens.point[:, None]
             v, l = tokens.part[None], tokens.point[None]  # noqa: E741

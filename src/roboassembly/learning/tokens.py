@@ -12,19 +12,22 @@ from __future__ import annotations
 
 import hashlib
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, TypeVar
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Int, UInt8
+from jaxtyping import Bool, Float, Float16, Float32, Int, UInt8
 from scipy.spatial import KDTree
 
+from roboassembly.learning import room
 from roboassembly.learning.features import possible, same_way, turns, turns_between
 from roboassembly.learning.loops import closing_bridges, closing_groups
+from roboassembly.learning.room import HOLD, ROOM, Grasps
 from roboassembly.learning.situation import MEET, OPPOSED, Situation, frames_of
 from roboassembly.poses import rotations_from_euler
+from roboassembly.task.rules import GRASPS
 
 GRID_STEPS = (0.010, 0.040, 0.150)
 """Metres between the grid points at which a group's surface around a point is probed: joint, part, furniture."""
@@ -68,6 +71,10 @@ class Tokens:
     """Of `closing_groups`."""
     bridges: UInt8[np.ndarray, "n n"]
     """Of `closing_bridges`."""
+    hold: Float16[np.ndarray, "n 8 16"] | None = None
+    """Of `room.Grasps.seen_from`: the hands at the token's part; None where nobody asks for hands."""
+    room: Float16[np.ndarray, "n n 4"] | None = None
+    """Of `room.Grasps.room`: what the row's hands would have at the joint; None likewise."""
 
 
 class Memory:
@@ -101,19 +108,44 @@ class _GroupView:
     patch: UInt8[np.ndarray, "k 375"]
     some: Float[np.ndarray, "s 3"]
     """Points of the cloud, at most `_SPREAD`."""
+    held: _Held | None
 
     @staticmethod
     def of(
         key: bytes, clouds: Float[np.ndarray, "p c 3"], turn: np.ndarray, shift: np.ndarray, at: np.ndarray,
-        frame: np.ndarray,
+        frame: np.ndarray, member: Int[np.ndarray, "k"], hands: Float[np.ndarray, "p 8 6"] | None,
     ) -> _GroupView:  # fmt: skip
-        """Put together from its parts, each with its pose."""
-        cloud = (clouds @ turn.transpose(0, 2, 1) + shift[:, None]).reshape(-1, 3)
-        return _GroupView(key, at, frame, _patches(cloud, at, frame), cloud[:: -(-len(cloud) // _SPREAD)])
+        """Put together from its parts, each with its pose; `member` is the part of each point among them."""
+        placed = clouds @ turn.transpose(0, 2, 1) + shift[:, None]
+        cloud = placed.reshape(-1, 3)
+        held = None
+        if hands is not None:
+            grasps = {
+                i: Grasps(hands[i], placed[i], np.delete(placed, i, axis=0).reshape(-1, 3), turn[i], shift[i])
+                for i in np.unique(member).tolist()
+            }
+            held = _Held(tuple(grasps[i] for i in member.tolist()), room.some(cloud))
+        return _GroupView(key, at, frame, _patches(cloud, at, frame), cloud[:: -(-len(cloud) // _SPREAD)], held)
+
+    def hold(self) -> Float16[np.ndarray, "k 8 16"]:
+        """The hands at each point's part, as seen from the point."""
+        assert self.held is not None
+        seen = zip(self.held.grasps, self.at, self.frame, strict=True)
+        return np.stack([grasps.seen_from(at, frame) for grasps, at, frame in seen])
 
 
-def tokens_of(situation: Situation, memory: Memory | None = None) -> Tokens:
-    """Tokens of what is there; a memory saves time from state to state."""
+@dataclass(frozen=True, eq=False)
+class _Held:
+    """Hands at a group."""
+
+    grasps: tuple[Grasps, ...]
+    """At the part of each point."""
+    some: Float[np.ndarray, "m 3"]
+    """Points of the cloud that another group's hands may meet."""
+
+
+def tokens_of(situation: Situation, memory: Memory | None = None, hands: bool = False) -> Tokens:
+    """Tokens of what is there; a memory saves time from state to state. With `hands`, what room there is for them."""
     clouds, points, group = situation.clouds, situation.points, situation.group
     connections, free = situation.connections, situation.free
     memory = memory or Memory()
@@ -137,8 +169,11 @@ def tokens_of(situation: Situation, memory: Memory | None = None) -> Tokens:
     for name, tokens in zip(names, groups, strict=True):
         members = np.flatnonzero(group == name)
         arrays = (turn[members], shift[members], at[tokens], in_group[tokens])
-        key = hashlib.blake2b(b"".join([*(shapes[i] for i in members), *(a.tobytes() for a in arrays)])).digest()
-        views.append(memory.get(key, partial(_GroupView.of, key, clouds[members], *arrays)))
+        held = situation.hands[members] if hands else None
+        where = np.searchsorted(members, part[tokens])
+        told = [*arrays, where, *([] if held is None else [held])]
+        key = hashlib.blake2b(b"".join([*(shapes[i] for i in members), *(a.tobytes() for a in told)])).digest()
+        views.append(memory.get(key, partial(_GroupView.of, key, clouds[members], *arrays, where, held)))
         size[tokens] = len(members)
     own = np.zeros((len(part), POINT), np.float32)
     own[:, 2:5] = -2.0 * np.einsum("nji,nj->ni", frame, position)
@@ -157,9 +192,19 @@ def tokens_of(situation: Situation, memory: Memory | None = None) -> Tokens:
     can = possible(parallel, upright[part], token_group[:, None] != token_group)
     loops = np.minimum(closing_groups(groups, at, in_group, can), 255)
     bridges = np.minimum(closing_bridges(groups, at, in_group, can), 255)
+    hold = room_ = None
+    if hands:
+        hold, room_ = (
+            np.zeros((len(part), GRASPS, HOLD), np.float16),
+            np.zeros((len(part), len(part), ROOM), np.float16),
+        )
+        for view, tokens in zip(views, groups, strict=True):
+            hold[tokens] = memory.get(view.key + b"hold", view.hold)
+        for moving, waiting, told in _between(views, groups, memory, b"room", _room_of):
+            room_[np.ix_(moving, waiting)] = told
     return Tokens(
         part, point, token_group, patch, own, in_group.astype(np.float32), at.astype(np.float32), extent, meet, beside,
-        loops.astype(np.uint8), bridges.astype(np.uint8),
+        loops.astype(np.uint8), bridges.astype(np.uint8), hold, room_,
     )  # fmt: skip
 
 
@@ -205,13 +250,20 @@ def _pairs(
     """What would come of mating any two points of different groups: `meet` and `beside`."""
     n = sum(map(len, groups))
     meet, beside = np.zeros((n, n, 4), np.uint8), np.zeros((n, n, 6), np.float32)
+    for moving, waiting, told in _between(views, groups, memory, b"", _pairs_of):
+        meet[np.ix_(moving, waiting)], beside[np.ix_(moving, waiting)] = told
+    return meet, beside
+
+
+def _between(
+    views: list[_GroupView], groups: list[Int[np.ndarray, "k"]], memory: Memory, name: bytes,
+    tell: Callable[[_GroupView, _GroupView], T],
+) -> Iterator[tuple[Int[np.ndarray, "k"], Int[np.ndarray, "l"], T]]:  # fmt: skip
+    """Tokens of each two groups, and what is told of these; `name` is that of what is told."""
     for first, moving in zip(views, groups, strict=True):
         for second, waiting in zip(views, groups, strict=True):
-            if moving is waiting:
-                continue
-            told = memory.get(first.key + second.key, partial(_pairs_of, first, second))
-            meet[np.ix_(moving, waiting)], beside[np.ix_(moving, waiting)] = told
-    return meet, beside
+            if moving is not waiting:
+                yield moving, waiting, memory.get(first.key + second.key + name, partial(tell, first, second))
 
 
 def _pairs_of(first: _GroupView, second: _GroupView) -> tuple[UInt8[np.ndarray, "k l 4"], Float[np.ndarray, "k l 6"]]:
@@ -219,6 +271,16 @@ def _pairs_of(first: _GroupView, second: _GroupView) -> tuple[UInt8[np.ndarray, 
     turn = turns_between(first.frame, second.frame)
     shift = second.at[None] - (turn @ first.at[:, None, :, None])[..., 0]
     return _meetings(turn, shift, first, second), _beside(turn, shift, first, second)
+
+
+def _room_of(first: _GroupView, second: _GroupView) -> Float16[np.ndarray, "k l 4"]:
+    """What room the hands of a moving group have at a waiting one, where each two points meet."""
+    assert first.held is not None
+    assert second.held is not None
+    turn = turns_between(first.frame, second.frame)
+    shift = second.at[None] - (turn @ first.at[:, None, :, None])[..., 0]
+    joints = zip(first.held.grasps, turn, shift, strict=True)
+    return np.stack([grasps.room(*joint, second.held.some) for grasps, *joint in joints])
 
 
 def _meetings(turn: np.ndarray, shift: np.ndarray, first: _GroupView, second: _GroupView) -> UInt8[np.ndarray, "k l 4"]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float, Int
 
+from roboassembly.learning.room import MIRRORED
 from roboassembly.learning.tokens import GRID_STEPS, Tokens
 from roboassembly.task.rules import UP_AXES
 
@@ -35,6 +36,11 @@ class Change:
         return np.diag([-1.0 if self.mirrored else 1.0, 1.0, 1.0])
 
     @property
+    def side(self) -> Float[np.ndarray, "3 3"]:
+        """Of a connection point's frame, or a hand's, which stays right-handed."""
+        return np.diag([1.0, -1.0 if self.mirrored else 1.0, 1.0])
+
+    @property
     def matrix(self) -> Float[np.ndarray, "3 3"]:
         """`new_from_old` for directions in a part's frame; its determinant is -1 if mirrored."""
         cosine, sine = ((1, 0), (0, 1), (-1, 0), (0, -1))[self.quarter_turns % 4]
@@ -55,7 +61,7 @@ def seen(tokens: Tokens, change: Change) -> Tokens:
     if change.scale != 1.0:
         raise ValueError(f"a change of size ({change.scale}) needs the clouds")
     m = change.matrix
-    side = np.array([1.0, -1.0 if change.mirrored else 1.0, 1.0])
+    side = np.diag(change.side)
     own = tokens.own.copy()
     own[:, 2:5] = tokens.own[:, 2:5] * side
     own[:, 5:8] = tokens.own[:, 5:8] @ np.abs(m).T
@@ -64,6 +70,9 @@ def seen(tokens: Tokens, change: Change) -> Tokens:
     patch = tokens.patch
     if change.mirrored:
         patch = patch.reshape(len(patch), len(GRID_STEPS), 5, 5, 5)[:, :, :, ::-1].reshape(patch.shape)
+    hold = tokens.hold
+    if hold is not None and change.mirrored:
+        hold = hold * MIRRORED
     low, high = tokens.beside[..., :3], tokens.beside[..., 3:]
     ahead, back = np.maximum(m, 0.0).T, np.maximum(-m, 0.0).T
     beside = np.concatenate([low @ ahead - high @ back, high @ ahead - low @ back], axis=-1)
@@ -75,6 +84,7 @@ def seen(tokens: Tokens, change: Change) -> Tokens:
         position=(tokens.position @ m.T).astype(np.float32),
         extent=(tokens.extent @ np.abs(m).T).astype(np.float32),
         beside=beside.astype(tokens.beside.dtype),
+        hold=hold,
     )
 
 
