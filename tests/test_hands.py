@@ -23,7 +23,9 @@ from roboassembly.learning.lessons import Teacher
 from roboassembly.learning.loading import load_policy
 from roboassembly.learning.players import Way, player
 from roboassembly.learning.relational_policy import HANDS, RelationalPolicy
+from roboassembly.learning.room import Grasps
 from roboassembly.learning.situation import Situation, groups_of
+from roboassembly.learning.tokens import Memory
 from roboassembly.poses import SE3
 from roboassembly.solvers.hand_oracle import HandOracle
 from roboassembly.solvers.options import fitting
@@ -163,6 +165,53 @@ def test_hand_oracle_says_what_the_task_says() -> None:
     clouds = np.array([surface_points(p.mesh, 32) for p in task.furniture.parts], np.float32)
     play = Teacher(task.furniture, clouds, oracle).play(rng)
     assert len(play.lessons) == len(task.furniture.parts) - 1
+
+
+def test_pairs_without_room_for_hands_cannot_be_joined() -> None:
+    task = FullTask(catalogue.make("panel", 13))
+    clouds = np.array([surface_points(p.mesh, 2048) for p in task.furniture.parts], np.float32)
+    teacher = Teacher(task.furniture, clouds, HandOracle(task))
+    memory, rng = Memory(), np.random.default_rng(0)
+    plays = [teacher.play(rng) for _ in range(3)]
+    joined, tight = 0, 0
+    for lesson in (lesson for play in plays for lesson in (*play.lessons, *play.dead_ends)):
+        tokens = teacher.course.tokens(lesson, memory, hands=True)
+        assert tokens.room is not None
+        index = np.full(lesson.free.shape, -1)
+        index[tokens.part, tokens.point] = np.arange(len(tokens.part))
+        best: dict[tuple[int, int], tuple[float, bool]] = {}
+        for u, k, v, l, _, *ways in lesson.joints.tolist():  # noqa: E741
+            row, column = index[u, k], index[v, l]
+            room = float(min(tokens.room[row, column, 0], tokens.room[column, row, 0]))
+            groups = int(tokens.group[row]), int(tokens.group[column])
+            before, joins = best.get(groups, (-1.0, False))
+            best[groups] = max(before, room), joins or any(ways)
+        joined += sum(joins for _, joins in best.values())
+        # Boxes are somewhat larger than a hand: two millimetres, at a scale of ten.
+        tight += sum(room < -0.2 for room, _ in best.values())
+        assert not any(joins for room, joins in best.values() if room < -0.2)
+    assert joined > 10
+    assert tight > 0
+
+
+def test_room_by_hand() -> None:
+    """One hand, its tips 0.1 m up and pointing down at a rod that is 20 mm wide; things come from the side."""
+    poses = np.zeros((GRASPS, 6))
+    poses[2] = 0.0, 0.0, 0.1, np.pi, 0.0, 0.0
+    rod = np.array([[x, y, 0.1] for x in np.linspace(-0.1, 0.1, 41) for y in (-0.01, 0.01)])
+    grasps = Grasps(poses, rod, np.zeros((0, 3)), np.eye(3), np.zeros(3))
+    assert grasps.there.tolist() == [g == 2 for g in range(GRASPS)]
+    assert grasps.width[2] == pytest.approx(0.02)
+    seen = grasps.seen_from(np.array([0.1, 0.0, 0.1]), np.eye(3))
+    assert not seen[[0, 1, 3, 4, 5, 6, 7]].any()
+    # 0.1 m from the point, times four; coming down; closing across.
+    np.testing.assert_allclose(seen[2, :9], [-0.4, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 1.0, 0.0], atol=2e-3)
+    joints, nowhere = np.tile(np.eye(3), (2, 1, 1)), np.array([[0.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+    # A point 20 mm above the tips lies between the fingers, one 80 mm above in the palm; from a metre off neither does.
+    for height, blocked in ((0.12, False), (0.18, True), (0.05, False)):
+        told = grasps.room(joints, nowhere, np.array([[0.0, 0.0, height]]))
+        assert (told[0, 2] < 0.0) == blocked, height
+        assert told[1, 2] > 0.99
 
 
 @pytest.fixture(scope="module")

@@ -92,7 +92,8 @@ def gather(
         plays: of each chair, from loose parts to the end.
         seed: of the starts and moves.
         jobs: chairs at a time.
-        student: checkpoint of the relational policy that moves; random good moves without.
+        student: checkpoint of the relational policy that moves in the first play, as it would play alike each time;
+            random good moves in the others, and without one.
         setting: whose rules are taught. Furniture that does not suit robots gives no lessons in the full one.
         with_grasps: names of those of which there are lessons of grasps, of one play each.
     """
@@ -126,7 +127,7 @@ def _gather(
     mistakes = choices = 0
     for index in range(plays):
         rng = np.random.default_rng([seed, int(number), index])
-        play = teacher.play(rng, moves)
+        play = teacher.play(rng, None if index else moves)
         mistakes, choices = mistakes + play.mistakes, choices + len(play.lessons)
         for lesson in (*play.lessons, *play.dead_ends):
             found.setdefault(lesson.group.tobytes(), lesson)

@@ -65,7 +65,7 @@ class Curriculum:
     validation: int = 60
     """Pieces of neither on which progress is told."""
     plays: int = 1
-    """Of each piece, in each round; with hands, of lessons of pairs."""
+    """Of each piece, in each round; with hands, of lessons of pairs, the first of them its own."""
     rounds: int = 0
     """Of aggregation, after the first; with hands, of what its own plays tell of them."""
     steps: int = 16_000

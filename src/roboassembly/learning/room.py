@@ -42,7 +42,7 @@ class Grasps:
         self, poses: Float[np.ndarray, "8 6"], own: Float[np.ndarray, "c 3"], rest: Float[np.ndarray, "m 3"],
         turn: Float[np.ndarray, "3 3"], shift: Float[np.ndarray, "3"],
     ) -> None:  # fmt: skip
-        self.there: Bool[np.ndarray, "8"] = poses.any(axis=1)
+        self.there: Bool[np.ndarray, "8"] = np.any(poses, axis=1)
         self.turn: Float[np.ndarray, "8 3 3"] = turn @ rotations_from_euler(poses[:, 3:])
         self.at: Float[np.ndarray, "8 3"] = poses[:, :3] @ turn.T + shift
         self.width: Float[np.ndarray, "8"] = widths(self.turn, self.at, own)

@@ -280,7 +280,7 @@ def _room_of(first: _GroupView, second: _GroupView) -> Float16[np.ndarray, "k l 
     turn = turns_between(first.frame, second.frame)
     shift = second.at[None] - (turn @ first.at[:, None, :, None])[..., 0]
     joints = zip(first.held.grasps, turn, shift, strict=True)
-    return np.stack([grasps.room(*joint, second.held.some) for grasps, *joint in joints])
+    return np.stack([grasps.room(turned, shifted, second.held.some) for grasps, turned, shifted in joints])
 
 
 def _meetings(turn: np.ndarray, shift: np.ndarray, first: _GroupView, second: _GroupView) -> UInt8[np.ndarray, "k l 4"]:
