@@ -76,6 +76,13 @@ def untrained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+def test_a_policy_that_knows_no_hands_is_refused_with_robots(run: Run, tmp_path: Path, untrained: Path) -> None:
+    status, out, err = run("assemble", "stool", "--setting", "full", "--policy", untrained, "--out", tmp_path / "a")
+    assert (status, out) == (2, "")
+    assert err.strip().splitlines() == [line for line in err.splitlines() if "chooses no grasps" in line]
+    assert not (tmp_path / "a").exists()
+
+
 def test_a_policy_guides_or_plays_alone(run: Run, stool: Path, tmp_path: Path, untrained: Path) -> None:
     arguments = ("assemble", stool, "--no-film", "--json", "--policy", untrained)
     status, out, err = run(*arguments, "--out", tmp_path / "a")
@@ -219,7 +226,6 @@ def test_bad_furniture_is_one_line_and_2(run: Run, stool: Path, tmp_path: Path, 
         (["bench", "planning", "--chairs", "0"], "--chairs 0"),
         (["bench", "robots", "--furniture", "stol"], "did you mean stool"),
         (["assemble", "stool", "--execution", "dynamic"], "takes --setting full"),
-        (["assemble", "stool", "--setting", "full", "--policy", "relational"], "chooses no grasps"),
         (["export", "mjcf", "rokcer"], "did you mean rocker"),
         (["dataset", "show", "chairs-413"], "did you mean chairs-412"),
         (["evaluate", "--set", "folder:nowhere"], "holds no furniture folders"),
