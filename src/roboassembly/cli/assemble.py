@@ -22,9 +22,6 @@ if TYPE_CHECKING:
     from roboassembly.task.full_plan import FullPlan
 
 NO_POLICY = "none"
-GUIDES = {"object-centric": "relational", "full": NO_POLICY}
-"""What the search is guided by in each setting unless told otherwise."""
-
 
 @dataclass(frozen=True)
 class Assemble:
@@ -40,10 +37,9 @@ class Assemble:
     """Where the parts lie at first, and what the planner draws."""
     out: Path = Path("assembly")
     """Folder for plan.json, timings.json, assembly.html, assembly.mp4 and the furniture itself."""
-    policy: str | None = None
+    policy: str = "relational"
     """What guides the search: `relational` (that of the package), the path of a checkpoint or of a Python file of your
-    own, which is executed (docs/your-own-policy.md), or `none`. If not given, `relational` guides it in the
-    object-centric setting, and nothing in the full one."""
+    own, which is executed (docs/your-own-policy.md), or `none`."""
     search: bool = True
     """Take back what leads nowhere; without it the policy plays alone, and its first failure ends it."""
     film: bool = True
@@ -51,16 +47,11 @@ class Assemble:
     json: bool = False
     """Print one JSON object on stdout, all else on stderr."""
 
-    @property
-    def guide(self) -> str:
-        """The policy's name, given or not."""
-        return GUIDES[self.setting] if self.policy is None else self.policy
-
     def run(self) -> int:
         """Do it; returns the exit status."""
         if self.seed < 0:
             raise InputError(f"--seed {self.seed} is negative; 0 or more would do")
-        if not self.search and self.guide == NO_POLICY:
+        if not self.search and self.policy == NO_POLICY:
             raise InputError("--no-search needs a --policy to play alone; 'relational' would do")
         if self.execution == "dynamic" and self.setting != "full":
             raise InputError("--execution dynamic takes --setting full: there are no robots in the other one")
@@ -87,7 +78,7 @@ class Assemble:
             "setting": self.setting,
             "furniture": furniture.name,
             "parts": len(furniture.parts),
-            "policy": self.guide,
+            "policy": self.policy,
             "merges": len(result.plan.steps),
             "guided_merges": result.guided,
             "planning_steps": result.planning_steps,
@@ -110,12 +101,12 @@ class Assemble:
         from roboassembly.solvers.search import SearchResult, solve, solve_full
 
         solver: Any = solve_full if self.setting == "full" else solve
-        if self.guide == NO_POLICY:
+        if self.policy == NO_POLICY:
             return partial(solver, seed=self.seed)
         from roboassembly.learning.loading import load_policy
         from roboassembly.learning.policies import check_setting, guide_of
 
-        policy = load_policy(self.guide, self.seed)
+        policy = load_policy(self.policy, self.seed)
         check_setting(policy, self.setting, NO_POLICY)
         if self.search:
             return partial(solver, seed=self.seed, guide=guide_of(policy))
@@ -123,7 +114,7 @@ class Assemble:
 
         def alone(furniture: Furniture) -> SearchResult[Any]:
             done = play(policy, furniture, self.seed, self.setting)
-            failed = f"{self.guide} alone: merge {len(done.actions)} ended as {done.verdict}"
+            failed = f"{self.policy} alone: merge {len(done.actions)} ended as {done.verdict}"
             return SearchResult(
                 plan=done.plan,
                 planning_steps=done.planning_steps,
@@ -151,7 +142,7 @@ class Assemble:
         return asdict(done)
 
     def _told(self, result: SearchResult[Any]) -> str:
-        return "" if self.guide == NO_POLICY else f", {result.guided} of them chosen by {self.guide}"
+        return "" if self.policy == NO_POLICY else f", {result.guided} of them chosen by {self.policy}"
 
     def _write(self, result: SearchResult[Any], solved: float) -> dict[str, str]:
         from roboassembly.furniture import storage
