@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 NO_POLICY = "none"
 
+
 @dataclass(frozen=True)
 class Assemble:
     """Find out how furniture is put together without a collision, and show it."""

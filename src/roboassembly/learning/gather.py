@@ -46,6 +46,7 @@ class Gathered:
     mistakes: int
     """Choices of the student that were not good."""
     choices: int
+    """That the student made or a good move replaced; 0 without one."""
     seconds: float
 
 
@@ -127,8 +128,11 @@ def _gather(
     mistakes = choices = 0
     for index in range(plays):
         rng = np.random.default_rng([seed, int(number), index])
-        play = teacher.play(rng, None if index else moves)
-        mistakes, choices = mistakes + play.mistakes, choices + len(play.lessons)
+        if index == 0 and moves is not None:
+            play = teacher.play(rng, moves)
+            mistakes, choices = play.mistakes, len(play.lessons)
+        else:
+            play = teacher.play(rng)
         for lesson in (*play.lessons, *play.dead_ends):
             found.setdefault(lesson.group.tobytes(), lesson)
     if isinstance(oracle, HandOracle) and name in with_grasps:

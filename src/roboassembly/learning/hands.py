@@ -24,7 +24,8 @@ ONE, TWO = 43, 9
 """Numbers that describe one hand at a joint, and two together."""
 FAR = 0.05
 """Metres beyond which it does not matter how far something is from a hand."""
-_NEAR = 0.01
+NEAR = 0.01
+"""Metres within which it matters by how much."""
 ARM_STRETCHES, ARM_FAR = ((0.13, 0.30), (0.30, 0.50)), 0.3
 """Metres from the tips to where wrist and forearm begin and end; and from these to what does not matter to them."""
 _POST = 12
@@ -134,7 +135,7 @@ def _one(own: _Held, other: _Held, way: Float[np.ndarray, "3"], joint: Float[np.
     outward = level / np.maximum(np.linalg.norm(level, axis=1, keepdims=True), 1e-6)
     told = [
         np.clip(room, -FAR, FAR) / FAR,
-        np.tanh(room / _NEAR),
+        np.tanh(room / NEAR),
         arm / ARM_FAR,
         np.stack([approach @ way, np.abs(closing @ way), approach @ up, np.abs(closing @ up)], axis=1),
         2.0 * np.stack([np.linalg.norm(from_joint, axis=1), from_joint @ way, from_middle @ up], axis=1),
@@ -163,7 +164,7 @@ def _two(a: _Held, b: _Held, way: Float[np.ndarray, "3"]) -> np.ndarray:
     return np.stack(
         [
             *(np.clip(clear, -FAR, FAR) / FAR),
-            *np.tanh(clear / _NEAR),
+            *np.tanh(clear / NEAR),
             of_a @ of_b.T,
             2.0 * distance,
             2.0 * apart @ way,
@@ -206,10 +207,10 @@ def clearance(points: Float[np.ndarray, "3 n"], opening: float, back: float = 0.
     beside = np.abs(points - middle[..., None]) - half[..., None]
     out = np.maximum(np.maximum(beside[:, 0], beside[:, 1]), beside[:, 2])
     nearest = float(out.min(initial=FAR))
-    if nearest >= _NEAR:
+    if nearest >= NEAR:
         return nearest
     # Boxes tell what is near, the bodies' faces how near.
-    close = out < _NEAR
+    close = out < NEAR
     beyond = [
         (normals @ (points[:, close[i]] - opened[i][:, None]) - offsets).max(axis=0).min(initial=FAR)
         for i, (normals, offsets) in enumerate(bodies.faces)

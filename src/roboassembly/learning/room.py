@@ -11,20 +11,18 @@ import numpy as np
 from jaxtyping import Bool, Float, Float16, Float32
 
 from roboassembly.gripper import MAX_OPENING, RETREAT
-from roboassembly.learning.hands import ARM_STRETCHES, FAR, around, boxes, clearance, from_arm, widths
+from roboassembly.learning.hands import ARM_FAR, ARM_STRETCHES, FAR, NEAR, around, boxes, clearance, from_arm, widths
 from roboassembly.poses import rotations_from_euler
 from roboassembly.task.cell import WIDER
 
 HOLD, ROOM = 16, 4
 """Numbers that describe a grasp as a point sees it, and the grasps of one point's part at a pair."""
 MIRRORED = np.where(np.isin(np.arange(HOLD), (1, 4)), -1, 1).astype(np.float16)
-"""What becomes of the first ones in a mirror."""
+"""By what a mirror multiplies what describes a grasp: what lies along the tangent of the other side changes sign."""
 _EVERY = 2
 """Of how many points of a cloud one is looked at."""
-_MET = 480
-"""Points of the other group that are looked at."""
-_FINE = 0.01
-"""Metres."""
+MET = 480
+"""Points of the other group that are looked at, at most."""
 
 
 class Grasps:
@@ -66,9 +64,9 @@ class Grasps:
                 4.0 * (self.at - at) @ frame,
                 self.turn[:, :, 2] @ frame,
                 np.abs(self.turn[:, :, 1] @ frame),
-                np.tanh(self.clear / _FINE),
+                np.tanh(self.clear / NEAR),
                 self.clear[:, 1:2] / FAR,
-                self.arm / 0.3,
+                self.arm / ARM_FAR,
                 self.there[:, None],
             ],
             axis=1,
@@ -97,7 +95,7 @@ class Grasps:
         both = np.sort(np.minimum(nearest, own[:, None]), axis=0)
         told = [both[-1], both[-2], nearest.max(axis=0)]
         share = (both > 0.0).mean(axis=0)
-        return np.stack([*(np.tanh(x / _FINE) for x in told), share], axis=1).astype(np.float16)
+        return np.stack([*(np.tanh(x / NEAR) for x in told), share], axis=1).astype(np.float16)
 
 
 def _outside(points: Float32[np.ndarray, "3 n"], opening: float) -> Float32[np.ndarray, "n"]:
@@ -113,8 +111,3 @@ def _outside(points: Float32[np.ndarray, "3 n"], opening: float) -> Float32[np.n
         assert beside is not None
         np.minimum(out, beside, out=out)
     return out
-
-
-def some(points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "m 3"]:
-    """Those that are looked at where another group's hands come near."""
-    return points[:: -(-len(points) // _MET)]

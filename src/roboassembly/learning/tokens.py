@@ -21,10 +21,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Float16, Float32, Int, UInt8
 from scipy.spatial import KDTree
 
-from roboassembly.learning import room
 from roboassembly.learning.features import possible, same_way, turns, turns_between
 from roboassembly.learning.loops import closing_bridges, closing_groups
-from roboassembly.learning.room import HOLD, ROOM, Grasps
+from roboassembly.learning.room import HOLD, MET, ROOM, Grasps
 from roboassembly.learning.situation import MEET, OPPOSED, Situation, frames_of
 from roboassembly.poses import rotations_from_euler
 from roboassembly.task.rules import GRASPS
@@ -109,29 +108,27 @@ class _GroupView:
     some: Float[np.ndarray, "s 3"]
     """Points of the cloud, at most `_SPREAD`."""
     held: _Held | None
+    """None where nobody asks for hands."""
 
     @staticmethod
     def of(
         key: bytes, clouds: Float[np.ndarray, "p c 3"], turn: np.ndarray, shift: np.ndarray, at: np.ndarray,
-        frame: np.ndarray, member: Int[np.ndarray, "k"], hands: Float[np.ndarray, "p 8 6"] | None,
+        frame: np.ndarray, member: np.ndarray | None = None, hands: np.ndarray | None = None,
     ) -> _GroupView:  # fmt: skip
-        """Put together from its parts, each with its pose; `member` is the part of each point among them."""
+        """Put together from its parts, each with its pose; with the part of each point among them, and the hands at
+        each part, for those who ask for hands."""
         placed = clouds @ turn.transpose(0, 2, 1) + shift[:, None]
         cloud = placed.reshape(-1, 3)
         held = None
-        if hands is not None:
-            grasps = {
+        if member is not None and hands is not None:
+            of_part = {
                 i: Grasps(hands[i], placed[i], np.delete(placed, i, axis=0).reshape(-1, 3), turn[i], shift[i])
                 for i in np.unique(member).tolist()
             }
-            held = _Held(tuple(grasps[i] for i in member.tolist()), room.some(cloud))
-        return _GroupView(key, at, frame, _patches(cloud, at, frame), cloud[:: -(-len(cloud) // _SPREAD)], held)
-
-    def hold(self) -> Float16[np.ndarray, "k 8 16"]:
-        """The hands at each point's part, as seen from the point."""
-        assert self.held is not None
-        seen = zip(self.held.grasps, self.at, self.frame, strict=True)
-        return np.stack([grasps.seen_from(at, frame) for grasps, at, frame in seen])
+            grasps = tuple(of_part[i] for i in member.tolist())
+            hold = np.stack([g.seen_from(*point) for g, *point in zip(grasps, at, frame, strict=True)])
+            held = _Held(grasps, hold, _thinned(cloud, MET))
+        return _GroupView(key, at, frame, _patches(cloud, at, frame), _thinned(cloud, _SPREAD), held)
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,8 +137,15 @@ class _Held:
 
     grasps: tuple[Grasps, ...]
     """At the part of each point."""
+    hold: Float16[np.ndarray, "k 8 16"]
+    """The same as seen from the point."""
     some: Float[np.ndarray, "m 3"]
     """Points of the cloud that another group's hands may meet."""
+
+
+def _thinned(points: Float[np.ndarray, "n 3"], most: int) -> Float[np.ndarray, "m 3"]:
+    """At most so many of them, evenly."""
+    return points[:: -(-len(points) // most)]
 
 
 def tokens_of(situation: Situation, memory: Memory | None = None, hands: bool = False) -> Tokens:
@@ -168,12 +172,11 @@ def tokens_of(situation: Situation, memory: Memory | None = None, hands: bool = 
     views: list[_GroupView] = []
     for name, tokens in zip(names, groups, strict=True):
         members = np.flatnonzero(group == name)
-        arrays = (turn[members], shift[members], at[tokens], in_group[tokens])
-        held = situation.hands[members] if hands else None
-        where = np.searchsorted(members, part[tokens])
-        told = [*arrays, where, *([] if held is None else [held])]
-        key = hashlib.blake2b(b"".join([*(shapes[i] for i in members), *(a.tobytes() for a in told)])).digest()
-        views.append(memory.get(key, partial(_GroupView.of, key, clouds[members], *arrays, where, held)))
+        arrays = [turn[members], shift[members], at[tokens], in_group[tokens]]
+        if hands:
+            arrays += [np.searchsorted(members, part[tokens]), situation.hands[members]]
+        key = hashlib.blake2b(b"".join([*(shapes[i] for i in members), *(a.tobytes() for a in arrays)])).digest()
+        views.append(memory.get(key, partial(_GroupView.of, key, clouds[members], *arrays)))
         size[tokens] = len(members)
     own = np.zeros((len(part), POINT), np.float32)
     own[:, 2:5] = -2.0 * np.einsum("nji,nj->ni", frame, position)
@@ -192,19 +195,10 @@ def tokens_of(situation: Situation, memory: Memory | None = None, hands: bool = 
     can = possible(parallel, upright[part], token_group[:, None] != token_group)
     loops = np.minimum(closing_groups(groups, at, in_group, can), 255)
     bridges = np.minimum(closing_bridges(groups, at, in_group, can), 255)
-    hold = room_ = None
-    if hands:
-        hold, room_ = (
-            np.zeros((len(part), GRASPS, HOLD), np.float16),
-            np.zeros((len(part), len(part), ROOM), np.float16),
-        )
-        for view, tokens in zip(views, groups, strict=True):
-            hold[tokens] = memory.get(view.key + b"hold", view.hold)
-        for moving, waiting, told in _between(views, groups, memory, b"room", _room_of):
-            room_[np.ix_(moving, waiting)] = told
+    hold, room = _hands(views, groups, memory) if hands else (None, None)
     return Tokens(
         part, point, token_group, patch, own, in_group.astype(np.float32), at.astype(np.float32), extent, meet, beside,
-        loops.astype(np.uint8), bridges.astype(np.uint8), hold, room_,
+        loops.astype(np.uint8), bridges.astype(np.uint8), hold, room,
     )  # fmt: skip
 
 
@@ -255,6 +249,20 @@ def _pairs(
     return meet, beside
 
 
+def _hands(
+    views: list[_GroupView], groups: list[Int[np.ndarray, "k"]], memory: Memory
+) -> tuple[Float16[np.ndarray, "n 8 16"], Float16[np.ndarray, "n n 4"]]:
+    """What is told of hands: `hold` and `room`."""
+    n = sum(map(len, groups))
+    hold, room = np.zeros((n, GRASPS, HOLD), np.float16), np.zeros((n, n, ROOM), np.float16)
+    for view, tokens in zip(views, groups, strict=True):
+        assert view.held is not None
+        hold[tokens] = view.held.hold
+    for moving, waiting, told in _between(views, groups, memory, b"room", _room_of):
+        room[np.ix_(moving, waiting)] = told
+    return hold, room
+
+
 def _between(
     views: list[_GroupView], groups: list[Int[np.ndarray, "k"]], memory: Memory, name: bytes,
     tell: Callable[[_GroupView, _GroupView], T],
@@ -268,17 +276,21 @@ def _between(
 
 def _pairs_of(first: _GroupView, second: _GroupView) -> tuple[UInt8[np.ndarray, "k l 4"], Float[np.ndarray, "k l 6"]]:
     """For a moving and a waiting group."""
-    turn = turns_between(first.frame, second.frame)
-    shift = second.at[None] - (turn @ first.at[:, None, :, None])[..., 0]
+    turn, shift = _mated(first, second)
     return _meetings(turn, shift, first, second), _beside(turn, shift, first, second)
+
+
+def _mated(first: _GroupView, second: _GroupView) -> tuple[Float[np.ndarray, "k l 3 3"], Float[np.ndarray, "k l 3"]]:
+    """`second_from_first`, were each two points joined."""
+    turn = turns_between(first.frame, second.frame)
+    return turn, second.at[None] - (turn @ first.at[:, None, :, None])[..., 0]
 
 
 def _room_of(first: _GroupView, second: _GroupView) -> Float16[np.ndarray, "k l 4"]:
     """What room the hands of a moving group have at a waiting one, where each two points meet."""
     assert first.held is not None
     assert second.held is not None
-    turn = turns_between(first.frame, second.frame)
-    shift = second.at[None] - (turn @ first.at[:, None, :, None])[..., 0]
+    turn, shift = _mated(first, second)
     joints = zip(first.held.grasps, turn, shift, strict=True)
     return np.stack([grasps.room(turned, shifted, second.held.some) for grasps, turned, shifted in joints])
 
