@@ -12,16 +12,21 @@ import pytest
 from roboassembly.errors import InputError
 from roboassembly.furniture.model import Furniture
 from roboassembly.planning.problem import Budget
-from roboassembly.poses import rotation_angle
+from roboassembly.planning.robot_world import RobotWorld
+from roboassembly.poses import SE3, rotation_angle
 from roboassembly.robots.body import world_from_tips
+from roboassembly.robots.reach import reach
+from roboassembly.scene import Body, Shape
 from roboassembly.solvers.disassembly import partition_of
 from roboassembly.solvers.options import grasping
 from roboassembly.solvers.search import SearchLimits, solve_full
+from roboassembly.task.cell import Stand
 from roboassembly.task.full import FullOutcome, FullTask, FullVerdict, Joint
 from roboassembly.task.full_plan import FullState
+from roboassembly.task.joining import Hold
 from roboassembly.task.legs import LegError, Legs
 from roboassembly.task.moments import Leg
-from roboassembly.task.taking import _taking
+from roboassembly.task.taking import Wanted, _taking, fetch_both
 from shapes import GAP, RobotChecker, brick, furniture, pose
 
 LEGS = [
@@ -89,6 +94,12 @@ def stretcher_and_leg(stool: Furniture) -> tuple[frozenset[int], frozenset[int]]
 def _kinds(stool: Furniture, c) -> set[str]:
     names = (stool.parts[c.part_a].name, stool.parts[c.part_b].name)
     return {kind for kind in ("stretcher", "leg") if any(kind in n for n in names)}
+
+
+def wanted_of(start: FullState, part: int, held: Hold) -> tuple[Wanted, Stand]:
+    """A group to be taken, and its post."""
+    standing = next(s for s in start.moment.standing if part in s.group.parts)
+    return Wanted(standing.group, held, "u"), standing.stand
 
 
 def dense(leg: Leg, step: float) -> list[np.ndarray]:
@@ -226,17 +237,17 @@ def test_a_robot_that_stands_in_the_way_drives_elsewhere(task: FullTask, start: 
     assert merged.step is not None
     action = merged.step.action
     held = task.free_holds(start.groups, action[0])[action[4]]
-    index = next(i for i, s in enumerate(start.moment.standing) if action[0] in s.group.parts)
-    post = start.moment.standing[index].stand.top[:2]
+    wanted, stand = wanted_of(start, action[0], held)
+    post = stand.top[:2]
 
     def without_r_b_moving(state: FullState) -> bool:
         legs = Legs(task.furniture, state.cell, state.moment, task.budget, np.random.default_rng(0))
         try:
-            return next(_taking(legs, 0, index, held, "u").tries, None) is not None
+            return next(_taking(legs, 0, wanted).tries, None) is not None
         except LegError:
             return False
 
-    for angle, far in product(np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False), (0.45, 0.6)):
+    for angle, far in product(np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False), (0.35, 0.4, 0.45, 0.5)):
         place = post + far * np.array([np.cos(angle), np.sin(angle)])
         at = np.concatenate([place, start.moment.robots[1].at[2:]])
         state = replace(start, moment=start.moment.moved(1, at))
@@ -252,6 +263,50 @@ def test_a_robot_that_stands_in_the_way_drives_elsewhere(task: FullTask, start: 
         own = leg.moment.robots[leg.robot]
         checker = RobotChecker(leg.moment.around(task.furniture, leg.robot), own.held(task.furniture), own.opening)
         assert not [q for q in dense(leg, 0.08) if checker.hits(q)], leg.name
+
+
+def test_groups_are_taken_with_the_arm_as_it_will_be(
+    task: FullTask, start: FullState, merged: FullOutcome
+) -> None:  # fmt: skip
+    assert merged.step is not None
+    u, v, _, _, g_a, g_b = merged.step.action
+    wanted = [wanted_of(start, part, task.free_holds(start.groups, part)[g])[0] for part, g in ((u, g_a), (v, g_b))]
+
+    def arms(like: list[np.ndarray | None]) -> list[np.ndarray]:
+        legs = Legs(task.furniture, start.cell, start.moment, task.budget, np.random.default_rng(0))
+        fetch_both(legs, [replace(w, like=q) for w, q in zip(wanted, like, strict=True)])
+        return [robot.at for robot in legs.moment.robots]
+
+    usual = arms([None, None])
+    like: list[np.ndarray | None] = []
+    for w, q in zip(wanted, usual, strict=True):
+        tips = w.group.world_from_furniture * w.hold.furniture_from_tips
+        others = reach(tips, 64, np.random.default_rng(1)).configurations
+        like.append(others[np.argmax(np.linalg.norm((others - q)[:, 3:], axis=1))])
+    for before, after, wished in zip(usual, arms(like), like, strict=True):
+        assert wished is not None
+        far, near = (float(np.linalg.norm((q - wished)[3:])) for q in (before, after))
+        assert near < 0.9 * far
+
+
+def test_a_hand_backs_off_less_where_something_is_behind_it(task: FullTask, merged: FullOutcome) -> None:
+    leg = next(leg for leg in merged.legs if leg.name == "back off from u")
+    at = leg.path[0]
+    out = -world_from_tips(at).rotation[:, 2]
+
+    def backs_off(far: float) -> float | None:
+        """How far, with a small block that far behind the finger tips."""
+        legs = Legs(task.furniture, merged.state.cell, leg.moment, task.budget, np.random.default_rng(0))
+        place = world_from_tips(at).translation + far * out
+        block = Body("block", (Shape(brick(0.01, 0.01, 0.01), SE3.Identity()),), SE3(np.eye(3), place), False)
+        way = legs.back(RobotWorld([block], leg.moment.robots[0].opening), at)
+        if way is None:
+            return None
+        return float(np.linalg.norm(world_from_tips(way[-1]).translation - world_from_tips(at).translation))
+
+    assert backs_off(1.0) == pytest.approx(0.10, abs=1e-3)
+    found = {backs_off(far) for far in np.arange(0.1, 0.6, 0.01)}
+    assert {None if d is None else round(d, 2) for d in found} == {None, 0.05, 0.10}
 
 
 def test_options_pass_the_cheap_tests_and_name_the_split(task: FullTask, start: FullState) -> None:

@@ -175,7 +175,7 @@ def test_pairs_without_room_for_hands_cannot_be_joined() -> None:
     plays = [teacher.play(rng) for _ in range(3)]
     joined, tight = 0, 0
     for lesson in (lesson for play in plays for lesson in (*play.lessons, *play.dead_ends)):
-        tokens = teacher.course.tokens(lesson, memory, hands=True)
+        tokens = teacher.course.tokens(lesson, memory)
         assert tokens.room is not None
         index = np.full(lesson.free.shape, -1)
         index[tokens.part, tokens.point] = np.arange(len(tokens.part))

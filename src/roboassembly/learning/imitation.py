@@ -67,7 +67,7 @@ def examples_of(courses: Sequence[Course]) -> list[Example]:
     for index, course in enumerate(courses):
         memory = Memory()
         for lesson in course.lessons:
-            tokens = course.tokens(lesson, memory, hands=course.hands is not None)
+            tokens = course.tokens(lesson, memory)
             small = replace(tokens, beside=tokens.beside.astype(np.float16))
             out.append(Example(index, small, *answers(tokens, lesson)))
     return out

@@ -63,9 +63,9 @@ class Course:
     hands: Float32[np.ndarray, "P 8 6"] | None = None
     """The hand at each grasp, as in the observation; None in the object-centric setting."""
 
-    def tokens(self, lesson: Lesson, memory: Memory | None = None, hands: bool = False) -> Tokens:
-        """What the policy sees of a state, as `tokens_of` tells it."""
-        return tokens_of(self.situation(lesson), memory, hands)
+    def tokens(self, lesson: Lesson, memory: Memory | None = None) -> Tokens:
+        """What the policy sees of a state, as `tokens_of` tells it; of hands, too, where there are some."""
+        return tokens_of(self.situation(lesson), memory, hands=self.hands is not None)
 
     def situation(self, lesson: Lesson) -> Situation:
         """What a policy is told of a state."""

@@ -29,7 +29,7 @@ from roboassembly.task.moments import Leg, Moment, Robot, Standing
 from roboassembly.task.pairs import Merge
 from roboassembly.task.placing import set_down
 from roboassembly.task.rules import GRASPS, Rules
-from roboassembly.task.taking import can_fetch, fetch_both
+from roboassembly.task.taking import Wanted, can_fetch, fetch_both
 
 BUDGET = Budget(states=8_000)
 """Of each path."""
@@ -248,9 +248,8 @@ class FullTask:
             robot: 0 or 1.
             seed: of what is drawn.
         """
-        legs = self._planner(state, seed)
-        index = next(i for i, s in enumerate(state.moment.standing) if part in s.group.parts)
-        return can_fetch(legs, robot, index, held)
+        group = next(s.group for s in state.moment.standing if part in s.group.parts)
+        return can_fetch(self._planner(state, seed), robot, Wanted(group, held, ""))
 
     def can_meet(self, state: FullState, joint: Joint, seed: int) -> bool:
         """Whether both arms reach the joint in some pose of it, and R_a comes straight out."""
@@ -313,25 +312,29 @@ class FullTask:
         if first is None:
             raise LegError(Obstacle.NO_ARM_SOLUTION, "mate")
         places = [s.stand.top[:2] for s in state.moment.standing]
-        fetch_both(legs, ((joint.u, joint.hold_a, "u"), (joint.v, joint.hold_b, "v")))
-        failed = LegError(Obstacle.NO_PATH, "drive u")
+        wanted = Wanted(joint.u, joint.hold_a, "u"), Wanted(joint.v, joint.hold_b, "v")
+        start, failed = legs.reached, None
+        fetch_both(legs, wanted)
         for meeting in islice(chain([first], some), _MEETINGS):
-            before = legs.reached
             try:
-                if join(legs, meeting):
-                    part(legs, meeting, joint.merge.merged, *joint.hands)
-                    set_down(legs, places)
-                    break
+                if failed is not None:
+                    # With something long in its hand an arm does not get from any posture to any other: they take them
+                    # again, with the arms rather as they will be.
+                    legs.back_to(start)
+                    arms = meeting.out[-1], meeting.b
+                    fetch_both(legs, [replace(w, like=arm) for w, arm in zip(wanted, arms, strict=True)])
+                join(legs, meeting)
+                part(legs, meeting, joint.merge.merged, *joint.hands)
+                set_down(legs, places)
+                groups = TaskState(tuple(s.group for s in legs.moment.standing))
+                return FullState(groups, legs.moment, state.cell)
             except LegError as no:
                 # From here R_a does not get away, or R_b, from elsewhere they may.
                 failed = no
-                legs.back_to(before)
                 if no.final:
                     raise
-        else:
-            raise failed
-        groups = TaskState(tuple(s.group for s in legs.moment.standing))
-        return FullState(groups, legs.moment, state.cell)
+        assert failed is not None
+        raise failed
 
 
 @dataclass(frozen=True)

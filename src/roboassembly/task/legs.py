@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from enum import StrEnum
+from itertools import product
 
 import numpy as np
 
@@ -23,12 +24,15 @@ from roboassembly.task.moments import Configuration, Leg, Moment
 
 TUCKED = np.array([0.0, -1.2, 0.0, -2.6, 0.0, 2.0, 0.785])
 """The arm folded over the platform, to drive."""
+PLACE, ARM = slice(2), slice(3, None)
+"""Joints of a configuration."""
 GUESSES = 64
 """Arm configurations looked for at a pose of the hand."""
 LIFT = 0.06
 """Metres that a group rises straight from its post before anything else, and sinks onto it."""
-BACK = 0.10
-"""Metres that an open hand comes and goes straight."""
+_BACK = (0.10, 0.05)
+"""Metres that an open hand comes and goes straight; less, but so that the fingers are out, where the wrist would meet
+the other robot's hand."""
 TRIES = 12
 """Ways to stand at a pose to which the planner looks for a path."""
 _PARKINGS = 12
@@ -110,9 +114,17 @@ class Legs:
         self.moment = leg.after
 
     def ways_to_stand(
-        self, world: RobotWorld, tips: SE3, near: Configuration, leg: str, draws: int = 1
+        self, world: RobotWorld, tips: SE3, near: Configuration, joints: slice, leg: str, draws: int = 1
     ) -> Iterator[Configuration]:
-        """Free configurations with the finger tips there, the nearest of each draw of `GUESSES` first.
+        """Free configurations with the finger tips there, of each draw of `GUESSES` those nearest to one first.
+
+        Args:
+            world: to be free in.
+            tips: where they are to be.
+            near: configuration.
+            joints: that count for what is near.
+            leg: for the error.
+            draws: of configurations.
 
         Raises:
             LegError: there is none.
@@ -122,14 +134,15 @@ class Legs:
             found = reach(tips, GUESSES, self.rng).configurations
             free = found[world.free(found)] if len(found) else found
             none = none and not len(free)
-            yield from free[np.argsort(np.linalg.norm(free[:, :2] - near[:2], axis=1))]
+            yield from free[np.argsort(np.linalg.norm((free - near)[:, joints], axis=1))]
         if none:
             raise LegError(Obstacle.NO_ARM_SOLUTION, leg)
 
     def back(self, world: RobotWorld, at: Configuration) -> Path | None:
         """Straight back out of a grasp, driving or from where the platform stands."""
-        for drive in (True, False):
-            back = line(at, -BACK * world_from_tips(at).rotation[:, 2], drive=drive)
+        approach = world_from_tips(at).rotation[:, 2]
+        for length, drive in product(_BACK, (True, False)):
+            back = line(at, -length * approach, drive=drive)
             if back is not None and path_is_free(world, back):
                 return back
         return None

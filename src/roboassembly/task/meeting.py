@@ -15,7 +15,7 @@ from roboassembly.robots.kinematics import Poses
 from roboassembly.robots.reach import nearness, reach
 from roboassembly.task.groups import Group, hull_points
 from roboassembly.task.joining import Hold, Way
-from roboassembly.task.legs import GUESSES, TUCKED, Legs
+from roboassembly.task.legs import GUESSES, TUCKED, LegError, Legs, Obstacle
 from roboassembly.task.moments import Configuration, Grip, Robot
 
 _SPINS = 16
@@ -139,21 +139,30 @@ def _poses_to_meet(
         yield way, drawn * pose
 
 
-def join(legs: Legs, meeting: Meeting) -> bool:
-    """Drive both robots to a meeting and mate; False, and nothing is changed, if there is no way."""
+def join(legs: Legs, meeting: Meeting) -> None:
+    """Drive both robots to a meeting and mate.
+
+    Args:
+        legs: so far; those of this are added.
+        meeting: where.
+
+    Raises:
+        LegError: there is no way.
+    """
     drives = ((1, meeting.b, "drive v"), (0, meeting.out[-1], "drive u"))
-    before = legs.reached
+    before, failed = legs.reached, ""
     for order in (drives, drives[::-1]):
         for robot, goal, name in order:
             way = legs.go(legs.world(legs.moment, robot), legs.moment.robots[robot].at, goal)
             if way is None:
+                failed = name
                 break
             legs.add(name, robot, way)
         else:
             legs.add("mate", 0, tuple(reversed(meeting.out)))
-            return True
+            return
         legs.back_to(before)
-    return False
+    raise LegError(Obstacle.NO_PATH, failed)
 
 
 def part(legs: Legs, meeting: Meeting, merged: Group, hold_a: Hold, hold_b: Hold) -> None:

@@ -15,7 +15,7 @@ from roboassembly.poses import SE3, align_axis, turn_about_vertical
 from roboassembly.task.cell import Stand, free_places, on_post, open_grasps, reach_from
 from roboassembly.task.groups import Group
 from roboassembly.task.layout import group_footprint
-from roboassembly.task.legs import LIFT, LegError, Legs, Obstacle
+from roboassembly.task.legs import LIFT, PLACE, LegError, Legs, Obstacle
 from roboassembly.task.moments import Configuration, Moment, Robot, Standing
 from roboassembly.task.rules import UP_AXES
 
@@ -93,7 +93,7 @@ def _ways_down(legs: Legs, wanted: Sequence[Float[np.ndarray, "2"]]) -> Iterator
         tips = standing.group.world_from_furniture * grip.hold.furniture_from_tips
         ways = 0
         try:
-            for at in legs.ways_to_stand(lowering, tips, robot.at, "set down"):
+            for at in legs.ways_to_stand(lowering, tips, robot.at, PLACE, "set down"):
                 above = line(at, np.array([0.0, 0.0, LIFT]))
                 if above is None or not path_is_free(lowering, above):
                     continue
