@@ -17,7 +17,7 @@ from roboassembly.furniture.model import MAX_POINTS, Furniture
 from roboassembly.learning import checkpoint, grasping, relational
 from roboassembly.learning.gather import file_of
 from roboassembly.learning.grasp_lessons import NO, UNKNOWN, YES, GraspCourse, GraspTeacher
-from roboassembly.learning.grasp_practice import lesson_of, practise
+from roboassembly.learning.grasp_practice import ask, lesson_of, practise
 from roboassembly.learning.hands import ONE, TWO, Handling, handling_of
 from roboassembly.learning.lessons import Teacher
 from roboassembly.learning.loading import load_policy
@@ -276,6 +276,34 @@ def test_what_an_action_tells_of_its_hands() -> None:
     assert len(seen) > 1
 
 
+def test_what_is_asked_of_actions_is_what_fresh_tests_say() -> None:
+    task = FullTask(shapes.stand())
+    state = task.initial_state(np.random.default_rng(0))
+    observer = Observer(task.furniture, len(task.furniture.parts), MAX_POINTS, 1)
+    actions = [tuple(a) for a in np.argwhere(existing_actions(task, state)).tolist()]
+    right = [a for a in actions if task.merge(state.groups, a[:4])]
+    wrong = [a for a in actions if not task.merge(state.groups, a[:4])]
+    lessons = list(ask(task, state, observer, [*wrong[:5], *right], np.random.default_rng(1)))
+    assert {lesson.pair for lesson in lessons} == {(a[0], a[2], a[1], a[3]) for a in right}
+    room = 0
+    for lesson in lessons:
+        u, k, v, l = lesson.pair  # noqa: E741
+        for g_a, g_b in np.argwhere(lesson.room != UNKNOWN).tolist():
+            joint = task.joint(state.groups, (u, v, k, l, g_a, g_b))
+            assert lesson.room[g_a, g_b] == (YES if isinstance(joint, Held) else NO)
+            room += 1
+        for g_a, g_b in np.argwhere(lesson.meet != UNKNOWN).tolist():
+            joint = task.joint(state.groups, (u, v, k, l, g_a, g_b))
+            assert isinstance(joint, Held)
+            assert lesson.meet[g_a, g_b] == task.can_meet(state, joint, 2)
+            assert lesson.take[0, g_a] == task.can_take(state, u, joint.hold_a, 0, 3)
+            assert lesson.take[1, g_b] == task.can_take(state, v, joint.hold_b, 1, 4)
+        assert (lesson.rest == UNKNOWN).all()
+    assert room == len(right)
+    # Arms are asked about of the first that have room.
+    assert sum(int((lesson.meet != UNKNOWN).sum()) for lesson in lessons) == 3
+
+
 def test_practice_is_written_once_and_the_same_again(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     config = relational.RelationalConfig(token=16, pair=8, layers=1, heads=2, ends=4, conflicts=2)
@@ -289,7 +317,9 @@ def test_practice_is_written_once_and_the_same_again(tmp_path: Path) -> None:
     again = {g.name: g for g in practise(names, tmp_path / "b", player_file, plays=1, seed=3, jobs=1)}
     for name, told in done.items():
         assert (told.states, told.mistakes) == (again[name].states, again[name].mistakes)
-        assert len(GraspCourse.load(file_of(tmp_path / "a", name)).lessons) == told.states
+        lessons = GraspCourse.load(file_of(tmp_path / "a", name)).lessons
+        assert len(lessons) == told.states
+        assert sum(int((lesson.rest == YES).sum()) for lesson in lessons) == told.choices - told.mistakes
 
 
 def test_chances_of_hands_by_hand() -> None:

@@ -2,7 +2,8 @@
 
 Hands drawn at random (`grasp_lessons`) say little of those that a policy prefers: among hundreds of hands it takes the
 one whose chance it overrates most. So it plays, and every action carried out answers for its own hands; after one that
-fails, the next best is tried in the same state.
+fails, the next best is tried in the same state. Of more of the actions that it would choose in a state it is asked what
+can be told without planning: whether both hands have room, and of some whether the arms could do it.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from roboassembly.learning.loading import load_policy
 from roboassembly.learning.policies import ConfidentPolicy, guide_of
 from roboassembly.processes import as_done
 from roboassembly.solvers.guide import Guide
-from roboassembly.task.full import FullOutcome, FullTask, FullVerdict
+from roboassembly.task.full import FullOutcome, FullTask, FullVerdict, Joint, Refusal
 from roboassembly.task.full_plan import FullState
 from roboassembly.task.rules import GRASPS
 
@@ -33,6 +34,9 @@ _TRIED = 5
 """Actions of a state before a play is given up."""
 _CURIOUS = 0.25
 """Share of actions that are any of those suggested, not the best of them."""
+_ASKED, _ARMS_ASKED = 12, 3
+"""Suggestions of a state of which it is asked whether the hands have room; and, of those that have, whether the arms
+take both groups and reach the joint."""
 _HANDS = (FullVerdict.GRASP_BLOCKED, FullVerdict.JOINT_BLOCKED, FullVerdict.CANNOT_LET_GO)
 _TAKING = ("drive to", "grasp", "approach", "lift")
 """How the legs are called in which a group is fetched from its post."""
@@ -60,6 +64,7 @@ def _practise(name: str, *, folder: Path, policy: Path, plays: int, seed: int) -
     begun = time.monotonic()
     family, _, number = name.partition(":")
     lessons: list[GraspLesson] = []
+    mistakes = choices = 0
     clouds, hands = np.zeros((0, CLOUD_POINTS, 3), np.float32), np.zeros((0, GRASPS, 6), np.float32)
     try:
         task = FullTask(catalogue.make(family, int(number)))
@@ -75,10 +80,12 @@ def _practise(name: str, *, folder: Path, policy: Path, plays: int, seed: int) -
         for index in range(plays):
             rng = np.random.default_rng([seed, int(number), index])
             state = task.initial_state(rng)
-            lessons += play(task, state, observer, guide_of(_policy(policy)), rng)
+            for asked, tried in play(task, state, observer, guide_of(_policy(policy)), rng):
+                lessons += [*asked, *tried]
+                choices += len(tried)
+                mistakes += sum(not (lesson.rest == YES).any() for lesson in tried)
     GraspCourse(name, clouds, hands, tuple(lessons)).save(file_of(folder, name))
-    mistakes = sum(not (lesson.rest == YES).any() for lesson in lessons)
-    return Gathered(name, len(lessons), mistakes, len(lessons), time.monotonic() - begun)
+    return Gathered(name, len(lessons), mistakes, choices, time.monotonic() - begun)
 
 
 @lru_cache(maxsize=1)
@@ -90,32 +97,67 @@ def _policy(path: Path) -> ConfidentPolicy:
 
 def play(
     task: FullTask, state: FullState, observer: Observer, guide: Guide[FullState], rng: np.random.Generator
-) -> Iterator[GraspLesson]:
-    """One play, as far as it leads; a lesson for each action of which the pair was right."""
+) -> Iterator[tuple[list[GraspLesson], list[GraspLesson]]]:
+    """One play, as far as it leads; of each state the lessons that were asked for, and one for each action carried out
+    of which the pair was right."""
     ahead: FullState | None = state
     while ahead is not None and not ahead.groups.complete:
         state, ahead = ahead, None
         left = list(guide(task, state))
+        asked, tried = list(ask(task, state, observer, [one.action for one in left[:_ASKED]], rng)), []
         for _ in range(_TRIED):
             if not left:
                 break
             one = left.pop(int(rng.integers(len(left))) if rng.random() < _CURIOUS else 0)
-            outcome = task.step(state, one.action, int(rng.integers(2**31 - 1)))
+            outcome = task.step(state, one.action, _seed(rng))
             if outcome.verdict in (FullVerdict.WRONG_PAIR, FullVerdict.NOT_AN_ACTION):
                 continue
-            yield lesson_of(task, state, observer, one.action, outcome)
+            tried.append(lesson_of(task, state, observer, one.action, outcome))
             if outcome.step is not None:
                 ahead = outcome.state
                 break
+        yield asked, tried
+
+
+def ask(
+    task: FullTask, state: FullState, observer: Observer, actions: Sequence[tuple[int, ...]], rng: np.random.Generator
+) -> Iterator[GraspLesson]:
+    """What can be told of some actions without carrying them out; a lesson for each right pair.
+
+    Args:
+        task: of the furniture.
+        state: unchanged.
+        observer: of the furniture.
+        actions: that exist.
+        rng: draws for the arms.
+    """
+    lessons: dict[tuple[int, ...], GraspLesson] = {}
+    arms = 0
+    for action in actions:
+        u, v, k, l, g_a, g_b = action  # noqa: E741
+        joint = task.joint(state.groups, action)
+        if isinstance(joint, Refusal) and joint.verdict is FullVerdict.WRONG_PAIR:
+            continue
+        if (u, v, k, l) not in lessons:
+            lessons[u, v, k, l] = _nothing_known(task, state, observer, action)
+        lesson = lessons[u, v, k, l]
+        lesson.room[g_a, g_b] = NO if isinstance(joint, Refusal) else YES
+        if isinstance(joint, Joint) and arms < _ARMS_ASKED:
+            arms += 1
+            lesson.meet[g_a, g_b] = task.can_meet(state, joint, _seed(rng))
+            for robot, part, g, held in ((0, u, g_a, joint.hold_a), (1, v, g_b, joint.hold_b)):
+                if lesson.take[robot, g] == UNKNOWN:
+                    lesson.take[robot, g] = task.can_take(state, part, held, robot, _seed(rng))
+    yield from lessons.values()
 
 
 def lesson_of(
     task: FullTask, state: FullState, observer: Observer, action: tuple[int, ...], outcome: FullOutcome
 ) -> GraspLesson:
     """What an action of a right pair tells of its own two hands, by how far it came."""
-    u, v, k, l, g_a, g_b = action  # noqa: E741
-    take = np.full((2, GRASPS), UNKNOWN, np.int8)
-    room, meet, rest = (np.full((GRASPS, GRASPS), UNKNOWN, np.int8) for _ in range(3))
+    lesson = _nothing_known(task, state, observer, action)
+    take, room, meet, rest = lesson.take, lesson.room, lesson.meet, lesson.rest
+    g_a, g_b = action[4:]
     at, hands = (g_a, g_b), ((0, g_a), (1, g_b))
     if outcome.verdict in _HANDS:
         room[at] = NO
@@ -131,8 +173,19 @@ def lesson_of(
         room[at], meet[at] = YES, YES
         take[hands[0]] = take[hands[1]] = YES
         rest[at] = NO if outcome.step is None else YES
+    return lesson
+
+
+def _nothing_known(task: FullTask, state: FullState, observer: Observer, action: tuple[int, ...]) -> GraspLesson:
+    """A lesson of an action's pair without an answer."""
+    u, v, k, l = action[:4]  # noqa: E741
     seen = observer.observe(state.groups)
     free = task.rules.free_points(state.groups)[: len(seen["poses"])]
     return GraspLesson(
-        seen["connection_points"], seen["connections"], free, seen["poses"], (u, k, v, l), take, room, meet, rest
+        seen["connection_points"], seen["connections"], free, seen["poses"], (u, k, v, l),
+        np.full((2, GRASPS), UNKNOWN, np.int8), *(np.full((GRASPS, GRASPS), UNKNOWN, np.int8) for _ in range(3)),
     )  # fmt: skip
+
+
+def _seed(rng: np.random.Generator) -> int:
+    return int(rng.integers(2**31 - 1))
