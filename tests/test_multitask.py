@@ -72,6 +72,18 @@ def test_lessons_are_gathered_once_and_by_the_student(tmp_path: Path) -> None:
     assert 0 < taught[0].mistakes <= 3
 
 
+def test_a_student_that_knows_hands_plays_with_them(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    params = relational.init(rng, TINY) | relational.init_hands(rng, TINY)
+    student = tmp_path / "student.npz"
+    checkpoint.save(student, checkpoint.Checkpoint(relational.KIND, params, {}, {}))
+    (taught,) = gather(["cantilever:1"], tmp_path / "0", plays=1, seed=0, jobs=1, student=student, setting="full")
+    assert taught.choices == 3
+    (course,) = load_courses(tmp_path / "0", ["cantilever:1"])
+    assert course.hands is not None
+    assert course.tokens(course.lessons[0]).hold is not None
+
+
 def test_a_curriculum_with_robots_ends_in_one_policy_for_both_settings(
     two_chairs: list[str], tmp_path: Path
 ) -> None:  # fmt: skip

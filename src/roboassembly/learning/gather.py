@@ -31,7 +31,7 @@ _KINDS = ("", "sunk", "fused", "", "fused", "lattice", "", "sunk", "fused", "", 
 """Families of extra pieces, in turn; a chair of the next family where there is none."""
 _TRIES = 3
 """Pairs of hands that are tried at a pair of points, until one joins them."""
-_MOST_HELD = 12
+_MOST_HELD = 16
 """Parts, at most, of furniture taught with robots: what the oracle asks of hands grows exponentially with them."""
 EXTRA_SEEDS = 1_000_000_000
 """Seeds of extra chairs start here, where those of no data set reach."""

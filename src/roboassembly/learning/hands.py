@@ -46,7 +46,7 @@ _PAD = 0.011
 class Handling:
     """Two hands at a joint; rows are grasps of u's part, columns those of v's."""
 
-    one: Float32[np.ndarray, "2 8 28"]
+    one: Float32[np.ndarray, "2 8 43"]
     """Of R_a's hand at u, and of R_b's at v."""
     two: Float32[np.ndarray, "8 8 9"]
     there: Bool[np.ndarray, "8 8"]
