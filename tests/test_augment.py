@@ -86,7 +86,7 @@ def test_hands_are_mirrored_and_turned_with_the_parts(course: Course, change: Ch
     assert np.array_equal(other.hands.any(axis=2), there)
     np.testing.assert_allclose(other.hands[there][:, :3], course.hands[there][:, :3] @ change.matrix.T, atol=1e-6)
     for before, after in zip(course.lessons, other.lessons, strict=True):
-        told, wanted = seen(course.tokens(before, hands=True), change), other.tokens(after, hands=True)
+        told, wanted = seen(course.tokens(before), change), other.tokens(after)
         for a, b in ((told.hold, wanted.hold), (told.room, wanted.room)):
             assert a is not None
             assert b is not None

@@ -247,7 +247,7 @@ def test_a_robot_that_stands_in_the_way_drives_elsewhere(task: FullTask, start: 
         except LegError:
             return False
 
-    for angle, far in product(np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False), (0.35, 0.4, 0.45, 0.5)):
+    for far, angle in product((0.4, 0.35, 0.45, 0.5), np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False)):
         place = post + far * np.array([np.cos(angle), np.sin(angle)])
         at = np.concatenate([place, start.moment.robots[1].at[2:]])
         state = replace(start, moment=start.moment.moved(1, at))

@@ -283,8 +283,8 @@ def test_what_is_asked_of_actions_is_what_fresh_tests_say() -> None:
     actions = [tuple(a) for a in np.argwhere(existing_actions(task, state)).tolist()]
     right = [a for a in actions if task.merge(state.groups, a[:4])]
     wrong = [a for a in actions if not task.merge(state.groups, a[:4])]
-    lessons = list(ask(task, state, observer, [*wrong[:5], *right], np.random.default_rng(1)))
-    assert {lesson.pair for lesson in lessons} == {(a[0], a[2], a[1], a[3]) for a in right}
+    lessons = list(ask(task, state, observer, [*wrong[:5], *right[::4]], np.random.default_rng(1)))
+    assert {lesson.pair for lesson in lessons} == {(a[0], a[2], a[1], a[3]) for a in right[::4]}
     room = 0
     for lesson in lessons:
         u, k, v, l = lesson.pair  # noqa: E741
@@ -299,7 +299,7 @@ def test_what_is_asked_of_actions_is_what_fresh_tests_say() -> None:
             assert lesson.take[0, g_a] == task.can_take(state, u, joint.hold_a, 0, 3)
             assert lesson.take[1, g_b] == task.can_take(state, v, joint.hold_b, 1, 4)
         assert (lesson.rest == UNKNOWN).all()
-    assert room == len(right)
+    assert room == len(right[::4])
     # Arms are asked about of the first that have room.
     assert sum(int((lesson.meet != UNKNOWN).sum()) for lesson in lessons) == 3
 

@@ -50,7 +50,7 @@ class Multitask:
     start: str | None = None
     """Policy to begin with, `relational` or a checkpoint (relational); with robots `relational` if not given."""
     steps: int | None = None
-    """Updates: 16,000 (relational, in the first round; 8,000 with robots), 20,000 (paper)."""
+    """Updates: 16,000 (relational, in the first round; 3,000 with robots), 20,000 (paper)."""
     round_steps: int = 8_000
     """Updates in each later round (relational)."""
     lessons: tuple[Path, ...] = ()

@@ -86,7 +86,7 @@ class Curriculum:
     def with_hands() -> Curriculum:
         """What the shipped policy learns besides to play with robots."""
         return Curriculum(
-            extra=400, validation=24, plays=3, rounds=1, steps=8_000, learning_rate=1e-3, setting="full",
+            extra=1_500, validation=24, plays=3, rounds=1, steps=3_000, learning_rate=1e-3, setting="full",
             start="relational",
         )  # fmt: skip
 
