@@ -153,7 +153,7 @@ class GraspTeacher:
         rest, after = np.full((GRASPS, GRASPS), UNKNOWN, np.int8), None
         taken = (take[0, :, None] == YES) & (take[1] == YES)
         for g_a, g_b in rng.permutation(np.argwhere(taken & (meet == YES)))[: self.tries].tolist():
-            outcome = self.task.step(state, (joint.u, joint.v, joint.k, joint.l, g_a, g_b), _seed(rng))
+            outcome = self.task.step(state, (joint.u, joint.v, joint.k, joint.l, g_a, g_b), drawn_seed(rng))
             rest[g_a, g_b] = NO if outcome.step is None else YES
             if outcome.step is not None:
                 after = outcome.state
@@ -177,7 +177,7 @@ class GraspTeacher:
         for robot, part in enumerate((joint.u, joint.v)):
             holds = task.free_holds(groups, part)
             for g, held in holds.items():
-                take[robot, g] = task.can_take(state, part, held, robot, _seed(rng))
+                take[robot, g] = task.can_take(state, part, held, robot, drawn_seed(rng))
             hands.append({g: h for g, h in holds.items() if task.fits_alone(u_group, v_group, merge, h, robot)})
         both = [(a, b) for a in hands[0] for b in hands[1]]
         room[tuple(np.array(both, int).reshape(-1, 2).T)] = UNKNOWN
@@ -188,9 +188,10 @@ class GraspTeacher:
             room[a, b] = isinstance(fitted, Held)
             if isinstance(fitted, Held) and met < _MEET:
                 met += 1
-                meet[a, b] = task.can_meet(state, fitted, _seed(rng))
+                meet[a, b] = task.can_meet(state, fitted, drawn_seed(rng))
         return take, room, meet
 
 
-def _seed(rng: np.random.Generator) -> int:
+def drawn_seed(rng: np.random.Generator) -> int:
+    """One for a planner."""
     return int(rng.integers(2**31 - 1))

@@ -20,7 +20,7 @@ from roboassembly.errors import InputError
 from roboassembly.furniture import catalogue
 from roboassembly.furniture.model import MAX_POINTS
 from roboassembly.learning.gather import Gathered, file_of
-from roboassembly.learning.grasp_lessons import NO, UNKNOWN, YES, GraspCourse, GraspLesson
+from roboassembly.learning.grasp_lessons import NO, UNKNOWN, YES, GraspCourse, GraspLesson, drawn_seed
 from roboassembly.learning.lessons import CLOUD_POINTS
 from roboassembly.learning.loading import load_policy
 from roboassembly.learning.policies import ConfidentPolicy, guide_of
@@ -109,7 +109,7 @@ def play(
             if not left:
                 break
             one = left.pop(int(rng.integers(len(left))) if rng.random() < _CURIOUS else 0)
-            outcome = task.step(state, one.action, _seed(rng))
+            outcome = task.step(state, one.action, drawn_seed(rng))
             if outcome.verdict in (FullVerdict.WRONG_PAIR, FullVerdict.NOT_AN_ACTION):
                 continue
             tried.append(lesson_of(task, state, observer, one.action, outcome))
@@ -144,10 +144,10 @@ def ask(
         lesson.room[g_a, g_b] = NO if isinstance(joint, Refusal) else YES
         if isinstance(joint, Joint) and arms < _ARMS_ASKED:
             arms += 1
-            lesson.meet[g_a, g_b] = task.can_meet(state, joint, _seed(rng))
+            lesson.meet[g_a, g_b] = task.can_meet(state, joint, drawn_seed(rng))
             for robot, part, g, held in ((0, u, g_a, joint.hold_a), (1, v, g_b, joint.hold_b)):
                 if lesson.take[robot, g] == UNKNOWN:
-                    lesson.take[robot, g] = task.can_take(state, part, held, robot, _seed(rng))
+                    lesson.take[robot, g] = task.can_take(state, part, held, robot, drawn_seed(rng))
     yield from lessons.values()
 
 
@@ -185,7 +185,3 @@ def _nothing_known(task: FullTask, state: FullState, observer: Observer, action:
         seen["connection_points"], seen["connections"], free, seen["poses"], (u, k, v, l),
         np.full((2, GRASPS), UNKNOWN, np.int8), *(np.full((GRASPS, GRASPS), UNKNOWN, np.int8) for _ in range(3)),
     )  # fmt: skip
-
-
-def _seed(rng: np.random.Generator) -> int:
-    return int(rng.integers(2**31 - 1))
