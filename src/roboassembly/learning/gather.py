@@ -128,11 +128,10 @@ def _gather(
     mistakes = choices = 0
     for index in range(plays):
         rng = np.random.default_rng([seed, int(number), index])
-        if index == 0 and moves is not None:
-            play = teacher.play(rng, moves)
+        student_moves = moves if index == 0 else None
+        play = teacher.play(rng, student_moves)
+        if student_moves is not None:
             mistakes, choices = play.mistakes, len(play.lessons)
-        else:
-            play = teacher.play(rng)
         for lesson in (*play.lessons, *play.dead_ends):
             found.setdefault(lesson.group.tobytes(), lesson)
     if isinstance(oracle, HandOracle) and name in with_grasps:

@@ -8,7 +8,7 @@ where the arms reach it, and what became of those that were tried.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -158,12 +158,8 @@ class GraspTeacher:
             if outcome.step is not None:
                 after = outcome.state
                 break
-        seen = self._observer.observe(state.groups)
-        free = self.task.rules.free_points(state.groups)[: len(seen["poses"])]
-        pair = (joint.u, joint.k, joint.v, joint.l)
-        return GraspLesson(
-            seen["connection_points"], seen["connections"], free, seen["poses"], pair, take, room, meet, rest
-        ), after  # fmt: skip
+        lesson = unanswered(self.task, state, self._observer, (joint.u, joint.k, joint.v, joint.l))
+        return replace(lesson, take=take, room=room, meet=meet, rest=rest), after
 
     def _tested(
         self, state: FullState, joint: Joint, rng: np.random.Generator
@@ -190,6 +186,25 @@ class GraspTeacher:
                 met += 1
                 meet[a, b] = task.can_meet(state, fitted, drawn_seed(rng))
         return take, room, meet
+
+
+def unanswered(
+    task: FullTask, state: FullState, observer: Observer, pair: tuple[int, int, int, int]
+) -> GraspLesson:  # fmt: skip
+    """A lesson of a pair (u, k, v, l) of which nothing is known yet.
+
+    Args:
+        task: of the furniture.
+        state: that it is in.
+        observer: of the furniture.
+        pair: right.
+    """
+    seen = observer.observe(state.groups)
+    free = task.rules.free_points(state.groups)[: len(seen["poses"])]
+    return GraspLesson(
+        seen["connection_points"], seen["connections"], free, seen["poses"], pair,
+        np.full((2, GRASPS), UNKNOWN, np.int8), *(np.full((GRASPS, GRASPS), UNKNOWN, np.int8) for _ in range(3)),
+    )  # fmt: skip
 
 
 def drawn_seed(rng: np.random.Generator) -> int:

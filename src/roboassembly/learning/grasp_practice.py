@@ -20,7 +20,7 @@ from roboassembly.errors import InputError
 from roboassembly.furniture import catalogue
 from roboassembly.furniture.model import MAX_POINTS
 from roboassembly.learning.gather import Gathered, file_of
-from roboassembly.learning.grasp_lessons import NO, UNKNOWN, YES, GraspCourse, GraspLesson, drawn_seed
+from roboassembly.learning.grasp_lessons import NO, UNKNOWN, YES, GraspCourse, GraspLesson, drawn_seed, unanswered
 from roboassembly.learning.lessons import CLOUD_POINTS
 from roboassembly.learning.loading import load_policy
 from roboassembly.learning.policies import ConfidentPolicy, guide_of
@@ -139,7 +139,7 @@ def ask(
         if isinstance(joint, Refusal) and joint.verdict is FullVerdict.WRONG_PAIR:
             continue
         if (u, v, k, l) not in lessons:
-            lessons[u, v, k, l] = _nothing_known(task, state, observer, action)
+            lessons[u, v, k, l] = unanswered(task, state, observer, (u, k, v, l))
         lesson = lessons[u, v, k, l]
         lesson.room[g_a, g_b] = NO if isinstance(joint, Refusal) else YES
         if isinstance(joint, Joint) and arms < _ARMS_ASKED:
@@ -155,9 +155,9 @@ def lesson_of(
     task: FullTask, state: FullState, observer: Observer, action: tuple[int, ...], outcome: FullOutcome
 ) -> GraspLesson:
     """What an action of a right pair tells of its own two hands, by how far it came."""
-    lesson = _nothing_known(task, state, observer, action)
+    u, v, k, l, g_a, g_b = action  # noqa: E741
+    lesson = unanswered(task, state, observer, (u, k, v, l))
     take, room, meet, rest = lesson.take, lesson.room, lesson.meet, lesson.rest
-    g_a, g_b = action[4:]
     at, hands = (g_a, g_b), ((0, g_a), (1, g_b))
     if outcome.verdict in _HANDS:
         room[at] = NO
@@ -174,14 +174,3 @@ def lesson_of(
         take[hands[0]] = take[hands[1]] = YES
         rest[at] = NO if outcome.step is None else YES
     return lesson
-
-
-def _nothing_known(task: FullTask, state: FullState, observer: Observer, action: tuple[int, ...]) -> GraspLesson:
-    """A lesson of an action's pair without an answer."""
-    u, v, k, l = action[:4]  # noqa: E741
-    seen = observer.observe(state.groups)
-    free = task.rules.free_points(state.groups)[: len(seen["poses"])]
-    return GraspLesson(
-        seen["connection_points"], seen["connections"], free, seen["poses"], (u, k, v, l),
-        np.full((2, GRASPS), UNKNOWN, np.int8), *(np.full((GRASPS, GRASPS), UNKNOWN, np.int8) for _ in range(3)),
-    )  # fmt: skip
