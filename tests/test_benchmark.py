@@ -69,7 +69,7 @@ def test_the_whole_table_from_nothing(tmp_path: Path, capsys: pytest.CaptureFixt
     shutil.copy(out / "relational" / "policy-0.npz", out / "relational" / "policy.npz")
     plan = benchmark.Benchmark.quick()
     trial = next(t for t in benchmark.trials(plan, out) if t.name == "relational")
-    assert benchmark.episodes_of(episodes, trial, 0) == []
+    assert benchmark.episodes_of(episodes, trial) == []
 
     with pytest.raises(InputError, match="another seed"):
         next(benchmark.run(benchmark.Benchmark.quick(seed=1), out, 1))

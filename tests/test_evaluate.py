@@ -14,9 +14,9 @@ import pytest
 from roboassembly.cli.evaluate import summary
 from roboassembly.errors import InputError, MissingExtraError, RoboAssemblyError, UnknownNameError
 from roboassembly.furniture import catalogue, storage
-from roboassembly.furniture.datasets import Entry, Pick, furniture_hash, pick
+from roboassembly.furniture.datasets import Entry, Pick, furniture_hash, pick, sampled
 from roboassembly.furniture.model import Furniture
-from roboassembly.learning.evaluate import Evaluation, episode_seed, evaluate, sampled, success
+from roboassembly.learning.evaluate import Evaluation, episode_seed, evaluate, success
 from roboassembly.learning.export import check_target, export
 from roboassembly.learning.players import SOLVERS, Episode, Way, play_episode, player
 from roboassembly.solvers.search import solve
@@ -252,6 +252,7 @@ def test_a_sample_is_drawn_by_the_seed() -> None:
     assert len(set(some)) == 5
     assert some != [p.name for p in sampled(picks, 5, 4)]
     assert len(sampled(picks, 50, 0)) == 20
+    assert sampled(picks, None, 0) == picks
 
 
 # Minari

@@ -25,6 +25,10 @@ class Benchmark:
     """Train the relational policy too, instead of taking the one that is shipped."""
     real: tuple[str, ...] = ()
     """Sets of real furniture besides, each `folder:PATH` of furniture folders."""
+    sample: int | None = None
+    """Play so many pieces of each set only, drawn by the seed."""
+    experts: int | None = None
+    """Train experts for so many of the training chairs only, drawn by the seed."""
     out: Path | None = None
     """Folder of the run (runs/benchmark, with -full and -quick behind it)."""
     write: Path | None = None
@@ -41,6 +45,8 @@ class Benchmark:
         """Do it; returns the exit status."""
         if self.seed < 0 or self.jobs < 1:
             raise InputError("--seed takes 0 or more, --jobs takes 1 or more")
+        if min(n for n in (self.sample, self.experts, 1) if n is not None) < 1:
+            raise InputError("--sample and --experts take 1 or more")
         needs(*PACKAGES)
         from roboassembly.furniture.datasets import pick
         from roboassembly.learning import benchmark
@@ -54,7 +60,10 @@ class Benchmark:
             benchmark.check_marks(self.write, self.setting)
         make = benchmark.Benchmark.quick if self.quick else benchmark.Benchmark.whole
         plan = make(self.setting, self.seed)
-        plan = replace(plan, real=self.real, shipped=plan.shipped and not self.retrain)
+        plan = replace(
+            plan, real=self.real, shipped=plan.shipped and not self.retrain, sample=self.sample or plan.sample,
+            taught=self.experts or plan.taught,
+        )  # fmt: skip
         with spread(self.ray, self.jobs) as jobs:
             follow(benchmark.run(plan, out, jobs), out)
         told = benchmark.report(plan, out)

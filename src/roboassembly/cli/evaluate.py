@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from roboassembly.cli.options import CORES, Execution, Jobs, Ray, Setting
+from roboassembly.cli.options import CORES, Execution, Jobs, Ray, Setting, chosen
 from roboassembly.cli.output import DONE, print_json, progress_bar, say
 from roboassembly.errors import InputError
 from roboassembly.processes import spread
@@ -57,13 +57,9 @@ class Evaluate:
 
     def run(self) -> int:
         """Do it; returns the exit status."""
-        counts = (self.jobs, self.episodes, self.limit, self.sample)
-        if self.seed < 0 or min(n for n in counts if n is not None) < 1:
-            raise InputError("--seed takes 0 or more, --jobs, --episodes, --sample and --limit take 1 or more")
-        if self.limit is not None and self.sample is not None:
-            raise InputError("--limit takes the first pieces and --sample draws some; only one of them would do")
-        from roboassembly.furniture.datasets import pick
-        from roboassembly.learning.evaluate import Evaluation, evaluate, sampled
+        if self.seed < 0 or min(self.jobs, self.episodes) < 1:
+            raise InputError("--seed takes 0 or more, --jobs and --episodes take 1 or more")
+        from roboassembly.learning.evaluate import Evaluation, evaluate
         from roboassembly.learning.players import EXPORTABLE, SOLVERS, Way
 
         if self.export is not None:
@@ -75,10 +71,8 @@ class Evaluate:
             if self.policy in SOLVERS and self.policy not in EXPORTABLE:
                 raise InputError(f"--export: '{self.policy}' tells no actions; a policy or 'search' would do")
             check_target(self.export)
+        picks = chosen(self.set, self.limit, self.sample, self.seed)
         way = Way(self.policy, self.search, self.setting, self.execution, self.audit)
-        picks = pick(self.set)[: self.limit]
-        if self.sample is not None:
-            picks = sampled(picks, self.sample, self.seed)
         total = len(picks) * self.episodes
         with spread(self.ray, self.jobs) as jobs:
             playing = evaluate(way, picks, self.seed, jobs, episodes=self.episodes)

@@ -40,7 +40,7 @@ class Multitask:
     """The first so many chairs of the set only."""
     extra: int | None = None
     """Generated pieces besides: chairs of the same families, and others to practise on (relational); 6,000, with robots
-    400."""
+    1,500."""
     plays: int | None = None
     """Of each piece in each round (relational): 1, with robots 3."""
     rounds: int | None = None

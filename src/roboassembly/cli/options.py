@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 import os
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
+
+from roboassembly.errors import InputError
+
+if TYPE_CHECKING:
+    from roboassembly.furniture.datasets import Pick
 
 CORES = os.cpu_count() or 1
 Jobs = Annotated[int, tyro.conf.arg(help_behavior_hint="(default: one a core)")]
@@ -22,3 +27,18 @@ Setting = Literal["object-centric", "full"]
 """`task.setting.SettingName`, which takes a while to import."""
 Execution = Literal["kinematic", "dynamic"]
 """`learning.players.ExecutionName`."""
+
+
+def chosen(name: str, limit: int | None, sample: int | None, seed: int) -> list[Pick]:
+    """What `--set`, `--limit`, `--sample` and `--seed` name.
+
+    Raises:
+        InputError: both of the counts are given, or one below 1; or no such set, or no furniture in the folder.
+    """
+    if limit is not None and sample is not None:
+        raise InputError("--limit takes the first pieces and --sample draws some; only one of them would do")
+    if min(n for n in (limit, sample, 1) if n is not None) < 1:
+        raise InputError("--limit and --sample take 1 or more")
+    from roboassembly.furniture.datasets import pick, sampled
+
+    return sampled(pick(name)[:limit], sample, seed)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from roboassembly.cli.multitask import PACKAGES, Multitask, follow, needs
-from roboassembly.cli.options import CORES, Jobs, Ray, Setting
+from roboassembly.cli.options import CORES, Jobs, Ray, Setting, chosen
 from roboassembly.cli.output import DONE, DONE_BADLY, print_json, writable_folder
 from roboassembly.errors import InputError
 from roboassembly.processes import spread
@@ -31,10 +31,12 @@ class Autoencoder:
     """Folder of the run; the result is autoencoder.npz in it."""
     limit: int | None = None
     """The first so many chairs only."""
+    sample: int | None = None
+    """So many of the chairs, drawn by the seed."""
     steps: int | None = None
     """Updates (4,000)."""
     seed: int = 0
-    """Of weights and order."""
+    """Of weights, order and the sample."""
     jobs: Jobs = CORES
     """Processes."""
     ray: Ray = None
@@ -56,12 +58,10 @@ class Autoencoder:
         """The furniture, once everything is checked."""
         if self.seed < 0 or self.jobs < 1:
             raise InputError("--seed takes 0 or more, --jobs takes 1 or more")
-        if min(self.limit or 1, self.steps or 1) < 1 or 0 in (self.limit, self.steps):
-            raise InputError("--limit and --steps take 1 or more")
+        if self.steps is not None and self.steps < 1:
+            raise InputError("--steps takes 1 or more")
         needs(*PACKAGES)
-        from roboassembly.furniture.datasets import pick
-
-        picks = pick(self.set)[: self.limit]
+        picks = chosen(self.set, self.limit, self.sample, self.seed)
         writable_folder(self.out)
         return picks
 
@@ -77,7 +77,7 @@ class Autoencoder:
         """Train the auto-encoder unless it is done; what it said last."""
         from roboassembly.learning.single_task import teach_features
 
-        notes = {"set": self.set, "limit": self.limit}
+        notes = {"set": self.set, "limit": self.limit, "sample": self.sample}
         return follow(teach_features(picks, self.out, self.schooling(), notes, jobs), self.out)
 
 

@@ -7,10 +7,12 @@ furniture itself is generated when it is asked for, and checked against the mani
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import msgspec
+import numpy as np
 
 from roboassembly.errors import InputError, UnknownNameError
 from roboassembly.furniture import catalogue, storage
@@ -186,3 +188,11 @@ def pick(spec: str) -> list[Pick]:
     if split not in SPLITS:
         raise UnknownNameError(f"split of {name}", split, SPLITS)
     return [Pick(e.name, e, None) for e in load_manifest(name).entries if e.split in SPLITS[split]]
+
+
+def sampled(picks: Sequence[Pick], count: int | None, seed: int) -> list[Pick]:
+    """So many of them, drawn by the seed, in the order drawn; all if there are fewer; all as they are if None."""
+    if count is None:
+        return list(picks)
+    order = np.random.default_rng(seed).permutation(len(picks))
+    return [picks[i] for i in order[:count]]

@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any
 
 from roboassembly.errors import InputError
-from roboassembly.furniture.datasets import RECIPES, manifest_path, pick
+from roboassembly.furniture.datasets import RECIPES, Pick, manifest_path, pick, sampled
 from roboassembly.learning import autoencoder, multitask, paper_imitation
 from roboassembly.learning.apprentices import ExpertTraining, mastery
 from roboassembly.learning.evaluate import Evaluation, evaluate
@@ -56,9 +56,11 @@ class Benchmark:
     setting: SettingName = "object-centric"
     set: str = "chairs-412"
     train_limit: int | None = None
-    """The first so many training chairs only."""
-    test_limit: int | None = None
-    """The first so many test chairs only."""
+    """The first so many training chairs only, where the relational policy is trained."""
+    taught: int | None = None
+    """Training chairs that get an expert, drawn by the seed; all if None."""
+    sample: int | None = None
+    """Pieces of each set that are played, drawn by the seed; all if None."""
     real: tuple[str, ...] = ()
     """Sets of real furniture besides, `folder:PATH`, for the relational policy."""
     shipped: bool = True
@@ -84,9 +86,9 @@ class Benchmark:
         if setting == "full":
             relational = replace(Curriculum.with_hands(), extra=0, validation=0, plays=1, steps=2, grasp_steps=40)
         return Benchmark(
-            setting, set="chairs-24", train_limit=3, test_limit=2 if setting == "full" else 3, shipped=False, seed=seed,
+            setting, set="chairs-24", train_limit=3, taught=3, sample=2 if setting == "full" else 3, shipped=False,
             schooling=Schooling(autoencoder.Training(steps=40), 4, experts, plays=8 if setting == "full" else 2),
-            paper=paper_imitation.Training(steps=40), relational=relational,
+            paper=paper_imitation.Training(steps=40), relational=relational, seed=seed,
         )  # fmt: skip
 
 
@@ -126,11 +128,10 @@ def run(b: Benchmark, folder: Path, jobs: int) -> Iterator[Progress]:
     if not manifest_path(b.set).is_file():
         for done, of in build(RECIPES[b.set], 0, jobs):
             yield Progress(f"data set {b.set}", done, of, {})
-    train = pick(f"{b.set}:train")[: b.train_limit]
     with _timed(folder, "experts"):
-        schooling = b.schooling.seeded(b.seed)
-        yield from teach_features(train, folder, schooling, {"set": b.set, "limit": b.train_limit}, jobs)
-        yield from teach_experts(train, folder, schooling, {"set": b.set}, jobs)
+        schooling, picks = b.schooling.seeded(b.seed), taught(b)
+        yield from teach_features(picks, folder, schooling, {"set": b.set, "sample": b.taught}, jobs)
+        yield from teach_experts(picks, folder, schooling, {"set": b.set}, jobs)
     with _timed(folder, "paper"):
         training = replace(b.paper, seed=b.seed)
         yield from multitask.teach_paper([folder / "lessons"], extractor_of(folder), folder / "paper", training)
@@ -140,7 +141,12 @@ def run(b: Benchmark, folder: Path, jobs: int) -> Iterator[Progress]:
             yield from multitask.teach(lessons, folder / "relational", jobs)
     with _timed(folder, "evaluation"):
         for trial in trials(b, folder):
-            yield from _tried(trial, folder, b.seed, jobs)
+            yield from tried(trial, folder, jobs)
+
+
+def taught(b: Benchmark) -> list[Pick]:
+    """Chairs that get an expert."""
+    return sampled(pick(f"{b.set}:train"), b.taught, b.seed)
 
 
 @dataclass(frozen=True)
@@ -153,7 +159,8 @@ class Trial:
     """As `roboassembly evaluate --policy` takes it."""
     search: bool
     set: str
-    limit: int | None
+    sample: int | None
+    seed: int
     paper: float | None = None
     paper_steps: str = ""
     execution: ExecutionName = "kinematic"
@@ -169,54 +176,58 @@ class Trial:
         set_name = self.set.replace(":", "-").replace("/", "-").strip("-")
         return f"{self.name.replace(' ', '-')}-{set_name}.jsonl"
 
-    def command(self, seed: int) -> str:
+    @property
+    def picks(self) -> list[Pick]:
+        """The pieces."""
+        return sampled(pick(self.set), self.sample, self.seed)
+
+    @property
+    def command(self) -> str:
         """That plays the same."""
-        limit = "" if self.limit is None else f" --limit {self.limit}"
+        sample = "" if self.sample is None else f" --sample {self.sample}"
         how = " --search" if self.search else ""
         how += " --setting full" if self.setting == "full" else ""
         how += " --execution dynamic" if self.execution == "dynamic" else ""
-        return f"roboassembly evaluate --policy {self.policy}{how} --set {self.set}{limit} --seed {seed} --json"
+        return f"roboassembly evaluate --policy {self.policy}{how} --set {self.set}{sample} --seed {self.seed} --json"
 
 
 def trials(b: Benchmark, folder: Path) -> list[Trial]:
     """All that is played once the training is done, in the table's order."""
-    test, limit = f"{b.set}:test", b.test_limit
+    test = f"{b.set}:test"
     relational = "relational" if b.shipped else str(folder / "relational" / "policy.npz")
     paper, of_paper = str(folder / "paper" / "policy.npz"), PAPER[b.setting]["test"]
     full = b.setting == "full"
     steps = "" if full else "37.8k"
-    trial = partial(Trial, b.setting)
+    trial = partial(Trial, b.setting, sample=b.sample, seed=b.seed)
     every = [
-        trial("random", "random", False, test, limit),
-        trial("preset paper", paper, False, test, limit, of_paper, steps),
-        trial("relational", relational, False, test, limit, of_paper, steps),
-        trial("relational with search", relational, True, test, limit, execution="dynamic" if full else "kinematic"),
-        trial("search alone", "search", False, test, limit),
+        trial("random", "random", False, test),
+        trial("preset paper", paper, False, test, paper=of_paper, paper_steps=steps),
+        trial("relational", relational, False, test, paper=of_paper, paper_steps=steps),
+        trial("relational with search", relational, True, test, execution="dynamic" if full else "kinematic"),
+        trial("search alone", "search", False, test),
     ]
     if not full:
-        every.insert(0, trial("RRT-Connect in 6M dimensions", "joint-rrt", False, test, limit, 18.8, "91.7k"))
+        tree = "RRT-Connect in 6M dimensions"
+        every.insert(0, trial(tree, "joint-rrt", False, test, paper=18.8, paper_steps="91.7k"))
     for real in b.real:
-        every += [
-            trial("relational", relational, False, real, None),
-            trial("relational with search", relational, True, real, None),
-        ]
+        every += [trial("relational", relational, False, real), trial("relational with search", relational, True, real)]
     return every
 
 
-def _tried(trial: Trial, folder: Path, seed: int, jobs: int) -> Iterator[Progress]:
+def tried(trial: Trial, folder: Path, jobs: int) -> Iterator[Progress]:
     """Play what is not played yet."""
-    picks = pick(trial.set)[: trial.limit]
+    picks = trial.picks
     path = folder / "episodes" / trial.file
-    there = episodes_of(path, trial, seed)
+    there = episodes_of(path, trial)
     if len(there) == len(picks):
         return
     path.parent.mkdir(exist_ok=True)
-    lines = [json.dumps(_head(trial, seed)), *(json.dumps(asdict(e)) for e in there)]
+    lines = [json.dumps(_head(trial)), *(json.dumps(asdict(e)) for e in there)]
     scratch = path.with_suffix(".part")
     scratch.write_text("".join(line + "\n" for line in lines))
     scratch.replace(path)
     with path.open("a") as file:
-        for done, episode in enumerate(evaluate(trial.way, picks[len(there) :], seed, jobs), len(there) + 1):
+        for done, episode in enumerate(evaluate(trial.way, picks[len(there) :], trial.seed, jobs), len(there) + 1):
             file.write(json.dumps(asdict(episode)) + "\n")
             file.flush()
             there.append(episode)
@@ -224,18 +235,16 @@ def _tried(trial: Trial, folder: Path, seed: int, jobs: int) -> Iterator[Progres
             yield Progress(f"{trial.name}, {trial.set}", done, len(picks), {"success": solved})
 
 
-def _head(trial: Trial, seed: int) -> dict[str, Any]:
+def _head(trial: Trial) -> dict[str, Any]:
     """What episodes belong to; of other weights or another set they are played again."""
-    picks = pick(trial.set)[: trial.limit]
     return {
         "trial": asdict(trial),
-        "seed": seed,
         "weights": weights_hash(trial.policy),
-        "set_hash": multitask.set_hash(picks),
+        "set_hash": multitask.set_hash(trial.picks),
     }
 
 
-def episodes_of(path: Path, trial: Trial, seed: int) -> list[Episode]:
+def episodes_of(path: Path, trial: Trial) -> list[Episode]:
     """Those of a file, the last line perhaps half written."""
     if not path.is_file():
         return []
@@ -244,7 +253,7 @@ def episodes_of(path: Path, trial: Trial, seed: int) -> list[Episode]:
         try:
             told = json.loads(line)
             if number == 0:
-                if told != _head(trial, seed):
+                if told != _head(trial):
                     return []
                 continue
             told |= {"actions": tuple(tuple(a) for a in told["actions"]), "step_seconds": tuple(told["step_seconds"])}
@@ -257,22 +266,23 @@ def episodes_of(path: Path, trial: Trial, seed: int) -> list[Episode]:
 def rows(b: Benchmark, folder: Path) -> list[Row]:
     """The table of a run that is done."""
     out = []
-    picks = pick(f"{b.set}:train")[: b.train_limit]
+    picks = taught(b)
     split_of = {p.name: p.entry.split for p in picks if p.entry is not None}
     trained = results(picks, folder)
     full = " --setting full" if b.setting == "full" else ""
-    told = f"roboassembly train expert{full} --set {b.set}:train --seed {b.seed} --json"
+    sample = "" if b.taught is None else f" --sample {b.taught}"
+    told = f"roboassembly train expert{full} --set {b.set}:train{sample} --seed {b.seed} --json"
     for split in ("easy", "hard"):
         some = [r for r in trained if split_of[r.name] == split]
         figures = mastery(some)
         if figures["n"]:
             out.append(Row("experts", f"{split} training chairs", figures, told, PAPER[b.setting][split]))
     for trial in trials(b, folder):
-        out += _rows_of(trial, b.seed, episodes_of(folder / "episodes" / trial.file, trial, b.seed))
+        out += _rows_of(trial, episodes_of(folder / "episodes" / trial.file, trial))
     return out
 
 
-def _rows_of(trial: Trial, seed: int, every: Sequence[Episode]) -> Iterator[Row]:
+def _rows_of(trial: Trial, every: Sequence[Episode]) -> Iterator[Row]:
     """All, those of unseen families, and what became of plans in physics."""
     played = [e for e in every if e.verdict != REFUSED]
     carried = [e for e in played if e.executed is not None]
@@ -281,7 +291,8 @@ def _rows_of(trial: Trial, seed: int, every: Sequence[Episode]) -> Iterator[Row]
     unseen = [e for e in played if e.unseen]
 
     def row(name: str, on: str, some: Sequence[Episode]) -> Row:
-        return Row(name, on, Evaluation(trial.way, trial.set, seed, tuple(some)).to_json(), trial.command(seed))
+        figures = Evaluation(trial.way, trial.set, trial.seed, tuple(some)).to_json()
+        return Row(name, on, figures, trial.command)
 
     if played:
         whole = row(trial.name, trial.set, played)

@@ -92,12 +92,6 @@ def episode_seed(seed: int, name: str, episode: int) -> int:
     return int(words[0] >> 1)
 
 
-def sampled(picks: Sequence[Pick], count: int, seed: int) -> list[Pick]:
-    """So many of them, drawn by the seed, in the order drawn; all if there are fewer."""
-    order = np.random.default_rng(seed).permutation(len(picks))
-    return [picks[i] for i in order[:count]]
-
-
 def evaluate(way: Way, picks: Sequence[Pick], seed: int, jobs: int, *, episodes: int = 1) -> Iterator[Episode]:
     """Play episodes of each piece, in order. Nothing but times depends on `jobs`, nor on what else is in the set.
 
