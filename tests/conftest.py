@@ -7,11 +7,13 @@ from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
 import shapes
 from roboassembly.cli import main
+from roboassembly.furniture import catalogue, datasets
 from roboassembly.furniture.annotate import annotate
 from roboassembly.furniture.generate import generate
 from roboassembly.furniture.model import Furniture, Provenance
@@ -45,6 +47,27 @@ def _chair(family: str, seed: int) -> Furniture:
 def chair():
     """`chair(family, seed)`: annotated generated furniture, made once a session."""
     return _chair
+
+
+@pytest.fixture
+def as_built(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """`as_built(split=[(family, seed), ...], ...)`: chairs-24 of these chairs alone, as if it had been built."""
+
+    def write(**splits: list[tuple[str, int]]) -> list[str]:
+        monkeypatch.setenv("ROBOASSEMBLY_CACHE", str(tmp_path / "cache"))
+        entries = []
+        for split, chairs in splits.items():
+            for family, seed in chairs:
+                made = catalogue.make(family, seed)
+                unseen = family in datasets.RECIPES["chairs-24"].unseen_families
+                hash_ = datasets.furniture_hash(made)
+                entries.append(datasets.Entry(family, seed, split, unseen, len(made.parts), 0.0, False, 0, hash_))
+        path = datasets.manifest_path("chairs-24")
+        path.parent.mkdir(parents=True)
+        path.write_bytes(msgspec.json.encode(datasets.Manifest("chairs-24", datasets.VERSION, 0, tuple(entries))))
+        return [e.name for e in entries]
+
+    return write
 
 
 @pytest.fixture(scope="session")

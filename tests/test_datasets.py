@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -24,20 +25,35 @@ from roboassembly.task.object_centric import ObjectCentricTask
 TINY = Recipe("tiny", "for tests", 4, 2, 1, ("upholstered",))
 
 
+def into(patch: pytest.MonkeyPatch, folder: Path) -> None:
+    """The tiny set is known, and its place is in a folder."""
+    patch.setenv("ROBOASSEMBLY_CACHE", str(folder))
+    patch.setitem(datasets.RECIPES, "tiny", TINY)
+    patch.setattr(curate, "CHAIRS", {name: CHAIRS[name] for name in ("cantilever", "shell", "upholstered")})
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[tuple[int, int]]]:
+    """A folder with the tiny set, and the progress that building it told."""
+    folder = tmp_path_factory.mktemp("built")
+    with pytest.MonkeyPatch.context() as patch:
+        into(patch, folder)
+        with pytest.raises(InputError, match="not built yet; run: roboassembly dataset build tiny"):
+            load_manifest("tiny")
+        return folder, list(curate.build(TINY, 0, jobs=1))
+
+
 @pytest.fixture
-def tiny(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Recipe:
-    monkeypatch.setenv("ROBOASSEMBLY_CACHE", str(tmp_path))
-    monkeypatch.setitem(datasets.RECIPES, "tiny", TINY)
-    monkeypatch.setattr(curate, "CHAIRS", {name: CHAIRS[name] for name in ("cantilever", "shell", "upholstered")})
+def tiny(built: tuple[Path, list[tuple[int, int]]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Recipe:
+    """The set, built, in a copy of its own."""
+    shutil.copytree(built[0], tmp_path / "cache")
+    into(monkeypatch, tmp_path / "cache")
     return TINY
 
 
-def test_build_resumes_and_reproduces(tiny: Recipe) -> None:
-    with pytest.raises(InputError, match="not built yet; run: roboassembly dataset build tiny"):
-        load_manifest("tiny")
-    progress = list(curate.build(tiny, 0, jobs=1))
-    assert progress[0] == (0, 7)
-    assert progress[-1] == (7, 7)
+def test_build_resumes_and_reproduces(tiny: Recipe, built: tuple[Path, list[tuple[int, int]]]) -> None:
+    assert built[1][0] == (0, 7)
+    assert built[1][-1] == (7, 7)
     manifest = load_manifest("tiny")
     splits = [e.split for e in manifest.entries]
     assert (splits.count("easy"), splits.count("hard"), splits.count("test")) == (2, 2, 3)
@@ -57,8 +73,8 @@ def test_build_resumes_and_reproduces(tiny: Recipe) -> None:
     assert manifest_path("tiny").read_bytes() == before
 
 
-def test_entries_are_checked_against_their_hash(tiny: Recipe) -> None:
-    list(curate.build(tiny, 0, jobs=1))
+@pytest.mark.usefixtures("tiny")
+def test_entries_are_checked_against_their_hash() -> None:
     entry = load_manifest("tiny").entries[0]
     assert make_entry(entry).name == f"{entry.family}-{entry.seed}"
     path = manifest_path("tiny")

@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from dataclasses import asdict, replace
 from pathlib import Path
 
-import msgspec
 import numpy as np
 import pytest
 
@@ -30,19 +29,10 @@ SMALL = Curriculum(
 
 
 @pytest.fixture
-def two_chairs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """A data set of two chairs of four parts, as if it had been built; extra ones are of the same family."""
+def two_chairs(as_built, monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """A data set of two chairs of four parts; extra ones are of the same family."""
     monkeypatch.setattr("roboassembly.learning.gather.CHAIRS", ["cantilever"])
-    monkeypatch.setenv("ROBOASSEMBLY_CACHE", str(tmp_path / "cache"))
-    entries = []
-    for seed in (1, 5):
-        chair = catalogue.make("cantilever", seed)
-        hash_ = datasets.furniture_hash(chair)
-        entries.append(datasets.Entry("cantilever", seed, "easy", False, len(chair.parts), 0.0, False, 0, hash_))
-    path = datasets.manifest_path("chairs-24")
-    path.parent.mkdir(parents=True)
-    path.write_bytes(msgspec.json.encode(datasets.Manifest("chairs-24", datasets.VERSION, 0, tuple(entries))))
-    return [e.name for e in entries]
+    return as_built(easy=[("cantilever", 1), ("cantilever", 5)])
 
 
 def test_extra_names_are_of_seen_families_and_of_no_data_set() -> None:
