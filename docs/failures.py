@@ -16,31 +16,19 @@ from typing import Any
 
 import imageio.v3 as iio
 import numpy as np
+from drawing import Piece, drawn, hand
 
 from roboassembly.envs.full import FullEnv
 from roboassembly.envs.object_centric import ObjectCentricEnv
 from roboassembly.furniture.datasets import Pick, pick
 from roboassembly.furniture.model import Furniture
-from roboassembly.gripper import hand_bodies
-from roboassembly.meshes import Mesh
 from roboassembly.poses import SE3
 from roboassembly.task.groups import Group, TaskState
 from roboassembly.task.joining import hold
 from roboassembly.viewer.colors import Color
-from roboassembly.viewer.film import render_meshes
-from roboassembly.viewer.framing import box_corners
 
 WIDTH, HEIGHT = 480, 340
-MOVED, WAITING, OTHER, HAND = (0.30, 0.50, 0.80), (0.88, 0.55, 0.25), (0.80, 0.80, 0.78), (0.25, 0.28, 0.32)
-Piece = tuple[Mesh, SE3, Color]
-
-
-def drawn(pieces: Sequence[Piece]) -> np.ndarray:
-    """Meshes above the ground, from where all of them are seen."""
-    points = np.concatenate([box_corners(mesh, pose) for mesh, pose, _ in pieces])
-    lift = SE3(np.eye(3), np.array([0.0, 0.0, 0.02 - min(points[:, 2].min(), 0.02)]))
-    meshes, poses, colors = zip(*pieces, strict=True)
-    return render_meshes(meshes, [lift * pose for pose in poses], colors, WIDTH, HEIGHT)
+MOVED, WAITING, OTHER = (0.30, 0.50, 0.80), (0.88, 0.55, 0.25), (0.80, 0.80, 0.78)
 
 
 def of_group(furniture: Furniture, group: Group, at: SE3, color: Color) -> Iterable[Piece]:
@@ -53,8 +41,7 @@ def of_hand(furniture: Furniture, group: Group, at: SE3, part: int, grasp: int) 
     """The hand that holds a part of a group, closed."""
     held = hold(furniture, group, part, grasp)
     if held is not None:
-        for mesh, tips_from_body in hand_bodies(held.closed):
-            yield mesh, at * held.furniture_from_tips * tips_from_body, HAND
+        yield from hand(at * held.furniture_from_tips, held.closed)
 
 
 def row(furniture: Furniture, env: Any, state: TaskState, action: Sequence[int]) -> np.ndarray:
@@ -78,7 +65,7 @@ def row(furniture: Furniture, env: Any, state: TaskState, action: Sequence[int])
         (part.mesh, pose, colors.get(i, OTHER))
         for i, (part, pose) in enumerate(zip(furniture.parts, furniture.assembled, strict=True))
     ]
-    return np.concatenate([drawn(pieces) for pieces in (lay, joined, belong)], axis=1)
+    return np.concatenate([drawn(pieces, WIDTH, HEIGHT) for pieces in (lay, joined, belong)], axis=1)
 
 
 def found(picks: Sequence[Pick], name: str, full: bool) -> Furniture:

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import imageio.v3 as iio
 import numpy as np
+from drawing import Piece, drawn, hand
 from PIL import Image
 
 from roboassembly.envs.object_centric import existing_actions
@@ -12,7 +13,7 @@ from roboassembly.envs.observation import Observer
 from roboassembly.furniture import catalogue
 from roboassembly.furniture.generate import CHAIRS, FAMILIES
 from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS, Furniture, Part
-from roboassembly.gripper import hand_bodies, hand_pose
+from roboassembly.gripper import hand_pose
 from roboassembly.learning.loading import load_policy
 from roboassembly.poses import SE3
 from roboassembly.solvers.oracle import Oracle
@@ -21,26 +22,19 @@ from roboassembly.task.groups import TaskState
 from roboassembly.task.object_centric import ObjectCentricTask
 from roboassembly.viewer.colors import WOOD
 from roboassembly.viewer.film import render_contact_sheet, render_meshes, write_film, write_storyboard
-from roboassembly.viewer.framing import box_corners
 from roboassembly.viewer.playing import AnyPlan
 
 IMAGES = Path(__file__).parent / "images"
 GROUPS = [(0.85, 0.65, 0.35), (0.35, 0.55, 0.80), (0.80, 0.40, 0.35), (0.45, 0.70, 0.45), (0.65, 0.50, 0.75)]
-HAND = [(0.86, 0.88, 0.90), (0.25, 0.28, 0.32), (0.25, 0.28, 0.32)]
 
 
 def part_in_hands(part: Part, turn: np.ndarray, size: int) -> np.ndarray:
     """One part as it stands in the furniture, a closed hand at each of its grasp regions by its first direction."""
-    meshes, poses, colors = [part.mesh], [SE3(turn, np.zeros(3))], [WOOD]
+    pose = SE3(turn, np.zeros(3))
+    pieces: list[Piece] = [(part.mesh, pose, WOOD)]
     for region in part.grasps:
-        hand = poses[0] * hand_pose(region.position, region.closing, region.approaches[0])
-        for color, (mesh, tips_from_body) in zip(HAND, hand_bodies(region.width), strict=True):
-            meshes.append(mesh)
-            poses.append(hand * tips_from_body)
-            colors.append(color)
-    points = np.concatenate([box_corners(mesh, pose) for mesh, pose in zip(meshes, poses, strict=True)])
-    lift = SE3(np.eye(3), np.array([0.0, 0.0, 0.05 - points[:, 2].min()]))
-    return render_meshes(meshes, [lift * pose for pose in poses], colors, size, size)
+        pieces += hand(pose * hand_pose(region.position, region.closing, region.approaches[0]), region.width)
+    return drawn(pieces, size, size)
 
 
 def write_grasps(name: str, path: Path, columns: int, size: int) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import sys
 from pathlib import Path
 from types import ModuleType
 
@@ -10,8 +11,10 @@ ROOT = Path(__file__).parents[1]
 
 
 def script(place: str | Path) -> ModuleType:
-    """The script at a place in the repository, or anywhere, run as an import would run it."""
+    """The script at a place in the repository, or anywhere, run as an import would; what lies beside it is found."""
     path = ROOT / place
+    if str(path.parent) not in sys.path:
+        sys.path.append(str(path.parent))
     spec = importlib.util.spec_from_file_location(f"script_{path.stem}", path)
     assert spec is not None
     assert spec.loader is not None

@@ -9,7 +9,8 @@ import pytest
 
 from roboassembly.poses import SE3
 from roboassembly.robots.body import world_from_tips
-from roboassembly.simulation.execution import Load, StepPhysics, between_pads
+from roboassembly.simulation.execution import StepPhysics
+from roboassembly.simulation.mobile_arms import Load, between_pads
 from roboassembly.simulation.pacing import TIME_STEP, paced
 from roboassembly.solvers.options import grasping
 from roboassembly.task.execution import JOINT_ANGLE, JOINT_POSITION, Ending, execute

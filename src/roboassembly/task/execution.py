@@ -17,7 +17,8 @@ from jaxtyping import Float
 from roboassembly.furniture.model import Furniture
 from roboassembly.meshes import WOOD_DENSITY
 from roboassembly.poses import rotation_angle
-from roboassembly.simulation.execution import Load, StepPhysics, between_pads
+from roboassembly.simulation.execution import StepPhysics
+from roboassembly.simulation.mobile_arms import Load, between_pads
 from roboassembly.simulation.model import mass_properties
 from roboassembly.task.full_plan import FullPlan, FullStep
 from roboassembly.task.groups import Group, body

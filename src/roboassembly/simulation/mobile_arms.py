@@ -1,0 +1,224 @@
+"""The MuJoCo model of two mobile Frankas and the two groups that they join: bodies, actuators, and what may hold what.
+
+Robots, and what they hold, are dynamic; what stands on posts does not move and is left to the exact geometry
+(`planning`), by which the states that come out are checked. In physics only the fingers' pads and what is between them
+collide: MuJoCo takes meshes for convex, and a mortise is not; the pads meet the part's own surface there, cut out
+around the grasp.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+
+import mujoco
+import numpy as np
+import pinocchio as pin
+import trimesh
+from jaxtyping import Float
+
+from roboassembly.gripper import MAX_OPENING, hand_bodies, panda_folder
+from roboassembly.meshes import Mesh
+from roboassembly.poses import SE3
+from roboassembly.robots.kinematics import JOINTS, arm
+from roboassembly.robots.platform import HEIGHT, LENGTH, PLATFORM_FROM_MOUNT, WIDTH
+from roboassembly.simulation.model import rotation_to_quaternion
+from roboassembly.simulation.pacing import TIME_STEP
+
+GAINS = (9000.0, 9000.0, 7000.0, 7000.0, 4000.0, 4000.0, 3000.0)
+"""N·m/rad of the arm's joints."""
+GRIP_FORCE = 40.0
+"""Newtons of each finger, at most; the hand's continuous limit is 70."""
+NAMES = ("x", "y", "turn", *(f"q{i + 1}" for i in range(JOINTS)))
+"""Joints of a robot, behind `a/` or `b/`; actuators have the names of what they drive."""
+_PLATFORM_MASS = 90.0
+"""Kilograms, batteries included."""
+_PLATFORM_GAINS = (6e5, 6e5, 1.5e5)
+"""N/m, N/m and N·m/rad of the platform's drives."""
+_TORQUES = (87.0, 87.0, 87.0, 87.0, 12.0, 12.0, 12.0)
+"""N·m, Franka's limits."""
+_DAMPING_RATIO = 1.0
+_PAD_FRICTION = [1.0, 0.02, 0.001]
+"""Rubber on wood: sliding, torsional [m], rolling [m]."""
+_CLIP = 0.03
+"""Metres around a grasp of the part's surface that the pads can meet."""
+_STIFF = [2.0 * TIME_STEP, 1.0], [0.999, 0.9999, 1e-4, 0.5, 2.0]
+"""What holds fast: time constant and damping; impedances."""
+_BEYOND = 1e-3
+"""Metres beyond the pads, likewise."""
+
+
+@dataclass(frozen=True, eq=False)
+class Load:
+    """A group that a robot may hold: one rigid body."""
+
+    pose: SE3
+    """`world_from_body` at the beginning."""
+    mass: float
+    """Kilograms."""
+    center: Float[np.ndarray, "3"]
+    """Of mass, in the body's frame, metres."""
+    inertia: Float[np.ndarray, "3 3"]
+    """About it, kg·m²."""
+    between_pads: tuple[Mesh, ...]
+    """Convex pieces, in the body's frame, that pads may meet."""
+
+
+def model_of(loads: Sequence[Load]) -> mujoco.MjModel:
+    """Robots `a` and `b`, bodies `load0` and `load1`, and welds, all off.
+
+    `post0` holds a load to the world, `gripa0` to a robot's last link, `joint` the two loads together.
+
+    Args:
+        loads: u's group and v's group.
+    """
+    spec = mujoco.MjSpec()
+    spec.option.timestep = TIME_STEP
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    spec.option.impratio = 10.0
+    for name in "ab":
+        _add_robot(spec, name)
+    for index, load in enumerate(loads):
+        _add_load(spec, f"load{index}", load)
+        _add_weld(spec, f"post{index}", "world", f"load{index}")
+        for name in "ab":
+            _add_weld(spec, f"grip{name}{index}", f"{name}/link{JOINTS}", f"load{index}")
+    _add_weld(spec, "joint", "load1", "load0")
+    return spec.compile()
+
+
+def _all_gains() -> Float[np.ndarray, "10"]:
+    return np.array([*_PLATFORM_GAINS, *GAINS])
+
+
+@cache
+def _dampings() -> Float[np.ndarray, "10"]:
+    """Critical for the inertia that each joint moves, roughly."""
+    inertia = np.array([_PLATFORM_MASS + 20.0, _PLATFORM_MASS + 20.0, 12.0, 2.0, 2.0, 1.2, 1.2, 0.3, 0.25, 0.15])
+    return 2.0 * _DAMPING_RATIO * np.sqrt(_all_gains() * inertia)
+
+
+@cache
+def lag() -> Float[np.ndarray, "10"]:
+    """Seconds by which a joint would trail behind without its velocity fed forward."""
+    return _dampings() / _all_gains()
+
+
+def _add_robot(spec: mujoco.MjSpec, name: str) -> None:
+    platform = spec.worldbody.add_body(name=f"{name}/platform", gravcomp=1.0)
+    platform.explicitinertial = True
+    platform.mass = _PLATFORM_MASS
+    platform.ipos = [0.0, 0.0, 0.5 * HEIGHT]
+    sides = np.array([LENGTH, WIDTH, HEIGHT]) ** 2
+    platform.inertia = _PLATFORM_MASS / 12.0 * (sides.sum() - sides)
+    slide, hinge = mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_HINGE
+    for joint, kind, axis in (("x", slide, [1, 0, 0]), ("y", slide, [0, 1, 0]), ("turn", hinge, [0, 0, 1])):
+        platform.add_joint(name=f"{name}/{joint}", type=kind, axis=axis)
+    model = pin.buildModelFromUrdf(str(panda_folder() / "urdf/panda.urdf"))
+    node, chain = platform, arm().placements
+    for j in range(JOINTS):
+        placement = SE3(chain.rotation[j], chain.translation[j])
+        placement = PLATFORM_FROM_MOUNT * placement if j == 0 else placement
+        node = node.add_body(
+            name=f"{name}/link{j + 1}", pos=placement.translation, quat=rotation_to_quaternion(placement.rotation),
+            gravcomp=1.0,
+        )  # fmt: skip
+        _set_inertia(node, model.inertias[j + 1])
+        node.add_joint(name=f"{name}/q{j + 1}", type=hinge, axis=[0, 0, 1], armature=0.1)
+    rotation, origin = arm().tips
+    pieces = hand_bodies(0.0)[1:]
+    for k, (mesh, _) in enumerate(pieces):
+        finger = node.add_body(
+            name=f"{name}/finger{k}", pos=origin, quat=rotation_to_quaternion(rotation), gravcomp=1.0
+        )
+        finger.explicitinertial = True
+        finger.mass, finger.inertia = 0.1, [1e-4, 1e-4, 1e-4]
+        axis = hand_bodies(1.0)[1 + k][1].translation * 2.0
+        finger.add_joint(
+            name=f"{name}/finger{k}", type=slide, axis=axis, limited=True, range=[-0.001, 0.5 * MAX_OPENING],
+            damping=20.0,
+        )  # fmt: skip
+        mesh_name = f"finger{k}"
+        if name == "a":
+            _add_mesh(spec, mesh_name, mesh)
+        finger.add_geom(
+            name=f"{name}/finger{k}", type=mujoco.mjtGeom.mjGEOM_MESH, meshname=mesh_name, mass=0.0,
+            contype=1, conaffinity=2, friction=_PAD_FRICTION, condim=4, solref=[0.004, 1.0],
+        )  # fmt: skip
+    _couple(spec, f"{name}/finger0", f"{name}/finger1")
+    damping = _dampings()
+    limits = [1e5, 1e5, 1e5, *_TORQUES]
+    for i, joint in enumerate(NAMES):
+        actuator = spec.add_actuator(name=f"{name}/{joint}", target=f"{name}/{joint}")
+        actuator.trntype = mujoco.mjtTrn.mjTRN_JOINT
+        actuator.set_to_position(kp=float(_all_gains()[i]), kv=float(damping[i]))
+        actuator.forcelimited, actuator.forcerange = True, [-limits[i], limits[i]]
+    for k in (0, 1):
+        actuator = spec.add_actuator(name=f"{name}/finger{k}", target=f"{name}/finger{k}")
+        actuator.trntype = mujoco.mjtTrn.mjTRN_JOINT
+        actuator.set_to_position(kp=4000.0, kv=100.0)
+        actuator.forcelimited, actuator.forcerange = True, [-GRIP_FORCE, GRIP_FORCE]
+
+
+def _couple(spec: mujoco.MjSpec, one: str, two: str) -> None:
+    """Both fingers open and close by as much, as in Franka's hand."""
+    gear = spec.add_equality(name=f"{one} gear", name1=one, name2=two)
+    gear.type = mujoco.mjtEq.mjEQ_JOINT
+    gear.objtype = mujoco.mjtObj.mjOBJ_JOINT
+    gear.data[:5] = [0.0, 1.0, 0.0, 0.0, 0.0]
+    gear.solref, gear.solimp = _STIFF
+
+
+def _set_inertia(node: mujoco.MjsBody, inertia: pin.Inertia) -> None:
+    node.explicitinertial = True
+    node.mass = inertia.mass
+    node.ipos = inertia.lever
+    node.fullinertia = inertia.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+
+
+def _add_load(spec: mujoco.MjSpec, name: str, load: Load) -> None:
+    body = spec.worldbody.add_body(
+        name=name, pos=load.pose.translation, quat=rotation_to_quaternion(load.pose.rotation)
+    )
+    body.add_freejoint()
+    body.explicitinertial = True
+    body.mass, body.ipos = load.mass, load.center
+    body.fullinertia = load.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+    for i, mesh in enumerate(load.between_pads):
+        _add_mesh(spec, f"{name}/{i}", mesh)
+        body.add_geom(
+            name=f"{name}/{i}", type=mujoco.mjtGeom.mjGEOM_MESH, meshname=f"{name}/{i}", mass=0.0,
+            contype=2, conaffinity=1, friction=_PAD_FRICTION, condim=4, solref=[0.004, 1.0],
+        )  # fmt: skip
+
+
+def _add_mesh(spec: mujoco.MjSpec, name: str, mesh: Mesh) -> None:
+    hull = mesh.hull
+    spec.add_mesh(
+        name=name, uservert=hull.vertices.ravel(), userface=hull.faces.ravel(),
+        inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
+    )  # fmt: skip
+
+
+def _add_weld(spec: mujoco.MjSpec, name: str, one: str, two: str) -> None:
+    weld = spec.add_equality(name=name, name1=one, name2=two, active=False)
+    weld.type = mujoco.mjtEq.mjEQ_WELD
+    weld.objtype = mujoco.mjtObj.mjOBJ_BODY
+    weld.solref, weld.solimp = _STIFF
+
+
+def between_pads(mesh: Mesh, frame: SE3, width: float) -> Mesh:
+    """The part's own surface that pads can meet: the convex hull of what lies around a grasp, in the mesh's frame.
+
+    Args:
+        mesh: of the part.
+        frame: `mesh_from_tips`.
+        width: metres between the pads when they touch. What lies beyond them (the other limb of a frame) is left out.
+    """
+    solid = mesh.trimesh
+    box = trimesh.creation.box([2.0 * _CLIP, width + 2.0 * _BEYOND, 2.0 * _CLIP])
+    box.apply_transform(frame.homogeneous)
+    clipped = trimesh.boolean.intersection([solid, box], engine="manifold")
+    return Mesh.from_trimesh(clipped.convex_hull)
