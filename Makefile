@@ -36,7 +36,7 @@ $(VENV)/bin/python:
 	@if command -v uv >/dev/null; then uv venv --quiet --seed --python $(PYTHON) $(VENV); \
 		else $(PYTHON) -m venv $(VENV) && $(BIN)/python -m pip install --quiet --upgrade pip; fi
 
-# $(call install,WHAT): by uv if it is there, else by pip.
+# $(call install,WHAT): by uv if it is there, else by pip. No comma in WHAT: make would end it there.
 install = if command -v uv >/dev/null; then uv pip install --quiet --python $(BIN)/python $(1); \
 	else $(BIN)/python -m pip install --quiet $(1); fi
 
@@ -53,7 +53,7 @@ $(VENV)/.dev: pyproject.toml | $(VENV)/bin/python
 # By pip in any case: it takes a CPU build of PyTorch where the machine offers one, which uv does not look for.
 $(VENV)/.rl: $(VENV)/.dev
 	@$(BIN)/python -m pip install --quiet torch==2.13.0 || $(BIN)/python -m pip install --quiet torch
-	@$(call install,--editable '.[rl,ray]')
+	@$(call install,--editable '.[rl]' --editable '.[ray]')
 	@touch $@
 
 # A Chromium that is there is taken; else the system's package manager or Playwright's own installer is asked for one.
