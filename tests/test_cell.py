@@ -14,9 +14,9 @@ from roboassembly.furniture.model import Furniture
 from roboassembly.meshes import WOOD_DENSITY
 from roboassembly.poses import SE3
 from roboassembly.task import cell
-from roboassembly.task.cell import BETWEEN_POSTS, LOWEST, PAYLOAD, check_size, laid_out, on_post, reach_from
+from roboassembly.task.cell import BETWEEN_POSTS, LANE, LOWEST, PAYLOAD, check_size, laid_out, on_post, reach_from
 from roboassembly.task.groups import Group
-from shapes import block, fcl_object, furniture, of_solid
+from shapes import GAP, block, brick, fcl_object, furniture, of_solid, pose
 
 
 @pytest.fixture(scope="module")
@@ -53,6 +53,22 @@ def test_every_part_waits_on_a_post_of_its_own(stool: Furniture, seed: int) -> N
         for x in one:
             for y in two:
                 assert not fcl.collide(x, y, fcl.CollisionRequest(), fcl.CollisionResult())
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_long_parts_keep_apart_whoever_their_neighbours_are(seed: int) -> None:
+    """Four boards of a metre and four sticks: half as far as two boards need is what a board and a stick need."""
+    sizes = {f"board{i}": (1.0, 0.1, 0.02) for i in range(4)} | {f"stick{i}": (0.1, 0.02, 0.02) for i in range(4)}
+    high, solids = 0.0, {}
+    for name, size in sizes.items():
+        solids[name] = brick(*size).transformed(pose(z=high + 0.5 * size[2]))
+        high += size[2] + GAP
+    piece = furniture("pile", solids)
+    _, groups, stands = laid_out(piece, np.random.default_rng(seed))
+    reach = [reach_from(piece, g, s) for g, s in zip(groups, stands, strict=True)]
+    assert max(reach) > 0.4
+    for i, j in combinations(range(len(reach)), 2):
+        assert np.linalg.norm(stands[i].top - stands[j].top) > reach[i] + reach[j] + 0.8 * LANE
 
 
 def test_the_layout_follows_the_generator(stool: Furniture) -> None:

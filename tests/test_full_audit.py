@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from roboassembly.audit.full import RobotAuditReport, RobotViolationKind, audit_full_plan
+from roboassembly.poses import SE3
 from roboassembly.task.full_plan import FullPlan
 from roboassembly.task.moments import Leg
 
@@ -85,6 +86,18 @@ def test_what_is_held_through_another_part(two_merges: FullPlan) -> None:
     report = audit_full_plan(with_leg(two_merges, mate, shifted), 0.002)
     assert RobotViolationKind.PENETRATION in kinds(report)
     assert any(v.leg == "mate" and "what the other holds" in v.what for v in report.first)
+
+
+def test_a_post_and_a_part_in_a_standing_part(two_merges: FullPlan) -> None:
+    moment = two_merges.initial.moment
+    one, two = moment.standing[0], moment.standing[1]
+    shift = SE3(np.eye(3), two.stand.top - one.stand.top)
+    moved = replace(one, group=one.group.moved_to(shift * one.group.world_from_furniture))
+    initial = replace(two_merges.initial, moment=replace(moment, standing=(moved, *moment.standing[1:])))
+    report = audit_full_plan(replace(two_merges, initial=initial, steps=()), COARSE)
+    assert kinds(report) == {RobotViolationKind.PENETRATION}
+    assert all("both standing" in v.what for v in report.first)
+    assert audit_full_plan(replace(two_merges, steps=()), COARSE).passed
 
 
 def test_jumps(two_merges: FullPlan) -> None:

@@ -95,9 +95,10 @@ class RobotAuditReport:
 def audit_full_plan(plan: FullPlan, resolution: float = RESOLUTION) -> RobotAuditReport:
     """Replay the plan and look for anything that could not happen.
 
-    In every leg: the moving robot and what it holds against all that stands, posts, the other robot and what that
-    holds, the ground, and itself; joint limits; that everything is where the leg before left it. At the end: that it is
-    the furniture. The pads may touch what they hold, and a group its post.
+    Of all that stands: each group and post against all others. In every leg: the moving robot and what it holds against
+    all that stands, posts, the other robot and what that holds, the ground, and itself; joint limits; that everything is
+    where the leg before left it. At the end: that it is the furniture. The pads may touch what they hold, and a group its
+    post.
 
     Args:
         plan: as recorded.
@@ -120,10 +121,13 @@ class _RobotAudit:
 
     def report(self) -> RobotAuditReport:
         before = self._plan.initial.moment
+        self._keep_apart(0, "", before)
         for index, step in enumerate(self._plan.steps):
             for leg in step.legs:
                 self._legs += 1
                 self._continues(index, leg, before)
+                if (leg.moment.standing, leg.moment.posts) != (before.standing, before.posts):
+                    self._keep_apart(index, leg.name, leg.moment)
                 self._walk(index, leg)
                 before = leg.after
         furniture = self._plan.furniture
@@ -146,6 +150,19 @@ class _RobotAudit:
         for part, (old, new) in enumerate(zip(was, now, strict=True)):
             if np.abs(old.homogeneous - new.homogeneous).max() > _SAME:
                 self._found(RobotViolationKind.JUMP, step, leg.name, f"part {part}")
+
+    def _keep_apart(self, step: int, leg: str, moment: Moment) -> None:
+        """Groups and posts that stand are not in each other, but for a group's own post."""
+        furniture, things = self._plan.furniture, []
+        for owner, s in enumerate(moment.standing):
+            for p, pose in zip(s.group.parts, s.group.part_poses(), strict=True):
+                things.append((owner, f"part {p}", self._placed(furniture.parts[p].mesh, pose)))
+        for owner, stand in enumerate(moment.stands):
+            body = stand.body(f"post {owner}")
+            things += [(owner, body.name, self._placed(s.mesh, body.pose * s.body_from_mesh)) for s in body.shapes]
+        for (owner, name, thing), (other, what, still) in combinations(things, 2):
+            if owner != other and self._touch(thing, still):
+                self._found(RobotViolationKind.PENETRATION, step, leg, f"{name} in {what}, both standing")
 
     def _walk(self, step: int, leg: Leg) -> None:
         own, other = leg.moment.robots[leg.robot], leg.moment.robots[1 - leg.robot]

@@ -147,7 +147,8 @@ def laid_out(furniture: Furniture, rng: np.random.Generator) -> tuple[Cell, tupl
     widths = np.array([held[i][2] for i in order])
     chords = np.maximum(widths + np.roll(widths, -1) + LANE, BETWEEN_POSTS)
     radius = max(SMALLEST_RING, float(chords.sum()) / (2.0 * np.pi) * 1.05)
-    angles = np.cumsum(chords / chords.sum()) * 2.0 * np.pi + rng.uniform(0.0, 2.0 * np.pi)
+    # Each stands a chord behind the one before it.
+    angles = (np.cumsum(chords) - chords) / chords.sum() * 2.0 * np.pi + rng.uniform(0.0, 2.0 * np.pi)
     groups: list[Group] = [held[0][0]] * len(held)
     stands: list[Stand] = [held[0][1]] * len(held)
     for i, angle in zip(order, angles, strict=True):
@@ -220,24 +221,23 @@ def open_grasps(furniture: Furniture, group: Group, stand: Stand) -> float:
 
 
 def _free_hands(furniture: Furniture, group: Group, tops: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n"]:
-    """Share of the group's grasps whose hand a post at each place leaves alone, and that does not come from below."""
-    positions, closing, approach, opening = [], [], [], []
+    """Share of the group's grasps whose hand a post at each place leaves alone, open and closed, and that does not come
+    from below."""
+    positions, closing, approach, widths = [], [], [], []
     for part, pose in zip(group.parts, group.part_poses(), strict=True):
         for region in furniture.parts[part].grasps:
             for direction in region.approaches:
                 positions.append(pose.act(region.position))
                 closing.append(pose.rotation @ region.closing)
                 approach.append(pose.rotation @ direction)
-                opening.append(min(MAX_OPENING, region.width + WIDER))
+                widths.append(region.width)
     count, several = len(positions), len(tops)
     from_post = (np.array(positions)[None] - tops[:, None]).reshape(-1, 3)
-    hits = _against_post().touches(
-        from_post,
-        np.tile(closing, (several, 1)),
-        np.tile(approach, (several, 1)),
-        np.tile(opening, several),
-        coming=True,
-    )
+    hands = from_post, np.tile(closing, (several, 1)), np.tile(approach, (several, 1))
+    opening, closed = np.minimum(MAX_OPENING, np.array(widths) + WIDER), np.array(widths)
+    hits = _against_post().touches(*hands, np.tile(opening, several), coming=True)
+    # Between fingers that come past it the post would be in their way as they close.
+    hits |= _against_post().touches(*hands, np.tile(closed, several))
     below = np.array(approach)[:, 2] > _FROM_BELOW
     return 1.0 - (hits.reshape(several, count) | below).mean(axis=1)
 

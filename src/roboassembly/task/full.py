@@ -35,6 +35,8 @@ BUDGET = Budget(states=8_000)
 """Of each path."""
 _MEETINGS = 6
 """Meetings that are driven to, and gone on from, before giving up."""
+_GOES = 2
+"""Times that it is planned from the start, all drawn anew: from some places nothing gets anywhere."""
 _REMEMBERED = 20_000
 """Hands at groups."""
 _APART = 0.6
@@ -306,34 +308,36 @@ class FullTask:
         return Joint(merge, one, two, hold_a, hold_b, tuple(ways))
 
     def _carried_out(self, legs: Legs, state: FullState, joint: Joint) -> FullState:
-        some = _meetings(legs, joint)
-        # Whether they can meet at all is found out before anything moves.
-        first = next(some, None)
-        if first is None:
-            raise LegError(Obstacle.NO_ARM_SOLUTION, "mate")
         places = [s.stand.top[:2] for s in state.moment.standing]
         wanted = Wanted(joint.u, joint.hold_a, "u"), Wanted(joint.v, joint.hold_b, "v")
-        start, failed = legs.reached, None
-        fetch_both(legs, wanted)
-        for meeting in islice(chain([first], some), _MEETINGS):
-            try:
-                if failed is not None:
-                    # With something long in its hand an arm does not get from any posture to any other: they take them
-                    # again, with the arms rather as they will be.
-                    legs.back_to(start)
-                    arms = meeting.out[-1], meeting.b
-                    fetch_both(legs, [replace(w, like=arm) for w, arm in zip(wanted, arms, strict=True)])
-                join(legs, meeting)
-                part(legs, meeting, joint.merge.merged, *joint.hands)
-                set_down(legs, places)
-                groups = TaskState(tuple(s.group for s in legs.moment.standing))
-                return FullState(groups, legs.moment, state.cell)
-            except LegError as no:
-                # From here R_a does not get away, or R_b, from elsewhere they may.
-                failed = no
-                if no.final:
-                    raise
-        assert failed is not None
+        start = legs.reached
+        failed = LegError(Obstacle.NO_ARM_SOLUTION, "mate")
+        for _ in range(_GOES):
+            some = _meetings(legs, joint)
+            # Whether they can meet at all is found out before anything moves.
+            first = next(some, None)
+            if first is None:
+                break
+            legs.back_to(start)
+            fetch_both(legs, wanted)
+            for meeting in islice(chain([first], some), _MEETINGS):
+                try:
+                    if meeting is not first:
+                        # With something long in its hand an arm does not get from any posture to any other: they take
+                        # them again, with the arms rather as they will be.
+                        legs.back_to(start)
+                        arms = meeting.out[-1], meeting.b
+                        fetch_both(legs, [replace(w, like=arm) for w, arm in zip(wanted, arms, strict=True)])
+                    join(legs, meeting)
+                    part(legs, meeting, joint.merge.merged, *joint.hands)
+                    set_down(legs, places)
+                    groups = TaskState(tuple(s.group for s in legs.moment.standing))
+                    return FullState(groups, legs.moment, state.cell)
+                except LegError as no:
+                    # From here R_a does not get away, or R_b, from elsewhere they may.
+                    failed = no
+                    if no.final:
+                        raise
         raise failed
 
 
