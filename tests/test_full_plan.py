@@ -82,11 +82,14 @@ def test_frames_show_the_plan(two_merges: FullPlan, timeline: Timeline) -> None:
 
 
 def test_nothing_jumps_from_frame_to_frame(timeline: Timeline) -> None:
+    """How fast legs are shown depends on how long they are; what jumps goes farther than just before and after."""
     framed = [i for i, thing in enumerate(timeline.things) if thing.framed]
-    for a, b in pairwise(timeline.frames):
-        moved = [np.linalg.norm(_there(b.poses[i]).translation - _there(a.poses[i]).translation) for i in framed]
-        # A twentieth of a second; fingers open and close from one leg to the next.
-        assert max(moved) < 0.25
+    places = np.array([[_there(frame.poses[i]).translation for i in framed] for frame in timeline.frames])
+    moved = np.linalg.norm(np.diff(places, axis=0), axis=2)
+    still = np.zeros_like(moved[:1])
+    beside = np.maximum(np.concatenate([still, moved[:-1]]), np.concatenate([moved[1:], still]))
+    # Fingers open and close from one leg to the next.
+    assert (moved - 2.0 * beside).max() < 0.02
 
 
 def test_only_one_robot_moves_at_a_time(two_merges: FullPlan, timeline: Timeline) -> None:
