@@ -76,14 +76,15 @@ def test_an_arm_through_itself_through_the_ground_and_past_its_limit(two_merges:
 def test_what_is_held_through_another_part(two_merges: FullPlan) -> None:
     """Without the way that avoids it, the mating hand comes out of v's group sideways."""
     legs = two_merges.steps[0].legs
-    mate = next(i for i, leg in enumerate(legs) if leg.name == "mate")
+    mate = next(leg for leg in legs if leg.name == "mate")
 
     def shifted(leg: Leg) -> Leg:
         off = np.zeros(10)
         off[:2] = 0.03
         return replace(leg, path=(*leg.path[:-1], leg.path[-1] + off, leg.path[-1] - off, leg.path[-1]))
 
-    report = audit_full_plan(with_leg(two_merges, mate, shifted), 0.002)
+    step = replace(two_merges.steps[0], legs=(shifted(mate),))
+    report = audit_full_plan(replace(two_merges, steps=(step,)), 0.002)
     assert RobotViolationKind.PENETRATION in kinds(report)
     assert any(v.leg == "mate" and "what the other holds" in v.what for v in report.first)
 
