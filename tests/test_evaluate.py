@@ -73,6 +73,22 @@ def test_the_printed_summary() -> None:
     assert failed.split() == ["failed:", "2", "wrong_pair"]
 
 
+def test_what_ended_episodes_with_robots() -> None:
+    ends = [
+        ("grasp_blocked", "grasp u"), ("cannot_let_go", "back off"), ("no_arm_solution", "mate"),
+        ("joint_blocked", "mate"), ("no_path", "drive v"), ("no_path", "leave u"), ("no_path", "set down"),
+        ("no_stand", "set down"), ("wrong_pair", ""), ("no_plan", "limits reached"), ("not_grasped", "approach u"), ("merged", ""),
+    ]  # fmt: skip
+    some = tuple(
+        replace(episode(i, verdict == "merged"), verdict=verdict, reason=leg) for i, (verdict, leg) in enumerate(ends)
+    )
+    assert Evaluation(Way("x", setting="full"), "s", 1, some).to_json()["failures"] == {
+        "placing": 3, "grasp blocked": 2, "no arm solution": 1, "mating path": 1, "path": 1, "wrong pair": 1,
+        "no plan": 1, "not grasped": 1,
+    }  # fmt: skip
+    assert "failures" not in Evaluation(Way("x"), "s", 1, some).to_json()
+
+
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> str:
     root = tmp_path_factory.mktemp("set")

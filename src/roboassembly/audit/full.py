@@ -95,10 +95,10 @@ class RobotAuditReport:
 def audit_full_plan(plan: FullPlan, resolution: float = RESOLUTION) -> RobotAuditReport:
     """Replay the plan and look for anything that could not happen.
 
-    Of all that stands: each group and post against all others. In every leg: the moving robot and what it holds against
-    all that stands, posts, the other robot and what that holds, the ground, and itself; joint limits; that everything is
-    where the leg before left it. At the end: that it is the furniture. The pads may touch what they hold, and a group its
-    post.
+    Of all that stands: each group and post against all others. In every leg: the moving robot and what it holds
+    against all that stands, posts, the other robot and what that holds, the ground, and itself; joint limits; that
+    everything is where the leg before left it. At the end: that it is the furniture. The pads may touch what they
+    hold, and a group its post.
 
     Args:
         plan: as recorded.

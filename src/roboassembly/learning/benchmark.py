@@ -41,6 +41,7 @@ PAPER: dict[SettingName, dict[str, float]] = {
     "full": {"easy": 59.3, "hard": 25.8, "test": 50.0},
 }
 """Success in the paper, per cent: of experts on easy and hard training chairs, of the policy on unseen ones."""
+_UNSEEN = ", families in no training"
 _TINY = RelationalConfig(token=32, pair=16, layers=1, heads=2, ends=8, conflicts=2)
 
 
@@ -299,7 +300,7 @@ def _rows_of(trial: Trial, every: Sequence[Episode]) -> Iterator[Row]:
         figures = whole.figures | {"refused": len(every) - len(played)}
         yield replace(whole, figures=figures, paper=trial.paper, paper_steps=trial.paper_steps)
     if unseen and trial.policy not in ("joint-rrt", "random", "search"):
-        yield row(trial.name, f"{trial.set}, families in no training", unseen)
+        yield row(trial.name, f"{trial.set}{_UNSEEN}", unseen)
     if carried:
         yield row(f"{trial.name}: its plans carried out in physics", trial.set, carried)
 
@@ -347,6 +348,14 @@ def table(told: dict[str, Any]) -> list[str]:
         lines += ["", "Experts count as in the paper, where paths once found are kept: by plays from starts that they "
                   "were taught on. From starts that they were not taught on they finish "
                   + ", ".join(f"{100 * rate:.1f} % of {on}" for on, rate in fresh.items()) + "."]  # fmt: skip
+    ended = [(row["name"], row["on"], row["figures"].get("failures")) for row in told["rows"]]
+    if any(kinds for _, _, kinds in ended):
+        lines += ["", "What ended those that failed:", ""]
+        lines += [
+            f"- {name}, {on}: {', '.join(f'{count} {kind}' for kind, count in kinds.items())}"
+            for name, on, kinds in ended
+            if kinds and not on.endswith(_UNSEEN)
+        ]
     commands = list(dict.fromkeys(row["command"] for row in told["rows"]))
     lines += ["", "Each row alone:", "", *(f"- `{command}`" for command in commands)]
     if told["seconds"]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import zlib
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
@@ -17,7 +18,16 @@ from roboassembly.errors import RoboAssemblyError
 from roboassembly.furniture.datasets import Pick
 from roboassembly.learning.players import Episode, Player, Way, player
 from roboassembly.processes import one_thread_each, workers
+from roboassembly.task.full import FullVerdict
 
+KINDS = {
+    FullVerdict.WRONG_PAIR: "wrong pair", FullVerdict.GRASP_BLOCKED: "grasp blocked",
+    FullVerdict.CANNOT_LET_GO: "grasp blocked", FullVerdict.NO_ARM_SOLUTION: "no arm solution",
+    FullVerdict.JOINT_BLOCKED: "mating path", FullVerdict.NO_STAND: "placing",
+}  # fmt: skip
+"""What ended an episode with robots, told coarsely."""
+_AFTER_MATING = ("back", "leave", "carry", "set")
+"""How names of legs begin that follow the mating."""
 _Z = 1.959963984540054
 """97.5 % of a standard normal distribution lies below."""
 
@@ -36,7 +46,8 @@ class Evaluation:
         """Success with its 95 % Wilson interval over episodes, and effort, over all and over the solved.
 
         `unseen` is the same success over families that occur in no training; None if the set does not know them.
-        `planned` is the share that was planned, where plans were carried out besides.
+        `planned` is the share that was planned, where plans were carried out besides; `failures` what ended the others
+        with robots.
         """
         solved = [e for e in self.episodes if e.success]
         unseen = [e for e in self.episodes if e.unseen]
@@ -45,6 +56,8 @@ class Evaluation:
         more: dict[str, Any] = {}
         if way.execution == "dynamic":
             more["planned"] = success([e.executed is not None for e in self.episodes])
+        if way.setting == "full":
+            more["failures"] = dict(Counter(failure_of(e) for e in self.episodes if not e.success).most_common())
         if way.audit:
             more["violations"] = sum(e.violations or 0 for e in self.episodes)
         return {
@@ -64,6 +77,14 @@ class Evaluation:
             "unseen": None if all(e.unseen is None for e in self.episodes) else success([e.success for e in unseen]),
             "per_furniture": [vars(e) for e in self.episodes],
         }
+
+
+def failure_of(episode: Episode) -> str:
+    """What ended an episode with robots that did not succeed: one of `KINDS`, `path`, or its verdict."""
+    verdict = episode.verdict
+    if verdict == FullVerdict.NO_PATH:
+        return "placing" if episode.reason.split()[0] in _AFTER_MATING else "path"
+    return next((kind for known, kind in KINDS.items() if verdict == known), verdict.replace("_", " "))
 
 
 def success(outcomes: Sequence[bool]) -> dict[str, Any]:
