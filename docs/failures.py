@@ -3,7 +3,7 @@
     roboassembly evaluate --policy relational --set SET --json > episodes.json
     python docs/failures.py episodes.json PICTURE.png [NAME ...]
 
-Without names the first failed episode of each verdict. From left to right: the groups as they lay when the last action
+Without names the first failed episode of each verdict, with robots of each kind of failure. From left to right: the groups as they lay when the last action
 was chosen, the two it names in colours; the two as it would have joined them, with the hands that would hold them if
 there are robots; the same parts where they belong.
 """
@@ -22,6 +22,8 @@ from roboassembly.envs.full import FullEnv
 from roboassembly.envs.object_centric import ObjectCentricEnv
 from roboassembly.furniture.datasets import Pick, pick
 from roboassembly.furniture.model import Furniture
+from roboassembly.learning.evaluate import failure_of
+from roboassembly.learning.players import Episode
 from roboassembly.poses import SE3
 from roboassembly.task.groups import Group, TaskState
 from roboassembly.task.joining import hold
@@ -79,7 +81,7 @@ def main(source: Path, picture: Path, names: Sequence[str]) -> None:
     told = json.loads(source.read_text())
     full = told["setting"] == "full"
     failed = [e for e in told["per_furniture"] if not e["success"] and len(e["actions"]) > e["merges"]]
-    first = {e["verdict"]: e for e in reversed(failed)}
+    first = {failure_of(Episode(**e)) if full else e["verdict"]: e for e in reversed(failed)}
     chosen = [e for e in failed if e["furniture"] in names] if names else list(first.values())
     if not chosen:
         sys.exit(f"{source} has no such failed episode; failed are: {', '.join(e['furniture'] for e in failed)}")

@@ -31,8 +31,8 @@ class Evaluate:
     search: bool = False
     """The policy guides the search instead of playing alone."""
     setting: Setting = "object-centric"
-    """What moves the parts: they fly by themselves, or two mobile Frankas move them (`search`, `random`, or a policy
-    of your own that chooses grasps)."""
+    """What moves the parts: they fly by themselves, or two mobile Frankas move them (of the solvers `search` knows
+    how; checkpoints and policies of your own where they choose grasps)."""
     execution: Execution = "kinematic"
     """Of `--setting full`: planned and checked, or carried out by actuated robots in physics besides."""
     audit: bool = False
