@@ -3,9 +3,9 @@
     roboassembly evaluate --policy relational --set SET --json > episodes.json
     python docs/failures.py episodes.json PICTURE.png [NAME ...]
 
-Without names the first failed episode of each verdict, with robots of each kind of failure. From left to right: the groups as they lay when the last action
-was chosen, the two it names in colours; the two as it would have joined them, with the hands that would hold them if
-there are robots; the same parts where they belong.
+Without names the first failed episode of each verdict, with robots of each kind of failure. From left to right: the
+groups as they lay when the last action was chosen, the two it names in colours; the two as it would have joined them,
+with the hands that would hold them if there are robots; the same parts where they belong.
 """
 
 import json
