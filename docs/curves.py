@@ -1,12 +1,12 @@
 """Draws the learning curves of results.md.
 
-    python docs/curves.py runs/benchmark runs/benchmark-full runs/hands PICTURE.png
+    python docs/curves.py PICTURE.png RUN [RUN ...]
 
-The first two are runs of `roboassembly benchmark`, in both settings, the third is one of `roboassembly train multitask
---setting full`.
+Each a folder of `roboassembly benchmark`, `train expert` or `train multitask`, in either setting; its name is told.
 """
 
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -37,33 +37,33 @@ def mastered(folder: Path) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     return out
 
 
-def main(benchmark: Path, with_robots: Path, hands: Path, picture: Path) -> None:
-    """One picture of four panels."""
+def main(picture: Path, runs: Sequence[Path]) -> None:
+    """One picture of four panels, each with what the runs know of it."""
     figure = Figure(figsize=(2 * PANEL[0], 2 * PANEL[1]), layout="constrained")
-    panels = figure.subplots(2, 2)
-    for setting, folder, style in (("", benchmark, "-"), (" with robots", with_robots, "--")):
-        for name, (steps, share) in mastered(folder).items():
-            panels[0, 0].step(steps, share, style, where="post", label=name + setting)
-        chosen = read(folder).get("chosen", {}).get("paper", {})
-        panels[0, 1].plot(list(chosen), list(chosen.values()), style, label="preset paper" + setting)
-    panels[0, 0].set(title="experts: share mastered", xlabel="steps of the environment", ylim=(0.0, 1.02))
-    scalars = read(hands)
-    for stage, points in scalars["chosen"].items():
-        panels[0, 1].plot(list(points), list(points.values()), label=f"relational with hands, {stage}")
-    panels[0, 1].set(title="imitation: share of good choices", xlabel="update", ylim=(0.0, 1.02))
-    for name, meaning in GRASPS.items():
-        points = scalars[name]["grasps"]
-        panels[1, 0].plot(list(points), list(points.values()), label=meaning)
-    panels[1, 0].set(title="hands: cross-entropy of what is said of them", xlabel="update", yscale="log")
-    for name in ("pairs", "choice"):
-        for stage, points in scalars[name].items():
-            panels[1, 1].plot(list(points), list(points.values()), label=f"{name}, {stage}")
-    panels[1, 1].set(title="relational with hands: losses", xlabel="update", yscale="log")
-    for axes in panels.flat:
+    (experts, choices), (hands, losses) = figure.subplots(2, 2)
+    for run in runs:
+        if (run / "experts").is_dir():
+            for name, (steps, share) in mastered(run).items():
+                experts.step(steps, share, where="post", label=f"{run.name}: {name}")
+        scalars = read(run)
+        for axes, names in ((choices, ("chosen",)), (losses, ("pairs", "choice"))):
+            for name in names:
+                for stage, points in scalars.get(name, {}).items():
+                    axes.plot(list(points), list(points.values()), label=f"{run.name}: {stage}, {name}")
+        for name, meaning in GRASPS.items():
+            points = scalars.get(name, {}).get("grasps", {})
+            if points:
+                hands.plot(list(points), list(points.values()), label=f"{run.name}: {meaning}")
+    experts.set(title="experts: share mastered", xlabel="steps of the environment", ylim=(0.0, 1.02))
+    choices.set(title="imitation: share of good choices", xlabel="update", ylim=(0.0, 1.02))
+    hands.set(title="hands: cross-entropy of what is said of them", xlabel="update", yscale="log")
+    losses.set(title="relational: losses", xlabel="update", yscale="log")
+    for axes in (experts, choices, hands, losses):
         axes.grid(alpha=0.3)
-        axes.legend(fontsize=7)
+        if axes.has_data():
+            axes.legend(fontsize=7)
     figure.savefig(picture, dpi=110)
 
 
 if __name__ == "__main__":
-    main(*map(Path, sys.argv[1:]))
+    main(Path(sys.argv[1]), [Path(run) for run in sys.argv[2:]])
