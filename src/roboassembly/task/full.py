@@ -313,12 +313,12 @@ class FullTask:
         start = legs.reached
         failed = LegError(Obstacle.NO_ARM_SOLUTION, "mate")
         for _ in range(_GOES):
+            legs.back_to(start)
             some = _meetings(legs, joint)
             # Whether they can meet at all is found out before anything moves.
             first = next(some, None)
             if first is None:
                 break
-            legs.back_to(start)
             fetch_both(legs, wanted)
             for meeting in islice(chain([first], some), _MEETINGS):
                 try:
