@@ -48,7 +48,7 @@ def _imported() -> Furniture:
 
 SAMPLE = ("ladder", "windsor", "pedestal", "stool")
 """Families with swapped, mirrored, turned and captive parts between them."""
-FEW = "three_legged"
+FEW = "cantilever"
 """A family of few parts: two robots take their time."""
 SOURCES = {**{name: (lambda name=name: catalogue.make(name, 1)) for name in (*SAMPLE, FEW)}, "imported": _imported}
 CASES = [(ObjectCentricEnv, name) for name in (*SAMPLE, "imported")] + [(FullEnv, name) for name in (FEW, "imported")]
@@ -231,7 +231,7 @@ def test_wrong_pairs_end_the_episode_and_change_nothing(env: AnEnv) -> None:
     rng = np.random.default_rng(0)
     choices = np.argwhere(env.action_masks())
     wrong = 0
-    for action in choices[rng.permutation(len(choices))[:60]]:
+    for action in choices[rng.permutation(len(choices))[:40]]:
         if isinstance(env, FullEnv) and _is_right(env, action):
             continue  # two robots would take their time to join it
         before, _ = env.reset(seed=0)

@@ -74,6 +74,7 @@ def test_a_student_that_knows_hands_plays_with_them(tmp_path: Path) -> None:
     assert course.tokens(course.lessons[0]).hold is not None
 
 
+@pytest.mark.slow
 def test_a_curriculum_with_robots_ends_in_one_policy_for_both_settings(
     two_chairs: list[str], tmp_path: Path
 ) -> None:  # fmt: skip
