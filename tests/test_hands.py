@@ -172,7 +172,7 @@ def test_pairs_without_room_for_hands_cannot_be_joined() -> None:
     clouds = np.array([surface_points(p.mesh, 2048) for p in task.furniture.parts], np.float32)
     teacher = Teacher(task.furniture, clouds, HandOracle(task))
     memory, rng = Memory(), np.random.default_rng(0)
-    plays = [teacher.play(rng) for _ in range(2)]
+    plays = [teacher.play(rng) for _ in range(3)]
     joined, tight = 0, 0
     for lesson in (lesson for play in plays for lesson in (*play.lessons, *play.dead_ends)):
         tokens = teacher.course.tokens(lesson, memory)

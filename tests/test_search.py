@@ -260,6 +260,7 @@ print(digest(solve(annotate("pedestal", generate("pedestal", 1), Provenance("x")
 """
 
 
+@pytest.mark.slow
 def test_another_process_finds_the_same_plan(captive_slat: Furniture, chair) -> None:
     here = [digest(solve(captive_slat, 3).plan), digest(solve(chair("pedestal", 1), 3).plan)]
     running = [
