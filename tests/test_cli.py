@@ -121,6 +121,36 @@ def test_evaluate_reports_and_exports(run: Run, stool: Path, tmp_path: Path, unt
     assert "did you mean relational?" in err
 
 
+def test_an_evaluation_goes_on_where_it_was_stopped(run: Run, stool: Path, tmp_path: Path) -> None:
+    kept = tmp_path / "new" / "episodes.jsonl"
+    arguments = ("evaluate", "--policy", "random", "--set", f"folder:{stool}", "--jobs", "1", "--json", "--out", kept)
+    first = json.loads(run(*arguments, "--episodes", "3")[1])
+    head, *lines = kept.read_text().splitlines()
+    assert len(lines) == first["n"] == 3
+
+    # Stopped in the middle of the second line. That the first is not played again shows by what it says.
+    marked = json.dumps(json.loads(lines[0]) | {"planning_steps": 123_456})
+    kept.write_text(f"{head}\n{marked}\n{lines[1][:40]}")
+    second = json.loads(run(*arguments, "--episodes", "3")[1])
+    assert second["per_furniture"][0]["planning_steps"] == 123_456
+    for one, other in zip(first["per_furniture"][1:], second["per_furniture"][1:], strict=True):
+        assert {k: v for k, v in one.items() if "seconds" not in k} == {
+            k: v for k, v in other.items() if "seconds" not in k
+        }
+    assert len(kept.read_text().splitlines()) == 4
+
+    # What is something else's stays as it is.
+    before = kept.read_bytes()
+    status, _, err = run(*arguments, "--episodes", "3", "--seed", "1")
+    assert (status, kept.read_bytes()) == (2, before)
+    assert "another name would do" in err
+    notes = tmp_path / "notes.txt"
+    notes.write_text("my notes\n")
+    assert run(*arguments, "--out", notes)[0] == 2
+    assert notes.read_text() == "my notes\n"
+    assert "cannot write" in run(*arguments, "--out", tmp_path)[2]
+
+
 def test_another_seed_gives_another_plan(run: Run, stool: Path, tmp_path: Path) -> None:
     for seed in "12":
         assert run("assemble", stool, "--no-film", "--out", tmp_path / seed, "--seed", seed)[0] == 0

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -16,8 +17,9 @@ from roboassembly.errors import InputError
 from roboassembly.processes import spread
 
 if TYPE_CHECKING:
+    from roboassembly.furniture.datasets import Pick
     from roboassembly.learning.evaluate import Evaluation
-    from roboassembly.learning.players import Episode
+    from roboassembly.learning.players import Episode, Way
 
 
 @dataclass(frozen=True)
@@ -50,6 +52,8 @@ class Evaluate:
     jobs: Jobs = CORES
     """Pieces at a time."""
     ray: Ray = None
+    out: Path | None = None
+    """Keep every episode in this file as it ends; the same command goes on where it was stopped."""
     export: Path | None = None
     """Write the successful episodes as a Minari data set: a new folder, named like `chairs-v0`."""
     json: bool = False
@@ -59,7 +63,7 @@ class Evaluate:
         """Do it; returns the exit status."""
         if self.seed < 0 or min(self.jobs, self.episodes) < 1:
             raise InputError("--seed takes 0 or more, --jobs and --episodes take 1 or more")
-        from roboassembly.learning.evaluate import Evaluation, evaluate
+        from roboassembly.learning.evaluate import Evaluation
         from roboassembly.learning.players import EXPORTABLE, SOLVERS, Way
 
         if self.export is not None:
@@ -75,8 +79,7 @@ class Evaluate:
         way = Way(self.policy, self.search, self.setting, self.execution, self.audit)
         total = len(picks) * self.episodes
         with spread(self.ray, self.jobs) as jobs:
-            playing = evaluate(way, picks, self.seed, jobs, episodes=self.episodes)
-            episodes = tuple(progress_bar(playing, total=total, unit="episode"))
+            episodes = tuple(progress_bar(self._played(way, picks, jobs), total=total, unit="episode"))
         evaluation = Evaluation(way, self.set, self.seed, episodes)
         report = evaluation.to_json()
         if self.export is not None:
@@ -95,6 +98,28 @@ class Evaluate:
             if self.export is not None:
                 print(self.export)
         return DONE
+
+    def _played(self, way: Way, picks: Sequence[Pick], jobs: int) -> Iterator[Episode]:
+        """All episodes; those that `out` holds are not played again."""
+        from roboassembly.learning.episodes import kept, playing
+        from roboassembly.learning.evaluate import evaluate
+        from roboassembly.learning.loading import weights_hash
+        from roboassembly.learning.multitask import set_hash
+
+        if self.out is None:
+            return evaluate(way, picks, self.seed, jobs, episodes=self.episodes)
+        about = {
+            "way": asdict(way), "weights": weights_hash(self.policy), "set": self.set, "set_hash": set_hash(picks),
+            "seed": self.seed, "episodes": self.episodes,
+        }  # fmt: skip
+        there = kept(self.out, about)
+        if there is None:
+            raise InputError(
+                f"--out {self.out}: holds something else than episodes of this policy, set and seed; another name "
+                "would do"
+            )
+        rest = partial(evaluate, way, picks, self.seed, jobs, episodes=self.episodes, played=len(there))
+        return playing(self.out, about, there, rest)
 
 
 def summary(evaluation: Evaluation) -> list[str]:

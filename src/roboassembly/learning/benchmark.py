@@ -25,6 +25,7 @@ from roboassembly.errors import InputError
 from roboassembly.furniture.datasets import RECIPES, Pick, manifest_path, pick, sampled
 from roboassembly.learning import autoencoder, multitask, paper_imitation
 from roboassembly.learning.apprentices import ExpertTraining, mastery
+from roboassembly.learning.episodes import kept, playing
 from roboassembly.learning.evaluate import Evaluation, evaluate
 from roboassembly.learning.loading import weights_hash
 from roboassembly.learning.multitask import Curriculum
@@ -222,21 +223,15 @@ def tried(trial: Trial, folder: Path, jobs: int) -> Iterator[Progress]:
     there = episodes_of(path, trial)
     if len(there) == len(picks):
         return
-    path.parent.mkdir(exist_ok=True)
-    lines = [json.dumps(_head(trial)), *(json.dumps(asdict(e)) for e in there)]
-    scratch = path.with_suffix(".part")
-    scratch.write_text("".join(line + "\n" for line in lines))
-    scratch.replace(path)
-    with path.open("a") as file:
-        for done, episode in enumerate(evaluate(trial.way, picks[len(there) :], trial.seed, jobs), len(there) + 1):
-            file.write(json.dumps(asdict(episode)) + "\n")
-            file.flush()
-            there.append(episode)
-            solved = sum(e.success for e in there) / len(there)
-            yield Progress(f"{trial.name}, {trial.set}", done, len(picks), {"success": solved})
+    rest = partial(evaluate, trial.way, picks, trial.seed, jobs, played=len(there))
+    solved = 0
+    for done, episode in enumerate(playing(path, _about(trial), there, rest), 1):
+        solved += episode.success
+        if done > len(there):
+            yield Progress(f"{trial.name}, {trial.set}", done, len(picks), {"success": solved / done})
 
 
-def _head(trial: Trial) -> dict[str, Any]:
+def _about(trial: Trial) -> dict[str, Any]:
     """What episodes belong to; of other weights or another set they are played again."""
     return {
         "trial": asdict(trial),
@@ -246,22 +241,8 @@ def _head(trial: Trial) -> dict[str, Any]:
 
 
 def episodes_of(path: Path, trial: Trial) -> list[Episode]:
-    """Those of a file, the last line perhaps half written."""
-    if not path.is_file():
-        return []
-    out: list[Episode] = []
-    for number, line in enumerate(path.read_text().splitlines()):
-        try:
-            told = json.loads(line)
-            if number == 0:
-                if told != _head(trial):
-                    return []
-                continue
-            told |= {"actions": tuple(tuple(a) for a in told["actions"]), "step_seconds": tuple(told["step_seconds"])}
-            out.append(Episode(**told))
-        except (json.JSONDecodeError, TypeError, KeyError):
-            break
-    return out
+    """Those of a file, as far as they are the trial's."""
+    return kept(path, _about(trial)) or []
 
 
 def rows(b: Benchmark, folder: Path) -> list[Row]:

@@ -113,7 +113,9 @@ def episode_seed(seed: int, name: str, episode: int) -> int:
     return int(words[0] >> 1)
 
 
-def evaluate(way: Way, picks: Sequence[Pick], seed: int, jobs: int, *, episodes: int = 1) -> Iterator[Episode]:
+def evaluate(
+    way: Way, picks: Sequence[Pick], seed: int, jobs: int, *, episodes: int = 1, played: int = 0
+) -> Iterator[Episode]:
     """Play episodes of each piece, in order. Nothing but times depends on `jobs`, nor on what else is in the set.
 
     Args:
@@ -122,6 +124,7 @@ def evaluate(way: Way, picks: Sequence[Pick], seed: int, jobs: int, *, episodes:
         seed: of all; episode `i` of a piece has the seed `episode_seed(seed, its name, i)`.
         jobs: pieces at a time, each in a process of its own; in this process if 1.
         episodes: of each piece.
+        played: so many of all episodes, the first ones, are left out.
 
     Raises:
         UnknownNameError: no such policy.
@@ -130,8 +133,11 @@ def evaluate(way: Way, picks: Sequence[Pick], seed: int, jobs: int, *, episodes:
         RoboAssemblyError: a worker died.
     """
     own = player(way)
-    work = [(pick, [episode_seed(seed, pick.name, i) for i in range(episodes)]) for pick in picks]
-    if jobs == 1:
+    left = [range(max(0, played - index * episodes), episodes) for index in range(len(picks))]
+    work = [
+        (pick, [episode_seed(seed, pick.name, i) for i in some]) for pick, some in zip(picks, left, strict=True) if some
+    ]
+    if jobs == 1 or not work:
         return (episode for pick, seeds in work for episode in _play_piece(own, pick, seeds))
     return _in_processes(way, work, jobs)
 
