@@ -139,7 +139,7 @@ def test_the_loss_is_l1_and_fifty_times_l2(examples: list[Example]) -> None:
     # Nor does what is taught about actions between points that are not there, or joined already.
     nowhere = ~batch["exists"]
     assert nowhere.any()
-    batch["target"][nowhere] = 99.0
+    batch["taught"][nowhere] = 99.0
     assert imitation.losses(network, inputs, batch)[0] == pytest.approx(float(loss))
 
 
@@ -164,8 +164,9 @@ def test_exact_values_are_returns_to_go() -> None:
     by_expert = replace(course, lessons=(replace(lesson, values=values),))
     taught = imitation.batch_of(imitation.examples_of([by_expert], ENCODER, Augmentation(copies=0)), None)
     # But more than two merges and the whole are not to be had.
-    assert np.array_equal(taught["target"][0, :4, :4], np.minimum(values, 6.0))
-    assert not taught["target"][0, 4:].any()
+    target = imitation.targets(taught)
+    assert np.array_equal(target[0, :4, :4], np.minimum(values, 6.0))
+    assert not target[0, 4:].any()
 
 
 def test_with_robots_what_both_grasps_add_is_taught_and_chosen(tmp_path: Path) -> None:
@@ -189,11 +190,12 @@ def test_with_robots_what_both_grasps_add_is_taught_and_chosen(tmp_path: Path) -
     first = lessons[0].values
     assert first is not None
     n = len(first)
-    assert batch["target"].shape[3] == 64
+    target = imitation.targets(batch)
+    assert target.shape[3] == 64
     # Grasps 2 and 5 of the first pair: way 8 * 2 + 5. Four parts: at most three merges and the whole are to be had.
     both = float(first[0, 1, 2]) + float(first[0, 1, 8 + 5])
-    assert batch["target"][0, 0, 1, 21] == pytest.approx(min(both, 7.0), abs=1e-3)
-    assert batch["target"].max() == 7.0
+    assert target[0, 0, 1, 21] == pytest.approx(min(both, 7.0), abs=1e-3)
+    assert target.max() == 7.0
     assert batch["state"].shape[1] == 5280 + 20 * 8 * 6
     assert batch["state"][0, 5280 + 48 + 3] == pytest.approx(hands[1, 0, 3])
     path = tmp_path / "paper.npz"
@@ -221,7 +223,7 @@ def test_a_batch_names_slots_and_what_exists(examples: list[Example]) -> None:
         assert batch["slot"][row, :n].tolist() == (10 * e.part + e.point).tolist()
         assert np.array_equal(batch["exists"][row, :n, :n], e.group[:, None] != e.group)
         assert not batch["exists"][row, n:].any()
-        assert np.array_equal(batch["target"][row, :n, :n], e.exact())
+        assert np.array_equal(imitation.targets(batch)[row, :n, :n], e.exact())
         groups = len(np.unique(e.group))
         assert e.exact().max() >= groups - 1 + 4
 

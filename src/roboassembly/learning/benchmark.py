@@ -78,7 +78,9 @@ class Benchmark:
         plain = Benchmark(setting, seed=seed)
         if setting == "object-centric":
             return plain
-        return replace(plain, schooling=Schooling.usual(setting), relational=Curriculum.with_hands())
+        # With robots an update takes several times as long: any two points have 64 ways to be joined in place of six.
+        paper = replace(plain.paper, steps=5_000)
+        return replace(plain, schooling=Schooling.usual(setting), paper=paper, relational=Curriculum.with_hands())
 
     @staticmethod
     def quick(setting: SettingName = "object-centric", seed: int = 0) -> Benchmark:

@@ -150,6 +150,11 @@ def apply(p: Params, inputs: Params, state: Array, slot: Array) -> Array:
     Returns:
         (b, n, n, w) over all ways, undiscounted return: 1 for each merge, 4 more for the whole. Rows move onto columns.
     """
+    return heads.together(choices(p, inputs, state, slot))
+
+
+def choices(p: Params, inputs: Params, state: Array, slot: Array) -> list[Array]:
+    """What each choice adds to Q, (b, n, n, w_i); takes what `apply` takes."""
     xp = state.__array_namespace__()
     b = len(slot)
     whole = (state - inputs["mean"]) * inputs["scale"]
@@ -160,7 +165,7 @@ def apply(p: Params, inputs: Params, state: Array, slot: Array) -> Array:
     some = slots[xp.arange(b)[:, None], slot]
     half = some.shape[2] // 2
     u, v = some[..., :half], some[..., half:]
-    return _RETURN * heads.together(heads.added(p["heads"], u, v, u, v))
+    return [_RETURN * each for each in heads.added(p["heads"], u, v, u, v)]
 
 
 class PaperPolicy:

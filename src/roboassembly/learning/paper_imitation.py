@@ -107,14 +107,14 @@ class Example:
         """With one of the copies of the features."""
         return PaperState(self.features[copy], self.points, self.poses, self.connections, self.grasps)
 
-    def taught(self) -> Float32[np.ndarray, "n n w"]:
-        """Q-values to imitate: the expert's, at most what is left to be had, or exact ones."""
-        if self.values is None:
-            return self.exact()
-        ways = PaperConfig(hands=self.grasps is not None).ways
-        each = np.split(self.values.astype(np.float32), np.cumsum(ways)[:-1], axis=2)
-        merges = len(np.unique(groups_of(self.connections))) - 1
-        return np.clip(heads.together(each), None, merges + WHOLE)
+    def taught(self) -> Float[np.ndarray, "n n h"]:
+        """What each choice adds to the Q-values to imitate, one after another: the expert's, or exact ones."""
+        return self.exact() if self.values is None else self.values
+
+    @property
+    def most(self) -> float:
+        """Of what is taught no more than this counts: what is left to be had, which experts overrate."""
+        return np.inf if self.values is None else len(np.unique(groups_of(self.connections))) - 1 + WHOLE
 
     def exact(self) -> Float32[np.ndarray, "n n 6"]:
         """Exact Q-values."""
@@ -217,7 +217,7 @@ def batch_of(
         scatter: let groups lie elsewhere.
 
     Returns:
-        `state` (b, s), `slot` (b, n), `exists` (b, n, n) and `target` (b, n, n, w).
+        `state` (b, s), `slot` (b, n), `exists` (b, n, n), and what `targets` takes.
     """
     hands = examples[0].grasps is not None
     b, n = len(examples), size_for(max(len(e.part) for e in examples))
@@ -225,7 +225,9 @@ def batch_of(
         "state": np.zeros((b, paper.size(hands)), np.float32),
         "slot": np.zeros((b, n), np.int32),
         "exists": np.zeros((b, n, n), bool),
-        "target": np.zeros((b, n, n, np.prod(PaperConfig(hands=hands).ways)), np.float32),
+        # All combinations of choices would be four times as much with robots, and half precision holds what is taught.
+        "taught": np.zeros((b, n, n, sum(PaperConfig(hands=hands).ways)), np.float16),
+        "most": np.array([e.most for e in examples], np.float32),
     }
     for row, e in enumerate(examples):
         state = e.state(int(rng.integers(len(e.features))) if rng is not None else 0)
@@ -235,8 +237,18 @@ def batch_of(
         free = slice(len(e.part))
         batch["slot"][row, free] = MAX_POINTS * e.part + e.point
         batch["exists"][row, free, free] = e.group[:, None] != e.group[None]
-        batch["target"][row, free, free] = e.taught()
+        batch["taught"][row, free, free] = e.taught()
     return batch
+
+
+def targets(batch: dict[str, Any]) -> Any:
+    """(b, n, n, w) Q-values to imitate, of all ways, from what `batch_of` put together."""
+    taught, most = batch["taught"], batch["most"]
+    xp = taught.__array_namespace__()
+    choices = next(c.ways for c in (PaperConfig(), PaperConfig(hands=True)) if sum(c.ways) == taught.shape[3])
+    ends = np.cumsum(choices).tolist()
+    each = [xp.astype(taught[..., end - n : end], xp.float32) for n, end in zip(choices, ends, strict=True)]
+    return xp.minimum(heads.together(each), most[:, None, None, None])
 
 
 def imitation_losses(
@@ -259,11 +271,20 @@ def imitation_losses(
 
 def losses(network: Any, inputs: Any, batch: dict[str, Any]) -> tuple[jax.Array, dict[str, jax.Array]]:
     """`L1 + 50 L2`, and its terms, averaged over a batch; `chosen` is how often the student's choice is a best one."""
-    q = paper.apply(network, inputs, batch["state"], batch["slot"])
-    exists = jnp.broadcast_to(batch["exists"][..., None], q.shape)
-    l1, l2 = imitation_losses(*(x.reshape(len(q), -1) for x in (q, batch["target"], exists)))
+    each = paper.choices(network, inputs, batch["state"], batch["slot"])
+    taught = {name: batch[name] for name in ("exists", "taught", "most")}
+    # State by state: with robots all ways of a whole batch would take hundreds of megabytes, several times over.
+    l1, l2 = jax.lax.map(jax.checkpoint(_losses_of_one), (each, taught))
     terms = {"l1": l1.mean(), "l2": l2.mean(), "chosen": (l2 <= 0.0).mean()}
     return (l1 + LAMBDA * l2).mean(), terms
+
+
+def _losses_of_one(one: tuple[list[jax.Array], dict[str, jax.Array]]) -> tuple[jax.Array, jax.Array]:
+    each, taught = jax.tree.map(lambda x: x[None], one)
+    q = heads.together(each)
+    exists = jnp.broadcast_to(taught["exists"][..., None], q.shape)
+    l1, l2 = imitation_losses(*(x.reshape(1, -1) for x in (q, targets(taught), exists)))
+    return l1[0], l2[0]
 
 
 def share_good(params: Params, examples: Sequence[Example]) -> float:
