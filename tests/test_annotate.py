@@ -331,6 +331,14 @@ def test_a_corner_that_a_cut_left_on_an_edge_does_not_count(off: float, alike: b
     assert len(rotations_onto(box, bent)) == len(rotations_onto(bent, box)) == (4 if alike else 0)
 
 
+@pytest.mark.parametrize(("deep", "turns"), [(0.00005, 4), (0.0002, 1)])
+def test_corners_that_are_none_hide_no_symmetry(deep: float, turns: int) -> None:
+    # A nick in one edge: its corners are the only ones at their distance from the centre.
+    edge = shapes.block((0.05 - deep, 0.1 - deep, 0.1), (0.06, 0.11, 0.101))
+    nicked = shapes.of_solid(shapes.block((-0.05, -0.1, -0.15), (0.05, 0.1, 0.15)) - edge)
+    assert len(symmetries(nicked)) == turns
+
+
 def test_like_parts_share_a_mesh_where_there_is_room() -> None:
     # Two posts under a board; one is 0.05 mm thicker, which would close the gap to a third part beside it.
     def furniture(gap: float) -> Furniture:

@@ -151,6 +151,23 @@ def test_an_evaluation_goes_on_where_it_was_stopped(run: Run, stool: Path, tmp_p
     assert "cannot write" in run(*arguments, "--out", tmp_path)[2]
 
 
+def test_episodes_of_other_furniture_are_not_taken_for_those_of_this(run: Run, stool: Path, tmp_path: Path) -> None:
+    kept, folder = tmp_path / "episodes.jsonl", shutil.copytree(stool, tmp_path / "stool")
+    arguments = ("evaluate", "--policy", "random", "--set", f"folder:{folder}", "--jobs", "1", "--out", kept)
+    assert run(*arguments)[0] == run(*arguments)[0] == 0
+    before = kept.read_bytes()
+
+    # Of the same name and the same meshes, but not everything that could be swapped can be now.
+    described = folder / "furniture.json"
+    told = json.loads(described.read_text())
+    told["classes"][0]["symmetries"] = told["classes"][0]["symmetries"][:1]
+    described.write_text(json.dumps(told))
+    status, _, err = run(*arguments)
+    assert status == 2
+    assert str(kept) in err
+    assert kept.read_bytes() == before
+
+
 def test_another_seed_gives_another_plan(run: Run, stool: Path, tmp_path: Path) -> None:
     for seed in "12":
         assert run("assemble", stool, "--no-film", "--out", tmp_path / seed, "--seed", seed)[0] == 0

@@ -6,6 +6,7 @@ from itertools import combinations
 
 import numpy as np
 import pytest
+import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -105,6 +106,22 @@ def test_a_box_rests_on_its_six_faces() -> None:
 def test_a_cube_rests_on_each_face_alike() -> None:
     _, likely = shapes.brick(0.1, 0.1, 0.1).resting_rotations
     assert np.allclose(np.sort(likely)[-6:], 1 / 6, atol=1e-6)
+
+
+def test_a_hull_that_cannot_be_tumbled_is_with_its_corners_rounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    # What trimesh does with hulls of hundreds of corners that all but lie in a plane: nothing comes back.
+    tumbled = trimesh.poses.compute_stable_poses
+    tries = []
+
+    def first_fails(hull: trimesh.Trimesh, **others: object) -> tuple[np.ndarray, np.ndarray]:
+        tries.append(hull)
+        return (np.array([]), np.array([])) if len(tries) == 1 else tumbled(hull, **others)
+
+    monkeypatch.setattr(trimesh.poses, "compute_stable_poses", first_fails)
+    rotations, likely = shapes.brick(0.1, 0.1, 0.1).resting_rotations
+    assert len(tries) == 2
+    assert np.allclose(np.sort(likely)[-6:], 1 / 6, atol=1e-3)
+    assert np.allclose(np.abs(rotations[np.argsort(likely)[-6:], 2]).max(axis=1), 1.0, atol=1e-3)
 
 
 @pytest.mark.parametrize(("family", "seed"), [("stool", 0), ("ladder", 1), ("pedestal", 0)])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from itertools import combinations
 from pathlib import Path
 
@@ -10,11 +11,15 @@ import fcl
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial.transform import Rotation
 
+import shapes
 from roboassembly.errors import FurnitureError
+from roboassembly.furniture.congruence import symmetries
 from roboassembly.furniture.importers import ikea_manual
 from roboassembly.furniture.model import CONTACT_DISTANCE, RawPart
 from roboassembly.furniture.repair import RepairLimits, repair
+from roboassembly.furniture.repair.turns import MAX_TURNS, groups
 from roboassembly.meshes import Mesh
 
 GAP = 0.0002
@@ -113,6 +118,68 @@ def test_pole_through_a_plate_stays_whole():
     assert_clear(result)
     assert result.report[1].trimmed == 0.0
     assert leaves(result.parts[1], result.parts[:1], (0, 0, 1))
+
+
+def turns_of(part: RawPart) -> int:
+    return len(symmetries(Mesh(part.mesh.vertices - part.mesh.center_of_mass, part.mesh.faces)))
+
+
+def drilled_board(name: str, centre: Sequence[float]) -> RawPart:
+    """600 x 300 x 20 mm with a hole near each corner: four turns lay it onto itself."""
+    holes = [shapes.block((x - 0.02, y - 0.02, -0.1), (x + 0.02, y + 0.02, 0.1))
+             for x in (-0.25, 0.25) for y in (-0.1, 0.1)]  # fmt: skip
+    solid = shapes.block((-0.3, -0.15, -0.01), (0.3, 0.15, 0.01))
+    for hole in holes:
+        solid -= hole
+    mesh = shapes.of_solid(solid)
+    return RawPart(name, Mesh(mesh.vertices + np.asarray(centre), mesh.faces))
+
+
+def test_board_against_a_rail_is_trimmed_at_both_ends():
+    # 0.2 mm off one end would leave it with holes that are nearer to that end.
+    board, rail = drilled_board("board", (0.3, 0, 0.2)), box("rail", (0.02, 0.3, 0.02), (-0.01, 0, 0.2))
+    result = repair([board, rail], gap=GAP)
+    assert_clear(result)
+    assert turns_of(board) == turns_of(result.parts[0]) == 4
+    low, high = np.min(result.parts[0].mesh.vertices, axis=0), np.max(result.parts[0].mesh.vertices, axis=0)
+    assert low == pytest.approx([GAP, -0.15, 0.19], abs=2e-5)
+    assert high == pytest.approx([0.6 - GAP, 0.15, 0.21], abs=2e-5)
+    assert "cut alike all round" in result.report[0].notes
+
+
+def test_like_boards_trimmed_at_different_ends_stay_alike_and_symmetric():
+    boards = [drilled_board("left", (0.3, 0, 0.2)), drilled_board("right", (-0.32, 0, 0.2))]
+    rail = box("rail", (0.02, 0.3, 0.02), (-0.01, 0, 0.2))
+    result = repair([*boards, rail], gap=GAP)
+    assert_clear(result)
+    assert [turns_of(part) for part in result.parts[:2]] == [4, 4]
+    assert result.parts[0].mesh.volume == pytest.approx(result.parts[1].mesh.volume, rel=1e-6)
+
+
+@pytest.mark.parametrize(("name", "sizes"), [
+    ("D2", [4, 2, 2, 2, 1]), ("D3", [6, 3, 2, 2, 2, 1]), ("D4", [8, 4, 2, 2, 2, 2, 1]), ("C4", [4, 1]), ("C1", [1]),
+])  # fmt: skip
+def test_groups_of_turns_are_exact(name: str, sizes: list[int]):
+    rng = np.random.default_rng(3)
+    tilt = Rotation.random(random_state=rng).as_matrix()
+    true = tilt @ Rotation.create_group(name).as_matrix() @ tilt.T
+    found = Rotation.from_rotvec(rng.normal(0.0, 0.002, (len(true), 3))).as_matrix() @ true
+    out = groups(found[rng.permutation(len(found))])
+    assert [len(group) for group in out] == sizes
+    for group in out:
+        products = np.einsum("aij,bjk->abik", group, group)
+        assert np.abs(products[:, :, None] - group).max(axis=(3, 4)).min(axis=2).max() < 1e-9
+        assert np.abs(group[:, None] - true).max(axis=(2, 3)).min(axis=1).max() < 0.02
+        assert np.allclose(group[0], np.eye(3), atol=1e-9)
+
+
+def test_of_many_turns_some_that_are_evenly_spread_are_taken():
+    fine = Rotation.from_rotvec(2 * np.pi * np.arange(64)[:, None] / 64 * np.array([0.0, 0.0, 1.0])).as_matrix()
+    first, last = groups(fine)
+    assert len(first) == MAX_TURNS
+    assert len(last) == 1
+    steps = Rotation.from_matrix(first).magnitude()
+    assert np.sort(steps)[1:3] == pytest.approx(2 * np.pi / 16)
 
 
 def test_bar_between_two_posts_is_not_trapped():

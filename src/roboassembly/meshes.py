@@ -20,6 +20,9 @@ if TYPE_CHECKING:
     import trimesh
 
 MAX_FACES = 2_000_000
+_GRAINS = (0.0, 1e-5, 1e-4)
+"""Metres that corners of a hull are rounded to, the next where tumbling it comes to nothing: of hundreds of corners
+that all but lie in a plane trimesh makes triangles that do not close."""
 WOOD_DENSITY = 600.0
 """kg/m³: beech and oak are 600 to 750, pine 500."""
 
@@ -151,18 +154,20 @@ class Mesh:
         """
         import trimesh
 
-        # Slivers of a hull make trimesh divide by zero; their poses come out as NaN and are dropped here.
-        with np.errstate(invalid="ignore", divide="ignore"):
-            transforms, likely = trimesh.poses.compute_stable_poses(
-                self.hull, center_mass=self.center_of_mass, sigma=0.0, n_samples=1, threshold=0.0
-            )
-        likely = np.asarray(likely)
-        usable = np.isfinite(transforms).all(axis=(1, 2)) & np.isfinite(likely) & (likely > 0)
-        if not usable.any():
-            return np.eye(3)[None], np.ones(1)
-        # trimesh's rotations are orthonormal to about 1e-6 only.
-        rotations = Rotation.from_matrix(np.asarray(transforms)[usable, :3, :3]).as_matrix()
-        return rotations, likely[usable] / likely[usable].sum()
+        for grain in _GRAINS:
+            hull = trimesh.Trimesh(np.round(self.hull_vertices / grain) * grain).convex_hull if grain else self.hull
+            # Slivers of a hull make trimesh divide by zero; their poses come out as NaN and are dropped here.
+            with np.errstate(invalid="ignore", divide="ignore"):
+                transforms, likely = trimesh.poses.compute_stable_poses(
+                    hull, center_mass=self.center_of_mass, sigma=0.0, n_samples=1, threshold=0.0
+                )
+            likely, transforms = np.asarray(likely), np.reshape(transforms, (-1, 4, 4))
+            usable = np.isfinite(transforms).all(axis=(1, 2)) & np.isfinite(likely) & (likely > 0)
+            if usable.any():
+                # trimesh's rotations are orthonormal to about 1e-6 only.
+                rotations = Rotation.from_matrix(transforms[usable, :3, :3]).as_matrix()
+                return rotations, likely[usable] / likely[usable].sum()
+        return np.eye(3)[None], np.ones(1)
 
     @cached_property
     def bounds(self) -> Float[np.ndarray, "2 3"]:

@@ -18,10 +18,17 @@ MAX_SYMMETRIES = 64
 """A finer turned part is taken as having this many turns at most; more would only cost time."""
 _BENT = 1e-5
 """Least spread of the normals at a corner; a bend of 0.3° counts, the rounding of a flat face does not."""
-_MAX_CANDIDATES = 4096
+_MAX_CANDIDATES, _MAX_FITS = 4096, 400
+_PAIRS = 5
+"""Pairs of corners that candidates come from."""
 _REACH, _SLACK = 1e-3, 3e-4
 """Metres beyond the tolerance: of corners before the fit, because two corners alone turn a shape by a little too much
 or too little; and of distances between corners."""
+_CLOSER = 3.0
+"""Times the tolerance: how near corners are to each other that settle a fit."""
+_SAME_START, _SAME_ROTATION = 0.003, 0.01
+"""Candidates whose matrices differ by less are fitted once. Largest difference of two matrices of one rotation; the
+turns of the finest shape are seven times as far apart."""
 _MATCHED = 0.5
 """Least share of the corners that have to lie at corners of the other shape."""
 
@@ -64,15 +71,22 @@ def rotations_onto(source: Mesh, target: Mesh, tolerance: float = TOLERANCE) -> 
         return candidates
     tree_a, tree_b = KDTree(a), KDTree(b)
     probe = a[np.linspace(0, len(a) - 1, min(len(a), 12)).astype(int)]
-    reach, _ = tree_b.query(np.einsum("cij,pj->cpi", candidates, probe))
+    most = tolerance + _REACH
+    reach, _ = tree_b.query(np.einsum("cij,pj->cpi", candidates, probe), distance_upper_bound=most)
     found: list[np.ndarray] = []
-    for rotation in candidates[(reach < tolerance + _REACH).mean(axis=1) > _MATCHED]:
-        distance, mate = tree_b.query(a @ rotation.T)
-        near = np.asarray(distance) < tolerance + _REACH
-        if np.mean(near) < _MATCHED:
+    hopeful = np.flatnonzero((reach < most).mean(axis=1) > _MATCHED)
+    # The closest come first, lest one that is a little off stands for one that is not.
+    off = np.minimum(reach[hopeful], most).mean(axis=1)
+    left = candidates[hopeful[np.argsort(np.round(off, 6), kind="stable")]]
+    fits = 0
+    while len(left) and fits < _MAX_FITS:
+        rotation = left[0]
+        left = left[np.abs(left - rotation).max(axis=(1, 2)) > _SAME_START]
+        if _among(rotation, found, probe, tolerance):
             continue
-        matrix = Rotation.align_vectors(b[np.asarray(mate)[near]], a[near])[0].as_matrix()
-        if any(np.allclose(matrix, other, atol=1e-3) for other in found):
+        fits += 1
+        matrix = _fitted(rotation, a, b, tree_b, tolerance)
+        if matrix is None or _among(matrix, found, probe, tolerance):
             continue
         if _lies_on(a @ matrix.T, tree_b, target, tolerance) and _lies_on(b @ matrix, tree_a, source, tolerance):
             found.append(matrix)
@@ -83,9 +97,34 @@ def rotations_onto(source: Mesh, target: Mesh, tolerance: float = TOLERANCE) -> 
     return np.array(found)[order]
 
 
+def _among(
+    rotation: Float[np.ndarray, "3 3"], found: list[np.ndarray], probe: Float[np.ndarray, "n 3"], tolerance: float
+) -> bool:
+    """Whether a rotation was found before, but for what a fit may be off by."""
+    if not found:
+        return False
+    apart = rotation - np.array(found)
+    moved = np.linalg.norm(np.einsum("fij,pj->fpi", apart, probe), axis=2).max(axis=1)
+    return bool((np.abs(apart).max(axis=(1, 2)) < _SAME_ROTATION).any() or (moved < _CLOSER * tolerance).any())
+
+
+def _fitted(
+    rotation: Float[np.ndarray, "3 3"], a: Float[np.ndarray, "n 3"], b: Float[np.ndarray, "m 3"], corners: KDTree,
+    tolerance: float,
+) -> Float[np.ndarray, "3 3"] | None:  # fmt: skip
+    """The rotation that lays corners of `a` best onto those of `b` near them, and then on those that are nearest."""
+    for reach in (tolerance + _REACH, min(tolerance + _REACH, _CLOSER * tolerance)):
+        distance, mate = corners.query(a @ rotation.T, distance_upper_bound=reach)
+        near = np.isfinite(distance)
+        if np.mean(near) < _MATCHED:
+            return None
+        rotation = Rotation.align_vectors(b[np.asarray(mate)[near]], a[near])[0].as_matrix()
+    return rotation
+
+
 def _lies_on(points: Float[np.ndarray, "n 3"], corners: KDTree, mesh: Mesh, tolerance: float) -> bool:
     """Whether all points lie at corners of a mesh, or at least on its surface."""
-    odd = points[corners.query(points)[0] > tolerance]
+    odd = points[~np.isfinite(corners.query(points, distance_upper_bound=tolerance)[0])]
     if len(odd) > (1.0 - _MATCHED) * len(points):
         return False
     return all(distance_to(mesh.bvh, point) <= tolerance for point in odd)
@@ -103,24 +142,40 @@ def symmetries(mesh: Mesh, tolerance: float = TOLERANCE) -> Float[np.ndarray, "n
 def _candidate_rotations(
     a: Float[np.ndarray, "n 3"], b: Float[np.ndarray, "m 3"], tolerance: float
 ) -> Float[np.ndarray, "c 3 3"]:
-    """Rotations that take two well-chosen corners of `a` to corners of `b` at the same radii and distance."""
+    """Rotations that take two well-chosen corners of `a` to corners of `b` at the same radii and distance.
+
+    Two of them may be corners that are none, as cuts leave some: a few other pairs have their say as well.
+    """
     radius_a, radius_b = np.linalg.norm(a, axis=1), np.linalg.norm(b, axis=1)
     slack = tolerance + _SLACK
     likely = np.array([(np.abs(radius_b - r) < slack).sum() for r in radius_a], dtype=float)
-    # A corner without a mate says nothing: cuts leave some that are none.
+    # A corner without a mate says nothing.
     likely[likely == 0] = np.inf
     far = radius_a > 0.5 * radius_a.max()
-    first = int(np.lexsort((-radius_a, np.where(far, likely, np.inf)))[0])
-    lever = np.linalg.norm(np.cross(a, a[first]), axis=1) / radius_a[first]
-    good = lever > 0.5 * lever.max()
-    second = int(np.lexsort((-lever, np.where(good, likely, np.inf)))[0])
-    span = np.linalg.norm(a[first] - a[second])
-    first_mates = np.flatnonzero(np.abs(radius_b - radius_a[first]) < slack)
-    second_mates = np.flatnonzero(np.abs(radius_b - radius_a[second]) < slack)
+    firsts = np.lexsort((-radius_a, np.where(far, likely, np.inf)))
+    firsts = firsts[: max(1, int((far & np.isfinite(likely)).sum()))]
+    out = []
+    for first in firsts[np.unique(np.linspace(0, len(firsts) - 1, _PAIRS).astype(int))]:
+        lever = np.linalg.norm(np.cross(a, a[first]), axis=1) / radius_a[first]
+        good = lever > 0.5 * lever.max()
+        seconds = np.lexsort((-lever, np.where(good, likely, np.inf)))
+        second = seconds[0] if not out else seconds[int((good & np.isfinite(likely)).sum()) // 2]
+        out.append(_taking(a[first], a[second], b, radius_b, slack))
+    return np.concatenate(out)
+
+
+def _taking(
+    one: Float[np.ndarray, "3"], two: Float[np.ndarray, "3"], b: Float[np.ndarray, "m 3"],
+    radius_b: Float[np.ndarray, "m"], slack: float,
+) -> Float[np.ndarray, "c 3 3"]:  # fmt: skip
+    """Rotations that take two points to corners of `b` at the same radii and distance."""
+    span = np.linalg.norm(one - two)
+    first_mates = np.flatnonzero(np.abs(radius_b - np.linalg.norm(one)) < slack)
+    second_mates = np.flatnonzero(np.abs(radius_b - np.linalg.norm(two)) < slack)
     distance = np.linalg.norm(b[first_mates][:, None] - b[second_mates][None], axis=2)
     i, j = np.nonzero(np.abs(distance - span) < 2 * slack)
     i, j = i[:_MAX_CANDIDATES], j[:_MAX_CANDIDATES]
-    frame_a = _frames(a[first][None], a[second][None])[0]
+    frame_a = _frames(one[None], two[None])[0]
     frames_b = _frames(b[first_mates[i]], b[second_mates[j]])
     rotations = frames_b @ frame_a.T
     return rotations[np.isfinite(rotations).all(axis=(1, 2))]

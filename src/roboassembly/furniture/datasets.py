@@ -165,6 +165,14 @@ class Pick:
         assert self.folder is not None
         return storage.load(self.folder)
 
+    @property
+    def hash(self) -> str:
+        """Of what it is made of: as the manifest has it, or of the files of its folder."""
+        if self.entry is not None:
+            return self.entry.hash
+        assert self.folder is not None
+        return storage.files_hash(self.folder)
+
 
 def pick(spec: str) -> list[Pick]:
     """The pieces of `NAME`, `NAME:SPLIT` or `folder:PATH`.

@@ -270,8 +270,8 @@ def finished(path: Path, steps: int, kind: str = relational.KIND) -> bool:
 
 
 def set_hash(picks: Sequence[Pick]) -> str:
-    """Of the furniture of a set, as its manifest has it."""
+    """Of the furniture of a set."""
     digest = hashlib.sha256()
     for p in picks:
-        digest.update(f"{p.name} {p.entry.hash if p.entry else ''}\n".encode())
+        digest.update(f"{p.name} {p.hash}\n".encode())
     return digest.hexdigest()[:16]

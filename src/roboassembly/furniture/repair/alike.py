@@ -9,21 +9,22 @@ import manifold3d as m3
 import numpy as np
 from jaxtyping import Float
 
-from roboassembly.furniture.congruence import rotations_onto
+from roboassembly.furniture.congruence import rotations_onto, symmetries
 from roboassembly.furniture.model import CONTACT_DISTANCE, RawPart
 from roboassembly.furniture.repair.limits import RepairLimits
 from roboassembly.furniture.repair.piece import Piece
 from roboassembly.furniture.repair.proximity import Shell
 from roboassembly.furniture.repair.surface import to_surface
 from roboassembly.furniture.repair.trim import TIDY, without_slivers
+from roboassembly.furniture.repair.turns import MAX_TURNS, groups
 from roboassembly.meshes import Mesh
 
 SAME_SHAPE = 1e-3
 """Metres: parts whose corners agree to this are delivered alike; whoever drew them meant one part."""
-MAX_TURNS = 16
-"""Symmetries of a shape that are tried to lay its members' cuts over one another."""
 MAX_EXTRA = 0.03
 """Share of its volume that a part may lose, beyond what the most trimmed of its like lost, to stay like it."""
+MAX_DEPTH = 0.002
+"""Metres: deeper cuts are pockets and shortened ends, and are not made where no other part asks for them."""
 WORTH_TURNING = 0.001
 """Share of a part's volume that another turn must save."""
 MAX_FEATURED_FACES = 60_000
@@ -61,14 +62,17 @@ def likenesses(parts: Sequence[RawPart]) -> list[Likeness]:
         centre = _middle(part.mesh)
         mesh = Mesh(part.mesh.vertices - centre, part.mesh.faces)
         centred.append(mesh)
-        found = Likeness(index, np.eye(3)[None], centre, centre)
+        found = None
         for master in range(index):
             if out[master].master != master or not _comparable(centred[master], mesh):
                 continue
             turns = rotations_onto(centred[master], mesh, SAME_SHAPE)
             if len(turns):
-                found = Likeness(master, turns[:MAX_TURNS], out[master].centre, centre)
+                found = Likeness(master, turns, out[master].centre, centre)
                 break
+        if found is None:
+            turns = symmetries(mesh, SAME_SHAPE) if _comparable(mesh, mesh) else np.eye(3)[None]
+            found = Likeness(index, turns, centre, centre)
         out.append(found)
     return out
 
@@ -86,37 +90,50 @@ def _comparable(one: Mesh, two: Mesh) -> bool:
 
 
 def keep_alike(pieces: list[Piece], alike: Sequence[Likeness], limits: RepairLimits) -> None:
-    """Give all members of a class the cuts of every member, in place, where that costs little and parts no contact.
+    """Give members of a class the cuts of every member, and each part its cuts in every way that it could be turned.
 
-    Cutting more makes no overlap and holds nothing fast.
+    In place, where that costs little and parts no contact. Cutting more makes no overlap and holds nothing fast.
     """
     for master in range(len(pieces)):
         members = [p for p, like in enumerate(alike) if like.master == master]
-        if len(members) > 1 and any(pieces[p].removed > 0.0 for p in members):
-            _share_cuts(pieces, alike, members, limits)
+        if not any(pieces[p].removed > 0.0 for p in members):
+            continue
+        *turned, alone = groups(alike[master].turns)
+        if len(members) > 1 and not _share_cuts(pieces, alike, members, alone, limits):
+            continue
+        any(_share_cuts(pieces, alike, members, turns, limits) for turns in turned)
 
 
-def _still_alike(bodies: Sequence[m3.Manifold]) -> bool:
-    """Whether the first body can be laid onto each of the others."""
+def _still_alike(bodies: Sequence[m3.Manifold], turns: Float[np.ndarray, "n 3 3"]) -> bool:
+    """Whether the first body can be laid onto each of the others, and onto itself in all these ways."""
     centred = []
     for body in bodies:
         skin = to_surface(body)
         mesh = Mesh(skin.vertices, skin.faces)
         centred.append(Mesh(mesh.vertices - mesh.center_of_mass, mesh.faces))
-    return all(len(rotations_onto(centred[0], mesh)) for mesh in centred[1:])
+    return all(len(rotations_onto(centred[0], mesh)) for mesh in centred[1:]) and (
+        len(turns) == 1 or len(rotations_onto(centred[0], centred[0])) >= len(turns)
+    )
 
 
-def _share_cuts(pieces: list[Piece], alike: Sequence[Likeness], members: list[int], limits: RepairLimits) -> None:
+def _share_cuts(
+    pieces: list[Piece],
+    alike: Sequence[Likeness],
+    members: list[int],
+    turns: Float[np.ndarray, "n 3 3"],
+    limits: RepairLimits,
+) -> bool:
+    """Whether all members have, now, one shape that looks the same however it is turned by one of the rotations."""
     master = members[0]
     moved = [pieces[p].moved for p in members]
     unmoved = [pieces[p].body.translate(tuple((-m).tolist())) for p, m in zip(members, moved, strict=True)]
-    if _still_alike(unmoved):
-        return
-    common, chosen = unmoved[0], [0]
+    if _still_alike(unmoved, turns):
+        return True
+    common, chosen = _in_all_turns(unmoved[0], alike[master], turns), [0]
     for p, body in zip(members[1:], unmoved[1:], strict=True):
-        turns = range(len(alike[p].turns))
-        tries = [common ^ alike[p].taken_back(body, turn) for turn in turns]
-        best = max(turns, key=lambda turn: tries[turn].volume())
+        ways = range(min(len(alike[p].turns), MAX_TURNS))
+        tries = [common ^ _in_all_turns(alike[p].taken_back(body, way), alike[master], turns) for way in ways]
+        best = max(ways, key=lambda way: tries[way].volume())
         # The copies were placed by the first turn, so that it fits exactly; the others do within the tolerance.
         if tries[best].volume() < tries[0].volume() + WORTH_TURNING * pieces[master].whole:
             best = 0
@@ -127,14 +144,16 @@ def _share_cuts(pieces: list[Piece], alike: Sequence[Likeness], members: list[in
     extra = min(body.volume() for body in unmoved) - common.volume()
     loses = whole - common.volume()
     if loses > limits.trimmed * whole or extra > MAX_EXTRA * whole:
-        return
+        return False
     if any(len(common.decompose()) > len(body.decompose()) for body in unmoved):
-        return
+        return False
     fresh = {
-        p: alike[p].placed(common, turn).translate(tuple(m.tolist()))
-        for p, turn, m in zip(members, chosen, moved, strict=True)
+        p: alike[p].placed(common, way).translate(tuple(m.tolist()))
+        for p, way, m in zip(members, chosen, moved, strict=True)
     }
     shells = {p: Shell(to_surface(body)) for p, body in fresh.items()}
+    if len(turns) > 1 and any(_depth(pieces[p].shell, shell) > MAX_DEPTH for p, shell in shells.items()):
+        return False
     for p in members:
         for q, other in enumerate(pieces):
             if q == p or pieces[p].shell.box_distance(other.shell) >= CONTACT_DISTANCE:
@@ -142,10 +161,22 @@ def _share_cuts(pieces: list[Piece], alike: Sequence[Likeness], members: list[in
             if pieces[p].shell.nearest(other.shell)[0] >= CONTACT_DISTANCE:
                 continue
             if shells[p].nearest(shells.get(q, other.shell))[0] >= CONTACT_DISTANCE:
-                return
+                return False
     for p, body in fresh.items():
         piece = pieces[p]
         if body.volume() < piece.body.volume() * (1.0 - 1e-6):
-            piece.notes.append("cut like the parts that are like it")
+            piece.notes.append("cut like the parts that are like it" if len(members) > 1 else "cut alike all round")
         piece.removed = max(piece.removed, piece.whole - body.volume())
         piece.become(body)
+    return True
+
+
+def _depth(before: Shell, after: Shell) -> float:
+    """Metres that the deepest cut goes below the old surface."""
+    return max(before.distance_to(vertex) for vertex in after.surface.vertices)
+
+
+def _in_all_turns(body: m3.Manifold, master: Likeness, turns: Float[np.ndarray, "n 3 3"]) -> m3.Manifold:
+    """What the master's solid has in common with itself turned about its centre in all these ways."""
+    about = [np.column_stack([turn, master.centre - turn @ master.centre]) for turn in turns[1:]]
+    return m3.Manifold.batch_boolean([body, *(body.transform(way) for way in about)], m3.OpType.Intersect)

@@ -1,0 +1,85 @@
+"""Groups of rotations that lay a delivered shape onto itself, made exact: files draw symmetric parts about so."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.spatial.transform import Rotation
+
+MAX_TURNS = 16
+"""Rotations of a group that are looked at. What is turned on a lathe has more; fewer of them, evenly spread, do."""
+_ONE = 0.05
+"""Largest entry of the difference of two matrices that are meant to be one rotation."""
+_STEPS = 4
+"""Averages until a group is exact; the error is squared by each."""
+
+
+def groups(turns: Float[np.ndarray, "n 3 3"]) -> list[Float[np.ndarray, "m 3 3"]]:
+    """Groups of exact rotations near some of those given, the largest first; always the identity alone, last.
+
+    They are all of the rotations, if those make a group of at most `MAX_TURNS`, and for every axis among them the turns
+    about that axis. The identity comes first in each.
+
+    Args:
+        turns: the symmetries of a shape about its centre, as they were found, with an error.
+    """
+    found: list[np.ndarray] = []
+    whole = _made_exact(turns) if len(turns) <= MAX_TURNS else None
+    if whole is not None:
+        found.append(whole)
+    for axis, order in _axes(turns):
+        # Of more turns than are looked at every second one, or every third, is a group as well.
+        order = next(n for n in range(min(order, MAX_TURNS), 0, -1) if order % n == 0)
+        angles = 2.0 * np.pi * np.arange(order) / order
+        found.append(Rotation.from_rotvec(angles[:, None] * axis).as_matrix())
+    found = [g for k, g in enumerate(found) if len(g) > 1 and not any(_same_group(g, other) for other in found[:k])]
+    return [*sorted(found, key=len, reverse=True), np.eye(3)[None]]
+
+
+def _axes(turns: Float[np.ndarray, "n 3 3"]) -> list[tuple[Float[np.ndarray, "3"], int]]:
+    """Axes that the rotations turn about, and the order of the largest cyclic group about each that is all there."""
+    vectors = Rotation.from_matrix(turns).as_rotvec()
+    sizes = np.linalg.norm(vectors, axis=1)
+    axes = vectors[sizes > _ONE] / sizes[sizes > _ONE, None]
+    sizes = sizes[sizes > _ONE]
+    out: list[tuple[np.ndarray, int]] = []
+    while len(axes):
+        along = np.abs(axes @ axes[0]) > np.cos(_ONE)
+        for order in range(1 + int(along.sum()), 1, -1):
+            steps = 2.0 * np.pi * np.arange(1, order // 2 + 1) / order
+            if (np.abs(steps[:, None] - sizes[along]).min(axis=1) < _ONE).all():
+                mean = (np.sign(axes[along] @ axes[0])[:, None] * axes[along]).sum(axis=0)
+                out.append((mean / np.linalg.norm(mean), order))
+                break
+        axes, sizes = axes[~along], sizes[~along]
+    return out
+
+
+def _made_exact(turns: Float[np.ndarray, "n 3 3"]) -> Float[np.ndarray, "n 3 3"] | None:
+    """The rotations, moved a little so that they make a group; None if they are not near one.
+
+    Each rotation g is replaced by the mean over h of the products of gh and the inverse of h, made a rotation again: to
+    first order that leaves of the errors a turn of the whole group, which does no harm (K. Grove, H. Karcher and
+    E. A. Ruh, "Group actions and curvature", 1974).
+    """
+    table = _products(turns)
+    if table is None:
+        return None
+    exact = turns
+    for _ in range(_STEPS):
+        u, _, vt = np.linalg.svd(np.einsum("ghij,hkj->gik", exact[table], exact))
+        exact = u @ vt
+    return exact[np.argsort([not np.allclose(r, np.eye(3), atol=1e-6) for r in exact], kind="stable")]
+
+
+def _products(turns: Float[np.ndarray, "n 3 3"]) -> Int[np.ndarray, "n n"] | None:
+    """Which of the rotations the product of each two is; None where it is none, or not one alone."""
+    products = np.einsum("aij,bjk->abik", turns, turns)
+    apart = np.abs(products[:, :, None] - turns[None, None]).max(axis=(3, 4))
+    if not ((apart < _ONE).sum(axis=2) == 1).all():
+        return None
+    return np.argmin(apart, axis=2)
+
+
+def _same_group(one: Float[np.ndarray, "n 3 3"], two: Float[np.ndarray, "m 3 3"]) -> bool:
+    return len(one) == len(two) and bool((np.abs(one[:, None] - two[None]).max(axis=(2, 3)) < _ONE).any(axis=1).all())
