@@ -339,6 +339,19 @@ def test_corners_that_are_none_hide_no_symmetry(deep: float, turns: int) -> None
     assert len(symmetries(nicked)) == turns
 
 
+def test_a_triangle_that_is_a_line_lets_no_shape_pass_for_another() -> None:
+    # A thin board with rebated ends. Turned by half a degree its corners are 2 mm off.
+    ends = shapes.block((-0.1, -0.001, -0.145), (0.1, 0.001, 0.145))
+    board = shapes.of_solid(ends + shapes.block((-0.1, -0.00125, -0.14), (0.1, 0.00125, 0.14)))
+    edges = board.faces[:, :2]
+    middles = len(board.vertices) + np.arange(len(edges))
+    with_lines = Mesh(
+        np.concatenate([board.vertices, board.vertices[edges].mean(axis=1)]),
+        np.concatenate([np.column_stack([edges, middles]), board.faces]),
+    )
+    assert len(symmetries(board)) == len(symmetries(with_lines)) == 4
+
+
 def test_like_parts_share_a_mesh_where_there_is_room() -> None:
     # Two posts under a board; one is 0.05 mm thicker, which would close the gap to a third part beside it.
     def furniture(gap: float) -> Furniture:

@@ -8,7 +8,9 @@ import trimesh
 
 import shapes
 from roboassembly.errors import FurnitureError
-from roboassembly.meshes import Mesh, nearest_points
+from roboassembly.furniture.repair.proximity import Shell
+from roboassembly.furniture.repair.surface import Surface
+from roboassembly.meshes import Mesh, distance_to, nearest_points
 
 SQUARE = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
 TWO = np.array([[0, 1, 2], [0, 2, 3]])
@@ -130,6 +132,20 @@ def test_nearest_points_of_two_boxes() -> None:
     assert diagonal.distance == pytest.approx(0.5)
     assert nearest_points(a, shapes.box((1.0, 0, 0), (2, 1, 1))).distance == 0.0
     assert nearest_points(a, shapes.box((0.9, 0, 0), (2, 1, 1))).distance == 0.0
+
+
+@pytest.mark.parametrize(
+    ("point", "distance"),
+    [((3, 0.5, 0.5), 2.0), ((2, 2, 0.5), 2**0.5), ((0.5, 0.5, 0.9), 0.1), ((0.5, -0.25, 0), 0.25), ((0.2, 1, 1), 0.0)],
+)
+def test_distance_from_a_point_past_triangles_that_are_lines(point: tuple[float, ...], distance: float) -> None:
+    box = shapes.box((0, 0, 0), (1, 1, 1))
+    # As cuts and rounding leave them: along an edge, and of one corner alone.
+    vertices = np.concatenate([box.vertices, [[0.5, 0, 0], [0.25, 0, 0]]])
+    faces = np.concatenate([[[0, 8, 1], [0, 9, 8], [0, 0, 3]], box.faces])
+    here = np.array(point, dtype=float)
+    assert distance_to(Mesh(vertices, faces).bvh, here) == pytest.approx(distance, abs=1e-6)
+    assert Shell(Surface(vertices, faces)).distance_to(here) == pytest.approx(distance, abs=1e-6)
 
 
 def test_vertices_that_no_face_uses_do_not_count() -> None:

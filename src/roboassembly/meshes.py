@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import coal
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.transform import Rotation
 
@@ -189,14 +189,7 @@ class Mesh:
     @cached_property
     def bvh(self) -> coal.BVHModelOBBRSS:
         """The exact triangles as a bounding-volume hierarchy: a surface, without an inside."""
-        model = coal.BVHModelOBBRSS()
-        model.beginModel(len(self.faces), len(self.vertices))
-        vertices, triangles = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
-        vertices.extend(list(self.vertices))
-        triangles.extend([coal.Triangle(*map(int, face)) for face in self.faces])
-        model.addSubModel(vertices, triangles)
-        model.endModel()
-        return model
+        return hierarchy(self.vertices, self.faces[have_area(self.vertices, self.faces)])
 
     @cached_property
     def convex(self) -> coal.ConvexBase:
@@ -236,10 +229,32 @@ class Witness:
 
 
 _POINT = coal.Sphere(1e-9)
+_LINE = 1e-9
+"""Height over longest edge of triangles that are taken as lines."""
+
+
+def have_area(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> Bool[np.ndarray, "f"]:
+    """Which triangles are more than a line: cuts and rounding leave some that are none, between longer neighbours."""
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    longest = np.max([((b - a) ** 2).sum(axis=1), ((c - b) ** 2).sum(axis=1), ((a - c) ** 2).sum(axis=1)], axis=0)
+    return np.linalg.norm(np.cross(b - a, c - a), axis=1) > _LINE * longest
+
+
+def hierarchy(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> coal.BVHModelOBBRSS:
+    """Triangles as a bounding-volume hierarchy."""
+    model = coal.BVHModelOBBRSS()
+    model.beginModel(len(faces), len(vertices))
+    model.addVertices(vertices)
+    model.addTriangles(faces)
+    model.endModel()
+    return model
 
 
 def distance_to(model: coal.BVHModelOBBRSS, point: Float[np.ndarray, "3"]) -> float:
-    """Metres from a point to the nearest triangle, inside as outside."""
+    """Metres from a point to the nearest triangle, inside as outside.
+
+    All triangles must have area: of one that has none coal 3.0.3 says that it touches every sphere.
+    """
     place = coal.Transform3s(np.eye(3), np.asarray(point, dtype=float))
     request, result = coal.DistanceRequest(), coal.DistanceResult()
     return abs(float(coal.distance(model, coal.Transform3s.Identity(), _POINT, place, request, result)))

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from roboassembly.furniture.repair.surface import Surface
-from roboassembly.meshes import distance_to
+from roboassembly.meshes import distance_to, have_area, hierarchy
 
 _STILL = coal.Transform3s.Identity()
 
@@ -17,12 +17,9 @@ class Shell:
 
     def __init__(self, surface: Surface) -> None:
         vertices = surface.vertices.astype(np.float32).astype(float)
-        model = coal.BVHModelOBBRSS()
-        model.beginModel(len(surface.faces), len(vertices))
-        model.addVertices(vertices)
-        model.addTriangles(surface.faces)
-        model.endModel()
-        self.model = model
+        self.model = hierarchy(vertices, surface.faces)
+        whole = have_area(vertices, surface.faces)
+        self._with_area = self.model if whole.all() else hierarchy(vertices, surface.faces[whole])
         self.surface = surface
         self.low, self.high = vertices.min(axis=0), vertices.max(axis=0)
 
@@ -58,4 +55,4 @@ class Shell:
 
     def distance_to(self, point: Float[np.ndarray, "3"]) -> float:
         """Metres from a point to the nearest triangle."""
-        return distance_to(self.model, point)
+        return distance_to(self._with_area, point)
