@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import pytest
 from roboassembly.cli import main
 from roboassembly.errors import InputError
 from roboassembly.learning import benchmark
+from roboassembly.learning.progress import Progress
 
 
 def told(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, Any]:
@@ -124,3 +126,20 @@ def test_a_document_without_marks_is_refused_before_anything_is_done(tmp_path: P
 def test_what_is_no_generated_set_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="one of chairs-412"):
         next(benchmark.run(benchmark.Benchmark(set="folder"), tmp_path, 1))
+
+
+def test_the_time_of_a_run_that_is_killed_counts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    now = [100.0]
+    monkeypatch.setattr(benchmark.time, "monotonic", lambda: now[0])
+
+    def steps() -> Iterator[Progress]:
+        for done in range(3):
+            now[0] += 10.0
+            yield Progress("evaluation", done, 3, {})
+
+    killed = benchmark._timed(tmp_path, "evaluation", steps())
+    next(killed)
+    next(killed)
+    assert json.loads((tmp_path / "seconds.json").read_text()) == {"evaluation": 20.0}
+    assert len(list(benchmark._timed(tmp_path, "evaluation", steps()))) == 3
+    assert json.loads((tmp_path / "seconds.json").read_text()) == {"evaluation": 50.0}

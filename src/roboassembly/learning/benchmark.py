@@ -14,10 +14,10 @@ import json
 import os
 import platform
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -43,6 +43,8 @@ PAPER: dict[SettingName, dict[str, float]] = {
 }
 """Success in the paper, per cent: of experts on easy and hard training chairs, of the policy on unseen ones."""
 _UNSEEN = ", families in no training"
+_OFTEN = 5.0
+"""Seconds after which the time that a stage has taken is written down again."""
 _TINY = RelationalConfig(token=32, pair=16, layers=1, heads=2, ends=8, conflicts=2)
 
 
@@ -132,20 +134,18 @@ def run(b: Benchmark, folder: Path, jobs: int) -> Iterator[Progress]:
     if not manifest_path(b.set).is_file():
         for done, of in build(RECIPES[b.set], 0, jobs):
             yield Progress(f"data set {b.set}", done, of, {})
-    with _timed(folder, "experts"):
-        schooling, picks = b.schooling.seeded(b.seed), taught(b)
-        yield from teach_features(picks, folder, schooling, {"set": b.set, "sample": b.taught}, jobs)
-        yield from teach_experts(picks, folder, schooling, {"set": b.set}, jobs)
-    with _timed(folder, "paper"):
-        training = replace(b.paper, seed=b.seed)
-        yield from multitask.teach_paper([folder / "lessons"], extractor_of(folder), folder / "paper", training)
+    schooling, picks = b.schooling.seeded(b.seed), taught(b)
+    features = teach_features(picks, folder, schooling, {"set": b.set, "sample": b.taught}, jobs)
+    experts = teach_experts(picks, folder, schooling, {"set": b.set}, jobs)
+    yield from _timed(folder, "experts", chain(features, experts))
+    training = replace(b.paper, seed=b.seed)
+    paper = multitask.teach_paper([folder / "lessons"], extractor_of(folder), folder / "paper", training)
+    yield from _timed(folder, "paper", paper)
     if not b.shipped:
-        with _timed(folder, "relational"):
-            lessons = replace(b.relational, set=f"{b.set}:train", limit=b.train_limit, seed=b.seed)
-            yield from multitask.teach(lessons, folder / "relational", jobs)
-    with _timed(folder, "evaluation"):
-        for trial in trials(b, folder):
-            yield from tried(trial, folder, jobs)
+        lessons = replace(b.relational, set=f"{b.set}:train", limit=b.train_limit, seed=b.seed)
+        yield from _timed(folder, "relational", multitask.teach(lessons, folder / "relational", jobs))
+    played = chain.from_iterable(tried(trial, folder, jobs) for trial in trials(b, folder))
+    yield from _timed(folder, "evaluation", played)
 
 
 def taught(b: Benchmark) -> list[Pick]:
@@ -390,14 +390,22 @@ def _same_run(b: Benchmark, folder: Path) -> None:
     path.write_text(json.dumps(about, indent=1))
 
 
-@contextmanager
-def _timed(folder: Path, stage: str) -> Iterator[None]:
-    """Add up the seconds of a stage over all the runs that it took."""
-    begun = time.monotonic()
-    try:
-        yield
-    finally:
-        path = folder / "seconds.json"
-        seconds = json.loads(path.read_text()) if path.is_file() else {}
-        seconds[stage] = round(seconds.get(stage, 0.0) + time.monotonic() - begun, 1)
+def _timed(folder: Path, stage: str, steps: Iterable[Progress]) -> Iterator[Progress]:
+    """Add up the seconds of a stage over all the runs that it took; of one that is killed the last few are lost."""
+    path = folder / "seconds.json"
+    seconds = json.loads(path.read_text()) if path.is_file() else {}
+    begun = written = time.monotonic()
+    before = seconds.get(stage, 0.0)
+
+    def write() -> None:
+        seconds[stage] = round(before + time.monotonic() - begun, 1)
         path.write_text(json.dumps(seconds))
+
+    try:
+        for step in steps:
+            if time.monotonic() - written > _OFTEN:
+                write()
+                written = time.monotonic()
+            yield step
+    finally:
+        write()
