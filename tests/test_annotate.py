@@ -352,6 +352,17 @@ def test_a_triangle_that_is_a_line_lets_no_shape_pass_for_another() -> None:
     assert len(symmetries(board)) == len(symmetries(with_lines)) == 4
 
 
+def test_a_bore_through_a_board_counts() -> None:
+    # Both its rims lie on faces that the turned board has, too.
+    board = shapes.block((-0.2, -0.1, -0.006), (0.2, 0.1, 0.006))
+    for x, y in ((-0.18, -0.08), (0.18, 0.08), (-0.18, 0.08), (0.18, -0.08)):
+        board -= shapes.block((x - 0.002, y - 0.002, -0.006), (x + 0.002, y + 0.002, 0.003))
+    bored = board - shapes.block((0.1, 0.05, -0.01), (0.103, 0.053, 0.01))
+    assert len(symmetries(shapes.of_solid(board))) == 2
+    assert len(symmetries(shapes.of_solid(bored))) == 1
+    assert len(rotations_onto(shapes.of_solid(board), shapes.of_solid(bored))) == 0
+
+
 def test_like_parts_share_a_mesh_where_there_is_room() -> None:
     # Two posts under a board; one is 0.05 mm thicker, which would close the gap to a third part beside it.
     def furniture(gap: float) -> Furniture:

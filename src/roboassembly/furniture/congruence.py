@@ -29,6 +29,10 @@ _CLOSER = 3.0
 _SAME_START, _SAME_ROTATION = 0.003, 0.01
 """Candidates whose matrices differ by less are fitted once. Largest difference of two matrices of one rotation; the
 turns of the finest shape are seven times as far apart."""
+_FEW = 200
+"""Corners that are looked at first."""
+_SAME_CORNER = 1e-6
+"""Metres between a vertex and the corner that it is, which was rounded."""
 _MATCHED = 0.5
 """Least share of the corners that have to lie at corners of the other shape."""
 
@@ -70,7 +74,7 @@ def rotations_onto(source: Mesh, target: Mesh, tolerance: float = TOLERANCE) -> 
     if not len(candidates):
         return candidates
     tree_a, tree_b = KDTree(a), KDTree(b)
-    probe = a[np.linspace(0, len(a) - 1, min(len(a), 12)).astype(int)]
+    few, probe = _few(a), a[np.linspace(0, len(a) - 1, min(len(a), 12)).astype(int)]
     most = tolerance + _REACH
     reach, _ = tree_b.query(np.einsum("cij,pj->cpi", candidates, probe), distance_upper_bound=most)
     found: list[np.ndarray] = []
@@ -85,10 +89,19 @@ def rotations_onto(source: Mesh, target: Mesh, tolerance: float = TOLERANCE) -> 
         if _among(rotation, found, probe, tolerance):
             continue
         fits += 1
-        matrix = _fitted(rotation, a, b, tree_b, tolerance)
+        matrix = _fitted(rotation, few, b, tree_b, tolerance)
         if matrix is None or _among(matrix, found, probe, tolerance):
             continue
-        if _lies_on(a @ matrix.T, tree_b, target, tolerance) and _lies_on(b @ matrix, tree_a, source, tolerance):
+        if len(few) < len(a):
+            # Shapes that were scanned have thousands of corners: most rotations are refused by some of them.
+            if not _near(few @ matrix.T, tree_b, target, 2.0 * tolerance):
+                continue
+            matrix = _fitted(matrix, a, b, tree_b, tolerance)
+            if matrix is None:
+                continue
+        if _lies_on(source, a, matrix, tree_b, target, tolerance) and _lies_on(
+            target, b, matrix.T, tree_a, source, tolerance
+        ):
             found.append(matrix)
     if not found:
         return np.empty((0, 3, 3))
@@ -122,12 +135,39 @@ def _fitted(
     return rotation
 
 
-def _lies_on(points: Float[np.ndarray, "n 3"], corners: KDTree, mesh: Mesh, tolerance: float) -> bool:
-    """Whether all points lie at corners of a mesh, or at least on its surface."""
+def _near(points: Float[np.ndarray, "n 3"], corners: KDTree, mesh: Mesh, tolerance: float) -> bool:
+    """Whether all points lie at corners of a mesh, or on its surface."""
     odd = points[~np.isfinite(corners.query(points, distance_upper_bound=tolerance)[0])]
-    if len(odd) > (1.0 - _MATCHED) * len(points):
-        return False
     return all(distance_to(mesh.bvh, point) <= tolerance for point in odd)
+
+
+def _few(points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "m 3"]:
+    """At most `_FEW` of them, evenly."""
+    return points if len(points) <= _FEW else points[np.linspace(0, len(points) - 1, _FEW).astype(int)]
+
+
+def _lies_on(
+    moved: Mesh, own: Float[np.ndarray, "n 3"], rotation: Float[np.ndarray, "3 3"], corners: KDTree, mesh: Mesh,
+    tolerance: float,
+) -> bool:  # fmt: skip
+    """Whether all corners of a shape, turned, lie at corners of a mesh, or on its surface with what is around them."""
+    if not _near(_few(own) @ rotation.T, corners, mesh, tolerance):
+        return False
+    odd = own[~np.isfinite(corners.query(own @ rotation.T, distance_upper_bound=tolerance)[0])]
+    if len(odd) > (1.0 - _MATCHED) * len(own):
+        return False
+    # The rims of a bore lie on a plain board's faces: what tells is the wall between them.
+    near = [odd, *_around(moved, odd)]
+    return all(distance_to(mesh.bvh, point) <= tolerance for points in near for point in points @ rotation.T)
+
+
+def _around(mesh: Mesh, corners: Float[np.ndarray, "n 3"]) -> list[Float[np.ndarray, "m 3"]]:
+    """Middles of the triangles at some corners of a mesh, and of their edges."""
+    if not len(corners):
+        return []
+    there = KDTree(corners).query(mesh.vertices, distance_upper_bound=_SAME_CORNER)[0] < _SAME_CORNER
+    triangles = mesh.vertices[mesh.faces[there[mesh.faces].any(axis=1)]]
+    return [triangles.mean(axis=1), *(0.5 * (triangles[:, k] + triangles[:, k - 1]) for k in range(3))]
 
 
 def symmetries(mesh: Mesh, tolerance: float = TOLERANCE) -> Float[np.ndarray, "n 3 3"]:

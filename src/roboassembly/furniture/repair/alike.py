@@ -16,7 +16,7 @@ from roboassembly.furniture.repair.piece import Piece
 from roboassembly.furniture.repair.proximity import Shell
 from roboassembly.furniture.repair.surface import to_surface
 from roboassembly.furniture.repair.trim import TIDY, without_slivers
-from roboassembly.furniture.repair.turns import MAX_TURNS, groups
+from roboassembly.furniture.repair.turns import MAX_TURNS, SAME_TURN, groups
 from roboassembly.meshes import Mesh
 
 SAME_SHAPE = 1e-3
@@ -25,6 +25,8 @@ MAX_EXTRA = 0.03
 """Share of its volume that a part may lose, beyond what the most trimmed of its like lost, to stay like it."""
 MAX_DEPTH = 0.002
 """Metres: deeper cuts are pockets and shortened ends, and are not made where no other part asks for them."""
+MAX_GROUPS = 4
+"""Groups of turns that are tried: as many as a board has."""
 WORTH_TURNING = 0.001
 """Share of a part's volume that another turn must save."""
 MAX_FEATURED_FACES = 60_000
@@ -101,7 +103,7 @@ def keep_alike(pieces: list[Piece], alike: Sequence[Likeness], limits: RepairLim
         *turned, alone = groups(alike[master].turns)
         if len(members) > 1 and not _share_cuts(pieces, alike, members, alone, limits):
             continue
-        any(_share_cuts(pieces, alike, members, turns, limits) for turns in turned)
+        any(_share_cuts(pieces, alike, members, turns, limits) for turns in turned[:MAX_GROUPS])
 
 
 def _still_alike(bodies: Sequence[m3.Manifold], turns: Float[np.ndarray, "n 3 3"]) -> bool:
@@ -130,9 +132,15 @@ def _share_cuts(
     if _still_alike(unmoved, turns):
         return True
     common, chosen = _in_all_turns(unmoved[0], alike[master], turns), [0]
+    whole = pieces[master].whole
+    extra = min(body.volume() for body in unmoved) - common.volume()
+    if extra > MAX_EXTRA * whole or common.is_empty():
+        return False
+    if len(turns) > 1 and _depth(Shell(to_surface(unmoved[0])), Shell(to_surface(common))) > MAX_DEPTH:
+        return False
     for p, body in zip(members[1:], unmoved[1:], strict=True):
-        ways = range(min(len(alike[p].turns), MAX_TURNS))
-        tries = [common ^ _in_all_turns(alike[p].taken_back(body, way), alike[master], turns) for way in ways]
+        ways = _ways(alike[p], turns)
+        tries = {way: common ^ _in_all_turns(alike[p].taken_back(body, way), alike[master], turns) for way in ways}
         best = max(ways, key=lambda way: tries[way].volume())
         # The copies were placed by the first turn, so that it fits exactly; the others do within the tolerance.
         if tries[best].volume() < tries[0].volume() + WORTH_TURNING * pieces[master].whole:
@@ -140,7 +148,6 @@ def _share_cuts(
         common = tries[best].simplify(TIDY)
         chosen.append(best)
     common = without_slivers(common)
-    whole = pieces[master].whole
     extra = min(body.volume() for body in unmoved) - common.volume()
     loses = whole - common.volume()
     if loses > limits.trimmed * whole or extra > MAX_EXTRA * whole:
@@ -169,6 +176,16 @@ def _share_cuts(
         piece.removed = max(piece.removed, piece.whole - body.volume())
         piece.become(body)
     return True
+
+
+def _ways(like: Likeness, turns: Float[np.ndarray, "n 3 3"]) -> list[int]:
+    """Turns of a part that differ by more than one of the rotations that its master is laid onto itself by."""
+    out: list[int] = []
+    for way, turn in enumerate(like.turns[:MAX_TURNS]):
+        between = [like.turns[other].T @ turn for other in out]
+        if not any(np.abs(turns - rotation).max(axis=(1, 2)).min() < SAME_TURN for rotation in between):
+            out.append(way)
+    return out
 
 
 def _depth(before: Shell, after: Shell) -> float:

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 MAX_TURNS = 16
 """Rotations of a group that are looked at. What is turned on a lathe has more; fewer of them, evenly spread, do."""
-_ONE = 0.05
+SAME_TURN = 0.05
 """Largest entry of the difference of two matrices that are meant to be one rotation."""
 _STEPS = 4
 """Averages until a group is exact; the error is squared by each."""
@@ -40,14 +40,14 @@ def _axes(turns: Float[np.ndarray, "n 3 3"]) -> list[tuple[Float[np.ndarray, "3"
     """Axes that the rotations turn about, and the order of the largest cyclic group about each that is all there."""
     vectors = Rotation.from_matrix(turns).as_rotvec()
     sizes = np.linalg.norm(vectors, axis=1)
-    axes = vectors[sizes > _ONE] / sizes[sizes > _ONE, None]
-    sizes = sizes[sizes > _ONE]
+    axes = vectors[sizes > SAME_TURN] / sizes[sizes > SAME_TURN, None]
+    sizes = sizes[sizes > SAME_TURN]
     out: list[tuple[np.ndarray, int]] = []
     while len(axes):
-        along = np.abs(axes @ axes[0]) > np.cos(_ONE)
+        along = np.abs(axes @ axes[0]) > np.cos(SAME_TURN)
         for order in range(1 + int(along.sum()), 1, -1):
             steps = 2.0 * np.pi * np.arange(1, order // 2 + 1) / order
-            if (np.abs(steps[:, None] - sizes[along]).min(axis=1) < _ONE).all():
+            if (np.abs(steps[:, None] - sizes[along]).min(axis=1) < SAME_TURN).all():
                 mean = (np.sign(axes[along] @ axes[0])[:, None] * axes[along]).sum(axis=0)
                 out.append((mean / np.linalg.norm(mean), order))
                 break
@@ -76,10 +76,12 @@ def _products(turns: Float[np.ndarray, "n 3 3"]) -> Int[np.ndarray, "n n"] | Non
     """Which of the rotations the product of each two is; None where it is none, or not one alone."""
     products = np.einsum("aij,bjk->abik", turns, turns)
     apart = np.abs(products[:, :, None] - turns[None, None]).max(axis=(3, 4))
-    if not ((apart < _ONE).sum(axis=2) == 1).all():
+    if not ((apart < SAME_TURN).sum(axis=2) == 1).all():
         return None
     return np.argmin(apart, axis=2)
 
 
 def _same_group(one: Float[np.ndarray, "n 3 3"], two: Float[np.ndarray, "m 3 3"]) -> bool:
-    return len(one) == len(two) and bool((np.abs(one[:, None] - two[None]).max(axis=(2, 3)) < _ONE).any(axis=1).all())
+    return len(one) == len(two) and bool(
+        (np.abs(one[:, None] - two[None]).max(axis=(2, 3)) < SAME_TURN).any(axis=1).all()
+    )
