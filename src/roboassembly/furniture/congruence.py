@@ -23,14 +23,15 @@ _PAIRS = 5
 """Pairs of corners that candidates come from."""
 _REACH, _SLACK = 1e-3, 3e-4
 """Metres beyond the tolerance: of corners before the fit, because two corners alone turn a shape by a little too much
-or too little; and of distances between corners."""
+or too little, and of the walls of bores, which files draw in the same place only so well; and of distances between
+corners."""
 _CLOSER = 3.0
 """Times the tolerance: how near corners are to each other that settle a fit."""
 _SAME_START, _SAME_ROTATION = 0.003, 0.01
 """Candidates whose matrices differ by less are fitted once. Largest difference of two matrices of one rotation; the
 turns of the finest shape are seven times as far apart."""
-_FEW = 200
-"""Corners that are looked at first."""
+_FEW, _MAX_EDGES = 200, 2000
+"""Corners that are looked at first; edges between odd ones that are looked at."""
 _SAME_CORNER = 1e-6
 """Metres between a vertex and the corner that it is, which was rounded."""
 _MATCHED = 0.5
@@ -141,33 +142,38 @@ def _near(points: Float[np.ndarray, "n 3"], corners: KDTree, mesh: Mesh, toleran
     return all(distance_to(mesh.bvh, point) <= tolerance for point in odd)
 
 
-def _few(points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "m 3"]:
-    """At most `_FEW` of them, evenly."""
-    return points if len(points) <= _FEW else points[np.linspace(0, len(points) - 1, _FEW).astype(int)]
+def _few(points: Float[np.ndarray, "n 3"], most: int = _FEW) -> Float[np.ndarray, "m 3"]:
+    """So many of them at most, evenly."""
+    return points if len(points) <= most else points[np.linspace(0, len(points) - 1, most).astype(int)]
 
 
 def _lies_on(
     moved: Mesh, own: Float[np.ndarray, "n 3"], rotation: Float[np.ndarray, "3 3"], corners: KDTree, mesh: Mesh,
     tolerance: float,
 ) -> bool:  # fmt: skip
-    """Whether all corners of a shape, turned, lie at corners of a mesh, or on its surface with what is around them."""
+    """Whether all corners of a shape, turned, lie at corners of a mesh, or on its surface with what is between them."""
     if not _near(_few(own) @ rotation.T, corners, mesh, tolerance):
         return False
     odd = own[~np.isfinite(corners.query(own @ rotation.T, distance_upper_bound=tolerance)[0])]
     if len(odd) > (1.0 - _MATCHED) * len(own):
         return False
+    if any(distance_to(mesh.bvh, point) > tolerance for point in odd @ rotation.T):
+        return False
     # The rims of a bore lie on a plain board's faces: what tells is the wall between them.
-    near = [odd, *_around(moved, odd)]
-    return all(distance_to(mesh.bvh, point) <= tolerance for points in near for point in points @ rotation.T)
+    between = _between(moved, odd) @ rotation.T
+    # Where triangles are small a vertex is near enough, which is quicker to tell.
+    far = ~np.isfinite(KDTree(mesh.vertices).query(between, distance_upper_bound=tolerance + _REACH)[0])
+    return all(distance_to(mesh.bvh, point) <= tolerance + _REACH for point in between[far])
 
 
-def _around(mesh: Mesh, corners: Float[np.ndarray, "n 3"]) -> list[Float[np.ndarray, "m 3"]]:
-    """Middles of the triangles at some corners of a mesh, and of their edges."""
+def _between(mesh: Mesh, corners: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "m 3"]:
+    """Middles of the edges between some corners of a mesh, `_MAX_EDGES` at most."""
     if not len(corners):
-        return []
+        return np.empty((0, 3))
     there = KDTree(corners).query(mesh.vertices, distance_upper_bound=_SAME_CORNER)[0] < _SAME_CORNER
-    triangles = mesh.vertices[mesh.faces[there[mesh.faces].any(axis=1)]]
-    return [triangles.mean(axis=1), *(0.5 * (triangles[:, k] + triangles[:, k - 1]) for k in range(3))]
+    edges = np.concatenate([mesh.faces[:, [k, k - 1]] for k in range(3)])
+    edges = np.unique(np.sort(edges[there[edges].all(axis=1)], axis=1), axis=0)
+    return _few(mesh.vertices[edges].mean(axis=1), _MAX_EDGES)
 
 
 def symmetries(mesh: Mesh, tolerance: float = TOLERANCE) -> Float[np.ndarray, "n 3 3"]:
