@@ -31,7 +31,7 @@ _SAME_START, _SAME_ROTATION = 0.003, 0.01
 """Candidates whose matrices differ by less are fitted once. Largest difference of two matrices of one rotation; the
 turns of the finest shape are seven times as far apart."""
 _FEW, _MAX_EDGES = 200, 2000
-"""Corners that are looked at first; edges between odd ones that are looked at."""
+"""Corners that are looked at first; edges from odd ones that are looked at."""
 _SAME_CORNER = 1e-6
 """Metres between a vertex and the corner that it is, which was rounded."""
 _MATCHED = 0.5
@@ -151,7 +151,7 @@ def _lies_on(
     moved: Mesh, own: Float[np.ndarray, "n 3"], rotation: Float[np.ndarray, "3 3"], corners: KDTree, mesh: Mesh,
     tolerance: float,
 ) -> bool:  # fmt: skip
-    """Whether all corners of a shape, turned, lie at corners of a mesh, or on its surface with what is between them."""
+    """Whether all corners of a shape, turned, lie at corners of a mesh, or on its surface with their edges."""
     if not _near(_few(own) @ rotation.T, corners, mesh, tolerance):
         return False
     odd = own[~np.isfinite(corners.query(own @ rotation.T, distance_upper_bound=tolerance)[0])]
@@ -160,19 +160,19 @@ def _lies_on(
     if any(distance_to(mesh.bvh, point) > tolerance for point in odd @ rotation.T):
         return False
     # The rims of a bore lie on a plain board's faces: what tells is the wall between them.
-    between = _between(moved, odd) @ rotation.T
+    middles = _edges(moved, odd) @ rotation.T
     # Where triangles are small a vertex is near enough, which is quicker to tell.
-    far = ~np.isfinite(KDTree(mesh.vertices).query(between, distance_upper_bound=tolerance + _REACH)[0])
-    return all(distance_to(mesh.bvh, point) <= tolerance + _REACH for point in between[far])
+    far = ~np.isfinite(KDTree(mesh.vertices).query(middles, distance_upper_bound=tolerance + _REACH)[0])
+    return all(distance_to(mesh.bvh, point) <= tolerance + _REACH for point in middles[far])
 
 
-def _between(mesh: Mesh, corners: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "m 3"]:
-    """Middles of the edges between some corners of a mesh, `_MAX_EDGES` at most."""
+def _edges(mesh: Mesh, corners: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "m 3"]:
+    """Middles of the edges that some corners of a mesh have, `_MAX_EDGES` at most."""
     if not len(corners):
         return np.empty((0, 3))
     there = KDTree(corners).query(mesh.vertices, distance_upper_bound=_SAME_CORNER)[0] < _SAME_CORNER
     edges = np.concatenate([mesh.faces[:, [k, k - 1]] for k in range(3)])
-    edges = np.unique(np.sort(edges[there[edges].all(axis=1)], axis=1), axis=0)
+    edges = np.unique(np.sort(edges[there[edges].any(axis=1)], axis=1), axis=0)
     return _few(mesh.vertices[edges].mean(axis=1), _MAX_EDGES)
 
 
