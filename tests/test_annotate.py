@@ -363,6 +363,14 @@ def test_a_bore_through_a_board_counts() -> None:
     assert len(rotations_onto(shapes.of_solid(board), shapes.of_solid(bored))) == 0
 
 
+def test_a_hole_to_the_middle_of_a_board_is_on_one_side() -> None:
+    # Turned over, its bottom stays where it is and its rim lies on the other face.
+    board = shapes.block((-0.2, -0.1, -0.006), (0.2, 0.1, 0.006))
+    for x in (-0.1, 0.1):
+        board -= shapes.block((x - 0.005, -0.005, 0.0), (x + 0.005, 0.005, 0.01))
+    assert len(symmetries(shapes.of_solid(board))) == 2
+
+
 def test_like_parts_share_a_mesh_where_there_is_room() -> None:
     # Two posts under a board; one is 0.05 mm thicker, which would close the gap to a third part beside it.
     def furniture(gap: float) -> Furniture:
