@@ -15,7 +15,7 @@ from roboassembly.furniture.repair.limits import RepairLimits
 from roboassembly.furniture.repair.piece import Piece
 from roboassembly.furniture.repair.proximity import Shell
 from roboassembly.furniture.repair.surface import to_surface
-from roboassembly.furniture.repair.trim import TIDY, without_slivers
+from roboassembly.furniture.repair.trim import without_slivers
 from roboassembly.furniture.repair.turns import MAX_TURNS, SAME_TURN, groups
 from roboassembly.meshes import Mesh
 
@@ -29,6 +29,8 @@ MAX_GROUPS = 4
 """Groups of turns that are tried: as many as a board has."""
 WORTH_TURNING = 0.001
 """Share of a part's volume that another turn must save."""
+FLAT = 4e-5
+"""Metres, a fifth of the usual gap, by which faces that meet again and again may be off one plane to be made one."""
 MAX_FEATURED_FACES = 60_000
 """Parts of more triangles are not compared."""
 
@@ -145,7 +147,7 @@ def _share_cuts(
         # The copies were placed by the first turn, so that it fits exactly; the others do within the tolerance.
         if tries[best].volume() < tries[0].volume() + WORTH_TURNING * pieces[master].whole:
             best = 0
-        common = tries[best].simplify(TIDY)
+        common = _tidied(tries[best])
         chosen.append(best)
     common = without_slivers(common)
     extra = min(body.volume() for body in unmoved) - common.volume()
@@ -189,11 +191,28 @@ def _ways(like: Likeness, turns: Float[np.ndarray, "n 3 3"]) -> list[int]:
 
 
 def _depth(before: Shell, after: Shell) -> float:
-    """Metres that the deepest cut goes below the old surface."""
-    return max(before.distance_to(vertex) for vertex in after.surface.vertices)
+    """Metres that the deepest cut goes below the old surface.
+
+    At corners, and in the middle of edges and triangles: a hole right through has all its corners on the old surface.
+    """
+    corners = after.surface.corners
+    middles = 0.5 * (corners + np.roll(corners, 1, axis=1))
+    points = np.concatenate([after.surface.vertices, middles.reshape(-1, 3), corners.mean(axis=1)])
+    return max(before.distance_to(point) for point in points)
 
 
 def _in_all_turns(body: m3.Manifold, master: Likeness, turns: Float[np.ndarray, "n 3 3"]) -> m3.Manifold:
     """What the master's solid has in common with itself turned about its centre in all these ways."""
+    if len(turns) == 1:
+        return body
     about = [np.column_stack([turn, master.centre - turn @ master.centre]) for turn in turns[1:]]
-    return m3.Manifold.batch_boolean([body, *(body.transform(way) for way in about)], m3.OpType.Intersect)
+    return _tidied(m3.Manifold.batch_boolean([body, *(body.transform(way) for way in about)], m3.OpType.Intersect))
+
+
+def _tidied(body: m3.Manifold) -> m3.Manifold:
+    """The same solid with what is flat made of few triangles.
+
+    Faces that were meant to lie in each other cross again and again, being off by rounding. They are only joined once
+    it is forgotten that they come from different solids.
+    """
+    return body.as_original().simplify(FLAT)
