@@ -18,7 +18,9 @@ MAX_SYMMETRIES = 64
 """A finer turned part is taken as having this many turns at most; more would only cost time."""
 _BENT = 1e-5
 """Least spread of the normals at a corner; a bend of 0.3° counts, the rounding of a flat face does not."""
-_MAX_CANDIDATES, _MAX_FITS, _AT_ONCE = 4096, 400, 64
+_MAX_CANDIDATES, _MAX_FITS = 4096, 400
+_AT_ONCE = 64
+"""Corners whose distances to all others are measured in one go."""
 _PAIRS = 5
 """Pairs of corners that candidates come from."""
 _REACH, _SLACK = 1e-3, 3e-4
@@ -218,7 +220,7 @@ def _taking(
     span = np.linalg.norm(one - two)
     first_mates = np.flatnonzero(np.abs(radius_b - np.linalg.norm(one)) < slack)
     second_mates = np.flatnonzero(np.abs(radius_b - np.linalg.norm(two)) < slack)
-    ends: list[np.ndarray] = []
+    ends = [np.empty((0, 2), int)]
     # On a ball every corner is a mate: all pairs of them would be gigabytes.
     for begin in range(0, len(first_mates), _AT_ONCE):
         some = first_mates[begin : begin + _AT_ONCE]
@@ -227,7 +229,7 @@ def _taking(
         ends.append(np.stack([some[i], second_mates[j]], axis=1))
         if sum(map(len, ends)) >= _MAX_CANDIDATES:
             break
-    pairs = np.concatenate(ends)[:_MAX_CANDIDATES] if ends else np.empty((0, 2), int)
+    pairs = np.concatenate(ends)[:_MAX_CANDIDATES]
     frame_a = _frames(one[None], two[None])[0]
     frames_b = _frames(b[pairs[:, 0]], b[pairs[:, 1]])
     rotations = frames_b @ frame_a.T

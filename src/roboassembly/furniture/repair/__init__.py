@@ -30,6 +30,8 @@ __all__ = ["GAP", "PartRepair", "RepairLimits", "RepairResult", "repair"]
 
 GAP = 0.0002
 """Metres between mating faces."""
+_TIDY = 0.2
+"""Share of the gap by which surfaces may be moved to have fewer triangles."""
 _ROOM = 0.8
 """Share of the triangles allowed that a part has before it is trimmed: cuts add some."""
 
@@ -117,10 +119,11 @@ def repair(parts: Sequence[RawPart], *, gap: float = GAP, limits: RepairLimits |
             )
         pieces.append(Piece(part.name, solid.body, solid, solid.body.volume()))
     separate(pieces, gap, limits, diagonal)
-    keep_alike(pieces, alike, limits)
+    tidy = _TIDY * gap
+    keep_alike(pieces, alike, limits, tidy)
     for piece in pieces:
         if piece.body.num_tri() > limits.faces:
-            piece.become(piece.body.simplify(0.2 * gap))
+            piece.become(piece.body.simplify(tidy))
     out, report = [], []
     for part, piece in zip(parts, pieces, strict=True):
         skin = to_surface(piece.body)

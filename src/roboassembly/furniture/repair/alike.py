@@ -29,8 +29,6 @@ MAX_GROUPS = 4
 """Groups of turns that are tried: as many as a board has."""
 WORTH_TURNING = 0.001
 """Share of a part's volume that another turn must save."""
-FLAT = 4e-5
-"""Metres, a fifth of the usual gap, by which faces that meet again and again may be off one plane to be made one."""
 MAX_FEATURED_FACES = 60_000
 """Parts of more triangles are not compared."""
 
@@ -93,19 +91,20 @@ def _comparable(one: Mesh, two: Mesh) -> bool:
     return not flat and abs(len(one.faces) - len(two.faces)) <= 0.2 * len(one.faces) <= 0.2 * MAX_FEATURED_FACES
 
 
-def keep_alike(pieces: list[Piece], alike: Sequence[Likeness], limits: RepairLimits) -> None:
+def keep_alike(pieces: list[Piece], alike: Sequence[Likeness], limits: RepairLimits, tidy: float) -> None:
     """Give members of a class the cuts of every member, and each part its cuts in every way that it could be turned.
 
-    In place, where that costs little and parts no contact. Cutting more makes no overlap and holds nothing fast.
+    In place, where that costs little and parts no contact. Cutting more makes no overlap and holds nothing fast. Faces
+    off one plane by less than `tidy` metres are made one.
     """
     for master in range(len(pieces)):
         members = [p for p, like in enumerate(alike) if like.master == master]
         if not any(pieces[p].removed > 0.0 for p in members):
             continue
         *turned, alone = groups(alike[master].turns)
-        if len(members) > 1 and not _share_cuts(pieces, alike, members, alone, limits):
+        if len(members) > 1 and not _share_cuts(pieces, alike, members, alone, limits, tidy):
             continue
-        any(_share_cuts(pieces, alike, members, turns, limits) for turns in turned[:MAX_GROUPS])
+        any(_share_cuts(pieces, alike, members, turns, limits, tidy) for turns in turned[:MAX_GROUPS])
 
 
 def _still_alike(bodies: Sequence[m3.Manifold], turns: Float[np.ndarray, "n 3 3"]) -> bool:
@@ -126,6 +125,7 @@ def _share_cuts(
     members: list[int],
     turns: Float[np.ndarray, "n 3 3"],
     limits: RepairLimits,
+    tidy: float,
 ) -> bool:
     """Whether all members have, now, one shape that looks the same however it is turned by one of the rotations."""
     master = members[0]
@@ -133,7 +133,7 @@ def _share_cuts(
     unmoved = [pieces[p].body.translate(tuple((-m).tolist())) for p, m in zip(members, moved, strict=True)]
     if _still_alike(unmoved, turns):
         return True
-    common, chosen = _in_all_turns(unmoved[0], alike[master], turns), [0]
+    common, chosen = _in_all_turns(unmoved[0], alike[master], turns, tidy), [0]
     whole = pieces[master].whole
     extra = min(body.volume() for body in unmoved) - common.volume()
     if extra > MAX_EXTRA * whole or common.is_empty():
@@ -142,12 +142,13 @@ def _share_cuts(
         return False
     for p, body in zip(members[1:], unmoved[1:], strict=True):
         ways = _ways(alike[p], turns)
-        tries = {way: common ^ _in_all_turns(alike[p].taken_back(body, way), alike[master], turns) for way in ways}
+        turned = {way: _in_all_turns(alike[p].taken_back(body, way), alike[master], turns, tidy) for way in ways}
+        tries = {way: common ^ turned[way] for way in ways}
         best = max(ways, key=lambda way: tries[way].volume())
         # The copies were placed by the first turn, so that it fits exactly; the others do within the tolerance.
         if tries[best].volume() < tries[0].volume() + WORTH_TURNING * pieces[master].whole:
             best = 0
-        common = _tidied(tries[best])
+        common = _tidied(tries[best], tidy)
         chosen.append(best)
     common = without_slivers(common)
     extra = min(body.volume() for body in unmoved) - common.volume()
@@ -201,18 +202,19 @@ def _depth(before: Shell, after: Shell) -> float:
     return max(before.distance_to(point) for point in points)
 
 
-def _in_all_turns(body: m3.Manifold, master: Likeness, turns: Float[np.ndarray, "n 3 3"]) -> m3.Manifold:
+def _in_all_turns(body: m3.Manifold, master: Likeness, turns: Float[np.ndarray, "n 3 3"], tidy: float) -> m3.Manifold:
     """What the master's solid has in common with itself turned about its centre in all these ways."""
     if len(turns) == 1:
         return body
     about = [np.column_stack([turn, master.centre - turn @ master.centre]) for turn in turns[1:]]
-    return _tidied(m3.Manifold.batch_boolean([body, *(body.transform(way) for way in about)], m3.OpType.Intersect))
+    common = m3.Manifold.batch_boolean([body, *(body.transform(way) for way in about)], m3.OpType.Intersect)
+    return _tidied(common, tidy)
 
 
-def _tidied(body: m3.Manifold) -> m3.Manifold:
+def _tidied(body: m3.Manifold, tidy: float) -> m3.Manifold:
     """The same solid with what is flat made of few triangles.
 
     Faces that were meant to lie in each other cross again and again, being off by rounding. They are only joined once
     it is forgotten that they come from different solids.
     """
-    return body.as_original().simplify(FLAT)
+    return body.as_original().simplify(tidy)
