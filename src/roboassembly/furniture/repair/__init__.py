@@ -117,7 +117,7 @@ def repair(parts: Sequence[RawPart], *, gap: float = GAP, limits: RepairLimits |
                 f"{solid.shape_error * 1e3:.1f} mm off; at most {limits.shape_error * 1e3:.1f} mm is allowed (limit "
                 "`shape_error`)"
             )
-        pieces.append(Piece(part.name, solid.body, solid, solid.body.volume()))
+        pieces.append(Piece.of(part.name, solid))
     separate(pieces, gap, limits, diagonal)
     tidy = _TIDY * gap
     keep_alike(pieces, alike, limits, tidy)

@@ -13,6 +13,8 @@ class RepairLimits:
     """Share of a part's volume that may be trimmed."""
     displacement: float = 0.02
     """How far a part may be moved, as a share of the furniture's diagonal."""
+    shortening: float = 0.005
+    """Metres that a part may become smaller along an axis of its own, or sit less deep in a neighbour."""
     shape_error: float = 0.005
     """Metres that the delivered surface may stick out of the solid made of it (99th percentile)."""
     faces: int = 3000

@@ -8,6 +8,7 @@ import manifold3d as m3
 import numpy as np
 from jaxtyping import Float
 
+from roboassembly.furniture.repair.insertion import box_axes, engaged, extents, insertion_depth
 from roboassembly.furniture.repair.proximity import Shell
 from roboassembly.furniture.repair.solid import Solid
 from roboassembly.furniture.repair.surface import to_surface
@@ -27,9 +28,22 @@ class Piece:
     moved: Float[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))
     """Metres moved so far."""
     notes: list[str] = field(default_factory=list)
-    dear: float = 1.0
-    """What a share of this part counts beside a share of others, when it is chosen which of two is trimmed."""
+    weight: float = 1.0
+    """Factor on the cost of trimming this part, when it is chosen which of two is trimmed."""
+    axes: Float[np.ndarray, "3 3"] = field(default_factory=lambda: np.eye(3))
+    """Axes of the smallest box around the part: a unit vector a row, the longest side first."""
+    size: Float[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))
+    """Metres along these axes before any trimming."""
+    depths: dict[str, Float[np.ndarray, "3"]] = field(default_factory=dict)
+    """Depth in each neighbour before any trimming, in metres along the axes, by the neighbour's name."""
     _shell: Shell | None = None
+
+    @classmethod
+    def of(cls, name: str, solid: Solid) -> Piece:
+        """A part before any trimming."""
+        points = to_surface(solid.body).vertices
+        axes = box_axes(points)
+        return cls(name, solid.body, solid, solid.body.volume(), axes=axes, size=extents(points, axes))
 
     @property
     def shell(self) -> Shell:
@@ -41,3 +55,20 @@ class Piece:
     def become(self, body: m3.Manifold) -> None:
         """Replace the solid."""
         self.body, self._shell = body, None
+
+    def shrinkage(self, body: m3.Manifold) -> float:
+        """Metres by which `body` is smaller than the part was before any trimming, along the axis that loses most."""
+        return float((self.size - extents(to_surface(body).vertices, self.axes)).max())
+
+    def measure_depth(self, other: Piece) -> None:
+        """Note how deep this part sits in another one; to be called before any trimming."""
+        depth = insertion_depth(self.body, other.body, self.axes)
+        if depth.any():
+            self.depths[other.name] = depth
+
+    def depth_loss(self, body: m3.Manifold, neighbor: str, other: m3.Manifold) -> float:
+        """Metres by which `body` sits less deep in a neighbour, now `other`, than before any trimming."""
+        before = self.depths.get(neighbor)
+        if before is None:
+            return 0.0
+        return float((before - extents(engaged(body, other), self.axes))[before > 0.0].max())

@@ -3,31 +3,39 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from itertools import combinations
+from itertools import combinations, permutations
 
+import manifold3d as m3
 import numpy as np
 
 from roboassembly.errors import FurnitureError
 from roboassembly.furniture.model import CONTACT_DISTANCE
+from roboassembly.furniture.repair.insertion import REACH
 from roboassembly.furniture.repair.limits import RepairLimits
 from roboassembly.furniture.repair.opening import open_up
 from roboassembly.furniture.repair.piece import Piece
 from roboassembly.furniture.repair.proximity import Shell
 from roboassembly.furniture.repair.share import shared_cuts
 from roboassembly.furniture.repair.surface import to_surface
-from roboassembly.furniture.repair.trim import Cut, cut, flush_cut, plane_cut
+from roboassembly.furniture.repair.trim import Cut, cut, flush_cut, inflate, near, plane_cut
 
 ROUNDS = 8
 MAX_MOVES = 40
 RESTARTS = 2
-DEARER = 4.0
-"""Times as dear becomes a part that would have lost too much."""
+HEAVIER = 4.0
+"""Factor on the weight of a part that would have lost too much."""
 TRAPPED = 0.1
 """A cut that lets the cutter leave in fewer than this share of all directions is a socket."""
 MAX_PLANE_SHARE = 0.01
 """A flat cut may take this share of a part..."""
 MAX_PLANE_RATIO = 3.0
 """...and this many times what a cut along the neighbour's surface would take."""
+KEPT, BEYOND = 0.001, 1e-8
+"""Metres around a neighbour, and cubic metres outside them, that a cut may take without harm."""
+HARM_COST, HARM_LIMIT, HARMFUL = 1.0, 0.005, 10.0
+"""Cost of `HARM_LIMIT` metres of lost size or depth; a cut that takes more costs `HARMFUL`."""
+NOTHING = 1e-4
+"""Metres of size that do not count as lost."""
 
 
 class _TooMuchTrimmedError(FurnitureError):
@@ -36,6 +44,10 @@ class _TooMuchTrimmedError(FurnitureError):
     def __init__(self, piece: Piece, message: str) -> None:
         super().__init__(message)
         self.piece = piece
+
+
+class _ShortenedError(FurnitureError):
+    """A part would become too small, or a joint too shallow."""
 
 
 def separate(pieces: list[Piece], gap: float, limits: RepairLimits, diagonal: float) -> None:
@@ -47,35 +59,66 @@ def separate(pieces: list[Piece], gap: float, limits: RepairLimits, diagonal: fl
     Raises:
         FurnitureError: not possible within the limits.
     """
-    start = [replace(piece, notes=list(piece.notes)) for piece in pieces]
+    for one, other in permutations(pieces, 2):
+        if one.shell.box_distance(other.shell) <= REACH:
+            one.measure_depth(other)
+    start = list(pieces)
+    problems: list[FurnitureError] = []
+    for careful in (True, False):
+        try:
+            _separate(pieces, start, gap, limits, diagonal, careful)
+            _check_sizes(pieces, limits)
+        except FurnitureError as problem:
+            problems.append(problem)
+        else:
+            return
+    # What is only too short can be allowed; the other failure cannot be helped.
+    raise next((p for p in problems if isinstance(p, _ShortenedError)), problems[0])
+
+
+def _separate(
+    pieces: list[Piece], start: list[Piece], gap: float, limits: RepairLimits, diagonal: float, careful: bool
+) -> None:
+    """Separate the pieces, as they are at the start, once more for each part that would lose too much.
+
+    Args:
+        pieces: become what comes of it.
+        start: before any trimming.
+        gap: metres left at mating faces.
+        limits: where to refuse.
+        diagonal: of the furniture, in metres.
+        careful: rather open sockets than take size from parts or depth from joints.
+    """
+    weights = [1.0] * len(start)
     first: _TooMuchTrimmedError | None = None
     for restarts in range(1 + RESTARTS):
+        pieces[:] = [
+            replace(piece, notes=list(piece.notes), weight=weight) for piece, weight in zip(start, weights, strict=True)
+        ]
         try:
-            _separate(pieces, gap, limits, diagonal)
+            _try(pieces, gap, limits, diagonal, careful)
         except _TooMuchTrimmedError as problem:
             first = first or problem
-            start[pieces.index(problem.piece)].dear *= DEARER
+            weights[pieces.index(problem.piece)] *= HEAVIER
         except FurnitureError:
             if first is None:
                 raise
             break
         else:
             return
-        if restarts < RESTARTS:
-            pieces[:] = [replace(piece, notes=list(piece.notes)) for piece in start]
     if first is not None:
         raise first
 
 
-def _separate(pieces: list[Piece], gap: float, limits: RepairLimits, diagonal: float) -> None:
+def _try(pieces: list[Piece], gap: float, limits: RepairLimits, diagonal: float, careful: bool) -> None:
     were_touching = [(a, b) for a, b in combinations(pieces, 2) if _distance(a, b, gap) <= gap]
-    _clear(pieces, gap, limits)
+    _clear(pieces, gap, limits, careful)
     for _ in range(MAX_MOVES):
         islands = _islands(pieces)
         if len(islands) == 1:
             break
         _bring_closer(pieces, islands, gap, limits, diagonal)
-        _clear(pieces, gap, limits)
+        _clear(pieces, gap, limits, careful)
     else:
         raise FurnitureError(f"parts still hang apart after {MAX_MOVES} moves; check the assembled poses")
     open_up(pieces, gap, limits)
@@ -88,12 +131,33 @@ def _separate(pieces: list[Piece], gap: float, limits: RepairLimits, diagonal: f
                 one.notes.append(f"no longer within {CONTACT_DISTANCE * 1e3:g} mm of '{other.name}'")
 
 
+def _check_sizes(pieces: list[Piece], limits: RepairLimits) -> None:
+    """Refuse what makes a part too small, or a joint too shallow.
+
+    Raises:
+        _ShortenedError: it does; the message names the part.
+    """
+    bodies = {piece.name: piece.body for piece in pieces}
+    worst: list[tuple[float, str]] = []
+    for piece in pieces:
+        worst.append((piece.shrinkage(piece.body), f"part '{piece.name}' would become {{}} mm smaller"))
+        for other in piece.depths:
+            loss = piece.depth_loss(piece.body, other, bodies[other])
+            worst.append((loss, f"part '{piece.name}' would sit {{}} mm less deep in '{other}'"))
+    loss, text = max(worst)
+    if loss > limits.shortening:
+        raise _ShortenedError(
+            f"{text.format(f'{1e3 * loss:.1f}')} for the parts to clear each other; at most "
+            f"{1e3 * limits.shortening:.1f} mm is allowed (limit `shortening`, lifted by --allow-shortening)"
+        )
+
+
 def _distance(a: Piece, b: Piece, enough: float) -> float:
     """Metres between two pieces' surfaces, zero if they touch; `inf` when their boxes are `enough` apart."""
     return a.shell.nearest(b.shell)[0] if a.shell.box_distance(b.shell) <= enough else float("inf")
 
 
-def _clear(pieces: list[Piece], gap: float, limits: RepairLimits) -> None:
+def _clear(pieces: list[Piece], gap: float, limits: RepairLimits, careful: bool) -> None:
     close: list[tuple[Piece, Piece]] = []
     for attempt in range(ROUNDS):
         width = gap * (1.0 + 0.25 * attempt)
@@ -109,7 +173,7 @@ def _clear(pieces: list[Piece], gap: float, limits: RepairLimits) -> None:
             return
         close = [(pieces[i], pieces[j]) for _, i, j in sorted(overlaps)]
         for a, b in close:
-            _part(a, b, width, limits)
+            _part(a, b, width, limits, careful)
     a, b = close[0]
     raise FurnitureError(f"parts '{a.name}' and '{b.name}' still touch after {ROUNDS} rounds of trimming")
 
@@ -146,19 +210,23 @@ class _Choice:
             piece.notes.append(f"has a socket for '{other.name}'")
 
 
-def _part(a: Piece, b: Piece, gap: float, limits: RepairLimits) -> None:
+def _part(a: Piece, b: Piece, gap: float, limits: RepairLimits, careful: bool) -> None:
     """Make two pieces clear each other by trimming the one that suffers less."""
     choices: list[_Choice] = []
     worst: list[tuple[float, Piece]] = []
     for trimmed, cutter in ((a, b), (b, a)):
-        for one in _cuts(trimmed, cutter, gap):
+        for n, one in enumerate(_cuts(trimmed, cutter, gap)):
             share = (trimmed.removed + one.removed) / trimmed.whole
             if one.body.is_empty() or share > limits.trimmed:
                 worst.append((share, trimmed))
-            else:
-                choices.append(_Choice(_cost(trimmed, one, limits), trimmed, cutter, one))
+                continue
+            cost = _cost(trimmed, one, limits)
+            if careful:
+                # The first cut takes what is in the way and no more, but for plugs that come loose.
+                cost += _harm_cost(_harm(trimmed, cutter, one.body), n > 0 and _goes_beyond(trimmed, cutter, one))
+            choices.append(_Choice(cost, trimmed, cutter, one))
     # To cut both leaves neither as it was meant: only where one of them has proved too dear.
-    if max(a.dear, b.dear) > 1.0:
+    if max(a.weight, b.weight) > 1.0:
         choices += [choice for pair in ((a, b), (b, a)) for choice in _shared(*pair, gap, limits)]
     if not choices:
         share, piece = min(worst, key=lambda w: w[0])
@@ -197,14 +265,35 @@ def _shared(trimmed: Piece, cutter: Piece, gap: float, limits: RepairLimits) -> 
             for piece, one in ((cutter, shared.tip), (trimmed, shared.socket))
         ]
         if max(shares) <= limits.trimmed and not shared.socket.body.is_empty():
-            cost = cutter.dear * shares[0] / limits.trimmed + _cost(trimmed, shared.socket, limits)
+            cost = cutter.weight * shares[0] / limits.trimmed + _cost(trimmed, shared.socket, limits)
             out.append(_Choice(cost, trimmed, cutter, shared.socket, shared.tip))
     return out
 
 
 def _cost(piece: Piece, made: Cut, limits: RepairLimits) -> float:
     share = (piece.removed + made.removed) / piece.whole
-    return piece.dear * share / limits.trimmed + 4.0 * (0.5 - min(0.5, made.freedom)) + 6.0 * made.splits
+    return piece.weight * share / limits.trimmed + 4.0 * (0.5 - min(0.5, made.freedom)) + 6.0 * made.splits
+
+
+def _harm(trimmed: Piece, cutter: Piece, body: m3.Manifold) -> float:
+    """Metres of size, or of the depth of the joint between the two, that are lost when `trimmed` becomes `body`."""
+    smaller = trimmed.shrinkage(body)
+    return max(
+        0.0,
+        smaller if smaller > trimmed.shrinkage(trimmed.body) + NOTHING else 0.0,
+        trimmed.depth_loss(body, cutter.name, cutter.body),
+        cutter.depth_loss(cutter.body, trimmed.name, body),
+    )
+
+
+def _harm_cost(harm: float, goes_beyond: bool) -> float:
+    return HARMFUL if goes_beyond or harm > HARM_LIMIT else HARM_COST * harm / HARM_LIMIT
+
+
+def _goes_beyond(trimmed: Piece, cutter: Piece, made: Cut) -> bool:
+    """Whether a cut takes what is not in the neighbour's way: a tenon out of its socket, or the walls of a socket."""
+    taken = trimmed.body - made.body
+    return (taken - inflate(near(cutter.body, taken, 20.0 * KEPT), KEPT)).volume() > BEYOND
 
 
 def _islands(pieces: list[Piece]) -> list[list[int]]:
