@@ -40,9 +40,9 @@ def finished(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     done: list[str] = []
     finish = pipeline.finish
 
-    def counting(name, raw):
+    def counting(name, raw, **options):
         done.append(name)
-        return finish(name, raw)
+        return finish(name, raw, **options)
 
     monkeypatch.setattr(pipeline, "finish", counting)
     return done
@@ -175,9 +175,9 @@ def test_refusals_that_name_the_path_hold_for_it_alone(source: Path, tmp_path: P
 def test_files_that_change_meanwhile_are_not_kept(source: Path, tmp_path: Path, capsys, monkeypatch) -> None:
     finish = pipeline.finish
 
-    def slow(name, raw):
+    def slow(name, raw, **options):
         box(source / "leg.stl", (0.06, 0.05, 0.5), (0, 0, 0.25))
-        return finish(name, raw)
+        return finish(name, raw, **options)
 
     monkeypatch.setattr(pipeline, "finish", slow)
     assert run(capsys, source, "--out", tmp_path / "a")["error"] is None

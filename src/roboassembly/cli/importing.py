@@ -34,6 +34,7 @@ class Piece:
     scale: float | None
     up: UpAxis | None
     cache: bool
+    allow_shortening: bool
 
 
 @dataclass(frozen=True)
@@ -48,6 +49,10 @@ class Item:
     seconds: float
     unholdable: tuple[str, ...]
     """Names of the parts that no Franka hand can hold."""
+    size_change_mm: dict[str, float]
+    """Largest change of each part's size, negative where it became smaller; by the part's name."""
+    changes: tuple[str, ...]
+    """Parts whose size changed, or that sit less deep in a neighbour, by more than 1 mm; a line each."""
     folder: str | None
     error: str | None
     cached: bool = False
@@ -73,6 +78,9 @@ class Import:
     """Up axis of the files, for `folder` only; if not given, y for GLB and z for all else."""
     jobs: Jobs = CORES
     """Pieces at a time."""
+    allow_shortening: bool = False
+    """Accept parts that become more than 5 mm smaller, or sit more than 5 mm less deep in a neighbour, where the parts
+    cannot clear each other in another way."""
     cache: bool = True
     """Use what an earlier import of the same files came to."""
     json: bool = False
@@ -113,7 +121,7 @@ class Import:
     def _each(self, folders: list[Path], targets: list[Path], names: list[str]):
         writable_folder(self.out.parent if self._fresh() else self.out)
         work = [
-            Piece(self.kind, source, target, name, self.scale, self.up, self.cache)
+            Piece(self.kind, source, target, name, self.scale, self.up, self.cache, self.allow_shortening)
             for source, target, name in zip(folders, targets, names, strict=True)
         ]
         if self.jobs == 1 or len(folders) == 1:
@@ -125,7 +133,7 @@ class Import:
                     yield future.result()
                 except BrokenProcessPool:
                     lost = "not imported: a worker process died (out of memory?); try this piece again with --jobs 1"
-                    yield Item(piece.name, 0, 0, 0.0, 0.0, 0.0, (), None, lost)
+                    yield Item(piece.name, 0, 0, 0.0, 0.0, 0.0, (), {}, (), None, lost)
 
 
 def _summary(item: Item) -> str:
@@ -134,6 +142,9 @@ def _summary(item: Item) -> str:
         text += " (as imported before)"
     if item.unholdable:
         text += f" (no hand can hold {', '.join(item.unholdable)}: object-centric setting only)"
+    name, change = max(item.size_change_mm.items(), key=lambda one: abs(one[1]))
+    text += f"; largest change of size: {name} {change:+.2f} mm"
+    text += "".join(f"\n  {change}" for change in item.changes)
     return text
 
 
@@ -161,6 +172,8 @@ def import_piece(piece: Piece) -> Item:
         summary.trimmed_max_percent,
         round(time.perf_counter() - started, 2),
         summary.unholdable,
+        summary.parts_mm,
+        summary.changes,
         None if summary.error else str(piece.target),
         summary.error,
         cached,
@@ -171,7 +184,7 @@ def _place(piece: Piece) -> Path | None:
     from roboassembly.furniture.importers import IMPORTERS, kept
 
     reads = IMPORTERS[piece.kind].reads(piece.source)
-    return kept.place_of(piece.source, reads, piece.kind, piece.name, piece.scale, piece.up)
+    return kept.place_of(piece.source, reads, piece.kind, piece.name, piece.scale, piece.up, piece.allow_shortening)
 
 
 def _import_anew(piece: Piece) -> Summary:
@@ -189,7 +202,7 @@ def _import_anew(piece: Piece) -> Summary:
     except FurnitureError as refusal:
         return Summary(error=str(refusal), refused_at=str(piece.source))
     try:
-        imported = finish(piece.name, raw)
+        imported = finish(piece.name, raw, allow_shortening=piece.allow_shortening)
     except FurnitureError as refusal:
         return Summary(error=str(refusal))
     storage.save(imported.furniture, piece.target)
@@ -198,6 +211,8 @@ def _import_anew(piece: Piece) -> Summary:
         len(imported.furniture.connections),
         round(1e3 * max(r.displacement for r in imported.repairs), 3),
         round(1e2 * max(r.trimmed for r in imported.repairs), 3),
+        {r.name: round(1e3 * r.size_change, 2) for r in imported.repairs},
+        tuple(f"{r.name}: {', '.join(r.changes)}" for r in imported.repairs if r.changes),
         imported.furniture.unholdable,
     )
 

@@ -44,6 +44,10 @@ class Summary(msgspec.Struct, frozen=True):
     connections: int = 0
     displacement_max_mm: float = 0.0
     trimmed_max_percent: float = 0.0
+    parts_mm: dict[str, float] = {}
+    """Largest change of each part's size, in mm, negative where it became smaller; by name."""
+    changes: tuple[str, ...] = ()
+    """Parts whose size changed, or that sit less deep in a neighbour, by more than 1 mm; a line each."""
     unholdable: tuple[str, ...] = ()
     """Names of the parts that no Franka hand can hold."""
     error: str | None = None

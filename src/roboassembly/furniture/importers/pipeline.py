@@ -10,7 +10,7 @@ import numpy as np
 from roboassembly.furniture.annotate import annotate
 from roboassembly.furniture.importers.connection_sites import CLOSES
 from roboassembly.furniture.model import Furniture, RawFurniture, Site
-from roboassembly.furniture.repair import PartRepair, repair
+from roboassembly.furniture.repair import PartRepair, RepairLimits, repair
 from roboassembly.poses import SE3
 
 ROUNDING = 1e-9
@@ -25,13 +25,19 @@ class Imported:
     repairs: tuple[PartRepair, ...]
 
 
-def finish(name: str, raw: RawFurniture) -> Imported:
+def finish(name: str, raw: RawFurniture, *, allow_shortening: bool = False) -> Imported:
     """Repair and annotate parts as read.
+
+    Args:
+        name: of the piece.
+        raw: parts as read.
+        allow_shortening: lift the limit on what repair may take off a part's size or a joint's depth.
 
     Raises:
         FurnitureError: what cannot be repaired within limits, or does not hold together, with the reason.
     """
-    repaired = repair(raw.parts)
+    limits = replace(RepairLimits(), shortening=float("inf")) if allow_shortening else RepairLimits()
+    repaired = repair(raw.parts, limits=limits)
     sites, opened = _moved(raw.sites, repaired.report)
     notes = (*raw.provenance.notes, *(str(r) for r in repaired.report), *opened)
     furniture = annotate(name, repaired.parts, replace(raw.provenance, notes=notes))

@@ -2,11 +2,13 @@
 
 Each part is cleaned and made a solid by the gentlest means that works (as delivered, holes filled, convex hull,
 wrapped) and simplified. Then, of any two parts that overlap or touch, one is trimmed by the other grown by the gap:
-the one for which the other can still be pulled away in the most directions, at the least loss of volume. Where one
-part would lose too much to all its neighbours together, all is trimmed anew with that part dearer, and overlaps may be
-shared. Parts that hang in the air are moved to the rest, joints out of which nothing could go in a direction that a
-planner would try are cut open, and parts that are delivered alike get each other's cuts, so that they stay alike. What
-cannot be done within `RepairLimits` is refused.
+the one for which the other can still be pulled away in the most directions, at the least loss of volume. A cut that
+would take more than a few millimetres off a part's size, a tenon out of its socket, or the walls of a socket, is made
+only where nothing else does, and refused above the limit `shortening`. Where one part would lose too much to all its
+neighbours together, all is trimmed anew with that part weighing more, and overlaps may be shared. Parts that hang in
+the air are moved to the rest, joints out of which nothing could go in a direction that a planner would try are cut
+open, and parts that are delivered alike get each other's cuts, so that they stay alike. What cannot be done within
+`RepairLimits` is refused.
 """
 
 from __future__ import annotations
@@ -15,21 +17,25 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from jaxtyping import Float
 
 from roboassembly.errors import FurnitureError
 from roboassembly.furniture.model import RawPart, check_part_count
 from roboassembly.furniture.repair.alike import keep_alike, likenesses
+from roboassembly.furniture.repair.insertion import box_axes, extents
 from roboassembly.furniture.repair.limits import RepairLimits
 from roboassembly.furniture.repair.piece import Piece
-from roboassembly.furniture.repair.separation import separate
+from roboassembly.furniture.repair.separation import check_sizes, separate
 from roboassembly.furniture.repair.solid import solidify
-from roboassembly.furniture.repair.surface import to_surface
+from roboassembly.furniture.repair.surface import clean, to_surface
 from roboassembly.meshes import Mesh
 
 __all__ = ["GAP", "PartRepair", "RepairLimits", "RepairResult", "repair"]
 
 GAP = 0.0002
 """Metres between mating faces."""
+WORTH_REPORTING = 0.001
+"""Metres of changed size, or of lost depth, above which a part is reported by name."""
 _TIDY = 0.2
 """Share of the gap by which surfaces may be moved to have fewer triangles."""
 _ROOM = 0.8
@@ -51,7 +57,13 @@ class PartRepair:
     """Metres that the delivered surface sticks out of the solid made of it (99th percentile), before trimming."""
     shape_added: float
     """Metres that the solid's skin lies off the delivered surface (99th percentile): caps over open ends."""
-    notes: tuple[str, ...]
+    size_change: float = 0.0
+    """Metres by which the part's size differs from the delivered one, along the axis of its smallest box that differs
+    most; negative where the part became smaller."""
+    depth_losses: tuple[tuple[str, float], ...] = ()
+    """Neighbours in which the part sits less deep than before trimming, by name, and metres less; only those above
+    `WORTH_REPORTING`."""
+    notes: tuple[str, ...] = ()
     """All else that was changed, one line each."""
 
     @property
@@ -67,7 +79,17 @@ class PartRepair:
         )
         off = f"skin up to {self.shape_added * 1e3:.0f} mm off the delivered surface"
         filled = [off] if self.shape_added > 0.001 else []
-        return "; ".join([text, *filled, *self.notes])
+        return "; ".join([text, *filled, *self.changes, *self.notes])
+
+    @property
+    def changes(self) -> tuple[str, ...]:
+        """Changes of size, and losses of depth, above `WORTH_REPORTING`: one line each."""
+        lines = []
+        if abs(self.size_change) > WORTH_REPORTING:
+            how = "smaller" if self.size_change < 0.0 else "larger"
+            lines.append(f"{abs(self.size_change) * 1e3:.1f} mm {how} than delivered")
+        lines += [f"sits {loss * 1e3:.1f} mm less deep in '{other}'" for other, loss in self.depth_losses]
+        return tuple(lines)
 
 
 @dataclass(frozen=True)
@@ -124,6 +146,8 @@ def repair(parts: Sequence[RawPart], *, gap: float = GAP, limits: RepairLimits |
     for piece in pieces:
         if piece.body.num_tri() > limits.faces:
             piece.become(piece.body.simplify(tidy))
+    check_sizes(pieces, limits)
+    bodies = {piece.name: piece.body for piece in pieces}
     out, report = [], []
     for part, piece in zip(parts, pieces, strict=True):
         skin = to_surface(piece.body)
@@ -136,7 +160,17 @@ def repair(parts: Sequence[RawPart], *, gap: float = GAP, limits: RepairLimits |
                 how=piece.solid.how,
                 shape_error=piece.solid.shape_error,
                 shape_added=piece.solid.shape_added,
+                size_change=_size_change(part.mesh, skin.vertices),
+                depth_losses=piece.depth_losses(bodies, WORTH_REPORTING),
                 notes=(*piece.solid.notes, *dict.fromkeys(piece.notes)),
             )
         )
     return RepairResult(tuple(out), tuple(report))
+
+
+def _size_change(delivered: Mesh, points: Float[np.ndarray, "n 3"]) -> float:
+    """Metres by which the points' size differs from the mesh's, along the axis that differs most."""
+    before = clean(delivered.vertices, delivered.faces)[0].vertices
+    axes = box_axes(before)
+    change = extents(points, axes) - extents(before, axes)
+    return float(change[np.argmax(np.abs(change))])

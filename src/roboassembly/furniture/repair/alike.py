@@ -27,6 +27,8 @@ MAX_DEPTH = 0.002
 """Metres: deeper cuts are pockets and shortened ends, and are not made where no other part asks for them."""
 MAX_GROUPS = 4
 """Groups of turns that are tried: as many as a board has."""
+MAX_SHORTER = 0.001
+"""Metres of a part's size that its cuts in other turns, or those of parts like it, may take."""
 WORTH_TURNING = 0.001
 """Share of a part's volume that another turn must save."""
 MAX_FEATURED_FACES = 60_000
@@ -161,6 +163,8 @@ def _share_cuts(
         p: alike[p].placed(common, way).translate(tuple(m.tolist()))
         for p, way, m in zip(members, chosen, moved, strict=True)
     }
+    if any(pieces[p].shrinkage(body) > pieces[p].shrinkage(pieces[p].body) + MAX_SHORTER for p, body in fresh.items()):
+        return False
     shells = {p: Shell(to_surface(body)) for p, body in fresh.items()}
     if len(turns) > 1 and any(_depth(pieces[p].shell, shell) > MAX_DEPTH for p, shell in shells.items()):
         return False

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import manifold3d as m3
@@ -72,3 +73,20 @@ class Piece:
         if before is None:
             return 0.0
         return float((before - extents(engaged(body, other), self.axes))[before > 0.0].max())
+
+    def depth_losses(
+        self, bodies: Mapping[str, m3.Manifold], least: float, body: m3.Manifold | None = None
+    ) -> tuple[tuple[str, float], ...]:
+        """Neighbours in which this part sits less deep than before any trimming.
+
+        Args:
+            bodies: present solid of every part, by name.
+            least: losses up to so many metres are left out.
+            body: this part's solid; its present one if None.
+
+        Returns:
+            Name of the neighbour and metres lost, of each.
+        """
+        own = self.body if body is None else body
+        losses = ((other, self.depth_loss(own, other, bodies[other])) for other in self.depths)
+        return tuple((other, loss) for other, loss in losses if loss > least)

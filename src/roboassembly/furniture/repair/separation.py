@@ -67,7 +67,7 @@ def separate(pieces: list[Piece], gap: float, limits: RepairLimits, diagonal: fl
     for careful in (True, False):
         try:
             _separate(pieces, start, gap, limits, diagonal, careful)
-            _check_sizes(pieces, limits)
+            check_sizes(pieces, limits)
         except FurnitureError as problem:
             problems.append(problem)
         else:
@@ -91,7 +91,7 @@ def _separate(
     """
     weights = [1.0] * len(start)
     first: _TooMuchTrimmedError | None = None
-    for restarts in range(1 + RESTARTS):
+    for _ in range(1 + RESTARTS):
         pieces[:] = [
             replace(piece, notes=list(piece.notes), weight=weight) for piece, weight in zip(start, weights, strict=True)
         ]
@@ -131,7 +131,7 @@ def _try(pieces: list[Piece], gap: float, limits: RepairLimits, diagonal: float,
                 one.notes.append(f"no longer within {CONTACT_DISTANCE * 1e3:g} mm of '{other.name}'")
 
 
-def _check_sizes(pieces: list[Piece], limits: RepairLimits) -> None:
+def check_sizes(pieces: list[Piece], limits: RepairLimits) -> None:
     """Refuse what makes a part too small, or a joint too shallow.
 
     Raises:
@@ -141,8 +141,7 @@ def _check_sizes(pieces: list[Piece], limits: RepairLimits) -> None:
     worst: list[tuple[float, str]] = []
     for piece in pieces:
         worst.append((piece.shrinkage(piece.body), f"part '{piece.name}' would become {{}} mm smaller"))
-        for other in piece.depths:
-            loss = piece.depth_loss(piece.body, other, bodies[other])
+        for other, loss in piece.depth_losses(bodies, limits.shortening):
             worst.append((loss, f"part '{piece.name}' would sit {{}} mm less deep in '{other}'"))
     loss, text = max(worst)
     if loss > limits.shortening:
@@ -227,7 +226,7 @@ def _part(a: Piece, b: Piece, gap: float, limits: RepairLimits, careful: bool) -
             choices.append(_Choice(cost, trimmed, cutter, one))
     # To cut both leaves neither as it was meant: only where one of them has proved too dear.
     if max(a.weight, b.weight) > 1.0:
-        choices += [choice for pair in ((a, b), (b, a)) for choice in _shared(*pair, gap, limits)]
+        choices += [choice for pair in ((a, b), (b, a)) for choice in _shared(*pair, gap, limits, careful)]
     if not choices:
         share, piece = min(worst, key=lambda w: w[0])
         other = b if piece is a else a
@@ -255,7 +254,7 @@ def _cuts(trimmed: Piece, cutter: Piece, gap: float) -> list[Cut]:
     return cuts
 
 
-def _shared(trimmed: Piece, cutter: Piece, gap: float, limits: RepairLimits) -> list[_Choice]:
+def _shared(trimmed: Piece, cutter: Piece, gap: float, limits: RepairLimits, careful: bool) -> list[_Choice]:
     """Ways in which the cutter is cut short before it cuts."""
     out: list[_Choice] = []
     most = limits.trimmed * cutter.whole - cutter.removed
@@ -266,6 +265,8 @@ def _shared(trimmed: Piece, cutter: Piece, gap: float, limits: RepairLimits) -> 
         ]
         if max(shares) <= limits.trimmed and not shared.socket.body.is_empty():
             cost = cutter.weight * shares[0] / limits.trimmed + _cost(trimmed, shared.socket, limits)
+            if careful:
+                cost += _harm_cost(_harm(cutter, trimmed, shared.tip.body, shared.socket.body), goes_beyond=False)
             out.append(_Choice(cost, trimmed, cutter, shared.socket, shared.tip))
     return out
 
@@ -275,14 +276,20 @@ def _cost(piece: Piece, made: Cut, limits: RepairLimits) -> float:
     return piece.weight * share / limits.trimmed + 4.0 * (0.5 - min(0.5, made.freedom)) + 6.0 * made.splits
 
 
-def _harm(trimmed: Piece, cutter: Piece, body: m3.Manifold) -> float:
-    """Metres of size, or of the depth of the joint between the two, that are lost when `trimmed` becomes `body`."""
+def _harm(trimmed: Piece, cutter: Piece, body: m3.Manifold, other: m3.Manifold | None = None) -> float:
+    """Metres of size, or of the depth of the joint between two pieces, that a cut takes.
+
+    Args:
+        trimmed: becomes `body`.
+        cutter: becomes `other`, or stays as it is if None.
+    """
+    other = cutter.body if other is None else other
     smaller = trimmed.shrinkage(body)
     return max(
         0.0,
         smaller if smaller > trimmed.shrinkage(trimmed.body) + NOTHING else 0.0,
-        trimmed.depth_loss(body, cutter.name, cutter.body),
-        cutter.depth_loss(cutter.body, trimmed.name, body),
+        trimmed.depth_loss(body, cutter.name, other),
+        cutter.depth_loss(other, trimmed.name, body),
     )
 
 
