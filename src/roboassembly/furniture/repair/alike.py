@@ -27,6 +27,8 @@ MAX_DEPTH = 0.002
 """Metres: deeper cuts are pockets and shortened ends, and are not made where no other part asks for them."""
 MAX_GROUPS = 4
 """Groups of turns that are tried: as many as a board has."""
+MAX_TURNED = 12_000
+"""Triangles of a part, times its turns: intersecting more of them takes minutes."""
 MAX_SHORTER = 0.001
 """Metres of a part's size that its cuts in other turns, or those of parts like it, may take."""
 WORTH_TURNING = 0.001
@@ -135,6 +137,8 @@ def _share_cuts(
     unmoved = [pieces[p].body.translate(tuple((-m).tolist())) for p, m in zip(members, moved, strict=True)]
     if _still_alike(unmoved, turns):
         return True
+    if len(turns) > 1 and unmoved[0].num_tri() * len(turns) > MAX_TURNED:
+        return False
     common, chosen = _in_all_turns(unmoved[0], alike[master], turns, tidy), [0]
     whole = pieces[master].whole
     extra = min(body.volume() for body in unmoved) - common.volume()
