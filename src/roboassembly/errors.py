@@ -23,6 +23,10 @@ class InputError(RoboAssemblyError):
     """Something handed in cannot be used; the command line answers with exit status 2."""
 
 
+class ArgumentError(InputError, ValueError):
+    """An argument of a class or function has a value that it cannot have."""
+
+
 class FurnitureError(InputError):
     """Furniture, or a file that should hold some, breaks a rule of the format or of geometry."""
 
