@@ -334,14 +334,6 @@ def test_names_cannot_break_the_page(tmp_path):
 # Pictures
 
 
-@pytest.fixture(scope="module")
-def drawing():
-    try:
-        gl.context_module()
-    except RenderingUnavailableError as error:
-        pytest.skip(str(error))
-
-
 @pytest.fixture
 def fresh_choice():
     gl.context_module.cache_clear()

@@ -54,18 +54,18 @@ def checked_number(action: object, size: int) -> int:
     return int(value)
 
 
-def checked_integer(name: str, value: object, low: int, high: int | None = None) -> int:
+def checked_integer(name: str, value: object, low: int, high: int) -> int:
     """An argument that is an integer within a range.
 
     Raises:
         TypeError: no integer.
         ArgumentError: out of range.
     """
-    wanted = f"{low} or more" if high is None else f"{low} to {high}"
+    wanted = f"{low} to {high} would do"
     if isinstance(value, bool) or not isinstance(value, int | np.integer):
-        raise TypeError(f"{name} is {shortened(value)}; an integer, {wanted}, would do")
-    if value < low or (high is not None and value > high):
-        raise ArgumentError(f"{name} is {value}; {wanted} would do")
+        raise TypeError(f"{name} is {shortened(value)}; an integer, {wanted}")
+    if not low <= value <= high:
+        raise ArgumentError(f"{name} is {value}; {wanted}")
     return int(value)
 
 
@@ -93,7 +93,7 @@ def checked_piece(options: object, pieces: int) -> int | None:
 
 def shortened(value: object) -> str:
     """One line that shows a value."""
-    text = " ".join(repr(value).split())
+    text = " ".join(repr(value.item() if isinstance(value, np.generic) else value).split())
     return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 3]}..."
 
 

@@ -28,9 +28,9 @@ FurnitureLike = Furniture | str | os.PathLike[str]
 MERGE_REWARD = 1.0
 COMPLETION_REWARD = 4.0
 """On top of the last merge's reward, when all parts are in one group."""
+LARGEST_CLOUD = 65_536
+"""Points of a part's cloud, at most."""
 State = TypeVar("State")
-
-
 ATask = TypeVar("ATask", bound=Task[Any, Any])
 AnOutcome = TypeVar("AnOutcome", bound=Outcome[Any, Any])
 
@@ -64,7 +64,7 @@ class AssemblyEnv(gymnasium.Env[Observation, np.ndarray], Generic[ATask, State, 
     ) -> None:  # fmt: skip
         max_parts = checked_integer("max_parts", max_parts, 1, MAX_PARTS)
         max_points = checked_integer("max_points", max_points, 1, MAX_POINTS)
-        cloud_points = checked_integer("cloud_points", cloud_points, 1)
+        cloud_points = checked_integer("cloud_points", cloud_points, 1, LARGEST_CLOUD)
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
             raise UnsupportedMode(f"render_mode is {render_mode!r}; 'rgb_array' or None would do")
         for task in tasks:
