@@ -249,6 +249,14 @@ def try_actions(count: int, seed: int, env: gymnasium.Env[Any, Any], shape: tupl
     assert refused > count / 2
 
 
+def try_all_actions(count: int, kind: type[AssemblyEnv[Any, Any, Any]], stool) -> None:
+    """`count` actions each: of the class itself, as Gymnasium makes it, and numbered."""
+    name = OBJECT_CENTRIC if kind is ObjectCentricEnv else FULL
+    envs = (kind(stool), gymnasium.make(name, furniture=stool), DiscreteActions(kind(stool)))  # pyright: ignore[reportCallIssue]
+    for seed, env in enumerate(envs):
+        try_actions(count, seed, env, tuple(envs[0].action_space.nvec))
+
+
 def try_arguments(count: int, seed: int, kind: type[AssemblyEnv[Any, Any, Any]], stool) -> None:
     """An environment that can be reset, or one line with the error that Python or Gymnasium has for it."""
     rng = np.random.default_rng(seed)
@@ -321,10 +329,7 @@ def test_broken_checkpoints(stool, tmp_path):
 
 @pytest.mark.parametrize("kind", [ObjectCentricEnv, FullEnv])
 def test_actions_of_every_kind(kind, small_stool):
-    shape = tuple(kind(small_stool).action_space.nvec)
-    try_actions(400, 0, kind(small_stool), shape)
-    try_actions(100, 1, gymnasium.make(OBJECT_CENTRIC if kind is ObjectCentricEnv else FULL, furniture=small_stool), shape)
-    try_actions(100, 2, DiscreteActions(kind(small_stool)), shape)
+    try_all_actions(100, kind, small_stool)
 
 
 @pytest.mark.parametrize("kind", [ObjectCentricEnv, FullEnv])
@@ -352,6 +357,13 @@ def test_many_broken_furniture_folders(seed, stool, tmp_path):
 @pytest.mark.parametrize("seed", range(1, 3))
 def test_many_broken_checkpoints(seed, stool, tmp_path):
     try_checkpoints(1_000, seed, stool, tmp_path)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", [ObjectCentricEnv, FullEnv])
+def test_many_actions_of_every_kind(kind, small_stool):
+    try_all_actions(1_000, kind, small_stool)
+    try_arguments(1_000, 1, kind, small_stool)
 
 
 @pytest.mark.slow
