@@ -49,7 +49,7 @@ class MissingExtraError(RoboAssemblyError):
     """An optional dependency is needed and not installed."""
 
     def __init__(self, package: str, extra: str) -> None:
-        super().__init__(f"'{package}' is not installed; install it with: pip install 'roboassembly[{extra}]'")
+        super().__init__(f"'{package}' is not installed; run in the source folder: python -m pip install '.[{extra}]'")
 
 
 class MissingRobotError(RoboAssemblyError):
