@@ -7,9 +7,9 @@ import numpy as np
 from roboassembly.gripper import hand_bodies
 from roboassembly.meshes import Mesh
 from roboassembly.poses import SE3
-from roboassembly.viewer.colors import Color
+from roboassembly.rendering.camera import box_corners
+from roboassembly.rendering.colors import Color
 from roboassembly.viewer.film import render_meshes
-from roboassembly.viewer.framing import box_corners
 
 Piece = tuple[Mesh, SE3, Color]
 PALM, FINGER = (0.86, 0.88, 0.90), (0.25, 0.28, 0.32)

@@ -25,9 +25,9 @@ from roboassembly.furniture.model import Furniture
 from roboassembly.learning.evaluate import failure_of
 from roboassembly.learning.players import Episode
 from roboassembly.poses import SE3
+from roboassembly.rendering.colors import Color
 from roboassembly.task.groups import Group, TaskState
 from roboassembly.task.joining import hold
-from roboassembly.viewer.colors import Color
 
 WIDTH, HEIGHT = 480, 340
 MOVED, WAITING, OTHER = (0.30, 0.50, 0.80), (0.88, 0.55, 0.25), (0.80, 0.80, 0.78)

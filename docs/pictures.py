@@ -16,11 +16,11 @@ from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS, Furniture, Part
 from roboassembly.gripper import hand_pose
 from roboassembly.learning.loading import load_policy
 from roboassembly.poses import SE3
+from roboassembly.rendering.colors import WOOD
 from roboassembly.solvers.oracle import Oracle
 from roboassembly.solvers.search import solve, solve_full
 from roboassembly.task.groups import TaskState
 from roboassembly.task.object_centric import ObjectCentricTask
-from roboassembly.viewer.colors import WOOD
 from roboassembly.viewer.film import render_contact_sheet, render_meshes, write_film, write_storyboard
 from roboassembly.viewer.playing import AnyPlan
 

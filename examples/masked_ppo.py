@@ -1,6 +1,6 @@
 """A policy learnt with PyTorch and the MaskablePPO of sb3-contrib, in one file: network, training, `policy(seed)`.
 
-    pip install 'roboassembly[rl]'
+    python -m pip install '.[rl]'                                # in the source folder
     python examples/masked_ppo.py                                # some minutes on one core
     python examples/masked_ppo.py --setting full --steps 4000    # goes on from there: which hands
     roboassembly generate three_legged --seed 3 --out stools/three_legged-3

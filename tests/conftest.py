@@ -17,6 +17,7 @@ from roboassembly.furniture import catalogue, datasets
 from roboassembly.furniture.annotate import annotate
 from roboassembly.furniture.generate import generate
 from roboassembly.furniture.model import Furniture, Provenance
+from roboassembly.rendering import gl
 from roboassembly.solvers.disassembly import Disassembly, partition_of
 from roboassembly.solvers.options import grasping
 from roboassembly.task.full import FullTask
@@ -86,6 +87,15 @@ def two_merges(chair) -> FullPlan:
         state = outcome.state
         steps.append(outcome.step)
     return FullPlan(task.furniture, initial, tuple(steps), False, 0)
+
+
+@pytest.fixture(scope="session")
+def drawing() -> None:
+    """Skips where there is no off-screen OpenGL."""
+    try:
+        gl.context_module()
+    except gl.RenderingUnavailableError as error:
+        pytest.skip(str(error))
 
 
 @pytest.fixture(scope="session")

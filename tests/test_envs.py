@@ -101,11 +101,9 @@ def right_action(env: AnEnv) -> tuple[int, ...]:
 
 
 def test_gymnasium_checker(env: AnEnv) -> None:
+    """Pictures: `test_gymnasium.py`."""
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        warnings.filterwarnings("ignore", message=".*not within the observation space bounds.*infinity.*")
-        warnings.filterwarnings("ignore", message=".*render_modes.*|.*No render modes.*|.*render modes.*")
-        warnings.filterwarnings("ignore", message=".*env.spec.*|.*spec.*")
         check_env(env, skip_render_check=True)
 
 
@@ -190,7 +188,7 @@ def test_mask_by_the_book(env: AnEnv, furniture: Furniture) -> None:
     ways = [[g * h for h in grasps] if isinstance(env, FullEnv) else [6] * len(points) for g in grasps]
     expected = sum(a * b * ways[i][j] for i, a in enumerate(points) for j, b in enumerate(points) if i != j)
     assert mask.sum() == expected
-    np.testing.assert_array_equal(mask, env.action_masks())
+    np.testing.assert_array_equal(mask, env.action_mask)
 
 
 def test_mask_does_not_leak_the_answer(env: AnEnv, furniture: Furniture) -> None:
@@ -229,7 +227,7 @@ def _is_right(env: AnEnv, action: np.ndarray) -> bool:
 def test_wrong_pairs_end_the_episode_and_change_nothing(env: AnEnv) -> None:
     env.reset(seed=0)
     rng = np.random.default_rng(0)
-    choices = np.argwhere(env.action_masks())
+    choices = np.argwhere(env.action_mask)
     wrong = 0
     for action in choices[rng.permutation(len(choices))[:40]]:
         if isinstance(env, FullEnv) and _is_right(env, action):
@@ -253,7 +251,7 @@ def test_seeds_reproduce_episodes(env: AnEnv) -> None:
         for _ in range(1 if isinstance(env, FullEnv) else 2):
             observation, *_ = env.step(np.array(right_action(env)))
             seen.append(observation["poses"])
-        choices = np.argwhere(env.action_masks())
+        choices = np.argwhere(env.action_mask)
         observation, *_ = env.step(choices[rng.integers(len(choices))])
         return [*seen, observation["poses"]]
 

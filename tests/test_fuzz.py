@@ -11,11 +11,16 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
+import gymnasium
 import numpy as np
 import pytest
 
 from roboassembly.cli import main
+from roboassembly.envs import FULL, OBJECT_CENTRIC
+from roboassembly.envs.assembly import AssemblyEnv
+from roboassembly.envs.full import FullEnv
 from roboassembly.envs.object_centric import ObjectCentricEnv
+from roboassembly.envs.wrappers import DiscreteActions
 from roboassembly.errors import FurnitureError, InputError
 from roboassembly.furniture import catalogue, storage
 from roboassembly.learning.loading import load_policy
@@ -39,6 +44,11 @@ WORDS = (
 @pytest.fixture(scope="module")
 def stool():
     return catalogue.make("stool")
+
+
+@pytest.fixture(scope="module")
+def small_stool():
+    return catalogue.make("three_legged", 3)
 
 
 def nodes(document: Any, above: tuple = ()) -> Iterator[tuple]:
@@ -198,6 +208,71 @@ def try_checkpoints(count: int, seed: int, stool, folder: Path) -> None:
         check_checkpoint(path, env)
 
 
+def odd_action(rng: np.random.Generator, shape: tuple[int, ...]) -> Any:
+    """Something that is no action of an environment with these numbers of choices, or by chance one."""
+    match rng.integers(6):
+        case 0:
+            return copy.deepcopy(ODD[rng.integers(len(ODD))])
+        case 1:
+            return [copy.deepcopy(ODD[i]) for i in rng.integers(len(ODD), size=len(shape))]
+        case 2:
+            return rng.integers(-1, 30, tuple(rng.integers(0, 8, rng.integers(0, 3))))
+        case 3:
+            return rng.uniform(-2.0, 20.0, len(shape)).astype(str(rng.choice(["f2", "f4", "f8", "c8", "U3", "?"])))
+        case 4:
+            return rng.integers(-(2**62), 2**62, len(shape))
+        case _:
+            return [int(rng.integers(-1, n + 1)) for n in shape]
+
+
+def try_actions(count: int, seed: int, env: gymnasium.Env[Any, Any], shape: tuple[int, ...]) -> None:
+    """An action is carried out, or it is refused and nothing has happened."""
+    rng, own = np.random.default_rng(seed), env.unwrapped
+    assert isinstance(own, AssemblyEnv)
+    refused, over = 0, True
+    for _ in range(count):
+        if over:
+            env.reset(seed=int(rng.integers(100)))
+        state, generator = own.state, own.np_random.bit_generator.state
+        action = odd_action(rng, shape)
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            try:
+                _, _, over, _, info = env.step(action)
+            except gymnasium.error.InvalidAction as error:
+                one_line(error)
+                over, refused = False, refused + 1
+                assert own.state is state
+                assert own.np_random.bit_generator.state == generator
+                continue
+        assert info["verdict"] in (*Verdict, *FullVerdict)
+    assert refused > count / 2
+
+
+def try_all_actions(count: int, kind: type[AssemblyEnv[Any, Any, Any]], stool) -> None:
+    """`count` actions each: of the class itself, as Gymnasium makes it, and numbered."""
+    name = OBJECT_CENTRIC if kind is ObjectCentricEnv else FULL
+    envs = (kind(stool), gymnasium.make(name, furniture=stool), DiscreteActions(kind(stool)))  # pyright: ignore[reportCallIssue]
+    for seed, env in enumerate(envs):
+        try_actions(count, seed, env, tuple(envs[0].action_space.nvec))
+
+
+def try_arguments(count: int, seed: int, kind: type[AssemblyEnv[Any, Any, Any]], stool) -> None:
+    """An environment that can be reset, or one line with the error that Python or Gymnasium has for it."""
+    rng = np.random.default_rng(seed)
+    names = ("max_parts", "max_points", "cloud_points", "render_mode", "width", "height")
+    for _ in range(count):
+        arguments = {name: ODD[rng.integers(len(ODD))] for name in rng.choice(names, rng.integers(3), replace=False)}
+        furniture: Any = stool if rng.random() < 0.7 else ODD[rng.integers(len(ODD))]
+        options = {} if rng.random() < 0.7 else {"furniture": ODD[rng.integers(len(ODD))]}
+        try:
+            observation, _ = kind(furniture, **arguments).reset(seed=0, options=options)  # pyright: ignore[reportCallIssue]
+        except (TypeError, ValueError, InputError, gymnasium.error.UnsupportedMode) as error:
+            one_line(error)
+        else:
+            assert observation["poses"].any()
+
+
 COMMANDS: dict[str, tuple[str, ...]] = {
     "assemble": ("--setting", "--execution", "--seed", "--out", "--policy", "--no-search", "--no-film", "--json"),
     "import": ("--out", "--scale", "--up", "--jobs", "--no-cache", "--json"),
@@ -252,6 +327,16 @@ def test_broken_checkpoints(stool, tmp_path):
     try_checkpoints(60, 0, stool, tmp_path)
 
 
+@pytest.mark.parametrize("kind", [ObjectCentricEnv, FullEnv])
+def test_actions_of_every_kind(kind, small_stool):
+    try_all_actions(100, kind, small_stool)
+
+
+@pytest.mark.parametrize("kind", [ObjectCentricEnv, FullEnv])
+def test_arguments_of_every_kind(kind, small_stool):
+    try_arguments(60, 0, kind, small_stool)
+
+
 def test_wrong_command_lines(tmp_path, capsys, monkeypatch):
     try_command_lines(60, 0, capsys, monkeypatch, tmp_path)
 
@@ -272,6 +357,13 @@ def test_many_broken_furniture_folders(seed, stool, tmp_path):
 @pytest.mark.parametrize("seed", range(1, 3))
 def test_many_broken_checkpoints(seed, stool, tmp_path):
     try_checkpoints(1_000, seed, stool, tmp_path)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", [ObjectCentricEnv, FullEnv])
+def test_many_actions_of_every_kind(kind, small_stool):
+    try_all_actions(1_000, kind, small_stool)
+    try_arguments(1_000, 1, kind, small_stool)
 
 
 @pytest.mark.slow

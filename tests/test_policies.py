@@ -271,7 +271,7 @@ def test_a_policy_guides_the_search() -> None:
 def test_a_guide_suggests_what_exists_the_best_first(params: dict) -> None:
     env = ObjectCentricEnv("cantilever:1")
     env.reset(seed=0)
-    mask = env.action_masks()
+    mask = env.action_mask
     suggestions = guide_of(RelationalPolicy(params))(env.task, env.state)
     assert 5 <= len(suggestions) <= 32
     assert all(mask[s.action] and 0.0 < s.score < 1.0 for s in suggestions)

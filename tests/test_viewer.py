@@ -19,8 +19,12 @@ from roboassembly.errors import InputError
 from roboassembly.furniture.model import Connection, ConnectionPoint, Furniture, Part, ShapeClass
 from roboassembly.meshes import Mesh
 from roboassembly.poses import SE3, transform_points
+from roboassembly.rendering import gl
+from roboassembly.rendering.camera import View, fit, project
+from roboassembly.rendering.colors import Role
+from roboassembly.rendering.offscreen import OffscreenRenderer, soften_edges
+from roboassembly.rendering.shading import shade
 from roboassembly.task.plan import Plan, PlanStep
-from roboassembly.viewer import gl
 from roboassembly.viewer.film import (
     RenderingUnavailableError,
     render_contact_sheet,
@@ -29,11 +33,9 @@ from roboassembly.viewer.film import (
     write_film,
     write_storyboard,
 )
-from roboassembly.viewer.framing import View, fit, follow, project
+from roboassembly.viewer.framing import follow
 from roboassembly.viewer.html import write_html
-from roboassembly.viewer.shading import shade
-from roboassembly.viewer.stage import Stage, soften_edges
-from roboassembly.viewer.timeline import Phase, Role, make_timeline, speed_profile
+from roboassembly.viewer.timeline import Phase, make_timeline, speed_profile
 
 EYE = np.eye(3)
 UPSIDE_DOWN = np.diag([1.0, -1.0, -1.0])
@@ -332,14 +334,6 @@ def test_names_cannot_break_the_page(tmp_path):
 # Pictures
 
 
-@pytest.fixture(scope="module")
-def drawing():
-    try:
-        gl.context_module()
-    except RenderingUnavailableError as error:
-        pytest.skip(str(error))
-
-
 @pytest.fixture
 def fresh_choice():
     gl.context_module.cache_clear()
@@ -375,7 +369,7 @@ def test_a_box_is_drawn_where_the_projection_says(drawing):
     corners = transform_points(pose, mesh.vertices)
     width, height = 320, 240
     view = View(np.array([0.2, 0.1, 0.7]), 2.5, azimuth=0.7, elevation=-0.3)
-    with Stage([mesh], width, height, center=view.target, radius=1.0) as stage:
+    with OffscreenRenderer([mesh], width, height, center=view.target, radius=1.0) as stage:
         picture = stage.picture([pose], [(1.0, 0.0, 0.0)], view).astype(int)
         drawn = stage.vertices(0)
     assert np.linalg.norm(drawn[:, None] - corners[None], axis=2).min(axis=1).max() < 1e-5
@@ -396,7 +390,7 @@ def test_any_mesh_can_be_drawn(drawing):
     sliver = Mesh(np.array([[0, 0, 0], [1, 0, 0], [0.5, 1e-4, 0]], float), np.array([[0, 1, 2], [0, 1, 1]]))
     view = View(np.zeros(3), 5.0)
     poses = [at(0, 0, 0.5)] * 4
-    with Stage([flat, inside_out, double, sliver], 64, 64, center=np.zeros(3), radius=2.0) as stage:
+    with OffscreenRenderer([flat, inside_out, double, sliver], 64, 64, center=np.zeros(3), radius=2.0) as stage:
         picture = stage.picture(poses, [(1.0, 0.0, 0.0)] * 4, view).astype(int)
     assert (picture[:, :, 0] > picture[:, :, 1] + 60).any()
 

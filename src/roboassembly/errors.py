@@ -23,6 +23,10 @@ class InputError(RoboAssemblyError):
     """Something handed in cannot be used; the command line answers with exit status 2."""
 
 
+class ArgumentError(InputError, ValueError):
+    """An argument of a class or function has a value that it cannot have."""
+
+
 class FurnitureError(InputError):
     """Furniture, or a file that should hold some, breaks a rule of the format or of geometry."""
 
@@ -45,7 +49,7 @@ class MissingExtraError(RoboAssemblyError):
     """An optional dependency is needed and not installed."""
 
     def __init__(self, package: str, extra: str) -> None:
-        super().__init__(f"'{package}' is not installed; install it with: pip install 'roboassembly[{extra}]'")
+        super().__init__(f"'{package}' is not installed; run in the source folder: python -m pip install '.[{extra}]'")
 
 
 class MissingRobotError(RoboAssemblyError):

@@ -147,9 +147,9 @@ class Assemble:
 
     def _write(self, result: SearchResult[Any], solved: float) -> dict[str, str]:
         from roboassembly.furniture import storage
+        from roboassembly.rendering.gl import RenderingUnavailableError
         from roboassembly.task import plan_file
         from roboassembly.viewer.film import write_film
-        from roboassembly.viewer.gl import RenderingUnavailableError
         from roboassembly.viewer.html import write_html
 
         folder = writable_folder(self.out)

@@ -1,29 +1,36 @@
-"""What both environments share: episodes of one or several pieces, rewards, masks and what they tell."""
+"""What both environments share: episodes of one or several pieces, rewards, masks, pictures and errors."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any, Generic, TypeVar
+import os
+from collections.abc import Iterable, Sequence
+from typing import Any, ClassVar, Generic, NoReturn, TypeVar
 
 import gymnasium
 import numpy as np
 from gymnasium import spaces
-from jaxtyping import Bool
+from gymnasium.error import ResetNeeded, UnsupportedMode
+from jaxtyping import Bool, UInt8
 
+from roboassembly.envs.arguments import checked_action, checked_integer, checked_piece, shortened
 from roboassembly.envs.observation import Observation, Observer, observation_space
-from roboassembly.errors import InputError
+from roboassembly.envs.pictures import EpisodePictures, Item
+from roboassembly.errors import ArgumentError
 from roboassembly.furniture import catalogue
 from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS, Furniture
+from roboassembly.rendering.colors import Role
 from roboassembly.task.groups import TaskState
 from roboassembly.task.rules import Rules
 from roboassembly.task.setting import Outcome, Task
 
+FurnitureLike = Furniture | str | os.PathLike[str]
+"""Furniture, its name as in `roboassembly assemble`, or its folder."""
 MERGE_REWARD = 1.0
 COMPLETION_REWARD = 4.0
 """On top of the last merge's reward, when all parts are in one group."""
+LARGEST_CLOUD = 65_536
+"""Points of a part's cloud, at most."""
 State = TypeVar("State")
-
-
 ATask = TypeVar("ATask", bound=Task[Any, Any])
 AnOutcome = TypeVar("AnOutcome", bound=Outcome[Any, Any])
 
@@ -32,32 +39,50 @@ class AssemblyEnv(gymnasium.Env[Observation, np.ndarray], Generic[ATask, State, 
     """Join parts until the furniture stands; one wrong or infeasible choice ends the episode.
 
     Args:
-        tasks: one a piece of furniture.
-        ways: how many values each component of an action after `(u, v, k, l)` has.
+        tasks: one for each piece of furniture.
+        ways: number of values of each component of an action after `(u, v, k, l)`.
         max_parts: padding P of spaces.
         max_points: padding K.
-        cloud_points: points C of each part's cloud.
+        cloud_points: number C of points in each part's cloud.
+        render_mode: None, or `"rgb_array"` for pictures.
+        width: of pictures, pixels.
+        height: of pictures, pixels.
 
     Raises:
-        InputError: furniture that exceeds the paddings.
+        ArgumentError: a value that is out of range, or furniture that exceeds the paddings.
+        TypeError: a padding or number of points that is no integer.
+        gymnasium.error.UnsupportedMode: an unknown render mode.
     """
 
-    metadata = {"render_modes": []}  # noqa: RUF012 (Gymnasium's own form)
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 2}  # noqa: RUF012 (Gymnasium's own form)
+    components: ClassVar[tuple[str, ...]]
+    """Names of an action's components."""
 
     def __init__(
-        self, tasks: Sequence[ATask], ways: tuple[int, ...], max_parts: int, max_points: int, cloud_points: int
-    ) -> None:
+        self, tasks: Sequence[ATask], ways: tuple[int, ...], max_parts: int, max_points: int, cloud_points: int,
+        render_mode: str | None, width: int, height: int,
+    ) -> None:  # fmt: skip
+        max_parts = checked_integer("max_parts", max_parts, 1, MAX_PARTS)
+        max_points = checked_integer("max_points", max_points, 1, MAX_POINTS)
+        cloud_points = checked_integer("cloud_points", cloud_points, 1, LARGEST_CLOUD)
+        if render_mode is not None and render_mode not in self.metadata["render_modes"]:
+            raise UnsupportedMode(f"render_mode is {render_mode!r}; 'rgb_array' or None would do")
         for task in tasks:
             _check_padding(task.furniture, max_parts, max_points)
+        self.render_mode = render_mode
         self.tasks = tuple(tasks)
         self._observers = tuple(Observer(t.furniture, max_parts, max_points, cloud_points) for t in tasks)
         self._padding = (max_parts, max_points)
+        self._sizes = (max_parts, max_parts, max_points, max_points, *ways)
         self._current = 0
         self._state: State | None = None
         self._outcome: AnOutcome | None = None
+        self._ending: str | None = None
         self._mask: Bool[np.ndarray, "P P K K ..."] | None = None
+        self._roles: dict[int, Role] = {}
+        self._pictures = EpisodePictures(width, height)
         self.observation_space = observation_space(max_parts, max_points, cloud_points)  # pyright: ignore[reportAttributeAccessIssue]
-        self.action_space = spaces.MultiDiscrete([max_parts, max_parts, max_points, max_points, *ways])
+        self.action_space = spaces.MultiDiscrete(list(self._sizes))
 
     @property
     def task(self) -> ATask:
@@ -72,7 +97,7 @@ class AssemblyEnv(gymnasium.Env[Observation, np.ndarray], Generic[ATask, State, 
             gymnasium.error.ResetNeeded: before the first `reset`.
         """
         if self._state is None:
-            raise gymnasium.error.ResetNeeded("call reset() before anything else")
+            raise ResetNeeded("the environment has no state yet; call reset() first")
         return self._state
 
     @property
@@ -86,36 +111,81 @@ class AssemblyEnv(gymnasium.Env[Observation, np.ndarray], Generic[ATask, State, 
         """Lay the parts out anew. `options={"furniture": index}` picks the piece.
 
         Raises:
-            InputError: no such piece, or it does not suit the setting.
+            ArgumentError: an unknown option, or no such piece.
+            TypeError: options that are no dictionary.
+            InputError: the piece does not suit the setting.
         """
+        index = checked_piece(options, len(self.tasks))
         super().reset(seed=seed)
-        wanted = (options or {}).get("furniture")
-        if wanted is None:
-            self._current = int(self.np_random.integers(len(self.tasks)))
-        elif isinstance(wanted, int | np.integer) and 0 <= wanted < len(self.tasks):
-            self._current = int(wanted)
-        else:
-            raise InputError(f"options['furniture'] is {wanted!r}; an index from 0 to {len(self.tasks) - 1} would do")
-        self._outcome = None
+        self._current = int(self.np_random.integers(len(self.tasks))) if index is None else index
+        self._state, self._outcome, self._ending, self._roles = None, None, None, {}
+        self._pictures.start()
         return self._enter(self.task.initial_state(self.np_random)), self._info("", 0)
 
     def step(self, action: np.ndarray) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Carry out one action."""
-        names = tuple(int(a) for a in action)
-        outcome: Any = self.task.step(self.state, names, int(self.np_random.integers(2**31 - 1)))
-        self._outcome = outcome
+        """Carry out one action. One that is within the action space and does not exist ends the episode.
+
+        Raises:
+            gymnasium.error.ResetNeeded: before the first `reset`, or after the end of the episode.
+            gymnasium.error.InvalidAction: an action that is not within the action space.
+        """
+        state = self.state
+        if self._ending is not None:
+            raise ResetNeeded(f"the episode is over (its last verdict is '{self._ending}'); call reset() first")
+        choice = checked_action(action, self._sizes, self.components)
+        roles = self._roles_of(choice)
+        outcome: Any = self.task.step(state, choice, int(self.np_random.integers(2**31 - 1)))
+        self._outcome, self._roles = outcome, roles
         merged = outcome.step is not None
         observation = self._enter(outcome.state)
         done = merged and self._joined.complete
+        over = done or not merged
+        self._ending = str(outcome.verdict) if over else None
         reward = MERGE_REWARD * merged + COMPLETION_REWARD * done
         info = self._info(str(outcome.verdict), outcome.planning_steps)
-        return observation, float(reward), done or not merged, False, info
+        return observation, float(reward), over, False, info
 
-    def action_masks(self) -> Bool[np.ndarray, "P P K K ..."]:
-        """Which actions exist: both parts there and in different groups, both points there and free."""
+    def render(self) -> UInt8[np.ndarray, "height width 3"] | None:  # pyright: ignore[reportIncompatibleMethodOverride]
+        """Draw the present state: what the last action moved is orange, what it moved that to is green.
+
+        Returns:
+            The picture; None if the environment was made without a render mode.
+
+        Raises:
+            gymnasium.error.ResetNeeded: before the first `reset`.
+            RenderingUnavailableError: this machine cannot draw off screen; the message says what to install.
+        """
+        if self.render_mode is None:
+            gymnasium.logger.warn(
+                "render() was called, but the environment was made without a render mode; "
+                'pass one to gymnasium.make(..., render_mode="rgb_array")'
+            )
+            return None
+        _ = self.state
+        return self._pictures.draw(self._items())
+
+    def close(self) -> None:
+        """Free what drawing holds."""
+        self._pictures.close()
+
+    @property
+    def action_mask(self) -> Bool[np.ndarray, "P P K K ..."]:
+        """The mask of actions that exist: both parts there and in different groups, both points there and free."""
         if self._mask is None:
             self._mask = self._existing(self.task, self.state)
         return self._mask.copy()
+
+    def action_masks(self) -> NoReturn:
+        """Tell learners that ask for masks to wrap the environment.
+
+        Raises:
+            gymnasium.error.Error: always. MaskablePPO of sb3-contrib calls this method and takes a mask for each
+                component of a `MultiDiscrete` action alone, which cannot say which combinations exist.
+        """
+        raise gymnasium.error.Error(
+            f"masks of {type(self).__name__} are for whole actions, not for single components; wrap the environment: "
+            "roboassembly.envs.wrappers.DiscreteActions(env), which has action_masks(); or read info['action_mask']"
+        )
 
     def _existing(self, task: ATask, state: State) -> Bool[np.ndarray, "P P K K ..."]:
         """The mask of a state."""
@@ -128,7 +198,23 @@ class AssemblyEnv(gymnasium.Env[Observation, np.ndarray], Generic[ATask, State, 
     def _enter(self, state: State) -> Observation:
         if state is not self._state:
             self._state, self._mask = state, None
+            if self.render_mode is not None:
+                self._pictures.add(self._items())
         return self._observers[self._current].observe(self._joined)
+
+    def _roles_of(self, action: tuple[int, ...]) -> dict[int, Role]:
+        """Roles of the parts of both groups that an action names, if it names two."""
+        joined = self._joined
+        u, v = (joined.group_of.get(part) for part in action[:2])
+        if u is None or v is None or u == v:
+            return {}
+        groups = (joined.groups[u].parts, Role.MOVING), (joined.groups[v].parts, Role.WAITING)
+        return {part: role for parts, role in groups for part in parts}
+
+    def _items(self) -> list[Item]:
+        """What a picture of the present state shows."""
+        parts = zip(self.task.furniture.parts, self._joined.part_poses, strict=True)
+        return [Item(part.mesh, pose, self._roles.get(p, Role.IDLE)) for p, (part, pose) in enumerate(parts)]
 
     def _info(self, verdict: str, planning_steps: int) -> dict[str, Any]:
         return {
@@ -137,20 +223,31 @@ class AssemblyEnv(gymnasium.Env[Observation, np.ndarray], Generic[ATask, State, 
             "planning_steps": planning_steps,
             "groups": len(self._joined.groups),
             "furniture": self.task.furniture.name,
-            "action_mask": self.action_masks(),
+            "action_mask": self.action_mask,
         }
 
 
-def pieces_of(furniture: Furniture | str | Sequence[Furniture | str]) -> list[Furniture]:
+def pieces_of(furniture: FurnitureLike | Iterable[FurnitureLike]) -> list[Furniture]:
     """Furniture, or names or folders as in `roboassembly assemble`; one or several.
 
     Raises:
-        InputError: none, or something that is not there.
+        TypeError: something else.
+        ArgumentError: none.
+        InputError: a name or folder that is not there, or a folder without valid furniture.
     """
-    several = [furniture] if isinstance(furniture, Furniture | str) else list(furniture)
-    if not several:
-        raise InputError("no furniture given; name at least one piece")
-    return [catalogue.find(f) if isinstance(f, str) else f for f in several]
+    several = [furniture] if isinstance(furniture, Furniture | str | os.PathLike) else furniture
+    if not isinstance(several, Iterable):
+        raise TypeError(
+            f"furniture is {shortened(furniture)}; a name, a folder, a Furniture, or a list of them would do"
+        )
+    pieces = []
+    for piece in several:
+        if not isinstance(piece, Furniture | str | os.PathLike):
+            raise TypeError(f"furniture contains {shortened(piece)}; names, folders and objects of Furniture would do")
+        pieces.append(piece if isinstance(piece, Furniture) else catalogue.find(os.fspath(piece)))
+    if not pieces:
+        raise ArgumentError("no furniture given; name at least one piece")
+    return pieces
 
 
 def existing_pairs(
@@ -167,10 +264,8 @@ def existing_pairs(
 
 def _check_padding(piece: Furniture, max_parts: int, max_points: int) -> None:
     points = max(len(p.points) for p in piece.parts)
-    if not (1 <= max_parts <= MAX_PARTS and 1 <= max_points <= MAX_POINTS):
-        raise InputError(f"max_parts {max_parts} and max_points {max_points}: 1 to {MAX_PARTS} and 1 to {MAX_POINTS}")
     if len(piece.parts) > max_parts or points > max_points:
-        raise InputError(
+        raise ArgumentError(
             f"'{piece.name}' has {len(piece.parts)} parts and up to {points} points a part; "
             f"max_parts={max_parts}, max_points={max_points} are too small"
         )

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 from jaxtyping import Bool
 
-from roboassembly.envs.assembly import AssemblyEnv, existing_pairs, pieces_of
+from roboassembly.envs.assembly import AssemblyEnv, FurnitureLike, existing_pairs, pieces_of
+from roboassembly.envs.pictures import Item
 from roboassembly.furniture import catalogue
-from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS, Furniture
+from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS
 from roboassembly.planning.problem import Budget
+from roboassembly.poses import SE3
+from roboassembly.rendering.colors import Role
+from roboassembly.robots.body import placed
+from roboassembly.task.cell import post_mesh
 from roboassembly.task.full import FullOutcome, FullTask
 from roboassembly.task.full_plan import FullState
 from roboassembly.task.rules import GRASPS
@@ -31,33 +36,56 @@ class FullEnv(AssemblyEnv[FullTask, FullState, FullOutcome]):
     **Info**: as of `ObjectCentricEnv`, with `verdict` a value of `FullVerdict`; besides `leg`, in which the step
     failed (empty if it did not), and `density`, kg/m³, at which a robot can carry the whole.
 
+    **Errors** and **masks**: as of `ObjectCentricEnv`.
+
     Args:
-        furniture: what to assemble: furniture, or a name or folder as in `roboassembly assemble`. Of several, each
+        furniture: what to assemble: furniture, or a name or folder as in `roboassembly assemble`. With several, each
             episode draws one, or takes the one that `reset(options={"furniture": index})` asks for.
         max_parts: padding P of spaces, 20 as in the paper by default. Smaller spaces suit small furniture.
         max_points: padding K, 10 as in the paper by default.
         cloud_points: points C of each part's cloud.
         budget: of each path.
+        render_mode: None, or `"rgb_array"`: `render` returns a picture of the present state.
+        width: of pictures, pixels.
+        height: of pictures, pixels.
 
     Raises:
-        InputError: furniture that exceeds the paddings, or none at all. `reset` raises it for furniture that does not
-            suit the cell: a part that no hand can hold, or too large.
+        TypeError: furniture that is None or something else that is no furniture, or a padding that is no integer.
+        ArgumentError: a value out of range (it is a `ValueError`), or furniture that exceeds the paddings.
+        InputError: furniture that is not there. `reset` raises it for furniture that does not suit the cell: a part
+            that no hand can hold, or too large.
+        gymnasium.error.UnsupportedMode: an unknown render mode.
     """
+
+    components = ("u", "v", "k", "l", "g_a", "g_b")
 
     def __init__(
         self,
-        furniture: Furniture | str | Sequence[Furniture | str] = catalogue.DEFAULT,
+        furniture: FurnitureLike | Iterable[FurnitureLike] = catalogue.DEFAULT,
         *,
         max_parts: int = MAX_PARTS,
         max_points: int = MAX_POINTS,
         cloud_points: int = 128,
         budget: Budget | None = None,
+        render_mode: str | None = None,
+        width: int = 640,
+        height: int = 480,
     ) -> None:
         tasks = [FullTask(piece, budget) for piece in pieces_of(furniture)]
-        super().__init__(tasks, FullTask.ways, max_parts, max_points, cloud_points)
+        super().__init__(tasks, FullTask.ways, max_parts, max_points, cloud_points, render_mode, width, height)
 
     def _existing(self, task: FullTask, state: FullState) -> Bool[np.ndarray, "P P K K 8 8"]:
         return existing_actions(task, state, *self._padding)
+
+    def _items(self) -> list[Item]:
+        """Parts, both robots, and the posts that are up."""
+        moment, items = self.state.moment, super()._items()
+        for robot, role in zip(moment.robots, (Role.ROBOT_A, Role.ROBOT_B), strict=True):
+            items += [Item(link.mesh, pose, role) for link, pose in placed(robot.at, robot.opening)]
+        # As many posts as groups can stand on, so that the renderer need not be made anew whenever one sinks.
+        posts: list[SE3 | None] = [SE3(np.eye(3), stand.top) for stand in moment.stands]
+        posts += [None] * (len(self.task.furniture.parts) - len(posts))
+        return [*items, *(Item(post_mesh(), pose, Role.POST, framed=False) for pose in posts)]
 
     def _info(self, verdict: str, planning_steps: int) -> dict[str, Any]:
         told = super()._info(verdict, planning_steps)

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 
 import numpy as np
 from jaxtyping import Bool
 
-from roboassembly.envs.assembly import AssemblyEnv, existing_pairs, pieces_of
+from roboassembly.envs.assembly import AssemblyEnv, FurnitureLike, existing_pairs, pieces_of
 from roboassembly.furniture import catalogue
-from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS, Furniture
+from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS
 from roboassembly.planning.problem import Budget
 from roboassembly.task.groups import TaskState
 from roboassembly.task.object_centric import ObjectCentricTask, Outcome
@@ -30,29 +30,47 @@ class ObjectCentricEnv(AssemblyEnv[ObjectCentricTask, TaskState, Outcome]):
     `groups` (how many are left), `furniture` (its name), and `action_mask`, which tells the actions that exist; it
     says nothing about which are right. All of it is reproducible; how long the planner took is in `last_outcome`.
 
+    **Errors**: an action of the action space that does not exist is a wrong choice like any other: the episode ends
+    with the verdict `not_an_action`. An action outside of the action space raises `gymnasium.error.InvalidAction`. A
+    step before `reset` or after the end of an episode raises `gymnasium.error.ResetNeeded`.
+
+    **Masks**: `info["action_mask"]`. Learners that ask for `action_masks()`, like sb3-contrib's `MaskablePPO`, need
+    `roboassembly.envs.wrappers.DiscreteActions` around the environment.
+
     Args:
-        furniture: what to assemble: furniture, or a name or folder as in `roboassembly assemble`. Of several, each
+        furniture: what to assemble: furniture, or a name or folder as in `roboassembly assemble`. With several, each
             episode draws one, or takes the one that `reset(options={"furniture": index})` asks for.
         max_parts: padding P of spaces, 20 as in the paper by default. Smaller spaces suit small furniture.
         max_points: padding K, 10 as in the paper by default.
         cloud_points: points C of each part's cloud.
         budget: of the planner, for each step.
+        render_mode: None, or `"rgb_array"`: `render` returns a picture of the present state.
+        width: of pictures, pixels.
+        height: of pictures, pixels.
 
     Raises:
-        InputError: furniture that exceeds the paddings, or none at all.
+        TypeError: furniture that is None or something else that is no furniture, or a padding that is no integer.
+        ArgumentError: a value out of range (it is a `ValueError`), or furniture that exceeds the paddings.
+        InputError: furniture that is not there.
+        gymnasium.error.UnsupportedMode: an unknown render mode.
     """
+
+    components = ("u", "v", "k", "l", "w")
 
     def __init__(
         self,
-        furniture: Furniture | str | Sequence[Furniture | str] = catalogue.DEFAULT,
+        furniture: FurnitureLike | Iterable[FurnitureLike] = catalogue.DEFAULT,
         *,
         max_parts: int = MAX_PARTS,
         max_points: int = MAX_POINTS,
         cloud_points: int = 128,
         budget: Budget | None = None,
+        render_mode: str | None = None,
+        width: int = 640,
+        height: int = 480,
     ) -> None:
         tasks = [ObjectCentricTask(piece, budget) for piece in pieces_of(furniture)]
-        super().__init__(tasks, ObjectCentricTask.ways, max_parts, max_points, cloud_points)
+        super().__init__(tasks, ObjectCentricTask.ways, max_parts, max_points, cloud_points, render_mode, width, height)
 
     def _existing(self, task: ObjectCentricTask, state: TaskState) -> Bool[np.ndarray, "P P K K 6"]:
         return existing_actions(task, state, *self._padding)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import gymnasium
@@ -9,6 +10,7 @@ import numpy as np
 from gymnasium import spaces
 from jaxtyping import Bool
 
+from roboassembly.envs.arguments import checked_action, checked_number
 from roboassembly.errors import InputError
 
 
@@ -27,29 +29,44 @@ class DiscreteActions(gymnasium.Wrapper[Any, Any, Any, Any]):
         if not isinstance(space, spaces.MultiDiscrete):
             raise InputError(f"DiscreteActions wraps MultiDiscrete actions; got {space}")
         self._shape = tuple(int(n) for n in space.nvec)
-        self.action_space = spaces.Discrete(int(np.prod(self._shape)))
+        self._names = getattr(env.unwrapped, "components", tuple(f"component {i}" for i in range(len(self._shape))))
+        self._size = int(np.prod(self._shape))
+        self.action_space = spaces.Discrete(self._size)
 
-    def flatten(self, action: tuple[int, ...]) -> int:
-        """The number of an action."""
-        return int(np.ravel_multi_index(action, self._shape))
+    def flatten(self, action: Sequence[int] | np.ndarray) -> int:
+        """Number an action.
 
-    def unflatten(self, number: int) -> tuple[int, ...]:
-        """The action of a number."""
-        return tuple(int(i) for i in np.unravel_index(int(number), self._shape))
+        Raises:
+            gymnasium.error.InvalidAction: an action that the wrapped environment does not have.
+        """
+        return int(np.ravel_multi_index(checked_action(action, self._shape, self._names), self._shape))
+
+    def unflatten(self, number: np.ndarray | np.integer | int) -> tuple[int, ...]:
+        """Give the action of a number.
+
+        Raises:
+            gymnasium.error.InvalidAction: a number that is no integer or out of range.
+        """
+        return tuple(int(i) for i in np.unravel_index(checked_number(number, self._size), self._shape))
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """As the wrapped environment's."""
+        """Reset the wrapped environment; the mask in its information becomes flat."""
         observation, info = self.env.reset(seed=seed, options=options)
         return observation, self._flat(info)
 
-    def step(self, action: np.integer | int) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """As the wrapped environment's, by number."""
-        observation, reward, terminated, truncated, info = self.env.step(np.array(self.unflatten(int(action))))
+    def step(self, action: np.ndarray | np.integer | int) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        """Carry out the action of a number.
+
+        Raises:
+            gymnasium.error.ResetNeeded: before the first `reset`, or after the end of the episode.
+            gymnasium.error.InvalidAction: a number that is no integer or out of range.
+        """
+        observation, reward, terminated, truncated, info = self.env.step(np.array(self.unflatten(action)))
         return observation, float(reward), terminated, truncated, self._flat(info)
 
     def action_masks(self) -> Bool[np.ndarray, "n"]:
-        """Which numbers are actions that exist."""
-        return self.env.get_wrapper_attr("action_masks")().ravel()
+        """Tell for each number whether it is an action that exists."""
+        return self.env.get_wrapper_attr("action_mask").ravel()
 
     def _flat(self, info: dict[str, Any]) -> dict[str, Any]:
         return {**info, "action_mask": info["action_mask"].ravel()}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+import os
 
 from roboassembly.errors import InputError, UnknownNameError
 from roboassembly.furniture import storage
@@ -46,7 +46,7 @@ def find(name: str, *, with_grasps: bool = True) -> Furniture:
     family, _, seed = name.partition(":")
     if family in FAMILIES and (seed.isdigit() or not seed):
         return make(family, int(seed or 0), with_grasps=with_grasps)
-    if Path(name).exists() or "/" in name:
+    if os.path.exists(name) or "/" in name:  # other than `Path.exists` this takes names of any length
         return storage.load(name)
     if family in FAMILIES:
         raise InputError(f"seed '{seed}' of '{name}' is not a whole number; write for instance {family}:3")

@@ -221,6 +221,6 @@ def guide_of(policy: Policy) -> Guide:
     if not isinstance(policy, ValuePolicy):
         raise InputError(
             f"the policy '{policy.name}' does not value actions (it has no method `values`), so it cannot guide the "
-            "search; alone it can play"
+            "search; it can play alone: assemble with --no-search, or evaluate without --search"
         )
     return _PolicyGuide(policy)

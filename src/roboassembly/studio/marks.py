@@ -13,7 +13,7 @@ from viser import BatchedMeshHandle, LineSegmentsHandle, SceneApi
 
 from roboassembly.furniture.model import MAX_POINTS, Furniture, GraspRegion
 from roboassembly.gripper import hand_pose
-from roboassembly.viewer.colors import MOVING, WAITING, Color, to_bytes
+from roboassembly.rendering.colors import MOVING, WAITING, Color, to_bytes
 
 End = tuple[int, int]
 """Part and point."""

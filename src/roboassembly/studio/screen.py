@@ -9,13 +9,13 @@ import numpy as np
 from jaxtyping import Float32
 from viser import ClientHandle, LineSegmentsHandle
 
+from roboassembly.rendering.camera import FIELD_OF_VIEW, box_corners, fit, view_axes
+from roboassembly.rendering.colors import MOVING, WAITING, Color, part_colors, spread_colors, to_bytes
 from roboassembly.robots.body import tip_positions
 from roboassembly.studio.marks import Chosen, Marks
 from roboassembly.studio.session import Session
 from roboassembly.task.full_plan import FullStep
 from roboassembly.task.plan import PlanStep
-from roboassembly.viewer.colors import MOVING, WAITING, Color, part_colors, spread_colors, to_bytes
-from roboassembly.viewer.framing import FIELD_OF_VIEW, box_corners, fit, view_axes
 from roboassembly.viewer.playing import director_of
 from roboassembly.viewer.tableau import Tableau, set_the_scene
 from roboassembly.viewer.timeline import Frame

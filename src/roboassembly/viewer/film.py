@@ -14,12 +14,13 @@ from roboassembly.errors import InputError
 from roboassembly.furniture.model import Furniture
 from roboassembly.meshes import Mesh
 from roboassembly.poses import SE3, transform_points
-from roboassembly.viewer.colors import BACKGROUND, Color, part_colors, to_bytes, wood_colors
+from roboassembly.rendering.camera import box_corners, fit
+from roboassembly.rendering.colors import BACKGROUND, Color, part_colors, to_bytes, wood_colors
+from roboassembly.rendering.gl import RenderingUnavailableError
+from roboassembly.rendering.offscreen import STILL, OffscreenRenderer, Quality, check_size
 from roboassembly.viewer.files import replaced
-from roboassembly.viewer.framing import box_corners, fit, follow
-from roboassembly.viewer.gl import RenderingUnavailableError
+from roboassembly.viewer.framing import follow
 from roboassembly.viewer.playing import AnyPlan, timeline_of
-from roboassembly.viewer.stage import STILL, Quality, Stage, check_size
 from roboassembly.viewer.timeline import Phase, Timeline
 
 __all__ = [
@@ -68,7 +69,7 @@ def write_film(
     except RuntimeError as error:
         raise RenderingUnavailableError("no ffmpeg to write a film with; pip install imageio-ffmpeg") from error
     path = Path(path)
-    with _stage(timeline, width, height, quality) as stage, replaced(path) as unfinished:
+    with _renderer(timeline, width, height, quality) as renderer, replaced(path) as unfinished:
         writer = imageio_ffmpeg.write_frames(
             str(unfinished),
             (width, height),
@@ -84,7 +85,7 @@ def write_film(
         writer.send(None)
         try:
             for frame, view in zip(timeline.frames, views, strict=True):
-                picture = stage.picture(frame.poses, part_colors(frame.roles), view, frame.caption)
+                picture = renderer.picture(frame.poses, part_colors(frame.roles), view, frame.caption)
                 writer.send(np.ascontiguousarray(picture))
         finally:
             writer.close()
@@ -102,10 +103,10 @@ def render_pictures(
     timeline = timeline_of(plan, 10.0, None)
     views = follow(timeline, width / height)
     out = []
-    with _stage(timeline, width, height, quality) as stage:
+    with _renderer(timeline, width, height, quality) as renderer:
         for index in key_frames(timeline):
             frame = timeline.frames[index]
-            out.append(stage.picture(frame.poses, part_colors(frame.roles), views[index], frame.caption))
+            out.append(renderer.picture(frame.poses, part_colors(frame.roles), views[index], frame.caption))
     return out
 
 
@@ -161,8 +162,8 @@ def render_meshes(
     points = np.concatenate([box_corners(mesh, pose) for mesh, pose in zip(meshes, poses, strict=True)])
     view = fit(points, width / height)
     radius = float(np.linalg.norm(points - view.target, axis=1).max())
-    with Stage(meshes, width, height, center=view.target, radius=radius, quality=quality) as stage:
-        return stage.picture(poses, colors, view, caption)
+    with OffscreenRenderer(meshes, width, height, center=view.target, radius=radius, quality=quality) as renderer:
+        return renderer.picture(poses, colors, view, caption)
 
 
 def render_contact_sheet(
@@ -189,12 +190,12 @@ def key_frames(timeline: Timeline) -> list[int]:
     return [*out, len(timeline.frames) - 1]
 
 
-def _stage(timeline: Timeline, width: int, height: int, quality: Quality | None) -> Stage:
+def _renderer(timeline: Timeline, width: int, height: int, quality: Quality | None) -> OffscreenRenderer:
     points = timeline.box_corners.reshape(-1, 3)
     center = 0.5 * (points.min(axis=0) + points.max(axis=0))
     radius = float(np.linalg.norm(points - center, axis=1).max())
     meshes = [thing.mesh for thing in timeline.things]
-    return Stage(meshes, width, height, center=center, radius=radius, quality=quality)
+    return OffscreenRenderer(meshes, width, height, center=center, radius=radius, quality=quality)
 
 
 def _tiled(

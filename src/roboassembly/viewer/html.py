@@ -7,9 +7,9 @@ import json
 from pathlib import Path
 from string import Template
 
-from roboassembly.viewer.colors import part_colors
+from roboassembly.rendering.camera import FIELD_OF_VIEW, fit
+from roboassembly.rendering.colors import part_colors
 from roboassembly.viewer.files import replaced
-from roboassembly.viewer.framing import FIELD_OF_VIEW, fit
 from roboassembly.viewer.page import BODY, HEAD
 from roboassembly.viewer.playing import AnyPlan, timeline_of
 from roboassembly.viewer.server import quiet_server

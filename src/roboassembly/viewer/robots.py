@@ -13,6 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from roboassembly.poses import SE3
+from roboassembly.rendering.colors import Role
 from roboassembly.robots.body import hand_links, links, placed
 from roboassembly.task.cell import Stand, post_mesh
 from roboassembly.task.full_plan import FullPlan
@@ -22,7 +23,6 @@ from roboassembly.viewer.timeline import (
     OVERTURE_SECONDS,
     Frame,
     Phase,
-    Role,
     Thing,
     Timeline,
     check_rates,

@@ -9,8 +9,8 @@ from jaxtyping import Float
 from viser import MeshHandle, SceneApi
 
 from roboassembly.poses import SE3, pose_to_seven
-from roboassembly.viewer.colors import FLOOR_LINES, Color, to_bytes
-from roboassembly.viewer.shading import shade
+from roboassembly.rendering.colors import FLOOR_LINES, Color, to_bytes
+from roboassembly.rendering.shading import shade
 from roboassembly.viewer.timeline import Thing
 
 EXPOSURE = 0.76

@@ -26,6 +26,7 @@ from roboassembly.errors import InputError
 from roboassembly.furniture.model import Furniture
 from roboassembly.meshes import Mesh
 from roboassembly.poses import SE3, from_quaternion, interpolate, rotation_angle, transform_points
+from roboassembly.rendering.colors import Role
 from roboassembly.task.plan import SETTLING_INTERVAL, Plan, PlanStep
 
 OVERTURE_SECONDS = 1.0
@@ -46,17 +47,6 @@ LARGEST_LIFT = 0.12
 """Metres that a group is raised at most while it is placed, beyond what keeps it off the ground."""
 STILL_DISTANCE = 5e-4
 """Metres: a settling whose remaining motion is smaller than this is over."""
-
-
-class Role(enum.StrEnum):
-    """What a part is doing; or what else a thing is."""
-
-    IDLE = "idle"
-    WAITING = "waiting"
-    MOVING = "moving"
-    ROBOT_A = "robot_a"
-    ROBOT_B = "robot_b"
-    POST = "post"
 
 
 class Phase(enum.StrEnum):

@@ -1,4 +1,4 @@
-"""Draws parts at given poses, off screen, with MuJoCo's renderer. Nothing is simulated here."""
+"""Draws meshes at given poses, off screen, with MuJoCo's renderer. Nothing is simulated here."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from types import TracebackType
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from roboassembly.errors import InputError
+from roboassembly.errors import ArgumentError
 from roboassembly.meshes import Mesh
 from roboassembly.poses import SE3, pose_to_seven
-from roboassembly.viewer.colors import BACKGROUND, FLOOR, FLOOR_LINES, Color
-from roboassembly.viewer.framing import FIELD_OF_VIEW, View
-from roboassembly.viewer.gl import Context, import_mujoco
-from roboassembly.viewer.shading import shade
+from roboassembly.rendering.camera import FIELD_OF_VIEW, View
+from roboassembly.rendering.colors import BACKGROUND, FLOOR, FLOOR_LINES, Color
+from roboassembly.rendering.gl import Context, import_mujoco
+from roboassembly.rendering.shading import shade
 
 LIGHT_DIRECTION = np.array([-0.22, 0.16, -1.0]) / np.linalg.norm([-0.22, 0.16, -1.0])
 SHADOW_REACH = 2.5
@@ -49,7 +49,7 @@ FAST = Quality(samples=0, shadow_size=1024)
 """For films where a processor draws: with the settings above one second of film takes three times as long."""
 
 
-class Stage:
+class OffscreenRenderer:
     """A floor, a light and one body a mesh, each free to be anywhere.
 
     Args:
@@ -62,7 +62,7 @@ class Stage:
 
     Raises:
         RenderingUnavailableError: there is no way to draw off screen here.
-        InputError: a picture of no size, or of more than 8192 pixels on a side.
+        ArgumentError: a picture of no size, or of more than 8192 pixels on a side.
     """
 
     def __init__(
@@ -79,9 +79,9 @@ class Stage:
         self._mujoco = import_mujoco()
         self.width, self.height = width, height
         with ExitStack() as stack:
-            context = stack.enter_context(Context(width, height))
+            self._context = stack.enter_context(Context(width, height))
             if quality is None:
-                quality = FAST if context.is_software else STILL
+                quality = FAST if self._context.is_software else STILL
             self._quality = quality
             self._model = self._compile(meshes, center, radius, quality)
             self._data = self._mujoco.MjData(self._model)
@@ -90,22 +90,28 @@ class Stage:
             self._options = self._mujoco.MjvOption()
             self._render = self._mujoco.MjrContext(self._model, self._mujoco.mjtFontScale.mjFONTSCALE_100.value)
             stack.callback(self._render.free)
+            stack.callback(self._context.make_current)
             self._mujoco.mjr_setBuffer(self._mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._render)
             self._rectangle = self._mujoco.MjrRect(0, 0, width, height)
             self._stack = stack.pop_all()
 
-    def __enter__(self) -> Stage:
+    def __enter__(self) -> OffscreenRenderer:
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Free what the graphics driver holds. A closed renderer cannot draw; closing it again does nothing."""
         self._stack.close()
 
     def picture(
         self, poses: Sequence[SE3 | None], colors: Sequence[Color], view: View, caption: str = ""
     ) -> UInt8[np.ndarray, "height width 3"]:
         """Draw each mesh at its `world_from_mesh`, if it has one, and a caption in the upper left corner."""
+        self._context.make_current()
         sevens = np.array([pose_to_seven(pose or _OUT_OF_SIGHT) for pose in poses])
         self._data.mocap_pos[:] = sevens[:, :3]
         self._data.mocap_quat[:] = sevens[:, 3:]
@@ -244,6 +250,6 @@ def soften_edges(picture: UInt8[np.ndarray, "height width 3"], contrast: int = 2
 
 
 def check_size(width: int, height: int) -> None:
-    """Raise `InputError` unless a picture can have this size in pixels."""
+    """Raise `ArgumentError` unless a picture can have this size in pixels."""
     if not (1 <= width <= LARGEST_PICTURE and 1 <= height <= LARGEST_PICTURE):
-        raise InputError(f"picture of {width} x {height} pixels; each between 1 and {LARGEST_PICTURE} would do")
+        raise ArgumentError(f"picture of {width} x {height} pixels; each between 1 and {LARGEST_PICTURE} would do")

@@ -1,14 +1,25 @@
-"""The colours of the pictures: orange moves, green waits, wood lies still; robots are blue and white."""
+"""Colours of pictures: orange moves, green waits, wood lies still; robots are blue and white."""
 
 from __future__ import annotations
 
 import colorsys
+import enum
 from collections.abc import Sequence
-
-from roboassembly.viewer.timeline import Role
 
 Color = tuple[float, float, float]
 """sRGB, each in `[0, 1]`."""
+
+
+class Role(enum.StrEnum):
+    """What a part is doing; or what else a thing is."""
+
+    IDLE = "idle"
+    WAITING = "waiting"
+    MOVING = "moving"
+    ROBOT_A = "robot_a"
+    ROBOT_B = "robot_b"
+    POST = "post"
+
 
 MOVING: Color = (0.95, 0.45, 0.08)
 WAITING: Color = (0.28, 0.66, 0.32)

@@ -99,7 +99,7 @@ def import_mujoco() -> Any:
 
 
 class Context:
-    """A current OpenGL context; leave the `with` block to free it.
+    """An OpenGL context, current at first; leave the `with` block to free it.
 
     Raises:
         RenderingUnavailableError: there is no way to draw off screen.
@@ -114,6 +114,10 @@ class Context:
         except (ImportError, RuntimeError, OSError, AttributeError) as error:
             # The probe worked in a fresh process, so something else in this one has taken another OpenGL platform.
             raise RenderingUnavailableError(f"OpenGL cannot be used in this process: {_one_line(error)}") from error
+
+    def make_current(self) -> None:
+        """Direct what is drawn next in this thread to this context: another one may have been made since."""
+        self._context.make_current()
 
     @property
     def is_software(self) -> bool:

@@ -1,0 +1,144 @@
+"""The documentation as data: its pages, the commands and blocks of Python that they show, names that they quote."""
+
+from __future__ import annotations
+
+import ast
+import re
+import shlex
+import textwrap
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+PAGES = {
+    str(p.relative_to(ROOT)): p
+    for p in (*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").rglob("*.md")), *sorted(ROOT.glob("examples/*.py")))
+}
+"""What people read, examples' headers included."""
+PROGRAMS = ("roboassembly", "make", "python", "pip", "pytest", "bash", "ray", "uv", "git", "export", "cd")
+"""With what a command begins, with or without a folder before it."""
+
+FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+SPAN = re.compile(r"`([^`]+)`")
+_SAVED = re.compile(r"`(\w+\.py)`[^`]*:\s*\Z")
+_INDENTED = re.compile(r"(?:^    .*\n|^\n(?=    ))+", re.MULTILINE)
+
+
+@dataclass(frozen=True)
+class Command:
+    """A line for the shell."""
+
+    page: str
+    line: int
+    """In its page; 0 in prose."""
+    text: str
+    """Without its comment."""
+    comment: str = ""
+
+    @property
+    def words(self) -> list[str]:
+        """The program and its arguments, without what the shell does with its output."""
+        words = shlex.split(self.text)
+        return words[: words.index(">") if ">" in words else None]
+
+    @property
+    def target(self) -> str | None:
+        """The file that takes the output."""
+        words = shlex.split(self.text)
+        return words[words.index(">") + 1] if ">" in words else None
+
+    @property
+    def arguments(self) -> list[str] | None:
+        """The arguments of `roboassembly`; None for another program."""
+        return self.words[1:] if self.words[0] == "roboassembly" else None
+
+    def __str__(self) -> str:
+        return f"{self.page}:{self.line}: {self.text}"
+
+
+@dataclass(frozen=True)
+class Block:
+    """Python."""
+
+    page: str
+    line: int
+    text: str
+    saved: str | None
+    """The file that the page says to write it to."""
+
+    def __str__(self) -> str:
+        return f"{self.page}:{self.line}"
+
+
+@cache
+def text_of(page: str) -> str:
+    """The page as Markdown; of an example its docstring, with what is indented as a block."""
+    text = PAGES[page].read_text()
+    if not page.endswith(".py"):
+        return text
+    header = ast.get_docstring(ast.parse(text)) or ""
+    return _INDENTED.sub(lambda found: f"```\n{textwrap.dedent(found[0]).strip()}\n```\n", header + "\n")
+
+
+@cache
+def prose_of(page: str) -> str:
+    """The page without its blocks."""
+    return FENCE.sub("", text_of(page))
+
+
+@cache
+def examples(page: str) -> tuple[Command | Block, ...]:
+    """All commands and blocks of Python, in the page's order."""
+    return tuple(_examples(page, text_of(page)))
+
+
+def commands(page: str) -> list[Command]:
+    """Commands of the page's blocks, in order."""
+    return [e for e in examples(page) if isinstance(e, Command)]
+
+
+def _examples(page: str, text: str) -> Iterator[Command | Block]:
+    for block in FENCE.finditer(text):
+        first = text.count("\n", 0, block.start(2)) + 1
+        if block[1] == "python":
+            saved = _SAVED.search(text[: block.start()])
+            yield Block(page, first, block[2], saved[1] if saved else None)
+        elif holds_commands(block[2]):
+            for number, line in enumerate(_joined(block[2]).splitlines()):
+                if line.strip() and not line.lstrip().startswith("#"):
+                    yield _command(page, first + number, line)
+
+
+def holds_commands(block: str) -> bool:
+    """Whether a block without a language is for the shell."""
+    return is_command(_joined(block).lstrip().partition("\n")[0])
+
+
+def is_command(text: str) -> bool:
+    """Whether text begins with a program and goes on."""
+    program, _, rest = text.strip().partition(" ")
+    return program.rpartition("/")[2] in PROGRAMS and bool(rest.strip())
+
+
+def commands_in_prose(page: str) -> list[Command]:
+    """Commands between back quotes."""
+    spans = (" ".join(found.split()) for found in SPAN.findall(prose_of(page)))
+    return [_command(page, 0, span) for span in spans if is_command(span)]
+
+
+def _command(page: str, line: int, text: str) -> Command:
+    bare = shlex.split(text, comments=True)
+    hash_ = text.find(" #")
+    assert hash_ < 0 or shlex.split(text[:hash_]) == bare, f"{page}:{line}: what is a comment here?"
+    return Command(page, line, text[: hash_ if hash_ >= 0 else None].strip(), text[hash_ + 2 :] if hash_ >= 0 else "")
+
+
+def _joined(block: str) -> str:
+    """With commands that go on in the next line in one; as many lines as before."""
+    return re.sub(r"((?:[^\n]*\\\n)+)([^\n]*\n)", lambda m: _one(m[1]) + m[2] + "\n" * m[1].count("\n"), block)
+
+
+def _one(lines: str) -> str:
+    return lines.replace("\\\n", " ")
