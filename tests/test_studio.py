@@ -10,6 +10,7 @@ import threading
 import time
 import zipfile
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 import msgspec
@@ -28,6 +29,7 @@ from roboassembly.learning.loading import load_policy
 from roboassembly.learning.policies import guide_of
 from roboassembly.solvers.search import solve
 from roboassembly.studio import wares
+from roboassembly.studio.access import Access
 from roboassembly.studio.house import House
 from roboassembly.studio.server import studio
 from roboassembly.studio.session import Session
@@ -284,7 +286,12 @@ def test_brought_files_that_are_no_furniture_leave_nothing_behind(tmp_path, monk
 
 def house(**told) -> House:
     return House(**({"folders": (), "policies": ("relational",), "furniture": "stool", "scale": None,
-                     "setting": "object-centric", "seed": 0, "paths": False} | told))  # fmt: skip
+                     "setting": "object-centric", "seed": 0} | told))  # fmt: skip
+
+
+def served(port: int = 0, host: str = "127.0.0.1", **told) -> AbstractContextManager[ViserServer]:
+    """A studio on this machine; `told` of the house."""
+    return studio(house(**told), Access(host), port)
 
 
 CAMERA = _messages.ViewerCameraMessage(
@@ -346,7 +353,7 @@ def merges(visitor: Visitor) -> int:
 @pytest.mark.parametrize("count", [8, pytest.param(50, marks=pytest.mark.slow)])
 def test_visitors_each_have_a_session_of_their_own(count, came):
     threads = threading.active_count()
-    with studio(house(), "127.0.0.1", 0) as server:
+    with served() as server:
         browsers = [Browser(server) for _ in range(count)]
         until(lambda: len(came) == count and all(merges(v) == 0 for v in came))
         for k in (0, 7):
@@ -361,7 +368,7 @@ def test_visitors_each_have_a_session_of_their_own(count, came):
 
 
 def test_a_whole_assembly_by_buttons_then_undo(came, stool):
-    with studio(house(), "127.0.0.1", 0) as server:
+    with served() as server:
         browser = Browser(server)
         until(lambda: len(came) == 1 and merges(came[0]) == 0)
         panel = came[0].panel
@@ -378,7 +385,7 @@ def test_a_whole_assembly_by_buttons_then_undo(came, stool):
 
 def test_a_plan_of_robots_is_brought_to_furniture_that_was_opened_without_grasps(came, stool):
     content = plan_file.encode(Session(stool, "full", seed=3).plan())
-    with studio(house(), "127.0.0.1", 0) as server:
+    with served() as server:
         browser = Browser(server)
         until(lambda: len(came) == 1 and merges(came[0]) == 0)
         assert came[0].session is not None
@@ -393,7 +400,7 @@ def test_a_plan_of_robots_is_brought_to_furniture_that_was_opened_without_grasps
 def test_a_step_is_shown_soon(came, stool):
     """From the button to the new state and the first frame of the way there."""
     seconds = []
-    with studio(house(), "127.0.0.1", 0) as server:
+    with served() as server:
         browser = Browser(server)
         until(lambda: len(came) == 1 and merges(came[0]) == 0)
         panel = came[0].panel
@@ -413,7 +420,7 @@ def test_a_plan_that_is_brought_is_done_again_on_the_furniture_shown(came, stool
     other = Session(stool, seed=4)
     other.search(None, go_on)
     content = plan_file.encode(other.plan())
-    with studio(house(), "127.0.0.1", 0) as server:
+    with served() as server:
         browser = Browser(server)
         until(lambda: len(came) == 1 and merges(came[0]) == 0)
         browser.upload(came[0], "plan.json", len(content), [content])
@@ -438,7 +445,7 @@ def test_a_long_search_is_cancelled(came, monkeypatch):
         return slow(self, guide, watched)
 
     monkeypatch.setattr(Session, "search", search)
-    with studio(house(furniture="ladder"), "127.0.0.1", 0) as server:
+    with served(furniture="ladder") as server:
         browser = Browser(server)
         until(lambda: len(came) == 1 and merges(came[0]) == 0)
         panel = came[0].panel
@@ -454,8 +461,8 @@ def test_a_long_search_is_cancelled(came, monkeypatch):
 def test_uploads_are_opened_and_those_too_large_are_forgotten(came, stool, tmp_path, monkeypatch):
     folder = mesh_folder(stool, tmp_path / "brought")
     content = zipped({p.name: p.read_bytes() for p in folder.iterdir()})
-    monkeypatch.setattr("roboassembly.studio.server.LARGEST_UPLOAD", len(content))
-    with studio(house(), "127.0.0.1", 0) as server:
+    monkeypatch.setattr("roboassembly.studio.incoming.LARGEST_UPLOAD", len(content))
+    with served() as server:
         browser = Browser(server)
         until(lambda: len(came) == 1 and merges(came[0]) == 0)
         kept = came[0].client.gui._current_file_upload_states
@@ -468,7 +475,7 @@ def test_uploads_are_opened_and_those_too_large_are_forgotten(came, stool, tmp_p
 
 
 def test_nothing_is_served_but_the_page_and_nobody_opens_a_tunnel(came):
-    with studio(house(), "127.0.0.1", 0) as server:
+    with served() as server:
         for path in (
             "/../../../../etc/passwd",
             "/%2e%2e/%2e%2e/%2e%2e/etc/passwd",
@@ -487,13 +494,13 @@ def test_nothing_is_served_but_the_page_and_nobody_opens_a_tunnel(came):
         assert server._share_tunnel is None
 
 
-def test_folders_of_this_machine_are_only_offered_to_this_machine(came):
-    for paths in (False, True):
+def test_folders_are_opened_by_name_only_where_a_root_was_given(came, tmp_path):
+    for roots in ((), (tmp_path,)):
         came.clear()
-        with studio(house(paths=paths), "127.0.0.1", 0) as server:
+        with served(roots=roots) as server:
             browser = Browser(server)
             until(lambda: len(came) == 1)
-            assert (came[0].panel.path is not None) == paths
+            assert (came[0].panel.path is not None) == bool(roots)
             browser.connection.close()
 
 
@@ -501,9 +508,10 @@ def test_addresses_that_cannot_be_listened_on_are_one_clear_line():
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
-        with pytest.raises(InputError, match="cannot listen on"), studio(house(), "127.0.0.1", taken.getsockname()[1]):
+        with pytest.raises(InputError, match="cannot listen on"), served(taken.getsockname()[1]):
             pass
-    with pytest.raises(InputError, match="--port 70000"), studio(house(), "127.0.0.1", 70_000):
+    with pytest.raises(InputError, match="--port 70000"), served(70_000):
         pass
-    with pytest.raises(InputError, match="cannot listen on"), studio(house(), "no.such.host.invalid", 0):
-        pass
+    for host in ("no.such.host.invalid", "a" * 70 + ".invalid"):
+        with pytest.raises(InputError, match="cannot listen on"), served(host=host):
+            pass
