@@ -9,17 +9,11 @@ import tempfile
 import threading
 import time
 import zipfile
-from collections.abc import Callable
-from contextlib import AbstractContextManager
 from pathlib import Path
 
-import msgspec
 import numpy as np
 import pytest
-import viser
-from viser import GuiButtonHandle, ViserServer, _messages
-from websockets.sync.client import connect
-from websockets.typing import Subprotocol
+from viser import _messages
 
 import shapes
 from roboassembly.audit.object_centric import audit_plan
@@ -29,9 +23,6 @@ from roboassembly.learning.loading import load_policy
 from roboassembly.learning.policies import guide_of
 from roboassembly.solvers.search import solve
 from roboassembly.studio import wares
-from roboassembly.studio.access import Access
-from roboassembly.studio.house import House
-from roboassembly.studio.server import studio
 from roboassembly.studio.session import Session
 from roboassembly.studio.visitor import Visitor
 from roboassembly.studio.wares import Wares, open_path, open_plan, open_upload, unpack
@@ -39,6 +30,7 @@ from roboassembly.studio.words import told
 from roboassembly.task import plan_file
 from roboassembly.task.full import FullVerdict
 from roboassembly.task.object_centric import Verdict
+from studio_client import Browser, merges, note_visitors, served, until
 from test_search import digest
 
 # Browsers that go away in the middle of something.
@@ -284,70 +276,9 @@ def test_brought_files_that_are_no_furniture_leave_nothing_behind(tmp_path, monk
 # The server
 
 
-def house(**told) -> House:
-    return House(**({"folders": (), "policies": ("relational",), "furniture": "stool", "scale": None,
-                     "setting": "object-centric", "seed": 0} | told))  # fmt: skip
-
-
-def served(port: int = 0, host: str = "127.0.0.1", **told) -> AbstractContextManager[ViserServer]:
-    """A studio on this machine; `told` of the house."""
-    return studio(house(**told), Access(host), port)
-
-
-CAMERA = _messages.ViewerCameraMessage(
-    (1.0, 0.0, 0.0, 0.0), (2.0, 2.0, 1.0), 0.6, 0.01, 100.0, 600, 800, (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)
-)
-
-
-def packed(message: _messages.Message) -> bytes:
-    return msgspec.msgpack.encode({"type": type(message).__name__, **vars(message)})
-
-
-class Browser:
-    """Speaks to the server as a browser does, shows nothing."""
-
-    def __init__(self, server: ViserServer) -> None:
-        url, protocol = f"ws://127.0.0.1:{server.get_port()}", f"viser-v{viser.__version__}"
-        self.connection = connect(url, subprotocols=[Subprotocol(protocol)], max_size=None)
-        self.send(CAMERA)
-
-    def send(self, message: _messages.Message) -> None:
-        self.connection.send(packed(message))
-
-    def press(self, button: GuiButtonHandle) -> None:
-        self.send(_messages.GuiUpdateMessage(button._impl.uuid, {"value": True}))
-
-    def upload(self, visitor: Visitor, name: str, says: int, parts: list[bytes]) -> None:
-        source = visitor.panel.upload._impl.uuid
-        self.send(_messages.FileTransferStartUpload(source, "t1", name, "application/zip", len(parts), says))
-        for index, part in enumerate(parts):
-            self.send(_messages.FileTransferPart(source, "t1", index, part))
-
-
 @pytest.fixture
 def came(monkeypatch) -> list[Visitor]:
-    """Visitors, in the order in which they came."""
-    visitors: list[Visitor] = []
-    own = Visitor.__init__
-
-    def noted(self, client, of):
-        own(self, client, of)
-        visitors.append(self)
-        visitors.sort(key=lambda v: v.client.client_id)
-
-    monkeypatch.setattr(Visitor, "__init__", noted)
-    return visitors
-
-
-def until(true: Callable[[], bool], seconds: float = 60.0, every: float = 0.02) -> None:
-    end = time.monotonic() + seconds
-    while not true():
-        assert time.monotonic() < end, "it did not come to that"
-        time.sleep(every)
-
-
-def merges(visitor: Visitor) -> int:
-    return -1 if visitor.session is None else visitor.session.merges
+    return note_visitors(monkeypatch)
 
 
 @pytest.mark.parametrize("count", [8, pytest.param(50, marks=pytest.mark.slow)])

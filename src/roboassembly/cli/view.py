@@ -16,6 +16,8 @@ from roboassembly.cli.output import DONE, print_json, say
 from roboassembly.errors import InputError
 
 _PLAN = ".json"
+_SLOW = 2.0
+"""Seconds after which it is said what is being read."""
 
 
 @dataclass(frozen=True)
@@ -32,9 +34,8 @@ class View:
     scale: float | None = None
     """Metres per unit of 3D files; guessed if not given."""
     folders: tuple[Path, ...] = ()
-    """Folders of furniture folders, to choose from. Everyone who can open the page can also open other folders in them by
-    name. If none is given, `furniture` where it is there: what `roboassembly import` writes; then none can be opened by
-    name."""
+    """Folders of furniture folders, to choose from, and in which other folders may be opened by name. If none is given,
+    `furniture` where it is there, which `roboassembly import` writes; then nothing is opened by name."""
     policies: tuple[str, ...] = ()
     """Policies to choose from, besides the one of the package: checkpoints, or Python files, which are executed."""
     host: str = "127.0.0.1"
@@ -43,8 +44,8 @@ class View:
     port: int = 8080
     """Port to listen on; 0 takes any that is free."""
     token: str = ""
-    """Secret that the address must contain: 8 letters or more. By default a random one, and none if only this machine can
-    reach --host."""
+    """Secret of 8 letters or more that the address must contain. By default a random one, and none if only this machine
+    can reach --host."""
     allow_origin: tuple[str, ...] = ()
     """Further addresses under which the page is reached, behind a proxy for instance: https://studio.example.org"""
     browser: bool = True
@@ -106,14 +107,18 @@ class View:
                 load_policy(name)
         # The built-in chair that is shown by default is made while the browser loads the page.
         if self.furniture != View.furniture:
-            self._check_furniture()
+            slow = threading.Timer(_SLOW, say, [f"reading {self.furniture} ..."])
+            slow.daemon = True
+            slow.start()
+            try:
+                self._check_furniture()
+            finally:
+                slow.cancel()
 
     def _check_furniture(self) -> None:
         from roboassembly.studio.session import Session
         from roboassembly.studio.wares import open_path, open_plan
 
-        if Path(self.furniture).exists():
-            say(f"reading {self.furniture} ...")
         if self.furniture.endswith(_PLAN):
             script, furniture = open_plan(Path(self.furniture))
             Session(furniture, script.setting, script.seed).check(script)

@@ -173,7 +173,9 @@ class Access:
                 key, _, value = pair.strip().partition("=")
                 if key == name:
                     given.append((value, self._cookie))
-        return any(hmac.compare_digest(value.encode(), wanted.encode()) for value, wanted in given)
+        # What a client sends need not be text.
+        pairs = ((value.encode(errors="surrogatepass"), wanted.encode()) for value, wanted in given)
+        return any(hmac.compare_digest(value, wanted) for value, wanted in pairs)
 
     def _report(self, origin: str) -> None:
         """Tell the terminal which page was refused, once: behind a proxy that is the address to allow."""

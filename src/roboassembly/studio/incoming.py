@@ -192,6 +192,8 @@ class StudioConnection(ServerConnection):
         while True:
             raw = await super().recv(decode)
             await self._pace()
+            # viser handles each message in a task of its own; this lets the one before be handled first.
+            await asyncio.sleep(0)
             client = self._clients.of(self)
             try:
                 message = _decoded(raw)

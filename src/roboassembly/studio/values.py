@@ -28,7 +28,7 @@ def check_value(control: Any, value: bool | int | float | str) -> None:
     Raises:
         Refused: it does not.
     """
-    named = f"“{control.label}”"
+    named = f"“{getattr(control, 'label', '')}”"
     match control:
         case GuiButtonHandle():
             allowed = value is True
