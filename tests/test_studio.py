@@ -9,16 +9,11 @@ import tempfile
 import threading
 import time
 import zipfile
-from collections.abc import Callable
 from pathlib import Path
 
-import msgspec
 import numpy as np
 import pytest
-import viser
-from viser import GuiButtonHandle, ViserServer, _messages
-from websockets.sync.client import connect
-from websockets.typing import Subprotocol
+from viser import _messages
 
 import shapes
 from roboassembly.audit.object_centric import audit_plan
@@ -28,8 +23,6 @@ from roboassembly.learning.loading import load_policy
 from roboassembly.learning.policies import guide_of
 from roboassembly.solvers.search import solve
 from roboassembly.studio import wares
-from roboassembly.studio.house import House
-from roboassembly.studio.server import studio
 from roboassembly.studio.session import Session
 from roboassembly.studio.visitor import Visitor
 from roboassembly.studio.wares import Wares, open_path, open_plan, open_upload, unpack
@@ -37,6 +30,7 @@ from roboassembly.studio.words import told
 from roboassembly.task import plan_file
 from roboassembly.task.full import FullVerdict
 from roboassembly.task.object_centric import Verdict
+from studio_client import Browser, merges, note_visitors, served, until
 from test_search import digest
 
 # Browsers that go away in the middle of something.
@@ -282,71 +276,15 @@ def test_brought_files_that_are_no_furniture_leave_nothing_behind(tmp_path, monk
 # The server
 
 
-def house(**told) -> House:
-    return House(**({"folders": (), "policies": ("relational",), "furniture": "stool", "scale": None,
-                     "setting": "object-centric", "seed": 0, "paths": False} | told))  # fmt: skip
-
-
-CAMERA = _messages.ViewerCameraMessage(
-    (1.0, 0.0, 0.0, 0.0), (2.0, 2.0, 1.0), 0.6, 0.01, 100.0, 600, 800, (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)
-)
-
-
-def packed(message: _messages.Message) -> bytes:
-    return msgspec.msgpack.encode({"type": type(message).__name__, **vars(message)})
-
-
-class Browser:
-    """Speaks to the server as a browser does, shows nothing."""
-
-    def __init__(self, server: ViserServer) -> None:
-        url, protocol = f"ws://127.0.0.1:{server.get_port()}", f"viser-v{viser.__version__}"
-        self.connection = connect(url, subprotocols=[Subprotocol(protocol)], max_size=None)
-        self.send(CAMERA)
-
-    def send(self, message: _messages.Message) -> None:
-        self.connection.send(packed(message))
-
-    def press(self, button: GuiButtonHandle) -> None:
-        self.send(_messages.GuiUpdateMessage(button._impl.uuid, {"value": True}))
-
-    def upload(self, visitor: Visitor, name: str, says: int, parts: list[bytes]) -> None:
-        source = visitor.panel.upload._impl.uuid
-        self.send(_messages.FileTransferStartUpload(source, "t1", name, "application/zip", len(parts), says))
-        for index, part in enumerate(parts):
-            self.send(_messages.FileTransferPart(source, "t1", index, part))
-
-
 @pytest.fixture
 def came(monkeypatch) -> list[Visitor]:
-    """Visitors, in the order in which they came."""
-    visitors: list[Visitor] = []
-    own = Visitor.__init__
-
-    def noted(self, client, of):
-        own(self, client, of)
-        visitors.append(self)
-        visitors.sort(key=lambda v: v.client.client_id)
-
-    monkeypatch.setattr(Visitor, "__init__", noted)
-    return visitors
-
-
-def until(true: Callable[[], bool], seconds: float = 60.0, every: float = 0.02) -> None:
-    end = time.monotonic() + seconds
-    while not true():
-        assert time.monotonic() < end, "it did not come to that"
-        time.sleep(every)
-
-
-def merges(visitor: Visitor) -> int:
-    return -1 if visitor.session is None else visitor.session.merges
+    return note_visitors(monkeypatch)
 
 
 @pytest.mark.parametrize("count", [8, pytest.param(50, marks=pytest.mark.slow)])
 def test_visitors_each_have_a_session_of_their_own(count, came):
     threads = threading.active_count()
-    with studio(house(), "127.0.0.1", 0) as server:
+    with served() as server:
         browsers = [Browser(server) for _ in range(count)]
         until(lambda: len(came) == count and all(merges(v) == 0 for v in came))
         for k in (0, 7):
@@ -361,7 +299,7 @@ def test_visitors_each_have_a_session_of_their_own(count, came):
 
 
 def test_a_whole_assembly_by_buttons_then_undo(came, stool):
-    with studio(house(), "127.0.0.1", 0) as server:
+    with served() as server:
         browser = Browser(server)
         until(lambda: len(came) == 1 and merges(came[0]) == 0)
         panel = came[0].panel
@@ -378,7 +316,7 @@ def test_a_whole_assembly_by_buttons_then_undo(came, stool):
 
 def test_a_plan_of_robots_is_brought_to_furniture_that_was_opened_without_grasps(came, stool):
     content = plan_file.encode(Session(stool, "full", seed=3).plan())
-    with studio(house(), "127.0.0.1", 0) as server:
+    with served() as server:
         browser = Browser(server)
         until(lambda: len(came) == 1 and merges(came[0]) == 0)
         assert came[0].session is not None
@@ -393,7 +331,7 @@ def test_a_plan_of_robots_is_brought_to_furniture_that_was_opened_without_grasps
 def test_a_step_is_shown_soon(came, stool):
     """From the button to the new state and the first frame of the way there."""
     seconds = []
-    with studio(house(), "127.0.0.1", 0) as server:
+    with served() as server:
         browser = Browser(server)
         until(lambda: len(came) == 1 and merges(came[0]) == 0)
         panel = came[0].panel
@@ -413,7 +351,7 @@ def test_a_plan_that_is_brought_is_done_again_on_the_furniture_shown(came, stool
     other = Session(stool, seed=4)
     other.search(None, go_on)
     content = plan_file.encode(other.plan())
-    with studio(house(), "127.0.0.1", 0) as server:
+    with served() as server:
         browser = Browser(server)
         until(lambda: len(came) == 1 and merges(came[0]) == 0)
         browser.upload(came[0], "plan.json", len(content), [content])
@@ -438,7 +376,7 @@ def test_a_long_search_is_cancelled(came, monkeypatch):
         return slow(self, guide, watched)
 
     monkeypatch.setattr(Session, "search", search)
-    with studio(house(furniture="ladder"), "127.0.0.1", 0) as server:
+    with served(furniture="ladder") as server:
         browser = Browser(server)
         until(lambda: len(came) == 1 and merges(came[0]) == 0)
         panel = came[0].panel
@@ -454,8 +392,8 @@ def test_a_long_search_is_cancelled(came, monkeypatch):
 def test_uploads_are_opened_and_those_too_large_are_forgotten(came, stool, tmp_path, monkeypatch):
     folder = mesh_folder(stool, tmp_path / "brought")
     content = zipped({p.name: p.read_bytes() for p in folder.iterdir()})
-    monkeypatch.setattr("roboassembly.studio.server.LARGEST_UPLOAD", len(content))
-    with studio(house(), "127.0.0.1", 0) as server:
+    monkeypatch.setattr("roboassembly.studio.incoming.LARGEST_UPLOAD", len(content))
+    with served() as server:
         browser = Browser(server)
         until(lambda: len(came) == 1 and merges(came[0]) == 0)
         kept = came[0].client.gui._current_file_upload_states
@@ -468,7 +406,7 @@ def test_uploads_are_opened_and_those_too_large_are_forgotten(came, stool, tmp_p
 
 
 def test_nothing_is_served_but_the_page_and_nobody_opens_a_tunnel(came):
-    with studio(house(), "127.0.0.1", 0) as server:
+    with served() as server:
         for path in (
             "/../../../../etc/passwd",
             "/%2e%2e/%2e%2e/%2e%2e/etc/passwd",
@@ -487,13 +425,13 @@ def test_nothing_is_served_but_the_page_and_nobody_opens_a_tunnel(came):
         assert server._share_tunnel is None
 
 
-def test_folders_of_this_machine_are_only_offered_to_this_machine(came):
-    for paths in (False, True):
+def test_folders_are_opened_by_name_only_where_a_root_was_given(came, tmp_path):
+    for roots in ((), (tmp_path,)):
         came.clear()
-        with studio(house(paths=paths), "127.0.0.1", 0) as server:
+        with served(roots=roots) as server:
             browser = Browser(server)
             until(lambda: len(came) == 1)
-            assert (came[0].panel.path is not None) == paths
+            assert (came[0].panel.path is not None) == bool(roots)
             browser.connection.close()
 
 
@@ -501,9 +439,10 @@ def test_addresses_that_cannot_be_listened_on_are_one_clear_line():
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
-        with pytest.raises(InputError, match="cannot listen on"), studio(house(), "127.0.0.1", taken.getsockname()[1]):
+        with pytest.raises(InputError, match="cannot listen on"), served(taken.getsockname()[1]):
             pass
-    with pytest.raises(InputError, match="--port 70000"), studio(house(), "127.0.0.1", 70_000):
+    with pytest.raises(InputError, match="--port 70000"), served(70_000):
         pass
-    with pytest.raises(InputError, match="cannot listen on"), studio(house(), "no.such.host.invalid", 0):
-        pass
+    for host in ("no.such.host.invalid", "a" * 70 + ".invalid"):
+        with pytest.raises(InputError, match="cannot listen on"), served(host=host):
+            pass

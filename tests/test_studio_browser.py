@@ -6,10 +6,10 @@ import contextlib
 import io
 import json
 import os
-import re
 import shutil
 import subprocess
 import sys
+import threading
 import time
 import zipfile
 from collections.abc import Iterator
@@ -18,11 +18,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 import viser
+from scipy.spatial.transform import Rotation
 from websockets.sync.client import connect
 from websockets.typing import Subprotocol
 
 import shapes
-from test_studio import CAMERA, packed
+from roboassembly.studio.access import Access
+from roboassembly.studio.panel import NONE, PICKS
+from roboassembly.studio.screen import Screen
+from roboassembly.studio.visitor import Visitor
+from seeing import Sight, sight
+from studio_client import CAMERA, note_visitors, packed
+from studio_client import served as in_this_process
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="make test-all installs it")
 
@@ -155,25 +162,153 @@ def test_the_first_picture_is_there_soon():
     assert min(seconds) < 6.0
 
 
-def test_parts_and_points_are_chosen_by_clicks_in_the_scene(page):
-    """Clicks over the scene until both a part that moves and one that waits are chosen by a point."""
-    until(lambda: warm(picture(page, "start")) > 2_000)
-    image = picture(page, "dots")
-    red, green, blue = (image[150:, :700, c] for c in range(3))
-    rows, columns = np.nonzero((blue - red > 60) & (blue - green > 30))
-    assert len(rows), "no blue dot is to be seen"
-    spots: list[tuple[int, int]] = []
-    for row, column in zip(rows + 150, columns, strict=True):
-        if all(abs(row - r) + abs(column - c) > 40 for r, c in spots):
-            spots.append((int(row), int(column)))
-    moves = page.get_by_role("textbox", name="Moves")
-    for row, column in spots[:6]:
-        page.mouse.click(column, row)
-        time.sleep(0.4)
-    chosen = [page.locator("input").nth(i).input_value() for i in range(page.locator("input").count())]
-    picture(page, "chosen")
-    assert moves.count() >= 0
-    assert sum(bool(re.match(r"\d+: \w+", text)) for text in chosen) >= 3, chosen  # what moves, what waits, and w
+@pytest.fixture
+def watched(browser, monkeypatch) -> Iterator[tuple[sync_api.Page, Visitor, Sight]]:
+    """A page of a studio in this process, which says where its camera is; and what can be seen there."""
+    came = note_visitors(monkeypatch)
+    with in_this_process() as server:
+        page = browser.new_page(viewport={"width": 1100, "height": 700})
+        page.goto(f"http://localhost:{server.get_port()}")
+        page.get_by_text("Click a point of one part").wait_for(timeout=60_000)
+        until(lambda: warm(picture(page, "start")) > 2_000)
+        for close in page.locator(".mantine-Notification-closeButton").all():
+            close.click()  # that WebGL is slow here
+        visitor = came[0]
+        session, marks = visitor.session, visitor._shown._marks
+        assert session is not None
+        yield page, visitor, sight(session.furniture, session.joined.part_poses, marks.centers, marks.radii)
+        page.close()
+
+
+class Lens:
+    """Where things of the world are on the page: a pinhole camera, by what the page says of it.
+
+    Args:
+        page: that shows the scene.
+        visitor: its session in the studio.
+        eye: where the camera goes, metres.
+        target: what it looks at.
+    """
+
+    def __init__(self, page: sync_api.Page, visitor: Visitor, eye: np.ndarray, target: np.ndarray) -> None:
+        camera = visitor.client.camera
+        camera.position = eye
+        camera.look_at = target
+        # What the page says itself replaces what it was told.
+        told = camera._state
+        wanted = np.array([eye, target])
+        until(lambda: camera._state is not told and np.allclose([camera.position, camera.look_at], wanted, atol=1e-3))
+        time.sleep(0.5)
+        self.eye = np.array(camera.position)
+        w, x, y, z = camera.wxyz
+        self.rotation = Rotation.from_quat([x, y, z, w]).as_matrix()
+        box = page.locator("canvas").last.bounding_box()
+        assert box is not None
+        self.box = box
+        self.focal = 0.5 * box["height"] / np.tan(0.5 * camera.fov)
+        self.middle = np.array([box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"]])
+
+    def pixel(self, point: np.ndarray) -> np.ndarray:
+        right, down, ahead = self.rotation.T @ (point - self.eye)
+        return self.middle + self.focal * np.array([right, down]) / ahead
+
+    def ray(self, pixel: np.ndarray) -> np.ndarray:
+        direction = self.rotation @ [*((pixel - self.middle) / self.focal), 1.0]
+        return direction / np.linalg.norm(direction)
+
+    def shows(self, pixel: np.ndarray) -> bool:
+        x, y = pixel - [self.box["x"], self.box["y"]]
+        return 5 < x < self.box["width"] - 5 and 5 < y < self.box["height"] - 5
+
+
+def chosen(page: sync_api.Page) -> tuple[str, str]:
+    """Part and point that are to move, as the page shows them."""
+    inputs = page.locator("input:visible")
+    return inputs.nth(1).input_value(), inputs.nth(2).input_value()
+
+
+def chosen_by_a_click(page: sync_api.Page, visitor: Visitor, pixel: np.ndarray) -> tuple[str, str]:
+    panel, looked = visitor.panel, visitor.__dict__.setdefault("looked", [])
+    panel.next.value = PICKS[0]
+    panel.u.value = panel.k.value = NONE
+    until(lambda: chosen(page) == (NONE, NONE))
+    before = len(looked)
+    page.mouse.click(*map(float, pixel))
+    until(lambda: len(looked) > before)
+    # Found; now it is chosen by the visitor's own thread.
+    done = threading.Event()
+    time.sleep(0.05)
+    visitor._ask(done.set)
+    assert done.wait(10)
+    until(lambda: chosen(page) == (panel.u.value, panel.k.value))
+    return chosen(page)
+
+
+def test_each_visible_point_and_part_is_chosen_by_a_click_and_the_floor_is_not(watched, monkeypatch):
+    page, visitor, seen = watched
+    under = Screen.under
+
+    def noted(self, *ray):
+        found = under(self, *ray)
+        visitor.__dict__.setdefault("looked", []).append(found)
+        return found
+
+    monkeypatch.setattr(Screen, "under", noted)
+    names = [f"{i}: {part.name}" for i, part in enumerate(visitor.session.furniture.parts)]
+    middle = np.mean([t.mean(axis=(0, 1)) for t in seen.triangles], axis=0)
+    tried = {"points": 0, "parts": 0, "floor": 0}
+    rng = np.random.default_rng(0)
+    for number, eye in enumerate(middle + np.array([[1.6, -1.8, 1.2], [-1.2, -0.9, 1.9], [0.2, 2.0, 0.6]])):
+        lens = Lens(page, visitor, eye, middle)
+        for ball in seen.visible(lens.eye):
+            # A pixel is what a person can aim at.
+            pixel = np.round(lens.pixel(seen.centers[ball]))
+            if lens.shows(pixel) and seen.first(lens.eye, lens.ray(pixel)) == seen.owners[ball]:
+                part, point = seen.owners[ball]
+                assert chosen_by_a_click(page, visitor, pixel) == (names[part], str(point)), (number, ball)
+                tried["points"] += 1
+        for part in range(len(names)):
+            pixel = np.round(lens.pixel(seen.triangles[part].mean(axis=(0, 1))))
+            if lens.shows(pixel) and all(seen.first(lens.eye, lens.ray(p)) == (part, None) for p in around(pixel)):
+                assert chosen_by_a_click(page, visitor, pixel) == (names[part], NONE), (number, part)
+                tried["parts"] += 1
+        for pixel in rng.uniform([20, 60], [lens.box["width"] - 20, lens.box["height"] - 20], (6, 2)).round():
+            if all(seen.first(lens.eye, lens.ray(p)) is None for p in around(pixel, 6)):
+                assert chosen_by_a_click(page, visitor, pixel) == (NONE, NONE), (number, pixel)
+                tried["floor"] += 1
+        picture(page, f"camera{number}")
+    print(tried)
+    assert tried["points"] >= 30, tried
+    assert tried["parts"] >= 12, tried
+    assert tried["floor"] >= 9, tried
+
+
+def around(pixel: np.ndarray, far: int = 2) -> list[np.ndarray]:
+    return [pixel + far * np.array(step) for step in ((0, 0), (1, 0), (-1, 0), (0, 1), (0, -1))]
+
+
+def test_the_page_works_with_a_token_and_not_without(browser):
+    access = Access("0.0.0.0")
+    with in_this_process(access=access) as server:
+        url = access.urls(server.get_port())[0]
+        context = browser.new_context()
+        page = context.new_page()
+        assert page.goto(url.partition("/?")[0]).status == 403
+        page.goto(url)
+        page.get_by_text(f"0 of {MERGES} merges").wait_for(timeout=60_000)
+        # The cookie does for a second page; what a link says of other servers is not followed.
+        page.goto(f"{url.partition('/?')[0]}/?websocket=ws://192.0.2.1:9")
+        page.get_by_text(f"0 of {MERGES} merges").wait_for(timeout=60_000)
+        assert "192.0.2.1" not in page.url
+        blocked = page.evaluate(
+            """() => new Promise(resolve => {
+                document.addEventListener("securitypolicyviolation", e => resolve(e.effectiveDirective));
+                try { new WebSocket("ws://192.0.2.1:9") } catch {}
+                setTimeout(() => resolve("it may connect"), 5000);
+            })"""
+        )
+        assert blocked == "connect-src"
+        context.close()
 
 
 def test_the_search_runs_and_the_time_line_goes_back(page):

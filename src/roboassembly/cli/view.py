@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import webbrowser
 from dataclasses import dataclass
@@ -13,6 +14,10 @@ import tyro
 from roboassembly.cli.options import Setting
 from roboassembly.cli.output import DONE, print_json, say
 from roboassembly.errors import InputError
+
+_PLAN = ".json"
+_SLOW = 2.0
+"""Seconds after which it is said what is being read."""
 
 
 @dataclass(frozen=True)
@@ -29,14 +34,20 @@ class View:
     scale: float | None = None
     """Metres per unit of 3D files; guessed if not given."""
     folders: tuple[Path, ...] = ()
-    """Folders of furniture folders, to choose from. If none is given, `furniture` where it is there: what
-    `roboassembly import` writes."""
+    """Folders of furniture folders, to choose from, and in which other folders may be opened by name. If none is given,
+    `furniture` where it is there, which `roboassembly import` writes; then nothing is opened by name."""
     policies: tuple[str, ...] = ()
-    """Checkpoints to choose from, besides the policy of the package."""
+    """Policies to choose from, besides the one of the package: checkpoints, or Python files, which are executed."""
     host: str = "127.0.0.1"
-    """Address to listen on. 0.0.0.0 lets other machines in, a phone for instance; whoever can reach it can use it."""
+    """Address to listen on. 0.0.0.0 lets other machines in, a phone for instance; they need the printed address, which
+    has a token in it."""
     port: int = 8080
-    """To listen on; 0 takes any that is free."""
+    """Port to listen on; 0 takes any that is free."""
+    token: str = ""
+    """Secret of 8 letters or more that the address must contain. By default a random one, and none if only this machine
+    can reach --host."""
+    allow_origin: tuple[str, ...] = ()
+    """Further addresses under which the page is reached, behind a proxy for instance: https://studio.example.org"""
     browser: bool = True
     """Open a browser window."""
     json: bool = False
@@ -44,41 +55,74 @@ class View:
 
     def run(self) -> int:
         """Serve until interrupted; returns the exit status."""
+        from roboassembly.studio.access import Access
         from roboassembly.studio.house import House
-        from roboassembly.studio.server import LOOPBACK, silence, studio
+        from roboassembly.studio.server import silence, studio
 
-        if self.seed < 0:
-            raise InputError(f"--seed {self.seed} is negative; 0 or more would do")
-        for folder in self.folders:
-            if not folder.is_dir():
-                raise InputError(f"--folders {folder}: there is no such folder")
+        self._check()
         here = Path("furniture")
         folders = self.folders or ((here,) if here.is_dir() else ())
-        if self.furniture != View.furniture and not Path(self.furniture).exists():
-            # Names are told at once to be wrong; all else is read or made while the browser loads the page.
-            from roboassembly.studio.wares import open_path
-
-            open_path(self.furniture, self.scale, with_grasps=self.setting == "full")
         house = House(
-            tuple(f for f in folders if any(f.glob("*/furniture.json"))),
-            ("relational", *self.policies),
-            self.furniture,
-            self.scale,
-            self.setting,
-            self.seed,
-            self.host in LOOPBACK,
+            folders=tuple(f for f in folders if any(f.glob("*/furniture.json"))),
+            policies=tuple(dict.fromkeys(("relational", *self.policies))),
+            furniture=self.furniture,
+            scale=self.scale,
+            setting=self.setting,
+            seed=self.seed,
+            roots=self.folders,
         )
+        access = Access(self.host, self.token, self.allow_origin, say)
         silence()
-        with studio(house, self.host, self.port) as server:
-            name = "localhost" if self.host in (*LOOPBACK, "0.0.0.0", "::") else self.host
-            url = f"http://{name}:{server.get_port()}"
-            say(f"{url}  (Ctrl-C ends it)")
+        with studio(house, access, self.port) as server:
+            urls = access.urls(server.get_port())
+            for url in urls:
+                say(f"{url}  (Ctrl-C ends it)" if url == urls[0] else url)
             if self.json:
-                print_json({"success": True, "url": url})
+                print_json({"success": True, "url": urls[0], "urls": urls})
             if self.browser:
-                webbrowser.open(url)
+                webbrowser.open(urls[0])
             try:
                 threading.Event().wait()
             except KeyboardInterrupt:
                 say("closed")
         return DONE
+
+    def _check(self) -> None:
+        """Read everything that is named, before anything is served.
+
+        Raises:
+            InputError: some of it cannot be used.
+        """
+        if self.seed < 0:
+            raise InputError(f"--seed {self.seed} is negative; 0 or more would do")
+        if self.scale is not None and not (math.isfinite(self.scale) and self.scale > 0.0):
+            raise InputError(f"--scale {self.scale} is no size; a positive number of metres would do")
+        for folder in self.folders:
+            if not folder.is_dir():
+                raise InputError(f"--folders {folder}: there is no such folder")
+        if self.policies:
+            from roboassembly.learning.loading import load_policy
+
+            for name in self.policies:
+                load_policy(name)
+        # The built-in chair that is shown by default is made while the browser loads the page.
+        if self.furniture != View.furniture:
+            slow = threading.Timer(_SLOW, say, [f"reading {self.furniture} ..."])
+            slow.daemon = True
+            slow.start()
+            try:
+                self._check_furniture()
+            finally:
+                slow.cancel()
+
+    def _check_furniture(self) -> None:
+        from roboassembly.studio.session import Session
+        from roboassembly.studio.wares import open_path, open_plan
+
+        if self.furniture.endswith(_PLAN):
+            script, furniture = open_plan(Path(self.furniture))
+            Session(furniture, script.setting, script.seed).check(script)
+        else:
+            # What is read here is kept for the first who opens the page.
+            furniture = open_path(self.furniture, self.scale, with_grasps=self.setting == "full")
+            Session(furniture, self.setting, self.seed)

@@ -39,12 +39,15 @@ class Chooser:
             _offer(point, own)
 
     def pick(self, part: int, point: int | None) -> bool:
-        """Take over a part, or one of its points, that was clicked on; False if none of its points is free."""
-        if not self._session.free()[part].any():
+        """Choose a part, or one of its points, that was clicked on; False if it cannot be joined any more."""
+        free = self._session.free()[part]
+        if not (free.any() if point is None else free[point]):
             return False
         panel = self._panel
         moving = panel.next.value == PICKS[0]
         which, at = (panel.u, panel.k) if moving else (panel.v, panel.l)
+        if which.value != self._named(part):
+            at.value = NONE
         which.value = self._named(part)
         self.offer()
         if point is not None:

@@ -29,5 +29,5 @@ class House:
     """At first."""
     seed: int
     """At first."""
-    paths: bool
-    """Whether visitors may open folders of this machine by name."""
+    roots: tuple[Path, ...] = ()
+    """Folders of this machine that visitors may open folders in, by name; none if they may not."""

@@ -1,8 +1,8 @@
-"""What is drawn on parts besides themselves: connection points to click on, their frames, and grasp regions."""
+"""What is drawn on parts besides themselves: balls on connection points, their frames, and grasp regions."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -42,18 +42,24 @@ class Marks:
         scene: of one client.
         furniture: whose parts they are on.
         names: of the parts' meshes in the scene.
-        clicked: told which end was clicked on.
     """
 
     scene: SceneApi
     furniture: Furniture
     names: Sequence[str]
-    clicked: Callable[[End], None]
+    centers: Float[np.ndarray, "parts 10 3"] = field(init=False)
+    """Middle of each ball, in its part's frame."""
+    radii: Float[np.ndarray, "parts 10"] = field(init=False)
+    """Metres of each ball that is shown; 0 for the others."""
     _dots: list[BatchedMeshHandle] = field(default_factory=list, init=False)
     _pins: list[LineSegmentsHandle] = field(default_factory=list, init=False)
     _frames: list[LineSegmentsHandle] = field(default_factory=list, init=False)
     _grasps: list[LineSegmentsHandle] = field(default_factory=list, init=False)
     _shown: tuple[np.ndarray, Chosen] | None = field(default=None, init=False)
+
+    def __post_init__(self) -> None:
+        self.centers = np.zeros((len(self.names), MAX_POINTS, 3))
+        self.radii = np.zeros((len(self.names), MAX_POINTS))
 
     def lay(
         self,
@@ -71,9 +77,9 @@ class Marks:
             grasps: of each part, to be drawn too; none where they are not asked for.
         """
         self.clear()
-        for part, name in enumerate(self.names):
-            heads = self._heads(part, points[part])
-            self._dots.append(self._put_dots(part, name, heads))
+        self.centers = np.stack([self._heads(part, points[part]) for part in range(len(self.names))])
+        for part, (name, heads) in enumerate(zip(self.names, self.centers, strict=True)):
+            self._dots.append(self._put_dots(name, heads))
             self._pins.append(self._put_pins(name, points[part, :, :3], heads))
             if frames and free[part].any():
                 self._frames.append(self._put_frames(name, points[part][free[part]]))
@@ -85,6 +91,7 @@ class Marks:
         if self._shown is not None and self._shown[1] == chosen and np.array_equal(self._shown[0], free):
             return
         self._shown = free, chosen
+        radii = np.zeros_like(self.radii)
         for part, (handle, pins) in enumerate(zip(self._dots, self._pins, strict=True)):
             pins.visible = bool(free[part].any())
             sizes = np.where(free[part], _DOT_RADIUS, 0.0)
@@ -94,12 +101,15 @@ class Marks:
                     sizes[end[1]], colors[end[1]] = _CHOSEN_RADIUS, to_bytes(color)
             handle.batched_scales = sizes.astype(np.float32)
             handle.batched_colors = colors
+            radii[part] = sizes
+        self.radii = radii
 
     def clear(self) -> None:
         """Take all marks away."""
         for handle in (*self._dots, *self._pins, *self._frames, *self._grasps):
             handle.remove()
         self._dots, self._pins, self._frames, self._grasps = [], [], [], []
+        self.radii = np.zeros_like(self.radii)
         self._shown = None
 
     def _heads(self, part: int, rows: Float[np.ndarray, "10 9"]) -> Float[np.ndarray, "10 3"]:
@@ -116,8 +126,8 @@ class Marks:
     ) -> LineSegmentsHandle:
         return self._put_lines(f"/{name}/pins", np.stack([feet, heads], axis=1), np.tile(to_bytes(_DOT), (10, 2, 1)))
 
-    def _put_dots(self, part: int, name: str, positions: Float[np.ndarray, "10 3"]) -> BatchedMeshHandle:
-        handle = self.scene.add_batched_meshes_simple(
+    def _put_dots(self, name: str, positions: Float[np.ndarray, "10 3"]) -> BatchedMeshHandle:
+        return self.scene.add_batched_meshes_simple(
             f"/{name}/points",
             _BALL.vertices.astype(np.float32),
             _BALL.faces.astype(np.uint32),
@@ -128,8 +138,6 @@ class Marks:
             cast_shadow=False,
             receive_shadow=False,
         )
-        handle.on_click(lambda event: self.clicked((part, event.instance_index or 0)))
-        return handle
 
     def _put_frames(self, name: str, rows: Float[np.ndarray, "n 9"]) -> LineSegmentsHandle:
         position, normal, tangent = rows[:, :3], rows[:, 3:6], rows[:, 6:]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from viser import GuiApi, GuiDropdownHandle, GuiTextHandle, Icon, UploadedFile
@@ -46,12 +47,17 @@ class Panel:
         gui: of the visitor's browser.
         sources: pieces by where they come from.
         policies: names.
-        paths: whether folders of this machine may be opened by name.
+        roots: folders that others may be opened in, by name.
         actions: called.
     """
 
     def __init__(
-        self, gui: GuiApi, sources: dict[str, list[str]], policies: Sequence[str], paths: bool, actions: Actions
+        self,
+        gui: GuiApi,
+        sources: dict[str, list[str]],
+        policies: Sequence[str],
+        roots: Sequence[Path],
+        actions: Actions,
     ) -> None:
         self._gui, self._sources = gui, sources
         gui.configure_theme(show_logo=False, show_share_button=False)
@@ -69,7 +75,7 @@ class Panel:
         with tabs.add_tab("Run"):
             self._add_running(policies, actions)
         with tabs.add_tab("Furniture"):
-            self._add_opening(paths, actions)
+            self._add_opening(roots, actions)
         with tabs.add_tab("Show"):
             self._add_looking(actions)
         self.cancel.on_click(lambda _: actions.cancel())
@@ -107,7 +113,7 @@ class Panel:
         for name, button in self.runs.items():
             button.on_click(lambda _, name=name: actions.run(name))
 
-    def _add_opening(self, paths: bool, actions: Actions) -> None:
+    def _add_opening(self, roots: Sequence[Path], actions: Actions) -> None:
         gui = self._gui
         self.source = _dropdown(gui, "From", tuple(self._sources))
         self.piece = _dropdown(gui, "Piece", tuple(self._sources[BUILT_IN]))
@@ -126,8 +132,10 @@ class Panel:
         )  # fmt: skip
         self.upload.on_upload(lambda event: actions.upload(event.target.value))
         self.path: GuiTextHandle | None = None
-        if paths:
-            hint = "Of furniture, or of 3D files, on the machine that serves this page."
+        if roots:
+            hint = (
+                f"Of furniture, or of 3D files, in {', '.join(map(str, roots))} on the machine that serves this page."
+            )
             self.path = path = gui.add_text("Folder", "", hint=hint)
             button = gui.add_button("Open folder", icon=Icon.FOLDER)
             button.on_click(lambda _: actions.open_path(path.value))
@@ -148,6 +156,10 @@ class Panel:
     def _list_pieces(self) -> None:
         self.piece.options = tuple(self._sources[self.source.value])
         self.number.visible = self.source.value == BUILT_IN
+
+    def forget_upload(self) -> None:
+        """Keep the file that came no longer."""
+        self.upload._impl.value = UploadedFile("", b"")
 
     @property
     def look(self) -> Look:

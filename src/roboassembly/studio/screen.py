@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Float, Float32
 from viser import ClientHandle, LineSegmentsHandle
 
 from roboassembly.rendering.camera import FIELD_OF_VIEW, box_corners, fit, view_axes
 from roboassembly.rendering.colors import MOVING, WAITING, Color, part_colors, spread_colors, to_bytes
 from roboassembly.robots.body import tip_positions
 from roboassembly.studio.marks import Chosen, Marks
+from roboassembly.studio.picking import Picked, Picker, Shown
 from roboassembly.studio.session import Session
 from roboassembly.task.full_plan import FullStep
 from roboassembly.task.plan import PlanStep
@@ -46,10 +46,9 @@ class Screen:
     Args:
         client: the browser.
         session: what it shows.
-        picked: told which part was clicked on, and which of its points if it was one.
     """
 
-    def __init__(self, client: ClientHandle, session: Session, picked: Callable[[int, int | None], None]) -> None:
+    def __init__(self, client: ClientHandle, session: Session) -> None:
         self._client, self._session = client, session
         self.look = Look()
         self.at = 0
@@ -70,9 +69,10 @@ class Screen:
         self._tableau.add(things, poses, self._colors(self._frames[0]))
         parts = len(session.furniture.parts)
         names = [thing.name for thing in things[:parts]]
-        self._marks = Marks(client.scene, session.furniture, names, lambda end: picked(*end))
-        for part, mesh in enumerate(self._tableau.meshes[:parts]):
-            mesh.on_click(lambda _, part=part: picked(part, None))
+        self._marks = Marks(client.scene, session.furniture, names)
+        self._meshes = [thing.mesh for thing in things]
+        self._picker = Picker()
+        self._seen = Shown(poses, self._marks.centers, self._marks.radii)
         self._aim(points)
 
     @property
@@ -97,6 +97,7 @@ class Screen:
         new = slice(len(self._tableau.meshes), None)
         frame = self._frames[-1]
         self._tableau.add(director.things[new], frame.poses[new], part_colors(frame.roles[new]))
+        self._meshes = [thing.mesh for thing in director.things]
         self.playing = True
         self.show(begin)
 
@@ -125,7 +126,12 @@ class Screen:
         frame = self._frames[self.at]
         self._tableau.show(frame.poses, self._colors(frame))
         self._marks.show(self._session.free() & (self.look.points and self.at == self.last), self._chosen)
+        self._seen = Shown(frame.poses, self._marks.centers, self._marks.radii)
         self._draw_way(frame.step if self.look.way else None)
+
+    def under(self, origin: Float[np.ndarray, "3"], direction: Float[np.ndarray, "3"]) -> Picked | None:
+        """The part or connection point that a ray of the camera meets first; None if it meets none."""
+        return self._picker.first(self._seen, self._meshes, origin, direction)
 
     def _aim(self, points: np.ndarray) -> None:
         camera = self._client.camera

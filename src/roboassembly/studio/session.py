@@ -130,6 +130,18 @@ class Session:
         leg = getattr(outcome, "leg", "")
         return Tried(action, str(outcome.verdict), leg, outcome.planning_steps, outcome.planning_seconds)
 
+    def check(self, script: Script) -> None:
+        """Whether a plan is of this furniture in this setting.
+
+        Raises:
+            InputError: it is a plan of other parts, or of the other setting.
+        """
+        parts = tuple(p.name for p in self.furniture.parts)
+        if script.parts != parts:
+            raise InputError(f"the plan is of '{script.furniture}', whose parts are others than those shown")
+        if script.setting != self.setting:
+            raise InputError(f"the plan is of setting '{script.setting}'; open the furniture in that one")
+
     def repeat(self, script: Script, watch: Watch) -> str:
         """Do a plan again from here, each step planned and checked anew.
 
@@ -143,11 +155,7 @@ class Session:
         Raises:
             InputError: it is a plan of other parts, or of the other setting.
         """
-        parts = tuple(p.name for p in self.furniture.parts)
-        if script.parts != parts:
-            raise InputError(f"the plan is of '{script.furniture}', whose parts are others than those shown")
-        if script.setting != self.setting:
-            raise InputError(f"the plan is of setting '{script.setting}'; open the furniture in that one")
+        self.check(script)
         before = self.planning_steps
         for index, action in enumerate(script.actions):
             if not watch(Standing(index, index, self.planning_steps - before)):

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import queue
-import tempfile
 import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
 
-from viser import ClientHandle, UploadedFile
+import numpy as np
+from viser import ClientHandle, SceneClickEvent, UploadedFile
 
 from roboassembly.errors import InputError, RoboAssemblyError
 from roboassembly.furniture.model import Furniture
@@ -18,15 +18,16 @@ from roboassembly.learning.policies import Policy, guide_of, settings_of
 from roboassembly.solvers.forward import Standing, Watch
 from roboassembly.solvers.guide import Guide
 from roboassembly.studio.chooser import Chooser
+from roboassembly.studio.downloads import send_plan
 from roboassembly.studio.house import House
 from roboassembly.studio.panel import Actions, Panel
+from roboassembly.studio.requests import Requests
 from roboassembly.studio.screen import FRAMES_PER_SECOND, Screen
 from roboassembly.studio.session import Session
-from roboassembly.studio.wares import Wares, open_path, open_plan, open_upload
+from roboassembly.studio.wares import Wares, find_below, open_path, open_plan, open_upload
 from roboassembly.studio.words import told
 from roboassembly.task import plan_file
 from roboassembly.task.plan_file import Script
-from roboassembly.viewer.html import write_html
 
 _PLAN = ".json"
 _PROGRESS_EVERY = 0.1
@@ -54,7 +55,7 @@ class Visitor:
     def __init__(self, client: ClientHandle, house: House) -> None:
         self.client, self._house = client, house
         self._wares = Wares(house.folders)
-        self._asked: queue.Queue[Callable[[], None] | None] = queue.Queue()
+        self._requests = Requests()
         self._cancelled = threading.Event()
         self._screen: Screen | None = None
         self._chooser: Chooser | None = None
@@ -66,24 +67,25 @@ class Visitor:
             client.gui,
             self._wares.sources(),
             house.policies,
-            house.paths,
+            house.roots,
             Actions(
                 open=lambda: self._ask(self._open),
-                upload=lambda file: self._ask(lambda: self._upload(file)),
-                open_path=lambda path: self._ask(lambda: self._open_path(path)),
-                choose=lambda: self._ask(self._choose),
+                upload=self._take_upload,
+                open_path=lambda path: self._ask(lambda: self._open_path(self._find(path))),
+                choose=lambda: self._ask(self._choose, "choose"),
                 join=lambda: self._ask(self._join),
                 undo=lambda: self._ask(self._undo),
                 suggest=lambda: self._ask(self._suggest),
                 run=lambda how: self._ask(lambda: self._run(how)),
                 cancel=self._cancelled.set,
-                scrub=lambda: self._ask(self._scrub),
+                scrub=lambda: self._ask(self._scrub, "scrub"),
                 play=lambda: self._ask(self._toggle),
-                look=lambda: self._ask(self._look),
+                look=lambda: self._ask(self._look, "look"),
                 save=lambda name: self._ask(lambda: self._save(name)),
             ),
         )
         self.panel.setting.value, self.panel.seed.value = house.setting, house.seed
+        client.scene.on_click()(self._clicked)
         self._ask(lambda: self._open_path(house.furniture))
         self._thread = threading.Thread(target=self._serve, name=f"visitor-{client.client_id}", daemon=True)
         self._thread.start()
@@ -96,10 +98,11 @@ class Visitor:
     def close(self) -> None:
         """Stop whatever runs, soon."""
         self._gone = True
-        self._asked.put(None)
+        self._ask(lambda: None)
 
-    def _ask(self, request: Callable[[], None]) -> None:
-        self._asked.put(request)
+    def _ask(self, request: Callable[[], None], once: str = "") -> None:
+        if not self._requests.add(request, once):
+            self._say("✗ Too much waits already; give it a moment.")
 
     def _serve(self) -> None:
         try:
@@ -114,11 +117,11 @@ class Visitor:
             due = time.monotonic() + 1.0 / FRAMES_PER_SECOND
             try:
                 playing = self._screen is not None and self._screen.playing
-                request = self._asked.get(timeout=1.0 / FRAMES_PER_SECOND if playing else None)
+                request = self._requests.next(timeout=1.0 / FRAMES_PER_SECOND if playing else None)
             except queue.Empty:
                 self._advance(max(0.0, time.monotonic() - due))
                 continue
-            if request is None or self._gone:
+            if self._gone:
                 return
             self._cancelled.clear()
             try:
@@ -136,9 +139,6 @@ class Visitor:
         )
 
     def _open_path(self, path: str) -> None:
-        path = path.strip()
-        if not path:
-            raise InputError("no folder named; write one, or a built-in chair like 'ladder:3'")
         if path.endswith(_PLAN):
             script, furniture = open_plan(Path(path))
             self._begin(lambda: furniture, script)
@@ -146,12 +146,31 @@ class Visitor:
         else:
             self._begin(lambda: open_path(path, self._house.scale, with_grasps=self._with_grasps))
 
+    def _find(self, name: str) -> str:
+        """Path of a folder that may be opened by name."""
+        if not name.strip():
+            raise InputError("no folder named; write one")
+        return str(find_below(self._house.roots, name.strip()))
+
     @property
     def _with_grasps(self) -> bool:
         return self.panel.setting.value == "full"
 
     def _repeat(self, script: Script) -> None:
         self._busily(lambda watch: self._present.repeat(script, watch), "Done again")
+
+    def _take_upload(self, file: UploadedFile) -> None:
+        """Let a file wait to be read; it is kept no longer than that."""
+
+        def take() -> None:
+            try:
+                self._upload(file)
+            finally:
+                self.panel.forget_upload()
+
+        if not self._requests.add(take):
+            self.panel.forget_upload()
+            self._say("✗ Too much waits already; bring the file again in a moment.")
 
     def _upload(self, file: UploadedFile) -> None:
         if file.name.lower().endswith(_PLAN):
@@ -174,7 +193,7 @@ class Visitor:
             if self._screen is not None:
                 self._screen.clear()
             self.session = session
-            self._screen = Screen(self.client, session, lambda *end: self._ask(lambda: self._picked(*end)))
+            self._screen = Screen(self.client, session)
             self._screen.look = self.panel.look
             self._chooser = Chooser(panel, session)
             self._settle()
@@ -186,6 +205,13 @@ class Visitor:
         with self.client.atomic():
             self._choice.offer()
             self._shown.choose(self._choice.ends)
+
+    def _clicked(self, event: SceneClickEvent) -> None:
+        """Find at once what was clicked on: parts may have moved when the click's turn comes."""
+        screen = self._screen
+        end = None if screen is None else screen.under(np.array(event.ray_origin), np.array(event.ray_direction))
+        if end is not None:
+            self._ask(lambda: self._picked(*end))
 
     def _picked(self, part: int, point: int | None) -> None:
         """A part or one of its points was clicked on."""
@@ -226,6 +252,8 @@ class Visitor:
         return guide_of(self._policy(self.panel.policy.value))
 
     def _policy(self, name: str) -> Policy:
+        if name not in self._house.policies:
+            raise InputError("no such policy is offered; name it with --policies when the studio is started")
         if name not in self._policies:
             self._policies[name] = load_policy(name)
         policy = self._policies[name]
@@ -361,13 +389,5 @@ class Visitor:
         self.panel.message.content = text
 
     def _save(self, name: str) -> None:
-        plan = self._present.plan()
-        if name == "plan.json":
-            content = plan_file.encode(plan)
-        else:
-            with tempfile.TemporaryDirectory() as folder:
-                path = Path(folder) / name
-                write_html(plan, path)
-                content = path.read_bytes()
-        self.client.send_file_download(name, content, save_immediately=True)
+        send_plan(self.client, self._present.plan(), name)
         self._say(f"Saved {name}.")

@@ -6,6 +6,7 @@ import stat
 import tempfile
 import zipfile
 import zlib
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from io import BytesIO
@@ -56,10 +57,13 @@ class Wares:
         Raises:
             InputError: there is no such piece, or it cannot be read.
         """
+        sources = self.sources()
+        if source not in sources:
+            raise InputError(f"there is no source '{source}' here")
+        if piece not in sources[source]:
+            raise InputError(f"there is no piece '{piece}' in {source}")
         if source == BUILT_IN:
             return open_path(f"{piece}:{number}", with_grasps=with_grasps)
-        if source not in self.sources():
-            raise InputError(f"there is no source '{source}' here")
         return _of_set(source, piece, with_grasps=with_grasps)
 
 
@@ -93,6 +97,34 @@ def _of_set(source: str, piece: str, *, with_grasps: bool) -> Furniture:
     if found is None:
         raise InputError(f"there is no piece '{piece}' in {source}")
     return found.furniture(with_grasps=with_grasps)
+
+
+def find_below(roots: Sequence[Path], name: str) -> Path:
+    """A folder or file that lies in one of some folders, links followed.
+
+    Args:
+        roots: folders.
+        name: path, from one of them or absolute.
+
+    Raises:
+        InputError: there is none, or it or something in it leads out of them.
+    """
+    inside = [root.resolve() for root in roots]
+    for root in inside:
+        try:
+            path = (root / name).resolve(strict=True)
+            if path.is_relative_to(root) and all(p.resolve().is_relative_to(root) for p in _nearest(path)):
+                return path
+        except (OSError, RuntimeError, ValueError):
+            continue
+    allowed = ", ".join(map(str, roots))
+    raise InputError(f"no '{name}' in {allowed}; only what lies there can be opened by name")
+
+
+def _nearest(path: Path) -> Iterator[Path]:
+    """What a furniture folder or a folder of 3D files consists of: two levels."""
+    yield from path.glob("*")
+    yield from path.glob("*/*")
 
 
 def open_plan(path: Path) -> tuple[Script, Furniture]:
