@@ -28,7 +28,7 @@ from roboassembly.task.upright_full import upright_legs
 PLANNER = "lift-turn-lower"
 _CLEARANCE = 0.02
 """Metres between the ground and the lowest point of the piece while it turns."""
-AnyPlan = TypeVar("AnyPlan", Plan, FullPlan)
+AnyPlan = TypeVar("AnyPlan", bound=Plan | FullPlan)
 
 
 def set_upright(plan: AnyPlan) -> AnyPlan:
