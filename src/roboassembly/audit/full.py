@@ -18,7 +18,8 @@ import numpy as np
 import pinocchio as pin
 from jaxtyping import Float
 
-from roboassembly.audit.object_centric import fcl_model, fcl_module, misplaced
+from roboassembly.audit.arrangement import misplaced, stands
+from roboassembly.audit.object_centric import fcl_model, fcl_module
 from roboassembly.furniture.model import Furniture
 from roboassembly.gripper import TIPS, hand_bodies, panda_folder
 from roboassembly.meshes import Mesh
@@ -55,6 +56,8 @@ class RobotViolationKind(StrEnum):
     """Something is elsewhere than the leg before left it."""
     NOT_ASSEMBLED = "not_assembled"
     """What stands there in the end is not the furniture."""
+    NOT_UPRIGHT = "not_upright"
+    """The piece is said to stand on its feet on the floor in the end, and does not."""
 
 
 @dataclass(frozen=True)
@@ -97,8 +100,9 @@ def audit_full_plan(plan: FullPlan, resolution: float = RESOLUTION) -> RobotAudi
 
     Of all that stands: each group and post against all others. In every leg: the moving robot and what it holds
     against all that stands, posts, the other robot and what that holds, the ground, and itself; joint limits; that
-    everything is where the leg before left it. At the end: that it is the furniture. The pads may touch what they
-    hold, and a group its post.
+    everything is where the leg before left it. At the end: that it is the furniture, and that it stands on its feet on
+    the floor if the plan says so. The legs that set it there count as one step more. The pads may touch what they hold,
+    and a group its post.
 
     Args:
         plan: as recorded.
@@ -120,19 +124,23 @@ class _RobotAudit:
         self._first: list[RobotViolation] = []
 
     def report(self) -> RobotAuditReport:
-        before = self._plan.initial.moment
+        plan, furniture, before = self._plan, self._plan.furniture, self._plan.initial.moment
         self._keep_apart(0, "", before)
-        for index, step in enumerate(self._plan.steps):
-            for leg in step.legs:
+        for index, legs in enumerate([*(step.legs for step in plan.steps), plan.final_legs]):
+            for leg in legs:
                 self._legs += 1
                 self._continues(index, leg, before)
-                if (leg.moment.standing, leg.moment.posts) != (before.standing, before.posts):
+                if _still_things(leg.moment) != _still_things(before):
                     self._keep_apart(index, leg.name, leg.moment)
                 self._walk(index, leg)
                 before = leg.after
-        furniture = self._plan.furniture
-        if self._plan.success and (astray := misplaced(furniture, _part_poses(furniture, before))):
-            self._found(RobotViolationKind.NOT_ASSEMBLED, len(self._plan.steps) - 1, "", f"parts {list(astray)}")
+        poses = _part_poses(furniture, before)
+        if plan.success and (astray := misplaced(furniture, poses)):
+            self._found(RobotViolationKind.NOT_ASSEMBLED, len(plan.steps) - 1, "", f"parts {list(astray)}")
+        if plan.upright is not None and plan.upright.success:
+            by_itself = not before.standing and all(robot.grip is None for robot in before.robots)
+            if not by_itself or not stands(furniture, poses):
+                self._found(RobotViolationKind.NOT_UPRIGHT, len(plan.steps), "", "the piece at the end")
         return RobotAuditReport(self._legs, self._states, dict(self._counts), tuple(self._first))
 
     def _found(self, kind: RobotViolationKind, step: int, leg: str, what: str) -> None:
@@ -154,8 +162,9 @@ class _RobotAudit:
     def _keep_apart(self, step: int, leg: str, moment: Moment) -> None:
         """Groups and posts that stand are not in each other, but for a group's own post."""
         furniture, things = self._plan.furniture, []
-        for owner, s in enumerate(moment.standing):
-            for p, pose in zip(s.group.parts, s.group.part_poses(), strict=True):
+        groups = [*enumerate(s.group for s in moment.standing), *((-1 - i, g) for i, g in enumerate(moment.on_floor))]
+        for owner, group in groups:
+            for p, pose in zip(group.parts, group.part_poses(), strict=True):
                 things.append((owner, f"part {p}", self._placed(furniture.parts[p].mesh, pose)))
         for owner, stand in enumerate(moment.stands):
             body = stand.body(f"post {owner}")
@@ -201,8 +210,8 @@ class _RobotAudit:
         furniture = self._plan.furniture
         out = [
             (f"part {p}", self._placed(furniture.parts[p].mesh, pose))
-            for s in moment.standing
-            for p, pose in zip(s.group.parts, s.group.part_poses(), strict=True)
+            for group in (*(s.group for s in moment.standing), *moment.on_floor)
+            for p, pose in zip(group.parts, group.part_poses(), strict=True)
         ]
         for i, stand in enumerate(moment.stands):
             body = stand.body(f"post {i}")
@@ -224,6 +233,11 @@ class _RobotAudit:
 
     def _touch(self, a: Any, b: Any) -> bool:
         return bool(self._fcl.collide(a, b, self._fcl.CollisionRequest(), self._fcl.CollisionResult()))
+
+
+def _still_things(moment: Moment) -> tuple[Any, ...]:
+    """All that stands but the robots."""
+    return moment.standing, moment.posts, moment.on_floor
 
 
 def _load(furniture: Furniture, robot: Robot) -> list[tuple[Mesh, SE3]]:

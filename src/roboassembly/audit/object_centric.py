@@ -19,16 +19,12 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation, Slerp
 
+from roboassembly.audit.arrangement import SAME_ANGLE, SAME_POSITION, angle_of, misplaced, stands
 from roboassembly.errors import MissingExtraError
-from roboassembly.furniture.model import Furniture
 from roboassembly.meshes import Mesh
 from roboassembly.poses import SE3
-from roboassembly.task.plan import Plan, PlanStep
+from roboassembly.task.plan import Plan, PlanStep, UprightMotion, UprightResult
 
-_SAME_POSITION = 1e-5
-"""Metres by which two records of one pose may differ."""
-_SAME_ANGLE = 1e-4
-"""Radians, likewise."""
 _ORTHONORMAL = 1e-6
 """Largest entry of R Rᵀ - 1 that a rotation may have."""
 _CONTACTS = 200
@@ -60,6 +56,8 @@ class ViolationKind(StrEnum):
     """A step that does not account for every part once, or has no path."""
     NOT_ASSEMBLED = "not_assembled"
     """The arrangement after the last step is not the furniture."""
+    NOT_UPRIGHT = "not_upright"
+    """The piece is said to stand on its feet in the end, and does not."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +66,7 @@ class Violation:
 
     kind: ViolationKind
     step: int
-    """-1: before the first step."""
+    """-1: before the first step; as many as there are steps: the motion that sets the piece upright."""
     state: int
     """Index of the state along the step's path; -1: not on a path."""
     parts: tuple[int, ...]
@@ -115,6 +113,7 @@ def audit_plan(
     still parts against each other. Before the first step and after each: all parts against each other and the ground.
     That parts start where they were left, and groups stay rigid (v's group may be set down elsewhere, as a whole).
     After the last: that the arrangement is the furniture, like parts swapped and turned by symmetries of their shape.
+    The motion that sets the piece upright: the same, and that the piece stands on its feet in the end (`stands`).
     Motion while settling is not looked at: that is physics, of the merged group alone.
 
     Args:
@@ -148,12 +147,31 @@ class _Audit:
             if self._whole(index, step):
                 self._transition(index, step, before)
                 self._still(index, step)
-                self._path(index, step)
+                self._path(index, step.path, step.moving, step.still)
             self._rest(index, step.after)
             before = step.after
         if self._plan.success and (astray := misplaced(self._plan.furniture, before)):
             self._found(ViolationKind.NOT_ASSEMBLED, len(self._plan.steps) - 1, -1, astray, float("nan"))
+        if self._plan.upright is not None:
+            self._upright(len(self._plan.steps), self._plan.upright, before)
         return AuditReport(len(self._plan.steps), self._states, dict(self._counts), tuple(self._first))
+
+    def _upright(self, index: int, result: UprightResult[UprightMotion], before: Sequence[SE3]) -> None:
+        after, motion = before, result.motion
+        if motion is not None:
+            after = motion.after
+            self._rotations(index, [*motion.path, *motion.moving.values(), *after])
+            complete = sorted(motion.moving) == list(range(len(before))) and len(after) == len(before)
+            if not complete or not motion.path:
+                self._found(ViolationKind.MISSING_PART, index, -1, (), float("nan"))
+                return
+            for part, pose in motion.moving.items():
+                self._same(ViolationKind.DISCONTINUITY, index, part, motion.path[0] * pose, before[part])
+            self._rigid(index, {p: motion.path[-1] * pose for p, pose in motion.moving.items()}, after)
+            self._path(index, motion.path, motion.moving, {})
+            self._rest(index, after)
+        if result.success and not stands(self._plan.furniture, after):
+            self._found(ViolationKind.NOT_UPRIGHT, index, -1, (), float("nan"))
 
     def _found(self, kind: ViolationKind, step: int, state: int, parts: Sequence[int], depth: float) -> None:
         self._counts[kind] += 1
@@ -202,7 +220,7 @@ class _Audit:
 
     def _same(self, kind: ViolationKind, index: int, part: int, pose: SE3, expected: SE3) -> None:
         off = float(np.linalg.norm(pose.translation - expected.translation))
-        if off > _SAME_POSITION or _angle(pose.rotation.T @ expected.rotation) > _SAME_ANGLE:
+        if off > SAME_POSITION or angle_of(pose.rotation.T @ expected.rotation) > SAME_ANGLE:
             self._found(kind, index, -1, (part,), off)
 
     def _rigid(self, index: int, group: Mapping[int, SE3], after: Sequence[SE3]) -> None:
@@ -244,19 +262,21 @@ class _Audit:
             return False
         return _winding_number(corners[a][0], corners[b], self._meshes[b].faces) > 0.5
 
-    def _path(self, index: int, step: PlanStep) -> None:
+    def _path(
+        self, index: int, path: Sequence[SE3], moving_parts: Mapping[int, SE3], still_parts: Mapping[int, SE3]
+    ) -> None:
         manager = self._fcl.DynamicAABBTreeCollisionManager()
-        still = {p: self._placed(p, pose) for p, pose in step.still.items()}
+        still = {p: self._placed(p, pose) for p, pose in still_parts.items()}
         manager.registerObjects(list(still.values()))
         manager.setup()
-        moving = {p: self._placed(p, pose) for p, pose in step.moving.items()}
+        moving = {p: self._placed(p, pose) for p, pose in moving_parts.items()}
         radius = max(
             float(np.linalg.norm(self._meshes[p].vertices @ pose.rotation.T + pose.translation, axis=1).max())
-            for p, pose in step.moving.items()
+            for p, pose in moving_parts.items()
         )
-        for state, (turn, place) in enumerate(self._interpolated(step.path, radius)):
+        for state, (turn, place) in enumerate(self._interpolated(path, radius)):
             self._states += 1
-            for part, pose in step.moving.items():
+            for part, pose in moving_parts.items():
                 rotation, translation = turn @ pose.rotation, turn @ pose.translation + place
                 lowest = float((self._meshes[part].vertices @ rotation[2]).min() + translation[2])
                 if lowest < 0:
@@ -305,57 +325,6 @@ def fcl_model(fcl: Any, mesh: Mesh) -> Any:
     model.addSubModel(mesh.vertices, mesh.faces)
     model.endModel()
     return model
-
-
-def misplaced(furniture: Furniture, poses: Sequence[SE3]) -> tuple[int, ...]:
-    """Parts without a slot of their own, however the furniture is laid over them; like parts may be swapped, and
-    turned by symmetries of their shape.
-
-    Args:
-        furniture: what should be assembled.
-        poses: of its parts, `world_from_part`.
-    """
-    slots: list[_Slots] = [
-        (np.array(furniture.classes[c].members), furniture.classes[c].symmetries) for c in furniture.class_of
-    ]
-    anchor = min(range(len(poses)), key=lambda p: len(slots[p][0]) * len(slots[p][1]))
-    best: tuple[int, ...] = tuple(range(len(poses)))
-    for slot in slots[anchor][0]:
-        for turn in slots[anchor][1]:
-            in_slot = furniture.assembled[slot] * SE3(turn, np.zeros(3))
-            astray = _astray(furniture, poses, in_slot * poses[anchor].inverse(), slots)
-            if not astray:
-                return ()
-            best = min(best, astray, key=len)
-    return best
-
-
-_Slots = tuple[Int[np.ndarray, "m"], Float[np.ndarray, "s 3 3"]]
-
-
-def _astray(
-    furniture: Furniture, poses: Sequence[SE3], furniture_from_world: SE3, slots: Sequence[_Slots]
-) -> tuple[int, ...]:
-    """Parts without a slot of their own after the motion."""
-    taken: set[int] = set()
-    out: list[int] = []
-    for part, pose in enumerate(poses):
-        here = furniture_from_world * pose
-        for slot in slots[part][0]:
-            there = furniture.assembled[slot]
-            near = float(np.linalg.norm(here.translation - there.translation)) < 10 * _SAME_POSITION
-            left = there.rotation.T @ here.rotation
-            if slot not in taken and near and min(_angle(t.T @ left) for t in slots[part][1]) < 10 * _SAME_ANGLE:
-                taken.add(int(slot))
-                break
-        else:
-            out.append(part)
-    return tuple(out)
-
-
-def _angle(rotation: Float[np.ndarray, "3 3"]) -> float:
-    """Of a rotation matrix, radians."""
-    return float(Rotation.from_matrix(rotation).magnitude())
 
 
 def _winding_number(

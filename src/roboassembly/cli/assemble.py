@@ -5,7 +5,7 @@ from __future__ import annotations
 import json as jsonlib
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from roboassembly.furniture.model import Furniture
     from roboassembly.solvers.search import SearchResult
     from roboassembly.task.full_plan import FullPlan
+    from roboassembly.task.plan import UprightResult
 
 NO_POLICY = "none"
 
@@ -57,6 +58,7 @@ class Assemble:
         if self.execution == "dynamic" and self.setting != "full":
             raise InputError("--execution dynamic takes --setting full: there are no robots in the other one")
         from roboassembly.furniture import catalogue
+        from roboassembly.task.upright import set_upright
 
         started = time.perf_counter()
         solve = self._solver()
@@ -71,6 +73,10 @@ class Assemble:
             )
         else:
             say(f"not assembled: {result.reason}")
+        result = replace(result, plan=set_upright(result.plan))
+        upright: UprightResult[Any] | None = result.plan.upright
+        if upright is not None:
+            say(_upright_line(upright))
         outputs = self._write(result, solved)
         executed = self._executed(result.plan) if self.execution == "dynamic" else {}
         success = result.plan.success and executed.get("success", True)
@@ -87,6 +93,8 @@ class Assemble:
             "seconds": round(time.perf_counter() - started, 3),
             "seed": self.seed,
             "reason": result.reason,
+            "upright": upright is not None and upright.success,
+            "upright_reason": "not assembled" if upright is None else upright.reason,
             "outputs": outputs,
             **({"execution": executed} if executed else {}),
         }
@@ -169,6 +177,7 @@ class Assemble:
             "merges_tried": result.attempts,
             "backtracks": result.backtracks,
             "guide_seconds": result.guide_seconds,
+            "upright_seconds": 0.0 if plan.upright is None else plan.upright.planning_seconds,
         }
         (folder / "timings.json").write_text(jsonlib.dumps(timings, indent=1) + "\n")
         wrote("timings", folder / "timings.json")
@@ -186,3 +195,12 @@ class Assemble:
             # A film of an earlier run would show another plan.
             (folder / "assembly.mp4").unlink(missing_ok=True)
         return outputs
+
+
+def _upright_line(result: UprightResult[Any]) -> str:
+    """Whether the assembled piece ends on its feet."""
+    if not result.success:
+        return f"not set upright: {result.reason}"
+    if result.motion is None:
+        return "it stands upright"
+    return f"set upright: {result.planning_steps} states checked, {result.planning_seconds:.2f} s"

@@ -58,6 +58,8 @@ class Screen:
         self._frames = [director.opening()]
         self._ends: list[int] = []
         """Number of the frame in which each step ends."""
+        self._stands = False
+        """Whether the frames go on to where the finished piece stands on its feet."""
         self._chosen: Chosen = (None, None)
         self._way: tuple[int, LineSegmentsHandle] | None = None
         """Of a step."""
@@ -94,6 +96,9 @@ class Screen:
         for step in range(len(self._ends), len(plan.steps)):
             self._frames += director.step(step)
             self._ends.append(self.last)
+        if plan.upright is not None and not self._stands:
+            self._frames += director.upright()
+            self._stands = True
         new = slice(len(self._tableau.meshes), None)
         frame = self._frames[-1]
         self._tableau.add(director.things[new], frame.poses[new], part_colors(frame.roles[new]))
@@ -102,8 +107,9 @@ class Screen:
         self.show(begin)
 
     def shorten(self) -> None:
-        """Forget the frames of steps that were taken back."""
+        """Forget the frames of steps that were taken back, and of the motion after the last of all."""
         del self._ends[self._session.merges :]
+        self._stands = False
         del self._frames[(self._ends[-1] if self._ends else 0) + 1 :]
         self.playing = False
         self.show(self.last)

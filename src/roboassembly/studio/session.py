@@ -22,9 +22,10 @@ from roboassembly.task.full import FullTask
 from roboassembly.task.full_plan import FullPlan
 from roboassembly.task.groups import TaskState
 from roboassembly.task.object_centric import ObjectCentricTask
-from roboassembly.task.plan import Plan
+from roboassembly.task.plan import Plan, UprightResult
 from roboassembly.task.plan_file import Script
 from roboassembly.task.setting import SettingName
+from roboassembly.task.upright import set_upright
 
 _PLANNER = threading.Lock()
 """OMPL's random numbers are one stream for the whole process, so that visitors plan one after another."""
@@ -77,6 +78,8 @@ class Session:
         self.task: Any = (FullTask if self.setting == "full" else ObjectCentricTask)(self.furniture)
         self._states: list[Any] = [self.task.initial_state(np.random.default_rng(self.seed))]
         self._steps: list[Any] = []
+        self.upright: UprightResult[Any] | None = None
+        """How the finished piece ends; None as long as it is not finished."""
         self._observer = Observer(self.furniture, MAX_PARTS, MAX_POINTS, 1)
 
     @cached_property
@@ -125,6 +128,7 @@ class Session:
         if outcome.step is not None:
             self._steps.append(outcome.step)
             self._states.append(outcome.state)
+            self._set_upright()
         else:
             self.failures += 1
         leg = getattr(outcome, "leg", "")
@@ -166,11 +170,12 @@ class Session:
         return ""
 
     def undo(self) -> bool:
-        """Take the newest step back; False if there is none."""
+        """Take the newest step back, and the motion that followed it if it was the last; False if there is none."""
         if not self._steps:
             return False
         self._steps.pop()
         self._states.pop()
+        self.upright = None
         return True
 
     def search(self, guide: Guide | None, watch: Watch) -> str:
@@ -200,7 +205,14 @@ class Session:
         if result.plan.success:
             self._steps += result.plan.steps
             self._states += result.states
+            self._set_upright()
         return result.reason
+
+    def _set_upright(self) -> None:
+        """Once all is assembled, plan the motion that sets the piece on its feet."""
+        if self.joined.complete:
+            with _PLANNER:
+                self.upright = set_upright(self.plan()).upright
 
     def suggestion(self, guide: Guide) -> tuple[int, ...] | None:
         """What a policy would do now; None if it sees nothing."""
@@ -208,8 +220,8 @@ class Session:
         return suggestions[0].action if suggestions else None
 
     def plan(self) -> Plan | FullPlan:
-        """All steps so far as a record."""
+        """All steps so far as a record, and the motion after the last of all."""
         steps, complete = tuple(self._steps), self.joined.complete
         if self.setting == "full":
-            return FullPlan(self.furniture, self._states[0], steps, complete, self.seed)
-        return Plan(self.furniture, self._states[0].part_poses, steps, complete, self.seed)
+            return FullPlan(self.furniture, self._states[0], steps, complete, self.seed, self.upright)
+        return Plan(self.furniture, self._states[0].part_poses, steps, complete, self.seed, self.upright)

@@ -25,7 +25,7 @@ from roboassembly.studio.requests import Requests
 from roboassembly.studio.screen import FRAMES_PER_SECOND, Screen
 from roboassembly.studio.session import Session
 from roboassembly.studio.wares import Wares, find_below, open_path, open_plan, open_upload
-from roboassembly.studio.words import told
+from roboassembly.studio.words import told, upright_note
 from roboassembly.task import plan_file
 from roboassembly.task.plan_file import Script
 
@@ -229,7 +229,7 @@ class Visitor:
         if tried.merged:
             self._shown.extend()
         self._settle()
-        self._say(told(session.furniture, tried))
+        self._say(told(session.furniture, tried) + upright_note(session.upright))
 
     def _undo(self) -> None:
         if not self._present.undo():
@@ -289,7 +289,7 @@ class Visitor:
             self._shown.extend()
         self._settle()
         count = f"{session.merges - before} merges, {session.planning_steps:,} states checked in all"
-        self._say(f"✗ {said}" if said else f"✓ {done}: {count}.")
+        self._say(f"✗ {said}" if said else f"✓ {done}: {count}.{upright_note(session.upright)}")
 
     def _watch(self) -> Watch:
         whole, told_at = len(self._present.furniture.parts) - 1, 0.0

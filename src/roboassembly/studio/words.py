@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from roboassembly.furniture.model import Furniture
 from roboassembly.studio.session import Tried
 from roboassembly.task.full import FullVerdict
 from roboassembly.task.object_centric import Verdict
+from roboassembly.task.plan import UprightResult
 
 WAYS = ("+z up", "−z up", "+x up", "−x up", "+y up", "−y up")
 """For each `w`, in the frame of the assembled furniture."""
@@ -27,6 +30,13 @@ _WHY: dict[str, str] = {
     FullVerdict.NO_STAND: "There is no way of setting the joined group on a post.",
 }
 """What a verdict means; those that both settings have mean the same in both."""
+
+
+def upright_note(result: UprightResult[Any] | None) -> str:
+    """How the finished piece ends, in Markdown, to follow another sentence; empty as long as it is not finished."""
+    if result is None:
+        return ""
+    return " It stands on its feet." if result.success else f" It is not set upright: {result.reason}."
 
 
 def told(furniture: Furniture, tried: Tried) -> str:

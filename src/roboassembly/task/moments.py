@@ -80,12 +80,15 @@ class Moment:
     """R_a, R_b."""
     posts: tuple[Stand, ...] = ()
     """Without anything on them."""
+    on_floor: tuple[Group, ...] = ()
+    """Groups that stand on the floor by themselves."""
 
     def around(self, furniture: Furniture, robot: int) -> list[Body]:
         """What is in one robot's way."""
         out = [body(furniture, s.group, f"group{i}") for i, s in enumerate(self.standing)]
         out += [s.stand.body(f"post{i}") for i, s in enumerate(self.standing)]
         out += [stand.body(f"free post{i}") for i, stand in enumerate(self.posts)]
+        out += [body(furniture, group, f"on floor{i}") for i, group in enumerate(self.on_floor)]
         return [*out, self.robots[1 - robot].body(furniture)]
 
     def world(self, furniture: Furniture, robot: int) -> RobotWorld:
@@ -110,7 +113,7 @@ class Moment:
     def groups(self) -> list[Group]:
         """All groups where they are, those in hands last."""
         held = [r.grip.placed(r.at) for r in self.robots if r.grip is not None]
-        return [*(s.group for s in self.standing), *held]
+        return [*(s.group for s in self.standing), *self.on_floor, *held]
 
 
 @dataclass(frozen=True, eq=False)

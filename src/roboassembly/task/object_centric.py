@@ -20,8 +20,9 @@ from roboassembly.scene import Scene
 from roboassembly.task.groups import Group, TaskState, body, center_of_mass, hull_points
 from roboassembly.task.layout import GROUND_CLEARANCE, Circle, footprint, free_spot, group_footprint, scattered
 from roboassembly.task.pairs import Merge, PairRule
-from roboassembly.task.plan import SETTLING_INTERVAL, PlanStep
+from roboassembly.task.plan import PlanStep
 from roboassembly.task.rules import UP_AXES, Rules
+from roboassembly.task.settling import let_go
 
 
 class Verdict(StrEnum):
@@ -175,22 +176,7 @@ class ObjectCentricTask:
 
     def _apply(self, state: TaskState, action: tuple[int, ...], mating: Mating, result: PathResult) -> Outcome:
         others = [group_footprint(self.furniture, g) for g in mating.others]
-        joined = body(self.furniture, mating.merged, "merged",
-                      origin=center_of_mass(self.furniture, mating.merged), moves=True)  # fmt: skip
-        # Physics takes a tenth of the time in which a command starts, and nothing has fallen before the first merge.
-        from roboassembly.simulation.settle import settle
-
-        settled = settle(joined, SETTLING_INTERVAL)
-        motions = [pose * joined.pose.inverse() for pose in settled.poses]
-        rested = mating.merged.moved_to(motions[-1] * mating.merged.world_from_furniture)
-        points = hull_points(self.furniture, rested) @ rested.world_from_furniture.rotation.T
-        points += rested.world_from_furniture.translation
-        circle = footprint(points)
-        spot = free_spot(circle, others)
-        lift = GROUND_CLEARANCE - float(points[:, 2].min())
-        nudge = SE3(np.eye(3), np.array([*(spot - circle.center), lift]))
-        motions[-1] = nudge * motions[-1]
-        rested = rested.moved_to(nudge * rested.world_from_furniture)
+        motions, rested = let_go(self.furniture, mating.merged, others)
         after = TaskState((*mating.others, rested))
         still = {
             p: pose for g in (mating.v_group, *mating.others) for p, pose in zip(g.parts, g.part_poses(), strict=True)
@@ -205,7 +191,7 @@ class ObjectCentricTask:
             waiting=mating.v_group.parts,
             still=still,
             path=result.path,
-            settling=tuple(motions),
+            settling=motions,
             after=after.part_poses,
             planning_steps=result.states,
             planner=result.planner,

@@ -95,6 +95,17 @@ class PairRule:
             world = group.world_from_furniture * group.furniture_from_part[0] * placed[0].inverse()
             yield Group(group.parts, slots, placed, world)
 
+    def furniture_frames(self, poses: Sequence[SE3]) -> Iterator[SE3]:
+        """Each `world_from_furniture` in which parts at `poses` are the assembled furniture; several if it is
+        symmetric.
+
+        Args:
+            poses: `world_from_part` of every part.
+        """
+        whole = range(len(poses))
+        for _, placed in self._embeddings(tuple(whole), tuple(poses), (whole,)):
+            yield poses[0] * placed[0].inverse()
+
     def _other_places(self, group: Group) -> list[tuple[tuple[int, ...], tuple[SE3, ...]]]:
         """Other sets of slots that a group could take, and its parts there; kept, being asked for often."""
         turns = np.round([p.rotation for p in group.furniture_from_part], 3) + 0.0

@@ -1,8 +1,8 @@
-"""The legs by which a robot sets what it holds on a post that rises for it, and leaves."""
+"""The legs by which a robot sets what it holds on a post that rises for it, or on the floor, and leaves."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
 
@@ -29,11 +29,11 @@ _OF_ONE, _CARRIES = 3, 12
 
 @dataclass(frozen=True, eq=False)
 class _Down:
-    """A way to set the group down, `set_down` without the drive and what follows."""
+    """A way to set a group down, `put_down` without the drive and what follows."""
 
     with_post: Moment
     after: Moment
-    """The group on its post, the hand open and not yet gone."""
+    """The group on its post or on the floor, the hand open and not yet gone."""
     leaving: RobotWorld
     above: Path
     """Straight up from where the group stands."""
@@ -50,21 +50,38 @@ def set_down(legs: Legs, wanted: Sequence[Float[np.ndarray, "2"]]) -> None:
     Raises:
         LegError: it cannot be.
     """
-    before = legs.reached
     robot = legs.moment.robots[1]
-    carrying = legs.world(legs.moment, 1)
+    assert robot.grip is not None
+    put_down(legs, 1, _places(legs, robot.grip.group, robot.at, wanted), PLACE)
+
+
+def put_down(legs: Legs, index: int, places: Iterable[Standing | Group], joints: slice) -> None:
+    """A robot carries what it holds to one of several places, sets it down there and drives away.
+
+    Args:
+        legs: so far; those of this are added.
+        index: of the robot.
+        places: in the order in which they are tried: on a post that rises for it, or (a group) on the floor.
+        joints: ways to stand are tried first that are near the robot's present configuration in these.
+
+    Raises:
+        LegError: it cannot be.
+    """
+    before = legs.reached
+    robot = legs.moment.robots[index]
+    carrying = legs.world(legs.moment, index)
     failed = LegError(Obstacle.NO_PATH, "set down")
-    for down in islice(_ways_down(legs, wanted), _CARRIES):
+    for down in islice(_ways_down(legs, index, places, joints), _CARRIES):
         path = legs.go(carrying, robot.at, down.above[-1])
         if path is None:
             continue
-        legs.add("carry", 1, path)
+        legs.add("carry", index, path)
         legs.moment = replace(legs.moment, posts=down.with_post.posts)
-        legs.add("set down", 1, tuple(reversed(down.above)))
-        legs.moment = down.after.moved(1, legs.moment.robots[1].at)
-        legs.add("back off", 1, down.back)
+        legs.add("set down", index, tuple(reversed(down.above)))
+        legs.moment = down.after.moved(index, legs.moment.robots[index].at)
+        legs.add("back off", index, down.back)
         try:
-            legs.park(1, down.leaving, "leave")
+            legs.park(index, down.leaving, "leave")
         except LegError as no:
             failed = no
             legs.back_to(before)
@@ -73,27 +90,32 @@ def set_down(legs: Legs, wanted: Sequence[Float[np.ndarray, "2"]]) -> None:
     raise failed
 
 
-def _ways_down(legs: Legs, wanted: Sequence[Float[np.ndarray, "2"]]) -> Iterator[_Down]:
-    """Ways to set down what R_b holds, those first that leave most grasps open.
+def _ways_down(legs: Legs, index: int, places: Iterable[Standing | Group], joints: slice) -> Iterator[_Down]:
+    """Ways to set down what a robot holds, in the order of the places.
 
     Raises:
         LegError: there is none.
     """
-    start, robot = legs.moment, legs.moment.robots[1]
+    start, robot, other = legs.moment, legs.moment.robots[index], 1 - index
     grip = robot.grip
     assert grip is not None
     failed = LegError(Obstacle.NO_STAND, "set down", final=True)
     found = False
-    for standing in _places(legs, grip.group, robot.at, wanted):
-        with_post = replace(start, posts=(*start.posts, standing.stand))
-        after = replace(start, standing=(*start.standing, standing)).with_robot(1, Robot(robot.at, grip.hold.open))
-        if not legs.world(after, 0).free(after.robots[0].at[None])[0]:
-            continue  # R_a stands where the post would rise
-        lowering, leaving = legs.world(with_post, 1), legs.world(after, 1)
-        tips = standing.group.world_from_furniture * grip.hold.furniture_from_tips
+    for place in places:
+        if isinstance(place, Standing):
+            group, with_post = place.group, replace(start, posts=(*start.posts, place.stand))
+            there = replace(start, standing=(*start.standing, place))
+        else:
+            group, with_post = place, start
+            there = replace(start, on_floor=(*start.on_floor, place))
+        after = there.with_robot(index, Robot(robot.at, grip.hold.open))
+        if not legs.world(after, other).free(after.robots[other].at[None])[0]:
+            continue  # the other robot stands where the post would rise, or the group
+        lowering, leaving = legs.world(with_post, index), legs.world(after, index)
+        tips = group.world_from_furniture * grip.hold.furniture_from_tips
         ways = 0
         try:
-            for at in legs.ways_to_stand(lowering, tips, robot.at, PLACE, "set down"):
+            for at in legs.ways_to_stand(lowering, tips, robot.at, joints, "set down"):
                 above = line(at, np.array([0.0, 0.0, LIFT]))
                 if above is None or not path_is_free(lowering, above):
                     continue

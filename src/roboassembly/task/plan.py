@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Generic, TypeVar
 
 from roboassembly.furniture.model import Furniture
 from roboassembly.poses import SE3
@@ -40,6 +41,45 @@ SETTLING_INTERVAL = 0.05
 """Seconds of simulated time between two poses of `PlanStep.settling`."""
 
 
+Motion = TypeVar("Motion")
+
+
+@dataclass(frozen=True, eq=False)
+class UprightResult(Generic[Motion]):
+    """Whether the finished piece ends on its feet, and the motion that sets it there.
+
+    The merges' `planning_steps` do not include those of this motion.
+    """
+
+    success: bool
+    """The piece stands on its feet at the end."""
+    reason: str
+    """Why it does not; empty if it does."""
+    motion: Motion | None
+    """None if there is no way, or if the piece stood already."""
+    planning_steps: int
+    """Configurations tested for collision, failed attempts included."""
+    planning_seconds: float
+    """Wall time; not part of `plan.json`."""
+
+
+@dataclass(frozen=True, eq=False)
+class UprightMotion:
+    """The finished piece moves as one body along a path to its feet, is let go and settles."""
+
+    moving: dict[int, SE3]
+    """Pose of every part in the frame of the piece, whose origin is its centre of mass."""
+    path: tuple[SE3, ...]
+    """`world_from_piece` way-points. Between two of them the translation is linear and the rotation
+    spherical-linear."""
+    settling: tuple[SE3, ...]
+    """Motions of the world that take the piece from the end of the path to rest, as in `PlanStep.settling`."""
+    after: tuple[SE3, ...]
+    """World pose of every part at rest."""
+    planner: str
+    """What found the path."""
+
+
 @dataclass(frozen=True, eq=False)
 class Plan:
     """A whole assembly."""
@@ -50,3 +90,12 @@ class Plan:
     steps: tuple[PlanStep, ...]
     success: bool
     seed: int
+    upright: UprightResult[UprightMotion] | None = None
+    """How the piece ends; None if it is not assembled, or as long as `upright.set_upright` was not asked."""
+
+    @property
+    def final_poses(self) -> tuple[SE3, ...]:
+        """World pose of every part at the end."""
+        if self.upright is not None and self.upright.motion is not None:
+            return self.upright.motion.after
+        return self.steps[-1].after if self.steps else self.initial

@@ -1,12 +1,16 @@
 """`plan.json`: a plan as a file. It holds no timings, so that the same seed writes the same bytes.
 
-    format, version   "roboassembly.plan", 1
+    format, version   "roboassembly.plan", 2
     furniture         name, parts (their names, in order), source
     setting           "object-centric" or "full"
     seed, success
     initial           pose of every part before the first step
     steps             one object a merge, see `_Step` (object-centric) and `_FullStep` (full)
+    upright           whether the assembled piece ends on its feet, why not, and the motion that sets it there, see
+                      `_Upright`; absent if it is not assembled, or if nobody asked for it
     robots, posts     full only: both robots' configurations at first; where cups of posts ever end
+
+Version 1 had no `upright`.
 
 Poses are `(x, y, z, qw, qx, qy, qz)`, metres, world frame, z up, ground at z = 0. Between two way-points of `path` the
 translation is linear and the rotation spherical-linear, both from 0 to 1 together.
@@ -19,6 +23,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import msgspec
 
@@ -26,12 +31,14 @@ from roboassembly.errors import InputError
 from roboassembly.poses import SE3, pose_to_seven
 from roboassembly.task.full_plan import FullPlan, FullStep
 from roboassembly.task.groups import TaskState
-from roboassembly.task.moments import Leg
-from roboassembly.task.plan import Plan, PlanStep
+from roboassembly.task.moments import Leg, Moment
+from roboassembly.task.plan import Plan, PlanStep, UprightMotion, UprightResult
 from roboassembly.task.setting import SettingName
 
 FORMAT = "roboassembly.plan"
-VERSION = 1
+VERSION = 2
+READ_VERSIONS = (1, 2)
+"""Versions that `decode` reads."""
 _LARGEST = 2**31
 
 
@@ -88,6 +95,38 @@ class _FullStep(msgspec.Struct):
     planning_steps: int
 
 
+class _Motion(msgspec.Struct):
+    """Object-centric: the piece moves as one, is let go and settles."""
+
+    path: list[list[float]]
+    """Poses of the piece's frame (origin at its centre of mass), from where it lies to where it is let go."""
+    moving: list[_Placed]
+    """All parts, in the frame of the piece."""
+    settling: list[list[float]]
+    """As in `_Step`."""
+    after: list[list[float]]
+    """World pose of every part at the end."""
+    planner: str
+
+
+class _FullMotion(msgspec.Struct):
+    """Full: a robot takes the piece from its post and sets it on the floor."""
+
+    legs: list[_Leg]
+    after: list[list[float]]
+    """World pose of every part at the end."""
+
+
+class _Upright(msgspec.Struct):
+    success: bool
+    reason: str
+    """Why the piece does not end on its feet; empty if it does."""
+    motion: _Motion | _FullMotion | None
+    """None if there is no way, or if the piece stood already."""
+    planning_steps: int
+    """Configurations tested for collision; not part of those of the steps."""
+
+
 class _File(msgspec.Struct, omit_defaults=True):
     format: str
     version: int
@@ -97,6 +136,7 @@ class _File(msgspec.Struct, omit_defaults=True):
     success: bool
     initial: list[list[float]]
     steps: list[_Step] | list[_FullStep]
+    upright: _Upright | None = None
     robots: list[list[float]] = []
     posts: list[list[float]] = []
     density: float = 0.0
@@ -138,8 +178,13 @@ def encode(plan: Plan | FullPlan) -> bytes:
         document.robots = [r.at.tolist() for r in plan.initial.moment.robots]
         document.posts = [s.top.tolist() for s in plan.stands]
         document.density = plan.initial.cell.density
+        if plan.upright is not None:
+            legs = [_leg(leg, posts) for leg in plan.final_legs]
+            document.upright = _upright(plan.upright, _FullMotion(legs, _where(plan.final_moment)) if legs else None)
     else:
         document.steps = [_step(s) for s in plan.steps]
+        if plan.upright is not None:
+            document.upright = _upright(plan.upright, _motion(plan.upright.motion) if plan.upright.motion else None)
     return msgspec.json.format(msgspec.json.encode(document), indent=1) + b"\n"
 
 
@@ -177,9 +222,11 @@ def decode(content: bytes, where: str) -> Script:
         told = msgspec.json.decode(content, type=_Told)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise InputError(f"'{where}' is no plan: {error}; `roboassembly assemble` writes one") from None
-    if told.format != FORMAT or told.version != VERSION:
+    if told.format != FORMAT or told.version not in READ_VERSIONS:
+        known = " and ".join(map(str, READ_VERSIONS))
         raise InputError(
-            f"'{where}' has format {told.format!r}, version {told.version}; this program reads {FORMAT!r}, {VERSION}"
+            f"'{where}' has format {told.format!r}, version {told.version}; this program reads {FORMAT!r}, versions "
+            f"{known}: `roboassembly assemble` of this version writes the plan anew"
         )
     length = 6 if told.setting == "full" else 5
     for index, step in enumerate(told.steps):
@@ -206,9 +253,27 @@ def _step(step: PlanStep) -> _Step:
 
 
 def _full_step(step: FullStep, posts: dict[int, int]) -> _FullStep:
-    where = TaskState(tuple(step.legs[-1].after.groups())).part_poses
     legs = [_leg(leg, posts) for leg in step.legs]
-    return _FullStep(list(step.action), legs, [pose_to_seven(p) for p in where], step.planning_steps)
+    return _FullStep(list(step.action), legs, _where(step.legs[-1].after), step.planning_steps)
+
+
+def _upright(result: UprightResult[Any], motion: _Motion | _FullMotion | None) -> _Upright:
+    return _Upright(result.success, result.reason, motion, result.planning_steps)
+
+
+def _motion(motion: UprightMotion) -> _Motion:
+    return _Motion(
+        [pose_to_seven(p) for p in motion.path],
+        _placed(motion.moving),
+        [pose_to_seven(p) for p in motion.settling],
+        [pose_to_seven(p) for p in motion.after],
+        motion.planner,
+    )
+
+
+def _where(moment: Moment) -> list[list[float]]:
+    """Of all parts."""
+    return [pose_to_seven(p) for p in TaskState(tuple(moment.groups())).part_poses]
 
 
 def _leg(leg: Leg, posts: dict[int, int]) -> _Leg:

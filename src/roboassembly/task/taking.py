@@ -87,7 +87,7 @@ def _fetch_past(legs: Legs, robot: int, wanted: Wanted) -> None:
     before, other = legs.reached, 1 - robot
     for left in reversed(range(_MAKING_WAY + 1)):
         try:
-            _fetch(legs, robot, wanted)
+            fetch(legs, robot, wanted)
         except LegError as no:
             legs.back_to(before)
             if left == 0 or legs.moment.robots[other].grip is not None:
@@ -104,7 +104,7 @@ def _index(legs: Legs, group: Group) -> int:
     return next(i for i, s in enumerate(legs.moment.standing) if s.group.parts == group.parts)
 
 
-def _fetch(legs: Legs, robot: int, wanted: Wanted) -> None:
+def fetch(legs: Legs, robot: int, wanted: Wanted) -> None:
     """Drive to a standing group, take it and lift it from its post, which sinks into the floor.
 
     Args:

@@ -6,7 +6,7 @@ Each leg gets a share of its step's time by how far it goes; all motion is eased
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -83,8 +83,9 @@ class FullDirector:
         yield from itertools.repeat(self.opening(), self._count(OVERTURE_SECONDS))
         for index in range(steps):
             yield from self.step(index)
-        last = plan.steps[-1].legs[-1].after if steps else plan.initial.moment
-        ending = self._still(last, Phase.FINALE, ending_caption(plan.furniture, steps, plan.success))
+        yield from self.upright()
+        caption = ending_caption(plan.furniture, steps, plan.success, plan.upright)
+        ending = self._still(plan.final_moment, Phase.FINALE, caption)
         yield from itertools.repeat(ending, self._count(FINALE_SECONDS))
 
     def _still(self, moment: Moment, phase: Phase, caption: str) -> Frame:
@@ -97,7 +98,6 @@ class FullDirector:
     def step(self, index: int) -> Iterator[Frame]:
         """Those of one step."""
         furniture, step = self.plan.furniture, self.plan.steps[index]
-        weights = np.array([max(_SHORTEST, _length(leg)) ** 0.5 for leg in step.legs])
         own = [next(g.parts for g in step.legs[0].moment.groups() if part in g.parts) for part in step.action[:2]]
         what = onto(furniture, step.action, *map(len, own))
         of = expected_steps(furniture, len(self.plan.steps))
@@ -105,9 +105,19 @@ class FullDirector:
         for group, role in zip(own, (Role.MOVING, Role.WAITING), strict=True):
             for p in group:
                 parts[p] = role
+        yield from self._played(step.legs, parts, index, f"step {index + 1} of {of}: {what}")
+
+    def upright(self) -> Iterator[Frame]:
+        """Those of the motion that sets the finished piece on its feet; none if there is none."""
+        furniture, legs = self.plan.furniture, self.plan.final_legs
+        yield from self._played(legs, [Role.MOVING] * len(furniture.parts), None, f"{furniture.name}: set upright")
+
+    def _played(self, legs: Sequence[Leg], parts: list[Role], index: int | None, text: str) -> Iterator[Frame]:
+        """Frames of legs, each with its share of the time."""
+        weights = np.array([max(_SHORTEST, _length(leg)) ** 0.5 for leg in legs])
         roles = self._roles(parts)
-        for leg, seconds in zip(step.legs, self.seconds * weights / weights.sum(), strict=True):
-            caption = f"step {index + 1} of {of}: {what} | R_{'ab'[leg.robot]}: {leg.name}"
+        for leg, seconds in zip(legs, self.seconds * weights / weights.sum(), strict=True):
+            caption = f"{text} | R_{'ab'[leg.robot]}: {leg.name}"
             count = self._count(seconds)
             poses = self._poses(leg.moment)
             for k in range(1, count + 1):

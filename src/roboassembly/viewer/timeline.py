@@ -8,6 +8,8 @@ A step is played in four beats:
 3. *settling*: the merged group comes to rest as the simulation says.
 4. *pause*.
 
+After the last step the finished piece moves to its feet, if the plan has that motion: *moving* and *settling* again.
+
 Everything here is a pure function of the plan. Poses are `world_from_part`, metres; times are seconds.
 """
 
@@ -15,9 +17,10 @@ from __future__ import annotations
 
 import enum
 import itertools
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -27,7 +30,7 @@ from roboassembly.furniture.model import Furniture
 from roboassembly.meshes import Mesh
 from roboassembly.poses import SE3, from_quaternion, interpolate, rotation_angle, transform_points
 from roboassembly.rendering.colors import Role
-from roboassembly.task.plan import SETTLING_INTERVAL, Plan, PlanStep
+from roboassembly.task.plan import SETTLING_INTERVAL, Plan, PlanStep, UprightResult
 
 OVERTURE_SECONDS = 1.0
 FINALE_SECONDS = 2.0
@@ -78,7 +81,7 @@ class Frame:
     """`world_from_mesh` of every thing; none of what is not to be seen. Framed things are always seen."""
     roles: tuple[Role, ...]
     step: int | None
-    """Index into the plan's steps; none before the first and after the last."""
+    """Index into the plan's steps; none before the first and after the last, while the piece is set upright too."""
     phase: Phase
     caption: str
     key: bool = False
@@ -165,10 +168,11 @@ def expected_steps(furniture: Furniture, there: int) -> int:
     return max(there, len(furniture.parts) - 1)
 
 
-def ending_caption(furniture: Furniture, steps: int, success: bool) -> str:
+def ending_caption(furniture: Furniture, steps: int, success: bool, upright: UprightResult[Any] | None) -> str:
     """How it came out."""
     if success:
-        return f"{furniture.name}: assembled in {steps} step{'s' if steps != 1 else ''}"
+        lying = ", not set upright" if upright is not None and not upright.success else ""
+        return f"{furniture.name}: assembled in {steps} step{'s' if steps != 1 else ''}{lying}"
     return f"{furniture.name}: not assembled, stopped after {steps} of {expected_steps(furniture, steps)} steps"
 
 
@@ -200,9 +204,28 @@ class Director:
         yield from itertools.repeat(self.opening(), self._count(OVERTURE_SECONDS))
         for index in range(steps):
             yield from self.step(index)
-        poses = plan.steps[-1].after if steps else plan.initial
-        ending = ending_caption(plan.furniture, steps, plan.success)
-        yield from itertools.repeat(Frame(poses, idle, None, Phase.FINALE, ending), self._count(FINALE_SECONDS))
+        yield from self.upright()
+        ending = ending_caption(plan.furniture, steps, plan.success, plan.upright)
+        last = Frame(plan.final_poses, idle, None, Phase.FINALE, ending)
+        yield from itertools.repeat(last, self._count(FINALE_SECONDS))
+
+    def upright(self) -> Iterator[Frame]:
+        """Those of the motion that sets the finished piece on its feet; none if there is none."""
+        motion = None if self.plan.upright is None else self.plan.upright.motion
+        if motion is None:
+            return
+        caption, n = f"{self.plan.furniture.name}: set upright", len(motion.after)
+
+        def frame(world_from_piece: SE3, phase: Phase) -> Frame:
+            poses = tuple(world_from_piece * motion.moving[p] for p in range(n))
+            return Frame(poses, (Role.MOVING,) * n, None, phase, caption)
+
+        yield from (frame(pose, Phase.MOVING) for pose in self._path(motion.path, motion.moving))
+        let_go = {p: motion.path[-1] * pose for p, pose in motion.moving.items()}
+        for by in self._settling(motion.settling, let_go):
+            yield frame(by * motion.path[-1], Phase.SETTLING)
+        rest = Frame(motion.after, (Role.IDLE,) * n, None, Phase.PAUSE, caption)
+        yield from itertools.repeat(rest, self._count(PAUSE_SHARE * self.seconds))
 
     def _count(self, seconds: float) -> int:
         return max(1, round(seconds * self.fps))
@@ -223,12 +246,12 @@ class Director:
         start = tuple(step.path[0] * step.moving[p] if p in step.moving else step.still[p] for p in range(n))
         for poses in self._placing(before, start, step):
             yield frame(poses, Phase.PLACING)
-        for world_from_group in self._path(step):
+        for world_from_group in self._path(step.path, step.moving):
             poses = [world_from_group * step.moving[p] if p in step.moving else start[p] for p in range(n)]
             yield frame(poses, Phase.MOVING)
         mated = tuple(step.path[-1] * step.moving[p] if p in step.moving else start[p] for p in range(n))
         merged = {*step.moving, *step.waiting}
-        for motion in self._settling(step, mated):
+        for motion in self._settling(step.settling, {p: mated[p] for p in merged}):
             yield frame((motion * mated[p] if p in merged else mated[p] for p in range(n)), Phase.SETTLING)
         rest = Frame(step.after, (Role.IDLE,) * n, index, Phase.PAUSE, caption)
         yield from itertools.repeat(rest, self._count(PAUSE_SHARE * self.seconds))
@@ -271,14 +294,14 @@ class Director:
 
         return at
 
-    def _path(self, step: PlanStep) -> Iterator[SE3]:
+    def _path(self, path: Sequence[SE3], moving: Mapping[int, SE3]) -> Iterator[SE3]:
         parts = self.plan.furniture.parts
         radius = max(
             float(np.linalg.norm(transform_points(pose, parts[p].mesh.vertices), axis=1).max())
-            for p, pose in step.moving.items()
+            for p, pose in moving.items()
         )
-        yield step.path[0]
-        edges = list(itertools.pairwise(step.path))
+        yield path[0]
+        edges = list(itertools.pairwise(path))
         lengths = np.array([path_length(edge, radius) for edge in edges])
         total = float(lengths.sum())
         if total == 0.0:
@@ -298,12 +321,16 @@ class Director:
             yield from _along(a, b, fractions)
             yield b
 
-    def _settling(self, step: PlanStep, mated: Sequence[SE3]) -> Iterator[SE3]:
-        """Motions of the world, up to but without the last, which is `step.after`."""
+    def _settling(self, settling: Sequence[SE3], let_go: Mapping[int, SE3]) -> Iterator[SE3]:
+        """Motions of the world, up to but without the last, after which all is at rest.
+
+        Args:
+            settling: as recorded.
+            let_go: where the parts that settle are at first.
+        """
         parts = self.plan.furniture.parts
-        merged = [*step.moving, *step.waiting]
-        points = np.concatenate([transform_points(mated[p], parts[p].mesh.bounds) for p in merged])
-        placed = np.array([transform_points(motion, points) for motion in step.settling])
+        points = np.concatenate([transform_points(pose, parts[p].mesh.bounds) for p, pose in let_go.items()])
+        placed = np.array([transform_points(motion, points) for motion in settling])
         if len(placed) == 0:
             return
         far = np.linalg.norm(placed - placed[-1], axis=2).max(axis=1) > STILL_DISTANCE
@@ -311,7 +338,7 @@ class Director:
         count = round(min(last * SETTLING_INTERVAL, SETTLING_SHARE * self.seconds) * self.fps)
         for k in range(1, count):
             index, fraction = divmod(last * k / count, 1.0)
-            yield _between(step.settling[int(index)], step.settling[min(int(index) + 1, last)], fraction)
+            yield _between(settling[int(index)], settling[min(int(index) + 1, last)], fraction)
 
 
 def path_length(path: Iterable[SE3], radius: float) -> float:

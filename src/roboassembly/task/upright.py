@@ -1,0 +1,87 @@
+"""The last motion of a plan: after the last merge the finished piece is set upright on its feet.
+
+It is planned and checked like any other motion. It is made when a plan is to be shown: environments, rewards and the
+planning steps of merges know nothing of it.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import pairwise
+from typing import TypeVar
+
+import numpy as np
+
+from roboassembly.furniture.model import Furniture
+from roboassembly.planning.world import CollisionWorld
+from roboassembly.poses import SE3, from_quaternion, interpolate, rotation_angle
+from roboassembly.scene import Scene
+from roboassembly.task.full_plan import FullPlan
+from roboassembly.task.groups import body, center_of_mass
+from roboassembly.task.plan import Plan, UprightMotion, UprightResult
+from roboassembly.task.settling import let_go
+from roboassembly.task.stance import LARGEST_LEAN, NOT_ASSEMBLED, stance_of, standing_at, tilt
+from roboassembly.task.upright_full import upright_legs
+
+PLANNER = "lift-turn-lower"
+_CLEARANCE = 0.02
+"""Metres between the ground and the lowest point of the piece while it turns."""
+AnyPlan = TypeVar("AnyPlan", bound=Plan | FullPlan)
+
+
+def set_upright(plan: AnyPlan) -> AnyPlan:
+    """The plan with its last motion, by which the assembled piece ends on its feet; or with the reason why it cannot.
+
+    In the object-centric setting the piece moves by itself; in the full setting a robot takes it from its post and sets
+    it on the floor. A plan that did not succeed, or that has been set upright already, comes back as it is. The same
+    plan gives the same motion.
+
+    Args:
+        plan: of a whole assembly.
+    """
+    if not plan.success or plan.upright is not None:
+        return plan
+    if isinstance(plan, FullPlan):
+        return replace(plan, upright=upright_legs(plan))
+    begun = time.perf_counter()
+    motion, reason, states = _motion(plan.furniture, plan.final_poses)
+    return replace(plan, upright=UprightResult(not reason, reason, motion, states, time.perf_counter() - begun))
+
+
+def _motion(furniture: Furniture, poses: Sequence[SE3]) -> tuple[UprightMotion | None, str, int]:
+    """The motion, if one is needed and there is one; why there is none; and configurations tested."""
+    stance = stance_of(furniture, poses)
+    if stance is None:
+        return None, NOT_ASSEMBLED, 0
+    if stance.reason or stance.reached:
+        return None, stance.reason, 0
+    group = stance.group
+    goal = standing_at(furniture, group, stance.rotation)
+    origin = SE3(np.eye(3), center_of_mass(furniture, group))
+    piece = body(furniture, group, "piece", origin=origin.translation, moves=True)
+    world = CollisionWorld(Scene((piece,)))
+    path = _lift_turn_lower(world, piece.pose, goal.world_from_furniture * origin)
+    free = world.is_free(path[0]) and world.is_free(path[-1])
+    if not (free and all(world.edge_is_free(a, b) for a, b in pairwise(path))):
+        return None, "the piece meets the ground on its way", world.states
+    settling, rested = let_go(furniture, goal)
+    moving = {p: piece.pose.actInv(pose) for p, pose in enumerate(poses)}
+    if tilt(rested.world_from_furniture.rotation) > LARGEST_LEAN:
+        return None, "the piece tips over once it is let go", world.states
+    after = tuple(settling[-1] * path[-1] * moving[p] for p in range(len(poses)))
+    return UprightMotion(moving, path, settling, after, PLANNER), "", world.states
+
+
+def _lift_turn_lower(world: CollisionWorld, start: SE3, goal: SE3) -> tuple[SE3, ...]:
+    """Straight up, a turn about the centre of mass, straight down. Nothing but the ground is there, so that it is free
+    if both ends are: the turn happens as high as its lowest point asks for."""
+    travel = max(2, int(np.ceil(np.rad2deg(rotation_angle(start.rotation.T @ goal.rotation)))))
+    turning = interpolate(start, goal, np.linspace(0.0, 1.0, travel + 1)).T
+    lowest = min(
+        world.lowest_point(from_quaternion((0.0, 0.0, 0.0), (qw, qx, qy, qz))) for *_, qx, qy, qz, qw in turning
+    )
+    height = max(start.translation[2], goal.translation[2], _CLEARANCE - lowest)
+    above = [SE3(p.rotation, np.array([*p.translation[:2], height])) for p in (start, goal)]
+    return (start, *above, goal)
