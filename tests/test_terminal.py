@@ -33,7 +33,9 @@ def command(*arguments: object, code: str = "from roboassembly.cli import main; 
 def steering(data: bytes) -> list[str]:
     """The characters in it that a terminal would act on."""
     text = data.decode("utf-8")
-    return [c for c in text if (c < " " and c != "\n") or "\x7f" <= c <= "\x9f" or c in "\u061c\u200e\u200f\u202e\u2066"]
+    return [
+        c for c in text if (c < " " and c != "\n") or "\x7f" <= c <= "\x9f" or c in "\u061c\u200e\u200f\u202e\u2066"
+    ]
 
 
 def part(path: Path, extents: tuple[float, float, float], height: float) -> None:
