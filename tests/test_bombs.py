@@ -83,7 +83,8 @@ def ply_ring(path: Path) -> None:
     """One face that says it has 2^31 corners."""
     header = (
         b"ply\nformat binary_little_endian 1.0\nelement vertex 0\n"
-        b"property float x\nproperty float y\nproperty float z\nelement face 1\nproperty list uint int vertex_indices\nend_header\n"
+        b"property float x\nproperty float y\nproperty float z\nelement face 1\n"
+        b"property list uint int vertex_indices\nend_header\n"
     )
     path.write_bytes(header + struct.pack("<I3i", 2**31, 0, 1, 2))
 
