@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
@@ -47,3 +49,21 @@ def test_pinocchio_reads_the_urdf_and_every_link_is_in_place(name: str, tmp_path
         np.testing.assert_allclose(there.homogeneous, furniture.assembled[0].actInv(slot).homogeneous, atol=1e-6)
     shapes = pin.buildGeomFromUrdf(model, str(path), pin.GeometryType.VISUAL, package_dirs=[str(tmp_path)])
     assert shapes.ngeoms == len(furniture.parts)
+
+
+@pytest.mark.parametrize(
+    "name", ["../../outside", "/tmp/outside", "a\x1b]0;b\x07\n", ".hidden", "x" * 300, "\0", "Stühlchen"]
+)
+def test_names_stay_inside_the_folder_and_make_valid_xml(name: str, tmp_path: Path) -> None:
+    furniture = catalogue.make("stool", with_grasps=False)
+    parts = tuple(replace(p, name=f"{name}{k % 2}" if k < 2 else p.name) for k, p in enumerate(furniture.parts))
+    folder = tmp_path / "some" / "folder"
+    for export, suffix in ((export_mjcf, ".xml"), (export_urdf, ".urdf")):
+        path = export(replace(furniture, name=name, parts=parts), folder)
+        assert (path.parent, path.suffix) == (folder, suffix)
+        assert path.name.isprintable()
+        assert not path.name.startswith(".")
+        assert len(ElementTree.parse(path).findall(".//body" if suffix == ".xml" else "link")) == len(parts)
+        if suffix == ".xml":
+            assert mujoco.MjModel.from_xml_path(str(path)).nbody == len(parts) + 1
+    assert {p for p in tmp_path.rglob("*") if p.is_file()} == {p for p in folder.rglob("*") if p.is_file()}

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import errno
+import io
 import sys
 from collections.abc import Sequence
+from contextlib import redirect_stderr, redirect_stdout
 from typing import Annotated, Any
 
 import tyro
@@ -15,9 +17,10 @@ from roboassembly.cli.benchmark import Benchmark
 from roboassembly.cli.dataset import Dataset
 from roboassembly.cli.evaluate import Evaluate
 from roboassembly.cli.export import Export
+from roboassembly.cli.flags import CONFIG, registry
 from roboassembly.cli.generate import Generate
 from roboassembly.cli.importing import Import
-from roboassembly.cli.output import DONE_BADLY, print_json
+from roboassembly.cli.output import DONE_BADLY, guard_terminal, plain, print_json, reader_may_leave, say, show
 from roboassembly.cli.train import Train
 from roboassembly.cli.view import View
 from roboassembly.errors import InputError, RoboAssemblyError
@@ -46,34 +49,50 @@ def parse(arguments: Sequence[str] | None = None) -> Any:
     Args:
         arguments: the words after `roboassembly`; the process's own if None.
     """
-    return tyro.cli(
-        _Command,  # pyright: ignore[reportArgumentType]
-        prog="roboassembly",
-        description="Plan, simulate and learn furniture assembly.",
-        args=arguments,
-        config=(tyro.conf.FlagCreatePairsOff, tyro.conf.OmitSubcommandPrefixes),
-    )
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    if all(plain(word) == word for word in words):
+        return _parsed(words)
+    # The parser repeats what it does not understand, control characters included.
+    out, err = io.StringIO(), io.StringIO()
+    try:
+        with redirect_stdout(out), redirect_stderr(err):
+            return _parsed(words)
+    finally:
+        show(*out.getvalue().splitlines())
+        say(*err.getvalue().splitlines())
+
+
+def _parsed(words: Sequence[str]) -> Any:
+    with registry(), reader_may_leave():
+        return tyro.cli(
+            _Command,  # pyright: ignore[reportArgumentType]
+            prog="roboassembly",
+            description="Plan, simulate and learn furniture assembly.",
+            args=words,
+            config=CONFIG,
+        )
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run one command and exit: 0 done, 1 not solved or not possible here, 2 bad input."""
+    guard_terminal()
     command = parse(arguments)
     try:
         status = command.run()
     except RoboAssemblyError as error:
-        print(f"error: {error}", file=sys.stderr)
-        if command.json:
-            print_json({"success": False, "error": str(error)})
-        status = 2 if isinstance(error, InputError) else DONE_BADLY
+        status = _failed(command, str(error), 2 if isinstance(error, InputError) else DONE_BADLY)
     except OSError as error:
         if error.errno not in _NO_ROOM:
             raise
-        told = f"cannot write {error.filename or 'all of it'}: {error.strerror}"
-        print(f"error: {told}", file=sys.stderr)
-        if command.json:
-            print_json({"success": False, "error": told})
-        status = DONE_BADLY
+        status = _failed(command, f"cannot write {error.filename or 'all of it'}: {error.strerror}", DONE_BADLY)
     except KeyboardInterrupt:
-        print("interrupted", file=sys.stderr)
+        say("interrupted")
         status = 130
     sys.exit(status)
+
+
+def _failed(command: Any, reason: str, status: int) -> int:
+    say(f"error: {reason}")
+    if command.json:
+        print_json({"success": False, "error": reason})
+    return status

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from roboassembly.cli.options import Execution, Setting
-from roboassembly.cli.output import DONE, DONE_BADLY, print_json, say, writable_folder
+from roboassembly.cli.output import DONE, DONE_BADLY, print_json, say, show, writable_folder
 from roboassembly.errors import InputError
 
 if TYPE_CHECKING:
@@ -101,8 +101,7 @@ class Assemble:
         if self.json:
             print_json(report)
         else:
-            for path in outputs.values():
-                print(path)
+            show(*outputs.values())
         return DONE if success else DONE_BADLY
 
     def _solver(self) -> Callable[[Furniture], SearchResult[Any]]:

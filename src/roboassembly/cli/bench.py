@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from roboassembly.cli.output import DONE, print_json, say
+from roboassembly.cli.output import DONE, print_json, say, show
 from roboassembly.errors import InputError
 
 if TYPE_CHECKING:
@@ -55,5 +55,5 @@ class Bench:
         if self.json:
             print_json(report.to_json())
         else:
-            print(report.to_text())
+            show(*report.to_text().splitlines())
         return DONE

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from roboassembly.cli.multitask import PACKAGES, follow, needs
 from roboassembly.cli.options import CORES, Jobs, Ray, Setting
-from roboassembly.cli.output import DONE, print_json, writable_folder
+from roboassembly.cli.output import DONE, print_json, show, writable_folder
 from roboassembly.errors import InputError
 from roboassembly.processes import spread
 
@@ -75,5 +75,5 @@ class Benchmark:
         if self.json:
             print_json(told)
         else:
-            print("\n".join(lines))
+            show(*lines)
         return DONE

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 import tyro
 
 from roboassembly.cli.options import CORES, Jobs, Ray
-from roboassembly.cli.output import DONE, print_json, progress_bar
+from roboassembly.cli.output import DONE, print_json, progress_bar, show
 from roboassembly.errors import InputError
 from roboassembly.processes import spread
 
@@ -45,7 +45,7 @@ class Dataset:
                 print_json({"datasets": rows})
             else:
                 for row in rows:
-                    print(f"{row['name']}: {row['description']}{'' if row['built'] else ' (not built yet)'}")
+                    show(f"{row['name']}: {row['description']}{'' if row['built'] else ' (not built yet)'}")
             return DONE
         datasets.manifest_path(self.name)
         if self.what == "build":
@@ -82,7 +82,7 @@ class Dataset:
             print_json({"name": manifest.name, "version": manifest.version, "seed": manifest.seed,
                         "manifest": str(path), "splits": summary})  # fmt: skip
             return DONE
-        print(f"{manifest.name}, version {manifest.version}, seed {manifest.seed}: {path}")
+        show(f"{manifest.name}, version {manifest.version}, seed {manifest.seed}: {path}")
         for split, row in summary.items():
-            print(f"  {split}: " + ", ".join(f"{k} {v}" for k, v in row.items()))
+            show(f"  {split}: " + ", ".join(f"{k} {v}" for k, v in row.items()))
         return DONE

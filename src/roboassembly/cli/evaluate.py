@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from roboassembly.cli.options import CORES, Execution, Jobs, Ray, Setting, chosen
-from roboassembly.cli.output import DONE, print_json, progress_bar, say
+from roboassembly.cli.output import DONE, print_json, progress_bar, say, show
 from roboassembly.errors import InputError
 from roboassembly.processes import spread
 
@@ -94,9 +94,9 @@ class Evaluate:
         if self.json:
             print_json(report)
         else:
-            print("\n".join(summary(evaluation)))
+            show(*summary(evaluation))
             if self.export is not None:
-                print(self.export)
+                show(self.export)
         return DONE
 
     def _played(self, way: Way, picks: Sequence[Pick], jobs: int) -> Iterator[Episode]:

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from roboassembly.cli.output import DONE, print_json, writable_folder
+from roboassembly.cli.output import DONE, print_json, show, writable_folder
 
 
 @dataclass(frozen=True)
@@ -35,5 +35,5 @@ class Export:
         if self.json:
             print_json({"furniture": furniture.name, "parts": len(furniture.parts), "outputs": {self.kind: str(path)}})
         else:
-            print(path)
+            show(path)
         return DONE

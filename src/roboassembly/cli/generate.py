@@ -8,7 +8,7 @@ from typing import Annotated
 
 import tyro
 
-from roboassembly.cli.output import DONE, print_json
+from roboassembly.cli.output import DONE, print_json, show
 
 
 @dataclass(frozen=True)
@@ -40,5 +40,5 @@ class Generate:
                 }
             )
         else:
-            print(folder)
+            show(folder)
         return DONE

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from roboassembly.cli.options import CORES, Jobs
-from roboassembly.cli.output import DONE, print_json, progress_bar, say, writable_folder
+from roboassembly.cli.output import DONE, print_json, progress_bar, say, show, writable_folder
 from roboassembly.errors import InputError
 from roboassembly.processes import workers
 
@@ -111,7 +111,7 @@ class Import:
         if self.json:
             print_json({"imported": imported, "refused": len(items) - imported, "items": [asdict(i) for i in items]})
         else:
-            print(f"{imported} imported, {len(items) - imported} refused")
+            show(f"{imported} imported, {len(items) - imported} refused")
         return DONE if imported else 2
 
     def _fresh(self) -> bool:

@@ -11,7 +11,7 @@ import tyro
 from tqdm import tqdm
 
 from roboassembly.cli.options import CORES, Jobs, Ray, Setting
-from roboassembly.cli.output import DONE, print_json, progress_bar, say, writable_folder
+from roboassembly.cli.output import DONE, print_json, progress_bar, say, show, writable_folder
 from roboassembly.errors import InputError, MissingExtraError
 from roboassembly.processes import spread
 
@@ -84,7 +84,7 @@ class Multitask:
         if self.json:
             print_json(report)
         else:
-            print(f"{path}: try it with roboassembly evaluate --policy {path}")
+            show(f"{path}: try it with roboassembly evaluate --policy {path}")
         return DONE
 
     def _relational(self, jobs: int) -> Iterable[Progress]:
@@ -129,12 +129,13 @@ def follow(progress: Iterable[Progress], folder: Path) -> dict[str, float]:
 
     last: dict[str, float] = {}
     bar: tqdm | None = None
+    stage = ""
     with logs.Log(folder) as log:
         for p in progress:
-            if bar is None or bar.desc != p.stage:
+            if bar is None or stage != p.stage:
                 if bar is not None:
                     bar.close()
-                bar = progress_bar(desc=p.stage, total=p.total)
+                bar, stage = progress_bar(desc=p.stage, total=p.total), p.stage
             bar.update(p.done - bar.n)
             log.add(p.stage, p.done, p.scalars, last=p.done == p.total)
             last.update({f"{p.stage}/{name}": value for name, value in p.scalars.items()})

@@ -11,7 +11,7 @@ import tyro
 
 from roboassembly.cli.multitask import PACKAGES, Multitask, follow, needs
 from roboassembly.cli.options import CORES, Jobs, Ray, Setting, chosen
-from roboassembly.cli.output import DONE, DONE_BADLY, print_json, writable_folder
+from roboassembly.cli.output import DONE, DONE_BADLY, print_json, show, writable_folder
 from roboassembly.errors import InputError
 from roboassembly.processes import spread
 
@@ -110,7 +110,7 @@ class Expert(Autoencoder):
             print_json({**report, "set": self.set, "seed": self.seed, "out": str(self.out)})
         else:
             for split, figures in report.items():
-                print(f"{split}: {figures}")
+                show(f"{split}: {figures}")
         return DONE if any(r.mastered for r in trained) else DONE_BADLY
 
     def schooling(self) -> Schooling:

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import re
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from roboassembly.errors import InputError
+from roboassembly.furniture.importers.triangles import unique_names
 from roboassembly.furniture.model import Furniture
 from roboassembly.meshes import WOOD_DENSITY
 from roboassembly.poses import SE3, pose_to_euler, pose_to_seven
+
+_LONGEST_NAME = 60
+"""Characters of a name in files: 240 bytes at most, which file systems take."""
 
 
 def export_mjcf(furniture: Furniture, folder: Path) -> Path:
@@ -23,6 +29,7 @@ def export_mjcf(furniture: Furniture, folder: Path) -> Path:
     Raises:
         InputError: the folder cannot be written.
     """
+    furniture = _with_safe_names(furniture)
     names = _write_meshes(furniture, folder)
     root = ET.Element("mujoco", model=furniture.name)
     ET.SubElement(root, "compiler", angle="radian", meshdir="meshes")
@@ -40,7 +47,7 @@ def export_mjcf(furniture: Furniture, folder: Path) -> Path:
     for parent, child in _tree(furniture):
         relative = furniture.assembled[parent].actInv(furniture.assembled[child])
         nodes[child] = _body(nodes[parent], furniture, child, relative, names[child])
-    return _write(root, folder / f"{furniture.name}.xml")
+    return _write(root, exported_file(furniture, folder, "mjcf"))
 
 
 def _body(parent: ET.Element, furniture: Furniture, index: int, pose: SE3, mesh: str) -> ET.Element:
@@ -67,6 +74,7 @@ def export_urdf(furniture: Furniture, folder: Path) -> Path:
     Raises:
         InputError: the folder cannot be written.
     """
+    furniture = _with_safe_names(furniture)
     names = _write_meshes(furniture, folder)
     root = ET.Element("robot", name=furniture.name)
     for part, mesh in zip(furniture.parts, names, strict=True):
@@ -88,7 +96,24 @@ def export_urdf(furniture: Furniture, folder: Path) -> Path:
         ET.SubElement(joint, "child", link=furniture.parts[child].name)
         relative = pose_to_euler(furniture.assembled[parent].actInv(furniture.assembled[child]))
         ET.SubElement(joint, "origin", xyz=_text(relative[:3]), rpy=_text(relative[3:]))
-    return _write(root, folder / f"{furniture.name}.urdf")
+    return _write(root, exported_file(furniture, folder, "urdf"))
+
+
+def exported_file(furniture: Furniture, folder: Path, kind: str) -> Path:
+    """The file that `export_mjcf` or `export_urdf` writes; `kind` is `mjcf` or `urdf`."""
+    return folder / f"{_safe(furniture.name)}.{'xml' if kind == 'mjcf' else kind}"
+
+
+def _with_safe_names(furniture: Furniture) -> Furniture:
+    """The furniture under names that are fit for files inside the folder and for XML."""
+    names = unique_names([_safe(part.name) for part in furniture.parts])
+    parts = tuple(replace(part, name=name) for part, name in zip(furniture.parts, names, strict=True))
+    return replace(furniture, name=_safe(furniture.name), parts=parts)
+
+
+def _safe(name: str) -> str:
+    """Control characters, and separators of folders, become underscores; a name may not begin with a dot."""
+    return re.sub(r"^\.|[/\\:]", "_", "".join(c if c.isprintable() else "_" for c in name[:_LONGEST_NAME])) or "_"
 
 
 def _write_meshes(furniture: Furniture, folder: Path) -> list[str]:
@@ -107,7 +132,10 @@ def _write_meshes(furniture: Furniture, folder: Path) -> list[str]:
 
 def _write(root: ET.Element, path: Path) -> Path:
     ET.indent(root)
-    ET.ElementTree(root).write(path, encoding="utf-8", xml_declaration=True)
+    try:
+        ET.ElementTree(root).write(path, encoding="utf-8", xml_declaration=True)
+    except OSError as error:
+        raise InputError(f"cannot write {path}: {error.strerror or error}") from None
     return path
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import lzma
 import os
+import struct
 import zipfile
 import zlib
 from collections.abc import Iterator, Mapping
@@ -14,8 +16,13 @@ import numpy as np
 
 from roboassembly.errors import InputError
 
-_BROKEN = (OSError, ValueError, KeyError, EOFError, TypeError, zipfile.BadZipFile, zlib.error)
-"""What reading a file raises that is cut short, changed, or something else."""
+_BROKEN = (
+    OSError, ValueError, KeyError, EOFError, TypeError, OverflowError, MemoryError, RuntimeError, struct.error,
+    zipfile.BadZipFile, zipfile.LargeZipFile, zlib.error, lzma.LZMAError,
+)  # fmt: skip
+"""What reading a file raises that is cut short, changed, encrypted, or something else."""
+_ARCHIVE = b"PK"
+"""How an npz file begins, as all ZIP archives do."""
 
 
 def write(path: Path, arrays: Mapping[str, Any]) -> None:
@@ -29,18 +36,31 @@ def write(path: Path, arrays: Mapping[str, Any]) -> None:
 
 
 @contextmanager
-def reading(path: Path, what: str, remedy: str) -> Iterator[Mapping[str, np.ndarray]]:
+def reading(path: Path, what: str, remedy: str, largest: int | None = None) -> Iterator[Mapping[str, np.ndarray]]:
     """Arrays that `write` wrote; whatever goes wrong inside is the file's fault.
 
     Args:
         path: of the file.
         what: it should be, for the message.
         remedy: what to do if it is not.
+        largest: bytes that all arrays may unpack to; any number if None.
 
     Raises:
-        InputError: the file is broken, or lacks something.
+        InputError: the file is a folder, no archive, broken, too large, or lacks something.
     """
+    if path.is_dir():
+        raise InputError(f"'{path}' is a folder, not {what}; {remedy}")
     try:
+        with path.open("rb") as file:
+            begins = file.read(len(_ARCHIVE))
+        if begins != _ARCHIVE:
+            raise InputError(f"'{path}' is not {what}: it is no NumPy archive; {remedy}")
+        if largest is not None:
+            with zipfile.ZipFile(path) as packed:
+                # A member cannot unpack to more than the archive says of it: reading ends there.
+                size = sum(member.file_size for member in packed.infolist())
+            if size > largest:
+                raise InputError(f"'{path}' unpacks to {size:,} bytes; at most {largest:,} would do; {remedy}")
         with np.load(path, allow_pickle=False) as z:
             yield z
     except _BROKEN as error:

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
 FORMAT = 1
+REMEDY = "name a file that `roboassembly train` wrote"
 _META = "meta.json"
 _BETWEEN = "/"
 _LARGEST, _DEEPEST = 4096, 64
@@ -54,18 +55,22 @@ def save(path: Path, checkpoint: Checkpoint, *, half: bool = False) -> None:
     archive.write(path, arrays)
 
 
-def load(path: Path, kind: str | None = None) -> Checkpoint:
+def load(path: Path, kind: str | None = None, *, remedy: str = REMEDY, largest: int | None = None) -> Checkpoint:
     """Read a checkpoint; 16-bit weights come back as 32-bit.
 
     Args:
         kind: what it has to be, if given.
+        remedy: what a person could name instead of a file that is no checkpoint.
+        largest: bytes that all its arrays may unpack to; any number if None.
 
     Raises:
-        InputError: no such file, not a checkpoint, of another format, or of another kind.
+        InputError: no such file, not a checkpoint, too large, of another format, or of another kind.
     """
-    if not path.is_file():
-        raise InputError(f"no checkpoint at '{path}'; name a file that `roboassembly train` wrote")
-    with archive.reading(path, "a checkpoint", "name a file that `roboassembly train` wrote") as z:
+    if not path.exists():
+        raise InputError(f"no checkpoint at '{path}'; {remedy}")
+    with archive.reading(path, "a checkpoint", remedy, largest) as z:
+        if _META not in z:
+            raise InputError(f"'{path}' is not a checkpoint: it has no {_META}; {remedy}")
         meta = json.loads(bytes(z[_META]).decode())
         arrays = {name: z[name] for name in z if name != _META}
         found, version, config = meta["format"], meta["kind"], meta["config"]

@@ -13,7 +13,7 @@ import numpy as np
 from roboassembly.errors import InputError, UnknownNameError
 from roboassembly.learning import checkpoint, policy_file, relational
 from roboassembly.learning.checkpoint import Checkpoint
-from roboassembly.learning.policies import RANDOM, Policy, RandomPolicy
+from roboassembly.learning.policies import MAKER, RANDOM, Policy, RandomPolicy
 from roboassembly.learning.relational_policy import RelationalPolicy
 
 SHIPPED = ("relational", "paper")
@@ -21,6 +21,12 @@ SHIPPED = ("relational", "paper")
 NAMES = (RANDOM, *SHIPPED)
 FILES = ("PATH.npz", f"PATH{policy_file.SUFFIX}")
 """What else names one, for messages."""
+MAX_BYTES = 2**28
+"""A policy's arrays together. The largest network of this program takes 17 MB."""
+_REMEDY = (
+    f"name a checkpoint (.npz) that `roboassembly train` wrote, or a Python file ({policy_file.SUFFIX}) that defines "
+    f"{MAKER}(seed)"
+)
 Maker = Callable[[int], Policy]
 """Makes a policy for an episode with a seed."""
 
@@ -85,7 +91,7 @@ def checkpoint_of(name: str) -> Checkpoint:
     path = Path(name)
     if not (path.exists() or path.suffix == ".npz" or "/" in name):
         raise UnknownNameError("policy", name, [*NAMES, *FILES])
-    return checkpoint.load(path)
+    return checkpoint.load(path, remedy=_REMEDY, largest=MAX_BYTES)
 
 
 def _shipped(name: str) -> Traversable:

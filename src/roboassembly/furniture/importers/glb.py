@@ -18,6 +18,9 @@ from roboassembly.poses import rotation_from_quaternion
 
 MAX_NODES = 20_000
 MAX_NODE_DEPTH = 256
+MAX_NUMBERS = 4 * MAX_FACES
+"""Points and corners that the primitives of one mesh name together."""
+_TOO_MANY = f"a mesh lists more than {MAX_NUMBERS} points and corners; simplify it first"
 
 _JSON, _BIN = 0x4E4F534A, 0x004E4942
 _COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
@@ -219,6 +222,7 @@ def _local(node: _Node, index: int) -> Float[np.ndarray, "4 4"]:
 
 def _mesh(document: _Document, binary: bytes, index: int) -> Triangles:
     pieces = []
+    numbers = 0
     for primitive in document.meshes[index].primitives:
         if "POSITION" not in primitive.attributes or primitive.mode < 4:
             continue
@@ -227,6 +231,10 @@ def _mesh(document: _Document, binary: bytes, index: int) -> Triangles:
             order = np.arange(len(points))
         else:
             order = _accessor(document, binary, primitive.indices, "SCALAR").reshape(-1).astype(np.int64)
+        # Many small primitives may all name the same large lists.
+        numbers += len(points) + len(order)
+        if numbers > MAX_NUMBERS:
+            raise FurnitureError(_TOO_MANY)
         pieces.append(Triangles(points, _faces(order, primitive.mode)))
     return combine(pieces)
 
@@ -266,6 +274,8 @@ def _accessor(document: _Document, binary: bytes, index: int, kind: str) -> np.n
     fits = min(view.offset, accessor.offset) >= 0 and stride >= item.itemsize * width
     if not fits or end > min(view.offset + view.length, len(binary)):
         raise FurnitureError(f"accessor {index} reads beyond its buffer")
+    if accessor.count > MAX_NUMBERS:
+        raise FurnitureError(_TOO_MANY)
     out = np.ndarray((accessor.count, width), item, binary, start, (stride, item.itemsize))
     if accessor.normalized and item.kind in "iu":
         return np.maximum(out / np.iinfo(item).max, -1.0)

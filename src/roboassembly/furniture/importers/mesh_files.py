@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import io
 import struct
+from array import array
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,27 +34,30 @@ def read_mesh(path: Path) -> Triangles:
 
 
 def _read_obj(path: Path) -> Triangles:
-    vertices: list[list[float]] = []
-    faces: list[tuple[int, int, int]] = []
-    for number, line in enumerate(read_text(path, "OBJ").splitlines(), start=1):
+    # Flat arrays of numbers, and one line at a time: lists of Python's objects would take ten times a file's size.
+    coordinates, corners = array("d"), array("q")
+    for number, line in enumerate(io.StringIO(read_text(path, "OBJ"), newline=None), start=1):
         words = line.split()
         try:
             if words[:1] == ["v"]:
                 x, y, z = words[1:4]
-                vertices.append([float(x), float(y), float(z)])
+                coordinates.extend((float(x), float(y), float(z)))
             elif words[:1] == ["f"]:
+                count = len(coordinates) // 3
                 ring = [int(word.split("/", 1)[0]) for word in words[1:]]
-                ring = [k - 1 if k > 0 else len(vertices) + k for k in ring]
+                ring = [k - 1 if k > 0 else count + k for k in ring]
                 if not all(-1 < k < 2**62 for k in ring):
                     raise ValueError(ring)
-                faces += [(ring[0], ring[k], ring[k + 1]) for k in range(1, len(ring) - 1)]
+                for k in range(1, len(ring) - 1):
+                    corners.extend((ring[0], ring[k], ring[k + 1]))
         except ValueError:
             raise FurnitureError(
                 f"'{path}' line {number} cannot be read as OBJ: {one_line(line, 60)!r}; 'v x y z' or 'f a b c' would do"
             ) from None
-        if len(faces) > MAX_FACES:
+        if len(corners) > 3 * MAX_FACES:
             raise FurnitureError(f"'{path}' has more than {MAX_FACES} faces; simplify it first")
-    return _triangles(path, np.array(vertices, dtype=float).reshape(-1, 3), np.array(faces, dtype=np.int64))
+    points, faces = np.frombuffer(coordinates, dtype=float), np.frombuffer(corners, dtype=np.int64)
+    return _triangles(path, points.reshape(-1, 3), faces.reshape(-1, 3))
 
 
 def _triangles(path: Path, points: np.ndarray, faces: np.ndarray) -> Triangles:
