@@ -35,7 +35,13 @@ def extents(points: Float[np.ndarray, "n 3"], axes: Float[np.ndarray, "3 3"]) ->
 
 def engaged(one: m3.Manifold, other: m3.Manifold) -> Float[np.ndarray, "n 3"]:
     """Corners of the portion of `one` that is inside `other` or within `REACH` of it; none where they are apart."""
-    portion = inflate(near(other, one, 20.0 * REACH), REACH) ^ one
+    cropped = near(other, one, 20.0 * REACH)
+    grown = inflate(cropped, REACH)
+    if grown is cropped:
+        # Its surface would cross itself. Shifted copies reach as far along the axes, and more than half as far between.
+        shifts = [tuple(sign * REACH * axis) for axis in np.eye(3) for sign in (1.0, -1.0)]
+        grown = m3.Manifold.batch_boolean([cropped, *(cropped.translate(s) for s in shifts)], m3.OpType.Add)
+    portion = grown ^ one
     return np.empty((0, 3)) if portion.is_empty() else to_surface(portion).vertices
 
 
