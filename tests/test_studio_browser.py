@@ -260,6 +260,16 @@ def test_each_visible_point_and_part_is_chosen_by_a_click_and_the_floor_is_not(w
     rng = np.random.default_rng(0)
     for number, eye in enumerate(middle + np.array([[1.6, -1.8, 1.2], [-1.2, -0.9, 1.9], [0.2, 2.0, 0.6]])):
         lens = Lens(page, visitor, eye, middle)
+        # The floor comes first: viser's own picking is wrong until the pointer was over a point.
+        for pixel in rng.uniform([20, 60], [lens.box["width"] - 20, lens.box["height"] - 20], (6, 2)).round():
+            if all(seen.first(lens.eye, lens.ray(p)) is None for p in around(pixel, 6)):
+                assert chosen_by_a_click(page, visitor, pixel) == (NONE, NONE), (number, pixel)
+                tried["floor"] += 1
+        for part in range(len(names)):
+            pixel = np.round(lens.pixel(seen.triangles[part].mean(axis=(0, 1))))
+            if lens.shows(pixel) and all(seen.first(lens.eye, lens.ray(p)) == (part, None) for p in around(pixel)):
+                assert chosen_by_a_click(page, visitor, pixel) == (names[part], NONE), (number, part)
+                tried["parts"] += 1
         for ball in seen.visible(lens.eye):
             # A pixel is what a person can aim at.
             pixel = np.round(lens.pixel(seen.centers[ball]))
@@ -267,15 +277,6 @@ def test_each_visible_point_and_part_is_chosen_by_a_click_and_the_floor_is_not(w
                 part, point = seen.owners[ball]
                 assert chosen_by_a_click(page, visitor, pixel) == (names[part], str(point)), (number, ball)
                 tried["points"] += 1
-        for part in range(len(names)):
-            pixel = np.round(lens.pixel(seen.triangles[part].mean(axis=(0, 1))))
-            if lens.shows(pixel) and all(seen.first(lens.eye, lens.ray(p)) == (part, None) for p in around(pixel)):
-                assert chosen_by_a_click(page, visitor, pixel) == (names[part], NONE), (number, part)
-                tried["parts"] += 1
-        for pixel in rng.uniform([20, 60], [lens.box["width"] - 20, lens.box["height"] - 20], (6, 2)).round():
-            if all(seen.first(lens.eye, lens.ray(p)) is None for p in around(pixel, 6)):
-                assert chosen_by_a_click(page, visitor, pixel) == (NONE, NONE), (number, pixel)
-                tried["floor"] += 1
         picture(page, f"camera{number}")
     print(tried)
     assert tried["points"] >= 30, tried

@@ -108,7 +108,7 @@ class Access:
             self._report(pages[0])
             return answer(http.HTTPStatus.FORBIDDEN, _WRONG_ADDRESS)
         query = parse_qs(urlsplit(request.path).query, keep_blank_values=True)
-        if not self._knows_token(request.headers, query, port):
+        if not self._knows_token(request.headers, query):
             return answer(http.HTTPStatus.FORBIDDEN, _WRONG_TOKEN)
         if "Upgrade" not in request.headers and set(query) - {"token"}:
             # viser's page takes orders from its address: `?websocket=` and `?playbackPath=` make it load what another
@@ -163,7 +163,7 @@ class Access:
         names = (*_LOOPBACK_NAMES, _plain(local))
         return names if _is_any(self.host) else (*names, self.host.lower())
 
-    def _knows_token(self, headers: Headers, query: Mapping[str, list[str]], port: int) -> bool:
+    def _knows_token(self, headers: Headers, query: Mapping[str, list[str]]) -> bool:
         if not self.token:
             return True
         given = [(value, self.token) for value in query.get("token", [])[:1]]

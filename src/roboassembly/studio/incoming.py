@@ -18,11 +18,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 import viser
 from msgspec import Meta, Struct
-from viser import (
-    ClientHandle,
-    GuiUploadButtonHandle,
-    ViserServer,
-)
+from viser import ClientHandle, GuiUploadButtonHandle, ViserServer
 from viser._messages import GuiUpdateMessage
 from websockets.asyncio.server import ServerConnection
 
@@ -106,13 +102,13 @@ class _Upload:
 
     transfer: str
     size: int
-    """Bytes that it has, by what the client says."""
+    """Bytes of the file, by what the client says."""
     parts: int
-    """Number of parts that it comes in."""
-    come: set[int] = field(default_factory=set)
-    """Parts that are here."""
+    """Number of parts."""
+    indices: set[int] = field(default_factory=set)
+    """Indices of the parts received."""
     received: int = 0
-    """Bytes of them."""
+    """Bytes received."""
 
 
 class Clients:
@@ -161,7 +157,7 @@ class StudioConnection(ServerConnection):
     """A connection that hands on only messages that are allowed.
 
     Args:
-        clients: of the server.
+        clients: clients of the server.
     """
 
     def __init__(self, *args: Any, clients: Clients, **limits: Any) -> None:
@@ -249,11 +245,11 @@ class StudioConnection(ServerConnection):
         upload = self._upload
         if upload is None or message.transfer_uuid != upload.transfer:
             raise Refused
-        if message.part_index in upload.come or message.part_index >= upload.parts:
+        if message.part_index in upload.indices or message.part_index >= upload.parts:
             raise Refused
-        upload.come.add(message.part_index)
+        upload.indices.add(message.part_index)
         upload.received += len(message.content)
-        whole = len(upload.come) == upload.parts
+        whole = len(upload.indices) == upload.parts
         if upload.received > upload.size or (whole and upload.received < upload.size):
             self._drop_upload(client)
             raise Refused(f"The file does not have the {upload.size:,} bytes that were announced.")
@@ -319,6 +315,6 @@ def _control(client: ClientHandle | None, uuid: str) -> Any:
 
 def _show_again(control: Any) -> None:
     """Show the client the value that the control keeps."""
-    if not control._impl.is_button:
+    if not control._impl.is_button and isinstance(control.value, bool | int | float | str):
         update = GuiUpdateMessage(control._impl.uuid, {"value": control.value})
         control._impl.gui_api._websock_interface.queue_message(update)
