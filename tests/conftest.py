@@ -52,20 +52,23 @@ def chair():
 
 @pytest.fixture
 def as_built(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """`as_built(split=[(family, seed), ...], ...)`: chairs-24 of these chairs alone, as if it had been built."""
+    """`as_built(split=[(family, seed), ...], ...)`: chairs-24 of these chairs alone, as if it had been built.
 
-    def write(**splits: list[tuple[str, int]]) -> list[str]:
+    A name before the splits is another set's.
+    """
+
+    def write(name: str = "chairs-24", /, **splits: list[tuple[str, int]]) -> list[str]:
         monkeypatch.setenv("ROBOASSEMBLY_CACHE", str(tmp_path / "cache"))
         entries = []
         for split, chairs in splits.items():
             for family, seed in chairs:
                 made = catalogue.make(family, seed)
-                unseen = family in datasets.RECIPES["chairs-24"].unseen_families
+                unseen = family in datasets.RECIPES[name].unseen_families
                 hash_ = datasets.furniture_hash(made)
                 entries.append(datasets.Entry(family, seed, split, unseen, len(made.parts), 0.0, False, 0, hash_))
-        path = datasets.manifest_path("chairs-24")
-        path.parent.mkdir(parents=True)
-        path.write_bytes(msgspec.json.encode(datasets.Manifest("chairs-24", datasets.VERSION, 0, tuple(entries))))
+        path = datasets.manifest_path(name)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(msgspec.json.encode(datasets.Manifest(name, datasets.VERSION, 0, tuple(entries))))
         return [e.name for e in entries]
 
     return write
