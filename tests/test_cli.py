@@ -40,6 +40,9 @@ def test_assemble_writes_what_it_says(run: Run, stool: Path, tmp_path: Path) -> 
 
     plan = json.loads((tmp_path / "a" / "plan.json").read_text())
     assert plan["success"]
+    assert (report["upright"], report["upright_reason"]) == (True, "")
+    assert plan["upright"]["success"]
+    assert "upright" in err
     assert len(plan["steps"]) == 8
     assert all(len(s["action"]) == 5 and len(s["path"]) >= 2 and s["planning_steps"] > 0 for s in plan["steps"])
     assert "seconds" not in (tmp_path / "a" / "plan.json").read_text()
@@ -180,7 +183,10 @@ def test_what_cannot_be_assembled_is_an_honest_1(run: Run, tmp_path: Path, capti
     assert (status, report["success"]) == (1, False)
     assert "merges tried" in report["reason"]
     assert report["reason"] in err
-    assert not json.loads((tmp_path / "a" / "plan.json").read_text())["success"]
+    assert (report["upright"], report["upright_reason"]) == (False, "not assembled")
+    plan = json.loads((tmp_path / "a" / "plan.json").read_text())
+    assert not plan["success"]
+    assert "upright" not in plan
 
 
 @pytest.fixture

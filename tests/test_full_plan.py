@@ -28,7 +28,7 @@ def test_the_file_alone_tells_where_everything_is(two_merges: FullPlan) -> None:
     text = plan_file.encode(two_merges)
     assert text == plan_file.encode(two_merges)
     told = json.loads(text)
-    assert (told["format"], told["version"], told["setting"]) == ("roboassembly.plan", 1, "full")
+    assert (told["format"], told["version"], told["setting"]) == ("roboassembly.plan", 2, "full")
     assert told["density"] == two_merges.initial.cell.density
     where = [pose_from_seven(p) for p in told["initial"]]
     robots = [np.array(q) for q in told["robots"]]

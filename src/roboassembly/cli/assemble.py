@@ -80,6 +80,7 @@ class Assemble:
         outputs = self._write(result, solved)
         executed = self._executed(result.plan) if self.execution == "dynamic" else {}
         success = result.plan.success and executed.get("success", True)
+        stands, lying = _upright_end(upright, executed)
         report = {
             "success": success,
             "setting": self.setting,
@@ -93,8 +94,8 @@ class Assemble:
             "seconds": round(time.perf_counter() - started, 3),
             "seed": self.seed,
             "reason": result.reason,
-            "upright": upright is not None and upright.success,
-            "upright_reason": "not assembled" if upright is None else upright.reason,
+            "upright": stands,
+            "upright_reason": lying,
             "outputs": outputs,
             **({"execution": executed} if executed else {}),
         }
@@ -138,15 +139,18 @@ class Assemble:
 
     def _executed(self, plan: FullPlan) -> dict[str, Any]:
         """Carry a plan out in physics; what to tell of it."""
-        from roboassembly.task.execution import execute_plan, in_all
+        from roboassembly.task.execution import execute_plan, execute_upright, in_all
 
         say("carrying it out ...")
-        done = in_all(plan, execute_plan(plan))
+        merges = execute_plan(plan)
+        done = in_all(plan, merges, execute_upright(plan) if all(m.success for m in merges) else None)
         if not done.reason:
             say(f"carried out in {done.simulated_seconds} simulated s: fingers at most {done.tracking_error_mm} mm off "
                 f"their paths, joints {done.joint_error_mm} mm")  # fmt: skip
         else:
             say(f"not carried out: {done.reason}")
+        if done.upright is not None:
+            say("set upright in physics" if done.upright else f"not set upright in physics: {done.upright_reason}")
         return asdict(done)
 
     def _told(self, result: SearchResult[Any]) -> str:
@@ -203,3 +207,13 @@ def _upright_line(result: UprightResult[Any]) -> str:
     if result.motion is None:
         return "it stands upright"
     return f"set upright: {result.planning_steps} states checked, {result.planning_seconds:.2f} s"
+
+
+def _upright_end(planned: UprightResult[Any] | None, executed: dict[str, Any]) -> tuple[bool, str]:
+    """Whether the piece stands on its feet at the end of all, in physics too if it was carried out; and why not."""
+    if planned is None:
+        return False, "not assembled"
+    if not planned.success or not executed or executed["upright"]:
+        return planned.success, planned.reason
+    why = executed["upright_reason"] or executed["reason"]
+    return False, f"planned, but not carried out: {why}"

@@ -105,9 +105,10 @@ class RobotWorld:
         opening: metres between the finger pads.
         held: what the hand holds, `body_from_mesh` being `tips_from_mesh`; its pads are meant to touch it and are not
             tested against it.
+        lands: whether what is held may touch the ground.
     """
 
-    def __init__(self, still: Sequence[Body], opening: float, held: Sequence[Shape] = ()) -> None:
+    def __init__(self, still: Sequence[Body], opening: float, held: Sequence[Shape] = (), lands: bool = False) -> None:
         self.tally = Tally()
         model, carriers = _model()
         tips = SE3(*arm().tips)
@@ -129,7 +130,7 @@ class RobotWorld:
         for a in [*own, *hand, *load]:
             for b in others:
                 outer.addCollisionPair(pin.CollisionPair(a, b))
-            if a != own[0]:
+            if a != own[0] and not (lands and a in load):
                 outer.addCollisionPair(pin.CollisionPair(a, ground))
         both = outer.copy()
         # What the last joint carries does not move against the load: looked at once.

@@ -35,12 +35,12 @@ class Log:
 
 
 class StepPhysics:
-    """The physics of one step: two robots and the two groups that they join.
+    """The physics of one step: two robots and the two groups that they join, or the finished piece.
 
     Args:
         robots: configurations at the beginning.
         openings: metres between the pads.
-        loads: u's group and v's group, on their posts at the beginning.
+        loads: u's group and v's group, or the finished piece, on their posts at the beginning.
     """
 
     def __init__(

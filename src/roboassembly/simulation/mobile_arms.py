@@ -3,7 +3,7 @@
 Robots, and what they hold, are dynamic; what stands on posts does not move and is left to the exact geometry
 (`planning`), by which the states that come out are checked. In physics only the fingers' pads and what is between them
 collide: MuJoCo takes meshes for convex, and a mortise is not; the pads meet the part's own surface there, cut out
-around the grasp.
+around the grasp. A finished piece that is set on the floor meets it with its parts' convex hulls, as when it settles.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from roboassembly.meshes import Mesh
 from roboassembly.poses import SE3
 from roboassembly.robots.kinematics import JOINTS, arm
 from roboassembly.robots.platform import HEIGHT, LENGTH, PLATFORM_FROM_MOUNT, WIDTH
-from roboassembly.simulation.model import rotation_to_quaternion
+from roboassembly.simulation.model import FLOOR_FRICTION, rotation_to_quaternion
 from roboassembly.simulation.pacing import TIME_STEP
 
 GAINS = (9000.0, 9000.0, 7000.0, 7000.0, 4000.0, 4000.0, 3000.0)
@@ -63,15 +63,17 @@ class Load:
     """About it, kg·m²."""
     between_pads: tuple[Mesh, ...]
     """Convex pieces, in the body's frame, that pads may meet."""
+    feet: tuple[Mesh, ...] = ()
+    """Meshes, in the body's frame, whose convex hulls the floor may meet; empty of what is never set on it."""
 
 
 def model_of(loads: Sequence[Load]) -> mujoco.MjModel:
-    """Robots `a` and `b`, bodies `load0` and `load1`, and welds, all off.
+    """Robots `a` and `b`, bodies `load0` and, of two loads, `load1`, and welds, all off.
 
-    `post0` holds a load to the world, `gripa0` to a robot's last link, `joint` the two loads together.
+    `post0` holds a load to the world, `gripa0` to a robot's last link, `joint` two loads together.
 
     Args:
-        loads: u's group and v's group.
+        loads: u's group and v's group, or the finished piece.
     """
     spec = mujoco.MjSpec()
     spec.option.timestep = TIME_STEP
@@ -85,7 +87,13 @@ def model_of(loads: Sequence[Load]) -> mujoco.MjModel:
         _add_weld(spec, f"post{index}", "world", f"load{index}")
         for name in "ab":
             _add_weld(spec, f"grip{name}{index}", f"{name}/link{JOINTS}", f"load{index}")
-    _add_weld(spec, "joint", "load1", "load0")
+    if len(loads) == 2:
+        _add_weld(spec, "joint", "load1", "load0")
+    if any(load.feet for load in loads):
+        spec.worldbody.add_geom(
+            name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1], contype=4, conaffinity=8,
+            friction=FLOOR_FRICTION, condim=6,
+        )  # fmt: skip
     return spec.compile()
 
 
@@ -191,6 +199,12 @@ def _add_load(spec: mujoco.MjSpec, name: str, load: Load) -> None:
         body.add_geom(
             name=f"{name}/{i}", type=mujoco.mjtGeom.mjGEOM_MESH, meshname=f"{name}/{i}", mass=0.0,
             contype=2, conaffinity=1, friction=_PAD_FRICTION, condim=4, solref=[0.004, 1.0],
+        )  # fmt: skip
+    for i, mesh in enumerate(load.feet):
+        _add_mesh(spec, f"{name}/foot{i}", mesh)
+        body.add_geom(
+            name=f"{name}/foot{i}", type=mujoco.mjtGeom.mjGEOM_MESH, meshname=f"{name}/foot{i}", mass=0.0,
+            contype=8, conaffinity=4, friction=FLOOR_FRICTION, condim=6,
         )  # fmt: skip
 
 

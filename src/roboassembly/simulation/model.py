@@ -10,7 +10,7 @@ from roboassembly.scene import Body, Scene
 
 TIME_STEP = 0.004
 """Seconds."""
-_FRICTION = [0.7, 0.01, 0.005]
+FLOOR_FRICTION = [0.7, 0.01, 0.005]
 """Sliding (wood on a floor), torsional [m] and rolling [m]: turned parts must come to rest."""
 
 
@@ -24,7 +24,7 @@ def compile_scene(scene: Scene) -> mujoco.MjModel:
     spec.compiler.fitaabb = False
     if scene.ground:
         spec.worldbody.add_geom(
-            name="ground", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1], friction=_FRICTION, condim=6
+            name="ground", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1], friction=FLOOR_FRICTION, condim=6
         )
     known: dict[int, str] = {}
     for body in scene.bodies:
@@ -61,7 +61,7 @@ def _add_body(spec: mujoco.MjSpec, body: Body, known: dict[int, str]) -> None:
             meshname=known[id(shape.mesh)],
             pos=shape.body_from_mesh.translation,
             quat=rotation_to_quaternion(shape.body_from_mesh.rotation),
-            friction=_FRICTION,
+            friction=FLOOR_FRICTION,
             condim=6,
             mass=0.0 if body.moves else 1.0,
         )

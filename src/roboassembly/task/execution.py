@@ -1,5 +1,8 @@
 """`dynamic` execution: the legs of a planned step carried out in physics, and what comes out held against the plan.
 
+The motion that sets the finished piece on its feet is carried out in the same way; the piece then stands on the floor
+by its own weight.
+
 Each step begins where the plan has everything. The states that the robots really come through are checked exactly,
 against all that is around; only the two groups may touch each other while they are mated.
 """
@@ -15,7 +18,7 @@ import numpy as np
 from jaxtyping import Float
 
 from roboassembly.furniture.model import Furniture
-from roboassembly.meshes import WOOD_DENSITY
+from roboassembly.meshes import WOOD_DENSITY, Mesh
 from roboassembly.poses import rotation_angle
 from roboassembly.simulation.execution import StepPhysics
 from roboassembly.simulation.mobile_arms import Load, between_pads
@@ -27,6 +30,8 @@ from roboassembly.task.moments import Grip, Leg
 
 JOINT_POSITION, JOINT_ANGLE = 0.002, float(np.deg2rad(2.0))
 """Metres and radians within which two groups must come before they are joined."""
+STANDING_POSITION, STANDING_ANGLE = 0.01, float(np.deg2rad(2.0))
+"""Metres and radians that the finished piece may be off where it is to stand, once the robot has left."""
 MOST_TRACKING = 0.005
 """Metres that finger tips may be off their path."""
 _LINES = ("approach", "lift", "mate", "back", "set")
@@ -49,6 +54,8 @@ class Ending(StrEnum):
     """A state that a robot came through touches something."""
     NOT_MATED = "not_mated"
     """The groups were too far from where they join."""
+    NOT_STANDING = "not_standing"
+    """The finished piece did not stay where it was set on its feet."""
 
 
 @dataclass(frozen=True)
@@ -95,10 +102,21 @@ class Execution:
     joint_error_deg: float
     reason: str
     """Empty if it succeeded."""
+    upright: bool | None = None
+    """Whether the finished piece was set on its feet, which is no part of the success; None if that was not carried
+    out."""
+    upright_reason: str = ""
+    """Why it was not; empty if it was."""
 
 
-def in_all(plan: FullPlan, done: Sequence[Executed]) -> Execution:
-    """What the executed steps of a plan come to."""
+def in_all(plan: FullPlan, done: Sequence[Executed], last: Executed | None = None) -> Execution:
+    """What the executed steps of a plan come to.
+
+    Args:
+        plan: that was carried out.
+        done: its merges.
+        last: the motion that sets the piece on its feet; None if it was not carried out.
+    """
     failed = next((d for d in done if not d.success), None)
     return Execution(
         success=plan.success and failed is None,
@@ -110,6 +128,8 @@ def in_all(plan: FullPlan, done: Sequence[Executed]) -> Execution:
         joint_error_mm=round(1e3 * max((d.joint_position for d in done), default=0.0), 2),
         joint_error_deg=round(math.degrees(max((d.joint_angle for d in done), default=0.0)), 3),
         reason="" if failed is None else f"merge {len(done)}: {failed.ending.value} in '{failed.leg}'",
+        upright=None if last is None else last.success,
+        upright_reason="" if last is None or last.success else f"{last.ending.value} in '{last.leg}'",
     )
 
 
@@ -131,17 +151,30 @@ def execute(furniture: Furniture, density: float, step: FullStep) -> Executed:
         density: kg/m³.
         step: planned.
     """
-    return _Execution(furniture, density, step).run()
+    return _Execution(furniture, density, step.legs).run()
+
+
+def execute_upright(plan: FullPlan) -> Executed | None:
+    """Carry out the motion that sets the finished piece on its feet; None if the plan has none."""
+    return _Execution(plan.furniture, plan.initial.cell.density, plan.final_legs).run() if plan.final_legs else None
 
 
 class _Execution:
-    def __init__(self, furniture: Furniture, density: float, step: FullStep) -> None:
-        self.furniture, self.legs = furniture, step.legs
-        named = {leg.name: leg for leg in step.legs}
-        self.grips = [_grip(named["lift u"]), _grip(named["lift v"])]
-        openings = [named[f"drive to {name}"].moment.robots[r].opening for r, name in enumerate("uv")]
-        start = step.legs[0].moment
+    def __init__(self, furniture: Furniture, density: float, legs: Sequence[Leg]) -> None:
+        self.furniture, self.legs = furniture, legs
+        start = legs[0].moment
+        # u's group before v's, so that a merge's loads have the numbers of the robots that take them.
+        lifts = sorted((leg for leg in legs if leg.name.startswith("lift ")), key=lambda leg: leg.name)
+        self.grips = [_grip(leg) for leg in lifts]
+        self.load_of = {leg.robot: load for load, leg in enumerate(lifts)}
+        """Robot to the number of the load that it takes."""
+        openings = [robot.opening for robot in start.robots]
+        for leg in legs:
+            if leg.name.startswith("drive to "):
+                openings[leg.robot] = leg.moment.robots[leg.robot].opening
         loads = [self._load(grip.group, grip.hold, density) for grip in self.grips]
+        if legs[-1].after.on_floor:
+            loads = [replace(load, feet=_feet(furniture, g.group)) for load, g in zip(loads, self.grips, strict=True)]
         self.physics = StepPhysics([r.at for r in start.robots], openings, loads)
         self.states = 0
         self.joint = (0.0, 0.0)
@@ -173,8 +206,8 @@ class _Execution:
             return Ending.OFF_THE_PATH
         if self._touches(leg, np.array(physics.log.samples[first::_AUDITED])):
             return Ending.COLLISION
-        if leg.name in ("approach u", "approach v"):
-            return Ending.DONE if physics.grasp(leg.robot, leg.robot) else Ending.NOT_GRASPED
+        if leg.name.startswith("approach "):
+            return Ending.DONE if physics.grasp(leg.robot, self.load_of[leg.robot]) else Ending.NOT_GRASPED
         if leg.name == "mate":
             self.joint = self._joint_error(leg)
             if self.joint[0] > JOINT_POSITION or self.joint[1] > JOINT_ANGLE:
@@ -182,7 +215,12 @@ class _Execution:
             physics.join()
             physics.release(0, self._next(leg).moment.robots[0].opening)
         if leg.name == "set down":
-            physics.release(1, self._next(leg).moment.robots[1].opening, (0, 1))
+            after = self._next(leg).moment
+            # What is set on the floor stands there by itself; a post that has risen holds what is set on it.
+            held = () if after.on_floor else tuple(range(len(self.grips)))
+            physics.release(leg.robot, after.robots[leg.robot].opening, held)
+        if leg.name == "leave" and leg.moment.on_floor and not self._stands(leg.moment.on_floor[0]):
+            return Ending.NOT_STANDING
         return Ending.DONE
 
     def _next(self, leg: Leg) -> Leg:
@@ -193,11 +231,18 @@ class _Execution:
         moment = leg.moment
         if leg.name == "mate":
             moment = moment.with_robot(1, replace(moment.robots[1], grip=None))
-        if leg.name in ("lift u", "lift v", "set down"):
+        if leg.name.startswith("lift ") or leg.name == "set down":
             # The post on which it sits, or is to sit.
             moment = replace(moment, posts=())
+        lands = leg.name == "set down" and bool(self._next(leg).moment.on_floor)
         self.states += len(q)
-        return not moment.world(self.furniture, leg.robot).free(q).all()
+        return not moment.world(self.furniture, leg.robot, lands).free(q).all()
+
+    def _stands(self, planned: Group) -> bool:
+        """Whether the finished piece is where it was set down."""
+        got, wanted, center = self.physics.pose(0), planned.world_from_furniture, self.physics.loads[0].center
+        off = float(np.linalg.norm(got.act(center) - wanted.act(center)))
+        return off <= STANDING_POSITION and rotation_angle(got.rotation.T @ wanted.rotation) <= STANDING_ANGLE
 
     def _joint_error(self, mate: Leg) -> tuple[float, float]:
         """How far u's group is from where it joins v's, at u's centre of mass: metres and radians."""
@@ -209,6 +254,12 @@ class _Execution:
             float(np.linalg.norm(got.act(center) - wanted.act(center))),
             rotation_angle(got.rotation.T @ wanted.rotation),
         )
+
+
+def _feet(furniture: Furniture, group: Group) -> tuple[Mesh, ...]:
+    """A group's parts, in its frame."""
+    parts = zip(group.parts, group.furniture_from_part, strict=True)
+    return tuple(furniture.parts[p].mesh.transformed(pose) for p, pose in parts)
 
 
 def _grip(leg: Leg) -> Grip:

@@ -91,10 +91,16 @@ class Moment:
         out += [body(furniture, group, f"on floor{i}") for i, group in enumerate(self.on_floor)]
         return [*out, self.robots[1 - robot].body(furniture)]
 
-    def world(self, furniture: Furniture, robot: int) -> RobotWorld:
-        """The planning model of one robot, with what it holds, among all else."""
+    def world(self, furniture: Furniture, robot: int, lands: bool = False) -> RobotWorld:
+        """The planning model of one robot, with what it holds, among all else.
+
+        Args:
+            furniture: what the groups are of.
+            robot: 0 or 1.
+            lands: whether what it holds may touch the ground.
+        """
         own = self.robots[robot]
-        return RobotWorld(self.around(furniture, robot), own.opening, own.held(furniture))
+        return RobotWorld(self.around(furniture, robot), own.opening, own.held(furniture), lands)
 
     def moved(self, robot: int, at: Configuration) -> Moment:
         """With one robot elsewhere."""
