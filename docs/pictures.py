@@ -21,6 +21,7 @@ from roboassembly.solvers.oracle import Oracle
 from roboassembly.solvers.search import solve, solve_full
 from roboassembly.task.groups import TaskState
 from roboassembly.task.object_centric import ObjectCentricTask
+from roboassembly.task.upright import set_upright
 from roboassembly.viewer.film import render_contact_sheet, render_meshes, write_film, write_storyboard
 from roboassembly.viewer.playing import AnyPlan
 
@@ -83,8 +84,9 @@ def write_loop(plan: AnyPlan, path: Path, *, width: int, height: int, fps: int) 
 
 write_grasps("ladder", IMAGES / "grasps.png", columns=5, size=200)
 write_dead_end("splat:8", IMAGES / "dead_end.png", width=480, height=320)
-write_storyboard(solve(catalogue.make("ladder"), 0).plan, IMAGES / "storyboard.png", columns=4, width=360, height=240)
-two_robots = solve_full(catalogue.make("stool"), 0).plan
+ladder = set_upright(solve(catalogue.make("ladder"), 0).plan)
+write_storyboard(ladder, IMAGES / "storyboard.png", columns=4, width=360, height=240)
+two_robots = set_upright(solve_full(catalogue.make("stool"), 0).plan)
 write_storyboard(two_robots, IMAGES / "two_robots.png", columns=5, width=320, height=240)
 write_loop(two_robots, IMAGES / "two_robots.webp", width=480, height=320, fps=8)
 render_contact_sheet([catalogue.make(f) for f in FAMILIES], IMAGES / "families.png", columns=7, size=200)
