@@ -146,6 +146,20 @@ def check_writable(path: Path) -> None:
         raise InputError(f"cannot write to folder {path}: {_reason(error)}") from None
 
 
+def refuse_existing(target: Path) -> None:
+    """Refuse to write where something is already; an empty folder is nothing.
+
+    Raises:
+        InputError: naming it, and what would do.
+    """
+    try:
+        there = target.is_symlink() or (any(target.iterdir()) if target.is_dir() else target.exists())
+    except OSError as error:
+        raise InputError(f"cannot write to {target}: {_reason(error)}") from None
+    if there:
+        raise InputError(f"'{target}' exists already; --force replaces it, --out names another place")
+
+
 def writable_folder(path: Path) -> Path:
     """Make the folder if need be.
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
@@ -11,6 +12,9 @@ from jaxtyping import Float
 from roboassembly.errors import FurnitureError
 from roboassembly.meshes import Mesh
 from roboassembly.poses import SE3
+
+if TYPE_CHECKING:
+    from roboassembly.furniture.importers.units import Unit
 
 MIN_PARTS = 2
 MAX_PARTS = 20
@@ -152,6 +156,17 @@ class RawFurniture:
     parts: tuple[RawPart, ...]
     provenance: Provenance
     sites: tuple[Site, ...] = ()
+    unit: Unit | None = None
+    """How the size was found, where the files do not say it and nobody did."""
+    remarks: tuple[str, ...] = ()
+    """What a person should know of the reading, one line each."""
+
+    @property
+    def size(self) -> tuple[float, float, float]:
+        """Metres along x, y and z (up) of the whole piece."""
+        corners = np.concatenate([part.mesh.bounds for part in self.parts])
+        x, y, z = np.ptp(corners, axis=0).tolist()
+        return x, y, z
 
 
 @dataclass(frozen=True, eq=False)
@@ -267,9 +282,14 @@ class Furniture:
         return out
 
 
-def check_part_count(count: int, name: str) -> None:
-    """Raise `FurnitureError` unless `count` is between 2 and 20."""
-    if not MIN_PARTS <= count <= MAX_PARTS:
+def check_part_count(count: int, name: str, least: int = MIN_PARTS) -> None:
+    """Raise `FurnitureError` unless `count` is between `least` and 20."""
+    if count > MAX_PARTS:
+        raise FurnitureError(
+            f"{name}: {count} parts; furniture has {MIN_PARTS} to {MAX_PARTS}: join those that need no assembly (glued "
+            f"or screwed ones, hinges, screws) into one mesh, or leave some out"
+        )
+    if count < least:
         raise FurnitureError(
             f"{name}: {count} part{'s' if count != 1 else ''}; furniture has {MIN_PARTS} to {MAX_PARTS}"
         )

@@ -178,16 +178,27 @@ def _put(asked: Path, write: Callable[[Path], None]) -> Path:
         if not folder.exists():
             scratch.rename(folder)
             return asked
-        # What else lies there is the user's. The old meshes go last but one, the new description comes last.
-        if (folder / MESHES).exists():
-            (folder / MESHES).rename(scratch / "old")
-        (scratch / MESHES).rename(folder / MESHES)
-        (scratch / FILE_NAME).replace(folder / FILE_NAME)
+        _swap(scratch, folder)
     except OSError as error:
         raise InputError(f"cannot write to {asked}: {error.strerror}") from None
     finally:
         shutil.rmtree(scratch, ignore_errors=True)
     return asked
+
+
+def _swap(new: Path, folder: Path) -> None:
+    """Put a folder in the place of another one, which stays if that fails."""
+    old = new.with_name(f"{new.name}-old")
+    folder.rename(old)
+    try:
+        new.rename(folder)
+    except OSError:
+        old.rename(folder)
+        raise
+    # What else lay there is the user's.
+    for entry in [e for e in old.iterdir() if e.name not in (FILE_NAME, MESHES)]:
+        entry.rename(folder / entry.name)
+    shutil.rmtree(old)
 
 
 def _may_replace(folder: Path) -> bool:

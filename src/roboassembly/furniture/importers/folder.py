@@ -1,8 +1,8 @@
-"""A plain folder of mesh files, one a named part in its assembled pose; or one GLB scene of named nodes.
+"""A plain folder of mesh files, one a named part in its assembled pose; or one file of several parts.
 
-Unit: metres, unless that makes an absurd size. If the longest side of all parts together is not 0.1 to 4 units, the
-files are taken to be in centimetres (10 to 250), then millimetres (100 to 4,000); if neither fits, the piece is scaled
-to a longest side of 1 m. The provenance says which. `scale` overrides it.
+One file is a GLB scene of named nodes, or a mesh of several separate bodies that is to be split.
+
+Unit: guessed from typical sizes of furniture, see `units`; the provenance says which. `scale` overrides it.
 
 Up axis: z for OBJ, STL and PLY, y for GLB (as its standard says); `up` overrides it.
 """
@@ -12,7 +12,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from roboassembly.errors import FurnitureError
-from roboassembly.furniture.importers import files
+from roboassembly.furniture.cad import refuse_cad
+from roboassembly.furniture.importers import bodies, files, units
 from roboassembly.furniture.importers.glb import count_parts, read_glb
 from roboassembly.furniture.importers.mesh_files import READERS, read_mesh
 from roboassembly.furniture.importers.triangles import (
@@ -29,8 +30,6 @@ from roboassembly.furniture.model import Provenance, RawFurniture, check_part_co
 
 SUFFIXES = (*READERS, ".glb")
 WANTED = f"a folder of named parts ({', '.join(SUFFIXES)}), one GLB scene, or a folder that holds such"
-UNITS = ((1.0, "metres", 0.1, 4.0), (0.01, "centimetres", 10.0, 250.0), (0.001, "millimetres", 100.0, 4000.0))
-"""Metres per unit, its name, and the range of the longest side, in that unit, in which it is believed."""
 
 
 def find(root: Path) -> list[Path]:
@@ -43,10 +42,13 @@ def find(root: Path) -> list[Path]:
         FurnitureError: no such file or folder, or no mesh file in it.
     """
     root = Path(root)
+    refuse_cad(root)
     if root.is_file():
-        if root.suffix.lower() != ".glb":
-            raise FurnitureError(f"'{root}' is a single part; give {WANTED}")
+        if not _is_mesh(root.name):
+            raise FurnitureError(f"'{root}' is no mesh file; give {WANTED}")
         return [root]
+    if not any(_is_mesh(name) for _, names in files.walk(root) for name in names):
+        refuse_cad(root, whole=True)
     pieces: list[Path] = []
     for here in files.find_folders(root, lambda _, names: any(map(_is_mesh, names)), WANTED):
         meshes = _meshes(here)
@@ -58,13 +60,14 @@ def find(root: Path) -> list[Path]:
     return sorted(pieces)
 
 
-def read(path: Path, *, scale: float | None = None, up: Up | None = None) -> RawFurniture:
+def read(path: Path, *, scale: float | None = None, up: Up | None = None, split: bool = False) -> RawFurniture:
     """The parts of one piece: z up, metres, lowest point at z = 0, centred on the z axis.
 
     Args:
-        path: a folder of mesh files, each named as its part, or one GLB scene.
+        path: a folder of mesh files, each named as its part, one GLB scene, or one mesh file of several bodies.
         scale: metres per unit of the files; guessed by default, see above.
         up: the files' up axis; by default z, or y for GLB.
+        split: make a part of each separate body of each mesh.
 
     Raises:
         FurnitureError: nothing there, a file that cannot be read, an absurd size, or a count of parts outside 2 to 20.
@@ -73,25 +76,36 @@ def read(path: Path, *, scale: float | None = None, up: Up | None = None) -> Raw
     check_scale(scale)
     if up is not None and up not in UP_ROTATIONS:
         raise FurnitureError(f"up axis {files.one_line(repr(up), 40)} is not known; {', '.join(UP_ROTATIONS)} would do")
-    parts = read_glb(path) if path.is_file() and path.suffix.lower() == ".glb" else _read_folder(path)
+    single = path.is_file()
+    glb = single and path.suffix.lower() == ".glb"
+    parts = read_glb(path) if glb else [_read_part(path)] if single else _read_folder(path)
+    if split:
+        parts, remarks = bodies.split(parts)
+    elif len(parts) == 1:
+        raise FurnitureError(_alone(path, parts[0]))
+    else:
+        counts = {part.name: bodies.count_closed(part.triangles) for part in parts}
+        remarks = [
+            f"{name}: one part of {count} separate bodies; --split would make each a part"
+            for name, count in counts.items()
+            if count > 1
+        ]
     check_part_count(len(parts), f"'{path}'")
-    glb = path.suffix.lower() == ".glb" and path.is_file()
-    axis = up or ("y" if glb or all(f.suffix.lower() == ".glb" for f in _meshes(path)) else "z")
+    axis = up or ("y" if glb or (not single and all(f.suffix.lower() == ".glb" for f in _meshes(path))) else "z")
     low, high = bounds(parts, UP_ROTATIONS[axis])
-    factor, note = (scale, "scale given") if scale is not None else guess_unit(float((high - low).max()))
-    own = files.one_line(path.resolve().stem if glb else path.resolve().name)
-    provenance = Provenance("folder", own, "", factor, (f"{note}, {axis} up in the files",))
-    return RawFurniture(stand(parts, UP_ROTATIONS[axis], factor, f"'{path}'"), provenance)
+    unit = units.given(scale) if scale is not None else units.guess((high - low).tolist())
+    own = files.one_line(path.resolve().stem if single else path.resolve().name)
+    provenance = Provenance("folder", own, "", unit.scale, (f"unit: {unit.text}, {axis} up in the files",))
+    made = stand(parts, UP_ROTATIONS[axis], unit.scale, f"'{path}'")
+    return RawFurniture(made, provenance, unit=unit, remarks=tuple(remarks))
 
 
-def guess_unit(longest: float) -> tuple[float, str]:
-    """Metres per unit for a piece whose longest side is so many units, and why."""
-    for factor, name, low, high in UNITS:
-        if low <= longest <= high:
-            return factor, f"taken to be in {name}"
-    if not longest > 0:
-        raise FurnitureError("all its points are one and the same; give parts with some extent")
-    return 1.0 / longest, f"longest side of {longest:.4g} units fits no unit: scaled to 1 m"
+def _alone(path: Path, part: NamedTriangles) -> str:
+    """Why a single mesh is no furniture, and what would do."""
+    count = len(bodies.split([part])[0])
+    if count > 1:
+        return f"'{path}': one mesh of {count} separate bodies; --split makes a part of each"
+    return f"'{path}': 1 part; furniture has 2 to 20: give {WANTED}"
 
 
 def _is_mesh(name: str) -> bool:
@@ -107,13 +121,17 @@ def _read_folder(path: Path) -> list[NamedTriangles]:
     meshes = _meshes(path)
     if not meshes:
         raise FurnitureError(f"'{path}' holds no mesh files; give {WANTED}")
-    check_part_count(len(meshes), f"'{path}'")
-    names = unique_names([files.one_line(file.stem, 80) or "part" for file in meshes])
-    out = []
-    for name, file in zip(names, meshes, strict=True):
-        if file.suffix.lower() == ".glb":
-            surface = combine([part.triangles for part in read_glb(file)])
-        else:
-            surface = read_mesh(file)
-        out.append(NamedTriangles(name, surface))
-    return out
+    check_part_count(len(meshes), f"'{path}'", least=1)
+    names = unique_names([_part_name(file) for file in meshes])
+    return [NamedTriangles(name, _read_part(file).triangles) for name, file in zip(names, meshes, strict=True)]
+
+
+def _read_part(file: Path) -> NamedTriangles:
+    """All of a file as one part."""
+    if file.suffix.lower() == ".glb":
+        return NamedTriangles(_part_name(file), combine([part.triangles for part in read_glb(file)]))
+    return NamedTriangles(_part_name(file), read_mesh(file))
+
+
+def _part_name(file: Path) -> str:
+    return files.one_line(file.stem, 80) or "part"

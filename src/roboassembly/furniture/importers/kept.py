@@ -25,6 +25,7 @@ import msgspec
 from roboassembly.errors import InputError
 from roboassembly.furniture import storage
 from roboassembly.furniture.cache import cache_folder
+from roboassembly.furniture.importers.units import Unit
 
 MAX_BYTES = 1_000_000_000
 """What all kept imports may take; those not used for the longest time go first."""
@@ -50,6 +51,11 @@ class Summary(msgspec.Struct, frozen=True):
     """Parts whose size changed, or that sit less deep in a neighbour, by more than 1 mm; a line each."""
     unholdable: tuple[str, ...] = ()
     """Names of the parts that no Franka hand can hold."""
+    unit: Unit | None = None
+    size_m: tuple[float, float, float] | None = None
+    """Of the piece as read: along x, y and z (up), in metres."""
+    remarks: tuple[str, ...] = ()
+    """What a person should know of the reading, one line each."""
     error: str | None = None
     """Why it was refused."""
     refused_at: str | None = None

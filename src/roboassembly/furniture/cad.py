@@ -1,0 +1,37 @@
+"""CAD and scene files that cannot be read, and what to do with them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from roboassembly.errors import FurnitureError
+
+_KINDS = {
+    **dict.fromkeys((".step", ".stp"), "STEP"), **dict.fromkeys((".iges", ".igs"), "IGES"), ".fcstd": "FreeCAD",
+    ".f3d": "Fusion", ".sldprt": "SolidWorks", ".sldasm": "SolidWorks", ".ipt": "Inventor", ".iam": "Inventor",
+    ".skp": "SketchUp", ".3dm": "Rhino", ".dwg": "AutoCAD", ".dxf": "DXF", ".blend": "Blender", ".fbx": "FBX",
+    ".dae": "COLLADA", ".3ds": "3DS", ".gltf": "text glTF", ".3mf": "3MF", ".usd": "USD", ".usdz": "USD",
+}  # fmt: skip
+"""By file suffix."""
+
+
+def refuse_cad(path: Path, *, whole: bool = False) -> None:
+    """Say what to do where a path is a CAD file.
+
+    Args:
+        path: of a file or folder.
+        whole: look into the folder too.
+
+    Raises:
+        FurnitureError: it is one, or holds some.
+    """
+    found = path if path.suffix.lower() in _KINDS and not path.is_dir() else None
+    if found is None and whole and path.is_dir():
+        found = next((f for f in sorted(path.iterdir()) if f.suffix.lower() in _KINDS and f.is_file()), None)
+    if found is None:
+        return
+    raise FurnitureError(
+        f"'{found}' is a {_KINDS[found.suffix.lower()]} file, which is not read here; open it in FreeCAD or Blender, "
+        f"export every part as STL in its assembled place, one file a part, and import the folder: roboassembly import "
+        f"folder FOLDER"
+    )

@@ -1,0 +1,58 @@
+"""What this program wrote itself below a source folder: an import does not take it for furniture to import."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from roboassembly.errors import FurnitureError
+from roboassembly.furniture import storage
+
+
+def without_results(found: Sequence[Path], source: Path, out: Path) -> tuple[list[Path], list[Path]]:
+    """The pieces that are no earlier results, and the folders of results that were passed over.
+
+    Args:
+        found: pieces at or below `source`.
+        source: what is imported.
+        out: the folder that results go to; if it lies inside the source, nothing in it is a piece.
+
+    Raises:
+        FurnitureError: nothing is left.
+    """
+    pieces: list[Path] = []
+    results: list[Path] = []
+    for piece in found:
+        result = next(_results(piece, source, out), None)
+        if result is None:
+            pieces.append(piece)
+        elif result not in results:
+            results.append(result)
+    if not pieces:
+        if source.resolve() in results:
+            raise FurnitureError(f"'{source}' is a furniture folder already; commands take it as it is")
+        raise FurnitureError(f"'{source}' holds nothing but earlier results, '{results[0]}' for one; name the source")
+    return pieces, results
+
+
+def _results(piece: Path, source: Path, out: Path) -> Iterator[Path]:
+    """Folders of results that a piece lies in."""
+    piece, target = piece.resolve(), out.resolve()
+    root = source.resolve() if source.is_dir() else source.resolve().parent
+    if target != root and target.is_relative_to(root) and piece.is_relative_to(target):
+        yield out
+    for folder in (piece, *piece.parents):
+        if not folder.is_relative_to(root):
+            return
+        # A hidden one was not finished by an import that was killed, or is hidden on purpose.
+        hidden = folder != root and folder.name.startswith(".")
+        if hidden or (folder / storage.FILE_NAME).is_file() or _is_exported(folder, piece):
+            yield folder
+
+
+def _is_exported(folder: Path, piece: Path) -> bool:
+    """Whether `roboassembly export` wrote the piece, a file of the folder or the folder's meshes."""
+    if piece.parent != folder:
+        return False
+    named = [piece] if piece.suffix == ".xml" else [*folder.glob("*.xml"), *folder.glob("*.urdf")]
+    return any((folder / storage.MESHES / f"{file.stem}-00.stl").is_file() for file in named)
