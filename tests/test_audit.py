@@ -156,7 +156,7 @@ def test_the_audit_knows_nothing_of_the_planner() -> None:
 
 def test_without_fcl_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "fcl", None)
-    with pytest.raises(MissingExtraError, match=r"roboassembly\[bench\]"):
+    with pytest.raises(MissingExtraError, match=r"'\.\[bench\]'"):
         audit_plan(good_plan())
 
 

@@ -117,7 +117,7 @@ def test_a_missing_backend_names_the_extra(
     make: type[FclPeer] | type[PyBulletPeer], module: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, module, None)
-    with pytest.raises(MissingExtraError, match=r"roboassembly\[bench\]"):
+    with pytest.raises(MissingExtraError, match=r"'\.\[bench\]'"):
         make()
 
 

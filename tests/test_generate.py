@@ -195,7 +195,8 @@ def test_parts_are_solid_small_and_named(family: str, seed: int) -> None:
     for part in parts:
         assert part.mesh.is_solid, part.name
         assert len(part.mesh.trimesh.split(only_watertight=False)) == 1, f"{part.name} is in pieces"
-        assert 8 <= len(part.mesh.faces) <= (8_000 if family == "fused" else 800), part.name
+        # Repair cuts sockets for round legs into what is sunk.
+        assert 8 <= len(part.mesh.faces) <= {"fused": 8_000, "sunk": 1_200}.get(family, 800), part.name
         assert part.label
         assert part.name == part.name.lower()
         assert part.name.replace("_", "").isalnum()

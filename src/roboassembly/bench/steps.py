@@ -45,16 +45,21 @@ def time_steps(chairs: Sequence[BenchChair], seed: int) -> StepTimes:
         env.reset(seed=seed)
         reset += [_timed(env.reset)[1] for _ in range(_RESETS)]
         env.reset(seed=seed)
+        done: list[tuple[int, ...]] = []
         for step in chair.result.plan.steps:
-            # A step that fails leaves the state as it is, so that wrong pairs can be tried in every state of the plan.
+            # Wrong pairs are tried in every state of the plan. Each ends its episode, so another one goes as far again.
             for _ in range(_WRONG_PAIRS):
                 action = _random_action(chair.furniture, rng)
                 if env.task.exists(env.state, action) and env.task.prepare(env.state, action) is None:
                     wrong.append(_step(env, action)[1])
+                    env.reset(seed=seed)
+                    for merge in done:
+                        env.step(np.array(merge))
             verdict, milliseconds = _step(env, step.action)
             if verdict != Verdict.MERGED:
                 break
             right.append(milliseconds)
+            done.append(step.action)
         env.close()
     return StepTimes(median(wrong), median(reset), median(right))
 
