@@ -102,7 +102,7 @@ def guess(extents: Sequence[float]) -> Unit:
         FurnitureError: the piece has no extent.
     """
     longest = max(extents)
-    if not longest > 0:
+    if not longest >= 1e-300:
         raise FurnitureError("all its points are one and the same; give parts with some extent")
     fitting = [name for name, metres in METRES.items() if SMALLEST <= longest * metres <= LARGEST]
     if not fitting:
