@@ -26,6 +26,7 @@ import test_import_ikea_env
 from documentation import PAGES, ROOT, Block, Command, examples
 from roboassembly.cli import main
 from roboassembly.rendering import gl
+from test_docs import EXTRAS, extras_needed
 
 ALWAYS = [
     (r"make .*", "makes a virtual environment; `test_release.py` installs the package into an empty one"),
@@ -170,6 +171,57 @@ def test_pages_run_to_the_letter(page: str, as_built) -> None:
     if page == "docs/studio.md":
         run(["assemble", "three_legged:3", "--no-film"], Command(page, 0, "an earlier day"))
     Reader(False, as_built).read(page)
+
+
+MODULES = {
+    "jax": "jax", "optax": "optax", "tensorboardx": "tensorboardX", "matplotlib": "matplotlib", "minari": "minari",
+    "pybullet": "pybullet", "python-fcl": "fcl", "sb3-contrib": "sb3_contrib", "ray": "ray",
+}  # fmt: skip
+"""What extras bring, and the module of it that is imported."""
+WITHOUT = """
+import sys
+
+class Missing:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in sys.argv[1].split(","):
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+
+sys.meta_path.insert(0, Missing())
+from roboassembly.cli import main
+for line in sys.argv[2:]:
+    try:
+        main(line.split())
+    except SystemExit as end:
+        assert end.code == 0, line
+"""
+"""Commands, one after another, where some modules are not installed."""
+
+
+def test_commands_run_on_the_package_alone(clone: Path, as_built) -> None:
+    """Whatever pages do not install an extra for. `view` is started as well by the slow form."""
+    named = {re.split(r"[\s\[<>=;]", r)[0] for requirements in EXTRAS.values() for r in requirements}
+    assert named == MODULES.keys()
+    as_built("chairs-24", easy=BUILT, hard=BUILT, test=BUILT)
+    page = [e for e in examples("docs/your-own-policy.md") if isinstance(e, Block) and e.saved]
+    (clone / "my_policy.py").write_text(page[-1].text)
+    lines = (
+        "generate three_legged --seed 3 --out made",
+        "assemble made --no-film --out played",
+        "import folder my_files --out mine --jobs 1",
+        "export mjcf made --out exported",
+        "dataset show chairs-24",
+        "dataset list",
+        "evaluate --set chairs-24:test --jobs 1",
+        "evaluate --set chairs-24:test --jobs 1 --policy relational",
+        "evaluate --set chairs-24:test --jobs 1 --policy my_policy.py --search --out kept.jsonl",
+        "evaluate --set chairs-24:test --jobs 1 --policy relational --setting full",
+    )
+    here = [c for p in PAGES for c in examples(p) if isinstance(c, Command) and c.arguments and not extras_needed(c)]
+    used = {(c.arguments or [""])[0] for c in here}
+    assert used <= {line.split()[0] for line in lines} | {"view"}
+    subprocess.run(
+        [sys.executable, "-c", WITHOUT, ",".join(MODULES.values()), *lines], check=True, timeout=120, cwd=clone
+    )
 
 
 def test_nothing_is_left_out_that_is_not_there() -> None:

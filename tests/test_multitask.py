@@ -15,7 +15,7 @@ from roboassembly.learning import autoencoder, checkpoint, imitation, logs, rela
 from roboassembly.learning.gather import EXTRA_SEEDS, extra_names, file_of, gather, hands_of, load_courses
 from roboassembly.learning.layers import Params
 from roboassembly.learning.loading import load_policy
-from roboassembly.learning.multitask import Curriculum, set_hash, teach, teach_paper
+from roboassembly.learning.multitask import Curriculum, teach, teach_paper
 from roboassembly.learning.paper_imitation import Training
 from roboassembly.learning.players import play_episode
 from roboassembly.learning.progress import Progress
@@ -131,7 +131,7 @@ def test_a_curriculum_goes_on_where_it_was_stopped(two_chairs: list[str], tmp_pa
     ]  # fmt: skip
     assert 0.0 <= stages[-1].scalars["validation"] <= 1.0
     final = checkpoint.load(folder / "policy.npz", relational.KIND)
-    assert final.config["set_hash"] == set_hash(datasets.pick("chairs-24:train"))
+    assert final.config["set_hash"] == datasets.set_hash(datasets.pick("chairs-24:train"))
     assert final.config["curriculum"]["rounds"] == 1
     assert not final.extra
     # Nothing is left to do; another curriculum does not go on with this one's weights.

@@ -101,10 +101,10 @@ class Evaluate:
 
     def _played(self, way: Way, picks: Sequence[Pick], jobs: int) -> Iterator[Episode]:
         """All episodes; those that `out` holds are not played again."""
+        from roboassembly.furniture.datasets import set_hash
         from roboassembly.learning.episodes import kept, playing
         from roboassembly.learning.evaluate import evaluate
         from roboassembly.learning.loading import weights_hash
-        from roboassembly.learning.multitask import set_hash
 
         if self.out is None:
             return evaluate(way, picks, self.seed, jobs, episodes=self.episodes)

@@ -204,3 +204,11 @@ def sampled(picks: Sequence[Pick], count: int | None, seed: int) -> list[Pick]:
         return list(picks)
     order = np.random.default_rng(seed).permutation(len(picks))
     return [picks[i] for i in order[:count]]
+
+
+def set_hash(picks: Sequence[Pick]) -> str:
+    """A short digest of the furniture of a set."""
+    digest = hashlib.sha256()
+    for p in picks:
+        digest.update(f"{p.name} {p.hash}\n".encode())
+    return digest.hexdigest()[:16]

@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any
 
 from roboassembly.errors import InputError
-from roboassembly.furniture.datasets import RECIPES, Pick, manifest_path, pick, sampled
+from roboassembly.furniture.datasets import RECIPES, Pick, manifest_path, pick, sampled, set_hash
 from roboassembly.learning import autoencoder, multitask, paper_imitation
 from roboassembly.learning.apprentices import ExpertTraining, mastery
 from roboassembly.learning.episodes import kept, playing
@@ -238,7 +238,7 @@ def _about(trial: Trial) -> dict[str, Any]:
     return {
         "trial": asdict(trial),
         "weights": weights_hash(trial.policy),
-        "set_hash": multitask.set_hash(trial.picks),
+        "set_hash": set_hash(trial.picks),
     }
 
 

@@ -19,14 +19,13 @@ round; lessons of grasps teach a second network, and the rounds are its own:
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 from roboassembly.errors import InputError
-from roboassembly.furniture.datasets import RECIPES, Pick, pick
+from roboassembly.furniture.datasets import RECIPES, pick, set_hash
 from roboassembly.learning import (
     autoencoder,
     checkpoint,
@@ -267,11 +266,3 @@ def lessons_hash(files: Sequence[Path]) -> str:
 def finished(path: Path, steps: int, kind: str = relational.KIND) -> bool:
     """Whether the checkpoint at `path`, of a kind of network, has had its steps."""
     return path.is_file() and int(checkpoint.load(path, kind).extra["step"]) >= steps
-
-
-def set_hash(picks: Sequence[Pick]) -> str:
-    """Of the furniture of a set."""
-    digest = hashlib.sha256()
-    for p in picks:
-        digest.update(f"{p.name} {p.hash}\n".encode())
-    return digest.hexdigest()[:16]
