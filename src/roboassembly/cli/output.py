@@ -146,6 +146,18 @@ def check_writable(path: Path) -> None:
         raise InputError(f"cannot write to folder {path}: {_reason(error)}") from None
 
 
+def check_writable_file(path: Path) -> None:
+    """Refuse a file that is there and may not be written.
+
+    Raises:
+        InputError: naming it.
+    """
+    try:
+        path.open("ab").close()
+    except OSError as error:
+        raise InputError(f"cannot write {path}: {_reason(error)}") from None
+
+
 def refuse_existing(target: Path) -> None:
     """Refuse to write where something is already; an empty folder is nothing.
 
@@ -156,8 +168,20 @@ def refuse_existing(target: Path) -> None:
         there = target.is_symlink() or (any(target.iterdir()) if target.is_dir() else target.exists())
     except OSError as error:
         raise InputError(f"cannot write to {target}: {_reason(error)}") from None
+    if there and target.is_dir() and not (target / "furniture.json").is_file():
+        raise InputError(f"'{target}' exists and is not a furniture folder; --out names another place")
     if there:
         raise InputError(f"'{target}' exists already; --force replaces it, --out names another place")
+
+
+def refuse_furniture_folder(path: Path) -> None:
+    """Refuse to write other files into a furniture folder.
+
+    Raises:
+        InputError: it is one.
+    """
+    if (path / "furniture.json").exists():
+        raise InputError(f"'{path}' is a furniture folder; name another --out for what comes of it")
 
 
 def writable_folder(path: Path) -> Path:
