@@ -123,6 +123,7 @@ def _print_traceback(kind: type[BaseException], error: BaseException, trace: Tra
 
 def _print_thread_traceback(ended: threading.ExceptHookArgs) -> None:
     if ended.exc_value is not None and not isinstance(ended.exc_value, SystemExit):
+        say(f"Exception in thread {ended.thread.name if ended.thread else '?'}:")
         _print_traceback(ended.exc_type, ended.exc_value, ended.exc_traceback)
 
 
