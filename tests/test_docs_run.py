@@ -20,6 +20,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
+import trimesh
 
 import test_import_folder
 import test_import_ikea_env
@@ -148,6 +149,8 @@ def clone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     shutil.copytree(ROOT / "examples", folder / "examples", ignore=shutil.ignore_patterns("*.pt", "__pycache__"))
     monkeypatch.chdir(folder)
     test_import_folder.write(folder / "my_files", unit=0.001, suffixes=("stl", "stl", "stl"))
+    parts = [trimesh.load_mesh(path) for path in sorted((folder / "my_files").iterdir())]
+    trimesh.util.concatenate(parts).export(folder / "my_chair.stl")
     (folder / "chair_agne_0010").mkdir()
     test_import_ikea_env.write(folder / "chair_agne_0010", test_import_ikea_env.POST, test_import_ikea_env.PLATE)
     with (folder / "my.npz").open("wb") as out:

@@ -223,7 +223,17 @@ def test_dataset_build_survives_kills(tmp_path):
 def test_import_survives_kills(tmp_path):
     for k, family in enumerate(("stool", "plank", "ladder", "windsor", "splat", "shell")):
         as_files(open_path(f"{family}:{k}"), tmp_path / "files" / family)
-    arguments = ["import", "folder", str(tmp_path / "files"), "--out", str(tmp_path / "out"), "--jobs", "2", "--json"]
+    arguments = [
+        "import",
+        "folder",
+        str(tmp_path / "files"),
+        "--out",
+        str(tmp_path / "out"),
+        "--jobs",
+        "2",
+        "--force",
+        "--json",
+    ]
     killed_again_and_again(arguments, tmp_path / "cache", tmp_path / "out", 15, 8.0, 1)
     for folder in sorted((tmp_path / "out").iterdir()):
         storage.load(folder)

@@ -13,7 +13,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from roboassembly.cli.options import Execution, Setting
-from roboassembly.cli.output import DONE, DONE_BADLY, print_json, say, show, writable_folder
+from roboassembly.cli.output import (
+    DONE,
+    DONE_BADLY,
+    check_writable,
+    print_json,
+    refuse_furniture_folder,
+    say,
+    show,
+    writable_folder,
+)
 from roboassembly.errors import InputError
 
 if TYPE_CHECKING:
@@ -30,20 +39,22 @@ class Assemble:
     """Find out how furniture is put together without a collision, and show it."""
 
     furniture: Annotated[str, tyro.conf.Positional] = "ladder"
-    """A built-in chair (`ladder`, `windsor:3` for another of its kind, ...) or a furniture folder."""
+    """A built-in piece (`ladder`, or `windsor:3` for another of its family) or a furniture folder."""
     setting: Setting = "object-centric"
-    """What moves the parts: they fly by themselves, or two mobile Frankas move them."""
+    """What moves the parts. object-centric: parts move by themselves. full: two mobile Franka robots move them."""
     execution: Execution = "kinematic"
-    """Of `--setting full`: paths planned and checked, or carried out by actuated robots in physics besides."""
+    """How the robots of --setting full move. kinematic: paths are planned and checked. dynamic: actuated robots carry
+    the plan out in physics as well."""
     seed: int = 0
-    """Where the parts lie at first, and what the planner draws."""
+    """Random seed: where the parts lie at first, and what the planner draws."""
     out: Path = Path("assembly")
-    """Folder for plan.json, timings.json, assembly.html, assembly.mp4 and the furniture itself."""
+    """Folder for the results: plan.json, timings.json, assembly.html, assembly.mp4 and the furniture. Results of an
+    earlier run in it are replaced."""
     policy: str = "relational"
-    """What guides the search: `relational` (that of the package), the path of a checkpoint or of a Python file of your
+    """What guides the search: `relational` (the trained policy of the package), a checkpoint, a Python file of your
     own, which is executed (docs/your-own-policy.md), or `none`."""
     search: bool = True
-    """Take back what leads nowhere; without it the policy plays alone, and its first failure ends it."""
+    """Search for another way where the policy's choice fails."""
     film: bool = True
     """Render assembly.mp4."""
     json: bool = False
@@ -57,6 +68,7 @@ class Assemble:
             raise InputError("--no-search needs a --policy to play alone; 'relational' would do")
         if self.execution == "dynamic" and self.setting != "full":
             raise InputError("--execution dynamic takes --setting full: there are no robots in the other one")
+        self._check_out()
         from roboassembly.furniture import catalogue
         from roboassembly.task.upright import set_upright
 
@@ -104,6 +116,22 @@ class Assemble:
         else:
             show(*outputs.values())
         return DONE if success else DONE_BADLY
+
+    def _check_out(self) -> None:
+        """Refuse a folder that cannot be written, or that holds what no earlier assembly wrote.
+
+        Raises:
+            InputError: naming it, and what would do.
+        """
+        from roboassembly.task import plan_file
+
+        check_writable(self.out)
+        refuse_furniture_folder(self.out)
+        plan, furniture = self.out / "plan.json", self.out / "furniture"
+        if plan.exists() and not plan_file.is_plan(plan):
+            raise InputError(f"'{plan}' is no plan of this program; name another --out, or move the file")
+        if furniture.exists() and not plan.exists():
+            raise InputError(f"'{furniture}' comes from no earlier assembly; name another --out, it would be replaced")
 
     def _solver(self) -> Callable[[Furniture], SearchResult[Any]]:
         """What finds the plan. A policy that is of no use is told before anything is done."""

@@ -17,18 +17,18 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Bench:
-    """Measure against OMPL with per-state callbacks over PyBullet and python-fcl."""
+    """Measure the speed of planning, next to OMPL with PyBullet and with python-fcl as collision checkers."""
 
     what: Annotated[Literal["planning", "robots"], tyro.conf.Positional] = "planning"
-    """What to measure: merges of parts that fly by themselves, or legs of two mobile Frankas."""
+    """What to measure. planning: parts that move by themselves. robots: motions of two mobile Franka robots."""
     furniture: str = "stool"
-    """What the robots assemble."""
+    """Piece that the robots assemble (robots)."""
     chairs: int = 3
-    """Chairs of 15 parts whose merges are planned."""
+    """Number of chairs of 15 parts whose merges are planned (planning)."""
     seed: int = 0
-    """Of the planners."""
+    """Random seed of the planners."""
     quick: bool = False
-    """A few merges only: to see that it works."""
+    """Plan a few merges only, to see that it works."""
     json: bool = False
     """Print one JSON object on stdout, all else on stderr."""
 

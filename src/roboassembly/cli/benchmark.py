@@ -8,35 +8,35 @@ from pathlib import Path
 
 from roboassembly.cli.multitask import PACKAGES, follow, needs
 from roboassembly.cli.options import CORES, Jobs, Ray, Setting
-from roboassembly.cli.output import DONE, print_json, show, writable_folder
+from roboassembly.cli.output import DONE, check_writable_file, print_json, show, writable_folder
 from roboassembly.errors import InputError
 from roboassembly.processes import spread
 
 
 @dataclass(frozen=True)
 class Benchmark:
-    """Make the paper's table: train experts and policies, play them all; stopped at any moment, it goes on."""
+    """Make the paper's table; the same command continues a run that was stopped."""
 
     setting: Setting = "object-centric"
-    """What moves the parts: they fly by themselves, or two mobile Frankas move them."""
+    """What moves the parts. object-centric: parts move by themselves. full: two mobile Franka robots move them."""
     quick: bool = False
-    """All of it, tiny, in three minutes: to see that it works."""
+    """Run all of it on a tiny scale in three minutes, to see that it works."""
     retrain: bool = False
-    """Train the relational policy too, instead of taking the one that is shipped."""
+    """Train the relational policy too, instead of taking the one that comes with the package."""
     real: tuple[str, ...] = ()
-    """Sets of real furniture besides, each `folder:PATH` of furniture folders."""
+    """Sets of real furniture to measure as well, each `folder:PATH` of a folder of furniture folders."""
     sample: int | None = None
-    """Play so many pieces of each set only, drawn by the seed."""
+    """Measure on only SAMPLE pieces of each set, drawn by the seed."""
     experts: int | None = None
-    """Train experts for so many of the training chairs only, drawn by the seed."""
+    """Train experts for only EXPERTS of the training pieces, drawn by the seed."""
     out: Path | None = None
-    """Folder of the run (runs/benchmark, with -full and -quick behind it)."""
+    """Folder of the run. Without it: runs/benchmark, with -full and -quick appended for these."""
     write: Path | None = None
-    """A document, like docs/results.md, that takes the table between its marks."""
+    """Document, like docs/results.md, whose table between the marks is replaced by the new one."""
     seed: int = 0
-    """Of everything."""
+    """Random seed of the whole run."""
     jobs: Jobs = CORES
-    """Processes."""
+    """Number of processes."""
     ray: Ray = None
     json: bool = False
     """Print one JSON object on stdout, all else on stderr."""
@@ -58,6 +58,7 @@ class Benchmark:
             pick(real)
         if self.write is not None:
             benchmark.check_marks(self.write, self.setting)
+            check_writable_file(self.write)
         make = benchmark.Benchmark.quick if self.quick else benchmark.Benchmark.whole
         plan = make(self.setting, self.seed)
         plan = replace(

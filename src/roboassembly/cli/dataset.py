@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 import tyro
 
 from roboassembly.cli.options import CORES, Jobs, Ray
-from roboassembly.cli.output import DONE, print_json, progress_bar, show
+from roboassembly.cli.output import DONE, check_writable, print_json, progress_bar, show
 from roboassembly.errors import InputError
 from roboassembly.processes import spread
 
@@ -19,14 +19,16 @@ class Dataset:
     """Build, list or show data sets of certified furniture."""
 
     what: Annotated[Literal["build", "list", "show"], tyro.conf.Positional]
-    """`build` can be stopped and goes on where it was."""
+    """build: make the set; if it is stopped, the same command continues. list: name all sets. show: describe one."""
     name: Annotated[str, tyro.conf.Positional] = "chairs-412"
-    """Which set."""
+    """Name of the set."""
     seed: int = 0
-    """Another seed, other chairs."""
+    """Random seed of `build`: another seed makes a set of other chairs."""
     jobs: Jobs = CORES
-    """Chairs at a time."""
+    """Number of chairs to work on at the same time."""
     ray: Ray = None
+    force: bool = False
+    """Build the set again if it is there already, made with another seed."""
     json: bool = False
     """Print one JSON object on stdout, all else on stderr."""
 
@@ -49,8 +51,30 @@ class Dataset:
             return DONE
         datasets.manifest_path(self.name)
         if self.what == "build":
+            self._check_built()
             self._build()
         return self._show()
+
+    def _check_built(self) -> None:
+        """Refuse to replace a set that others may have results for.
+
+        Raises:
+            InputError: it is built with another seed, or the folder cannot be written.
+        """
+        from roboassembly.furniture import datasets
+
+        path = datasets.manifest_path(self.name)
+        check_writable(path.parent)
+        if self.force or not path.is_file():
+            return
+        try:
+            built = datasets.load_manifest(self.name)
+        except InputError:
+            return  # of an older version, or broken: it is of no use to anybody
+        if built.seed != self.seed:
+            raise InputError(
+                f"{self.name} is built already with seed {built.seed}; --force builds it again with seed {self.seed}"
+            )
 
     def _build(self) -> None:
         from roboassembly.furniture.datasets import RECIPES

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from roboassembly.cli.options import CORES, Execution, Jobs, Ray, Setting, chosen
-from roboassembly.cli.output import DONE, print_json, progress_bar, say, show
+from roboassembly.cli.output import DONE, check_writable, print_json, progress_bar, say, show
 from roboassembly.errors import InputError
 from roboassembly.processes import spread
 
@@ -24,38 +24,40 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Evaluate:
-    """Measure a way of assembling on a set of furniture."""
+    """Measure how often a policy or a solver assembles the pieces of a set, and with how much planning."""
 
     policy: str = "search"
-    """`relational`, `paper`, `random`, the path of a checkpoint or of a Python file of your own, which is executed
-    (docs/your-own-policy.md); or a solver: `search`, `joint-rrt` (the paper's baseline), `right-pairs` or
+    """What is measured. A policy: `relational`, `paper`, `random`, a checkpoint, or a Python file of your own, which is
+    executed (docs/your-own-policy.md). Or a solver: `search`, `joint-rrt` (the paper's baseline), `right-pairs`,
     `right-pairs-random-w`."""
     search: bool = False
-    """The policy guides the search instead of playing alone."""
+    """Let the policy guide the search. Without it the policy acts alone."""
     setting: Setting = "object-centric"
-    """What moves the parts: they fly by themselves, or two mobile Frankas move them (of the solvers `search` knows
-    how; checkpoints and policies of your own where they choose grasps)."""
+    """What moves the parts. object-centric: parts move by themselves. full: two mobile Franka robots move them; of the
+    solvers only `search` can do that, and a policy has to choose grasps."""
     execution: Execution = "kinematic"
-    """Of `--setting full`: planned and checked, or carried out by actuated robots in physics besides."""
+    """How the robots of --setting full move. kinematic: paths are planned and checked. dynamic: actuated robots carry
+    the plan out in physics as well."""
     audit: bool = False
-    """Replay every plan with python-fcl, which planning does not use."""
+    """Check every plan for collisions once more with python-fcl, a library that planning does not use."""
     set: Annotated[str, tyro.conf.arg(name="set")] = "chairs-412:test"
-    """`chairs-412:test` (or `:train`, `:easy`, `:hard`), or `folder:PATH` of furniture folders."""
+    """The furniture: `chairs-412:test` (or `:train`, `:easy`, `:hard`), or `folder:PATH` of a folder of furniture
+    folders."""
     limit: int | None = None
-    """The first so many pieces only."""
+    """Take only the first LIMIT pieces of the set."""
     sample: int | None = None
-    """So many pieces of the set, drawn by the seed."""
+    """Take only SAMPLE pieces of the set, drawn by the seed."""
     episodes: int = 1
-    """Of each piece, each from another start."""
+    """Number of episodes for each piece; each begins with the parts lying in other places."""
     seed: int = 0
-    """Of the starts and the planner."""
+    """Random seed of the starts and the planner."""
     jobs: Jobs = CORES
-    """Pieces at a time."""
+    """Number of pieces to work on at the same time."""
     ray: Ray = None
     out: Path | None = None
-    """Keep every episode in this file as it ends; the same command goes on where it was stopped."""
+    """File to which every episode is written as it ends. If the run is stopped, the same command continues it."""
     export: Path | None = None
-    """Write the successful episodes as a Minari data set: a new folder, named like `chairs-v0`."""
+    """Write the successful episodes as a Minari data set into this new folder, named like `chairs-v0`."""
     json: bool = False
     """Print one JSON object on stdout, all else on stderr."""
 
@@ -63,6 +65,11 @@ class Evaluate:
         """Do it; returns the exit status."""
         if self.seed < 0 or min(self.jobs, self.episodes) < 1:
             raise InputError("--seed takes 0 or more, --jobs and --episodes take 1 or more")
+        for path in (self.out, self.export):
+            if path is not None:
+                check_writable(path.parent)
+        if self.out is not None and self.out.is_dir():
+            raise InputError(f"cannot write to {self.out}: it is a folder; name a file")
         from roboassembly.learning.evaluate import Evaluation
         from roboassembly.learning.players import EXPORTABLE, SOLVERS, Way
 

@@ -8,7 +8,15 @@ from typing import Annotated, Literal
 
 import tyro
 
-from roboassembly.cli.output import DONE, print_json, show, writable_folder
+from roboassembly.cli.output import (
+    DONE,
+    check_writable,
+    print_json,
+    refuse_existing,
+    refuse_furniture_folder,
+    show,
+    writable_folder,
+)
 
 
 @dataclass(frozen=True)
@@ -16,20 +24,26 @@ class Export:
     """Write furniture as MJCF, for MuJoCo, or as URDF."""
 
     kind: Annotated[Literal["mjcf", "urdf"], tyro.conf.Positional]
-    """The format."""
+    """The format to write."""
     furniture: Annotated[str, tyro.conf.Positional] = "ladder"
     """A built-in piece or a furniture folder, as for `assemble`."""
     out: Path = Path("export")
     """Folder for the file and its meshes."""
+    force: bool = False
+    """Replace a file that is there already."""
     json: bool = False
     """Print one JSON object on stdout, all else on stderr."""
 
     def run(self) -> int:
         """Do it; returns the exit status."""
         from roboassembly.furniture import catalogue
-        from roboassembly.furniture.export import export_mjcf, export_urdf
+        from roboassembly.furniture.export import export_mjcf, export_urdf, exported_file
 
+        check_writable(self.out)
+        refuse_furniture_folder(self.out)
         furniture = catalogue.find(self.furniture)
+        if not self.force:
+            refuse_existing(exported_file(furniture, self.out, self.kind))
         write = export_mjcf if self.kind == "mjcf" else export_urdf
         path = write(furniture, writable_folder(self.out))
         if self.json:

@@ -82,10 +82,9 @@ class Import:
     """Read real furniture, make its parts fit without touching, and save furniture folders."""
 
     kind: Annotated[Kind, tyro.conf.Positional]
-    """The source's format. partnet: PartNet v0 folders. ikea-manual: IKEA-Manuals-at-Work part folders (NN.obj in
-    assembled poses). ikea-env: MJCF of the IKEA Furniture Assembly Environment. furniture-bench: FurnitureBench meshes
-    with assembled_poses.json. folder: OBJ, STL, PLY or GLB files, one a named part in its assembled pose, or one GLB
-    scene."""
+    """Format of the source. folder: your own OBJ, STL, PLY or GLB files, each a part in its assembled place, or one GLB
+    scene. partnet: PartNet v0 folders. ikea-manual: part folders of IKEA-Manuals-at-Work. ikea-env: MJCF of the IKEA
+    Furniture Assembly Environment. furniture-bench: FurnitureBench meshes with assembled_poses.json."""
     source: Annotated[Path, tyro.conf.Positional]
     """A piece, or a folder with many pieces below it. Results of this program in it are passed over."""
     out: Path | None = None
@@ -108,7 +107,7 @@ class Import:
     """Accept parts that become more than 5 mm smaller, or sit more than 5 mm less deep in a neighbour, where the parts
     cannot clear each other in another way."""
     cache: bool = True
-    """Use what an earlier import of the same files came to."""
+    """Take over the result of an earlier import of the same files."""
     json: bool = False
     """Print one JSON object on stdout, all else on stderr."""
 

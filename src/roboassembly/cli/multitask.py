@@ -27,40 +27,44 @@ PACKAGES = ("jax", "optax", "tensorboardX", "matplotlib")
 
 @dataclass(frozen=True)
 class Multitask:
-    """One policy for all chairs, by imitation; stopped at any moment, the same command goes on where it was."""
+    """Train one policy for all pieces by imitation; the same command continues a run that was stopped."""
 
     preset: Literal["relational", "paper"] = "relational"
-    """`relational`: lessons of the oracle, then `--rounds` of its own plays corrected. `paper`: Q-values of
-    `--lessons`."""
+    """relational: learn from an oracle, then in --rounds from its own episodes, corrected by the oracle. paper: learn
+    the Q-values of the experts' samples in --lessons."""
     set: Annotated[str, tyro.conf.arg(name="set")] = "chairs-412:train"
-    """Generated chairs to teach, `NAME:SPLIT` (relational)."""
+    """Generated furniture to train on, `NAME:SPLIT` (preset relational)."""
     out: Path = Path("runs/multitask")
-    """Folder of the run; the result is policy.npz in it."""
+    """Folder of the run. The result is policy.npz in it."""
     limit: int | None = None
-    """The first so many chairs of the set only."""
+    """Take only the first LIMIT pieces of the set."""
     extra: int | None = None
-    """Generated pieces besides: chairs of the same families, and others to practise on (relational); 6,000, with robots
+    """Number of further generated pieces to train on (preset relational). Without it: 6,000, in the setting full
     1,500."""
     plays: int | None = None
-    """Of each piece in each round (relational): 1, with robots 3."""
+    """Number of episodes for each piece in each round (preset relational). Without it: 1, in the setting full 3."""
     rounds: int | None = None
-    """Of the policy's own plays (relational): 0, with robots 1."""
+    """Number of rounds in which the policy's own episodes are corrected (preset relational). Without it: 0, in the
+    setting full 1."""
     setting: Setting = "object-centric"
-    """Parts fly by themselves, or two mobile Frankas move them (relational)."""
+    """What moves the parts (preset relational). object-centric: parts move by themselves. full: two mobile Franka
+    robots move them."""
     start: str | None = None
-    """Policy to begin with, `relational` or a checkpoint (relational); with robots `relational` if not given."""
+    """Policy to start from, `relational` or a checkpoint (preset relational). Without it: none, in the setting full
+    `relational`."""
     steps: int | None = None
-    """Updates: 16,000 (relational, in the first round; 3,000 with robots), 20,000 (paper)."""
+    """Number of gradient steps. Without it: 16,000 (preset relational, first round), 3,000 (the same in the setting
+    full), 20,000 (preset paper)."""
     round_steps: int = 8_000
-    """Updates in each later round (relational)."""
+    """Number of gradient steps in each later round (preset relational)."""
     lessons: tuple[Path, ...] = ()
-    """Folders of lessons, of `train expert` or of a relational run (paper)."""
+    """Folders of training samples, from `train expert` or from a run of the preset relational (preset paper)."""
     extractor: Path | None = None
-    """Checkpoint of the auto-encoder (paper)."""
+    """Checkpoint of the auto-encoder, autoencoder.npz (preset paper)."""
     seed: int = 0
-    """Of weights, starts and order."""
+    """Random seed of the weights, the starts and the order of samples."""
     jobs: Jobs = CORES
-    """Processes."""
+    """Number of processes."""
     ray: Ray = None
     json: bool = False
     """Print one JSON object on stdout, all else on stderr."""

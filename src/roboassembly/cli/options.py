@@ -19,7 +19,8 @@ Ray = Annotated[
     str | None,
     tyro.conf.arg(
         help="Spread the work over a Ray cluster: HOST:PORT of its head, `auto`, or `local`. All machines need this "
-        "package, and the same folders under the same paths."
+        "package and the same folders under the same paths.",
+        metavar="ADDRESS",
     ),
 ]
 """Address of a Ray cluster."""

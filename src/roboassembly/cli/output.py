@@ -123,6 +123,7 @@ def _print_traceback(kind: type[BaseException], error: BaseException, trace: Tra
 
 def _print_thread_traceback(ended: threading.ExceptHookArgs) -> None:
     if ended.exc_value is not None and not isinstance(ended.exc_value, SystemExit):
+        say(f"Exception in thread {ended.thread.name if ended.thread else '?'}:")
         _print_traceback(ended.exc_type, ended.exc_value, ended.exc_traceback)
 
 
@@ -146,6 +147,18 @@ def check_writable(path: Path) -> None:
         raise InputError(f"cannot write to folder {path}: {_reason(error)}") from None
 
 
+def check_writable_file(path: Path) -> None:
+    """Refuse a file that is there and may not be written.
+
+    Raises:
+        InputError: naming it.
+    """
+    try:
+        path.open("ab").close()
+    except OSError as error:
+        raise InputError(f"cannot write {path}: {_reason(error)}") from None
+
+
 def refuse_existing(target: Path) -> None:
     """Refuse to write where something is already; an empty folder is nothing.
 
@@ -156,8 +169,20 @@ def refuse_existing(target: Path) -> None:
         there = target.is_symlink() or (any(target.iterdir()) if target.is_dir() else target.exists())
     except OSError as error:
         raise InputError(f"cannot write to {target}: {_reason(error)}") from None
+    if there and target.is_dir() and not (target / "furniture.json").is_file():
+        raise InputError(f"'{target}' exists and is not a furniture folder; --out names another place")
     if there:
         raise InputError(f"'{target}' exists already; --force replaces it, --out names another place")
+
+
+def refuse_furniture_folder(path: Path) -> None:
+    """Refuse to write other files into a furniture folder.
+
+    Raises:
+        InputError: it is one.
+    """
+    if (path / "furniture.json").exists():
+        raise InputError(f"'{path}' is a furniture folder; name another --out for what comes of it")
 
 
 def writable_folder(path: Path) -> Path:

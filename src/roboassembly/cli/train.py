@@ -23,22 +23,22 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Autoencoder:
-    """What a part looks like, in a few numbers: the features that experts and the preset `paper` see."""
+    """Train the auto-encoder, which describes the shape of a part in a few numbers."""
 
     set: Annotated[str, tyro.conf.arg(name="set")] = "chairs-412:train"
-    """Chairs whose parts are taught: `NAME:SPLIT` or `folder:PATH`."""
+    """Furniture to train on: `NAME:SPLIT` of a data set, or `folder:PATH` of a folder of furniture folders."""
     out: Path = Path("runs/experts")
-    """Folder of the run; the result is autoencoder.npz in it."""
+    """Folder of the run. The result is autoencoder.npz in it. If the run is stopped, the same command continues it."""
     limit: int | None = None
-    """The first so many chairs only."""
+    """Take only the first LIMIT pieces of the set."""
     sample: int | None = None
-    """So many of the chairs, drawn by the seed."""
+    """Take only SAMPLE pieces of the set, drawn by the seed."""
     steps: int | None = None
-    """Updates (4,000)."""
+    """Number of gradient steps. Without it: 4,000."""
     seed: int = 0
-    """Of weights, order and the sample."""
+    """Random seed of the weights, the order of samples and --sample."""
     jobs: Jobs = CORES
-    """Processes."""
+    """Number of processes."""
     ray: Ray = None
     json: bool = False
     """Print one JSON object on stdout, all else on stderr."""
@@ -83,16 +83,16 @@ class Autoencoder:
 
 @dataclass(frozen=True)
 class Expert(Autoencoder):
-    """A Double DQN for each chair, and lessons of what it does; trains the auto-encoder first if there is none."""
+    """Train a Double DQN for each piece and write training samples of it; the auto-encoder comes first."""
 
     steps: int | None = None
-    """Of the environment, for each chair, at most (40,000)."""
+    """Largest number of environment steps for each piece. Without it: 40,000."""
     setting: Setting = "object-centric"
-    """What moves the parts: they fly by themselves, or two mobile Frankas move them."""
+    """What moves the parts. object-centric: parts move by themselves. full: two mobile Franka robots move them."""
     plays: int | None = None
-    """Of each expert, to become lessons; 6, with robots 4."""
+    """Number of episodes of each expert that become training samples. Without it: 6, in the setting full 4."""
     side_by_side: int = 4
-    """Experts trained in one call in each process; many more on a GPU."""
+    """Number of experts that each process trains at the same time; a GPU takes many more."""
 
     def run(self) -> int:
         """Do it; returns the exit status."""
@@ -137,7 +137,7 @@ def _report(picks: Sequence[Pick], results: Sequence[Mastery]) -> dict[str, obje
 
 @dataclass(frozen=True)
 class Train:
-    """Train networks; stopped at any moment, the same command goes on where it was."""
+    """Train networks; the same command continues a run that was stopped."""
 
     what: (
         Annotated[Autoencoder, tyro.conf.subcommand("autoencoder")]

@@ -15,6 +15,26 @@ _KINDS = {
 """By file suffix."""
 
 
+_MESHES = (".stl", ".obj", ".ply", ".glb")
+
+
+def refuse_sources(path: Path) -> None:
+    """Say what to do where a furniture folder is wanted and a path names a file, or a folder of files, to import.
+
+    Raises:
+        FurnitureError: it is a mesh or CAD file, or a folder that holds such and no furniture.
+    """
+    if not path.exists() or (path / "furniture.json").exists():
+        return
+    meshes = [path] if path.is_file() else sorted(path.iterdir()) if path.is_dir() else []
+    if any(f.suffix.lower() in _MESHES and f.is_file() for f in meshes):
+        raise FurnitureError(
+            f"'{path}' holds 3D files, no furniture folder; import it first: roboassembly import folder {path} --out "
+            f"FOLDER, then name that folder"
+        )
+    refuse_cad(path, whole=True)
+
+
 def refuse_cad(path: Path, *, whole: bool = False) -> None:
     """Say what to do where a path is a CAD file.
 

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import os
+from pathlib import Path
 
 from roboassembly.errors import InputError, UnknownNameError
 from roboassembly.furniture import storage
 from roboassembly.furniture.annotate import annotate
+from roboassembly.furniture.cad import refuse_sources
 from roboassembly.furniture.generate import FAMILIES, generate
 from roboassembly.furniture.model import Furniture, Provenance
 
@@ -47,6 +49,7 @@ def find(name: str, *, with_grasps: bool = True) -> Furniture:
     if family in FAMILIES and (seed.isdigit() or not seed):
         return make(family, int(seed or 0), with_grasps=with_grasps)
     if os.path.exists(name) or "/" in name:  # other than `Path.exists` this takes names of any length
+        refuse_sources(Path(name))
         return storage.load(name)
     if family in FAMILIES:
         raise InputError(f"seed '{seed}' of '{name}' is not a whole number; write for instance {family}:3")

@@ -42,6 +42,18 @@ READ_VERSIONS = (1, 2)
 _LARGEST = 2**31
 
 
+class _Header(msgspec.Struct):
+    format: str = ""
+
+
+def is_plan(path: Path) -> bool:
+    """Whether a file says that it is a plan of this program; nothing else of it is looked at."""
+    try:
+        return msgspec.json.decode(path.read_bytes(), type=_Header).format == FORMAT
+    except (OSError, msgspec.DecodeError, UnicodeDecodeError):
+        return False
+
+
 class _Placed(msgspec.Struct):
     part: int
     pose: list[float]

@@ -20,6 +20,10 @@ def without_results(found: Sequence[Path], source: Path, out: Path) -> tuple[lis
     Raises:
         FurnitureError: nothing is left.
     """
+    here = source.resolve()
+    within = here.parent if here.name == storage.MESHES else here
+    if (within / storage.FILE_NAME).is_file():
+        raise FurnitureError(f"'{within}' is a furniture folder already; commands take it as it is")
     pieces: list[Path] = []
     results: list[Path] = []
     for piece in found:
@@ -29,8 +33,6 @@ def without_results(found: Sequence[Path], source: Path, out: Path) -> tuple[lis
         elif result not in results:
             results.append(result)
     if not pieces:
-        if source.resolve() in results:
-            raise FurnitureError(f"'{source}' is a furniture folder already; commands take it as it is")
         raise FurnitureError(f"'{source}' holds nothing but earlier results, '{results[0]}' for one; name the source")
     return pieces, results
 
