@@ -19,6 +19,7 @@ round; lessons of grasps teach a second network, and the rounds are its own:
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
