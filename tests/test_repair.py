@@ -89,13 +89,23 @@ def test_boxes_that_just_touch(gap):
 
 
 def test_leg_shallow_in_a_seat_is_cut_flush():
-    seat, leg = box("seat", (0.4, 0.4, 0.04), (0, 0, 0.42)), box("leg", (0.04, 0.04, 0.403), (0.15, 0.15, 0.2015))
+    seat, leg = box("seat", (0.4, 0.4, 0.04), (0, 0, 0.42)), box("leg", (0.04, 0.04, 0.402), (0.15, 0.15, 0.201))
     result = repair([seat, leg])
     assert_clear(result)
     assert result.report[0].trimmed == 0.0
-    assert result.report[1].trimmed == pytest.approx(0.0032 / 0.403, rel=1e-3)
+    assert result.report[1].trimmed == pytest.approx(0.0022 / 0.402, rel=1e-3)
     assert leaves(result.parts[1], result.parts[:1], (0, 0, -1))
     assert leaves(result.parts[1], result.parts[:1], (1, 0, 0))
+
+
+def test_leg_three_millimetres_in_a_seat_keeps_its_length():
+    seat, leg = box("seat", (0.4, 0.4, 0.04), (0, 0, 0.42)), box("leg", (0.04, 0.04, 0.403), (0.15, 0.15, 0.2015))
+    result = repair([seat, leg])
+    assert_clear(result)
+    socket = 0.0404**2 * 0.0032
+    assert result.report[0].trimmed == pytest.approx(socket / (0.4 * 0.4 * 0.04), rel=1e-3)
+    assert result.report[1].trimmed == 0.0
+    assert leaves(result.parts[1], result.parts[:1], (0, 0, -1))
 
 
 def test_peg_deep_in_a_plate_gets_a_socket():

@@ -151,6 +151,12 @@ def repair(parts: Sequence[RawPart], *, gap: float = GAP, limits: RepairLimits |
     out, report = [], []
     for part, piece in zip(parts, pieces, strict=True):
         skin = to_surface(piece.body)
+        change = _size_change(part.mesh, skin.vertices)
+        if change < -limits.shortening:
+            raise FurnitureError(
+                f"part '{part.name}' would become {-1e3 * change:.1f} mm smaller than delivered; at most "
+                f"{1e3 * limits.shortening:.1f} mm is allowed (limit `shortening`, lifted by --allow-shortening)"
+            )
         out.append(RawPart(part.name, Mesh(skin.vertices, skin.faces), part.label))
         report.append(
             PartRepair(
@@ -160,7 +166,7 @@ def repair(parts: Sequence[RawPart], *, gap: float = GAP, limits: RepairLimits |
                 how=piece.solid.how,
                 shape_error=piece.solid.shape_error,
                 shape_added=piece.solid.shape_added,
-                size_change=_size_change(part.mesh, skin.vertices),
+                size_change=change,
                 depth_losses=piece.depth_losses(bodies, WORTH_REPORTING),
                 notes=(*piece.solid.notes, *dict.fromkeys(piece.notes)),
             )

@@ -32,7 +32,7 @@ MAX_PLANE_RATIO = 3.0
 """...and this many times what a cut along the neighbour's surface would take."""
 KEPT, BEYOND = 0.001, 1e-8
 """Metres around a neighbour, and cubic metres outside them, that a cut may take without harm."""
-HARM_COST, HARM_LIMIT, HARMFUL = 1.0, 0.005, 10.0
+HARM_COST, HARM_LIMIT, HARMFUL = 1.0, 0.0025, 10.0
 """Cost of `HARM_LIMIT` metres of lost size or depth; a cut that takes more costs `HARMFUL`."""
 NOTHING = 1e-4
 """Metres of size that do not count as lost."""
