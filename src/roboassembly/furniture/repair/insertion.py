@@ -17,6 +17,9 @@ MAX_SHARE = 0.6
 MAX_DEPTH = 0.12
 """Share of a part's size, and metres, that a neighbour may take in; a part that engages further lies along it."""
 
+SKIN = 0.0025
+"""Metres that the engaged portion measures across at least, where a part sits in another and does not lie on it."""
+
 
 def box_axes(points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "3 3"]:
     """Axes of the smallest box around the points: a unit vector a row, the longest side first."""
@@ -49,7 +52,7 @@ def insertion_depth(one: m3.Manifold, other: m3.Manifold, axes: Float[np.ndarray
     """How deep an end of `one` sits in `other` along each axis, in metres.
 
     The depth of a tenon counts its socket's reach, `REACH`. It is 0 along an axis where no end of `one` is near
-    `other`, or where the two lie along each other.
+    `other`, and where the two merely lie on each other.
     """
     corners = engaged(one, other)
     if not len(corners):
@@ -57,4 +60,6 @@ def insertion_depth(one: m3.Manifold, other: m3.Manifold, axes: Float[np.ndarray
     whole, portion = to_surface(one).vertices @ axes.T, corners @ axes.T
     size, depth = np.ptp(whole, axis=0), np.ptp(portion, axis=0)
     at_end = np.minimum(portion.min(axis=0) - whole.min(axis=0), whole.max(axis=0) - portion.max(axis=0)) < REACH
-    return np.where(at_end & (depth <= np.minimum(MAX_SHARE * size, MAX_DEPTH)), depth, 0.0)
+    # Of what lies on a face only a skin engages.
+    across = np.array([np.delete(depth, axis).min() for axis in range(3)])
+    return np.where(at_end & (depth <= np.minimum(MAX_SHARE * size, MAX_DEPTH)) & (across > SKIN), depth, 0.0)

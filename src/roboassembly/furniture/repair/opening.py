@@ -15,7 +15,7 @@ from roboassembly.errors import FurnitureError
 from roboassembly.furniture.model import CONTACT_DISTANCE
 from roboassembly.furniture.repair.exits import Blocking, Exits, Memory, Parts, blocking, overlap_span
 from roboassembly.furniture.repair.limits import RepairLimits
-from roboassembly.furniture.repair.piece import Piece
+from roboassembly.furniture.repair.piece import HARM_LIMIT, Piece, harm
 from roboassembly.furniture.repair.proximity import Shell
 from roboassembly.furniture.repair.surface import to_surface
 from roboassembly.furniture.repair.trim import Cut, cut_with, inflate
@@ -30,10 +30,15 @@ LOCAL = 0.03
 """Metres of a socket's depth that are opened where a straight way out would cost too much."""
 MAX_PRISMS = 120
 """Faces that are swept one by one."""
+LAYER, MAX_LAYERS = 0.0005, 40
+"""Metres between two cuts across a swept body at least, and how many there may be."""
+GROWTH = 0.01
+"""Share by which its outline must grow for a layer of its own."""
 _STEPS = (0.002, 0.006, 0.015, 0.03, 0.06, 0.12)
 _SPLIT_COST = 0.5
 _LOOSE_COST = 0.2
-"""Shares of a part's volume that a cut through it, or a lost contact, counts as much as."""
+_HARM_COST = 1.0
+"""Shares of a part's volume that a cut through it, a lost contact, or a lost joint counts as much as."""
 
 
 @dataclass(frozen=True)
@@ -180,7 +185,8 @@ def _cuts(
                 if made.body.is_empty() or removed[trimmed] + made.removed > limits.trimmed * pieces[trimmed].whole:
                     continue
                 loose = _apart(made.body, bodies[other])
-                cost = share + _SPLIT_COST * made.splits + _LOOSE_COST * loose
+                lost = harm(pieces[trimmed], pieces[other], made.body, bodies[other])
+                cost = share + _SPLIT_COST * made.splits + _LOOSE_COST * loose + _HARM_COST * (lost > HARM_LIMIT)
                 choices.append((cost, _Opening(trimmed, other, made)))
             if not choices:
                 return None
@@ -201,7 +207,7 @@ def sweep(
 ) -> m3.Manifold:
     """What `body`, grown by `gap`, covers of the target's surroundings while it moves `length` metres along `way`.
 
-    Where the body has many faces that look ahead, its whole shadow is swept, from its rear.
+    Where the body has many faces that look ahead, it is swept layer by layer.
     """
     low, high = np.reshape(target.bounding_box(), (2, 3))
     shift = length * way
@@ -217,10 +223,53 @@ def sweep(
     if ahead.sum() <= MAX_PRISMS:
         prisms = [m3.Manifold.hull_points(np.concatenate([t, t + shift])) for t in corners[ahead]]
         return m3.Manifold.batch_boolean([grown, *prisms], m3.OpType.Add)
+    return _layered(close.simplify(0.3 * gap), way, length, target, 1.3 * gap)
+
+
+def _layered(
+    body: m3.Manifold, way: Float[np.ndarray, "3"], length: float, target: m3.Manifold, margin: float
+) -> m3.Manifold:
+    """What a body of many faces covers while it moves, layer by layer across the way.
+
+    Each layer covers the outlines of all layers behind it, grown by the margin. What the body does not reach stays: the
+    core of a screw whose nut is drawn off.
+    """
     up = align_axis(way, np.array([0.0, 0.0, 1.0]))
-    # The plain body has far fewer faces than the grown one, and a shadow is as easily grown.
-    turned = close.simplify(0.3 * gap).transform(np.column_stack([up, np.zeros(3)]))
-    bottom, top = turned.bounding_box()[2] - 1.3 * gap, turned.bounding_box()[5] + 1.3 * gap
-    outline = turned.project().offset(1.3 * gap, m3.JoinType.Miter).simplify(0.3 * gap)
-    shadow = m3.Manifold.extrude(outline, top - bottom + length)
-    return shadow.translate((0.0, 0.0, bottom)).transform(np.column_stack([up.T, np.zeros(3)]))
+    turned = body.transform(np.column_stack([up, np.zeros(3)]))
+    across = target.transform(np.column_stack([up, np.zeros(3)])).bounding_box()
+    bottom, top = turned.bounding_box()[2], turned.bounding_box()[5]
+    first, last = max(bottom, across[2] - margin), min(top, across[5] + margin)
+    if last <= first:
+        first = last = min(max(first, bottom), top)
+    levels = np.linspace(first, last, 2 + int(min(MAX_LAYERS, (last - first) / LAYER)))
+    (x0, y0), (x1, y1) = np.array(across[:2]) - 2.0 * margin, np.array(across[3:5]) + 2.0 * margin
+    window = m3.CrossSection.square((x1 - x0, y1 - y0)).translate((x0, y0))
+
+    def shadow(slab: m3.Manifold) -> m3.CrossSection:
+        return (slab.project() ^ window).offset(margin, m3.JoinType.Miter).simplify(0.3 * margin)
+
+    outline, area = m3.CrossSection(), 0.0
+    layers: list[m3.Manifold] = []
+    begun = bottom - margin
+    for low, high in zip([bottom, *levels[:-1]], levels, strict=True):
+        slab = turned.trim_by_plane((0.0, 0.0, 1.0), low).trim_by_plane((0.0, 0.0, -1.0), -high)
+        if slab.is_empty():
+            continue
+        wider = outline + shadow(slab)
+        # The margin counts along the way too: a layer begins that much earlier. Small growth widens the layer before.
+        if wider.area() > (1.0 + GROWTH) * area:
+            if low - margin > begun:
+                layers.append(_slab(outline, begun, low - margin))
+                begun = low - margin
+            area = wider.area()
+        outline = wider
+    rest = turned.trim_by_plane((0.0, 0.0, 1.0), last)
+    layers.append(_slab(outline, begun, last + margin))
+    outline = outline if rest.is_empty() else outline + shadow(rest)
+    layers.append(_slab(outline, last - margin, top + margin + length))
+    swept = m3.Manifold.batch_boolean([layer for layer in layers if not layer.is_empty()], m3.OpType.Add)
+    return swept.transform(np.column_stack([up.T, np.zeros(3)]))
+
+
+def _slab(outline: m3.CrossSection, low: float, high: float) -> m3.Manifold:
+    return m3.Manifold.extrude(outline, high - low).translate((0.0, 0.0, low)) if high > low else m3.Manifold()

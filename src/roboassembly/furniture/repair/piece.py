@@ -14,6 +14,11 @@ from roboassembly.furniture.repair.proximity import Shell
 from roboassembly.furniture.repair.solid import Solid
 from roboassembly.furniture.repair.surface import to_surface
 
+NOTHING = 1e-4
+"""Metres of size that do not count as lost."""
+HARM_LIMIT = 0.0025
+"""Metres of lost size or depth above which a cut is made only where nothing else does."""
+
 
 @dataclass(eq=False)
 class Piece:
@@ -90,3 +95,20 @@ class Piece:
         own = self.body if body is None else body
         losses = ((other, self.depth_loss(own, other, bodies[other])) for other in self.depths)
         return tuple((other, loss) for other, loss in losses if loss > least)
+
+
+def harm(trimmed: Piece, cutter: Piece, body: m3.Manifold, other: m3.Manifold | None = None) -> float:
+    """Metres of size, or of the depth of the joint between two parts, that a cut takes.
+
+    Args:
+        trimmed: becomes `body`.
+        cutter: becomes `other`, or stays as it is if None.
+    """
+    other = cutter.body if other is None else other
+    smaller = trimmed.shrinkage(body)
+    return max(
+        0.0,
+        smaller if smaller > trimmed.shrinkage(trimmed.body) + NOTHING else 0.0,
+        trimmed.depth_loss(body, cutter.name, other),
+        cutter.depth_loss(other, trimmed.name, body),
+    )

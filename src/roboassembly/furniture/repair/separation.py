@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from itertools import combinations, permutations
 
-import manifold3d as m3
 import numpy as np
 
 from roboassembly.errors import FurnitureError
@@ -13,7 +12,7 @@ from roboassembly.furniture.model import CONTACT_DISTANCE
 from roboassembly.furniture.repair.insertion import REACH
 from roboassembly.furniture.repair.limits import RepairLimits
 from roboassembly.furniture.repair.opening import open_up
-from roboassembly.furniture.repair.piece import Piece
+from roboassembly.furniture.repair.piece import HARM_LIMIT, Piece, harm
 from roboassembly.furniture.repair.proximity import Shell
 from roboassembly.furniture.repair.share import shared_cuts
 from roboassembly.furniture.repair.surface import to_surface
@@ -32,10 +31,8 @@ MAX_PLANE_RATIO = 3.0
 """...and this many times what a cut along the neighbour's surface would take."""
 KEPT, BEYOND = 0.001, 1e-8
 """Metres around a neighbour, and cubic metres outside them, that a cut may take without harm."""
-HARM_COST, HARM_LIMIT, HARMFUL = 1.0, 0.0025, 10.0
+HARM_COST, HARMFUL = 1.0, 10.0
 """Cost of `HARM_LIMIT` metres of lost size or depth; a cut that takes more costs `HARMFUL`."""
-NOTHING = 1e-4
-"""Metres of size that do not count as lost."""
 
 
 class _TooMuchTrimmedError(FurnitureError):
@@ -222,7 +219,7 @@ def _part(a: Piece, b: Piece, gap: float, limits: RepairLimits, careful: bool) -
             cost = _cost(trimmed, one, limits)
             if careful:
                 # The first cut takes what is in the way and no more, but for plugs that come loose.
-                cost += _harm_cost(_harm(trimmed, cutter, one.body), n > 0 and _goes_beyond(trimmed, cutter, one))
+                cost += _harm_cost(harm(trimmed, cutter, one.body), n > 0 and _goes_beyond(trimmed, cutter, one))
             choices.append(_Choice(cost, trimmed, cutter, one))
     # To cut both leaves neither as it was meant: only where one of them has proved too dear.
     if max(a.weight, b.weight) > 1.0:
@@ -266,7 +263,7 @@ def _shared(trimmed: Piece, cutter: Piece, gap: float, limits: RepairLimits, car
         if max(shares) <= limits.trimmed and not shared.socket.body.is_empty():
             cost = cutter.weight * shares[0] / limits.trimmed + _cost(trimmed, shared.socket, limits)
             if careful:
-                cost += _harm_cost(_harm(cutter, trimmed, shared.tip.body, shared.socket.body), goes_beyond=False)
+                cost += _harm_cost(harm(cutter, trimmed, shared.tip.body, shared.socket.body), goes_beyond=False)
             out.append(_Choice(cost, trimmed, cutter, shared.socket, shared.tip))
     return out
 
@@ -276,25 +273,8 @@ def _cost(piece: Piece, made: Cut, limits: RepairLimits) -> float:
     return piece.weight * share / limits.trimmed + 4.0 * (0.5 - min(0.5, made.freedom)) + 6.0 * made.splits
 
 
-def _harm(trimmed: Piece, cutter: Piece, body: m3.Manifold, other: m3.Manifold | None = None) -> float:
-    """Metres of size, or of the depth of the joint between two pieces, that a cut takes.
-
-    Args:
-        trimmed: becomes `body`.
-        cutter: becomes `other`, or stays as it is if None.
-    """
-    other = cutter.body if other is None else other
-    smaller = trimmed.shrinkage(body)
-    return max(
-        0.0,
-        smaller if smaller > trimmed.shrinkage(trimmed.body) + NOTHING else 0.0,
-        trimmed.depth_loss(body, cutter.name, other),
-        cutter.depth_loss(other, trimmed.name, body),
-    )
-
-
-def _harm_cost(harm: float, goes_beyond: bool) -> float:
-    return HARMFUL if goes_beyond or harm > HARM_LIMIT else HARM_COST * harm / HARM_LIMIT
+def _harm_cost(lost: float, goes_beyond: bool) -> float:
+    return HARMFUL if goes_beyond or lost > HARM_LIMIT else HARM_COST * lost / HARM_LIMIT
 
 
 def _goes_beyond(trimmed: Piece, cutter: Piece, made: Cut) -> bool:

@@ -13,6 +13,8 @@ from roboassembly.furniture.repair.surface import Surface, to_manifold, to_surfa
 
 SLIVER = 0.002
 """A piece cut off that holds less than this share of the part's volume is dropped."""
+OUTLYING = 0.001
+"""A small piece that sticks out of the box around the others by this much, in metres, is an end of the part."""
 BLOCKED = 0.01
 """A direction is free when the walls that stand in the cutter's way, seen along it, make less than this share of the
 meeting surface: what the gap itself adds around a flat face does not count, a pocket a millimetre deep does."""
@@ -178,9 +180,20 @@ def plane_cut(body: m3.Manifold, other: m3.Manifold, gap: float) -> list[Cut]:
 
 
 def _sizeable(body: m3.Manifold, whole: float | None = None) -> tuple[list[m3.Manifold], int]:
+    """Pieces that count, and how many are slivers: small ones inside the box around the others.
+
+    Args:
+        body: of one or several pieces.
+        whole: cubic metres of the part; those of `body` if None.
+    """
     pieces = body.decompose()
     least = SLIVER * (body.volume() if whole is None else whole)
     kept = [piece for piece in pieces if piece.volume() >= least]
+    if 0 < len(kept) < len(pieces):
+        boxes = np.array([piece.bounding_box() for piece in kept])
+        low, high = boxes[:, :3].min(axis=0) - OUTLYING, boxes[:, 3:].max(axis=0) + OUTLYING
+        small = [(piece, np.array(piece.bounding_box())) for piece in pieces if piece.volume() < least]
+        kept += [piece for piece, box in small if (box[:3] < low).any() or (box[3:] > high).any()]
     return kept, len(pieces) - len(kept)
 
 
