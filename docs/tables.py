@@ -19,21 +19,22 @@ import statistics
 import sys
 from pathlib import Path
 
-HEAD = ("piece", "parts", "connections", "moved, mm", "trimmed at most, %", "import, s", "assembled", "states",
-        "planning, s", "cannot be held")  # fmt: skip
+HEAD = ("piece", "parts", "connections", "moved, mm", "trimmed at most, %", "size changed at most, mm",
+        "import, s", "assembled", "states", "planning, s", "cannot be held")  # fmt: skip
 
 
 def row(item: dict, episode: dict | None) -> list[str]:
     """One piece."""
     seconds = "from the cache" if item["cached"] else f"{item['seconds']:.1f}"
     if item["error"]:
-        return [item["name"], "", "", "", "", seconds, f"refused: {item['error']}", "", "", ""]
+        return [item["name"], "", "", "", "", "", seconds, f"refused: {item['error']}", "", "", ""]
     found = [
         item["name"],
         str(item["parts"]),
         str(item["connections"]),
         f"{item['displacement_max_mm']:.1f}",
         f"{item['trimmed_max_percent']:.1f}",
+        f"{max(item['size_change_mm'].values(), key=abs):+.1f}",
         seconds,
     ]
     held = ", ".join(item["unholdable"])

@@ -37,19 +37,20 @@ def test_three_pieces(tmp_path: Path, capsys) -> None:
     assert (head, rule) == (list(tables.HEAD), ["---"] * len(head))
     assert len(high) == len(low) == len(odd) == len(head)
     assert (odd[0], odd[1]) == ("odd/one", "")
-    assert odd[6].startswith("refused: ")
+    assert odd[7].startswith("refused: ")
     for row, name in ((high, "high"), (low, "low")):
-        assert (*row[:4], row[6]) == (name, "2", "1", "0.0", "yes")
-        assert float(row[5]) > 0.0
-        assert int(row[7].replace(",", "")) > 0
+        assert (*row[:4], row[7]) == (name, "2", "1", "0.0", "yes")
+        assert float(row[6]) > 0.0
+        assert int(row[8].replace(",", "")) > 0
 
 
 def test_nothing_solved_and_nothing_timed() -> None:
     item = {"name": "a", "parts": 2, "connections": 1, "displacement_max_mm": 0.0, "trimmed_max_percent": 0.0,
-            "seconds": 0.01, "unholdable": ["x", "y"], "error": None, "cached": True}  # fmt: skip
+            "size_change_mm": {"x": 1.0, "y": -3.24}, "seconds": 0.01,
+            "unholdable": ["x", "y"], "error": None, "cached": True}  # fmt: skip
     totals, _, _, _, line = tables.table({"items": [item]}, {"per_furniture": []})
     assert totals == "1 of 1 imported, 0 of them assembled"
-    assert line == "| a | 2 | 1 | 0.0 | 0.0 | from the cache | not tried |  |  | x, y |"
+    assert line == "| a | 2 | 1 | 0.0 | 0.0 | -3.2 | from the cache | not tried |  |  | x, y |"
 
 
 def test_assemblies_by_robots() -> None:
