@@ -30,7 +30,7 @@ MAX_GROUPS = 4
 MAX_TURNED = 12_000
 """Triangles of a part, times its turns: intersecting more of them takes minutes."""
 MAX_SHORTER = 0.001
-"""Metres of a part's size that its cuts in other turns, or those of parts like it, may take."""
+"""Metres of a part's size, or of a joint's depth, that cuts in other turns, or those of parts like it, may take."""
 WORTH_TURNING = 0.001
 """Share of a part's volume that another turn must save."""
 MAX_FEATURED_FACES = 60_000
@@ -167,7 +167,7 @@ def _share_cuts(
         p: alike[p].placed(common, way).translate(tuple(m.tolist()))
         for p, way, m in zip(members, chosen, moved, strict=True)
     }
-    if any(pieces[p].shrinkage(body) > pieces[p].shrinkage(pieces[p].body) + MAX_SHORTER for p, body in fresh.items()):
+    if _harmed(pieces, fresh):
         return False
     shells = {p: Shell(to_surface(body)) for p, body in fresh.items()}
     if len(turns) > 1 and any(_depth(pieces[p].shell, shell) > MAX_DEPTH for p, shell in shells.items()):
@@ -187,6 +187,27 @@ def _share_cuts(
         piece.removed = max(piece.removed, piece.whole - body.volume())
         piece.become(body)
     return True
+
+
+def _harmed(pieces: list[Piece], fresh: dict[int, m3.Manifold]) -> bool:
+    """Whether new solids of some parts take more of a size, or of a joint's depth, than `MAX_SHORTER`.
+
+    Args:
+        pieces: all parts, as they are.
+        fresh: what some of them would become, by index.
+    """
+    now = {piece.name: piece.body for piece in pieces}
+    then = {**now, **{pieces[p].name: body for p, body in fresh.items()}}
+    for p, piece in enumerate(pieces):
+        if p in fresh and piece.shrinkage(fresh[p]) > piece.shrinkage(piece.body) + MAX_SHORTER:
+            return True
+        for other in piece.depths:
+            if then[piece.name] is now[piece.name] and then[other] is now[other]:
+                continue
+            loss = piece.depth_loss(then[piece.name], other, then[other])
+            if loss > max(0.0, piece.depth_loss(now[piece.name], other, now[other])) + MAX_SHORTER:
+                return True
+    return False
 
 
 def _ways(like: Likeness, turns: Float[np.ndarray, "n 3 3"]) -> list[int]:
