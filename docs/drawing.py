@@ -4,11 +4,11 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from roboassembly.gripper import hand_bodies
-from roboassembly.meshes import Mesh
-from roboassembly.poses import SE3
+from roboassembly.geometry.meshes import Mesh
+from roboassembly.geometry.poses import SE3
 from roboassembly.rendering.camera import box_corners
 from roboassembly.rendering.colors import Color
+from roboassembly.robots.gripper import hand_bodies
 from roboassembly.viewer.film import render_meshes
 
 Piece = tuple[Mesh, SE3, Color]

@@ -22,9 +22,9 @@ from roboassembly.envs.full import FullEnv
 from roboassembly.envs.object_centric import ObjectCentricEnv
 from roboassembly.furniture.datasets import Pick, pick
 from roboassembly.furniture.model import Furniture
+from roboassembly.geometry.poses import SE3
 from roboassembly.learning.evaluate import failure_of
 from roboassembly.learning.players import Episode
-from roboassembly.poses import SE3
 from roboassembly.rendering.colors import Color
 from roboassembly.task.groups import Group, TaskState
 from roboassembly.task.joining import hold

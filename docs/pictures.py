@@ -11,12 +11,12 @@ from PIL import Image
 from roboassembly.envs.object_centric import existing_actions
 from roboassembly.envs.observation import Observer
 from roboassembly.furniture import catalogue
-from roboassembly.furniture.generate import CHAIRS, FAMILIES
 from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS, Furniture, Part
-from roboassembly.gripper import hand_pose
+from roboassembly.generate import CHAIRS, FAMILIES
+from roboassembly.geometry.poses import SE3
 from roboassembly.learning.loading import load_policy
-from roboassembly.poses import SE3
 from roboassembly.rendering.colors import WOOD
+from roboassembly.robots.gripper import hand_pose
 from roboassembly.solvers.oracle import Oracle
 from roboassembly.solvers.search import solve, solve_full
 from roboassembly.task.groups import TaskState

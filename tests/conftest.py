@@ -15,8 +15,8 @@ import shapes
 from roboassembly.cli import main
 from roboassembly.furniture import catalogue, datasets
 from roboassembly.furniture.annotate import annotate
-from roboassembly.furniture.generate import generate
 from roboassembly.furniture.model import Furniture, Provenance
+from roboassembly.generate import generate
 from roboassembly.rendering import gl
 from roboassembly.solvers.disassembly import Disassembly, partition_of
 from roboassembly.solvers.options import grasping

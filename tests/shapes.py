@@ -13,10 +13,10 @@ from scipy.spatial.transform import Rotation
 
 from roboassembly.furniture.annotate import annotate
 from roboassembly.furniture.model import Furniture, Provenance, RawPart
-from roboassembly.meshes import Mesh
-from roboassembly.poses import SE3, interpolate, transform_points
+from roboassembly.geometry.meshes import Mesh
+from roboassembly.geometry.poses import SE3, interpolate, transform_points
+from roboassembly.geometry.scene import Body, Scene, Shape
 from roboassembly.robots.body import placed, world_from_tips
-from roboassembly.scene import Body, Scene, Shape
 
 HERE = SE3.Identity()
 GAP = 0.0005

@@ -11,12 +11,12 @@ from scipy.spatial.transform import Rotation
 import shapes
 from roboassembly.errors import FurnitureError
 from roboassembly.furniture.annotate import annotate
-from roboassembly.furniture.congruence import MAX_SYMMETRIES, rotations_onto, symmetries
 from roboassembly.furniture.contacts import find_contacts
-from roboassembly.furniture.generate import FAMILIES, generate
 from roboassembly.furniture.model import MAX_POINTS, ConnectionPoint, Furniture, Provenance, RawPart
-from roboassembly.meshes import Mesh
-from roboassembly.poses import SE3
+from roboassembly.furniture.symmetry import MAX_SYMMETRIES, rotations_onto, symmetries
+from roboassembly.generate import FAMILIES, generate
+from roboassembly.geometry.meshes import Mesh
+from roboassembly.geometry.poses import SE3
 from roboassembly.task.pairs import mate
 
 ORIGIN = Provenance("test")

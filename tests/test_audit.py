@@ -15,9 +15,9 @@ from roboassembly.audit.object_centric import ViolationKind, audit_plan
 from roboassembly.errors import MissingExtraError
 from roboassembly.furniture import catalogue
 from roboassembly.furniture.annotate import annotate
-from roboassembly.furniture.generate import CHAIRS, generate
 from roboassembly.furniture.model import Provenance
-from roboassembly.poses import SE3
+from roboassembly.generate import CHAIRS, generate
+from roboassembly.geometry.poses import SE3
 from roboassembly.solvers.search import solve
 from roboassembly.task.plan import Plan, PlanStep
 

@@ -20,9 +20,9 @@ from roboassembly.bench.planning import PEERS, PlanningBenchConfig, PlanningBenc
 from roboassembly.bench.pybullet_backend import PyBulletPeer
 from roboassembly.bench.same_planner import PeerWorld
 from roboassembly.errors import InputError, MissingExtraError
+from roboassembly.geometry.poses import SE3
 from roboassembly.planning.mating import plan_mating
 from roboassembly.planning.problem import Budget
-from roboassembly.poses import SE3
 
 pytest.importorskip("fcl")
 pytest.importorskip("pybullet")

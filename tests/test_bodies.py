@@ -13,9 +13,9 @@ import trimesh
 import shapes
 from roboassembly.errors import FurnitureError
 from roboassembly.furniture import catalogue, storage
-from roboassembly.furniture.generate import FAMILIES, generate
-from roboassembly.furniture.importers import bodies, folder
-from roboassembly.furniture.importers.triangles import NamedTriangles, Triangles
+from roboassembly.generate import FAMILIES, generate
+from roboassembly.importers import bodies, folder
+from roboassembly.importers.triangles import NamedTriangles, Triangles
 
 Run = Callable[..., tuple[int, str, str]]
 UNIT = (1.0, 1.0, 1.0)

@@ -21,7 +21,7 @@ import numpy as np
 import pytest
 
 import test_import_folder
-from roboassembly.furniture.importers.glb import MAX_NODES
+from roboassembly.importers.glb import MAX_NODES
 
 ALLOWED = 600 * 2**20
 """Bytes of memory, beyond what the program takes before it opens a file."""
@@ -29,7 +29,7 @@ _OPEN = """
 import json, resource, sys, time
 from pathlib import Path
 from roboassembly.errors import InputError
-from roboassembly.furniture.importers import folder
+from roboassembly.importers import folder
 from roboassembly.learning import checkpoint, loading
 from roboassembly.studio.wares import unpack
 opened = {

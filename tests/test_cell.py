@@ -11,8 +11,8 @@ import pytest
 
 from roboassembly.errors import InputError
 from roboassembly.furniture.model import Furniture
-from roboassembly.meshes import WOOD_DENSITY
-from roboassembly.poses import SE3
+from roboassembly.geometry.meshes import WOOD_DENSITY
+from roboassembly.geometry.poses import SE3
 from roboassembly.task import cell
 from roboassembly.task.cell import BETWEEN_POSTS, LANE, LOWEST, PAYLOAD, check_size, laid_out, on_post, reach_from
 from roboassembly.task.groups import Group

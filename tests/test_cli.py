@@ -194,7 +194,7 @@ def captive(tmp_path: Path) -> Path:
     """A ball in a box without a lid to open: two parts, one of them shut in."""
     from roboassembly.furniture.annotate import annotate
     from roboassembly.furniture.model import Provenance, RawPart
-    from roboassembly.meshes import Mesh
+    from roboassembly.geometry.meshes import Mesh
 
     outer, inner = trimesh.creation.box((0.1, 0.1, 0.1)), trimesh.creation.box((0.08, 0.08, 0.08))
     inner.invert()

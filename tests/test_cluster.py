@@ -15,7 +15,7 @@ from roboassembly.furniture import catalogue, storage
 from roboassembly.furniture.datasets import pick
 from roboassembly.learning.evaluate import evaluate
 from roboassembly.learning.players import Way
-from roboassembly.processes import as_done, in_order, spread, workers
+from roboassembly.parallel.processes import as_done, in_order, spread, workers
 
 ray_cluster = pytest.importorskip("ray.cluster_utils", reason="make test-all installs Ray")
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 import shapes
 from roboassembly.errors import FurnitureError
 from roboassembly.furniture.contacts import Contact, find_contacts
-from roboassembly.meshes import Mesh
+from roboassembly.geometry.meshes import Mesh
 
 
 def contact(a: Mesh, b: Mesh) -> Contact:

@@ -13,10 +13,10 @@ import shapes
 from roboassembly.errors import InputError, UnknownNameError
 from roboassembly.furniture import catalogue, datasets, storage
 from roboassembly.furniture.datasets import Recipe, load_manifest, make_entry, manifest_path, pick
-from roboassembly.furniture.generate import CHAIRS
+from roboassembly.generate import CHAIRS
+from roboassembly.geometry.poses import SE3
+from roboassembly.geometry.scene import Body, Scene, Shape
 from roboassembly.planning.problem import Budget, PlanningStatus
-from roboassembly.poses import SE3
-from roboassembly.scene import Body, Scene, Shape
 from roboassembly.solvers import curate
 from roboassembly.solvers.joint_rrt import solve_jointly
 from roboassembly.solvers.prober import probe

@@ -22,8 +22,8 @@ from roboassembly.envs.wrappers import DiscreteActions
 from roboassembly.errors import InputError, UnknownNameError
 from roboassembly.furniture import catalogue, storage
 from roboassembly.furniture.model import Furniture, Provenance, RawFurniture, RawPart
-from roboassembly.meshes import Mesh
-from roboassembly.poses import SE3, pose_to_euler, rotations_from_euler
+from roboassembly.geometry.meshes import Mesh
+from roboassembly.geometry.poses import SE3, pose_to_euler, rotations_from_euler
 from roboassembly.solvers.disassembly import Disassembly, partition_of
 from roboassembly.solvers.options import grasping, upright
 from roboassembly.task.groups import Group
@@ -34,7 +34,7 @@ trimesh = pytest.importorskip("trimesh")
 
 def _imported() -> Furniture:
     """A table of boxes that touch, through repair: what an importer hands on."""
-    from roboassembly.furniture.importers.pipeline import finish
+    from roboassembly.importers.pipeline import finish
 
     top = trimesh.creation.box((0.6, 0.4, 0.03))
     top.apply_translation((0, 0, 0.415))

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from roboassembly.poses import SE3
+from roboassembly.geometry.poses import SE3
 from roboassembly.robots.body import world_from_tips
 from roboassembly.simulation.execution import StepPhysics
 from roboassembly.simulation.mobile_arms import Load, between_pads

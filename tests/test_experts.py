@@ -10,12 +10,12 @@ import pytest
 from roboassembly.errors import InputError
 from roboassembly.furniture import catalogue, storage
 from roboassembly.furniture.datasets import Pick, pick
+from roboassembly.geometry.poses import SE3
 from roboassembly.learning import autoencoder, checkpoint, experts
 from roboassembly.learning.experts import Chair, Expert, chair_of, play, told
 from roboassembly.learning.practice import Practice
 from roboassembly.learning.rehearsal import Rehearsal
 from roboassembly.learning.trials import BLOCKED, FAILS, MERGES, UNKNOWN
-from roboassembly.poses import SE3
 from roboassembly.task.full import FullTask, Refusal
 from roboassembly.task.groups import Group
 from roboassembly.task.object_centric import ObjectCentricTask, Verdict

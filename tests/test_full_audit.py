@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from roboassembly.audit.full import RobotAuditReport, RobotViolationKind, audit_full_plan
-from roboassembly.poses import SE3
+from roboassembly.geometry.poses import SE3
 from roboassembly.task.full_plan import FullPlan
 from roboassembly.task.moments import Leg
 

@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from roboassembly.poses import SE3, pose_from_seven
+from roboassembly.geometry.poses import SE3, pose_from_seven
 from roboassembly.rendering.colors import Role
 from roboassembly.robots.body import placed, world_from_tips
 from roboassembly.task import plan_file

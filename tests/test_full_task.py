@@ -11,12 +11,12 @@ import pytest
 
 from roboassembly.errors import InputError
 from roboassembly.furniture.model import Furniture
+from roboassembly.geometry.poses import SE3, rotation_angle
+from roboassembly.geometry.scene import Body, Shape
 from roboassembly.planning.problem import Budget
 from roboassembly.planning.robot_world import RobotWorld
-from roboassembly.poses import SE3, rotation_angle
 from roboassembly.robots.body import world_from_tips
 from roboassembly.robots.reach import reach
-from roboassembly.scene import Body, Shape
 from roboassembly.solvers.disassembly import partition_of
 from roboassembly.solvers.options import grasping
 from roboassembly.solvers.search import SearchLimits, solve_full

@@ -13,11 +13,12 @@ from scipy.spatial import KDTree
 
 from roboassembly.errors import UnknownNameError
 from roboassembly.furniture.annotate import annotate
-from roboassembly.furniture.generate import CHAIRS, CLEARANCE, FAMILIES, OTHERS, PRACTICE, generate
-from roboassembly.furniture.generate.joints import RoundTenon, Tenon, joint_frame
-from roboassembly.furniture.generate.pieces import HERE
-from roboassembly.furniture.generate.rails import rail
-from roboassembly.furniture.generate.solids import (
+from roboassembly.furniture.model import CONTACT_DISTANCE, MAX_PARTS, MAX_POINTS, Provenance, RawPart
+from roboassembly.generate import CHAIRS, CLEARANCE, FAMILIES, OTHERS, PRACTICE, generate
+from roboassembly.generate.joints import RoundTenon, Tenon, joint_frame
+from roboassembly.generate.pieces import HERE
+from roboassembly.generate.rails import rail
+from roboassembly.generate.solids import (
     Solid,
     X,
     Y,
@@ -33,8 +34,7 @@ from roboassembly.furniture.generate.solids import (
     turned,
     vector,
 )
-from roboassembly.furniture.model import CONTACT_DISTANCE, MAX_PARTS, MAX_POINTS, Provenance, RawPart
-from roboassembly.meshes import Mesh, nearest_points
+from roboassembly.geometry.meshes import Mesh, nearest_points
 
 FEW, MANY = range(3), range(3, 16)
 FURNITURE = [*CHAIRS, *OTHERS]

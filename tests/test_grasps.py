@@ -14,18 +14,18 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 import shapes
-from roboassembly import gripper
 from roboassembly.envs.observation import Observer
 from roboassembly.errors import MissingRobotError
 from roboassembly.furniture import catalogue, storage
 from roboassembly.furniture.annotate import annotate
 from roboassembly.furniture.datasets import furniture_hash
-from roboassembly.furniture.generate import CHAIRS, FAMILIES
 from roboassembly.furniture.grasps import CLEARANCE, FRICTION, MAX_WIDTH, find_grasps
 from roboassembly.furniture.model import Furniture, GraspRegion, Provenance, RawPart
-from roboassembly.gripper import MAX_OPENING, RETREAT, HandAgainst, hand_bodies, hand_pose, panda_folder
-from roboassembly.meshes import Mesh
-from roboassembly.poses import SE3, rotations_from_euler
+from roboassembly.generate import CHAIRS, FAMILIES
+from roboassembly.geometry.meshes import Mesh
+from roboassembly.geometry.poses import SE3, rotations_from_euler
+from roboassembly.robots import gripper
+from roboassembly.robots.gripper import MAX_OPENING, RETREAT, HandAgainst, hand_bodies, hand_pose, panda_folder
 
 STEP = 0.01
 """Metres between the places where the independent checker looks at the coming hand."""

@@ -14,6 +14,7 @@ from roboassembly.envs.observation import Observer, surface_points
 from roboassembly.errors import InputError
 from roboassembly.furniture import catalogue
 from roboassembly.furniture.model import MAX_POINTS, Furniture
+from roboassembly.geometry.poses import SE3
 from roboassembly.learning import checkpoint, grasping, relational
 from roboassembly.learning.gather import file_of
 from roboassembly.learning.grasp_lessons import NO, UNKNOWN, YES, GraspCourse, GraspTeacher
@@ -26,7 +27,6 @@ from roboassembly.learning.relational_policy import HANDS, RelationalPolicy
 from roboassembly.learning.room import Grasps
 from roboassembly.learning.situation import Situation, groups_of
 from roboassembly.learning.tokens import Memory
-from roboassembly.poses import SE3
 from roboassembly.solvers.hand_oracle import HandOracle
 from roboassembly.solvers.options import fitting
 from roboassembly.task.full import FullTask, FullVerdict

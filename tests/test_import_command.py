@@ -14,7 +14,7 @@ from roboassembly.cli import main
 from roboassembly.cli.importing import Kind, _names
 from roboassembly.cli.output import writable_folder
 from roboassembly.furniture import storage
-from roboassembly.furniture.importers import IMPORTERS
+from roboassembly.importers import IMPORTERS
 
 
 def test_the_command_knows_every_importer():

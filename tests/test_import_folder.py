@@ -11,8 +11,8 @@ import pytest
 import trimesh
 
 from roboassembly.errors import FurnitureError
-from roboassembly.furniture.importers import folder
-from roboassembly.furniture.importers.mesh_files import read_mesh
+from roboassembly.importers import folder
+from roboassembly.importers.mesh_files import read_mesh
 
 HALF = 0.5**0.5
 

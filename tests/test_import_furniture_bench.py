@@ -11,7 +11,7 @@ import pytest
 import trimesh
 
 from roboassembly.errors import FurnitureError
-from roboassembly.furniture.importers import furniture_bench
+from roboassembly.importers import furniture_bench
 
 
 def at(x: float, y: float, z: float, rotation=((1, 0, 0), (0, 1, 0), (0, 0, 1))) -> list[list[float]]:

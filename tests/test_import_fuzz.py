@@ -16,8 +16,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from roboassembly.errors import FurnitureError
-from roboassembly.furniture.importers import IMPORTERS
 from roboassembly.furniture.model import MAX_PARTS, MIN_PARTS
+from roboassembly.importers import IMPORTERS
 
 SECONDS = 20.0
 """Far more than any source here takes, even on a loaded machine; a hang takes longer."""

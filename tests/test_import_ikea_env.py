@@ -12,8 +12,8 @@ import trimesh
 
 from roboassembly.errors import FurnitureError
 from roboassembly.furniture import storage
-from roboassembly.furniture.importers import ikea_env
-from roboassembly.furniture.importers.pipeline import finish
+from roboassembly.importers import ikea_env
+from roboassembly.importers.pipeline import finish
 
 HALF = "0.70710678"
 Sites = Sequence[tuple[str, str, str]]

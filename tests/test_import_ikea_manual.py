@@ -10,7 +10,7 @@ import pytest
 import trimesh
 
 from roboassembly.errors import FurnitureError
-from roboassembly.furniture.importers import ikea_manual
+from roboassembly.importers import ikea_manual
 
 BOX = trimesh.creation.box((1.0, 2.0, 0.5))
 

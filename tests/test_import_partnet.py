@@ -11,7 +11,7 @@ import pytest
 import trimesh
 
 from roboassembly.errors import FurnitureError
-from roboassembly.furniture.importers import partnet
+from roboassembly.importers import partnet
 
 
 def write_box(path: Path, extents: tuple[float, float, float], centre: tuple[float, float, float]) -> None:

@@ -15,7 +15,7 @@ import trimesh
 
 from roboassembly.cli import main
 from roboassembly.furniture import storage
-from roboassembly.furniture.importers import kept, pipeline
+from roboassembly.importers import kept, pipeline
 
 
 def box(path: Path, extents: tuple[float, float, float], centre: tuple[float, float, float]) -> None:
@@ -296,5 +296,5 @@ def test_pipes_and_broken_links_are_not_waited_for(source: Path) -> None:
 
 
 def test_looking_up_loads_no_mesh_library() -> None:
-    code = "import sys; from roboassembly.furniture.importers import kept; sys.exit('trimesh' in sys.modules)"
+    code = "import sys; from roboassembly.importers import kept; sys.exit('trimesh' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], timeout=30, check=False).returncode == 0

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 import shapes
 from roboassembly.furniture.model import Furniture
-from roboassembly.poses import SE3
-from roboassembly.scene import Body, Shape
+from roboassembly.geometry.poses import SE3
+from roboassembly.geometry.scene import Body, Shape
 from roboassembly.simulation.settle import settle
 from roboassembly.task.groups import TaskState, hull_points
 from roboassembly.task.layout import (

@@ -13,6 +13,7 @@ from roboassembly.envs.object_centric import ObjectCentricEnv
 from roboassembly.envs.observation import surface_points
 from roboassembly.errors import InputError
 from roboassembly.furniture import catalogue
+from roboassembly.geometry.poses import rotations_from_euler
 from roboassembly.learning import checkpoint, imitation, layers, relational
 from roboassembly.learning.augment import changed
 from roboassembly.learning.batches import pad, size_for
@@ -22,7 +23,6 @@ from roboassembly.learning.loops import closing_bridges, closing_groups
 from roboassembly.learning.situation import Situation
 from roboassembly.learning.tokens import PATCH, POINT, Memory, Tokens, tokens_of
 from roboassembly.learning.views import VIEWS, ways_after
-from roboassembly.poses import rotations_from_euler
 from roboassembly.solvers.search import solve
 
 CONFIG = relational.RelationalConfig(token=16, pair=8, layers=1, heads=2, ends=4, conflicts=2)

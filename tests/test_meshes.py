@@ -8,9 +8,9 @@ import trimesh
 
 import shapes
 from roboassembly.errors import FurnitureError
-from roboassembly.furniture.repair.proximity import Shell
-from roboassembly.furniture.repair.surface import Surface
-from roboassembly.meshes import Mesh, distance_to, nearest_points
+from roboassembly.geometry.meshes import Mesh, distance_to, nearest_points
+from roboassembly.repair.proximity import Shell
+from roboassembly.repair.surface import Surface
 
 SQUARE = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
 TWO = np.array([[0, 1, 2], [0, 2, 3]])

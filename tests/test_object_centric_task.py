@@ -9,9 +9,9 @@ import pytest
 
 import shapes
 from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS, Furniture
+from roboassembly.geometry.poses import SE3
+from roboassembly.geometry.scene import Scene
 from roboassembly.planning.problem import Budget
-from roboassembly.poses import SE3
-from roboassembly.scene import Scene
 from roboassembly.task.groups import Group, TaskState, body, center_of_mass, hull_points
 from roboassembly.task.layout import GROUND_CLEARANCE, group_footprint
 from roboassembly.task.object_centric import ObjectCentricTask, Outcome, Verdict

@@ -14,7 +14,7 @@ import trimesh
 
 import shapes
 from roboassembly.furniture import catalogue, datasets, storage
-from roboassembly.furniture.importers import pipeline
+from roboassembly.importers import pipeline
 
 Run = Callable[..., tuple[int, str, str]]
 
@@ -312,7 +312,7 @@ def test_an_out_that_cannot_be_written_is_found_before_the_work(
     for what in (
         "roboassembly.solvers.search.solve",
         "roboassembly.solvers.search.solve_full",
-        "roboassembly.furniture.importers.pipeline.finish",
+        "roboassembly.importers.pipeline.finish",
         "roboassembly.furniture.annotate.annotate",
         "roboassembly.learning.single_task.teach_features",
         "roboassembly.learning.multitask.teach",

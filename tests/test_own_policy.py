@@ -417,7 +417,7 @@ def test_the_examples_numbers_are_the_environments_actions(example: ModuleType, 
         assert mask[(u, v, k, l, *way)]
         assert values[(u, v, k, l, *way)] == pytest.approx(told.ravel()[number], abs=1e-5)
     # How steeply a hand comes down is told as the poses have it.
-    from roboassembly.poses import pose_to_euler
+    from roboassembly.geometry.poses import pose_to_euler
     from shapes import random_pose
 
     for some in (random_pose(np.random.default_rng(s), 1.0) for s in range(5)):

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 import shapes
-from roboassembly.furniture.generate import CHAIRS, FAMILIES, OTHERS
 from roboassembly.furniture.model import Furniture
-from roboassembly.meshes import distance_to
-from roboassembly.poses import SE3
+from roboassembly.generate import CHAIRS, FAMILIES, OTHERS
+from roboassembly.geometry.meshes import distance_to
+from roboassembly.geometry.poses import SE3
 from roboassembly.solvers.options import ends
 from roboassembly.task.groups import Group, TaskState, body, center_of_mass, hull_points
 from roboassembly.task.pairs import Merge, PairRule, mate

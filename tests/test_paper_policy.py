@@ -22,6 +22,7 @@ from roboassembly.envs.observation import Observer, surface_points
 from roboassembly.errors import InputError
 from roboassembly.furniture import catalogue
 from roboassembly.furniture.model import Furniture
+from roboassembly.geometry.poses import rotations_from_euler
 from roboassembly.learning import autoencoder, checkpoint, layers, paper
 from roboassembly.learning import paper_imitation as imitation
 from roboassembly.learning.autoencoder import CLOUD_POINTS
@@ -29,7 +30,6 @@ from roboassembly.learning.lessons import Course, Lesson, Teacher
 from roboassembly.learning.loading import load_policy
 from roboassembly.learning.paper import PaperConfig, PaperPolicy, PaperState
 from roboassembly.learning.paper_imitation import Augmentation, Example, Training
-from roboassembly.poses import rotations_from_euler
 from roboassembly.solvers.hand_oracle import HandOracle
 from roboassembly.solvers.oracle import Oracle
 from roboassembly.task.full import FullTask

@@ -10,12 +10,12 @@ from scipy.spatial.transform import Rotation
 
 import shapes
 from roboassembly.errors import InputError
+from roboassembly.geometry.poses import SE3, interpolate, poses_to_configurations
+from roboassembly.geometry.scene import Body, Scene, Shape
 from roboassembly.planning.mating import MatingProblem, plan_mating
 from roboassembly.planning.problem import Budget, PathResult, PlanningStatus
 from roboassembly.planning.rrt import rrt_connect, shortcut
 from roboassembly.planning.world import ANGULAR_RESOLUTION, RESOLUTION, CollisionWorld
-from roboassembly.poses import SE3, interpolate, poses_to_configurations
-from roboassembly.scene import Body, Scene, Shape
 from shapes import HERE, Checker, mover, pose, still
 
 X, Y, Z = np.eye(3)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation, Slerp
 
 from roboassembly.errors import InputError
-from roboassembly.poses import (
+from roboassembly.geometry.poses import (
     SE3,
     align_axis,
     from_quaternion,

@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from roboassembly.processes import as_done, in_order
+from roboassembly.parallel.processes import as_done, in_order
 
 _LONG = 300.0
 """Seconds that nobody waits for."""

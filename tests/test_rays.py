@@ -6,7 +6,7 @@ import numpy as np
 import trimesh
 
 from roboassembly.furniture.rays import Rays
-from roboassembly.meshes import Mesh
+from roboassembly.geometry.meshes import Mesh
 
 
 def box(*extents: float) -> Mesh:

@@ -26,10 +26,10 @@ from roboassembly.audit.object_centric import audit_plan
 from roboassembly.envs.object_centric import ObjectCentricEnv
 from roboassembly.errors import InputError
 from roboassembly.furniture import storage
-from roboassembly.furniture.generate import FAMILIES
-from roboassembly.furniture.importers import IMPORTERS
-from roboassembly.furniture.importers.pipeline import finish
 from roboassembly.furniture.model import Furniture
+from roboassembly.generate import FAMILIES
+from roboassembly.importers import IMPORTERS
+from roboassembly.importers.pipeline import finish
 from roboassembly.learning import checkpoint
 from roboassembly.learning.loading import load_policy
 from roboassembly.learning.policies import guide_of

@@ -15,12 +15,12 @@ from scipy.spatial.transform import Rotation
 
 import shapes
 from roboassembly.errors import FurnitureError
-from roboassembly.furniture.congruence import symmetries
-from roboassembly.furniture.importers import ikea_manual
 from roboassembly.furniture.model import CONTACT_DISTANCE, RawPart
-from roboassembly.furniture.repair import RepairLimits, repair
-from roboassembly.furniture.repair.turns import MAX_TURNS, groups
-from roboassembly.meshes import Mesh
+from roboassembly.furniture.symmetry import symmetries
+from roboassembly.geometry.meshes import Mesh
+from roboassembly.importers import ikea_manual
+from roboassembly.repair import RepairLimits, repair
+from roboassembly.repair.turns import MAX_TURNS, groups
 
 GAP = 0.0002
 

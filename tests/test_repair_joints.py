@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from roboassembly.errors import FurnitureError
 from roboassembly.furniture.model import RawPart
-from roboassembly.furniture.repair import RepairLimits, repair
+from roboassembly.repair import RepairLimits, repair
 from shapes import block, of_solid
 
 SIDE = 0.0015

@@ -13,13 +13,13 @@ import trimesh
 from roboassembly.errors import FurnitureError
 from roboassembly.furniture.annotate import annotate
 from roboassembly.furniture.model import Provenance, RawPart
-from roboassembly.furniture.repair import RepairLimits, repair
-from roboassembly.furniture.repair.exits import Exits, blocking
-from roboassembly.furniture.repair.proximity import Shell
-from roboassembly.furniture.repair.solid import solidify
-from roboassembly.furniture.repair.surface import Surface, components, patches, to_surface
-from roboassembly.furniture.repair.wrap import wrap
-from roboassembly.meshes import Mesh
+from roboassembly.geometry.meshes import Mesh
+from roboassembly.repair import RepairLimits, repair
+from roboassembly.repair.exits import Exits, blocking
+from roboassembly.repair.proximity import Shell
+from roboassembly.repair.solid import solidify
+from roboassembly.repair.surface import Surface, components, patches, to_surface
+from roboassembly.repair.wrap import wrap
 
 GAP = 0.0002
 

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from roboassembly.furniture import catalogue
+from roboassembly.geometry.poses import SE3, rotation_angle
+from roboassembly.geometry.scene import Body, Shape
 from roboassembly.planning.problem import Budget
 from roboassembly.planning.robot_path import Floor, connect, line, path_is_free, turned_on
 from roboassembly.planning.robot_world import CLEARANCE, RobotWorld
-from roboassembly.poses import SE3, rotation_angle
 from roboassembly.robots.body import DOF, placed, world_from_tips
 from roboassembly.robots.kinematics import arm
-from roboassembly.scene import Body, Shape
 from shapes import RobotChecker, brick, fcl_object, pose, still
 
 OPENING = 0.03

@@ -6,9 +6,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from roboassembly.gripper import TIPS, panda_folder
-from roboassembly.poses import SE3, rotation_angle
+from roboassembly.geometry.poses import SE3, rotation_angle
 from roboassembly.robots.body import links, placed, tip_positions, world_from_tips
+from roboassembly.robots.gripper import TIPS, panda_folder
 from roboassembly.robots.kinematics import Poses, arm, rotation_vectors
 from roboassembly.robots.platform import CLEARANCE, HEIGHT, PLATFORM_FROM_MOUNT
 from roboassembly.robots.reach import reach

@@ -15,11 +15,11 @@ import numpy as np
 import pytest
 
 import shapes
-from roboassembly.furniture.generate import FAMILIES
 from roboassembly.furniture.model import Furniture
+from roboassembly.generate import FAMILIES
+from roboassembly.geometry.poses import SE3
+from roboassembly.geometry.scene import Body, Scene, Shape
 from roboassembly.planning.problem import Budget
-from roboassembly.poses import SE3
-from roboassembly.scene import Body, Scene, Shape
 from roboassembly.solvers.blocking import BlockingGraphs
 from roboassembly.solvers.guide import Guide, Suggestion
 from roboassembly.solvers.search import SearchLimits, SearchResult, solve, solve_from
@@ -252,7 +252,7 @@ sys.path.insert(0, sys.argv[1])
 from test_search import digest
 import shapes
 from roboassembly.furniture.annotate import annotate
-from roboassembly.furniture.generate import generate
+from roboassembly.generate import generate
 from roboassembly.furniture.model import Provenance
 from roboassembly.solvers.search import solve
 print(digest(solve(shapes.captive_slat(), 3).plan))

@@ -10,10 +10,10 @@ import pytest
 
 import shapes
 from roboassembly.furniture.model import Furniture
-from roboassembly.meshes import WOOD_DENSITY
+from roboassembly.geometry.meshes import WOOD_DENSITY
+from roboassembly.geometry.poses import SE3, pose_to_seven
+from roboassembly.geometry.scene import Body, Scene, Shape
 from roboassembly.planning.world import CollisionWorld
-from roboassembly.poses import SE3, pose_to_seven
-from roboassembly.scene import Body, Scene, Shape
 from roboassembly.simulation.model import compile_scene, mass_properties
 from roboassembly.simulation.settle import MAX_SECONDS, settle
 from shapes import HERE, Checker, mover, pose, still

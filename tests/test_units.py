@@ -14,8 +14,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from roboassembly.errors import FurnitureError, InputError
-from roboassembly.furniture.generate import FAMILIES, generate
-from roboassembly.furniture.importers import folder, units
+from roboassembly.generate import FAMILIES, generate
+from roboassembly.importers import folder, units
 
 Run = Callable[..., tuple[int, str, str]]
 

@@ -14,9 +14,9 @@ from roboassembly.audit.full import RobotViolationKind, audit_full_plan
 from roboassembly.audit.object_centric import ViolationKind, audit_plan
 from roboassembly.errors import InputError
 from roboassembly.furniture.model import Furniture
+from roboassembly.geometry.poses import SE3, pose_from_seven, transform_points
 from roboassembly.learning.loading import load_policy
 from roboassembly.learning.policies import guide_of
-from roboassembly.poses import SE3, pose_from_seven, transform_points
 from roboassembly.solvers.search import solve
 from roboassembly.studio.session import Session
 from roboassembly.studio.words import upright_note

@@ -17,8 +17,8 @@ from scipy.spatial import Delaunay
 
 from roboassembly.errors import InputError
 from roboassembly.furniture.model import Connection, ConnectionPoint, Furniture, Part, ShapeClass
-from roboassembly.meshes import Mesh
-from roboassembly.poses import SE3, transform_points
+from roboassembly.geometry.meshes import Mesh
+from roboassembly.geometry.poses import SE3, transform_points
 from roboassembly.rendering import gl
 from roboassembly.rendering.camera import View, fit, project
 from roboassembly.rendering.colors import Role

@@ -10,7 +10,7 @@ from scipy.optimize import nnls
 from scipy.spatial.transform import Rotation
 
 from roboassembly.furniture.model import Furniture
-from roboassembly.poses import SE3
+from roboassembly.geometry.poses import SE3
 
 SAME_POSITION = 1e-5
 """Metres by which two records of one pose may differ."""

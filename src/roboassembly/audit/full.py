@@ -21,10 +21,10 @@ from jaxtyping import Float
 from roboassembly.audit.arrangement import misplaced, stands
 from roboassembly.audit.object_centric import fcl_model, fcl_module
 from roboassembly.furniture.model import Furniture
-from roboassembly.gripper import TIPS, hand_bodies, panda_folder
-from roboassembly.meshes import Mesh
-from roboassembly.poses import SE3
+from roboassembly.geometry.meshes import Mesh
+from roboassembly.geometry.poses import SE3
 from roboassembly.robots.body import links
+from roboassembly.robots.gripper import TIPS, hand_bodies, panda_folder
 from roboassembly.robots.kinematics import JOINTS
 from roboassembly.robots.platform import PLATFORM_FROM_MOUNT
 from roboassembly.task.full_plan import FullPlan

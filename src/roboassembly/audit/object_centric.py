@@ -21,8 +21,8 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from roboassembly.audit.arrangement import SAME_ANGLE, SAME_POSITION, angle_of, misplaced, stands
 from roboassembly.errors import MissingExtraError
-from roboassembly.meshes import Mesh
-from roboassembly.poses import SE3
+from roboassembly.geometry.meshes import Mesh
+from roboassembly.geometry.poses import SE3
 from roboassembly.task.plan import Plan, PlanStep, UprightMotion, UprightResult
 
 _ORTHONORMAL = 1e-6

@@ -13,8 +13,8 @@ from typing import Any
 import pinocchio as pin
 
 from roboassembly.errors import MissingExtraError
-from roboassembly.meshes import Mesh
-from roboassembly.poses import SE3
+from roboassembly.geometry.meshes import Mesh
+from roboassembly.geometry.poses import SE3
 
 
 class Bullet:

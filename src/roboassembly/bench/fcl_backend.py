@@ -16,9 +16,9 @@ from jaxtyping import Float, Int
 
 from roboassembly.bench.peers import IsFree, SE3State
 from roboassembly.errors import MissingExtraError
-from roboassembly.meshes import Mesh
-from roboassembly.poses import transform_points
-from roboassembly.scene import Scene
+from roboassembly.geometry.meshes import Mesh
+from roboassembly.geometry.poses import transform_points
+from roboassembly.geometry.scene import Scene
 
 _GROUND = (200.0, 200.0, 1.0)
 """Metres; its top is z = 0."""

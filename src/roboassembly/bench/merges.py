@@ -12,11 +12,11 @@ from jaxtyping import Float
 
 from roboassembly.errors import InputError
 from roboassembly.furniture.annotate import annotate
-from roboassembly.furniture.generate import generate
 from roboassembly.furniture.model import Furniture, Provenance
+from roboassembly.generate import generate
+from roboassembly.geometry.scene import Scene
 from roboassembly.planning.mating import SKY_CLEARANCE, MatingProblem
 from roboassembly.planning.world import CollisionWorld
-from roboassembly.scene import Scene
 from roboassembly.solvers.search import SearchResult, solve
 from roboassembly.task.groups import TaskState
 from roboassembly.task.object_centric import Mating, ObjectCentricTask

@@ -18,10 +18,10 @@ import pinocchio as pin
 from jaxtyping import Float
 from ompl import base, geometric, util
 
+from roboassembly.geometry.poses import SE3
+from roboassembly.geometry.scene import Scene
 from roboassembly.planning.rrt import RANGE
 from roboassembly.planning.world import ANGULAR_RESOLUTION, RESOLUTION
-from roboassembly.poses import SE3
-from roboassembly.scene import Scene
 
 util.setLogLevel(util.LogLevel.LOG_NONE)
 

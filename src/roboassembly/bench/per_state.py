@@ -11,10 +11,10 @@ from jaxtyping import Float
 
 from roboassembly.bench.merges import BenchMerge
 from roboassembly.bench.peers import Peer, configuration_state, state_space
+from roboassembly.geometry.poses import SE3, interpolate, rotation_angle
 from roboassembly.planning.problem import Budget
 from roboassembly.planning.rrt import rrt_connect
 from roboassembly.planning.world import ANGULAR_RESOLUTION, RESOLUTION, CollisionWorld
-from roboassembly.poses import SE3, interpolate, rotation_angle
 
 
 @dataclass(frozen=True)

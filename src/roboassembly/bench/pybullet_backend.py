@@ -24,8 +24,8 @@ import numpy as np
 
 from roboassembly.bench.bullet import Bullet
 from roboassembly.bench.peers import IsFree, SE3State
-from roboassembly.poses import SE3, transform_points
-from roboassembly.scene import Body, Scene
+from roboassembly.geometry.poses import SE3, transform_points
+from roboassembly.geometry.scene import Body, Scene
 
 DEPTH = 0.0
 """Metres that a contact must be deep to count. Exact pieces need no tolerance."""

@@ -10,9 +10,9 @@ from collections.abc import Callable
 
 from roboassembly.bench.bullet import Bullet, numbers, quiet
 from roboassembly.furniture.model import Furniture
-from roboassembly.gripper import panda_folder
-from roboassembly.poses import SE3
+from roboassembly.geometry.poses import SE3
 from roboassembly.robots.body import world_from_platform, world_from_tips
+from roboassembly.robots.gripper import panda_folder
 from roboassembly.robots.kinematics import JOINTS
 from roboassembly.robots.platform import CLEARANCE, HEIGHT, LENGTH, PLATFORM_FROM_MOUNT, WIDTH
 from roboassembly.task.moments import Configuration, Leg

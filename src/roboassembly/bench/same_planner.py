@@ -15,11 +15,11 @@ from ompl import base
 
 from roboassembly.bench.merges import BenchMerge
 from roboassembly.bench.peers import IsFree, Peer, Run, SE3State
+from roboassembly.geometry.poses import SE3
+from roboassembly.geometry.scene import Scene
 from roboassembly.planning.mating import plan_mating
 from roboassembly.planning.problem import Budget
 from roboassembly.planning.world import CollisionWorld
-from roboassembly.poses import SE3
-from roboassembly.scene import Scene
 
 
 class PeerWorld(CollisionWorld):

@@ -10,7 +10,7 @@ from roboassembly.cli.multitask import PACKAGES, follow, needs
 from roboassembly.cli.options import CORES, Jobs, Ray, Setting
 from roboassembly.cli.output import DONE, check_writable_file, print_json, show, writable_folder
 from roboassembly.errors import InputError
-from roboassembly.processes import spread
+from roboassembly.parallel.processes import spread
 
 
 @dataclass(frozen=True)

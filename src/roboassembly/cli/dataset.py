@@ -11,7 +11,7 @@ import tyro
 from roboassembly.cli.options import CORES, Jobs, Ray
 from roboassembly.cli.output import DONE, check_writable, print_json, progress_bar, show
 from roboassembly.errors import InputError
-from roboassembly.processes import spread
+from roboassembly.parallel.processes import spread
 
 
 @dataclass(frozen=True)

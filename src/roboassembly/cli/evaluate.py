@@ -14,7 +14,7 @@ import tyro
 from roboassembly.cli.options import CORES, Execution, Jobs, Ray, Setting, chosen
 from roboassembly.cli.output import DONE, check_writable, print_json, progress_bar, say, show
 from roboassembly.errors import InputError
-from roboassembly.processes import spread
+from roboassembly.parallel.processes import spread
 
 if TYPE_CHECKING:
     from roboassembly.furniture.datasets import Pick

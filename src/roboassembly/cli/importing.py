@@ -14,10 +14,10 @@ import tyro
 from roboassembly.cli.options import CORES, Jobs
 from roboassembly.cli.output import DONE, check_writable, print_json, progress_bar, refuse_existing, say, show
 from roboassembly.errors import InputError
-from roboassembly.processes import workers
+from roboassembly.parallel.processes import workers
 
 if TYPE_CHECKING:
-    from roboassembly.furniture.importers.kept import Summary
+    from roboassembly.importers.kept import Summary
 
 Kind = Literal["partnet", "ikea-manual", "ikea-env", "furniture-bench", "folder"]
 """The names in `furniture.importers.IMPORTERS`."""
@@ -113,8 +113,8 @@ class Import:
 
     def run(self) -> int:
         """Do it; returns the exit status."""
-        from roboassembly.furniture.importers import IMPORTERS, units
-        from roboassembly.furniture.importers.earlier import without_results
+        from roboassembly.importers import IMPORTERS, units
+        from roboassembly.importers.earlier import without_results
 
         if self.scale is not None and not 1e-6 < self.scale < 1e6:
             raise InputError(f"--scale {self.scale} is absurd; metres per unit of the files, for instance 0.5")
@@ -204,7 +204,7 @@ def _report(item: Item) -> list[str]:
 
 
 def _other(item: Item, unit: str) -> str:
-    from roboassembly.furniture.importers.units import METRES, NAMES
+    from roboassembly.importers.units import METRES, NAMES
 
     assert item.size_m is not None
     assert item.scale is not None
@@ -228,7 +228,7 @@ def _summary(item: Item) -> str:
 
 def import_piece(piece: Piece) -> Item:
     """Read, repair, annotate and save one piece; what cannot be used ends up in the item's `error`."""
-    from roboassembly.furniture.importers import kept
+    from roboassembly.importers import kept
 
     started = time.perf_counter()
     place = _place(piece) if piece.cache else None
@@ -267,7 +267,7 @@ def import_piece(piece: Piece) -> Item:
 
 
 def _place(piece: Piece) -> Path | None:
-    from roboassembly.furniture.importers import IMPORTERS, kept
+    from roboassembly.importers import IMPORTERS, kept
 
     reads = IMPORTERS[piece.kind].reads(piece.source)
     return kept.place_of(
@@ -278,9 +278,9 @@ def _place(piece: Piece) -> Path | None:
 def _import_anew(piece: Piece) -> Summary:
     from roboassembly.errors import FurnitureError
     from roboassembly.furniture import storage
-    from roboassembly.furniture.importers import IMPORTERS, folder, units
-    from roboassembly.furniture.importers.kept import Summary
-    from roboassembly.furniture.importers.pipeline import finish
+    from roboassembly.importers import IMPORTERS, folder, units
+    from roboassembly.importers.kept import Summary
+    from roboassembly.importers.pipeline import finish
 
     try:
         if piece.kind == "folder":

@@ -13,7 +13,7 @@ from tqdm import tqdm
 from roboassembly.cli.options import CORES, Jobs, Ray, Setting
 from roboassembly.cli.output import DONE, print_json, progress_bar, say, show, writable_folder
 from roboassembly.errors import InputError, MissingExtraError
-from roboassembly.processes import spread
+from roboassembly.parallel.processes import spread
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

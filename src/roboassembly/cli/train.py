@@ -13,7 +13,7 @@ from roboassembly.cli.multitask import PACKAGES, Multitask, follow, needs
 from roboassembly.cli.options import CORES, Jobs, Ray, Setting, chosen
 from roboassembly.cli.output import DONE, DONE_BADLY, print_json, show, writable_folder
 from roboassembly.errors import InputError
-from roboassembly.processes import spread
+from roboassembly.parallel.processes import spread
 
 if TYPE_CHECKING:
     from roboassembly.furniture.datasets import Pick

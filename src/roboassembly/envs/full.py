@@ -12,8 +12,8 @@ from roboassembly.envs.assembly import AssemblyEnv, FurnitureLike, existing_pair
 from roboassembly.envs.pictures import Item
 from roboassembly.furniture import catalogue
 from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS
+from roboassembly.geometry.poses import SE3
 from roboassembly.planning.problem import Budget
-from roboassembly.poses import SE3
 from roboassembly.rendering.colors import Role
 from roboassembly.robots.body import placed
 from roboassembly.task.cell import post_mesh

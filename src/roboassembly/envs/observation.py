@@ -25,9 +25,9 @@ from jaxtyping import Float, Float32
 
 from roboassembly.furniture.grasps import APPROACHES
 from roboassembly.furniture.model import GRASP_REGIONS, ConnectionPoint, Furniture
-from roboassembly.gripper import hand_pose
-from roboassembly.meshes import Mesh
-from roboassembly.poses import pose_to_euler
+from roboassembly.geometry.meshes import Mesh
+from roboassembly.geometry.poses import pose_to_euler
+from roboassembly.robots.gripper import hand_pose
 from roboassembly.task.groups import TaskState, part_from_points
 
 REACH = 100.0

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from roboassembly.meshes import Mesh
-from roboassembly.poses import SE3
+from roboassembly.geometry.meshes import Mesh
+from roboassembly.geometry.poses import SE3
 from roboassembly.rendering.camera import box_corners, fit
 from roboassembly.rendering.colors import Role, part_colors
 from roboassembly.rendering.offscreen import OffscreenRenderer, check_size

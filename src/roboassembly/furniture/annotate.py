@@ -10,7 +10,6 @@ import numpy as np
 from jaxtyping import Float
 
 from roboassembly.errors import FurnitureError
-from roboassembly.furniture.congruence import rotations_onto, symmetries
 from roboassembly.furniture.contacts import Contact, find_contacts
 from roboassembly.furniture.grasps import find_grasps
 from roboassembly.furniture.model import (
@@ -27,8 +26,9 @@ from roboassembly.furniture.model import (
     ShapeClass,
     check_part_count,
 )
-from roboassembly.meshes import Mesh, nearest_points
-from roboassembly.poses import SE3
+from roboassembly.furniture.symmetry import rotations_onto, symmetries
+from roboassembly.geometry.meshes import Mesh, nearest_points
+from roboassembly.geometry.poses import SE3
 
 _SAME_DIRECTION = 0.3
 """Radians: like contacts' normals agree to this."""

@@ -9,8 +9,8 @@ from roboassembly.errors import InputError, UnknownNameError
 from roboassembly.furniture import storage
 from roboassembly.furniture.annotate import annotate
 from roboassembly.furniture.cad import refuse_sources
-from roboassembly.furniture.generate import FAMILIES, generate
 from roboassembly.furniture.model import Furniture, Provenance
+from roboassembly.generate import FAMILIES, generate
 
 DEFAULT = "ladder"
 """What is assembled when nothing is named: a chair of 15 parts with mortise-and-tenon joints."""

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 
 from roboassembly.errors import FurnitureError
 from roboassembly.furniture.model import CONTACT_DISTANCE
-from roboassembly.meshes import Mesh, Witness, nearest_points
+from roboassembly.geometry.meshes import Mesh, Witness, nearest_points
 
 PATCH_DEPTH = 0.001
 """Metres beyond the smallest distance that still belong to the patch: the clearances of one joint differ."""

@@ -15,8 +15,8 @@ from jaxtyping import Bool, Float, Int
 
 from roboassembly.furniture.model import GRASP_REGIONS, GraspRegion
 from roboassembly.furniture.rays import Rays
-from roboassembly.gripper import MAX_OPENING, PALM_DEPTH, HandAgainst
-from roboassembly.meshes import Mesh
+from roboassembly.geometry.meshes import Mesh
+from roboassembly.robots.gripper import MAX_OPENING, PALM_DEPTH, HandAgainst
 
 APPROACHES = 4
 """A region, as in the paper."""

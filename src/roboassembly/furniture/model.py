@@ -10,11 +10,11 @@ import numpy as np
 from jaxtyping import Float
 
 from roboassembly.errors import FurnitureError
-from roboassembly.meshes import Mesh
-from roboassembly.poses import SE3
+from roboassembly.geometry.meshes import Mesh
+from roboassembly.geometry.poses import SE3
 
 if TYPE_CHECKING:
-    from roboassembly.furniture.importers.units import Unit
+    from roboassembly.importers.units import Unit
 
 MIN_PARTS = 2
 MAX_PARTS = 20

@@ -10,7 +10,7 @@ from embreex.rtcore import EmbreeDevice
 from embreex.rtcore_scene import EmbreeScene
 from jaxtyping import Float
 
-from roboassembly.meshes import Mesh
+from roboassembly.geometry.meshes import Mesh
 
 _SIZE = 100.0
 """Embree counts in single precision, and does it best when things are about this large."""

@@ -34,8 +34,8 @@ from roboassembly.furniture.model import (
     check_part_count,
     mate,
 )
-from roboassembly.meshes import Mesh
-from roboassembly.poses import SE3, pose_from_seven, pose_to_seven, rotation_angle, rotation_from_quaternion
+from roboassembly.geometry.meshes import Mesh
+from roboassembly.geometry.poses import SE3, pose_from_seven, pose_to_seven, rotation_angle, rotation_from_quaternion
 
 FORMAT = "roboassembly.furniture"
 VERSION = 1

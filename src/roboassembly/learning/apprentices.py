@@ -33,7 +33,7 @@ from roboassembly.learning.kinds import point_counts
 from roboassembly.learning.layers import Params
 from roboassembly.learning.learner import Learner, LearnerConfig, Memory
 from roboassembly.learning.rehearsal import Rehearsal, State
-from roboassembly.processes import one_thread_each, workers
+from roboassembly.parallel.processes import one_thread_each, workers
 from roboassembly.task.full import FullTask
 from roboassembly.task.object_centric import ObjectCentricTask, Verdict
 from roboassembly.task.setting import SettingName

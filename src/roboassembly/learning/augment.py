@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
+from roboassembly.geometry.poses import euler_from_rotations, rotations_from_euler
 from roboassembly.learning.lessons import Course, Lesson
 from roboassembly.learning.views import Change, ways_after
-from roboassembly.poses import euler_from_rotations, rotations_from_euler
 
 
 def changed(course: Course, change: Change) -> Course:

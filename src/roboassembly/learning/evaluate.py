@@ -17,7 +17,7 @@ import numpy as np
 from roboassembly.errors import RoboAssemblyError
 from roboassembly.furniture.datasets import Pick
 from roboassembly.learning.players import Episode, Player, Way, player
-from roboassembly.processes import one_thread_each, workers
+from roboassembly.parallel.processes import one_thread_each, workers
 from roboassembly.task.full import FullVerdict
 
 KINDS = {

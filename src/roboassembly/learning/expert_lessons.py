@@ -23,7 +23,7 @@ from roboassembly.learning.apprentices import ExpertTraining, load, read
 from roboassembly.learning.experts import Expert, Move, finished, play, told
 from roboassembly.learning.gather import file_of
 from roboassembly.learning.lessons import CLOUD_POINTS, Course, Lesson
-from roboassembly.processes import as_done
+from roboassembly.parallel.processes import as_done
 from roboassembly.task.full import FullTask
 from roboassembly.task.object_centric import ObjectCentricTask
 

@@ -15,12 +15,12 @@ import numpy as np
 from roboassembly.envs.observation import surface_points
 from roboassembly.errors import InputError
 from roboassembly.furniture import catalogue
-from roboassembly.furniture.generate import CHAIRS
 from roboassembly.furniture.model import Furniture
+from roboassembly.generate import CHAIRS
 from roboassembly.learning import checkpoint, relational
 from roboassembly.learning.grasp_lessons import GraspTeacher
 from roboassembly.learning.lessons import CLOUD_POINTS, Course, Lesson, Student, Teacher
-from roboassembly.processes import as_done
+from roboassembly.parallel.processes import as_done
 from roboassembly.solvers.hand_oracle import HandOracle
 from roboassembly.solvers.oracle import Oracle
 from roboassembly.task.full import FullTask

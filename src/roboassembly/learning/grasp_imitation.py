@@ -20,7 +20,7 @@ from roboassembly.learning.hands import handling_of
 from roboassembly.learning.imitation import cross_entropy
 from roboassembly.learning.layers import Array, Params
 from roboassembly.learning.runs import Run
-from roboassembly.processes import in_order
+from roboassembly.parallel.processes import in_order
 
 _TOGETHER = ("room", "meet", "rest")
 """What is said of two hands, in this order."""

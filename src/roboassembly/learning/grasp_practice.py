@@ -24,7 +24,7 @@ from roboassembly.learning.grasp_lessons import NO, UNKNOWN, YES, GraspCourse, G
 from roboassembly.learning.lessons import CLOUD_POINTS
 from roboassembly.learning.loading import load_policy
 from roboassembly.learning.policies import ConfidentPolicy, guide_of
-from roboassembly.processes import as_done
+from roboassembly.parallel.processes import as_done
 from roboassembly.solvers.guide import Guide
 from roboassembly.task.full import FullOutcome, FullTask, FullVerdict, Joint, Refusal
 from roboassembly.task.full_plan import FullState

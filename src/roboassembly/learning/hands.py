@@ -14,9 +14,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32
 from scipy.spatial import ConvexHull
 
-from roboassembly.gripper import MAX_OPENING, RETREAT, hand_bodies
+from roboassembly.geometry.poses import rotations_from_euler
 from roboassembly.learning.situation import Situation
-from roboassembly.poses import rotations_from_euler
+from roboassembly.robots.gripper import MAX_OPENING, RETREAT, hand_bodies
 from roboassembly.task.cell import WIDER
 from roboassembly.task.rules import GRASPS
 

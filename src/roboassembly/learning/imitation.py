@@ -21,7 +21,7 @@ from roboassembly.learning.lessons import Course, answers
 from roboassembly.learning.runs import Run
 from roboassembly.learning.tokens import Memory, Tokens
 from roboassembly.learning.views import VIEWS, seen, ways_after
-from roboassembly.processes import in_order, made_ahead
+from roboassembly.parallel.processes import in_order, made_ahead
 
 _FEW = 8
 """Chairs that are not worth starting processes for."""

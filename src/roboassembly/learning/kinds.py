@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from roboassembly.furniture.model import SAME_POINT, Furniture
-from roboassembly.poses import SE3
+from roboassembly.geometry.poses import SE3
 from roboassembly.task.groups import Group, TaskState, part_from_points
 from roboassembly.task.setting import Task
 

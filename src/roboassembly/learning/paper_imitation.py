@@ -30,7 +30,7 @@ from roboassembly.learning.paper import PaperConfig, PaperState
 from roboassembly.learning.runs import Run
 from roboassembly.learning.situation import groups_of
 from roboassembly.learning.views import Change
-from roboassembly.processes import made_ahead
+from roboassembly.parallel.processes import made_ahead
 from roboassembly.task.rules import UP_AXES
 
 LAMBDA = 50.0

@@ -10,10 +10,10 @@ from jaxtyping import Float32
 from roboassembly.envs.observation import surface_points
 from roboassembly.furniture import catalogue
 from roboassembly.furniture.datasets import Pick
-from roboassembly.furniture.generate import CHAIRS
+from roboassembly.generate import CHAIRS
 from roboassembly.learning.autoencoder import CLOUD_POINTS
 from roboassembly.learning.gather import extra_names
-from roboassembly.processes import in_order
+from roboassembly.parallel.processes import in_order
 
 
 def gather_clouds(picks: Sequence[Pick], *, jobs: int, extra: int = 300) -> Float32[np.ndarray, "c n 3"]:

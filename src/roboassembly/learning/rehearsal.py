@@ -19,11 +19,11 @@ from jaxtyping import Bool, Int, Int8
 
 from roboassembly.errors import InputError
 from roboassembly.furniture.model import MAX_PARTS
+from roboassembly.geometry.poses import SE3
 from roboassembly.learning.joints import Joints
 from roboassembly.learning.kinds import Kind, Named, Registry, Table
 from roboassembly.learning.layers import Params
 from roboassembly.learning.trials import FAILS, MERGES, UNKNOWN, trial_of
-from roboassembly.poses import SE3
 from roboassembly.task.full import FullTask
 from roboassembly.task.groups import Group, TaskState
 from roboassembly.task.layout import free_spot, group_footprint

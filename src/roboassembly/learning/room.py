@@ -10,9 +10,9 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Bool, Float, Float16, Float32
 
-from roboassembly.gripper import MAX_OPENING, RETREAT
+from roboassembly.geometry.poses import rotations_from_euler
 from roboassembly.learning.hands import ARM_FAR, ARM_STRETCHES, FAR, NEAR, around, boxes, clearance, from_arm, widths
-from roboassembly.poses import rotations_from_euler
+from roboassembly.robots.gripper import MAX_OPENING, RETREAT
 from roboassembly.task.cell import WIDER
 
 HOLD, ROOM = 16, 4

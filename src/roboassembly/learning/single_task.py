@@ -20,7 +20,7 @@ from roboassembly.learning.apprentices import ExpertTraining, Mastery
 from roboassembly.learning.gather import file_of
 from roboassembly.learning.part_clouds import gather_clouds
 from roboassembly.learning.progress import Progress
-from roboassembly.processes import one_thread_each
+from roboassembly.parallel.processes import one_thread_each
 from roboassembly.task.setting import SettingName
 
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from roboassembly.geometry.poses import euler_from_rotations, rotations_from_euler
 from roboassembly.learning.features import FLIP
-from roboassembly.poses import euler_from_rotations, rotations_from_euler
 from roboassembly.task.rules import UP_AXES
 
 MEET, OPPOSED = 0.004, -0.99

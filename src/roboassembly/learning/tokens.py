@@ -21,11 +21,11 @@ import numpy as np
 from jaxtyping import Bool, Float, Float16, Float32, Int, UInt8
 from scipy.spatial import KDTree
 
+from roboassembly.geometry.poses import rotations_from_euler
 from roboassembly.learning.features import possible, same_way, turns, turns_between
 from roboassembly.learning.loops import closing_bridges, closing_groups
 from roboassembly.learning.room import HOLD, MET, ROOM, Grasps
 from roboassembly.learning.situation import MEET, OPPOSED, Situation, frames_of
-from roboassembly.poses import rotations_from_euler
 from roboassembly.task.rules import GRASPS
 
 GRID_STEPS = (0.010, 0.040, 0.150)

@@ -10,11 +10,11 @@ import numpy as np
 from jaxtyping import Float
 from ompl import base
 
+from roboassembly.geometry.poses import SE3, interpolate, poses_to_configurations, rotation_angle
+from roboassembly.geometry.scene import Scene
 from roboassembly.planning.problem import Budget, PlanningStatus
 from roboassembly.planning.rrt import box_around, exhaustion, pose_of, run_rrt_connect, set_pose
 from roboassembly.planning.world import ANGULAR_RESOLUTION, RESOLUTION, collision_pool, first_hit
-from roboassembly.poses import SE3, interpolate, poses_to_configurations, rotation_angle
-from roboassembly.scene import Scene
 
 
 class JointWorld:

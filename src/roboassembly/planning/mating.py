@@ -15,10 +15,10 @@ import numpy as np
 import pinocchio as pin
 from jaxtyping import Float
 
+from roboassembly.geometry.poses import SE3, interpolate
 from roboassembly.planning.problem import Budget, PathResult, PlanningStatus
 from roboassembly.planning.rrt import rrt_connect, shortcut
 from roboassembly.planning.world import CollisionWorld
-from roboassembly.poses import SE3, interpolate
 
 UP = np.array([0.0, 0.0, 1.0])
 SKY_CLEARANCE = 0.01

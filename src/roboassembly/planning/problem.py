@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 
-from roboassembly.poses import SE3
+from roboassembly.geometry.poses import SE3
 
 
 class PlanningStatus(StrEnum):

@@ -12,10 +12,10 @@ import numpy as np
 from jaxtyping import Float
 from ompl import base
 
+from roboassembly.geometry.poses import SE3
 from roboassembly.planning.problem import Budget
 from roboassembly.planning.robot_world import RobotWorld
 from roboassembly.planning.rrt import box_around, exhaustion, run_rrt_connect
-from roboassembly.poses import SE3
 from roboassembly.robots.body import DOF, world_from_tips
 from roboassembly.robots.kinematics import arm
 from roboassembly.robots.reach import in_mount

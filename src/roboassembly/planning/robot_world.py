@@ -18,12 +18,12 @@ import numpy as np
 import pinocchio as pin
 from jaxtyping import Bool, Float
 
+from roboassembly.geometry.poses import SE3, transform_points
+from roboassembly.geometry.scene import Body, Shape
 from roboassembly.planning.world import RESOLUTION, Pool
-from roboassembly.poses import SE3, transform_points
 from roboassembly.robots.body import HAND, hand_links, links
 from roboassembly.robots.kinematics import JOINTS, arm
 from roboassembly.robots.platform import PLATFORM_FROM_MOUNT
-from roboassembly.scene import Body, Shape
 
 _OUTER_MARGINS = (0.06, 0.015)
 _OWN_MARGINS = (0.02, 0.005)

@@ -14,9 +14,9 @@ import pinocchio as pin
 from jaxtyping import Float
 from ompl import base, geometric, util
 
+from roboassembly.geometry.poses import SE3
 from roboassembly.planning.problem import Budget
 from roboassembly.planning.world import CollisionWorld
-from roboassembly.poses import SE3
 
 util.setLogLevel(util.LogLevel.LOG_NONE)
 

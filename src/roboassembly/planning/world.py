@@ -16,8 +16,8 @@ import pinocchio as pin
 from jaxtyping import Bool, Float
 
 from roboassembly.errors import InputError
-from roboassembly.poses import SE3, interpolate, poses_to_configurations, rotation_angle
-from roboassembly.scene import Scene
+from roboassembly.geometry.poses import SE3, interpolate, poses_to_configurations, rotation_angle
+from roboassembly.geometry.scene import Scene
 
 RESOLUTION = 0.002
 """Metres that the fastest point of the moving body travels between two exact tests, at most."""

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from roboassembly.meshes import Mesh
-from roboassembly.poses import SE3, transform_points
+from roboassembly.geometry.meshes import Mesh
+from roboassembly.geometry.poses import SE3, transform_points
 
 AZIMUTH = float(np.radians(130.0))
 ELEVATION = float(np.radians(-24.0))

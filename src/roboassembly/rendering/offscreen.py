@@ -11,8 +11,8 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from roboassembly.errors import ArgumentError
-from roboassembly.meshes import Mesh
-from roboassembly.poses import SE3, pose_to_seven
+from roboassembly.geometry.meshes import Mesh
+from roboassembly.geometry.poses import SE3, pose_to_seven
 from roboassembly.rendering.camera import FIELD_OF_VIEW, View
 from roboassembly.rendering.colors import BACKGROUND, FLOOR, FLOOR_LINES, Color
 from roboassembly.rendering.gl import Context, import_mujoco

@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from roboassembly.meshes import Mesh
+from roboassembly.geometry.meshes import Mesh
 
 CREASE_ANGLE = np.radians(30.0)
 

@@ -10,9 +10,9 @@ import pinocchio as pin
 import trimesh
 from jaxtyping import Float
 
-from roboassembly.gripper import hand_bodies, panda_folder
-from roboassembly.meshes import Mesh
-from roboassembly.poses import SE3, transform_points, turn_about_vertical
+from roboassembly.geometry.meshes import Mesh
+from roboassembly.geometry.poses import SE3, transform_points, turn_about_vertical
+from roboassembly.robots.gripper import hand_bodies, panda_folder
 from roboassembly.robots.kinematics import JOINTS, arm
 from roboassembly.robots.platform import CLEARANCE, HEIGHT, LENGTH, PLATFORM_FROM_MOUNT, WIDTH
 

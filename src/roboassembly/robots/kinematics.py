@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 from jaxtyping import Bool, Float
 
-from roboassembly.gripper import TIPS, panda_folder
+from roboassembly.robots.gripper import TIPS, panda_folder
 
 JOINTS = 7
 _STEPS = 12

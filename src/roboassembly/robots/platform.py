@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from roboassembly.poses import SE3
+from roboassembly.geometry.poses import SE3
 
 LENGTH, WIDTH, HEIGHT = 0.58, 0.46, 0.40
 """Metres; the length is along x, the way that the arm looks."""

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial import KDTree
 
-from roboassembly.poses import SE3
+from roboassembly.geometry.poses import SE3
 from roboassembly.robots.kinematics import JOINTS, Poses, arm
 from roboassembly.robots.platform import PLATFORM_FROM_MOUNT
 

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from roboassembly.poses import SE3, from_quaternion
+from roboassembly.geometry.poses import SE3, from_quaternion
 from roboassembly.robots.body import tip_positions
 from roboassembly.robots.kinematics import JOINTS, arm
 from roboassembly.simulation.mobile_arms import GAINS, GRIP_FORCE, NAMES, Load, lag, model_of

@@ -18,9 +18,9 @@ import pinocchio as pin
 import trimesh
 from jaxtyping import Float
 
-from roboassembly.gripper import MAX_OPENING, hand_bodies, panda_folder
-from roboassembly.meshes import Mesh
-from roboassembly.poses import SE3
+from roboassembly.geometry.meshes import Mesh
+from roboassembly.geometry.poses import SE3
+from roboassembly.robots.gripper import MAX_OPENING, hand_bodies, panda_folder
 from roboassembly.robots.kinematics import JOINTS, arm
 from roboassembly.robots.platform import HEIGHT, LENGTH, PLATFORM_FROM_MOUNT, WIDTH
 from roboassembly.simulation.model import FLOOR_FRICTION, rotation_to_quaternion

@@ -5,8 +5,8 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from roboassembly.meshes import WOOD_DENSITY
-from roboassembly.scene import Body, Scene
+from roboassembly.geometry.meshes import WOOD_DENSITY
+from roboassembly.geometry.scene import Body, Scene
 
 TIME_STEP = 0.004
 """Seconds."""

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from roboassembly.poses import SE3, from_quaternion
-from roboassembly.scene import Body, Scene
+from roboassembly.geometry.poses import SE3, from_quaternion
+from roboassembly.geometry.scene import Body, Scene
 from roboassembly.simulation.model import TIME_STEP, compile_scene
 
 MAX_SECONDS = 4.0

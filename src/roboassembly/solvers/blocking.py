@@ -14,9 +14,9 @@ import numpy as np
 from jaxtyping import Float
 
 from roboassembly.furniture.model import Furniture
+from roboassembly.geometry.poses import SE3, poses_to_configurations
+from roboassembly.geometry.scene import Body, Scene, Shape
 from roboassembly.planning.world import CollisionWorld
-from roboassembly.poses import SE3, poses_to_configurations
-from roboassembly.scene import Body, Scene, Shape
 from roboassembly.task.rules import UP_AXES
 
 _SAMPLES = (0.0015, 0.004, 0.01)

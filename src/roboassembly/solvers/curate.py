@@ -21,9 +21,9 @@ from roboassembly.furniture.datasets import (
     furniture_hash,
     manifest_path,
 )
-from roboassembly.furniture.generate import CHAIRS
+from roboassembly.generate import CHAIRS
+from roboassembly.parallel.processes import workers
 from roboassembly.planning.problem import Budget
-from roboassembly.processes import workers
 from roboassembly.solvers.prober import probe
 from roboassembly.solvers.search import SearchLimits, solve
 from roboassembly.task.object_centric import ObjectCentricTask

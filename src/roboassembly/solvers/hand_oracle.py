@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Bool
 
-from roboassembly.poses import SE3
+from roboassembly.geometry.poses import SE3
 from roboassembly.solvers.blocking import Parts
 from roboassembly.solvers.options import End, fitting
 from roboassembly.solvers.oracle import Oracle

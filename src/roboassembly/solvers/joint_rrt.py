@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from roboassembly.furniture.model import Furniture
+from roboassembly.geometry.poses import SE3
+from roboassembly.geometry.scene import Body, Scene, Shape
 from roboassembly.planning.joint import JointWorld, joint_rrt_connect
 from roboassembly.planning.problem import Budget, PlanningStatus
-from roboassembly.poses import SE3
-from roboassembly.scene import Body, Scene, Shape
 from roboassembly.task.layout import GROUND_CLEARANCE, scattered
 
 BUDGET = Budget(states=100_000)

@@ -8,7 +8,7 @@ from itertools import product
 import numpy as np
 
 from roboassembly.furniture.model import Furniture
-from roboassembly.poses import SE3
+from roboassembly.geometry.poses import SE3
 from roboassembly.solvers.disassembly import Disassembly, Parts
 from roboassembly.task.full import FullTask, Joint
 from roboassembly.task.full_plan import FullState

@@ -12,8 +12,8 @@ from scipy.spatial import ConvexHull
 from viser import BatchedMeshHandle, LineSegmentsHandle, SceneApi
 
 from roboassembly.furniture.model import MAX_POINTS, Furniture, GraspRegion
-from roboassembly.gripper import hand_pose
 from roboassembly.rendering.colors import MOVING, WAITING, Color, to_bytes
+from roboassembly.robots.gripper import hand_pose
 
 End = tuple[int, int]
 """Part and point."""

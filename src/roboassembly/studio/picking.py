@@ -14,8 +14,8 @@ import numpy as np
 from jaxtyping import Float
 
 from roboassembly.furniture.rays import Rays
-from roboassembly.meshes import Mesh
-from roboassembly.poses import SE3, transform_points
+from roboassembly.geometry.meshes import Mesh
+from roboassembly.geometry.poses import SE3, transform_points
 
 Picked = tuple[int, int | None]
 """Number of a part, and of its connection point if that was clicked on."""

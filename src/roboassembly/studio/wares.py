@@ -15,10 +15,10 @@ from pathlib import Path, PurePosixPath
 from roboassembly.errors import FurnitureError, InputError
 from roboassembly.furniture import catalogue, storage
 from roboassembly.furniture.datasets import RECIPES, Pick, manifest_path, pick
-from roboassembly.furniture.generate import FAMILIES
-from roboassembly.furniture.importers import IMPORTERS
-from roboassembly.furniture.importers.pipeline import finish
 from roboassembly.furniture.model import Furniture
+from roboassembly.generate import FAMILIES
+from roboassembly.importers import IMPORTERS
+from roboassembly.importers.pipeline import finish
 from roboassembly.studio.house import LARGEST_UPLOAD
 from roboassembly.task import plan_file
 from roboassembly.task.plan_file import Script

@@ -17,10 +17,10 @@ from jaxtyping import Float
 from roboassembly.errors import InputError
 from roboassembly.furniture.model import Furniture
 from roboassembly.furniture.rays import Rays
-from roboassembly.gripper import MAX_OPENING, HandAgainst
-from roboassembly.meshes import WOOD_DENSITY, Mesh
-from roboassembly.poses import SE3, transform_points, turn_about_vertical
-from roboassembly.scene import Body, Shape
+from roboassembly.geometry.meshes import WOOD_DENSITY, Mesh
+from roboassembly.geometry.poses import SE3, transform_points, turn_about_vertical
+from roboassembly.geometry.scene import Body, Shape
+from roboassembly.robots.gripper import MAX_OPENING, HandAgainst
 from roboassembly.task.groups import Group, center_of_mass, hull_points
 from roboassembly.task.layout import Circle
 

@@ -18,8 +18,8 @@ import numpy as np
 from jaxtyping import Float
 
 from roboassembly.furniture.model import Furniture
-from roboassembly.meshes import WOOD_DENSITY, Mesh
-from roboassembly.poses import rotation_angle
+from roboassembly.geometry.meshes import WOOD_DENSITY, Mesh
+from roboassembly.geometry.poses import rotation_angle
 from roboassembly.simulation.execution import StepPhysics
 from roboassembly.simulation.mobile_arms import Load, between_pads
 from roboassembly.simulation.model import mass_properties

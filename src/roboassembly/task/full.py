@@ -17,8 +17,8 @@ from jaxtyping import Float
 
 from roboassembly.errors import InputError
 from roboassembly.furniture.model import Furniture
+from roboassembly.geometry.poses import SE3
 from roboassembly.planning.problem import Budget
-from roboassembly.poses import SE3
 from roboassembly.task.cell import check_size, laid_out
 from roboassembly.task.full_plan import FullState, FullStep
 from roboassembly.task.groups import Group, TaskState

@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Float
 
 from roboassembly.furniture.model import SAME_POINT, ConnectionPoint, Furniture
-from roboassembly.poses import SE3, orthonormal, transform_points
-from roboassembly.scene import Body, Shape
+from roboassembly.geometry.poses import SE3, orthonormal, transform_points
+from roboassembly.geometry.scene import Body, Shape
 
 
 @dataclass(frozen=True, eq=False)

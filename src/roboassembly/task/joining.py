@@ -9,10 +9,10 @@ import numpy as np
 from jaxtyping import Float
 
 from roboassembly.furniture.model import Furniture, GraspRegion
-from roboassembly.gripper import MAX_OPENING, RETREAT, hand_bodies, hand_pose
+from roboassembly.geometry.poses import SE3
+from roboassembly.geometry.scene import Body, Scene, Shape
 from roboassembly.planning.world import CollisionWorld
-from roboassembly.poses import SE3
-from roboassembly.scene import Body, Scene, Shape
+from roboassembly.robots.gripper import MAX_OPENING, RETREAT, hand_bodies, hand_pose
 from roboassembly.task.cell import WIDER
 from roboassembly.task.groups import Group, body
 

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from roboassembly.furniture.model import Furniture
-from roboassembly.poses import SE3, turn_about_vertical
+from roboassembly.geometry.poses import SE3, turn_about_vertical
 from roboassembly.task.groups import Group, TaskState, hull_points
 
 GROUND_CLEARANCE = 1e-3

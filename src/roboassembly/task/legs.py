@@ -13,10 +13,10 @@ from itertools import product
 import numpy as np
 
 from roboassembly.furniture.model import Furniture
+from roboassembly.geometry.poses import SE3
 from roboassembly.planning.problem import Budget
 from roboassembly.planning.robot_path import Floor, Path, connect, line, path_is_free, turned_on
 from roboassembly.planning.robot_world import RobotWorld, Tally
-from roboassembly.poses import SE3
 from roboassembly.robots.body import world_from_tips
 from roboassembly.robots.reach import reach
 from roboassembly.task.cell import Cell

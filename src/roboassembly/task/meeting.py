@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
+from roboassembly.geometry.poses import SE3, align_axis, turn_about_vertical
 from roboassembly.planning.robot_path import Path, line, path_is_free
 from roboassembly.planning.robot_world import RobotWorld
-from roboassembly.poses import SE3, align_axis, turn_about_vertical
 from roboassembly.robots.kinematics import Poses
 from roboassembly.robots.reach import nearness, reach
 from roboassembly.task.groups import Group, hull_points

@@ -8,11 +8,11 @@ import numpy as np
 from jaxtyping import Float
 
 from roboassembly.furniture.model import Furniture
+from roboassembly.geometry.poses import SE3
+from roboassembly.geometry.scene import Body, Shape
 from roboassembly.planning.robot_path import Path
 from roboassembly.planning.robot_world import RobotWorld
-from roboassembly.poses import SE3
 from roboassembly.robots.body import placed, world_from_tips
-from roboassembly.scene import Body, Shape
 from roboassembly.task.cell import Stand
 from roboassembly.task.groups import Group, body
 from roboassembly.task.joining import Hold

@@ -12,11 +12,11 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from roboassembly.furniture.model import Furniture
+from roboassembly.geometry.poses import SE3, align_axis
+from roboassembly.geometry.scene import Scene
 from roboassembly.planning.mating import MatingProblem, plan_mating
 from roboassembly.planning.problem import Budget, PathResult
 from roboassembly.planning.world import CollisionWorld
-from roboassembly.poses import SE3, align_axis
-from roboassembly.scene import Scene
 from roboassembly.task.groups import Group, TaskState, body, center_of_mass, hull_points
 from roboassembly.task.layout import GROUND_CLEARANCE, Circle, footprint, free_spot, group_footprint, scattered
 from roboassembly.task.pairs import Merge, PairRule

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from roboassembly.furniture.model import Furniture, mate
-from roboassembly.poses import SE3, rotation_angle
+from roboassembly.geometry.poses import SE3, rotation_angle
 from roboassembly.task.groups import Group, TaskState
 
 POSITION_TOLERANCE = 3e-3

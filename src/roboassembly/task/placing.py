@@ -9,9 +9,9 @@ from itertools import islice
 import numpy as np
 from jaxtyping import Float
 
+from roboassembly.geometry.poses import SE3, align_axis, turn_about_vertical
 from roboassembly.planning.robot_path import Path, line, path_is_free
 from roboassembly.planning.robot_world import RobotWorld
-from roboassembly.poses import SE3, align_axis, turn_about_vertical
 from roboassembly.task.cell import Stand, free_places, on_post, open_grasps, reach_from
 from roboassembly.task.groups import Group
 from roboassembly.task.layout import group_footprint

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 from roboassembly.furniture.model import Furniture
-from roboassembly.poses import SE3
+from roboassembly.geometry.poses import SE3
 
 
 @dataclass(frozen=True, eq=False)

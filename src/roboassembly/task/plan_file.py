@@ -28,7 +28,7 @@ from typing import Any
 import msgspec
 
 from roboassembly.errors import InputError
-from roboassembly.poses import SE3, pose_to_seven
+from roboassembly.geometry.poses import SE3, pose_to_seven
 from roboassembly.task.full_plan import FullPlan, FullStep
 from roboassembly.task.groups import TaskState
 from roboassembly.task.moments import Leg, Moment

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from roboassembly.furniture.model import Furniture
-from roboassembly.poses import SE3, transform_points
+from roboassembly.geometry.poses import SE3, transform_points
 from roboassembly.task.groups import Group, body, center_of_mass, hull_points
 from roboassembly.task.layout import GROUND_CLEARANCE, Circle, footprint, free_spot
 from roboassembly.task.plan import SETTLING_INTERVAL

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from roboassembly.furniture.model import Furniture
-from roboassembly.poses import SE3, align_axis, rotation_angle
+from roboassembly.geometry.poses import SE3, align_axis, rotation_angle
 from roboassembly.task.groups import Group, center_of_mass, hull_points
 from roboassembly.task.layout import GROUND_CLEARANCE
 from roboassembly.task.pairs import PairRule

@@ -15,9 +15,9 @@ from typing import TypeVar
 import numpy as np
 
 from roboassembly.furniture.model import Furniture
+from roboassembly.geometry.poses import SE3, from_quaternion, interpolate, rotation_angle
+from roboassembly.geometry.scene import Scene
 from roboassembly.planning.world import CollisionWorld
-from roboassembly.poses import SE3, from_quaternion, interpolate, rotation_angle
-from roboassembly.scene import Scene
 from roboassembly.task.full_plan import FullPlan
 from roboassembly.task.groups import body, center_of_mass
 from roboassembly.task.plan import Plan, UprightMotion, UprightResult

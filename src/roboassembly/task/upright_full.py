@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from roboassembly.furniture.model import Furniture
-from roboassembly.poses import SE3, turn_about_vertical
+from roboassembly.geometry.poses import SE3, turn_about_vertical
 from roboassembly.robots.kinematics import Poses
 from roboassembly.robots.reach import nearness
 from roboassembly.task.full import BUDGET, FullTask

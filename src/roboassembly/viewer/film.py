@@ -12,8 +12,8 @@ from jaxtyping import UInt8
 
 from roboassembly.errors import InputError
 from roboassembly.furniture.model import Furniture
-from roboassembly.meshes import Mesh
-from roboassembly.poses import SE3, transform_points
+from roboassembly.geometry.meshes import Mesh
+from roboassembly.geometry.poses import SE3, transform_points
 from roboassembly.rendering.camera import box_corners, fit
 from roboassembly.rendering.colors import BACKGROUND, Color, part_colors, to_bytes, wood_colors
 from roboassembly.rendering.gl import RenderingUnavailableError

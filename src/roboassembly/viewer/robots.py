@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from roboassembly.poses import SE3
+from roboassembly.geometry.poses import SE3
 from roboassembly.rendering.colors import Role
 from roboassembly.robots.body import hand_links, links, placed
 from roboassembly.task.cell import Stand, post_mesh

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from viser import MeshHandle, SceneApi
 
-from roboassembly.poses import SE3, pose_to_seven
+from roboassembly.geometry.poses import SE3, pose_to_seven
 from roboassembly.rendering.colors import FLOOR_LINES, Color, to_bytes
 from roboassembly.rendering.shading import shade
 from roboassembly.viewer.timeline import Thing

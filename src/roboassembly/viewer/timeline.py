@@ -27,8 +27,8 @@ from jaxtyping import Float
 
 from roboassembly.errors import InputError
 from roboassembly.furniture.model import Furniture
-from roboassembly.meshes import Mesh
-from roboassembly.poses import SE3, from_quaternion, interpolate, rotation_angle, transform_points
+from roboassembly.geometry.meshes import Mesh
+from roboassembly.geometry.poses import SE3, from_quaternion, interpolate, rotation_angle, transform_points
 from roboassembly.rendering.colors import Role
 from roboassembly.task.plan import SETTLING_INTERVAL, Plan, PlanStep, UprightResult
 

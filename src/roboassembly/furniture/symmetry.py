@@ -1,0 +1,245 @@
+"""Which rotations lay one shape onto another: parts that are alike, and the symmetries of one part.
+
+Only proper rotations count: a mirror image is a different part.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial import KDTree
+from scipy.spatial.transform import Rotation
+
+from roboassembly.geometry.meshes import Mesh, distance_to
+
+TOLERANCE = 1e-4
+"""Metres: shapes whose corners agree to this are alike. Below the smallest gap at a mating face."""
+MAX_SYMMETRIES = 64
+"""A finer turned part is taken as having this many turns at most; more would only cost time."""
+_BENT = 1e-5
+"""Least spread of the normals at a corner; a bend of 0.3° counts, the rounding of a flat face does not."""
+_MAX_CANDIDATES, _MAX_FITS = 4096, 400
+_AT_ONCE = 64
+"""Corners whose distances to all others are measured in one go."""
+_PAIRS = 5
+"""Pairs of corners that candidates come from."""
+_REACH, _SLACK = 1e-3, 3e-4
+"""Metres beyond the tolerance: of corners before the fit, because two corners alone turn a shape by a little too much
+or too little, and of the walls of bores, which files draw in the same place only so well; and of distances between
+corners."""
+_CLOSER = 3.0
+"""Times the tolerance: how near corners are to each other that settle a fit."""
+_SAME_START, _SAME_ROTATION = 0.003, 0.01
+"""Candidates whose matrices differ by less are fitted once. Largest difference of two matrices of one rotation; the
+turns of the finest shape are seven times as far apart."""
+_FEW, _MAX_EDGES = 200, 2000
+"""Corners that are looked at first; edges from odd ones that are looked at."""
+_SAME_CORNER = 1e-6
+"""Metres between a vertex and the corner that it is, which was rounded."""
+_MATCHED = 0.5
+"""Least share of the corners that have to lie at corners of the other shape."""
+
+
+def feature_vertices(mesh: Mesh) -> Float[np.ndarray, "k 3"]:
+    """Corners of the surface: vertices whose adjacent faces point in three independent directions.
+
+    Vertices inside a flat face or along a straight edge depend on the triangulation and not on the shape, so they
+    are left out.
+    """
+    corners, vertex_of = np.unique(np.round(mesh.vertices / 1e-7).astype(np.int64), axis=0, return_inverse=True)
+    vertex_of = vertex_of.reshape(-1)[mesh.faces]
+    a, b, c = (mesh.vertices[mesh.faces[:, i]] for i in range(3))
+    normals = np.cross(b - a, c - a)
+    length = np.linalg.norm(normals, axis=1)
+    keep = length > 1e-12
+    normals, vertex_of = normals[keep] / length[keep, None], vertex_of[keep]
+    scatter = np.zeros((len(corners), 3, 3))
+    outer = normals[:, :, None] * normals[:, None, :]
+    for column in range(3):
+        np.add.at(scatter, vertex_of[:, column], outer)
+    spread = np.linalg.eigvalsh(scatter)
+    features = corners[spread[:, 0] > _BENT] * 1e-7
+    return features if len(features) >= 4 else mesh.hull_vertices
+
+
+def rotations_onto(source: Mesh, target: Mesh, tolerance: float = TOLERANCE) -> Float[np.ndarray, "n 3 3"]:
+    """Every rotation about the origin that lays `source` onto `target`, smallest angle first.
+
+    Both meshes have their centre of mass at the origin of their frame. Shapes agree when each corner of one lies
+    within `tolerance` metres of a corner of the other or, as cuts leave some corners that are none, of its surface.
+    """
+    if abs(source.radius - target.radius) > tolerance + 1e-3 * source.radius:
+        return np.empty((0, 3, 3))
+    if abs(source.volume - target.volume) > 0.01 * source.volume:
+        return np.empty((0, 3, 3))
+    a, b = feature_vertices(source), feature_vertices(target)
+    candidates = _candidate_rotations(a, b, tolerance)
+    if not len(candidates):
+        return candidates
+    tree_a, tree_b = KDTree(a), KDTree(b)
+    few, probe = _few(a), a[np.linspace(0, len(a) - 1, min(len(a), 12)).astype(int)]
+    most = tolerance + _REACH
+    reach, _ = tree_b.query(np.einsum("cij,pj->cpi", candidates, probe), distance_upper_bound=most)
+    found: list[np.ndarray] = []
+    hopeful = np.flatnonzero((reach < most).mean(axis=1) > _MATCHED)
+    # The closest come first, lest one that is a little off stands for one that is not.
+    off = np.minimum(reach[hopeful], most).mean(axis=1)
+    left = candidates[hopeful[np.argsort(np.round(off, 6), kind="stable")]]
+    fits = 0
+    while len(left) and fits < _MAX_FITS:
+        rotation = left[0]
+        left = left[np.abs(left - rotation).max(axis=(1, 2)) > _SAME_START]
+        if _among(rotation, found, probe, tolerance):
+            continue
+        fits += 1
+        matrix = _fitted(rotation, few, b, tree_b, tolerance)
+        if matrix is None or _among(matrix, found, probe, tolerance):
+            continue
+        if len(few) < len(a):
+            # Shapes that were scanned have thousands of corners: most rotations are refused by some of them.
+            if not _near(few @ matrix.T, tree_b, target, 2.0 * tolerance):
+                continue
+            matrix = _fitted(matrix, a, b, tree_b, tolerance)
+            if matrix is None:
+                continue
+        if _lies_on(source, a, matrix, tree_b, target, tolerance) and _lies_on(
+            target, b, matrix.T, tree_a, source, tolerance
+        ):
+            found.append(matrix)
+    if not found:
+        return np.empty((0, 3, 3))
+    angles = np.linalg.norm(Rotation.from_matrix(np.array(found)).as_rotvec(), axis=1)
+    order = np.argsort(np.round(angles, 6), kind="stable")[:MAX_SYMMETRIES]
+    return np.array(found)[order]
+
+
+def _among(
+    rotation: Float[np.ndarray, "3 3"], found: list[np.ndarray], probe: Float[np.ndarray, "n 3"], tolerance: float
+) -> bool:
+    """Whether a rotation was found before, but for what a fit may be off by."""
+    if not found:
+        return False
+    apart = rotation - np.array(found)
+    moved = np.linalg.norm(np.einsum("fij,pj->fpi", apart, probe), axis=2).max(axis=1)
+    return bool((np.abs(apart).max(axis=(1, 2)) < _SAME_ROTATION).any() or (moved < _CLOSER * tolerance).any())
+
+
+def _fitted(
+    rotation: Float[np.ndarray, "3 3"], a: Float[np.ndarray, "n 3"], b: Float[np.ndarray, "m 3"], corners: KDTree,
+    tolerance: float,
+) -> Float[np.ndarray, "3 3"] | None:  # fmt: skip
+    """The rotation that lays corners of `a` best onto those of `b` near them, and then on those that are nearest."""
+    for reach in (tolerance + _REACH, min(tolerance + _REACH, _CLOSER * tolerance)):
+        distance, mate = corners.query(a @ rotation.T, distance_upper_bound=reach)
+        near = np.isfinite(distance)
+        if np.mean(near) < _MATCHED:
+            return None
+        rotation = Rotation.align_vectors(b[np.asarray(mate)[near]], a[near])[0].as_matrix()
+    return rotation
+
+
+def _near(points: Float[np.ndarray, "n 3"], corners: KDTree, mesh: Mesh, tolerance: float) -> bool:
+    """Whether all points lie at corners of a mesh, or on its surface."""
+    odd = points[~np.isfinite(corners.query(points, distance_upper_bound=tolerance)[0])]
+    return all(distance_to(mesh.bvh, point) <= tolerance for point in odd)
+
+
+def _few(points: Float[np.ndarray, "n 3"], most: int = _FEW) -> Float[np.ndarray, "m 3"]:
+    """So many of them at most, evenly."""
+    return points if len(points) <= most else points[np.linspace(0, len(points) - 1, most).astype(int)]
+
+
+def _lies_on(
+    moved: Mesh, own: Float[np.ndarray, "n 3"], rotation: Float[np.ndarray, "3 3"], corners: KDTree, mesh: Mesh,
+    tolerance: float,
+) -> bool:  # fmt: skip
+    """Whether all corners of a shape, turned, lie at corners of a mesh, or on its surface with their edges."""
+    if not _near(_few(own) @ rotation.T, corners, mesh, tolerance):
+        return False
+    odd = own[~np.isfinite(corners.query(own @ rotation.T, distance_upper_bound=tolerance)[0])]
+    if len(odd) > (1.0 - _MATCHED) * len(own):
+        return False
+    if any(distance_to(mesh.bvh, point) > tolerance for point in odd @ rotation.T):
+        return False
+    # The rims of a bore lie on a plain board's faces: what tells is the wall between them.
+    middles = _edges(moved, odd) @ rotation.T
+    # Where triangles are small a vertex is near enough, which is quicker to tell.
+    far = ~np.isfinite(KDTree(mesh.vertices).query(middles, distance_upper_bound=tolerance + _REACH)[0])
+    return all(distance_to(mesh.bvh, point) <= tolerance + _REACH for point in middles[far])
+
+
+def _edges(mesh: Mesh, corners: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "m 3"]:
+    """Middles of the edges that some corners of a mesh have, `_MAX_EDGES` at most."""
+    if not len(corners):
+        return np.empty((0, 3))
+    there = KDTree(corners).query(mesh.vertices, distance_upper_bound=_SAME_CORNER)[0] < _SAME_CORNER
+    edges = np.concatenate([mesh.faces[:, [k, k - 1]] for k in range(3)])
+    edges = np.unique(np.sort(edges[there[edges].any(axis=1)], axis=1), axis=0)
+    return _few(mesh.vertices[edges].mean(axis=1), _MAX_EDGES)
+
+
+def symmetries(mesh: Mesh, tolerance: float = TOLERANCE) -> Float[np.ndarray, "n 3 3"]:
+    """Rotations about the centre of mass that map the shape to itself; the identity first, exactly."""
+    rotations = rotations_onto(mesh, mesh, tolerance)
+    rotations = (
+        rotations[[not np.allclose(r, np.eye(3), atol=1e-3) for r in rotations]] if len(rotations) else rotations
+    )
+    return np.concatenate([np.eye(3)[None], rotations])
+
+
+def _candidate_rotations(
+    a: Float[np.ndarray, "n 3"], b: Float[np.ndarray, "m 3"], tolerance: float
+) -> Float[np.ndarray, "c 3 3"]:
+    """Rotations that take two well-chosen corners of `a` to corners of `b` at the same radii and distance.
+
+    Two of them may be corners that are none, as cuts leave some: a few other pairs have their say as well.
+    """
+    radius_a, radius_b = np.linalg.norm(a, axis=1), np.linalg.norm(b, axis=1)
+    slack = tolerance + _SLACK
+    likely = np.array([(np.abs(radius_b - r) < slack).sum() for r in radius_a], dtype=float)
+    # A corner without a mate says nothing.
+    likely[likely == 0] = np.inf
+    far = radius_a > 0.5 * radius_a.max()
+    firsts = np.lexsort((-radius_a, np.where(far, likely, np.inf)))
+    firsts = firsts[: max(1, int((far & np.isfinite(likely)).sum()))]
+    out = []
+    for first in firsts[np.unique(np.linspace(0, len(firsts) - 1, _PAIRS).astype(int))]:
+        lever = np.linalg.norm(np.cross(a, a[first]), axis=1) / radius_a[first]
+        good = lever > 0.5 * lever.max()
+        seconds = np.lexsort((-lever, np.where(good, likely, np.inf)))
+        second = seconds[0] if not out else seconds[int((good & np.isfinite(likely)).sum()) // 2]
+        out.append(_taking(a[first], a[second], b, radius_b, slack))
+    return np.concatenate(out)
+
+
+def _taking(
+    one: Float[np.ndarray, "3"], two: Float[np.ndarray, "3"], b: Float[np.ndarray, "m 3"],
+    radius_b: Float[np.ndarray, "m"], slack: float,
+) -> Float[np.ndarray, "c 3 3"]:  # fmt: skip
+    """Rotations that take two points to corners of `b` at the same radii and distance."""
+    span = np.linalg.norm(one - two)
+    first_mates = np.flatnonzero(np.abs(radius_b - np.linalg.norm(one)) < slack)
+    second_mates = np.flatnonzero(np.abs(radius_b - np.linalg.norm(two)) < slack)
+    ends = [np.empty((0, 2), int)]
+    # On a ball every corner is a mate: all pairs of them would be gigabytes.
+    for begin in range(0, len(first_mates), _AT_ONCE):
+        some = first_mates[begin : begin + _AT_ONCE]
+        distance = np.linalg.norm(b[some][:, None] - b[second_mates][None], axis=2)
+        i, j = np.nonzero(np.abs(distance - span) < 2 * slack)
+        ends.append(np.stack([some[i], second_mates[j]], axis=1))
+        if sum(map(len, ends)) >= _MAX_CANDIDATES:
+            break
+    pairs = np.concatenate(ends)[:_MAX_CANDIDATES]
+    frame_a = _frames(one[None], two[None])[0]
+    frames_b = _frames(b[pairs[:, 0]], b[pairs[:, 1]])
+    rotations = frames_b @ frame_a.T
+    return rotations[np.isfinite(rotations).all(axis=(1, 2))]
+
+
+def _frames(p: Float[np.ndarray, "n 3"], q: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3 3"]:
+    """Right-handed frames with x along p and z along p × q."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        x = p / np.linalg.norm(p, axis=1, keepdims=True)
+        z = np.cross(p, q)
+        z /= np.linalg.norm(z, axis=1, keepdims=True)
+    return np.stack([x, np.cross(z, x), z], axis=2)

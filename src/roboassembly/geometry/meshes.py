@@ -1,0 +1,272 @@
+"""A triangle mesh that has been looked at: finite, indexed, with area."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import coal
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.spatial import ConvexHull, QhullError
+from scipy.spatial.transform import Rotation
+
+from roboassembly.errors import FurnitureError
+from roboassembly.geometry.poses import SE3, transform_points
+
+if TYPE_CHECKING:
+    import trimesh
+
+MAX_FACES = 2_000_000
+_GRAINS = (0.0, 1e-5, 1e-4)
+"""Metres that corners of a hull are rounded to, the next where tumbling it comes to nothing: of hundreds of corners
+that all but lie in a plane trimesh makes triangles that do not close."""
+WOOD_DENSITY = 600.0
+"""kg/m³: beech and oak are 600 to 750, pine 500."""
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """Triangles in metres. Vertices that no face uses are left out, and the others rounded to 32-bit floats, so that a
+    saved mesh loads back identical.
+
+    Compared and hashed by identity: two parts share a mesh when they share the object.
+
+    Raises:
+        FurnitureError: wrong shapes, non-finite vertices, face indices out of range, no faces, or no area.
+    """
+
+    vertices: Float[np.ndarray, "v 3"]
+    """Metres, in whatever frame the owner says (a part's: its centre of mass)."""
+    faces: Int[np.ndarray, "f 3"]
+    """Vertex indices, counter-clockwise seen from outside."""
+
+    def __post_init__(self) -> None:
+        vertices = np.asarray(np.asarray(self.vertices, dtype=np.float32), dtype=np.float64)
+        faces = np.array(self.faces, dtype=np.int64)
+        if faces.size == 0:
+            raise FurnitureError("mesh has no faces; a part needs at least four triangles")
+        if vertices.ndim != 2 or vertices.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3:
+            raise FurnitureError(
+                f"mesh arrays have shapes {vertices.shape} and {faces.shape}; (v, 3) and (f, 3) would do"
+            )
+        if len(faces) > MAX_FACES:
+            raise FurnitureError(f"mesh has {len(faces)} faces; at most {MAX_FACES} are accepted, simplify it first")
+        bad = ~np.isfinite(vertices).all(axis=1)
+        if bad.any():
+            raise FurnitureError(f"mesh vertex {int(np.flatnonzero(bad)[0])} is not finite (NaN or infinity)")
+        if faces.min() < 0 or faces.max() >= len(vertices):
+            wrong = int(faces.min() if faces.min() < 0 else faces.max())
+            raise FurnitureError(f"mesh face refers to vertex {wrong}, but there are {len(vertices)} vertices")
+        used, renumbered = np.unique(faces, return_inverse=True)
+        if len(used) < len(vertices):
+            vertices, faces = vertices[used], renumbered.reshape(faces.shape)
+        edges = vertices[faces]
+        area = 0.5 * np.linalg.norm(np.cross(edges[:, 1] - edges[:, 0], edges[:, 2] - edges[:, 0]), axis=1).sum()
+        if not area > 1e-10:
+            raise FurnitureError(f"mesh has zero area ({area:.3g} m²)")
+        vertices.setflags(write=False)
+        faces.setflags(write=False)
+        object.__setattr__(self, "vertices", vertices)
+        object.__setattr__(self, "faces", faces)
+
+    @classmethod
+    def from_trimesh(cls, mesh: trimesh.Trimesh) -> Mesh:
+        """Copy the vertices and faces of a `trimesh.Trimesh`."""
+        return cls(np.array(mesh.vertices), np.array(mesh.faces))
+
+    @cached_property
+    def trimesh(self) -> trimesh.Trimesh:
+        """The same triangles as a `trimesh.Trimesh`, unprocessed: do not change it."""
+        import trimesh  # takes 0.3 s, and an import that was done before needs none
+
+        return trimesh.Trimesh(self.vertices, self.faces, process=False)
+
+    @cached_property
+    def is_solid(self) -> bool:
+        """Closed, consistently wound, facing outward: its volume integrals mean something."""
+        return bool(self.trimesh.is_volume and self.trimesh.volume > 0)
+
+    @cached_property
+    def hull(self) -> trimesh.Trimesh:
+        """Convex hull.
+
+        Raises:
+            FurnitureError: the mesh is flat, so that it has no hull with volume.
+        """
+        import trimesh
+
+        try:
+            hull = ConvexHull(self.vertices)
+        except QhullError:
+            raise FurnitureError("mesh is flat: it encloses no volume; give the part a thickness") from None
+        a, b, c = (self.vertices[hull.simplices[:, i]] for i in range(3))
+        inward = np.einsum("ij,ij->i", np.cross(b - a, c - a), hull.equations[:, :3]) < 0
+        simplices = np.where(inward[:, None], hull.simplices[:, ::-1], hull.simplices)
+        used, faces = np.unique(simplices, return_inverse=True)
+        return trimesh.Trimesh(self.vertices[used], faces.reshape(-1, 3), process=False)
+
+    @cached_property
+    def hull_vertices(self) -> Float[np.ndarray, "h 3"]:
+        """Corners of the convex hull: enough to find the lowest point in any orientation."""
+        return np.array(self.hull.vertices)
+
+    @cached_property
+    def _mass_source(self) -> trimesh.Trimesh:
+        return self.trimesh if self.is_solid else self.hull
+
+    @cached_property
+    def volume(self) -> float:
+        """Cubic metres; of the convex hull where the mesh is not solid."""
+        return float(self._mass_source.volume)
+
+    @cached_property
+    def center_of_mass(self) -> Float[np.ndarray, "3"]:
+        """Uniform density; of the convex hull where the mesh is not solid."""
+        return np.array(self._mass_source.center_mass)
+
+    @cached_property
+    def inertia(self) -> Float[np.ndarray, "3 3"]:
+        """About the centre of mass, m⁵ (times density: kg·m²); of the convex hull where the mesh is not solid."""
+        return np.array(self._mass_source.moment_inertia)
+
+    @cached_property
+    def long_axis(self) -> Float[np.ndarray, "3"]:
+        """Unit vector about which the moment of inertia is smallest."""
+        return np.linalg.eigh(self.inertia)[1][:, 0]
+
+    @cached_property
+    def thickness(self) -> float:
+        """Metres between the nearest two parallel planes that hold the mesh, one of them along a face of its hull."""
+        # Slivers of the hull have no normal.
+        normals = self.hull.face_normals[np.linalg.norm(self.hull.face_normals, axis=1) > 0.5]
+        heights = self.hull_vertices @ normals.T
+        return float((heights.max(axis=0) - heights.min(axis=0)).min())
+
+    @cached_property
+    def resting_rotations(self) -> tuple[Float[np.ndarray, "n 3 3"], Float[np.ndarray, "n"]]:
+        """Orientations in which it rests on the ground, and how likely each is when it is dropped anyhow.
+
+        Quasi-static tumbling of the convex hull (Goldberg et al. 1999, "Part Pose Statistics: Estimators and
+        Experiments"), as trimesh computes it.
+        """
+        import trimesh
+
+        for grain in _GRAINS:
+            hull = trimesh.Trimesh(np.round(self.hull_vertices / grain) * grain).convex_hull if grain else self.hull
+            # Slivers of a hull make trimesh divide by zero; their poses come out as NaN and are dropped here.
+            with np.errstate(invalid="ignore", divide="ignore"):
+                transforms, likely = trimesh.poses.compute_stable_poses(
+                    hull, center_mass=self.center_of_mass, sigma=0.0, n_samples=1, threshold=0.0
+                )
+            likely, transforms = np.asarray(likely), np.reshape(transforms, (-1, 4, 4))
+            usable = np.isfinite(transforms).all(axis=(1, 2)) & np.isfinite(likely) & (likely > 0)
+            if usable.any():
+                # trimesh's rotations are orthonormal to about 1e-6 only.
+                rotations = Rotation.from_matrix(transforms[usable, :3, :3]).as_matrix()
+                return rotations, likely[usable] / likely[usable].sum()
+        return np.eye(3)[None], np.ones(1)
+
+    @cached_property
+    def bounds(self) -> Float[np.ndarray, "2 3"]:
+        """Axis-aligned box: lowest and highest corner."""
+        return np.array([self.vertices.min(axis=0), self.vertices.max(axis=0)])
+
+    @cached_property
+    def radius(self) -> float:
+        """Distance of the farthest vertex from the origin of the mesh's frame."""
+        return float(np.linalg.norm(self.vertices, axis=1).max())
+
+    @cached_property
+    def content_hash(self) -> str:
+        """Hash of vertices and faces, for caches and manifests."""
+        digest = hashlib.sha256(self.vertices.astype("<f4").tobytes())
+        digest.update(self.faces.astype("<i4").tobytes())
+        return digest.hexdigest()[:16]
+
+    @cached_property
+    def bvh(self) -> coal.BVHModelOBBRSS:
+        """The exact triangles as a bounding-volume hierarchy: a surface, without an inside."""
+        return hierarchy(self.vertices, self.faces[have_area(self.vertices, self.faces)])
+
+    @cached_property
+    def convex(self) -> coal.ConvexBase:
+        """The convex hull as a solid."""
+        model = Mesh.from_trimesh(self.hull).bvh
+        model.buildConvexHull(True, "Qt")
+        return model.convex
+
+    def contains(self, point: Float[np.ndarray, "3"]) -> bool:
+        """Whether a point of the mesh's frame, not on the surface, lies inside.
+
+        By the solid angle that the surface fills as seen from the point (Van Oosterom and Strackee 1983); an open
+        surface counts as closed where it fills more than half.
+        """
+        if (point < self.bounds[0]).any() or (point > self.bounds[1]).any():
+            return False
+        a, b, c = (self.vertices[self.faces[:, i]] - point for i in range(3))
+        la, lb, lc = (np.linalg.norm(v, axis=1) for v in (a, b, c))
+        triple = np.einsum("ij,ij->i", a, np.cross(b, c))
+        ab, bc, ca = (np.einsum("ij,ij->i", u, v) for u, v in ((a, b), (b, c), (c, a)))
+        angle = 2.0 * np.arctan2(triple, la * lb * lc + ab * lc + bc * la + ca * lb)
+        return bool(abs(angle.sum()) > 2.0 * np.pi)
+
+    def transformed(self, pose: SE3) -> Mesh:
+        """The mesh with every vertex moved by `pose`."""
+        return Mesh(transform_points(pose, self.vertices), self.faces)
+
+
+@dataclass(frozen=True, eq=False)
+class Witness:
+    """The nearest points of two meshes."""
+
+    distance: float
+    """Metres; 0 when they touch or penetrate."""
+    point_a: Float[np.ndarray, "3"]
+    point_b: Float[np.ndarray, "3"]
+
+
+_POINT = coal.Sphere(1e-9)
+_LINE = 1e-9
+"""Height over longest edge of triangles that are taken as lines."""
+
+
+def have_area(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> Bool[np.ndarray, "f"]:
+    """Which triangles are more than a line: cuts and rounding leave some that are none, between longer neighbours."""
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    longest = np.max([((b - a) ** 2).sum(axis=1), ((c - b) ** 2).sum(axis=1), ((a - c) ** 2).sum(axis=1)], axis=0)
+    return np.linalg.norm(np.cross(b - a, c - a), axis=1) > _LINE * longest
+
+
+def hierarchy(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> coal.BVHModelOBBRSS:
+    """Triangles as a bounding-volume hierarchy."""
+    model = coal.BVHModelOBBRSS()
+    model.beginModel(len(faces), len(vertices))
+    model.addVertices(vertices)
+    model.addTriangles(faces)
+    model.endModel()
+    return model
+
+
+def distance_to(model: coal.BVHModelOBBRSS, point: Float[np.ndarray, "3"]) -> float:
+    """Metres from a point to the nearest triangle, inside as outside.
+
+    All triangles must have area: of one that has none coal 3.0.3 says that it touches every sphere.
+    """
+    place = coal.Transform3s(np.eye(3), np.asarray(point, dtype=float))
+    request, result = coal.DistanceRequest(), coal.DistanceResult()
+    return abs(float(coal.distance(model, coal.Transform3s.Identity(), _POINT, place, request, result)))
+
+
+def nearest_points(a: Mesh, b: Mesh) -> Witness:
+    """Exact distance between two surfaces given in the same frame, and where it is attained."""
+    here = coal.Transform3s.Identity()
+    request, hit = coal.CollisionRequest(), coal.CollisionResult()
+    if coal.collide(a.bvh, here, b.bvh, here, request, hit):
+        point = np.array(hit.getContact(0).pos) if hit.numContacts() else np.array(a.center_of_mass)
+        return Witness(0.0, point, point)
+    result = coal.DistanceResult()
+    distance = coal.distance(a.bvh, here, b.bvh, here, coal.DistanceRequest(), result)
+    return Witness(float(distance), np.array(result.getNearestPoint1()), np.array(result.getNearestPoint2()))

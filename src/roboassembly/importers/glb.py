@@ -1,0 +1,282 @@
+"""Binary glTF 2.0: the nodes of its scene that bear triangles, named, in the scene's frame (y up, metres)."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+import numpy as np
+from jaxtyping import Float
+
+from roboassembly.errors import FurnitureError, InputError
+from roboassembly.geometry.meshes import MAX_FACES
+from roboassembly.geometry.poses import rotation_from_quaternion
+from roboassembly.importers.files import decode_json, one_line, read_bytes
+from roboassembly.importers.triangles import NamedTriangles, Triangles, combine, unique_names
+
+MAX_NODES = 20_000
+MAX_NODE_DEPTH = 256
+MAX_NUMBERS = 4 * MAX_FACES
+"""Points and corners that the primitives of one mesh name together."""
+_TOO_MANY = f"a mesh lists more than {MAX_NUMBERS} points and corners; simplify it first"
+
+_JSON, _BIN = 0x4E4F534A, 0x004E4942
+_COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+_HARMLESS = ("KHR_materials_", "KHR_texture_", "EXT_texture_", "KHR_lights_", "KHR_mesh_quantization", "KHR_xmp")
+"""Extensions that a reader of triangles may not know, though a file requires them."""
+
+
+class _Node(msgspec.Struct, frozen=True):
+    name: str = ""
+    mesh: int | None = None
+    children: list[int] = []
+    matrix: list[float] | None = None
+    translation: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    rotation: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
+    scale: tuple[float, float, float] = (1.0, 1.0, 1.0)
+
+
+class _Primitive(msgspec.Struct, frozen=True):
+    attributes: dict[str, int]
+    indices: int | None = None
+    mode: int = 4
+
+
+class _Mesh(msgspec.Struct, frozen=True):
+    primitives: list[_Primitive]
+    name: str = ""
+
+
+class _Accessor(msgspec.Struct, frozen=True):
+    component: int = msgspec.field(name="componentType")
+    count: int
+    type: str
+    view: int | None = msgspec.field(name="bufferView", default=None)
+    offset: int = msgspec.field(name="byteOffset", default=0)
+    normalized: bool = False
+    sparse: dict[str, object] | None = None
+
+
+class _View(msgspec.Struct, frozen=True):
+    buffer: int
+    length: int = msgspec.field(name="byteLength")
+    offset: int = msgspec.field(name="byteOffset", default=0)
+    stride: int | None = msgspec.field(name="byteStride", default=None)
+
+
+class _Scene(msgspec.Struct, frozen=True):
+    nodes: list[int] = []
+
+
+class _Document(msgspec.Struct, frozen=True):
+    nodes: list[_Node] = []
+    meshes: list[_Mesh] = []
+    accessors: list[_Accessor] = []
+    views: list[_View] = msgspec.field(name="bufferViews", default=[])
+    scenes: list[_Scene] = []
+    scene: int = 0
+    required: list[str] = msgspec.field(name="extensionsRequired", default=[])
+
+
+@dataclass(frozen=True, eq=False)
+class _Placed:
+    """A node that bears a mesh, and the part it belongs to."""
+
+    part: int
+    """Index of the node that names the part."""
+    mesh: int
+    scene_from_node: Float[np.ndarray, "4 4"]
+
+
+def read_glb(path: Path) -> list[NamedTriangles]:
+    """Each named node that bears triangles as a part; nodes without a name belong to the nearest named one above.
+
+    Raises:
+        FurnitureError: not GLB 2, broken, a hierarchy that loops, compressed meshes, or too large; names the file.
+    """
+    try:
+        return _read(read_bytes(path))
+    except FurnitureError as problem:
+        text = str(problem)
+        raise FurnitureError(text if text.startswith("'") else f"'{path}' cannot be read as GLB: {text}") from None
+    except (ValueError, IndexError, struct.error, OverflowError) as problem:
+        raise FurnitureError(f"'{path}' cannot be read as GLB: {one_line(str(problem))}") from None
+
+
+def count_parts(path: Path) -> int:
+    """How many parts `read_glb` would find; 0 for a file that cannot be read."""
+    try:
+        document, _ = _chunks(read_bytes(path))
+        return len({placed.part for placed in _walk(document)})
+    except (FurnitureError, ValueError, IndexError, struct.error, OverflowError):
+        return 0
+
+
+def _read(data: bytes) -> list[NamedTriangles]:
+    document, binary = _chunks(data)
+    strange = [name for name in document.required if not name.startswith(_HARMLESS)]
+    if strange:
+        raise FurnitureError(f"it requires {one_line(strange[0], 60)}; export it without compression or extensions")
+    meshes: dict[int, Triangles] = {}
+    owned: dict[int, list[Triangles]] = {}
+    total = 0
+    for placed in _walk(document):
+        if placed.mesh not in meshes:
+            meshes[placed.mesh] = _mesh(document, binary, placed.mesh)
+        total += len(meshes[placed.mesh].faces)
+        if total > MAX_FACES:
+            raise FurnitureError(f"it has more than {MAX_FACES} faces; simplify it first")
+        owned.setdefault(placed.part, []).append(meshes[placed.mesh].moved(placed.scene_from_node))
+    names = unique_names([_name(document, node) for node in owned])
+    return [NamedTriangles(name, combine(pieces)) for name, pieces in zip(names, owned.values(), strict=True)]
+
+
+def _name(document: _Document, node: int) -> str:
+    own = document.nodes[node]
+    mesh = document.meshes[own.mesh].name if own.mesh is not None else ""
+    return one_line(own.name or mesh or f"node_{node}", 80)
+
+
+def _chunks(data: bytes) -> tuple[_Document, bytes]:
+    """The JSON chunk, decoded, and the binary one."""
+    if len(data) < 20 or data[:4] != b"glTF":
+        raise FurnitureError("it does not begin with 'glTF'")
+    version, length = struct.unpack_from("<II", data, 4)
+    if version != 2:
+        raise FurnitureError(f"it is version {version}; 2 would do")
+    if length > len(data):
+        raise FurnitureError(f"it ends after {len(data)} of {length} bytes")
+    at, document, binary = 12, None, b""
+    while at + 8 <= length:
+        size, kind = struct.unpack_from("<II", data, at)
+        if at + 8 + size > length:
+            raise FurnitureError("a chunk ends beyond the file")
+        body = data[at + 8 : at + 8 + size]
+        if kind == _JSON and document is None:
+            document = decode_json(body, _Document, "its JSON")
+        elif kind == _BIN and not binary:
+            binary = body
+        at += 8 + size
+    if document is None:
+        raise FurnitureError("it has no JSON chunk")
+    return document, binary
+
+
+def _walk(document: _Document) -> list[_Placed]:
+    """The scene's mesh-bearing nodes, in order, each node met once.
+
+    Raises:
+        FurnitureError: a node that is reached twice, missing nodes, too many, or too deep.
+    """
+    if document.scenes:
+        if not 0 <= document.scene < len(document.scenes):
+            raise FurnitureError(f"scene {document.scene} is not there")
+        roots = document.scenes[document.scene].nodes
+    else:
+        below = {child for node in document.nodes for child in node.children}
+        roots = [k for k in range(len(document.nodes)) if k not in below]
+    if len(document.nodes) > MAX_NODES:
+        raise FurnitureError(f"it has {len(document.nodes)} nodes; at most {MAX_NODES} are accepted")
+    out: list[_Placed] = []
+    met: set[int] = set()
+    stack = [(index, np.eye(4), -1, 0) for index in reversed(roots)]
+    while stack:
+        index, above, owner, depth = stack.pop()
+        if not 0 <= index < len(document.nodes):
+            raise FurnitureError(f"node {index} is not there")
+        if index in met:
+            raise FurnitureError(f"node {index} is reached twice: the hierarchy loops or shares nodes")
+        if depth > MAX_NODE_DEPTH:
+            raise FurnitureError(f"its nodes are nested deeper than {MAX_NODE_DEPTH}")
+        met.add(index)
+        node = document.nodes[index]
+        here = above @ _local(node, index)
+        owner = index if node.name or owner < 0 else owner
+        if node.mesh is not None:
+            if not 0 <= node.mesh < len(document.meshes):
+                raise FurnitureError(f"mesh {node.mesh} is not there")
+            out.append(_Placed(owner, node.mesh, here))
+        # An unnamed node at the top owns nothing but itself: what hangs below it is named apart.
+        below = owner if document.nodes[owner].name else -1
+        stack.extend((child, here, below, depth + 1) for child in reversed(node.children))
+    return out
+
+
+def _local(node: _Node, index: int) -> Float[np.ndarray, "4 4"]:
+    """`parent_from_node`."""
+    if node.matrix is not None:
+        if len(node.matrix) != 16:
+            raise FurnitureError(f"node {index} has a matrix of {len(node.matrix)} numbers; 16 would do")
+        return np.array(node.matrix, dtype=float).reshape(4, 4).T
+    x, y, z, w = node.rotation
+    out = np.eye(4)
+    try:
+        out[:3, :3] = rotation_from_quaternion((w, x, y, z)) * np.array(node.scale)
+    except InputError as problem:
+        raise FurnitureError(f"node {index}: {problem}") from None
+    out[:3, 3] = node.translation
+    return out
+
+
+def _mesh(document: _Document, binary: bytes, index: int) -> Triangles:
+    pieces = []
+    numbers = 0
+    for primitive in document.meshes[index].primitives:
+        if "POSITION" not in primitive.attributes or primitive.mode < 4:
+            continue
+        points = _accessor(document, binary, primitive.attributes["POSITION"], "VEC3").reshape(-1, 3).astype(float)
+        if primitive.indices is None:
+            order = np.arange(len(points))
+        else:
+            order = _accessor(document, binary, primitive.indices, "SCALAR").reshape(-1).astype(np.int64)
+        # Many small primitives may all name the same large lists.
+        numbers += len(points) + len(order)
+        if numbers > MAX_NUMBERS:
+            raise FurnitureError(_TOO_MANY)
+        pieces.append(Triangles(points, _faces(order, primitive.mode)))
+    return combine(pieces)
+
+
+def _faces(order: np.ndarray, mode: int) -> np.ndarray:
+    if mode == 4:
+        if len(order) % 3:
+            raise FurnitureError(f"a mesh has {len(order)} corners, which is no multiple of three")
+        return order.reshape(-1, 3)
+    if mode not in (5, 6):
+        raise FurnitureError(f"primitive mode {mode} is not known; triangles would do")
+    if mode == 6:
+        return np.column_stack([np.full(max(len(order) - 2, 0), order[0]), order[1:-1], order[2:]])
+    faces = np.column_stack([order[:-2], order[1:-1], order[2:]])
+    faces[1::2] = faces[1::2, [1, 0, 2]]
+    return faces
+
+
+def _accessor(document: _Document, binary: bytes, index: int, kind: str) -> np.ndarray:
+    if not 0 <= index < len(document.accessors):
+        raise FurnitureError(f"accessor {index} is not there")
+    accessor = document.accessors[index]
+    width = 3 if kind == "VEC3" else 1
+    if accessor.type != kind or accessor.component not in _COMPONENTS or accessor.count < 1:
+        raise FurnitureError(f"accessor {index} is no list of {'points' if width == 3 else 'indices'}")
+    if accessor.sparse is not None or accessor.view is None:
+        raise FurnitureError(f"accessor {index} is sparse or compressed; export plain meshes")
+    if not 0 <= accessor.view < len(document.views):
+        raise FurnitureError(f"buffer view {accessor.view} is not there")
+    view = document.views[accessor.view]
+    if view.buffer != 0:
+        raise FurnitureError(f"buffer {view.buffer} lies outside the file; export one self-contained GLB")
+    item = np.dtype(_COMPONENTS[accessor.component])
+    stride = view.stride if view.stride is not None else item.itemsize * width
+    start = view.offset + accessor.offset
+    end = start + stride * (accessor.count - 1) + item.itemsize * width
+    fits = min(view.offset, accessor.offset) >= 0 and stride >= item.itemsize * width
+    if not fits or end > min(view.offset + view.length, len(binary)):
+        raise FurnitureError(f"accessor {index} reads beyond its buffer")
+    if accessor.count > MAX_NUMBERS:
+        raise FurnitureError(_TOO_MANY)
+    out = np.ndarray((accessor.count, width), item, binary, start, (stride, item.itemsize))
+    if accessor.normalized and item.kind in "iu":
+        return np.maximum(out / np.iinfo(item).max, -1.0)
+    return out

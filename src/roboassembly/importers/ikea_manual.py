@@ -1,0 +1,67 @@
+"""IKEA-Manuals-at-Work: pieces given as `NN.obj` parts in their assembled frame, y up, normalised."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from roboassembly.errors import FurnitureError
+from roboassembly.furniture.model import Provenance, RawFurniture, check_part_count
+from roboassembly.importers import files
+from roboassembly.importers.mesh_files import read_mesh
+from roboassembly.importers.triangles import (
+    UP_ROTATIONS,
+    NamedTriangles,
+    bounds,
+    check_scale,
+    stand,
+    typical_scale,
+)
+
+LICENCE = "CC-BY-4.0"
+WANTED = "a folder of NN.obj files, one a part"
+
+
+def find(root: Path) -> list[Path]:
+    """The piece folders at or below `root`: a piece, a category, `parts`, or the archive's own folder.
+
+    Raises:
+        FurnitureError: no such folder, or no piece in it.
+    """
+    root = files.folder(root, f"{WANTED}, or one that holds such folders")
+    pieces = sorted(here for here, names in files.walk(root) if any(name.endswith(".obj") for name in names))
+    if not pieces:
+        raise FurnitureError(f"'{root}' holds no .obj files; give {WANTED}")
+    return pieces
+
+
+def scale_for(category: str, extents: Float[np.ndarray, "3"]) -> float:
+    """Metres per unit for a piece with these y-up extents, from its category's typical size."""
+    return typical_scale(category, float(extents[1]), float(extents.max()))
+
+
+def read(path: Path, *, scale: float | None = None) -> RawFurniture:
+    """The parts of one piece: z up, metres, lowest point at z = 0, centred on the z axis.
+
+    Args:
+        path: the folder that holds the `NN.obj` files, one a part.
+        scale: metres per unit of the files; by default from the typical size for the name of the folder's parent.
+
+    Raises:
+        FurnitureError: missing folder, no or unreadable OBJ files, a part that is no mesh, an absurd size, or a count
+            of parts outside 2 to 20.
+    """
+    folder = files.folder(path, WANTED)
+    meshes = sorted(folder.glob("*.obj"))
+    if not meshes:
+        raise FurnitureError(f"'{folder}' holds no .obj files; give {WANTED}")
+    check_part_count(len(meshes), str(folder))
+    check_scale(scale)
+    parts = [NamedTriangles(files.one_line(file.stem, 80), read_mesh(file)) for file in meshes]
+    low, high = bounds(parts, np.eye(3))
+    own = folder.resolve()
+    factor = scale if scale is not None else scale_for(own.parent.name, high - low)
+    raw = stand(parts, UP_ROTATIONS["y"], factor, str(folder))
+    return RawFurniture(raw, Provenance("ikea-manual", f"{own.parent.name}/{own.name}", LICENCE, factor))

@@ -1,0 +1,250 @@
+"""Can the parts be taken apart? Directional blocking among neighbours, on the meshes alone.
+
+Wilson and Latombe 1994, "Geometric Reasoning about Mechanical Assembly": for a direction there is an arc from one part
+to another that it would hit when moved a little; a set of parts may leave when no arc leads out of it. What may
+leave the whole may, as far as it is there, leave any part of the whole too, so that it does not matter which leaves
+first: what is left in one piece at the end is captive.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from itertools import combinations
+
+import numpy as np
+from jaxtyping import Float
+
+from roboassembly.furniture.model import CONTACT_DISTANCE
+from roboassembly.repair.proximity import Shell
+from roboassembly.repair.surface import Surface
+
+Parts = frozenset[int]
+Ways = tuple[tuple[Float[np.ndarray, "3"], bool], ...]
+STEPS = (0.0015, 0.004, 0.01)
+"""Metres that a part is moved to see what it hits: beyond any clearance, and within any depth of a joint."""
+_SAME = 0.99
+"""Cosine above which two directions are one."""
+_EQUAL = 0.9998
+"""Cosine above which a direction also belongs to whom the other one belongs: what a joint with play forgives."""
+_MAX_DIRECTIONS = 60
+FACING = -0.7
+"""Cosine of two triangles' normals: they face each other when they are within 45° of opposite."""
+FACING_MARGIN = 0.0005
+"""Metres beyond the nearest distance within which two parts are looked at to see which way they face."""
+
+
+@dataclass(frozen=True, eq=False)
+class Blocking:
+    """Which part holds which."""
+
+    directions: Float[np.ndarray, "d 3"]
+    arcs: tuple[dict[int, set[int]], ...]
+    """For each direction: part to the parts that it would hit."""
+    near: frozenset[Parts]
+    """Pairs of parts nearer than the contact distance."""
+    owners: tuple[tuple[Parts, ...] | None, ...]
+    """For each direction the contact, or the part whose long axis it is; None: an axis of the furniture."""
+
+    def is_natural(self, index: int, moving: Parts, still: Parts) -> bool:
+        """Whether a planner would think of this direction to take the one from the other.
+
+        It would for the furniture's axes, for the normals of the contacts between the two, and for the long axes of
+        the parts that meet there.
+        """
+        owners = self.owners[index]
+        if owners is None:
+            return True
+        across = [pair for pair in self.near if pair & moving and pair & still]
+        return any(owner <= pair for owner in owners for pair in across)
+
+    def captives(self, among: Parts) -> list[Parts]:
+        """Sets of parts, of two or more, that nothing can leave along any of the directions."""
+        if len(among) < 2:
+            return []
+        for arcs in self.arcs:
+            for part in sorted(among):
+                leaving = closure(part, arcs, among)
+                if len(leaving) < len(among):
+                    return self.captives(leaving) + self.captives(among - leaving)
+        return [among]
+
+
+Direction = tuple[float, ...]
+
+
+@dataclass(eq=False)
+class Memory:
+    """Answers about pairs of shells, kept from one opening to the next: most shells stay as they are."""
+
+    meetings: dict[tuple[Shell, Shell], tuple[float, Ways]] = field(default_factory=dict)
+    blocked: dict[tuple[Shell, Shell, Direction], bool] = field(default_factory=dict)
+    exits: dict[tuple[Shell, Shell, Direction], bool] = field(default_factory=dict)
+
+    def meeting(self, one: Shell, two: Shell) -> tuple[float, Ways]:
+        """Metres between two shells, and directions across; whether each stands for the contact as a whole."""
+        if (one, two) not in self.meetings:
+            self.meetings[one, two] = _meeting(one, two)
+        return self.meetings[one, two]
+
+    def blocks(self, one: Shell, two: Shell, way: Float[np.ndarray, "3"]) -> bool:
+        """Whether `one`, moved a little along the direction, hits `two`."""
+        key = (one, two, tuple(way.tolist()))
+        if key not in self.blocked:
+            self.blocked[key] = any(one.touches(two, step * way) for step in STEPS)
+        return self.blocked[key]
+
+
+def closure(part: int, arcs: dict[int, set[int]], among: Parts) -> Parts:
+    """The part and all that would have to move with it."""
+    closed, stack = {part}, [part]
+    while stack:
+        more = arcs[stack.pop()] & among - closed
+        closed |= more
+        stack += sorted(more)
+    return frozenset(closed)
+
+
+def blocking(shells: Sequence[Shell], memory: Memory | None = None) -> Blocking:
+    """Arcs among all parts nearer than the contact distance, along axes, long sides and contact normals.
+
+    Args:
+        shells: the parts, assembled.
+        memory: of earlier calls, to be added to.
+    """
+    memory = memory or Memory()
+    near: list[tuple[int, int]] = []
+    ways: list[tuple[Float[np.ndarray, "3"], tuple[Parts, ...] | None]] = [
+        (way, None) for way in (*np.eye(3), *-np.eye(3))
+    ]
+    for a, b in combinations(range(len(shells)), 2):
+        if shells[a].box_distance(shells[b]) < CONTACT_DISTANCE:
+            distance, across = memory.meeting(shells[a], shells[b])
+            if distance < CONTACT_DISTANCE:
+                near.append((a, b))
+                pair = (frozenset((a, b)),)
+                ways += [(sign * way, pair if whole else ()) for way, whole in across for sign in (1.0, -1.0)]
+    for part, shell in enumerate(shells):
+        long, *others = main_axes(shell.surface)
+        ways += [(sign * long, (frozenset((part,)),)) for sign in (1.0, -1.0)]
+        ways += [(sign * axis, ()) for axis in others for sign in (1.0, -1.0)]
+    kept: list[tuple[Float[np.ndarray, "3"], tuple[Parts, ...] | None]] = []
+    for way, owner in ways:
+        if np.linalg.norm(way) < 0.5:
+            continue
+        alike = [k for k, (other, _) in enumerate(kept) if float(way @ other) > _SAME]
+        if not alike and len(kept) < _MAX_DIRECTIONS:
+            kept.append((way, owner))
+        for k in alike:
+            other, owners = kept[k]
+            if owner is not None and owners is not None and float(way @ other) > _EQUAL:
+                kept[k] = (other, (*owners, *owner))
+    directions = np.array([way for way, _ in kept])
+    arcs = tuple({p: set() for p in range(len(shells))} for _ in directions)
+    for a, b in near:
+        blocked = [memory.blocks(shells[a], shells[b], way) for way in directions]
+        for index, way in enumerate(directions):
+            if blocked[index]:
+                arcs[index][a].add(b)
+            # b along a direction is a along the opposite one, seen from the other side.
+            opposite = int(np.argmin(directions @ way))
+            if float(directions[opposite] @ way) < -_EQUAL:
+                held = blocked[opposite]
+            else:
+                held = memory.blocks(shells[b], shells[a], way)
+            if held:
+                arcs[index][b].add(a)
+    return Blocking(directions, arcs, frozenset(map(frozenset, near)), tuple(owners for _, owners in kept))
+
+
+def _meeting(one: Shell, two: Shell) -> tuple[float, Ways]:
+    distance, here, there = one.nearest(two)
+    if distance >= CONTACT_DISTANCE:
+        return distance, ()
+    across, facing = (there - here) / max(distance, 1e-9), _facing(one, two, distance)
+    return distance, ((across, facing is None), *(() if facing is None else ((facing, True),)))
+
+
+def _facing(one: Shell, two: Shell, distance: float) -> Float[np.ndarray, "3"] | None:
+    """Mean unit normal of where two shells face each other; None if it cancels out, as all around a dowel.
+
+    Between rough surfaces the nearest two points say little about which way the joint looks.
+    """
+    pairs = one.pairs_near(two, distance + FACING_MARGIN)
+    normals, areas = [], []
+    for shell, which in ((one, pairs[:, 0]), (two, pairs[:, 1])):
+        a, b, c = np.swapaxes(shell.surface.corners[which], 0, 1)
+        normal = np.cross(b - a, c - a)
+        areas.append(np.linalg.norm(normal, axis=1))
+        normals.append(normal / np.maximum(areas[-1], 1e-30)[:, None])
+    opposed = np.einsum("ij,ij->i", *normals) < FACING
+    mean = ((normals[0] - normals[1]) * np.minimum(*areas)[:, None])[opposed].sum(axis=0)
+    total = 2.0 * np.minimum(*areas)[opposed].sum()
+    length = float(np.linalg.norm(mean))
+    return mean / length if length > 0.3 * total > 0.0 else None
+
+
+def main_axes(surface: Surface) -> list[Float[np.ndarray, "3"]]:
+    """Unit vectors along the solid's main axes of inertia, the longest side first."""
+    a, b, c = np.swapaxes(surface.corners - surface.vertices.mean(axis=0), 0, 1)
+    weight = np.einsum("ij,ij->i", a, np.cross(b, c))
+    total = a + b + c
+    second = sum(np.einsum("i,ij,ik->jk", weight, x, x) for x in (a, b, c, total)) / 20.0
+    first = (weight[:, None] * total).sum(axis=0) / 4.0
+    spread = second - np.outer(first, first) / weight.sum()
+    return list(np.linalg.eigh(spread)[1].T[::-1])
+
+
+STRIDE = 0.004
+"""Metres between the places along a straight way out that are tested."""
+
+
+class Exits:
+    """Ways straight out, along the directions of a blocking graph; remembers what it has tested."""
+
+    def __init__(self, shells: Sequence[Shell], graph: Blocking, memory: Memory | None = None) -> None:
+        self._shells, self._graph = shells, graph
+        self._memory = memory or Memory()
+
+    def captives(self, among: Parts) -> list[Parts]:
+        """Sets of parts, of two or more, out of which nothing can go straight all the way in a natural direction."""
+        if len(among) < 2:
+            return []
+        for index, arcs in enumerate(self._graph.arcs):
+            for part in sorted(among):
+                leaving = closure(part, arcs, among)
+                if len(leaving) == len(among) or not self._graph.is_natural(index, leaving, among - leaving):
+                    continue
+                if self.free(leaving, among - leaving, index):
+                    return self.captives(leaving) + self.captives(among - leaving)
+        return [among]
+
+    def free(self, moving: Parts, still: Parts, index: int) -> bool:
+        """Whether `moving` can go straight out of `still` along the direction of that index."""
+        return not any(self.hits(a, b, index) for a in sorted(moving) for b in sorted(still))
+
+    def hits(self, a: int, b: int, index: int) -> bool:
+        """Whether part `a` hits part `b` on its straight way out along the direction of that index."""
+        if b in self._graph.arcs[index][a]:
+            return True
+        one, two, way = self._shells[a], self._shells[b], self._graph.directions[index]
+        key, known = (one, two, tuple(way.tolist())), self._memory.exits
+        if key not in known:
+            start, stop = overlap_span(one, two, way)
+            steps = np.arange(max(start, 0.0005), stop, STRIDE)
+            known[key] = any(one.touches(two, step * way) for step in steps)
+        return known[key]
+
+
+def overlap_span(one: Shell, two: Shell, way: Float[np.ndarray, "3"]) -> tuple[float, float]:
+    """From where to where, in metres along `way`, the box of the moved `one` overlaps that of `two`; (0, 0): never."""
+    start, stop = 0.0, float("inf")
+    for axis in range(3):
+        before, after = two.low[axis] - one.high[axis], two.high[axis] - one.low[axis]
+        if abs(way[axis]) < 1e-9:
+            if before > 0.0 or after < 0.0:
+                return 0.0, 0.0
+            continue
+        ends = sorted((before / way[axis], after / way[axis]))
+        start, stop = max(start, ends[0]), min(stop, ends[1])
+    return (start, stop) if stop > start else (0.0, 0.0)

@@ -1,0 +1,49 @@
+"""How far a solid is from the surface that it was made of, both ways."""
+
+from __future__ import annotations
+
+import manifold3d as m3
+import numpy as np
+
+from roboassembly.repair.proximity import Shell
+from roboassembly.repair.surface import Surface, sample, to_surface
+
+SPACING = 0.016
+MAX_POINTS = 3_000
+QUANTILE = 0.99
+_NEAR = 5e-4
+"""Metres: nearer points are on the surface, inside or outside."""
+
+
+def lost(surface: Surface, body: m3.Manifold) -> float:
+    """How far the delivered surface sticks out of the solid, in metres: 99th percentile of evenly spread points."""
+    points = _spread(surface)
+    shell = Shell(to_surface(body))
+    distance = np.array([shell.distance_to(point) for point in points])
+    deep = np.flatnonzero(distance > _NEAR)
+    out = body.bounding_box()
+    beyond = np.array([out[3] + 0.1, out[4] + 0.137, out[5] + 0.0713])
+    allowed = int((1.0 - QUANTILE) * len(points)) + 1
+    outside = 0
+    for k in deep[np.argsort(-distance[deep], kind="stable")].tolist():
+        if len(body.ray_cast(points[k], beyond)) % 2 == 0:
+            outside += 1
+            if outside > allowed:
+                break
+        else:
+            distance[k] = 0.0
+    return float(np.quantile(distance, QUANTILE))
+
+
+def added(surface: Surface, body: m3.Manifold) -> float:
+    """How far the solid's skin lies from the delivered surface, in metres: 99th percentile, as above.
+
+    The cap over an open end counts, so that a filled tube has half its width.
+    """
+    shell = Shell(surface)
+    return float(np.quantile([shell.distance_to(point) for point in _spread(to_surface(body))], QUANTILE))
+
+
+def _spread(surface: Surface) -> np.ndarray:
+    points, _ = sample(surface, SPACING, MAX_POINTS)
+    return points[np.linspace(0, len(points) - 1, min(len(points), MAX_POINTS)).astype(int)]

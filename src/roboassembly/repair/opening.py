@@ -1,0 +1,275 @@
+"""Opening: where trimmed parts hold each other fast, sockets are cut open along the cheapest way out.
+
+A way out that leans where nobody would look for it is none: only directions natural to the joint count."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from itertools import combinations
+
+import manifold3d as m3
+import numpy as np
+from jaxtyping import Float
+
+from roboassembly.errors import FurnitureError
+from roboassembly.furniture.model import CONTACT_DISTANCE
+from roboassembly.geometry.poses import align_axis
+from roboassembly.repair.exits import Blocking, Exits, Memory, Parts, blocking, overlap_span
+from roboassembly.repair.limits import RepairLimits
+from roboassembly.repair.piece import HARM_LIMIT, Piece, harm
+from roboassembly.repair.proximity import Shell
+from roboassembly.repair.surface import to_surface
+from roboassembly.repair.trim import Cut, cut_with, inflate
+
+MAX_WHOLE = 7
+"""Of a captive set of up to this many parts every subset is tried as the one that leaves; of larger ones, single
+parts and pairs."""
+LOOKED_AT, TRIED = 24, 6
+"""Ways out whose cost is estimated, and whose cuts are made to compare them."""
+LOCAL = 0.03
+"""Metres of a socket's depth that are opened where a straight way out would cost too much."""
+MAX_PRISMS = 120
+"""Faces that are swept one by one."""
+LAYER, MAX_LAYERS = 0.0005, 40
+"""Metres between two cuts across a swept body at least, and how many there may be."""
+GROWTH = 0.01
+"""Share by which its outline must grow for a layer of its own."""
+_STEPS = (0.002, 0.006, 0.015, 0.03, 0.06, 0.12)
+_SPLIT_COST = 0.5
+_LOOSE_COST = 0.2
+_HARM_COST = 1.0
+"""Shares of a part's volume that a cut through it, a lost contact, or a lost joint counts as much as."""
+
+
+@dataclass(frozen=True)
+class _Way:
+    """A subset of captive parts that is to leave the rest along a direction."""
+
+    leaving: Parts
+    staying: Parts
+    index: int = field(compare=False)
+    """Of the direction, in the present graph."""
+    direction: tuple[float, float, float]
+    """Unit vector, rounded."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Opening:
+    """A cut that lets one part pass another: `trimmed` becomes `cut.body`."""
+
+    trimmed: int
+    other: int
+    cut: Cut
+
+
+def open_up(pieces: list[Piece], gap: float, limits: RepairLimits) -> None:
+    """Cut sockets open, in place, until the parts can be taken apart straight, or at least come loose.
+
+    Raises:
+        FurnitureError: some parts hold each other fast, and what would have to be cut away exceeds the limits.
+    """
+    everything = frozenset(range(len(pieces)))
+    given_up: set[Parts] = set()
+    tried: set[_Way] = set()
+    memory = Memory()
+    for _ in range(limits.openings):
+        shells = [piece.shell for piece in pieces]
+        graph = blocking(shells, memory)
+        exits = Exits(shells, graph, memory)
+        tight = [core for core in graph.captives(everything) if core not in given_up]
+        stuck = tight or [core for core in exits.captives(everything) if core not in given_up]
+        if not stuck:
+            break
+        core = min(stuck, key=lambda parts: (len(parts), sorted(parts)))
+        if not _open(pieces, core, graph, exits, tried, gap, limits):
+            given_up.add(core)
+    else:
+        given_up = set()
+    left = blocking([piece.shell for piece in pieces], memory).captives(everything)
+    if left and not limits.captive:
+        names = ", ".join(f"'{pieces[p].name}'" for p in sorted(left[0]))
+        raise FurnitureError(
+            f"parts {names} hold each other fast: none can leave in any direction, and to open a way would take more "
+            f"than {limits.trimmed:.1%} of a part's volume (limits `trimmed`, `captive`)"
+        )
+
+
+def _open(
+    pieces: list[Piece],
+    core: Parts,
+    graph: Blocking,
+    exits: Exits,
+    tried: set[_Way],
+    gap: float,
+    limits: RepairLimits,
+) -> bool:
+    """Make the cheapest of the ways out of a captive set that have not been tried."""
+    estimates: dict[tuple[int, int, int], float] = {}
+    ranked = sorted(
+        (way for way in _ways(core, graph) if way not in tried),
+        key=lambda way: sum(len(graph.arcs[way.index][p] & way.staying) for p in way.leaving),
+    )
+    priced = sorted(
+        ((_estimate(pieces, way, graph, estimates), n) for n, way in enumerate(ranked[:LOOKED_AT])),
+    )
+    best: tuple[float, list[_Opening], _Way] | None = None
+    for reach in (float("inf"), LOCAL):
+        for price, n in priced[:TRIED]:
+            if best is not None and price >= best[0]:
+                break
+            made = _cuts(pieces, ranked[n], graph, exits, reach, gap, limits)
+            if made is not None and (best is None or made[0] < best[0]):
+                best = (*made, ranked[n])
+        if best is not None:
+            break
+    if best is None:
+        return False
+    tried.add(best[2])
+    for opening in best[1]:
+        piece, other = pieces[opening.trimmed], pieces[opening.other]
+        piece.removed += opening.cut.removed
+        piece.become(opening.cut.body)
+        piece.notes.append(f"opened so that '{other.name}' can leave")
+        if opening.cut.splits:
+            piece.notes.append(f"cut through by '{other.name}', kept as one rigid part")
+    return True
+
+
+def _ways(core: Parts, graph: Blocking) -> list[_Way]:
+    members = sorted(core)
+    most = len(members) - 1 if len(members) <= MAX_WHOLE else 2
+    subsets = [frozenset(s) for size in range(1, most + 1) for s in combinations(members, size)]
+    ways = [tuple(np.round(way, 3).tolist()) for way in graph.directions]
+    return [
+        _Way(s, core - s, index, way)
+        for s in subsets
+        for index, way in enumerate(ways)
+        if graph.is_natural(index, s, core - s)
+    ]
+
+
+def _estimate(pieces: list[Piece], way: _Way, graph: Blocking, known: dict[tuple[int, int, int], float]) -> float:
+    """At least this share of some part's volume has to go."""
+    total = 0.0
+    for a in sorted(way.leaving):
+        for b in sorted(graph.arcs[way.index][a] & way.staying):
+            key = (a, b, way.index)
+            if key not in known:
+                one, two = pieces[a], pieces[b]
+                moves = [tuple((step * graph.directions[way.index]).tolist()) for step in _STEPS]
+                met = max((one.body.translate(move) ^ two.body).volume() for move in moves)
+                known[key] = met / max(one.whole, two.whole)
+            total += known[key]
+    return total
+
+
+def _cuts(
+    pieces: list[Piece], way: _Way, graph: Blocking, exits: Exits, reach: float, gap: float, limits: RepairLimits
+) -> tuple[float, list[_Opening]] | None:
+    """The cuts that open a way, and their cost as a share of volumes; None when a limit forbids them."""
+    direction = graph.directions[way.index]
+    bodies = {p: pieces[p].body for p in way.leaving | way.staying}
+    removed = {p: pieces[p].removed for p in bodies}
+    out: list[_Opening] = []
+    total = 0.0
+    for a in sorted(way.leaving):
+        for b in sorted(way.staying):
+            if not (exits.hits(a, b, way.index) if reach > LOCAL else b in graph.arcs[way.index][a]):
+                continue
+            length = min(reach, overlap_span(pieces[a].shell, pieces[b].shell, direction)[1])
+            choices: list[tuple[float, _Opening]] = []
+            for trimmed, other, along in ((b, a, direction), (a, b, -direction)):
+                tool = sweep(bodies[other], along, length + gap, bodies[trimmed], gap)
+                made = cut_with(bodies[trimmed], tool, bodies[other], gap)
+                share = made.removed / pieces[trimmed].whole
+                if made.body.is_empty() or removed[trimmed] + made.removed > limits.trimmed * pieces[trimmed].whole:
+                    continue
+                loose = _apart(made.body, bodies[other])
+                lost = harm(pieces[trimmed], pieces[other], made.body, bodies[other])
+                cost = share + _SPLIT_COST * made.splits + _LOOSE_COST * loose + _HARM_COST * (lost > HARM_LIMIT)
+                choices.append((cost, _Opening(trimmed, other, made)))
+            if not choices:
+                return None
+            cost, opening = min(choices, key=lambda choice: choice[0])
+            bodies[opening.trimmed] = opening.cut.body
+            removed[opening.trimmed] += opening.cut.removed
+            out.append(opening)
+            total += cost
+    return total, out
+
+
+def _apart(one: m3.Manifold, two: m3.Manifold) -> bool:
+    return Shell(to_surface(one)).nearest(Shell(to_surface(two)))[0] >= CONTACT_DISTANCE
+
+
+def sweep(
+    body: m3.Manifold, way: Float[np.ndarray, "3"], length: float, target: m3.Manifold, gap: float
+) -> m3.Manifold:
+    """What `body`, grown by `gap`, covers of the target's surroundings while it moves `length` metres along `way`.
+
+    Where the body has many faces that look ahead, it is swept layer by layer.
+    """
+    low, high = np.reshape(target.bounding_box(), (2, 3))
+    shift = length * way
+    start, stop = low - np.maximum(shift, 0.0) - 20.0 * gap, high - np.minimum(shift, 0.0) + 20.0 * gap
+    close = body ^ m3.Manifold.cube(tuple(stop - start)).translate(tuple(start))
+    grown = inflate(close.simplify(0.3 * gap), 1.3 * gap)
+    corners = to_surface(grown).corners
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    reach_low = corners.min(axis=1) + np.minimum(shift, 0.0)
+    reach_high = corners.max(axis=1) + np.maximum(shift, 0.0)
+    ahead = normal @ way > 1e-9 * np.linalg.norm(normal, axis=1)
+    ahead &= (reach_low < high).all(axis=1) & (reach_high > low).all(axis=1)
+    if ahead.sum() <= MAX_PRISMS:
+        prisms = [m3.Manifold.hull_points(np.concatenate([t, t + shift])) for t in corners[ahead]]
+        return m3.Manifold.batch_boolean([grown, *prisms], m3.OpType.Add)
+    return _layered(close.simplify(0.3 * gap), way, length, target, 1.3 * gap)
+
+
+def _layered(
+    body: m3.Manifold, way: Float[np.ndarray, "3"], length: float, target: m3.Manifold, margin: float
+) -> m3.Manifold:
+    """What a body of many faces covers while it moves, layer by layer across the way.
+
+    Each layer covers the outlines of all layers behind it, grown by the margin. What the body does not reach stays: the
+    core of a screw whose nut is drawn off.
+    """
+    up = align_axis(way, np.array([0.0, 0.0, 1.0]))
+    turned = body.transform(np.column_stack([up, np.zeros(3)]))
+    across = target.transform(np.column_stack([up, np.zeros(3)])).bounding_box()
+    bottom, top = turned.bounding_box()[2], turned.bounding_box()[5]
+    first, last = max(bottom, across[2] - margin), min(top, across[5] + margin)
+    if last <= first:
+        first = last = min(max(first, bottom), top)
+    levels = np.linspace(first, last, 2 + int(min(MAX_LAYERS, (last - first) / LAYER)))
+    (x0, y0), (x1, y1) = np.array(across[:2]) - 2.0 * margin, np.array(across[3:5]) + 2.0 * margin
+    window = m3.CrossSection.square((x1 - x0, y1 - y0)).translate((x0, y0))
+
+    def shadow(slab: m3.Manifold) -> m3.CrossSection:
+        return (slab.project() ^ window).offset(margin, m3.JoinType.Miter).simplify(0.3 * margin)
+
+    outline, area = m3.CrossSection(), 0.0
+    layers: list[m3.Manifold] = []
+    begun = bottom - margin
+    for low, high in zip([bottom, *levels[:-1]], levels, strict=True):
+        slab = turned.trim_by_plane((0.0, 0.0, 1.0), low).trim_by_plane((0.0, 0.0, -1.0), -high)
+        if slab.is_empty():
+            continue
+        wider = outline + shadow(slab)
+        # The margin counts along the way too: a layer begins that much earlier. Small growth widens the layer before.
+        if wider.area() > (1.0 + GROWTH) * area:
+            if low - margin > begun:
+                layers.append(_slab(outline, begun, low - margin))
+                begun = low - margin
+            area = wider.area()
+        outline = wider
+    rest = turned.trim_by_plane((0.0, 0.0, 1.0), last)
+    layers.append(_slab(outline, begun, last + margin))
+    outline = outline if rest.is_empty() else outline + shadow(rest)
+    layers.append(_slab(outline, last - margin, top + margin + length))
+    swept = m3.Manifold.batch_boolean([layer for layer in layers if not layer.is_empty()], m3.OpType.Add)
+    return swept.transform(np.column_stack([up.T, np.zeros(3)]))
+
+
+def _slab(outline: m3.CrossSection, low: float, high: float) -> m3.Manifold:
+    return m3.Manifold.extrude(outline, high - low).translate((0.0, 0.0, low)) if high > low else m3.Manifold()

@@ -1,0 +1,329 @@
+"""From overlapping solids to solids with a small real gap between them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import combinations, permutations
+
+import numpy as np
+
+from roboassembly.errors import FurnitureError
+from roboassembly.furniture.model import CONTACT_DISTANCE
+from roboassembly.repair.insertion import REACH
+from roboassembly.repair.limits import RepairLimits
+from roboassembly.repair.opening import open_up
+from roboassembly.repair.piece import HARM_LIMIT, Piece, harm
+from roboassembly.repair.proximity import Shell
+from roboassembly.repair.share import shared_cuts
+from roboassembly.repair.surface import to_surface
+from roboassembly.repair.trim import Cut, cut, flush_cut, inflate, near, plane_cut
+
+ROUNDS = 8
+MAX_MOVES = 40
+RESTARTS = 2
+HEAVIER = 4.0
+"""Factor on the weight of a part that would have lost too much."""
+TRAPPED = 0.1
+"""A cut that lets the cutter leave in fewer than this share of all directions is a socket."""
+MAX_PLANE_SHARE = 0.01
+"""A flat cut may take this share of a part..."""
+MAX_PLANE_RATIO = 3.0
+"""...and this many times what a cut along the neighbour's surface would take."""
+KEPT, BEYOND = 0.001, 1e-8
+"""Metres around a neighbour, and cubic metres outside them, that a cut may take without harm."""
+HARM_COST, HARMFUL = 1.0, 10.0
+"""Cost of `HARM_LIMIT` metres of lost size or depth; a cut that takes more costs `HARMFUL`."""
+
+
+class _TooMuchTrimmedError(FurnitureError):
+    """A part would lose more than is allowed."""
+
+    def __init__(self, piece: Piece, message: str) -> None:
+        super().__init__(message)
+        self.piece = piece
+
+
+class _ShortenedError(FurnitureError):
+    """A part would become too small, or a joint too shallow."""
+
+
+def separate(pieces: list[Piece], gap: float, limits: RepairLimits, diagonal: float) -> None:
+    """Trim and move the pieces, in place, until none touch and all hang together.
+
+    A part that would lose too much to all its neighbours together becomes dearer, and everything is trimmed anew:
+    then those of its neighbours give way that can.
+
+    Raises:
+        FurnitureError: not possible within the limits.
+    """
+    for one, other in permutations(pieces, 2):
+        if one.shell.box_distance(other.shell) <= REACH:
+            one.measure_depth(other)
+    start = list(pieces)
+    problems: list[FurnitureError] = []
+    for careful in (True, False):
+        try:
+            _separate(pieces, start, gap, limits, diagonal, careful)
+            check_sizes(pieces, limits)
+        except FurnitureError as problem:
+            problems.append(problem)
+        else:
+            return
+    # What is only too short can be allowed; the other failure cannot be helped.
+    raise next((p for p in problems if isinstance(p, _ShortenedError)), problems[0])
+
+
+def _separate(
+    pieces: list[Piece], start: list[Piece], gap: float, limits: RepairLimits, diagonal: float, careful: bool
+) -> None:
+    """Separate the pieces, as they are at the start, once more for each part that would lose too much.
+
+    Args:
+        pieces: become what comes of it.
+        start: before any trimming.
+        gap: metres left at mating faces.
+        limits: where to refuse.
+        diagonal: of the furniture, in metres.
+        careful: rather open sockets than take size from parts or depth from joints.
+    """
+    weights = [1.0] * len(start)
+    first: _TooMuchTrimmedError | None = None
+    for _ in range(1 + RESTARTS):
+        pieces[:] = [
+            replace(piece, notes=list(piece.notes), weight=weight) for piece, weight in zip(start, weights, strict=True)
+        ]
+        try:
+            _try(pieces, gap, limits, diagonal, careful)
+        except _TooMuchTrimmedError as problem:
+            first = first or problem
+            weights[pieces.index(problem.piece)] *= HEAVIER
+        except FurnitureError:
+            if first is None:
+                raise
+            break
+        else:
+            return
+    if first is not None:
+        raise first
+
+
+def _try(pieces: list[Piece], gap: float, limits: RepairLimits, diagonal: float, careful: bool) -> None:
+    were_touching = [(a, b) for a, b in combinations(pieces, 2) if _distance(a, b, gap) <= gap]
+    _clear(pieces, gap, limits, careful)
+    for _ in range(MAX_MOVES):
+        islands = _islands(pieces)
+        if len(islands) == 1:
+            break
+        _bring_closer(pieces, islands, gap, limits, diagonal)
+        _clear(pieces, gap, limits, careful)
+    else:
+        raise FurnitureError(f"parts still hang apart after {MAX_MOVES} moves; check the assembled poses")
+    open_up(pieces, gap, limits)
+    if len(_islands(pieces)) > 1:
+        raise FurnitureError("parts came apart when their sockets were opened; check the assembled poses")
+    for a, b in were_touching:
+        apart = _distance(a, b, 2 * CONTACT_DISTANCE)
+        if apart >= CONTACT_DISTANCE:
+            for one, other in ((a, b), (b, a)):
+                one.notes.append(f"no longer within {CONTACT_DISTANCE * 1e3:g} mm of '{other.name}'")
+
+
+def check_sizes(pieces: list[Piece], limits: RepairLimits) -> None:
+    """Refuse what makes a part too small, or a joint too shallow.
+
+    Raises:
+        _ShortenedError: it does; the message names the part.
+    """
+    bodies = {piece.name: piece.body for piece in pieces}
+    worst: list[tuple[float, str]] = []
+    for piece in pieces:
+        worst.append((piece.shrinkage(piece.body), f"part '{piece.name}' would become {{}} mm smaller"))
+        for other, loss in piece.depth_losses(bodies, limits.shortening):
+            worst.append((loss, f"part '{piece.name}' would sit {{}} mm less deep in '{other}'"))
+    loss, text = max(worst)
+    if loss > limits.shortening:
+        raise _ShortenedError(
+            f"{text.format(f'{1e3 * loss:.1f}')} for the parts to clear each other; at most "
+            f"{1e3 * limits.shortening:.1f} mm is allowed (limit `shortening`, lifted by --allow-shortening)"
+        )
+
+
+def _distance(a: Piece, b: Piece, enough: float) -> float:
+    """Metres between two pieces' surfaces, zero if they touch; `inf` when their boxes are `enough` apart."""
+    return a.shell.nearest(b.shell)[0] if a.shell.box_distance(b.shell) <= enough else float("inf")
+
+
+def _clear(pieces: list[Piece], gap: float, limits: RepairLimits, careful: bool) -> None:
+    close: list[tuple[Piece, Piece]] = []
+    for attempt in range(ROUNDS):
+        width = gap * (1.0 + 0.25 * attempt)
+        overlaps = []
+        for i, j in combinations(range(len(pieces)), 2):
+            a, b = pieces[i], pieces[j]
+            if a.shell.box_distance(b.shell) > gap:
+                continue
+            shared = (a.body ^ b.body).volume()
+            if shared > 1e-12 or _distance(a, b, gap) < 0.5 * gap:
+                overlaps.append((-shared, i, j))
+        if not overlaps:
+            return
+        close = [(pieces[i], pieces[j]) for _, i, j in sorted(overlaps)]
+        for a, b in close:
+            _part(a, b, width, limits, careful)
+    a, b = close[0]
+    raise FurnitureError(f"parts '{a.name}' and '{b.name}' still touch after {ROUNDS} rounds of trimming")
+
+
+@dataclass(frozen=True, eq=False)
+class _Choice:
+    """One way to make two pieces clear each other."""
+
+    cost: float
+    trimmed: Piece
+    cutter: Piece
+    cut: Cut
+    tip: Cut | None = None
+    """What the cutter becomes first, where the two share the loss."""
+
+    def clears(self, gap: float) -> bool:
+        other = self.cutter.shell if self.tip is None else Shell(to_surface(self.tip.body))
+        return Shell(to_surface(self.cut.body)).nearest(other)[0] >= 0.5 * gap
+
+    def take(self) -> None:
+        """Do it."""
+        piece, other, made = self.trimmed, self.cutter, self.cut
+        if self.tip is not None:
+            other.removed += self.tip.removed
+            other.become(self.tip.body)
+            other.notes.append(f"cut short where it sat too deep in '{piece.name}'")
+        piece.removed += made.removed
+        piece.become(made.body)
+        if made.dropped:
+            piece.notes.append(f"{made.dropped} slivers dropped where '{other.name}' cut it")
+        if made.splits:
+            piece.notes.append(f"cut through by '{other.name}', kept as one rigid part")
+        if made.freedom < TRAPPED:
+            piece.notes.append(f"has a socket for '{other.name}'")
+
+
+def _part(a: Piece, b: Piece, gap: float, limits: RepairLimits, careful: bool) -> None:
+    """Make two pieces clear each other by trimming the one that suffers less."""
+    choices: list[_Choice] = []
+    worst: list[tuple[float, Piece]] = []
+    for trimmed, cutter in ((a, b), (b, a)):
+        for n, one in enumerate(_cuts(trimmed, cutter, gap)):
+            share = (trimmed.removed + one.removed) / trimmed.whole
+            if one.body.is_empty() or share > limits.trimmed:
+                worst.append((share, trimmed))
+                continue
+            cost = _cost(trimmed, one, limits)
+            if careful:
+                # The first cut takes what is in the way and no more, but for plugs that come loose.
+                cost += _harm_cost(harm(trimmed, cutter, one.body), n > 0 and _goes_beyond(trimmed, cutter, one))
+            choices.append(_Choice(cost, trimmed, cutter, one))
+    # To cut both leaves neither as it was meant: only where one of them has proved too dear.
+    if max(a.weight, b.weight) > 1.0:
+        choices += [choice for pair in ((a, b), (b, a)) for choice in _shared(*pair, gap, limits, careful)]
+    if not choices:
+        share, piece = min(worst, key=lambda w: w[0])
+        other = b if piece is a else a
+        raise _TooMuchTrimmedError(
+            piece,
+            f"part '{piece.name}' would lose {share:.1%} of its volume to clear '{other.name}'; "
+            f"at most {limits.trimmed:.1%} is allowed (limit `trimmed`)",
+        )
+    choices.sort(key=lambda choice: choice.cost)
+    # A cut can fail to clear where a surface crosses itself: what is inside out there, no cut takes away. Then it is
+    # the other one's turn.
+    next((choice for choice in choices if choice.clears(gap)), choices[0]).take()
+
+
+def _cuts(trimmed: Piece, cutter: Piece, gap: float) -> list[Cut]:
+    """Ways in which one piece alone gives way."""
+    cuts = [cut(trimmed.body, cutter.body, gap)]
+    if cuts[0].freedom < 0.3:
+        most = min(MAX_PLANE_SHARE * trimmed.whole, MAX_PLANE_RATIO * cuts[0].removed)
+        flat = plane_cut(trimmed.body, cutter.body, gap)
+        cuts += [one for one in flat if one.removed <= most and not one.splits]
+    if max(one.freedom for one in cuts) < TRAPPED:
+        flush = flush_cut(trimmed.body, cutter.body, gap)
+        cuts += [flush] if flush is not None else []
+    return cuts
+
+
+def _shared(trimmed: Piece, cutter: Piece, gap: float, limits: RepairLimits, careful: bool) -> list[_Choice]:
+    """Ways in which the cutter is cut short before it cuts."""
+    out: list[_Choice] = []
+    most = limits.trimmed * cutter.whole - cutter.removed
+    for shared in shared_cuts(cutter.body, trimmed.body, gap, most):
+        shares = [
+            (piece.removed + one.removed) / piece.whole
+            for piece, one in ((cutter, shared.tip), (trimmed, shared.socket))
+        ]
+        if max(shares) <= limits.trimmed and not shared.socket.body.is_empty():
+            cost = cutter.weight * shares[0] / limits.trimmed + _cost(trimmed, shared.socket, limits)
+            if careful:
+                cost += _harm_cost(harm(cutter, trimmed, shared.tip.body, shared.socket.body), goes_beyond=False)
+            out.append(_Choice(cost, trimmed, cutter, shared.socket, shared.tip))
+    return out
+
+
+def _cost(piece: Piece, made: Cut, limits: RepairLimits) -> float:
+    share = (piece.removed + made.removed) / piece.whole
+    return piece.weight * share / limits.trimmed + 4.0 * (0.5 - min(0.5, made.freedom)) + 6.0 * made.splits
+
+
+def _harm_cost(lost: float, goes_beyond: bool) -> float:
+    return HARMFUL if goes_beyond or lost > HARM_LIMIT else HARM_COST * lost / HARM_LIMIT
+
+
+def _goes_beyond(trimmed: Piece, cutter: Piece, made: Cut) -> bool:
+    """Whether a cut takes what is not in the neighbour's way: a tenon out of its socket, or the walls of a socket."""
+    taken = trimmed.body - made.body
+    return (taken - inflate(near(cutter.body, taken, 20.0 * KEPT), KEPT)).volume() > BEYOND
+
+
+def _islands(pieces: list[Piece]) -> list[list[int]]:
+    left, out = set(range(len(pieces))), []
+    while left:
+        stack, island = [min(left)], []
+        left.discard(stack[0])
+        while stack:
+            p = stack.pop()
+            island.append(p)
+            joined = [q for q in sorted(left) if _distance(pieces[p], pieces[q], CONTACT_DISTANCE) < CONTACT_DISTANCE]
+            left -= set(joined)
+            stack += joined
+        out.append(sorted(island))
+    return out
+
+
+def _bring_closer(
+    pieces: list[Piece], islands: list[list[int]], gap: float, limits: RepairLimits, diagonal: float
+) -> None:
+    """Move the smallest island along the shortest way to the rest, until it is at the gap."""
+    loose = min(islands, key=lambda island: (sum(pieces[p].whole for p in island), island))
+    best: tuple[float, np.ndarray, int, int] | None = None
+    for p in loose:
+        for q in sorted(set(range(len(pieces))) - set(loose)):
+            if best is not None and pieces[p].shell.box_distance(pieces[q].shell) >= best[0]:
+                continue
+            distance, here, there = pieces[p].shell.nearest(pieces[q].shell)
+            if best is None or distance < best[0]:
+                best = (distance, there - here, p, q)
+    if best is None:
+        raise FurnitureError("there is nothing to bring the loose parts to; furniture has at least two parts")
+    distance, way, p, q = best
+    shift = way * (1.0 - gap / distance)
+    for index in loose:
+        piece = pieces[index]
+        piece.moved = piece.moved + shift
+        length = float(np.linalg.norm(piece.moved))
+        if length > limits.displacement * diagonal:
+            raise FurnitureError(
+                f"part '{piece.name}' hangs {distance * 1e3:.1f} mm off '{pieces[q].name}'; to move it "
+                f"{length * 1e3:.1f} mm is more than {limits.displacement:.1%} of the furniture's diagonal "
+                "(limit `displacement`)"
+            )
+        piece.become(piece.body.translate(tuple(shift.tolist())))
+        piece.notes.append(f"moved {np.linalg.norm(shift) * 1e3:.1f} mm toward '{pieces[q].name}'")

@@ -1,0 +1,222 @@
+"""Trimming: take from one solid what a neighbour, grown by the gap, covers; and judge which of two to trim."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import manifold3d as m3
+import numpy as np
+from jaxtyping import Float
+
+from roboassembly.repair.proximity import Shell
+from roboassembly.repair.surface import Surface, to_manifold, to_surface
+
+SLIVER = 0.002
+"""A piece cut off that holds less than this share of the part's volume is dropped."""
+OUTLYING = 0.001
+"""A small piece that sticks out of the box around the others by this much, in metres, is an end of the part."""
+BLOCKED = 0.01
+"""A direction is free when the walls that stand in the cutter's way, seen along it, make less than this share of the
+meeting surface: what the gap itself adds around a flat face does not count, a pocket a millimetre deep does."""
+TIDY = 1e-5
+"""Triangles are merged after a cut where that moves the surface by less than this, in metres."""
+
+RECESS_MARGIN = 0.004
+"""How much of the cutter around the meeting place, in metres, decides what its recess is."""
+RECESS_CONTACT = 0.003
+"""After a flush cut the two may be this far apart, in metres: they must still count as connected."""
+
+
+def _directions(count: int) -> Float[np.ndarray, "d 3"]:
+    k = np.arange(count)
+    z = 1.0 - (2.0 * k + 1.0) / count
+    turn = k * np.pi * (3.0 - np.sqrt(5.0))
+    r = np.sqrt(1.0 - z * z)
+    return np.column_stack([r * np.cos(turn), r * np.sin(turn), z])
+
+
+DIRECTIONS = _directions(300)
+_CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=float)
+
+
+def inflate(body: m3.Manifold, amount: float) -> m3.Manifold:
+    """The solid with every face moved outward by `amount` metres; edges and corners stay sharp."""
+    skin = to_surface(body)
+    a, b, c = np.swapaxes(skin.corners, 0, 1)
+    normal = np.cross(b - a, c - a)
+    size = np.linalg.norm(normal, axis=1)
+    good = size > 1e-12
+    normal = normal[good] / size[good, None]
+    faces, corners = skin.faces[good], skin.corners[good]
+    n = len(skin.vertices)
+    matrix, right = np.zeros((n, 3, 3)), np.zeros((n, 3))
+    for k in range(3):
+        one, two = corners[:, (k + 1) % 3] - corners[:, k], corners[:, (k + 2) % 3] - corners[:, k]
+        weight = np.arctan2(np.linalg.norm(np.cross(one, two), axis=1), np.einsum("ij,ij->i", one, two))
+        np.add.at(matrix, faces[:, k], weight[:, None, None] * normal[:, :, None] * normal[:, None, :])
+        np.add.at(right, faces[:, k], weight[:, None] * normal)
+    values, axes = np.linalg.eigh(matrix)
+    keep = values > 0.01 * np.maximum(values[:, -1:], 1e-30)
+    along = np.einsum("nij,ni->nj", axes, right)
+    move = np.einsum("nij,nj->ni", axes, np.where(keep, along / np.where(keep, values, 1.0), 0.0))
+    least = np.ones(n)
+    for k in range(3):
+        np.minimum.at(least, faces[:, k], np.einsum("ij,ij->i", normal, move[faces[:, k]]))
+    move *= (amount / np.clip(least, 0.5, 1.0))[:, None]
+    length = np.linalg.norm(move, axis=1, keepdims=True)
+    move *= np.minimum(1.0, 4.0 * amount / np.maximum(length, 1e-30))
+    grown = to_manifold(Surface(skin.vertices + move, skin.faces))
+    return body if grown is None else grown + body
+
+
+def near(body: m3.Manifold, other: m3.Manifold, margin: float) -> m3.Manifold:
+    """The part of `body` inside the other's box, widened by `margin` metres."""
+    low, high = np.reshape(other.bounding_box(), (2, 3))
+    size = high - low + 2.0 * margin
+    return body ^ m3.Manifold.cube(tuple(size)).translate(tuple(low - margin))
+
+
+@dataclass(frozen=True, eq=False)
+class Cut:
+    """One way to make two solids clear each other: `body` is what the trimmed one becomes."""
+
+    body: m3.Manifold
+    removed: float
+    """Cubic metres."""
+    freedom: float
+    """Share of all directions in which the cutter can leave the cut at once: 0.5 from a flat face, 0 when trapped."""
+    dropped: int
+    """Slivers that the cut left behind."""
+    splits: bool
+    """Whether the cut leaves more than one sizeable piece where there was one."""
+
+
+def cut(body: m3.Manifold, cutter: m3.Manifold, gap: float) -> Cut:
+    """Take from `body` what `cutter`, grown by `gap` metres, covers."""
+    return cut_with(body, inflate(near(cutter, body, 20.0 * gap), gap), cutter, gap)
+
+
+def cut_with(body: m3.Manifold, tool: m3.Manifold, other: m3.Manifold, gap: float) -> Cut:
+    """Take from `body` what `tool` covers, and what else is nearer to `other` than the gap, in metres."""
+    tool = tool.as_original()
+    freedom = _freedom(tool, body)
+    before = len(_sizeable(body)[0])
+    rest = _widen((body - tool).simplify(TIDY), other, gap)
+    return _finish(body, rest, freedom, before)
+
+
+def cut_off(body: m3.Manifold, tool: m3.Manifold) -> Cut:
+    """Take from `body` exactly what `tool` covers; nothing is said about its freedom."""
+    return _finish(body, (body - tool).simplify(TIDY), 0.5, len(_sizeable(body)[0]))
+
+
+def without_slivers(body: m3.Manifold) -> m3.Manifold:
+    """The solid without loose pieces too small to count."""
+    pieces, slivers = _sizeable(body)
+    return m3.Manifold.compose(pieces) if slivers and pieces else body
+
+
+def _finish(body: m3.Manifold, rest: m3.Manifold, freedom: float, before: int) -> Cut:
+    pieces, slivers = _sizeable(rest, body.volume())
+    if slivers and pieces:
+        rest = pieces[0] if len(pieces) == 1 else m3.Manifold.compose(pieces)
+    return Cut(rest, body.volume() - rest.volume(), freedom, slivers, len(pieces) > max(1, before))
+
+
+def _widen(rest: m3.Manifold, cutter: m3.Manifold, gap: float) -> m3.Manifold:
+    """Cut again, triangle by triangle, where something is still nearer to the cutter than the gap."""
+    skin = to_surface(cutter)
+    shell = Shell(skin)
+    for grow in (1.0, 1.15):
+        if rest.is_empty():
+            return rest
+        close = shell.triangles_near(Shell(to_surface(rest)), 0.6 * gap)
+        if not len(close):
+            return rest
+        offsets = (2.0 * _CORNERS - 1.0) * gap * grow
+        prisms = [m3.Manifold.hull_points((t[:, None] + offsets).reshape(-1, 3)) for t in skin.corners[close]]
+        rest = (rest - m3.Manifold.batch_boolean(prisms, m3.OpType.Add)).simplify(TIDY)
+    return rest
+
+
+def flush_cut(body: m3.Manifold, cutter: m3.Manifold, gap: float) -> Cut | None:
+    """Cut as if the cutter's own recess for the body were filled: for a pin whose hole is already there.
+
+    None when the two would no longer be in contact.
+    """
+    meeting = inflate(near(cutter, body, 20.0 * gap), gap) ^ body
+    if meeting.is_empty():
+        return None
+    filled = near(cutter, meeting, RECESS_MARGIN).hull()
+    made = cut(body, filled, gap)
+    if made.body.is_empty() or Shell(to_surface(made.body)).nearest(Shell(to_surface(cutter)))[0] > RECESS_CONTACT:
+        return None
+    return made
+
+
+def plane_cut(body: m3.Manifold, other: m3.Manifold, gap: float) -> list[Cut]:
+    """Cuts by a plane that clears all of the other solid near the overlap, for overlaps that are shallow."""
+    tool = inflate(near(other, body, 20.0 * gap), gap).as_original()
+    normals, areas = _facing(tool, body)
+    mean = (normals * areas[:, None]).sum(axis=0)
+    candidates = [mean] if np.linalg.norm(mean) > 1e-12 else []
+    candidates += [np.eye(3)[int(np.argmax(np.abs(mean)))] * np.sign(mean[int(np.argmax(np.abs(mean)))] or 1.0)]
+    out = []
+    overlap = (tool ^ body).bounding_box()
+    low, high = np.reshape(overlap, (2, 3))
+    before = len(_sizeable(body)[0])
+    for direction in candidates:
+        direction = direction / np.linalg.norm(direction)
+        # All of the tool that lies in the overlap's box, seen along the direction, must stay below the plane.
+        box = m3.Manifold.cube(tuple(high - low + 4 * gap)).translate(tuple(low - 2 * gap))
+        inside = to_surface(tool ^ box).vertices
+        if not len(inside):
+            continue
+        height = float((inside @ direction).max())
+        slab = box.trim_by_plane(tuple(-direction), -height).as_original()
+        rest = _widen((body - slab).simplify(TIDY), other, gap)
+        out.append(_finish(body, rest, _freedom(slab, body), before))
+    return out
+
+
+def _sizeable(body: m3.Manifold, whole: float | None = None) -> tuple[list[m3.Manifold], int]:
+    """Pieces that count, and how many are slivers: small ones inside the box around the others.
+
+    Args:
+        body: of one or several pieces.
+        whole: cubic metres of the part; those of `body` if None.
+    """
+    pieces = body.decompose()
+    least = SLIVER * (body.volume() if whole is None else whole)
+    kept = [piece for piece in pieces if piece.volume() >= least]
+    if 0 < len(kept) < len(pieces):
+        boxes = np.array([piece.bounding_box() for piece in kept])
+        low, high = boxes[:, :3].min(axis=0) - OUTLYING, boxes[:, 3:].max(axis=0) + OUTLYING
+        small = [(piece, np.array(piece.bounding_box())) for piece in pieces if piece.volume() < least]
+        kept += [piece for piece, box in small if (box[:3] < low).any() or (box[3:] > high).any()]
+    return kept, len(pieces) - len(kept)
+
+
+def _facing(tool: m3.Manifold, body: m3.Manifold) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n"]]:
+    """Outward unit normals and areas, in m², of the tool's faces inside the body."""
+    mesh = (tool ^ body).to_mesh64()
+    faces, vertices = np.array(mesh.tri_verts).astype(np.int64), np.array(mesh.vert_properties[:, :3])
+    runs, ids = np.array(mesh.run_index).astype(np.int64) // 3, mesh.run_original_id
+    mine = np.zeros(len(faces), dtype=bool)
+    for start, stop, owner in zip(runs[:-1], runs[1:], ids, strict=True):
+        mine[start:stop] = owner == tool.original_id()
+    a, b, c = (vertices[faces[mine][:, k]] for k in range(3))
+    normal = 0.5 * np.cross(b - a, c - a)
+    area = np.linalg.norm(normal, axis=1)
+    return normal / np.maximum(area, 1e-30)[:, None], area
+
+
+def _freedom(tool: m3.Manifold, body: m3.Manifold) -> float:
+    normals, areas = _facing(tool, body)
+    if not areas.sum() > 0:
+        return 0.5
+    largest = normals[np.argsort(-areas, kind="stable")[:12]]
+    ways = np.concatenate([DIRECTIONS, -largest])
+    blocked = np.maximum(ways @ normals.T, 0.0) @ areas / areas.sum()
+    free = blocked < BLOCKED
+    return float(max(free[: len(DIRECTIONS)].mean(), 0.003 * bool(free.any())))

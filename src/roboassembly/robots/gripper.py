@@ -1,0 +1,211 @@
+"""The Franka hand as a thing that collides: a palm and two fingers, each convex, in the frame between the finger tips.
+
+In that frame (`panda_hand_tcp`) z points out of the palm, along the approach, and the fingers close along y. Shapes,
+joint axes and frames are read from the Panda's URDF in the `example-robot-data` wheel.
+"""
+
+from __future__ import annotations
+
+import importlib.metadata
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import trimesh
+from jaxtyping import Bool, Float
+from scipy.spatial.transform import Rotation
+
+from roboassembly.errors import MissingRobotError
+from roboassembly.geometry.meshes import Mesh
+from roboassembly.geometry.poses import SE3, transform_points
+
+MAX_OPENING = 0.08
+"""Metres between the finger pads when the hand is open: 40 mm a finger."""
+PALM_DEPTH = 0.0374
+"""Metres from the finger tips' frame back to the palm: nothing deeper can be between the fingers."""
+RETREAT = 0.10
+"""Metres that the open hand comes from, straight along its approach."""
+
+_WHEEL = "example-robot-data"
+_ROBOT = "cmeel.prefix/share/example-robot-data/robots/panda_description"
+TIPS = "panda_hand_tcp"
+_PALM, _FINGERS = "panda_hand", ("panda_leftfinger", "panda_rightfinger")
+_SLIDES = ("panda_finger_joint1", "panda_finger_joint2")
+
+
+@dataclass(frozen=True, eq=False)
+class _Hand:
+    """Convex bodies of the closed hand in the tips' frame; and the unit vectors along which the fingers open."""
+
+    palm: Mesh
+    fingers: tuple[Mesh, Mesh]
+    opens: tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]
+
+
+def panda_folder() -> Path:
+    """Where the wheel keeps the Panda: `urdf/panda.urdf` and `meshes/`.
+
+    Raises:
+        MissingRobotError: the wheel is not installed, or holds no Panda where it should.
+    """
+    try:
+        folder = Path(str(importlib.metadata.distribution(_WHEEL).locate_file(_ROBOT)))
+    except importlib.metadata.PackageNotFoundError:
+        raise MissingRobotError(_WHEEL) from None
+    if not (folder / "urdf/panda.urdf").is_file():
+        raise MissingRobotError(_WHEEL, folder)
+    return folder
+
+
+def hand_bodies(opening: float) -> tuple[tuple[Mesh, SE3], ...]:
+    """Convex palm, left and right finger, each with its `tips_from_body`, the pads `opening` metres apart.
+
+    The meshes are the same objects at every call.
+    """
+    hand = _hand()
+    fingers = (
+        (mesh, SE3(np.eye(3), 0.5 * opening * axis)) for mesh, axis in zip(hand.fingers, hand.opens, strict=True)
+    )
+    return ((hand.palm, SE3.Identity()), *fingers)
+
+
+def hand_pose(
+    position: Float[np.ndarray, "3"], closing: Float[np.ndarray, "3"], approach: Float[np.ndarray, "3"]
+) -> SE3:
+    """`part_from_tips` of the hand that holds at a position, closes along one unit vector and comes along another."""
+    return SE3(np.column_stack([np.cross(closing, approach), closing, approach]), position)
+
+
+class HandAgainst:
+    """Collisions of the hand with one fixed mesh, many poses at a time. Touching counts.
+
+    Args:
+        mesh: the exact triangles; poses are given in its frame.
+    """
+
+    def __init__(self, mesh: Mesh) -> None:
+        # A convex body that moves along a line sweeps the hull of its two ends: one test for the whole way.
+        self._still = _Pool(mesh, _convex_shapes(0.0))
+        self._coming = _Pool(mesh, _convex_shapes(RETREAT))
+
+    def touches(
+        self,
+        positions: Float[np.ndarray, "n 3"],
+        closing: Float[np.ndarray, "n 3"],
+        approach: Float[np.ndarray, "n 3"],
+        opening: float | Float[np.ndarray, "n"],
+        *,
+        coming: bool = False,
+    ) -> Bool[np.ndarray, "n"]:
+        """Whether the hand touches the mesh anywhere.
+
+        Args:
+            positions: midway between the pads, metres.
+            closing: unit vectors.
+            approach: unit vectors orthogonal to `closing`, from the palm to the finger tips.
+            opening: metres between the pads.
+            coming: the hand is looked at not only there but all along the last `RETREAT` metres of its way there.
+        """
+        n = len(positions)
+        turns = np.stack([np.cross(closing, approach), closing, approach], axis=-1)
+        configurations = np.empty((9, n), order="F")
+        configurations[:3] = positions.T
+        configurations[3:7] = _quaternions(turns).T
+        configurations[7:] = 0.5 * np.asarray(opening)
+        return (self._coming if coming else self._still).collides(configurations)
+
+
+class _Pool:
+    """Pinocchio's batch of collision tests of a free hand with a mesh."""
+
+    def __init__(self, mesh: Mesh, shapes: tuple[Any, ...]) -> None:
+        model = pin.Model()
+        palm = model.addJoint(0, pin.JointModelFreeFlyer(), SE3.Identity(), _PALM)
+        joints = [palm]
+        for name, axis in zip(_SLIDES, _hand().opens, strict=True):
+            joints.append(model.addJoint(palm, pin.JointModelPrismaticUnaligned(axis), SE3.Identity(), name))
+        geometry = pin.GeometryModel()
+        part = geometry.addGeometryObject(pin.GeometryObject("part", 0, SE3.Identity(), mesh.bvh))
+        for index, (joint, shape) in enumerate(zip(joints, shapes, strict=True)):
+            body = geometry.addGeometryObject(pin.GeometryObject(f"body{index}", joint, SE3.Identity(), shape))
+            geometry.addCollisionPair(pin.CollisionPair(part, body))
+        self._pool = pin.GeometryPool(model, geometry, 1)
+        for data in self._pool.getGeometryDatas():
+            for request in data.collisionRequests:
+                # Else Coal keeps looking at what is near and not touching.
+                request.break_distance = 0.0
+
+    def collides(self, configurations: Float[np.ndarray, "9 n"]) -> Bool[np.ndarray, "n"]:
+        return np.array(pin.computeCollisionsInParallel(1, self._pool, configurations, False), dtype=bool)
+
+
+@cache
+def _convex_shapes(back: float) -> tuple[Any, ...]:
+    """Coal's convex bodies of the closed hand, swept from `back` metres behind."""
+    hand = _hand()
+    shapes = []
+    for mesh in (hand.palm, *hand.fingers):
+        swept = Mesh.from_trimesh(_hull(np.concatenate([mesh.vertices, mesh.vertices - [0.0, 0.0, back]])))
+        shapes.append(swept.convex)
+    return tuple(shapes)
+
+
+@cache
+def _hand() -> _Hand:
+    folder = panda_folder()
+    urdf = str(folder / "urdf/panda.urdf")
+    model = pin.buildModelFromUrdf(urdf)
+    # Its `package://` paths begin above the folder of the wheel's own name.
+    geometry = pin.buildGeomFromUrdf(
+        model, urdf, pin.GeometryType.COLLISION, package_dirs=[str(folder.parent.parent.parent)]
+    )
+    data, tips = model.createData(), model.getFrameId(TIPS)
+
+    def in_tips(link: str, configuration: Float[np.ndarray, "q"]) -> SE3:
+        pin.framesForwardKinematics(model, data, configuration)
+        return data.oMf[tips].actInv(data.oMf[model.getFrameId(link)])
+
+    closed = pin.neutral(model)
+    opens = []
+    for link, slide in zip(_FINGERS, _SLIDES, strict=True):
+        moved = pin.neutral(model)
+        moved[model.joints[model.getJointId(slide)].idx_q] = 0.5 * MAX_OPENING
+        way = in_tips(link, moved).translation - in_tips(link, closed).translation
+        opens.append(way / np.linalg.norm(way))
+    finger = np.array(trimesh.load_mesh(folder / "meshes/collision/finger.stl", process=False).vertices)
+    bodies = []
+    for link, axis in zip((_PALM, *_FINGERS), (None, *opens), strict=True):
+        pose = in_tips(link, closed)
+        corners = []
+        if axis is not None:
+            # The URDF has each finger as four boxes, and the file beside it as one shape, up to 3 mm apart. The file
+            # is of the finger that opens along y; the other one is it turned about.
+            turn = np.diag([np.sign(axis[1]), np.sign(axis[1]), 1.0])
+            corners.append(transform_points(pose, finger @ turn))
+        for shape in geometry.geometryObjects:
+            frame = model.frames[shape.parentFrame]
+            if frame.name == link:
+                placement = data.oMf[tips].actInv(data.oMi[frame.parentJoint] * shape.placement)
+                corners.append(transform_points(placement, _corners(shape.geometry)))
+        bodies.append(Mesh.from_trimesh(_hull(np.concatenate(corners))))
+    return _Hand(bodies[0], (bodies[1], bodies[2]), (opens[0], opens[1]))
+
+
+def _corners(shape: Any) -> Float[np.ndarray, "n 3"]:
+    """Of a box or of a mesh, in its own frame."""
+    if hasattr(shape, "halfSide"):
+        signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+        return signs * np.array(shape.halfSide)
+    return np.array(shape.vertices())
+
+
+def _hull(points: Float[np.ndarray, "n 3"]) -> trimesh.Trimesh:
+    return trimesh.convex.convex_hull(points)
+
+
+def _quaternions(turns: Float[np.ndarray, "n 3 3"]) -> Float[np.ndarray, "n 4"]:
+    """x, y, z, w, as Pinocchio's configurations have it."""
+    return Rotation.from_matrix(turns).as_quat()
