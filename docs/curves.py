@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from roboassembly.furniture.datasets import pick
+from roboassembly.datasets.sets import pick
 from roboassembly.learning.gather import file_of
 from roboassembly.learning.logs import read
 from roboassembly.learning.single_task import results

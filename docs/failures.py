@@ -18,16 +18,16 @@ import imageio.v3 as iio
 import numpy as np
 from drawing import Piece, drawn, hand
 
+from roboassembly.datasets.sets import Pick, pick
 from roboassembly.envs.full import FullEnv
 from roboassembly.envs.object_centric import ObjectCentricEnv
-from roboassembly.furniture.datasets import Pick, pick
 from roboassembly.furniture.model import Furniture
 from roboassembly.geometry.poses import SE3
 from roboassembly.learning.evaluate import failure_of
 from roboassembly.learning.players import Episode
 from roboassembly.rendering.colors import Color
-from roboassembly.task.groups import Group, TaskState
-from roboassembly.task.joining import hold
+from roboassembly.task.full.grips import hold
+from roboassembly.task.rules.groups import Group, TaskState
 
 WIDTH, HEIGHT = 480, 340
 MOVED, WAITING, OTHER = (0.30, 0.50, 0.80), (0.88, 0.55, 0.25), (0.80, 0.80, 0.78)

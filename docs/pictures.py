@@ -8,9 +8,9 @@ import numpy as np
 from drawing import Piece, drawn, hand
 from PIL import Image
 
+from roboassembly.datasets import catalogue
 from roboassembly.envs.object_centric import existing_actions
 from roboassembly.envs.observation import Observer
-from roboassembly.furniture import catalogue
 from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS, Furniture, Part
 from roboassembly.generate import CHAIRS, FAMILIES
 from roboassembly.geometry.poses import SE3
@@ -19,9 +19,9 @@ from roboassembly.rendering.colors import WOOD
 from roboassembly.robots.gripper import hand_pose
 from roboassembly.solvers.oracle import Oracle
 from roboassembly.solvers.search import solve, solve_full
-from roboassembly.task.groups import TaskState
-from roboassembly.task.object_centric import ObjectCentricTask
-from roboassembly.task.upright import set_upright
+from roboassembly.task.object_centric.task import ObjectCentricTask
+from roboassembly.task.object_centric.upright import set_upright
+from roboassembly.task.rules.groups import TaskState
 from roboassembly.viewer.film import render_contact_sheet, render_meshes, write_film, write_storyboard
 from roboassembly.viewer.playing import AnyPlan
 

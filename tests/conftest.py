@@ -13,15 +13,16 @@ import pytest
 
 import shapes
 from roboassembly.cli import main
-from roboassembly.furniture import catalogue, datasets
+from roboassembly.datasets import catalogue
+from roboassembly.datasets import sets as datasets
 from roboassembly.furniture.annotate import annotate
 from roboassembly.furniture.model import Furniture, Provenance
 from roboassembly.generate import generate
 from roboassembly.rendering import gl
 from roboassembly.solvers.disassembly import Disassembly, partition_of
 from roboassembly.solvers.options import grasping
-from roboassembly.task.full import FullTask
-from roboassembly.task.full_plan import FullPlan
+from roboassembly.task.full.task import FullTask
+from roboassembly.task.plans.full_plan import FullPlan
 
 
 def pytest_configure(config: pytest.Config) -> None:

@@ -17,7 +17,7 @@ from roboassembly.furniture.symmetry import MAX_SYMMETRIES, rotations_onto, symm
 from roboassembly.generate import FAMILIES, generate
 from roboassembly.geometry.meshes import Mesh
 from roboassembly.geometry.poses import SE3
-from roboassembly.task.pairs import mate
+from roboassembly.task.rules.pairs import mate
 
 ORIGIN = Provenance("test")
 CHAIRS = [(family, seed) for family in FAMILIES for seed in range(3)]

@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 
 from roboassembly.audit.object_centric import ViolationKind, audit_plan
+from roboassembly.datasets import catalogue
 from roboassembly.errors import MissingExtraError
-from roboassembly.furniture import catalogue
 from roboassembly.furniture.annotate import annotate
 from roboassembly.furniture.model import Provenance
 from roboassembly.generate import CHAIRS, generate
 from roboassembly.geometry.poses import SE3
 from roboassembly.solvers.search import solve
-from roboassembly.task.plan import Plan, PlanStep
+from roboassembly.task.plans.plan import Plan, PlanStep
 
 pytest.importorskip("fcl")
 

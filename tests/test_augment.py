@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from roboassembly.datasets import catalogue
 from roboassembly.envs.observation import Observer, surface_points
-from roboassembly.furniture import catalogue
 from roboassembly.furniture.model import MAX_POINTS
 from roboassembly.learning.augment import changed
 from roboassembly.learning.batches import pad
@@ -16,7 +16,7 @@ from roboassembly.learning.features import of_ways
 from roboassembly.learning.lessons import Course, Teacher, answers
 from roboassembly.learning.tokens import Tokens
 from roboassembly.learning.views import VIEWS, Change, seen, ways_after
-from roboassembly.task.rules import UP_AXES
+from roboassembly.task.rules.connections import UP_AXES
 
 
 @pytest.fixture(scope="module")

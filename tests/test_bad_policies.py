@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from roboassembly.furniture import catalogue, storage
+from roboassembly.datasets import catalogue
+from roboassembly.furniture import storage
 
 Run = Callable[..., tuple[int, str, str]]
 WOULD_DO = "name a checkpoint (.npz) that `roboassembly train` wrote, or a Python file (.py) that defines policy(seed)"

@@ -11,11 +11,12 @@ import pytest
 import trimesh
 
 import shapes
+from roboassembly.datasets import catalogue
 from roboassembly.errors import FurnitureError
-from roboassembly.furniture import catalogue, storage
+from roboassembly.furniture import storage
+from roboassembly.furniture.triangles import NamedTriangles, Triangles
 from roboassembly.generate import FAMILIES, generate
 from roboassembly.importers import bodies, folder
-from roboassembly.importers.triangles import NamedTriangles, Triangles
 
 Run = Callable[..., tuple[int, str, str]]
 UNIT = (1.0, 1.0, 1.0)

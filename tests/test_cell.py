@@ -13,9 +13,9 @@ from roboassembly.errors import InputError
 from roboassembly.furniture.model import Furniture
 from roboassembly.geometry.meshes import WOOD_DENSITY
 from roboassembly.geometry.poses import SE3
-from roboassembly.task import cell
-from roboassembly.task.cell import BETWEEN_POSTS, LANE, LOWEST, PAYLOAD, check_size, laid_out, on_post, reach_from
-from roboassembly.task.groups import Group
+from roboassembly.task.full import cell
+from roboassembly.task.full.cell import BETWEEN_POSTS, LANE, LOWEST, PAYLOAD, check_size, laid_out, on_post, reach_from
+from roboassembly.task.rules.groups import Group
 from shapes import GAP, block, brick, fcl_object, furniture, of_solid, pose
 
 

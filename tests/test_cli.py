@@ -14,8 +14,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from roboassembly.furniture import catalogue, storage
-from roboassembly.task.object_centric import Verdict
+from roboassembly.datasets import catalogue
+from roboassembly.furniture import storage
+from roboassembly.task.object_centric.task import Verdict
 
 Run = Callable[..., tuple[int, str, str]]
 """Of the fixture `run`."""

@@ -10,9 +10,10 @@ from typing import Any
 
 import pytest
 
+from roboassembly.datasets import catalogue
+from roboassembly.datasets.sets import pick
 from roboassembly.errors import InputError, MissingExtraError
-from roboassembly.furniture import catalogue, storage
-from roboassembly.furniture.datasets import pick
+from roboassembly.furniture import storage
 from roboassembly.learning.evaluate import evaluate
 from roboassembly.learning.players import Way
 from roboassembly.parallel.processes import as_done, in_order, spread, workers

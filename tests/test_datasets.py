@@ -10,9 +10,11 @@ import numpy as np
 import pytest
 
 import shapes
+from roboassembly.datasets import catalogue
+from roboassembly.datasets import sets as datasets
+from roboassembly.datasets.sets import Recipe, load_manifest, make_entry, manifest_path, pick
 from roboassembly.errors import InputError, UnknownNameError
-from roboassembly.furniture import catalogue, datasets, storage
-from roboassembly.furniture.datasets import Recipe, load_manifest, make_entry, manifest_path, pick
+from roboassembly.furniture import storage
 from roboassembly.generate import CHAIRS
 from roboassembly.geometry.poses import SE3
 from roboassembly.geometry.scene import Body, Scene, Shape
@@ -20,7 +22,7 @@ from roboassembly.planning.problem import Budget, PlanningStatus
 from roboassembly.solvers import curate
 from roboassembly.solvers.joint_rrt import solve_jointly
 from roboassembly.solvers.prober import probe
-from roboassembly.task.object_centric import ObjectCentricTask
+from roboassembly.task.object_centric.task import ObjectCentricTask
 
 TINY = Recipe("tiny", "for tests", 4, 2, 1, ("upholstered",))
 

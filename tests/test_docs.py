@@ -19,7 +19,7 @@ import pytest
 import documentation
 from documentation import FENCE, PAGES, ROOT, SPAN, Command, commands, commands_in_prose, prose_of, text_of
 from roboassembly.cli import parse
-from roboassembly.furniture.datasets import RECIPES
+from roboassembly.datasets.sets import RECIPES
 from roboassembly.studio.panel import Panel
 from scripts import script
 

@@ -14,20 +14,21 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
+from roboassembly.datasets import catalogue
 from roboassembly.envs import FULL, OBJECT_CENTRIC
 from roboassembly.envs.assembly import AssemblyEnv
 from roboassembly.envs.full import FullEnv
 from roboassembly.envs.object_centric import ObjectCentricEnv
 from roboassembly.envs.wrappers import DiscreteActions
 from roboassembly.errors import InputError, UnknownNameError
-from roboassembly.furniture import catalogue, storage
+from roboassembly.furniture import storage
 from roboassembly.furniture.model import Furniture, Provenance, RawFurniture, RawPart
 from roboassembly.geometry.meshes import Mesh
 from roboassembly.geometry.poses import SE3, pose_to_euler, rotations_from_euler
 from roboassembly.solvers.disassembly import Disassembly, partition_of
 from roboassembly.solvers.options import grasping, upright
-from roboassembly.task.groups import Group
-from roboassembly.task.joining import hold
+from roboassembly.task.full.grips import hold
+from roboassembly.task.rules.groups import Group
 
 trimesh = pytest.importorskip("trimesh")
 

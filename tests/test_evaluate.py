@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 
 from roboassembly.cli.evaluate import summary
+from roboassembly.datasets import catalogue
+from roboassembly.datasets.sets import Entry, Pick, furniture_hash, pick, sampled
 from roboassembly.errors import InputError, MissingExtraError, RoboAssemblyError, UnknownNameError
-from roboassembly.furniture import catalogue, storage
-from roboassembly.furniture.datasets import Entry, Pick, furniture_hash, pick, sampled
+from roboassembly.furniture import storage
 from roboassembly.furniture.model import Furniture
 from roboassembly.learning.evaluate import Evaluation, episode_seed, evaluate, success
 from roboassembly.learning.export import check_target, export

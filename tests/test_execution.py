@@ -13,10 +13,10 @@ from roboassembly.simulation.execution import StepPhysics
 from roboassembly.simulation.mobile_arms import Load, between_pads
 from roboassembly.simulation.pacing import TIME_STEP, paced
 from roboassembly.solvers.options import grasping
-from roboassembly.task.execution import JOINT_ANGLE, JOINT_POSITION, Ending, execute
-from roboassembly.task.full import FullTask
-from roboassembly.task.full_plan import FullStep
-from roboassembly.task.legs import TUCKED
+from roboassembly.task.full.execution import JOINT_ANGLE, JOINT_POSITION, Ending, execute
+from roboassembly.task.full.segments import TUCKED
+from roboassembly.task.full.task import FullTask
+from roboassembly.task.plans.full_plan import FullStep
 from shapes import brick, pose
 
 A, B = np.array([0.0, 0.0, 0.0, *TUCKED]), np.array([3.0, 0.0, 0.0, *TUCKED])

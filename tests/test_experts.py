@@ -7,18 +7,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from roboassembly.datasets import catalogue
+from roboassembly.datasets.sets import Pick, pick
 from roboassembly.errors import InputError
-from roboassembly.furniture import catalogue, storage
-from roboassembly.furniture.datasets import Pick, pick
+from roboassembly.furniture import storage
 from roboassembly.geometry.poses import SE3
 from roboassembly.learning import autoencoder, checkpoint, experts
 from roboassembly.learning.experts import Chair, Expert, chair_of, play, told
 from roboassembly.learning.practice import Practice
 from roboassembly.learning.rehearsal import Rehearsal
 from roboassembly.learning.trials import BLOCKED, FAILS, MERGES, UNKNOWN
-from roboassembly.task.full import FullTask, Refusal
-from roboassembly.task.groups import Group
-from roboassembly.task.object_centric import ObjectCentricTask, Verdict
+from roboassembly.task.full.task import FullTask, Refusal
+from roboassembly.task.object_centric.task import ObjectCentricTask, Verdict
+from roboassembly.task.rules.groups import Group
 
 jax = pytest.importorskip("jax")
 from roboassembly.learning import apprentices, double_q, paper_imitation  # noqa: E402

@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from roboassembly.furniture import catalogue
+from roboassembly.datasets import catalogue
 from roboassembly.furniture.export import WOOD_DENSITY, export_mjcf, export_urdf
 
 PIECES = ["ladder", "pedestal:3", "stool"]

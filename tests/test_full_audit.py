@@ -10,8 +10,8 @@ import pytest
 
 from roboassembly.audit.full import RobotAuditReport, RobotViolationKind, audit_full_plan
 from roboassembly.geometry.poses import SE3
-from roboassembly.task.full_plan import FullPlan
-from roboassembly.task.moments import Leg
+from roboassembly.task.full.cell_state import Leg
+from roboassembly.task.plans.full_plan import FullPlan
 
 pytest.importorskip("fcl")
 

@@ -20,13 +20,13 @@ from roboassembly.robots.reach import reach
 from roboassembly.solvers.disassembly import partition_of
 from roboassembly.solvers.options import grasping
 from roboassembly.solvers.search import SearchLimits, solve_full
-from roboassembly.task.cell import Stand
-from roboassembly.task.full import FullOutcome, FullTask, FullVerdict, Joint
-from roboassembly.task.full_plan import FullState
-from roboassembly.task.joining import Hold
-from roboassembly.task.legs import LegError, Legs
-from roboassembly.task.moments import Leg
-from roboassembly.task.taking import Wanted, _taking, fetch_both
+from roboassembly.task.full.cell import Stand
+from roboassembly.task.full.cell_state import Leg
+from roboassembly.task.full.grips import Hold
+from roboassembly.task.full.pick import Wanted, _taking, fetch_both
+from roboassembly.task.full.segments import LegError, Legs
+from roboassembly.task.full.task import FullOutcome, FullTask, FullVerdict, Joint
+from roboassembly.task.plans.full_plan import FullState
 from shapes import GAP, RobotChecker, brick, furniture, pose
 
 LEGS = [

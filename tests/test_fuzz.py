@@ -16,18 +16,19 @@ import numpy as np
 import pytest
 
 from roboassembly.cli import main
+from roboassembly.datasets import catalogue
 from roboassembly.envs import FULL, OBJECT_CENTRIC
 from roboassembly.envs.assembly import AssemblyEnv
 from roboassembly.envs.full import FullEnv
 from roboassembly.envs.object_centric import ObjectCentricEnv
 from roboassembly.envs.wrappers import DiscreteActions
 from roboassembly.errors import FurnitureError, InputError
-from roboassembly.furniture import catalogue, storage
+from roboassembly.furniture import storage
 from roboassembly.learning.loading import load_policy
 from roboassembly.studio.session import Session
-from roboassembly.task import plan_file
-from roboassembly.task.full import FullVerdict
-from roboassembly.task.object_centric import Verdict
+from roboassembly.task.full.task import FullVerdict
+from roboassembly.task.object_centric.task import Verdict
+from roboassembly.task.plans import plan_file
 
 ODD: tuple[Any, ...] = (
     None, True, False, 0, -1, 1, 2**31, -(2**31), 2**63, 2**70, 0.5, -0.0, 1e308, -1e-308, "", "a", "../../etc/passwd",

@@ -14,11 +14,12 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 import shapes
+from roboassembly.datasets import catalogue
+from roboassembly.datasets.sets import furniture_hash
 from roboassembly.envs.observation import Observer
 from roboassembly.errors import MissingRobotError
-from roboassembly.furniture import catalogue, storage
+from roboassembly.furniture import storage
 from roboassembly.furniture.annotate import annotate
-from roboassembly.furniture.datasets import furniture_hash
 from roboassembly.furniture.grasps import CLEARANCE, FRICTION, MAX_WIDTH, find_grasps
 from roboassembly.furniture.model import Furniture, GraspRegion, Provenance, RawPart
 from roboassembly.generate import CHAIRS, FAMILIES

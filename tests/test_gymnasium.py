@@ -14,12 +14,12 @@ import pytest
 from gymnasium.error import InvalidAction, ResetNeeded, UnsupportedMode
 from gymnasium.utils.env_checker import check_env
 
+from roboassembly.datasets import catalogue
 from roboassembly.envs import FULL, OBJECT_CENTRIC
 from roboassembly.envs.full import FullEnv
 from roboassembly.envs.object_centric import ObjectCentricEnv
 from roboassembly.envs.wrappers import DiscreteActions
 from roboassembly.errors import InputError
-from roboassembly.furniture import catalogue
 from roboassembly.furniture.model import Furniture
 from roboassembly.learning.loading import load_policy
 from roboassembly.rendering import gl

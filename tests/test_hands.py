@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 import shapes
+from roboassembly.datasets import catalogue
 from roboassembly.envs.full import FullEnv, existing_actions
 from roboassembly.envs.observation import Observer, surface_points
 from roboassembly.errors import InputError
-from roboassembly.furniture import catalogue
 from roboassembly.furniture.model import MAX_POINTS, Furniture
 from roboassembly.geometry.poses import SE3
 from roboassembly.learning import checkpoint, grasping, relational
@@ -29,11 +29,11 @@ from roboassembly.learning.situation import Situation, groups_of
 from roboassembly.learning.tokens import Memory
 from roboassembly.solvers.hand_oracle import HandOracle
 from roboassembly.solvers.options import fitting
-from roboassembly.task.full import FullTask, FullVerdict
-from roboassembly.task.full import Joint as Held
-from roboassembly.task.groups import Group, TaskState
-from roboassembly.task.joining import can_take, hold
-from roboassembly.task.rules import GRASPS
+from roboassembly.task.full.grips import can_take, hold
+from roboassembly.task.full.task import FullTask, FullVerdict
+from roboassembly.task.full.task import Joint as Held
+from roboassembly.task.rules.connections import GRASPS
+from roboassembly.task.rules.groups import Group, TaskState
 
 COMING = [0, 1]
 """Columns of `Handling.one`: room of the open hand on its way, beside its part and beside the rest of its group."""

@@ -15,7 +15,6 @@ from roboassembly.furniture.model import Furniture
 from roboassembly.geometry.poses import SE3
 from roboassembly.geometry.scene import Body, Shape
 from roboassembly.simulation.settle import settle
-from roboassembly.task.groups import TaskState, hull_points
 from roboassembly.task.layout import (
     GROUND_CLEARANCE,
     SPACING,
@@ -25,6 +24,7 @@ from roboassembly.task.layout import (
     group_footprint,
     scattered,
 )
+from roboassembly.task.rules.groups import TaskState, hull_points
 
 coordinate = st.floats(-1, 1).map(lambda x: round(x, 3))
 circles = st.builds(

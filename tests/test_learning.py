@@ -9,10 +9,10 @@ import jax
 import numpy as np
 import pytest
 
+from roboassembly.datasets import catalogue
 from roboassembly.envs.object_centric import ObjectCentricEnv
 from roboassembly.envs.observation import surface_points
 from roboassembly.errors import InputError
-from roboassembly.furniture import catalogue
 from roboassembly.geometry.poses import rotations_from_euler
 from roboassembly.learning import checkpoint, imitation, layers, relational
 from roboassembly.learning.augment import changed

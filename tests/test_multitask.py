@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from roboassembly.datasets import catalogue
+from roboassembly.datasets import sets as datasets
 from roboassembly.errors import InputError
-from roboassembly.furniture import catalogue, datasets
 from roboassembly.learning import autoencoder, checkpoint, imitation, logs, relational
 from roboassembly.learning.gather import EXTRA_SEEDS, extra_names, file_of, gather, hands_of, load_courses
 from roboassembly.learning.layers import Params

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from roboassembly.furniture import catalogue
+from roboassembly.datasets import catalogue
 from roboassembly.planning.problem import Budget
 from roboassembly.solvers.oracle import Oracle
-from roboassembly.task.groups import TaskState
-from roboassembly.task.object_centric import ObjectCentricTask, Verdict
+from roboassembly.task.object_centric.task import ObjectCentricTask, Verdict
+from roboassembly.task.rules.groups import TaskState
 
 
 def after(state: TaskState, joint) -> TaskState:

@@ -13,7 +13,9 @@ import pytest
 import trimesh
 
 import shapes
-from roboassembly.furniture import catalogue, datasets, storage
+from roboassembly.datasets import catalogue
+from roboassembly.datasets import sets as datasets
+from roboassembly.furniture import storage
 from roboassembly.importers import pipeline
 
 Run = Callable[..., tuple[int, str, str]]

@@ -14,11 +14,11 @@ from types import ModuleType
 import numpy as np
 import pytest
 
+from roboassembly.datasets.sets import pick
 from roboassembly.envs.full import FullEnv
 from roboassembly.envs.object_centric import ObjectCentricEnv
 from roboassembly.errors import InputError, PolicyError, UnknownNameError
 from roboassembly.furniture import storage
-from roboassembly.furniture.datasets import pick
 from roboassembly.furniture.model import Furniture
 from roboassembly.learning.evaluate import episode_seed, evaluate
 from roboassembly.learning.loading import load_policy, maker_of

@@ -13,8 +13,8 @@ from roboassembly.generate import CHAIRS, FAMILIES, OTHERS
 from roboassembly.geometry.meshes import distance_to
 from roboassembly.geometry.poses import SE3
 from roboassembly.solvers.options import ends
-from roboassembly.task.groups import Group, TaskState, body, center_of_mass, hull_points
-from roboassembly.task.pairs import Merge, PairRule, mate
+from roboassembly.task.rules.groups import Group, TaskState, body, center_of_mass, hull_points
+from roboassembly.task.rules.pairs import Merge, PairRule, mate
 from shapes import pose
 
 

@@ -16,11 +16,11 @@ import numpy as np
 import pytest
 
 import shapes
+from roboassembly.datasets import catalogue
 from roboassembly.envs.full import FullEnv
 from roboassembly.envs.object_centric import ObjectCentricEnv
 from roboassembly.envs.observation import Observer, surface_points
 from roboassembly.errors import InputError
-from roboassembly.furniture import catalogue
 from roboassembly.furniture.model import Furniture
 from roboassembly.geometry.poses import rotations_from_euler
 from roboassembly.learning import autoencoder, checkpoint, layers, paper
@@ -32,9 +32,9 @@ from roboassembly.learning.paper import PaperConfig, PaperPolicy, PaperState
 from roboassembly.learning.paper_imitation import Augmentation, Example, Training
 from roboassembly.solvers.hand_oracle import HandOracle
 from roboassembly.solvers.oracle import Oracle
-from roboassembly.task.full import FullTask
-from roboassembly.task.groups import TaskState
-from roboassembly.task.object_centric import ObjectCentricTask
+from roboassembly.task.full.task import FullTask
+from roboassembly.task.object_centric.task import ObjectCentricTask
+from roboassembly.task.rules.groups import TaskState
 
 STATE = paper.size(False)
 SMALL = PaperConfig(hidden=24, feature=16, slot=8)

@@ -13,9 +13,9 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
+from roboassembly.datasets import catalogue
 from roboassembly.envs.object_centric import ObjectCentricEnv
 from roboassembly.errors import InputError, UnknownNameError
-from roboassembly.furniture import catalogue
 from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS
 from roboassembly.learning import autoencoder, checkpoint, loading, paper, relational
 from roboassembly.learning.checkpoint import Checkpoint

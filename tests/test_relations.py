@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from roboassembly.furniture import catalogue
+from roboassembly.datasets import catalogue
 from roboassembly.learning.rehearsal import FAILS, MERGES, Rehearsal
 from roboassembly.learning.relations import Placed, Relations
-from roboassembly.task.object_centric import ObjectCentricTask
+from roboassembly.task.object_centric.task import ObjectCentricTask
 
 
 def square(like: int, at: tuple[float, float, float]) -> Placed:

@@ -34,7 +34,7 @@ from roboassembly.learning import checkpoint
 from roboassembly.learning.loading import load_policy
 from roboassembly.learning.policies import guide_of
 from roboassembly.studio.wares import open_path
-from roboassembly.task.plan import Plan
+from roboassembly.task.plans.plan import Plan
 
 _REAL = (
     ("ikea-manual", "ikea_manuals_at_work", 16),

@@ -8,7 +8,7 @@ import fcl
 import numpy as np
 import pytest
 
-from roboassembly.furniture import catalogue
+from roboassembly.datasets import catalogue
 from roboassembly.geometry.poses import SE3, rotation_angle
 from roboassembly.geometry.scene import Body, Shape
 from roboassembly.planning.problem import Budget

@@ -23,9 +23,9 @@ from roboassembly.planning.problem import Budget
 from roboassembly.solvers.blocking import BlockingGraphs
 from roboassembly.solvers.guide import Guide, Suggestion
 from roboassembly.solvers.search import SearchLimits, SearchResult, solve, solve_from
-from roboassembly.task.groups import Group, TaskState
-from roboassembly.task.object_centric import ObjectCentricTask, Verdict
-from roboassembly.task.plan import Plan
+from roboassembly.task.object_centric.task import ObjectCentricTask, Verdict
+from roboassembly.task.plans.plan import Plan
+from roboassembly.task.rules.groups import Group, TaskState
 from shapes import Checker
 
 

@@ -17,8 +17,9 @@ from viser import _messages
 
 import shapes
 from roboassembly.audit.object_centric import audit_plan
+from roboassembly.datasets import catalogue
 from roboassembly.errors import InputError
-from roboassembly.furniture import catalogue, storage
+from roboassembly.furniture import storage
 from roboassembly.learning.loading import load_policy
 from roboassembly.learning.policies import guide_of
 from roboassembly.solvers.search import solve
@@ -27,9 +28,9 @@ from roboassembly.studio.session import Session
 from roboassembly.studio.visitor import Visitor
 from roboassembly.studio.wares import Wares, open_path, open_plan, open_upload, unpack
 from roboassembly.studio.words import told
-from roboassembly.task import plan_file
-from roboassembly.task.full import FullVerdict
-from roboassembly.task.object_centric import Verdict
+from roboassembly.task.full.task import FullVerdict
+from roboassembly.task.object_centric.task import Verdict
+from roboassembly.task.plans import plan_file
 from studio_client import Browser, merges, note_visitors, served, until
 from test_search import digest
 

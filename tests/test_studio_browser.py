@@ -323,7 +323,7 @@ def test_the_search_runs_and_the_time_line_goes_back(page):
 
 
 def test_own_stl_files_are_brought_and_assembled(page, tmp_path):
-    from roboassembly.furniture import catalogue
+    from roboassembly.datasets import catalogue
 
     stool = catalogue.make("stool", 2)
     archive = tmp_path / "mine.zip"

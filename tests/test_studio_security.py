@@ -18,9 +18,9 @@ import viser
 from viser import ViserServer, _messages
 from websockets.exceptions import ConnectionClosed, InvalidStatus, WebSocketException
 
+from roboassembly.datasets.catalogue import make
 from roboassembly.errors import InputError
 from roboassembly.furniture import storage
-from roboassembly.furniture.catalogue import make
 from roboassembly.studio import incoming
 from roboassembly.studio.access import Access
 from roboassembly.studio.visitor import Visitor

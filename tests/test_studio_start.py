@@ -12,11 +12,11 @@ import pytest
 
 import shapes
 from roboassembly.cli import main
+from roboassembly.datasets.catalogue import make
 from roboassembly.furniture import storage
-from roboassembly.furniture.catalogue import make
 from roboassembly.studio.access import Access
 from roboassembly.studio.session import Session
-from roboassembly.task import plan_file
+from roboassembly.task.plans import plan_file
 
 
 def stl_files(place: Path) -> Path:

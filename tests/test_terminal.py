@@ -17,7 +17,8 @@ from hypothesis import strategies as st
 
 import roboassembly
 from roboassembly.cli import output
-from roboassembly.furniture import catalogue, storage
+from roboassembly.datasets import catalogue
+from roboassembly.furniture import storage
 
 TITLE = "\x1b]0;owned\x07"
 """Sets a terminal's title."""

@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 
 from roboassembly.errors import FurnitureError, InputError
 from roboassembly.generate import FAMILIES, generate
-from roboassembly.importers import folder, units
+from roboassembly.geometry import units
+from roboassembly.importers import folder
 
 Run = Callable[..., tuple[int, str, str]]
 

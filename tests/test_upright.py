@@ -20,17 +20,17 @@ from roboassembly.learning.policies import guide_of
 from roboassembly.solvers.search import solve
 from roboassembly.studio.session import Session
 from roboassembly.studio.words import upright_note
-from roboassembly.task import plan_file
-from roboassembly.task.cell import Cell, on_post
-from roboassembly.task.execution import Ending, execute_upright
-from roboassembly.task.full_plan import FullPlan, FullState, FullUprightMotion
-from roboassembly.task.groups import Group, TaskState
-from roboassembly.task.legs import TUCKED
-from roboassembly.task.moments import Moment, Robot, Standing
-from roboassembly.task.plan import Plan, UprightMotion
-from roboassembly.task.settling import let_go
-from roboassembly.task.stance import stance_of, standing_at
-from roboassembly.task.upright import set_upright
+from roboassembly.task.full.cell import Cell, on_post
+from roboassembly.task.full.cell_state import Moment, Robot, Standing
+from roboassembly.task.full.execution import Ending, execute_upright
+from roboassembly.task.full.segments import TUCKED
+from roboassembly.task.object_centric.settling import let_go
+from roboassembly.task.object_centric.stance import stance_of, standing_at
+from roboassembly.task.object_centric.upright import set_upright
+from roboassembly.task.plans import plan_file
+from roboassembly.task.plans.full_plan import FullPlan, FullState, FullUprightMotion
+from roboassembly.task.plans.plan import Plan, UprightMotion
+from roboassembly.task.rules.groups import Group, TaskState
 from roboassembly.viewer.playing import timeline_of
 from roboassembly.viewer.timeline import Phase, Role
 

@@ -24,7 +24,7 @@ from roboassembly.rendering.camera import View, fit, project
 from roboassembly.rendering.colors import Role
 from roboassembly.rendering.offscreen import OffscreenRenderer, soften_edges
 from roboassembly.rendering.shading import shade
-from roboassembly.task.plan import Plan, PlanStep
+from roboassembly.task.plans.plan import Plan, PlanStep
 from roboassembly.viewer.film import (
     RenderingUnavailableError,
     render_contact_sheet,

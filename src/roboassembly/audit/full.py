@@ -27,8 +27,8 @@ from roboassembly.robots.body import links
 from roboassembly.robots.gripper import TIPS, hand_bodies, panda_folder
 from roboassembly.robots.kinematics import JOINTS
 from roboassembly.robots.platform import PLATFORM_FROM_MOUNT
-from roboassembly.task.full_plan import FullPlan
-from roboassembly.task.moments import Configuration, Leg, Moment, Robot
+from roboassembly.task.full.cell_state import Configuration, Leg, Moment, Robot
+from roboassembly.task.plans.full_plan import FullPlan
 
 RESOLUTION = 0.02
 """Metres that a point of the robot travels between two states, about."""

@@ -23,7 +23,7 @@ from roboassembly.audit.arrangement import SAME_ANGLE, SAME_POSITION, angle_of, 
 from roboassembly.errors import MissingExtraError
 from roboassembly.geometry.meshes import Mesh
 from roboassembly.geometry.poses import SE3
-from roboassembly.task.plan import Plan, PlanStep, UprightMotion, UprightResult
+from roboassembly.task.plans.plan import Plan, PlanStep, UprightMotion, UprightResult
 
 _ORTHONORMAL = 1e-6
 """Largest entry of R Rᵀ - 1 that a rotation may have."""

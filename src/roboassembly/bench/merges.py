@@ -18,8 +18,8 @@ from roboassembly.geometry.scene import Scene
 from roboassembly.planning.mating import SKY_CLEARANCE, MatingProblem
 from roboassembly.planning.world import CollisionWorld
 from roboassembly.solvers.search import SearchResult, solve
-from roboassembly.task.groups import TaskState
-from roboassembly.task.object_centric import Mating, ObjectCentricTask
+from roboassembly.task.object_centric.task import Mating, ObjectCentricTask
+from roboassembly.task.rules.groups import TaskState
 
 _SEEDS_TRIED = 500
 """Generator seeds after which a family counts as having no chair with that many parts."""

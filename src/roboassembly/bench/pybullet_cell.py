@@ -15,7 +15,7 @@ from roboassembly.robots.body import world_from_platform, world_from_tips
 from roboassembly.robots.gripper import panda_folder
 from roboassembly.robots.kinematics import JOINTS
 from roboassembly.robots.platform import CLEARANCE, HEIGHT, LENGTH, PLATFORM_FROM_MOUNT, WIDTH
-from roboassembly.task.moments import Configuration, Leg
+from roboassembly.task.full.cell_state import Configuration, Leg
 
 
 class BulletCell:

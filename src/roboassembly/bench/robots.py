@@ -19,16 +19,16 @@ import numpy as np
 
 from roboassembly.bench.machine import Machine
 from roboassembly.bench.pybullet_cell import BulletCell
+from roboassembly.datasets import catalogue
 from roboassembly.errors import InputError, MissingExtraError
-from roboassembly.furniture import catalogue
 from roboassembly.furniture.model import Furniture
 from roboassembly.planning.problem import Budget
 from roboassembly.planning.robot_path import Floor, connect, number_space
 from roboassembly.planning.rrt import exhaustion, run_rrt_connect
 from roboassembly.solvers.search import solve_full
-from roboassembly.task.full import FullTask, FullVerdict
-from roboassembly.task.full_plan import FullPlan
-from roboassembly.task.moments import Configuration, Leg
+from roboassembly.task.full.cell_state import Configuration, Leg
+from roboassembly.task.full.task import FullTask, FullVerdict
+from roboassembly.task.plans.full_plan import FullPlan
 
 _STEP = 0.02
 """Metres and radians between two states of theirs."""

@@ -13,8 +13,8 @@ import numpy as np
 from roboassembly.bench.merges import BenchChair
 from roboassembly.envs.object_centric import ObjectCentricEnv
 from roboassembly.furniture.model import Furniture
-from roboassembly.task.object_centric import Verdict
-from roboassembly.task.rules import UP_AXES
+from roboassembly.task.object_centric.task import Verdict
+from roboassembly.task.rules.connections import UP_AXES
 
 _WRONG_PAIRS = 10
 """Tried in each state of a plan."""

@@ -28,8 +28,8 @@ from roboassembly.errors import InputError
 if TYPE_CHECKING:
     from roboassembly.furniture.model import Furniture
     from roboassembly.solvers.search import SearchResult
-    from roboassembly.task.full_plan import FullPlan
-    from roboassembly.task.plan import UprightResult
+    from roboassembly.task.plans.full_plan import FullPlan
+    from roboassembly.task.plans.plan import UprightResult
 
 NO_POLICY = "none"
 
@@ -69,8 +69,8 @@ class Assemble:
         if self.execution == "dynamic" and self.setting != "full":
             raise InputError("--execution dynamic takes --setting full: there are no robots in the other one")
         self._check_out()
-        from roboassembly.furniture import catalogue
-        from roboassembly.task.upright import set_upright
+        from roboassembly.datasets import catalogue
+        from roboassembly.task.object_centric.upright import set_upright
 
         started = time.perf_counter()
         solve = self._solver()
@@ -123,7 +123,7 @@ class Assemble:
         Raises:
             InputError: naming it, and what would do.
         """
-        from roboassembly.task import plan_file
+        from roboassembly.task.plans import plan_file
 
         check_writable(self.out)
         refuse_furniture_folder(self.out)
@@ -167,7 +167,7 @@ class Assemble:
 
     def _executed(self, plan: FullPlan) -> dict[str, Any]:
         """Carry a plan out in physics; what to tell of it."""
-        from roboassembly.task.execution import execute_plan, execute_upright, in_all
+        from roboassembly.task.full.execution import execute_plan, execute_upright, in_all
 
         say("carrying it out ...")
         merges = execute_plan(plan)
@@ -187,7 +187,7 @@ class Assemble:
     def _write(self, result: SearchResult[Any], solved: float) -> dict[str, str]:
         from roboassembly.furniture import storage
         from roboassembly.rendering.gl import RenderingUnavailableError
-        from roboassembly.task import plan_file
+        from roboassembly.task.plans import plan_file
         from roboassembly.viewer.film import write_film
         from roboassembly.viewer.html import write_html
 

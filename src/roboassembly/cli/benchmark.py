@@ -48,7 +48,7 @@ class Benchmark:
         if min(n for n in (self.sample, self.experts, 1) if n is not None) < 1:
             raise InputError("--sample and --experts take 1 or more")
         needs(*PACKAGES)
-        from roboassembly.furniture.datasets import pick
+        from roboassembly.datasets.sets import pick
         from roboassembly.learning import benchmark
 
         usual = "runs/benchmark" + "-full" * (self.setting == "full") + "-quick" * self.quick

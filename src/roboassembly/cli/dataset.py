@@ -36,7 +36,7 @@ class Dataset:
         """Do it; returns the exit status."""
         if self.seed < 0 or self.jobs < 1:
             raise InputError(f"--seed {self.seed} --jobs {self.jobs}: 0 or more, and 1 or more, would do")
-        from roboassembly.furniture import datasets
+        from roboassembly.datasets import sets as datasets
 
         if self.what == "list":
             rows = [
@@ -61,7 +61,7 @@ class Dataset:
         Raises:
             InputError: it is built with another seed, or the folder cannot be written.
         """
-        from roboassembly.furniture import datasets
+        from roboassembly.datasets import sets as datasets
 
         path = datasets.manifest_path(self.name)
         check_writable(path.parent)
@@ -77,7 +77,7 @@ class Dataset:
             )
 
     def _build(self) -> None:
-        from roboassembly.furniture.datasets import RECIPES
+        from roboassembly.datasets.sets import RECIPES
         from roboassembly.solvers.curate import build
 
         with spread(self.ray, self.jobs) as jobs, progress_bar(desc=f"building {self.name}", unit="chair") as progress:
@@ -86,7 +86,7 @@ class Dataset:
                 progress.update(done - progress.n)
 
     def _show(self) -> int:
-        from roboassembly.furniture import datasets
+        from roboassembly.datasets import sets as datasets
 
         manifest = datasets.load_manifest(self.name)
         summary = {}

@@ -17,7 +17,7 @@ from roboassembly.errors import InputError
 from roboassembly.parallel.processes import spread
 
 if TYPE_CHECKING:
-    from roboassembly.furniture.datasets import Pick
+    from roboassembly.datasets.sets import Pick
     from roboassembly.learning.evaluate import Evaluation
     from roboassembly.learning.players import Episode, Way
 
@@ -108,7 +108,7 @@ class Evaluate:
 
     def _played(self, way: Way, picks: Sequence[Pick], jobs: int) -> Iterator[Episode]:
         """All episodes; those that `out` holds are not played again."""
-        from roboassembly.furniture.datasets import set_hash
+        from roboassembly.datasets.sets import set_hash
         from roboassembly.learning.episodes import kept, playing
         from roboassembly.learning.evaluate import evaluate
         from roboassembly.learning.loading import weights_hash

@@ -36,7 +36,7 @@ class Export:
 
     def run(self) -> int:
         """Do it; returns the exit status."""
-        from roboassembly.furniture import catalogue
+        from roboassembly.datasets import catalogue
         from roboassembly.furniture.export import export_mjcf, export_urdf, exported_file
 
         check_writable(self.out)

@@ -28,8 +28,9 @@ class Generate:
 
     def run(self) -> int:
         """Do it; returns the exit status."""
+        from roboassembly.datasets import catalogue
         from roboassembly.errors import InputError
-        from roboassembly.furniture import catalogue, storage
+        from roboassembly.furniture import storage
 
         if self.seed < 0:
             raise InputError(f"--seed {self.seed} is negative; 0 or more would do")

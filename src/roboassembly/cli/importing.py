@@ -113,7 +113,8 @@ class Import:
 
     def run(self) -> int:
         """Do it; returns the exit status."""
-        from roboassembly.importers import IMPORTERS, units
+        from roboassembly.geometry import units
+        from roboassembly.importers import IMPORTERS
         from roboassembly.importers.earlier import without_results
 
         if self.scale is not None and not 1e-6 < self.scale < 1e6:
@@ -204,7 +205,7 @@ def _report(item: Item) -> list[str]:
 
 
 def _other(item: Item, unit: str) -> str:
-    from roboassembly.importers.units import METRES, NAMES
+    from roboassembly.geometry.units import METRES, NAMES
 
     assert item.size_m is not None
     assert item.scale is not None
@@ -278,7 +279,8 @@ def _place(piece: Piece) -> Path | None:
 def _import_anew(piece: Piece) -> Summary:
     from roboassembly.errors import FurnitureError
     from roboassembly.furniture import storage
-    from roboassembly.importers import IMPORTERS, folder, units
+    from roboassembly.geometry import units
+    from roboassembly.importers import IMPORTERS, folder
     from roboassembly.importers.kept import Summary
     from roboassembly.importers.pipeline import finish
 

@@ -10,7 +10,7 @@ import tyro
 from roboassembly.errors import InputError
 
 if TYPE_CHECKING:
-    from roboassembly.furniture.datasets import Pick
+    from roboassembly.datasets.sets import Pick
 
 CORES = os.cpu_count() or 1
 Jobs = Annotated[int, tyro.conf.arg(help_behavior_hint="(default: one a core)")]
@@ -40,6 +40,6 @@ def chosen(name: str, limit: int | None, sample: int | None, seed: int) -> list[
         raise InputError("--limit takes the first pieces and --sample draws some; only one of them would do")
     if min(n for n in (limit, sample, 1) if n is not None) < 1:
         raise InputError("--limit and --sample take 1 or more")
-    from roboassembly.furniture.datasets import pick, sampled
+    from roboassembly.datasets.sets import pick, sampled
 
     return sampled(pick(name)[:limit], sample, seed)

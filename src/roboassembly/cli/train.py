@@ -16,7 +16,7 @@ from roboassembly.errors import InputError
 from roboassembly.parallel.processes import spread
 
 if TYPE_CHECKING:
-    from roboassembly.furniture.datasets import Pick
+    from roboassembly.datasets.sets import Pick
     from roboassembly.learning.apprentices import Mastery
     from roboassembly.learning.single_task import Schooling
 

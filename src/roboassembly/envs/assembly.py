@@ -12,15 +12,15 @@ from gymnasium import spaces
 from gymnasium.error import ResetNeeded, UnsupportedMode
 from jaxtyping import Bool, UInt8
 
+from roboassembly.datasets import catalogue
 from roboassembly.envs.arguments import checked_action, checked_integer, checked_piece, shortened
 from roboassembly.envs.observation import Observation, Observer, observation_space
 from roboassembly.envs.pictures import EpisodePictures, Item
 from roboassembly.errors import ArgumentError
-from roboassembly.furniture import catalogue
 from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS, Furniture
 from roboassembly.rendering.colors import Role
-from roboassembly.task.groups import TaskState
-from roboassembly.task.rules import Rules
+from roboassembly.task.rules.connections import Rules
+from roboassembly.task.rules.groups import TaskState
 from roboassembly.task.setting import Outcome, Task
 
 FurnitureLike = Furniture | str | os.PathLike[str]

@@ -8,18 +8,18 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool
 
+from roboassembly.datasets import catalogue
 from roboassembly.envs.assembly import AssemblyEnv, FurnitureLike, existing_pairs, pieces_of
 from roboassembly.envs.pictures import Item
-from roboassembly.furniture import catalogue
 from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS
 from roboassembly.geometry.poses import SE3
 from roboassembly.planning.problem import Budget
 from roboassembly.rendering.colors import Role
 from roboassembly.robots.body import placed
-from roboassembly.task.cell import post_mesh
-from roboassembly.task.full import FullOutcome, FullTask
-from roboassembly.task.full_plan import FullState
-from roboassembly.task.rules import GRASPS
+from roboassembly.task.full.cell import post_mesh
+from roboassembly.task.full.task import FullOutcome, FullTask
+from roboassembly.task.plans.full_plan import FullState
+from roboassembly.task.rules.connections import GRASPS
 
 
 class FullEnv(AssemblyEnv[FullTask, FullState, FullOutcome]):

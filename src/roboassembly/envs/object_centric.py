@@ -7,13 +7,13 @@ from collections.abc import Iterable
 import numpy as np
 from jaxtyping import Bool
 
+from roboassembly.datasets import catalogue
 from roboassembly.envs.assembly import AssemblyEnv, FurnitureLike, existing_pairs, pieces_of
-from roboassembly.furniture import catalogue
 from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS
 from roboassembly.planning.problem import Budget
-from roboassembly.task.groups import TaskState
-from roboassembly.task.object_centric import ObjectCentricTask, Outcome
-from roboassembly.task.rules import UP_AXES
+from roboassembly.task.object_centric.task import ObjectCentricTask, Outcome
+from roboassembly.task.rules.connections import UP_AXES
+from roboassembly.task.rules.groups import TaskState
 
 
 class ObjectCentricEnv(AssemblyEnv[ObjectCentricTask, TaskState, Outcome]):

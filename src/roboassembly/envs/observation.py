@@ -28,7 +28,7 @@ from roboassembly.furniture.model import GRASP_REGIONS, ConnectionPoint, Furnitu
 from roboassembly.geometry.meshes import Mesh
 from roboassembly.geometry.poses import pose_to_euler
 from roboassembly.robots.gripper import hand_pose
-from roboassembly.task.groups import TaskState, part_from_points
+from roboassembly.task.rules.groups import TaskState, part_from_points
 
 REACH = 100.0
 """Metres: bound of every coordinate in the observation space."""

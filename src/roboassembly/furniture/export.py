@@ -12,9 +12,9 @@ import numpy as np
 
 from roboassembly.errors import InputError
 from roboassembly.furniture.model import Furniture
+from roboassembly.furniture.triangles import unique_names
 from roboassembly.geometry.meshes import WOOD_DENSITY
 from roboassembly.geometry.poses import SE3, pose_to_euler, pose_to_seven
-from roboassembly.importers.triangles import unique_names
 
 _LONGEST_NAME = 60
 """Characters of a name in files: 240 bytes at most, which file systems take."""

@@ -14,7 +14,7 @@ from roboassembly.geometry.meshes import Mesh
 from roboassembly.geometry.poses import SE3
 
 if TYPE_CHECKING:
-    from roboassembly.importers.units import Unit
+    from roboassembly.geometry.units import Unit
 
 MIN_PARTS = 2
 MAX_PARTS = 20

@@ -14,7 +14,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from roboassembly.errors import FurnitureError
-from roboassembly.importers.triangles import NamedTriangles, Triangles
+from roboassembly.furniture.triangles import NamedTriangles, Triangles
 
 WELD = 1e-6
 """Vertices nearer to each other than this share of the longest side count as one."""

@@ -14,10 +14,7 @@ from pathlib import Path
 from roboassembly.errors import FurnitureError
 from roboassembly.furniture.cad import refuse_cad
 from roboassembly.furniture.model import Provenance, RawFurniture, check_part_count
-from roboassembly.importers import bodies, files, units
-from roboassembly.importers.glb import count_parts, read_glb
-from roboassembly.importers.mesh_files import READERS, read_mesh
-from roboassembly.importers.triangles import (
+from roboassembly.furniture.triangles import (
     UP_ROTATIONS,
     NamedTriangles,
     Up,
@@ -27,6 +24,10 @@ from roboassembly.importers.triangles import (
     stand,
     unique_names,
 )
+from roboassembly.geometry import units
+from roboassembly.importers import bodies, files
+from roboassembly.importers.glb import count_parts, read_glb
+from roboassembly.importers.mesh_files import READERS, read_mesh
 
 SUFFIXES = (*READERS, ".glb")
 WANTED = f"a folder of named parts ({', '.join(SUFFIXES)}), one GLB scene, or a folder that holds such"

@@ -17,9 +17,9 @@ from jaxtyping import Float
 
 from roboassembly.errors import FurnitureError
 from roboassembly.furniture.model import MAX_PARTS, Provenance, RawFurniture, check_part_count
+from roboassembly.furniture.triangles import UP_ROTATIONS, NamedTriangles, stand, unique_names
 from roboassembly.importers import files
 from roboassembly.importers.mesh_files import read_mesh
-from roboassembly.importers.triangles import UP_ROTATIONS, NamedTriangles, stand, unique_names
 
 POSES = "assembled_poses.json"
 LICENCE = "MIT"

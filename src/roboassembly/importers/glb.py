@@ -11,10 +11,10 @@ import numpy as np
 from jaxtyping import Float
 
 from roboassembly.errors import FurnitureError, InputError
+from roboassembly.furniture.triangles import NamedTriangles, Triangles, combine, unique_names
 from roboassembly.geometry.meshes import MAX_FACES
 from roboassembly.geometry.poses import rotation_from_quaternion
 from roboassembly.importers.files import decode_json, one_line, read_bytes
-from roboassembly.importers.triangles import NamedTriangles, Triangles, combine, unique_names
 
 MAX_NODES = 20_000
 MAX_NODE_DEPTH = 256

@@ -14,13 +14,13 @@ from jaxtyping import Float
 
 from roboassembly.errors import FurnitureError, InputError
 from roboassembly.furniture.model import Provenance, RawFurniture, Site, check_part_count
+from roboassembly.furniture.triangles import NamedTriangles, Triangles, bounds, combine, stand
 from roboassembly.geometry.meshes import MAX_FACES
 from roboassembly.geometry.poses import SE3, from_quaternion
 from roboassembly.importers import files
 from roboassembly.importers.connection_sites import Site as ConnectionSite
 from roboassembly.importers.connection_sites import solve, upright
 from roboassembly.importers.mesh_files import read_mesh
-from roboassembly.importers.triangles import NamedTriangles, Triangles, bounds, combine, stand
 
 LICENCE = "MIT"
 WANTED = "an MJCF file of the IKEA Furniture Assembly Environment, or a folder that holds such files"

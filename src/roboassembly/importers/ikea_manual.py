@@ -9,9 +9,7 @@ from jaxtyping import Float
 
 from roboassembly.errors import FurnitureError
 from roboassembly.furniture.model import Provenance, RawFurniture, check_part_count
-from roboassembly.importers import files
-from roboassembly.importers.mesh_files import read_mesh
-from roboassembly.importers.triangles import (
+from roboassembly.furniture.triangles import (
     UP_ROTATIONS,
     NamedTriangles,
     bounds,
@@ -19,6 +17,8 @@ from roboassembly.importers.triangles import (
     stand,
     typical_scale,
 )
+from roboassembly.importers import files
+from roboassembly.importers.mesh_files import read_mesh
 
 LICENCE = "CC-BY-4.0"
 WANTED = "a folder of NN.obj files, one a part"

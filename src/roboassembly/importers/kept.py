@@ -25,7 +25,7 @@ import msgspec
 from roboassembly.errors import InputError
 from roboassembly.furniture import storage
 from roboassembly.furniture.cache import cache_folder
-from roboassembly.importers.units import Unit
+from roboassembly.geometry.units import Unit
 
 MAX_BYTES = 1_000_000_000
 """What all kept imports may take; those not used for the longest time go first."""

@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 
 from roboassembly.errors import FurnitureError
+from roboassembly.furniture.triangles import Triangles
 from roboassembly.geometry.meshes import MAX_FACES
 from roboassembly.importers.files import one_line, read_bytes, read_text
-from roboassembly.importers.triangles import Triangles
 
 
 def read_mesh(path: Path) -> Triangles:

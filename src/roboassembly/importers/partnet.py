@@ -13,9 +13,7 @@ import msgspec
 
 from roboassembly.errors import FurnitureError
 from roboassembly.furniture.model import Provenance, RawFurniture, check_part_count
-from roboassembly.importers import files
-from roboassembly.importers.mesh_files import read_mesh
-from roboassembly.importers.triangles import (
+from roboassembly.furniture.triangles import (
     UP_ROTATIONS,
     NamedTriangles,
     bounds,
@@ -25,6 +23,8 @@ from roboassembly.importers.triangles import (
     typical_scale,
     unique_names,
 )
+from roboassembly.importers import files
+from roboassembly.importers.mesh_files import read_mesh
 
 HIERARCHY = "result_after_merging.json"
 LICENCE = "PartNet terms of use: research only, no redistribution"

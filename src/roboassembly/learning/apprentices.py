@@ -21,9 +21,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from roboassembly.datasets.sets import Pick, furniture_hash
 from roboassembly.envs.observation import surface_points
 from roboassembly.errors import InputError
-from roboassembly.furniture.datasets import Pick, furniture_hash
 from roboassembly.learning import autoencoder, checkpoint, double_q, experts
 from roboassembly.learning.autoencoder import CLOUD_POINTS
 from roboassembly.learning.evaluate import success
@@ -34,8 +34,8 @@ from roboassembly.learning.layers import Params
 from roboassembly.learning.learner import Learner, LearnerConfig, Memory
 from roboassembly.learning.rehearsal import Rehearsal, State
 from roboassembly.parallel.processes import one_thread_each, workers
-from roboassembly.task.full import FullTask
-from roboassembly.task.object_centric import ObjectCentricTask, Verdict
+from roboassembly.task.full.task import FullTask
+from roboassembly.task.object_centric.task import ObjectCentricTask, Verdict
 from roboassembly.task.setting import SettingName
 
 _TRIAL_SEEDS = 10_000

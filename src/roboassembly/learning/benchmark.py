@@ -21,8 +21,8 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
+from roboassembly.datasets.sets import RECIPES, Pick, manifest_path, pick, sampled, set_hash
 from roboassembly.errors import InputError
-from roboassembly.furniture.datasets import RECIPES, Pick, manifest_path, pick, sampled, set_hash
 from roboassembly.learning import autoencoder, multitask, paper_imitation
 from roboassembly.learning.apprentices import ExpertTraining, mastery
 from roboassembly.learning.episodes import kept, playing

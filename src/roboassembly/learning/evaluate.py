@@ -14,11 +14,11 @@ from typing import Any
 
 import numpy as np
 
+from roboassembly.datasets.sets import Pick
 from roboassembly.errors import RoboAssemblyError
-from roboassembly.furniture.datasets import Pick
 from roboassembly.learning.players import Episode, Player, Way, player
 from roboassembly.parallel.processes import one_thread_each, workers
-from roboassembly.task.full import FullVerdict
+from roboassembly.task.full.task import FullVerdict
 
 KINDS = {
     FullVerdict.WRONG_PAIR: "wrong pair", FullVerdict.GRASP_BLOCKED: "grasp blocked",

@@ -16,16 +16,16 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float16
 
+from roboassembly.datasets.sets import Pick
 from roboassembly.envs.observation import Observer, surface_points
-from roboassembly.furniture.datasets import Pick
 from roboassembly.furniture.model import MAX_POINTS
 from roboassembly.learning.apprentices import ExpertTraining, load, read
 from roboassembly.learning.experts import Expert, Move, finished, play, told
 from roboassembly.learning.gather import file_of
 from roboassembly.learning.lessons import CLOUD_POINTS, Course, Lesson
 from roboassembly.parallel.processes import as_done
-from roboassembly.task.full import FullTask
-from roboassembly.task.object_centric import ObjectCentricTask
+from roboassembly.task.full.task import FullTask
+from roboassembly.task.object_centric.task import ObjectCentricTask
 
 _MARGIN = 0.06
 """Of Q, in shares of the best return: one merge is worth 0.05 to 0.25 of it."""

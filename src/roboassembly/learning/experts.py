@@ -20,8 +20,8 @@ from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS
 from roboassembly.learning import heads
 from roboassembly.learning.kinds import point_counts
 from roboassembly.learning.layers import Array, Params, gelu, init_linear, init_mlp, linear, mlp
-from roboassembly.task.groups import TaskState
-from roboassembly.task.object_centric import ObjectCentricTask, Verdict
+from roboassembly.task.object_centric.task import ObjectCentricTask, Verdict
+from roboassembly.task.rules.groups import TaskState
 from roboassembly.task.setting import Task
 
 KIND = "expert"

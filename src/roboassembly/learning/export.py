@@ -23,9 +23,9 @@ import gymnasium
 import numpy as np
 
 from roboassembly import __version__
+from roboassembly.datasets.sets import Pick
 from roboassembly.envs import OBJECT_CENTRIC
 from roboassembly.errors import InputError, MissingExtraError
-from roboassembly.furniture.datasets import Pick
 from roboassembly.learning.players import Episode
 
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ Made in the network rather than kept in lessons: there are a hundred of them for
 from __future__ import annotations
 
 from roboassembly.learning.layers import Array
-from roboassembly.task.rules import UP_AXES
+from roboassembly.task.rules.connections import UP_AXES
 
 PAIR, WAY = 39, 7
 """Numbers that describe an ordered pair of points, and a pair with a `w`."""

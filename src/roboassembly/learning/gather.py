@@ -12,9 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
+from roboassembly.datasets import catalogue
 from roboassembly.envs.observation import surface_points
 from roboassembly.errors import InputError
-from roboassembly.furniture import catalogue
 from roboassembly.furniture.model import Furniture
 from roboassembly.generate import CHAIRS
 from roboassembly.learning import checkpoint, relational
@@ -23,8 +23,8 @@ from roboassembly.learning.lessons import CLOUD_POINTS, Course, Lesson, Student,
 from roboassembly.parallel.processes import as_done
 from roboassembly.solvers.hand_oracle import HandOracle
 from roboassembly.solvers.oracle import Oracle
-from roboassembly.task.full import FullTask
-from roboassembly.task.object_centric import ObjectCentricTask
+from roboassembly.task.full.task import FullTask
+from roboassembly.task.object_centric.task import ObjectCentricTask
 from roboassembly.task.setting import SettingName
 
 _KINDS = ("", "sunk", "fused", "", "fused", "lattice", "", "sunk", "fused", "", "fused", "carcass")

@@ -21,11 +21,11 @@ from roboassembly.learning.lessons import CLOUD_POINTS
 from roboassembly.learning.situation import Situation, groups_of
 from roboassembly.solvers.hand_oracle import HandOracle
 from roboassembly.solvers.oracle import Joint
-from roboassembly.task.full import FullTask
-from roboassembly.task.full import Joint as Held
-from roboassembly.task.full_plan import FullState
-from roboassembly.task.joining import Hold
-from roboassembly.task.rules import GRASPS
+from roboassembly.task.full.grips import Hold
+from roboassembly.task.full.task import FullTask
+from roboassembly.task.full.task import Joint as Held
+from roboassembly.task.plans.full_plan import FullState
+from roboassembly.task.rules.connections import GRASPS
 
 UNKNOWN, NO, YES = -1, 0, 1
 """What is known of a hand, or of two."""

@@ -15,9 +15,9 @@ from pathlib import Path
 
 import numpy as np
 
+from roboassembly.datasets import catalogue
 from roboassembly.envs.observation import Observer, surface_points
 from roboassembly.errors import InputError
-from roboassembly.furniture import catalogue
 from roboassembly.furniture.model import MAX_POINTS
 from roboassembly.learning.gather import Gathered, file_of
 from roboassembly.learning.grasp_lessons import NO, UNKNOWN, YES, GraspCourse, GraspLesson, drawn_seed, unanswered
@@ -26,9 +26,9 @@ from roboassembly.learning.loading import load_policy
 from roboassembly.learning.policies import ConfidentPolicy, guide_of
 from roboassembly.parallel.processes import as_done
 from roboassembly.solvers.guide import Guide
-from roboassembly.task.full import FullOutcome, FullTask, FullVerdict, Joint, Refusal
-from roboassembly.task.full_plan import FullState
-from roboassembly.task.rules import GRASPS
+from roboassembly.task.full.task import FullOutcome, FullTask, FullVerdict, Joint, Refusal
+from roboassembly.task.plans.full_plan import FullState
+from roboassembly.task.rules.connections import GRASPS
 
 _TRIED = 5
 """Actions of a state before a play is given up."""

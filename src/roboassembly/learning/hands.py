@@ -17,8 +17,8 @@ from scipy.spatial import ConvexHull
 from roboassembly.geometry.poses import rotations_from_euler
 from roboassembly.learning.situation import Situation
 from roboassembly.robots.gripper import MAX_OPENING, RETREAT, hand_bodies
-from roboassembly.task.cell import WIDER
-from roboassembly.task.rules import GRASPS
+from roboassembly.task.full.cell import WIDER
+from roboassembly.task.rules.connections import GRASPS
 
 ONE, TWO = 43, 9
 """Numbers that describe one hand at a joint, and two together."""

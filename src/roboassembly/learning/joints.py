@@ -16,7 +16,7 @@ from scipy.spatial import KDTree
 from roboassembly.learning.features import turns_between
 from roboassembly.learning.kinds import Registry
 from roboassembly.learning.relations import Placed, Relations
-from roboassembly.task.pairs import ANGLE_TOLERANCE, POSITION_TOLERANCE
+from roboassembly.task.rules.pairs import ANGLE_TOLERANCE, POSITION_TOLERANCE
 
 _SAME_WAY = 0.7
 """Cosine: joints whose normals are within 45° can be closed in one straight move."""

@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 
 from roboassembly.furniture.model import SAME_POINT, Furniture
 from roboassembly.geometry.poses import SE3
-from roboassembly.task.groups import Group, TaskState, part_from_points
+from roboassembly.task.rules.groups import Group, TaskState, part_from_points
 from roboassembly.task.setting import Task
 
 _SAME_AXIS = 1e-2

@@ -24,9 +24,9 @@ from roboassembly.learning.situation import Situation, groups_of
 from roboassembly.learning.tokens import Memory, Tokens, tokens_of
 from roboassembly.solvers.hand_oracle import HandOracle
 from roboassembly.solvers.oracle import Joint, Oracle
-from roboassembly.task.groups import TaskState
-from roboassembly.task.object_centric import ObjectCentricTask
-from roboassembly.task.rules import GRASPS, UP_AXES
+from roboassembly.task.object_centric.task import ObjectCentricTask
+from roboassembly.task.rules.connections import GRASPS, UP_AXES
+from roboassembly.task.rules.groups import TaskState
 
 CLOUD_POINTS = 2048
 """A part, as the relational policy sees it: fine enough to show tenons and holes."""

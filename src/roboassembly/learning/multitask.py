@@ -25,8 +25,8 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+from roboassembly.datasets.sets import RECIPES, pick, set_hash
 from roboassembly.errors import InputError
-from roboassembly.furniture.datasets import RECIPES, pick, set_hash
 from roboassembly.learning import (
     autoencoder,
     checkpoint,

@@ -36,9 +36,9 @@ from roboassembly.learning import autoencoder, heads
 from roboassembly.learning.autoencoder import CLOUD_POINTS, FEATURE
 from roboassembly.learning.checkpoint import Checkpoint
 from roboassembly.learning.layers import Array, Params, gelu, init_linear, init_norm, linear, norm
-from roboassembly.task.full import FullTask
-from roboassembly.task.object_centric import ObjectCentricTask
-from roboassembly.task.rules import GRASPS
+from roboassembly.task.full.task import FullTask
+from roboassembly.task.object_centric.task import ObjectCentricTask
+from roboassembly.task.rules.connections import GRASPS
 from roboassembly.task.setting import SettingName
 
 KIND = "paper"

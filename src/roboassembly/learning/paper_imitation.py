@@ -31,7 +31,7 @@ from roboassembly.learning.runs import Run
 from roboassembly.learning.situation import groups_of
 from roboassembly.learning.views import Change
 from roboassembly.parallel.processes import made_ahead
-from roboassembly.task.rules import UP_AXES
+from roboassembly.task.rules.connections import UP_AXES
 
 LAMBDA = 50.0
 """The paper's weight of L2."""

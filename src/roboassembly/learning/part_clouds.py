@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float32
 
+from roboassembly.datasets import catalogue
+from roboassembly.datasets.sets import Pick
 from roboassembly.envs.observation import surface_points
-from roboassembly.furniture import catalogue
-from roboassembly.furniture.datasets import Pick
 from roboassembly.generate import CHAIRS
 from roboassembly.learning.autoencoder import CLOUD_POINTS
 from roboassembly.learning.gather import extra_names

@@ -21,10 +21,10 @@ from roboassembly.solvers.guide import Guide
 from roboassembly.solvers.joint_rrt import solve_jointly
 from roboassembly.solvers.prober import probe
 from roboassembly.solvers.search import SearchResult, solve, solve_full
-from roboassembly.task.execution import execute_plan, in_all
-from roboassembly.task.full_plan import FullPlan
-from roboassembly.task.object_centric import ObjectCentricTask, Verdict
-from roboassembly.task.plan import Plan
+from roboassembly.task.full.execution import execute_plan, in_all
+from roboassembly.task.object_centric.task import ObjectCentricTask, Verdict
+from roboassembly.task.plans.full_plan import FullPlan
+from roboassembly.task.plans.plan import Plan
 from roboassembly.task.setting import SettingName
 
 ExecutionName = Literal["kinematic", "dynamic"]

@@ -37,8 +37,8 @@ from roboassembly.envs.observation import Observation, Observer
 from roboassembly.errors import InputError, PolicyError
 from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS, Furniture
 from roboassembly.solvers.guide import Guide, Suggestion
-from roboassembly.task.full import FullTask
-from roboassembly.task.object_centric import ObjectCentricTask
+from roboassembly.task.full.task import FullTask
+from roboassembly.task.object_centric.task import ObjectCentricTask
 from roboassembly.task.setting import SettingName
 
 RANDOM = "random"

@@ -24,10 +24,10 @@ from roboassembly.learning.joints import Joints
 from roboassembly.learning.kinds import Kind, Named, Registry, Table
 from roboassembly.learning.layers import Params
 from roboassembly.learning.trials import FAILS, MERGES, UNKNOWN, trial_of
-from roboassembly.task.full import FullTask
-from roboassembly.task.groups import Group, TaskState
+from roboassembly.task.full.task import FullTask
 from roboassembly.task.layout import free_spot, group_footprint
-from roboassembly.task.object_centric import ObjectCentricTask
+from roboassembly.task.object_centric.task import ObjectCentricTask
+from roboassembly.task.rules.groups import Group, TaskState
 
 _CACHED = 150e6
 """Bytes of tables of what is known that are kept, each of one state."""

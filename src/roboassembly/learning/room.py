@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, Float16, Float32
 from roboassembly.geometry.poses import rotations_from_euler
 from roboassembly.learning.hands import ARM_FAR, ARM_STRETCHES, FAR, NEAR, around, boxes, clearance, from_arm, widths
 from roboassembly.robots.gripper import MAX_OPENING, RETREAT
-from roboassembly.task.cell import WIDER
+from roboassembly.task.full.cell import WIDER
 
 HOLD, ROOM = 16, 4
 """Numbers that describe a grasp as a point sees it, and the grasps of one point's part at a pair."""

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from roboassembly.furniture.datasets import Pick
+from roboassembly.datasets.sets import Pick
 from roboassembly.learning import apprentices, autoencoder, checkpoint, expert_lessons
 from roboassembly.learning.apprentices import ExpertTraining, Mastery
 from roboassembly.learning.gather import file_of

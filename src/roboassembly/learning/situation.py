@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Int
 
 from roboassembly.geometry.poses import euler_from_rotations, rotations_from_euler
 from roboassembly.learning.features import FLIP
-from roboassembly.task.rules import UP_AXES
+from roboassembly.task.rules.connections import UP_AXES
 
 MEET, OPPOSED = 0.004, -0.99
 """Metres, and cosine of two normals: points that would touch."""

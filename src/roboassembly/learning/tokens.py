@@ -26,7 +26,7 @@ from roboassembly.learning.features import possible, same_way, turns, turns_betw
 from roboassembly.learning.loops import closing_bridges, closing_groups
 from roboassembly.learning.room import HOLD, MET, ROOM, Grasps
 from roboassembly.learning.situation import MEET, OPPOSED, Situation, frames_of
-from roboassembly.task.rules import GRASPS
+from roboassembly.task.rules.connections import GRASPS
 
 GRID_STEPS = (0.010, 0.040, 0.150)
 """Metres between the grid points at which a group's surface around a point is probed: joint, part, furniture."""

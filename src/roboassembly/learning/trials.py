@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from roboassembly.planning.problem import Budget
-from roboassembly.task.full import FullTask, FullVerdict, Refusal
-from roboassembly.task.groups import Group, TaskState
-from roboassembly.task.object_centric import ObjectCentricTask, Verdict
-from roboassembly.task.rules import GRASPS
+from roboassembly.task.full.task import FullTask, FullVerdict, Refusal
+from roboassembly.task.object_centric.task import ObjectCentricTask, Verdict
+from roboassembly.task.rules.connections import GRASPS
+from roboassembly.task.rules.groups import Group, TaskState
 
 BUDGET = Budget(states=0)
 """Of the planner: straight retreats only. What they do not solve, a sampling planner seldom does."""

@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 
 from roboassembly.learning.room import MIRRORED
 from roboassembly.learning.tokens import GRID_STEPS, Tokens
-from roboassembly.task.rules import UP_AXES
+from roboassembly.task.rules.connections import UP_AXES
 
 _SCALES = (0.7, 1.4)
 

@@ -17,7 +17,7 @@ from roboassembly.furniture.model import Furniture
 from roboassembly.geometry.poses import SE3, poses_to_configurations
 from roboassembly.geometry.scene import Body, Scene, Shape
 from roboassembly.planning.world import CollisionWorld
-from roboassembly.task.rules import UP_AXES
+from roboassembly.task.rules.connections import UP_AXES
 
 _SAMPLES = (0.0015, 0.004, 0.01)
 """Metres: beyond any clearance of a joint, and within any depth of one."""

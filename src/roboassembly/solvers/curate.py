@@ -9,8 +9,8 @@ from pathlib import Path
 
 import msgspec
 
-from roboassembly.furniture import catalogue
-from roboassembly.furniture.datasets import (
+from roboassembly.datasets import catalogue
+from roboassembly.datasets.sets import (
     EASY,
     HARD,
     TEST,
@@ -26,7 +26,7 @@ from roboassembly.parallel.processes import workers
 from roboassembly.planning.problem import Budget
 from roboassembly.solvers.prober import probe
 from roboassembly.solvers.search import SearchLimits, solve
-from roboassembly.task.object_centric import ObjectCentricTask
+from roboassembly.task.object_centric.task import ObjectCentricTask
 
 PROBES = 5
 """Random plays by which difficulty is measured."""

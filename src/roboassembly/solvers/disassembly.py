@@ -14,7 +14,7 @@ import numpy as np
 
 from roboassembly.furniture.model import Furniture
 from roboassembly.solvers.blocking import BlockingGraphs, Parts
-from roboassembly.task.groups import TaskState
+from roboassembly.task.rules.groups import TaskState
 
 Split = tuple[Parts, Parts]
 """Two sub-assemblies; the first is the one that leaves."""

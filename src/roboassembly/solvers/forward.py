@@ -14,7 +14,7 @@ import numpy as np
 from roboassembly.planning.problem import Budget
 from roboassembly.solvers.disassembly import Disassembly, Partition, Parts, Split, partition_of
 from roboassembly.solvers.guide import Guide
-from roboassembly.task.groups import TaskState
+from roboassembly.task.rules.groups import TaskState
 from roboassembly.task.setting import Task
 
 Action = tuple[int, ...]

@@ -9,10 +9,10 @@ from roboassembly.geometry.poses import SE3
 from roboassembly.solvers.blocking import Parts
 from roboassembly.solvers.options import End, fitting
 from roboassembly.solvers.oracle import Oracle
-from roboassembly.task.full import FullTask, Joint
-from roboassembly.task.groups import Group, TaskState
-from roboassembly.task.object_centric import ObjectCentricTask
-from roboassembly.task.rules import UP_AXES
+from roboassembly.task.full.task import FullTask, Joint
+from roboassembly.task.object_centric.task import ObjectCentricTask
+from roboassembly.task.rules.connections import UP_AXES
+from roboassembly.task.rules.groups import Group, TaskState
 
 
 class HandOracle(Oracle):

@@ -10,12 +10,12 @@ import numpy as np
 from roboassembly.furniture.model import Furniture
 from roboassembly.geometry.poses import SE3
 from roboassembly.solvers.disassembly import Disassembly, Parts
-from roboassembly.task.full import FullTask, Joint
-from roboassembly.task.full_plan import FullState
-from roboassembly.task.groups import Group, TaskState, told_point
-from roboassembly.task.joining import Hold
-from roboassembly.task.pairs import Merge
-from roboassembly.task.rules import GRASPS, UP_AXES
+from roboassembly.task.full.grips import Hold
+from roboassembly.task.full.task import FullTask, Joint
+from roboassembly.task.plans.full_plan import FullState
+from roboassembly.task.rules.connections import GRASPS, UP_AXES
+from roboassembly.task.rules.groups import Group, TaskState, told_point
+from roboassembly.task.rules.pairs import Merge
 
 _HOPELESS = -0.5
 """Score of an option that the first round leaves out: it would end in the ground, or leave the joint downward."""

@@ -17,10 +17,10 @@ from jaxtyping import Bool, Float
 
 from roboassembly.furniture.model import SAME_POINT
 from roboassembly.solvers.blocking import BlockingGraphs, Parts
-from roboassembly.task.groups import TaskState
-from roboassembly.task.object_centric import ObjectCentricTask
-from roboassembly.task.pairs import Merge
-from roboassembly.task.rules import UP_AXES
+from roboassembly.task.object_centric.task import ObjectCentricTask
+from roboassembly.task.rules.connections import UP_AXES
+from roboassembly.task.rules.groups import TaskState
+from roboassembly.task.rules.pairs import Merge
 
 _LEAST_RISE = -0.35
 """Least sine of the climb at which a group leaves: flatter or downward exits end on the ground."""

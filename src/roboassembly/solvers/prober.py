@@ -9,9 +9,9 @@ import numpy as np
 
 from roboassembly.planning.problem import Budget
 from roboassembly.solvers.options import End, ends
-from roboassembly.task.groups import TaskState
-from roboassembly.task.object_centric import ObjectCentricTask, Verdict
-from roboassembly.task.rules import UP_AXES
+from roboassembly.task.object_centric.task import ObjectCentricTask, Verdict
+from roboassembly.task.rules.connections import UP_AXES
+from roboassembly.task.rules.groups import TaskState
 
 
 @dataclass(frozen=True, eq=False)

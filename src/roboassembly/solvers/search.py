@@ -27,11 +27,11 @@ from roboassembly.solvers.disassembly import Disassembly, Parts
 from roboassembly.solvers.forward import Action, Round, Search, SearchLimits, SearchResult, Watch
 from roboassembly.solvers.guide import Guide
 from roboassembly.solvers.options import grasping, upright
-from roboassembly.task.full import FullTask
-from roboassembly.task.full_plan import FullPlan, FullState
-from roboassembly.task.groups import TaskState
-from roboassembly.task.object_centric import ObjectCentricTask
-from roboassembly.task.plan import Plan
+from roboassembly.task.full.task import FullTask
+from roboassembly.task.object_centric.task import ObjectCentricTask
+from roboassembly.task.plans.full_plan import FullPlan, FullState
+from roboassembly.task.plans.plan import Plan
+from roboassembly.task.rules.groups import TaskState
 
 _ROUNDS = (
     Round(True, False, Budget(states=0)),

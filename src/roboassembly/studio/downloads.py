@@ -9,7 +9,7 @@ from viser import ClientHandle
 from viser._messages import FileTransferPart
 
 from roboassembly.errors import InputError
-from roboassembly.task import plan_file
+from roboassembly.task.plans import plan_file
 from roboassembly.viewer.html import write_html
 from roboassembly.viewer.playing import AnyPlan
 

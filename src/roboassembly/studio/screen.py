@@ -14,8 +14,8 @@ from roboassembly.robots.body import tip_positions
 from roboassembly.studio.marks import Chosen, Marks
 from roboassembly.studio.picking import Picked, Picker, Shown
 from roboassembly.studio.session import Session
-from roboassembly.task.full_plan import FullStep
-from roboassembly.task.plan import PlanStep
+from roboassembly.task.plans.full_plan import FullStep
+from roboassembly.task.plans.plan import PlanStep
 from roboassembly.viewer.playing import director_of
 from roboassembly.viewer.tableau import Tableau, set_the_scene
 from roboassembly.viewer.timeline import Frame

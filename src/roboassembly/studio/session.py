@@ -18,14 +18,14 @@ from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS, Furniture
 from roboassembly.solvers.forward import SearchLimits, Standing, Watch, planner_seed
 from roboassembly.solvers.guide import Guide
 from roboassembly.solvers.search import FULL_LIMITS, solve_from, solve_full_from
-from roboassembly.task.full import FullTask
-from roboassembly.task.full_plan import FullPlan
-from roboassembly.task.groups import TaskState
-from roboassembly.task.object_centric import ObjectCentricTask
-from roboassembly.task.plan import Plan, UprightResult
-from roboassembly.task.plan_file import Script
+from roboassembly.task.full.task import FullTask
+from roboassembly.task.object_centric.task import ObjectCentricTask
+from roboassembly.task.object_centric.upright import set_upright
+from roboassembly.task.plans.full_plan import FullPlan
+from roboassembly.task.plans.plan import Plan, UprightResult
+from roboassembly.task.plans.plan_file import Script
+from roboassembly.task.rules.groups import TaskState
 from roboassembly.task.setting import SettingName
-from roboassembly.task.upright import set_upright
 
 _PLANNER = threading.Lock()
 """OMPL's random numbers are one stream for the whole process, so that visitors plan one after another."""

@@ -26,8 +26,8 @@ from roboassembly.studio.screen import FRAMES_PER_SECOND, Screen
 from roboassembly.studio.session import Session
 from roboassembly.studio.wares import Wares, find_below, open_path, open_plan, open_upload
 from roboassembly.studio.words import told, upright_note
-from roboassembly.task import plan_file
-from roboassembly.task.plan_file import Script
+from roboassembly.task.plans import plan_file
+from roboassembly.task.plans.plan_file import Script
 
 _PLAN = ".json"
 _PROGRESS_EVERY = 0.1

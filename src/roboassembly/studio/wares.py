@@ -12,16 +12,17 @@ from functools import lru_cache
 from io import BytesIO
 from pathlib import Path, PurePosixPath
 
+from roboassembly.datasets import catalogue
+from roboassembly.datasets.sets import RECIPES, Pick, manifest_path, pick
 from roboassembly.errors import FurnitureError, InputError
-from roboassembly.furniture import catalogue, storage
-from roboassembly.furniture.datasets import RECIPES, Pick, manifest_path, pick
+from roboassembly.furniture import storage
 from roboassembly.furniture.model import Furniture
 from roboassembly.generate import FAMILIES
 from roboassembly.importers import IMPORTERS
 from roboassembly.importers.pipeline import finish
 from roboassembly.studio.house import LARGEST_UPLOAD
-from roboassembly.task import plan_file
-from roboassembly.task.plan_file import Script
+from roboassembly.task.plans import plan_file
+from roboassembly.task.plans.plan_file import Script
 
 BUILT_IN = "built-in"
 MOST_FILES = 500

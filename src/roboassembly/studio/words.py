@@ -6,9 +6,9 @@ from typing import Any
 
 from roboassembly.furniture.model import Furniture
 from roboassembly.studio.session import Tried
-from roboassembly.task.full import FullVerdict
-from roboassembly.task.object_centric import Verdict
-from roboassembly.task.plan import UprightResult
+from roboassembly.task.full.task import FullVerdict
+from roboassembly.task.object_centric.task import Verdict
+from roboassembly.task.plans.plan import UprightResult
 
 WAYS = ("+z up", "−z up", "+x up", "−x up", "+y up", "−y up")
 """For each `w`, in the frame of the assembled furniture."""

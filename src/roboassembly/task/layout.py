@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from roboassembly.furniture.model import Furniture
 from roboassembly.geometry.poses import SE3, turn_about_vertical
-from roboassembly.task.groups import Group, TaskState, hull_points
+from roboassembly.task.rules.groups import Group, TaskState, hull_points
 
 GROUND_CLEARANCE = 1e-3
 """Metres between the ground and the lowest point of anything that rests on it."""

@@ -8,8 +8,8 @@ import numpy as np
 
 from roboassembly.furniture.model import Furniture
 from roboassembly.planning.problem import Budget
-from roboassembly.task.groups import TaskState
-from roboassembly.task.rules import Rules
+from roboassembly.task.rules.connections import Rules
+from roboassembly.task.rules.groups import TaskState
 
 SettingName = Literal["object-centric", "full"]
 State = TypeVar("State")

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from roboassembly.task.full_plan import FullPlan
-from roboassembly.task.plan import Plan
+from roboassembly.task.plans.full_plan import FullPlan
+from roboassembly.task.plans.plan import Plan
 from roboassembly.viewer.robots import FullDirector, make_full_timeline
 from roboassembly.viewer.timeline import Director, Timeline, make_timeline
 

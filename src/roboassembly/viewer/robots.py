@@ -15,9 +15,9 @@ import numpy as np
 from roboassembly.geometry.poses import SE3
 from roboassembly.rendering.colors import Role
 from roboassembly.robots.body import hand_links, links, placed
-from roboassembly.task.cell import Stand, post_mesh
-from roboassembly.task.full_plan import FullPlan
-from roboassembly.task.moments import Leg, Moment
+from roboassembly.task.full.cell import Stand, post_mesh
+from roboassembly.task.full.cell_state import Leg, Moment
+from roboassembly.task.plans.full_plan import FullPlan
 from roboassembly.viewer.timeline import (
     FINALE_SECONDS,
     OVERTURE_SECONDS,

@@ -30,7 +30,7 @@ from roboassembly.furniture.model import Furniture
 from roboassembly.geometry.meshes import Mesh
 from roboassembly.geometry.poses import SE3, from_quaternion, interpolate, rotation_angle, transform_points
 from roboassembly.rendering.colors import Role
-from roboassembly.task.plan import SETTLING_INTERVAL, Plan, PlanStep, UprightResult
+from roboassembly.task.plans.plan import SETTLING_INTERVAL, Plan, PlanStep, UprightResult
 
 OVERTURE_SECONDS = 1.0
 FINALE_SECONDS = 2.0

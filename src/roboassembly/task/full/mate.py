@@ -13,10 +13,10 @@ from roboassembly.planning.robot_path import Path, line, path_is_free
 from roboassembly.planning.robot_world import RobotWorld
 from roboassembly.robots.kinematics import Poses
 from roboassembly.robots.reach import nearness, reach
-from roboassembly.task.groups import Group, hull_points
-from roboassembly.task.joining import Hold, Way
-from roboassembly.task.legs import GUESSES, TUCKED, LegError, Legs, Obstacle
-from roboassembly.task.moments import Configuration, Grip, Robot
+from roboassembly.task.full.cell_state import Configuration, Grip, Robot
+from roboassembly.task.full.grips import Hold, Way
+from roboassembly.task.full.segments import GUESSES, TUCKED, LegError, Legs, Obstacle
+from roboassembly.task.rules.groups import Group, hull_points
 
 _SPINS = 16
 """Turns about the way into a joint in which two groups may meet."""

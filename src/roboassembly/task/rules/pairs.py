@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 
 from roboassembly.furniture.model import Furniture, mate
 from roboassembly.geometry.poses import SE3, rotation_angle
-from roboassembly.task.groups import Group, TaskState
+from roboassembly.task.rules.groups import Group, TaskState
 
 POSITION_TOLERANCE = 3e-3
 """Metres between a part's centre and its slot's. Gaps at the joints of real furniture differ by as much: four equal

@@ -13,9 +13,9 @@ from roboassembly.geometry.scene import Body, Shape
 from roboassembly.planning.robot_path import Path
 from roboassembly.planning.robot_world import RobotWorld
 from roboassembly.robots.body import placed, world_from_tips
-from roboassembly.task.cell import Stand
-from roboassembly.task.groups import Group, body
-from roboassembly.task.joining import Hold
+from roboassembly.task.full.cell import Stand
+from roboassembly.task.full.grips import Hold
+from roboassembly.task.rules.groups import Group, body
 
 Configuration = Float[np.ndarray, "10"]
 """`(x, y, angle)` of the platform, then the arm's seven; metres and radians."""

@@ -14,8 +14,9 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
+from roboassembly.datasets import catalogue
 from roboassembly.errors import InputError, UnknownNameError
-from roboassembly.furniture import catalogue, storage
+from roboassembly.furniture import storage
 from roboassembly.furniture.cache import cache_folder
 from roboassembly.furniture.model import Furniture
 

@@ -18,16 +18,16 @@ from roboassembly.furniture.model import Furniture
 from roboassembly.geometry.poses import SE3, turn_about_vertical
 from roboassembly.robots.kinematics import Poses
 from roboassembly.robots.reach import nearness
-from roboassembly.task.full import BUDGET, FullTask
-from roboassembly.task.full_plan import FullPlan, FullUprightMotion
-from roboassembly.task.groups import Group, center_of_mass
-from roboassembly.task.joining import Hold
-from roboassembly.task.legs import ARM, LegError, Legs
-from roboassembly.task.placing import put_down
-from roboassembly.task.plan import UprightResult
-from roboassembly.task.rules import GRASPS
-from roboassembly.task.stance import NOT_ASSEMBLED, Stance, stance_of, standing_at
-from roboassembly.task.taking import Wanted, can_fetch, fetch
+from roboassembly.task.full.grips import Hold
+from roboassembly.task.full.pick import Wanted, can_fetch, fetch
+from roboassembly.task.full.place import put_down
+from roboassembly.task.full.segments import ARM, LegError, Legs
+from roboassembly.task.full.task import BUDGET, FullTask
+from roboassembly.task.object_centric.stance import NOT_ASSEMBLED, Stance, stance_of, standing_at
+from roboassembly.task.plans.full_plan import FullPlan, FullUprightMotion
+from roboassembly.task.plans.plan import UprightResult
+from roboassembly.task.rules.connections import GRASPS
+from roboassembly.task.rules.groups import Group, center_of_mass
 
 _STATES = 400_000
 """Configurations that may be tested before there is no way."""

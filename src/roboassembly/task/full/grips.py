@@ -13,8 +13,8 @@ from roboassembly.geometry.poses import SE3
 from roboassembly.geometry.scene import Body, Scene, Shape
 from roboassembly.planning.world import CollisionWorld
 from roboassembly.robots.gripper import MAX_OPENING, RETREAT, hand_bodies, hand_pose
-from roboassembly.task.cell import WIDER
-from roboassembly.task.groups import Group, body
+from roboassembly.task.full.cell import WIDER
+from roboassembly.task.rules.groups import Group, body
 
 TOUCH = 2e-4
 """Metres between a pad and what it holds, in the exact geometry."""

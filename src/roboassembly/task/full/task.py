@@ -19,17 +19,17 @@ from roboassembly.errors import InputError
 from roboassembly.furniture.model import Furniture
 from roboassembly.geometry.poses import SE3
 from roboassembly.planning.problem import Budget
-from roboassembly.task.cell import check_size, laid_out
-from roboassembly.task.full_plan import FullState, FullStep
-from roboassembly.task.groups import Group, TaskState
-from roboassembly.task.joining import Hold, Way, can_let_go, can_take, has_room, hold, ways_out
-from roboassembly.task.legs import TUCKED, LegError, Legs, Obstacle
-from roboassembly.task.meeting import Meeting, join, meetings, part
-from roboassembly.task.moments import Leg, Moment, Robot, Standing
-from roboassembly.task.pairs import Merge
-from roboassembly.task.placing import set_down
-from roboassembly.task.rules import GRASPS, Rules
-from roboassembly.task.taking import Wanted, can_fetch, fetch_both
+from roboassembly.task.full.cell import check_size, laid_out
+from roboassembly.task.full.cell_state import Leg, Moment, Robot, Standing
+from roboassembly.task.full.grips import Hold, Way, can_let_go, can_take, has_room, hold, ways_out
+from roboassembly.task.full.mate import Meeting, join, meetings, part
+from roboassembly.task.full.pick import Wanted, can_fetch, fetch_both
+from roboassembly.task.full.place import set_down
+from roboassembly.task.full.segments import TUCKED, LegError, Legs, Obstacle
+from roboassembly.task.plans.full_plan import FullState, FullStep
+from roboassembly.task.rules.connections import GRASPS, Rules
+from roboassembly.task.rules.groups import Group, TaskState
+from roboassembly.task.rules.pairs import Merge
 
 BUDGET = Budget(states=8_000)
 """Of each path."""

@@ -18,12 +18,12 @@ from roboassembly.furniture.model import Furniture
 from roboassembly.geometry.poses import SE3, from_quaternion, interpolate, rotation_angle
 from roboassembly.geometry.scene import Scene
 from roboassembly.planning.world import CollisionWorld
-from roboassembly.task.full_plan import FullPlan
-from roboassembly.task.groups import body, center_of_mass
-from roboassembly.task.plan import Plan, UprightMotion, UprightResult
-from roboassembly.task.settling import let_go
-from roboassembly.task.stance import LARGEST_LEAN, NOT_ASSEMBLED, stance_of, standing_at, tilt
-from roboassembly.task.upright_full import upright_legs
+from roboassembly.task.full.upright import upright_legs
+from roboassembly.task.object_centric.settling import let_go
+from roboassembly.task.object_centric.stance import LARGEST_LEAN, NOT_ASSEMBLED, stance_of, standing_at, tilt
+from roboassembly.task.plans.full_plan import FullPlan
+from roboassembly.task.plans.plan import Plan, UprightMotion, UprightResult
+from roboassembly.task.rules.groups import body, center_of_mass
 
 PLANNER = "lift-turn-lower"
 _CLEARANCE = 0.02

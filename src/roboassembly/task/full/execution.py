@@ -23,10 +23,10 @@ from roboassembly.geometry.poses import rotation_angle
 from roboassembly.simulation.execution import StepPhysics
 from roboassembly.simulation.mobile_arms import Load, between_pads
 from roboassembly.simulation.model import mass_properties
-from roboassembly.task.full_plan import FullPlan, FullStep
-from roboassembly.task.groups import Group, body
-from roboassembly.task.joining import Hold
-from roboassembly.task.moments import Grip, Leg
+from roboassembly.task.full.cell_state import Grip, Leg
+from roboassembly.task.full.grips import Hold
+from roboassembly.task.plans.full_plan import FullPlan, FullStep
+from roboassembly.task.rules.groups import Group, body
 
 JOINT_POSITION, JOINT_ANGLE = 0.002, float(np.deg2rad(2.0))
 """Metres and radians within which two groups must come before they are joined."""

@@ -14,10 +14,10 @@ from jaxtyping import Float
 
 from roboassembly.furniture.model import Furniture
 from roboassembly.geometry.poses import SE3, align_axis, rotation_angle
-from roboassembly.task.groups import Group, center_of_mass, hull_points
 from roboassembly.task.layout import GROUND_CLEARANCE
-from roboassembly.task.pairs import PairRule
-from roboassembly.task.settling import let_go
+from roboassembly.task.object_centric.settling import let_go
+from roboassembly.task.rules.groups import Group, center_of_mass, hull_points
+from roboassembly.task.rules.pairs import PairRule
 
 TILT_TOLERANCE = float(np.deg2rad(2.0))
 """Radians between a piece's z axis and where it points when the piece stands, up to which it counts as standing."""

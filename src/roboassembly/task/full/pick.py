@@ -11,10 +11,10 @@ import numpy as np
 from roboassembly.planning.robot_path import Path, line, path_is_free
 from roboassembly.planning.robot_world import RobotWorld
 from roboassembly.robots.body import DOF
-from roboassembly.task.groups import Group
-from roboassembly.task.joining import Hold
-from roboassembly.task.legs import ARM, LIFT, PLACE, TRIES, LegError, Legs, Obstacle
-from roboassembly.task.moments import Configuration, Grip, Moment, Robot
+from roboassembly.task.full.cell_state import Configuration, Grip, Moment, Robot
+from roboassembly.task.full.grips import Hold
+from roboassembly.task.full.segments import ARM, LIFT, PLACE, TRIES, LegError, Legs, Obstacle
+from roboassembly.task.rules.groups import Group
 
 _DRAWS = 3
 """Times that ways to stand are looked for before there is none."""

@@ -17,12 +17,12 @@ from roboassembly.geometry.scene import Scene
 from roboassembly.planning.mating import MatingProblem, plan_mating
 from roboassembly.planning.problem import Budget, PathResult
 from roboassembly.planning.world import CollisionWorld
-from roboassembly.task.groups import Group, TaskState, body, center_of_mass, hull_points
 from roboassembly.task.layout import GROUND_CLEARANCE, Circle, footprint, free_spot, group_footprint, scattered
-from roboassembly.task.pairs import Merge, PairRule
-from roboassembly.task.plan import PlanStep
-from roboassembly.task.rules import UP_AXES, Rules
-from roboassembly.task.settling import let_go
+from roboassembly.task.object_centric.settling import let_go
+from roboassembly.task.plans.plan import PlanStep
+from roboassembly.task.rules.connections import UP_AXES, Rules
+from roboassembly.task.rules.groups import Group, TaskState, body, center_of_mass, hull_points
+from roboassembly.task.rules.pairs import Merge, PairRule
 
 
 class Verdict(StrEnum):

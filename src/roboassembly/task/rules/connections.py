@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS, Furniture
-from roboassembly.task.groups import Group, TaskState
-from roboassembly.task.pairs import PairRule
+from roboassembly.task.rules.groups import Group, TaskState
+from roboassembly.task.rules.pairs import PairRule
 
 UP_AXES: Float[np.ndarray, "6 3"] = np.array(
     [[0, 0, 1], [0, 0, -1], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]], dtype=float

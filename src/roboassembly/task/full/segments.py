@@ -19,8 +19,8 @@ from roboassembly.planning.robot_path import Floor, Path, connect, line, path_is
 from roboassembly.planning.robot_world import RobotWorld, Tally
 from roboassembly.robots.body import world_from_tips
 from roboassembly.robots.reach import reach
-from roboassembly.task.cell import Cell
-from roboassembly.task.moments import Configuration, Leg, Moment
+from roboassembly.task.full.cell import Cell
+from roboassembly.task.full.cell_state import Configuration, Leg, Moment
 
 TUCKED = np.array([0.0, -1.2, 0.0, -2.6, 0.0, 2.0, 0.785])
 """The arm folded over the platform, to drive."""

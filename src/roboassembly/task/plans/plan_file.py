@@ -29,10 +29,10 @@ import msgspec
 
 from roboassembly.errors import InputError
 from roboassembly.geometry.poses import SE3, pose_to_seven
-from roboassembly.task.full_plan import FullPlan, FullStep
-from roboassembly.task.groups import TaskState
-from roboassembly.task.moments import Leg, Moment
-from roboassembly.task.plan import Plan, PlanStep, UprightMotion, UprightResult
+from roboassembly.task.full.cell_state import Leg, Moment
+from roboassembly.task.plans.full_plan import FullPlan, FullStep
+from roboassembly.task.plans.plan import Plan, PlanStep, UprightMotion, UprightResult
+from roboassembly.task.rules.groups import TaskState
 from roboassembly.task.setting import SettingName
 
 FORMAT = "roboassembly.plan"

@@ -12,12 +12,12 @@ from jaxtyping import Float
 from roboassembly.geometry.poses import SE3, align_axis, turn_about_vertical
 from roboassembly.planning.robot_path import Path, line, path_is_free
 from roboassembly.planning.robot_world import RobotWorld
-from roboassembly.task.cell import Stand, free_places, on_post, open_grasps, reach_from
-from roboassembly.task.groups import Group
+from roboassembly.task.full.cell import Stand, free_places, on_post, open_grasps, reach_from
+from roboassembly.task.full.cell_state import Configuration, Moment, Robot, Standing
+from roboassembly.task.full.segments import LIFT, PLACE, LegError, Legs, Obstacle
 from roboassembly.task.layout import group_footprint
-from roboassembly.task.legs import LIFT, PLACE, LegError, Legs, Obstacle
-from roboassembly.task.moments import Configuration, Moment, Robot, Standing
-from roboassembly.task.rules import UP_AXES
+from roboassembly.task.rules.connections import UP_AXES
+from roboassembly.task.rules.groups import Group
 
 _OUTWARD = (1.0, 1.15, 1.3)
 """Where a merged group may stand: as far from the middle as a post of before, or farther by so much."""

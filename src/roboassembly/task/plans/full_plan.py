@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from roboassembly.furniture.model import Furniture
-from roboassembly.task.cell import Cell, Stand
-from roboassembly.task.groups import TaskState
-from roboassembly.task.moments import Leg, Moment
-from roboassembly.task.plan import UprightResult
+from roboassembly.task.full.cell import Cell, Stand
+from roboassembly.task.full.cell_state import Leg, Moment
+from roboassembly.task.plans.plan import UprightResult
+from roboassembly.task.rules.groups import TaskState
 
 
 @dataclass(frozen=True, eq=False)
