@@ -24,11 +24,11 @@ lint: $(VENV)/.dev
 
 # Not --quiet: MkDocs would then count no warnings, and --strict would have nothing to go by.
 docs: $(VENV)/.dev
-	$(BIN)/python docs/site.py
+	$(BIN)/python tools/site.py
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 gallery: $(VENV)/.dev
-	$(BIN)/python docs/gallery.py
+	$(BIN)/python tools/gallery.py
 
 $(VENV)/bin/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \

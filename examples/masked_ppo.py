@@ -23,7 +23,7 @@ from gymnasium import spaces
 from torch import nn
 
 import roboassembly.envs
-from roboassembly.learning.policies import surest
+from roboassembly.learning.policy import surest
 
 SETTINGS = ("object-centric", "full")
 STOOL = "three_legged:3"

@@ -24,7 +24,7 @@ from roboassembly.envs.object_centric import ObjectCentricEnv
 from roboassembly.envs.wrappers import DiscreteActions
 from roboassembly.errors import FurnitureError, InputError
 from roboassembly.furniture import storage
-from roboassembly.learning.loading import load_policy
+from roboassembly.learning.registry import load_policy
 from roboassembly.studio.session import Session
 from roboassembly.task.full.task import FullVerdict
 from roboassembly.task.object_centric.task import Verdict

@@ -69,7 +69,7 @@ def test_source_archive_has_what_the_tests_need(built: Path) -> None:
         "CITATION.cff",
         "Makefile",
         "mkdocs.yml",
-        "tests/test_docs.py",
+        "tests/docs/test_docs.py",
     } <= names
 
 

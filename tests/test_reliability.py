@@ -31,8 +31,8 @@ from roboassembly.generate import FAMILIES
 from roboassembly.importers import IMPORTERS
 from roboassembly.importers.pipeline import finish
 from roboassembly.learning import checkpoint
-from roboassembly.learning.loading import load_policy
-from roboassembly.learning.policies import guide_of
+from roboassembly.learning.policy import guide_of
+from roboassembly.learning.registry import load_policy
 from roboassembly.studio.wares import open_path
 from roboassembly.task.plans.plan import Plan
 

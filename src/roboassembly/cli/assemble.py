@@ -140,14 +140,14 @@ class Assemble:
         solver: Any = solve_full if self.setting == "full" else solve
         if self.policy == NO_POLICY:
             return partial(solver, seed=self.seed)
-        from roboassembly.learning.loading import load_policy
-        from roboassembly.learning.policies import check_setting, guide_of
+        from roboassembly.learning.policy import check_setting, guide_of
+        from roboassembly.learning.registry import load_policy
 
         policy = load_policy(self.policy, self.seed)
         check_setting(policy, self.setting, NO_POLICY)
         if self.search:
             return partial(solver, seed=self.seed, guide=guide_of(policy))
-        from roboassembly.learning.players import play
+        from roboassembly.evaluation.rollout import play
 
         def alone(furniture: Furniture) -> SearchResult[Any]:
             done = play(policy, furniture, self.seed, self.setting)

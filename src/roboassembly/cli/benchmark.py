@@ -49,7 +49,7 @@ class Benchmark:
             raise InputError("--sample and --experts take 1 or more")
         needs(*PACKAGES)
         from roboassembly.datasets.sets import pick
-        from roboassembly.learning import benchmark
+        from roboassembly.evaluation import benchmark
 
         usual = "runs/benchmark" + "-full" * (self.setting == "full") + "-quick" * self.quick
         out = self.out or Path(usual)

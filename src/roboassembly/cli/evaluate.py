@@ -18,8 +18,8 @@ from roboassembly.parallel.processes import spread
 
 if TYPE_CHECKING:
     from roboassembly.datasets.sets import Pick
-    from roboassembly.learning.evaluate import Evaluation
-    from roboassembly.learning.players import Episode, Way
+    from roboassembly.evaluation.evaluate import Evaluation
+    from roboassembly.evaluation.rollout import Episode, Way
 
 
 @dataclass(frozen=True)
@@ -70,11 +70,11 @@ class Evaluate:
                 check_writable(path.parent)
         if self.out is not None and self.out.is_dir():
             raise InputError(f"cannot write to {self.out}: it is a folder; name a file")
-        from roboassembly.learning.evaluate import Evaluation
-        from roboassembly.learning.players import EXPORTABLE, SOLVERS, Way
+        from roboassembly.evaluation.evaluate import Evaluation
+        from roboassembly.evaluation.rollout import EXPORTABLE, SOLVERS, Way
 
         if self.export is not None:
-            from roboassembly.learning.export import check_target
+            from roboassembly.evaluation.export import check_target
 
             if self.setting == "full":
                 raise InputError("--export takes episodes of --setting object-centric")
@@ -90,7 +90,7 @@ class Evaluate:
         evaluation = Evaluation(way, self.set, self.seed, episodes)
         report = evaluation.to_json()
         if self.export is not None:
-            from roboassembly.learning.export import export
+            from roboassembly.evaluation.export import export
 
             say("writing the successful episodes ...")
             played = zip((p for p in picks for _ in range(self.episodes)), episodes, strict=True)
@@ -109,9 +109,9 @@ class Evaluate:
     def _played(self, way: Way, picks: Sequence[Pick], jobs: int) -> Iterator[Episode]:
         """All episodes; those that `out` holds are not played again."""
         from roboassembly.datasets.sets import set_hash
-        from roboassembly.learning.episodes import kept, playing
-        from roboassembly.learning.evaluate import evaluate
-        from roboassembly.learning.loading import weights_hash
+        from roboassembly.evaluation.episodes import kept, playing
+        from roboassembly.evaluation.evaluate import evaluate
+        from roboassembly.learning.registry import weights_hash
 
         if self.out is None:
             return evaluate(way, picks, self.seed, jobs, episodes=self.episodes)
@@ -131,7 +131,7 @@ class Evaluate:
 
 def summary(evaluation: Evaluation) -> list[str]:
     """Lines: success in all, by family, and how failures ended."""
-    from roboassembly.learning.evaluate import success
+    from roboassembly.statistics import success
 
     def line(name: str, episodes: Sequence[Episode]) -> str:
         told = success([e.success for e in episodes])

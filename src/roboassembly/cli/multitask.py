@@ -92,7 +92,7 @@ class Multitask:
         return DONE
 
     def _relational(self, jobs: int) -> Iterable[Progress]:
-        from roboassembly.learning.multitask import Curriculum, teach
+        from roboassembly.learning.relational.pipeline import Curriculum, teach
 
         usual = Curriculum.with_hands() if self.setting == "full" else Curriculum()
         curriculum = replace(
@@ -106,8 +106,8 @@ class Multitask:
     def _paper(self) -> Iterable[Progress]:
         if not self.lessons or self.extractor is None:
             raise InputError("--preset paper takes --lessons FOLDER and --extractor CHECKPOINT (of `train expert`)")
-        from roboassembly.learning.multitask import teach_paper
-        from roboassembly.learning.paper_imitation import Training
+        from roboassembly.learning.paper.imitation import Training
+        from roboassembly.learning.relational.pipeline import teach_paper
 
         training = Training(steps=self.steps or Training.steps, seed=self.seed)
         return teach_paper(self.lessons, self.extractor, self.out, training)

@@ -17,8 +17,8 @@ from roboassembly.parallel.processes import spread
 
 if TYPE_CHECKING:
     from roboassembly.datasets.sets import Pick
-    from roboassembly.learning.apprentices import Mastery
-    from roboassembly.learning.single_task import Schooling
+    from roboassembly.learning.paper.dqn.train import Mastery
+    from roboassembly.learning.paper.pipeline import Schooling
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ class Autoencoder:
 
     def schooling(self) -> Schooling:
         """How."""
-        from roboassembly.learning.single_task import Schooling
+        from roboassembly.learning.paper.pipeline import Schooling
 
         plain = Schooling()
         features = plain.features if self.steps is None else replace(plain.features, steps=self.steps)
@@ -75,7 +75,7 @@ class Autoencoder:
 
     def featured(self, picks: Sequence[Pick], jobs: int) -> dict[str, float]:
         """Train the auto-encoder unless it is done; what it said last."""
-        from roboassembly.learning.single_task import teach_features
+        from roboassembly.learning.paper.pipeline import teach_features
 
         notes = {"set": self.set, "limit": self.limit, "sample": self.sample}
         return follow(teach_features(picks, self.out, self.schooling(), notes, jobs), self.out)
@@ -99,7 +99,7 @@ class Expert(Autoencoder):
         if min(self.side_by_side, 1 if self.plays is None else self.plays) < 1:
             raise InputError("--side-by-side and --plays take 1 or more")
         picks = self.prepared()
-        from roboassembly.learning.single_task import results, teach_experts
+        from roboassembly.learning.paper.pipeline import results, teach_experts
 
         with spread(self.ray, self.jobs) as jobs:
             self.featured(picks, jobs)
@@ -115,7 +115,7 @@ class Expert(Autoencoder):
 
     def schooling(self) -> Schooling:
         """How."""
-        from roboassembly.learning.single_task import Schooling
+        from roboassembly.learning.paper.pipeline import Schooling
 
         usual = Schooling.usual(self.setting)
         experts = usual.experts if self.steps is None else replace(usual.experts, steps=self.steps)
@@ -125,7 +125,7 @@ class Expert(Autoencoder):
 
 def _report(picks: Sequence[Pick], results: Sequence[Mastery]) -> dict[str, object]:
     """Figures over all chairs, and over those of each split if the set has any."""
-    from roboassembly.learning.apprentices import mastery
+    from roboassembly.learning.paper.dqn.train import mastery
 
     split_of = {p.name: p.entry.split for p in picks if p.entry is not None}
     out: dict[str, object] = dict(mastery(results))

@@ -101,7 +101,7 @@ class View:
             if not folder.is_dir():
                 raise InputError(f"--folders {folder}: there is no such folder")
         if self.policies:
-            from roboassembly.learning.loading import load_policy
+            from roboassembly.learning.registry import load_policy
 
             for name in self.policies:
                 load_policy(name)

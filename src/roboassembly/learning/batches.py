@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from roboassembly.learning.tokens import Tokens
+from roboassembly.learning.relational.tokens import Tokens
 
 SIZES = (16, 32, 48, 64, 96, 128, 160, 200)
 """Tokens; 200 is 20 parts of 10 points."""

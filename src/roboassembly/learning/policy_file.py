@@ -14,7 +14,7 @@ from typing import Any, TypeVar, get_args
 import numpy as np
 
 from roboassembly.errors import InputError, RoboAssemblyError
-from roboassembly.learning.policies import MAKER, Policy
+from roboassembly.learning.policy import MAKER, Policy
 from roboassembly.task.setting import SettingName
 
 SUFFIX = ".py"

@@ -13,8 +13,8 @@ from viser import ClientHandle, SceneClickEvent, UploadedFile
 
 from roboassembly.errors import InputError, RoboAssemblyError
 from roboassembly.furniture.model import Furniture
-from roboassembly.learning.loading import load_policy
-from roboassembly.learning.policies import Policy, guide_of, settings_of
+from roboassembly.learning.policy import Policy, guide_of, settings_of
+from roboassembly.learning.registry import load_policy
 from roboassembly.solvers.forward import Standing, Watch
 from roboassembly.solvers.guide import Guide
 from roboassembly.studio.chooser import Chooser

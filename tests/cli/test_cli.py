@@ -1,0 +1,394 @@
+"""The command line as a person meets it: results, exit statuses, one clear line for bad input."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from roboassembly.datasets import catalogue
+from roboassembly.furniture import storage
+from roboassembly.task.object_centric.task import Verdict
+
+Run = Callable[..., tuple[int, str, str]]
+"""Of the fixture `run`."""
+
+
+@pytest.fixture(scope="module")
+def stool(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return storage.save(catalogue.make("stool"), tmp_path_factory.mktemp("saved") / "stool")
+
+
+def test_assemble_writes_what_it_says(run: Run, stool: Path, tmp_path: Path) -> None:
+    status, out, err = run("assemble", stool, "--no-film", "--json", "--out", tmp_path / "a", "--seed", "3")
+    assert status == 0
+    report = json.loads(out)
+    assert (report["success"], report["furniture"], report["parts"], report["merges"]) == (True, "stool-0", 9, 8)
+    assert report["planning_steps"] > 0
+    assert report["planning_seconds"] >= 0
+    assert set(report["outputs"]) == {"plan", "timings", "furniture", "html"}
+    assert all(Path(p).exists() for p in report["outputs"].values())
+    assert "Traceback" not in err
+    assert "nanobind" not in err
+
+    plan = json.loads((tmp_path / "a" / "plan.json").read_text())
+    assert plan["success"]
+    assert (report["upright"], report["upright_reason"]) == (True, "")
+    assert plan["upright"]["success"]
+    assert "upright" in err
+    assert len(plan["steps"]) == 8
+    assert all(len(s["action"]) == 5 and len(s["path"]) >= 2 and s["planning_steps"] > 0 for s in plan["steps"])
+    assert "seconds" not in (tmp_path / "a" / "plan.json").read_text()
+    copy = storage.load(tmp_path / "a" / "furniture")
+    assert [p.name for p in copy.parts] == plan["furniture"]["parts"]
+
+
+def test_the_same_seed_writes_the_same_plan_in_another_process(stool: Path, tmp_path: Path) -> None:
+    plans = []
+    for index, hash_seed in enumerate("12"):
+        command = [sys.executable, "-m", "roboassembly.cli", "assemble", str(stool), "--no-film", "--json"]
+        done = subprocess.run(
+            [*command, "--out", str(tmp_path / str(index))],
+            capture_output=True,
+            text=True,
+            env={"PYTHONHASHSEED": hash_seed, "PATH": "/usr/bin:/bin"},
+            check=False,
+        )
+        assert done.returncode == 0, done.stderr
+        assert len(done.stdout.splitlines()) == 1
+        plans.append((tmp_path / str(index) / "plan.json").read_bytes())
+    assert plans[0] == plans[1]
+
+
+@pytest.fixture(scope="module")
+def untrained(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A checkpoint of the relational network that has learnt nothing."""
+    from roboassembly.learning import checkpoint
+    from roboassembly.learning.relational import network as relational
+
+    config = relational.RelationalConfig(token=16, pair=8, layers=1, heads=2, ends=4, conflicts=2)
+    params = relational.init(np.random.default_rng(0), config)
+    path = tmp_path_factory.mktemp("policy") / "untrained.npz"
+    checkpoint.save(path, checkpoint.Checkpoint(relational.KIND, params, {"network": asdict(config)}, {}))
+    return path
+
+
+def test_a_policy_that_knows_no_hands_is_refused_with_robots(run: Run, tmp_path: Path, untrained: Path) -> None:
+    status, out, err = run("assemble", "stool", "--setting", "full", "--policy", untrained, "--out", tmp_path / "a")
+    assert (status, out) == (2, "")
+    assert err.strip().splitlines() == [line for line in err.splitlines() if "chooses no grasps" in line]
+    assert not (tmp_path / "a").exists()
+
+
+def test_a_policy_guides_or_plays_alone(run: Run, stool: Path, tmp_path: Path, untrained: Path) -> None:
+    arguments = ("assemble", stool, "--no-film", "--json", "--policy", untrained)
+    status, out, err = run(*arguments, "--out", tmp_path / "a")
+    report = json.loads(out)
+    assert (status, report["success"], report["policy"], report["merges"]) == (0, True, str(untrained), 8)
+    assert 0 <= report["guided_merges"] <= 8
+    assert f"{report['guided_merges']} of them chosen by {untrained}" in err
+    status, out, _ = run(*arguments, "--no-search", "--out", tmp_path / "b")
+    report = json.loads(out)
+    assert (status, report["success"]) == (1, False)
+    said, _, verdict = report["reason"].rpartition(" ")
+    assert said == f"{untrained} alone: merge 1 ended as"
+    assert Verdict(verdict) is not Verdict.MERGED
+    status, out, _ = run("assemble", stool, "--no-film", "--json", "--policy", "none", "--out", tmp_path / "c")
+    report = json.loads(out)
+    assert (status, report["policy"], report["guided_merges"]) == (0, "none", 0)
+
+
+def test_evaluate_reports_and_exports(run: Run, stool: Path, tmp_path: Path, untrained: Path) -> None:
+    pytest.importorskip("minari")
+    arguments = ("evaluate", "--set", f"folder:{stool}", "--jobs", "1", "--json")
+    status, out, _ = run(*arguments, "--episodes", "2", "--seed", "3", "--export", tmp_path / "stool-v0")
+    report = json.loads(out)
+    assert (status, report["policy"], report["n"], report["success_rate"]) == (0, "search", 2, 1.0)
+    assert (report["seed"], report["unseen"]) == (3, None)
+    assert report["exported"] == {"path": str(tmp_path / "stool-v0"), "episodes": 2, "steps": 16, "refused": 0}
+    assert (tmp_path / "stool-v0" / "data" / "metadata.json").is_file()
+    status, out, _ = run(*arguments, "--policy", untrained)
+    report = json.loads(out)
+    assert (status, report["success_rate"], report["search"]) == (0, 0.0, False)
+    assert report["per_furniture"][0]["verdict"] != "merged"
+    status, out, _ = run(*arguments, "--policy", untrained, "--search")
+    assert json.loads(out)["success_rate"] == 1.0
+    status, out, err = run(*arguments, "--policy", "relatonal")
+    assert status == 2
+    assert "did you mean relational?" in err
+
+
+def test_an_evaluation_goes_on_where_it_was_stopped(run: Run, stool: Path, tmp_path: Path) -> None:
+    kept = tmp_path / "new" / "episodes.jsonl"
+    arguments = ("evaluate", "--policy", "random", "--set", f"folder:{stool}", "--jobs", "1", "--json", "--out", kept)
+    first = json.loads(run(*arguments, "--episodes", "3")[1])
+    head, *lines = kept.read_text().splitlines()
+    assert len(lines) == first["n"] == 3
+
+    # Stopped in the middle of the second line. That the first is not played again shows by what it says.
+    marked = json.dumps(json.loads(lines[0]) | {"planning_steps": 123_456})
+    kept.write_text(f"{head}\n{marked}\n{lines[1][:40]}")
+    second = json.loads(run(*arguments, "--episodes", "3")[1])
+    assert second["per_furniture"][0]["planning_steps"] == 123_456
+    for one, other in zip(first["per_furniture"][1:], second["per_furniture"][1:], strict=True):
+        assert {k: v for k, v in one.items() if "seconds" not in k} == {
+            k: v for k, v in other.items() if "seconds" not in k
+        }
+    assert len(kept.read_text().splitlines()) == 4
+
+    # What is something else's stays as it is.
+    before = kept.read_bytes()
+    status, _, err = run(*arguments, "--episodes", "3", "--seed", "1")
+    assert (status, kept.read_bytes()) == (2, before)
+    assert "another name would do" in err
+    notes = tmp_path / "notes.txt"
+    notes.write_text("my notes\n")
+    assert run(*arguments, "--out", notes)[0] == 2
+    assert notes.read_text() == "my notes\n"
+    assert "cannot write" in run(*arguments, "--out", tmp_path)[2]
+
+
+def test_episodes_of_other_furniture_are_not_taken_for_those_of_this(run: Run, stool: Path, tmp_path: Path) -> None:
+    kept, folder = tmp_path / "episodes.jsonl", shutil.copytree(stool, tmp_path / "stool")
+    arguments = ("evaluate", "--policy", "random", "--set", f"folder:{folder}", "--jobs", "1", "--out", kept)
+    assert run(*arguments)[0] == run(*arguments)[0] == 0
+    before = kept.read_bytes()
+
+    # Of the same name and the same meshes, but not everything that could be swapped can be now.
+    described = folder / "furniture.json"
+    told = json.loads(described.read_text())
+    told["classes"][0]["symmetries"] = told["classes"][0]["symmetries"][:1]
+    described.write_text(json.dumps(told))
+    status, _, err = run(*arguments)
+    assert status == 2
+    assert str(kept) in err
+    assert kept.read_bytes() == before
+
+
+def test_another_seed_gives_another_plan(run: Run, stool: Path, tmp_path: Path) -> None:
+    for seed in "12":
+        assert run("assemble", stool, "--no-film", "--out", tmp_path / seed, "--seed", seed)[0] == 0
+    assert (tmp_path / "1" / "plan.json").read_bytes() != (tmp_path / "2" / "plan.json").read_bytes()
+
+
+def test_what_cannot_be_assembled_is_an_honest_1(run: Run, tmp_path: Path, captive: Path) -> None:
+    status, out, err = run("assemble", captive, "--no-film", "--json", "--out", tmp_path / "a")
+    report = json.loads(out)
+    assert (status, report["success"]) == (1, False)
+    assert "merges tried" in report["reason"]
+    assert report["reason"] in err
+    assert (report["upright"], report["upright_reason"]) == (False, "not assembled")
+    plan = json.loads((tmp_path / "a" / "plan.json").read_text())
+    assert not plan["success"]
+    assert "upright" not in plan
+
+
+@pytest.fixture
+def captive(tmp_path: Path) -> Path:
+    """A ball in a box without a lid to open: two parts, one of them shut in."""
+    from roboassembly.furniture.annotate import annotate
+    from roboassembly.furniture.model import Provenance, RawPart
+    from roboassembly.geometry.meshes import Mesh
+
+    outer, inner = trimesh.creation.box((0.1, 0.1, 0.1)), trimesh.creation.box((0.08, 0.08, 0.08))
+    inner.invert()
+    shell = trimesh.util.concatenate([outer, inner])
+    core = trimesh.creation.box((0.079, 0.079, 0.079))
+    raw = [RawPart("shell", Mesh.from_trimesh(shell)), RawPart("core", Mesh.from_trimesh(core))]
+    return storage.save(annotate("captive", raw, Provenance("test")), tmp_path / "captive")
+
+
+def _broken(stool: Path, tmp_path: Path, change: Callable[[Path], None]) -> Path:
+    folder = tmp_path / "broken"
+    shutil.copytree(stool, folder)
+    change(folder)
+    return folder
+
+
+def _edit(folder: Path, change: Callable[[dict], None]) -> None:
+    path = folder / "furniture.json"
+    document = json.loads(path.read_text())
+    change(document)
+    path.write_text(json.dumps(document))
+
+
+def _mesh(folder: Path, vertices: np.ndarray, faces: np.ndarray) -> None:
+    trimesh.Trimesh(vertices, faces, process=False).export(folder / "meshes" / "00.ply")
+
+
+def _keep_one_part(document: dict) -> None:
+    document["parts"] = document["parts"][:1]
+
+
+def _many_parts(document: dict) -> None:
+    document["parts"] = [{**document["parts"][0], "name": f"p{i}"} for i in range(21)]
+
+
+def _part_away(document: dict) -> None:
+    """A leg a metre off, with its connections taken out: the rest does not touch it."""
+    document["parts"][0]["assembled_pose"][0] += 1.0
+    document["connections"] = [c for c in document["connections"] if 0 not in (c[0], c[2])]
+
+
+BOX = trimesh.creation.box((0.1, 0.1, 0.1))
+BROKEN = {
+    "broken JSON": (lambda f: (f / "furniture.json").write_text('{"format": '), "furniture.json"),
+    "not furniture": (lambda f: (f / "furniture.json").write_text("[1, 2]"), "furniture.json"),
+    "NaN": (lambda f: _mesh(f, np.where(BOX.vertices > 0, np.nan, BOX.vertices), BOX.faces), "not finite"),
+    "zero area": (lambda f: _mesh(f, np.zeros((8, 3)), BOX.faces), "zero area"),
+    "no faces": (lambda f: _mesh(f, BOX.vertices, np.empty((0, 3), int)), "no faces"),
+    "no mesh": (lambda f: (f / "meshes" / "00.ply").unlink(), "missing"),
+    "garbage mesh": (lambda f: (f / "meshes" / "00.ply").write_bytes(b"ply\nformat wrong\x00\xff"), "00.ply"),
+    "one part": (lambda f: _edit(f, _keep_one_part), "1 part;"),
+    "21 parts": (lambda f: _edit(f, _many_parts), "21 parts"),
+    "apart": (lambda f: _edit(f, _part_away), "do not touch"),
+}
+
+
+@pytest.mark.parametrize("case", BROKEN)
+def test_bad_furniture_is_one_line_and_2(run: Run, stool: Path, tmp_path: Path, case: str) -> None:
+    change, words = BROKEN[case]
+    folder = _broken(stool, tmp_path, change)
+    status, out, err = run("assemble", folder, "--json", "--out", tmp_path / "out")
+    assert status == 2
+    assert len(err.strip().splitlines()) == 1
+    assert err.startswith("error: ")
+    assert words in err
+    assert json.loads(out)["success"] is False
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["assemble", "laddr"], "did you mean ladder?"),
+        (["assemble", "xyzzy"], "known: "),
+        (["assemble", "ladder:many"], "not a whole number"),
+        (["assemble", "no/such/folder"], "no furniture folder"),
+        (["assemble", "stool", "--seed", "-1"], "negative"),
+        (["generate", "winsor"], "did you mean windsor?"),
+        (["import", "ikea-manual", "no/such/folder"], "not a folder"),
+        (["import", "ikea-manual", ".", "--scale", "0"], "absurd"),
+        (["import", "ikea-manual", ".", "--jobs", "0"], "--jobs 0"),
+        (["bench", "planning", "--chairs", "0"], "--chairs 0"),
+        (["bench", "robots", "--furniture", "stol"], "did you mean stool"),
+        (["assemble", "stool", "--execution", "dynamic"], "takes --setting full"),
+        (["export", "mjcf", "rokcer"], "did you mean rocker"),
+        (["dataset", "show", "chairs-413"], "did you mean chairs-412"),
+        (["evaluate", "--set", "folder:nowhere"], "holds no furniture folders"),
+        (["evaluate", "--set", "folder:nowhere", "--limit", "0"], "--limit and --sample take 1 or more"),
+        (["evaluate", "--set", "folder:nowhere", "--episodes", "0"], "--jobs and --episodes take 1 or more"),
+        (["evaluate", "--set", "folder:nowhere", "--limit", "1", "--sample", "1"], "only one of them would do"),
+        (["evaluate", "--setting", "full", "--export", "x-v0"], "--export takes episodes of --setting object-centric"),
+        (["evaluate", "--policy", "joint-rrt", "--export", "x-v0"], "'joint-rrt' tells no actions"),
+        (["benchmark", "--sample", "0"], "--sample and --experts take 1 or more"),
+        (["benchmark", "--experts", "-1"], "--sample and --experts take 1 or more"),
+        (["assemble", "stool", "--policy", "none", "--no-search"], "--no-search needs a --policy"),
+        (["assemble", "stool", "--policy", "relatonal"], "did you mean relational?"),
+        (["assemble", "stool", "--policy", "gone.npz"], "no checkpoint at 'gone.npz'"),
+        (["assemble", "stool", "--policy", "random"], "'random' does not value actions"),
+    ],
+)
+def test_bad_arguments_are_one_line_and_2(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: list[str], words: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    status, out, err = run(*arguments)
+    assert (status, out) == (2, "")
+    assert len(err.strip().splitlines()) == 1
+    assert words in err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_output_that_cannot_be_written(run: Run, stool: Path, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("mine")
+    status, _, err = run("assemble", stool, "--no-film", "--out", tmp_path / "file")
+    assert status == 2
+    assert "cannot write" in err
+    assert (tmp_path / "file").read_text() == "mine"
+
+
+def test_generate_then_assemble(run: Run, tmp_path: Path) -> None:
+    status, out, _ = run("generate", "stool", "--seed", "4", "--out", tmp_path / "s", "--json")
+    assert status == 0
+    assert json.loads(out)["outputs"] == {"furniture": str(tmp_path / "s")}
+    assert run("assemble", tmp_path / "s", "--no-film", "--out", tmp_path / "a")[0] == 0
+
+
+def test_generate_never_overwrites_what_is_not_furniture(run: Run, tmp_path: Path) -> None:
+    (tmp_path / "letters").mkdir()
+    (tmp_path / "letters" / "love.txt").write_text("dear")
+    status, _, err = run("generate", "stool", "--out", tmp_path / "letters")
+    assert status == 2
+    assert "not a furniture folder" in err
+    assert (tmp_path / "letters" / "love.txt").read_text() == "dear"
+
+
+def _write_obj(path: Path, mesh: trimesh.Trimesh) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(mesh.export(file_type="obj"))
+
+
+def _table(folder: Path) -> None:
+    """Five boxes, y up, touching exactly: a table as IKEA-Manuals gives it."""
+    top = trimesh.creation.box((1.0, 0.05, 1.0))
+    top.apply_translation((0, 0.525, 0))
+    _write_obj(folder / "00.obj", top)
+    for i, (x, z) in enumerate([(-0.4, -0.4), (0.4, -0.4), (-0.4, 0.4), (0.4, 0.4)]):
+        leg = trimesh.creation.box((0.06, 0.5, 0.06))
+        leg.apply_translation((x, 0.25, z))
+        _write_obj(folder / f"0{i + 1}.obj", leg)
+
+
+def test_import_then_assemble(run: Run, tmp_path: Path) -> None:
+    _table(tmp_path / "in" / "Table" / "plain")
+    _write_obj(tmp_path / "in" / "Table" / "alone" / "00.obj", BOX)
+    source, out_folder = tmp_path / "in", tmp_path / "furniture"
+    status, out, _ = run("import", "ikea-manual", source, "--out", out_folder, "--json", "--jobs", "1")
+    report = json.loads(out)
+    assert status == 0
+    assert (report["imported"], report["refused"]) == (1, 1)
+    good, bad = sorted(report["items"], key=lambda i: i["error"] is not None)
+    assert (good["name"], good["parts"], good["connections"]) == ("plain", 5, 4)
+    assert "1 part" in bad["error"]
+    assert sorted(p.name for p in out_folder.iterdir()) == ["plain"]
+    assert run("assemble", out_folder / "plain", "--no-film", "--out", tmp_path / "a")[0] == 0
+
+
+def test_import_of_one_bad_piece_is_2(run: Run, tmp_path: Path) -> None:
+    (tmp_path / "piece").mkdir()
+    for i in range(2):
+        (tmp_path / "piece" / f"0{i}.obj").write_text("v 0 0 0\nv 1 0 nan\nv 0 1 0\nf 1 2 3\n")
+    status, out, err = run("import", "ikea-manual", tmp_path / "piece", "--out", tmp_path / "out")
+    assert status == 2
+    assert "not finite" in err
+    assert "Traceback" not in err
+    assert "0 imported, 1 refused" in out
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("expert", "--limit", "0"), "--limit and --sample take 1 or more"),
+        (("expert", "--plays", "0"), "--side-by-side and --plays take 1 or more"),
+        (("autoencoder", "--set", "chairs-413"), "unknown data set 'chairs-413'; did you mean chairs-412"),
+        (("multitask", "--rounds", "-1"), "--rounds take 0 or more"),
+        (("multitask", "--preset", "paper"), "--lessons FOLDER"),
+        (("multitask", "--set", "folder:here"), "lessons are made of generated chairs"),
+    ],
+)
+def test_training_refuses_in_one_line(run: Run, tmp_path: Path, arguments: tuple[str, ...], said: str) -> None:
+    status, out, err = run("train", *arguments, "--out", tmp_path / "run", "--json")
+    assert status == 2
+    assert said in err
+    assert said in json.loads(out)["error"]
+    assert "Traceback" not in err

@@ -1,0 +1,240 @@
+"""What the documentation shows runs: all of a page in its order, in a folder that stands for a fresh clone.
+
+Two forms. The quick one leaves out films and what takes minutes. The slow one runs nearly all, what takes hours in a
+smaller form. The tables below say what is left out or smaller, and why.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import re
+import shutil
+import subprocess
+import sys
+import urllib.request
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from importlib.resources import files
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+import test_import_folder
+import test_import_ikea_env
+import trimesh
+from test_docs import EXTRAS, extras_needed
+
+from documentation import PAGES, ROOT, Block, Command, examples
+from roboassembly.cli import main
+from roboassembly.rendering import gl
+
+ALWAYS = [
+    (r"make .*", "makes a virtual environment; `test_release.py` installs the package into an empty one"),
+    (r"python -m pip install .*", "as above; `test_docs.py` checks that what the lines name exists"),
+    (r"roboassembly benchmark", "days; `test_benchmark.py` runs all of it in miniature"),
+]
+"""Commands that do not run here, by what they match."""
+WHEN_QUICK = [
+    (r"roboassembly .*--setting full.*", "two robots take their time"),
+    (r"roboassembly view .*|roboassembly view", "each starts a server; the studio's tests start enough of them"),
+    (r"roboassembly train .*", "JAX compiles for half a minute"),
+    (r"roboassembly bench .*", "measures for minutes"),
+    (r"python examples/masked_ppo\.py.*|roboassembly evaluate --policy examples/.*", "needs PyTorch"),
+]
+"""Commands that the quick form leaves out besides."""
+SMALLER = [
+    (r"roboassembly train expert .*", "--limit 1 --jobs 1", "hours for 220 chairs"),
+    (r"roboassembly train multitask --preset paper .*", "--steps 20 --jobs 1", "half an hour"),
+    (r"roboassembly train multitask --setting full .*",
+     "--limit 1 --extra 0 --plays 1 --steps 2 --round-steps 2 --jobs 1", "a day"),
+    (r"roboassembly train multitask", "--limit 1 --extra 0 --steps 2 --jobs 1", "hours"),
+    (r"roboassembly bench .*", "--quick", "minutes"),
+    (r"python examples/masked_ppo\.py.*", "--steps 256", "minutes"),
+    (r"roboassembly evaluate .*--episodes 100|roboassembly evaluate --policy examples/.*", "--episodes 2", "minutes"),
+]  # fmt: skip
+"""Words added in either form, for what would take too long as it is written."""
+BRIEFLY = {"assemble": ["--no-film"], "evaluate": ["--jobs", "1"], "import": ["--jobs", "1"]}
+"""Words added in the quick form: no film, no further processes."""
+BUILT = [("three_legged", 3)]
+"""What a built data set holds here, in each split: `dataset build` takes 12 minutes, and has tests of its own."""
+
+
+def matches(table: list, command: Command) -> list:
+    return [row for row in table if re.fullmatch(row[0], command.text.partition(" >")[0])]
+
+
+@dataclass
+class Reader:
+    """Somebody who does what a page says."""
+
+    quick: bool
+    as_built: Callable[..., list[str]]
+    ran: list[str] = field(default_factory=list)
+    namespace: dict[str, object] = field(default_factory=dict)
+
+    def read(self, page: str) -> None:
+        """Run all of it in the current folder."""
+        for example in examples(page):
+            if isinstance(example, Block):
+                self._execute(example)
+            elif not matches(ALWAYS, example) and not (self.quick and matches(WHEN_QUICK, example)):
+                self._run(example)
+                self.ran.append(example.text)
+
+    def _execute(self, block: Block) -> None:
+        if block.saved:
+            Path(block.saved).write_text(block.text)
+        if "render_mode" in block.text and not _draws():
+            return
+        exec(compile(block.text, str(block), "exec"), self.namespace)
+
+    def _run(self, command: Command) -> None:
+        more = [word for row in matches(SMALLER, command) for word in row[1].split()]
+        if command.arguments is None:
+            assert command.words[0] == "python", command
+            if find_spec("sb3_contrib"):
+                subprocess.run([sys.executable, *command.words[1:], *more], check=True, timeout=500)
+            return
+        if "examples/masked_ppo.py" in command.words and not find_spec("sb3_contrib"):
+            return
+        more += BRIEFLY.get(command.arguments[0], []) if self.quick else []
+        if command.arguments[:2] == ["dataset", "build"]:
+            self.as_built(command.arguments[2], easy=BUILT, hard=BUILT, test=BUILT)
+        elif command.arguments[0] == "view":
+            visit(command.arguments)
+        else:
+            run([*command.arguments, *more], command)
+
+
+def run(words: list[str], command: Command) -> None:
+    """In this process. What a shell would write to a file is there afterwards, and is one JSON object."""
+    with contextlib.ExitStack() as stack:
+        if command.target:
+            stack.enter_context(contextlib.redirect_stdout(stack.enter_context(Path(command.target).open("w"))))
+        with pytest.raises(SystemExit) as end:
+            main(words)
+    assert end.value.code == 0, str(command)
+    if command.target:
+        assert isinstance(json.loads(Path(command.target).read_text()), dict), str(command)
+
+
+def visit(words: list[str]) -> None:
+    """Start the studio, look at its page, end it."""
+    line = [sys.executable, "-m", "roboassembly.cli", *words, "--no-browser", "--port", "0", "--json"]
+    with subprocess.Popen(line, stdout=subprocess.PIPE, text=True) as server:
+        try:
+            assert server.stdout is not None
+            address = json.loads(server.stdout.readline())["url"]
+            with urllib.request.urlopen(address, timeout=30) as page:
+                assert page.status == 200
+                assert b"<html" in page.read().lower()
+        finally:
+            server.terminate()
+
+
+def _draws() -> bool:
+    try:
+        gl.context_module()
+    except gl.RenderingUnavailableError:
+        return False
+    return True
+
+
+@pytest.fixture
+def clone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """What of a fresh clone examples use, and files that only a reader can have; no data set is built."""
+    monkeypatch.setenv("ROBOASSEMBLY_CACHE", str(tmp_path / "cache"))
+    folder = tmp_path / "clone"
+    shutil.copytree(ROOT / "examples", folder / "examples", ignore=shutil.ignore_patterns("*.pt", "__pycache__"))
+    monkeypatch.chdir(folder)
+    test_import_folder.write(folder / "my_files", unit=0.001, suffixes=("stl", "stl", "stl"))
+    parts = [trimesh.load_mesh(path) for path in sorted((folder / "my_files").iterdir())]
+    trimesh.util.concatenate(parts).export(folder / "my_chair.stl")
+    (folder / "chair_agne_0010").mkdir()
+    test_import_ikea_env.write(folder / "chair_agne_0010", test_import_ikea_env.POST, test_import_ikea_env.PLATE)
+    with (folder / "my.npz").open("wb") as out:
+        out.write((files("roboassembly.learning") / "weights" / "relational.npz").read_bytes())
+    return folder
+
+
+WITH_EXAMPLES = [page for page in PAGES if examples(page)]
+
+
+@pytest.mark.usefixtures("clone")
+@pytest.mark.parametrize("page", WITH_EXAMPLES)
+def test_pages_run(page: str, as_built) -> None:
+    Reader(True, as_built).read(page)
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("clone")
+@pytest.mark.parametrize("page", WITH_EXAMPLES)
+def test_pages_run_to_the_letter(page: str, as_built) -> None:
+    if page == "docs/studio.md":
+        run(["assemble", "three_legged:3", "--no-film"], Command(page, 0, "an earlier day"))
+    Reader(False, as_built).read(page)
+
+
+MODULES = {
+    "jax": "jax", "optax": "optax", "tensorboardx": "tensorboardX", "matplotlib": "matplotlib", "minari": "minari",
+    "pybullet": "pybullet", "python-fcl": "fcl", "sb3-contrib": "sb3_contrib", "ray": "ray",
+}  # fmt: skip
+"""What extras bring, and the module of it that is imported."""
+WITHOUT = """
+import sys
+
+class Missing:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in sys.argv[1].split(","):
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+
+sys.meta_path.insert(0, Missing())
+from roboassembly.cli import main
+for line in sys.argv[2:]:
+    try:
+        main(line.split())
+    except SystemExit as end:
+        assert end.code == 0, line
+"""
+"""Commands, one after another, where some modules are not installed."""
+
+
+def test_commands_run_on_the_package_alone(clone: Path, as_built) -> None:
+    """Whatever pages do not install an extra for. `view` is started as well by the slow form."""
+    named = {re.split(r"[\s\[<>=;]", r)[0] for requirements in EXTRAS.values() for r in requirements}
+    assert named == MODULES.keys()
+    as_built("chairs-24", easy=BUILT, hard=BUILT, test=BUILT)
+    page = [e for e in examples("docs/your-own-policy.md") if isinstance(e, Block) and e.saved]
+    (clone / "my_policy.py").write_text(page[-1].text)
+    lines = (
+        "generate three_legged --seed 3 --out made",
+        "assemble made --no-film --out played",
+        "import folder my_files --out mine --jobs 1",
+        "export mjcf made --out exported",
+        "dataset show chairs-24",
+        "dataset list",
+        "evaluate --set chairs-24:test --jobs 1",
+        "evaluate --set chairs-24:test --jobs 1 --policy relational",
+        "evaluate --set chairs-24:test --jobs 1 --policy my_policy.py --search --out kept.jsonl",
+        "evaluate --set chairs-24:test --jobs 1 --policy relational --setting full",
+    )
+    here = [c for p in PAGES for c in examples(p) if isinstance(c, Command) and c.arguments and not extras_needed(c)]
+    used = {(c.arguments or [""])[0] for c in here}
+    assert used <= {line.split()[0] for line in lines} | {"view"}
+    subprocess.run(
+        [sys.executable, "-c", WITHOUT, ",".join(MODULES.values()), *lines], check=True, timeout=120, cwd=clone
+    )
+
+
+def test_nothing_is_left_out_that_is_not_there() -> None:
+    """Every row of the tables is about some command, and each command runs in some form."""
+    commands = [e for page in PAGES for e in examples(page) if isinstance(e, Command)]
+    for table in (ALWAYS, WHEN_QUICK, SMALLER):
+        for row in table:
+            assert any(matches([row], c) for c in commands), f"{row[0]}: no such command any more"
+            assert row[-1], "why?"
+    assert set(BRIEFLY) <= {c.arguments[0] for c in commands if c.arguments}
+    slow = [c for c in commands if not matches(ALWAYS, c)]
+    assert {c.words[0] for c in slow} == {"roboassembly", "python"}
+    assert sum(not matches(WHEN_QUICK, c) for c in slow) > 20

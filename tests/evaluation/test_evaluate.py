@@ -1,0 +1,341 @@
+"""Evaluation: intervals by hand, the same figures whatever else is played and by however many, Minari's round trip."""
+
+from __future__ import annotations
+
+import json
+import os
+import pickle
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from roboassembly.cli.evaluate import summary
+from roboassembly.datasets import catalogue
+from roboassembly.datasets.sets import Entry, Pick, furniture_hash, pick, sampled
+from roboassembly.errors import InputError, MissingExtraError, RoboAssemblyError, UnknownNameError
+from roboassembly.evaluation.evaluate import Evaluation, episode_seed, evaluate
+from roboassembly.evaluation.export import check_target, export
+from roboassembly.evaluation.rollout import SOLVERS, Episode, Way, play_episode, player
+from roboassembly.furniture import storage
+from roboassembly.furniture.model import Furniture
+from roboassembly.solvers.search import solve
+from roboassembly.statistics import success
+from shapes import GAP, brick, furniture, pose
+
+
+def episode(index: int, success: bool, **more) -> Episode:
+    verdict = "merged" if success else "wrong_pair"
+    return Episode(f"chair-{index}", 3, index, success, 2 * success, verdict, 10 * index, 0.5, **more)
+
+
+def test_wilson_intervals_by_hand() -> None:
+    """(p + z²/2n ± z √(p(1-p)/n + z²/4n²)) / (1 + z²/n) with z = 1.959964."""
+    seven = success([True] * 7 + [False] * 3)
+    assert seven == {"n": 10, "success_rate": 0.7, "ci95": [0.3968, 0.8922]}
+    # All of 192: n / (n + z²) = 192 / 195.8415.
+    assert success([True] * 192) == {"n": 192, "success_rate": 1.0, "ci95": [0.9804, 1.0]}
+    # None of 192: z² / (n + z²).
+    assert success([False] * 192)["ci95"] == [0.0, 0.0196]
+    assert success([]) == {"n": 0, "success_rate": None, "ci95": None}
+
+
+def test_report_by_hand() -> None:
+    some = tuple(episode(i, i < 7, family="stool", unseen=i % 2 == 0, policy_seconds=0.1) for i in range(10))
+    report = Evaluation(Way("relational"), "chairs-412:test", 3, some).to_json()
+    assert json.loads(json.dumps(report)) == {
+        **report,
+        "per_furniture": json.loads(json.dumps(report["per_furniture"])),
+    }
+    assert (report["policy"], report["set"], report["seed"], report["search"]) == (
+        "relational", "chairs-412:test", 3, False,
+    )  # fmt: skip
+    assert (report["n"], report["success_rate"]) == (10, 0.7)
+    assert report["planning_steps_mean"] == 45
+    assert report["planning_steps_mean_solved"] == 30
+    assert report["planning_seconds_mean"] == 0.5
+    assert report["policy_seconds_mean"] == pytest.approx(0.1)
+    # 0, 2, 4, 6 of 0, 2, 4, 6, 8.
+    assert report["unseen"] == {"n": 5, "success_rate": 0.8, "ci95": [0.3755, 0.9638]}
+    assert report["per_furniture"][8]["verdict"] == "wrong_pair"
+    unknown = Evaluation(Way("search"), "folder:x", 0, tuple(replace(e, unseen=None) for e in some)).to_json()
+    assert unknown["unseen"] is None
+    assert Evaluation(Way("search"), "folder:x", 0, some[8:]).to_json()["planning_steps_mean_solved"] is None
+
+
+def test_the_printed_summary() -> None:
+    some = tuple(episode(i, i < 2, family="ab"[i % 2], unseen=i % 2 == 0) for i in range(4))
+    head, columns, whole, known, unknown, a, b, failed = summary(Evaluation(Way("random"), "s", 1, some))
+    assert head == "random on s, seed 1"
+    assert columns.split() == ["n", "success", "95", "%", "states"]
+    assert whole.split() == ["all", "4", "50.0%", "15.0-", "85.0", "15"]
+    assert (known.split()[4:6], unknown.split()[3:5]) == (["2", "50.0%"], ["2", "50.0%"])
+    assert (a.split()[0], b.split()[0]) == ("a", "b")
+    assert failed.split() == ["failed:", "2", "wrong_pair"]
+
+
+def test_what_ended_episodes_with_robots() -> None:
+    ends = [
+        ("grasp_blocked", "grasp u"), ("cannot_let_go", "back off"), ("no_arm_solution", "mate"),
+        ("joint_blocked", "mate"), ("no_path", "drive v"), ("no_path", "leave u"), ("no_path", "set down"),
+        ("no_stand", "set down"), ("wrong_pair", ""), ("no_plan", "limits reached"), ("not_grasped", "approach u"),
+        ("merged", ""),
+    ]  # fmt: skip
+    some = tuple(
+        replace(episode(i, verdict == "merged"), verdict=verdict, reason=leg) for i, (verdict, leg) in enumerate(ends)
+    )
+    assert Evaluation(Way("x", setting="full"), "s", 1, some).to_json()["failures"] == {
+        "placing": 3, "grasp blocked": 2, "no arm solution": 1, "mating path": 1, "path": 1, "wrong pair": 1,
+        "no plan": 1, "not grasped": 1,
+    }  # fmt: skip
+    assert "failures" not in Evaluation(Way("x"), "s", 1, some).to_json()
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> str:
+    root = tmp_path_factory.mktemp("set")
+    for name in ("cantilever", "shell", "stool"):
+        storage.save(catalogue.make(name), root / name)
+    return f"folder:{root}"
+
+
+class Replay:
+    """Plays the search's plan of the piece that it sees; knows pieces by the number of their parts."""
+
+    name = "replay"
+    cloud_points = 1
+
+    def __init__(self, plans: dict[int, list[tuple[int, ...]]]) -> None:
+        self.plans = plans
+
+    def act(self, observation, mask) -> np.ndarray:
+        parts = int(observation["shapes"].any(axis=(1, 2)).sum())
+        joined = (observation["connections"] != 0).any(axis=2) | np.eye(len(mask), dtype=bool)
+        groups = len({int(i) for i in np.argmax(joined, axis=1)[:parts]})
+        return np.array(self.plans[parts][parts - groups])
+
+
+def test_a_policy_of_ones_own_that_plays_the_searchs_plan() -> None:
+    furniture = catalogue.make("stool", 2)
+    plan = solve(furniture, 4).plan
+    actions = [step.action for step in plan.steps]
+    done = play_episode(Replay({len(furniture.parts): actions}), furniture, 4)
+    assert (done.success, done.merges, done.verdict, done.seed) == (True, len(actions), "merged", 4)
+    assert done.actions == tuple(actions)
+    assert done.planning_steps > 0
+    assert done.planning_seconds > 0.0
+    assert done.policy_seconds > 0.0
+    # A wrong third action ends it there.
+    wrong = [*actions[:2], (actions[2][0], actions[2][1], 9, 9, 0)]
+    done = play_episode(Replay({len(furniture.parts): wrong}), furniture, 4)
+    assert (done.success, done.merges, done.verdict, len(done.actions)) == (False, 2, "not_an_action", 3)
+
+
+def test_evaluated_over_a_set(folder: str) -> None:
+    picks = pick(folder)
+    plans = {}
+    for p in picks:
+        furniture = p.furniture()
+        plans[len(furniture.parts)] = [s.action for s in solve(furniture, episode_seed(0, p.name, 0)).plan.steps]
+    assert len(plans) == len(picks)
+    episodes = list(evaluate(Way(Replay(plans)), picks, 0, 1))
+    assert [e.success for e in episodes] == [True] * 3
+    assert [e.furniture for e in episodes] == [p.furniture().name for p in picks]
+
+
+def timeless(episodes: list[Episode]) -> list[Episode]:
+    return [replace(e, planning_seconds=0.0, policy_seconds=0.0) for e in episodes]
+
+
+def test_neither_jobs_nor_limits_nor_order_change_an_episode(folder: str) -> None:
+    picks = pick(folder)
+    alone = timeless(list(evaluate(Way("random"), picks, 7, 1, episodes=2)))
+    assert len(alone) == 6
+    assert len({e.seed for e in alone}) == 6
+    assert len({e.actions for e in alone}) > 3
+    before = dict(os.environ)
+    assert timeless(list(evaluate(Way("random"), picks, 7, 2, episodes=2))) == alone
+    assert dict(os.environ) == before
+    assert timeless(list(evaluate(Way("random"), picks[1::-1], 7, 1))) == [alone[2], alone[0]]
+    assert timeless(list(evaluate(Way("random"), picks[:1], 8, 1))) != alone[:1]
+
+
+def test_seeds_are_what_they_were() -> None:
+    """Anyone who has a figure can have it again."""
+    words = np.random.SeedSequence([5, 0xCBF43926, 2]).generate_state(1)
+    assert episode_seed(5, "123456789", 2) == int(words[0]) // 2  # CRC-32's check value
+
+
+def test_solvers_play(folder: str) -> None:
+    picks = [p for p in pick(folder) if p.name == "shell"]
+    ends = {name: next(iter(evaluate(Way(name), picks, 0, 1))) for name in SOLVERS}
+    parts = len(catalogue.make("shell").parts)
+    assert all(e.parts == parts for e in ends.values())
+    assert (ends["search"].success, ends["search"].merges, ends["search"].verdict) == (True, parts - 1, "merged")
+    assert len(ends["search"].actions) == parts - 1
+    assert (ends["joint-rrt"].success, ends["joint-rrt"].verdict) == (False, "budget_exhausted")
+    assert ends["joint-rrt"].planning_steps >= 100_000
+    assert all(e.success == (e.verdict == "merged") for e in ends.values())
+
+
+def test_families_are_told_by_the_set() -> None:
+    made = catalogue.make("cantilever", 2)
+    entry = Entry("cantilever", 2, "test", True, len(made.parts), 0.5, False, 100, furniture_hash(made))
+    known = next(iter(evaluate(Way("search"), [Pick(entry.name, entry, None)], 0, 1)))
+    assert (known.family, known.unseen, known.success) == ("cantilever", True, True)
+    with pytest.raises(InputError, match="no longer what its data set"):
+        list(evaluate(Way("search"), [Pick(entry.name, _other(entry), None)], 0, 1))
+
+
+def _other(entry: Entry) -> Entry:
+    return Entry(**{**{f: getattr(entry, f) for f in entry.__struct_fields__}, "hash": "0" * 16})
+
+
+def test_names_are_checked_before_anything_is_played() -> None:
+    with pytest.raises(UnknownNameError, match="did you mean joint-rrt"):
+        evaluate(Way("joint-rtt"), [], 0, 4)
+    with pytest.raises(InputError, match="'joint-rrt' cannot guide the search"):
+        player(Way("joint-rrt", search=True))
+    with pytest.raises(InputError, match="'random' does not value actions"):
+        player(Way("random", search=True))
+
+
+class Dies:
+    """Takes its process with it."""
+
+    name = "dies"
+    cloud_points = 1
+
+    def act(self, observation, mask) -> np.ndarray:
+        os._exit(7)
+
+
+def test_a_worker_that_dies_is_told(folder: str) -> None:
+    with pytest.raises(RoboAssemblyError, match=r"a worker process died .* 0 of 1 pieces.*cantilever"):
+        list(evaluate(Way(Dies()), pick(folder)[:1], 0, 2))
+
+
+def test_a_policy_guides_the_search(folder: str) -> None:
+    picks = [p for p in pick(folder) if p.name in ("stool", "cantilever")]
+
+    class Shy(Replay):
+        """Finds everything equally bad."""
+
+        def values(self, observation, mask) -> np.ndarray:
+            return np.where(mask, np.float32(0.0), np.float32(-np.inf))
+
+    for done in evaluate(Way(Shy({}), search=True), picks, 0, 1):
+        assert done.success
+        assert done.policy_seconds > 0.0
+
+
+def test_the_full_setting_audited_and_carried_out(armchair: Furniture) -> None:
+    pytest.importorskip("fcl")
+    done = player(Way(setting="full", execution="dynamic", audit=True))(armchair, 0)
+    assert (done.success, done.verdict, done.merges, done.violations, done.reason) == (True, "merged", 2, 0, "")
+    assert [len(a) for a in done.actions] == [6, 6]
+    assert done.executed is not None
+    assert (done.executed["success"], done.executed["steps"], done.executed["ending"]) == (True, 2, "done")
+    assert 0.0 < done.executed["tracking_error_mm"] < 5.0
+    assert 0.0 < sum(done.step_seconds) <= done.planning_seconds
+    assert Episode(**json.loads(json.dumps(asdict(done)))).executed == done.executed
+    failed = replace(done, success=False, verdict="off_the_path", step_seconds=())
+    unplanned = replace(failed, executed=None, violations=None)
+    report = Evaluation(
+        Way(setting="full", execution="dynamic", audit=True), "s", 0, (done, failed, unplanned)
+    ).to_json()
+    assert (report["setting"], report["execution"], report["violations"]) == ("full", "dynamic", 0)
+    assert report["success_rate"] == pytest.approx(1 / 3)
+    assert report["planned"]["success_rate"] == pytest.approx(2 / 3)
+    assert report["merge_seconds_median"] == pytest.approx(sum(done.step_seconds) / 2)
+
+
+def test_what_the_full_setting_refuses() -> None:
+    with pytest.raises(InputError, match="'joint-rrt' chooses no grasps; --setting full takes --policy search"):
+        player(Way("joint-rrt", setting="full"))
+    with pytest.raises(InputError, match="'replay' chooses no grasps"):
+        player(Way(Replay({}), setting="full"))
+    with pytest.raises(InputError, match="--execution dynamic takes --setting full"):
+        player(Way("search", execution="dynamic"))
+    board = furniture("board", {"a": brick(0.4, 0.3, 0.2), "b": brick(0.4, 0.3, 0.2).transformed(pose(z=0.2 + GAP))})
+    done = player(Way(setting="full", execution="dynamic"))(board, 0)
+    assert (done.success, done.verdict, done.merges) == (False, "refused", 0)
+    assert "no hand" in done.reason or "no grasp" in done.reason, done.reason
+
+
+def test_a_sample_is_drawn_by_the_seed() -> None:
+    picks = [Pick(str(i), None, None) for i in range(20)]
+    some = [p.name for p in sampled(picks, 5, 3)]
+    assert some == [p.name for p in sampled(picks, 8, 3)][:5]
+    assert len(set(some)) == 5
+    assert some != [p.name for p in sampled(picks, 5, 4)]
+    assert len(sampled(picks, 50, 0)) == 20
+    assert sampled(picks, None, 0) == picks
+
+
+# Minari
+
+
+@pytest.fixture(scope="module")
+def played(folder: str) -> list[tuple[Pick, Episode]]:
+    picks = [p for p in pick(folder) if p.name in ("cantilever", "stool")]
+    done = [(p, e) for p in picks for e in evaluate(Way("search"), [p], 0, 1, episodes=2)]
+    return [(done[0][0], episode(0, False, actions=((0, 0, 0, 0, 0),))), *done]
+
+
+def test_a_minari_data_set_is_read_again_and_replayed(
+    played: list[tuple[Pick, Episode]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    minari = pytest.importorskip("minari")
+    pytest.importorskip("h5py")
+    done = export(tmp_path / "sets" / "two-v0", played, "search", cloud_points=16)
+    assert (done.episodes, done.refused) == (4, 0)
+    assert done.steps == sum(e.merges for _, e in played)
+    assert [p.name for p in (tmp_path / "sets").iterdir()] == ["two-v0"]
+
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "sets"))
+    dataset = minari.load_dataset("two-v0")
+    assert (dataset.total_episodes, dataset.total_steps) == (4, done.steps)
+    assert dataset.spec.env_spec.id == "RoboAssembly/ObjectCentric-v0"
+    env = dataset.recover_environment()
+    about = list(dataset.storage.get_episode_metadata(range(4)))
+    for recorded, meta, (_, source) in zip(dataset.iterate_episodes(), about, played[1:], strict=True):
+        assert recorded.rewards.tolist() == [1.0] * (source.merges - 1) + [5.0]
+        assert recorded.terminations.tolist() == [False] * (source.merges - 1) + [True]
+        assert [tuple(a) for a in recorded.actions.tolist()] == list(source.actions)
+        assert dataset.observation_space.contains({k: v[0] for k, v in recorded.observations.items()})
+        observation, info = env.reset(seed=meta["seed"], options=meta["options"])
+        assert info["furniture"] == source.furniture
+        for i, action in enumerate(recorded.actions):
+            for key, value in observation.items():
+                np.testing.assert_array_equal(recorded.observations[key][i], value)
+            observation, reward, *_, info = env.step(action)
+            assert reward == recorded.rewards[i]
+        assert info["success"]
+
+
+def test_what_cannot_be_exported_is_said(played: list[tuple[Pick, Episode]], tmp_path: Path) -> None:
+    pytest.importorskip("minari")
+    with pytest.raises(InputError, match="'chairs' is no name of a Minari data set; like 'chairs-v0' would do"):
+        check_target(tmp_path / "chairs")
+    (tmp_path / "there-v0").mkdir()
+    with pytest.raises(InputError, match="something already"):
+        check_target(tmp_path / "there-v0")
+    with pytest.raises(InputError, match="no episode succeeded"):
+        export(tmp_path / "none-v0", played[:1], "random")
+    never = [(p, replace(e, actions=e.actions[:1])) for p, e in played[1:2]]
+    with pytest.raises(InputError, match="none of 1 episodes succeeded again"):
+        export(tmp_path / "none-v0", never, "random")
+    assert [p.name for p in tmp_path.iterdir()] == ["there-v0"]
+
+
+def test_errors_survive_the_way_from_a_worker() -> None:
+    for error in (
+        UnknownNameError("policy", "serch", ["search"]),
+        MissingExtraError("jax", "learn"),
+        InputError("bad"),
+    ):
+        again = pickle.loads(pickle.dumps(error))
+        assert type(again) is type(error)
+        assert str(again) == str(error)

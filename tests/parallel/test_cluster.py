@@ -1,0 +1,111 @@
+"""Work spread over a Ray cluster: two nodes on this machine, one of which dies."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from roboassembly.datasets import catalogue
+from roboassembly.datasets.sets import pick
+from roboassembly.errors import InputError, MissingExtraError
+from roboassembly.evaluation.evaluate import evaluate
+from roboassembly.evaluation.rollout import Way
+from roboassembly.furniture import storage
+from roboassembly.parallel.processes import as_done, in_order, spread, workers
+
+ray_cluster = pytest.importorskip("ray.cluster_utils", reason="make test-all installs Ray")
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture
+def two_nodes(monkeypatch) -> Iterator[Any]:
+    """A head without CPUs, and two nodes of two."""
+    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[1]))
+    cluster = ray_cluster.Cluster(initialize_head=True, head_node_args={"num_cpus": 0})
+    for _ in range(2):
+        cluster.add_node(num_cpus=2)
+    yield cluster
+    cluster.shutdown()
+
+
+def where(seconds: float) -> str:
+    """The node that this runs on, after some time."""
+    import ray
+
+    time.sleep(seconds)
+    return ray.get_runtime_context().get_node_id()
+
+
+def counted(item: int, folder: Path) -> int:
+    """Leaves a trace of each time that it is begun."""
+    with (folder / str(item)).open("a") as file:
+        file.write("begun\n")
+    time.sleep(3.0)
+    return item * item
+
+
+def refusing(item: int) -> int:
+    if item == 2:
+        raise InputError("two is no good")
+    return item
+
+
+_greeting: list[str] = []
+
+
+def greet(word: str) -> None:
+    _greeting.append(word)
+
+
+def greeting(_: int) -> list[str]:
+    return list(_greeting)
+
+
+def test_work_goes_to_all_nodes_and_comes_back_in_order(two_nodes):
+    with spread(two_nodes.address, 1) as jobs:
+        assert jobs == 4
+        assert len(set(as_done(where, [1.0] * 8, jobs))) == 2
+        assert list(in_order(refusing, [3, 1, 4, 1, 5], jobs, chunk=1)) == [3, 1, 4, 1, 5]
+        with pytest.raises(InputError, match=r"^two is no good$"):
+            list(as_done(refusing, [1, 2, 3], jobs))
+        with workers(jobs, greet, ("hello",)) as pool:
+            assert list(pool.map(greeting, range(6))) == [["hello"]] * 6
+
+
+def test_a_node_that_dies_loses_nothing(two_nodes, tmp_path):
+    with spread(two_nodes.address, 1) as jobs:
+        results = []
+        for result in as_done(partial(counted, folder=tmp_path), list(range(12)), jobs):
+            results.append(result)
+            if len(results) == 2:
+                two_nodes.remove_node(next(iter(two_nodes.worker_nodes)), allow_graceful=False)
+        assert sorted(results) == [k * k for k in range(12)]
+    begun = [len((tmp_path / str(k)).read_text().splitlines()) for k in range(12)]
+    assert max(begun) > 1, "nothing ran on the node that died"
+
+
+def test_an_evaluation_says_the_same(two_nodes, tmp_path):
+    for family in ("stool", "shell"):
+        storage.save(catalogue.make(family, 1, with_grasps=False), tmp_path / family)
+    here = pick(f"folder:{tmp_path}")
+    way = Way("search")
+    alone = [e.planning_steps for e in evaluate(way, here, 0, 1)]
+    with spread(two_nodes.address, 1) as jobs:
+        assert [e.planning_steps for e in evaluate(way, here, 0, jobs)] == alone
+
+
+def test_a_cluster_that_is_not_there_is_one_clear_line():
+    with pytest.raises(InputError, match=r"^--ray 127.0.0.1:1: no cluster answers there"), spread("127.0.0.1:1", 1):
+        raise AssertionError
+
+
+def test_without_ray_one_is_told_what_to_install(monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "ray", None)
+    with pytest.raises(MissingExtraError, match=r"roboassembly\[ray\]"), spread("auto", 1):
+        raise AssertionError

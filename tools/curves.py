@@ -1,0 +1,69 @@
+"""Draws the learning curves of results.md.
+
+    python tools/curves.py PICTURE.png RUN [RUN ...]
+
+Each a folder of `roboassembly benchmark`, `train expert` or `train multitask`, in either setting; its name is told.
+"""
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from roboassembly.datasets.sets import pick
+from roboassembly.learning.logs import read
+from roboassembly.learning.paper.pipeline import results
+from roboassembly.learning.relational.collect import file_of
+
+PANEL = 4.2, 3.0
+"""Inches."""
+GRASPS = {"take": "one hand takes its group", "room": "two hands have room", "meet": "arms reach the joint",
+          "rest": "all else works out"}  # fmt: skip
+
+
+def mastered(folder: Path) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """For each split steps, and the share of the chairs tried that is mastered after so many."""
+    picks = [p for p in pick("chairs-412:train") if file_of(folder / "experts", p.name).is_file()]
+    split = {p.name: p.entry.split for p in picks if p.entry is not None}
+    tried = [r for r in results(picks, folder) if not r.refused]
+    out = {}
+    for name in ("easy", "hard"):
+        some = [r for r in tried if split[r.name] == name]
+        steps = np.sort([r.steps for r in some if r.mastered])
+        if some:
+            out[f"{name}, {len(some)} chairs"] = steps, np.arange(1, len(steps) + 1) / len(some)
+    return out
+
+
+def main(picture: Path, runs: Sequence[Path]) -> None:
+    """One picture of four panels, each with what the runs know of it."""
+    figure = Figure(figsize=(2 * PANEL[0], 2 * PANEL[1]), layout="constrained")
+    (experts, choices), (hands, losses) = figure.subplots(2, 2)
+    for run in runs:
+        if (run / "experts").is_dir():
+            for name, (steps, share) in mastered(run).items():
+                experts.step(steps, share, where="post", label=f"{run.name}: {name}")
+        scalars = read(run)
+        for axes, names in ((choices, ("chosen",)), (losses, ("pairs", "choice"))):
+            for name in names:
+                for stage, points in scalars.get(name, {}).items():
+                    axes.plot(list(points), list(points.values()), label=f"{run.name}: {stage}, {name}")
+        for name, meaning in GRASPS.items():
+            points = scalars.get(name, {}).get("grasps", {})
+            if points:
+                hands.plot(list(points), list(points.values()), label=f"{run.name}: {meaning}")
+    experts.set(title="experts: share mastered", xlabel="steps of the environment", ylim=(0.0, 1.02))
+    choices.set(title="imitation: share of good choices", xlabel="update", ylim=(0.0, 1.02))
+    hands.set(title="hands: cross-entropy of what is said of them", xlabel="update", yscale="log")
+    losses.set(title="relational: losses", xlabel="update", yscale="log")
+    for axes in (experts, choices, hands, losses):
+        axes.grid(alpha=0.3)
+        if axes.has_data():
+            axes.legend(fontsize=7)
+    figure.savefig(picture, dpi=110)
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), [Path(run) for run in sys.argv[2:]])

@@ -1,0 +1,104 @@
+"""Draws what went wrong where a policy failed, a row an episode.
+
+    roboassembly evaluate --policy relational --set SET --json > episodes.json
+    python tools/failures.py episodes.json PICTURE.png [NAME ...]
+
+Without names the first failed episode of each verdict, with robots of each kind of failure. From left to right: the
+groups as they lay when the last action was chosen, the two it names in colours; the two as it would have joined them,
+with the hands that would hold them if there are robots; the same parts where they belong.
+"""
+
+import json
+import sys
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import imageio.v3 as iio
+import numpy as np
+
+from drawing import Piece, drawn, hand
+from roboassembly.datasets.sets import Pick, pick
+from roboassembly.envs.full import FullEnv
+from roboassembly.envs.object_centric import ObjectCentricEnv
+from roboassembly.evaluation.evaluate import failure_of
+from roboassembly.evaluation.rollout import Episode
+from roboassembly.furniture.model import Furniture
+from roboassembly.geometry.poses import SE3
+from roboassembly.rendering.colors import Color
+from roboassembly.task.full.grips import hold
+from roboassembly.task.rules.groups import Group, TaskState
+
+WIDTH, HEIGHT = 480, 340
+MOVED, WAITING, OTHER = (0.30, 0.50, 0.80), (0.88, 0.55, 0.25), (0.80, 0.80, 0.78)
+
+
+def of_group(furniture: Furniture, group: Group, at: SE3, color: Color) -> Iterable[Piece]:
+    """The parts of a group whose frame is at a pose."""
+    for part, pose in zip(group.parts, group.furniture_from_part, strict=True):
+        yield furniture.parts[part].mesh, at * pose, color
+
+
+def of_hand(furniture: Furniture, group: Group, at: SE3, part: int, grasp: int) -> Iterable[Piece]:
+    """The hand that holds a part of a group, closed."""
+    held = hold(furniture, group, part, grasp)
+    if held is not None:
+        yield from hand(at * held.furniture_from_tips, held.closed)
+
+
+def row(furniture: Furniture, env: Any, state: TaskState, action: Sequence[int]) -> np.ndarray:
+    """The three pictures of a last action."""
+    u, v, k, l, *ways = action  # noqa: E741
+    moved, waiting = (state.groups[state.group_of[part]] for part in (u, v))
+    color = {id(moved): MOVED, id(waiting): WAITING}
+    lay = [p for g in state.groups for p in of_group(furniture, g, g.world_from_furniture, color.get(id(g), OTHER))]
+
+    pairs, still = env.task.rules.pairs, SE3.Identity()
+    dictated = pairs.dictated(moved, waiting, u, k, v, l)
+    joined = [*of_group(furniture, waiting, still, WAITING), *of_group(furniture, moved, dictated, MOVED)]
+    if len(ways) == 2:
+        joined += of_hand(furniture, moved, dictated, u, ways[0])
+        joined += of_hand(furniture, waiting, still, v, ways[1])
+
+    told = pairs.told(state) or state
+    slots = {state.group_of[u]: MOVED, state.group_of[v]: WAITING}
+    colors = {slot: slots.get(i, OTHER) for i, group in enumerate(told.groups) for slot in group.slots}
+    belong = [
+        (part.mesh, pose, colors.get(i, OTHER))
+        for i, (part, pose) in enumerate(zip(furniture.parts, furniture.assembled, strict=True))
+    ]
+    return np.concatenate([drawn(pieces, WIDTH, HEIGHT) for pieces in (lay, joined, belong)], axis=1)
+
+
+def found(picks: Sequence[Pick], name: str, full: bool) -> Furniture:
+    """The piece of a set that has a name, which need not be that of its folder."""
+    likely = sorted(picks, key=lambda p: p.name.replace(":", "-") != name)
+    return next(f for f in (p.furniture(with_grasps=full) for p in likely) if f.name == name)
+
+
+def main(source: Path, picture: Path, names: Sequence[str]) -> None:
+    """One picture of all rows; what each shows is printed."""
+    told = json.loads(source.read_text())
+    full = told["setting"] == "full"
+    failed = [e for e in told["per_furniture"] if not e["success"] and len(e["actions"]) > e["merges"]]
+    first = {failure_of(Episode(**e)) if full else e["verdict"]: e for e in reversed(failed)}
+    chosen = [e for e in failed if e["furniture"] in names] if names else list(first.values())
+    if not chosen:
+        sys.exit(f"{source} has no such failed episode; failed are: {', '.join(e['furniture'] for e in failed)}")
+    picks = pick(told["set"])
+    rows = []
+    for episode in chosen:
+        furniture = found(picks, episode["furniture"], full)
+        env: Any = (FullEnv if full else ObjectCentricEnv)(furniture)
+        env.reset(seed=episode["seed"])
+        for action in episode["actions"][:-1]:
+            env.step(np.array(action))
+        last = episode["actions"][-1]
+        rows.append(row(furniture, env, env.task.joined(env.state), last))
+        why = f"{episode['verdict']} {episode['reason']}".strip()
+        print(f"{episode['furniture']}: merge {episode['merges'] + 1} of {len(furniture.parts) - 1}, {why}")
+    iio.imwrite(picture, np.concatenate(rows))
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), Path(sys.argv[2]), sys.argv[3:])
