@@ -26,25 +26,25 @@ MAX_LINES = 400
 
 NOWHERE = frozenset(
     "apprentice apprentices chooser course courses curate daring lesson lessons mastery prober pupil pupils "
-    "rehearsal rehearsals rehearse schooling tableau teacher teachers told visitor visitors wares".split()  # noqa: SIM905
+    "rehearsal rehearsals rehearse schooling tableau teacher teachers told visitor visitors wares".split()
 )
 """Words that no identifier contains."""
 NEVER_ALONE = frozenset(
     "apart as_done bridges dear every fetch flying gather goes good hands held hold holds house in_order "
     "in_the_mind joints_of kinds late leg legs let_go loops made_ahead marks meet moment moments one play player "
     "players playing plays practice proof relations room screen situation situations spread standing "
-    "strange take taken takes two views wanted ways went with_robots words worth".split()  # noqa: SIM905
+    "strange take taken takes two views wanted ways went with_robots words worth".split()
 )
 """Words that are no identifier by themselves."""
 CLASSES = frozenset(
-    "Flying Held Joint Joints Leg Legs Moment Pick Registry Rehearsal Situation Standing Wanted".split()  # noqa: SIM905
+    "Flying Held Joint Joints Leg Legs Moment Pick Registry Rehearsal Situation Standing Wanted".split()
 )
 SPOKEN_OF = {"generate": frozenset({"leg", "legs"})}
 """Words that are right in a room: chairs have legs."""
 PREPOSITIONS = frozenset(
     "about above after against along among around as at before behind below beside between beyond by during for from "
     "in inside into of off on onto outside over per since that through to toward towards under until upon with within "
-    "without".split()  # noqa: SIM905
+    "without".split()
 )
 _PART = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+|\d+")
 """One word of an identifier in snake or camel case."""
