@@ -18,7 +18,7 @@ import imageio.v3 as iio
 import numpy as np
 
 from drawing import Piece, drawn, hand
-from roboassembly.datasets.sets import Pick, pick
+from roboassembly.datasets.sets import FurnitureRef, furniture_refs
 from roboassembly.envs.full import FullEnv
 from roboassembly.envs.object_centric import ObjectCentricEnv
 from roboassembly.evaluation.evaluate import failure_of
@@ -70,7 +70,7 @@ def row(furniture: Furniture, env: Any, state: TaskState, action: Sequence[int])
     return np.concatenate([drawn(pieces, WIDTH, HEIGHT) for pieces in (lay, joined, belong)], axis=1)
 
 
-def found(picks: Sequence[Pick], name: str, full: bool) -> Furniture:
+def found(picks: Sequence[FurnitureRef], name: str, full: bool) -> Furniture:
     """The piece of a set that has a name, which need not be that of its folder."""
     likely = sorted(picks, key=lambda p: p.name.replace(":", "-") != name)
     return next(f for f in (p.furniture(with_grasps=full) for p in likely) if f.name == name)
@@ -85,7 +85,7 @@ def main(source: Path, picture: Path, names: Sequence[str]) -> None:
     chosen = [e for e in failed if e["furniture"] in names] if names else list(first.values())
     if not chosen:
         sys.exit(f"{source} has no such failed episode; failed are: {', '.join(e['furniture'] for e in failed)}")
-    picks = pick(told["set"])
+    picks = furniture_refs(told["set"])
     rows = []
     for episode in chosen:
         furniture = found(picks, episode["furniture"], full)

@@ -12,7 +12,7 @@ import pytest
 import shapes
 from roboassembly.datasets import catalogue
 from roboassembly.datasets import sets as datasets
-from roboassembly.datasets.sets import Recipe, load_manifest, make_entry, manifest_path, pick
+from roboassembly.datasets.sets import Recipe, furniture_refs, load_manifest, make_entry, manifest_path
 from roboassembly.errors import InputError, UnknownNameError
 from roboassembly.furniture import storage
 from roboassembly.generate import CHAIRS
@@ -91,14 +91,14 @@ def test_entries_are_checked_against_their_hash() -> None:
 def test_picks(tmp_path: Path) -> None:
     storage.save(catalogue.make("stool"), tmp_path / "many" / "a")
     storage.save(catalogue.make("throne"), tmp_path / "many" / "b")
-    assert [p.furniture().name for p in pick(f"folder:{tmp_path / 'many'}")] == ["stool-0", "throne-0"]
-    assert [p.name for p in pick(f"folder:{tmp_path / 'many' / 'b'}")] == ["b"]
+    assert [p.furniture().name for p in furniture_refs(f"folder:{tmp_path / 'many'}")] == ["stool-0", "throne-0"]
+    assert [p.name for p in furniture_refs(f"folder:{tmp_path / 'many' / 'b'}")] == ["b"]
     with pytest.raises(InputError, match="holds no furniture folders"):
-        pick(f"folder:{tmp_path}")
+        furniture_refs(f"folder:{tmp_path}")
     with pytest.raises(UnknownNameError, match="did you mean chairs-412"):
-        pick("chair-412:test")
+        furniture_refs("chair-412:test")
     with pytest.raises(UnknownNameError, match="known: all, easy, hard, test, train"):
-        pick("chairs-412:validation")
+        furniture_refs("chairs-412:validation")
 
 
 def test_patient_play_gets_stuck_only_in_true_dead_ends() -> None:

@@ -13,7 +13,7 @@ import pytest
 
 from roboassembly.cli.evaluate import summary
 from roboassembly.datasets import catalogue
-from roboassembly.datasets.sets import Entry, Pick, furniture_hash, pick, sampled
+from roboassembly.datasets.sets import Entry, FurnitureRef, furniture_hash, furniture_refs, sample_refs
 from roboassembly.errors import InputError, MissingExtraError, RoboAssemblyError, UnknownNameError
 from roboassembly.evaluation.evaluate import Evaluation, episode_seed, evaluate
 from roboassembly.evaluation.export import check_target, export
@@ -133,7 +133,7 @@ def test_a_policy_of_ones_own_that_plays_the_searchs_plan() -> None:
 
 
 def test_evaluated_over_a_set(folder: str) -> None:
-    picks = pick(folder)
+    picks = furniture_refs(folder)
     plans = {}
     for p in picks:
         furniture = p.furniture()
@@ -149,7 +149,7 @@ def timeless(episodes: list[Episode]) -> list[Episode]:
 
 
 def test_neither_jobs_nor_limits_nor_order_change_an_episode(folder: str) -> None:
-    picks = pick(folder)
+    picks = furniture_refs(folder)
     alone = timeless(list(evaluate(Way("random"), picks, 7, 1, episodes=2)))
     assert len(alone) == 6
     assert len({e.seed for e in alone}) == 6
@@ -168,7 +168,7 @@ def test_seeds_are_what_they_were() -> None:
 
 
 def test_solvers_play(folder: str) -> None:
-    picks = [p for p in pick(folder) if p.name == "shell"]
+    picks = [p for p in furniture_refs(folder) if p.name == "shell"]
     ends = {name: next(iter(evaluate(Way(name), picks, 0, 1))) for name in SOLVERS}
     parts = len(catalogue.make("shell").parts)
     assert all(e.parts == parts for e in ends.values())
@@ -182,10 +182,10 @@ def test_solvers_play(folder: str) -> None:
 def test_families_are_told_by_the_set() -> None:
     made = catalogue.make("cantilever", 2)
     entry = Entry("cantilever", 2, "test", True, len(made.parts), 0.5, False, 100, furniture_hash(made))
-    known = next(iter(evaluate(Way("search"), [Pick(entry.name, entry, None)], 0, 1)))
+    known = next(iter(evaluate(Way("search"), [FurnitureRef(entry.name, entry, None)], 0, 1)))
     assert (known.family, known.unseen, known.success) == ("cantilever", True, True)
     with pytest.raises(InputError, match="no longer what its data set"):
-        list(evaluate(Way("search"), [Pick(entry.name, _other(entry), None)], 0, 1))
+        list(evaluate(Way("search"), [FurnitureRef(entry.name, _other(entry), None)], 0, 1))
 
 
 def _other(entry: Entry) -> Entry:
@@ -213,11 +213,11 @@ class Dies:
 
 def test_a_worker_that_dies_is_told(folder: str) -> None:
     with pytest.raises(RoboAssemblyError, match=r"a worker process died .* 0 of 1 pieces.*cantilever"):
-        list(evaluate(Way(Dies()), pick(folder)[:1], 0, 2))
+        list(evaluate(Way(Dies()), furniture_refs(folder)[:1], 0, 2))
 
 
 def test_a_policy_guides_the_search(folder: str) -> None:
-    picks = [p for p in pick(folder) if p.name in ("stool", "cantilever")]
+    picks = [p for p in furniture_refs(folder) if p.name in ("stool", "cantilever")]
 
     class Shy(Replay):
         """Finds everything equally bad."""
@@ -265,27 +265,27 @@ def test_what_the_full_setting_refuses() -> None:
 
 
 def test_a_sample_is_drawn_by_the_seed() -> None:
-    picks = [Pick(str(i), None, None) for i in range(20)]
-    some = [p.name for p in sampled(picks, 5, 3)]
-    assert some == [p.name for p in sampled(picks, 8, 3)][:5]
+    picks = [FurnitureRef(str(i), None, None) for i in range(20)]
+    some = [p.name for p in sample_refs(picks, 5, 3)]
+    assert some == [p.name for p in sample_refs(picks, 8, 3)][:5]
     assert len(set(some)) == 5
-    assert some != [p.name for p in sampled(picks, 5, 4)]
-    assert len(sampled(picks, 50, 0)) == 20
-    assert sampled(picks, None, 0) == picks
+    assert some != [p.name for p in sample_refs(picks, 5, 4)]
+    assert len(sample_refs(picks, 50, 0)) == 20
+    assert sample_refs(picks, None, 0) == picks
 
 
 # Minari
 
 
 @pytest.fixture(scope="module")
-def played(folder: str) -> list[tuple[Pick, Episode]]:
-    picks = [p for p in pick(folder) if p.name in ("cantilever", "stool")]
+def played(folder: str) -> list[tuple[FurnitureRef, Episode]]:
+    picks = [p for p in furniture_refs(folder) if p.name in ("cantilever", "stool")]
     done = [(p, e) for p in picks for e in evaluate(Way("search"), [p], 0, 1, episodes=2)]
     return [(done[0][0], episode(0, False, actions=((0, 0, 0, 0, 0),))), *done]
 
 
 def test_a_minari_data_set_is_read_again_and_replayed(
-    played: list[tuple[Pick, Episode]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    played: list[tuple[FurnitureRef, Episode]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     minari = pytest.importorskip("minari")
     pytest.importorskip("h5py")
@@ -315,7 +315,7 @@ def test_a_minari_data_set_is_read_again_and_replayed(
         assert info["success"]
 
 
-def test_what_cannot_be_exported_is_said(played: list[tuple[Pick, Episode]], tmp_path: Path) -> None:
+def test_what_cannot_be_exported_is_said(played: list[tuple[FurnitureRef, Episode]], tmp_path: Path) -> None:
     pytest.importorskip("minari")
     with pytest.raises(InputError, match="'chairs' is no name of a Minari data set; like 'chairs-v0' would do"):
         check_target(tmp_path / "chairs")

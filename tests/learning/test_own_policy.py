@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from test_cli import Run
 
-from roboassembly.datasets.sets import pick
+from roboassembly.datasets.sets import furniture_refs
 from roboassembly.envs.full import FullEnv
 from roboassembly.envs.object_centric import ObjectCentricEnv
 from roboassembly.errors import InputError, PolicyError, UnknownNameError
@@ -200,7 +200,7 @@ def test_each_episode_has_a_policy_of_its_own(tmp_path: Path, folder: Path, stoo
     """So that what is drawn depends on the episode alone: not on the jobs, nor on what was played before."""
     more = storage.save(stool, folder.parent / "two")
     file = write(tmp_path / "drawn.py", RANDOM)
-    way, picks = Way(str(file)), [*pick(f"folder:{folder}"), *pick(f"folder:{more}")]
+    way, picks = Way(str(file)), [*furniture_refs(f"folder:{folder}"), *furniture_refs(f"folder:{more}")]
     alone = timeless(list(evaluate(way, picks, 3, 1, episodes=4)))
     assert len({e.actions for e in alone}) == 8
     assert timeless(list(evaluate(way, picks, 3, 2, episodes=4))) == alone

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from roboassembly.datasets import catalogue
-from roboassembly.datasets.sets import pick
+from roboassembly.datasets.sets import furniture_refs
 from roboassembly.errors import InputError, MissingExtraError
 from roboassembly.evaluation.evaluate import evaluate
 from roboassembly.evaluation.rollout import Way
@@ -93,7 +93,7 @@ def test_a_node_that_dies_loses_nothing(two_nodes, tmp_path):
 def test_an_evaluation_says_the_same(two_nodes, tmp_path):
     for family in ("stool", "shell"):
         storage.save(catalogue.make(family, 1, with_grasps=False), tmp_path / family)
-    here = pick(f"folder:{tmp_path}")
+    here = furniture_refs(f"folder:{tmp_path}")
     way = Way("search")
     alone = [e.planning_steps for e in evaluate(way, here, 0, 1)]
     with spread(two_nodes.address, 1) as jobs:

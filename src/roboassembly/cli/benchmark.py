@@ -48,14 +48,14 @@ class Benchmark:
         if min(n for n in (self.sample, self.experts, 1) if n is not None) < 1:
             raise InputError("--sample and --experts take 1 or more")
         needs(*PACKAGES)
-        from roboassembly.datasets.sets import pick
+        from roboassembly.datasets.sets import furniture_refs
         from roboassembly.evaluation import benchmark
 
         usual = "runs/benchmark" + "-full" * (self.setting == "full") + "-quick" * self.quick
         out = self.out or Path(usual)
         writable_folder(out)
         for real in self.real:
-            pick(real)
+            furniture_refs(real)
         if self.write is not None:
             benchmark.check_marks(self.write, self.setting)
             check_writable_file(self.write)

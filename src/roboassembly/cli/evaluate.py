@@ -17,7 +17,7 @@ from roboassembly.errors import InputError
 from roboassembly.parallel.processes import spread
 
 if TYPE_CHECKING:
-    from roboassembly.datasets.sets import Pick
+    from roboassembly.datasets.sets import FurnitureRef
     from roboassembly.evaluation.evaluate import Evaluation
     from roboassembly.evaluation.rollout import Episode, Way
 
@@ -106,7 +106,7 @@ class Evaluate:
                 show(self.export)
         return DONE
 
-    def _played(self, way: Way, picks: Sequence[Pick], jobs: int) -> Iterator[Episode]:
+    def _played(self, way: Way, picks: Sequence[FurnitureRef], jobs: int) -> Iterator[Episode]:
         """All episodes; those that `out` holds are not played again."""
         from roboassembly.datasets.sets import set_hash
         from roboassembly.evaluation.episodes import kept, playing

@@ -10,7 +10,7 @@ import tyro
 from roboassembly.errors import InputError
 
 if TYPE_CHECKING:
-    from roboassembly.datasets.sets import Pick
+    from roboassembly.datasets.sets import FurnitureRef
 
 CORES = os.cpu_count() or 1
 Jobs = Annotated[int, tyro.conf.arg(help_behavior_hint="(default: one a core)")]
@@ -30,7 +30,7 @@ Execution = Literal["kinematic", "dynamic"]
 """`learning.players.ExecutionName`."""
 
 
-def chosen(name: str, limit: int | None, sample: int | None, seed: int) -> list[Pick]:
+def chosen(name: str, limit: int | None, sample: int | None, seed: int) -> list[FurnitureRef]:
     """What `--set`, `--limit`, `--sample` and `--seed` name.
 
     Raises:
@@ -40,6 +40,6 @@ def chosen(name: str, limit: int | None, sample: int | None, seed: int) -> list[
         raise InputError("--limit takes the first pieces and --sample draws some; only one of them would do")
     if min(n for n in (limit, sample, 1) if n is not None) < 1:
         raise InputError("--limit and --sample take 1 or more")
-    from roboassembly.datasets.sets import pick, sampled
+    from roboassembly.datasets.sets import furniture_refs, sample_refs
 
-    return sampled(pick(name)[:limit], sample, seed)
+    return sample_refs(furniture_refs(name)[:limit], sample, seed)

@@ -16,7 +16,7 @@ from roboassembly.errors import InputError
 from roboassembly.parallel.processes import spread
 
 if TYPE_CHECKING:
-    from roboassembly.datasets.sets import Pick
+    from roboassembly.datasets.sets import FurnitureRef
     from roboassembly.learning.paper.dqn.train import Mastery
     from roboassembly.learning.paper.pipeline import Schooling
 
@@ -54,7 +54,7 @@ class Autoencoder:
                         "out": str(self.out)})  # fmt: skip
         return DONE
 
-    def prepared(self) -> list[Pick]:
+    def prepared(self) -> list[FurnitureRef]:
         """The furniture, once everything is checked."""
         if self.seed < 0 or self.jobs < 1:
             raise InputError("--seed takes 0 or more, --jobs takes 1 or more")
@@ -73,7 +73,7 @@ class Autoencoder:
         features = plain.features if self.steps is None else replace(plain.features, steps=self.steps)
         return replace(plain, features=features).seeded(self.seed)
 
-    def featured(self, picks: Sequence[Pick], jobs: int) -> dict[str, float]:
+    def featured(self, picks: Sequence[FurnitureRef], jobs: int) -> dict[str, float]:
         """Train the auto-encoder unless it is done; what it said last."""
         from roboassembly.learning.paper.pipeline import teach_features
 
@@ -123,7 +123,7 @@ class Expert(Autoencoder):
         return replace(usual, experts=experts, side_by_side=self.side_by_side, plays=plays).seeded(self.seed)
 
 
-def _report(picks: Sequence[Pick], results: Sequence[Mastery]) -> dict[str, object]:
+def _report(picks: Sequence[FurnitureRef], results: Sequence[Mastery]) -> dict[str, object]:
     """Figures over all chairs, and over those of each split if the set has any."""
     from roboassembly.learning.paper.dqn.train import mastery
 

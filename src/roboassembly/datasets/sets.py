@@ -151,7 +151,7 @@ def furniture_hash(furniture: Furniture) -> str:
 
 
 @dataclass(frozen=True)
-class Pick:
+class FurnitureRef:
     """Furniture of a set that is made when asked for, so that workers can make their own."""
 
     name: str
@@ -175,7 +175,7 @@ class Pick:
         return storage.files_hash(self.folder)
 
 
-def pick(spec: str) -> list[Pick]:
+def furniture_refs(spec: str) -> list[FurnitureRef]:
     """The pieces of `NAME`, `NAME:SPLIT` or `folder:PATH`.
 
     Raises:
@@ -190,16 +190,16 @@ def pick(spec: str) -> list[Pick]:
         )
         if not folders:
             raise InputError(f"'{rest}' holds no furniture folders; import some there first")
-        return [Pick(f.name, None, f) for f in folders]
+        return [FurnitureRef(f.name, None, f) for f in folders]
     if name not in RECIPES:
         raise UnknownNameError("data set", name, [*RECIPES, "folder:PATH"])
     split = rest or "all"
     if split not in SPLITS:
         raise UnknownNameError(f"split of {name}", split, SPLITS)
-    return [Pick(e.name, e, None) for e in load_manifest(name).entries if e.split in SPLITS[split]]
+    return [FurnitureRef(e.name, e, None) for e in load_manifest(name).entries if e.split in SPLITS[split]]
 
 
-def sampled(picks: Sequence[Pick], count: int | None, seed: int) -> list[Pick]:
+def sample_refs(picks: Sequence[FurnitureRef], count: int | None, seed: int) -> list[FurnitureRef]:
     """So many of them, drawn by the seed, in the order drawn; all if there are fewer; all as they are if None."""
     if count is None:
         return list(picks)
@@ -207,7 +207,7 @@ def sampled(picks: Sequence[Pick], count: int | None, seed: int) -> list[Pick]:
     return [picks[i] for i in order[:count]]
 
 
-def set_hash(picks: Sequence[Pick]) -> str:
+def set_hash(picks: Sequence[FurnitureRef]) -> str:
     """A short digest of the furniture of a set."""
     digest = hashlib.sha256()
     for p in picks:

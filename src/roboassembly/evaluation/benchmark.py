@@ -21,7 +21,7 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from roboassembly.datasets.sets import RECIPES, Pick, manifest_path, pick, sampled, set_hash
+from roboassembly.datasets.sets import RECIPES, FurnitureRef, furniture_refs, manifest_path, sample_refs, set_hash
 from roboassembly.errors import InputError
 from roboassembly.evaluation.episodes import kept, playing
 from roboassembly.evaluation.evaluate import Evaluation, evaluate
@@ -150,9 +150,9 @@ def run(b: Benchmark, folder: Path, jobs: int) -> Iterator[Progress]:
     yield from _timed(folder, "evaluation", played)
 
 
-def taught(b: Benchmark) -> list[Pick]:
+def taught(b: Benchmark) -> list[FurnitureRef]:
     """Chairs that get an expert."""
-    return sampled(pick(f"{b.set}:train"), b.taught, b.seed)
+    return sample_refs(furniture_refs(f"{b.set}:train"), b.taught, b.seed)
 
 
 @dataclass(frozen=True)
@@ -183,9 +183,9 @@ class Trial:
         return f"{self.name.replace(' ', '-')}-{set_name}.jsonl"
 
     @property
-    def picks(self) -> list[Pick]:
+    def picks(self) -> list[FurnitureRef]:
         """The pieces."""
-        return sampled(pick(self.set), self.sample, self.seed)
+        return sample_refs(furniture_refs(self.set), self.sample, self.seed)
 
     @property
     def command(self) -> str:

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from roboassembly.datasets.sets import Pick
+from roboassembly.datasets.sets import FurnitureRef
 from roboassembly.errors import RoboAssemblyError
 from roboassembly.evaluation.rollout import Episode, Player, Way, player
 from roboassembly.parallel.processes import one_thread_each, workers
@@ -96,7 +96,7 @@ def episode_seed(seed: int, name: str, episode: int) -> int:
 
 
 def evaluate(
-    way: Way, picks: Sequence[Pick], seed: int, jobs: int, *, episodes: int = 1, played: int = 0
+    way: Way, picks: Sequence[FurnitureRef], seed: int, jobs: int, *, episodes: int = 1, played: int = 0
 ) -> Iterator[Episode]:
     """Play episodes of each piece, in order. Nothing but times depends on `jobs`, nor on what else is in the set.
 
@@ -124,7 +124,7 @@ def evaluate(
     return _in_processes(way, work, jobs)
 
 
-def _in_processes(way: Way, work: Sequence[tuple[Pick, list[int]]], jobs: int) -> Iterator[Episode]:
+def _in_processes(way: Way, work: Sequence[tuple[FurnitureRef, list[int]]], jobs: int) -> Iterator[Episode]:
     futures: list[Future[list[Episode]]] = []
     try:
         with workers(min(jobs, len(work)), _start, (way,)) as pool:
@@ -149,11 +149,11 @@ def _start(way: Way) -> None:
     _here["player"] = player(way)
 
 
-def _play_here(pick: Pick, seeds: list[int]) -> list[Episode]:
+def _play_here(pick: FurnitureRef, seeds: list[int]) -> list[Episode]:
     return _play_piece(_here["player"], pick, seeds)
 
 
-def _play_piece(own: Player, pick: Pick, seeds: list[int]) -> list[Episode]:
+def _play_piece(own: Player, pick: FurnitureRef, seeds: list[int]) -> list[Episode]:
     furniture = pick.furniture()
     known: dict[str, Any] = {}
     if pick.entry is not None:

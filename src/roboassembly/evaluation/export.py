@@ -23,7 +23,7 @@ import gymnasium
 import numpy as np
 
 from roboassembly import __version__
-from roboassembly.datasets.sets import Pick
+from roboassembly.datasets.sets import FurnitureRef
 from roboassembly.envs import OBJECT_CENTRIC
 from roboassembly.errors import InputError, MissingExtraError
 from roboassembly.evaluation.rollout import Episode
@@ -66,7 +66,7 @@ def check_target(path: Path) -> None:
 
 
 def export(
-    path: Path, played: Iterable[tuple[Pick, Episode]], policy: str, cloud_points: int = CLOUD_POINTS
+    path: Path, played: Iterable[tuple[FurnitureRef, Episode]], policy: str, cloud_points: int = CLOUD_POINTS
 ) -> Exported:
     """Replay successful episodes in the environment and write them, whole or not at all.
 
@@ -108,7 +108,7 @@ def export(
     return Exported(path, written, steps, len(good) - written)
 
 
-def _furniture_name(pick: Pick) -> str:
+def _furniture_name(pick: FurnitureRef) -> str:
     """As the environment takes it."""
     return pick.name if pick.folder is None else str(pick.folder)
 

@@ -13,7 +13,7 @@ from io import BytesIO
 from pathlib import Path, PurePosixPath
 
 from roboassembly.datasets import catalogue
-from roboassembly.datasets.sets import RECIPES, Pick, manifest_path, pick
+from roboassembly.datasets.sets import RECIPES, FurnitureRef, furniture_refs, manifest_path
 from roboassembly.errors import FurnitureError, InputError
 from roboassembly.furniture import storage
 from roboassembly.furniture.model import Furniture
@@ -44,7 +44,7 @@ class Wares:
         """The pieces by where they come from; data sets only if they are built."""
         sets = [name for name in RECIPES if manifest_path(name).is_file()]
         sets += [f"folder:{folder}" for folder in self.folders]
-        return {BUILT_IN: list(FAMILIES)} | {source: [p.name for p in pick(source)] for source in sets}
+        return {BUILT_IN: list(FAMILIES)} | {source: [p.name for p in furniture_refs(source)] for source in sets}
 
     def open(self, source: str, piece: str, number: int = 0, *, with_grasps: bool = True) -> Furniture:
         """Make or load a piece.
@@ -94,7 +94,7 @@ def open_path(name: str, scale: float | None = None, *, with_grasps: bool = True
 
 @lru_cache(maxsize=16)
 def _of_set(source: str, piece: str, *, with_grasps: bool) -> Furniture:
-    found: Pick | None = next((p for p in pick(source) if p.name == piece), None)
+    found: FurnitureRef | None = next((p for p in furniture_refs(source) if p.name == piece), None)
     if found is None:
         raise InputError(f"there is no piece '{piece}' in {source}")
     return found.furniture(with_grasps=with_grasps)

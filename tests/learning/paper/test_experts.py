@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from roboassembly.datasets import catalogue
-from roboassembly.datasets.sets import Pick, pick
+from roboassembly.datasets.sets import FurnitureRef, furniture_refs
 from roboassembly.errors import InputError
 from roboassembly.furniture import storage
 from roboassembly.geometry.poses import SE3
@@ -332,11 +332,11 @@ def test_practice_takes_what_works_and_remembers_what_was_left_over() -> None:
     assert least == 1
 
 
-def _folder_pick(tmp_path: Path, family: str = "cantilever", seed: int = 1) -> Pick:
+def _folder_pick(tmp_path: Path, family: str = "cantilever", seed: int = 1) -> FurnitureRef:
     folder = tmp_path / family
     if not folder.exists():
         storage.save(catalogue.make(family, seed, with_grasps=False), folder)
-    return pick(f"folder:{folder}")[0]
+    return furniture_refs(f"folder:{folder}")[0]
 
 
 def _extractor() -> dict[str, object]:

@@ -135,7 +135,7 @@ def test_a_curriculum_goes_on_where_it_was_stopped(two_chairs: list[str], tmp_pa
     ]  # fmt: skip
     assert 0.0 <= stages[-1].scalars["validation"] <= 1.0
     final = checkpoint.load(folder / "policy.npz", relational.KIND)
-    assert final.config["set_hash"] == datasets.set_hash(datasets.pick("chairs-24:train"))
+    assert final.config["set_hash"] == datasets.set_hash(datasets.furniture_refs("chairs-24:train"))
     assert final.config["curriculum"]["rounds"] == 1
     assert not final.extra
     # Nothing is left to do; another curriculum does not go on with this one's weights.

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float16
 
-from roboassembly.datasets.sets import Pick
+from roboassembly.datasets.sets import FurnitureRef
 from roboassembly.envs.observation import Observer, surface_points
 from roboassembly.furniture.model import MAX_POINTS
 from roboassembly.learning.paper.dqn.network import Expert, Move, finished, play, told
@@ -96,7 +96,7 @@ def _values(expert: Expert, task: ObjectCentricTask | FullTask, move: Move) -> F
 
 
 def teach(
-    picks: Sequence[Pick], experts: Path, folder: Path, training: ExpertTraining, *, plays: int, jobs: int
+    picks: Sequence[FurnitureRef], experts: Path, folder: Path, training: ExpertTraining, *, plays: int, jobs: int
 ) -> Iterator[Taught]:
     """Write the lessons of all chairs whose experts are done, those that are there already excepted.
 
@@ -115,7 +115,7 @@ def teach(
     yield from as_done(work, left, jobs)
 
 
-def _teach(pick: Pick, *, experts: Path, folder: Path, training: ExpertTraining, plays: int) -> Taught:
+def _teach(pick: FurnitureRef, *, experts: Path, folder: Path, training: ExpertTraining, plays: int) -> Taught:
     task = training.task_of(pick)
     proofs = training.proofs if training.setting == "full" else 0
     expert = load(file_of(experts, pick.name), task)

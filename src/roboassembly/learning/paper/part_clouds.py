@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float32
 
 from roboassembly.datasets import catalogue
-from roboassembly.datasets.sets import Pick
+from roboassembly.datasets.sets import FurnitureRef
 from roboassembly.envs.observation import surface_points
 from roboassembly.generate import CHAIRS
 from roboassembly.learning.paper.autoencoder import CLOUD_POINTS
@@ -16,7 +16,7 @@ from roboassembly.learning.relational.collect import extra_names
 from roboassembly.parallel.processes import in_order
 
 
-def gather_clouds(picks: Sequence[Pick], *, jobs: int, extra: int = 300) -> Float32[np.ndarray, "c n 3"]:
+def gather_clouds(picks: Sequence[FurnitureRef], *, jobs: int, extra: int = 300) -> Float32[np.ndarray, "c n 3"]:
     """Clouds of the parts of some furniture, and of generated pieces besides, metres.
 
     Args:
@@ -30,7 +30,7 @@ def gather_clouds(picks: Sequence[Pick], *, jobs: int, extra: int = 300) -> Floa
     return np.concatenate(list(in_order(_clouds, work, jobs, chunk=8)))
 
 
-def _clouds(piece: Pick | str) -> Float32[np.ndarray, "p n 3"]:
+def _clouds(piece: FurnitureRef | str) -> Float32[np.ndarray, "p n 3"]:
     if isinstance(piece, str):
         family, _, number = piece.partition(":")
         furniture = catalogue.make(family, int(number), with_grasps=False)

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from roboassembly.datasets.sets import Pick
+from roboassembly.datasets.sets import FurnitureRef
 from roboassembly.learning import checkpoint
 from roboassembly.learning.paper import autoencoder
 from roboassembly.learning.paper import expert_dataset as expert_lessons
@@ -56,7 +56,7 @@ def extractor_of(folder: Path) -> Path:
 
 
 def teach_features(
-    picks: Sequence[Pick], folder: Path, schooling: Schooling, notes: dict[str, Any], jobs: int
+    picks: Sequence[FurnitureRef], folder: Path, schooling: Schooling, notes: dict[str, Any], jobs: int
 ) -> Iterator[Progress]:
     """Train the auto-encoder, or go on; nothing if it is done.
 
@@ -81,7 +81,7 @@ def teach_features(
 
 
 def teach_experts(
-    picks: Sequence[Pick], folder: Path, schooling: Schooling, notes: dict[str, Any], jobs: int
+    picks: Sequence[FurnitureRef], folder: Path, schooling: Schooling, notes: dict[str, Any], jobs: int
 ) -> Iterator[Progress]:
     """Train an expert for each chair, then write the lessons of those that finish it, from where the run was left.
 
@@ -108,6 +108,6 @@ def teach_experts(
         yield Progress("experts' lessons", done, len(picks), {"lessons": lessons})
 
 
-def results(picks: Sequence[Pick], folder: Path) -> list[Mastery]:
+def results(picks: Sequence[FurnitureRef], folder: Path) -> list[Mastery]:
     """What became of the chairs of a run that is done."""
     return [apprentices.read(file_of(folder / "experts", p.name)) for p in picks]

@@ -25,7 +25,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from roboassembly.datasets.sets import RECIPES, pick, set_hash
+from roboassembly.datasets.sets import RECIPES, furniture_refs, set_hash
 from roboassembly.errors import InputError
 from roboassembly.learning import checkpoint
 from roboassembly.learning.layers import Params
@@ -103,7 +103,7 @@ def teach(curriculum: Curriculum, folder: Path, jobs: int) -> Iterator[Progress]
     if curriculum.set.partition(":")[0] not in RECIPES:
         raise InputError(f"--set {curriculum.set}: lessons are made of generated chairs; one of {', '.join(RECIPES)}")
     started = _start_of(curriculum, folder)
-    picks = pick(curriculum.set)[: curriculum.limit]
+    picks = furniture_refs(curriculum.set)[: curriculum.limit]
     unseen = RECIPES[curriculum.set.partition(":")[0]].unseen_families
     names = [p.name for p in picks] + extra_names(curriculum.extra, unseen)
     held_out = extra_names(curriculum.validation, unseen, first=_VALIDATION_SEEDS)

@@ -21,7 +21,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from roboassembly.datasets.sets import Pick, furniture_hash
+from roboassembly.datasets.sets import FurnitureRef, furniture_hash
 from roboassembly.envs.observation import surface_points
 from roboassembly.errors import InputError
 from roboassembly.learning import checkpoint
@@ -67,7 +67,7 @@ class ExpertTraining:
     """Parts fly by themselves, or two robots move them."""
     learner: LearnerConfig = field(default_factory=LearnerConfig)
 
-    def task_of(self, pick: Pick) -> ObjectCentricTask | FullTask:
+    def task_of(self, pick: FurnitureRef) -> ObjectCentricTask | FullTask:
         """The chair in the setting.
 
         Raises:
@@ -103,7 +103,7 @@ class Mastery:
 class _Pupil:
     """One chair in training."""
 
-    pick: Pick
+    pick: FurnitureRef
     task: ObjectCentricTask | FullTask
     chair: Chair
     learner: Learner
@@ -135,7 +135,7 @@ class Bench:
     """
 
     def __init__(
-        self, picks: Sequence[Pick], folder: Path, training: ExpertTraining, side_by_side: int, extractor: Params,
+        self, picks: Sequence[FurnitureRef], folder: Path, training: ExpertTraining, side_by_side: int, extractor: Params,
         notes: dict[str, Any],
     ) -> None:  # fmt: skip
         self._waiting = list(picks)
@@ -196,12 +196,12 @@ class Bench:
                 self._enter(pick, task)
         self._stack()
 
-    def _refuse(self, pick: Pick, why: str) -> None:
+    def _refuse(self, pick: FurnitureRef, why: str) -> None:
         result = Mastery(pick.name, False, 0, 0, 0.0, 0.0, why)
         config = {**self._notes, "furniture": pick.name, "training": asdict(self._training), "result": asdict(result)}
         checkpoint.save(file_of(self._folder, pick.name), checkpoint.Checkpoint(KIND, {}, config, {}))
 
-    def _enter(self, pick: Pick, task: ObjectCentricTask | FullTask) -> None:
+    def _enter(self, pick: FurnitureRef, task: ObjectCentricTask | FullTask) -> None:
         t = self._training
         clouds = np.array([surface_points(p.mesh, CLOUD_POINTS) for p in task.furniture.parts], np.float32)
         chair = chair_of(task, autoencoder.encode(self._extractor, clouds))
@@ -300,7 +300,7 @@ class Bench:
 
 
 def train(
-    picks: Sequence[Pick], folder: Path, training: ExpertTraining, extractor: Path, notes: dict[str, Any],
+    picks: Sequence[FurnitureRef], folder: Path, training: ExpertTraining, extractor: Path, notes: dict[str, Any],
     *, jobs: int, side_by_side: int, keep_every: float = 50.0,
 ) -> Iterator[Mastery]:  # fmt: skip
     """Train an expert for each chair that has none yet; yields all of them as they are done, those at hand first.
@@ -319,7 +319,7 @@ def train(
     there = [p for p in picks if file_of(folder, p.name).is_file()]
     yield from (read(file_of(folder, p.name)) for p in there)
     left = [p for p in picks if p not in there]
-    by_size: dict[int, list[Pick]] = {}
+    by_size: dict[int, list[FurnitureRef]] = {}
     for p in left:
         counts = point_counts(p.furniture(with_grasps=False))
         by_size.setdefault(size_of(int(counts.sum())), []).append(p)
@@ -345,14 +345,14 @@ def train(
             left = [p for p in left if p not in ready]
 
 
-def _lots(picks: list[Pick], jobs: int, side_by_side: int) -> list[list[Pick]]:
+def _lots(picks: list[FurnitureRef], jobs: int, side_by_side: int) -> list[list[FurnitureRef]]:
     """Chairs of one size in as many lots as keep all processes busy."""
     count = min(len(picks), max(jobs, -(-len(picks) // (4 * side_by_side))))
     return [picks[i::count] for i in range(count)]
 
 
 def _train_lot(
-    picks: list[Pick], *, folder: Path, training: ExpertTraining, extractor: Path, notes: dict[str, Any],
+    picks: list[FurnitureRef], *, folder: Path, training: ExpertTraining, extractor: Path, notes: dict[str, Any],
     side_by_side: int, keep_every: float,
 ) -> None:  # fmt: skip
     weights = checkpoint.load(extractor, autoencoder.KIND).params
