@@ -135,8 +135,8 @@ class Bench:
     """
 
     def __init__(
-        self, picks: Sequence[FurnitureRef], folder: Path, training: ExpertTraining, side_by_side: int, extractor: Params,
-        notes: dict[str, Any],
+        self, picks: Sequence[FurnitureRef], folder: Path, training: ExpertTraining, side_by_side: int,
+        extractor: Params, notes: dict[str, Any],
     ) -> None:  # fmt: skip
         self._waiting = list(picks)
         self._folder, self._training, self._extractor, self._notes = folder, training, extractor, notes
