@@ -84,7 +84,7 @@ FOREIGN = {"--strict": "twine", "--head": "ray", "--address": "ray"}
 @cache
 def options() -> set[str]:
     """Of all commands, and of the scripts beside the package."""
-    scripts = [p.read_text() for folder in ("docs", "examples") for p in (ROOT / folder).glob("*.py")]
+    scripts = [p.read_text() for folder in ("tools", "examples") for p in (ROOT / folder).glob("*.py")]
     ours = OPTION.findall(script("tools/site.py").commands_page())
     return {*ours, *(o for text in scripts for o in re.findall(r'add_argument\("(--[a-z-]+)', text))}
 
@@ -170,7 +170,7 @@ def test_data_sets_are_built_before_they_are_used(page: str) -> None:
 @cache
 def files() -> tuple[str, ...]:
     """Of the repository, by path."""
-    folders = (ROOT / name for name in ("src", "tests", "docs", "examples"))
+    folders = (ROOT / name for name in ("src", "tests", "docs", "tools", "examples"))
     return tuple(f"/{p.relative_to(ROOT)}" for p in (*ROOT.glob("*.*"), *(p for f in folders for p in f.rglob("*.*"))))
 
 
@@ -186,7 +186,7 @@ def test_files_exist_wherever_they_are_named(page: str) -> None:
             assert name in OWN or any(file.endswith(f"/{name}") for file in files()), f"{page}: `{name}`"
     for command in (*commands(page), *commands_in_prose(page)):
         for word in command.words:
-            if re.match(r"(docs|tests|examples|src|\.ci)/", word):
+            if re.match(r"(docs|tests|tools|examples|src|\.ci)/", word):
                 assert (ROOT / word).is_file(), str(command)
 
 

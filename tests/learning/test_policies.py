@@ -232,7 +232,7 @@ def test_acting_imports_no_jax(params: dict, tmp_path: Path) -> None:
         "import sys\n"
         "from roboassembly.evaluation.rollout import play_episode\n"
         "from roboassembly.learning.registry import load_policy\n"
-        "from roboassembly.furniture import catalogue\n"
+        "from roboassembly.datasets import catalogue\n"
         "play_episode(load_policy(sys.argv[1]), catalogue.make('cantilever', 1), 0)\n"
         "assert 'jax' not in sys.modules and 'optax' not in sys.modules\n"
     )
