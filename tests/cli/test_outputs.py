@@ -258,7 +258,7 @@ def test_a_set_is_not_built_anew_with_another_seed(
     as_built(easy=[("stool", 1)], hard=[("stool", 2)], test=[("stool", 3)])
     path = datasets.manifest_path("chairs-24")
     before = path.read_bytes()
-    monkeypatch.setattr("roboassembly.solvers.curate.build", lambda *_: iter([(1, 1)]))
+    monkeypatch.setattr("roboassembly.solvers.dataset_builder.build_dataset", lambda *_: iter([(1, 1)]))
     status, printed, err = run("dataset", "build", "chairs-24", "--seed", "7")
     assert (status, printed) == (2, "")
     assert the_one_line(err) == "error: chairs-24 is built already with seed 0; --force builds it again with seed 7"

@@ -21,7 +21,7 @@ from roboassembly.geometry.scene import Body, Scene, Shape
 from roboassembly.planning.problem import Budget, PlanningStatus
 from roboassembly.solvers import curate
 from roboassembly.solvers.joint_rrt import solve_jointly
-from roboassembly.solvers.prober import probe
+from roboassembly.solvers.random_order import assemble_in_random_order
 from roboassembly.task.object_centric.task import ObjectCentricTask
 
 TINY = Recipe("tiny", "for tests", 4, 2, 1, ("upholstered",))
@@ -104,8 +104,8 @@ def test_picks(tmp_path: Path) -> None:
 def test_patient_play_gets_stuck_only_in_true_dead_ends() -> None:
     """Two slats between two posts: whoever joins the posts by one slat has shut out the other."""
     task = ObjectCentricTask(catalogue.make("ladder"))
-    hasty = [probe(task, s, best_w=True, patient=False, budget=Budget(states=0)) for s in range(3)]
-    patient = [probe(task, s, best_w=True, patient=True, budget=Budget(states=0)) for s in range(3)]
+    hasty = [assemble_in_random_order(task, s, best_w=True, patient=False, budget=Budget(states=0)) for s in range(3)]
+    patient = [assemble_in_random_order(task, s, best_w=True, patient=True, budget=Budget(states=0)) for s in range(3)]
     assert not any(p.completed for p in patient)
     assert all(a.merges <= len(task.furniture.parts) - 2 for a in patient)
     assert sum(a.merges for a in patient) >= sum(a.merges for a in hasty)

@@ -17,7 +17,7 @@ from roboassembly.datasets.sets import Entry, FurnitureRef, furniture_hash, furn
 from roboassembly.errors import InputError, MissingExtraError, RoboAssemblyError, UnknownNameError
 from roboassembly.evaluation.evaluate import Evaluation, episode_seed, evaluate
 from roboassembly.evaluation.export import check_target, export
-from roboassembly.evaluation.rollout import SOLVERS, Episode, Way, play_episode, player
+from roboassembly.evaluation.rollout import SOLVERS, Episode, RolloutConfig, make_agent, run_episode
 from roboassembly.furniture import storage
 from roboassembly.furniture.model import Furniture
 from roboassembly.solvers.search import solve
@@ -43,7 +43,7 @@ def test_wilson_intervals_by_hand() -> None:
 
 def test_report_by_hand() -> None:
     some = tuple(episode(i, i < 7, family="stool", unseen=i % 2 == 0, policy_seconds=0.1) for i in range(10))
-    report = Evaluation(Way("relational"), "chairs-412:test", 3, some).to_json()
+    report = Evaluation(RolloutConfig("relational"), "chairs-412:test", 3, some).to_json()
     assert json.loads(json.dumps(report)) == {
         **report,
         "per_furniture": json.loads(json.dumps(report["per_furniture"])),
@@ -59,14 +59,14 @@ def test_report_by_hand() -> None:
     # 0, 2, 4, 6 of 0, 2, 4, 6, 8.
     assert report["unseen"] == {"n": 5, "success_rate": 0.8, "ci95": [0.3755, 0.9638]}
     assert report["per_furniture"][8]["verdict"] == "wrong_pair"
-    unknown = Evaluation(Way("search"), "folder:x", 0, tuple(replace(e, unseen=None) for e in some)).to_json()
+    unknown = Evaluation(RolloutConfig("search"), "folder:x", 0, tuple(replace(e, unseen=None) for e in some)).to_json()
     assert unknown["unseen"] is None
-    assert Evaluation(Way("search"), "folder:x", 0, some[8:]).to_json()["planning_steps_mean_solved"] is None
+    assert Evaluation(RolloutConfig("search"), "folder:x", 0, some[8:]).to_json()["planning_steps_mean_solved"] is None
 
 
 def test_the_printed_summary() -> None:
     some = tuple(episode(i, i < 2, family="ab"[i % 2], unseen=i % 2 == 0) for i in range(4))
-    head, columns, whole, known, unknown, a, b, failed = summary(Evaluation(Way("random"), "s", 1, some))
+    head, columns, whole, known, unknown, a, b, failed = summary(Evaluation(RolloutConfig("random"), "s", 1, some))
     assert head == "random on s, seed 1"
     assert columns.split() == ["n", "success", "95", "%", "states"]
     assert whole.split() == ["all", "4", "50.0%", "15.0-", "85.0", "15"]
@@ -85,11 +85,11 @@ def test_what_ended_episodes_with_robots() -> None:
     some = tuple(
         replace(episode(i, verdict == "merged"), verdict=verdict, reason=leg) for i, (verdict, leg) in enumerate(ends)
     )
-    assert Evaluation(Way("x", setting="full"), "s", 1, some).to_json()["failures"] == {
+    assert Evaluation(RolloutConfig("x", setting="full"), "s", 1, some).to_json()["failures"] == {
         "placing": 3, "grasp blocked": 2, "no arm solution": 1, "mating path": 1, "path": 1, "wrong pair": 1,
         "no plan": 1, "not grasped": 1,
     }  # fmt: skip
-    assert "failures" not in Evaluation(Way("x"), "s", 1, some).to_json()
+    assert "failures" not in Evaluation(RolloutConfig("x"), "s", 1, some).to_json()
 
 
 @pytest.fixture(scope="module")
@@ -120,7 +120,7 @@ def test_a_policy_of_ones_own_that_plays_the_searchs_plan() -> None:
     furniture = catalogue.make("stool", 2)
     plan = solve(furniture, 4).plan
     actions = [step.action for step in plan.steps]
-    done = play_episode(Replay({len(furniture.parts): actions}), furniture, 4)
+    done = run_episode(Replay({len(furniture.parts): actions}), furniture, 4)
     assert (done.success, done.merges, done.verdict, done.seed) == (True, len(actions), "merged", 4)
     assert done.actions == tuple(actions)
     assert done.planning_steps > 0
@@ -128,7 +128,7 @@ def test_a_policy_of_ones_own_that_plays_the_searchs_plan() -> None:
     assert done.policy_seconds > 0.0
     # A wrong third action ends it there.
     wrong = [*actions[:2], (actions[2][0], actions[2][1], 9, 9, 0)]
-    done = play_episode(Replay({len(furniture.parts): wrong}), furniture, 4)
+    done = run_episode(Replay({len(furniture.parts): wrong}), furniture, 4)
     assert (done.success, done.merges, done.verdict, len(done.actions)) == (False, 2, "not_an_action", 3)
 
 
@@ -139,7 +139,7 @@ def test_evaluated_over_a_set(folder: str) -> None:
         furniture = p.furniture()
         plans[len(furniture.parts)] = [s.action for s in solve(furniture, episode_seed(0, p.name, 0)).plan.steps]
     assert len(plans) == len(picks)
-    episodes = list(evaluate(Way(Replay(plans)), picks, 0, 1))
+    episodes = list(evaluate(RolloutConfig(Replay(plans)), picks, 0, 1))
     assert [e.success for e in episodes] == [True] * 3
     assert [e.furniture for e in episodes] == [p.furniture().name for p in picks]
 
@@ -150,15 +150,15 @@ def timeless(episodes: list[Episode]) -> list[Episode]:
 
 def test_neither_jobs_nor_limits_nor_order_change_an_episode(folder: str) -> None:
     picks = furniture_refs(folder)
-    alone = timeless(list(evaluate(Way("random"), picks, 7, 1, episodes=2)))
+    alone = timeless(list(evaluate(RolloutConfig("random"), picks, 7, 1, episodes=2)))
     assert len(alone) == 6
     assert len({e.seed for e in alone}) == 6
     assert len({e.actions for e in alone}) > 3
     before = dict(os.environ)
-    assert timeless(list(evaluate(Way("random"), picks, 7, 2, episodes=2))) == alone
+    assert timeless(list(evaluate(RolloutConfig("random"), picks, 7, 2, episodes=2))) == alone
     assert dict(os.environ) == before
-    assert timeless(list(evaluate(Way("random"), picks[1::-1], 7, 1))) == [alone[2], alone[0]]
-    assert timeless(list(evaluate(Way("random"), picks[:1], 8, 1))) != alone[:1]
+    assert timeless(list(evaluate(RolloutConfig("random"), picks[1::-1], 7, 1))) == [alone[2], alone[0]]
+    assert timeless(list(evaluate(RolloutConfig("random"), picks[:1], 8, 1))) != alone[:1]
 
 
 def test_seeds_are_what_they_were() -> None:
@@ -169,7 +169,7 @@ def test_seeds_are_what_they_were() -> None:
 
 def test_solvers_play(folder: str) -> None:
     picks = [p for p in furniture_refs(folder) if p.name == "shell"]
-    ends = {name: next(iter(evaluate(Way(name), picks, 0, 1))) for name in SOLVERS}
+    ends = {name: next(iter(evaluate(RolloutConfig(name), picks, 0, 1))) for name in SOLVERS}
     parts = len(catalogue.make("shell").parts)
     assert all(e.parts == parts for e in ends.values())
     assert (ends["search"].success, ends["search"].merges, ends["search"].verdict) == (True, parts - 1, "merged")
@@ -182,10 +182,10 @@ def test_solvers_play(folder: str) -> None:
 def test_families_are_told_by_the_set() -> None:
     made = catalogue.make("cantilever", 2)
     entry = Entry("cantilever", 2, "test", True, len(made.parts), 0.5, False, 100, furniture_hash(made))
-    known = next(iter(evaluate(Way("search"), [FurnitureRef(entry.name, entry, None)], 0, 1)))
+    known = next(iter(evaluate(RolloutConfig("search"), [FurnitureRef(entry.name, entry, None)], 0, 1)))
     assert (known.family, known.unseen, known.success) == ("cantilever", True, True)
     with pytest.raises(InputError, match="no longer what its data set"):
-        list(evaluate(Way("search"), [FurnitureRef(entry.name, _other(entry), None)], 0, 1))
+        list(evaluate(RolloutConfig("search"), [FurnitureRef(entry.name, _other(entry), None)], 0, 1))
 
 
 def _other(entry: Entry) -> Entry:
@@ -194,11 +194,11 @@ def _other(entry: Entry) -> Entry:
 
 def test_names_are_checked_before_anything_is_played() -> None:
     with pytest.raises(UnknownNameError, match="did you mean joint-rrt"):
-        evaluate(Way("joint-rtt"), [], 0, 4)
+        evaluate(RolloutConfig("joint-rtt"), [], 0, 4)
     with pytest.raises(InputError, match="'joint-rrt' cannot guide the search"):
-        player(Way("joint-rrt", search=True))
+        make_agent(RolloutConfig("joint-rrt", search=True))
     with pytest.raises(InputError, match="'random' does not value actions"):
-        player(Way("random", search=True))
+        make_agent(RolloutConfig("random", search=True))
 
 
 class Dies:
@@ -213,7 +213,7 @@ class Dies:
 
 def test_a_worker_that_dies_is_told(folder: str) -> None:
     with pytest.raises(RoboAssemblyError, match=r"a worker process died .* 0 of 1 pieces.*cantilever"):
-        list(evaluate(Way(Dies()), furniture_refs(folder)[:1], 0, 2))
+        list(evaluate(RolloutConfig(Dies()), furniture_refs(folder)[:1], 0, 2))
 
 
 def test_a_policy_guides_the_search(folder: str) -> None:
@@ -225,14 +225,14 @@ def test_a_policy_guides_the_search(folder: str) -> None:
         def values(self, observation, mask) -> np.ndarray:
             return np.where(mask, np.float32(0.0), np.float32(-np.inf))
 
-    for done in evaluate(Way(Shy({}), search=True), picks, 0, 1):
+    for done in evaluate(RolloutConfig(Shy({}), search=True), picks, 0, 1):
         assert done.success
         assert done.policy_seconds > 0.0
 
 
 def test_the_full_setting_audited_and_carried_out(armchair: Furniture) -> None:
     pytest.importorskip("fcl")
-    done = player(Way(setting="full", execution="dynamic", audit=True))(armchair, 0)
+    done = make_agent(RolloutConfig(setting="full", execution="dynamic", audit=True))(armchair, 0)
     assert (done.success, done.verdict, done.merges, done.violations, done.reason) == (True, "merged", 2, 0, "")
     assert [len(a) for a in done.actions] == [6, 6]
     assert done.executed is not None
@@ -243,7 +243,7 @@ def test_the_full_setting_audited_and_carried_out(armchair: Furniture) -> None:
     failed = replace(done, success=False, verdict="off_the_path", step_seconds=())
     unplanned = replace(failed, executed=None, violations=None)
     report = Evaluation(
-        Way(setting="full", execution="dynamic", audit=True), "s", 0, (done, failed, unplanned)
+        RolloutConfig(setting="full", execution="dynamic", audit=True), "s", 0, (done, failed, unplanned)
     ).to_json()
     assert (report["setting"], report["execution"], report["violations"]) == ("full", "dynamic", 0)
     assert report["success_rate"] == pytest.approx(1 / 3)
@@ -253,13 +253,13 @@ def test_the_full_setting_audited_and_carried_out(armchair: Furniture) -> None:
 
 def test_what_the_full_setting_refuses() -> None:
     with pytest.raises(InputError, match="'joint-rrt' chooses no grasps; --setting full takes --policy search"):
-        player(Way("joint-rrt", setting="full"))
+        make_agent(RolloutConfig("joint-rrt", setting="full"))
     with pytest.raises(InputError, match="'replay' chooses no grasps"):
-        player(Way(Replay({}), setting="full"))
+        make_agent(RolloutConfig(Replay({}), setting="full"))
     with pytest.raises(InputError, match="--execution dynamic takes --setting full"):
-        player(Way("search", execution="dynamic"))
+        make_agent(RolloutConfig("search", execution="dynamic"))
     board = furniture("board", {"a": brick(0.4, 0.3, 0.2), "b": brick(0.4, 0.3, 0.2).transformed(pose(z=0.2 + GAP))})
-    done = player(Way(setting="full", execution="dynamic"))(board, 0)
+    done = make_agent(RolloutConfig(setting="full", execution="dynamic"))(board, 0)
     assert (done.success, done.verdict, done.merges) == (False, "refused", 0)
     assert "no hand" in done.reason or "no grasp" in done.reason, done.reason
 
@@ -280,7 +280,7 @@ def test_a_sample_is_drawn_by_the_seed() -> None:
 @pytest.fixture(scope="module")
 def played(folder: str) -> list[tuple[FurnitureRef, Episode]]:
     picks = [p for p in furniture_refs(folder) if p.name in ("cantilever", "stool")]
-    done = [(p, e) for p in picks for e in evaluate(Way("search"), [p], 0, 1, episodes=2)]
+    done = [(p, e) for p in picks for e in evaluate(RolloutConfig("search"), [p], 0, 1, episodes=2)]
     return [(done[0][0], episode(0, False, actions=((0, 0, 0, 0, 0),))), *done]
 
 

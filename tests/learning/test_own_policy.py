@@ -20,7 +20,7 @@ from roboassembly.envs.full import FullEnv
 from roboassembly.envs.object_centric import ObjectCentricEnv
 from roboassembly.errors import InputError, PolicyError, UnknownNameError
 from roboassembly.evaluation.evaluate import episode_seed, evaluate
-from roboassembly.evaluation.rollout import Episode, Way, play, player
+from roboassembly.evaluation.rollout import Episode, RolloutConfig, make_agent, rollout_policy
 from roboassembly.furniture import storage
 from roboassembly.furniture.model import Furniture
 from roboassembly.learning.policy import guide_of
@@ -184,7 +184,7 @@ def test_with_robots(run: Run, tmp_path: Path, armchair: Furniture) -> None:
     assert [tuple(a) for a in report["per_furniture"][0]["actions"]] == plan
     status, out, _ = run(*command)
     (played,) = json.loads(out)["per_furniture"]
-    done = play(load_policy(str(file), seed), armchair, seed, "full")
+    done = rollout_policy(load_policy(str(file), seed), armchair, seed, "full")
     assert [tuple(a) for a in played["actions"]] == list(done.actions) == plan[: len(done.actions)]
     assert (status, played["success"], played["merges"]) == (0, done.plan.success, len(done.plan.steps))
     # What does not say that it chooses hands is not asked to.
@@ -200,14 +200,14 @@ def test_each_episode_has_a_policy_of_its_own(tmp_path: Path, folder: Path, stoo
     """So that what is drawn depends on the episode alone: not on the jobs, nor on what was played before."""
     more = storage.save(stool, folder.parent / "two")
     file = write(tmp_path / "drawn.py", RANDOM)
-    way, picks = Way(str(file)), [*furniture_refs(f"folder:{folder}"), *furniture_refs(f"folder:{more}")]
+    way, picks = RolloutConfig(str(file)), [*furniture_refs(f"folder:{folder}"), *furniture_refs(f"folder:{more}")]
     alone = timeless(list(evaluate(way, picks, 3, 1, episodes=4)))
     assert len({e.actions for e in alone}) == 8
     assert timeless(list(evaluate(way, picks, 3, 2, episodes=4))) == alone
     assert timeless(list(evaluate(way, picks[1:], 3, 1, episodes=1))) == alone[4:5]
     for episode in alone:
         policy = load_policy(str(file), episode.seed)
-        done = play(policy, stool, episode.seed)
+        done = rollout_policy(policy, stool, episode.seed)
         assert done.actions == episode.actions == tuple(policy.picked)  # pyright: ignore[reportAttributeAccessIssue]
 
 
@@ -295,7 +295,7 @@ def test_no_file(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fold
     with pytest.raises(UnknownNameError, match=r"PATH\.npz, PATH\.py"):
         load_policy("zzzzzz")
     with pytest.raises(UnknownNameError, match=r"PATH\.npz, PATH\.py"):
-        player(Way("zzzzzz"))
+        make_agent(RolloutConfig("zzzzzz"))
     assert [p.name for p in tmp_path.iterdir()] == ["folder.py"]
 
 
@@ -332,21 +332,21 @@ def test_what_is_no_action_ends_all(run: Run, tmp_path: Path, folder: Path, case
 def test_a_robots_policys_fault_is_not_the_furnitures(tmp_path: Path, armchair: Furniture) -> None:
     file = write(tmp_path / "bad.py", RANDOM.replace("return self.picked[-1]", "return [0, 1, 0, 0, 0]"))
     with pytest.raises(PolicyError, match="6 whole numbers would do"):
-        player(Way(str(file), setting="full"))(armchair, 0)
+        make_agent(RolloutConfig(str(file), setting="full"))(armchair, 0)
     write(file, PLAN.format(plan=[]).replace("return out", "return out[0]"))
     with pytest.raises(
         PolicyError, match=r"`values` of the policy 'plan' has the shape \(20, 10, 10, 8, 8\), the mask"
     ):
-        player(Way(str(file), setting="full", search=True))(armchair, 0)
+        make_agent(RolloutConfig(str(file), setting="full", search=True))(armchair, 0)
 
 
 def test_values_that_say_nothing_are_refused(tmp_path: Path, stool: Furniture) -> None:
     file = write(tmp_path / "bad.py", PLAN.format(plan=[]).replace("-9.0", "np.nan"))
     with pytest.raises(PolicyError, match="is not a number for some action that exists"):
-        player(Way(str(file), search=True))(stool, 0)
+        make_agent(RolloutConfig(str(file), search=True))(stool, 0)
     # Where no action exists it may say what it likes.
     write(file, PLAN.format(plan=actions_of(stool, 0)).replace("np.float32(-np.inf)", "np.float32(np.nan)"))
-    done = player(Way(str(file), search=True))(stool, 0)
+    done = make_agent(RolloutConfig(str(file), search=True))(stool, 0)
     assert done.success
     assert list(done.actions) == actions_of(stool, 0)
 
@@ -355,7 +355,7 @@ def test_an_error_while_playing_is_the_authors_own(tmp_path: Path, stool: Furnit
     """With all that Python tells of it."""
     file = write(tmp_path / "bad.py", RANDOM.replace("return self.picked[-1]", "return self.pikced"))
     with pytest.raises(AttributeError, match="pikced") as caught:
-        player(Way(str(file)))(stool, 0)
+        make_agent(RolloutConfig(str(file)))(stool, 0)
     assert str(caught.traceback[-1].path) == str(file)
 
 
@@ -432,7 +432,7 @@ def test_the_example_learns_and_plays(example: ModuleType, run: Run, stool: Furn
     assert status == 2
     assert "FileNotFoundError: no weights at" in err
     untrained = example.PairPolicy({"object-centric": example.Scores()})
-    before = [play(untrained, stool, seed) for seed in range(20)]
+    before = [rollout_policy(untrained, stool, seed) for seed in range(20)]
     done = subprocess.run(
         [sys.executable, str(file), "--steps", "6144", "--furniture", str(folder)],
         capture_output=True, text=True, check=False,

@@ -230,10 +230,10 @@ def test_acting_imports_no_jax(params: dict, tmp_path: Path) -> None:
     file = save(tmp_path / "p.npz", params)
     script = (
         "import sys\n"
-        "from roboassembly.evaluation.rollout import play_episode\n"
+        "from roboassembly.evaluation.rollout import run_episode\n"
         "from roboassembly.learning.registry import load_policy\n"
         "from roboassembly.datasets import catalogue\n"
-        "play_episode(load_policy(sys.argv[1]), catalogue.make('cantilever', 1), 0)\n"
+        "run_episode(load_policy(sys.argv[1]), catalogue.make('cantilever', 1), 0)\n"
         "assert 'jax' not in sys.modules and 'optax' not in sys.modules\n"
     )
     done = subprocess.run([sys.executable, "-c", script, str(file)], capture_output=True, text=True, check=False)

@@ -14,9 +14,9 @@ from roboassembly.datasets import catalogue
 from roboassembly.datasets.sets import furniture_refs
 from roboassembly.errors import InputError, MissingExtraError
 from roboassembly.evaluation.evaluate import evaluate
-from roboassembly.evaluation.rollout import Way
+from roboassembly.evaluation.rollout import RolloutConfig
 from roboassembly.furniture import storage
-from roboassembly.parallel.processes import as_done, in_order, spread, workers
+from roboassembly.parallel.processes import map_ordered, map_unordered, use_cluster, worker_pool
 
 ray_cluster = pytest.importorskip("ray.cluster_utils", reason="make test-all installs Ray")
 
@@ -68,20 +68,20 @@ def greeting(_: int) -> list[str]:
 
 
 def test_work_goes_to_all_nodes_and_comes_back_in_order(two_nodes):
-    with spread(two_nodes.address, 1) as jobs:
+    with use_cluster(two_nodes.address, 1) as jobs:
         assert jobs == 4
-        assert len(set(as_done(where, [1.0] * 8, jobs))) == 2
-        assert list(in_order(refusing, [3, 1, 4, 1, 5], jobs, chunk=1)) == [3, 1, 4, 1, 5]
+        assert len(set(map_unordered(where, [1.0] * 8, jobs))) == 2
+        assert list(map_ordered(refusing, [3, 1, 4, 1, 5], jobs, chunk=1)) == [3, 1, 4, 1, 5]
         with pytest.raises(InputError, match=r"^two is no good$"):
-            list(as_done(refusing, [1, 2, 3], jobs))
-        with workers(jobs, greet, ("hello",)) as pool:
+            list(map_unordered(refusing, [1, 2, 3], jobs))
+        with worker_pool(jobs, greet, ("hello",)) as pool:
             assert list(pool.map(greeting, range(6))) == [["hello"]] * 6
 
 
 def test_a_node_that_dies_loses_nothing(two_nodes, tmp_path):
-    with spread(two_nodes.address, 1) as jobs:
+    with use_cluster(two_nodes.address, 1) as jobs:
         results = []
-        for result in as_done(partial(counted, folder=tmp_path), list(range(12)), jobs):
+        for result in map_unordered(partial(counted, folder=tmp_path), list(range(12)), jobs):
             results.append(result)
             if len(results) == 2:
                 two_nodes.remove_node(next(iter(two_nodes.worker_nodes)), allow_graceful=False)
@@ -94,18 +94,21 @@ def test_an_evaluation_says_the_same(two_nodes, tmp_path):
     for family in ("stool", "shell"):
         storage.save(catalogue.make(family, 1, with_grasps=False), tmp_path / family)
     here = furniture_refs(f"folder:{tmp_path}")
-    way = Way("search")
+    way = RolloutConfig("search")
     alone = [e.planning_steps for e in evaluate(way, here, 0, 1)]
-    with spread(two_nodes.address, 1) as jobs:
+    with use_cluster(two_nodes.address, 1) as jobs:
         assert [e.planning_steps for e in evaluate(way, here, 0, jobs)] == alone
 
 
 def test_a_cluster_that_is_not_there_is_one_clear_line():
-    with pytest.raises(InputError, match=r"^--ray 127.0.0.1:1: no cluster answers there"), spread("127.0.0.1:1", 1):
+    with (
+        pytest.raises(InputError, match=r"^--ray 127.0.0.1:1: no cluster answers there"),
+        use_cluster("127.0.0.1:1", 1),
+    ):
         raise AssertionError
 
 
 def test_without_ray_one_is_told_what_to_install(monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "ray", None)
-    with pytest.raises(MissingExtraError, match=r"roboassembly\[ray\]"), spread("auto", 1):
+    with pytest.raises(MissingExtraError, match=r"roboassembly\[ray\]"), use_cluster("auto", 1):
         raise AssertionError

@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from roboassembly.parallel.processes import as_done, in_order
+from roboassembly.parallel.processes import map_ordered, map_unordered
 
 _LONG = 300.0
 """Seconds that nobody waits for."""
@@ -19,12 +19,12 @@ def work(seconds: float) -> float:
 
 
 def test_results_come_in_order_or_as_they_are_done() -> None:
-    assert list(in_order(work, [0.2, 0.0, 0.1], 2, chunk=1)) == [0.2, 0.0, 0.1]
-    assert sorted(as_done(work, [0.2, 0.0, 0.1], 2)) == [0.0, 0.1, 0.2]
-    assert list(in_order(work, [0.0, 0.0], 1, chunk=1)) == [0.0, 0.0]
+    assert list(map_ordered(work, [0.2, 0.0, 0.1], 2, chunk=1)) == [0.2, 0.0, 0.1]
+    assert sorted(map_unordered(work, [0.2, 0.0, 0.1], 2)) == [0.0, 0.1, 0.2]
+    assert list(map_ordered(work, [0.0, 0.0], 1, chunk=1)) == [0.0, 0.0]
 
 
-@pytest.mark.parametrize("several", [as_done, lambda *args: in_order(*args, chunk=1)])
+@pytest.mark.parametrize("several", [map_unordered, lambda *args: map_ordered(*args, chunk=1)])
 def test_an_error_is_not_kept_back_by_other_work(several) -> None:
     begun = time.monotonic()
     with pytest.raises(ValueError, match="sleep"):
@@ -34,7 +34,7 @@ def test_an_error_is_not_kept_back_by_other_work(several) -> None:
 
 def test_nobody_works_on_for_a_reader_who_has_gone() -> None:
     begun = time.monotonic()
-    results = as_done(work, [0.0, _LONG, _LONG], 2)
+    results = map_unordered(work, [0.0, _LONG, _LONG], 2)
     assert next(results) == 0.0
     del results
     assert time.monotonic() - begun < 0.5 * _LONG

@@ -26,7 +26,7 @@ def test_every_play_by_good_joints_reaches_the_end(name: str) -> None:
     state = task.initial_state(rng)
     merges = 0
     while not state.complete:
-        good = [j for j in oracle.joints(state) if j.good]
+        good = [j for j in oracle.mates(state) if j.viable]
         assert good, f"{name}: nothing good after {merges} merges"
         state = after(state, good[rng.integers(len(good))])
         merges += 1
@@ -37,7 +37,7 @@ def test_right_pairs_are_those_that_the_task_accepts() -> None:
     task = ObjectCentricTask(catalogue.make("three_legged", 1))
     oracle = Oracle(task)
     state = task.initial_state(np.random.default_rng(0))
-    found = {(j.u, j.k, j.v, j.l) for j in oracle.joints(state)}
+    found = {(j.u, j.k, j.v, j.l) for j in oracle.mates(state)}
     free = task.free_points(state)
     n = len(task.furniture.parts)
     ends = [(p, k) for p in range(n) for k in range(10) if free[p, k]]
@@ -57,9 +57,9 @@ def test_good_ways_are_planned_without_search(name: str) -> None:
     state = task.initial_state(rng)
     verdicts = []
     while not state.complete:
-        good = [j for j in oracle.joints(state) if j.good]
+        good = [j for j in oracle.mates(state) if j.viable]
         joint = good[rng.integers(len(good))]
-        w = int(rng.choice(np.flatnonzero(joint.ways)))
+        w = int(rng.choice(np.flatnonzero(joint.feasible_w)))
         outcome = task.step(state, (joint.u, joint.v, joint.k, joint.l, w), 0, Budget(states=0))
         verdicts.append(outcome.verdict)
         state = outcome.state if outcome.verdict is Verdict.MERGED else after(state, joint)
@@ -73,10 +73,10 @@ def test_a_dead_end_is_seen_before_it_is_entered() -> None:
     state = task.initial_state(np.random.default_rng(0))
     seen = False
     while not state.complete:
-        joints = oracle.joints(state)
-        bad = [j for j in joints if j.ways.any() and not j.solvable]
+        joints = oracle.mates(state)
+        bad = [j for j in joints if j.feasible_w.any() and not j.solvable]
         if bad:
             seen = True
             assert not oracle.state_solvable(after(state, bad[0]))
-        state = after(state, next(j for j in joints if j.good))
+        state = after(state, next(j for j in joints if j.viable))
     assert seen

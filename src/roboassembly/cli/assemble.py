@@ -147,10 +147,10 @@ class Assemble:
         check_setting(policy, self.setting, NO_POLICY)
         if self.search:
             return partial(solver, seed=self.seed, guide=guide_of(policy))
-        from roboassembly.evaluation.rollout import play
+        from roboassembly.evaluation.rollout import rollout_policy
 
         def alone(furniture: Furniture) -> SearchResult[Any]:
-            done = play(policy, furniture, self.seed, self.setting)
+            done = rollout_policy(policy, furniture, self.seed, self.setting)
             failed = f"{self.policy} alone: merge {len(done.actions)} ended as {done.verdict}"
             return SearchResult(
                 plan=done.plan,

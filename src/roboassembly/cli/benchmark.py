@@ -10,7 +10,7 @@ from roboassembly.cli.multitask import PACKAGES, follow, needs
 from roboassembly.cli.options import CORES, Jobs, Ray, Setting
 from roboassembly.cli.output import DONE, check_writable_file, print_json, show, writable_folder
 from roboassembly.errors import InputError
-from roboassembly.parallel.processes import spread
+from roboassembly.parallel.processes import use_cluster
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ class Benchmark:
             plan, real=self.real, shipped=plan.shipped and not self.retrain, sample=self.sample or plan.sample,
             taught=self.experts or plan.taught,
         )  # fmt: skip
-        with spread(self.ray, self.jobs) as jobs:
+        with use_cluster(self.ray, self.jobs) as jobs:
             follow(benchmark.run(plan, out, jobs), out)
         told = benchmark.report(plan, out)
         lines = benchmark.table(told)

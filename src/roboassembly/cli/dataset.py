@@ -11,7 +11,7 @@ import tyro
 from roboassembly.cli.options import CORES, Jobs, Ray
 from roboassembly.cli.output import DONE, check_writable, print_json, progress_bar, show
 from roboassembly.errors import InputError
-from roboassembly.parallel.processes import spread
+from roboassembly.parallel.processes import use_cluster
 
 
 @dataclass(frozen=True)
@@ -78,10 +78,13 @@ class Dataset:
 
     def _build(self) -> None:
         from roboassembly.datasets.sets import RECIPES
-        from roboassembly.solvers.curate import build
+        from roboassembly.solvers.dataset_builder import build_dataset
 
-        with spread(self.ray, self.jobs) as jobs, progress_bar(desc=f"building {self.name}", unit="chair") as progress:
-            for done, of in build(RECIPES[self.name], self.seed, jobs):
+        with (
+            use_cluster(self.ray, self.jobs) as jobs,
+            progress_bar(desc=f"building {self.name}", unit="chair") as progress,
+        ):
+            for done, of in build_dataset(RECIPES[self.name], self.seed, jobs):
                 progress.total = of
                 progress.update(done - progress.n)
 

@@ -14,12 +14,12 @@ import tyro
 from roboassembly.cli.options import CORES, Execution, Jobs, Ray, Setting, chosen
 from roboassembly.cli.output import DONE, check_writable, print_json, progress_bar, say, show
 from roboassembly.errors import InputError
-from roboassembly.parallel.processes import spread
+from roboassembly.parallel.processes import use_cluster
 
 if TYPE_CHECKING:
     from roboassembly.datasets.sets import FurnitureRef
     from roboassembly.evaluation.evaluate import Evaluation
-    from roboassembly.evaluation.rollout import Episode, Way
+    from roboassembly.evaluation.rollout import Episode, RolloutConfig
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class Evaluate:
         if self.out is not None and self.out.is_dir():
             raise InputError(f"cannot write to {self.out}: it is a folder; name a file")
         from roboassembly.evaluation.evaluate import Evaluation
-        from roboassembly.evaluation.rollout import EXPORTABLE, SOLVERS, Way
+        from roboassembly.evaluation.rollout import EXPORTABLE, SOLVERS, RolloutConfig
 
         if self.export is not None:
             from roboassembly.evaluation.export import check_target
@@ -83,9 +83,9 @@ class Evaluate:
                 raise InputError(f"--export: '{self.policy}' tells no actions; a policy or 'search' would do")
             check_target(self.export)
         picks = chosen(self.set, self.limit, self.sample, self.seed)
-        way = Way(self.policy, self.search, self.setting, self.execution, self.audit)
+        way = RolloutConfig(self.policy, self.search, self.setting, self.execution, self.audit)
         total = len(picks) * self.episodes
-        with spread(self.ray, self.jobs) as jobs:
+        with use_cluster(self.ray, self.jobs) as jobs:
             episodes = tuple(progress_bar(self._played(way, picks, jobs), total=total, unit="episode"))
         evaluation = Evaluation(way, self.set, self.seed, episodes)
         report = evaluation.to_json()
@@ -106,10 +106,10 @@ class Evaluate:
                 show(self.export)
         return DONE
 
-    def _played(self, way: Way, picks: Sequence[FurnitureRef], jobs: int) -> Iterator[Episode]:
+    def _played(self, way: RolloutConfig, picks: Sequence[FurnitureRef], jobs: int) -> Iterator[Episode]:
         """All episodes; those that `out` holds are not played again."""
         from roboassembly.datasets.sets import set_hash
-        from roboassembly.evaluation.episodes import kept, playing
+        from roboassembly.evaluation.episodes import read_episodes, record_episodes
         from roboassembly.evaluation.evaluate import evaluate
         from roboassembly.learning.registry import weights_hash
 
@@ -119,14 +119,14 @@ class Evaluate:
             "way": asdict(way), "weights": weights_hash(self.policy), "set": self.set, "set_hash": set_hash(picks),
             "seed": self.seed, "episodes": self.episodes,
         }  # fmt: skip
-        there = kept(self.out, about)
+        there = read_episodes(self.out, about)
         if there is None:
             raise InputError(
                 f"--out {self.out}: holds something else than episodes of this policy, set and seed; another name "
                 "would do"
             )
         rest = partial(evaluate, way, picks, self.seed, jobs, episodes=self.episodes, played=len(there))
-        return playing(self.out, about, there, rest)
+        return record_episodes(self.out, about, there, rest)
 
 
 def summary(evaluation: Evaluation) -> list[str]:

@@ -14,7 +14,7 @@ import tyro
 from roboassembly.cli.options import CORES, Jobs
 from roboassembly.cli.output import DONE, check_writable, print_json, progress_bar, refuse_existing, say, show
 from roboassembly.errors import InputError
-from roboassembly.parallel.processes import workers
+from roboassembly.parallel.processes import worker_pool
 
 if TYPE_CHECKING:
     from roboassembly.importers.kept import Summary
@@ -173,7 +173,7 @@ class Import:
         if self.jobs == 1 or len(work) < 2:
             yield from map(import_piece, work)
             return
-        with workers(min(self.jobs, len(work))) as pool:
+        with worker_pool(min(self.jobs, len(work))) as pool:
             for piece, future in [(piece, pool.submit(import_piece, piece)) for piece in work]:
                 try:
                     yield future.result()

@@ -13,7 +13,7 @@ from tqdm import tqdm
 from roboassembly.cli.options import CORES, Jobs, Ray, Setting
 from roboassembly.cli.output import DONE, print_json, progress_bar, say, show, writable_folder
 from roboassembly.errors import InputError, MissingExtraError
-from roboassembly.parallel.processes import spread
+from roboassembly.parallel.processes import use_cluster
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -81,7 +81,7 @@ class Multitask:
             raise InputError("--limit and --steps take 1 or more")
         needs(*PACKAGES)
         writable_folder(self.out)
-        with spread(self.ray, self.jobs) as jobs:
+        with use_cluster(self.ray, self.jobs) as jobs:
             last = follow(self._relational(jobs) if self.preset == "relational" else self._paper(), self.out)
         path = self.out / "policy.npz"
         report = {"preset": self.preset, "policy": str(path), "set": self.set, "seed": self.seed, "last": last}

@@ -13,7 +13,7 @@ from roboassembly.cli.multitask import PACKAGES, Multitask, follow, needs
 from roboassembly.cli.options import CORES, Jobs, Ray, Setting, chosen
 from roboassembly.cli.output import DONE, DONE_BADLY, print_json, show, writable_folder
 from roboassembly.errors import InputError
-from roboassembly.parallel.processes import spread
+from roboassembly.parallel.processes import use_cluster
 
 if TYPE_CHECKING:
     from roboassembly.datasets.sets import FurnitureRef
@@ -46,7 +46,7 @@ class Autoencoder:
     def run(self) -> int:
         """Do it; returns the exit status."""
         picks = self.prepared()
-        with spread(self.ray, self.jobs) as jobs:
+        with use_cluster(self.ray, self.jobs) as jobs:
             last = self.featured(picks, jobs)
         if self.json:
             chamfer = last.get("auto-encoder/chamfer")
@@ -101,7 +101,7 @@ class Expert(Autoencoder):
         picks = self.prepared()
         from roboassembly.learning.paper.pipeline import results, teach_experts
 
-        with spread(self.ray, self.jobs) as jobs:
+        with use_cluster(self.ray, self.jobs) as jobs:
             self.featured(picks, jobs)
             follow(teach_experts(picks, self.out, self.schooling(), {"set": self.set}, jobs), self.out)
         trained = results(picks, self.out)

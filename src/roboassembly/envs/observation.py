@@ -74,7 +74,7 @@ class Observer:
                 self._grasps[p, g] = [pose_to_euler(hand) for hand in hands]
 
     @property
-    def hands(self) -> Float32[np.ndarray, "P 8 6"]:
+    def grasp_poses(self) -> Float32[np.ndarray, "P 8 6"]:
         """`grasp_regions`, of each part one grasp after another; 0 in furniture without grasps."""
         return self._grasps.reshape(self._max_parts, -1, 6).copy()
 

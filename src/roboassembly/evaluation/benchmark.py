@@ -23,9 +23,9 @@ from typing import Any
 
 from roboassembly.datasets.sets import RECIPES, FurnitureRef, furniture_refs, manifest_path, sample_refs, set_hash
 from roboassembly.errors import InputError
-from roboassembly.evaluation.episodes import kept, playing
+from roboassembly.evaluation.episodes import read_episodes, record_episodes
 from roboassembly.evaluation.evaluate import Evaluation, evaluate
-from roboassembly.evaluation.rollout import REFUSED, Episode, ExecutionName, Way
+from roboassembly.evaluation.rollout import REFUSED, Episode, ExecutionName, RolloutConfig
 from roboassembly.learning.paper import autoencoder
 from roboassembly.learning.paper import imitation as paper_imitation
 from roboassembly.learning.paper.dqn.train import ExpertTraining, mastery
@@ -35,7 +35,7 @@ from roboassembly.learning.registry import weights_hash
 from roboassembly.learning.relational import pipeline as multitask
 from roboassembly.learning.relational.network import RelationalConfig
 from roboassembly.learning.relational.pipeline import Curriculum
-from roboassembly.solvers.curate import build
+from roboassembly.solvers.dataset_builder import build_dataset
 from roboassembly.task.setting import SettingName
 
 END = "<!-- end of the benchmark -->"
@@ -134,7 +134,7 @@ def run(b: Benchmark, folder: Path, jobs: int) -> Iterator[Progress]:
     folder.mkdir(parents=True, exist_ok=True)
     _same_run(b, folder)
     if not manifest_path(b.set).is_file():
-        for done, of in build(RECIPES[b.set], 0, jobs):
+        for done, of in build_dataset(RECIPES[b.set], 0, jobs):
             yield Progress(f"data set {b.set}", done, of, {})
     schooling, picks = b.schooling.seeded(b.seed), taught(b)
     features = teach_features(picks, folder, schooling, {"set": b.set, "sample": b.taught}, jobs)
@@ -172,9 +172,9 @@ class Trial:
     execution: ExecutionName = "kinematic"
 
     @property
-    def way(self) -> Way:
+    def way(self) -> RolloutConfig:
         """To assemble."""
-        return Way(self.policy, self.search, self.setting, self.execution)
+        return RolloutConfig(self.policy, self.search, self.setting, self.execution)
 
     @property
     def file(self) -> str:
@@ -229,7 +229,7 @@ def tried(trial: Trial, folder: Path, jobs: int) -> Iterator[Progress]:
         return
     rest = partial(evaluate, trial.way, picks, trial.seed, jobs, played=len(there))
     solved = 0
-    for done, episode in enumerate(playing(path, _about(trial), there, rest), 1):
+    for done, episode in enumerate(record_episodes(path, _about(trial), there, rest), 1):
         solved += episode.success
         if done > len(there):
             yield Progress(f"{trial.name}, {trial.set}", done, len(picks), {"success": solved / done})
@@ -246,7 +246,7 @@ def _about(trial: Trial) -> dict[str, Any]:
 
 def episodes_of(path: Path, trial: Trial) -> list[Episode]:
     """Those of a file, as far as they are the trial's."""
-    return kept(path, _about(trial)) or []
+    return read_episodes(path, _about(trial)) or []
 
 
 def rows(b: Benchmark, folder: Path) -> list[Row]:

@@ -12,7 +12,7 @@ from roboassembly.errors import InputError
 from roboassembly.evaluation.rollout import Episode
 
 
-def kept(path: Path, about: dict[str, Any]) -> list[Episode] | None:
+def read_episodes(path: Path, about: dict[str, Any]) -> list[Episode] | None:
     """The episodes of a file, the last line perhaps half written; None if it holds those of something else.
 
     Args:
@@ -37,7 +37,7 @@ def kept(path: Path, about: dict[str, Any]) -> list[Episode] | None:
     return out
 
 
-def playing(
+def record_episodes(
     path: Path, about: dict[str, Any], there: list[Episode], play: Callable[[], Iterator[Episode]]
 ) -> Iterator[Episode]:
     """Those that are there, and the others as they are played and kept.
@@ -62,7 +62,7 @@ def playing(
         raise InputError(f"cannot write to '{path}': {error.strerror or error}") from None
     yield from there
     with file:
-        for episode in play():
+        for episode in rollout_policy():
             file.write(json.dumps(asdict(episode)) + "\n")
             file.flush()
             yield episode

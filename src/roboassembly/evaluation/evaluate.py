@@ -15,8 +15,8 @@ import numpy as np
 
 from roboassembly.datasets.sets import FurnitureRef
 from roboassembly.errors import RoboAssemblyError
-from roboassembly.evaluation.rollout import Episode, Player, Way, player
-from roboassembly.parallel.processes import one_thread_each, workers
+from roboassembly.evaluation.rollout import Agent, Episode, RolloutConfig, make_agent
+from roboassembly.parallel.processes import one_thread_each, worker_pool
 from roboassembly.statistics import success
 from roboassembly.task.full.task import FullVerdict
 
@@ -34,7 +34,7 @@ _AFTER_MATING = ("back", "leave", "carry", "set")
 class Evaluation:
     """What all episodes say together."""
 
-    way: Way
+    way: RolloutConfig
     set: str
     seed: int
     episodes: tuple[Episode, ...]
@@ -96,7 +96,7 @@ def episode_seed(seed: int, name: str, episode: int) -> int:
 
 
 def evaluate(
-    way: Way, picks: Sequence[FurnitureRef], seed: int, jobs: int, *, episodes: int = 1, played: int = 0
+    way: RolloutConfig, picks: Sequence[FurnitureRef], seed: int, jobs: int, *, episodes: int = 1, played: int = 0
 ) -> Iterator[Episode]:
     """Play episodes of each piece, in order. Nothing but times depends on `jobs`, nor on what else is in the set.
 
@@ -114,7 +114,7 @@ def evaluate(
         MissingExtraError: an audit without python-fcl.
         RoboAssemblyError: a worker died.
     """
-    own = player(way)
+    own = make_agent(way)
     left = [range(max(0, played - index * episodes), episodes) for index in range(len(picks))]
     work = [
         (pick, [episode_seed(seed, pick.name, i) for i in some]) for pick, some in zip(picks, left, strict=True) if some
@@ -124,10 +124,10 @@ def evaluate(
     return _in_processes(way, work, jobs)
 
 
-def _in_processes(way: Way, work: Sequence[tuple[FurnitureRef, list[int]]], jobs: int) -> Iterator[Episode]:
+def _in_processes(way: RolloutConfig, work: Sequence[tuple[FurnitureRef, list[int]]], jobs: int) -> Iterator[Episode]:
     futures: list[Future[list[Episode]]] = []
     try:
-        with workers(min(jobs, len(work)), _start, (way,)) as pool:
+        with worker_pool(min(jobs, len(work)), _start, (way,)) as pool:
             with one_thread_each():
                 futures = [pool.submit(_play_here, pick, seeds) for pick, seeds in work]
             for future in futures:
@@ -141,19 +141,19 @@ def _in_processes(way: Way, work: Sequence[tuple[FurnitureRef, list[int]]], jobs
         ) from None
 
 
-_here: dict[str, Player] = {}
+_here: dict[str, Agent] = {}
 """Of a worker process: what it plays with."""
 
 
-def _start(way: Way) -> None:
-    _here["player"] = player(way)
+def _start(way: RolloutConfig) -> None:
+    _here["agent"] = make_agent(way)
 
 
 def _play_here(pick: FurnitureRef, seeds: list[int]) -> list[Episode]:
-    return _play_piece(_here["player"], pick, seeds)
+    return _play_piece(_here["agent"], pick, seeds)
 
 
-def _play_piece(own: Player, pick: FurnitureRef, seeds: list[int]) -> list[Episode]:
+def _play_piece(own: Agent, pick: FurnitureRef, seeds: list[int]) -> list[Episode]:
     furniture = pick.furniture()
     known: dict[str, Any] = {}
     if pick.entry is not None:

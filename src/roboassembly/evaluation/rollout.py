@@ -19,7 +19,7 @@ from roboassembly.learning.registry import FILES, NAMES, Maker, maker_of
 from roboassembly.planning.problem import Budget, PlanningStatus
 from roboassembly.solvers.guide import Guide
 from roboassembly.solvers.joint_rrt import solve_jointly
-from roboassembly.solvers.prober import probe
+from roboassembly.solvers.random_order import assemble_in_random_order
 from roboassembly.solvers.search import SearchResult, solve, solve_full
 from roboassembly.task.full.execution import execute_plan, in_all
 from roboassembly.task.object_centric.task import ObjectCentricTask, Verdict
@@ -69,7 +69,7 @@ class Episode:
 
 
 @dataclass(frozen=True)
-class Way:
+class RolloutConfig:
     """A way of assembling."""
 
     policy: str | Policy = SEARCH
@@ -84,7 +84,7 @@ class Way:
 
 
 @dataclass(frozen=True, eq=False)
-class Play:
+class PolicyRollout:
     """What a policy did alone."""
 
     plan: Plan | FullPlan
@@ -100,11 +100,11 @@ class Play:
     """In which the last step failed, with robots."""
 
 
-Player = Callable[[Furniture, int], Episode]
+Agent = Callable[[Furniture, int], Episode]
 _Played = tuple[Episode, Plan | FullPlan | None]
 
 
-def player(way: Way) -> Player:
+def make_agent(way: RolloutConfig) -> Agent:
     """What plays an episode of a piece with a seed.
 
     Raises:
@@ -121,7 +121,7 @@ def player(way: Way) -> Player:
     return partial(_play, way, _own(way))
 
 
-def _play(way: Way, own: Callable[[Furniture, int], _Played], furniture: Furniture, seed: int) -> Episode:
+def _play(way: RolloutConfig, own: Callable[[Furniture, int], _Played], furniture: Furniture, seed: int) -> Episode:
     episode, plan = own(furniture, seed)
     if plan is not None:
         episode = replace(episode, step_seconds=tuple(round(s.planning_seconds, 5) for s in plan.steps))
@@ -165,7 +165,7 @@ def _searched(result: SearchResult[Plan] | SearchResult[FullPlan]) -> _Played:
     return episode, plan
 
 
-def _own(way: Way) -> Callable[[Furniture, int], _Played]:
+def _own(way: RolloutConfig) -> Callable[[Furniture, int], _Played]:
     """What plays in the way's setting, without what may follow."""
     policy, full = way.policy, way.setting == "full"
     solvers = FULL_SOLVERS if full else SOLVERS
@@ -196,7 +196,9 @@ def _maker(policy: str | Policy, solvers: Iterable[str]) -> Maker:
         raise UnknownNameError("policy", policy, [*solvers, *NAMES, *FILES]) from None
 
 
-def play(policy: Policy, furniture: Furniture, seed: int, setting: SettingName = "object-centric") -> Play:
+def rollout_policy(
+    policy: Policy, furniture: Furniture, seed: int, setting: SettingName = "object-centric"
+) -> PolicyRollout:
     """Let a policy play one episode of the environment, by `reset` and `step` alone.
 
     Raises:
@@ -225,17 +227,17 @@ def play(policy: Policy, furniture: Furniture, seed: int, setting: SettingName =
         plan = FullPlan(furniture, initial, tuple(merges), bool(info["success"]), seed)
     else:
         plan = Plan(furniture, initial.part_poses, tuple(merges), bool(info["success"]), seed)
-    return Play(plan, tuple(actions), info["verdict"], states, planning, thinking, info.get("leg", ""))
+    return PolicyRollout(plan, tuple(actions), info["verdict"], states, planning, thinking, info.get("leg", ""))
 
 
-def play_episode(policy: Policy, furniture: Furniture, seed: int) -> Episode:
+def run_episode(policy: Policy, furniture: Furniture, seed: int) -> Episode:
     """One episode of a policy, your own included."""
-    return player(Way(policy))(furniture, seed)
+    return make_agent(RolloutConfig(policy))(furniture, seed)
 
 
 def _alone(policy: Policy, setting: SettingName, furniture: Furniture, seed: int) -> _Played:
     try:
-        done = play(policy, furniture, seed, setting)
+        done = rollout_policy(policy, furniture, seed, setting)
     except PolicyError:
         raise
     except InputError as error:
@@ -263,7 +265,7 @@ def _joint(furniture: Furniture, seed: int) -> _Played:
 
 
 def _right_pairs(furniture: Furniture, seed: int, best_w: bool) -> _Played:
-    play = probe(ObjectCentricTask(furniture), seed, best_w=best_w, patient=False, budget=Budget())
+    play = assemble_in_random_order(ObjectCentricTask(furniture), seed, best_w=best_w, patient=False, budget=Budget())
     verdict = Verdict.MERGED.value if play.completed else "stuck"
     episode = Episode(
         furniture.name, len(furniture.parts), seed, play.completed, play.merges, verdict, play.planning_steps,

@@ -25,7 +25,7 @@ _spread: list[str] = []
 
 
 @contextmanager
-def spread(address: str | None, jobs: int) -> Iterator[int]:
+def use_cluster(address: str | None, jobs: int) -> Iterator[int]:
     """Within the block, workers come from a Ray cluster.
 
     Args:
@@ -53,7 +53,9 @@ def spread(address: str | None, jobs: int) -> Iterator[int]:
 
 
 @contextmanager
-def workers(jobs: int, start: Callable[..., None] | None = None, arguments: tuple[Any, ...] = ()) -> Iterator[Executor]:
+def worker_pool(
+    jobs: int, start: Callable[..., None] | None = None, arguments: tuple[Any, ...] = ()
+) -> Iterator[Executor]:
     """Processes to work in. When what they are used for ends early, be it by an error, they end too; by itself a pool
     would first do all that it was given.
 
@@ -85,30 +87,30 @@ def workers(jobs: int, start: Callable[..., None] | None = None, arguments: tupl
             raise
 
 
-def in_order(work: Callable[[Item], Result], items: Sequence[Item], jobs: int, chunk: int) -> Iterator[Result]:
+def map_ordered(work: Callable[[Item], Result], items: Sequence[Item], jobs: int, chunk: int) -> Iterator[Result]:
     """What `work` gives for each item, in their order; `chunk` of them go to a process at a time."""
     if jobs == 1:
         yield from map(work, items)
         return
-    with workers(jobs) as pool:
+    with worker_pool(jobs) as pool:
         with one_thread_each():
             results = pool.map(work, items, chunksize=chunk)
         yield from results
 
 
-def as_done(work: Callable[[Item], Result], items: Sequence[Item], jobs: int) -> Iterator[Result]:
+def map_unordered(work: Callable[[Item], Result], items: Sequence[Item], jobs: int) -> Iterator[Result]:
     """What `work` gives for each item, as they are done."""
     if jobs == 1:
         yield from map(work, items)
         return
-    with workers(jobs) as pool:
+    with worker_pool(jobs) as pool:
         with one_thread_each():
             futures = [pool.submit(work, item) for item in items]
         for done in as_completed(futures):
             yield done.result()
 
 
-def made_ahead(items: Iterator[Item]) -> Iterator[Item]:
+def prefetch(items: Iterator[Item]) -> Iterator[Item]:
     """The same items, each made in a thread while the one before it is in use."""
     end = object()
     with ThreadPoolExecutor(1) as pool:

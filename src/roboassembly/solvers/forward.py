@@ -82,7 +82,7 @@ Options = Callable[[Disassembly, State, TaskState, Parts, Parts, bool], Iterable
 
 
 @dataclass(frozen=True)
-class Standing:
+class SearchProgress:
     """How far a search is."""
 
     merges: int
@@ -93,7 +93,7 @@ class Standing:
     """Configurations tested for collision so far."""
 
 
-Watch = Callable[[Standing], bool]
+Watch = Callable[[SearchProgress], bool]
 """Asked before each merge that is tried; the search gives up where it says False."""
 
 
@@ -240,7 +240,7 @@ class Search(Generic[State, AStep]):
 
     def attempt(self, state: State, action: Action, budget: Budget | None) -> State | None:
         """Hand one merge to the planner; None if it refuses, else its step is appended to `self.taken`."""
-        if self.watch is not None and not self.watch(Standing(len(self.taken), self.attempts, self.states())):
+        if self.watch is not None and not self.watch(SearchProgress(len(self.taken), self.attempts, self.states())):
             self.stopped = True
             return None
         self.attempts += 1

@@ -29,7 +29,7 @@ class HandOracle(Oracle):
         self._worked: dict[frozenset[End], tuple[int, int]] = {}
         """Of two points the hands that joined them last, at the part that comes first."""
 
-    def ways(self, moving: Parts, waiting: Parts) -> Bool[np.ndarray, "6"]:
+    def feasible_w(self, moving: Parts, waiting: Parts) -> Bool[np.ndarray, "6"]:
         """Whether R_a can bring `moving` to `waiting`, which R_b holds; six times the same."""
         key = (moving, waiting)
         if key not in self._held:

@@ -31,7 +31,7 @@ _SINK = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
-class Joint:
+class LabeledMate:
     """A right pair in some state, and what comes of it."""
 
     u: int
@@ -39,15 +39,15 @@ class Joint:
     v: int
     l: int  # noqa: E741
     merge: Merge
-    ways: Bool[np.ndarray, "6"]
+    feasible_w: Bool[np.ndarray, "6"]
     """For each `w`, whether u's group can come to v's group along a straight exit above the ground."""
     solvable: bool
     """Whether the furniture can still be finished after this merge."""
 
     @property
-    def good(self) -> bool:
+    def viable(self) -> bool:
         """Whether some `w` of this ordered pair leads on."""
-        return self.solvable and bool(self.ways.any())
+        return self.solvable and bool(self.feasible_w.any())
 
 
 class Oracle:
@@ -61,7 +61,7 @@ class Oracle:
         self._solvable: dict[frozenset[Parts], bool] = {}
 
     @cached_property
-    def _mates(self) -> set[tuple[int, int, int, int]]:
+    def _mating_types(self) -> set[tuple[int, int, int, int]]:
         """Kinds of points that the furniture's connections join, both ways round."""
         out = set()
         for c in self.furniture.connections:
@@ -84,7 +84,7 @@ class Oracle:
                     out[member, k] = (index, int(np.argmin(apart)))
         return out
 
-    def joints(self, state: TaskState) -> list[Joint]:
+    def mates(self, state: TaskState) -> list[LabeledMate]:
         """Every right ordered pair `(u, k, v, l)` of a state."""
         taken = state.occupied(self.furniture)
         ends = [
@@ -98,7 +98,7 @@ class Oracle:
         out = []
         for v, l, kind_v in ends:  # noqa: E741
             for u, k, kind_u in ends:
-                if state.group_of[u] == state.group_of[v] or (*kind_u, *kind_v) not in self._mates:
+                if state.group_of[u] == state.group_of[v] or (*kind_u, *kind_v) not in self._mating_types:
                     continue
                 u_group, v_group = state.groups[state.group_of[u]], state.groups[state.group_of[v]]
                 merge = self.task.pairs.judge(u_group, v_group, u, k, v, l)
@@ -108,9 +108,9 @@ class Oracle:
                 moving = frozenset(slot_of[p] for p in u_group.parts)
                 waiting = frozenset(slot_of[p] for p in v_group.parts)
                 after = TaskState((*(g for g in state.groups if g is not u_group and g is not v_group), merge.merged))
-                ways = self.ways(moving, waiting)
+                ways = self.feasible_w(moving, waiting)
                 solvable = bool(ways.any()) and self.state_solvable(after)
-                out.append(Joint(u, k, v, l, merge, ways, solvable))
+                out.append(LabeledMate(u, k, v, l, merge, ways, solvable))
         return out
 
     def state_solvable(self, state: TaskState) -> bool:
@@ -123,7 +123,7 @@ class Oracle:
         told = {frozenset(frozenset(g.slots) for g in place.groups) for place in places}
         return any(self.solvable(partition) for partition in sorted(told, key=lambda t: sorted(map(sorted, t))))
 
-    def ways(self, moving: Parts, waiting: Parts) -> Bool[np.ndarray, "6"]:
+    def feasible_w(self, moving: Parts, waiting: Parts) -> Bool[np.ndarray, "6"]:
         """For which `w` `moving` can come straight to `waiting`, above the ground on which that stands."""
         exits = self.exits(moving, waiting)
         if not len(exits):
@@ -159,6 +159,6 @@ class Oracle:
         """Ways to take the union of some groups apart in two, as partitions of the halves."""
         whole = frozenset[int]().union(*partition)
         for closed in self.graphs.removable(whole, True, partition):
-            if self.ways(closed, whole - closed).any() or self.ways(whole - closed, closed).any():
+            if self.feasible_w(closed, whole - closed).any() or self.feasible_w(whole - closed, closed).any():
                 one = frozenset(g for g in partition if g <= closed)
                 yield one, partition - one

@@ -15,7 +15,7 @@ from roboassembly.envs.observation import Observer
 from roboassembly.errors import InputError
 from roboassembly.furniture.annotate import add_grasps
 from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS, Furniture
-from roboassembly.solvers.forward import SearchLimits, Standing, Watch, planner_seed
+from roboassembly.solvers.forward import SearchLimits, SearchProgress, Watch, planner_seed
 from roboassembly.solvers.guide import Guide
 from roboassembly.solvers.search import FULL_LIMITS, solve_from, solve_full_from
 from roboassembly.task.full.task import FullTask
@@ -162,7 +162,7 @@ class Session:
         self.check(script)
         before = self.planning_steps
         for index, action in enumerate(script.actions):
-            if not watch(Standing(index, index, self.planning_steps - before)):
+            if not watch(SearchProgress(index, index, self.planning_steps - before)):
                 return "stopped"
             tried = self.attempt(action)
             if not tried.merged:
@@ -189,7 +189,7 @@ class Session:
             Why there is none; empty if there is one.
         """
 
-        def watched(standing: Standing) -> bool:
+        def watched(standing: SearchProgress) -> bool:
             # Others get a chance between two merges.
             _PLANNER.release()
             go_on = watch(standing)

@@ -15,7 +15,7 @@ from roboassembly.errors import InputError, RoboAssemblyError
 from roboassembly.furniture.model import Furniture
 from roboassembly.learning.policy import Policy, guide_of, settings_of
 from roboassembly.learning.registry import load_policy
-from roboassembly.solvers.forward import Standing, Watch
+from roboassembly.solvers.forward import SearchProgress, Watch
 from roboassembly.solvers.guide import Guide
 from roboassembly.studio.chooser import Chooser
 from roboassembly.studio.downloads import send_plan
@@ -295,7 +295,7 @@ class Visitor:
         whole, told_at = len(self._present.furniture.parts) - 1, 0.0
         done = self._present.merges
 
-        def watch(standing: Standing) -> bool:
+        def watch(standing: SearchProgress) -> bool:
             nonlocal told_at
             if time.monotonic() - told_at > _PROGRESS_EVERY:
                 told_at = time.monotonic()
@@ -314,7 +314,7 @@ class Visitor:
         for k in range(len(session.furniture.parts)):
             if session.joined.complete:
                 return ""
-            if not watch(Standing(k, k, session.planning_steps - states)):
+            if not watch(SearchProgress(k, k, session.planning_steps - states)):
                 return "Stopped."
             action = session.suggestion(guide)
             if action is None:

@@ -23,7 +23,7 @@ from roboassembly.task.rules.connections import UP_AXES
 def course() -> Course:
     furniture = catalogue.make("three_legged", 1, with_grasps=True)
     clouds = np.array([surface_points(p.mesh, 96) for p in furniture.parts], np.float32)
-    hands = Observer(furniture, len(furniture.parts), MAX_POINTS, 1).hands
+    hands = Observer(furniture, len(furniture.parts), MAX_POINTS, 1).grasp_poses
     lessons = Teacher(furniture, clouds).play(np.random.default_rng(0)).lessons
     n = int(lessons[1].free.sum())
     valued = replace(lessons[1], values=np.random.default_rng(1).normal(size=(n, n, 6)).astype(np.float16))

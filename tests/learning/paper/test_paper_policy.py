@@ -232,7 +232,7 @@ def test_a_batch_names_slots_and_what_exists(examples: list[Example]) -> None:
 def test_groups_lie_elsewhere_and_stay_whole(chair: Furniture) -> None:
     task = ObjectCentricTask(chair)
     state = task.initial_state(np.random.default_rng(0))
-    joint = next(j for j in Oracle(task).joints(state) if j.good)
+    joint = next(j for j in Oracle(task).mates(state) if j.viable)
     rest = (g for g in state.groups if joint.u not in g.parts and joint.v not in g.parts)
     observer = Observer(chair, len(chair.parts), 10, 1)
     seen = observer.observe(TaskState((*rest, joint.merge.merged)))

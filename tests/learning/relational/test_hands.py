@@ -13,7 +13,7 @@ from roboassembly.datasets import catalogue
 from roboassembly.envs.full import FullEnv, existing_actions
 from roboassembly.envs.observation import Observer, surface_points
 from roboassembly.errors import InputError
-from roboassembly.evaluation.rollout import Way, player
+from roboassembly.evaluation.rollout import RolloutConfig, make_agent
 from roboassembly.furniture.model import MAX_POINTS, Furniture
 from roboassembly.geometry.poses import SE3
 from roboassembly.learning import checkpoint
@@ -151,18 +151,18 @@ def test_hand_oracle_says_what_the_task_says() -> None:
     oracle = HandOracle(task)
     rng = np.random.default_rng(0)
     state = task.initial_state(rng).groups
-    joints = oracle.joints(state)
-    assert any(j.good for j in joints)
+    joints = oracle.mates(state)
+    assert any(j.viable for j in joints)
     for index in rng.permutation(len(joints))[:12]:
         joint = joints[index]
         pairs = [((joint.u, joint.k), (joint.v, joint.l))]
         found = next(fitting(task, state, pairs), None)
         if found is not None:
-            assert joint.ways.all()
+            assert joint.feasible_w.all()
             assert isinstance(task.joint(state, found), Held)
-        if not joint.ways.any():
+        if not joint.feasible_w.any():
             assert found is None
-        assert joint.ways.all() == joint.ways.any()
+        assert joint.feasible_w.all() == joint.feasible_w.any()
     # What a play of good pairs leads to is never without a good pair.
     clouds = np.array([surface_points(p.mesh, 32) for p in task.furniture.parts], np.float32)
     play = Teacher(task.furniture, clouds, oracle).play(rng)
@@ -310,7 +310,7 @@ def test_practice_is_written_once_and_the_same_again(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     config = relational.RelationalConfig(token=16, pair=8, layers=1, heads=2, ends=4, conflicts=2)
     params = {**relational.init(rng, config), HANDS: grasping.init(rng)}
-    player_file, names = tmp_path / "player.npz", ["three_legged:24", "upholstered:14"]
+    player_file, names = tmp_path / "make_agent.npz", ["three_legged:24", "upholstered:14"]
     checkpoint.save(player_file, checkpoint.Checkpoint(relational.KIND, params, {"network": asdict(config)}, {}))
     done = {g.name: g for g in practise(names, tmp_path / "a", player_file, plays=1, seed=3, jobs=1)}
     # No hand can hold an upholstered chair.
@@ -369,9 +369,9 @@ def test_a_policy_with_hands_plays_with_robots() -> None:
     *_, told = env.step(action)
     # Pairs are known to it, hands are not.
     assert told["verdict"] not in (FullVerdict.WRONG_PAIR, FullVerdict.NOT_AN_ACTION)
-    drawn = player(Way("random", setting="full"))(furniture, 0)
+    drawn = make_agent(RolloutConfig("random", setting="full"))(furniture, 0)
     assert (drawn.success, len(drawn.actions)) == (False, drawn.merges + 1)
-    done = player(Way(policy, setting="full"))(furniture, 0)
+    done = make_agent(RolloutConfig(policy, setting="full"))(furniture, 0)
     assert done.actions
     assert len(done.actions[0]) == 6
     with pytest.raises(InputError, match="learnt nothing of hands"):

@@ -12,7 +12,7 @@ import pytest
 from roboassembly.datasets import catalogue
 from roboassembly.datasets import sets as datasets
 from roboassembly.errors import InputError
-from roboassembly.evaluation.rollout import play_episode
+from roboassembly.evaluation.rollout import run_episode
 from roboassembly.learning import checkpoint, logs
 from roboassembly.learning.layers import Params
 from roboassembly.learning.paper import autoencoder
@@ -153,7 +153,7 @@ def test_the_papers_policy_is_taught_from_folders_of_lessons(tmp_path: Path) -> 
     said = list(teach_paper([tmp_path / "lessons"], extractor, tmp_path / "run", training))
     assert [p.done for p in said] == [1, 2]
     policy = load_policy(str(tmp_path / "run" / "policy.npz"))
-    assert play_episode(policy, catalogue.make("cantilever", 1), 0).merges in range(4)
+    assert run_episode(policy, catalogue.make("cantilever", 1), 0).merges in range(4)
     # More lessons are another run's.
     list(gather(["cantilever:5"], tmp_path / "lessons", plays=1, seed=0, jobs=1))
     with pytest.raises(InputError, match="other lessons"):

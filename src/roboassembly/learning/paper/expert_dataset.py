@@ -23,7 +23,7 @@ from roboassembly.learning.paper.dqn.network import Expert, Move, finished, play
 from roboassembly.learning.paper.dqn.train import ExpertTraining, load, read
 from roboassembly.learning.relational.collect import file_of
 from roboassembly.learning.relational.oracle_dataset import CLOUD_POINTS, Course, Lesson
-from roboassembly.parallel.processes import as_done
+from roboassembly.parallel.processes import map_unordered
 from roboassembly.task.full.task import FullTask
 from roboassembly.task.object_centric.task import ObjectCentricTask
 
@@ -71,7 +71,7 @@ def expert_course(
         if finished(moves, expert.chair):
             done += 1
             lessons += [_lesson(expert, task, observer, move) for move in moves]
-    return Course(name, clouds, tuple(lessons), observer.hands if isinstance(task, FullTask) else None), done
+    return Course(name, clouds, tuple(lessons), observer.grasp_poses if isinstance(task, FullTask) else None), done
 
 
 def _lesson(expert: Expert, task: ObjectCentricTask | FullTask, observer: Observer, move: Move) -> Lesson:
@@ -112,7 +112,7 @@ def teach(
     left = [p for p in picks if file_of(experts, p.name).is_file() and not file_of(folder, p.name).is_file()]
     left = [p for p in left if not read(file_of(experts, p.name)).refused]
     work = partial(_teach, experts=experts, folder=folder, training=training, plays=plays)
-    yield from as_done(work, left, jobs)
+    yield from map_unordered(work, left, jobs)
 
 
 def _teach(pick: FurnitureRef, *, experts: Path, folder: Path, training: ExpertTraining, plays: int) -> Taught:

@@ -31,7 +31,7 @@ from roboassembly.learning.relational.augmentation import Change
 from roboassembly.learning.relational.oracle_dataset import Course, Lesson
 from roboassembly.learning.relational.policy_view import groups_of
 from roboassembly.learning.training_run import Run
-from roboassembly.parallel.processes import made_ahead
+from roboassembly.parallel.processes import prefetch
 from roboassembly.task.rules.connections import UP_AXES
 
 LAMBDA = 50.0
@@ -354,7 +354,7 @@ def train(
     step, params, state = run.resume({"network": network}, optimiser(training).init(network))
     network = params["network"]
     inputs = params["inputs"] if step else _inputs(examples, training.seed)
-    for batch in made_ahead(_shown(examples, training, step)):
+    for batch in prefetch(_shown(examples, training, step)):
         network, state, terms = _update(training, network, inputs, state, batch)
         step += 1
         run.keep(step, {"encoder": encoder, "inputs": inputs, "network": network}, state)

@@ -13,7 +13,7 @@ from roboassembly.envs.observation import surface_points
 from roboassembly.generate import CHAIRS
 from roboassembly.learning.paper.autoencoder import CLOUD_POINTS
 from roboassembly.learning.relational.collect import extra_names
-from roboassembly.parallel.processes import in_order
+from roboassembly.parallel.processes import map_ordered
 
 
 def gather_clouds(picks: Sequence[FurnitureRef], *, jobs: int, extra: int = 300) -> Float32[np.ndarray, "c n 3"]:
@@ -27,7 +27,7 @@ def gather_clouds(picks: Sequence[FurnitureRef], *, jobs: int, extra: int = 300)
     families = {p.entry.family for p in picks if p.entry is not None}
     names = extra_names(extra, [f for f in CHAIRS if f not in families]) if families else []
     work = [*picks, *names]
-    return np.concatenate(list(in_order(_clouds, work, jobs, chunk=8)))
+    return np.concatenate(list(map_ordered(_clouds, work, jobs, chunk=8)))
 
 
 def _clouds(piece: FurnitureRef | str) -> Float32[np.ndarray, "p n 3"]:

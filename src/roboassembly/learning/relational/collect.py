@@ -21,7 +21,7 @@ from roboassembly.learning import checkpoint
 from roboassembly.learning.relational import network as relational
 from roboassembly.learning.relational.grasps.dataset import GraspTeacher
 from roboassembly.learning.relational.oracle_dataset import CLOUD_POINTS, Course, Lesson, Student, Teacher
-from roboassembly.parallel.processes import as_done
+from roboassembly.parallel.processes import map_unordered
 from roboassembly.solvers.hand_oracle import HandOracle
 from roboassembly.solvers.oracle import Oracle
 from roboassembly.task.full.task import FullTask
@@ -105,7 +105,7 @@ def gather(
         _gather, folder=folder, plays=plays, seed=seed, student=student, setting=setting,
         with_grasps=frozenset(with_grasps),
     )  # fmt: skip
-    yield from as_done(work, left, jobs)
+    yield from map_unordered(work, left, jobs)
 
 
 def _gather(

@@ -22,7 +22,7 @@ from roboassembly.learning.relational.collect import file_of
 from roboassembly.learning.relational.oracle_dataset import Course, answers
 from roboassembly.learning.relational.tokens import Memory, Tokens
 from roboassembly.learning.training_run import Run
-from roboassembly.parallel.processes import in_order, made_ahead
+from roboassembly.parallel.processes import map_ordered, prefetch
 
 _FEW = 8
 """Chairs that are not worth starting processes for."""
@@ -86,7 +86,7 @@ def load_examples(folder: Path, names: Sequence[str], jobs: int) -> list[Example
         InputError: a file of lessons is broken.
     """
     paths = [file_of(folder, name) for name in names]
-    batches = in_order(_examples_in, paths, 1 if len(paths) < _FEW else jobs, chunk=4)
+    batches = map_ordered(_examples_in, paths, 1 if len(paths) < _FEW else jobs, chunk=4)
     return [replace(e, course=index) for index, batch in enumerate(batches) for e in batch]
 
 
@@ -272,7 +272,7 @@ def train(
         params |= relational.init_hands(np.random.default_rng([training.seed, 1]), config)
     run = Run(path, relational.KIND, about, training.steps, training.keep_every)
     step, params, state = run.resume(params, optimiser(training).init(params))
-    for batch in made_ahead(_shown(examples, training, step)):
+    for batch in prefetch(_shown(examples, training, step)):
         gradient, terms = gradient_of(params, batch)
         params, state = _moved(training, params, state, gradient)
         step += 1

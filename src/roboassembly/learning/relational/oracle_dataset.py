@@ -23,7 +23,7 @@ from roboassembly.learning import archive
 from roboassembly.learning.relational.policy_view import Situation, groups_of
 from roboassembly.learning.relational.tokens import Memory, Tokens, tokens_of
 from roboassembly.solvers.hand_oracle import HandOracle
-from roboassembly.solvers.oracle import Joint, Oracle
+from roboassembly.solvers.oracle import LabeledMate, Oracle
 from roboassembly.task.object_centric.task import ObjectCentricTask
 from roboassembly.task.rules.connections import GRASPS, UP_AXES
 from roboassembly.task.rules.groups import TaskState
@@ -144,7 +144,7 @@ class Play:
     """Choices of the student that were not good."""
 
 
-def _after(state: TaskState, joint: Joint) -> TaskState:
+def _after(state: TaskState, joint: LabeledMate) -> TaskState:
     """What is left to be joined."""
     u_group, v_group = state.groups[state.group_of[joint.u]], state.groups[state.group_of[joint.v]]
     rest = (g for g in state.groups if g is not u_group and g is not v_group)
@@ -167,13 +167,13 @@ class Teacher:
         self._alone = {c.members[0] for c in furniture.classes if len(c.members) == 1}
         self._observer = Observer(furniture, len(furniture.parts), MAX_POINTS, 1)
         self.course = Course(
-            furniture.name, clouds, (), self._observer.hands if isinstance(oracle, HandOracle) else None
+            furniture.name, clouds, (), self._observer.grasp_poses if isinstance(oracle, HandOracle) else None
         )
 
-    def lesson(self, state: TaskState, joints: list[Joint]) -> Lesson:
+    def lesson(self, state: TaskState, joints: list[LabeledMate]) -> Lesson:
         """A state as the policy sees it, with the answers."""
         seen = self._observer.observe(state)
-        rows = [(j.u, j.k, j.v, j.l, j.solvable, *j.ways) for j in joints]
+        rows = [(j.u, j.k, j.v, j.l, j.solvable, *j.feasible_w) for j in joints]
         free = self.oracle.task.free_points(state)[: len(seen["poses"])]
         return Lesson(
             seen["connection_points"],
@@ -192,10 +192,10 @@ class Teacher:
         """
         task = self.oracle.task
         state, lessons, ends, mistakes = task.initial_state(rng), [], [], 0
-        before: list[tuple[TaskState, list[Joint], Joint]] = []
+        before: list[tuple[TaskState, list[LabeledMate], LabeledMate]] = []
         while not state.complete:
-            joints = self.oracle.joints(state)
-            good = self._upright([j for j in joints if j.good])
+            joints = self.oracle.mates(state)
+            good = self._upright([j for j in joints if j.viable])
             if not good:
                 # Equal parts whose points differ: slots alone do not tell that this cannot go on. Take it back.
                 if not before:
@@ -203,7 +203,7 @@ class Teacher:
                 state, joints, joint = before.pop()
                 lessons.pop()
                 joints = [replace(j, solvable=False) if j is joint else j for j in joints]
-                good = self._upright([j for j in joints if j.good])
+                good = self._upright([j for j in joints if j.viable])
                 if not good:
                     break
                 lessons.append(self.lesson(state, joints))
@@ -214,21 +214,21 @@ class Teacher:
                 mistakes += student is not None and joint is None
                 joint = joint or good[rng.integers(len(good))]
             before.append((state, joints, joint))
-            dead = [j for j in self._upright(joints) if any(j.ways) and not j.solvable]
+            dead = [j for j in self._upright(joints) if any(j.feasible_w) and not j.solvable]
             if dead and rng.random() < _DEAD:
                 end = _after(state, dead[rng.integers(len(dead))])
-                ends.append(self.lesson(end, [replace(j, solvable=False) for j in self.oracle.joints(end)]))
+                ends.append(self.lesson(end, [replace(j, solvable=False) for j in self.oracle.mates(end)]))
             state = _after(state, joint)
         return Play(tuple(lessons), tuple(ends), mistakes)
 
-    def _upright(self, joints: list[Joint]) -> list[Joint]:
+    def _upright(self, joints: list[LabeledMate]) -> list[LabeledMate]:
         """Those that leave parts without a like of their own standing as delivered, if there are any.
 
         A symmetric part may be turned as well, but one who sees from the parts' frames how the furniture stands has no
         reason to.
         """
 
-        def turned(joint: Joint) -> bool:
+        def turned(joint: LabeledMate) -> bool:
             merged = joint.merge.merged
             alone = [
                 r.rotation for p, r in zip(merged.parts, merged.furniture_from_part, strict=True) if p in self._alone
@@ -237,12 +237,12 @@ class Teacher:
 
         return [j for j in joints if not turned(j)] or joints
 
-    def _judge(self, student: Student, lesson: Lesson, good: list[Joint]) -> Joint | None:
+    def _judge(self, student: Student, lesson: Lesson, good: list[LabeledMate]) -> LabeledMate | None:
         """The student's choice if it is good."""
         tokens = self.course.tokens(lesson)
         row, column, w = student(tokens)
         wanted = (tokens.part[row], tokens.point[row], tokens.part[column], tokens.point[column])
-        return next((j for j in good if (j.u, j.k, j.v, j.l) == wanted and j.ways[w]), None)
+        return next((j for j in good if (j.u, j.k, j.v, j.l) == wanted and j.feasible_w[w]), None)
 
 
 def answers(tokens: Tokens, lesson: Lesson) -> tuple[UInt8[np.ndarray, "n n"], UInt8[np.ndarray, "n n 6"]]:

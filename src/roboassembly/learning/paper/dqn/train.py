@@ -35,7 +35,7 @@ from roboassembly.learning.paper.dqn.group_table import point_counts
 from roboassembly.learning.paper.dqn.memoized_env import Rehearsal, State
 from roboassembly.learning.paper.dqn.network import KIND, POINT_SIZES, Chair, Expert, chair_of, play
 from roboassembly.learning.relational.collect import file_of
-from roboassembly.parallel.processes import one_thread_each, workers
+from roboassembly.parallel.processes import one_thread_each, worker_pool
 from roboassembly.statistics import success
 from roboassembly.task.full.task import FullTask
 from roboassembly.task.object_centric.task import ObjectCentricTask, Verdict
@@ -333,7 +333,7 @@ def train(
             work(lot)
             yield from (read(file_of(folder, p.name)) for p in lot)
         return
-    with workers(jobs) as pool:
+    with worker_pool(jobs) as pool:
         with one_thread_each():
             running = {pool.submit(work, lot) for lot in lots}
         while left:

@@ -20,7 +20,7 @@ from roboassembly.learning import archive
 from roboassembly.learning.relational.oracle_dataset import CLOUD_POINTS
 from roboassembly.learning.relational.policy_view import Situation, groups_of
 from roboassembly.solvers.hand_oracle import HandOracle
-from roboassembly.solvers.oracle import Joint
+from roboassembly.solvers.oracle import LabeledMate
 from roboassembly.task.full.grips import Hold
 from roboassembly.task.full.task import FullTask
 from roboassembly.task.full.task import Joint as Held
@@ -133,21 +133,23 @@ class GraspTeacher:
         lessons: list[GraspLesson] = []
         for _ in range(plays):
             lessons += self.play(self.task.initial_state(rng), rng)
-        return GraspCourse(furniture.name, clouds, self._observer.hands, tuple(lessons))
+        return GraspCourse(furniture.name, clouds, self._observer.grasp_poses, tuple(lessons))
 
     def play(self, state: FullState, rng: np.random.Generator) -> Iterator[GraspLesson]:
         """One play, as far as it leads."""
         ahead: FullState | None = state
         while ahead is not None and not ahead.groups.complete:
             state, ahead = ahead, None
-            joints = [j for j in self._oracle.joints(state.groups) if j.good]
+            joints = [j for j in self._oracle.mates(state.groups) if j.viable]
             for index in rng.permutation(len(joints))[:_PAIRS]:
                 lesson, ahead = self._lesson(state, joints[index], rng)
                 yield lesson
                 if ahead is not None:
                     break
 
-    def _lesson(self, state: FullState, joint: Joint, rng: np.random.Generator) -> tuple[GraspLesson, FullState | None]:
+    def _lesson(
+        self, state: FullState, joint: LabeledMate, rng: np.random.Generator
+    ) -> tuple[GraspLesson, FullState | None]:
         """What is found out about one pair, and the state after it, if hands were found that join it."""
         take, room, meet = self._tested(state, joint, rng)
         rest, after = np.full((GRASPS, GRASPS), UNKNOWN, np.int8), None
@@ -162,7 +164,7 @@ class GraspTeacher:
         return replace(lesson, take=take, room=room, meet=meet, rest=rest), after
 
     def _tested(
-        self, state: FullState, joint: Joint, rng: np.random.Generator
+        self, state: FullState, joint: LabeledMate, rng: np.random.Generator
     ) -> tuple[Int8[np.ndarray, "2 8"], Int8[np.ndarray, "8 8"], Int8[np.ndarray, "8 8"]]:
         """Each hand alone, and some pairs of them together: `take`, `room` and `meet` of a lesson."""
         task, groups, merge = self.task, state.groups, joint.merge

@@ -20,7 +20,7 @@ from roboassembly.learning.relational.grasps.dataset import UNKNOWN, YES, GraspC
 from roboassembly.learning.relational.grasps.features import handling_of
 from roboassembly.learning.relational.imitation import cross_entropy
 from roboassembly.learning.training_run import Run
-from roboassembly.parallel.processes import in_order
+from roboassembly.parallel.processes import map_ordered
 
 _TOGETHER = ("room", "meet", "rest")
 """What is said of two hands, in this order."""
@@ -59,7 +59,7 @@ def examples_of(paths: Sequence[Path], jobs: int) -> Examples:
     Raises:
         InputError: a file is broken, or there are no lessons.
     """
-    rows = [row for some in in_order(_rows, paths, jobs, chunk=4) for row in some]
+    rows = [row for some in map_ordered(_rows, paths, jobs, chunk=4) for row in some]
     if not rows:
         raise InputError("no lessons of grasps to learn from")
     return Examples(*(np.array(column) for column in zip(*rows, strict=True)))

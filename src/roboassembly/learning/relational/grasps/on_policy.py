@@ -32,7 +32,7 @@ from roboassembly.learning.relational.grasps.dataset import (
     unanswered,
 )
 from roboassembly.learning.relational.oracle_dataset import CLOUD_POINTS
-from roboassembly.parallel.processes import as_done
+from roboassembly.parallel.processes import map_unordered
 from roboassembly.solvers.guide import Guide
 from roboassembly.task.full.task import FullOutcome, FullTask, FullVerdict, Joint, Refusal
 from roboassembly.task.plans.full_plan import FullState
@@ -65,7 +65,7 @@ def practise(
     """
     folder.mkdir(parents=True, exist_ok=True)
     left = [name for name in names if not file_of(folder, name).is_file()]
-    yield from as_done(partial(_practise, folder=folder, policy=policy, plays=plays, seed=seed), left, jobs)
+    yield from map_unordered(partial(_practise, folder=folder, policy=policy, plays=plays, seed=seed), left, jobs)
 
 
 def _practise(name: str, *, folder: Path, policy: Path, plays: int, seed: int) -> Gathered:
@@ -84,7 +84,7 @@ def _practise(name: str, *, folder: Path, policy: Path, plays: int, seed: int) -
         parts = task.furniture.parts
         clouds = np.array([surface_points(p.mesh, CLOUD_POINTS) for p in parts], np.float32)
         observer = Observer(task.furniture, len(parts), MAX_POINTS, 1)
-        hands = observer.hands
+        hands = observer.grasp_poses
         for index in range(plays):
             rng = np.random.default_rng([seed, int(number), index])
             state = task.initial_state(rng)

@@ -15,7 +15,7 @@ from roboassembly.task.rules.groups import TaskState
 
 
 @dataclass(frozen=True, eq=False)
-class Probe:
+class RandomOrderResult:
     """How one random play ended."""
 
     completed: bool
@@ -24,7 +24,9 @@ class Probe:
     planning_seconds: float
 
 
-def probe(task: ObjectCentricTask, seed: int, *, best_w: bool, patient: bool, budget: Budget) -> Probe:
+def assemble_in_random_order(
+    task: ObjectCentricTask, seed: int, *, best_w: bool, patient: bool, budget: Budget
+) -> RandomOrderResult:
     """Play right pairs in random order from a random start.
 
     Args:
@@ -53,9 +55,9 @@ def probe(task: ObjectCentricTask, seed: int, *, best_w: bool, patient: bool, bu
             if after is not None:
                 break
         if after is None:
-            return Probe(False, merges, steps, seconds)
+            return RandomOrderResult(False, merges, steps, seconds)
         state, merges = after, merges + 1
-    return Probe(True, merges, steps, seconds)
+    return RandomOrderResult(True, merges, steps, seconds)
 
 
 def _open_joints(task: ObjectCentricTask, state: TaskState) -> list[tuple[End, End]]:

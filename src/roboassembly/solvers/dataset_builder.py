@@ -22,9 +22,9 @@ from roboassembly.datasets.sets import (
     manifest_path,
 )
 from roboassembly.generate import CHAIRS
-from roboassembly.parallel.processes import workers
+from roboassembly.parallel.processes import worker_pool
 from roboassembly.planning.problem import Budget
-from roboassembly.solvers.prober import probe
+from roboassembly.solvers.random_order import assemble_in_random_order
 from roboassembly.solvers.search import SearchLimits, solve
 from roboassembly.task.object_centric.task import ObjectCentricTask
 
@@ -57,10 +57,13 @@ def examine(family: str, seed: int) -> Candidate:
     result = solve(furniture, 0, task=task, limits=_CERTIFY)
     stuck, dead_end = 0.0, False
     if result.plan.success:
-        plays = [probe(task, p, best_w=True, patient=False, budget=_PROBE_BUDGET) for p in range(PROBES)]
+        plays = [
+            assemble_in_random_order(task, p, best_w=True, patient=False, budget=_PROBE_BUDGET) for p in range(PROBES)
+        ]
         stuck = sum(not p.completed for p in plays) / PROBES
         dead_end = any(
-            not probe(task, p, best_w=True, patient=True, budget=_PROBE_BUDGET).completed for p in range(PATIENT_PROBES)
+            not assemble_in_random_order(task, p, best_w=True, patient=True, budget=_PROBE_BUDGET).completed
+            for p in range(PATIENT_PROBES)
         )
     return Candidate(
         family,
@@ -74,7 +77,7 @@ def examine(family: str, seed: int) -> Candidate:
     )
 
 
-def build(recipe: Recipe, seed: int, jobs: int) -> Iterator[tuple[int, int]]:
+def build_dataset(recipe: Recipe, seed: int, jobs: int) -> Iterator[tuple[int, int]]:
     """Build a set and write its manifest; yields how many chairs of how many are examined.
 
     A journal beside the manifest keeps what is done, so that a build that was stopped goes on where it was.
@@ -89,7 +92,7 @@ def build(recipe: Recipe, seed: int, jobs: int) -> Iterator[tuple[int, int]]:
         *_draw(list(recipe.unseen_families), recipe.test_unseen, seed),
     ]
     chosen: list[Candidate] = []
-    with journal.open("ab") as log, workers(jobs) as pool:
+    with journal.open("ab") as log, worker_pool(jobs) as pool:
         todo = [w for w in wanted if w not in known]
         done = len(wanted) - len(todo)
         yield done, len(wanted)
