@@ -19,7 +19,7 @@ from roboassembly.generate import CHAIRS
 from roboassembly.geometry.poses import SE3
 from roboassembly.geometry.scene import Body, Scene, Shape
 from roboassembly.planning.problem import Budget, PlanningStatus
-from roboassembly.solvers import curate
+from roboassembly.solvers import dataset_builder
 from roboassembly.solvers.joint_rrt import solve_jointly
 from roboassembly.solvers.random_order import assemble_in_random_order
 from roboassembly.task.object_centric.task import ObjectCentricTask
@@ -31,7 +31,7 @@ def into(patch: pytest.MonkeyPatch, folder: Path) -> None:
     """The tiny set is known, and its place is in a folder."""
     patch.setenv("ROBOASSEMBLY_CACHE", str(folder))
     patch.setitem(datasets.RECIPES, "tiny", TINY)
-    patch.setattr(curate, "CHAIRS", {name: CHAIRS[name] for name in ("cantilever", "shell", "upholstered")})
+    patch.setattr(dataset_builder, "CHAIRS", {name: CHAIRS[name] for name in ("cantilever", "shell", "upholstered")})
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +42,7 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[tuple[in
         into(patch, folder)
         with pytest.raises(InputError, match="not built yet; run: roboassembly dataset build tiny"):
             load_manifest("tiny")
-        return folder, list(curate.build(TINY, 0, jobs=1))
+        return folder, list(dataset_builder.build_dataset(TINY, 0, jobs=1))
 
 
 @pytest.fixture
@@ -70,8 +70,8 @@ def test_build_resumes_and_reproduces(tiny: Recipe, built: tuple[Path, list[tupl
     lines = journal.read_bytes().splitlines(keepends=True)
     journal.write_bytes(b"".join(lines[:5]) + lines[5][:20] + b"\n")
     before = manifest_path("tiny").read_bytes()
-    assert next(iter(curate.build(tiny, 0, jobs=1))) == (5, 7)
-    list(curate.build(tiny, 0, jobs=1))
+    assert next(iter(dataset_builder.build_dataset(tiny, 0, jobs=1))) == (5, 7)
+    list(dataset_builder.build_dataset(tiny, 0, jobs=1))
     assert manifest_path("tiny").read_bytes() == before
 
 

@@ -62,7 +62,7 @@ def record_episodes(
         raise InputError(f"cannot write to '{path}': {error.strerror or error}") from None
     yield from there
     with file:
-        for episode in rollout_policy():
+        for episode in play():
             file.write(json.dumps(asdict(episode)) + "\n")
             file.flush()
             yield episode

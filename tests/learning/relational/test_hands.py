@@ -310,7 +310,7 @@ def test_practice_is_written_once_and_the_same_again(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     config = relational.RelationalConfig(token=16, pair=8, layers=1, heads=2, ends=4, conflicts=2)
     params = {**relational.init(rng, config), HANDS: grasping.init(rng)}
-    player_file, names = tmp_path / "make_agent.npz", ["three_legged:24", "upholstered:14"]
+    player_file, names = tmp_path / "player.npz", ["three_legged:24", "upholstered:14"]
     checkpoint.save(player_file, checkpoint.Checkpoint(relational.KIND, params, {"network": asdict(config)}, {}))
     done = {g.name: g for g in practise(names, tmp_path / "a", player_file, plays=1, seed=3, jobs=1)}
     # No hand can hold an upholstered chair.
