@@ -23,7 +23,7 @@ from roboassembly.task.object_centric.task import ObjectCentricTask
 from roboassembly.task.object_centric.upright import set_upright
 from roboassembly.task.rules.groups import TaskState
 from roboassembly.viewer.film import render_contact_sheet, render_meshes, write_film, write_storyboard
-from roboassembly.viewer.playing import AnyPlan
+from roboassembly.viewer.playback import AnyPlan
 
 IMAGES = Path(__file__).parents[1] / "docs" / "images"
 GROUPS = [(0.85, 0.65, 0.35), (0.35, 0.55, 0.80), (0.80, 0.40, 0.35), (0.45, 0.70, 0.45), (0.65, 0.50, 0.75)]

@@ -23,7 +23,7 @@ from roboassembly.errors import InputError
 from roboassembly.furniture.model import Furniture
 from roboassembly.learning.registry import load_policy
 from roboassembly.rendering import gl
-from roboassembly.rendering.camera import box_corners, fit, project
+from roboassembly.rendering.camera import box_corners, fit_camera, project
 from roboassembly.robots.body import placed
 
 CLASSES = {OBJECT_CENTRIC: ObjectCentricEnv, FULL: FullEnv}
@@ -287,7 +287,7 @@ def test_pictures_show_the_state(make: Make, name: str) -> None:
     assert (first.shape, first.dtype) == ((480, 640, 3), np.uint8)
     assert not colored(first, "orange").any()
     assert not colored(first, "green").any()
-    pixels = project(corners_of(own, everything), fit(np.concatenate(seen), 640 / 480), 640, 480)
+    pixels = project(corners_of(own, everything), fit_camera(np.concatenate(seen), 640 / 480), 640, 480)
     assert ((pixels > 0) & (pixels < [640, 480])).all()
 
     action = assembly(name)[0]
@@ -295,7 +295,7 @@ def test_pictures_show_the_state(make: Make, name: str) -> None:
     seen += [corners_of(own, everything), robots_of(own)]
     picture = env.render()
     assert picture is not None
-    view = fit(np.concatenate(seen), 640 / 480)
+    view = fit_camera(np.concatenate(seen), 640 / 480)
     for part, color in zip(action[:2], ("orange", "green"), strict=True):
         low, high = (f(project(corners_of(own, (part,)), view, 640, 480), axis=0) for f in (np.min, np.max))
         drawn = np.argwhere(colored(picture, color))[:, ::-1]
@@ -377,7 +377,7 @@ def test_drawing_without_opengl_says_what_to_install(make: Make, monkeypatch: py
     env = make(render_mode="rgb_array")
     env.reset(seed=0)
     monkeypatch.delenv("MUJOCO_GL", raising=False)
-    monkeypatch.setattr(gl, "_renders", lambda _: False)
+    monkeypatch.setattr(gl, "can_render", lambda _: False)
     gl.context_module.cache_clear()
     try:
         with pytest.raises(gl.RenderingUnavailableError, match="apt install libegl1") as error:

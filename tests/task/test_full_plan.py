@@ -15,13 +15,13 @@ from roboassembly.task.full.cell import LOWEST
 from roboassembly.task.plans import plan_file
 from roboassembly.task.plans.full_plan import FullPlan
 from roboassembly.viewer.film import key_frames
-from roboassembly.viewer.playing import timeline_of
+from roboassembly.viewer.playback import make_timeline
 from roboassembly.viewer.timeline import Timeline
 
 
 @pytest.fixture(scope="module")
 def timeline(two_merges: FullPlan) -> Timeline:
-    return timeline_of(two_merges, 20.0, 20.0)
+    return make_timeline(two_merges, 20.0, 20.0)
 
 
 def test_the_file_alone_tells_where_everything_is(two_merges: FullPlan) -> None:
@@ -65,10 +65,10 @@ def test_what_no_hand_holds_hangs_above_a_post(two_merges: FullPlan) -> None:
 
 def test_frames_show_the_plan(two_merges: FullPlan, timeline: Timeline) -> None:
     n, own = len(two_merges.furniture.parts), len(placed(two_merges.initial.moment.robots[0].at, 0.0))
-    assert len(timeline.things) == n + 2 * own + len(two_merges.stands)
+    assert len(timeline.objects) == n + 2 * own + len(two_merges.stands)
     first, last = timeline.frames[0], timeline.frames[-1]
     for frame, moment in ((first, two_merges.initial.moment), (last, two_merges.steps[-1].legs[-1].after)):
-        assert all(len(things) == len(timeline.things) for things in (frame.poses, frame.roles))
+        assert all(len(things) == len(timeline.objects) for things in (frame.poses, frame.roles))
         where = {p: q for g in moment.groups() for p, q in zip(g.parts, g.part_poses(), strict=True)}
         for p in range(n):
             assert _same(frame.poses[p], where[p])
@@ -84,7 +84,7 @@ def test_frames_show_the_plan(two_merges: FullPlan, timeline: Timeline) -> None:
 
 def test_nothing_jumps_from_frame_to_frame(timeline: Timeline) -> None:
     """How fast legs are shown depends on how long they are; what jumps goes farther than just before and after."""
-    framed = [i for i, thing in enumerate(timeline.things) if thing.framed]
+    framed = [i for i, thing in enumerate(timeline.objects) if thing.framed]
     places = np.array([[_there(frame.poses[i]).translation for i in framed] for frame in timeline.frames])
     moved = np.linalg.norm(np.diff(places, axis=0), axis=2)
     still = np.zeros_like(moved[:1])

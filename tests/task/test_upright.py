@@ -31,7 +31,7 @@ from roboassembly.task.plans import plan_file
 from roboassembly.task.plans.full_plan import FullPlan, FullState, FullUprightMotion
 from roboassembly.task.plans.plan import Plan, UprightMotion
 from roboassembly.task.rules.groups import Group, TaskState
-from roboassembly.viewer.playing import timeline_of
+from roboassembly.viewer.playback import make_timeline
 from roboassembly.viewer.timeline import Phase, Role
 
 pytest.importorskip("fcl")
@@ -132,7 +132,7 @@ def test_a_piece_that_would_tip_over_is_left_as_it_lies_and_the_plan_says_why() 
     assert (plan.upright.success, plan.upright.motion) == (False, None)
     assert "tips over" in plan.upright.reason
     assert plan.final_poses == plan.initial
-    assert timeline_of(plan, 10.0, None).frames[-1].caption.endswith("not set upright")
+    assert make_timeline(plan, 10.0, None).frames[-1].caption.endswith("not set upright")
     assert json.loads(plan_file.encode(plan))["upright"]["motion"] is None
     assert upright_note(plan.upright).startswith(" It is not set upright: it does not stay upright")
 
@@ -237,7 +237,7 @@ def test_a_plan_that_was_searched_ends_upright_in_the_file_and_in_the_pictures(c
     poses = tuple(pose_from_seven(p) for p in motion["after"])
     assert heights(plan.furniture, poses).min() == pytest.approx(0.001, abs=1e-6)
 
-    timeline = timeline_of(plan, 12.0, None)
+    timeline = make_timeline(plan, 12.0, None)
     last = timeline.frames[-1]
     assert last.phase is Phase.FINALE
     for shown, pose in zip(last.poses, plan.final_poses, strict=True):
@@ -316,7 +316,7 @@ def test_a_robot_sets_the_piece_on_its_feet_on_the_floor(chair, lying: bool) -> 
     assert report.legs == len(names)
     told = json.loads(plan_file.encode(plan))["upright"]
     assert [leg["name"] for leg in told["motion"]["legs"]] == names
-    last = timeline_of(plan, 10.0, None).frames[-1]
+    last = make_timeline(plan, 10.0, None).frames[-1]
     for shown, pose in zip(last.poses, poses, strict=False):
         assert shown is not None
         assert np.allclose(shown.homogeneous, pose.homogeneous, atol=1e-9)
@@ -359,7 +359,7 @@ def test_a_robot_says_why_it_leaves_a_piece_on_its_post(chair) -> None:
     assert left.success
     assert left.upright.reason == "no hand reaches it both on its post and on the floor (0 grasps tried)"
     assert left.final_moment.standing == plan.initial.moment.standing
-    assert timeline_of(left, 10.0, None).frames[-1].caption.endswith("not set upright")
+    assert make_timeline(left, 10.0, None).frames[-1].caption.endswith("not set upright")
 
 
 def test_it_is_carried_out_in_physics_and_a_piece_that_is_dropped_is_told(chair) -> None:

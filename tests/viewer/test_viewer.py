@@ -20,11 +20,12 @@ from roboassembly.furniture.model import Connection, ConnectionPoint, Furniture,
 from roboassembly.geometry.meshes import Mesh
 from roboassembly.geometry.poses import SE3, transform_points
 from roboassembly.rendering import gl
-from roboassembly.rendering.camera import View, fit, project
+from roboassembly.rendering.camera import Camera, fit_camera, project
 from roboassembly.rendering.colors import Role
 from roboassembly.rendering.offscreen import OffscreenRenderer, soften_edges
 from roboassembly.rendering.shading import shade
 from roboassembly.task.plans.plan import Plan, PlanStep
+from roboassembly.viewer.camera_path import follow
 from roboassembly.viewer.film import (
     RenderingUnavailableError,
     render_contact_sheet,
@@ -33,9 +34,10 @@ from roboassembly.viewer.film import (
     write_film,
     write_storyboard,
 )
-from roboassembly.viewer.framing import follow
 from roboassembly.viewer.html import write_html
-from roboassembly.viewer.timeline import Phase, make_timeline, speed_profile
+from roboassembly.viewer.motion_timing import speed_profile
+from roboassembly.viewer.playback import make_timeline
+from roboassembly.viewer.timeline import Phase
 
 EYE = np.eye(3)
 UPSIDE_DOWN = np.diag([1.0, -1.0, -1.0])
@@ -246,7 +248,7 @@ def test_views_hold_what_they_should():
     rng = np.random.default_rng(0)
     points = rng.normal(size=(200, 3))
     for width, height in ((1280, 720), (390, 844)):
-        pixels = project(points, fit(points, width / height), width, height)
+        pixels = project(points, fit_camera(points, width / height), width, height)
         assert (pixels >= 0).all()
         assert (pixels <= [width, height]).all()
         slack = np.minimum(pixels, [width, height] - pixels).min(axis=0) / [width, height]
@@ -341,7 +343,7 @@ def fresh_choice():
     gl.context_module.cache_clear()
 
 
-@pytest.mark.parametrize(("value", "message"), [("disable", "switches"), ("nonsense", "not known")])
+@pytest.mark.parametrize(("value", "message"), [("disable", "switches"), ("nonsense", "unknown")])
 def test_drawing_switched_off_is_one_line(monkeypatch, fresh_choice, tmp_path, value, message):
     if not sys.platform.startswith("linux") and value == "nonsense":
         pytest.skip("only Linux has a choice")
@@ -355,8 +357,8 @@ def test_drawing_switched_off_is_one_line(monkeypatch, fresh_choice, tmp_path, v
 def test_no_opengl_is_one_line(monkeypatch, fresh_choice):
     tried = []
     monkeypatch.delenv("MUJOCO_GL", raising=False)
-    monkeypatch.setattr(gl, "_renders", lambda name: tried.append(name))
-    with pytest.raises(RenderingUnavailableError, match="no off-screen OpenGL") as caught:
+    monkeypatch.setattr(gl, "can_render", lambda name: tried.append(name))
+    with pytest.raises(RenderingUnavailableError, match="off-screen OpenGL is not available") as caught:
         render_furniture(table())
     assert "\n" not in str(caught.value)
     if sys.platform.startswith("linux"):
@@ -368,7 +370,7 @@ def test_a_box_is_drawn_where_the_projection_says(drawing):
     pose = at(0.1, 0.2, 0.8, trimesh.transformations.euler_matrix(0.3, -0.5, 0.9)[:3, :3])
     corners = transform_points(pose, mesh.vertices)
     width, height = 320, 240
-    view = View(np.array([0.2, 0.1, 0.7]), 2.5, azimuth=0.7, elevation=-0.3)
+    view = Camera(np.array([0.2, 0.1, 0.7]), 2.5, azimuth=0.7, elevation=-0.3)
     with OffscreenRenderer([mesh], width, height, center=view.target, radius=1.0) as stage:
         picture = stage.picture([pose], [(1.0, 0.0, 0.0)], view).astype(int)
         drawn = stage.vertices(0)
@@ -388,7 +390,7 @@ def test_any_mesh_can_be_drawn(drawing):
     inside_out = Mesh(box(1, 1, 1).vertices, box(1, 1, 1).faces[:, ::-1])
     double = Mesh(flat.vertices, np.concatenate([flat.faces, flat.faces[:, ::-1]]))
     sliver = Mesh(np.array([[0, 0, 0], [1, 0, 0], [0.5, 1e-4, 0]], float), np.array([[0, 1, 2], [0, 1, 1]]))
-    view = View(np.zeros(3), 5.0)
+    view = Camera(np.zeros(3), 5.0)
     poses = [at(0, 0, 0.5)] * 4
     with OffscreenRenderer([flat, inside_out, double, sliver], 64, 64, center=np.zeros(3), radius=2.0) as stage:
         picture = stage.picture(poses, [(1.0, 0.0, 0.0)] * 4, view).astype(int)

@@ -10,7 +10,7 @@ from jaxtyping import Float, UInt8
 
 from roboassembly.geometry.meshes import Mesh
 from roboassembly.geometry.poses import SE3
-from roboassembly.rendering.camera import box_corners, fit
+from roboassembly.rendering.camera import box_corners, fit_camera
 from roboassembly.rendering.colors import Role, part_colors
 from roboassembly.rendering.offscreen import OffscreenRenderer, check_size
 
@@ -75,7 +75,7 @@ class EpisodePictures:
             radius = float(np.linalg.norm(first - center, axis=1).max())
             self._renderer = OffscreenRenderer(meshes, width, height, center=center, radius=radius, quality=None)
             self._meshes = meshes
-        view = fit(np.concatenate(self._corners), width / height)
+        view = fit_camera(np.concatenate(self._corners), width / height)
         return self._renderer.picture([i.pose for i in items], part_colors([i.role for i in items]), view)
 
     def close(self) -> None:

@@ -1,4 +1,4 @@
-"""Colours of pictures: orange moves, green waits, wood lies still; robots are blue and white."""
+"""Colours of pictures: moving parts are orange, waiting parts green, idle parts wood; robots are blue and white."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ import enum
 from collections.abc import Sequence
 
 Color = tuple[float, float, float]
-"""sRGB, each in `[0, 1]`."""
+"""Red, green and blue (sRGB), each in `[0, 1]`."""
 
 
 class Role(enum.StrEnum):
-    """What a part is doing; or what else a thing is."""
+    """Role of an object in a picture, which decides its colour."""
 
     IDLE = "idle"
     WAITING = "waiting"
@@ -34,7 +34,7 @@ FLOOR_LINES: Color = (0.82, 0.83, 0.845)
 
 
 def part_colors(roles: Sequence[Role]) -> list[Color]:
-    """One colour a part. Parts differ a little in brightness, so that two in contact can be told apart."""
+    """Return one colour per object. Parts differ slightly in brightness, so that touching parts can be told apart."""
     return [_plain[role] if role in _plain else _shade(_base[role], index) for index, role in enumerate(roles)]
 
 
@@ -43,23 +43,23 @@ _plain = {Role.ROBOT_A: ROBOT_A, Role.ROBOT_B: ROBOT_B, Role.POST: POST}
 
 
 def wood_colors(count: int) -> list[Color]:
-    """Colours of parts at rest."""
+    """Return the colours of idle parts."""
     return part_colors([Role.IDLE] * count)
 
 
-def spread_colors(kinds: Sequence[int]) -> list[Color]:
-    """One colour a part, the same for parts of one kind, well apart for different kinds."""
-    return [colorsys.hls_to_rgb((0.08 + k * _GOLDEN) % 1.0, 0.62 - 0.14 * (k % 2), 0.55) for k in kinds]
+def distinct_colors(labels: Sequence[int]) -> list[Color]:
+    """Return one colour per label: equal labels share a colour, different labels get clearly different ones."""
+    return [colorsys.hls_to_rgb((0.08 + k * _GOLDEN) % 1.0, 0.62 - 0.14 * (k % 2), 0.55) for k in labels]
 
 
 def _shade(color: Color, index: int) -> Color:
-    # Multiples of the golden ratio modulo one: neighbours in the list never come out alike.
-    spread = (index * _GOLDEN) % 1.0 - 0.5
+    # Multiples of the golden ratio modulo one: neighbours in the list always differ.
+    offset = (index * _GOLDEN) % 1.0 - 0.5
     hue, lightness, saturation = colorsys.rgb_to_hls(*color)
-    return colorsys.hls_to_rgb(hue, lightness * (1.0 + 0.14 * spread), saturation)
+    return colorsys.hls_to_rgb(hue, lightness * (1.0 + 0.14 * offset), saturation)
 
 
 def to_bytes(color: Color) -> tuple[int, int, int]:
-    """The same colour with 0 to 255 a channel."""
+    """Return the colour with 0 to 255 per channel."""
     r, g, b = (round(255 * c) for c in color)
     return r, g, b

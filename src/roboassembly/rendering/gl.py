@@ -1,4 +1,4 @@
-"""An OpenGL context without a window, on whatever this machine has for it."""
+"""OpenGL context without a window, from EGL, OSMesa, GLFW or CGL."""
 
 from __future__ import annotations
 
@@ -28,47 +28,51 @@ os._exit(0)
 
 
 class RenderingUnavailableError(RoboAssemblyError):
-    """This machine cannot draw off screen."""
+    """Off-screen rendering is not available on this machine."""
 
 
 @functools.cache
 def context_module() -> str:
-    """Name of MuJoCo's module whose `GLContext` works here: what `MUJOCO_GL` says, else the first that does.
+    """Return the name of the MuJoCo module whose `GLContext` works here.
 
-    MuJoCo settles this when it is first imported, from `MUJOCO_GL` alone, and PyOpenGL can load one platform per
-    process; a wrong choice cannot be taken back. So each candidate is tried in a process of its own.
+    `MUJOCO_GL` chooses the module if it is set; otherwise the first one that works is taken. MuJoCo reads `MUJOCO_GL`
+    when it is first imported, and PyOpenGL loads one platform per process, so a wrong choice cannot be corrected.
+    Each candidate is therefore tried in a separate process.
 
     Raises:
-        RenderingUnavailableError: none works, or `MUJOCO_GL` rules it out.
+        RenderingUnavailableError: no module works, or `MUJOCO_GL` switches rendering off.
     """
-    wanted = os.environ.get("MUJOCO_GL", "").strip().lower()
-    if wanted in _SWITCHED_OFF:
-        raise RenderingUnavailableError(f"MUJOCO_GL={wanted} switches off-screen rendering off; unset it to draw")
+    requested = os.environ.get("MUJOCO_GL", "").strip().lower()
+    if requested in _SWITCHED_OFF:
+        raise RenderingUnavailableError(f"MUJOCO_GL={requested} switches off-screen rendering off; unset it to render")
     if sys.platform == "darwin":
-        candidates = ["mujoco.glfw"] if wanted == "glfw" else ["mujoco.cgl"]
+        candidates = ["mujoco.glfw"] if requested == "glfw" else ["mujoco.cgl"]
     elif not sys.platform.startswith("linux"):
         candidates = ["mujoco.glfw"]
-    elif wanted in ("egl", "osmesa"):
-        candidates = [f"mujoco.{wanted}"]
-    elif wanted in ("glfw", "glx"):
+    elif requested in ("egl", "osmesa"):
+        candidates = [f"mujoco.{requested}"]
+    elif requested in ("glfw", "glx"):
         candidates = ["mujoco.glfw"]
-    elif wanted in _ANY:
+    elif requested in _ANY:
         has_display = bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
         candidates = ["mujoco.egl", "mujoco.osmesa", *(["mujoco.glfw"] if has_display else [])]
     else:
-        raise RenderingUnavailableError(f"MUJOCO_GL={wanted} is not known; egl, osmesa or glfw would do, or unset it")
+        raise RenderingUnavailableError(f"MUJOCO_GL={requested} is unknown; set it to egl, osmesa or glfw, or unset it")
     for candidate in candidates:
-        if _renders(candidate):
+        if can_render(candidate):
             return candidate
     tried = ", ".join(c.removeprefix("mujoco.") for c in candidates)
-    if wanted not in _ANY:
-        raise RenderingUnavailableError(f"MUJOCO_GL={wanted} does not work here; unset it, then what does is found")
+    if requested not in _ANY:
+        raise RenderingUnavailableError(
+            f"MUJOCO_GL={requested} does not work on this machine; unset it to use one that does"
+        )
     raise RenderingUnavailableError(
-        f"no off-screen OpenGL here (tried {tried}); on Debian or Ubuntu: apt install libegl1 libgl1-mesa-dri"
+        f"off-screen OpenGL is not available (tried {tried}); on Debian or Ubuntu: apt install libegl1 libgl1-mesa-dri"
     )
 
 
-def _renders(module: str) -> bool:
+def can_render(module: str) -> bool:
+    """Whether a fresh process can render with a module of MuJoCo that has a `GLContext`."""
     environment = dict(os.environ)
     environment["MUJOCO_GL"] = module.removeprefix("mujoco.")
     try:
@@ -86,23 +90,23 @@ def _renders(module: str) -> bool:
 
 
 def import_mujoco() -> Any:
-    """The `mujoco` module.
+    """Import and return the `mujoco` module.
 
     Raises:
-        RenderingUnavailableError: it refuses to be imported, which it does where `MUJOCO_GL` is wrong.
+        RenderingUnavailableError: the import fails, as it does with an unsuitable `MUJOCO_GL`.
     """
     context_module()
     try:
         return importlib.import_module("mujoco")
     except (ImportError, RuntimeError, OSError) as error:
-        raise RenderingUnavailableError(f"MuJoCo cannot be loaded for drawing: {_one_line(error)}") from error
+        raise RenderingUnavailableError(f"MuJoCo cannot be imported for rendering: {_one_line(error)}") from error
 
 
-class Context:
-    """An OpenGL context, current at first; leave the `with` block to free it.
+class OffscreenContext:
+    """OpenGL context without a window. It is current at first; leaving the `with` block frees it.
 
     Raises:
-        RenderingUnavailableError: there is no way to draw off screen.
+        RenderingUnavailableError: this machine cannot render off screen.
     """
 
     def __init__(self, width: int, height: int) -> None:
@@ -112,21 +116,21 @@ class Context:
             self._context = importlib.import_module(name).GLContext(width, height)
             self._context.make_current()
         except (ImportError, RuntimeError, OSError, AttributeError) as error:
-            # The probe worked in a fresh process, so something else in this one has taken another OpenGL platform.
+            # The probe worked in a fresh process: other code in this one has loaded another OpenGL platform.
             raise RenderingUnavailableError(f"OpenGL cannot be used in this process: {_one_line(error)}") from error
 
     def make_current(self) -> None:
-        """Direct what is drawn next in this thread to this context: another one may have been made since."""
+        """Make this the current context of the thread; another one may have been created since."""
         self._context.make_current()
 
     @property
     def is_software(self) -> bool:
-        """Whether a processor draws, not a graphics card."""
+        """Whether the processor renders, not a graphics card."""
         gl = importlib.import_module("OpenGL.GL")
         renderer = (gl.glGetString(gl.GL_RENDERER) or b"").decode(errors="replace").lower()
         return any(name in renderer for name in ("llvmpipe", "softpipe", "swrast", "software"))
 
-    def __enter__(self) -> Context:
+    def __enter__(self) -> OffscreenContext:
         return self
 
     def __exit__(

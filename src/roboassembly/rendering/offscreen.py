@@ -1,4 +1,4 @@
-"""Draws meshes at given poses, off screen, with MuJoCo's renderer. Nothing is simulated here."""
+"""Offscreen renderer of meshes at given poses, which uses MuJoCo's renderer without simulation."""
 
 from __future__ import annotations
 
@@ -13,56 +13,57 @@ from jaxtyping import Float, UInt8
 from roboassembly.errors import ArgumentError
 from roboassembly.geometry.meshes import Mesh
 from roboassembly.geometry.poses import SE3, pose_to_seven
-from roboassembly.rendering.camera import FIELD_OF_VIEW, View
+from roboassembly.rendering.camera import FIELD_OF_VIEW, Camera
 from roboassembly.rendering.colors import BACKGROUND, FLOOR, FLOOR_LINES, Color
-from roboassembly.rendering.gl import Context, import_mujoco
+from roboassembly.rendering.gl import OffscreenContext, import_mujoco
 from roboassembly.rendering.shading import shade
 
 LIGHT_DIRECTION = np.array([-0.22, 0.16, -1.0]) / np.linalg.norm([-0.22, 0.16, -1.0])
 SHADOW_REACH = 2.5
-"""Half the width, height and depth of the shadow map, in radii of what is shown. Ground beyond it looks speckled; the
-larger it is, the coarser are shadows."""
+"""Half the width, height and depth of the shadow map, in radii of the scene. A larger map makes shadows coarser; the
+ground beyond the map looks speckled."""
 WIDE = 1.0
-"""Metres around the center from which on a scene is a wide one."""
+"""Radius [m] above which a scene is a wide one."""
 LARGEST_PICTURE = 8192
+"""Largest width and height of a picture [pixels]."""
 GRID_SPACING = 0.5
-"""Metres between the lines on the ground; twice as much in a wide scene."""
+"""Distance between the lines on the ground [m]; doubled in a wide scene."""
 LINE_WIDTH = 1.0
-"""Pixels."""
+"""Width of the lines on the ground [pixels]."""
 _OUT_OF_SIGHT = SE3(np.eye(3), np.array([0.0, 0.0, -100.0]))
 GRID_REACH = 1.8
-"""Half the width of the ruled square, in radii of what is shown."""
+"""Half the width of the ruled ground, in radii of the scene."""
 
 
 @dataclass(frozen=True)
 class Quality:
-    """What a picture may cost."""
+    """Quality settings of the renderer."""
 
     samples: int
-    """A pixel, against jagged edges."""
+    """Samples per pixel, against jagged edges; 0 for a cheaper filter."""
     shadow_size: int
-    """Pixels on a side of the shadow map."""
+    """Width and height of the shadow map [pixels]."""
 
 
 STILL = Quality(samples=4, shadow_size=4096)
 FAST = Quality(samples=0, shadow_size=1024)
-"""For films where a processor draws: with the settings above one second of film takes three times as long."""
+"""Quality of films without a graphics card; `STILL` takes three times as long there."""
 
 
 class OffscreenRenderer:
-    """A floor, a light and one body a mesh, each free to be anywhere.
+    """Renderer of meshes on a floor under one light.
 
     Args:
-        meshes: What to draw; the same object given twice is stored once.
-        width: Pixels.
-        height: Pixels.
-        center: Middle of what will be shown, metres: shadows are computed around it.
-        radius: Metres around `center` within which they are.
-        quality: By default the best; a film asks for less where there is no graphics card.
+        meshes: meshes to draw; a mesh that occurs twice is stored once.
+        width: width of pictures [pixels].
+        height: height of pictures [pixels].
+        center: middle of the scene [m]; shadows are computed around it.
+        radius: radius of the scene [m].
+        quality: quality of pictures. If None, `STILL` with a graphics card and `FAST` without one.
 
     Raises:
-        RenderingUnavailableError: there is no way to draw off screen here.
-        ArgumentError: a picture of no size, or of more than 8192 pixels on a side.
+        RenderingUnavailableError: this machine cannot render off screen.
+        ArgumentError: a width or height is not between 1 and 8192.
     """
 
     def __init__(
@@ -79,7 +80,7 @@ class OffscreenRenderer:
         self._mujoco = import_mujoco()
         self.width, self.height = width, height
         with ExitStack() as stack:
-            self._context = stack.enter_context(Context(width, height))
+            self._context = stack.enter_context(OffscreenContext(width, height))
             if quality is None:
                 quality = FAST if self._context.is_software else STILL
             self._quality = quality
@@ -104,13 +105,20 @@ class OffscreenRenderer:
         self.close()
 
     def close(self) -> None:
-        """Free what the graphics driver holds. A closed renderer cannot draw; closing it again does nothing."""
+        """Free the resources of the graphics driver. A closed renderer cannot draw; closing it twice is harmless."""
         self._stack.close()
 
     def picture(
-        self, poses: Sequence[SE3 | None], colors: Sequence[Color], view: View, caption: str = ""
+        self, poses: Sequence[SE3 | None], colors: Sequence[Color], camera: Camera, caption: str = ""
     ) -> UInt8[np.ndarray, "height width 3"]:
-        """Draw each mesh at its `world_from_mesh`, if it has one, and a caption in the upper left corner."""
+        """Return a picture of the meshes, with a caption in the upper left corner.
+
+        Args:
+            poses: `world_from_mesh` of each mesh; None hides it.
+            colors: colour of each mesh.
+            camera: camera of the picture.
+            caption: ASCII text.
+        """
         self._context.make_current()
         sevens = np.array([pose_to_seven(pose or _OUT_OF_SIGHT) for pose in poses])
         self._data.mocap_pos[:] = sevens[:, :3]
@@ -118,16 +126,16 @@ class OffscreenRenderer:
         self._model.geom_rgba[1:, :3] = colors
         self._mujoco.mj_kinematics(self._model, self._data)
         self._mujoco.mj_camlight(self._model, self._data)
-        camera = self._mujoco.MjvCamera()
-        camera.lookat[:] = view.target
-        camera.distance = view.distance
-        camera.azimuth, camera.elevation = np.degrees(view.azimuth), np.degrees(view.elevation)
+        mj_camera = self._mujoco.MjvCamera()
+        mj_camera.lookat[:] = camera.target
+        mj_camera.distance = camera.distance
+        mj_camera.azimuth, mj_camera.elevation = np.degrees(camera.azimuth), np.degrees(camera.elevation)
         everything = self._mujoco.mjtCatBit.mjCAT_ALL.value
-        self._mujoco.mjv_updateScene(self._model, self._data, self._options, None, camera, everything, self._scene)
+        self._mujoco.mjv_updateScene(self._model, self._data, self._options, None, mj_camera, everything, self._scene)
         self._draw_grid()
         self._mujoco.mjr_render(self._rectangle, self._scene, self._render)
         if caption:
-            # MuJoCo's fonts know ASCII only.
+            # MuJoCo's fonts have ASCII only.
             text = caption.encode("ascii", "replace").decode()
             font, corner = self._mujoco.mjtFont.mjFONT_NORMAL, self._mujoco.mjtGridPos.mjGRID_TOPLEFT
             self._mujoco.mjr_overlay(font.value, corner.value, self._rectangle, text, "", self._render)
@@ -139,7 +147,7 @@ class OffscreenRenderer:
         return out
 
     def vertices(self, index: int) -> Float[np.ndarray, "n 3"]:
-        """World coordinates, metres, of a mesh's vertices as they were drawn last."""
+        """Return the world coordinates [m] of a mesh's vertices in the last picture."""
         geom = index + 1
         mesh = self._model.geom_dataid[geom]
         first, count = self._model.mesh_vertadr[mesh], self._model.mesh_vertnum[mesh]
@@ -147,7 +155,7 @@ class OffscreenRenderer:
         return local @ self._data.geom_xmat[geom].reshape(3, 3).T + self._data.geom_xpos[geom]
 
     def _draw_grid(self) -> None:
-        # A texture on the floor would show the same, but costs a processor as much as all the rest of the picture.
+        # A floor texture would look the same, but costs a processor as much as the rest of the picture.
         line = self._mujoco.mjtGeom.mjGEOM_LINE
         color = np.array([*FLOOR_LINES, 1.0], dtype=np.float32)
         for start, end in self._grid:
@@ -188,7 +196,7 @@ class OffscreenRenderer:
                 names[mesh] = f"mesh{index}"
                 self._add_mesh(spec, names[mesh], mesh)
             body = spec.worldbody.add_body(name=f"part{index}", mocap=True)
-            # Without contacts MuJoCo asks for no convex hull, which a flat mesh does not have.
+            # Without contacts MuJoCo needs no convex hull, which a flat mesh does not have.
             body.add_geom(
                 type=mj.mjtGeom.mjGEOM_MESH, meshname=names[mesh], material="part", contype=0, conaffinity=0, mass=0.0
             )
@@ -209,13 +217,13 @@ class OffscreenRenderer:
             userface=faces.reshape(-1).astype(np.int32),
             usernormal=normals.reshape(-1),
             userfacenormal=faces.reshape(-1).astype(np.int32),
-            # The other kinds refuse meshes that are open, flat or inside out.
+            # Other inertia modes refuse meshes that are open, flat or inside out.
             inertia=self._mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
         )
 
 
 def floor_grid(center: Float[np.ndarray, "3"], radius: float) -> Float[np.ndarray, "lines 2 3"]:
-    """Ends of lines on the ground, over a square around what is shown."""
+    """Return the end points [m] of the lines on the ground, over a square around the scene."""
     spacing = GRID_SPACING if radius < WIDE else 2.0 * GRID_SPACING
     reach = int(np.ceil(GRID_REACH * radius / spacing))
     first = np.round(center[:2] / spacing) * spacing
@@ -224,14 +232,14 @@ def floor_grid(center: Float[np.ndarray, "3"], radius: float) -> Float[np.ndarra
     for axis in (0, 1):
         lines[axis, :, :, axis] = (first[axis] + offsets)[:, None]
         lines[axis, :, :, 1 - axis] = first[1 - axis] + offsets[[0, -1]]
-    lines[..., 2] = 2e-3  # nearer to the ground they would break up
+    lines[..., 2] = 2e-3  # lower lines would flicker in the ground
     return lines.reshape(-1, 2, 3)
 
 
 def soften_edges(picture: UInt8[np.ndarray, "height width 3"], contrast: int = 20) -> None:
     """Blend pixels that differ from a neighbour by more than `contrast` with their four neighbours, in place.
 
-    A poor man's antialiasing, for a tenth of the time that four samples a pixel take without a graphics card.
+    This is a cheap antialiasing: without a graphics card it takes a tenth of the time of four samples per pixel.
     """
     height, width, _ = picture.shape
     green = picture[:, :, 1].astype(np.int16)
@@ -252,4 +260,6 @@ def soften_edges(picture: UInt8[np.ndarray, "height width 3"], contrast: int = 2
 def check_size(width: int, height: int) -> None:
     """Raise `ArgumentError` unless a picture can have this size in pixels."""
     if not (1 <= width <= LARGEST_PICTURE and 1 <= height <= LARGEST_PICTURE):
-        raise ArgumentError(f"picture of {width} x {height} pixels; each between 1 and {LARGEST_PICTURE} would do")
+        raise ArgumentError(
+            f"picture size {width} x {height}: width and height must be between 1 and {LARGEST_PICTURE} pixels"
+        )

@@ -1,4 +1,4 @@
-"""Triangles ready to be lit: crisp edges where faces meet at an angle, smooth where they curve."""
+"""Vertex normals of meshes: crisp edges where faces meet at an angle, smooth shading on curved surfaces."""
 
 from __future__ import annotations
 
@@ -11,22 +11,23 @@ from scipy.sparse.csgraph import connected_components
 
 from roboassembly.geometry.meshes import Mesh
 
-CREASE_ANGLE = np.radians(30.0)
+CREASE_ANGLE = float(np.radians(30.0))
+"""Angle between two faces [rad] above which their common edge is crisp."""
 
 
 @dataclass(frozen=True, eq=False)
 class ShadedMesh:
-    """A mesh whose vertices are shared only between faces that are shaded as one surface."""
+    """Mesh whose faces share a vertex only if they belong to one smooth surface."""
 
     vertices: Float[np.ndarray, "v 3"]
     normals: Float[np.ndarray, "v 3"]
-    """Unit vectors."""
+    """Unit normal of each vertex."""
     faces: Int[np.ndarray, "f 3"]
 
 
 def shade(mesh: Mesh, crease: float = CREASE_ANGLE) -> ShadedMesh:
-    """Split vertices along edges sharper than `crease` radians. Faces without area are left out."""
-    # Meshes from files often repeat a vertex in every face: by position they are one.
+    """Return the mesh with vertices split along edges sharper than `crease` radians and without degenerate faces."""
+    # Meshes from files often repeat a vertex in every face; vertices at the same position are merged.
     positions, index = np.unique(mesh.vertices, axis=0, return_inverse=True)
     faces = index.reshape(-1)[mesh.faces]
     corners = positions[faces]
@@ -38,12 +39,12 @@ def shade(mesh: Mesh, crease: float = CREASE_ANGLE) -> ShadedMesh:
     key = np.stack([faces.reshape(-1), np.repeat(surface, 3)], axis=1)
     pairs, corner = np.unique(key, axis=0, return_inverse=True)
     corner = corner.reshape(-1)
-    # Weighted by angle, so that how a flat or bent strip happens to be cut into triangles does not show.
+    # Weighted by angle, so that the triangulation of a strip does not show.
     angles = _corner_angles(positions[faces])
     normals = np.zeros((len(pairs), 3))
     np.add.at(normals, corner, unit[:, None].repeat(3, axis=1).reshape(-1, 3) * angles.reshape(-1, 1))
     length = np.linalg.norm(normals, axis=1)
-    # Opposite faces that were taken for one surface cancel; any direction will do there.
+    # The normals of opposite faces of one surface cancel; any direction is as good there.
     normals = np.where(length[:, None] > 1e-9, normals / np.maximum(length, 1e-9)[:, None], [0.0, 0.0, 1.0])
     return ShadedMesh(positions[pairs[:, 0]], normals, corner.reshape(-1, 3))
 
@@ -55,7 +56,7 @@ def _corner_angles(corners: Float[np.ndarray, "f 3 3"]) -> Float[np.ndarray, "f 
 
 
 def _surfaces(faces: Int[np.ndarray, "f 3"], unit: Float[np.ndarray, "f 3"], crease: float) -> Int[np.ndarray, "f"]:
-    """Label faces: neighbours across an edge of exactly two faces, bent by less than `crease`, share a label."""
+    """Return a label per face; two faces share a label if they meet at an edge bent by less than `crease`."""
     edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
     owner = np.repeat(np.arange(len(faces)), 3)
     _, edge, count = np.unique(edges, axis=0, return_inverse=True, return_counts=True)

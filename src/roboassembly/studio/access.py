@@ -22,7 +22,7 @@ from websockets.asyncio.server import ServerConnection
 from websockets.http11 import Request, Response
 
 from roboassembly.errors import InputError
-from roboassembly.viewer.server import answer
+from roboassembly.viewer.server import plain_response
 
 _LOOPBACK_NAMES = ("127.0.0.1", "localhost", "::1")
 _DEFAULT_PORTS = {"http": 80, "https": 443}
@@ -102,18 +102,18 @@ class Access:
         local, port = connection.local_address[:2]
         names = request.headers.get_all("Host")
         if len(names) != 1 or not self._answers_to(names[0], local, port):
-            return answer(http.HTTPStatus.FORBIDDEN, _WRONG_ADDRESS)
+            return plain_response(http.HTTPStatus.FORBIDDEN, _WRONG_ADDRESS)
         pages = request.headers.get_all("Origin")
         if len(pages) > 1 or (pages and not self._trusts(pages[0], local, port)):
             self._report(pages[0])
-            return answer(http.HTTPStatus.FORBIDDEN, _WRONG_ADDRESS)
+            return plain_response(http.HTTPStatus.FORBIDDEN, _WRONG_ADDRESS)
         query = parse_qs(urlsplit(request.path).query, keep_blank_values=True)
         if not self._knows_token(request.headers, query):
-            return answer(http.HTTPStatus.FORBIDDEN, _WRONG_TOKEN)
+            return plain_response(http.HTTPStatus.FORBIDDEN, _WRONG_TOKEN)
         if "Upgrade" not in request.headers and set(query) - {"token"}:
             # viser's page takes orders from its address: `?websocket=` and `?playbackPath=` make it load what another
             # server says, which may be a script.
-            return answer(http.HTTPStatus.FOUND, "", Location=f"/?token={self.token}" if self.token else "/")
+            return plain_response(http.HTTPStatus.FOUND, "", Location=f"/?token={self.token}" if self.token else "/")
         return None
 
     def headers(self, request: Request) -> Mapping[str, str]:

@@ -11,7 +11,7 @@ from viser._messages import FileTransferPart
 from roboassembly.errors import InputError
 from roboassembly.task.plans import plan_file
 from roboassembly.viewer.html import write_html
-from roboassembly.viewer.playing import AnyPlan
+from roboassembly.viewer.playback import AnyPlan
 
 MOST_UNSENT = 50_000_000
 """Bytes of files on their way to a client; more are made only once it has fetched these."""

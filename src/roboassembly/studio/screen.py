@@ -8,17 +8,17 @@ import numpy as np
 from jaxtyping import Float, Float32
 from viser import ClientHandle, LineSegmentsHandle
 
-from roboassembly.rendering.camera import FIELD_OF_VIEW, box_corners, fit, view_axes
-from roboassembly.rendering.colors import MOVING, WAITING, Color, part_colors, spread_colors, to_bytes
+from roboassembly.rendering.camera import FIELD_OF_VIEW, box_corners, fit_camera, view_axes
+from roboassembly.rendering.colors import MOVING, WAITING, Color, distinct_colors, part_colors, to_bytes
 from roboassembly.robots.body import tip_positions
 from roboassembly.studio.marks import Chosen, Marks
 from roboassembly.studio.picking import Picked, Picker, Shown
 from roboassembly.studio.session import Session
 from roboassembly.task.plans.full_plan import FullStep
 from roboassembly.task.plans.plan import PlanStep
-from roboassembly.viewer.playing import director_of
-from roboassembly.viewer.tableau import Tableau, set_the_scene
+from roboassembly.viewer.playback import make_animator
 from roboassembly.viewer.timeline import Frame
+from roboassembly.viewer.viser_scene import ViserScene, set_up_scene
 
 FRAMES_PER_SECOND = 24.0
 ROLES, KINDS, GROUPS = COLORS = ("what it does", "equal parts", "groups")
@@ -54,7 +54,7 @@ class Screen:
         self.at = 0
         """Number of the frame that is shown."""
         self.playing = False
-        director = director_of(session.plan(), FRAMES_PER_SECOND)
+        director = make_animator(session.plan(), FRAMES_PER_SECOND)
         self._frames = [director.opening()]
         self._ends: list[int] = []
         """Number of the frame in which each step ends."""
@@ -63,11 +63,11 @@ class Screen:
         self._chosen: Chosen = (None, None)
         self._way: tuple[int, LineSegmentsHandle] | None = None
         """Of a step."""
-        things, poses = director.things, self._frames[0].poses
+        things, poses = director.objects, self._frames[0].poses
         framed = [(t.mesh, p) for t, p in zip(things, poses, strict=True) if t.framed and p is not None]
         points = np.concatenate([box_corners(mesh, pose) for mesh, pose in framed])
-        set_the_scene(client.scene, points)
-        self._tableau = Tableau(client.scene)
+        set_up_scene(client.scene, points)
+        self._tableau = ViserScene(client.scene)
         self._tableau.add(things, poses, self._colors(self._frames[0]))
         parts = len(session.furniture.parts)
         names = [thing.name for thing in things[:parts]]
@@ -91,7 +91,7 @@ class Screen:
     def extend(self) -> None:
         """Frames of the session's steps that have none yet, played from where they begin."""
         plan = self._session.plan()
-        director = director_of(plan, FRAMES_PER_SECOND)
+        director = make_animator(plan, FRAMES_PER_SECOND)
         begin = self.last
         for step in range(len(self._ends), len(plan.steps)):
             self._frames += director.step(step)
@@ -101,8 +101,8 @@ class Screen:
             self._stands = True
         new = slice(len(self._tableau.meshes), None)
         frame = self._frames[-1]
-        self._tableau.add(director.things[new], frame.poses[new], part_colors(frame.roles[new]))
-        self._meshes = [thing.mesh for thing in director.things]
+        self._tableau.add(director.objects[new], frame.poses[new], part_colors(frame.roles[new]))
+        self._meshes = [thing.mesh for thing in director.objects]
         self.playing = True
         self.show(begin)
 
@@ -142,7 +142,7 @@ class Screen:
     def _aim(self, points: np.ndarray) -> None:
         camera = self._client.camera
         wide = camera.image_width > _NARROW
-        view = fit(points, max(0.3, float(camera.aspect) * (_BESIDE_PANEL if wide else 1.0)))
+        view = fit_camera(points, max(0.3, float(camera.aspect) * (_BESIDE_PANEL if wide else 1.0)))
         lower = np.zeros(3) if wide else -_ABOVE_PANEL * view.distance * view_axes(view.azimuth, view.elevation)[1]
         camera.up_direction = (0.0, 0.0, 1.0)
         camera.fov = FIELD_OF_VIEW
@@ -154,7 +154,7 @@ class Screen:
         if self.look.color != ROLES:
             groups = session.joined.group_of
             kinds = session.furniture.class_of if self.look.color == KINDS else [groups[p] for p in range(len(groups))]
-            return [*spread_colors(kinds), *colors[len(kinds) :]]
+            return [*distinct_colors(kinds), *colors[len(kinds) :]]
         if self.at == self.last:
             for end, color in zip(self._chosen, (MOVING, WAITING), strict=True):
                 if end is not None:

@@ -1,4 +1,4 @@
-"""Pictures and films of assemblies and furniture, drawn off screen."""
+"""Films and pictures of assemblies and furniture, rendered off screen."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from roboassembly.errors import InputError
 from roboassembly.furniture.model import Furniture
 from roboassembly.geometry.meshes import Mesh
 from roboassembly.geometry.poses import SE3, transform_points
-from roboassembly.rendering.camera import box_corners, fit
+from roboassembly.rendering.camera import box_corners, fit_camera
 from roboassembly.rendering.colors import BACKGROUND, Color, part_colors, to_bytes, wood_colors
 from roboassembly.rendering.gl import RenderingUnavailableError
 from roboassembly.rendering.offscreen import STILL, OffscreenRenderer, Quality, check_size
-from roboassembly.viewer.files import replaced
-from roboassembly.viewer.framing import follow
-from roboassembly.viewer.playing import AnyPlan, timeline_of
+from roboassembly.viewer.atomic_file import atomic_write
+from roboassembly.viewer.camera_path import follow
+from roboassembly.viewer.playback import AnyPlan, make_timeline
 from roboassembly.viewer.timeline import Phase, Timeline
 
 __all__ = [
@@ -44,32 +44,32 @@ def write_film(
     seconds_per_step: float | None = None,
     quality: Quality | None = None,
 ) -> None:
-    """Write an H.264 film (`.mp4`, plays in browsers) of the whole plan, or of as much of it as there is.
+    """Write an H.264 film (`.mp4`) of a plan.
 
     Args:
-        plan: What to show.
-        path: The file; one that is there is replaced, once the new one is whole.
-        width: Pixels, even.
-        height: Pixels, even.
-        fps: Frames a second.
-        seconds_per_step: About how long each step lasts; as long as suits the setting if not given.
-        quality: If not given, the best where there is a graphics card, and a faster one where there is none.
+        plan: plan to show. A failed plan is shown as far as it got.
+        path: file to write. An existing file is replaced once the new one is complete.
+        width: width of the film [pixels], even.
+        height: height of the film [pixels], even.
+        fps: frames per second.
+        seconds_per_step: approximate duration of a step [s]; the default of the plan's setting if None.
+        quality: rendering quality. If None, `STILL` with a graphics card and `FAST` without one.
 
     Raises:
-        RenderingUnavailableError: this machine cannot draw off screen.
-        InputError: a size or rate that cannot be.
+        RenderingUnavailableError: this machine cannot render off screen, or ffmpeg is missing.
+        InputError: the size or a rate is not valid.
     """
     if width % 2 or height % 2:
-        raise InputError(f"film of {width} x {height} pixels; H.264 asks for even numbers")
+        raise InputError(f"film size {width} x {height}: H.264 needs an even width and height")
     check_size(width, height)
-    timeline = timeline_of(plan, fps, seconds_per_step)
-    views = follow(timeline, width / height)
+    timeline = make_timeline(plan, fps, seconds_per_step)
+    cameras = follow(timeline, width / height)
     try:
         imageio_ffmpeg.get_ffmpeg_exe()
     except RuntimeError as error:
-        raise RenderingUnavailableError("no ffmpeg to write a film with; pip install imageio-ffmpeg") from error
+        raise RenderingUnavailableError("ffmpeg is missing; install it with: pip install imageio-ffmpeg") from error
     path = Path(path)
-    with _renderer(timeline, width, height, quality) as renderer, replaced(path) as unfinished:
+    with _renderer(timeline, width, height, quality) as renderer, atomic_write(path) as unfinished:
         writer = imageio_ffmpeg.write_frames(
             str(unfinished),
             (width, height),
@@ -77,15 +77,15 @@ def write_film(
             codec="libx264",
             pix_fmt_in="rgb24",
             pix_fmt_out="yuv420p",
-            quality=None,  # pyright: ignore[reportArgumentType]  # it is optional, says its own documentation
+            quality=None,  # pyright: ignore[reportArgumentType]  # optional by its documentation
             macro_block_size=2,
             ffmpeg_log_level="error",
             output_params=["-preset", "superfast", "-crf", "23", "-movflags", "+faststart"],
         )
         writer.send(None)
         try:
-            for frame, view in zip(timeline.frames, views, strict=True):
-                picture = renderer.picture(frame.poses, part_colors(frame.roles), view, frame.caption)
+            for frame, camera in zip(timeline.frames, cameras, strict=True):
+                picture = renderer.picture(frame.poses, part_colors(frame.roles), camera, frame.caption)
                 writer.send(np.ascontiguousarray(picture))
         finally:
             writer.close()
@@ -94,30 +94,37 @@ def write_film(
 def render_pictures(
     plan: AnyPlan, *, width: int = 1280, height: int = 720, quality: Quality = STILL
 ) -> list[UInt8[np.ndarray, "height width 3"]]:
-    """Stills with captions: the parts as they lie, each step when half its path is played, and the end.
+    """Return captioned pictures: the initial state, the middle of each step, and the end.
 
     Raises:
-        RenderingUnavailableError: this machine cannot draw off screen.
-        InputError: a size that cannot be.
+        RenderingUnavailableError: this machine cannot render off screen.
+        InputError: the size is not valid.
     """
-    timeline = timeline_of(plan, 10.0, None)
-    views = follow(timeline, width / height)
+    timeline = make_timeline(plan, 10.0, None)
+    cameras = follow(timeline, width / height)
     out = []
     with _renderer(timeline, width, height, quality) as renderer:
         for index in key_frames(timeline):
             frame = timeline.frames[index]
-            out.append(renderer.picture(frame.poses, part_colors(frame.roles), views[index], frame.caption))
+            out.append(renderer.picture(frame.poses, part_colors(frame.roles), cameras[index], frame.caption))
     return out
 
 
 def write_storyboard(plan: AnyPlan, path: Path, *, columns: int = 4, width: int = 480, height: int = 360) -> None:
-    """Write `render_pictures` as one PNG, row by row; `width` and `height` are of each picture, in pixels.
+    """Write the pictures of `render_pictures` as one PNG, row by row.
+
+    Args:
+        plan: plan to show.
+        path: file to write.
+        columns: number of pictures in a row.
+        width: width of each picture [pixels].
+        height: height of each picture [pixels].
 
     Raises:
-        RenderingUnavailableError: this machine cannot draw off screen.
-        InputError: a size that cannot be.
+        RenderingUnavailableError: this machine cannot render off screen.
+        InputError: the size is not valid.
     """
-    _write_png(Path(path), _tiled(render_pictures(plan, width=width, height=height), columns))
+    _write_png(Path(path), _tile(render_pictures(plan, width=width, height=height), columns))
 
 
 def render_furniture(
@@ -129,11 +136,11 @@ def render_furniture(
     quality: Quality = STILL,
     caption: str = "",
 ) -> UInt8[np.ndarray, "height width 3"]:
-    """Draw furniture as it is when assembled, standing on the ground; write it to `path` (`.png`) if given.
+    """Return a picture of assembled furniture that stands on the ground; also write it to `path` (`.png`) if given.
 
     Raises:
-        RenderingUnavailableError: this machine cannot draw off screen.
-        InputError: a size that cannot be.
+        RenderingUnavailableError: this machine cannot render off screen.
+        InputError: the size is not valid.
     """
     check_size(width, height)
     meshes = [part.mesh for part in furniture.parts]
@@ -153,36 +160,43 @@ def render_meshes(
     meshes: Sequence[Mesh], poses: Sequence[SE3], colors: Sequence[Color], width: int, height: int, *,
     quality: Quality = STILL, caption: str = "",
 ) -> UInt8[np.ndarray, "height width 3"]:  # fmt: skip
-    """Draw meshes at their `world_from_mesh`, from where all of them are seen.
+    """Return a picture of meshes at their `world_from_mesh`, with all of them in view.
 
     Raises:
-        RenderingUnavailableError: this machine cannot draw off screen.
-        InputError: a size that cannot be.
+        RenderingUnavailableError: this machine cannot render off screen.
+        InputError: the size is not valid.
     """
     points = np.concatenate([box_corners(mesh, pose) for mesh, pose in zip(meshes, poses, strict=True)])
-    view = fit(points, width / height)
-    radius = float(np.linalg.norm(points - view.target, axis=1).max())
-    with OffscreenRenderer(meshes, width, height, center=view.target, radius=radius, quality=quality) as renderer:
-        return renderer.picture(poses, colors, view, caption)
+    camera = fit_camera(points, width / height)
+    radius = float(np.linalg.norm(points - camera.target, axis=1).max())
+    with OffscreenRenderer(meshes, width, height, center=camera.target, radius=radius, quality=quality) as renderer:
+        return renderer.picture(poses, colors, camera, caption)
 
 
 def render_contact_sheet(
     furniture: Sequence[Furniture], path: Path, *, columns: int = 6, size: int = 320, names: bool = True
 ) -> None:
-    """Write one PNG with a square picture of each piece, `size` pixels wide, row by row.
+    """Write one PNG with a square picture of each piece, row by row.
+
+    Args:
+        furniture: pieces to show.
+        path: file to write.
+        columns: number of pictures in a row.
+        size: width and height of each picture [pixels].
+        names: write the name of each piece into its picture.
 
     Raises:
-        RenderingUnavailableError: this machine cannot draw off screen.
-        InputError: no furniture, or a size that cannot be.
+        RenderingUnavailableError: this machine cannot render off screen.
+        InputError: the sequence is empty, or the size is not valid.
     """
     pictures = [
         render_furniture(piece, width=size, height=size, caption=piece.name if names else "") for piece in furniture
     ]
-    _write_png(Path(path), _tiled(pictures, columns))
+    _write_png(Path(path), _tile(pictures, columns))
 
 
 def key_frames(timeline: Timeline) -> list[int]:
-    """Indices of the first frame, for each step the one in the middle of its way to mating, and the last."""
+    """Return the indices of the first frame, of the middle frame of each step's motion, and of the last frame."""
     out = [0]
     for step in sorted({frame.step for frame in timeline.frames if frame.step is not None}):
         moving = [i for i, frame in enumerate(timeline.frames) if frame.step == step and frame.phase is Phase.MOVING]
@@ -194,15 +208,15 @@ def _renderer(timeline: Timeline, width: int, height: int, quality: Quality | No
     points = timeline.box_corners.reshape(-1, 3)
     center = 0.5 * (points.min(axis=0) + points.max(axis=0))
     radius = float(np.linalg.norm(points - center, axis=1).max())
-    meshes = [thing.mesh for thing in timeline.things]
+    meshes = [item.mesh for item in timeline.objects]
     return OffscreenRenderer(meshes, width, height, center=center, radius=radius, quality=quality)
 
 
-def _tiled(
+def _tile(
     pictures: Sequence[UInt8[np.ndarray, "height width 3"]], columns: int
 ) -> UInt8[np.ndarray, "all_height all_width 3"]:
     if not pictures:
-        raise InputError("a sheet of no pictures; give at least one piece of furniture")
+        raise InputError("the sheet has no pictures; give at least one piece of furniture")
     columns = max(1, min(columns, len(pictures)))
     height, width, _ = pictures[0].shape
     rows = -(-len(pictures) // columns)
@@ -215,5 +229,5 @@ def _tiled(
 
 
 def _write_png(path: Path, picture: UInt8[np.ndarray, "height width 3"]) -> None:
-    with replaced(path) as unfinished:
+    with atomic_write(path) as unfinished:
         iio.imwrite(unfinished, picture, extension=".png")

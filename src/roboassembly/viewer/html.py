@@ -1,4 +1,4 @@
-"""One self-contained page that plays a plan: a time slider, a scene to turn with mouse or fingers, no server."""
+"""Self-contained HTML page that plays a plan: a time slider and a 3D scene, without a server."""
 
 from __future__ import annotations
 
@@ -7,68 +7,71 @@ import json
 from pathlib import Path
 from string import Template
 
-from roboassembly.rendering.camera import FIELD_OF_VIEW, fit
+from roboassembly.rendering.camera import FIELD_OF_VIEW, fit_camera
 from roboassembly.rendering.colors import part_colors
-from roboassembly.viewer.files import replaced
-from roboassembly.viewer.page import BODY, HEAD
-from roboassembly.viewer.playing import AnyPlan, timeline_of
+from roboassembly.viewer.atomic_file import atomic_write
+from roboassembly.viewer.html_template import BODY, HEAD
+from roboassembly.viewer.playback import AnyPlan, make_timeline
 from roboassembly.viewer.server import quiet_server
-from roboassembly.viewer.tableau import Tableau, set_the_scene
 from roboassembly.viewer.timeline import Timeline
+from roboassembly.viewer.viser_scene import ViserScene, set_up_scene
 
 FRAMES_PER_SECOND = 30.0
-SLOWER = 1.6
-"""Than a film: who has a slider looks more closely."""
+SLOWDOWN = 1.6
+"""Duration of a step over its duration in a film."""
 ASPECTS = (0.45, 0.6, 0.8, 1.0, 1.25, 1.6, 2.0)
-"""Width over height of the windows that a first view is computed for; a window takes the next narrower one."""
+"""Widths over heights for which a first camera is computed; a window uses the nearest one that is not wider."""
 
 
 def write_html(plan: AnyPlan, path: Path, *, seconds_per_step: float | None = None) -> None:
     """Write a page that plays the plan in any browser, from a file, without a network.
 
     Args:
-        plan: What to show; one that failed is shown as far as it got.
-        path: The file; one that is there is replaced, once the new one is whole.
-        seconds_per_step: About how long each step lasts; as long as suits the setting if not given.
+        plan: plan to show. A failed plan is shown as far as it got.
+        path: file to write. An existing file is replaced once the new one is complete.
+        seconds_per_step: approximate duration of a step [s]; the default of the plan's setting if None.
+
+    Raises:
+        InputError: `seconds_per_step` is not a positive finite number.
     """
-    timeline = timeline_of(plan, FRAMES_PER_SECOND, seconds_per_step, slower=SLOWER)
-    page = _dressed(_recorded(timeline), timeline)
-    with replaced(Path(path)) as unfinished:
+    timeline = make_timeline(plan, FRAMES_PER_SECOND, seconds_per_step, slowdown=SLOWDOWN)
+    page = _with_captions(_record(timeline), timeline)
+    with atomic_write(Path(path)) as unfinished:
         unfinished.write_text(page, encoding="utf-8")
 
 
-def _recorded(timeline: Timeline) -> str:
-    """The page as viser makes it."""
+def _record(timeline: Timeline) -> str:
+    """Return the page that viser writes for the timeline."""
     first = timeline.frames[0]
     points = timeline.box_corners.reshape(-1, 3)
     with quiet_server("127.0.0.1", 0) as server:
-        set_the_scene(server.scene, points)
-        view = fit(points, 1.0)
+        set_up_scene(server.scene, points)
+        camera = fit_camera(points, 1.0)
         server.initial_camera.fov = FIELD_OF_VIEW
         server.initial_camera.up = (0.0, 0.0, 1.0)
-        server.initial_camera.look_at = view.target
-        server.initial_camera.position = view.position
-        tableau = Tableau(server.scene)
-        tableau.add(timeline.things, first.poses, part_colors(first.roles))
+        server.initial_camera.look_at = camera.target
+        server.initial_camera.position = camera.position
+        scene = ViserScene(server.scene)
+        scene.add(timeline.objects, first.poses, part_colors(first.roles))
         recording = server.get_scene_serializer()
         for frame in timeline.frames:
-            tableau.show(frame.poses, part_colors(frame.roles))
+            scene.show(frame.poses, part_colors(frame.roles))
             recording.insert_sleep(1.0 / timeline.frames_per_second)
         return recording.as_html()
 
 
-def _dressed(page: str, timeline: Timeline) -> str:
-    """Add to viser's page a title, captions, a first view for this window's shape, and a slider for thumbs."""
+def _with_captions(page: str, timeline: Timeline) -> str:
+    """Add a title, captions, a first camera for the shape of the window, and a larger slider to viser's page."""
     name = html.escape(timeline.name)
     points = timeline.box_corners.reshape(-1, 3)
-    views = [[aspect, *map(float, fit(points, aspect).position)] for aspect in ASPECTS]
+    cameras = [[aspect, *map(float, fit_camera(points, aspect).position)] for aspect in ASPECTS]
     captions = [[round(time, 4), caption] for time, caption in timeline.captions]
     head, body = (
         Template(text).substitute(
             name=name,
             captions=_script_json(captions),
-            views=_script_json([[round(x, 4) for x in view] for view in views]),
-            target=_script_json([round(float(x), 4) for x in fit(points, 1.0).target]),
+            cameras=_script_json([[round(x, 4) for x in camera] for camera in cameras]),
+            target=_script_json([round(float(x), 4) for x in fit_camera(points, 1.0).target]),
         )
         for text in (HEAD, BODY)
     )
@@ -81,5 +84,5 @@ def _dressed(page: str, timeline: Timeline) -> str:
 
 
 def _script_json(value: object) -> str:
-    """JSON that cannot end the script element that it stands in."""
+    """Return JSON that cannot close the script element around it."""
     return json.dumps(value).replace("<", "\\u003c")

@@ -1,7 +1,7 @@
-"""viser's server, for pages that are written and for the studio; light, so that it can listen before all else.
+"""viser's server behind a guard, for the studio and for the recording of pages. It imports little and starts fast.
 
 viser serves its page and its websocket to everyone: it checks neither `Origin` nor `Host`, and has no hook for either.
-Each server here gets a `Guard`, which decides about every request before viser sees it.
+Each server here has a `Guard`, which checks every request before viser sees it.
 """
 
 from __future__ import annotations
@@ -23,26 +23,26 @@ from websockets.asyncio.server import ServerConnection
 from websockets.http11 import Request, Response
 
 _LARGEST_MESSAGE = 2**20
-"""Bytes of one message from a browser. viser's page sends files in pieces of half of that."""
+"""Largest message from a browser [bytes]. viser's page sends files in chunks of half that size."""
 _MOST_QUEUED = 4
-"""Messages of one connection that wait to be handled; after that its socket is not read."""
+"""Largest number of unhandled messages per connection; beyond it, the socket is not read."""
 _PATCHING = threading.Lock()
 
 
 @dataclass(frozen=True)
 class Guard:
-    """Decides who may talk to a server, and checks what they say."""
+    """Decides who may connect to a server, and checks what they send."""
 
     refuse: Callable[[ServerConnection, Request], Response | None]
-    """Answers a request, for the page or for the websocket, that is not allowed; None lets it through."""
+    """Returns the response to a forbidden request for the page or the websocket; None if the request is allowed."""
     headers: Callable[[Request], Mapping[str, str]]
-    """Headers to add to the page that answers a request."""
+    """Returns additional headers for the response to a request."""
     connect: Callable[..., ServerConnection] = ServerConnection
-    """Makes the connection; takes what `ServerConnection` takes."""
+    """Constructs the connection, with the arguments of `ServerConnection`."""
 
 
-def answer(status: http.HTTPStatus, text: str, **headers: str) -> Response:
-    """A short plain answer that no browser takes for a page."""
+def plain_response(status: http.HTTPStatus, text: str, **headers: str) -> Response:
+    """Return a plain-text response that no browser interprets as a page."""
     body = text.encode()
     fixed = {"Content-Type": "text/plain; charset=utf-8", "X-Content-Type-Options": "nosniff"}
     fixed |= {"Content-Length": str(len(body)), "Connection": "close"}
@@ -50,21 +50,23 @@ def answer(status: http.HTTPStatus, text: str, **headers: str) -> Response:
     return Response(status.value, status.phrase, Headers(**fixed, **named), body)
 
 
-NOBODY = Guard(lambda *_: answer(http.HTTPStatus.FORBIDDEN, "This server only writes a file.\n"), lambda _: {})
-"""Lets nobody in. viser records a page through a server that listens, and nobody needs to reach that one."""
+REFUSE_ALL = Guard(
+    lambda *_: plain_response(http.HTTPStatus.FORBIDDEN, "This server only writes a file.\n"), lambda _: {}
+)
+"""Refuses every request. viser records a page through a listening server, which no client needs."""
 
 
 @contextmanager
-def quiet_server(host: str, port: int, guard: Guard = NOBODY) -> Iterator[ViserServer]:
-    """A viser server that does not announce itself, shows no axes of the world, and is gone afterwards.
+def quiet_server(host: str, port: int, guard: Guard = REFUSE_ALL) -> Iterator[ViserServer]:
+    """Run a viser server for a `with` block, without announcements on the terminal and without world axes.
 
     viser announces itself through rich's console, from two threads, whatever `verbose` says; so that console is kept
     quiet meanwhile.
 
     Args:
         host: address to listen on.
-        port: any free one if 0.
-        guard: asked about every request.
+        port: port to listen on; any free one if 0.
+        guard: checks every request.
 
     Raises:
         RuntimeError: this version of viser cannot be guarded.
@@ -86,9 +88,9 @@ def _guarded(host: str, port: int, guard: Guard) -> ViserServer:
     """Start a server whose requests all pass a guard.
 
     viser builds its server by one call of `websockets.asyncio.server.serve`, in a thread that its constructor starts
-    and waits for. That call is the only place where limits, checks and the class of connections can be set, so it is
-    replaced for as long as the constructor runs. If a later viser no longer makes that call, this fails at once rather
-    than serve without a guard.
+    and waits for. Limits, checks and the class of connections can only be set in that call, so the function is
+    replaced while the constructor runs. If a later viser does not make that call, this fails at once rather than
+    serve without a guard.
     """
     calls = 0
     serve: Any = websockets.asyncio.server.serve

@@ -1,4 +1,4 @@
-"""Things in a browser's scene, moved and coloured frame by frame; what did not change is not sent again."""
+"""Meshes in a viser scene, moved and coloured frame by frame. Only changes are sent to the browser."""
 
 from __future__ import annotations
 
@@ -11,37 +11,37 @@ from viser import MeshHandle, SceneApi
 from roboassembly.geometry.poses import SE3, pose_to_seven
 from roboassembly.rendering.colors import FLOOR_LINES, Color, to_bytes
 from roboassembly.rendering.shading import shade
-from roboassembly.viewer.timeline import Thing
+from roboassembly.viewer.timeline import SceneObject
 
 EXPOSURE = 0.76
-"""viser's own lights are strong, and what faces up would come out white."""
+"""Factor on colours. viser's lights are strong: without it, surfaces that face up would be white."""
 
 
-class Tableau:
-    """The things of a film as meshes of a viser scene.
+class ViserScene:
+    """Objects of a film as meshes of a viser scene.
 
     Args:
-        scene: of a server, or of one of its clients.
+        scene: scene of a server, or of one of its clients.
     """
 
     def __init__(self, scene: SceneApi) -> None:
         self._scene = scene
         self.meshes: list[MeshHandle] = []
-        """In the order of the things."""
+        """Meshes in the order of the objects."""
         self._shown: list[SE3 | None] = []
 
-    def add(self, things: Sequence[Thing], poses: Sequence[SE3 | None], colors: Sequence[Color]) -> None:
-        """Add things behind those that are there, at `world_from_thing`; one without a pose is not seen."""
-        for thing, pose, color in zip(things, poses, colors, strict=True):
-            shaded = shade(thing.mesh)
-            seven = _rounded(pose or SE3.Identity())
+    def add(self, objects: Sequence[SceneObject], poses: Sequence[SE3 | None], colors: Sequence[Color]) -> None:
+        """Add objects at their `world_from_mesh`; an object without a pose is hidden."""
+        for item, pose, color in zip(objects, poses, colors, strict=True):
+            shaded = shade(item.mesh)
+            seven = _as_float32(pose or SE3.Identity())
             self.meshes.append(
                 self._scene.add_mesh_simple(
-                    f"/{thing.name}",
+                    f"/{item.name}",
                     shaded.vertices.astype(np.float32),
                     shaded.faces.astype(np.uint32),
-                    color=lit(color),
-                    side="front" if thing.mesh.is_solid else "double",
+                    color=exposed(color),
+                    side="front" if item.mesh.is_solid else "double",
                     position=seven[:3],
                     wxyz=seven[3:],
                     visible=pose is not None,
@@ -50,30 +50,30 @@ class Tableau:
             self._shown.append(pose)
 
     def show(self, poses: Sequence[SE3 | None], colors: Sequence[Color]) -> None:
-        """Move and colour all things; any beyond the last pose are not seen."""
+        """Move and colour all objects; objects beyond the last pose are hidden."""
         missing = len(self.meshes) - len(poses)
         for index, pose in enumerate([*poses, *[None] * missing]):
             handle, before = self.meshes[index], self._shown[index]
             if index < len(colors):
-                handle.color = lit(colors[index])  # sent only where it changes
+                handle.color = exposed(colors[index])  # viser sends it only if it changes
             if pose is before:
                 continue
             if (pose is None) != (before is None):
                 handle.visible = pose is not None
             if pose is not None:
-                seven = _rounded(pose)
+                seven = _as_float32(pose)
                 handle.position, handle.wxyz = seven[:3], seven[3:]
             self._shown[index] = pose
 
     def clear(self) -> None:
-        """Take all things away, and what hangs on them."""
+        """Remove all objects, and whatever is attached to them."""
         for handle in self.meshes:
             handle.remove()
         self.meshes, self._shown = [], []
 
 
-def set_the_scene(scene: SceneApi, points: Float[np.ndarray, "n 3"]) -> None:
-    """Light, and a ruled floor that reaches past all of the world points given."""
+def set_up_scene(scene: SceneApi, points: Float[np.ndarray, "n 3"]) -> None:
+    """Add lights and a ruled floor that extends beyond all of these world points [m]."""
     scene.set_up_direction("+z")
     scene.configure_default_lights(enabled=True, cast_shadow=True)
     low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
@@ -92,12 +92,12 @@ def set_the_scene(scene: SceneApi, points: Float[np.ndarray, "n 3"]) -> None:
     )
 
 
-def lit(color: Color) -> tuple[int, int, int]:
-    """The colour, darker by `EXPOSURE`."""
+def exposed(color: Color) -> tuple[int, int, int]:
+    """Return the colour times `EXPOSURE`, with 0 to 255 per channel."""
     r, g, b = (EXPOSURE * c for c in color)
     return to_bytes((r, g, b))
 
 
-def _rounded(pose: SE3) -> np.ndarray:
-    """`x, y, z, qw, qx, qy, qz` as 32-bit floats hold them: a recording then packs into half the size."""
+def _as_float32(pose: SE3) -> Float[np.ndarray, "7"]:
+    """Return `x, y, z, qw, qx, qy, qz`, rounded to 32 bits so that a recording compresses to half the size."""
     return np.asarray(pose_to_seven(pose), dtype=np.float32).astype(float)

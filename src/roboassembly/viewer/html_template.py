@@ -1,4 +1,4 @@
-"""What is added to viser's page: the head before its scripts, the body after them. `string.Template` texts."""
+"""Additions to viser's page: `HEAD` goes before its scripts, `BODY` after them. Both are `string.Template` texts."""
 
 HEAD = """<style>
 #captions { position: fixed; top: max(0.8em, env(safe-area-inset-top)); right: 0.8em; max-width: calc(100vw - 3em);
@@ -12,20 +12,20 @@ HEAD = """<style>
 </style>
 <script>
 (() => {
-  // Stand where this window shows everything: viser reads the first camera from the address.
-  const views = $views, target = $target;
+  // Choose a first camera that shows everything in this window; viser reads it from the address.
+  const cameras = $cameras, target = $target;
   try {
     const query = new URLSearchParams(location.search);
     if (query.has("initialCameraPosition") && !query.has("fitted")) return;
     const aspect = innerWidth / Math.max(1, innerHeight);
-    const view = views.filter((v) => v[0] <= aspect).pop() || views[0];
-    query.set("initialCameraPosition", view.slice(1).join(","));
+    const camera = cameras.filter((c) => c[0] <= aspect).pop() || cameras[0];
+    query.set("initialCameraPosition", camera.slice(1).join(","));
     query.set("initialCameraLookAt", target.join(","));
     query.set("initialCameraUp", "0,0,1");
     query.set("fitted", "1");
     history.replaceState(null, "", "?" + query);
   } catch (error) {
-    // A page inside another page may not change its address; the recorded camera will do.
+    // A page in a frame may not change its address; it keeps the recorded camera.
     console.info(error);
   }
 })();
@@ -35,18 +35,18 @@ HEAD = """<style>
 BODY = """<div id="captions"><b>$name</b><span></span></div>
 <script>
 (() => {
-  // The player's slider says what time it is.
+  // The slider of the player holds the time.
   const captions = $captions;
   const text = document.querySelector("#captions span");
-  const tell = () => {
+  const update = () => {
     const slider = document.querySelector("[role=slider]");
     const time = slider ? Number(slider.getAttribute("aria-valuenow")) : 0;
     let now = captions[0][1];
     for (const [start, caption] of captions) if (start <= time + 1e-3) now = caption;
     if (text.textContent !== now) text.textContent = now;
-    requestAnimationFrame(tell);
+    requestAnimationFrame(update);
   };
-  tell();
+  update();
 })();
 </script>
 """

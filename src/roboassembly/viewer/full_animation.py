@@ -1,0 +1,156 @@
+"""Frames of a plan of the full setting: parts, links of both robots, and the posts that are up.
+
+Each segment gets a share of its step's time that grows with its length. All motion is eased.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float
+
+from roboassembly.geometry.poses import SE3
+from roboassembly.rendering.colors import Role
+from roboassembly.robots.body import hand_links, links, placed
+from roboassembly.task.full.cell import Stand, post_mesh
+from roboassembly.task.full.cell_state import Leg, Moment
+from roboassembly.task.plans.full_plan import FullPlan
+from roboassembly.viewer.captions import ending_caption, step_caption
+from roboassembly.viewer.motion_timing import ease
+from roboassembly.viewer.timeline import Frame, Phase, SceneObject, part_objects
+
+_METRES_PER_RADIAN = 0.35
+"""Length [m] that a turn of 1 rad of the platform or of an arm joint counts as."""
+_SHORTEST = 0.25
+"""Smallest length [m] that a segment counts as, so that short segments stay visible."""
+
+
+@dataclass(frozen=True)
+class FullPlanAnimator:
+    """Makes the frames of a full plan, step by step."""
+
+    plan: FullPlan
+    frames_per_second: float
+    seconds_per_step: float
+    """Approximate duration of a step [s]."""
+
+    @cached_property
+    def stands(self) -> tuple[Stand, ...]:
+        """Posts that are up at any time of the plan."""
+        return self.plan.stands
+
+    @property
+    def objects(self) -> tuple[SceneObject, ...]:
+        """Objects that the frames show: parts, links, then posts in the order in which the plan puts them up."""
+        own = [*links(), *(link for link, _ in hand_links(0.0))]
+        robots = [
+            SceneObject(f"robot_{name}/{i}_{link.name}", link.mesh) for name in "ab" for i, link in enumerate(own)
+        ]
+        posts = [
+            SceneObject(f"posts/{i}", post_mesh(float(stand.top[2])), framed=False)
+            for i, stand in enumerate(self.stands)
+        ]
+        return (*part_objects(self.plan.furniture), *robots, *posts)
+
+    def opening(self) -> Frame:
+        """Return the frame before the first step."""
+        furniture = self.plan.furniture
+        text = f"{furniture.name}: {len(furniture.parts)} parts, two robots"
+        return self._resting(self.plan.initial.moment, Phase.OVERTURE, text)
+
+    def ending(self) -> Frame:
+        """Return the frame after the last step."""
+        plan = self.plan
+        text = ending_caption(plan.furniture, len(plan.steps), plan.success, plan.upright)
+        return self._resting(plan.final_moment, Phase.FINALE, text)
+
+    def step(self, index: int) -> Iterator[Frame]:
+        """Yield the frames of one step."""
+        furniture, step = self.plan.furniture, self.plan.steps[index]
+        u_group, v_group = (
+            next(g.parts for g in step.legs[0].moment.groups() if part in g.parts) for part in step.action[:2]
+        )
+        sizes = len(u_group), len(v_group)
+        caption = step_caption(furniture, index, len(self.plan.steps), step.action, sizes)
+        roles = [Role.IDLE] * len(furniture.parts)
+        for group, role in ((u_group, Role.MOVING), (v_group, Role.WAITING)):
+            for part in group:
+                roles[part] = role
+        yield from self._segments(step.legs, roles, index, caption)
+
+    def upright(self) -> Iterator[Frame]:
+        """Yield the frames of the motion that sets the finished piece on its feet; none without such a motion."""
+        furniture, segments = self.plan.furniture, self.plan.final_legs
+        roles = [Role.MOVING] * len(furniture.parts)
+        yield from self._segments(segments, roles, None, f"{furniture.name}: set upright")
+
+    def _resting(self, state: Moment, phase: Phase, caption: str) -> Frame:
+        roles = self._roles([Role.IDLE] * len(self.plan.furniture.parts))
+        return Frame(tuple(self._poses(state)), roles, None, phase, caption)
+
+    def _segments(
+        self, segments: Sequence[Leg], part_roles: list[Role], index: int | None, caption: str
+    ) -> Iterator[Frame]:
+        weights = np.array([max(_SHORTEST, float(_edge_lengths(segment).sum())) ** 0.5 for segment in segments])
+        durations = self.seconds_per_step * weights / weights.sum()
+        roles = self._roles(part_roles)
+        for segment, seconds in zip(segments, durations, strict=True):
+            text = f"{caption} | R_{'ab'[segment.robot]}: {segment.name}"
+            count = max(1, round(seconds * self.frames_per_second))
+            poses = self._poses(segment.moment)
+            for k in range(1, count + 1):
+                self._move(poses, segment, _configuration_at(segment, ease(k / count)))
+                key = k == count and segment.name == "mate"
+                yield Frame(tuple(poses), roles, index, Phase.MOVING, text, key)
+
+    def _roles(self, parts: list[Role]) -> tuple[Role, ...]:
+        links = _link_count()
+        return (*parts, *[Role.ROBOT_A] * links, *[Role.ROBOT_B] * links, *[Role.POST] * len(self.stands))
+
+    def _poses(self, state: Moment) -> list[SE3 | None]:
+        """Return the pose of each object; None for a post that is not up."""
+        parts = {p: pose for g in state.groups() for p, pose in zip(g.parts, g.part_poses(), strict=True)}
+        robots = [pose for r in state.robots for _, pose in placed(r.at, r.opening)]
+        up = {id(stand) for stand in state.stands}
+        posts = [SE3(np.eye(3), stand.top) if id(stand) in up else None for stand in self.stands]
+        return [*(parts[p] for p in range(len(parts))), *robots, *posts]
+
+    def _move(self, poses: list[SE3 | None], segment: Leg, configuration: Float[np.ndarray, "10"]) -> None:
+        """Write the poses of the robot that moves, and of the group in its hand, into `poses`."""
+        robot = segment.moment.robots[segment.robot]
+        first = len(self.plan.furniture.parts) + segment.robot * _link_count()
+        poses[first : first + _link_count()] = [pose for _, pose in placed(configuration, robot.opening)]
+        if robot.grip is not None:
+            group = robot.grip.placed(configuration)
+            for part, pose in zip(group.parts, group.part_poses(), strict=True):
+                poses[part] = pose
+
+
+def _link_count() -> int:
+    """Return the number of links of one robot."""
+    return len(links()) + len(hand_links(0.0))
+
+
+def _edge_lengths(segment: Leg) -> Float[np.ndarray, "n"]:
+    """Return the length [m] of each edge of a segment's path, turns included."""
+    return np.array([_distance(a, b) for a, b in itertools.pairwise(segment.path)])
+
+
+def _distance(a: Float[np.ndarray, "10"], b: Float[np.ndarray, "10"]) -> float:
+    turned = np.abs(b - a)[2:].max(initial=0.0)
+    return float(np.linalg.norm((b - a)[:2]) + _METRES_PER_RADIAN * turned)
+
+
+def _configuration_at(segment: Leg, share: float) -> Float[np.ndarray, "10"]:
+    """Return the configuration of the robot after a share of a segment's length."""
+    reached = np.concatenate([[0.0], np.cumsum(_edge_lengths(segment))])
+    if reached[-1] == 0.0:
+        return segment.path[-1]
+    at = share * reached[-1]
+    k = min(int(np.searchsorted(reached, at, side="right")) - 1, len(segment.path) - 2)
+    inner = (at - reached[k]) / max(reached[k + 1] - reached[k], 1e-12)
+    return segment.path[k] + inner * (segment.path[k + 1] - segment.path[k])
