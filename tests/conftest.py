@@ -83,7 +83,7 @@ def two_merges(chair) -> FullPlan:
     initial = state = task.initial_state(np.random.default_rng(0))
     steps = []
     for _ in range(2):
-        told = next(task.rules.pairs.own_places(state.groups))
+        told = next(task.rules.pairs.slot_assignments(state.groups))
         order = disassembly.order(partition_of(told), set(), straight=True, exhaustive=False)
         assert order
         outcomes = (task.step(state, action, 1) for action in grasping(task, state, told, *order[0]))

@@ -27,7 +27,7 @@ from roboassembly.furniture import storage
 from roboassembly.learning.registry import load_policy
 from roboassembly.studio.session import Session
 from roboassembly.task.full.task import FullVerdict
-from roboassembly.task.object_centric.task import Verdict
+from roboassembly.task.object_centric.task import ObjectCentricVerdict
 from roboassembly.task.plans import plan_file
 
 ODD: tuple[Any, ...] = (
@@ -131,7 +131,7 @@ def check_folder(folder: Path) -> None:
     env = ObjectCentricEnv(furniture)
     _, info = env.reset(seed=0)
     action = np.argwhere(info["action_mask"])[0]
-    assert env.step(action)[4]["verdict"] in set(Verdict)
+    assert env.step(action)[4]["verdict"] in set(ObjectCentricVerdict)
 
 
 def check_checkpoint(path: Path, env: ObjectCentricEnv) -> None:
@@ -246,7 +246,7 @@ def try_actions(count: int, seed: int, env: gymnasium.Env[Any, Any], shape: tupl
                 assert own.state is state
                 assert own.np_random.bit_generator.state == generator
                 continue
-        assert info["verdict"] in (*Verdict, *FullVerdict)
+        assert info["verdict"] in (*ObjectCentricVerdict, *FullVerdict)
     assert refused > count / 2
 
 
@@ -373,4 +373,8 @@ def test_many_wrong_command_lines(tmp_path, capsys, monkeypatch):
 
 
 def test_every_verdict_is_one_the_page_knows():
-    assert {str(v) for v in Verdict} & {str(v) for v in FullVerdict} == {"merged", "not_an_action", "wrong_pair"}
+    assert {str(v) for v in ObjectCentricVerdict} & {str(v) for v in FullVerdict} == {
+        "merged",
+        "not_an_action",
+        "wrong_pair",
+    }

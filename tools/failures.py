@@ -26,7 +26,7 @@ from roboassembly.evaluation.rollout import Episode
 from roboassembly.furniture.model import Furniture
 from roboassembly.geometry.poses import SE3
 from roboassembly.rendering.colors import Color
-from roboassembly.task.full.grips import hold
+from roboassembly.task.full.grips import grip_of
 from roboassembly.task.rules.groups import Group, TaskState
 
 WIDTH, HEIGHT = 480, 340
@@ -41,7 +41,7 @@ def of_group(furniture: Furniture, group: Group, at: SE3, color: Color) -> Itera
 
 def of_hand(furniture: Furniture, group: Group, at: SE3, part: int, grasp: int) -> Iterable[Piece]:
     """The hand that holds a part of a group, closed."""
-    held = hold(furniture, group, part, grasp)
+    held = grip_of(furniture, group, part, grasp)
     if held is not None:
         yield from hand(at * held.furniture_from_tips, held.closed)
 
@@ -60,7 +60,7 @@ def row(furniture: Furniture, env: Any, state: TaskState, action: Sequence[int])
         joined += of_hand(furniture, moved, dictated, u, ways[0])
         joined += of_hand(furniture, waiting, still, v, ways[1])
 
-    told = pairs.told(state) or state
+    told = pairs.assign_slots(state) or state
     slots = {state.group_of[u]: MOVED, state.group_of[v]: WAITING}
     colors = {slot: slots.get(i, OTHER) for i, group in enumerate(told.groups) for slot in group.slots}
     belong = [
@@ -94,7 +94,7 @@ def main(source: Path, picture: Path, names: Sequence[str]) -> None:
         for action in episode["actions"][:-1]:
             env.step(np.array(action))
         last = episode["actions"][-1]
-        rows.append(row(furniture, env, env.task.joined(env.state), last))
+        rows.append(row(furniture, env, env.task.groups_of(env.state), last))
         why = f"{episode['verdict']} {episode['reason']}".strip()
         print(f"{episode['furniture']}: merge {episode['merges'] + 1} of {len(furniture.parts) - 1}, {why}")
     iio.imwrite(picture, np.concatenate(rows))

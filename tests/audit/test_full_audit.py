@@ -10,7 +10,7 @@ import pytest
 
 from roboassembly.audit.full import RobotAuditReport, RobotViolationKind, audit_full_plan
 from roboassembly.geometry.poses import SE3
-from roboassembly.task.full.cell_state import Leg
+from roboassembly.task.full.cell_state import Segment
 from roboassembly.task.plans.full_plan import FullPlan
 
 pytest.importorskip("fcl")
@@ -21,15 +21,15 @@ LOW = np.array([0.81, 1.75, -0.05, -1.51, 1.08, 2.44, -1.4])
 """Reaches the ground beside the platform."""
 
 
-def with_leg(plan: FullPlan, index: int, change: Callable[[Leg], Leg]) -> FullPlan:
-    legs = list(plan.steps[0].legs)
-    legs[index] = change(legs[index])
-    step = replace(plan.steps[0], legs=tuple(legs))
+def with_leg(plan: FullPlan, index: int, change: Callable[[Segment], Segment]) -> FullPlan:
+    segments = list(plan.steps[0].segments)
+    segments[index] = change(segments[index])
+    step = replace(plan.steps[0], segments=tuple(segments))
     return replace(plan, steps=(step,))
 
 
-def by_way_of(q: np.ndarray) -> Callable[[Leg], Leg]:
-    return lambda leg: replace(leg, path=(leg.path[0], q, leg.path[-1]))
+def by_way_of(q: np.ndarray) -> Callable[[Segment], Segment]:
+    return lambda segment: replace(segment, path=(segment.path[0], q, segment.path[-1]))
 
 
 def kinds(report: RobotAuditReport) -> set[RobotViolationKind]:
@@ -42,28 +42,28 @@ def kinds(report: RobotAuditReport) -> set[RobotViolationKind]:
 def test_a_right_plan_passes(two_merges: FullPlan) -> None:
     report = audit_full_plan(two_merges, COARSE)
     assert report.passed, report.summary()
-    assert report.legs == sum(len(step.legs) for step in two_merges.steps)
+    assert report.segments == sum(len(step.segments) for step in two_merges.steps)
     finer = audit_full_plan(replace(two_merges, steps=two_merges.steps[:1]), 0.5 * COARSE)
     half = audit_full_plan(replace(two_merges, steps=two_merges.steps[:1]), COARSE)
     assert 1.8 * half.states < finer.states < 2.1 * half.states
 
 
 def test_driving_through_a_post(two_merges: FullPlan) -> None:
-    standing = two_merges.steps[0].legs[0].moment.standing[-1]
-    q = np.array([*standing.stand.top[:2], 0.0, *two_merges.initial.moment.robots[0].at[3:]])
+    standing = two_merges.steps[0].segments[0].before.placed[-1]
+    q = np.array([*standing.post.top[:2], 0.0, *two_merges.initial.cell_state.robots[0].at[3:]])
     report = audit_full_plan(with_leg(two_merges, 0, by_way_of(q)), COARSE)
     assert RobotViolationKind.PENETRATION in kinds(report)
     assert any("platform in" in v.what and "post" in v.what for v in report.first)
 
 
 def test_driving_through_the_other_robot(two_merges: FullPlan) -> None:
-    leg = two_merges.steps[0].legs[0]
-    report = audit_full_plan(with_leg(two_merges, 0, by_way_of(leg.moment.robots[1 - leg.robot].at)), COARSE)
+    segment = two_merges.steps[0].segments[0]
+    report = audit_full_plan(with_leg(two_merges, 0, by_way_of(segment.before.robots[1 - segment.robot].at)), COARSE)
     assert any("the other's platform" in v.what for v in report.first)
 
 
 def test_an_arm_through_itself_through_the_ground_and_past_its_limit(two_merges: FullPlan) -> None:
-    start = two_merges.initial.moment.robots[two_merges.steps[0].legs[0].robot].at
+    start = two_merges.initial.cell_state.robots[two_merges.steps[0].segments[0].robot].at
     for arm, kind in (
         (FOLDED, RobotViolationKind.OWN_PENETRATION),
         (LOW, RobotViolationKind.GROUND),
@@ -75,26 +75,28 @@ def test_an_arm_through_itself_through_the_ground_and_past_its_limit(two_merges:
 
 def test_what_is_held_through_another_part(two_merges: FullPlan) -> None:
     """Without the way that avoids it, the mating hand comes out of v's group sideways."""
-    legs = two_merges.steps[0].legs
-    mate = next(leg for leg in legs if leg.name == "mate")
+    segments = two_merges.steps[0].segments
+    mate = next(segment for segment in segments if segment.name == "mate")
 
-    def shifted(leg: Leg) -> Leg:
+    def shifted(segment: Segment) -> Segment:
         off = np.zeros(10)
         off[:2] = 0.03
-        return replace(leg, path=(*leg.path[:-1], leg.path[-1] + off, leg.path[-1] - off, leg.path[-1]))
+        return replace(
+            segment, path=(*segment.path[:-1], segment.path[-1] + off, segment.path[-1] - off, segment.path[-1])
+        )
 
-    step = replace(two_merges.steps[0], legs=(shifted(mate),))
+    step = replace(two_merges.steps[0], segments=(shifted(mate),))
     report = audit_full_plan(replace(two_merges, steps=(step,)), 0.002)
     assert RobotViolationKind.PENETRATION in kinds(report)
-    assert any(v.leg == "mate" and "what the other holds" in v.what for v in report.first)
+    assert any(v.segment == "mate" and "what the other holds" in v.what for v in report.first)
 
 
 def test_a_post_and_a_part_in_a_standing_part(two_merges: FullPlan) -> None:
-    moment = two_merges.initial.moment
-    one, two = moment.standing[0], moment.standing[1]
-    shift = SE3(np.eye(3), two.stand.top - one.stand.top)
+    state = two_merges.initial.cell_state
+    one, two = state.placed[0], state.placed[1]
+    shift = SE3(np.eye(3), two.post.top - one.post.top)
     moved = replace(one, group=one.group.moved_to(shift * one.group.world_from_furniture))
-    initial = replace(two_merges.initial, moment=replace(moment, standing=(moved, *moment.standing[1:])))
+    initial = replace(two_merges.initial, cell_state=replace(state, placed=(moved, *state.placed[1:])))
     report = audit_full_plan(replace(two_merges, initial=initial, steps=()), COARSE)
     assert kinds(report) == {RobotViolationKind.PENETRATION}
     assert all("both standing" in v.what for v in report.first)
@@ -103,17 +105,18 @@ def test_a_post_and_a_part_in_a_standing_part(two_merges: FullPlan) -> None:
 
 def test_jumps(two_merges: FullPlan) -> None:
     report = audit_full_plan(
-        with_leg(two_merges, 1, lambda leg: replace(leg, path=(leg.path[0] + 1e-3, *leg.path[1:]))), COARSE
+        with_leg(two_merges, 1, lambda segment: replace(segment, path=(segment.path[0] + 1e-3, *segment.path[1:]))),
+        COARSE,
     )
     assert kinds(report) == {RobotViolationKind.JUMP}
-    moment = two_merges.steps[0].legs[2].moment
-    standing = moment.standing[0]
+    state = two_merges.steps[0].segments[2].before
+    standing = state.placed[0]
     away = standing.group.world_from_furniture.copy()
     away.translation = away.translation + np.array([0.0, 0.0, 0.001])
     moved = replace(standing, group=standing.group.moved_to(away))
     report = audit_full_plan(
         with_leg(
-            two_merges, 2, lambda leg: replace(leg, moment=replace(moment, standing=(moved, *moment.standing[1:])))
+            two_merges, 2, lambda segment: replace(segment, before=replace(state, placed=(moved, *state.placed[1:])))
         ),
         COARSE,
     )

@@ -16,7 +16,7 @@ import trimesh
 
 from roboassembly.datasets import catalogue
 from roboassembly.furniture import storage
-from roboassembly.task.object_centric.task import Verdict
+from roboassembly.task.object_centric.task import ObjectCentricVerdict
 
 Run = Callable[..., tuple[int, str, str]]
 """Of the fixture `run`."""
@@ -100,7 +100,7 @@ def test_a_policy_guides_or_plays_alone(run: Run, stool: Path, tmp_path: Path, u
     assert (status, report["success"]) == (1, False)
     said, _, verdict = report["reason"].rpartition(" ")
     assert said == f"{untrained} alone: merge 1 ended as"
-    assert Verdict(verdict) is not Verdict.MERGED
+    assert ObjectCentricVerdict(verdict) is not ObjectCentricVerdict.MERGED
     status, out, _ = run("assemble", stool, "--no-film", "--json", "--policy", "none", "--out", tmp_path / "c")
     report = json.loads(out)
     assert (status, report["policy"], report["guided_merges"]) == (0, "none", 0)

@@ -27,7 +27,7 @@ from roboassembly.geometry.meshes import Mesh
 from roboassembly.geometry.poses import SE3, pose_to_euler, rotations_from_euler
 from roboassembly.solvers.disassembly import Disassembly, partition_of
 from roboassembly.solvers.options import grasping, upright
-from roboassembly.task.full.grips import hold
+from roboassembly.task.full.grips import grip_of
 from roboassembly.task.rules.groups import Group
 
 trimesh = pytest.importorskip("trimesh")
@@ -41,9 +41,9 @@ def _imported() -> Furniture:
     top.apply_translation((0, 0, 0.415))
     parts = [RawPart("top", Mesh.from_trimesh(top))]
     for i, (x, y) in enumerate([(-0.25, -0.15), (0.25, -0.15), (-0.25, 0.15), (0.25, 0.15)]):
-        leg = trimesh.creation.box((0.04, 0.04, 0.4))
-        leg.apply_translation((x, y, 0.2))
-        parts.append(RawPart(f"leg{i}", Mesh.from_trimesh(leg)))
+        segment = trimesh.creation.box((0.04, 0.04, 0.4))
+        segment.apply_translation((x, y, 0.2))
+        parts.append(RawPart(f"leg{i}", Mesh.from_trimesh(segment)))
     return finish("table", RawFurniture(tuple(parts), Provenance("test"))).furniture
 
 
@@ -85,7 +85,7 @@ def reasoning(furniture: Furniture) -> Disassembly:
 def right_action(env: AnEnv) -> tuple[int, ...]:
     """One that merges, now, and leaves the furniture completable."""
     seed = int(deepcopy(env.np_random).integers(2**31 - 1))
-    told = next(env.task.rules.pairs.own_places(env.task.joined(env.state)))
+    told = next(env.task.rules.pairs.slot_assignments(env.task.groups_of(env.state)))
     disassembly = reasoning(env.task.furniture)
     struck: set[frozenset[frozenset[int]]] = set()
     while True:
@@ -146,7 +146,7 @@ def test_observation_is_the_papers_state(env: AnEnv, furniture: Furniture) -> No
     assert not observation["connections"].any(), "nothing is joined at first"
     for p, part in enumerate(furniture.parts):
         np.testing.assert_allclose(
-            observation["poses"][p], pose_to_euler(env.task.joined(env.state).part_poses[p]), atol=1e-6
+            observation["poses"][p], pose_to_euler(env.task.groups_of(env.state).part_poses[p]), atol=1e-6
         )
         low, high = part.mesh.bounds
         assert (observation["shapes"][p] >= low - 1e-6).all()
@@ -156,7 +156,7 @@ def test_observation_is_the_papers_state(env: AnEnv, furniture: Furniture) -> No
         assert not observation["connection_points"][p, len(part.points) :].any()
         alone = Group((p,), (p,), (SE3.Identity(),), SE3.Identity())
         for g in range(4 * len(part.grasps)):
-            held = hold(furniture, alone, p, g)
+            held = grip_of(furniture, alone, p, g)
             assert held is not None
             told, tips = observation["grasp_regions"][p].reshape(8, 6)[g].astype(float), held.furniture_from_tips
             np.testing.assert_allclose(told[:3], tips.translation, atol=1e-6)
@@ -166,7 +166,7 @@ def test_observation_is_the_papers_state(env: AnEnv, furniture: Furniture) -> No
     action = right_action(env)
     observation, *_ = env.step(np.array(action))
     u, v = action[:2]
-    poses = env.task.joined(env.state).part_poses
+    poses = env.task.groups_of(env.state).part_poses
     relative = poses[u].actInv(poses[v])
     np.testing.assert_allclose(observation["connections"][u, v], pose_to_euler(relative), atol=1e-5)
     assert np.count_nonzero(observation["connections"].any(axis=2)) == 2
@@ -197,7 +197,7 @@ def test_mask_does_not_leak_the_answer(env: AnEnv, furniture: Furniture) -> None
     _, info = env.reset(seed=0)
     for _ in range(2 if isinstance(env, FullEnv) else len(furniture.parts) // 2):
         *_, info = env.step(np.array(right_action(env)))
-    joined = env.task.joined(env.state)
+    joined = env.task.groups_of(env.state)
     mask, free = info["action_mask"], env.task.rules.free_points(joined)
     for u in range(20):
         for v in range(20):
@@ -220,7 +220,7 @@ def test_masked_actions_end_the_episode(env: AnEnv) -> None:
 
 
 def _is_right(env: AnEnv, action: np.ndarray) -> bool:
-    joined, (u, v, k, l) = env.task.joined(env.state), (int(i) for i in action[:4])  # noqa: E741
+    joined, (u, v, k, l) = env.task.groups_of(env.state), (int(i) for i in action[:4])  # noqa: E741
     groups = (joined.groups[joined.group_of[u]], joined.groups[joined.group_of[v]])
     return env.task.rules.pairs.judge(*groups, u, k, v, l) is not None
 

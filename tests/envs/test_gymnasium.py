@@ -253,13 +253,13 @@ def test_maskable_ppo_is_told_about_the_wrapper() -> None:
 
 def corners_of(env: Any, parts: tuple[int, ...]) -> np.ndarray:
     """Of the boxes of parts, where they are now."""
-    poses = env.task.joined(env.state).part_poses
+    poses = env.task.groups_of(env.state).part_poses
     return np.concatenate([box_corners(env.task.furniture.parts[p].mesh, poses[p]) for p in parts])
 
 
 def robots_of(env: Any) -> np.ndarray:
     """Corners of the boxes of all links; none where there is no robot."""
-    robots = env.state.moment.robots if isinstance(env, FullEnv) else ()
+    robots = env.state.cell_state.robots if isinstance(env, FullEnv) else ()
     boxes = [box_corners(link.mesh, pose) for robot in robots for link, pose in placed(robot.at, robot.opening)]
     return np.concatenate([np.zeros((0, 3)), *boxes])
 

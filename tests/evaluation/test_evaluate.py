@@ -77,9 +77,9 @@ def test_the_printed_summary() -> None:
 
 def test_what_ended_episodes_with_robots() -> None:
     ends = [
-        ("grasp_blocked", "grasp u"), ("cannot_let_go", "back off"), ("no_arm_solution", "mate"),
+        ("grasp_blocked", "grasp u"), ("cannot_release", "back off"), ("no_arm_solution", "mate"),
         ("joint_blocked", "mate"), ("no_path", "drive v"), ("no_path", "leave u"), ("no_path", "set down"),
-        ("no_stand", "set down"), ("wrong_pair", ""), ("no_plan", "limits reached"), ("not_grasped", "approach u"),
+        ("no_placement", "set down"), ("wrong_pair", ""), ("no_plan", "limits reached"), ("not_grasped", "approach u"),
         ("merged", ""),
     ]  # fmt: skip
     some = tuple(

@@ -8,7 +8,7 @@ import pytest
 from roboassembly.datasets import catalogue
 from roboassembly.planning.problem import Budget
 from roboassembly.solvers.oracle import Oracle
-from roboassembly.task.object_centric.task import ObjectCentricTask, Verdict
+from roboassembly.task.object_centric.task import ObjectCentricTask, ObjectCentricVerdict
 from roboassembly.task.rules.groups import TaskState
 
 
@@ -62,8 +62,8 @@ def test_good_ways_are_planned_without_search(name: str) -> None:
         w = int(rng.choice(np.flatnonzero(joint.feasible_w)))
         outcome = task.step(state, (joint.u, joint.v, joint.k, joint.l, w), 0, Budget(states=0))
         verdicts.append(outcome.verdict)
-        state = outcome.state if outcome.verdict is Verdict.MERGED else after(state, joint)
-    assert sum(v is Verdict.MERGED for v in verdicts) >= 0.95 * len(verdicts), verdicts
+        state = outcome.state if outcome.verdict is ObjectCentricVerdict.MERGED else after(state, joint)
+    assert sum(v is ObjectCentricVerdict.MERGED for v in verdicts) >= 0.95 * len(verdicts), verdicts
 
 
 def test_a_dead_end_is_seen_before_it_is_entered() -> None:

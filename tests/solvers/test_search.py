@@ -23,7 +23,7 @@ from roboassembly.planning.problem import Budget
 from roboassembly.solvers.blocking import BlockingGraphs
 from roboassembly.solvers.guide import Guide, Suggestion
 from roboassembly.solvers.search import SearchLimits, SearchResult, solve, solve_from
-from roboassembly.task.object_centric.task import ObjectCentricTask, Verdict
+from roboassembly.task.object_centric.task import ObjectCentricTask, ObjectCentricVerdict
 from roboassembly.task.plans.plan import Plan
 from roboassembly.task.rules.groups import Group, TaskState
 from shapes import Checker
@@ -133,9 +133,9 @@ def test_from_within_a_dead_end_there_is_no_way(captive_slat: Furniture) -> None
     for post in (1, 2):
         for w in range(6):
             outcome = task.step(state, (post, 0, ends[0, post][1], ends[0, post][0], w), 0)
-            if outcome.verdict is Verdict.MERGED:
+            if outcome.verdict is ObjectCentricVerdict.MERGED:
                 break
-        assert outcome.verdict is Verdict.MERGED
+        assert outcome.verdict is ObjectCentricVerdict.MERGED
         state = outcome.state
     result = solve_from(task, state, 0, SearchLimits(states=400_000))
     assert not result.plan.success
@@ -165,7 +165,7 @@ def test_from_the_middle_with_legs_in_each_others_places(table: Furniture) -> No
     task = ObjectCentricTask(table)
     state = task.initial_state(np.random.default_rng(0))
     outcome = task.step(state, (3, 0, 0, 0, 1), 0)  # leg 2 into the place of leg 0
-    assert outcome.verdict is Verdict.MERGED
+    assert outcome.verdict is ObjectCentricVerdict.MERGED
     result = solve_from(task, outcome.state, 0, SearchLimits())
     assert result.plan.success
 
@@ -178,7 +178,7 @@ def test_from_the_middle_with_equal_parts_whose_points_differ(chair) -> None:
     spindles, rail = (4, 5, 6), 8
     for spindle, hole in zip(spindles, (2, 3, 1), strict=True):
         outcome = task.step(state, (spindle, rail, 0, hole, 0), 0)
-        assert outcome.verdict is Verdict.MERGED
+        assert outcome.verdict is ObjectCentricVerdict.MERGED
         state = outcome.state
     joined = next(g for g in state.groups if rail in g.parts)
     assert joined.parts == (*spindles, rail)
@@ -368,7 +368,7 @@ def test_a_guide_into_a_dead_end_is_backed_out_of(captive_slat: Furniture) -> No
     posts = [(post, 0, ends[0, post][1], ends[0, post][0], w) for post in (1, 2) for w in range(6)]
     task = ObjectCentricTask(captive_slat)
     state = task.initial_state(np.random.default_rng(0))
-    into = [a for a in posts if task.step(state, a, 0, Budget(states=0)).verdict is Verdict.MERGED]
+    into = [a for a in posts if task.step(state, a, 0, Budget(states=0)).verdict is ObjectCentricVerdict.MERGED]
     assert {a[0] for a in into} == {1, 2}
     result = solve(captive_slat, 0, guide=scripted(into))
     check(result)
@@ -440,10 +440,10 @@ def test_a_guide_gets_a_share_of_the_limits_only() -> None:
 def test_a_leg_is_blocked_by_its_seat_upward_only(table: Furniture) -> None:
     graphs = BlockingGraphs(table)
     for d, arcs in zip(graphs.directions, graphs.arcs, strict=True):
-        for leg in range(1, 5):
-            assert (0 in arcs[leg]) == (d[2] > 0.5), d
-            assert (leg in arcs[0]) == (d[2] < -0.5), d
-            assert not arcs[leg] - {0}
+        for segment in range(1, 5):
+            assert (0 in arcs[segment]) == (d[2] > 0.5), d
+            assert (segment in arcs[0]) == (d[2] < -0.5), d
+            assert not arcs[segment] - {0}
     assert np.allclose(np.linalg.norm(graphs.directions, axis=1), 1.0)
 
 

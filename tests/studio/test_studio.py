@@ -30,7 +30,7 @@ from roboassembly.studio.visitor import Visitor
 from roboassembly.studio.wares import Wares, open_path, open_plan, open_upload, unpack
 from roboassembly.studio.words import told
 from roboassembly.task.full.task import FullVerdict
-from roboassembly.task.object_centric.task import Verdict
+from roboassembly.task.object_centric.task import ObjectCentricVerdict
 from roboassembly.task.plans import plan_file
 from studio_client import Browser, merges, note_visitors, served, until
 
@@ -85,7 +85,7 @@ def test_a_failure_changes_nothing_but_the_counts(stool):
     session = Session(stool, seed=1)
     legs = [i for i, p in enumerate(stool.parts) if p.name.startswith("leg")]
     tried = session.attempt((legs[0], legs[1], 0, 0, 0))
-    assert tried.verdict == Verdict.WRONG_PAIR
+    assert tried.verdict == ObjectCentricVerdict.WRONG_PAIR
     assert (session.merges, session.failures, session.reward) == (0, 1, 0.0)
     assert len(session.joined.groups) == len(stool.parts)
     assert "do not belong together" in told(stool, tried)
@@ -157,7 +157,7 @@ def test_robots_are_asked_for_grasps_and_furniture_they_cannot_hold_is_refused(s
 def test_every_verdict_has_words(stool):
     session = Session(stool, seed=1)
     base = session.attempt((0, 1, 0, 0, 0))
-    for verdict in {*map(str, Verdict), *map(str, FullVerdict)} - {"merged"}:
+    for verdict in {*map(str, ObjectCentricVerdict), *map(str, FullVerdict)} - {"merged"}:
         text = told(stool, type(base)(base.action, verdict, "lift", 5, 0.001))
         assert verdict.replace("_", " ") in text
         assert "Nothing moved" in text

@@ -14,7 +14,16 @@ from roboassembly.furniture.model import Furniture
 from roboassembly.geometry.meshes import WOOD_DENSITY
 from roboassembly.geometry.poses import SE3
 from roboassembly.task.full import cell
-from roboassembly.task.full.cell import BETWEEN_POSTS, LANE, LOWEST, PAYLOAD, check_size, laid_out, on_post, reach_from
+from roboassembly.task.full.cell import (
+    BETWEEN_POSTS,
+    LANE,
+    LOWEST,
+    PAYLOAD,
+    check_size,
+    initial_layout,
+    on_post,
+    reach_from,
+)
 from roboassembly.task.rules.groups import Group
 from shapes import GAP, block, brick, fcl_object, furniture, of_solid, pose
 
@@ -31,7 +40,7 @@ def alone(piece: Furniture, part: int, turn: np.ndarray) -> Group:
 
 @pytest.mark.parametrize("seed", range(4))
 def test_every_part_waits_on_a_post_of_its_own(stool: Furniture, seed: int) -> None:
-    room, groups, stands = laid_out(stool, np.random.default_rng(seed))
+    room, groups, stands = initial_layout(stool, np.random.default_rng(seed))
     assert [g.parts for g in groups] == [(i,) for i in range(len(stool.parts))]
     placed = []
     for group, stand in zip(groups, stands, strict=True):
@@ -64,7 +73,7 @@ def test_long_parts_keep_apart_whoever_their_neighbours_are(seed: int) -> None:
         solids[name] = brick(*size).transformed(pose(z=high + 0.5 * size[2]))
         high += size[2] + GAP
     piece = furniture("pile", solids)
-    _, groups, stands = laid_out(piece, np.random.default_rng(seed))
+    _, groups, stands = initial_layout(piece, np.random.default_rng(seed))
     reach = [reach_from(piece, g, s) for g, s in zip(groups, stands, strict=True)]
     assert max(reach) > 0.4
     for i, j in combinations(range(len(reach)), 2):
@@ -72,7 +81,7 @@ def test_long_parts_keep_apart_whoever_their_neighbours_are(seed: int) -> None:
 
 
 def test_the_layout_follows_the_generator(stool: Furniture) -> None:
-    one, two, other = (laid_out(stool, np.random.default_rng(s))[1] for s in (5, 5, 6))
+    one, two, other = (initial_layout(stool, np.random.default_rng(s))[1] for s in (5, 5, 6))
     for a, b in zip(one, two, strict=True):
         assert np.array_equal(a.world_from_furniture.homogeneous, b.world_from_furniture.homogeneous)
     assert not np.allclose(one[0].world_from_furniture.translation, other[0].world_from_furniture.translation)
@@ -90,10 +99,10 @@ def test_the_density_keeps_the_whole_within_the_payload(stool: Furniture, table:
 def test_furniture_that_does_not_suit_the_cell_is_refused(stool: Furniture, monkeypatch: pytest.MonkeyPatch) -> None:
     bare = replace(stool, parts=(replace(stool.parts[0], grasps=()), *stool.parts[1:]))
     with pytest.raises(InputError, match=f"no hand can hold part '{stool.parts[0].name}'"):
-        laid_out(bare, np.random.default_rng(0))
+        initial_layout(bare, np.random.default_rng(0))
     monkeypatch.setattr(cell, "LARGEST", 0.2)
     with pytest.raises(InputError, match=r"is 0\.\d+ m from corner to corner; the cell takes 0\.35 m"):
-        laid_out(stool, np.random.default_rng(0))
+        initial_layout(stool, np.random.default_rng(0))
 
 
 def test_a_cup_needs_something_above_it() -> None:
@@ -111,6 +120,6 @@ def test_a_cup_needs_something_above_it() -> None:
 def test_the_cup_stays_away_from_the_hands(stool: Furniture) -> None:
     # A stretcher lies level; its grasps are on it, and the post ends where most of them are free.
     part = next(i for i, p in enumerate(stool.parts) if "stretcher" in p.name)
-    _, groups, stands = laid_out(stool, np.random.default_rng(0))
+    _, groups, stands = initial_layout(stool, np.random.default_rng(0))
     free = cell._free_hands(stool, groups[part], stands[part].top[None])
     assert free[0] >= 0.5

@@ -108,7 +108,7 @@ def merge(chair) -> tuple[FullTask, float, FullStep]:
 def test_a_planned_step_is_carried_out(merge: tuple[FullTask, float, FullStep]) -> None:
     task, density, step = merge
     done = execute(task.furniture, density, step)
-    assert (done.ending, done.leg) == (Ending.DONE, "")
+    assert (done.ending, done.segment) == (Ending.DONE, "")
     assert done.success
     assert 0.0 < done.joint_position < JOINT_POSITION
     assert done.joint_angle < JOINT_ANGLE
@@ -120,19 +120,19 @@ def test_a_planned_step_is_carried_out(merge: tuple[FullTask, float, FullStep]) 
 
 def test_a_path_through_something_fails(merge: tuple[FullTask, float, FullStep]) -> None:
     task, density, step = merge
-    drive = step.legs[0]
-    post = next(s.stand.top for s in drive.moment.standing)
+    drive = step.segments[0]
+    post = next(s.post.top for s in drive.before.placed)
     through = drive.path[0].copy()
     through[:2] = post[:2]
     bad = replace(drive, path=(drive.path[0], through, *drive.path[1:]))
-    done = execute(task.furniture, density, replace(step, legs=(bad, *step.legs[1:])))
-    assert (done.ending, done.leg) == (Ending.COLLISION, "drive to u")
+    done = execute(task.furniture, density, replace(step, segments=(bad, *step.segments[1:])))
+    assert (done.ending, done.segment) == (Ending.COLLISION, "drive to u")
 
 
 def test_a_grasp_beside_the_part_fails(merge: tuple[FullTask, float, FullStep]) -> None:
     task, density, step = merge
-    legs = list(step.legs)
+    segments = list(step.segments)
     # R_a stops where the drive ended, 100 mm short of the part.
-    legs[1] = replace(legs[1], path=legs[1].path[:1])
-    done = execute(task.furniture, density, replace(step, legs=tuple(legs)))
-    assert (done.ending, done.leg) == (Ending.NOT_GRASPED, "approach u")
+    segments[1] = replace(segments[1], path=segments[1].path[:1])
+    done = execute(task.furniture, density, replace(step, segments=tuple(segments)))
+    assert (done.ending, done.segment) == (Ending.NOT_GRASPED, "approach u")

@@ -28,21 +28,21 @@ def test_the_file_alone_tells_where_everything_is(two_merges: FullPlan) -> None:
     text = plan_file.encode(two_merges)
     assert text == plan_file.encode(two_merges)
     told = json.loads(text)
-    assert (told["format"], told["version"], told["setting"]) == ("roboassembly.plan", 2, "full")
+    assert (told["format"], told["version"], told["setting"]) == ("roboassembly.plan", 3, "full")
     assert told["density"] == two_merges.initial.cell.density
     where = [pose_from_seven(p) for p in told["initial"]]
     robots = [np.array(q) for q in told["robots"]]
     for step in told["steps"]:
-        for leg in step["legs"]:
-            path = [np.array(q) for q in leg["path"]]
-            assert np.allclose(path[0], robots[leg["robot"]])
+        for segment in step["segments"]:
+            path = [np.array(q) for q in segment["path"]]
+            assert np.allclose(path[0], robots[segment["robot"]])
             start, end = world_from_tips(path[0]), world_from_tips(path[-1])
-            for held in leg["held"]:
+            for held in segment["held"]:
                 in_hand = pose_from_seven(held["pose"])
                 assert np.allclose((start * in_hand).homogeneous, where[held["part"]].homogeneous, atol=1e-5)
                 where[held["part"]] = end * in_hand
-            robots[leg["robot"]] = path[-1]
-            assert set(leg["posts"]) <= set(range(len(told["posts"])))
+            robots[segment["robot"]] = path[-1]
+            assert set(segment["posts"]) <= set(range(len(told["posts"])))
         for got, wanted in zip(where, step["after"], strict=True):
             assert np.allclose(got.homogeneous, pose_from_seven(wanted).homogeneous, atol=1e-5)
     assert len(told["steps"]) == len(two_merges.steps)
@@ -51,7 +51,7 @@ def test_the_file_alone_tells_where_everything_is(two_merges: FullPlan) -> None:
 def test_what_no_hand_holds_hangs_above_a_post(two_merges: FullPlan) -> None:
     parts = two_merges.furniture.parts
     for step in two_merges.steps:
-        for standing in step.legs[-1].after.standing:
+        for standing in step.segments[-1].after.placed:
             points = np.concatenate(
                 [
                     parts[p].mesh.vertices @ pose.rotation.T + pose.translation
@@ -59,42 +59,42 @@ def test_what_no_hand_holds_hangs_above_a_post(two_merges: FullPlan) -> None:
                 ]
             )
             assert points[:, 2].min() == pytest.approx(LOWEST, abs=1e-6)
-            above = points[np.linalg.norm(points[:, :2] - standing.stand.top[:2], axis=1) < 0.3]
+            above = points[np.linalg.norm(points[:, :2] - standing.post.top[:2], axis=1) < 0.3]
             assert len(above)
 
 
 def test_frames_show_the_plan(two_merges: FullPlan, timeline: Timeline) -> None:
-    n, own = len(two_merges.furniture.parts), len(placed(two_merges.initial.moment.robots[0].at, 0.0))
-    assert len(timeline.objects) == n + 2 * own + len(two_merges.stands)
+    n, own = len(two_merges.furniture.parts), len(placed(two_merges.initial.cell_state.robots[0].at, 0.0))
+    assert len(timeline.objects) == n + 2 * own + len(two_merges.posts)
     first, last = timeline.frames[0], timeline.frames[-1]
-    for frame, moment in ((first, two_merges.initial.moment), (last, two_merges.steps[-1].legs[-1].after)):
+    for frame, state in ((first, two_merges.initial.cell_state), (last, two_merges.steps[-1].segments[-1].after)):
         assert all(len(things) == len(timeline.objects) for things in (frame.poses, frame.roles))
-        where = {p: q for g in moment.groups() for p, q in zip(g.parts, g.part_poses(), strict=True)}
+        where = {p: q for g in state.groups() for p, q in zip(g.parts, g.part_poses(), strict=True)}
         for p in range(n):
             assert _same(frame.poses[p], where[p])
         for robot in (0, 1):
-            links = placed(moment.robots[robot].at, moment.robots[robot].opening)
+            links = placed(state.robots[robot].at, state.robots[robot].opening)
             for i, (_, pose) in enumerate(links):
                 assert _same(frame.poses[n + robot * own + i], pose)
-        up = {id(s) for s in moment.stands}
-        assert [pose is not None for pose in frame.poses[n + 2 * own :]] == [id(s) in up for s in two_merges.stands]
+        up = {id(s) for s in state.posts}
+        assert [pose is not None for pose in frame.poses[n + 2 * own :]] == [id(s) in up for s in two_merges.posts]
     assert first.caption == "stool-0: 9 parts, two robots"
     assert "R_a: mate" in " ".join(f.caption for f in timeline.frames)
 
 
 def test_nothing_jumps_from_frame_to_frame(timeline: Timeline) -> None:
-    """How fast legs are shown depends on how long they are; what jumps goes farther than just before and after."""
+    """How fast segments are shown depends on how long they are; what jumps goes farther than just before and after."""
     framed = [i for i, thing in enumerate(timeline.objects) if thing.framed]
     places = np.array([[_there(frame.poses[i]).translation for i in framed] for frame in timeline.frames])
     moved = np.linalg.norm(np.diff(places, axis=0), axis=2)
     still = np.zeros_like(moved[:1])
     beside = np.maximum(np.concatenate([still, moved[:-1]]), np.concatenate([moved[1:], still]))
-    # Fingers open and close from one leg to the next.
+    # Fingers open and close from one segment to the next.
     assert (moved - 2.0 * beside).max() < 0.02
 
 
 def test_only_one_robot_moves_at_a_time(two_merges: FullPlan, timeline: Timeline) -> None:
-    n, own = len(two_merges.furniture.parts), len(placed(two_merges.initial.moment.robots[0].at, 0.0))
+    n, own = len(two_merges.furniture.parts), len(placed(two_merges.initial.cell_state.robots[0].at, 0.0))
     for a, b in pairwise(timeline.frames):
         if a.step is None or b.step is None or a.caption != b.caption:
             continue

@@ -1,4 +1,4 @@
-"""The full step: two robots fetch, meet, join and set down; every leg audited by python-fcl."""
+"""The full step: two robots fetch, meet, join and set down; every segment audited by python-fcl."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ from roboassembly.robots.reach import reach
 from roboassembly.solvers.disassembly import partition_of
 from roboassembly.solvers.options import grasping
 from roboassembly.solvers.search import SearchLimits, solve_full
-from roboassembly.task.full.cell import Stand
-from roboassembly.task.full.cell_state import Leg
-from roboassembly.task.full.grips import Hold
-from roboassembly.task.full.pick import Wanted, _taking, fetch_both
-from roboassembly.task.full.segments import LegError, Legs
-from roboassembly.task.full.task import FullOutcome, FullTask, FullVerdict, Joint
+from roboassembly.task.full.cell import Post
+from roboassembly.task.full.cell_state import Segment
+from roboassembly.task.full.grips import Grip
+from roboassembly.task.full.pick import PickRequest, _taking, pick_both
+from roboassembly.task.full.segments import LegError, SegmentPlanner
+from roboassembly.task.full.task import FullOutcome, FullTask, FullVerdict, MateGrasp
 from roboassembly.task.plans.full_plan import FullState
 from shapes import GAP, RobotChecker, brick, furniture, pose
 
-LEGS = [
+SEGMENTS = [
     "drive to u", "approach u", "lift u", "drive to v", "approach v", "lift v", "drive", "drive", "mate",
     "back off from u", "leave u", "carry", "set down", "back off", "leave",
 ]  # fmt: skip
@@ -52,7 +52,7 @@ def start(task: FullTask) -> FullState:
 
 @pytest.fixture(scope="module")
 def merged(task: FullTask, start: FullState) -> FullOutcome:
-    """The first step of the stool that succeeds: a stretcher into a leg."""
+    """The first step of the stool that succeeds: a stretcher into a segment."""
     for action in grasping(task, start, start.groups, *stretcher_and_leg(task.furniture)):
         outcome = task.step(start, action, 3)
         if outcome.verdict is FullVerdict.MERGED:
@@ -61,13 +61,13 @@ def merged(task: FullTask, start: FullState) -> FullOutcome:
 
 
 def test_a_world_is_let_go_and_its_states_still_count(task: FullTask, start: FullState) -> None:
-    legs = Legs(task.furniture, start.cell, start.moment, Budget(), np.random.default_rng(0))
-    world = legs.world(start.moment, 0)
-    world.free(np.array([start.moment.robots[0].at, start.moment.robots[1].at]))
+    segments = SegmentPlanner(task.furniture, start.cell, start.cell_state, Budget(), np.random.default_rng(0))
+    world = segments.world(start.cell_state, 0)
+    world.free(np.array([start.cell_state.robots[0].at, start.cell_state.robots[1].at]))
     there = weakref.ref(world)
     del world
     assert there() is None
-    assert legs.states == 2
+    assert segments.states == 2
 
 
 def test_room_of_one_hand_is_part_of_what_fits(task: FullTask, start: FullState) -> None:
@@ -78,9 +78,9 @@ def test_room_of_one_hand_is_part_of_what_fits(task: FullTask, start: FullState)
         assert merge is not None
         u_group, v_group = state.groups[state.group_of[u]], state.groups[state.group_of[v]]
         for robot, part in enumerate((u, v)):
-            for held in task.free_holds(state, part).values():
-                room = task.has_room(u_group, v_group, merge, held, robot)
-                fits = task.fits_alone(u_group, v_group, merge, held, robot)
+            for held in task.free_grips(state, part).values():
+                room = task.grip_has_room(u_group, v_group, merge, held, robot)
+                fits = task.grip_fits(u_group, v_group, merge, held, robot)
                 assert room or not fits
                 told.add((room, fits))
     assert {(True, True), (False, False)} <= told
@@ -96,16 +96,16 @@ def _kinds(stool: Furniture, c) -> set[str]:
     return {kind for kind in ("stretcher", "leg") if any(kind in n for n in names)}
 
 
-def wanted_of(start: FullState, part: int, held: Hold) -> tuple[Wanted, Stand]:
+def wanted_of(start: FullState, part: int, held: Grip) -> tuple[PickRequest, Post]:
     """A group to be taken, and its post."""
-    standing = next(s for s in start.moment.standing if part in s.group.parts)
-    return Wanted(standing.group, held, "u"), standing.stand
+    standing = next(s for s in start.cell_state.placed if part in s.group.parts)
+    return PickRequest(standing.group, held, "u"), standing.post
 
 
-def dense(leg: Leg, step: float) -> list[np.ndarray]:
-    """Configurations along a leg, `step` metres and radians apart."""
-    out = [leg.path[0]]
-    for a, b in pairwise(leg.path):
+def dense(segment: Segment, step: float) -> list[np.ndarray]:
+    """Configurations along a segment, `step` metres and radians apart."""
+    out = [segment.path[0]]
+    for a, b in pairwise(segment.path):
         moved = np.linalg.norm((b - a)[:2]) + np.abs(b - a)[2:].sum()
         count = max(1, int(np.ceil(moved / step)))
         out += [a + (b - a) * i / count for i in range(1, count + 1)]
@@ -114,8 +114,8 @@ def dense(leg: Leg, step: float) -> list[np.ndarray]:
 
 def test_the_start_is_free(task: FullTask, start: FullState) -> None:
     for robot in (0, 1):
-        own = start.moment.robots[robot]
-        checker = RobotChecker(start.moment.around(task.furniture, robot), (), own.opening)
+        own = start.cell_state.robots[robot]
+        checker = RobotChecker(start.cell_state.around(task.furniture, robot), (), own.opening)
         assert not checker.hits(own.at)
 
 
@@ -126,35 +126,51 @@ def test_what_is_no_action_or_wrong_costs_nothing(task: FullTask, start: FullSta
         outcome = task.step(start, action, 0)
         assert outcome.verdict is FullVerdict.NOT_AN_ACTION
         assert outcome.state is start
-    legs = [i for i, p in enumerate(task.furniture.parts) if "leg" in p.name]
-    outcome = task.step(start, (legs[0], legs[1], 0, 0, 0, 0), 0)
+    segments = [i for i, p in enumerate(task.furniture.parts) if "leg" in p.name]
+    outcome = task.step(start, (segments[0], segments[1], 0, 0, 0, 0), 0)
     assert outcome.verdict is FullVerdict.WRONG_PAIR
-    assert (outcome.planning_steps, outcome.legs, outcome.step) == (0, (), None)
+    assert (outcome.planning_steps, outcome.segments, outcome.step) == (0, (), None)
     # Joined points are not free any more.
     assert task.step(merged.state, merged.step.action, 0).verdict is FullVerdict.NOT_AN_ACTION
 
 
-def test_the_legs_follow_each_other_as_in_the_paper(merged: FullOutcome) -> None:
-    legs = merged.legs
-    assert [leg.name.removesuffix(" u").removesuffix(" v") if leg.name in ("drive u", "drive v") else leg.name
-            for leg in legs] == LEGS  # fmt: skip
-    assert [leg.robot for leg in legs] == [0, 0, 0, 1, 1, 1, legs[6].robot, legs[7].robot, 0, 0, 0, 1, 1, 1, 1]
-    for leg in legs:
-        assert np.allclose(leg.path[0], leg.moment.robots[leg.robot].at)
-    for before, leg in pairwise(legs):
+def test_the_segments_follow_each_other_as_in_the_paper(merged: FullOutcome) -> None:
+    segments = merged.segments
+    names = [segment.name for segment in segments]
+    assert ["drive" if name in ("drive u", "drive v") else name for name in names] == SEGMENTS
+    assert [segment.robot for segment in segments] == [
+        0,
+        0,
+        0,
+        1,
+        1,
+        1,
+        segments[6].robot,
+        segments[7].robot,
+        0,
+        0,
+        0,
+        1,
+        1,
+        1,
+        1,
+    ]
+    for segment in segments:
+        assert np.allclose(segment.path[0], segment.before.robots[segment.robot].at)
+    for before, segment in pairwise(segments):
         for robot in (0, 1):
-            assert np.array_equal(before.after.robots[robot].at, leg.moment.robots[robot].at)
+            assert np.array_equal(before.after.robots[robot].at, segment.before.robots[robot].at)
 
 
 @pytest.mark.slow
 def test_no_leg_touches_anything(task: FullTask, merged: FullOutcome) -> None:
     """Coarser ones are looked at in `test_evaluate.py`, a whole plan by the audit."""
-    for leg in merged.legs:
-        own = leg.moment.robots[leg.robot]
-        around = leg.moment.around(task.furniture, leg.robot)
-        checker = RobotChecker(around, own.held(task.furniture), own.opening)
-        hits = [q for q in dense(leg, 0.008) if checker.hits(q)]
-        assert not hits, leg.name
+    for segment in merged.segments:
+        own = segment.before.robots[segment.robot]
+        around = segment.before.around(task.furniture, segment.robot)
+        checker = RobotChecker(around, own.payload_shapes(task.furniture), own.opening)
+        hits = [q for q in dense(segment, 0.008) if checker.hits(q)]
+        assert not hits, segment.name
 
 
 def test_no_part_floats_or_jumps(task: FullTask, merged: FullOutcome) -> None:
@@ -162,21 +178,21 @@ def test_no_part_floats_or_jumps(task: FullTask, merged: FullOutcome) -> None:
         return {p: pose.homogeneous for g in groups for p, pose in zip(g.parts, g.part_poses(), strict=True)}
 
     n = len(task.furniture.parts)
-    for before, leg in pairwise(merged.legs):
-        there, here = poses(before.after.groups()), poses(leg.moment.groups())
+    for before, segment in pairwise(merged.segments):
+        there, here = poses(before.after.groups()), poses(segment.before.groups())
         assert sorted(here) == list(range(n))
         # Where a hand takes over or lets go, nothing moves but by rounding.
-        assert all(np.allclose(there[p], here[p], atol=2e-6) for p in range(n)), leg.name
+        assert all(np.allclose(there[p], here[p], atol=2e-6) for p in range(n)), segment.name
     final = merged.state
-    assert len(final.moment.standing) == len(final.groups.groups) == n - 1
-    for group, standing in zip(final.groups.groups, final.moment.standing, strict=True):
+    assert len(final.cell_state.placed) == len(final.groups.groups) == n - 1
+    for group, standing in zip(final.groups.groups, final.cell_state.placed, strict=True):
         assert group is standing.group
-    assert final.moment.robots[0].grip is None
-    assert final.moment.robots[1].grip is None
+    assert final.cell_state.robots[0].payload is None
+    assert final.cell_state.robots[1].payload is None
 
 
 def test_mated_parts_are_where_the_furniture_has_them(task: FullTask, merged: FullOutcome) -> None:
-    mate = next(leg for leg in merged.legs if leg.name == "mate")
+    mate = next(segment for segment in merged.segments if segment.name == "mate")
     where = {p: q for g in mate.after.groups() for p, q in zip(g.parts, g.part_poses(), strict=True)}
     joined = next(g for g in merged.state.groups.groups if len(g.parts) == 2)
     one, two = joined.parts
@@ -187,15 +203,15 @@ def test_mated_parts_are_where_the_furniture_has_them(task: FullTask, merged: Fu
 
 
 def test_hands_come_lift_and_mate_in_straight_lines(merged: FullOutcome) -> None:
-    for leg in merged.legs:
-        if leg.name.split()[0] in ("approach", "lift", "mate", "back"):
-            tips = [world_from_tips(q) for q in leg.path]
+    for segment in merged.segments:
+        if segment.name.split()[0] in ("approach", "lift", "mate", "back"):
+            tips = [world_from_tips(q) for q in segment.path]
             start, end = tips[0].translation, tips[-1].translation
             along = (end - start) / np.linalg.norm(end - start)
             off = np.array([t.translation - start for t in tips])
-            assert np.abs(off - np.outer(off @ along, along)).max() < 1e-5, leg.name
-            assert max(rotation_angle(t.rotation.T @ tips[0].rotation) for t in tips) < 1e-5, leg.name
-            if leg.name.startswith("lift"):
+            assert np.abs(off - np.outer(off @ along, along)).max() < 1e-5, segment.name
+            assert max(rotation_angle(t.rotation.T @ tips[0].rotation) for t in tips) < 1e-5, segment.name
+            if segment.name.startswith("lift"):
                 assert along == pytest.approx([0.0, 0.0, 1.0], abs=1e-6)
 
 
@@ -203,7 +219,7 @@ def test_the_same_seed_takes_the_same_way(task: FullTask, start: FullState, merg
     assert merged.step is not None
     again = task.step(start, merged.step.action, 3)
     assert again.planning_steps == merged.planning_steps
-    for a, b in zip(again.legs, merged.legs, strict=True):
+    for a, b in zip(again.segments, merged.segments, strict=True):
         assert a.name == b.name
         assert all(np.array_equal(p, q) for p, q in zip(a.path, b.path, strict=True))
 
@@ -212,7 +228,7 @@ def test_a_grasp_that_the_group_blocks_is_told_before_anything_moves(task: FullT
     state = merged.state
     joined = next(g for g in state.groups.groups if len(g.parts) == 2)
     for u in joined.parts:
-        free = set(task.free_holds(state.groups, u))
+        free = set(task.free_grips(state.groups, u))
         for c in task.furniture.connections:
             if (
                 u == c.part_a
@@ -221,9 +237,9 @@ def test_a_grasp_that_the_group_blocks_is_told_before_anything_moves(task: FullT
             ):
                 for g in set(range(8)) - free:
                     outcome = task.step(state, (u, c.part_b, c.point_a, c.point_b, g, 0), 0)
-                    assert (outcome.verdict, outcome.leg) == (FullVerdict.GRASP_BLOCKED, "grasp u")
+                    assert (outcome.verdict, outcome.segment) == (FullVerdict.GRASP_BLOCKED, "grasp u")
                     assert outcome.state is state
-                    assert outcome.legs == ()
+                    assert outcome.segments == ()
 
 
 def test_without_a_budget_there_is_no_path(task: FullTask, start: FullState, merged: FullOutcome) -> None:
@@ -231,41 +247,45 @@ def test_without_a_budget_there_is_no_path(task: FullTask, start: FullState, mer
     outcome = task.step(start, merged.step.action, 3, Budget(states=1))
     # Straight edges need no search, so it may get some way.
     assert outcome.verdict in (FullVerdict.NO_PATH, FullVerdict.MERGED)
-    for legs, search in ((merged.legs, True), (outcome.legs, False)):
-        ways = [len(leg.path) for leg in legs if leg.name.split()[0] in ("drive", "carry", "leave", "make")]
+    for segments, search in ((merged.segments, True), (outcome.segments, False)):
+        ways = [
+            len(segment.path) for segment in segments if segment.name.split()[0] in ("drive", "carry", "leave", "make")
+        ]
         assert (max(ways, default=2) > 2) is search
 
 
 def test_a_robot_that_stands_in_the_way_drives_elsewhere(task: FullTask, start: FullState, merged: FullOutcome) -> None:
     assert merged.step is not None
     action = merged.step.action
-    held = task.free_holds(start.groups, action[0])[action[4]]
+    held = task.free_grips(start.groups, action[0])[action[4]]
     wanted, stand = wanted_of(start, action[0], held)
     post = stand.top[:2]
 
     def without_r_b_moving(state: FullState) -> bool:
-        legs = Legs(task.furniture, state.cell, state.moment, task.budget, np.random.default_rng(0))
+        segments = SegmentPlanner(task.furniture, state.cell, state.cell_state, task.budget, np.random.default_rng(0))
         try:
-            return next(_taking(legs, 0, wanted).tries, None) is not None
+            return next(_taking(segments, 0, wanted).tries, None) is not None
         except LegError:
             return False
 
     for far, angle in product((0.4, 0.35, 0.45, 0.5), np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False)):
         place = post + far * np.array([np.cos(angle), np.sin(angle)])
-        at = np.concatenate([place, start.moment.robots[1].at[2:]])
-        state = replace(start, moment=start.moment.moved(1, at))
-        if state.moment.world(task.furniture, 1).free(at[None])[0] and not without_r_b_moving(state):
+        at = np.concatenate([place, start.cell_state.robots[1].at[2:]])
+        state = replace(start, cell_state=start.cell_state.moved(1, at))
+        if state.cell_state.world(task.furniture, 1).free(at[None])[0] and not without_r_b_moving(state):
             break
     else:
         pytest.fail("R_b is nowhere in the way")
-    assert task.can_take(state, action[0], held, 0, 0), "that is for the other robot to see to"
+    assert task.can_pick(state, action[0], held, 0, 0), "that is for the other robot to see to"
     outcome = task.step(state, action, 0)
     assert outcome.verdict is FullVerdict.MERGED
-    assert [leg.robot for leg in outcome.legs if leg.name == "make way"] == [1]
-    for leg in outcome.legs[:4]:
-        own = leg.moment.robots[leg.robot]
-        checker = RobotChecker(leg.moment.around(task.furniture, leg.robot), own.held(task.furniture), own.opening)
-        assert not [q for q in dense(leg, 0.08) if checker.hits(q)], leg.name
+    assert [segment.robot for segment in outcome.segments if segment.name == "make way"] == [1]
+    for segment in outcome.segments[:4]:
+        own = segment.before.robots[segment.robot]
+        checker = RobotChecker(
+            segment.before.around(task.furniture, segment.robot), own.payload_shapes(task.furniture), own.opening
+        )
+        assert not [q for q in dense(segment, 0.08) if checker.hits(q)], segment.name
 
 
 def test_groups_are_taken_with_the_arm_as_it_will_be(
@@ -273,17 +293,17 @@ def test_groups_are_taken_with_the_arm_as_it_will_be(
 ) -> None:  # fmt: skip
     assert merged.step is not None
     u, v, _, _, g_a, g_b = merged.step.action
-    wanted = [wanted_of(start, part, task.free_holds(start.groups, part)[g])[0] for part, g in ((u, g_a), (v, g_b))]
+    wanted = [wanted_of(start, part, task.free_grips(start.groups, part)[g])[0] for part, g in ((u, g_a), (v, g_b))]
 
     def arms(like: list[np.ndarray | None]) -> list[np.ndarray]:
-        legs = Legs(task.furniture, start.cell, start.moment, task.budget, np.random.default_rng(0))
-        fetch_both(legs, [replace(w, like=q) for w, q in zip(wanted, like, strict=True)])
-        return [robot.at for robot in legs.moment.robots]
+        segments = SegmentPlanner(task.furniture, start.cell, start.cell_state, task.budget, np.random.default_rng(0))
+        pick_both(segments, [replace(w, like=q) for w, q in zip(wanted, like, strict=True)])
+        return [robot.at for robot in segments.state.robots]
 
     usual = arms([None, None])
     like: list[np.ndarray | None] = []
     for w, q in zip(wanted, usual, strict=True):
-        tips = w.group.world_from_furniture * w.hold.furniture_from_tips
+        tips = w.group.world_from_furniture * w.grip.furniture_from_tips
         others = reach(tips, 64, np.random.default_rng(1)).configurations
         like.append(others[np.argmax(np.linalg.norm((others - q)[:, 3:], axis=1))])
     for before, after, wished in zip(usual, arms(like), like, strict=True):
@@ -293,16 +313,18 @@ def test_groups_are_taken_with_the_arm_as_it_will_be(
 
 
 def test_a_hand_backs_off_less_where_something_is_behind_it(task: FullTask, merged: FullOutcome) -> None:
-    leg = next(leg for leg in merged.legs if leg.name == "back off from u")
-    at = leg.path[0]
+    segment = next(segment for segment in merged.segments if segment.name == "back off from u")
+    at = segment.path[0]
     out = -world_from_tips(at).rotation[:, 2]
 
     def backs_off(far: float) -> float | None:
         """How far, with a small block that far behind the finger tips."""
-        legs = Legs(task.furniture, merged.state.cell, leg.moment, task.budget, np.random.default_rng(0))
+        segments = SegmentPlanner(
+            task.furniture, merged.state.cell, segment.before, task.budget, np.random.default_rng(0)
+        )
         place = world_from_tips(at).translation + far * out
         block = Body("block", (Shape(brick(0.01, 0.01, 0.01), SE3.Identity()),), SE3(np.eye(3), place), False)
-        way = legs.back(RobotWorld([block], leg.moment.robots[0].opening), at)
+        way = segments.back(RobotWorld([block], segment.before.robots[0].opening), at)
         if way is None:
             return None
         return float(np.linalg.norm(world_from_tips(way[-1]).translation - world_from_tips(at).translation))
@@ -320,7 +342,7 @@ def test_options_pass_the_cheap_tests_and_name_the_split(task: FullTask, start: 
     for action in options:
         assert task.exists(start, action)
         assert {action[0], action[1]} == {*leaving, *staying}
-        assert isinstance(task.joint(start.groups, action), Joint)
+        assert isinstance(task.mate_grasp(start.groups, action), MateGrasp)
 
 
 @pytest.mark.slow
@@ -329,7 +351,7 @@ def test_the_search_assembles_a_stool_with_two_robots(stool: Furniture) -> None:
     assert result.plan.success, result.reason
     assert len(result.plan.steps) == len(stool.parts) - 1
     for step in result.plan.steps:
-        end = step.legs[-1].after
+        end = step.segments[-1].after
         free = [end.world(stool, robot).free(end.robots[robot].at[None])[0] for robot in (0, 1)]
         assert all(free), "a post rose where a robot stands"
     again = solve_full(stool, 0)

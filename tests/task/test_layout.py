@@ -22,7 +22,7 @@ from roboassembly.task.layout import (
     footprint,
     free_spot,
     group_footprint,
-    scattered,
+    scatter_parts,
 )
 from roboassembly.task.rules.groups import TaskState, hull_points
 
@@ -153,7 +153,7 @@ def lowest(furniture: Furniture, state: TaskState) -> list[float]:
 @pytest.mark.parametrize("seed", range(3))
 def test_scattered_parts_lie_apart_on_the_ground(chair, family: str, seed: int) -> None:
     furniture = chair(family, 0)
-    state = scattered(furniture, np.random.default_rng(seed))
+    state = scatter_parts(furniture, np.random.default_rng(seed))
     assert [g.parts for g in state.groups] == [(p,) for p in range(len(furniture.parts))]
     assert all(g.slots == g.parts for g in state.groups)
     assert np.allclose(lowest(furniture, state), GROUND_CLEARANCE, atol=1e-7)
@@ -171,7 +171,7 @@ def test_scattered_parts_lie_apart_on_the_ground(chair, family: str, seed: int) 
 def test_scattering_is_decided_by_the_generator(table: Furniture) -> None:
     np.random.seed(0)  # noqa: NPY002
     before = np.random.get_state()[1].copy()  # noqa: NPY002
-    one, again, other = (scattered(table, np.random.default_rng(s)).part_poses for s in (1, 1, 2))
+    one, again, other = (scatter_parts(table, np.random.default_rng(s)).part_poses for s in (1, 1, 2))
     assert np.array_equal(before, np.random.get_state()[1])  # noqa: NPY002
     assert all(np.array_equal(a.homogeneous, b.homogeneous) for a, b in zip(one, again, strict=True))
     assert all(np.abs(a.translation - b.translation).max() > 1e-3 for a, b in zip(one, other, strict=True))
@@ -180,7 +180,7 @@ def test_scattering_is_decided_by_the_generator(table: Furniture) -> None:
 def test_scattering_draws_many_poses(table: Furniture) -> None:
     """All ways to lie and all directions come up."""
     rng = np.random.default_rng(0)
-    poses = [scattered(table, rng).part_poses[1] for _ in range(60)]
+    poses = [scatter_parts(table, rng).part_poses[1] for _ in range(60)]
     flat = [p.rotation[2, 2] for p in poses]
     assert sum(abs(z) > 0.9 for z in flat) < 10  # a leg seldom stands
     yaw = np.array([np.arctan2(p.rotation[1, 2], p.rotation[0, 2]) for p in poses])

@@ -13,7 +13,7 @@ from roboassembly.geometry.poses import SE3
 from roboassembly.geometry.scene import Scene
 from roboassembly.planning.problem import Budget
 from roboassembly.task.layout import GROUND_CLEARANCE, group_footprint
-from roboassembly.task.object_centric.task import ObjectCentricTask, Outcome, Verdict
+from roboassembly.task.object_centric.task import ObjectCentricOutcome, ObjectCentricTask, ObjectCentricVerdict
 from roboassembly.task.plans.plan import SETTLING_INTERVAL
 from roboassembly.task.rules.connections import UP_AXES
 from roboassembly.task.rules.groups import Group, TaskState, body, center_of_mass, hull_points
@@ -44,20 +44,22 @@ def numbers(state: TaskState) -> np.ndarray:
     return np.array([p.homogeneous for p in state.part_poses])
 
 
-def step(furniture: Furniture, state: TaskState, action: tuple[int, ...], **options: object) -> Outcome:
+def step(furniture: Furniture, state: TaskState, action: tuple[int, ...], **options: object) -> ObjectCentricOutcome:
     before, groups = numbers(state), state.groups
     outcome = ObjectCentricTask(furniture).step(state, action, 0, **options)  # pyright: ignore[reportArgumentType]
     # The old state is as it was, to the last bit.
     assert np.array_equal(numbers(state), before)
     assert state.groups is groups
-    if outcome.verdict is Verdict.MERGED:
+    if outcome.verdict is ObjectCentricVerdict.MERGED:
         assert outcome.step is not None
         assert outcome.state is not state
     else:
         assert outcome.step is None
         assert outcome.state is state
     assert outcome.planning_steps >= 0
-    assert (outcome.planning_steps > 0) == (outcome.verdict not in (Verdict.NOT_AN_ACTION, Verdict.WRONG_PAIR))
+    assert (outcome.planning_steps > 0) == (
+        outcome.verdict not in (ObjectCentricVerdict.NOT_AN_ACTION, ObjectCentricVerdict.WRONG_PAIR)
+    )
     return outcome
 
 
@@ -78,35 +80,37 @@ def step(furniture: Furniture, state: TaskState, action: tuple[int, ...], **opti
     ],
 )
 def test_what_is_not_there_is_no_action(table: Furniture, action: tuple[int, ...]) -> None:
-    assert step(table, apart(table), action).verdict is Verdict.NOT_AN_ACTION
+    assert step(table, apart(table), action).verdict is ObjectCentricVerdict.NOT_AN_ACTION
 
 
 def test_what_is_taken_or_joined_is_no_action(table: Furniture) -> None:
     state = step(table, apart(table), (1, 0, 0, 0, DOWN)).state
-    assert step(table, state, (1, 0, 0, 0, DOWN)).verdict is Verdict.NOT_AN_ACTION  # one group already
-    assert step(table, state, (0, 1, 1, 0, DOWN)).verdict is Verdict.NOT_AN_ACTION
-    assert step(table, state, (2, 0, 0, 0, DOWN)).verdict is Verdict.NOT_AN_ACTION  # the corner is taken
-    assert step(table, state, (2, 1, 0, 0, DOWN)).verdict is Verdict.NOT_AN_ACTION  # the leg's end is taken
-    assert step(table, state, (2, 0, 0, 1, DOWN)).verdict is Verdict.MERGED
+    assert step(table, state, (1, 0, 0, 0, DOWN)).verdict is ObjectCentricVerdict.NOT_AN_ACTION  # one group already
+    assert step(table, state, (0, 1, 1, 0, DOWN)).verdict is ObjectCentricVerdict.NOT_AN_ACTION
+    assert step(table, state, (2, 0, 0, 0, DOWN)).verdict is ObjectCentricVerdict.NOT_AN_ACTION  # the corner is taken
+    assert (
+        step(table, state, (2, 1, 0, 0, DOWN)).verdict is ObjectCentricVerdict.NOT_AN_ACTION
+    )  # the leg's end is taken
+    assert step(table, state, (2, 0, 0, 1, DOWN)).verdict is ObjectCentricVerdict.MERGED
 
 
 def test_wrong_pair(table: Furniture, stand: Furniture) -> None:
-    assert step(table, apart(table), (1, 2, 0, 0, UP)).verdict is Verdict.WRONG_PAIR
+    assert step(table, apart(table), (1, 2, 0, 0, UP)).verdict is ObjectCentricVerdict.WRONG_PAIR
     wrong = [
         (u, v, k, l, w)
         for (u, v), k, l, w in product(((0, 1), (2, 3)), range(2), range(2), range(2))  # noqa: E741
     ]
     for action in wrong:
-        assert step(stand, apart(stand), action).verdict is Verdict.WRONG_PAIR
+        assert step(stand, apart(stand), action).verdict is ObjectCentricVerdict.WRONG_PAIR
 
 
 def test_a_leg_goes_under_a_seat_only_when_the_seat_lies_face_down(table: Furniture) -> None:
     state = apart(table)
-    assert step(table, state, (1, 0, 0, 0, UP)).verdict is Verdict.GOAL_IN_COLLISION
-    assert step(table, state, (1, 0, 0, 0, DOWN)).verdict is Verdict.MERGED
+    assert step(table, state, (1, 0, 0, 0, UP)).verdict is ObjectCentricVerdict.GOAL_IN_COLLISION
+    assert step(table, state, (1, 0, 0, 0, DOWN)).verdict is ObjectCentricVerdict.MERGED
     # The seat onto a standing leg: there is room above.
-    assert step(table, state, (0, 1, 0, 0, UP)).verdict is Verdict.MERGED
-    assert step(table, state, (0, 1, 0, 0, DOWN)).verdict is Verdict.GOAL_IN_COLLISION
+    assert step(table, state, (0, 1, 0, 0, UP)).verdict is ObjectCentricVerdict.MERGED
+    assert step(table, state, (0, 1, 0, 0, DOWN)).verdict is ObjectCentricVerdict.GOAL_IN_COLLISION
 
 
 def test_every_up_axis_points_up(table: Furniture) -> None:
@@ -130,10 +134,10 @@ def test_start_in_collision(table: Furniture) -> None:
     state = apart(table)
     places = dict(enumerate(state.part_poses))
     places[2] = SE3(places[1].rotation, places[1].translation + np.array([0.02, 0, 0]))
-    assert step(table, lying(table, places), (1, 0, 0, 0, DOWN)).verdict is Verdict.START_IN_COLLISION
+    assert step(table, lying(table, places), (1, 0, 0, 0, DOWN)).verdict is ObjectCentricVerdict.START_IN_COLLISION
     places[2] = SE3(places[1].rotation, places[1].translation + np.array([0.2, 0, 0]))
     places[1] = SE3(places[1].rotation, places[1].translation - np.array([0, 0, 0.01]))
-    assert step(table, lying(table, places), (1, 0, 0, 0, DOWN)).verdict is Verdict.START_IN_COLLISION
+    assert step(table, lying(table, places), (1, 0, 0, 0, DOWN)).verdict is ObjectCentricVerdict.START_IN_COLLISION
 
 
 def test_dead_end_is_not_merged(captive_slat: Furniture) -> None:
@@ -144,7 +148,7 @@ def test_dead_end_is_not_merged(captive_slat: Furniture) -> None:
     for post in (1, 2):
         on_board, below = ends[0, post]
         outcome = step(furniture, state, (post, 0, below, on_board, UP))
-        assert outcome.verdict is Verdict.MERGED
+        assert outcome.verdict is ObjectCentricVerdict.MERGED
         state = outcome.state
     mouth, tenon = ends[1, 3]
     for w in range(6):
@@ -152,9 +156,13 @@ def test_dead_end_is_not_merged(captive_slat: Furniture) -> None:
             step(furniture, state, (3, 1, tenon, mouth, w)).verdict,
             step(furniture, state, (1, 3, mouth, tenon, w)).verdict,
         }
-        assert Verdict.MERGED not in verdicts
-        assert verdicts <= {Verdict.UNREACHABLE, Verdict.BUDGET_EXHAUSTED, Verdict.GOAL_IN_COLLISION}
-    assert Verdict.UNREACHABLE in verdicts or Verdict.BUDGET_EXHAUSTED in verdicts
+        assert ObjectCentricVerdict.MERGED not in verdicts
+        assert verdicts <= {
+            ObjectCentricVerdict.UNREACHABLE,
+            ObjectCentricVerdict.BUDGET_EXHAUSTED,
+            ObjectCentricVerdict.GOAL_IN_COLLISION,
+        }
+    assert ObjectCentricVerdict.UNREACHABLE in verdicts or ObjectCentricVerdict.BUDGET_EXHAUSTED in verdicts
 
 
 def test_locked_in_is_unreachable() -> None:
@@ -170,15 +178,15 @@ def test_locked_in_is_unreachable() -> None:
     furniture = shapes.furniture("bone", {"ring": shapes.of_solid(ring), "bone": shapes.of_solid(bone)})
     state = apart(furniture)
     verdicts = [step(furniture, state, (u, 1 - u, 0, 0, w)).verdict for u in (0, 1) for w in range(6)]
-    assert Verdict.UNREACHABLE in verdicts
-    assert set(verdicts) <= {Verdict.UNREACHABLE, Verdict.GOAL_IN_COLLISION}
+    assert ObjectCentricVerdict.UNREACHABLE in verdicts
+    assert set(verdicts) <= {ObjectCentricVerdict.UNREACHABLE, ObjectCentricVerdict.GOAL_IN_COLLISION}
 
 
 def test_budget_exhausted() -> None:
     furniture = shapes.interlocked()
     verdicts = {step(furniture, apart(furniture), (0, 1, 0, 0, w), budget=Budget(states=500)).verdict for w in range(6)}
-    assert Verdict.BUDGET_EXHAUSTED in verdicts
-    assert Verdict.MERGED not in verdicts
+    assert ObjectCentricVerdict.BUDGET_EXHAUSTED in verdicts
+    assert ObjectCentricVerdict.MERGED not in verdicts
 
 
 def test_the_tasks_own_budget_is_used() -> None:
@@ -203,9 +211,9 @@ def test_what_a_merge_leaves_behind(chair, seed: int) -> None:
     c = furniture.connections[0]
     for action in ((a, b, k, l, w) for (a, k, b, l) in ((c.part_a, c.point_a, c.part_b, c.point_b),) for w in range(6)):  # noqa: E741
         outcome = task.step(state, action, seed)
-        if outcome.verdict is Verdict.MERGED:
+        if outcome.verdict is ObjectCentricVerdict.MERGED:
             break
-    assert outcome.verdict is Verdict.MERGED
+    assert outcome.verdict is ObjectCentricVerdict.MERGED
     record, after = outcome.step, outcome.state
     assert record is not None
     u, v = action[:2]
@@ -261,13 +269,13 @@ def test_a_group_moves_as_one(table: Furniture) -> None:
     for leg in (1, 2):
         state = step(table, state, (leg, 0, 0, leg - 1, DOWN)).state
     outcome = step(table, state, (0, 3, 2, 0, UP))
-    assert outcome.verdict is Verdict.MERGED
+    assert outcome.verdict is ObjectCentricVerdict.MERGED
     assert outcome.step is not None
     assert set(outcome.step.moving) == {0, 1, 2}
     origin = sum(table.parts[p].mesh.volume * outcome.step.moving[p].translation for p in (0, 1, 2))
     assert np.allclose(origin, 0, atol=1e-6)
     final = step(table, outcome.state, (4, 0, 0, 3, DOWN))
-    assert final.verdict is Verdict.MERGED
+    assert final.verdict is ObjectCentricVerdict.MERGED
     assert final.state.complete
     assert ObjectCentricTask(table).free_points(final.state).sum() == 0
 
@@ -295,7 +303,7 @@ def test_free_points_and_exists_agree(stand: Furniture) -> None:
     assert task.free_points(state).sum() == 8
     ends = {(c.part_a, c.part_b): (c.point_a, c.point_b) for c in stand.connections}
     outcome = task.step(state, (2, 1, ends[1, 2][1], ends[1, 2][0], UP), 0)
-    assert outcome.verdict is Verdict.MERGED
+    assert outcome.verdict is ObjectCentricVerdict.MERGED
     after = outcome.state
     free = task.free_points(after)
     assert free.sum() == 6

@@ -232,7 +232,7 @@ def test_wherever_equal_parts_went_open_joints_are_right_pairs(chair, family: st
     for _ in range(3):
         state = TaskState(tuple(alone(furniture, p, pose(float(p))) for p in range(len(furniture.parts))))
         while not state.complete:
-            told = next(rule.own_places(state), None)
+            told = next(rule.slot_assignments(state), None)
             if told is None:
                 break
             joints = []
@@ -362,7 +362,7 @@ def test_what_is_joined_is_not_bent_into_slots_that_are_equal_within_tolerance_o
     rule = PairRule(bench)
     merge = rule.judge(alone(bench, 1), alone(bench, 0), 1, 0, 0, 0)
     assert merge is not None
-    told = {group.slots for group in rule.places(merge.merged)}
+    told = {group.slots for group in rule.placements(merge.merged)}
     assert len(told) == 1 + others
     # Either leg still goes to either place: tolerance is for what is not joined yet.
     assert rule.judge(alone(bench, 2), alone(bench, 0), 2, 0, 0, 0) is not None

@@ -21,10 +21,10 @@ from roboassembly.solvers.search import solve
 from roboassembly.studio.session import Session
 from roboassembly.studio.words import upright_note
 from roboassembly.task.full.cell import Cell, on_post
-from roboassembly.task.full.cell_state import Moment, Robot, Standing
+from roboassembly.task.full.cell_state import CellState, PlacedGroup, Robot
 from roboassembly.task.full.execution import Ending, execute_upright
 from roboassembly.task.full.segments import TUCKED
-from roboassembly.task.object_centric.settling import let_go
+from roboassembly.task.object_centric.settling import settle_group
 from roboassembly.task.object_centric.stance import stance_of, standing_at
 from roboassembly.task.object_centric.upright import set_upright
 from roboassembly.task.plans import plan_file
@@ -46,7 +46,7 @@ def whole(furniture: Furniture) -> Group:
 
 def finished(furniture: Furniture, rotation: np.ndarray) -> Plan:
     """All merges done, the piece at rest where it fell when it was let go turned like this."""
-    _, rested = let_go(furniture, standing_at(furniture, whole(furniture), rotation))
+    _, rested = settle_group(furniture, standing_at(furniture, whole(furniture), rotation))
     return Plan(furniture, rested.part_poses(), (), True, 0)
 
 
@@ -141,7 +141,7 @@ def test_a_piece_that_only_balances_does_not_stand() -> None:
     furniture = balancing()
     stance = stance_of(furniture, furniture.assembled)
     assert stance is not None
-    _, let_be = let_go(furniture, standing_at(furniture, whole(furniture), np.eye(3)))
+    _, let_be = settle_group(furniture, standing_at(furniture, whole(furniture), np.eye(3)))
     assert tilt_in_degrees(furniture, let_be.part_poses()) < 2.0, "unnudged it stays, or this tests nothing"
     assert stance.reason
 
@@ -227,7 +227,7 @@ def test_a_plan_that_was_searched_ends_upright_in_the_file_and_in_the_pictures(c
     assert plan_file.encode(plan) == plan_file.encode(set_upright(result.plan))
 
     told = json.loads(plan_file.encode(plan))
-    assert (told["version"], told["upright"]["success"], told["upright"]["reason"]) == (2, True, "")
+    assert (told["version"], told["upright"]["success"], told["upright"]["reason"]) == (3, True, "")
     motion = told["upright"]["motion"]
     start = pose_from_seven(motion["path"][0])
     for placed in motion["moving"]:
@@ -256,8 +256,8 @@ def test_files_of_the_version_before_are_read_and_of_a_later_one_refused(chair) 
     script = plan_file.decode(json.dumps(told).encode(), "plan.json")
     del told["upright"]
     assert plan_file.decode(json.dumps(told | {"version": 1}).encode(), "plan.json") == script
-    with pytest.raises(InputError, match=r"version 3; this program reads .* versions 1 and 2: `roboassembly assemble`"):
-        plan_file.decode(json.dumps(told | {"version": 3}).encode(), "plan.json")
+    with pytest.raises(InputError, match=r"version 4; this program reads .* versions 1, 2, 3: `roboassembly assemble`"):
+        plan_file.decode(json.dumps(told | {"version": 4}).encode(), "plan.json")
 
 
 # The studio
@@ -290,8 +290,8 @@ def _full(furniture: Furniture, lying: bool) -> FullPlan:
     held = on_post(furniture, turned, np.array([1.6, 0.0]))
     assert held is not None
     robots = tuple(Robot(np.array([x, -0.8, 0.0, *TUCKED]), 0.0) for x in (-0.6, 0.6))
-    moment = Moment((Standing(*held),), (robots[0], robots[1]))
-    initial = FullState(TaskState((held[0],)), moment, Cell(1.6, 400.0))
+    state = CellState((PlacedGroup(*held),), (robots[0], robots[1]))
+    initial = FullState(TaskState((held[0],)), state, Cell(1.6, 400.0))
     return set_upright(FullPlan(furniture, initial, (), True, 0))
 
 
@@ -301,28 +301,28 @@ def test_a_robot_sets_the_piece_on_its_feet_on_the_floor(chair, lying: bool) -> 
     plan = _full(furniture, lying)
     assert plan.upright is not None
     assert (plan.upright.success, plan.upright.reason) == (True, "")
-    names = [leg.name for leg in plan.final_legs]
+    names = [segment.name for segment in plan.final_segments]
     assert names[-7:] == [
         "drive to piece", "approach piece", "lift piece", "carry", "set down", "back off", "leave"
     ]  # fmt: skip
-    end = plan.final_moment
-    assert (end.standing, end.posts) == ((), ())
-    assert [robot.grip for robot in end.robots] == [None, None]
+    end = plan.final_cell_state
+    assert (end.placed, end.free_posts) == ((), ())
+    assert [robot.payload for robot in end.robots] == [None, None]
     poses = end.on_floor[0].part_poses()
     assert tilt_in_degrees(furniture, poses) < 2.0
     assert heights(furniture, poses).min() == pytest.approx(0.001, abs=1e-6)
     report = audit_full_plan(plan)
     assert report.passed, report.summary()
-    assert report.legs == len(names)
+    assert report.segments == len(names)
     told = json.loads(plan_file.encode(plan))["upright"]
-    assert [leg["name"] for leg in told["motion"]["legs"]] == names
+    assert [segment["name"] for segment in told["motion"]["segments"]] == names
     last = make_timeline(plan, 10.0, None).frames[-1]
     for shown, pose in zip(last.poses, poses, strict=False):
         assert shown is not None
         assert np.allclose(shown.homogeneous, pose.homogeneous, atol=1e-9)
 
 
-def test_the_same_plan_gives_the_same_legs(chair) -> None:
+def test_the_same_plan_gives_the_same_segments(chair) -> None:
     plan = _full(chair("stool", 0), False)
     assert plan_file.encode(set_upright(replace(plan, upright=None))) == plan_file.encode(plan)
 
@@ -331,18 +331,18 @@ def test_the_audit_catches_a_piece_that_a_robot_put_through_the_floor_or_left_ha
     plan = _full(chair("stool", 0), False)
     assert plan.upright is not None
 
-    def with_legs(legs: tuple) -> FullPlan:
-        return replace(plan, upright=replace(plan.upright, motion=FullUprightMotion(legs)))
+    def with_segments(segments: tuple) -> FullPlan:
+        return replace(plan, upright=replace(plan.upright, motion=FullUprightMotion(segments)))
 
-    hanging = audit_full_plan(with_legs(plan.final_legs[:3]), 0.1)
+    hanging = audit_full_plan(with_segments(plan.final_segments[:3]), 0.1)
     assert set(hanging.counts) == {RobotViolationKind.NOT_UPRIGHT}
-    moments = [leg.moment for leg in plan.final_legs]
+    moments = [segment.before for segment in plan.final_segments]
     sunk = moments[-1].on_floor[0]
     sunk = sunk.moved_to(shifted(sunk.world_from_furniture, -0.05))
-    legs = tuple(replace(leg, moment=replace(leg.moment, on_floor=(sunk,) * len(leg.moment.on_floor)))
-                 for leg in plan.final_legs)  # fmt: skip
+    segments = tuple(replace(segment, before=replace(segment.before, on_floor=(sunk,) * len(segment.before.on_floor)))
+                 for segment in plan.final_segments)  # fmt: skip
     assert {RobotViolationKind.NOT_UPRIGHT, RobotViolationKind.JUMP} <= set(
-        audit_full_plan(with_legs(legs), 0.1).counts
+        audit_full_plan(with_segments(segments), 0.1).counts
     )
 
 
@@ -358,7 +358,7 @@ def test_a_robot_says_why_it_leaves_a_piece_on_its_post(chair) -> None:
     assert left.upright is not None
     assert left.success
     assert left.upright.reason == "no hand reaches it both on its post and on the floor (0 grasps tried)"
-    assert left.final_moment.standing == plan.initial.moment.standing
+    assert left.final_cell_state.placed == plan.initial.cell_state.placed
     assert make_timeline(left, 10.0, None).frames[-1].caption.endswith("not set upright")
 
 
@@ -366,16 +366,18 @@ def test_it_is_carried_out_in_physics_and_a_piece_that_is_dropped_is_told(chair)
     plan = _full(chair("stool", 0), False)
     done = execute_upright(plan)
     assert done is not None
-    assert (done.ending, done.leg) == (Ending.DONE, "")
+    assert (done.ending, done.segment) == (Ending.DONE, "")
     assert 0.0 < done.tracking < 0.005
     assert done.pad_force > 5.0
     assert execute_upright(plan) == done
     assert execute_upright(replace(plan, upright=None)) is None
 
     # Let go above the post from which it was lifted, it falls.
-    lifted = next(leg for leg in plan.final_legs if leg.name == "carry").path[0]
-    legs = plan.final_legs[:-4] + tuple(replace(leg, path=(lifted, lifted)) for leg in plan.final_legs[-4:])
+    lifted = next(segment for segment in plan.final_segments if segment.name == "carry").path[0]
+    segments = plan.final_segments[:-4] + tuple(
+        replace(segment, path=(lifted, lifted)) for segment in plan.final_segments[-4:]
+    )
     assert plan.upright is not None
-    dropped = execute_upright(replace(plan, upright=replace(plan.upright, motion=FullUprightMotion(legs))))
+    dropped = execute_upright(replace(plan, upright=replace(plan.upright, motion=FullUprightMotion(segments))))
     assert dropped is not None
-    assert (dropped.ending, dropped.leg, dropped.success) == (Ending.NOT_STANDING, "leave", False)
+    assert (dropped.ending, dropped.segment, dropped.success) == (Ending.NOT_STANDING, "leave", False)

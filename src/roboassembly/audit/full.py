@@ -1,6 +1,6 @@
 """An audit of full plans by other means than those that made them: python-fcl, and Pinocchio's model of the URDF.
 
-Everything is taken from the record of the legs. Arms are placed by Pinocchio from the URDF, which planning does not
+Everything is taken from the record of the segments. Arms are placed by Pinocchio from the URDF, which planning does not
 use, and every state is tested, where planning certifies stretches.
 """
 
@@ -27,7 +27,7 @@ from roboassembly.robots.body import links
 from roboassembly.robots.gripper import TIPS, hand_bodies, panda_folder
 from roboassembly.robots.kinematics import JOINTS
 from roboassembly.robots.platform import PLATFORM_FROM_MOUNT
-from roboassembly.task.full.cell_state import Configuration, Leg, Moment, Robot
+from roboassembly.task.full.cell_state import CellState, Configuration, Robot, Segment
 from roboassembly.task.plans.full_plan import FullPlan
 
 RESOLUTION = 0.02
@@ -44,7 +44,7 @@ _ENDS = ("link7", *_HAND)
 
 
 class RobotViolationKind(StrEnum):
-    """What can be wrong with a leg."""
+    """What can be wrong with a segment."""
 
     PENETRATION = "penetration"
     """The robot or what it holds in something else."""
@@ -53,7 +53,7 @@ class RobotViolationKind(StrEnum):
     GROUND = "ground"
     JOINT_LIMIT = "joint_limit"
     JUMP = "jump"
-    """Something is elsewhere than the leg before left it."""
+    """Something is elsewhere than the segment before left it."""
     NOT_ASSEMBLED = "not_assembled"
     """What stands there in the end is not the furniture."""
     NOT_UPRIGHT = "not_upright"
@@ -66,7 +66,7 @@ class RobotViolation:
 
     kind: RobotViolationKind
     step: int
-    leg: str
+    segment: str
     what: str
 
 
@@ -74,7 +74,7 @@ class RobotViolation:
 class RobotAuditReport:
     """What was looked at and what was found."""
 
-    legs: int
+    segments: int
     states: int
     counts: dict[RobotViolationKind, int]
     """Violations by kind; penetrations once a state."""
@@ -87,22 +87,22 @@ class RobotAuditReport:
 
     def summary(self) -> str:
         """One line."""
-        told = f"{self.legs} legs and {self.states} states audited"
+        told = f"{self.segments} segments and {self.states} states audited"
         if self.passed:
             return f"{told}: nothing wrong"
         found = ", ".join(f"{count} {kind.value}" for kind, count in self.counts.items())
         v = self.first[0]
-        return f"{told}: {found}; first in step {v.step}, {v.leg}: {v.what}"
+        return f"{told}: {found}; first in step {v.step}, {v.segment}: {v.what}"
 
 
 def audit_full_plan(plan: FullPlan, resolution: float = RESOLUTION) -> RobotAuditReport:
     """Replay the plan and look for anything that could not happen.
 
-    Of all that stands: each group and post against all others. In every leg: the moving robot and what it holds
+    Of all that stands: each group and post against all others. In every segment: the moving robot and what it holds
     against all that stands, posts, the other robot and what that holds, the ground, and itself; joint limits; that
-    everything is where the leg before left it. At the end: that it is the furniture, and that it stands on its feet on
-    the floor if the plan says so. The legs that set it there count as one step more. The pads may touch what they hold,
-    and a group its post.
+    everything is where the segment before left it. At the end: that it is the furniture, and that it stands on its feet
+    on the floor if the plan says so. The segments that set it there count as one step more. The pads may touch what
+    they hold, and a group its post.
 
     Args:
         plan: as recorded.
@@ -119,63 +119,63 @@ class _RobotAudit:
         self._fcl = fcl_module()
         self._plan, self._resolution = plan, resolution
         self._models: dict[Mesh, Any] = {}
-        self._states = self._legs = 0
+        self._states = self._segments = 0
         self._counts: Counter[RobotViolationKind] = Counter()
         self._first: list[RobotViolation] = []
 
     def report(self) -> RobotAuditReport:
-        plan, furniture, before = self._plan, self._plan.furniture, self._plan.initial.moment
+        plan, furniture, before = self._plan, self._plan.furniture, self._plan.initial.cell_state
         self._keep_apart(0, "", before)
-        for index, legs in enumerate([*(step.legs for step in plan.steps), plan.final_legs]):
-            for leg in legs:
-                self._legs += 1
-                self._continues(index, leg, before)
-                if _still_things(leg.moment) != _still_things(before):
-                    self._keep_apart(index, leg.name, leg.moment)
-                self._walk(index, leg)
-                before = leg.after
+        for index, segments in enumerate([*(step.segments for step in plan.steps), plan.final_segments]):
+            for segment in segments:
+                self._segments += 1
+                self._continues(index, segment, before)
+                if _still_things(segment.before) != _still_things(before):
+                    self._keep_apart(index, segment.name, segment.before)
+                self._walk(index, segment)
+                before = segment.after
         poses = _part_poses(furniture, before)
         if plan.success and (astray := misplaced(furniture, poses)):
             self._found(RobotViolationKind.NOT_ASSEMBLED, len(plan.steps) - 1, "", f"parts {list(astray)}")
         if plan.upright is not None and plan.upright.success:
-            by_itself = not before.standing and all(robot.grip is None for robot in before.robots)
+            by_itself = not before.placed and all(robot.payload is None for robot in before.robots)
             if not by_itself or not stands(furniture, poses):
                 self._found(RobotViolationKind.NOT_UPRIGHT, len(plan.steps), "", "the piece at the end")
-        return RobotAuditReport(self._legs, self._states, dict(self._counts), tuple(self._first))
+        return RobotAuditReport(self._segments, self._states, dict(self._counts), tuple(self._first))
 
-    def _found(self, kind: RobotViolationKind, step: int, leg: str, what: str) -> None:
+    def _found(self, kind: RobotViolationKind, step: int, segment: str, what: str) -> None:
         self._counts[kind] += 1
         if len(self._first) < _LISTED:
-            self._first.append(RobotViolation(kind, step, leg, what))
+            self._first.append(RobotViolation(kind, step, segment, what))
 
-    def _continues(self, step: int, leg: Leg, before: Moment) -> None:
-        for name, old, new in zip("ab", before.robots, leg.moment.robots, strict=True):
+    def _continues(self, step: int, segment: Segment, before: CellState) -> None:
+        for name, old, new in zip("ab", before.robots, segment.before.robots, strict=True):
             if np.abs(old.at - new.at).max() > _SAME:
-                self._found(RobotViolationKind.JUMP, step, leg.name, f"R_{name}")
-        if np.abs(leg.path[0] - leg.moment.robots[leg.robot].at).max() > _SAME:
-            self._found(RobotViolationKind.JUMP, step, leg.name, "the path's beginning")
-        was, now = (_part_poses(self._plan.furniture, m) for m in (before, leg.moment))
+                self._found(RobotViolationKind.JUMP, step, segment.name, f"R_{name}")
+        if np.abs(segment.path[0] - segment.before.robots[segment.robot].at).max() > _SAME:
+            self._found(RobotViolationKind.JUMP, step, segment.name, "the path's beginning")
+        was, now = (_part_poses(self._plan.furniture, m) for m in (before, segment.before))
         for part, (old, new) in enumerate(zip(was, now, strict=True)):
             if np.abs(old.homogeneous - new.homogeneous).max() > _SAME:
-                self._found(RobotViolationKind.JUMP, step, leg.name, f"part {part}")
+                self._found(RobotViolationKind.JUMP, step, segment.name, f"part {part}")
 
-    def _keep_apart(self, step: int, leg: str, moment: Moment) -> None:
+    def _keep_apart(self, step: int, segment: str, state: CellState) -> None:
         """Groups and posts that stand are not in each other, but for a group's own post."""
         furniture, things = self._plan.furniture, []
-        groups = [*enumerate(s.group for s in moment.standing), *((-1 - i, g) for i, g in enumerate(moment.on_floor))]
+        groups = [*enumerate(s.group for s in state.placed), *((-1 - i, g) for i, g in enumerate(state.on_floor))]
         for owner, group in groups:
             for p, pose in zip(group.parts, group.part_poses(), strict=True):
                 things.append((owner, f"part {p}", self._placed(furniture.parts[p].mesh, pose)))
-        for owner, stand in enumerate(moment.stands):
+        for owner, stand in enumerate(state.posts):
             body = stand.body(f"post {owner}")
             things += [(owner, body.name, self._placed(s.mesh, body.pose * s.body_from_mesh)) for s in body.shapes]
         for (owner, name, thing), (other, what, still) in combinations(things, 2):
             if owner != other and self._touch(thing, still):
-                self._found(RobotViolationKind.PENETRATION, step, leg, f"{name} in {what}, both standing")
+                self._found(RobotViolationKind.PENETRATION, step, segment, f"{name} in {what}, both standing")
 
-    def _walk(self, step: int, leg: Leg) -> None:
-        own, other = leg.moment.robots[leg.robot], leg.moment.robots[1 - leg.robot]
-        still = self._surroundings(leg.moment, other)
+    def _walk(self, step: int, segment: Segment) -> None:
+        own, other = segment.before.robots[segment.robot], segment.before.robots[1 - segment.robot]
+        still = self._surroundings(segment.before, other)
         manager = self._fcl.DynamicAABBTreeCollisionManager()
         manager.registerObjects([thing for _, thing in still])
         manager.setup()
@@ -186,34 +186,34 @@ class _RobotAudit:
         constant = {*_ENDS, *load}
         pairs = [*_own_pairs(), *((link, name) for link in robot if link not in _PADS for name in load)]
         low, high = _limits()
-        for state, q in enumerate(_dense(leg.path, self._resolution)):
+        for state, q in enumerate(_dense(segment.path, self._resolution)):
             self._states += 1
             if (q[3:] < low).any() or (q[3:] > high).any():
-                self._found(RobotViolationKind.JOINT_LIMIT, step, leg.name, f"state {state}")
+                self._found(RobotViolationKind.JOINT_LIMIT, step, segment.name, f"state {state}")
             where = _robot_poses(q, own.opening)
             where |= {name: where[TIPS] * pose for name, (_, pose) in load.items()}
             for name, thing in moving.items():
                 at = where[name]
                 thing.setTransform(self._fcl.Transform(at.rotation, at.translation))
                 if (shapes[name].hull_vertices @ at.rotation[2]).min() + at.translation[2] <= 0.0:
-                    self._found(RobotViolationKind.GROUND, step, leg.name, f"{name}, state {state}")
+                    self._found(RobotViolationKind.GROUND, step, segment.name, f"{name}, state {state}")
                 if self._meets(manager, thing):
                     others = [n for n, s in still if self._touch(thing, s)]
                     what = f"{name} in {', '.join(others)}, state {state}"
-                    self._found(RobotViolationKind.PENETRATION, step, leg.name, what)
+                    self._found(RobotViolationKind.PENETRATION, step, segment.name, what)
             for a, b in pairs:
                 if (state == 0 or not {a, b} <= constant) and self._touch(moving[a], moving[b]):
-                    self._found(RobotViolationKind.OWN_PENETRATION, step, leg.name, f"{a} in {b}, state {state}")
+                    self._found(RobotViolationKind.OWN_PENETRATION, step, segment.name, f"{a} in {b}, state {state}")
 
-    def _surroundings(self, moment: Moment, other: Robot) -> list[tuple[str, Any]]:
+    def _surroundings(self, state: CellState, other: Robot) -> list[tuple[str, Any]]:
         """All that stands still, with names."""
         furniture = self._plan.furniture
         out = [
             (f"part {p}", self._placed(furniture.parts[p].mesh, pose))
-            for group in (*(s.group for s in moment.standing), *moment.on_floor)
+            for group in (*(s.group for s in state.placed), *state.on_floor)
             for p, pose in zip(group.parts, group.part_poses(), strict=True)
         ]
-        for i, stand in enumerate(moment.stands):
+        for i, stand in enumerate(state.posts):
             body = stand.body(f"post {i}")
             out += [(body.name, self._placed(s.mesh, body.pose * s.body_from_mesh)) for s in body.shapes]
         where = _robot_poses(other.at, other.opening)
@@ -235,19 +235,19 @@ class _RobotAudit:
         return bool(self._fcl.collide(a, b, self._fcl.CollisionRequest(), self._fcl.CollisionResult()))
 
 
-def _still_things(moment: Moment) -> tuple[Any, ...]:
+def _still_things(state: CellState) -> tuple[Any, ...]:
     """All that stands but the robots."""
-    return moment.standing, moment.posts, moment.on_floor
+    return state.placed, state.free_posts, state.on_floor
 
 
 def _load(furniture: Furniture, robot: Robot) -> list[tuple[Mesh, SE3]]:
     """What a hand holds, with `tips_from_part`."""
-    return [(s.mesh, s.body_from_mesh) for s in robot.held(furniture)]
+    return [(s.mesh, s.body_from_mesh) for s in robot.payload_shapes(furniture)]
 
 
-def _part_poses(furniture: Furniture, moment: Moment) -> list[SE3]:
+def _part_poses(furniture: Furniture, state: CellState) -> list[SE3]:
     """Of all parts."""
-    where = {p: pose for g in moment.groups() for p, pose in zip(g.parts, g.part_poses(), strict=True)}
+    where = {p: pose for g in state.groups() for p, pose in zip(g.parts, g.part_poses(), strict=True)}
     return [where[p] for p in range(len(furniture.parts))]
 
 

@@ -15,7 +15,7 @@ from roboassembly.robots.body import world_from_platform, world_from_tips
 from roboassembly.robots.gripper import panda_folder
 from roboassembly.robots.kinematics import JOINTS
 from roboassembly.robots.platform import CLEARANCE, HEIGHT, LENGTH, PLATFORM_FROM_MOUNT, WIDTH
-from roboassembly.task.full.cell_state import Configuration, Leg
+from roboassembly.task.full.cell_state import Configuration, Segment
 
 
 class BulletCell:
@@ -35,22 +35,22 @@ class BulletCell:
         """End Bullet's world."""
         self._world.close()
 
-    def set_up(self, furniture: Furniture, leg: Leg) -> Callable[[Configuration], bool]:
-        """Build the scene of a leg in place of the one before; whether a configuration of its robot is free."""
+    def set_up(self, furniture: Furniture, segment: Segment) -> Callable[[Configuration], bool]:
+        """Build the scene of a segment in place of the one before; whether a configuration of its robot is free."""
         world = self._world
         bullet, client = world.api, world.client
         world.empty()
-        moment = leg.moment
-        own, other = moment.robots[leg.robot], moment.robots[1 - leg.robot]
+        state = segment.before
+        own, other = state.robots[segment.robot], state.robots[1 - segment.robot]
         still: list[int] = []
-        for body in moment.around(furniture, leg.robot):
+        for body in state.around(furniture, segment.robot):
             if body.name != "robot":
                 still += [world.add(world.concave(s.mesh), body.pose * s.body_from_mesh) for s in body.shapes]
         with quiet():
             movers = [self._robot(own.opening), self._robot(other.opening)]
         tips = world_from_tips(other.at)
-        still += [world.add(world.concave(s.mesh), tips * s.body_from_mesh) for s in other.held(furniture)]
-        held = own.held(furniture)
+        still += [world.add(world.concave(s.mesh), tips * s.body_from_mesh) for s in other.payload_shapes(furniture)]
+        held = own.payload_shapes(furniture)
         load = [world.add(world.hull(s.mesh), SE3.Identity()) for s in held]
         place, joint = bullet.resetBasePositionAndOrientation, bullet.resetJointState
 

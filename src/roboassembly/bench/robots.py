@@ -1,8 +1,8 @@
 """The robots' benchmark: paths of a mobile Panda that holds a group, against OMPL over PyBullet's Pandas, in one run.
 
 - *States*: the same configurations, exact, by our world and by Bullet (`bench.pybullet_cell`).
-- *Paths*: start and goal of every leg that is not a straight line. Ours: edges certified in a few tests each. Theirs:
-  OMPL's RRT-Connect, one Python callback for each state, every 20 mm and 20 mrad: ten times coarser than ours.
+- *Paths*: start and goal of every segment that is not a straight line. Ours: edges certified in a few tests each.
+  Theirs: OMPL's RRT-Connect, one Python callback for each state, every 20 mm and 20 mrad: ten times coarser than ours.
 - *Steps*: merges that succeed and right pairs that are hopeless, whole.
 """
 
@@ -26,7 +26,7 @@ from roboassembly.planning.problem import Budget
 from roboassembly.planning.robot_path import Floor, connect, number_space
 from roboassembly.planning.rrt import exhaustion, run_rrt_connect
 from roboassembly.solvers.search import solve_full
-from roboassembly.task.full.cell_state import Configuration, Leg
+from roboassembly.task.full.cell_state import Configuration, Segment
 from roboassembly.task.full.task import FullTask, FullVerdict
 from roboassembly.task.plans.full_plan import FullPlan
 
@@ -39,9 +39,9 @@ _BUDGET = Budget(states=20_000)
 
 @dataclass(frozen=True)
 class Path:
-    """One leg, by both."""
+    """One segment, by both."""
 
-    leg: str
+    segment: str
     ours_seconds: float
     ours_states: int
     ours_solved: bool
@@ -92,9 +92,9 @@ class RobotBenchReport:
                 "pybullet": sum(bool(p.theirs_solved) for p in both) if both else None,
             },
             "path_ratio_median": median(ratios) if ratios else None,
-            "legs": {
-                name: median(p.ours_seconds for p in self.paths if p.leg == name)
-                for name in sorted({p.leg for p in self.paths})
+            "segments": {
+                name: median(p.ours_seconds for p in self.paths if p.segment == name)
+                for name in sorted({p.segment for p in self.paths})
             },
             "step_seconds_median": median(self.step_seconds),
             "assembly_seconds": sum(self.step_seconds),
@@ -146,7 +146,7 @@ def run_robot_bench(
         name: of built-in furniture.
         seed: of the cell and the planners.
         states: configurations whose checks are timed.
-        merges: the first so many whose legs are planned; all if None.
+        merges: the first so many whose segments are planned; all if None.
         progress: gets a line now and then.
 
     Raises:
@@ -166,13 +166,18 @@ def run_robot_bench(
         skipped["pybullet"] = str(error)
     try:
         steps = result.plan.steps[:merges]
-        legs = [leg for step in steps for leg in step.legs if leg.name.split()[0] in ("drive", "carry", "leave")]
+        segments = [
+            segment
+            for step in steps
+            for segment in step.segments
+            if segment.name.split()[0] in ("drive", "carry", "leave")
+        ]
         tell("timing states")
-        microseconds, agreement = _states(furniture, legs, states, bullet, seed)
+        microseconds, agreement = _states(furniture, segments, states, bullet, seed)
         paths = []
-        for count, leg in enumerate(legs):
-            tell(f"path {count + 1} of {len(legs)}")
-            paths.append(_path(furniture, result.plan, leg, bullet, seed))
+        for count, segment in enumerate(segments):
+            tell(f"path {count + 1} of {len(segments)}")
+            paths.append(_path(furniture, result.plan, segment, bullet, seed))
     finally:
         if bullet is not None:
             bullet.close()
@@ -185,25 +190,25 @@ def run_robot_bench(
 
 
 def _states(
-    furniture: Furniture, legs: list[Leg], count: int, bullet: BulletCell | None, seed: int
+    furniture: Furniture, segments: list[Segment], count: int, bullet: BulletCell | None, seed: int
 ) -> tuple[dict[str, float], float | None]:
-    """Microseconds a state, on configurations around paths of loaded legs."""
+    """Microseconds a state, on configurations around paths of loaded segments."""
     rng = np.random.default_rng(seed)
-    loaded = [leg for leg in legs if leg.moment.robots[leg.robot].grip is not None] or legs
+    loaded = [segment for segment in segments if segment.before.robots[segment.robot].payload is not None] or segments
     share = max(1, count // len(loaded))
     ours = theirs = 0.0
     same = total = 0
-    for leg in loaded:
-        a, b = leg.path[0], leg.path[-1]
+    for segment in loaded:
+        a, b = segment.path[0], segment.path[-1]
         q = a + rng.random((share, 1)) * (b - a) + rng.normal(0.0, 0.15, (share, len(a)))
-        world = leg.moment.world(furniture, leg.robot)
+        world = segment.before.world(furniture, segment.robot)
         world.free(q)  # sets up, as `set_up` does for Bullet
         begun = time.perf_counter()
         free = world.free(q)
         ours += time.perf_counter() - begun
         total += share
         if bullet is not None:
-            is_free = bullet.set_up(furniture, leg)
+            is_free = bullet.set_up(furniture, segment)
             begun = time.perf_counter()
             answers = [is_free(c) for c in q]
             theirs += time.perf_counter() - begun
@@ -214,17 +219,17 @@ def _states(
     return {**out, "pybullet": 1e6 * theirs / total}, same / total
 
 
-def _path(furniture: Furniture, plan: FullPlan, leg: Leg, bullet: BulletCell | None, seed: int) -> Path:
-    start, goal = leg.path[0], leg.path[-1]
+def _path(furniture: Furniture, plan: FullPlan, segment: Segment, bullet: BulletCell | None, seed: int) -> Path:
+    start, goal = segment.path[0], segment.path[-1]
     floor = Floor(plan.initial.cell.floor)
     begun = time.perf_counter()
-    world = leg.moment.world(furniture, leg.robot)
+    world = segment.before.world(furniture, segment.robot)
     found = connect(world, start, goal, floor, _BUDGET, seed)
     ours = time.perf_counter() - begun
     if bullet is None:
-        return Path(leg.name, ours, world.states, found is not None, None, None, None)
+        return Path(segment.name, ours, world.states, found is not None, None, None, None)
     begun = time.perf_counter()
-    is_free = bullet.set_up(furniture, leg)
+    is_free = bullet.set_up(furniture, segment)
     count = 0
 
     def counted(q: Configuration) -> bool:
@@ -241,7 +246,9 @@ def _path(furniture: Furniture, plan: FullPlan, leg: Leg, bullet: BulletCell | N
         space, state(start), [state(goal)], lambda a, b: edge(read(a), read(b)), lambda s: counted(read(s)),
         exhaustion(lambda: count, Budget(1_000_000, _CAP), begun), seed, None,
     )  # fmt: skip
-    return Path(leg.name, ours, world.states, found is not None, time.perf_counter() - begun, count, solved is not None)
+    return Path(
+        segment.name, ours, world.states, found is not None, time.perf_counter() - begun, count, solved is not None
+    )
 
 
 def _hopeless(furniture: Furniture, plan: FullPlan, seed: int, tries: int = 60) -> tuple[float, ...]:

@@ -13,7 +13,7 @@ import numpy as np
 from roboassembly.bench.merges import BenchChair
 from roboassembly.envs.object_centric import ObjectCentricEnv
 from roboassembly.furniture.model import Furniture
-from roboassembly.task.object_centric.task import Verdict
+from roboassembly.task.object_centric.task import ObjectCentricVerdict
 from roboassembly.task.rules.connections import UP_AXES
 
 _WRONG_PAIRS = 10
@@ -56,7 +56,7 @@ def time_steps(chairs: Sequence[BenchChair], seed: int) -> StepTimes:
                     for merge in done:
                         env.step(np.array(merge))
             verdict, milliseconds = _step(env, step.action)
-            if verdict != Verdict.MERGED:
+            if verdict != ObjectCentricVerdict.MERGED:
                 break
             right.append(milliseconds)
             done.append(step.action)

@@ -193,7 +193,7 @@ class AssemblyEnv(gymnasium.Env[Observation, np.ndarray], Generic[ATask, State, 
 
     @property
     def _joined(self) -> TaskState:
-        return self.task.joined(self.state)
+        return self.task.groups_of(self.state)
 
     def _enter(self, state: State) -> Observation:
         if state is not self._state:

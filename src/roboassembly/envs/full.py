@@ -72,24 +72,26 @@ class FullEnv(AssemblyEnv[FullTask, FullState, FullOutcome]):
         height: int = 480,
     ) -> None:
         tasks = [FullTask(piece, budget) for piece in pieces_of(furniture)]
-        super().__init__(tasks, FullTask.ways, max_parts, max_points, cloud_points, render_mode, width, height)
+        super().__init__(
+            tasks, FullTask.action_branches, max_parts, max_points, cloud_points, render_mode, width, height
+        )
 
     def _existing(self, task: FullTask, state: FullState) -> Bool[np.ndarray, "P P K K 8 8"]:
         return existing_actions(task, state, *self._padding)
 
     def _items(self) -> list[Item]:
         """Parts, both robots, and the posts that are up."""
-        moment, items = self.state.moment, super()._items()
-        for robot, role in zip(moment.robots, (Role.ROBOT_A, Role.ROBOT_B), strict=True):
+        state, items = self.state.cell_state, super()._items()
+        for robot, role in zip(state.robots, (Role.ROBOT_A, Role.ROBOT_B), strict=True):
             items += [Item(link.mesh, pose, role) for link, pose in placed(robot.at, robot.opening)]
         # As many posts as groups can stand on, so that the renderer need not be made anew whenever one sinks.
-        posts: list[SE3 | None] = [SE3(np.eye(3), stand.top) for stand in moment.stands]
+        posts: list[SE3 | None] = [SE3(np.eye(3), stand.top) for stand in state.posts]
         posts += [None] * (len(self.task.furniture.parts) - len(posts))
         return [*items, *(Item(post_mesh(), pose, Role.POST, framed=False) for pose in posts)]
 
     def _info(self, verdict: str, planning_steps: int) -> dict[str, Any]:
         told = super()._info(verdict, planning_steps)
-        return {**told, "leg": self._outcome.leg if self._outcome else "", "density": self.state.cell.density}
+        return {**told, "leg": self._outcome.segment if self._outcome else "", "density": self.state.cell.density}
 
 
 def existing_actions(

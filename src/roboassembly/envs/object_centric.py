@@ -11,12 +11,12 @@ from roboassembly.datasets import catalogue
 from roboassembly.envs.assembly import AssemblyEnv, FurnitureLike, existing_pairs, pieces_of
 from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS
 from roboassembly.planning.problem import Budget
-from roboassembly.task.object_centric.task import ObjectCentricTask, Outcome
+from roboassembly.task.object_centric.task import ObjectCentricOutcome, ObjectCentricTask
 from roboassembly.task.rules.connections import UP_AXES
 from roboassembly.task.rules.groups import TaskState
 
 
-class ObjectCentricEnv(AssemblyEnv[ObjectCentricTask, TaskState, Outcome]):
+class ObjectCentricEnv(AssemblyEnv[ObjectCentricTask, TaskState, ObjectCentricOutcome]):
     """Join parts until the furniture stands; one wrong or infeasible choice ends the episode.
 
     **Observation**: the `Dict` described in `roboassembly.envs.observation`.
@@ -70,7 +70,9 @@ class ObjectCentricEnv(AssemblyEnv[ObjectCentricTask, TaskState, Outcome]):
         height: int = 480,
     ) -> None:
         tasks = [ObjectCentricTask(piece, budget) for piece in pieces_of(furniture)]
-        super().__init__(tasks, ObjectCentricTask.ways, max_parts, max_points, cloud_points, render_mode, width, height)
+        super().__init__(
+            tasks, ObjectCentricTask.action_branches, max_parts, max_points, cloud_points, render_mode, width, height
+        )
 
     def _existing(self, task: ObjectCentricTask, state: TaskState) -> Bool[np.ndarray, "P P K K 6"]:
         return existing_actions(task, state, *self._padding)

@@ -22,8 +22,8 @@ from roboassembly.task.full.task import FullVerdict
 
 KINDS = {
     FullVerdict.WRONG_PAIR: "wrong pair", FullVerdict.GRASP_BLOCKED: "grasp blocked",
-    FullVerdict.CANNOT_LET_GO: "grasp blocked", FullVerdict.NO_ARM_SOLUTION: "no arm solution",
-    FullVerdict.JOINT_BLOCKED: "mating path", FullVerdict.NO_STAND: "placing",
+    FullVerdict.CANNOT_RELEASE: "grasp blocked", FullVerdict.NO_ARM_SOLUTION: "no arm solution",
+    FullVerdict.JOINT_BLOCKED: "mating path", FullVerdict.NO_PLACEMENT: "placing",
 }  # fmt: skip
 """What ended an episode with robots, told coarsely."""
 _AFTER_MATING = ("back", "leave", "carry", "set")

@@ -22,7 +22,7 @@ from roboassembly.solvers.joint_rrt import solve_jointly
 from roboassembly.solvers.random_order import assemble_in_random_order
 from roboassembly.solvers.search import SearchResult, solve, solve_full
 from roboassembly.task.full.execution import execute_plan, in_all
-from roboassembly.task.object_centric.task import ObjectCentricTask, Verdict
+from roboassembly.task.object_centric.task import ObjectCentricTask, ObjectCentricVerdict
 from roboassembly.task.plans.full_plan import FullPlan
 from roboassembly.task.plans.plan import Plan
 from roboassembly.task.setting import SettingName
@@ -159,7 +159,7 @@ def _searched(result: SearchResult[Plan] | SearchResult[FullPlan]) -> _Played:
     plan = result.plan
     episode = Episode(
         plan.furniture.name, len(plan.furniture.parts), plan.seed, plan.success, len(plan.steps),
-        Verdict.MERGED.value if plan.success else _NO_PLAN, result.planning_steps, result.planning_seconds,
+        ObjectCentricVerdict.MERGED.value if plan.success else _NO_PLAN, result.planning_steps, result.planning_seconds,
         result.guide_seconds, tuple(step.action for step in plan.steps), reason=result.reason,
     )  # fmt: skip
     return episode, plan
@@ -258,7 +258,7 @@ def _search(furniture: Furniture, seed: int, guide: Guide | None = None) -> _Pla
 def _joint(furniture: Furniture, seed: int) -> _Played:
     result = solve_jointly(furniture, seed)
     parts, solved = len(furniture.parts), result.status is PlanningStatus.SOLVED
-    verdict = Verdict.MERGED.value if solved else result.status.value
+    verdict = ObjectCentricVerdict.MERGED.value if solved else result.status.value
     merges = (parts - 1) * solved
     steps, seconds = result.planning_steps, result.planning_seconds
     return Episode(furniture.name, parts, seed, solved, merges, verdict, steps, seconds), None
@@ -266,7 +266,7 @@ def _joint(furniture: Furniture, seed: int) -> _Played:
 
 def _right_pairs(furniture: Furniture, seed: int, best_w: bool) -> _Played:
     play = assemble_in_random_order(ObjectCentricTask(furniture), seed, best_w=best_w, patient=False, budget=Budget())
-    verdict = Verdict.MERGED.value if play.completed else "stuck"
+    verdict = ObjectCentricVerdict.MERGED.value if play.completed else "stuck"
     episode = Episode(
         furniture.name, len(furniture.parts), seed, play.completed, play.merges, verdict, play.planning_steps,
         play.planning_seconds,

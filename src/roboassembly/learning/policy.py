@@ -176,7 +176,7 @@ class _PolicyGuide:
         if self._seen is None or self._seen[0] is not task.furniture:
             observer = Observer(task.furniture, MAX_PARTS, MAX_POINTS, self.policy.cloud_points)
             self._seen = task.furniture, observer
-        observation = self._seen[1].observe(task.joined(state))
+        observation = self._seen[1].observe(task.groups_of(state))
         exist = full.existing_actions if isinstance(task, FullTask) else object_centric.existing_actions
         mask = exist(task, state)  # pyright: ignore[reportArgumentType]
         if isinstance(self.policy, ConfidentPolicy):

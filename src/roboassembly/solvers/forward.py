@@ -143,7 +143,7 @@ class Search(Generic[State, AStep]):
 
     def follow(self, guide: Guide[State], state: State) -> bool:
         """Depth first from `state` along the guide's suggestions; the steps taken are kept if it succeeds."""
-        if self.task.joined(state).complete:
+        if self.task.groups_of(state).complete:
             return True
         begun = time.perf_counter()
         suggestions = guide(self.task, state)
@@ -153,9 +153,9 @@ class Search(Generic[State, AStep]):
             # Led astray once, think before following on.
             if self.exhausted() or tries == _GUIDED_WIDTH or self.strays == _GUIDED_STRAYS:
                 break
-            if self.strays and self.hopeless(self.task.joined(state)):
+            if self.strays and self.hopeless(self.task.groups_of(state)):
                 break
-            if self.strays and self.hopeless(self.joined(self.task.joined(state), suggestion.action)):
+            if self.strays and self.hopeless(self.joined(self.task.groups_of(state), suggestion.action)):
                 continue
             tries += 1
             after = self.attempt(state, suggestion.action, self.round.budget)
@@ -175,7 +175,7 @@ class Search(Generic[State, AStep]):
 
     def hopeless(self, state: TaskState | None) -> bool:
         """Whether reasoning sees no way on from a state, in which equal parts may have swapped places."""
-        told = self.task.rules.pairs.told(state) if state is not None else None
+        told = self.task.rules.pairs.assign_slots(state) if state is not None else None
         if told is None or (partition := partition_of(told)) in self.dead:
             return True
         return self.reasoned(partition, self.refused) is None
@@ -199,9 +199,9 @@ class Search(Generic[State, AStep]):
             state: where to go on.
             merges: what is left of the order that led here; thought out anew if empty.
         """
-        if self.task.joined(state).complete:
+        if self.task.groups_of(state).complete:
             return True
-        told = self.task.rules.pairs.told(self.task.joined(state))
+        told = self.task.rules.pairs.assign_slots(self.task.groups_of(state))
         if told is None or (partition := partition_of(told)) in self.dead:
             return False
         if merges and not partition.issuperset(merges[0]):
@@ -233,7 +233,7 @@ class Search(Generic[State, AStep]):
             after = self.attempt(state, action, self.round.budget)
             if after is not None:
                 # From where equal parts had swapped places, the pair may have gone into other slots than these.
-                if self.task.rules.pairs.told(self.task.joined(after)) is not None:
+                if self.task.rules.pairs.assign_slots(self.task.groups_of(after)) is not None:
                     return after
                 self.taken.pop()
         return None

@@ -9,7 +9,7 @@ from roboassembly.geometry.poses import SE3
 from roboassembly.solvers.blocking import Parts
 from roboassembly.solvers.options import End, fitting
 from roboassembly.solvers.oracle import Oracle
-from roboassembly.task.full.task import FullTask, Joint
+from roboassembly.task.full.task import FullTask, MateGrasp
 from roboassembly.task.object_centric.task import ObjectCentricTask
 from roboassembly.task.rules.connections import UP_AXES
 from roboassembly.task.rules.groups import Group, TaskState
@@ -60,7 +60,7 @@ class HandOracle(Oracle):
         if worked is None:
             return False
         g_a, g_b = worked if one[0] < two[0] else worked[::-1]
-        return isinstance(self.full.joint(state, (one[0], two[0], one[1], two[1], g_a, g_b)), Joint)
+        return isinstance(self.full.mate_grasp(state, (one[0], two[0], one[1], two[1], g_a, g_b)), MateGrasp)
 
     def _group(self, slots: Parts) -> Group:
         """Parts in their own slots."""

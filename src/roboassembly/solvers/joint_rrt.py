@@ -11,7 +11,7 @@ from roboassembly.geometry.poses import SE3
 from roboassembly.geometry.scene import Body, Scene, Shape
 from roboassembly.planning.joint import JointWorld, joint_rrt_connect
 from roboassembly.planning.problem import Budget, PlanningStatus
-from roboassembly.task.layout import GROUND_CLEARANCE, scattered
+from roboassembly.task.layout import GROUND_CLEARANCE, scatter_parts
 
 BUDGET = Budget(states=100_000)
 """The paper's."""
@@ -31,7 +31,7 @@ class JointResult:
 
 def solve_jointly(furniture: Furniture, seed: int, budget: Budget = BUDGET) -> JointResult:
     """RRT-Connect in 6·M dimensions, from the same random start as `search.solve` to the standing furniture."""
-    initial = scattered(furniture, np.random.default_rng(seed)).part_poses
+    initial = scatter_parts(furniture, np.random.default_rng(seed)).part_poses
     middle = np.mean([p.translation[:2] for p in initial], axis=0)
     stand = SE3(np.eye(3), np.array([*middle, GROUND_CLEARANCE - furniture.lowest]))
     goal = [stand * slot for slot in furniture.assembled]

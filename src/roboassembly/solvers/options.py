@@ -10,11 +10,11 @@ import numpy as np
 from roboassembly.furniture.model import Furniture
 from roboassembly.geometry.poses import SE3
 from roboassembly.solvers.disassembly import Disassembly, Parts
-from roboassembly.task.full.grips import Hold
-from roboassembly.task.full.task import FullTask, Joint
+from roboassembly.task.full.grips import Grip
+from roboassembly.task.full.task import FullTask, MateGrasp
 from roboassembly.task.plans.full_plan import FullState
 from roboassembly.task.rules.connections import GRASPS, UP_AXES
-from roboassembly.task.rules.groups import Group, TaskState, told_point
+from roboassembly.task.rules.groups import Group, TaskState, point_at_slot
 from roboassembly.task.rules.pairs import Merge
 
 _HOPELESS = -0.5
@@ -24,7 +24,7 @@ _ARMS = 8
 Action = tuple[int, ...]
 End = tuple[int, int]
 """Part and point."""
-_OfOneHand = Callable[[Group, Group, Merge, Hold, int], bool]
+_OfOneHand = Callable[[Group, Group, Merge, Grip, int], bool]
 
 
 def ends(
@@ -47,7 +47,8 @@ def ends(
         elif not (c.part_a in leaving and c.part_b in staying):
             continue
         one, two = (
-            told_point(furniture, state.groups[group_in[end[0]]], told.groups[group_in[end[0]]], end) for end in (a, b)
+            point_at_slot(furniture, state.groups[group_in[end[0]]], told.groups[group_in[end[0]]], end)
+            for end in (a, b)
         )
         if one is not None and two is not None:
             yield one, two
@@ -122,15 +123,15 @@ def fitting(
     """
     groups = {part: state.groups[state.group_of[part]] for part in {end[0] for pair in pairs for end in pair}}
 
-    def taken(part: int, grasp: int) -> Hold | None:
-        return task.taken(groups[part], part, grasp)
+    def taken(part: int, grasp: int) -> Grip | None:
+        return task.free_grip(groups[part], part, grasp)
 
     grasps = {part: [g for g in range(GRASPS) if in_turn or taken(part, g) is not None] for part in groups}
     tries = [(one, two, g_a, g_b) for one, two in pairs for g_a, g_b in product(grasps[one[0]], grasps[two[0]])]
     merges = {(one, two): task.merge(state, (one[0], two[0], one[1], two[1])) for one, two in pairs}
     known: dict[tuple[object, ...], bool] = {}
 
-    def passes(test: _OfOneHand, u: int, v: int, merge: Merge, held: Hold, robot: int) -> bool:
+    def passes(test: _OfOneHand, u: int, v: int, merge: Merge, held: Grip, robot: int) -> bool:
         # Most pairs of two groups make the same merge.
         key = (test, robot, held.part, held.grasp, _told(merge.furniture_from_u), _told(merge.furniture_from_v))
         if key not in known:
@@ -140,14 +141,14 @@ def fitting(
     for index in np.random.default_rng(0).permutation(len(tries)):
         one, two, g_a, g_b = tries[index]
         (u, k), (v, m) = one, two
-        merge, hold_a, hold_b = merges[one, two], taken(u, g_a), taken(v, g_b)
-        if merge is None or hold_a is None or hold_b is None:
+        merge, grip_a, grip_b = merges[one, two], taken(u, g_a), taken(v, g_b)
+        if merge is None or grip_a is None or grip_b is None:
             continue
         # Whether either hand has room costs a tenth of whether one of them gets out.
-        tests = product((task.has_room, task.fits_alone), ((hold_a, 0), (hold_b, 1)))
+        tests = product((task.grip_has_room, task.grip_fits), ((grip_a, 0), (grip_b, 1)))
         if not all(passes(test, u, v, merge, held, robot) for test, (held, robot) in tests):
             continue
-        if isinstance(task.fitted(groups[u], groups[v], merge, hold_a, hold_b), Joint):
+        if isinstance(task.check_grips(groups[u], groups[v], merge, grip_a, grip_b), MateGrasp):
             yield u, v, k, m, g_a, g_b
 
 

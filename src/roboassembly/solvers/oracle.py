@@ -119,7 +119,7 @@ class Oracle:
         Told by slots alone. A loose part whose points differ from those of the slots that are left may be stuck all
         the same; a play that finds out takes its last move back.
         """
-        places = islice(self.task.pairs.own_places(state), _PLACES)
+        places = islice(self.task.pairs.slot_assignments(state), _PLACES)
         told = {frozenset(frozenset(g.slots) for g in place.groups) for place in places}
         return any(self.solvable(partition) for partition in sorted(told, key=lambda t: sorted(map(sorted, t))))
 

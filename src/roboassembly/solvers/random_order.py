@@ -9,7 +9,7 @@ import numpy as np
 
 from roboassembly.planning.problem import Budget
 from roboassembly.solvers.options import End, ends
-from roboassembly.task.object_centric.task import ObjectCentricTask, Verdict
+from roboassembly.task.object_centric.task import ObjectCentricTask, ObjectCentricVerdict
 from roboassembly.task.rules.connections import UP_AXES
 from roboassembly.task.rules.groups import TaskState
 
@@ -49,7 +49,7 @@ def assemble_in_random_order(
                 outcome = task.step(state, action, int(rng.integers(2**31)), budget)
                 steps += outcome.planning_steps
                 seconds += outcome.planning_seconds
-                if outcome.verdict is Verdict.MERGED:
+                if outcome.verdict is ObjectCentricVerdict.MERGED:
                     after = outcome.state
                     break
             if after is not None:
@@ -62,7 +62,7 @@ def assemble_in_random_order(
 
 def _open_joints(task: ObjectCentricTask, state: TaskState) -> list[tuple[End, End]]:
     """One right pair of points for each connection that is not closed yet."""
-    told = task.pairs.told(state)
+    told = task.pairs.assign_slots(state)
     if told is None:
         return []
     joints: list[tuple[End, End]] = []

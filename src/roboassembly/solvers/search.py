@@ -75,7 +75,7 @@ def solve_from(
     watch: Watch | None = None,
 ) -> SearchResult[Plan]:
     """As `solve`, from a state that is given, in which equal parts may have taken each other's places."""
-    if task.pairs.told(initial) is None:
+    if task.pairs.assign_slots(initial) is None:
         nothing = Plan(task.furniture, initial.part_poses, (), False, seed)
         return SearchResult(nothing, 0, 0.0, 0, 0, _NO_PLACE)
     search = Search(task, upright, limits, seed, _ROUNDS[0], watch=watch)

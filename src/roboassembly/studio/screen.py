@@ -185,4 +185,6 @@ def _way_of(step: PlanStep | FullStep) -> Float32[np.ndarray, "n 3"]:
     """World way-points of the moving group's centre of mass, or of R_a's finger tips."""
     if isinstance(step, PlanStep):
         return np.array([pose.translation for pose in step.path], np.float32)
-    return np.concatenate([tip_positions(np.array(leg.path)) for leg in step.legs if leg.robot == 0]).astype(np.float32)
+    return np.concatenate(
+        [tip_positions(np.array(segment.path)) for segment in step.segments if segment.robot == 0]
+    ).astype(np.float32)

@@ -95,7 +95,7 @@ class Session:
     @property
     def joined(self) -> TaskState:
         """Groups of the present state."""
-        return self.task.joined(self.state)
+        return self.task.groups_of(self.state)
 
     @property
     def merges(self) -> int:
@@ -118,7 +118,7 @@ class Session:
     def choices(self) -> tuple[tuple[str, int], ...]:
         """What an action has after `(u, v, k, l)`: the name of each and how many there are at most."""
         names = ("g_a", "g_b") if self.setting == "full" else ("w",)
-        return tuple(zip(names, self.task.ways, strict=True))
+        return tuple(zip(names, self.task.action_branches, strict=True))
 
     def attempt(self, action: tuple[int, ...]) -> Tried:
         """Carry out an action; if it works, it is the newest step."""

@@ -42,16 +42,16 @@ def group_footprint(furniture: Furniture, group: Group) -> Circle:
     return footprint(hull_points(furniture, group) @ pose.rotation.T + pose.translation)
 
 
-def free_spot(wanted: Circle, taken: Sequence[Circle], spacing: float = SPACING) -> Float[np.ndarray, "2"]:
-    """The nearest place to `wanted.center` at which its circle keeps `spacing` from all taken ones.
+def free_spot(wanted: Circle, occupied: Sequence[Circle], spacing: float = SPACING) -> Float[np.ndarray, "2"]:
+    """The nearest place to `wanted.center` at which its circle keeps `spacing` from all occupied ones.
 
     The nearest free point of the plane outside a union of discs is the point itself, its projection onto one of the
     rims, or a point where two rims cross; all are tried.
     """
-    if not taken:
+    if not occupied:
         return wanted.center
-    centers = np.array([c.center for c in taken])
-    reach = np.array([c.radius for c in taken]) + wanted.radius + spacing
+    centers = np.array([c.center for c in occupied])
+    reach = np.array([c.radius for c in occupied]) + wanted.radius + spacing
     offset = wanted.center - centers
     distance = np.linalg.norm(offset, axis=1)
     outward = np.where(distance[:, None] > 1e-9, offset / np.maximum(distance, 1e-9)[:, None], np.array([1.0, 0.0]))
@@ -76,7 +76,7 @@ def _crossings(centers: Float[np.ndarray, "n 2"], reach: Float[np.ndarray, "n"])
     return np.concatenate([foot + across[:, None] * normal, foot - across[:, None] * normal])
 
 
-def scattered(furniture: Furniture, rng: np.random.Generator) -> TaskState:
+def scatter_parts(furniture: Furniture, rng: np.random.Generator) -> TaskState:
     """Every part alone, at rest on the ground in a random place and pose."""
     placed: list[tuple[SE3, Circle]] = []
     for part in furniture.parts:
@@ -86,14 +86,14 @@ def scattered(furniture: Furniture, rng: np.random.Generator) -> TaskState:
         points = part.mesh.hull_vertices @ turn.T
         placed.append((SE3(turn, np.array([0.0, 0.0, GROUND_CLEARANCE - points[:, 2].min()])), footprint(points)))
     side = float(np.sqrt(sum(np.pi * (c.radius + SPACING) ** 2 for _, c in placed) / _CROWDING))
-    taken: list[Circle] = []
+    occupied: list[Circle] = []
     groups: list[Group | None] = [None] * len(placed)
     # The largest first: the small ones still find room between them.
     for part in sorted(range(len(placed)), key=lambda p: -placed[p][1].radius):
         pose, circle = placed[part]
         wanted = Circle(rng.uniform(-0.5 * side, 0.5 * side, size=2), circle.radius)
-        spot = free_spot(wanted, taken)
-        taken.append(Circle(spot, circle.radius))
+        spot = free_spot(wanted, occupied)
+        occupied.append(Circle(spot, circle.radius))
         moved = SE3(pose.rotation, pose.translation + np.array([*(spot - circle.center), 0.0]))
         slot = furniture.assembled[part]
         groups[part] = Group((part,), (part,), (slot,), moved * slot.inverse())

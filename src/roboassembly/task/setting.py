@@ -60,7 +60,7 @@ class Task(Protocol[State, Step_co]):
         ...
 
     @property
-    def ways(self) -> tuple[int, ...]:
+    def action_branches(self) -> tuple[int, ...]:
         """How many choices an action has after its pair: of `w`, or of `g_a` and `g_b`."""
         ...
 
@@ -68,7 +68,7 @@ class Task(Protocol[State, Step_co]):
         """How an episode begins."""
         ...
 
-    def joined(self, state: State) -> TaskState:
+    def groups_of(self, state: State) -> TaskState:
         """The groups of a state."""
         ...
 

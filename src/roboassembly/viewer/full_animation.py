@@ -16,8 +16,8 @@ from jaxtyping import Float
 from roboassembly.geometry.poses import SE3
 from roboassembly.rendering.colors import Role
 from roboassembly.robots.body import hand_links, links, placed
-from roboassembly.task.full.cell import Stand, post_mesh
-from roboassembly.task.full.cell_state import Leg, Moment
+from roboassembly.task.full.cell import Post, post_mesh
+from roboassembly.task.full.cell_state import Segment, CellState
 from roboassembly.task.plans.full_plan import FullPlan
 from roboassembly.viewer.captions import ending_caption, step_caption
 from roboassembly.viewer.motion_timing import ease
@@ -39,9 +39,9 @@ class FullPlanAnimator:
     """Approximate duration of a step [s]."""
 
     @cached_property
-    def stands(self) -> tuple[Stand, ...]:
+    def posts(self) -> tuple[Post, ...]:
         """Posts that are up at any time of the plan."""
-        return self.plan.stands
+        return self.plan.posts
 
     @property
     def objects(self) -> tuple[SceneObject, ...]:
@@ -52,7 +52,7 @@ class FullPlanAnimator:
         ]
         posts = [
             SceneObject(f"posts/{i}", post_mesh(float(stand.top[2])), framed=False)
-            for i, stand in enumerate(self.stands)
+            for i, stand in enumerate(self.posts)
         ]
         return (*part_objects(self.plan.furniture), *robots, *posts)
 
@@ -60,19 +60,19 @@ class FullPlanAnimator:
         """Return the frame before the first step."""
         furniture = self.plan.furniture
         text = f"{furniture.name}: {len(furniture.parts)} parts, two robots"
-        return self._resting(self.plan.initial.moment, Phase.OVERTURE, text)
+        return self._resting(self.plan.initial.cell_state, Phase.OVERTURE, text)
 
     def ending(self) -> Frame:
         """Return the frame after the last step."""
         plan = self.plan
         text = ending_caption(plan.furniture, len(plan.steps), plan.success, plan.upright)
-        return self._resting(plan.final_moment, Phase.FINALE, text)
+        return self._resting(plan.final_cell_state, Phase.FINALE, text)
 
     def step(self, index: int) -> Iterator[Frame]:
         """Yield the frames of one step."""
         furniture, step = self.plan.furniture, self.plan.steps[index]
         u_group, v_group = (
-            next(g.parts for g in step.legs[0].moment.groups() if part in g.parts) for part in step.action[:2]
+            next(g.parts for g in step.segments[0].before.groups() if part in g.parts) for part in step.action[:2]
         )
         sizes = len(u_group), len(v_group)
         caption = step_caption(furniture, index, len(self.plan.steps), step.action, sizes)
@@ -80,20 +80,20 @@ class FullPlanAnimator:
         for group, role in ((u_group, Role.MOVING), (v_group, Role.WAITING)):
             for part in group:
                 roles[part] = role
-        yield from self._segments(step.legs, roles, index, caption)
+        yield from self._segments(step.segments, roles, index, caption)
 
     def upright(self) -> Iterator[Frame]:
         """Yield the frames of the motion that sets the finished piece on its feet; none without such a motion."""
-        furniture, segments = self.plan.furniture, self.plan.final_legs
+        furniture, segments = self.plan.furniture, self.plan.final_segments
         roles = [Role.MOVING] * len(furniture.parts)
         yield from self._segments(segments, roles, None, f"{furniture.name}: set upright")
 
-    def _resting(self, state: Moment, phase: Phase, caption: str) -> Frame:
+    def _resting(self, state: CellState, phase: Phase, caption: str) -> Frame:
         roles = self._roles([Role.IDLE] * len(self.plan.furniture.parts))
         return Frame(tuple(self._poses(state)), roles, None, phase, caption)
 
     def _segments(
-        self, segments: Sequence[Leg], part_roles: list[Role], index: int | None, caption: str
+        self, segments: Sequence[Segment], part_roles: list[Role], index: int | None, caption: str
     ) -> Iterator[Frame]:
         weights = np.array([max(_SHORTEST, float(_edge_lengths(segment).sum())) ** 0.5 for segment in segments])
         durations = self.seconds_per_step * weights / weights.sum()
@@ -101,7 +101,7 @@ class FullPlanAnimator:
         for segment, seconds in zip(segments, durations, strict=True):
             text = f"{caption} | R_{'ab'[segment.robot]}: {segment.name}"
             count = max(1, round(seconds * self.frames_per_second))
-            poses = self._poses(segment.moment)
+            poses = self._poses(segment.before)
             for k in range(1, count + 1):
                 self._move(poses, segment, _configuration_at(segment, ease(k / count)))
                 key = k == count and segment.name == "mate"
@@ -109,23 +109,23 @@ class FullPlanAnimator:
 
     def _roles(self, parts: list[Role]) -> tuple[Role, ...]:
         links = _link_count()
-        return (*parts, *[Role.ROBOT_A] * links, *[Role.ROBOT_B] * links, *[Role.POST] * len(self.stands))
+        return (*parts, *[Role.ROBOT_A] * links, *[Role.ROBOT_B] * links, *[Role.POST] * len(self.posts))
 
-    def _poses(self, state: Moment) -> list[SE3 | None]:
+    def _poses(self, state: CellState) -> list[SE3 | None]:
         """Return the pose of each object; None for a post that is not up."""
         parts = {p: pose for g in state.groups() for p, pose in zip(g.parts, g.part_poses(), strict=True)}
         robots = [pose for r in state.robots for _, pose in placed(r.at, r.opening)]
-        up = {id(stand) for stand in state.stands}
-        posts = [SE3(np.eye(3), stand.top) if id(stand) in up else None for stand in self.stands]
+        up = {id(stand) for stand in state.posts}
+        posts = [SE3(np.eye(3), stand.top) if id(stand) in up else None for stand in self.posts]
         return [*(parts[p] for p in range(len(parts))), *robots, *posts]
 
-    def _move(self, poses: list[SE3 | None], segment: Leg, configuration: Float[np.ndarray, "10"]) -> None:
+    def _move(self, poses: list[SE3 | None], segment: Segment, configuration: Float[np.ndarray, "10"]) -> None:
         """Write the poses of the robot that moves, and of the group in its hand, into `poses`."""
-        robot = segment.moment.robots[segment.robot]
+        robot = segment.before.robots[segment.robot]
         first = len(self.plan.furniture.parts) + segment.robot * _link_count()
         poses[first : first + _link_count()] = [pose for _, pose in placed(configuration, robot.opening)]
-        if robot.grip is not None:
-            group = robot.grip.placed(configuration)
+        if robot.payload is not None:
+            group = robot.payload.placed(configuration)
             for part, pose in zip(group.parts, group.part_poses(), strict=True):
                 poses[part] = pose
 
@@ -135,7 +135,7 @@ def _link_count() -> int:
     return len(links()) + len(hand_links(0.0))
 
 
-def _edge_lengths(segment: Leg) -> Float[np.ndarray, "n"]:
+def _edge_lengths(segment: Segment) -> Float[np.ndarray, "n"]:
     """Return the length [m] of each edge of a segment's path, turns included."""
     return np.array([_distance(a, b) for a, b in itertools.pairwise(segment.path)])
 
@@ -145,7 +145,7 @@ def _distance(a: Float[np.ndarray, "10"], b: Float[np.ndarray, "10"]) -> float:
     return float(np.linalg.norm((b - a)[:2]) + _METRES_PER_RADIAN * turned)
 
 
-def _configuration_at(segment: Leg, share: float) -> Float[np.ndarray, "10"]:
+def _configuration_at(segment: Segment, share: float) -> Float[np.ndarray, "10"]:
     """Return the configuration of the robot after a share of a segment's length."""
     reached = np.concatenate([[0.0], np.cumsum(_edge_lengths(segment))])
     if reached[-1] == 0.0:

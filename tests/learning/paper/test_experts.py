@@ -20,7 +20,7 @@ from roboassembly.learning.paper.dqn.memoized_env import Rehearsal
 from roboassembly.learning.paper.dqn.network import Chair, Expert, chair_of, play, told
 from roboassembly.learning.paper.dqn.trials import BLOCKED, FAILS, MERGES, UNKNOWN
 from roboassembly.task.full.task import FullTask, Refusal
-from roboassembly.task.object_centric.task import ObjectCentricTask, Verdict
+from roboassembly.task.object_centric.task import ObjectCentricTask, ObjectCentricVerdict
 from roboassembly.task.rules.groups import Group
 
 jax = pytest.importorskip("jax")
@@ -144,7 +144,7 @@ def test_remembered_outcomes_are_those_of_fresh_steps(family: str) -> None:
             for row, column, w in some[rng.permutation(len(some))[:count]].tolist():
                 names = (rehearsal.part[row], rehearsal.part[column], rehearsal.point[row], rehearsal.point[column], w)
                 fresh = task.step(before, tuple(int(n) for n in names), 0)
-                alike = (fresh.verdict is Verdict.MERGED) == (verdict == MERGES)
+                alike = (fresh.verdict is ObjectCentricVerdict.MERGED) == (verdict == MERGES)
                 checked, differing = checked + 1, differing + (not alike)
                 if verdict == MERGES and alike:
                     after = rehearsal.step(state, (row, column, w))
@@ -172,7 +172,7 @@ def test_what_is_remembered_of_hands_is_what_fresh_tests_say() -> None:
             actions = np.argwhere((known == verdict) & exists)
             for row, column, way in actions[rng.permutation(len(actions))[: most - checked[verdict]]].tolist():
                 ends = (rehearsal.part[row], rehearsal.part[column], rehearsal.point[row], rehearsal.point[column])
-                fresh = task.joint(before, (*(int(n) for n in ends), *divmod(way, 8)))
+                fresh = task.mate_grasp(before, (*(int(n) for n in ends), *divmod(way, 8)))
                 assert isinstance(fresh, Refusal) == (verdict != MERGES)
                 checked[verdict] += 1
                 if verdict == MERGES:
@@ -431,5 +431,5 @@ def test_real_plays_stop_at_the_first_failure() -> None:
     chair = _chair(task)
     params = experts.init(np.random.default_rng(0), len(chair.part), chair.features.shape[1])
     moves = play(Expert(chair, params), task, 0)
-    assert all(m.verdict is Verdict.MERGED for m in moves[:-1])
-    assert not experts.finished(moves, chair) or moves[-1].verdict is Verdict.MERGED
+    assert all(m.verdict is ObjectCentricVerdict.MERGED for m in moves[:-1])
+    assert not experts.finished(moves, chair) or moves[-1].verdict is ObjectCentricVerdict.MERGED

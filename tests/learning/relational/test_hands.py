@@ -31,9 +31,8 @@ from roboassembly.learning.relational.policy_view import Situation, groups_of
 from roboassembly.learning.relational.tokens import Memory
 from roboassembly.solvers.hand_oracle import HandOracle
 from roboassembly.solvers.options import fitting
-from roboassembly.task.full.grips import can_take, hold
-from roboassembly.task.full.task import FullTask, FullVerdict
-from roboassembly.task.full.task import Joint as Held
+from roboassembly.task.full.grips import can_grip, grip_of
+from roboassembly.task.full.task import FullTask, FullVerdict, MateGrasp
 from roboassembly.task.rules.connections import GRASPS
 from roboassembly.task.rules.groups import Group, TaskState
 
@@ -105,11 +104,11 @@ def test_hands_that_the_own_group_blocks_are_seen_to_be_blocked() -> None:
     for part in parts:
         handling = handling_of(told, part, 0, last, 0)
         for g in range(GRASPS):
-            held = hold(furniture, whole, part, g)
+            held = grip_of(furniture, whole, part, g)
             assert (held is not None) == handling.there[g].any()
             if held is not None:
                 seen.append(handling.one[0, g, COMING].min())
-                free.append(can_take(furniture, whole, held))
+                free.append(can_grip(furniture, whole, held))
     seen, free = np.array(seen), np.array(free)
     assert 0.1 < free.mean() < 0.9
     # Clouds have gaps: told apart for nearly all.
@@ -125,10 +124,10 @@ def test_hands_that_their_own_part_blocks_are_seen_to_be_blocked() -> None:
         for u, group in enumerate(state.groups):
             handling = handling_of(told, u, 0, (u + 1) % len(furniture.parts), 0)
             for g in np.flatnonzero(handling.there.any(axis=1)).tolist():
-                held = hold(furniture, group, u, g)
+                held = grip_of(furniture, group, u, g)
                 assert held is not None
                 seen.append(handling.one[0, g, COMING].min())
-                free.append(can_take(furniture, group, held))
+                free.append(can_grip(furniture, group, held))
     seen, free = np.array(seen), np.array(free)
     # A hand has to come with a millimetre to spare on each side; columns are in shares of 50 mm.
     assert (~free).sum() > 2
@@ -159,7 +158,7 @@ def test_hand_oracle_says_what_the_task_says() -> None:
         found = next(fitting(task, state, pairs), None)
         if found is not None:
             assert joint.feasible_w.all()
-            assert isinstance(task.joint(state, found), Held)
+            assert isinstance(task.mate_grasp(state, found), MateGrasp)
         if not joint.feasible_w.any():
             assert found is None
         assert joint.feasible_w.all() == joint.feasible_w.any()
@@ -228,15 +227,15 @@ def test_lessons_of_grasps_are_what_fresh_tests_say(course: GraspCourse, tmp_pat
     lesson = course.lessons[0]
     u, k, v, l = lesson.pair  # noqa: E741
     for g_a, g_b in np.argwhere(lesson.room != UNKNOWN).tolist():
-        fresh = task.joint(first.groups, (u, v, k, l, g_a, g_b))
-        assert isinstance(fresh, Held) == (lesson.room[g_a, g_b] == YES)
+        fresh = task.mate_grasp(first.groups, (u, v, k, l, g_a, g_b))
+        assert isinstance(fresh, MateGrasp) == (lesson.room[g_a, g_b] == YES)
         assert lesson.room[g_a, g_b] == YES or lesson.meet[g_a, g_b] == UNKNOWN
     # What could not be taken fails when it is tried; where all is known to work, it does.
     for g_a, g_b in np.argwhere(lesson.room == YES).tolist():
         taken = lesson.take[0, g_a] == YES == lesson.take[1, g_b]
         outcome = task.step(first, (u, v, k, l, g_a, g_b), 5)
         if not taken or lesson.meet[g_a, g_b] == NO:
-            assert outcome.verdict is FullVerdict.NO_ARM_SOLUTION or outcome.leg[:4] in ("appr", "lift")
+            assert outcome.verdict is FullVerdict.NO_ARM_SOLUTION or outcome.segment[:4] in ("appr", "lift")
         if lesson.rest[g_a, g_b] == YES:
             assert taken
             assert lesson.meet[g_a, g_b] == YES
@@ -261,13 +260,13 @@ def test_what_an_action_tells_of_its_hands() -> None:
     right = [a for a in np.argwhere(existing_actions(task, state)).tolist() if task.merge(state.groups, tuple(a[:4]))]
     for index in rng.permutation(len(right))[:14]:
         action = tuple(right[index])
-        fresh, outcome = task.joint(state.groups, action), task.step(state, action, 5)
+        fresh, outcome = task.mate_grasp(state.groups, action), task.step(state, action, 5)
         lesson = lesson_of(task, state, observer, action, outcome)
         u, v, k, l, g_a, g_b = action  # noqa: E741
         assert lesson.pair == (u, k, v, l)
         # One answer each at most, and what was found out before anything moved is what a fresh test says.
         assert all((told != UNKNOWN).sum() <= 1 for told in (lesson.room, lesson.meet, lesson.rest))
-        assert lesson.room[g_a, g_b] == (YES if isinstance(fresh, Held) else NO)
+        assert lesson.room[g_a, g_b] == (YES if isinstance(fresh, MateGrasp) else NO)
         assert (lesson.rest[g_a, g_b] == YES) == (outcome.verdict is FullVerdict.MERGED)
         told = [lesson.room[g_a, g_b], lesson.meet[g_a, g_b], *lesson.take[[0, 1], [g_a, g_b]], lesson.rest[g_a, g_b]]
         assert told.count(NO) == (outcome.verdict is not FullVerdict.MERGED)
@@ -291,15 +290,15 @@ def test_what_is_asked_of_actions_is_what_fresh_tests_say() -> None:
     for lesson in lessons:
         u, k, v, l = lesson.pair  # noqa: E741
         for g_a, g_b in np.argwhere(lesson.room != UNKNOWN).tolist():
-            joint = task.joint(state.groups, (u, v, k, l, g_a, g_b))
-            assert lesson.room[g_a, g_b] == (YES if isinstance(joint, Held) else NO)
+            joint = task.mate_grasp(state.groups, (u, v, k, l, g_a, g_b))
+            assert lesson.room[g_a, g_b] == (YES if isinstance(joint, MateGrasp) else NO)
             room += 1
         for g_a, g_b in np.argwhere(lesson.meet != UNKNOWN).tolist():
-            joint = task.joint(state.groups, (u, v, k, l, g_a, g_b))
-            assert isinstance(joint, Held)
-            assert lesson.meet[g_a, g_b] == task.can_meet(state, joint, 2)
-            assert lesson.take[0, g_a] == task.can_take(state, u, joint.hold_a, 0, 3)
-            assert lesson.take[1, g_b] == task.can_take(state, v, joint.hold_b, 1, 4)
+            joint = task.mate_grasp(state.groups, (u, v, k, l, g_a, g_b))
+            assert isinstance(joint, MateGrasp)
+            assert lesson.meet[g_a, g_b] == task.can_mate(state, joint, 2)
+            assert lesson.take[0, g_a] == task.can_pick(state, u, joint.grip_a, 0, 3)
+            assert lesson.take[1, g_b] == task.can_pick(state, v, joint.grip_b, 1, 4)
         assert (lesson.rest == UNKNOWN).all()
     assert room == len(right[::4])
     # Arms are asked about of the first that have room.

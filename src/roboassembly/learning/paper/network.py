@@ -105,7 +105,7 @@ class PaperConfig:
     @property
     def ways(self) -> tuple[int, ...]:
         """Choices after the two points."""
-        return FullTask.ways if self.hands else ObjectCentricTask.ways
+        return FullTask.action_branches if self.hands else ObjectCentricTask.action_branches
 
 
 def init(rng: np.random.Generator, c: PaperConfig) -> Params:

@@ -150,7 +150,7 @@ def _oracle(furniture: Furniture, setting: SettingName) -> Oracle:
             f"{furniture.name} has {len(furniture.parts)} parts; with robots at most {_MOST_HELD} are taught"
         )
     task = FullTask(furniture)
-    task.check_hands()
+    task.check_graspable()
     return HandOracle(task)
 
 

@@ -56,7 +56,7 @@ WIDER = 0.02
 
 
 @dataclass(frozen=True, eq=False)
-class Stand:
+class Post:
     """A post in use."""
 
     top: Float[np.ndarray, "3"]
@@ -118,18 +118,18 @@ def check_size(furniture: Furniture) -> float:
     return min(WOOD_DENSITY, PAYLOAD / volume)
 
 
-def laid_out(furniture: Furniture, rng: np.random.Generator) -> tuple[Cell, tuple[Group, ...], tuple[Stand, ...]]:
+def initial_layout(furniture: Furniture, rng: np.random.Generator) -> tuple[Cell, tuple[Group, ...], tuple[Post, ...]]:
     """Every part alone on a post of the ring, in a random order and pose.
 
     Raises:
         InputError: the furniture does not suit the cell, or a post finds no place beneath a part.
     """
     density = check_size(furniture)
-    held: list[tuple[Group, Stand, float]] = []
+    held: list[tuple[Group, Post, float]] = []
     for index, part in enumerate(furniture.parts):
         rotations, likely = part.mesh.resting_rotations
         # At random, but so that hands can come to it: of several poses the one that leaves most grasps open.
-        best: tuple[float, Group, Stand] | None = None
+        best: tuple[float, Group, Post] | None = None
         for rest in rng.choice(len(rotations), size=min(_RESTS, len(rotations)), replace=False, p=likely):
             turn = turn_about_vertical(rng.uniform(-np.pi, np.pi))
             slot = furniture.assembled[index]
@@ -150,22 +150,22 @@ def laid_out(furniture: Furniture, rng: np.random.Generator) -> tuple[Cell, tupl
     # Each stands a chord behind the one before it.
     angles = (np.cumsum(chords) - chords) / chords.sum() * 2.0 * np.pi + rng.uniform(0.0, 2.0 * np.pi)
     groups: list[Group] = [held[0][0]] * len(held)
-    stands: list[Stand] = [held[0][1]] * len(held)
+    stands: list[Post] = [held[0][1]] * len(held)
     for i, angle in zip(order, angles, strict=True):
         shift = radius * np.array([np.cos(angle), np.sin(angle), 0.0])
         group, stand, _ = held[i]
         groups[i] = group.moved_to(SE3(np.eye(3), shift) * group.world_from_furniture)
-        stands[i] = Stand(stand.top + shift)
+        stands[i] = Post(stand.top + shift)
     return Cell(radius, density), tuple(groups), tuple(stands)
 
 
-def reach_from(furniture: Furniture, group: Group, stand: Stand) -> float:
+def reach_from(furniture: Furniture, group: Group, stand: Post) -> float:
     """Metres that a group reaches out level from its post."""
     points = transform_points(group.world_from_furniture, hull_points(furniture, group))
     return float(np.linalg.norm(points[:, :2] - stand.top[:2], axis=1).max())
 
 
-def on_post(furniture: Furniture, group: Group, place: Float[np.ndarray, "2"]) -> tuple[Group, Stand] | None:
+def on_post(furniture: Furniture, group: Group, place: Float[np.ndarray, "2"]) -> tuple[Group, Post] | None:
     """A group, turned as it is, moved onto a post at `place`; None if no post can hold it near its centre of mass.
 
     Of the places for the cup the one is taken that leaves most of the group's grasps to the hands.
@@ -189,7 +189,7 @@ def on_post(furniture: Furniture, group: Group, place: Float[np.ndarray, "2"]) -
     # What is round may bulge between few rays.
     top[2] = _undersides(furniture, group, top[:2] + _disc(_FINE), lowest - 0.1).min() - CUP_GAP
     shift = np.array([*(place - top[:2]), LOWEST - lowest])
-    return group.moved_to(SE3(turn, shift)), Stand(top + shift)
+    return group.moved_to(SE3(turn, shift)), Post(top + shift)
 
 
 def _disc(step: float) -> Float[np.ndarray, "n 2"]:
@@ -215,7 +215,7 @@ def _undersides(
     return height
 
 
-def open_grasps(furniture: Furniture, group: Group, stand: Stand) -> float:
+def open_grasps(furniture: Furniture, group: Group, stand: Post) -> float:
     """Share of a group's grasps to which a hand can come past its post, and not from below."""
     return float(_free_hands(furniture, group, stand.top[None])[0])
 

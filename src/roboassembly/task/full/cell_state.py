@@ -1,4 +1,4 @@
-"""Where all is in the workcell at one moment: groups on posts, two robots, what they hold; and the legs in between."""
+"""State of the workcell: groups on posts, two robots and their payloads; and motion segments between two states."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from roboassembly.geometry.scene import Body, Shape
 from roboassembly.planning.robot_path import Path
 from roboassembly.planning.robot_world import RobotWorld
 from roboassembly.robots.body import placed, world_from_tips
-from roboassembly.task.full.cell import Stand
-from roboassembly.task.full.grips import Hold
+from roboassembly.task.full.cell import Post
+from roboassembly.task.full.grips import Grip
 from roboassembly.task.rules.groups import Group, body
 
 Configuration = Float[np.ndarray, "10"]
@@ -22,24 +22,24 @@ Configuration = Float[np.ndarray, "10"]
 
 
 @dataclass(frozen=True, eq=False)
-class Standing:
+class PlacedGroup:
     """A group on its post."""
 
     group: Group
-    stand: Stand
+    post: Post
 
 
 @dataclass(frozen=True, eq=False)
-class Grip:
+class Payload:
     """A group in a hand."""
 
     group: Group
     """Its `world_from_furniture` is of no account: it goes where the hand goes."""
-    hold: Hold
+    grip: Grip
 
     def shapes(self, furniture: Furniture) -> tuple[Shape, ...]:
         """Its parts, in the frame of the finger tips."""
-        tips = self.hold.furniture_from_tips
+        tips = self.grip.furniture_from_tips
         return tuple(
             Shape(furniture.parts[p].mesh, tips.actInv(pose))
             for p, pose in zip(self.group.parts, self.group.furniture_from_part, strict=True)
@@ -47,7 +47,7 @@ class Grip:
 
     def placed(self, configuration: Configuration) -> Group:
         """The group where the hand has it."""
-        return self.group.moved_to(world_from_tips(configuration) * self.hold.furniture_from_tips.inverse())
+        return self.group.moved_to(world_from_tips(configuration) * self.grip.furniture_from_tips.inverse())
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,37 +57,37 @@ class Robot:
     at: Configuration
     opening: float
     """Metres between the pads."""
-    grip: Grip | None = None
+    payload: Payload | None = None
 
     def body(self, furniture: Furniture) -> Body:
         """As something still."""
         tips = world_from_tips(self.at)
         links = [Shape(link.mesh, pose, convex=True) for link, pose in placed(self.at, self.opening)]
-        load = [Shape(s.mesh, tips * s.body_from_mesh) for s in self.held(furniture)]
+        load = [Shape(s.mesh, tips * s.body_from_mesh) for s in self.payload_shapes(furniture)]
         return Body("robot", (*links, *load), SE3.Identity())
 
-    def held(self, furniture: Furniture) -> tuple[Shape, ...]:
+    def payload_shapes(self, furniture: Furniture) -> tuple[Shape, ...]:
         """What is in its hand, in the frame of the finger tips."""
-        return () if self.grip is None else self.grip.shapes(furniture)
+        return () if self.payload is None else self.payload.shapes(furniture)
 
 
 @dataclass(frozen=True, eq=False)
-class Moment:
-    """All that is where it is. Immutable: a leg makes a new one."""
+class CellState:
+    """All that is where it is. Immutable: a segment makes a new one."""
 
-    standing: tuple[Standing, ...]
+    placed: tuple[PlacedGroup, ...]
     robots: tuple[Robot, Robot]
     """R_a, R_b."""
-    posts: tuple[Stand, ...] = ()
+    free_posts: tuple[Post, ...] = ()
     """Without anything on them."""
     on_floor: tuple[Group, ...] = ()
     """Groups that stand on the floor by themselves."""
 
     def around(self, furniture: Furniture, robot: int) -> list[Body]:
         """What is in one robot's way."""
-        out = [body(furniture, s.group, f"group{i}") for i, s in enumerate(self.standing)]
-        out += [s.stand.body(f"post{i}") for i, s in enumerate(self.standing)]
-        out += [stand.body(f"free post{i}") for i, stand in enumerate(self.posts)]
+        out = [body(furniture, s.group, f"group{i}") for i, s in enumerate(self.placed)]
+        out += [s.post.body(f"post{i}") for i, s in enumerate(self.placed)]
+        out += [stand.body(f"free post{i}") for i, stand in enumerate(self.free_posts)]
         out += [body(furniture, group, f"on floor{i}") for i, group in enumerate(self.on_floor)]
         return [*out, self.robots[1 - robot].body(furniture)]
 
@@ -100,30 +100,30 @@ class Moment:
             lands: whether what it holds may touch the ground.
         """
         own = self.robots[robot]
-        return RobotWorld(self.around(furniture, robot), own.opening, own.held(furniture), lands)
+        return RobotWorld(self.around(furniture, robot), own.opening, own.payload_shapes(furniture), lands)
 
-    def moved(self, robot: int, at: Configuration) -> Moment:
+    def moved(self, robot: int, at: Configuration) -> CellState:
         """With one robot elsewhere."""
         return self.with_robot(robot, replace(self.robots[robot], at=at))
 
-    def with_robot(self, robot: int, new: Robot) -> Moment:
+    def with_robot(self, robot: int, new: Robot) -> CellState:
         """With one robot's hand or place changed."""
         a, b = self.robots
         return replace(self, robots=(new, b) if robot == 0 else (a, new))
 
     @property
-    def stands(self) -> tuple[Stand, ...]:
+    def posts(self) -> tuple[Post, ...]:
         """Posts that are up."""
-        return (*(s.stand for s in self.standing), *self.posts)
+        return (*(s.post for s in self.placed), *self.free_posts)
 
     def groups(self) -> list[Group]:
         """All groups where they are, those in hands last."""
-        held = [r.grip.placed(r.at) for r in self.robots if r.grip is not None]
-        return [*(s.group for s in self.standing), *self.on_floor, *held]
+        held = [r.payload.placed(r.at) for r in self.robots if r.payload is not None]
+        return [*(s.group for s in self.placed), *self.on_floor, *held]
 
 
 @dataclass(frozen=True, eq=False)
-class Leg:
+class Segment:
     """One robot moves, all else stands still."""
 
     name: str
@@ -132,10 +132,10 @@ class Leg:
     """0 is R_a, 1 is R_b."""
     path: Path
     """Between two way-points joints and platform move evenly."""
-    moment: Moment
+    before: CellState
     """At its beginning."""
 
     @property
-    def after(self) -> Moment:
+    def after(self) -> CellState:
         """At its end."""
-        return self.moment.moved(self.robot, self.path[-1])
+        return self.before.moved(self.robot, self.path[-1])

@@ -1,4 +1,4 @@
-"""`dynamic` execution: the legs of a planned step carried out in physics, and what comes out held against the plan.
+"""`dynamic` execution: the segments of a planned step carried out in physics, and what comes out held against the plan.
 
 The motion that sets the finished piece on its feet is carried out in the same way; the piece then stands on the floor
 by its own weight.
@@ -23,8 +23,8 @@ from roboassembly.geometry.poses import rotation_angle
 from roboassembly.simulation.execution import StepPhysics
 from roboassembly.simulation.mobile_arms import Load, between_pads
 from roboassembly.simulation.model import mass_properties
-from roboassembly.task.full.cell_state import Grip, Leg
-from roboassembly.task.full.grips import Hold
+from roboassembly.task.full.cell_state import Payload, Segment
+from roboassembly.task.full.grips import Grip
 from roboassembly.task.plans.full_plan import FullPlan, FullStep
 from roboassembly.task.rules.groups import Group, body
 
@@ -35,9 +35,9 @@ STANDING_POSITION, STANDING_ANGLE = 0.01, float(np.deg2rad(2.0))
 MOST_TRACKING = 0.005
 """Metres that finger tips may be off their path."""
 _LINES = ("approach", "lift", "mate", "back", "set")
-"""First words of legs that are straight lines near other things, and gone slowly."""
+"""First words of segments that are straight lines near other things, and gone slowly."""
 _SLOWLY, _LOADED = 0.3, 0.7
-"""Shares of the speed at which robots go elsewhere: on those legs, and with a group in the hand."""
+"""Shares of the speed at which robots go elsewhere: on those segments, and with a group in the hand."""
 _AUDITED = 10
 """Every so many-th time step is checked."""
 
@@ -63,7 +63,7 @@ class Executed:
     """What became of one step."""
 
     ending: Ending
-    leg: str
+    segment: str
     """In which it failed; empty if it did not."""
     seconds: float
     """Simulated."""
@@ -80,7 +80,7 @@ class Executed:
 
     @property
     def success(self) -> bool:
-        """Whether all legs were carried out."""
+        """Whether all segments were carried out."""
         return self.ending is Ending.DONE
 
 
@@ -127,9 +127,9 @@ def in_all(plan: FullPlan, done: Sequence[Executed], last: Executed | None = Non
         pad_force_newton=round(max((d.pad_force for d in done), default=0.0), 1),
         joint_error_mm=round(1e3 * max((d.joint_position for d in done), default=0.0), 2),
         joint_error_deg=round(math.degrees(max((d.joint_angle for d in done), default=0.0)), 3),
-        reason="" if failed is None else f"merge {len(done)}: {failed.ending.value} in '{failed.leg}'",
+        reason="" if failed is None else f"merge {len(done)}: {failed.ending.value} in '{failed.segment}'",
         upright=None if last is None else last.success,
-        upright_reason="" if last is None or last.success else f"{last.ending.value} in '{last.leg}'",
+        upright_reason="" if last is None or last.success else f"{last.ending.value} in '{last.segment}'",
     )
 
 
@@ -144,99 +144,105 @@ def execute_plan(plan: FullPlan) -> list[Executed]:
 
 
 def execute(furniture: Furniture, density: float, step: FullStep) -> Executed:
-    """Carry out the legs of one merge.
+    """Carry out the segments of one merge.
 
     Args:
         furniture: what is assembled.
         density: kg/m³.
         step: planned.
     """
-    return _Execution(furniture, density, step.legs).run()
+    return _Execution(furniture, density, step.segments).run()
 
 
 def execute_upright(plan: FullPlan) -> Executed | None:
     """Carry out the motion that sets the finished piece on its feet; None if the plan has none."""
-    return _Execution(plan.furniture, plan.initial.cell.density, plan.final_legs).run() if plan.final_legs else None
+    return (
+        _Execution(plan.furniture, plan.initial.cell.density, plan.final_segments).run()
+        if plan.final_segments
+        else None
+    )
 
 
 class _Execution:
-    def __init__(self, furniture: Furniture, density: float, legs: Sequence[Leg]) -> None:
-        self.furniture, self.legs = furniture, legs
-        start = legs[0].moment
+    def __init__(self, furniture: Furniture, density: float, segments: Sequence[Segment]) -> None:
+        self.furniture, self.segments = furniture, segments
+        start = segments[0].before
         # u's group before v's, so that a merge's loads have the numbers of the robots that take them.
-        lifts = sorted((leg for leg in legs if leg.name.startswith("lift ")), key=lambda leg: leg.name)
-        self.grips = [_grip(leg) for leg in lifts]
-        self.load_of = {leg.robot: load for load, leg in enumerate(lifts)}
+        lifts = sorted(
+            (segment for segment in segments if segment.name.startswith("lift ")), key=lambda segment: segment.name
+        )
+        self.grips = [_grip(segment) for segment in lifts]
+        self.load_of = {segment.robot: load for load, segment in enumerate(lifts)}
         """Robot to the number of the load that it takes."""
         openings = [robot.opening for robot in start.robots]
-        for leg in legs:
-            if leg.name.startswith("drive to "):
-                openings[leg.robot] = leg.moment.robots[leg.robot].opening
-        loads = [self._load(grip.group, grip.hold, density) for grip in self.grips]
-        if legs[-1].after.on_floor:
+        for segment in segments:
+            if segment.name.startswith("drive to "):
+                openings[segment.robot] = segment.before.robots[segment.robot].opening
+        loads = [self._load(grip.group, grip.grip, density) for grip in self.grips]
+        if segments[-1].after.on_floor:
             loads = [replace(load, feet=_feet(furniture, g.group)) for load, g in zip(loads, self.grips, strict=True)]
         self.physics = StepPhysics([r.at for r in start.robots], openings, loads)
         self.states = 0
         self.joint = (0.0, 0.0)
 
-    def _load(self, group: Group, hold: Hold, density: float) -> Load:
+    def _load(self, group: Group, grip: Grip, density: float) -> Load:
         mass, center, inertia = mass_properties(body(self.furniture, group, "load"))
         share = density / WOOD_DENSITY
-        own = group.furniture_from_part[group.parts.index(hold.part)]
-        clip = between_pads(self.furniture.parts[hold.part].mesh, own.actInv(hold.furniture_from_tips), hold.closed)
+        own = group.furniture_from_part[group.parts.index(grip.part)]
+        clip = between_pads(self.furniture.parts[grip.part].mesh, own.actInv(grip.furniture_from_tips), grip.closed)
         return Load(group.world_from_furniture, share * mass, center, share * inertia, (clip.transformed(own),))
 
     def run(self) -> Executed:
-        for leg in self.legs:
-            ending = self._leg(leg)
+        for segment in self.segments:
+            ending = self._leg(segment)
             if ending is not Ending.DONE:
-                return self._told(ending, leg.name)
+                return self._told(ending, segment.name)
         return self._told(Ending.DONE, "")
 
-    def _told(self, ending: Ending, leg: str) -> Executed:
+    def _told(self, ending: Ending, segment: str) -> Executed:
         log = self.physics.log
         tracking = max(log.tracking, default=0.0)
-        return Executed(ending, leg, self.physics.seconds, tracking, log.pad_force, *self.joint, self.states)
+        return Executed(ending, segment, self.physics.seconds, tracking, log.pad_force, *self.joint, self.states)
 
-    def _leg(self, leg: Leg) -> Ending:
+    def _leg(self, segment: Segment) -> Ending:
         physics, first = self.physics, len(self.physics.log.tracking)
-        speed = 1.0 if leg.moment.robots[leg.robot].grip is None else _LOADED
-        physics.follow(leg.robot, leg.path, _SLOWLY if leg.name.split()[0] in _LINES else speed)
+        speed = 1.0 if segment.before.robots[segment.robot].payload is None else _LOADED
+        physics.follow(segment.robot, segment.path, _SLOWLY if segment.name.split()[0] in _LINES else speed)
         if max(physics.log.tracking[first:]) > MOST_TRACKING:
             return Ending.OFF_THE_PATH
-        if self._touches(leg, np.array(physics.log.samples[first::_AUDITED])):
+        if self._touches(segment, np.array(physics.log.samples[first::_AUDITED])):
             return Ending.COLLISION
-        if leg.name.startswith("approach "):
-            return Ending.DONE if physics.grasp(leg.robot, self.load_of[leg.robot]) else Ending.NOT_GRASPED
-        if leg.name == "mate":
-            self.joint = self._joint_error(leg)
+        if segment.name.startswith("approach "):
+            return Ending.DONE if physics.grasp(segment.robot, self.load_of[segment.robot]) else Ending.NOT_GRASPED
+        if segment.name == "mate":
+            self.joint = self._joint_error(segment)
             if self.joint[0] > JOINT_POSITION or self.joint[1] > JOINT_ANGLE:
                 return Ending.NOT_MATED
             physics.join()
-            physics.release(0, self._next(leg).moment.robots[0].opening)
-        if leg.name == "set down":
-            after = self._next(leg).moment
+            physics.release(0, self._next(segment).before.robots[0].opening)
+        if segment.name == "set down":
+            after = self._next(segment).before
             # What is set on the floor stands there by itself; a post that has risen holds what is set on it.
             held = () if after.on_floor else tuple(range(len(self.grips)))
-            physics.release(leg.robot, after.robots[leg.robot].opening, held)
-        if leg.name == "leave" and leg.moment.on_floor and not self._stands(leg.moment.on_floor[0]):
+            physics.release(segment.robot, after.robots[segment.robot].opening, held)
+        if segment.name == "leave" and segment.before.on_floor and not self._stands(segment.before.on_floor[0]):
             return Ending.NOT_STANDING
         return Ending.DONE
 
-    def _next(self, leg: Leg) -> Leg:
-        return self.legs[self.legs.index(leg) + 1]
+    def _next(self, segment: Segment) -> Segment:
+        return self.segments[self.segments.index(segment) + 1]
 
-    def _touches(self, leg: Leg, q: Float[np.ndarray, "n 10"]) -> bool:
+    def _touches(self, segment: Segment, q: Float[np.ndarray, "n 10"]) -> bool:
         """Whether any state that a robot came through touches anything but what it is meant to."""
-        moment = leg.moment
-        if leg.name == "mate":
-            moment = moment.with_robot(1, replace(moment.robots[1], grip=None))
-        if leg.name.startswith("lift ") or leg.name == "set down":
+        state = segment.before
+        if segment.name == "mate":
+            state = state.with_robot(1, replace(state.robots[1], payload=None))
+        if segment.name.startswith("lift ") or segment.name == "set down":
             # The post on which it sits, or is to sit.
-            moment = replace(moment, posts=())
-        lands = leg.name == "set down" and bool(self._next(leg).moment.on_floor)
+            state = replace(state, free_posts=())
+        lands = segment.name == "set down" and bool(self._next(segment).before.on_floor)
         self.states += len(q)
-        return not moment.world(self.furniture, leg.robot, lands).free(q).all()
+        return not state.world(self.furniture, segment.robot, lands).free(q).all()
 
     def _stands(self, planned: Group) -> bool:
         """Whether the finished piece is where it was set down."""
@@ -244,7 +250,7 @@ class _Execution:
         off = float(np.linalg.norm(got.act(center) - wanted.act(center)))
         return off <= STANDING_POSITION and rotation_angle(got.rotation.T @ wanted.rotation) <= STANDING_ANGLE
 
-    def _joint_error(self, mate: Leg) -> tuple[float, float]:
+    def _joint_error(self, mate: Segment) -> tuple[float, float]:
         """How far u's group is from where it joins v's, at u's centre of mass: metres and radians."""
         u, v = (grip.placed(robot.at) for grip, robot in zip(self.grips, mate.after.robots, strict=True))
         wanted = v.world_from_furniture.actInv(u.world_from_furniture)
@@ -262,8 +268,8 @@ def _feet(furniture: Furniture, group: Group) -> tuple[Mesh, ...]:
     return tuple(furniture.parts[p].mesh.transformed(pose) for p, pose in parts)
 
 
-def _grip(leg: Leg) -> Grip:
-    """What the hand holds on a leg."""
-    grip = leg.moment.robots[leg.robot].grip
+def _grip(segment: Segment) -> Payload:
+    """What the hand holds on a segment."""
+    grip = segment.before.robots[segment.robot].payload
     assert grip is not None
     return grip

@@ -27,7 +27,7 @@ _SHORTEST, _SHORT_OF, _AMPLE = 0.03, 0.005, 0.2
 
 
 @dataclass(frozen=True, eq=False)
-class Hold:
+class Grip:
     """A hand that holds one part of a group."""
 
     part: int
@@ -41,7 +41,7 @@ class Hold:
     """Metres between the pads."""
     open: float
 
-    def moved(self, by: SE3) -> Hold:
+    def moved(self, by: SE3) -> Grip:
         """The same, told in another frame: `other_from_group`."""
         return replace(self, furniture_from_tips=by * self.furniture_from_tips, approach=by.rotation @ self.approach)
 
@@ -55,7 +55,7 @@ def hand_shapes(opening: float) -> tuple[Shape, ...]:
     return tuple(Shape(mesh, pose, convex=True) for mesh, pose in hand_bodies(opening))
 
 
-def hold(furniture: Furniture, group: Group, part: int, grasp: int) -> Hold | None:
+def grip_of(furniture: Furniture, group: Group, part: int, grasp: int) -> Grip | None:
     """How a hand holds a part with grasp 0 to 7; None if the part has no such grasp."""
     regions = furniture.parts[part].grasps
     region_index, direction = divmod(grasp, 4)
@@ -64,7 +64,7 @@ def hold(furniture: Furniture, group: Group, part: int, grasp: int) -> Hold | No
     region: GraspRegion = regions[region_index]
     own = group.furniture_from_part[group.parts.index(part)]
     approach = region.approaches[direction]
-    return Hold(
+    return Grip(
         part,
         grasp,
         own * hand_pose(region.position, region.closing, approach),
@@ -74,19 +74,19 @@ def hold(furniture: Furniture, group: Group, part: int, grasp: int) -> Hold | No
     )
 
 
-def can_take(furniture: Furniture, group: Group, held: Hold) -> bool:
+def can_grip(furniture: Furniture, group: Group, held: Grip) -> bool:
     """Whether the open hand comes straight to the part, and closes, and meets nothing of the group."""
     alone = group.moved_to(SE3.Identity())
-    return _comes(held, [body(furniture, alone, "group")]) and has_room(furniture, alone, held)
+    return _comes(held, [body(furniture, alone, "group")]) and grip_fits_group(furniture, alone, held)
 
 
-def has_room(furniture: Furniture, group: Group, held: Hold) -> bool:
+def grip_fits_group(furniture: Furniture, group: Group, held: Grip) -> bool:
     """Whether the closed hand meets nothing of a group, where both are."""
     scene = Scene((held.hand(held.closed, moves=True), body(furniture, group, "group")), ground=False)
     return CollisionWorld(scene).is_free(held.furniture_from_tips)
 
 
-def _comes(held: Hold, still: Sequence[Body]) -> bool:
+def _comes(held: Grip, still: Sequence[Body]) -> bool:
     hand = held.hand(held.open, moves=True)
     world = CollisionWorld(Scene((hand, *still), ground=False))
     goal = held.furniture_from_tips
@@ -99,7 +99,7 @@ def _comes(held: Hold, still: Sequence[Body]) -> bool:
 
 
 @dataclass(frozen=True, eq=False)
-class Way:
+class Retract:
     """A straight way out of a joint."""
 
     direction: Float[np.ndarray, "3"]
@@ -108,28 +108,28 @@ class Way:
     """Metres, until nothing of it is beside anything of v's."""
 
     @property
-    def room(self) -> float:
+    def usable_length(self) -> float:
         """Metres, as far as more of them are better."""
         return min(self.length, _AMPLE)
 
 
-def ways_out(
+def retracts(
     furniture: Furniture,
     u_group: Group,
     v_group: Group,
-    hold_u: Hold | None,
-    hold_v: Hold | None,
+    grip_u: Grip | None,
+    grip_v: Grip | None,
     directions: Sequence[Float[np.ndarray, "3"]],
-) -> Iterator[Way]:
+) -> Iterator[Retract]:
     """Straight ways along which u's group leaves v's, both in the merged group's frame and held, if a hold is given;
     none if they, or the hands, are in each other's way where they are joined."""
     moving = Body(
         "moving",
-        (*body(furniture, u_group, "u").shapes, *_closed(hold_u)),
+        (*body(furniture, u_group, "u").shapes, *_closed(grip_u)),
         u_group.world_from_furniture,
         True,
     )
-    still = Body("still", (*body(furniture, v_group, "v").shapes, *_closed(hold_v)), v_group.world_from_furniture)
+    still = Body("still", (*body(furniture, v_group, "v").shapes, *_closed(grip_v)), v_group.world_from_furniture)
     world = CollisionWorld(Scene((moving, still), ground=False))
     goal = moving.pose
     if not world.is_free(goal):
@@ -138,17 +138,17 @@ def ways_out(
         length = min(world.distance_to_clear(goal, d, "still") + _CLEAR, _LONGEST)
         reached = length * world.free_fraction(goal, SE3(goal.rotation, goal.translation + length * d))
         if reached >= length:
-            yield Way(d, length)
+            yield Retract(d, length)
         elif reached > _SHORTEST:
-            yield Way(d, reached - _SHORT_OF)
+            yield Retract(d, reached - _SHORT_OF)
 
 
-def can_let_go(furniture: Furniture, merged: Group, held: Hold, *others: Body) -> bool:
+def can_release(furniture: Furniture, merged: Group, held: Grip, *others: Body) -> bool:
     """Whether the hand, open again, backs out of the merged group and past others, such as the other hand."""
     return _comes(held, [body(furniture, merged, "merged"), *others])
 
 
-def _closed(held: Hold | None) -> tuple[Shape, ...]:
+def _closed(held: Grip | None) -> tuple[Shape, ...]:
     if held is None:
         return ()
     tips = held.furniture_from_tips

@@ -1,4 +1,4 @@
-"""The legs by which a robot takes a standing group: it drives to it, closes its hand and lifts it from its post."""
+"""The segments by which a robot takes a standing group: it drives to it, closes its hand and lifts it from its post."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ import numpy as np
 from roboassembly.planning.robot_path import Path, line, path_is_free
 from roboassembly.planning.robot_world import RobotWorld
 from roboassembly.robots.body import DOF
-from roboassembly.task.full.cell_state import Configuration, Grip, Moment, Robot
-from roboassembly.task.full.grips import Hold
-from roboassembly.task.full.segments import ARM, LIFT, PLACE, TRIES, LegError, Legs, Obstacle
+from roboassembly.task.full.cell_state import CellState, Configuration, Payload, Robot
+from roboassembly.task.full.grips import Grip
+from roboassembly.task.full.segments import ARM, LIFT, PLACE, TRIES, LegError, Obstacle, SegmentPlanner
 from roboassembly.task.rules.groups import Group
 
 _DRAWS = 3
@@ -25,13 +25,13 @@ _AWAY = np.array([1e3, *[0.0] * (DOF - 1)])
 
 
 @dataclass(frozen=True, eq=False)
-class Wanted:
+class PickRequest:
     """What a robot is to take."""
 
     group: Group
-    hold: Hold
+    grip: Grip
     name: str
-    """Of the group, for the legs."""
+    """Of the group, for the segments."""
     like: Configuration | None = None
     """Whose arm it would rather have as it takes it; if None, the nearer the platform is to where it was the better."""
 
@@ -40,130 +40,130 @@ class Wanted:
 class _Taking:
     """A robot takes a standing group."""
 
-    before: Moment
+    before: CellState
     """Its hand open."""
-    loaded: Moment
+    loaded: CellState
     """The group in its hand, the post still there."""
     world: RobotWorld
     """As it comes."""
     tries: Iterator[tuple[Path, Path]]
     """Straight back from the group, and straight up with it."""
     failed: str
-    """The leg that the last try failed in."""
+    """The segment that the last try failed in."""
 
 
-def fetch_both(legs: Legs, wanted: Sequence[Wanted]) -> None:
+def pick_both(planner: SegmentPlanner, wanted: Sequence[PickRequest]) -> None:
     """R_a takes one standing group, R_b another one, in the order that works.
 
     Args:
-        legs: so far; those of this are added.
+        segments: so far; those of this are added.
         wanted: R_a's, then R_b's.
 
     Raises:
         LegError: it cannot be.
     """
-    before = legs.reached
+    before = planner.reached
     try:
         for robot in (0, 1):
-            _fetch_past(legs, robot, wanted[robot])
+            _pick_past(planner, robot, wanted[robot])
     except LegError as no:
-        legs.back_to(before)
+        planner.back_to(before)
         if no.final:
             raise
         try:
             for robot in (1, 0):
-                _fetch_past(legs, robot, wanted[robot])
+                _pick_past(planner, robot, wanted[robot])
         except LegError:
             # Of two failures the one in the usual order is told.
             raise no from None
 
 
-def _fetch_past(legs: Legs, robot: int, wanted: Wanted) -> None:
+def _pick_past(planner: SegmentPlanner, robot: int, wanted: PickRequest) -> None:
     """Take a standing group; if the other robot stands in the way, and holds nothing, it drives elsewhere.
 
     Raises:
         LegError: it cannot be.
     """
-    before, other = legs.reached, 1 - robot
+    before, other = planner.reached, 1 - robot
     for left in reversed(range(_MAKING_WAY + 1)):
         try:
-            fetch(legs, robot, wanted)
+            pick(planner, robot, wanted)
         except LegError as no:
-            legs.back_to(before)
-            if left == 0 or legs.moment.robots[other].grip is not None:
+            planner.back_to(before)
+            if left == 0 or planner.state.robots[other].payload is not None:
                 raise
-            if not can_fetch(legs, robot, wanted):
-                raise LegError(no.why, no.leg, final=True) from None
-            legs.park(other, legs.world(legs.moment, other), "make way")
+            if not can_pick(planner, robot, wanted):
+                raise LegError(no.why, no.segment, final=True) from None
+            planner.park(other, planner.world(planner.state, other), "make way")
         else:
             return
 
 
-def _index(legs: Legs, group: Group) -> int:
+def _index(planner: SegmentPlanner, group: Group) -> int:
     """Of a group among those that stand."""
-    return next(i for i, s in enumerate(legs.moment.standing) if s.group.parts == group.parts)
+    return next(i for i, s in enumerate(planner.state.placed) if s.group.parts == group.parts)
 
 
-def fetch(legs: Legs, robot: int, wanted: Wanted) -> None:
+def pick(planner: SegmentPlanner, robot: int, wanted: PickRequest) -> None:
     """Drive to a standing group, take it and lift it from its post, which sinks into the floor.
 
     Args:
-        legs: so far; those of this are added.
+        segments: so far; those of this are added.
         robot: 0 or 1.
         wanted: group.
 
     Raises:
         LegError: it cannot be.
     """
-    taking = _taking(legs, robot, wanted)
+    taking = _taking(planner, robot, wanted)
     before, loaded, name = taking.before, taking.loaded, wanted.name
     for back, up in islice(taking.tries, TRIES):
-        way = legs.go(taking.world, before.robots[robot].at, back[-1])
+        way = planner.go(taking.world, before.robots[robot].at, back[-1])
         if way is None:
             taking.failed = f"drive to {name}"
             continue
-        legs.moment = before
-        legs.add(f"drive to {name}", robot, way)
-        legs.add(f"approach {name}", robot, tuple(reversed(back)))
-        legs.moment = loaded.moved(robot, legs.moment.robots[robot].at)
-        legs.add(f"lift {name}", robot, up)
-        legs.moment = replace(legs.moment, posts=before.posts)
+        planner.state = before
+        planner.add(f"drive to {name}", robot, way)
+        planner.add(f"approach {name}", robot, tuple(reversed(back)))
+        planner.state = loaded.moved(robot, planner.state.robots[robot].at)
+        planner.add(f"lift {name}", robot, up)
+        planner.state = replace(planner.state, free_posts=before.free_posts)
         return
     raise LegError(Obstacle.NO_PATH, taking.failed)
 
 
-def can_fetch(legs: Legs, robot: int, wanted: Wanted) -> bool:
+def can_pick(planner: SegmentPlanner, robot: int, wanted: PickRequest) -> bool:
     """Whether a standing group can be taken and lifted, wherever the robot comes from and the other one is."""
-    before, other = legs.moment, 1 - robot
+    before, other = planner.state, 1 - robot
     away = before.robots[other].at + _AWAY
-    legs.moment = before.moved(other, away)
+    planner.state = before.moved(other, away)
     try:
-        return next(_taking(legs, robot, wanted).tries, None) is not None
+        return next(_taking(planner, robot, wanted).tries, None) is not None
     except LegError:
         return False
     finally:
-        legs.moment = before
+        planner.state = before
 
 
-def _taking(legs: Legs, robot: int, wanted: Wanted) -> _Taking:
+def _taking(planner: SegmentPlanner, robot: int, wanted: PickRequest) -> _Taking:
     """Ways to take a standing group and lift it, `fetch` without the drive.
 
     Raises:
         LegError: there is no way to stand (from the first of the tries).
     """
-    hold, name, index = wanted.hold, wanted.name, _index(legs, wanted.group)
-    before = legs.moment.with_robot(robot, replace(legs.moment.robots[robot], opening=hold.open, grip=None))
-    group, stand = legs.moment.standing[index].group, legs.moment.standing[index].stand
-    rest = tuple(s for i, s in enumerate(before.standing) if i != index)
-    taken = Robot(before.robots[robot].at, hold.closed, Grip(group, hold))
-    loaded = replace(before, standing=rest, posts=(*before.posts, stand)).with_robot(robot, taken)
-    tips = group.world_from_furniture * hold.furniture_from_tips
-    world, lifting = legs.world(before, robot), legs.world(loaded, robot)
+    grip, name, index = wanted.grip, wanted.name, _index(planner, wanted.group)
+    before = planner.state.with_robot(robot, replace(planner.state.robots[robot], opening=grip.open, payload=None))
+    group, stand = planner.state.placed[index].group, planner.state.placed[index].post
+    rest = tuple(s for i, s in enumerate(before.placed) if i != index)
+    taken = Robot(before.robots[robot].at, grip.closed, Payload(group, grip))
+    loaded = replace(before, placed=rest, free_posts=(*before.free_posts, stand)).with_robot(robot, taken)
+    tips = group.world_from_furniture * grip.furniture_from_tips
+    world, lifting = planner.world(before, robot), planner.world(loaded, robot)
     near = (before.robots[robot].at, PLACE) if wanted.like is None else (wanted.like, ARM)
 
     def tries() -> Iterator[tuple[Path, Path]]:
-        for at in legs.ways_to_stand(world, tips, *near, f"grasp {name}", _DRAWS):
-            back = legs.back(world, at)
+        for at in planner.ways_to_stand(world, tips, *near, f"grasp {name}", _DRAWS):
+            back = planner.back(world, at)
             if back is None:
                 taking.failed = f"approach {name}"
                 continue

@@ -1,4 +1,4 @@
-"""What a full step's planning has come to: the moment, the legs so far, and what all legs need.
+"""What a full step's planning has come to: the moment, the segments so far, and what all segments need.
 
 Each is planned on exact geometry: the robot with what it holds, all else as obstacles. Way-points of the hand that
 have to be straight (approach, lift, mate, back off) are lines in space; in between RRT-Connect finds the way.
@@ -20,7 +20,7 @@ from roboassembly.planning.robot_world import RobotWorld, Tally
 from roboassembly.robots.body import world_from_tips
 from roboassembly.robots.reach import reach
 from roboassembly.task.full.cell import Cell
-from roboassembly.task.full.cell_state import Configuration, Leg, Moment
+from roboassembly.task.full.cell_state import CellState, Configuration, Segment
 
 TUCKED = np.array([0.0, -1.2, 0.0, -2.6, 0.0, 2.0, 0.785])
 """The arm folded over the platform, to drive."""
@@ -40,45 +40,45 @@ _PARKINGS = 12
 
 
 class Obstacle(StrEnum):
-    """Why a leg cannot be."""
+    """Why a segment cannot be."""
 
     NO_ARM_SOLUTION = "no_arm_solution"
     """No way to stand that has the hand where it must be without a collision."""
     NO_PATH = "no_path"
-    NO_STAND = "no_stand"
+    NO_PLACEMENT = "no_placement"
     """No post can hold the merged group, or there is no room for it."""
 
 
 class LegError(Exception):
-    """A leg cannot be planned.
+    """A segment cannot be planned.
 
     Args:
         why: it cannot.
-        leg: its name.
-        final: whether other legs before it would not help.
+        segment: its name.
+        final: whether other segments before it would not help.
     """
 
-    def __init__(self, why: Obstacle, leg: str, *, final: bool = False) -> None:
-        super().__init__(f"{leg}: {why}")
-        self.why, self.leg, self.final = why, leg, final
+    def __init__(self, why: Obstacle, segment: str, *, final: bool = False) -> None:
+        super().__init__(f"{segment}: {why}")
+        self.why, self.segment, self.final = why, segment, final
 
 
-class Legs:
-    """Legs of one step, planned one after the other and kept.
+class SegmentPlanner:
+    """Segments of one step, planned one after the other and kept.
 
     Args:
         furniture: what is assembled.
         cell: where.
-        moment: at the beginning.
+        state: at the beginning.
         budget: of each path.
         rng: draws.
     """
 
     def __init__(
-        self, furniture: Furniture, cell: Cell, moment: Moment, budget: Budget, rng: np.random.Generator
+        self, furniture: Furniture, cell: Cell, state: CellState, budget: Budget, rng: np.random.Generator
     ) -> None:
-        self.furniture, self.cell, self.moment, self.budget, self.rng = furniture, cell, moment, budget, rng
-        self.legs: list[Leg] = []
+        self.furniture, self.cell, self.state, self.budget, self.rng = furniture, cell, state, budget, rng
+        self.segments: list[Segment] = []
         self._tallies: list[Tally] = []
 
     @property
@@ -87,17 +87,17 @@ class Legs:
         return sum(tally.states for tally in self._tallies)
 
     @property
-    def reached(self) -> tuple[Moment, tuple[Leg, ...]]:
+    def reached(self) -> tuple[CellState, tuple[Segment, ...]]:
         """How far it is, to come `back_to`."""
-        return self.moment, tuple(self.legs)
+        return self.state, tuple(self.segments)
 
-    def back_to(self, reached: tuple[Moment, tuple[Leg, ...]]) -> None:
-        """Take back the legs planned since then."""
-        self.moment, self.legs = reached[0], list(reached[1])
+    def back_to(self, reached: tuple[CellState, tuple[Segment, ...]]) -> None:
+        """Take back the segments planned since then."""
+        self.state, self.segments = reached[0], list(reached[1])
 
-    def world(self, moment: Moment, robot: int) -> RobotWorld:
+    def world(self, state: CellState, robot: int) -> RobotWorld:
         """One robot among all else."""
-        made = moment.world(self.furniture, robot)
+        made = state.world(self.furniture, robot)
         self._tallies.append(made.tally)
         return made
 
@@ -107,14 +107,14 @@ class Legs:
         return connect(world, start, goal, Floor(self.cell.floor), self.budget, seed)
 
     def add(self, name: str, robot: int, path: Path) -> None:
-        """Keep a leg that begins at the moment, and go on to its end."""
-        path = turned_on(path, self.moment.robots[robot].at)
-        leg = Leg(name, robot, path, self.moment)
-        self.legs.append(leg)
-        self.moment = leg.after
+        """Keep a segment that begins at the moment, and go on to its end."""
+        path = turned_on(path, self.state.robots[robot].at)
+        segment = Segment(name, robot, path, self.state)
+        self.segments.append(segment)
+        self.state = segment.after
 
     def ways_to_stand(
-        self, world: RobotWorld, tips: SE3, near: Configuration, joints: slice, leg: str, draws: int = 1
+        self, world: RobotWorld, tips: SE3, near: Configuration, joints: slice, segment: str, draws: int = 1
     ) -> Iterator[Configuration]:
         """Free configurations with the finger tips there, of each draw of `GUESSES` those nearest to one first.
 
@@ -123,7 +123,7 @@ class Legs:
             tips: where they are to be.
             near: configuration.
             joints: that count for what is near.
-            leg: for the error.
+            segment: for the error.
             draws: of configurations.
 
         Raises:
@@ -136,7 +136,7 @@ class Legs:
             none = none and not len(free)
             yield from free[np.argsort(np.linalg.norm((free - near)[:, joints], axis=1))]
         if none:
-            raise LegError(Obstacle.NO_ARM_SOLUTION, leg)
+            raise LegError(Obstacle.NO_ARM_SOLUTION, segment)
 
     def back(self, world: RobotWorld, at: Configuration) -> Path | None:
         """Straight back out of a grasp, driving or from where the platform stands."""
@@ -158,7 +158,7 @@ class Legs:
             goal = np.array([*spot, self.rng.uniform(-np.pi, np.pi), *TUCKED])
             if not world.free(goal[None])[0]:
                 continue
-            path = self.go(world, self.moment.robots[robot].at, goal)
+            path = self.go(world, self.state.robots[robot].at, goal)
             if path is not None:
                 self.add(name, robot, path)
                 return

@@ -19,13 +19,13 @@ from roboassembly.errors import InputError
 from roboassembly.furniture.model import Furniture
 from roboassembly.geometry.poses import SE3
 from roboassembly.planning.problem import Budget
-from roboassembly.task.full.cell import check_size, laid_out
-from roboassembly.task.full.cell_state import Leg, Moment, Robot, Standing
-from roboassembly.task.full.grips import Hold, Way, can_let_go, can_take, has_room, hold, ways_out
-from roboassembly.task.full.mate import Meeting, join, meetings, part
-from roboassembly.task.full.pick import Wanted, can_fetch, fetch_both
+from roboassembly.task.full.cell import check_size, initial_layout
+from roboassembly.task.full.cell_state import CellState, PlacedGroup, Robot, Segment
+from roboassembly.task.full.grips import Grip, Retract, can_grip, can_release, grip_fits_group, grip_of, retracts
+from roboassembly.task.full.mate import MateStance, join, mate_stances, release
+from roboassembly.task.full.pick import PickRequest, can_pick, pick_both
 from roboassembly.task.full.place import set_down
-from roboassembly.task.full.segments import TUCKED, LegError, Legs, Obstacle
+from roboassembly.task.full.segments import TUCKED, LegError, Obstacle, SegmentPlanner
 from roboassembly.task.plans.full_plan import FullState, FullStep
 from roboassembly.task.rules.connections import GRASPS, Rules
 from roboassembly.task.rules.groups import Group, TaskState
@@ -54,11 +54,11 @@ class FullVerdict(StrEnum):
     """The hand cannot come to the part past the rest of its group."""
     JOINT_BLOCKED = "joint_blocked"
     """The groups or the hands are in each other's way at the joint, or on every straight way into it."""
-    CANNOT_LET_GO = "cannot_let_go"
+    CANNOT_RELEASE = "cannot_release"
     """The hand of R_a, or of R_b once the other is gone, could not leave the merged group."""
     NO_ARM_SOLUTION = "no_arm_solution"
     NO_PATH = "no_path"
-    NO_STAND = "no_stand"
+    NO_PLACEMENT = "no_placement"
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,49 +66,49 @@ class FullOutcome:
     """What a step led to."""
 
     verdict: FullVerdict
-    leg: str
+    segment: str
     """In which it failed; empty if it did not."""
     state: FullState
     """The new one; the old one unless merged."""
     step: FullStep | None
     """The record, if merged."""
-    legs: tuple[Leg, ...]
+    segments: tuple[Segment, ...]
     """As far as they were planned."""
     planning_steps: int
     planning_seconds: float
 
 
 @dataclass(frozen=True, eq=False)
-class Joint:
+class MateGrasp:
     """A right pair and two grasps that pass all tests before any arm comes in."""
 
     merge: Merge
     u: Group
     """In its own frame."""
     v: Group
-    hold_a: Hold
+    grip_a: Grip
     """Of u's group, in its own frame."""
-    hold_b: Hold
-    ways: tuple[Way, ...]
+    grip_b: Grip
+    retracts: tuple[Retract, ...]
     """Straight out of the joint."""
 
     @property
-    def hands(self) -> tuple[Hold, Hold]:
+    def merged_grips(self) -> tuple[Grip, Grip]:
         """Both holds, in the merged group's frame."""
-        return self.hold_a.moved(self.merge.furniture_from_u), self.hold_b.moved(self.merge.furniture_from_v)
+        return self.grip_a.moved(self.merge.furniture_from_u), self.grip_b.moved(self.merge.furniture_from_v)
 
 
 class FullTask:
     """The rules of the full setting for one piece of furniture."""
 
-    ways = (GRASPS, GRASPS)
+    action_branches = (GRASPS, GRASPS)
     """Choices that an action has after its pair: `g_a` and `g_b`."""
 
     def __init__(self, furniture: Furniture, budget: Budget | None = None) -> None:
         self.furniture = furniture
         self.budget = budget or BUDGET
         self.rules = Rules(furniture)
-        self._holds: dict[tuple[int, int, tuple[int, ...], bytes], Hold | None] = {}
+        self._grips: dict[tuple[int, int, tuple[int, ...], bytes], Grip | None] = {}
 
     def initial_state(self, rng: np.random.Generator) -> FullState:
         """All parts on posts, both robots in the middle of the ring.
@@ -116,13 +116,13 @@ class FullTask:
         Raises:
             InputError: the furniture does not suit the cell, or hands cannot join a part to any other.
         """
-        self.check_hands()
-        cell, groups, stands = laid_out(self.furniture, rng)
+        self.check_graspable()
+        cell, groups, stands = initial_layout(self.furniture, rng)
         a, b = (Robot(np.array([_APART * side, 0.0, rng.uniform(-np.pi, np.pi), *TUCKED]), 0.0) for side in (-1.0, 1.0))
-        standing = tuple(Standing(g, s) for g, s in zip(groups, stands, strict=True))
-        return FullState(TaskState(groups), Moment(standing, (a, b)), cell)
+        standing = tuple(PlacedGroup(g, s) for g, s in zip(groups, stands, strict=True))
+        return FullState(TaskState(groups), CellState(standing, (a, b)), cell)
 
-    def check_hands(self) -> None:
+    def check_graspable(self) -> None:
         """Refuse furniture that two robots cannot assemble, whatever else they do.
 
         Raises:
@@ -156,10 +156,10 @@ class FullTask:
             return False
         # In an order that tries unlike grasps early.
         for index in np.random.default_rng(0).permutation(GRASPS**2).tolist():
-            hold_a, hold_b = self.taken(alone[u], u, index // GRASPS), self.taken(alone[v], v, index % GRASPS)
-            if hold_a is None or hold_b is None:
+            grip_a, grip_b = self.free_grip(alone[u], u, index // GRASPS), self.free_grip(alone[v], v, index % GRASPS)
+            if grip_a is None or grip_b is None:
                 continue
-            if isinstance(self.fitted(alone[u], alone[v], merge, hold_a, hold_b), Joint):
+            if isinstance(self.check_grips(alone[u], alone[v], merge, grip_a, grip_b), MateGrasp):
                 return True
         return False
 
@@ -170,26 +170,26 @@ class FullTask:
             return False
         return all(0 <= g < 4 * len(self.furniture.parts[p].grasps) for p, g in ((u, g_a), (v, g_b)))
 
-    def joined(self, state: FullState) -> TaskState:
+    def groups_of(self, state: FullState) -> TaskState:
         """The groups of a state."""
         return state.groups
 
-    def free_holds(self, state: TaskState, part: int) -> dict[int, Hold]:
+    def free_grips(self, state: TaskState, part: int) -> dict[int, Grip]:
         """Grasps of a part that the rest of its group leaves free, and how the hand holds it then."""
         group = state.groups[state.group_of[part]]
-        holds = [(g, self.taken(group, part, g)) for g in range(GRASPS)]
-        return {g: held for g, held in holds if held is not None}
+        grips = [(g, self.free_grip(group, part, g)) for g in range(GRASPS)]
+        return {g: held for g, held in grips if held is not None}
 
-    def taken(self, group: Group, part: int, grasp: int) -> Hold | None:
+    def free_grip(self, group: Group, part: int, grasp: int) -> Grip | None:
         """How a hand takes a part; None if the part has no such grasp or the rest of its group is in the way."""
         # Groups are looked at again and again while others change, and this depends on nothing else.
         key = (part, grasp, group.parts, b"".join(p.homogeneous.tobytes() for p in group.furniture_from_part))
-        if key not in self._holds:
-            if len(self._holds) >= _REMEMBERED:
-                self._holds.clear()
-            held = hold(self.furniture, group, part, grasp)
-            self._holds[key] = held if held is not None and can_take(self.furniture, group, held) else None
-        return self._holds[key]
+        if key not in self._grips:
+            if len(self._grips) >= _REMEMBERED:
+                self._grips.clear()
+            held = grip_of(self.furniture, group, part, grasp)
+            self._grips[key] = held if held is not None and can_grip(self.furniture, group, held) else None
+        return self._grips[key]
 
     def merge(self, state: TaskState, pair: tuple[int, int, int, int]) -> Merge | None:
         """What the pair `(u, v, k, l)` makes; None if it is wrong."""
@@ -206,41 +206,41 @@ class FullTask:
             budget: of each path, instead of the task's own.
         """
         begun = time.perf_counter()
-        legs = self._planner(state, seed, budget)
+        planner = self._planner(state, seed, budget)
 
-        def failed(verdict: FullVerdict, leg: str) -> FullOutcome:
+        def failed(verdict: FullVerdict, segment: str) -> FullOutcome:
             seconds = time.perf_counter() - begun
-            return FullOutcome(verdict, leg, state, None, tuple(legs.legs), legs.states, seconds)
+            return FullOutcome(verdict, segment, state, None, tuple(planner.segments), planner.states, seconds)
 
         if not self.exists(state, action):
             return failed(FullVerdict.NOT_AN_ACTION, "")
-        joint = self.joint(state.groups, action)
+        joint = self.mate_grasp(state.groups, action)
         if isinstance(joint, Refusal):
-            return failed(joint.verdict, joint.leg)
+            return failed(joint.verdict, joint.segment)
         try:
-            after = self._carried_out(legs, state, joint)
+            after = self._carry_out(planner, state, joint)
         except LegError as no:
-            return failed(FullVerdict(no.why.value), no.leg)
+            return failed(FullVerdict(no.why.value), no.segment)
         seconds = time.perf_counter() - begun
-        step = FullStep(action, tuple(legs.legs), legs.states, seconds)
-        return FullOutcome(FullVerdict.MERGED, "", after, step, step.legs, step.planning_steps, seconds)
+        step = FullStep(action, tuple(planner.segments), planner.states, seconds)
+        return FullOutcome(FullVerdict.MERGED, "", after, step, step.segments, step.planning_steps, seconds)
 
-    def joint(self, state: TaskState, action: tuple[int, ...]) -> Joint | Refusal:
+    def mate_grasp(self, state: TaskState, action: tuple[int, ...]) -> MateGrasp | Refusal:
         """The cheap tests of an action that exists: pair, hands at their grasps, both at the joint."""
         u, v, k, l, g_a, g_b = action  # noqa: E741
         one, two = state.groups[state.group_of[u]], state.groups[state.group_of[v]]
         merge = self.merge(state, (u, v, k, l))
         if merge is None:
             return Refusal(FullVerdict.WRONG_PAIR, "")
-        hold_a = self.taken(one, u, g_a)
-        if hold_a is None:
+        grip_a = self.free_grip(one, u, g_a)
+        if grip_a is None:
             return Refusal(FullVerdict.GRASP_BLOCKED, "grasp u")
-        hold_b = self.taken(two, v, g_b)
-        if hold_b is None:
+        grip_b = self.free_grip(two, v, g_b)
+        if grip_b is None:
             return Refusal(FullVerdict.GRASP_BLOCKED, "grasp v")
-        return self.fitted(one, two, merge, hold_a, hold_b)
+        return self.check_grips(one, two, merge, grip_a, grip_b)
 
-    def can_take(self, state: FullState, part: int, held: Hold, robot: int, seed: int) -> bool:
+    def can_pick(self, state: FullState, part: int, held: Grip, robot: int, seed: int) -> bool:
         """Whether a robot can take the group of a part and lift it from its post, wherever it comes from.
 
         Args:
@@ -250,31 +250,31 @@ class FullTask:
             robot: 0 or 1.
             seed: of what is drawn.
         """
-        group = next(s.group for s in state.moment.standing if part in s.group.parts)
-        return can_fetch(self._planner(state, seed), robot, Wanted(group, held, ""))
+        group = next(s.group for s in state.cell_state.placed if part in s.group.parts)
+        return can_pick(self._planner(state, seed), robot, PickRequest(group, held, ""))
 
-    def can_meet(self, state: FullState, joint: Joint, seed: int) -> bool:
+    def can_mate(self, state: FullState, joint: MateGrasp, seed: int) -> bool:
         """Whether both arms reach the joint in some pose of it, and R_a comes straight out."""
         return next(_meetings(self._planner(state, seed), joint), None) is not None
 
-    def _planner(self, state: FullState, seed: int, budget: Budget | None = None) -> Legs:
+    def _planner(self, state: FullState, seed: int, budget: Budget | None = None) -> SegmentPlanner:
         rng = np.random.default_rng(seed)
-        return Legs(self.furniture, state.cell, state.moment, budget or self.budget, rng)
+        return SegmentPlanner(self.furniture, state.cell, state.cell_state, budget or self.budget, rng)
 
-    def has_room(self, one: Group, two: Group, merge: Merge, held: Hold, robot: int) -> bool:
+    def grip_has_room(self, one: Group, two: Group, merge: Merge, held: Grip, robot: int) -> bool:
         """Whether one hand meets nothing of the group that it does not hold, where both are joined: the part of
         `fits_alone` that costs least. Arguments as there."""
         own, other, placed = merge.furniture_from_u, merge.furniture_from_v, two
         if robot == 1:
             own, other, placed = other, own, one
-        return has_room(self.furniture, placed.moved_to(other), held.moved(own))
+        return grip_fits_group(self.furniture, placed.moved_to(other), held.moved(own))
 
-    def comes_apart(self, one: Group, two: Group, merge: Merge) -> bool:
+    def separates(self, one: Group, two: Group, merge: Merge) -> bool:
         """Whether two groups come straight out of their joint as long as no hand holds them. Arguments as of
         `fits_alone`."""
         return next(self._ways(one, two, merge, None, None), None) is not None
 
-    def fits_alone(self, one: Group, two: Group, merge: Merge, held: Hold, robot: int) -> bool:
+    def grip_fits(self, one: Group, two: Group, merge: Merge, held: Grip, robot: int) -> bool:
         """Whether one hand suits a joint as long as the other is not there: what `fitted` needs of each.
 
         Args:
@@ -288,51 +288,55 @@ class FullTask:
         if next(self._ways(one, two, merge, *hands), None) is None:
             return False
         merged_from_own = merge.furniture_from_u if robot == 0 else merge.furniture_from_v
-        return can_let_go(self.furniture, merge.merged, held.moved(merged_from_own))
+        return can_release(self.furniture, merge.merged, held.moved(merged_from_own))
 
-    def _ways(self, one: Group, two: Group, merge: Merge, hold_a: Hold | None, hold_b: Hold | None) -> Iterator[Way]:
+    def _ways(
+        self, one: Group, two: Group, merge: Merge, grip_a: Grip | None, grip_b: Grip | None
+    ) -> Iterator[Retract]:
         u_placed, v_placed = one.moved_to(merge.furniture_from_u), two.moved_to(merge.furniture_from_v)
         directions = _distinct(self.rules.retreats(one, two, merge.merged, np.eye(3)))
-        return ways_out(self.furniture, u_placed, v_placed, hold_a, hold_b, directions)
+        return retracts(self.furniture, u_placed, v_placed, grip_a, grip_b, directions)
 
-    def fitted(self, one: Group, two: Group, merge: Merge, hold_a: Hold, hold_b: Hold) -> Joint | Refusal:
+    def check_grips(self, one: Group, two: Group, merge: Merge, grip_a: Grip, grip_b: Grip) -> MateGrasp | Refusal:
         """Of the cheap tests those at the joint, for a right pair and hands that can take their groups."""
-        ways = sorted(self._ways(one, two, merge, hold_a, hold_b), key=lambda way: -way.room)
+        ways = sorted(self._ways(one, two, merge, grip_a, grip_b), key=lambda way: -way.usable_length)
         if not ways:
             return Refusal(FullVerdict.JOINT_BLOCKED, "mate")
-        in_b = hold_b.moved(merge.furniture_from_v)
-        if not can_let_go(self.furniture, merge.merged, hold_a.moved(merge.furniture_from_u), in_b.hand(hold_b.closed)):
-            return Refusal(FullVerdict.CANNOT_LET_GO, "back off from u")
-        if not can_let_go(self.furniture, merge.merged, in_b):
-            return Refusal(FullVerdict.CANNOT_LET_GO, "back off")
-        return Joint(merge, one, two, hold_a, hold_b, tuple(ways))
+        in_b = grip_b.moved(merge.furniture_from_v)
+        if not can_release(
+            self.furniture, merge.merged, grip_a.moved(merge.furniture_from_u), in_b.hand(grip_b.closed)
+        ):
+            return Refusal(FullVerdict.CANNOT_RELEASE, "back off from u")
+        if not can_release(self.furniture, merge.merged, in_b):
+            return Refusal(FullVerdict.CANNOT_RELEASE, "back off")
+        return MateGrasp(merge, one, two, grip_a, grip_b, tuple(ways))
 
-    def _carried_out(self, legs: Legs, state: FullState, joint: Joint) -> FullState:
-        places = [s.stand.top[:2] for s in state.moment.standing]
-        wanted = Wanted(joint.u, joint.hold_a, "u"), Wanted(joint.v, joint.hold_b, "v")
-        start = legs.reached
+    def _carry_out(self, planner: SegmentPlanner, state: FullState, joint: MateGrasp) -> FullState:
+        places = [s.post.top[:2] for s in state.cell_state.placed]
+        wanted = PickRequest(joint.u, joint.grip_a, "u"), PickRequest(joint.v, joint.grip_b, "v")
+        start = planner.reached
         failed = LegError(Obstacle.NO_ARM_SOLUTION, "mate")
         for _ in range(_GOES):
-            legs.back_to(start)
-            some = _meetings(legs, joint)
+            planner.back_to(start)
+            some = _meetings(planner, joint)
             # Whether they can meet at all is found out before anything moves.
             first = next(some, None)
             if first is None:
                 break
-            fetch_both(legs, wanted)
+            pick_both(planner, wanted)
             for meeting in islice(chain([first], some), _MEETINGS):
                 try:
                     if meeting is not first:
                         # With something long in its hand an arm does not get from any posture to any other: they take
                         # them again, with the arms rather as they will be.
-                        legs.back_to(start)
+                        planner.back_to(start)
                         arms = meeting.out[-1], meeting.b
-                        fetch_both(legs, [replace(w, like=arm) for w, arm in zip(wanted, arms, strict=True)])
-                    join(legs, meeting)
-                    part(legs, meeting, joint.merge.merged, *joint.hands)
-                    set_down(legs, places)
-                    groups = TaskState(tuple(s.group for s in legs.moment.standing))
-                    return FullState(groups, legs.moment, state.cell)
+                        pick_both(planner, [replace(w, like=arm) for w, arm in zip(wanted, arms, strict=True)])
+                    join(planner, meeting)
+                    release(planner, meeting, joint.merge.merged, *joint.merged_grips)
+                    set_down(planner, places)
+                    groups = TaskState(tuple(s.group for s in planner.state.placed))
+                    return FullState(groups, planner.state, state.cell)
                 except LegError as no:
                     # From here R_a does not get away, or R_b, from elsewhere they may.
                     failed = no
@@ -346,18 +350,18 @@ class Refusal:
     """What an action fails by before any arm comes in."""
 
     verdict: FullVerdict
-    leg: str
+    segment: str
 
 
 _End = tuple[int, int]
 """Part and point."""
 
 
-def _meetings(legs: Legs, joint: Joint) -> Iterator[Meeting]:
+def _meetings(planner: SegmentPlanner, joint: MateGrasp) -> Iterator[MateStance]:
     """Of both groups at the joint."""
     merge = joint.merge
     u, v = _reframed(joint.u, merge.furniture_from_u), _reframed(joint.v, merge.furniture_from_v)
-    return meetings(legs, *joint.hands, u, v, joint.ways, merge.merged)
+    return mate_stances(planner, *joint.merged_grips, u, v, joint.retracts, merge.merged)
 
 
 def _reframed(group: Group, by: SE3) -> Group:

@@ -13,7 +13,7 @@ from roboassembly.task.plans.plan import SETTLING_INTERVAL
 from roboassembly.task.rules.groups import Group, body, center_of_mass, hull_points
 
 
-def let_go(furniture: Furniture, group: Group, taken: Sequence[Circle] = ()) -> tuple[tuple[SE3, ...], Group]:
+def settle_group(furniture: Furniture, group: Group, taken: Sequence[Circle] = ()) -> tuple[tuple[SE3, ...], Group]:
     """Let a group fall and settle, then lay it down at the nearest free spot, `GROUND_CLEARANCE` above the ground.
 
     Args:

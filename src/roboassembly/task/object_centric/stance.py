@@ -15,7 +15,7 @@ from jaxtyping import Float
 from roboassembly.furniture.model import Furniture
 from roboassembly.geometry.poses import SE3, align_axis, rotation_angle
 from roboassembly.task.layout import GROUND_CLEARANCE
-from roboassembly.task.object_centric.settling import let_go
+from roboassembly.task.object_centric.settling import settle_group
 from roboassembly.task.rules.groups import Group, center_of_mass, hull_points
 from roboassembly.task.rules.pairs import PairRule
 
@@ -84,7 +84,7 @@ def stance_of(furniture: Furniture, poses: Sequence[SE3]) -> Stance | None:
 
 def _rest(furniture: Furniture, group: Group, turn: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
     """Rotation in which a group comes to rest when it is let go turned some way."""
-    _, rested = let_go(furniture, standing_at(furniture, group, turn))
+    _, rested = settle_group(furniture, standing_at(furniture, group, turn))
     return rested.world_from_furniture.rotation
 
 

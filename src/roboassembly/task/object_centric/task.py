@@ -17,15 +17,15 @@ from roboassembly.geometry.scene import Scene
 from roboassembly.planning.mating import MatingProblem, plan_mating
 from roboassembly.planning.problem import Budget, PathResult
 from roboassembly.planning.world import CollisionWorld
-from roboassembly.task.layout import GROUND_CLEARANCE, Circle, footprint, free_spot, group_footprint, scattered
-from roboassembly.task.object_centric.settling import let_go
+from roboassembly.task.layout import GROUND_CLEARANCE, Circle, footprint, free_spot, group_footprint, scatter_parts
+from roboassembly.task.object_centric.settling import settle_group
 from roboassembly.task.plans.plan import PlanStep
 from roboassembly.task.rules.connections import UP_AXES, Rules
 from roboassembly.task.rules.groups import Group, TaskState, body, center_of_mass, hull_points
 from roboassembly.task.rules.pairs import Merge, PairRule
 
 
-class Verdict(StrEnum):
+class ObjectCentricVerdict(StrEnum):
     """How a step ended. Everything but `MERGED` ends the episode."""
 
     MERGED = "merged"
@@ -40,10 +40,10 @@ class Verdict(StrEnum):
 
 
 @dataclass(frozen=True, eq=False)
-class Outcome:
+class ObjectCentricOutcome:
     """What a step led to."""
 
-    verdict: Verdict
+    verdict: ObjectCentricVerdict
     state: TaskState
     """The new state; the old one unless merged."""
     step: PlanStep | None
@@ -70,7 +70,7 @@ class Mating:
 class ObjectCentricTask:
     """The rules of the object-centric setting for one piece of furniture."""
 
-    ways = (len(UP_AXES),)
+    action_branches = (len(UP_AXES),)
     """Choices that an action has after its pair: `w`."""
 
     def __init__(self, furniture: Furniture, budget: Budget | None = None) -> None:
@@ -85,9 +85,9 @@ class ObjectCentricTask:
 
     def initial_state(self, rng: np.random.Generator) -> TaskState:
         """All parts apart, at random on the ground."""
-        return scattered(self.furniture, rng)
+        return scatter_parts(self.furniture, rng)
 
-    def joined(self, state: TaskState) -> TaskState:
+    def groups_of(self, state: TaskState) -> TaskState:
         """The groups of a state: all that it is."""
         return state
 
@@ -100,7 +100,9 @@ class ObjectCentricTask:
         *pair, w = action
         return 0 <= w < len(UP_AXES) and self.rules.pair_exists(state, *pair)
 
-    def step(self, state: TaskState, action: tuple[int, ...], seed: int, budget: Budget | None = None) -> Outcome:
+    def step(
+        self, state: TaskState, action: tuple[int, ...], seed: int, budget: Budget | None = None
+    ) -> ObjectCentricOutcome:
         """Carry out `(u, v, k, l, w)`.
 
         Args:
@@ -110,13 +112,15 @@ class ObjectCentricTask:
             budget: of the planner, instead of the task's own.
         """
         if not self.exists(state, action):
-            return Outcome(Verdict.NOT_AN_ACTION, state, None, 0, 0.0)
+            return ObjectCentricOutcome(ObjectCentricVerdict.NOT_AN_ACTION, state, None, 0, 0.0)
         mating = self.prepare(state, action)
         if mating is None:
-            return Outcome(Verdict.WRONG_PAIR, state, None, 0, 0.0)
+            return ObjectCentricOutcome(ObjectCentricVerdict.WRONG_PAIR, state, None, 0, 0.0)
         result = self.plan(mating, seed, budget)
         if not result.solved:
-            return Outcome(Verdict(result.status.value), state, None, result.states, result.seconds)
+            return ObjectCentricOutcome(
+                ObjectCentricVerdict(result.status.value), state, None, result.states, result.seconds
+            )
         return self._apply(state, action, mating, result)
 
     def prepare(self, state: TaskState, action: tuple[int, ...]) -> Mating | None:
@@ -174,9 +178,11 @@ class ObjectCentricTask:
         )
         return Scene((mover, *still)), turn, problem
 
-    def _apply(self, state: TaskState, action: tuple[int, ...], mating: Mating, result: PathResult) -> Outcome:
+    def _apply(
+        self, state: TaskState, action: tuple[int, ...], mating: Mating, result: PathResult
+    ) -> ObjectCentricOutcome:
         others = [group_footprint(self.furniture, g) for g in mating.others]
-        motions, rested = let_go(self.furniture, mating.merged, others)
+        motions, rested = settle_group(self.furniture, mating.merged, others)
         after = TaskState((*mating.others, rested))
         still = {
             p: pose for g in (mating.v_group, *mating.others) for p, pose in zip(g.parts, g.part_poses(), strict=True)
@@ -197,4 +203,4 @@ class ObjectCentricTask:
             planner=result.planner,
             planning_seconds=result.seconds,
         )
-        return Outcome(Verdict.MERGED, after, step, result.states, result.seconds)
+        return ObjectCentricOutcome(ObjectCentricVerdict.MERGED, after, step, result.states, result.seconds)

@@ -18,8 +18,8 @@ from roboassembly.furniture.model import Furniture
 from roboassembly.geometry.poses import SE3, from_quaternion, interpolate, rotation_angle
 from roboassembly.geometry.scene import Scene
 from roboassembly.planning.world import CollisionWorld
-from roboassembly.task.full.upright import upright_legs
-from roboassembly.task.object_centric.settling import let_go
+from roboassembly.task.full.upright import plan_upright
+from roboassembly.task.object_centric.settling import settle_group
 from roboassembly.task.object_centric.stance import LARGEST_LEAN, NOT_ASSEMBLED, stance_of, standing_at, tilt
 from roboassembly.task.plans.full_plan import FullPlan
 from roboassembly.task.plans.plan import Plan, UprightMotion, UprightResult
@@ -44,7 +44,7 @@ def set_upright(plan: AnyPlan) -> AnyPlan:
     if not plan.success or plan.upright is not None:
         return plan
     if isinstance(plan, FullPlan):
-        return replace(plan, upright=upright_legs(plan))
+        return replace(plan, upright=plan_upright(plan))
     begun = time.perf_counter()
     motion, reason, states = _motion(plan.furniture, plan.final_poses)
     return replace(plan, upright=UprightResult(not reason, reason, motion, states, time.perf_counter() - begun))
@@ -66,7 +66,7 @@ def _motion(furniture: Furniture, poses: Sequence[SE3]) -> tuple[UprightMotion |
     free = world.is_free(path[0]) and world.is_free(path[-1])
     if not (free and all(world.edge_is_free(a, b) for a, b in pairwise(path))):
         return None, "the piece meets the ground on its way", world.states
-    settling, rested = let_go(furniture, goal)
+    settling, rested = settle_group(furniture, goal)
     moving = {p: piece.pose.actInv(pose) for p, pose in enumerate(poses)}
     if tilt(rested.world_from_furniture.rotation) > LARGEST_LEAN:
         return None, "the piece tips over once it is let go", world.states

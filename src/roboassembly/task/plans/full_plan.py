@@ -1,12 +1,12 @@
-"""An assembly by two robots as a record: where all was, and every leg. `plan.json` is this, and the viewer reads it."""
+"""Record of an assembly by two robots: states and motion segments. `plan.json` stores it, the viewer shows it."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 from roboassembly.furniture.model import Furniture
-from roboassembly.task.full.cell import Cell, Stand
-from roboassembly.task.full.cell_state import Leg, Moment
+from roboassembly.task.full.cell import Cell, Post
+from roboassembly.task.full.cell_state import CellState, Segment
 from roboassembly.task.plans.plan import UprightResult
 from roboassembly.task.rules.groups import TaskState
 
@@ -16,7 +16,7 @@ class FullState:
     """Where all is between two steps."""
 
     groups: TaskState
-    moment: Moment
+    cell_state: CellState
     """Its `standing` are the groups, in their order."""
     cell: Cell
 
@@ -27,7 +27,7 @@ class FullStep:
 
     action: tuple[int, ...]
     """`(u, v, k, l, g_a, g_b)`."""
-    legs: tuple[Leg, ...]
+    segments: tuple[Segment, ...]
     planning_steps: int
     """Configurations tested for collision."""
     planning_seconds: float
@@ -37,7 +37,7 @@ class FullStep:
 class FullUprightMotion:
     """A robot takes the finished piece from its post, sets it on the floor and leaves."""
 
-    legs: tuple[Leg, ...]
+    segments: tuple[Segment, ...]
     """At least one."""
 
 
@@ -54,19 +54,19 @@ class FullPlan:
     """How the piece ends; None if it is not assembled, or as long as `upright.set_upright` was not asked."""
 
     @property
-    def final_legs(self) -> tuple[Leg, ...]:
+    def final_segments(self) -> tuple[Segment, ...]:
         """Those of the motion that sets the piece on its feet; empty if there is none."""
-        return self.upright.motion.legs if self.upright is not None and self.upright.motion is not None else ()
+        return self.upright.motion.segments if self.upright is not None and self.upright.motion is not None else ()
 
     @property
-    def final_moment(self) -> Moment:
+    def final_cell_state(self) -> CellState:
         """Where all is at the end."""
-        legs = self.final_legs or (self.steps[-1].legs if self.steps else ())
-        return legs[-1].after if legs else self.initial.moment
+        segments = self.final_segments or (self.steps[-1].segments if self.steps else ())
+        return segments[-1].after if segments else self.initial.cell_state
 
     @property
-    def stands(self) -> tuple[Stand, ...]:
+    def posts(self) -> tuple[Post, ...]:
         """All posts that are ever up, each once."""
-        legs = [*(leg for step in self.steps for leg in step.legs), *self.final_legs]
-        moments = [self.initial.moment, *(m for leg in legs for m in (leg.moment, leg.after))]
-        return tuple({id(stand): stand for moment in moments for stand in moment.stands}.values())
+        segments = [*(segment for step in self.steps for segment in step.segments), *self.final_segments]
+        states = [self.initial.cell_state, *(m for segment in segments for m in (segment.before, segment.after))]
+        return tuple({id(stand): stand for state in states for stand in state.posts}.values())

@@ -1,6 +1,6 @@
 """`plan.json`: a plan as a file. It holds no timings, so that the same seed writes the same bytes.
 
-    format, version   "roboassembly.plan", 2
+    format, version   "roboassembly.plan", 3
     furniture         name, parts (their names, in order), source
     setting           "object-centric" or "full"
     seed, success
@@ -10,13 +10,13 @@
                       `_Upright`; absent if it is not assembled, or if nobody asked for it
     robots, posts     full only: both robots' configurations at first; where cups of posts ever end
 
-Version 1 had no `upright`.
+Version 1 had no `upright`; versions 1 and 2 called `segments` `legs`. All three are read.
 
 Poses are `(x, y, z, qw, qx, qy, qz)`, metres, world frame, z up, ground at z = 0. Between two way-points of `path` the
 translation is linear and the rotation spherical-linear, both from 0 to 1 together.
 
 A robot's configuration is `(x, y, angle, q1 ... q7)`: its platform, then the Panda's joints; metres and radians.
-Between two of a leg all ten numbers go linearly. R_a is robot 0, R_b is robot 1.
+Between two of a segment all ten numbers go linearly. R_a is robot 0, R_b is robot 1.
 """
 
 from __future__ import annotations
@@ -29,15 +29,15 @@ import msgspec
 
 from roboassembly.errors import InputError
 from roboassembly.geometry.poses import SE3, pose_to_seven
-from roboassembly.task.full.cell_state import Leg, Moment
+from roboassembly.task.full.cell_state import CellState, Segment
 from roboassembly.task.plans.full_plan import FullPlan, FullStep
 from roboassembly.task.plans.plan import Plan, PlanStep, UprightMotion, UprightResult
 from roboassembly.task.rules.groups import TaskState
 from roboassembly.task.setting import SettingName
 
 FORMAT = "roboassembly.plan"
-VERSION = 2
-READ_VERSIONS = (1, 2)
+VERSION = 3
+READ_VERSIONS = (1, 2, 3)
 """Versions that `decode` reads."""
 _LARGEST = 2**31
 
@@ -84,7 +84,7 @@ class _Furniture(msgspec.Struct):
     source: str
 
 
-class _Leg(msgspec.Struct):
+class _Segment(msgspec.Struct):
     name: str
     robot: int
     """Which moves; the other one stands still."""
@@ -101,7 +101,7 @@ class _Leg(msgspec.Struct):
 class _FullStep(msgspec.Struct):
     action: list[int]
     """`[u, v, k, l, g_a, g_b]`."""
-    legs: list[_Leg]
+    segments: list[_Segment]
     after: list[list[float]]
     """World pose of every part when the step is over."""
     planning_steps: int
@@ -124,7 +124,7 @@ class _Motion(msgspec.Struct):
 class _FullMotion(msgspec.Struct):
     """Full: a robot takes the piece from its post and sets it on the floor."""
 
-    legs: list[_Leg]
+    segments: list[_Segment]
     after: list[list[float]]
     """World pose of every part at the end."""
 
@@ -185,14 +185,16 @@ def encode(plan: Plan | FullPlan) -> bytes:
         [],
     )
     if full:
-        posts = {id(stand): i for i, stand in enumerate(plan.stands)}
+        posts = {id(stand): i for i, stand in enumerate(plan.posts)}
         document.steps = [_full_step(s, posts) for s in plan.steps]
-        document.robots = [r.at.tolist() for r in plan.initial.moment.robots]
-        document.posts = [s.top.tolist() for s in plan.stands]
+        document.robots = [r.at.tolist() for r in plan.initial.cell_state.robots]
+        document.posts = [s.top.tolist() for s in plan.posts]
         document.density = plan.initial.cell.density
         if plan.upright is not None:
-            legs = [_leg(leg, posts) for leg in plan.final_legs]
-            document.upright = _upright(plan.upright, _FullMotion(legs, _where(plan.final_moment)) if legs else None)
+            segments = [_segment(segment, posts) for segment in plan.final_segments]
+            document.upright = _upright(
+                plan.upright, _FullMotion(segments, _where(plan.final_cell_state)) if segments else None
+            )
     else:
         document.steps = [_step(s) for s in plan.steps]
         if plan.upright is not None:
@@ -235,7 +237,7 @@ def decode(content: bytes, where: str) -> Script:
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise InputError(f"'{where}' is no plan: {error}; `roboassembly assemble` writes one") from None
     if told.format != FORMAT or told.version not in READ_VERSIONS:
-        known = " and ".join(map(str, READ_VERSIONS))
+        known = ", ".join(map(str, READ_VERSIONS))
         raise InputError(
             f"'{where}' has format {told.format!r}, version {told.version}; this program reads {FORMAT!r}, versions "
             f"{known}: `roboassembly assemble` of this version writes the plan anew"
@@ -265,8 +267,8 @@ def _step(step: PlanStep) -> _Step:
 
 
 def _full_step(step: FullStep, posts: dict[int, int]) -> _FullStep:
-    legs = [_leg(leg, posts) for leg in step.legs]
-    return _FullStep(list(step.action), legs, _where(step.legs[-1].after), step.planning_steps)
+    segments = [_segment(segment, posts) for segment in step.segments]
+    return _FullStep(list(step.action), segments, _where(step.segments[-1].after), step.planning_steps)
 
 
 def _upright(result: UprightResult[Any], motion: _Motion | _FullMotion | None) -> _Upright:
@@ -283,19 +285,19 @@ def _motion(motion: UprightMotion) -> _Motion:
     )
 
 
-def _where(moment: Moment) -> list[list[float]]:
+def _where(state: CellState) -> list[list[float]]:
     """Of all parts."""
-    return [pose_to_seven(p) for p in TaskState(tuple(moment.groups())).part_poses]
+    return [pose_to_seven(p) for p in TaskState(tuple(state.groups())).part_poses]
 
 
-def _leg(leg: Leg, posts: dict[int, int]) -> _Leg:
-    robot = leg.moment.robots[leg.robot]
+def _segment(segment: Segment, posts: dict[int, int]) -> _Segment:
+    robot = segment.before.robots[segment.robot]
     held: dict[int, SE3] = {}
-    if robot.grip is not None:
-        group, tips = robot.grip.group, robot.grip.hold.furniture_from_tips
+    if robot.payload is not None:
+        group, tips = robot.payload.group, robot.payload.grip.furniture_from_tips
         held = {p: tips.actInv(pose) for p, pose in zip(group.parts, group.furniture_from_part, strict=True)}
-    up = sorted(posts[id(stand)] for stand in leg.moment.stands)
-    return _Leg(leg.name, leg.robot, robot.opening, [q.tolist() for q in leg.path], _placed(held), up)
+    up = sorted(posts[id(stand)] for stand in segment.before.posts)
+    return _Segment(segment.name, segment.robot, robot.opening, [q.tolist() for q in segment.path], _placed(held), up)
 
 
 def _placed(poses: dict[int, SE3]) -> list[_Placed]:

@@ -84,8 +84,8 @@ class TaskState:
         return taken
 
 
-def told_point(furniture: Furniture, group: Group, told: Group, end: tuple[int, int]) -> tuple[int, int] | None:
-    """Part and point of a group at a slot's point, where the group is told in other slots (`PairRule.places`).
+def point_at_slot(furniture: Furniture, group: Group, told: Group, end: tuple[int, int]) -> tuple[int, int] | None:
+    """Part and point of a group at a slot's point, where the group is told in other slots (`PairRule.placements`).
 
     Args:
         furniture: whose slots they are.

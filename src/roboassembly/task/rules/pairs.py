@@ -88,7 +88,7 @@ class PairRule:
         points_of_v = self._furniture.assembled[v_group.slots[v_group.parts.index(v)]]
         return points_of_v * v_from_u * points_of_u.inverse()
 
-    def places(self, group: Group) -> Iterator[Group]:
+    def placements(self, group: Group) -> Iterator[Group]:
         """The group where it is, told in every set of slots that it could take: its own first, each set once."""
         yield group
         for slots, placed in self._other_places(group):
@@ -120,7 +120,7 @@ class PairRule:
             self._places[key] = list(found.values())
         return self._places[key]
 
-    def own_places(self, state: TaskState) -> Iterator[TaskState]:
+    def slot_assignments(self, state: TaskState) -> Iterator[TaskState]:
         """The same state told so that every slot is claimed once, in each way that its joined groups allow.
 
         Loose parts take what joined ones of their class have left over, their own slot if they can.
@@ -141,16 +141,16 @@ class PairRule:
             moved.update(zip(joined, told, strict=True))
             yield TaskState(tuple(moved.get(g, g) for g in state.groups))
 
-    def told(self, state: TaskState) -> TaskState | None:
-        """The first of `own_places`; None if the groups would share slots whatever they took."""
-        return next(self.own_places(state), None)
+    def assign_slots(self, state: TaskState) -> TaskState | None:
+        """The first of `slot_assignments`; None if the groups would share slots whatever they took."""
+        return next(self.slot_assignments(state), None)
 
     def _disjoint(self, groups: Sequence[Group], taken: frozenset[int]) -> Iterator[list[Group]]:
         """Places of several groups that share no slot."""
         if not groups:
             yield []
             return
-        for group in self.places(groups[0]):
+        for group in self.placements(groups[0]):
             if not taken & set(group.slots):
                 for others in self._disjoint(groups[1:], taken | set(group.slots)):
                     yield [group, *others]

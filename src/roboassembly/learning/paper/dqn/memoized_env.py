@@ -47,7 +47,7 @@ class Rehearsal:
 
     def __init__(self, task: ObjectCentricTask | FullTask, seed: int) -> None:
         self.task, self._seed = task, seed
-        self.ways = int(np.prod(task.ways))
+        self.ways = int(np.prod(task.action_branches))
         """That every two points have."""
         self.trial = trial_of(task)
         rng = np.random.default_rng(seed)

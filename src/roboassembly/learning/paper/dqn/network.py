@@ -20,7 +20,7 @@ from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS
 from roboassembly.learning.layers import Array, Params, gelu, init_linear, init_mlp, linear, mlp
 from roboassembly.learning.paper import heads
 from roboassembly.learning.paper.dqn.group_table import point_counts
-from roboassembly.task.object_centric.task import ObjectCentricTask, Verdict
+from roboassembly.task.object_centric.task import ObjectCentricTask, ObjectCentricVerdict
 from roboassembly.task.rules.groups import TaskState
 from roboassembly.task.setting import Task
 
@@ -66,11 +66,11 @@ def chair_of(task: Task[Any, Any], shapes: Float32[np.ndarray, "P s"]) -> Chair:
     size = next(s for s in POINT_SIZES if s >= len(part))
     features = np.zeros((size, 9 + shapes.shape[1]), np.float32)
     features[: len(part), :9], features[: len(part), 9:] = own.reshape(-1, 9), shapes[part]
-    return Chair(features, np.pad(part, (0, size - len(part))), len(part), len(parts), task.ways)
+    return Chair(features, np.pad(part, (0, size - len(part))), len(part), len(parts), task.action_branches)
 
 
 def init(
-    rng: np.random.Generator, points: int, features: int, ways: tuple[int, ...] = ObjectCentricTask.ways
+    rng: np.random.Generator, points: int, features: int, ways: tuple[int, ...] = ObjectCentricTask.action_branches
 ) -> Params:
     """Fresh weights.
 
@@ -182,15 +182,15 @@ def play(expert: Expert, task: Task[Any, Any], seed: int, margin: float = 0.0) -
     """
     rng = np.random.default_rng(seed)
     state, moves = task.initial_state(rng), []
-    while not task.joined(state).complete:
-        values = expert.values(*told(task, task.joined(state)))
+    while not task.groups_of(state).complete:
+        values = expert.values(*told(task, task.groups_of(state)))
         row, column, way = choose(values, rng, margin)
         part, point = expert.chair.part, _point(expert.chair)
-        ways = (int(i) for i in np.unravel_index(way, task.ways))
+        ways = (int(i) for i in np.unravel_index(way, task.action_branches))
         action = (int(part[row]), int(part[column]), int(point[row]), int(point[column]), *ways)
         outcome = task.step(state, action, int(rng.integers(2**31 - 1)))
-        moves.append(Move(task.joined(state), values, (row, column, way), outcome.verdict))
-        if outcome.verdict != Verdict.MERGED:
+        moves.append(Move(task.groups_of(state), values, (row, column, way), outcome.verdict))
+        if outcome.verdict != ObjectCentricVerdict.MERGED:
             break
         state = outcome.state
     return moves
@@ -198,7 +198,7 @@ def play(expert: Expert, task: Task[Any, Any], seed: int, margin: float = 0.0) -
 
 def finished(moves: list[Move], chair: Chair) -> bool:
     """Whether a play ended with the whole chair."""
-    return len(moves) == chair.parts - 1 and moves[-1].verdict == Verdict.MERGED
+    return len(moves) == chair.parts - 1 and moves[-1].verdict == ObjectCentricVerdict.MERGED
 
 
 def choose(values: Float32[np.ndarray, "m m w"], rng: np.random.Generator, margin: float = 0.0) -> tuple[int, int, int]:

@@ -38,7 +38,7 @@ from roboassembly.learning.relational.collect import file_of
 from roboassembly.parallel.processes import one_thread_each, worker_pool
 from roboassembly.statistics import success
 from roboassembly.task.full.task import FullTask
-from roboassembly.task.object_centric.task import ObjectCentricTask, Verdict
+from roboassembly.task.object_centric.task import ObjectCentricTask, ObjectCentricVerdict
 from roboassembly.task.setting import SettingName
 
 _TRIAL_SEEDS = 10_000
@@ -76,7 +76,7 @@ class ExpertTraining:
         if self.setting == "object-centric":
             return ObjectCentricTask(pick.furniture(with_grasps=False))
         task = FullTask(pick.furniture())
-        task.check_hands()
+        task.check_graspable()
         return task
 
 
@@ -275,7 +275,7 @@ class Bench:
                 state: State | None = learner.memory.rehearsal.start
                 for move in moves[:-1]:
                     state = learner.memory.rehearsal.step(state, move.action) if state is not None else None
-                if state is not None and moves[-1].verdict != Verdict.WRONG_PAIR:
+                if state is not None and moves[-1].verdict != ObjectCentricVerdict.WRONG_PAIR:
                     learner.correct(state, moves[-1].action)
                 return False
         return True

@@ -8,7 +8,7 @@ from typing import Protocol
 
 from roboassembly.planning.problem import Budget
 from roboassembly.task.full.task import FullTask, FullVerdict, Refusal
-from roboassembly.task.object_centric.task import ObjectCentricTask, Verdict
+from roboassembly.task.object_centric.task import ObjectCentricTask, ObjectCentricVerdict
 from roboassembly.task.rules.connections import GRASPS
 from roboassembly.task.rules.groups import Group, TaskState
 
@@ -16,7 +16,7 @@ BUDGET = Budget(states=0)
 """Of the planner: straight retreats only. What they do not solve, a sampling planner seldom does."""
 UNKNOWN, MERGES, FAILS, BLOCKED = range(4)
 """What is known of an action; it fails from `FAILS` on: a wrong pair or a goal in collision, or no way to the goal."""
-_KNOWN = {Verdict.MERGED: MERGES, Verdict.GOAL_IN_COLLISION: FAILS}
+_KNOWN = {ObjectCentricVerdict.MERGED: MERGES, ObjectCentricVerdict.GOAL_IN_COLLISION: FAILS}
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,11 +78,11 @@ class Flying:
             mating = self._task.prepare(before, names)
             assert mating is not None
             result = self._task.plan(mating, seed, BUDGET)
-            verdict = Verdict.MERGED if result.solved else Verdict(result.status.value)
+            verdict = ObjectCentricVerdict.MERGED if result.solved else ObjectCentricVerdict(result.status.value)
             return Found(_KNOWN.get(verdict, BLOCKED), names[4:])
         outcome = self._task.step(before, names, seed, BUDGET)
         merged = None
-        if outcome.verdict is Verdict.MERGED:
+        if outcome.verdict is ObjectCentricVerdict.MERGED:
             merged = next(g for g in outcome.state.groups if names[0] in g.parts)
         return Found(_KNOWN.get(outcome.verdict, BLOCKED), names[4:], merged)
 
@@ -105,11 +105,11 @@ class Held:
         """As `Trial`."""
         *ends, way = names
         g_a, g_b = divmod(way, GRASPS)
-        joint = self._task.joint(TaskState(groups), (*ends, g_a, g_b))
+        joint = self._task.mate_grasp(TaskState(groups), (*ends, g_a, g_b))
         if not isinstance(joint, Refusal):
             return Found(MERGES, [way], joint.merge.merged)
         if joint.verdict is FullVerdict.GRASP_BLOCKED:
-            return Found(BLOCKED, _sharing(g_a, g_b, joint.leg == "grasp u", joint.leg == "grasp v"))
+            return Found(BLOCKED, _sharing(g_a, g_b, joint.segment == "grasp u", joint.segment == "grasp v"))
         return Found(BLOCKED, self._as_blocked(groups, names))
 
     def _as_blocked(self, groups: tuple[Group, Group], names: tuple[int, ...]) -> Sequence[int]:
@@ -119,12 +119,12 @@ class Held:
         assert merge is not None
 
         def blocked(robot: int, group: Group, part: int, grasp: int) -> bool:
-            held = self._task.taken(group, part, grasp)
-            return held is None or not self._task.fits_alone(one, two, merge, held, robot)
+            held = self._task.free_grip(group, part, grasp)
+            return held is None or not self._task.grip_fits(one, two, merge, held, robot)
 
         g_a, g_b = divmod(way, GRASPS)
         a, b = blocked(0, one, u, g_a), blocked(1, two, v, g_b)
-        if a and b and not self._task.comes_apart(one, two, merge):
+        if a and b and not self._task.separates(one, two, merge):
             return range(GRASPS**2)
         return _sharing(g_a, g_b, a, b) or [way]
 

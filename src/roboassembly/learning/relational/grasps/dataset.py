@@ -21,9 +21,8 @@ from roboassembly.learning.relational.oracle_dataset import CLOUD_POINTS
 from roboassembly.learning.relational.policy_view import Situation, groups_of
 from roboassembly.solvers.hand_oracle import HandOracle
 from roboassembly.solvers.oracle import LabeledMate
-from roboassembly.task.full.grips import Hold
-from roboassembly.task.full.task import FullTask
-from roboassembly.task.full.task import Joint as Held
+from roboassembly.task.full.grips import Grip
+from roboassembly.task.full.task import FullTask, MateGrasp
 from roboassembly.task.plans.full_plan import FullState
 from roboassembly.task.rules.connections import GRASPS
 
@@ -171,22 +170,22 @@ class GraspTeacher:
         u_group, v_group = groups.groups[groups.group_of[joint.u]], groups.groups[groups.group_of[joint.v]]
         take = np.full((2, GRASPS), UNKNOWN, np.int8)
         room, meet = np.full((GRASPS, GRASPS), NO, np.int8), np.full((GRASPS, GRASPS), UNKNOWN, np.int8)
-        hands: list[dict[int, Hold]] = []
+        hands: list[dict[int, Grip]] = []
         for robot, part in enumerate((joint.u, joint.v)):
-            holds = task.free_holds(groups, part)
+            holds = task.free_grips(groups, part)
             for g, held in holds.items():
-                take[robot, g] = task.can_take(state, part, held, robot, drawn_seed(rng))
-            hands.append({g: h for g, h in holds.items() if task.fits_alone(u_group, v_group, merge, h, robot)})
+                take[robot, g] = task.can_pick(state, part, held, robot, drawn_seed(rng))
+            hands.append({g: h for g, h in holds.items() if task.grip_fits(u_group, v_group, merge, h, robot)})
         both = [(a, b) for a in hands[0] for b in hands[1]]
         room[tuple(np.array(both, int).reshape(-1, 2).T)] = UNKNOWN
         met = 0
         for index in rng.permutation(len(both))[:_TOGETHER]:
             a, b = both[index]
-            fitted = task.fitted(u_group, v_group, merge, hands[0][a], hands[1][b])
-            room[a, b] = isinstance(fitted, Held)
-            if isinstance(fitted, Held) and met < _MEET:
+            fitted = task.check_grips(u_group, v_group, merge, hands[0][a], hands[1][b])
+            room[a, b] = isinstance(fitted, MateGrasp)
+            if isinstance(fitted, MateGrasp) and met < _MEET:
                 met += 1
-                meet[a, b] = task.can_meet(state, fitted, drawn_seed(rng))
+                meet[a, b] = task.can_mate(state, fitted, drawn_seed(rng))
         return take, room, meet
 
 

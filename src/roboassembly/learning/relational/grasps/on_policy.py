@@ -34,7 +34,7 @@ from roboassembly.learning.relational.grasps.dataset import (
 from roboassembly.learning.relational.oracle_dataset import CLOUD_POINTS
 from roboassembly.parallel.processes import map_unordered
 from roboassembly.solvers.guide import Guide
-from roboassembly.task.full.task import FullOutcome, FullTask, FullVerdict, Joint, Refusal
+from roboassembly.task.full.task import FullOutcome, FullTask, FullVerdict, MateGrasp, Refusal
 from roboassembly.task.plans.full_plan import FullState
 from roboassembly.task.rules.connections import GRASPS
 
@@ -45,7 +45,7 @@ _CURIOUS = 0.25
 _ASKED, _ARMS_ASKED = 12, 3
 """Suggestions of a state of which it is asked whether the hands have room; and, of those that have, whether the arms
 take both groups and reach the joint."""
-_HANDS = (FullVerdict.GRASP_BLOCKED, FullVerdict.JOINT_BLOCKED, FullVerdict.CANNOT_LET_GO)
+_HANDS = (FullVerdict.GRASP_BLOCKED, FullVerdict.JOINT_BLOCKED, FullVerdict.CANNOT_RELEASE)
 _TAKING = ("drive to", "grasp", "approach", "lift")
 """How the legs are called in which a group is fetched from its post."""
 
@@ -76,7 +76,7 @@ def _practise(name: str, *, folder: Path, policy: Path, plays: int, seed: int) -
     clouds, hands = np.zeros((0, CLOUD_POINTS, 3), np.float32), np.zeros((0, GRASPS, 6), np.float32)
     try:
         task = FullTask(catalogue.make(family, int(number)))
-        task.check_hands()
+        task.check_graspable()
     except InputError:
         # Two robots could not assemble it whatever they did.
         plays = 0
@@ -143,19 +143,19 @@ def ask(
     arms = 0
     for action in actions:
         u, v, k, l, g_a, g_b = action  # noqa: E741
-        joint = task.joint(state.groups, action)
+        joint = task.mate_grasp(state.groups, action)
         if isinstance(joint, Refusal) and joint.verdict is FullVerdict.WRONG_PAIR:
             continue
         if (u, v, k, l) not in lessons:
             lessons[u, v, k, l] = unanswered(task, state, observer, (u, k, v, l))
         lesson = lessons[u, v, k, l]
         lesson.room[g_a, g_b] = NO if isinstance(joint, Refusal) else YES
-        if isinstance(joint, Joint) and arms < _ARMS_ASKED:
+        if isinstance(joint, MateGrasp) and arms < _ARMS_ASKED:
             arms += 1
-            lesson.meet[g_a, g_b] = task.can_meet(state, joint, drawn_seed(rng))
-            for robot, part, g, held in ((0, u, g_a, joint.hold_a), (1, v, g_b, joint.hold_b)):
+            lesson.meet[g_a, g_b] = task.can_mate(state, joint, drawn_seed(rng))
+            for robot, part, g, held in ((0, u, g_a, joint.grip_a), (1, v, g_b, joint.grip_b)):
                 if lesson.take[robot, g] == UNKNOWN:
-                    lesson.take[robot, g] = task.can_take(state, part, held, robot, drawn_seed(rng))
+                    lesson.take[robot, g] = task.can_pick(state, part, held, robot, drawn_seed(rng))
     yield from lessons.values()
 
 
@@ -169,11 +169,11 @@ def lesson_of(
     at, hands = (g_a, g_b), ((0, g_a), (1, g_b))
     if outcome.verdict in _HANDS:
         room[at] = NO
-    elif outcome.leg == "mate" and outcome.verdict is FullVerdict.NO_ARM_SOLUTION:
+    elif outcome.segment == "mate" and outcome.verdict is FullVerdict.NO_ARM_SOLUTION:
         room[at], meet[at] = YES, NO
-    elif outcome.step is None and outcome.leg.startswith(_TAKING):
+    elif outcome.step is None and outcome.segment.startswith(_TAKING):
         room[at], meet[at] = YES, YES
-        of_v = outcome.leg.endswith("v")
+        of_v = outcome.segment.endswith("v")
         if of_v:
             take[hands[0]] = YES
         take[hands[of_v]] = NO
