@@ -38,7 +38,7 @@ class Tried:
 
     action: tuple[int, ...]
     verdict: str
-    """`Verdict` or `FullVerdict`."""
+    """`ObjectCentricVerdict` or `FullVerdict`."""
     leg: str
     """In which robots failed; empty if they did not, or there are none."""
     planning_steps: int
