@@ -45,8 +45,8 @@ class Episode:
     success: bool
     merges: int
     verdict: str
-    """How the last step ended (`ObjectCentricVerdict`, `FullVerdict`, `Ending`); of a solver: `merged`, or why it did not
-    get there."""
+    """How the last step ended (`ObjectCentricVerdict`, `FullVerdict`, `Ending`); of a solver: `merged`, or why it did
+    not get there."""
     planning_steps: int
     """Configurations tested for collision."""
     planning_seconds: float
