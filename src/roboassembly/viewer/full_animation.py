@@ -17,7 +17,7 @@ from roboassembly.geometry.poses import SE3
 from roboassembly.rendering.colors import Role
 from roboassembly.robots.body import hand_links, links, placed
 from roboassembly.task.full.cell import Post, post_mesh
-from roboassembly.task.full.cell_state import Segment, CellState
+from roboassembly.task.full.cell_state import CellState, Segment
 from roboassembly.task.plans.full_plan import FullPlan
 from roboassembly.viewer.captions import ending_caption, step_caption
 from roboassembly.viewer.motion_timing import ease
