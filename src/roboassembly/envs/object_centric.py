@@ -28,7 +28,8 @@ class ObjectCentricEnv(AssemblyEnv[ObjectCentricTask, TaskState, ObjectCentricOu
 
     **Info**: `verdict` (a value of `ObjectCentricVerdict`: why the step ended as it did), `success`, `planning_steps`
     of the step, `groups` (how many are left), `furniture` (its name), and `action_mask`, which tells the actions that
-    exist; it says nothing about which are right. All of it is reproducible; how long the planner took is in `last_outcome`.
+    exist; it says nothing about which are right. All of it is reproducible; how long the planner took is in
+    `last_outcome`.
 
     **Errors**: an action of the action space that does not exist is a wrong choice like any other: the episode ends
     with the verdict `not_an_action`. An action outside of the action space raises `gymnasium.error.InvalidAction`. A
