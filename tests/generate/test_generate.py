@@ -14,26 +14,12 @@ from scipy.spatial import KDTree
 from roboassembly.errors import UnknownNameError
 from roboassembly.furniture.annotate import annotate
 from roboassembly.furniture.model import CONTACT_DISTANCE, MAX_PARTS, MAX_POINTS, Provenance, RawPart
-from roboassembly.generate import CHAIRS, CLEARANCE, FAMILIES, OTHERS, PRACTICE, generate
-from roboassembly.generate.joints import RoundTenon, Tenon, joint_frame
-from roboassembly.generate.pieces import HERE
-from roboassembly.generate.rails import rail
-from roboassembly.generate.solids import (
-    Solid,
-    X,
-    Y,
-    Z,
-    block,
-    circle,
-    inset,
-    pad,
-    rectangle,
-    rounded_trapezoid,
-    sweep,
-    triangles,
-    turned,
-    vector,
-)
+from roboassembly.generate import ABSTRACT, CHAIRS, CLEARANCE, FAMILIES, OTHERS, generate
+from roboassembly.generate.design import IN_PLACE
+from roboassembly.generate.joints import RoundTenon, Tenon, joint_frame, rail
+from roboassembly.generate.outlines import circle, inset, rectangle, rounded_trapezoid
+from roboassembly.generate.solids import Solid, block, pad, sweep, triangles, turned
+from roboassembly.generate.vectors import X, Y, Z, vector
 from roboassembly.geometry.meshes import Mesh, nearest_points
 
 FEW, MANY = range(3), range(3, 16)
@@ -47,7 +33,7 @@ SIZES = {
     "bench": ((0.90, 0.45, 0.75), (1.28, 0.70, 1.00)),
     "table": ((0.50, 0.40, 0.40), (1.25, 0.70, 0.78)),
     "shelf": ((0.40, 0.20, 0.65), (0.90, 0.38, 1.20)),
-    "practice": ((0.03, 0.03, 0.20), (1.60, 1.20, 1.50)),
+    "abstract": ((0.03, 0.03, 0.20), (1.60, 1.20, 1.50)),
 }
 """Over all, metres: more than the first three numbers, less than the other three."""
 
@@ -434,7 +420,7 @@ def test_chairs_have_as_many_parts_as_real_ones() -> None:
 
 
 def test_kinds() -> None:
-    assert list(FAMILIES) == [*CHAIRS, *OTHERS, *PRACTICE]
+    assert list(FAMILIES) == [*CHAIRS, *OTHERS, *ABSTRACT]
     assert len(CHAIRS) >= 13
     assert sorted(family.kind for family in OTHERS.values()) == ["shelf", "shelf", "table", "table"]
     assert all(family.kind == "chair" for family in CHAIRS.values())
@@ -461,8 +447,8 @@ def mesh_of(solid: Solid) -> Mesh:
 
 def test_tenon_has_the_clearance_on_every_side() -> None:
     tenon = Tenon(width=0.030, thickness=0.010, length=0.020, root=0.005)
-    board = mesh_of(block((-0.05, -0.05, -0.05), (0.05, 0.05, 0)) - tenon.pocket(HERE))
-    tongue = mesh_of(tenon.tongue(HERE))
+    board = mesh_of(block((-0.05, -0.05, -0.05), (0.05, 0.05, 0)) - tenon.pocket(IN_PLACE))
+    tongue = mesh_of(tenon.tongue(IN_PLACE))
     # 30.8 x 10.8 x 20.4 mm out of a cube of 100 x 100 x 50.
     assert board.volume == pytest.approx(5e-4 - 0.0308 * 0.0108 * 0.0204, abs=1e-10)
     assert tongue.volume == pytest.approx(0.030 * 0.010 * 0.025, abs=1e-11)
@@ -480,8 +466,8 @@ def test_tenon_has_the_clearance_on_every_side() -> None:
 
 def test_round_tenon_has_the_clearance_on_its_flats() -> None:
     tenon = RoundTenon(radius=0.010, length=0.020, sides=12)
-    board = mesh_of(block((-0.05, -0.05, -0.05), (0.05, 0.05, 0)) - tenon.pocket(HERE))
-    tongue = mesh_of(tenon.tongue(HERE))
+    board = mesh_of(block((-0.05, -0.05, -0.05), (0.05, 0.05, 0)) - tenon.pocket(IN_PLACE))
+    tongue = mesh_of(tenon.tongue(IN_PLACE))
     # A regular 12-gon in a circle of radius r has the area 3 r².
     assert tongue.volume == pytest.approx(3 * 0.010**2 * 0.028, rel=1e-6)
     assert between(model_of(board), model_of(tongue)) == pytest.approx(CLEARANCE, abs=1e-7)

@@ -16,49 +16,50 @@ from jaxtyping import Float
 from roboassembly.errors import FurnitureError
 from roboassembly.furniture.contacts import Contact, find_contacts
 from roboassembly.furniture.model import RawPart
-from roboassembly.generate.pieces import Build, Piece, as_parts
+from roboassembly.generate.design import Blank, Build, PartDesign, as_parts
 from roboassembly.generate.solids import Solid, from_triangles, triangles
 from roboassembly.geometry.meshes import Mesh
 
-_FEWEST = 3
-_TRIES = 20
-_OVERLAP = 1e-4
-"""Metres by which joined parts reach into each other."""
-_LIKE = 0.01
-"""Metres between a part's place and its mirror image's; share of the volume that they may differ by."""
+FEWEST_PARTS = 3
+TRIES = 20
+OVERLAP = 1e-4
+"""Length by which joined parts reach into each other [m]."""
+MIRROR_TOLERANCE = 0.01
+"""Distance [m] between a part's place and its mirror image's, and share of the volume by which they may differ."""
 
 
-def build(bases: Sequence[Build], rng: np.random.Generator | None) -> list[Piece]:
-    """Pieces of 3 parts or more, made of one of the bases."""
+def build(bases: Sequence[Build], rng: np.random.Generator | None) -> list[PartDesign]:
+    """Return 3 parts or more, made of what one of the bases builds."""
     rng = np.random.default_rng(1) if rng is None else rng
-    for _ in range(_TRIES):
+    for _ in range(TRIES):
         base = as_parts(bases[int(rng.integers(len(bases)))](rng))
-        if len(base) <= _FEWEST:
+        if len(base) <= FEWEST_PARTS:
             continue
         matrix = _stretch(rng)
         parts = [RawPart(p.name, Mesh(p.mesh.vertices @ matrix.T, p.mesh.faces), p.label) for p in base]
         try:
-            pieces = _joined(parts, rng)
-            find_contacts([Mesh(*triangles(p.solid)) for p in pieces], [p.name for p in pieces])
+            joined = _joined(parts, rng)
+            find_contacts([Mesh(*triangles(p.blank.solid)) for p in joined], [p.name for p in joined])
         except FurnitureError:
             continue  # where parts are stretched, or reach over to what they are joined to, some touch
-        return pieces
-    raise FurnitureError(f"nothing came of {_TRIES} tries to join parts; another seed would do")
+        return joined
+    raise FurnitureError(f"{TRIES} tries to join parts failed; try another seed")
 
 
 def _stretch(rng: np.random.Generator) -> Float[np.ndarray, "3 3"]:
-    """Another width, depth and height, and sometimes a lean."""
+    """Return a matrix that changes width, depth and height, and sometimes makes the whole lean."""
     matrix = np.diag(np.exp(rng.uniform(-0.3, 0.3, 3)))
     if rng.random() < 0.3:
         matrix = np.array([[1, 0, 0], [0, 1, rng.uniform(-0.25, 0.25)], [0, 0, 1]]) @ matrix
     return matrix
 
 
-def _joined(parts: Sequence[RawPart], rng: np.random.Generator) -> list[Piece]:
+def _joined(parts: Sequence[RawPart], rng: np.random.Generator) -> list[PartDesign]:
+    """Return one part for each group of parts."""
     contacts = find_contacts([p.mesh for p in parts], [p.name for p in parts])
     group = _groups(parts, contacts, rng)
     solids = [from_triangles(p.mesh.vertices, p.mesh.faces) for p in parts]
-    out: list[Piece] = []
+    out: list[PartDesign] = []
     for name in dict.fromkeys(group):
         members = [i for i, g in enumerate(group) if g == name]
         whole = Solid()
@@ -67,19 +68,19 @@ def _joined(parts: Sequence[RawPart], rng: np.random.Generator) -> list[Piece]:
         for c in contacts:
             if group[c.a] == group[c.b] == name:
                 # Closes the gap between the two, so that no face is left inside.
-                whole += solids[c.a].translate(tuple(((c.gap + _OVERLAP) * c.normal).tolist()))
+                whole += solids[c.a].translate(tuple((c.gap + OVERLAP) * c.normal))
         largest = max(members, key=lambda i: parts[i].mesh.volume)
-        out.append(Piece(f"part_{len(out):02d}", parts[largest].label, whole))
+        out.append(PartDesign(f"part_{len(out):02d}", parts[largest].label, Blank(whole)))
     return out
 
 
 def _groups(parts: Sequence[RawPart], contacts: Sequence[Contact], rng: np.random.Generator) -> list[int]:
-    """The group of each part."""
+    """Return the group of each part."""
     group = list(range(len(parts)))
     touching = {frozenset((c.a, c.b)) for c in contacts}
-    mates = _mates(parts) if rng.random() < 0.8 else list(range(len(parts)))
-    wanted = int(rng.integers(_FEWEST, len(parts)))
-    while len(set(group)) > wanted:
+    images = _mirror_images(parts) if rng.random() < 0.8 else list(range(len(parts)))
+    count = int(rng.integers(FEWEST_PARTS, len(parts)))
+    while len(set(group)) > max(count, FEWEST_PARTS):
         size = [group.count(g) for g in group]
         left = [(c.a, c.b) for c in contacts if group[c.a] != group[c.b]]
         if not left:
@@ -87,22 +88,19 @@ def _groups(parts: Sequence[RawPart], contacts: Sequence[Contact], rng: np.rando
         # Small groups rather than one that swallows all the others.
         weight = np.array([1.0 / (size[a] * size[b]) for a, b in left])
         a, b = left[rng.choice(len(left), p=weight / weight.sum())]
-        for one, two in ((a, b), (mates[a], mates[b])):
-            if frozenset((one, two)) in touching and group[one] != group[two] and len(set(group)) > _FEWEST:
-                old, new = group[one], group[two]
-                group = [new if g == old else g for g in group]
-        if len(set(group)) <= _FEWEST:
-            break
+        for i, j in ((a, b), (images[a], images[b])):
+            if frozenset((i, j)) in touching and group[i] != group[j] and len(set(group)) > FEWEST_PARTS:
+                group = [group[j] if g == group[i] else g for g in group]
     return group
 
 
-def _mates(parts: Sequence[RawPart]) -> list[int]:
-    """For each part the one that stands where its mirror image would, itself in the middle or where there is none."""
+def _mirror_images(parts: Sequence[RawPart]) -> list[int]:
+    """Return for each part the one at the place of its mirror image; itself in the middle or if there is none."""
     centres = np.array([p.mesh.center_of_mass for p in parts])
     volumes = np.array([p.mesh.volume for p in parts])
-    out = []
+    out: list[int] = []
     for i, centre in enumerate(centres):
-        apart = np.linalg.norm(centres - centre * [-1.0, 1.0, 1.0], axis=1)
-        like = (apart < _LIKE) & (np.abs(volumes - volumes[i]) < _LIKE * volumes[i])
+        near = np.linalg.norm(centres - centre * [-1.0, 1.0, 1.0], axis=1) < MIRROR_TOLERANCE
+        like = near & (np.abs(volumes - volumes[i]) < MIRROR_TOLERANCE * volumes[i])
         out.append(int(np.argmax(like)) if like.any() else i)
     return out

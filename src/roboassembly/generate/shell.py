@@ -6,172 +6,132 @@ spreader gets in. Legs go into their bars one by one, along their own axes.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-
 import numpy as np
-from jaxtyping import Float
 
-from roboassembly.generate.bends import bent, splayed_leg
-from roboassembly.generate.joints import CLEARANCE, RoundTenon, Tenon, joint_frame
-from roboassembly.generate.pieces import Piece, move
-from roboassembly.generate.rails import mouths, rail
-from roboassembly.generate.solids import Solid, X, Y, Z, block, loft, turn, vector
-from roboassembly.geometry.poses import SE3
-
-
-@dataclass(frozen=True)
-class ShellStyle:
-    """Sizes in metres, angles in radians; the defaults are the catalogue model."""
-
-    width: float = 0.46
-    depth: float = 0.44
-    """Of the seat."""
-    seat_height: float = 0.44
-    height: float = 0.82
-    rake: float = 0.24
-    bend: float = 0.09
-    """Radius between seat and back."""
-    shell: float = 0.013
-    """Its thickness."""
-    hollow: float = 0.018
-    """How far seat and back are dished."""
-    splay: float = 0.20
-    leg: float = 0.017
-    """Largest radius of a leg."""
-    spreaders: int = 1
-    back_width: float = 0.88
-    """Width of the back's top over that of the seat."""
-
-
-def sample(rng: np.random.Generator) -> ShellStyle:
-    """A style of 7 to 9 parts."""
-    return ShellStyle(
-        width=rng.uniform(0.43, 0.50),
-        depth=rng.uniform(0.41, 0.46),
-        seat_height=rng.uniform(0.42, 0.46),
-        height=rng.uniform(0.76, 0.88),
-        rake=rng.uniform(0.18, 0.30),
-        bend=rng.uniform(0.06, 0.12),
-        shell=rng.uniform(0.011, 0.018),
-        hollow=rng.uniform(0.0, 0.03),
-        splay=rng.uniform(0.14, 0.25),
-        leg=rng.uniform(0.0155, 0.020),
-        spreaders=int(rng.choice([0, 1, 1, 2])),
-        back_width=rng.uniform(0.72, 1.0),
-    )
-
-
-def build(rng: np.random.Generator | None) -> list[Piece]:
-    """A shell chair of the style drawn from `rng`, or the catalogue model with 8 parts."""
-    return assemble(ShellStyle() if rng is None else sample(rng))
-
+from roboassembly.generate.design import Assembly, Blank, Design, family, one_of, size
+from roboassembly.generate.joints import (
+    CLEARANCE,
+    RoundTenon,
+    Tenon,
+    joint_frame,
+    mouths,
+    rail,
+    splayed_leg,
+    splayed_mouth,
+)
+from roboassembly.generate.solids import Solid, bent, block, loft
+from roboassembly.generate.vectors import Points, X, Z, leaning, move, spin, vector
 
 MOUTH = 0.010
 LEG_TENON = RoundTenon(radius=0.0115, length=0.022, end_radius=0.0105, sides=12)
 LUG_PEG = Tenon(0.030, 0.014, 0.012)
+SPREADER_TENON = Tenon(0.016, 0.010, 0.014)
 BAR = (0.042, 0.036)
 """Depth and height of the bars."""
 LUG = 0.022
 """Height of the lugs under the shell."""
+ROUND = 0.085
+"""Radius of the shell's upper corners."""
 
 
-def assemble(style: ShellStyle) -> list[Piece]:
-    """All pieces of one style."""
-    s, c = style, CLEARANCE
-    bar_top = s.seat_height - s.shell - s.hollow - LUG
-    bar_low = bar_top - BAR[1]
-    pieces: list[Piece] = []
+@family("shell", "seat and back bent from one piece, on two bars with splayed legs")
+class ShellChair(Design):
+    """A chair of 7 to 9 parts."""
 
-    # A bar along x with a leg at either end; turned about the vertical it is the other one.
-    half_bar, y = 0.30 * s.width + 0.03, 0.26 * s.depth
-    bar = block((-half_bar, -BAR[0] / 2, bar_low), (half_bar, BAR[0] / 2, bar_top - c))
-    profile = [(0.12, s.leg), (0.5, 0.95 * s.leg), (1.05, 0.58 * s.leg)]
-    leg, axis = splayed_leg(bar_low, s.splay, LEG_TENON, profile, MOUTH)
-    leg_x = 0.30 * s.width
-    # On the front bar (the one at -y) both legs lean outward and forward.
-    legs = [(-1, np.pi + 0.9), (1, -0.9)]
-    for side, heading in legs:
-        spin = turn(Z, heading)
-        frame = joint_frame(vector(side * leg_x, 0, bar_low), -(spin @ axis), spin @ Y)
-        bar -= LEG_TENON.pocket(frame, over=MOUTH)
-    lug_x = 0.62 * leg_x
-    for x in (-lug_x, lug_x):
-        bar -= LUG_PEG.pocket(joint_frame(vector(x, 0, bar_top), Z, X))
-    inner = y - BAR[0] / 2
-    tenon = Tenon(0.016, 0.010, 0.014)
-    xs = {0: [], 1: [0.0], 2: [-0.045, 0.045]}[s.spreaders]
-    spreader: Solid | None = None
-    for k, x in enumerate(xs):
-        start, end = vector(x, -inner, bar_low + 0.014), vector(x, inner, bar_low + 0.014)
-        spreader = spreader or rail(start, end, Z, 0.026, 0.020, tenon)
-        pieces.append(Piece(f"spreader_{k + 1}", "bar_stretcher", spreader, move(x - xs[0])))
-        bar -= tenon.pocket(move(y=y) * mouths(start, end, Z)[0])
-    for name, turned in (("front", 0.0), ("back", np.pi)):
-        place = move(y=-y if name == "front" else y) * SE3(turn(Z, turned), np.zeros(3))
-        pieces.append(Piece(f"bar_{name}", "seat_frame_bar", bar, place))
-        for side, heading in legs:
-            pose = place * SE3(turn(Z, heading), vector(side * leg_x, 0, 0))
-            left = (side > 0) == (name == "front")
-            pieces.append(Piece(f"leg_{name}_{'left' if left else 'right'}", "leg", leg, pose))
-    seat, height_at = _shell(s)
-    for x in (-lug_x, lug_x):
-        for at in (-y, y):
-            lug = block((x - 0.022, at - 0.013, bar_top), (x + 0.022, at + 0.013, height_at(x, at)))
-            seat += lug + LUG_PEG.tongue(joint_frame(vector(x, at, bar_top), Z, X))
-    pieces.append(Piece("seat", "seat_single_surface", seat))
-    return pieces
+    width: float = size(0.46, 0.43, 0.50)
+    depth: float = size(0.44, 0.41, 0.46)  # of the seat
+    seat_height: float = size(0.44, 0.42, 0.46)
+    height: float = size(0.82, 0.76, 0.88)
+    rake: float = size(0.24, 0.18, 0.30)
+    bend: float = size(0.09, 0.06, 0.12)  # radius between seat and back
+    shell: float = size(0.013, 0.011, 0.018)  # its thickness
+    hollow: float = size(0.018, 0.0, 0.03)  # how far seat and back are dished
+    splay: float = size(0.20, 0.14, 0.25)
+    leg: float = size(0.017, 0.0155, 0.020)  # largest radius of a leg
+    spreaders: int = one_of(0, 1, 1, 2, default=1)
+    back_width: float = size(0.88, 0.72, 1.0)  # width of the back's top over that of the seat
 
+    def build(self, a: Assembly) -> None:
+        s = self
+        bar_top = s.seat_height - s.shell - s.hollow - LUG
+        bar_low = bar_top - BAR[1]
 
-def _shell(s: ShellStyle) -> tuple[Solid, Callable[[float, float], float]]:
-    """Seat and back from the front edge, turned down, to the top edge, dished across; height of its middle surface."""
-    front, rear = -s.depth / 2, s.depth / 2
-    level = s.seat_height - s.shell / 2
-    along = vector(0, np.sin(s.rake), np.cos(s.rake))
-    corner = vector(0, rear, level - 0.010)
-    reach = (s.height - corner[2]) / along[2]
-    corners = [vector(0, front - 0.012, level - 0.022), vector(0, front + 0.05, level), corner, corner + reach * along]
-    points, tangents = bent(corners, s.bend, 4)
-    # More stations on the straight stretches and toward the ends, for the dishing and the outline to come and go.
-    stations, directions = [points[0]], [tangents[0]]
-    for a, b, t in zip(points[:-1], points[1:], tangents[1:], strict=True):
-        far = float(np.linalg.norm(b - a))
-        stops = np.linspace(0, 1, max(2, int(far // 0.10) + 1))[1:]
-        if np.array_equal(b, points[-1]):
-            stops = np.concatenate(
-                [stops[stops < 1 - 0.09 / far], 1 - np.array([0.085, 0.05, 0.025, 0.008, 0.0]) / far]
-            )
-        stations += [a + k * (b - a) for k in stops]
-        directions += [t if len(stops) == 1 else (b - a) / far] * len(stops)
-    path, heading = np.array(stations), np.array(directions)
-    length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
-    share = length / length[-1]
-    dish = s.hollow * np.clip(np.minimum(share, 1 - share) / 0.22, 0, 1)
-    wide = s.width / 2 * np.interp(share, [0, 0.04, 0.12, 0.5, 0.9], [0.90, 0.97, 1, 1, s.back_width])
-    # A round of 85 mm at the upper corners.
-    left = np.clip(1 - (length[-1] - length) / 0.085, 0, 1)
-    wide -= 0.085 * (1 - np.sqrt(1 - left**2)) * 0.9
-    across = np.linspace(-1, 1, 7)
-    rings = []
-    for at, t, w, d in zip(path, heading, wide, dish, strict=True):
-        normal = np.cross(X, t)
-        rings.append(_ring(at, w * across, d * (1 - across**2), normal, s.shell))
-    seat = path[:, 2] < corner[2] + 0.02
+        # A bar along x with a leg at either end; turned about the vertical it is the other one.
+        leg_x, bar_y = 0.30 * s.width, 0.26 * s.depth
+        half, lug_x, inner = leg_x + 0.03, 0.62 * leg_x, bar_y - BAR[0] / 2
+        bar = Blank(block((-half, -BAR[0] / 2, bar_low), (half, BAR[0] / 2, bar_top - CLEARANCE)))
+        profile = [(0.12, s.leg), (0.5, 0.95 * s.leg), (1.05, 0.58 * s.leg)]
+        solid, axis = splayed_leg(bar_low, s.splay, LEG_TENON, MOUTH, profile)
+        leg = Blank(solid)
+        # On the front bar (the one at -y) both legs lean outward and forward.
+        on_bar = [spin(np.pi + 0.9, -leg_x), spin(-0.9, leg_x)]
+        for pose in on_bar:
+            bar -= LEG_TENON.pocket(splayed_mouth(pose, bar_low, axis), over=MOUTH)
+        for x in (-lug_x, lug_x):
+            bar -= LUG_PEG.pocket(joint_frame(vector(x, 0, bar_top), Z, X))
+        start, end = vector(0, -inner, bar_low + 0.014), vector(0, inner, bar_low + 0.014)
+        first = -0.045 if s.spreaders == 2 else 0.0
+        spreader = Blank(rail(start + first * X, end + first * X, Z, 0.026, 0.020, SPREADER_TENON))
+        for k, x in enumerate(([], [0.0], [-0.045, 0.045])[s.spreaders]):
+            a.part(f"spreader_{k + 1}", "bar_stretcher", spreader, move(x - first))
+            bar -= SPREADER_TENON.pocket(move(x, bar_y) * mouths(start, end, Z)[0])
+        for end, place, sides in (
+            ("front", spin(0.0, y=-bar_y), ("right", "left")),
+            ("back", spin(np.pi, y=bar_y), ("left", "right")),
+        ):
+            a.part(f"bar_{end}", "seat_frame_bar", bar, place)
+            for side, pose in zip(sides, on_bar, strict=True):
+                a.part(f"leg_{end}_{side}", "leg", leg, place * pose)
 
-    def height_at(x: float, y: float) -> float:
-        w, d, z = (float(np.interp(y, path[seat, 1], values[seat])) for values in (wide, dish, path[:, 2]))
-        return z - d * (1 - (x / w) ** 2)
+        # The shell with lugs on the bars.
+        path, heading, dish, wide = self.surface()
+        seat = Blank(self.shell_of(path, heading, dish, wide))
+        flat = path[:, 2] < s.seat_height - s.shell / 2 + 0.010
+        for x in (-lug_x, lug_x):
+            for y in (-bar_y, bar_y):
+                w, d, z = (float(np.interp(y, path[flat, 1], values[flat])) for values in (wide, dish, path[:, 2]))
+                top = z - d * (1 - (x / w) ** 2)
+                lug = block((x - 0.022, y - 0.013, bar_top), (x + 0.022, y + 0.013, top))
+                seat += lug + LUG_PEG.tongue(joint_frame(vector(x, y, bar_top), Z, X))
+        a.part("seat", "seat_single_surface", seat)
 
-    return loft(np.array(rings)), height_at
+    def surface(self) -> tuple[Points, Points, np.ndarray, np.ndarray]:
+        """The shell's middle line from the front edge, turned down, to the top edge, and its shape along that line.
 
+        Returns points, unit tangents, how far the shell is dished there, and half its width.
+        """
+        front, rear = -self.depth / 2, self.depth / 2
+        level = self.seat_height - self.shell / 2
+        along, _ = leaning(self.rake)
+        corner = vector(0, rear, level - 0.010)
+        top = corner + (self.height - corner[2]) / along[2] * along
+        edge = [vector(0, front - 0.012, level - 0.022), vector(0, front + 0.05, level)]
+        points, tangents = bent([*edge, corner, top], self.bend, 4)
+        # More stations on the straight stretches and toward the ends, for the dishing and the outline to come and go.
+        path, heading = [points[0]], [tangents[0]]
+        for k, (start, end, tangent) in enumerate(zip(points[:-1], points[1:], tangents[1:], strict=True)):
+            far = float(np.linalg.norm(end - start))
+            stops = np.linspace(0, 1, max(2, int(far // 0.10) + 1))[1:]
+            if k == len(points) - 2:
+                fine = 1 - np.array([0.085, 0.05, 0.025, 0.008, 0.0]) / far
+                stops = np.concatenate([stops[stops < 1 - 0.09 / far], fine])
+            path += [start + stop * (end - start) for stop in stops]
+            heading += [tangent if len(stops) == 1 else (end - start) / far] * len(stops)
+        length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
+        share = length / length[-1]
+        dish = self.hollow * np.clip(np.minimum(share, 1 - share) / 0.22, 0, 1)
+        wide = self.width / 2 * np.interp(share, [0, 0.04, 0.12, 0.5, 0.9], [0.90, 0.97, 1, 1, self.back_width])
+        into_round = np.clip(1 - (length[-1] - length) / ROUND, 0, 1)
+        wide -= ROUND * (1 - np.sqrt(1 - into_round**2)) * 0.9
+        return np.array(path), np.array(heading), dish, wide
 
-def _ring(
-    at: Float[np.ndarray, "3"],
-    x: Float[np.ndarray, "n"],
-    dish: Float[np.ndarray, "n"],
-    normal: Float[np.ndarray, "3"],
-    thickness: float,
-) -> Float[np.ndarray, "m 3"]:
-    """A cross-section of the shell: its lower and its upper side, `dish` metres against `normal`."""
-    middle = at + x[:, None] * X - dish[:, None] * normal
-    return np.concatenate([middle - thickness / 2 * normal, (middle + thickness / 2 * normal)[::-1]])
+    def shell_of(self, path: Points, heading: Points, dish: np.ndarray, wide: np.ndarray) -> Solid:
+        """The shell, its lower and its upper side."""
+        across = np.linspace(-1, 1, 7)
+        rings = []
+        for at, tangent, w, d in zip(path, heading, wide, dish, strict=True):
+            normal = np.cross(X, tangent)
+            middle = at + (w * across)[:, None] * X - (d * (1 - across**2))[:, None] * normal
+            half = self.shell / 2 * normal
+            rings.append(np.concatenate([middle - half, (middle + half)[::-1]]))
+        return loft(np.array(rings))

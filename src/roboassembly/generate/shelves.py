@@ -6,185 +6,105 @@ then slides down the grooves of its sides, and the top closes them.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
-from roboassembly.generate.bends import cut_out
-from roboassembly.generate.joints import CLEARANCE, Tenon, joint_frame
-from roboassembly.generate.pieces import Piece, move
-from roboassembly.generate.rails import rail
-from roboassembly.generate.solids import (
-    Solid,
-    X,
-    Y,
-    Z,
-    block,
-    mirrored_x,
-    pad,
-    rectangle,
-    rounded_trapezoid,
-    sweep,
-    vector,
-)
-
-
-@dataclass(frozen=True)
-class OpenShelfStyle:
-    """Sizes in metres; the defaults are the catalogue model."""
-
-    width: float = 0.60
-    depth: float = 0.26
-    height: float = 0.90
-    side: float = 0.024
-    """Thickness of the sides."""
-    shelf: float = 0.020
-    shelves: int = 4
-    bars: int = 2
-    """Across the rear."""
-    lean: float = 0.0
-    """How much shallower the sides are above than below."""
-
-
-def sample_open(rng: np.random.Generator) -> OpenShelfStyle:
-    """A shelf of 5 to 9 parts."""
-    return OpenShelfStyle(
-        width=rng.uniform(0.45, 0.80),
-        depth=rng.uniform(0.24, 0.30),
-        height=rng.uniform(0.70, 1.15),
-        side=rng.uniform(0.022, 0.030),
-        shelf=rng.uniform(0.018, 0.026),
-        shelves=int(rng.integers(2, 6)),
-        bars=int(rng.integers(1, 3)),
-        lean=float(rng.choice([0.0, 0.0, 0.05])),
-    )
-
-
-def build_open(rng: np.random.Generator | None) -> list[Piece]:
-    """An open shelf of the style drawn from `rng`, or the catalogue model with 8 parts."""
-    return assemble_open(OpenShelfStyle() if rng is None else sample_open(rng))
-
-
-def assemble_open(style: OpenShelfStyle) -> list[Piece]:
-    """All pieces of one open shelf."""
-    s = style
-    inner = s.width / 2 - s.side
-    front, rear = -s.depth / 2, s.depth / 2
-    outline = [(front, 0.0), (front + 0.06, 0.0), (front + 0.075, 0.03), (rear - 0.075, 0.03), (rear - 0.06, 0.0),
-               (rear, 0.0), (rear, s.height - 0.01), (rear - 0.01, s.height), (front + s.lean + 0.03, s.height),
-               (front + s.lean + 0.008, s.height - 0.012), (front + s.lean, s.height - 0.04)]  # fmt: skip
-    side = cut_out(np.array(outline), vector(inner + s.side / 2, 0, 0), Y, Z, s.side)
-    depth = 0.4 * s.side
-    board_depth = s.depth - s.lean - 0.055
-    middle = vector(0, rear - 0.035 - board_depth / 2, 0.085)
-    tongue = Tenon(0.82 * board_depth, 0.5 * s.shelf, depth)
-    board = rail(middle - inner * X, middle + inner * X, Y, board_depth, s.shelf, tongue)
-    levels = np.linspace(0.0, s.height - 0.085 - 0.06, s.shelves)
-    pieces: list[Piece] = []
-    for k, z in enumerate(levels):
-        pieces.append(Piece(f"shelf_{k + 1}", "shelf", board, move(z=float(z))))
-        side -= tongue.pocket(move(z=float(z)) * joint_frame(middle + inner * X, -X, Y))
-    tenon = Tenon(0.030, 0.008, depth)
-    bar: Solid | None = None
-    places = [0.5 * (levels[k] + levels[k + 1]) + 0.085 for k in ((-2,) if s.bars == 1 else (0, -2))]
-    if s.shelves == 2 and s.bars == 2:
-        places = [0.085 + levels[1] * share for share in (0.3, 0.7)]
-    for k, z in enumerate(places):
-        start = vector(-inner, rear - 0.014, places[0])
-        bar = bar or rail(start, start + 2 * inner * X, Z, 0.050, 0.016, tenon)
-        pieces.append(Piece(f"back_bar_{k + 1}", "frame_bar", bar, move(z=float(z - places[0]))))
-        side -= tenon.pocket(joint_frame(vector(inner, rear - 0.014, float(z)), -X, Z))
-    return [*pieces, Piece("side_left", "frame_board", side), Piece("side_right", "frame_board", mirrored_x(side))]
-
-
-@dataclass(frozen=True)
-class BookcaseStyle:
-    """Sizes in metres; the defaults are the catalogue model."""
-
-    width: float = 0.62
-    depth: float = 0.28
-    height: float = 0.92
-    board: float = 0.022
-    """Thickness of all boards but the back."""
-    shelves: int = 2
-    """Between bottom and top."""
-    plinth: float = 0.07
-    backs: int = 1
-    """Boards that the back is made of, one above the other."""
-    cornice: float = 0.012
-    """How far the top sticks out in front and at the sides."""
-
-
-def sample_bookcase(rng: np.random.Generator) -> BookcaseStyle:
-    """A bookcase of 7 to 11 parts."""
-    return BookcaseStyle(
-        width=rng.uniform(0.45, 0.80),
-        depth=rng.uniform(0.25, 0.33),
-        height=rng.uniform(0.70, 1.15),
-        board=rng.uniform(0.021, 0.028),
-        shelves=int(rng.integers(1, 5)),
-        plinth=rng.uniform(0.05, 0.09),
-        backs=int(rng.integers(1, 3)),
-        cornice=rng.uniform(0.0, 0.02),
-    )
-
-
-def build_bookcase(rng: np.random.Generator | None) -> list[Piece]:
-    """A bookcase of the style drawn from `rng`, or the catalogue model with 8 parts."""
-    return assemble_bookcase(BookcaseStyle() if rng is None else sample_bookcase(rng))
-
+from roboassembly.generate.design import Assembly, Blank, Design, count, family, one_of, size
+from roboassembly.generate.joints import CLEARANCE, Tenon, joint_frame, rail
+from roboassembly.generate.outlines import rectangle, rounded_trapezoid
+from roboassembly.generate.solids import block, cut_out, pad, sweep
+from roboassembly.generate.vectors import X, Y, Z, move, vector
 
 BACK = 0.009
 GROOVE = 0.008
 TOP_TENON = Tenon(0.060, 0.008, 0.010)
 
 
-def assemble_bookcase(style: BookcaseStyle) -> list[Piece]:
-    """All pieces of one bookcase."""
-    s, c = style, CLEARANCE
-    inner, t = s.width / 2 - s.board, s.board
-    front, rear = -s.depth / 2, s.depth / 2
-    under = s.height - t
-    side = block((inner, front, 0), (inner + t, rear, under - c))
-    groove_y = rear - 0.020
-    tongue_depth = 0.4 * t
-    pieces: list[Piece] = []
-    # Bottom and shelves: the same boards.
-    shelf_rear = groove_y - BACK / 2 - 0.009
-    board_depth = shelf_rear - (front + 0.004)
-    middle = vector(0, shelf_rear - board_depth / 2, s.plinth + c + t / 2 + 0.009)
-    tongue = Tenon(0.85 * board_depth, 0.5 * t, tongue_depth)
-    board = rail(middle - inner * X, middle + inner * X, Y, board_depth, t, tongue, 0.002)
-    pitch = (under - middle[2]) / (s.shelves + 1)
-    for k in range(s.shelves + 1):
-        name = "bottom" if k == 0 else f"shelf_{k}"
-        pieces.append(Piece(name, "shelf", board, move(z=k * pitch)))
-        side -= tongue.pocket(joint_frame(middle + inner * X + k * pitch * Z, -X, Y))
-    at = vector(0, front + 0.030, s.plinth / 2)
-    tenon = Tenon(0.55 * s.plinth, 0.008, tongue_depth)
-    pieces.append(
-        Piece("plinth", "frame_board", rail(at - inner * X, at + inner * X, Z, s.plinth - 0.004, 0.018, tenon))
-    )
-    side -= tenon.pocket(joint_frame(at + inner * X, -X, Z))
-    # The back in the sides' grooves, which the top closes.
-    low = s.plinth + 0.004
-    slot = Tenon(under - low, BACK, GROOVE)
-    for lift in (0.0, 0.03):
-        side -= slot.pocket(joint_frame(vector(inner, groove_y, (low + under) / 2 + lift), -X, Z))
-    tall = (under - c - low - (s.backs - 1) * c) / s.backs
-    start = vector(0, groove_y, low + tall / 2)
-    ends = (inner + GROOVE) * X
-    back = sweep([start - ends, start + ends], Y, Z, rectangle(BACK, tall, 0.001))
-    for k in range(s.backs):
-        name = "back" if s.backs == 1 else f"back_{k + 1}"
-        pieces.append(Piece(name, "back_panel", back, move(z=k * (tall + c))))
-    wide, deep = s.width + 2 * s.cornice, s.depth + s.cornice
-    outline = rounded_trapezoid(wide, wide, deep, 0.004) + np.array([0.0, -s.cornice / 2])
-    top = pad(outline, under, s.height, 0.004)
-    for x in (-inner - 0.5 * t, inner + 0.5 * t):
-        peg = joint_frame(vector(x, -0.02, under), -Z, Y)
-        top -= TOP_TENON.pocket(peg)
-        if x > 0:
-            side += TOP_TENON.tongue(peg)
-    pieces.append(Piece("top", "top_panel", top))
-    return [*pieces, Piece("side_left", "frame_board", side), Piece("side_right", "frame_board", mirrored_x(side))]
+@family("shelf_open", "boards and bars housed between two sides", "shelf")
+class OpenShelf(Design):
+    """A shelf of 5 to 9 parts."""
+
+    width: float = size(0.60, 0.45, 0.80)
+    depth: float = size(0.26, 0.24, 0.30)
+    height: float = size(0.90, 0.70, 1.15)
+    side: float = size(0.024, 0.022, 0.030)  # thickness of the sides
+    shelf: float = size(0.020, 0.018, 0.026)
+    shelves: int = count(4, 2, 5)
+    bars: int = count(2, 1, 2)  # across the rear
+    lean: float = one_of(0.0, 0.0, 0.05)  # how much shallower the sides are above than below
+
+    def build(self, a: Assembly) -> None:
+        s, inner = self, self.width / 2 - self.side
+        front, rear, upper = -s.depth / 2, s.depth / 2, -s.depth / 2 + s.lean
+        outline = [
+            (front, 0.0), (front + 0.06, 0.0), (front + 0.075, 0.03), (rear - 0.075, 0.03), (rear - 0.06, 0.0),
+            (rear, 0.0), (rear, s.height - 0.01), (rear - 0.01, s.height), (upper + 0.03, s.height),
+            (upper + 0.008, s.height - 0.012), (upper, s.height - 0.04),
+        ]  # fmt: skip
+        side = Blank(cut_out(np.array(outline), vector(inner + s.side / 2, 0, 0), Y, Z, s.side))
+        deep = s.depth - s.lean - 0.055
+        first = vector(0, rear - 0.035 - deep / 2, 0.085)
+        tongue = Tenon(0.82 * deep, 0.5 * s.shelf, 0.4 * s.side)
+        board = Blank(rail(first - inner * X, first + inner * X, Y, deep, s.shelf, tongue))
+        levels = np.linspace(0.0, s.height - 0.085 - 0.06, s.shelves)
+        for k, z in enumerate(levels):
+            a.part(f"shelf_{k + 1}", "shelf", board, move(z=z))
+            side -= tongue.pocket(move(z=z) * joint_frame(first + inner * X, -X, Y))
+        tenon = Tenon(0.030, 0.008, 0.4 * s.side)
+        places = [0.5 * (levels[k] + levels[k + 1]) + 0.085 for k in ((-2,) if s.bars == 1 else (0, -2))]
+        if s.shelves == 2 and s.bars == 2:
+            places = [0.085 + levels[1] * share for share in (0.3, 0.7)]
+        start = vector(-inner, rear - 0.014, places[0])
+        bar = Blank(rail(start, start + 2 * inner * X, Z, 0.050, 0.016, tenon))
+        for k, z in enumerate(places):
+            a.part(f"back_bar_{k + 1}", "frame_bar", bar, move(z=z - places[0]))
+            side -= tenon.pocket(joint_frame(vector(inner, rear - 0.014, z), -X, Z))
+        a.pair("side", "frame_board", side, first="left")
+
+
+@family("shelf_bookcase", "boards between sides, back in grooves that the top closes", "shelf")
+class Bookcase(Design):
+    """A bookcase of 7 to 11 parts."""
+
+    width: float = size(0.62, 0.45, 0.80)
+    depth: float = size(0.28, 0.25, 0.33)
+    height: float = size(0.92, 0.70, 1.15)
+    board: float = size(0.022, 0.021, 0.028)  # thickness of all boards but the back
+    shelves: int = count(2, 1, 4)  # between bottom and top
+    plinth: float = size(0.07, 0.05, 0.09)
+    backs: int = count(1, 1, 2)  # boards that the back is made of, one above the other
+    cornice: float = size(0.012, 0.0, 0.02)  # how far the top sticks out in front and at the sides
+
+    def build(self, a: Assembly) -> None:
+        s, c, t = self, CLEARANCE, self.board
+        inner, under = s.width / 2 - t, s.height - t
+        front, rear = -s.depth / 2, s.depth / 2
+        side = Blank(block((inner, front, 0), (inner + t, rear, under - c)))
+        groove = rear - 0.020
+        # Bottom and shelves: the same boards.
+        deep = groove - BACK / 2 - 0.009 - (front + 0.004)
+        first = vector(0, groove - BACK / 2 - 0.009 - deep / 2, s.plinth + c + t / 2 + 0.009)
+        tongue = Tenon(0.85 * deep, 0.5 * t, 0.4 * t)
+        board = Blank(rail(first - inner * X, first + inner * X, Y, deep, t, tongue, 0.002))
+        pitch = (under - first[2]) / (s.shelves + 1)
+        for k in range(s.shelves + 1):
+            a.part(f"shelf_{k}" if k else "bottom", "shelf", board, move(z=k * pitch))
+            side -= tongue.pocket(joint_frame(first + inner * X + k * pitch * Z, -X, Y))
+        at, tenon = vector(0, front + 0.030, s.plinth / 2), Tenon(0.55 * s.plinth, 0.008, 0.4 * t)
+        a.cross("plinth", "frame_board", at, inner, Z, (s.plinth - 0.004, 0.018), tenon, side)
+        # The back in the sides' grooves, which the top closes.
+        low = s.plinth + 0.004
+        slot = Tenon(under - low, BACK, GROOVE)
+        for lift in (0.0, 0.03):
+            side -= slot.pocket(joint_frame(vector(inner, groove, (low + under) / 2 + lift), -X, Z))
+        tall = (under - c - low - (s.backs - 1) * c) / s.backs
+        start, ends = vector(0, groove, low + tall / 2), (inner + GROOVE) * X
+        back = Blank(sweep([start - ends, start + ends], Y, Z, rectangle(BACK, tall, 0.001)))
+        for k in range(s.backs):
+            a.part("back" if s.backs == 1 else f"back_{k + 1}", "back_panel", back, move(z=k * (tall + c)))
+        wide = s.width + 2 * s.cornice
+        outline = rounded_trapezoid(wide, wide, s.depth + s.cornice, 0.004) + np.array([0.0, -s.cornice / 2])
+        top = Blank(pad(outline, under, s.height, 0.004))
+        top -= TOP_TENON.pocket(joint_frame(vector(-inner - 0.5 * t, -0.02, under), -Z, Y))
+        a.join(TOP_TENON, joint_frame(vector(inner + 0.5 * t, -0.02, under), -Z, Y), side, top)
+        a.part("top", "top_panel", top)
+        a.pair("side", "frame_board", side, first="left")

@@ -6,193 +6,116 @@ leg along a radius and the seat meets them from above, so the seat comes last of
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
-from roboassembly.generate.bends import splayed_leg
-from roboassembly.generate.joints import CLEARANCE, RoundTenon, Tenon, joint_frame
-from roboassembly.generate.pieces import Piece, move
-from roboassembly.generate.solids import (
-    Solid,
-    X,
-    Y,
-    Z,
-    circle,
-    pad,
-    placed,
-    rectangle,
-    sweep,
-    turn,
-    turned,
-    vector,
-)
-from roboassembly.geometry.poses import SE3
+from roboassembly.generate.design import Assembly, Blank, Design, chance, count, family, one_of, size
+from roboassembly.generate.joints import CLEARANCE, RoundTenon, Tenon, joint_frame, splayed_leg, splayed_mouth
+from roboassembly.generate.outlines import circle, rectangles
+from roboassembly.generate.solids import pad, placed, polyline, sweep, turned, turned_along
+from roboassembly.generate.vectors import X, Y, Z, leaning, move, spin, vector
 
 NO_BACK, HOOP, POSTS = range(3)
-
-
-@dataclass(frozen=True)
-class ThreeLeggedStyle:
-    """Sizes in metres, angles in radians; the defaults are the catalogue model."""
-
-    seat: float = 0.40
-    """Diameter of the seat."""
-    seat_height: float = 0.45
-    thickness: float = 0.042
-    saddle: float = 0.008
-    height: float = 0.80
-    rake: float = 0.20
-    star: bool = True
-    """A three-armed stretcher between bent legs, instead of straight splayed ones."""
-    star_height: float = 0.20
-    leg: float = 0.034
-    splay: float = 0.20
-    back: int = POSTS
-    posts: int = 2
-
-
-def sample(rng: np.random.Generator) -> ThreeLeggedStyle:
-    """A style of 4 to 9 parts."""
-    back = int(rng.choice([NO_BACK, HOOP, HOOP, POSTS, POSTS]))
-    return ThreeLeggedStyle(
-        seat=rng.uniform(0.36, 0.43),
-        seat_height=rng.uniform(0.43, 0.49),
-        thickness=rng.uniform(0.038, 0.050),
-        saddle=float(rng.choice([0.008, 0.005, -0.014])),
-        height=rng.uniform(0.70, 0.86),
-        rake=rng.uniform(0.14, 0.24),
-        star=bool(rng.random() < 0.65),
-        star_height=rng.uniform(0.15, 0.26),
-        leg=rng.uniform(0.031, 0.040),
-        splay=rng.uniform(0.16, 0.26),
-        back=back,
-        posts=int(rng.integers(2, 4)),
-    )
-
-
-def build(rng: np.random.Generator | None) -> list[Piece]:
-    """A three-legged chair of the style drawn from `rng`, or the catalogue model with 8 parts."""
-    return assemble(ThreeLeggedStyle() if rng is None else sample(rng))
-
-
 MOUTH = 0.012
 LEG_PEG = RoundTenon(radius=0.0125, length=0.022, end_radius=0.0115, sides=12)
 STAR_TENON = Tenon(0.020, 0.012, 0.012)
 POST_FOOT = RoundTenon(radius=0.0085, length=0.020, sides=8)
 POST_TIP = RoundTenon(radius=0.0075, length=0.022, sides=8)
-HOOP_TENON = Tenon(0.030, 0.011, 0.018)
+HOOP_TENON = Tenon(0.030, 0.011, 0.018, root=0.03)
+CREST = 0.072
 
 
-def assemble(style: ThreeLeggedStyle) -> list[Piece]:
-    """All pieces of one style."""
-    s = style
-    under = s.seat_height - s.thickness
-    seat = pad(circle(s.seat / 2, 30), under, s.seat_height, 0.008, crown=-s.saddle, under=0.008)
-    pieces: list[Piece] = []
-    # One leg points forward, two backward.
-    spins = [SE3(turn(Z, 2 * np.pi * k / 3 - np.pi / 2), np.zeros(3)) for k in range(3)]
-    if s.star:
-        reach = 0.36 * s.seat
-        leg, mouth = _bent_leg(s, under, reach)
-        star = turned([(-0.014, 0.028), (-0.010, 0.032), (0.010, 0.032), (0.014, 0.028)], 18)
-        arm_path = [vector(0, 0, 0), vector(mouth - CLEARANCE, 0, 0)]
-        arm = sweep(arm_path, Y, Z, [rectangle(0.024, 0.022, 0.003), rectangle(0.021, 0.022, 0.003)])
-        arm += STAR_TENON.tongue(joint_frame(vector(mouth, 0, 0), -X, Y))
-        for spin in spins:
-            star += placed(arm, spin)
-            seat -= placed(LEG_PEG.pocket(joint_frame(vector(reach, 0, under), -Z, X)), spin)
-        poses = spins
-        pieces.append(Piece("stretcher", "bar_stretcher", star, move(z=s.star_height)))
-    else:
-        radius = 0.5 * s.leg
-        profile = [(0.2, 0.9 * radius), (0.42, 1.15 * radius), (0.60, radius), (1.05, 0.68 * radius)]
-        leg, axis = splayed_leg(under, s.splay, LEG_PEG, profile, MOUTH)
-        poses = [spin * move(0.28 * s.seat) for spin in spins]
-        for pose in poses:
-            frame = joint_frame(pose.act(under * Z), -(pose.rotation @ axis), pose.rotation @ Y)
-            seat -= LEG_PEG.pocket(frame, over=MOUTH)
-    names = ("front", "back_left", "back_right")
-    pieces += [Piece(f"leg_{name}", "leg", leg, pose) for name, pose in zip(names, poses, strict=True)]
-    if s.back == HOOP:
-        pieces.append(Piece("back", "back_single_surface", _hoop(s)))
-        for frame in _hoop_mouths(s):
-            seat -= HOOP_TENON.pocket(frame, over=MOUTH)
-    elif s.back == POSTS:
-        seat = _posts(s, seat, pieces)
-    pieces.append(Piece("seat", "seat_single_surface", seat))
-    return pieces
+@family("three_legged", "round seat on three legs a third of a turn apart, with or without a back")
+class ThreeLeggedChair(Design):
+    """A chair or stool of 4 to 9 parts."""
 
+    back: int = one_of(NO_BACK, HOOP, HOOP, POSTS, POSTS, default=POSTS)
+    seat: float = size(0.40, 0.36, 0.43)  # diameter
+    seat_height: float = size(0.45, 0.43, 0.49)
+    thickness: float = size(0.042, 0.038, 0.050)
+    saddle: float = one_of(0.008, 0.005, -0.014)
+    height: float = size(0.80, 0.70, 0.86)
+    rake: float = size(0.20, 0.14, 0.24)
+    star: bool = chance(True, 0.65)  # a three-armed stretcher between bent legs, instead of straight splayed ones
+    star_height: float = size(0.20, 0.15, 0.26)
+    leg: float = size(0.034, 0.031, 0.040)
+    splay: float = size(0.20, 0.16, 0.26)
+    posts: int = count(2, 2, 3)
 
-def _bent_leg(s: ThreeLeggedStyle, under: float, reach: float) -> tuple[Solid, float]:
-    """A leg at distance `reach` along +x, upright from the stretcher up, its foot outward; x of its inner face."""
-    top = under - CLEARANCE
-    z = np.array([0.0, 0.004, 0.05, s.star_height - 0.06, s.star_height - 0.03, top - 0.03, top])
-    out = np.array([0.062, 0.060, 0.040, 0.010, 0.0, 0.0, 0.0])
-    wide = s.leg * np.array([0.60, 0.66, 0.70, 0.92, 1.0, 1.0, 0.92])
-    path = np.column_stack([reach + out, 0 * z, z])
-    leg = sweep(path, X, Y, [rectangle(w, 0.8 * w, 0.005) for w in wide])
-    leg += LEG_PEG.tongue(joint_frame(vector(reach, 0, under), -Z, X))
-    mouth = reach - s.leg / 2
-    return leg - STAR_TENON.pocket(joint_frame(vector(mouth, 0, s.star_height), -X, Y)), mouth
+    def build(self, a: Assembly) -> None:
+        s, under = self, self.seat_height - self.thickness
+        seat = Blank(pad(circle(s.seat / 2, 30), under, s.seat_height, 0.008, crown=-s.saddle, under=0.008))
+        # One leg points forward, two backward.
+        places = [spin(2 * np.pi * k / 3 - np.pi / 2) for k in range(3)]
+        if s.star:
+            reach = 0.36 * s.seat
+            leg, mouth = self.bent_leg(under, reach), vector(reach - s.leg / 2, 0, 0)
+            star = Blank(turned([(-0.014, 0.028), (-0.010, 0.032), (0.010, 0.032), (0.014, 0.028)], 18))
+            arm = sweep([0 * X, mouth - CLEARANCE * X], Y, Z, rectangles([0.024, 0.021], 0.022, 0.003))
+            arm += STAR_TENON.tongue(joint_frame(mouth, -X, Y))
+            for place in places:
+                star += placed(arm, place)
+                seat -= placed(LEG_PEG.pocket(joint_frame(vector(reach, 0, under), -Z, X)), place)
+            a.part("stretcher", "bar_stretcher", star, move(z=s.star_height))
+        else:
+            r = 0.5 * s.leg
+            profile = [(0.2, 0.9 * r), (0.42, 1.15 * r), (0.60, r), (1.05, 0.68 * r)]
+            solid, axis = splayed_leg(under, s.splay, LEG_PEG, MOUTH, profile)
+            leg, places = Blank(solid), [place * move(0.28 * s.seat) for place in places]
+            for place in places:
+                seat -= LEG_PEG.pocket(splayed_mouth(place, under, axis), over=MOUTH)
+        for name, place in zip(("front", "back_left", "back_right"), places, strict=True):
+            a.part(f"leg_{name}", "leg", leg, place)
+        if s.back == HOOP:
+            self.hoop(a, seat)
+        elif s.back == POSTS:
+            self.posts_and_crest(a, seat)
+        a.part("seat", "seat_single_surface", seat)
 
+    def bent_leg(self, under: float, reach: float) -> Blank:
+        """A leg at distance `reach` along +x, upright from the stretcher up, its foot outward."""
+        top, star = under - CLEARANCE, self.star_height
+        z = np.array([0.0, 0.004, 0.05, star - 0.06, star - 0.03, top - 0.03, top])
+        out = np.array([0.062, 0.060, 0.040, 0.010, 0.0, 0.0, 0.0])
+        wide = self.leg * np.array([0.60, 0.66, 0.70, 0.92, 1.0, 1.0, 0.92])
+        leg = sweep(np.column_stack([reach + out, 0 * z, z]), X, Y, rectangles(wide, 0.8 * wide, 0.005))
+        leg += LEG_PEG.tongue(joint_frame(vector(reach, 0, under), -Z, X))
+        return Blank(leg - STAR_TENON.pocket(joint_frame(vector(reach - self.leg / 2, 0, star), -X, Y)))
 
-def _lean(s: ThreeLeggedStyle) -> tuple[np.ndarray, float, float]:
-    """Direction of the back, y of its foot on the seat, and its length along the direction."""
-    along = vector(0, np.sin(s.rake), np.cos(s.rake))
-    return along, 0.5 * s.seat - 0.062, (s.height - s.seat_height) / along[2]
+    def hoop(self, a: Assembly, seat: Blank) -> None:
+        """Add a back in one piece: a board that widens upward, bent around the sitter, with two tongues below."""
+        along, _ = leaning(self.rake)
+        foot = vector(0, 0.5 * self.seat - 0.062, self.seat_height)
+        share = np.array([0.0, 0.3, 0.55, 0.75, 0.9, 0.97, 1.0])
+        width = self.seat * np.array([0.44, 0.46, 0.58, 0.74, 0.77, 0.70, 0.54])
+        # A gap below, so that a leaning board stays clear of the seat but for its tongues.
+        up = 0.012 + share * ((self.height - self.seat_height) / along[2] - 0.012)
+        board = sweep(polyline(foot, (up, along), (0.035 * share**2, Y)), X, Y, rectangles(width, 0.019, 0.004))
+        back = a.part("back", "back_single_surface", board)
+        for x in (-0.055, 0.055):
+            a.join(HOOP_TENON, joint_frame(foot + x * X - 0.001 * Z, Z, X), back, seat, over=MOUTH)
 
+    def posts_and_crest(self, a: Assembly, seat: Blank) -> None:
+        """Add turned posts and a bent crest on them."""
+        along, _ = leaning(self.rake)
+        span, rear = 0.27 * self.seat, 0.5 * self.seat - 0.062
+        length = (self.height - self.seat_height) / along[2] - CREST
+        profile = [(-POST_FOOT.length, POST_FOOT.radius), (MOUTH, POST_FOOT.radius), (0.4 * length, 0.0135)]
+        profile += [(length - MOUTH, POST_TIP.radius), (length + POST_TIP.length, POST_TIP.radius)]
+        post = Blank(turned_along(0 * X, along, X, profile, 8))
+        end = span + 0.055
+        x = end * np.array([-1, -0.95, -0.75, -0.5, -0.25, 0, 0.25, 0.5, 0.75, 0.95, 1])
+        high = CREST * np.interp(np.abs(x) / end, [0, 0.75, 0.95, 1], [1.1, 1.0, 0.85, 0.6])
+        thick = np.interp(np.abs(x) / end, [0, 0.95, 1], [0.027, 0.027, 0.017])
 
-def _hoop_mouths(s: ThreeLeggedStyle) -> list[SE3]:
-    _, y, _ = _lean(s)
-    return [joint_frame(vector(x, y, s.seat_height - 0.001), Z, X) for x in (-0.055, 0.055)]
+        def row(x: np.ndarray) -> np.ndarray:
+            """How far back the crest is at x."""
+            return rear - 0.05 * ((x / span) ** 2 - 1) * 0.5
 
-
-def _hoop(s: ThreeLeggedStyle) -> Solid:
-    """A back in one piece: a board that widens on its way up, bent around the sitter, with two tongues below."""
-    along, y, reach = _lean(s)
-    at = vector(0, y, s.seat_height)
-    share = np.array([0.0, 0.3, 0.55, 0.75, 0.9, 0.97, 1.0])
-    width = s.seat * np.array([0.44, 0.46, 0.58, 0.74, 0.77, 0.70, 0.54])
-    # A gap below, so that a leaning board stays clear of the seat but for its tongues.
-    path = at + (0.012 + share[:, None] * (reach - 0.012)) * along + (0.035 * share**2)[:, None] * Y
-    body = sweep(path, X, Y, [rectangle(w, 0.019, 0.004) for w in width])
-    root = Tenon(HOOP_TENON.width, HOOP_TENON.thickness, HOOP_TENON.length, root=0.03)
-    for frame in _hoop_mouths(s):
-        body += root.tongue(frame)
-    return body
-
-
-def _posts(s: ThreeLeggedStyle, seat: Solid, pieces: list[Piece]) -> Solid:
-    """Turned posts and a bent crest on them; the seat with their holes."""
-    along, y, reach = _lean(s)
-    crest = 0.072
-    span = 0.27 * s.seat
-    length = reach - crest
-    stations = [(-POST_FOOT.length, POST_FOOT.radius), (MOUTH, POST_FOOT.radius), (0.4 * length, 0.0135)]
-    stations += [(length - MOUTH, POST_TIP.radius), (length + POST_TIP.length, POST_TIP.radius)]
-    path = np.array([d * along for d, _ in stations])
-    post = sweep(path, X, np.cross(along, X), [circle(r, 8) for _, r in stations])
-    bow = 0.05
-    end = span + 0.055
-    x = end * np.array([-1, -0.95, -0.75, -0.5, -0.25, 0, 0.25, 0.5, 0.75, 0.95, 1])
-    size = crest * np.interp(np.abs(x) / end, [0, 0.75, 0.95, 1], [1.1, 1.0, 0.85, 0.6])
-
-    def row(at: np.ndarray) -> np.ndarray:
-        return y - bow * ((at / span) ** 2 - 1) * 0.5
-
-    base = np.column_stack([x, row(x), np.full(len(x), s.seat_height)]) + length * along
-    thick = np.interp(np.abs(x) / end, [0, 0.95, 1], [0.027, 0.027, 0.017])
-    rail = sweep(
-        base + (size / 2)[:, None] * along,
-        along,
-        Y,
-        [rectangle(h, t, 0.004) for h, t in zip(size, thick, strict=True)],
-    )
-    for k, at in enumerate(np.linspace(-span, span, s.posts)):
-        foot = vector(at, float(row(np.array(at))), s.seat_height - 0.001)
-        pieces.append(Piece(f"post_{k + 1}", "back_surface_vertical_bar", post, move(*foot)))
-        seat -= POST_FOOT.pocket(joint_frame(foot, along, X), over=MOUTH)
-        rail -= POST_TIP.pocket(joint_frame(foot + length * along, -along, X), over=MOUTH)
-    pieces.append(Piece("crest_rail", "back_frame_horizontal_bar", rail))
-    return seat
+        base = np.column_stack([x, row(x), np.full(len(x), self.seat_height)]) + length * along
+        crest = Blank(sweep(base + (high / 2)[:, None] * along, along, Y, rectangles(high, thick, 0.004)))
+        for k, at in enumerate(np.linspace(-span, span, self.posts)):
+            foot = vector(at, float(row(np.array(at))), self.seat_height - 0.001)
+            a.part(f"post_{k + 1}", "back_surface_vertical_bar", post, move(*foot))
+            seat -= POST_FOOT.pocket(joint_frame(foot, along, X), over=MOUTH)
+            crest -= POST_TIP.pocket(joint_frame(foot + length * along, -along, X), over=MOUTH)
+        a.part("crest_rail", "back_frame_horizontal_bar", crest)
