@@ -1,7 +1,11 @@
-"""How much order matters: right merges in random order, each in its best way, until done or stuck."""
+"""Random-order baseline: joins right pairs in random order until the furniture is complete or no pair can be joined.
+
+It measures how much the order of the merges matters.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -9,71 +13,66 @@ import numpy as np
 
 from roboassembly.planning.problem import Budget
 from roboassembly.solvers.options import End, ends
-from roboassembly.task.object_centric.task import ObjectCentricTask, ObjectCentricVerdict
+from roboassembly.task.object_centric.task import ObjectCentricTask
+from roboassembly.task.rollout import Action, rollout
 from roboassembly.task.rules.connections import UP_AXES
 from roboassembly.task.rules.groups import TaskState
 
 
 @dataclass(frozen=True, eq=False)
 class RandomOrderResult:
-    """How one random play ended."""
+    """Result of one episode of the baseline."""
 
     completed: bool
     merges: int
     planning_steps: int
+    """Configurations tested for collision."""
     planning_seconds: float
 
 
 def assemble_in_random_order(
     task: ObjectCentricTask, seed: int, *, best_w: bool, patient: bool, budget: Budget
 ) -> RandomOrderResult:
-    """Play right pairs in random order from a random start.
+    """Join right pairs in random order from a random start.
 
     Args:
-        task: of the furniture.
-        seed: of the start and of all choices.
-        best_w: try all `w` for the drawn pair, and either group moving; else one random way.
-        patient: if the drawn pair cannot be joined, draw another; the play is stuck when none can. Else the first
-            pair that cannot be joined ends the play, as it ends an episode.
-        budget: of the planner for each merge.
+        task: rules for the furniture.
+        seed: seed of the start and of all choices.
+        best_w: try all `w` for the drawn pair, and either group moving; else one random action.
+        patient: draw another pair if the drawn one cannot be joined; the episode ends when none can. Otherwise the
+            first pair that cannot be joined ends the episode.
+        budget: limit of the planner for each merge.
     """
     rng = np.random.default_rng(seed)
-    state = task.initial_state(rng)
-    merges = steps = 0
-    seconds = 0.0
-    while not state.complete:
-        after = None
-        joints = _open_joints(task, state)
-        for index in rng.permutation(len(joints))[: None if patient else 1]:
-            for action in _ways(joints[index], rng, best_w):
-                outcome = task.step(state, action, int(rng.integers(2**31)), budget)
-                steps += outcome.planning_steps
-                seconds += outcome.planning_seconds
-                if outcome.verdict is ObjectCentricVerdict.MERGED:
-                    after = outcome.state
-                    break
-            if after is not None:
-                break
-        if after is None:
-            return RandomOrderResult(False, merges, steps, seconds)
-        state, merges = after, merges + 1
-    return RandomOrderResult(True, merges, steps, seconds)
+
+    def propose(state: TaskState) -> Iterator[Action]:
+        pairs = _open_pairs(task, state)
+        for index in rng.permutation(len(pairs))[: None if patient else 1]:
+            yield from _actions(pairs[index], rng, best_w)
+
+    tried = list(rollout(task, task.initial_state(rng), propose, rng, budget))
+    return RandomOrderResult(
+        bool(tried) and tried[-1].outcome.state.complete,
+        sum(t.merged for t in tried),
+        sum(t.outcome.planning_steps for t in tried),
+        sum(t.outcome.planning_seconds for t in tried),
+    )
 
 
-def _open_joints(task: ObjectCentricTask, state: TaskState) -> list[tuple[End, End]]:
-    """One right pair of points for each connection that is not closed yet."""
-    told = task.pairs.assign_slots(state)
-    if told is None:
+def _open_pairs(task: ObjectCentricTask, state: TaskState) -> list[tuple[End, End]]:
+    """Return one right pair of points for each connection that is not closed yet."""
+    assigned = task.pairs.assign_slots(state)
+    if assigned is None:
         return []
-    joints: list[tuple[End, End]] = []
-    for one, two in combinations(told.groups, 2):
-        joints.extend(ends(task.furniture, state, told, frozenset(one.slots), frozenset(two.slots)))
-    return joints
+    pairs: list[tuple[End, End]] = []
+    for first, second in combinations(assigned.groups, 2):
+        pairs.extend(ends(task.furniture, state, assigned, frozenset(first.slots), frozenset(second.slots)))
+    return pairs
 
 
-def _ways(joint: tuple[End, End], rng: np.random.Generator, best_w: bool) -> list[tuple[int, ...]]:
-    """Actions that join at these two points: all in random order, or one."""
-    (a, k), (b, l) = joint  # noqa: E741
-    ways = [(u, v, i, j, w) for w in range(len(UP_AXES)) for u, i, v, j in ((a, k, b, l), (b, l, a, k))]
-    order = rng.permutation(len(ways))
-    return [ways[i] for i in (order if best_w else order[:1])]
+def _actions(pair: tuple[End, End], rng: np.random.Generator, best_w: bool) -> list[Action]:
+    """Return the actions that join two points: all in random order, or one."""
+    (a, k), (b, l) = pair  # noqa: E741
+    actions = [(u, v, i, j, w) for w in range(len(UP_AXES)) for u, i, v, j in ((a, k, b, l), (b, l, a, k))]
+    order = rng.permutation(len(actions))
+    return [actions[i] for i in (order if best_w else order[:1])]

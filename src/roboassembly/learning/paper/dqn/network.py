@@ -10,7 +10,8 @@ the relative poses too).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,7 @@ from roboassembly.learning.layers import Array, Params, gelu, init_linear, init_
 from roboassembly.learning.paper import heads
 from roboassembly.learning.paper.dqn.group_table import point_counts
 from roboassembly.task.object_centric.task import ObjectCentricTask, ObjectCentricVerdict
+from roboassembly.task.rollout import rollout
 from roboassembly.task.rules.groups import TaskState
 from roboassembly.task.setting import Task
 
@@ -181,18 +183,19 @@ def play(expert: Expert, task: Task[Any, Any], seed: int, margin: float = 0.0) -
         margin: any action whose Q is this little below the highest (in shares of the best return) may be drawn.
     """
     rng = np.random.default_rng(seed)
-    state, moves = task.initial_state(rng), []
-    while not task.groups_of(state).complete:
-        values = expert.values(*told(task, task.groups_of(state)))
+    part, point = expert.chair.part, _point(expert.chair)
+    moves: list[Move] = []
+
+    def propose(state: Any) -> Iterator[tuple[int, ...]]:
+        joined = task.groups_of(state)
+        values = expert.values(*told(task, joined))
         row, column, way = choose(values, rng, margin)
-        part, point = expert.chair.part, _point(expert.chair)
+        moves.append(Move(joined, values, (row, column, way), ""))
         ways = (int(i) for i in np.unravel_index(way, task.action_branches))
-        action = (int(part[row]), int(part[column]), int(point[row]), int(point[column]), *ways)
-        outcome = task.step(state, action, int(rng.integers(2**31 - 1)))
-        moves.append(Move(task.groups_of(state), values, (row, column, way), outcome.verdict))
-        if outcome.verdict != ObjectCentricVerdict.MERGED:
-            break
-        state = outcome.state
+        yield int(part[row]), int(part[column]), int(point[row]), int(point[column]), *ways
+
+    for transition in rollout(task, task.initial_state(rng), propose, rng):
+        moves[-1] = replace(moves[-1], verdict=str(transition.outcome.verdict))
     return moves
 
 

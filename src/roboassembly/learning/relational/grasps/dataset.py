@@ -24,6 +24,7 @@ from roboassembly.solvers.oracle import LabeledMate
 from roboassembly.task.full.grips import Grip
 from roboassembly.task.full.task import FullTask, MateGrasp
 from roboassembly.task.plans.full_plan import FullState
+from roboassembly.task.rollout import draw_seed, rollout
 from roboassembly.task.rules.connections import GRASPS
 
 UNKNOWN, NO, YES = -1, 0, 1
@@ -134,33 +135,24 @@ class GraspTeacher:
             lessons += self.play(self.task.initial_state(rng), rng)
         return GraspCourse(furniture.name, clouds, self._observer.grasp_poses, tuple(lessons))
 
-    def play(self, state: FullState, rng: np.random.Generator) -> Iterator[GraspLesson]:
-        """One play, as far as it leads."""
-        ahead: FullState | None = state
-        while ahead is not None and not ahead.groups.complete:
-            state, ahead = ahead, None
-            joints = [j for j in self._oracle.mates(state.groups) if j.viable]
-            for index in rng.permutation(len(joints))[:_PAIRS]:
-                lesson, ahead = self._lesson(state, joints[index], rng)
-                yield lesson
-                if ahead is not None:
-                    break
+    def play(self, state: FullState, rng: np.random.Generator) -> list[GraspLesson]:
+        """Play one episode of viable pairs, as far as it leads; a lesson for each pair that was looked at."""
+        lessons: list[GraspLesson] = []
 
-    def _lesson(
-        self, state: FullState, joint: LabeledMate, rng: np.random.Generator
-    ) -> tuple[GraspLesson, FullState | None]:
-        """What is found out about one pair, and the state after it, if hands were found that join it."""
-        take, room, meet = self._tested(state, joint, rng)
-        rest, after = np.full((GRASPS, GRASPS), UNKNOWN, np.int8), None
-        taken = (take[0, :, None] == YES) & (take[1] == YES)
-        for g_a, g_b in rng.permutation(np.argwhere(taken & (meet == YES)))[: self.tries].tolist():
-            outcome = self.task.step(state, (joint.u, joint.v, joint.k, joint.l, g_a, g_b), drawn_seed(rng))
-            rest[g_a, g_b] = NO if outcome.step is None else YES
-            if outcome.step is not None:
-                after = outcome.state
-                break
-        lesson = unanswered(self.task, state, self._observer, (joint.u, joint.k, joint.v, joint.l))
-        return replace(lesson, take=take, room=room, meet=meet, rest=rest), after
+        def propose(state: FullState) -> Iterator[tuple[int, ...]]:
+            mates = [m for m in self._oracle.mates(state.groups) if m.viable]
+            for index in rng.permutation(len(mates))[:_PAIRS]:
+                mate = mates[index]
+                take, room, meet = self._tested(state, mate, rng)
+                lesson = unanswered(self.task, state, self._observer, (mate.u, mate.k, mate.v, mate.l))
+                lessons.append(replace(lesson, take=take, room=room, meet=meet))
+                taken = (take[0, :, None] == YES) & (take[1] == YES)
+                for g_a, g_b in rng.permutation(np.argwhere(taken & (meet == YES)))[: self.tries].tolist():
+                    yield mate.u, mate.v, mate.k, mate.l, g_a, g_b
+
+        for transition in rollout(self.task, state, propose, rng):
+            lessons[-1].rest[transition.action[4:]] = YES if transition.merged else NO
+        return lessons
 
     def _tested(
         self, state: FullState, joint: LabeledMate, rng: np.random.Generator
@@ -174,7 +166,7 @@ class GraspTeacher:
         for robot, part in enumerate((joint.u, joint.v)):
             holds = task.free_grips(groups, part)
             for g, held in holds.items():
-                take[robot, g] = task.can_pick(state, part, held, robot, drawn_seed(rng))
+                take[robot, g] = task.can_pick(state, part, held, robot, draw_seed(rng))
             hands.append({g: h for g, h in holds.items() if task.grip_fits(u_group, v_group, merge, h, robot)})
         both = [(a, b) for a in hands[0] for b in hands[1]]
         room[tuple(np.array(both, int).reshape(-1, 2).T)] = UNKNOWN
@@ -185,7 +177,7 @@ class GraspTeacher:
             room[a, b] = isinstance(fitted, MateGrasp)
             if isinstance(fitted, MateGrasp) and met < _MEET:
                 met += 1
-                meet[a, b] = task.can_mate(state, fitted, drawn_seed(rng))
+                meet[a, b] = task.can_mate(state, fitted, draw_seed(rng))
         return take, room, meet
 
 
@@ -206,8 +198,3 @@ def unanswered(
         seen["connection_points"], seen["connections"], free, seen["poses"], pair,
         np.full((2, GRASPS), UNKNOWN, np.int8), *(np.full((GRASPS, GRASPS), UNKNOWN, np.int8) for _ in range(3)),
     )  # fmt: skip
-
-
-def drawn_seed(rng: np.random.Generator) -> int:
-    """One for a planner."""
-    return int(rng.integers(2**31 - 1))

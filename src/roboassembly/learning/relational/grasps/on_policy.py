@@ -28,7 +28,6 @@ from roboassembly.learning.relational.grasps.dataset import (
     YES,
     GraspCourse,
     GraspLesson,
-    drawn_seed,
     unanswered,
 )
 from roboassembly.learning.relational.oracle_dataset import CLOUD_POINTS
@@ -36,6 +35,7 @@ from roboassembly.parallel.processes import map_unordered
 from roboassembly.solvers.guide import Guide
 from roboassembly.task.full.task import FullOutcome, FullTask, FullVerdict, MateGrasp, Refusal
 from roboassembly.task.plans.full_plan import FullState
+from roboassembly.task.rollout import draw_seed, rollout
 from roboassembly.task.rules.connections import GRASPS
 
 _TRIED = 5
@@ -88,10 +88,10 @@ def _practise(name: str, *, folder: Path, policy: Path, plays: int, seed: int) -
         for index in range(plays):
             rng = np.random.default_rng([seed, int(number), index])
             state = task.initial_state(rng)
-            for asked, tried in play(task, state, observer, guide_of(_policy(policy)), rng):
-                lessons += [*asked, *tried]
-                choices += len(tried)
-                mistakes += sum(not (lesson.rest == YES).any() for lesson in tried)
+            seen, tried = play(task, state, observer, guide_of(_policy(policy)), rng)
+            lessons += seen
+            choices += len(tried)
+            mistakes += sum(not (lesson.rest == YES).any() for lesson in tried)
     GraspCourse(name, clouds, hands, tuple(lessons)).save(file_of(folder, name))
     return Gathered(name, len(lessons), mistakes, choices, time.monotonic() - begun)
 
@@ -105,26 +105,27 @@ def _policy(path: Path) -> ConfidentPolicy:
 
 def play(
     task: FullTask, state: FullState, observer: Observer, guide: Guide[FullState], rng: np.random.Generator
-) -> Iterator[tuple[list[GraspLesson], list[GraspLesson]]]:
-    """One play, as far as it leads; of each state the lessons that were asked for, and one for each action carried out
-    of which the pair was right."""
-    ahead: FullState | None = state
-    while ahead is not None and not ahead.groups.complete:
-        state, ahead = ahead, None
+) -> tuple[list[GraspLesson], list[GraspLesson]]:
+    """Play one episode, as far as it leads.
+
+    Returns:
+        All its lessons, and those among them of actions that were carried out and whose pair was right.
+    """
+    lessons: list[GraspLesson] = []
+    tried: list[GraspLesson] = []
+
+    def propose(state: FullState) -> Iterator[tuple[int, ...]]:
         left = list(guide(task, state))
-        asked, tried = list(ask(task, state, observer, [one.action for one in left[:_ASKED]], rng)), []
-        for _ in range(_TRIED):
-            if not left:
-                break
-            one = left.pop(int(rng.integers(len(left))) if rng.random() < _CURIOUS else 0)
-            outcome = task.step(state, one.action, drawn_seed(rng))
-            if outcome.verdict in (FullVerdict.WRONG_PAIR, FullVerdict.NOT_AN_ACTION):
-                continue
-            tried.append(lesson_of(task, state, observer, one.action, outcome))
-            if outcome.step is not None:
-                ahead = outcome.state
-                break
-        yield asked, tried
+        lessons.extend(ask(task, state, observer, [one.action for one in left[:_ASKED]], rng))
+        for _ in range(min(_TRIED, len(left))):
+            yield left.pop(int(rng.integers(len(left))) if rng.random() < _CURIOUS else 0).action
+
+    for transition in rollout(task, state, propose, rng):
+        outcome = transition.outcome
+        if outcome.verdict not in (FullVerdict.WRONG_PAIR, FullVerdict.NOT_AN_ACTION):
+            tried.append(lesson_of(task, transition.state, observer, transition.action, outcome))
+            lessons.append(tried[-1])
+    return lessons, tried
 
 
 def ask(
@@ -152,10 +153,10 @@ def ask(
         lesson.room[g_a, g_b] = NO if isinstance(joint, Refusal) else YES
         if isinstance(joint, MateGrasp) and arms < _ARMS_ASKED:
             arms += 1
-            lesson.meet[g_a, g_b] = task.can_mate(state, joint, drawn_seed(rng))
+            lesson.meet[g_a, g_b] = task.can_mate(state, joint, draw_seed(rng))
             for robot, part, g, held in ((0, u, g_a, joint.grip_a), (1, v, g_b, joint.grip_b)):
                 if lesson.take[robot, g] == UNKNOWN:
-                    lesson.take[robot, g] = task.can_pick(state, part, held, robot, drawn_seed(rng))
+                    lesson.take[robot, g] = task.can_pick(state, part, held, robot, draw_seed(rng))
     yield from lessons.values()
 
 
