@@ -13,9 +13,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from roboassembly.datasets.sets import furniture_refs
+from roboassembly.learning.datasets import dataset_file
 from roboassembly.learning.logs import read
 from roboassembly.learning.paper.pipeline import results
-from roboassembly.learning.relational.collect import file_of
 
 PANEL = 4.2, 3.0
 """Inches."""
@@ -25,7 +25,7 @@ GRASPS = {"take": "one hand takes its group", "room": "two hands have room", "me
 
 def mastered(folder: Path) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """For each split steps, and the share of the chairs tried that is mastered after so many."""
-    picks = [p for p in furniture_refs("chairs-412:train") if file_of(folder / "experts", p.name).is_file()]
+    picks = [p for p in furniture_refs("chairs-412:train") if dataset_file(folder / "experts", p.name).is_file()]
     split = {p.name: p.entry.split for p in picks if p.entry is not None}
     tried = [r for r in results(picks, folder) if not r.refused]
     out = {}

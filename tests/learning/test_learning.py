@@ -15,14 +15,15 @@ from roboassembly.envs.observation import surface_points
 from roboassembly.errors import InputError
 from roboassembly.geometry.poses import rotations_from_euler
 from roboassembly.learning import checkpoint, layers
-from roboassembly.learning.batches import pad, size_for
-from roboassembly.learning.paper.augmentation import changed
+from roboassembly.learning.augmentation import AUGMENTATIONS, augmented, up_axis_permutation
+from roboassembly.learning.batches import padded_length
+from roboassembly.learning.datasets import SampleSet
 from roboassembly.learning.relational import imitation
 from roboassembly.learning.relational import network as relational
-from roboassembly.learning.relational.augmentation import VIEWS, ways_after
+from roboassembly.learning.relational.batches import pad
 from roboassembly.learning.relational.cycles import closing_bridges, closing_groups
 from roboassembly.learning.relational.features import of_pairs, of_ways
-from roboassembly.learning.relational.oracle_dataset import Course, Teacher, answers
+from roboassembly.learning.relational.oracle_dataset import Teacher, answers, tokens_in
 from roboassembly.learning.relational.policy_view import Situation
 from roboassembly.learning.relational.tokens import PATCH, POINT, Memory, Tokens, tokens_of
 from roboassembly.solvers.search import solve
@@ -30,16 +31,16 @@ from roboassembly.solvers.search import solve
 CONFIG = relational.RelationalConfig(token=16, pair=8, layers=1, heads=2, ends=4, conflicts=2)
 
 
-def course(name: str, points: int = 64) -> Course:
+def course(name: str, points: int = 64) -> SampleSet:
     family, seed = name.split(":")
     furniture = catalogue.make(family, int(seed))
     clouds = np.array([surface_points(p.mesh, points) for p in furniture.parts], np.float32)
     teacher = Teacher(furniture, clouds)
-    return Course(furniture.name, clouds, teacher.play(np.random.default_rng(0)).lessons)
+    return SampleSet(furniture.name, clouds, teacher.play(np.random.default_rng(0)).lessons)
 
 
 @pytest.fixture(scope="module")
-def cantilever() -> Course:
+def cantilever() -> SampleSet:
     return course("cantilever:1")
 
 
@@ -51,7 +52,7 @@ def observed(seed: int) -> tuple[dict[str, np.ndarray], np.ndarray]:
 
 def values(params: dict, tokens: Tokens) -> np.ndarray:
     n = len(tokens.part)
-    return relational.apply(params, pad([tokens], size_for(n)))[1][0, :n, :n]
+    return relational.apply(params, pad([tokens], padded_length(n)))[1][0, :n, :n]
 
 
 def test_tokens_do_not_depend_on_where_parts_lie() -> None:
@@ -80,10 +81,10 @@ def test_what_is_imagined_of_a_merge_comes_true(name: str) -> None:
     assert info["success"]
 
 
-def test_a_memory_changes_nothing(cantilever: Course) -> None:
+def test_a_memory_changes_nothing(cantilever: SampleSet) -> None:
     memory = Memory(most=40)
-    for lesson in cantilever.lessons:
-        fresh, remembered = cantilever.tokens(lesson), cantilever.tokens(lesson, memory)
+    for lesson in cantilever.samples:
+        fresh, remembered = tokens_in(cantilever, lesson), tokens_in(cantilever, lesson, memory)
         for name in Tokens.__dataclass_fields__:
             assert np.array_equal(getattr(fresh, name), getattr(remembered, name)), name
 
@@ -171,11 +172,11 @@ def test_values_follow_a_renumbering_of_parts() -> None:
     assert np.allclose(values(params, turned)[np.ix_(index, index)], values(params, plain), atol=1e-4)
 
 
-def test_numpy_and_jax_say_the_same_and_padding_changes_nothing(cantilever: Course) -> None:
+def test_numpy_and_jax_say_the_same_and_padding_changes_nothing(cantilever: SampleSet) -> None:
     params = relational.init(np.random.default_rng(0), CONFIG)
-    tokens = [cantilever.tokens(lesson) for lesson in cantilever.lessons]
+    tokens = [tokens_in(cantilever, lesson) for lesson in cantilever.samples]
     n = [len(t.part) for t in tokens]
-    narrow, wide = (pad(tokens, size) for size in (size_for(max(n)), 48))
+    narrow, wide = (pad(tokens, size) for size in (padded_length(max(n)), 48))
     here = relational.apply(params, narrow)
     there = jax.jit(relational.apply)(params, wide)
     for row, count in enumerate(n):
@@ -184,14 +185,14 @@ def test_numpy_and_jax_say_the_same_and_padding_changes_nothing(cantilever: Cour
         assert not np.asarray(there[2])[row, count:].any()
 
 
-def test_views_are_averaged(cantilever: Course) -> None:
+def test_views_are_averaged(cantilever: SampleSet) -> None:
     params = relational.init(np.random.default_rng(0), CONFIG)
-    tokens = cantilever.tokens(cantilever.lessons[0])
+    tokens = tokens_in(cantilever, cantilever.samples[0])
     alone = relational.values(params, tokens)
-    assert np.array_equal(alone, relational.values(params, tokens, VIEWS[:1]))
-    other = changed(cantilever, VIEWS[5])
-    turned = relational.values(params, other.tokens(other.lessons[0]))[..., ways_after(VIEWS[5])]
-    both = relational.values(params, tokens, (VIEWS[0], VIEWS[5]))
+    assert np.array_equal(alone, relational.values(params, tokens, AUGMENTATIONS[:1]))
+    other = augmented(cantilever, AUGMENTATIONS[5])
+    turned = relational.values(params, tokens_in(other, other.samples[0]))[..., up_axis_permutation(AUGMENTATIONS[5])]
+    both = relational.values(params, tokens, (AUGMENTATIONS[0], AUGMENTATIONS[5]))
     valid = np.isfinite(alone)
     assert np.allclose(both[valid], 0.5 * (alone + turned)[valid], atol=1e-2)
     assert np.isneginf(both[~valid]).all()
@@ -206,37 +207,37 @@ def test_layers_by_hand() -> None:
     assert np.allclose(layers.softmax(np.array([[0.0, np.log(3.0)]]), axis=1), [[0.25, 0.75]])
 
 
-def test_lessons_say_what_the_oracle_says(cantilever: Course) -> None:
+def test_lessons_say_what_the_oracle_says(cantilever: SampleSet) -> None:
     """Four parts: three lessons; in each something is good, and whatever is good is right."""
-    assert len(cantilever.lessons) == 3
-    for lesson in cantilever.lessons:
-        tokens = cantilever.tokens(lesson)
+    assert len(cantilever.samples) == 3
+    for lesson in cantilever.samples:
+        tokens = tokens_in(cantilever, lesson)
         right, good = answers(tokens, lesson)
         assert good.any()
         assert (good.any(axis=2) <= right.astype(bool)).all()
         different = tokens.group[:, None] != tokens.group[None]
         assert different[right.astype(bool)].all()
-        assert right.sum() == len(lesson.joints)
+        assert right.sum() == len(lesson.mates)
 
 
-def test_a_course_survives_a_file_and_a_broken_one_is_told(cantilever: Course, tmp_path: Path) -> None:
+def test_a_course_survives_a_file_and_a_broken_one_is_told(cantilever: SampleSet, tmp_path: Path) -> None:
     file = tmp_path / "course.npz"
-    first, second, last = cantilever.lessons
+    first, second, last = cantilever.samples
     n = int(second.free.sum())
-    valued = replace(second, values=np.arange(n * n * 6, dtype=np.float16).reshape(n, n, 6))
-    course = replace(cantilever, lessons=(first, valued, last))
+    valued = replace(second, q_values=np.arange(n * n * 6, dtype=np.float16).reshape(n, n, 6))
+    course = replace(cantilever, samples=(first, valued, last))
     course.save(file)
-    loaded = Course.load(file)
+    loaded = SampleSet.load(file)
     assert loaded.name == cantilever.name
-    for a, b in zip(loaded.lessons, course.lessons, strict=True):
-        for name in ("joints", "points", "poses", "free", "values"):
+    for a, b in zip(loaded.lessons, course.samples, strict=True):
+        for name in ("mates", "points", "poses", "free", "q_values"):
             assert np.array_equal(getattr(a, name), getattr(b, name))
     file.write_bytes(file.read_bytes()[:200])
-    with pytest.raises(InputError, match="not a course"):
-        Course.load(file)
+    with pytest.raises(InputError, match="not a file of training samples"):
+        SampleSet.load(file)
 
 
-def test_a_student_that_errs_is_set_right(cantilever: Course) -> None:
+def test_a_student_that_errs_is_set_right(cantilever: SampleSet) -> None:
     teacher = Teacher(catalogue.make("cantilever", 1), cantilever.clouds)
 
     def hopeless(tokens: Tokens) -> tuple[int, int, int]:
@@ -254,19 +255,19 @@ def test_dead_ends_are_lessons_too() -> None:
     assert len(play.lessons) == len(furniture.parts) - 1
     assert len(play.dead_ends) > 2
     for lesson in play.dead_ends:
-        assert not lesson.joints[:, 4].any()
-    taught = imitation.examples_of([Course("windsor:0", clouds, (*play.lessons, *play.dead_ends))])
+        assert not lesson.mates[:, 4].any()
+    taught = imitation.examples_of([SampleSet("windsor:0", clouds, (*play.lessons, *play.dead_ends))])
     assert [e.good.any() for e in taught] == [True] * len(play.lessons) + [False] * len(play.dead_ends)
     # What is learnt of them is that nothing is good; which choice is made there does not matter.
     params = relational.init(np.random.default_rng(0), CONFIG)
     dead = [e for e in taught if not e.good.any()][:2]
-    _, terms = imitation.losses(params, imitation.batch_of(dead, size_for(max(len(e.right) for e in dead))))
+    _, terms = imitation.losses(params, imitation.batch_of(dead, padded_length(max(len(e.right) for e in dead))))
     assert not np.asarray(terms["choice"]).any()
     assert (np.asarray(terms["values"]) > 0.0).all()
     assert imitation.share_good(params, taught) == imitation.share_good(params, taught[: len(play.lessons)])
 
 
-def test_a_gradient_is_the_same_in_pieces(cantilever: Course) -> None:
+def test_a_gradient_is_the_same_in_pieces(cantilever: SampleSet) -> None:
     examples = imitation.examples_of([cantilever])[:4]
     params = relational.init(np.random.default_rng(0), CONFIG)
     batch = imitation.batch_of(examples, 48)  # 192 tokens: pieces of two states
@@ -277,7 +278,7 @@ def test_a_gradient_is_the_same_in_pieces(cantilever: Course) -> None:
     assert terms["loss"] == pytest.approx(float(loss), rel=1e-5)
 
 
-def test_training_learns_a_chair_and_resumes_where_it_was_killed(cantilever: Course, tmp_path: Path) -> None:
+def test_training_learns_a_chair_and_resumes_where_it_was_killed(cantilever: SampleSet, tmp_path: Path) -> None:
     examples = imitation.examples_of([cantilever])
     training = imitation.Training(steps=60, learning_rate=1e-2, warmup=5, batch=2, keep_every=0.0)
     whole = list(imitation.train(examples, tmp_path / "whole.npz", training, CONFIG, {}))

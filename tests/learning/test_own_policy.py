@@ -24,7 +24,7 @@ from roboassembly.evaluation.rollout import Episode, RolloutConfig, make_agent, 
 from roboassembly.furniture import storage
 from roboassembly.furniture.model import Furniture
 from roboassembly.learning.policy import guide_of
-from roboassembly.learning.registry import load_policy, maker_of
+from roboassembly.learning.registry import load_policy, policy_factory
 from roboassembly.solvers.search import solve, solve_full
 from scripts import script
 
@@ -212,7 +212,7 @@ def test_each_episode_has_a_policy_of_its_own(tmp_path: Path, folder: Path, stoo
 
 
 def test_a_policys_seed_follows_from_the_episodes_and_is_another(tmp_path: Path) -> None:
-    make = maker_of(str(write(tmp_path / "drawn.py", RANDOM)))
+    make = policy_factory(str(write(tmp_path / "drawn.py", RANDOM)))
     draws = [make(seed).rng.random() for seed in (0, 1, 2, 0)]  # pyright: ignore[reportAttributeAccessIssue]
     assert draws[0] == draws[3]
     assert len(set(draws)) == 3
@@ -225,7 +225,7 @@ def test_a_file_is_executed_once_whatever_its_name(tmp_path: Path) -> None:
     file = write(tmp_path / "random.py", RANDOM + count)
     import random
 
-    make = maker_of(str(file))
+    make = policy_factory(str(file))
     made = [make(seed) for seed in range(3)]
     assert (tmp_path / "random.log").read_text() == "x"
     assert sys.modules["random"] is random
@@ -234,7 +234,7 @@ def test_a_file_is_executed_once_whatever_its_name(tmp_path: Path) -> None:
     assert type(again) is type(made[0])
     # Changed at once, of the same length, and read anew.
     write(file, file.read_text().replace('"drawn"', '"other"'))
-    assert maker_of(str(file))(0).name == "other"
+    assert policy_factory(str(file))(0).name == "other"
 
 
 # What is wrong

@@ -17,15 +17,14 @@ from roboassembly.datasets import catalogue
 from roboassembly.envs.object_centric import ObjectCentricEnv
 from roboassembly.errors import InputError, UnknownNameError
 from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS
-from roboassembly.learning import checkpoint
-from roboassembly.learning import registry as loading
+from roboassembly.learning import checkpoint, policy_weights
 from roboassembly.learning.checkpoint import Checkpoint
+from roboassembly.learning.datasets import CLOUD_POINTS
 from roboassembly.learning.paper import autoencoder
 from roboassembly.learning.paper import network as paper
 from roboassembly.learning.policy import ConfidentPolicy, RandomPolicy, guide_of, surest
 from roboassembly.learning.registry import load_policy
 from roboassembly.learning.relational import network as relational
-from roboassembly.learning.relational.oracle_dataset import CLOUD_POINTS
 from roboassembly.learning.relational.policy import RelationalPolicy
 from roboassembly.learning.relational.policy_view import Situation
 from roboassembly.learning.relational.tokens import tokens_of
@@ -165,7 +164,7 @@ def test_names_and_files(params: dict, tmp_path: Path, monkeypatch: pytest.Monke
     assert loaded.cloud_points == 2048
     np.testing.assert_array_equal(loaded.params["q"]["w"], params["q"]["w"])
     # What is shipped is read from the package's own folder.
-    monkeypatch.setattr(loading.resources, "files", lambda package: tmp_path)
+    monkeypatch.setattr(policy_weights.resources, "files", lambda package: tmp_path)
     with pytest.raises(InputError, match="no weights for the policy 'relational'"):
         load_policy("relational")
     save(tmp_path / "weights" / "relational.npz", params)

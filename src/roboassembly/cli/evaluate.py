@@ -111,7 +111,7 @@ class Evaluate:
         from roboassembly.datasets.sets import set_hash
         from roboassembly.evaluation.episodes import read_episodes, record_episodes
         from roboassembly.evaluation.evaluate import evaluate
-        from roboassembly.learning.registry import weights_hash
+        from roboassembly.learning.policy_weights import weights_hash
 
         if self.out is None:
             return evaluate(way, picks, self.seed, jobs, episodes=self.episodes)

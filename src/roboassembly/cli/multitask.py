@@ -107,7 +107,7 @@ class Multitask:
         if not self.lessons or self.extractor is None:
             raise InputError("--preset paper takes --lessons FOLDER and --extractor CHECKPOINT (of `train expert`)")
         from roboassembly.learning.paper.imitation import Training
-        from roboassembly.learning.relational.pipeline import teach_paper
+        from roboassembly.learning.paper.pipeline import teach_paper
 
         training = Training(steps=self.steps or Training.steps, seed=self.seed)
         return teach_paper(self.lessons, self.extractor, self.out, training)

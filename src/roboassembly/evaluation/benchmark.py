@@ -29,9 +29,16 @@ from roboassembly.evaluation.rollout import REFUSED, Episode, ExecutionName, Rol
 from roboassembly.learning.paper import autoencoder
 from roboassembly.learning.paper import imitation as paper_imitation
 from roboassembly.learning.paper.dqn.train import ExpertTraining, mastery
-from roboassembly.learning.paper.pipeline import Schooling, extractor_of, results, teach_experts, teach_features
+from roboassembly.learning.paper.pipeline import (
+    Schooling,
+    extractor_of,
+    results,
+    teach_experts,
+    teach_features,
+    teach_paper,
+)
+from roboassembly.learning.policy_weights import weights_hash
 from roboassembly.learning.progress import Progress
-from roboassembly.learning.registry import weights_hash
 from roboassembly.learning.relational import pipeline as multitask
 from roboassembly.learning.relational.network import RelationalConfig
 from roboassembly.learning.relational.pipeline import Curriculum
@@ -141,7 +148,7 @@ def run(b: Benchmark, folder: Path, jobs: int) -> Iterator[Progress]:
     experts = teach_experts(picks, folder, schooling, {"set": b.set}, jobs)
     yield from _timed(folder, "experts", chain(features, experts))
     training = replace(b.paper, seed=b.seed)
-    paper = multitask.teach_paper([folder / "lessons"], extractor_of(folder), folder / "paper", training)
+    paper = teach_paper([folder / "lessons"], extractor_of(folder), folder / "paper", training)
     yield from _timed(folder, "paper", paper)
     if not b.shipped:
         lessons = replace(b.relational, set=f"{b.set}:train", limit=b.train_limit, seed=b.seed)

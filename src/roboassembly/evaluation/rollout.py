@@ -15,7 +15,8 @@ from roboassembly.envs.object_centric import ObjectCentricEnv
 from roboassembly.errors import InputError, PolicyError, UnknownNameError
 from roboassembly.furniture.model import Furniture
 from roboassembly.learning.policy import Policy, check_setting, chosen, guide_of
-from roboassembly.learning.registry import FILES, NAMES, Maker, maker_of
+from roboassembly.learning.policy_weights import FILES, NAMES
+from roboassembly.learning.registry import PolicyFactory, policy_factory
 from roboassembly.planning.problem import Budget, PlanningStatus
 from roboassembly.solvers.guide import Guide
 from roboassembly.solvers.joint_rrt import solve_jointly
@@ -187,11 +188,11 @@ def _own(way: RolloutConfig) -> Callable[[Furniture, int], _Played]:
     return lambda furniture, seed: _alone(make(seed), way.setting, furniture, seed)
 
 
-def _maker(policy: str | Policy, solvers: Iterable[str]) -> Maker:
+def _maker(policy: str | Policy, solvers: Iterable[str]) -> PolicyFactory:
     if not isinstance(policy, str):
         return lambda seed: policy
     try:
-        return maker_of(policy)
+        return policy_factory(policy)
     except UnknownNameError:
         raise UnknownNameError("policy", policy, [*solvers, *NAMES, *FILES]) from None
 

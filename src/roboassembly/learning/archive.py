@@ -21,6 +21,8 @@ _BROKEN = (
     zipfile.BadZipFile, zipfile.LargeZipFile, zlib.error, lzma.LZMAError,
 )  # fmt: skip
 """What reading a file raises that is cut short, changed, encrypted, or something else."""
+Arrays = Mapping[str, np.ndarray]
+"""Arrays of a file by name."""
 _ARCHIVE = b"PK"
 """How an npz file begins, as all ZIP archives do."""
 
@@ -36,7 +38,7 @@ def write(path: Path, arrays: Mapping[str, Any]) -> None:
 
 
 @contextmanager
-def reading(path: Path, what: str, remedy: str, largest: int | None = None) -> Iterator[Mapping[str, np.ndarray]]:
+def reading(path: Path, what: str, remedy: str, largest: int | None = None) -> Iterator[Arrays]:
     """Arrays that `write` wrote; whatever goes wrong inside is the file's fault.
 
     Args:

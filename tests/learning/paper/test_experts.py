@@ -355,11 +355,11 @@ def test_a_small_chair_is_mastered_and_taught(tmp_path: Path) -> None:
     expert = apprentices.load(path, task)
     course, finished = expert_course(expert, task, chair.name, plays=2)
     assert finished >= 1
-    assert len(course.lessons) == finished * (len(task.furniture.parts) - 1)
-    lesson = course.lessons[0]
+    assert len(course.samples) == finished * (len(task.furniture.parts) - 1)
+    lesson = course.samples[0]
     n = int(lesson.free.sum())
-    assert lesson.values is not None
-    assert lesson.values.shape == (n, n, 6)
+    assert lesson.q_values is not None
+    assert lesson.q_values.shape == (n, n, 6)
     best = len(task.furniture.parts) + 3.0
     # Values may overshoot; what is taught does not.
     taught = paper_imitation.examples_of([course], _extractor(), Augmentation(copies=0))[0]

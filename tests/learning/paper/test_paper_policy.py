@@ -24,13 +24,14 @@ from roboassembly.errors import InputError
 from roboassembly.furniture.model import Furniture
 from roboassembly.geometry.poses import rotations_from_euler
 from roboassembly.learning import checkpoint, layers
+from roboassembly.learning.datasets import LabeledState, SampleSet
 from roboassembly.learning.paper import autoencoder, imitation
 from roboassembly.learning.paper import network as paper
 from roboassembly.learning.paper.autoencoder import CLOUD_POINTS
 from roboassembly.learning.paper.imitation import Augmentation, Example, Training
 from roboassembly.learning.paper.network import PaperConfig, PaperPolicy, PaperState
 from roboassembly.learning.registry import load_policy
-from roboassembly.learning.relational.oracle_dataset import Course, Lesson, Teacher
+from roboassembly.learning.relational.oracle_dataset import Teacher
 from roboassembly.solvers.hand_oracle import HandOracle
 from roboassembly.solvers.oracle import Oracle
 from roboassembly.task.full.task import FullTask
@@ -49,18 +50,18 @@ def chair() -> Furniture:
 
 
 @pytest.fixture(scope="module")
-def course(chair: Furniture) -> Course:
+def course(chair: Furniture) -> SampleSet:
     clouds = np.array([surface_points(p.mesh, CLOUD_POINTS) for p in chair.parts], np.float32)
     teacher = Teacher(chair, clouds)
     lessons = {}
     for seed in range(8):
         for lesson in teacher.play(np.random.default_rng(seed)).lessons:
             lessons.setdefault(lesson.group.tobytes(), lesson)
-    return replace(teacher.course, lessons=tuple(lessons.values()))
+    return replace(teacher.course, samples=tuple(lessons.values()))
 
 
 @pytest.fixture(scope="module")
-def examples(course: Course) -> list[Example]:
+def examples(course: SampleSet) -> list[Example]:
     return imitation.examples_of([course], ENCODER, Augmentation(copies=2, noise=0.003))
 
 
@@ -150,10 +151,10 @@ def test_exact_values_are_returns_to_go() -> None:
     joints = np.array([[0, 0, 2, 1, 1, 1, 0, 1, 0, 0, 0], [2, 1, 3, 0, 0, 0, 0, 0, 1, 0, 0]], np.int16)
     free = np.zeros((4, 10), bool)
     free[[0, 2, 3, 3], [0, 1, 0, 2]] = True
-    lesson = Lesson(np.ones((4, 10, 9), np.float32), connections, free, np.ones((4, 6), np.float32), joints)
+    lesson = LabeledState(np.ones((4, 10, 9), np.float32), connections, free, np.ones((4, 6), np.float32), joints)
     # It can be finished after the first: two merges and the whole. The second works but leads nowhere.
     assert imitation.worth_of(lesson).tolist() == [[6, 0, 6, 0, 0, 0], [0, 0, 0, 1, 0, 0]]
-    course = Course("four", np.ones((4, 16, 3), np.float32), (lesson,))
+    course = SampleSet("four", np.ones((4, 16, 3), np.float32), (lesson,))
     example = imitation.examples_of([course], ENCODER, Augmentation(copies=0))[0]
     assert [*zip(example.part, example.point, strict=True)] == [(0, 0), (2, 1), (3, 0), (3, 2)]
     exact = example.exact()
@@ -162,7 +163,7 @@ def test_exact_values_are_returns_to_go() -> None:
     assert exact.sum() == 13.0
     # An expert is believed before the oracle.
     values = np.arange(96, dtype=np.float16).reshape(4, 4, 6) / 10.0
-    by_expert = replace(course, lessons=(replace(lesson, values=values),))
+    by_expert = replace(course, samples=(replace(lesson, q_values=values),))
     taught = imitation.batch_of(imitation.examples_of([by_expert], ENCODER, Augmentation(copies=0)), None)
     # But more than two merges and the whole are not to be had.
     target = imitation.targets(taught)
@@ -180,15 +181,15 @@ def test_with_robots_what_both_grasps_add_is_taught_and_chosen(tmp_path: Path) -
     lessons = []
     for lesson in teacher.play(rng).lessons:
         n = int(lesson.free.sum())
-        lessons.append(replace(lesson, values=rng.uniform(0.0, 4.0, (n, n, 16)).astype(np.float16)))
-    course = replace(teacher.course, lessons=tuple(lessons), hands=hands)
+        lessons.append(replace(lesson, q_values=rng.uniform(0.0, 4.0, (n, n, 16)).astype(np.float16)))
+    course = replace(teacher.course, samples=tuple(lessons), grasps=hands)
     course.save(tmp_path / "stand.npz")
-    again = Course.load(tmp_path / "stand.npz")
-    assert again.hands is not None
-    assert np.array_equal(again.hands, hands)
+    again = SampleSet.load(tmp_path / "stand.npz")
+    assert again.grasps is not None
+    assert np.array_equal(again.grasps, hands)
     examples = imitation.examples_of([again], ENCODER, Augmentation(copies=0))
     batch = imitation.batch_of(examples[:1], None)
-    first = lessons[0].values
+    first = lessons[0].q_values
     assert first is not None
     n = len(first)
     target = imitation.targets(batch)
@@ -211,7 +212,7 @@ def test_with_robots_what_both_grasps_add_is_taught_and_chosen(tmp_path: Path) -
     assert np.array_equal(np.isfinite(values), mask)
     u, v, k, l, g_a, g_b = policy.act(observation, mask)  # noqa: E741
     assert values[u, v, k, l, g_a, g_b] == values.max()
-    plain = replace(course, hands=None, lessons=tuple(replace(x, values=None) for x in lessons))
+    plain = replace(course, grasps=None, samples=tuple(replace(x, q_values=None) for x in lessons))
     mixed = examples + imitation.examples_of([plain], ENCODER, Augmentation(copies=0))
     with pytest.raises(InputError, match="both settings"):
         next(imitation.train(mixed, ENCODER, tmp_path / "mixed.npz", Training(steps=3), SMALL, {}))
@@ -249,7 +250,7 @@ def test_groups_lie_elsewhere_and_stay_whole(chair: Furniture) -> None:
     assert np.allclose(turns[0][:, 2], turns[1][:, 2], atol=1e-5)  # what is up stays up
 
 
-def test_noise_is_on_the_clouds_alone(examples: list[Example], course: Course) -> None:
+def test_noise_is_on_the_clouds_alone(examples: list[Example], course: SampleSet) -> None:
     features = examples[0].features
     assert features.shape == (3, 4, 48)
     assert np.allclose(features[0], autoencoder.encode(ENCODER, course.clouds), atol=1e-5)
@@ -309,7 +310,7 @@ def test_a_small_chair_is_learnt_and_assembled(examples: list[Example], chair: F
     assert info["success"]
 
 
-def test_the_policy_agrees_with_training(examples: list[Example], course: Course, chair: Furniture) -> None:
+def test_the_policy_agrees_with_training(examples: list[Example], course: SampleSet, chair: Furniture) -> None:
     params = {"encoder": ENCODER, "network": paper.init(np.random.default_rng(3), SMALL)}
     batch = imitation.batch_of(examples[:1], None)
     params["inputs"] = paper.standard(batch["state"])

@@ -17,17 +17,17 @@ from roboassembly.evaluation.rollout import RolloutConfig, make_agent
 from roboassembly.furniture.model import MAX_POINTS, Furniture
 from roboassembly.geometry.poses import SE3
 from roboassembly.learning import checkpoint
+from roboassembly.learning.datasets import dataset_file, group_labels
 from roboassembly.learning.registry import load_policy
 from roboassembly.learning.relational import network as relational
 from roboassembly.learning.relational.clearance import Grasps
-from roboassembly.learning.relational.collect import file_of
 from roboassembly.learning.relational.grasps import network as grasping
 from roboassembly.learning.relational.grasps.dataset import NO, UNKNOWN, YES, GraspCourse, GraspTeacher
 from roboassembly.learning.relational.grasps.features import ONE, TWO, Handling, handling_of
 from roboassembly.learning.relational.grasps.on_policy import ask, lesson_of, practise
-from roboassembly.learning.relational.oracle_dataset import Teacher
+from roboassembly.learning.relational.oracle_dataset import Teacher, tokens_in
 from roboassembly.learning.relational.policy import HANDS, RelationalPolicy
-from roboassembly.learning.relational.policy_view import Situation, groups_of
+from roboassembly.learning.relational.policy_view import Situation
 from roboassembly.learning.relational.tokens import Memory
 from roboassembly.solvers.hand_oracle import HandOracle
 from roboassembly.solvers.options import fitting
@@ -50,7 +50,8 @@ def situation(furniture: Furniture, state: TaskState, cloud_points: int = 2048) 
     connections = seen["connections"].astype(float)
     return Situation(
         seen["shapes"].astype(float), seen["connection_points"].astype(float), connections, free,
-        groups_of(connections), seen["grasp_regions"].reshape(n, GRASPS, 6).astype(float), seen["poses"].astype(float),
+        group_labels(connections), seen["grasp_regions"].reshape(n, GRASPS, 6).astype(float),
+        seen["poses"].astype(float),
     )  # fmt: skip
 
 
@@ -176,12 +177,12 @@ def test_pairs_without_room_for_hands_cannot_be_joined() -> None:
     plays = [teacher.play(rng) for _ in range(3)]
     joined, tight = 0, 0
     for lesson in (lesson for play in plays for lesson in (*play.lessons, *play.dead_ends)):
-        tokens = teacher.course.tokens(lesson, memory)
+        tokens = tokens_in(teacher.course, lesson, memory)
         assert tokens.room is not None
         index = np.full(lesson.free.shape, -1)
         index[tokens.part, tokens.point] = np.arange(len(tokens.part))
         best: dict[tuple[int, int], tuple[float, bool]] = {}
-        for u, k, v, l, _, *ways in lesson.joints.tolist():  # noqa: E741
+        for u, k, v, l, _, *ways in lesson.mates.tolist():  # noqa: E741
             row, column = index[u, k], index[v, l]
             room = float(min(tokens.room[row, column, 0], tokens.room[column, row, 0]))
             groups = int(tokens.group[row]), int(tokens.group[column])
@@ -318,7 +319,7 @@ def test_practice_is_written_once_and_the_same_again(tmp_path: Path) -> None:
     again = {g.name: g for g in practise(names, tmp_path / "b", player_file, plays=1, seed=3, jobs=1)}
     for name, told in done.items():
         assert (told.states, told.mistakes) == (again[name].states, again[name].mistakes)
-        lessons = GraspCourse.load(file_of(tmp_path / "a", name)).lessons
+        lessons = GraspCourse.load(dataset_file(tmp_path / "a", name)).lessons
         assert len(lessons) == told.states
         assert sum(int((lesson.rest == YES).sum()) for lesson in lessons) == told.choices - told.mistakes
 

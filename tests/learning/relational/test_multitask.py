@@ -14,15 +14,19 @@ from roboassembly.datasets import sets as datasets
 from roboassembly.errors import InputError
 from roboassembly.evaluation.rollout import run_episode
 from roboassembly.learning import checkpoint, logs
+from roboassembly.learning.datasets import dataset_file, load_samples
+from roboassembly.learning.generated import EXTRA_SEEDS, extra_names
 from roboassembly.learning.layers import Params
 from roboassembly.learning.paper import autoencoder
 from roboassembly.learning.paper.imitation import Training
+from roboassembly.learning.paper.pipeline import teach_paper
 from roboassembly.learning.progress import Progress
 from roboassembly.learning.registry import load_policy
 from roboassembly.learning.relational import imitation
 from roboassembly.learning.relational import network as relational
-from roboassembly.learning.relational.collect import EXTRA_SEEDS, extra_names, file_of, gather, hands_of, load_courses
-from roboassembly.learning.relational.pipeline import Curriculum, teach, teach_paper
+from roboassembly.learning.relational.collect import gather, hands_of
+from roboassembly.learning.relational.oracle_dataset import tokens_in
+from roboassembly.learning.relational.pipeline import Curriculum, teach
 from roboassembly.learning.relational.policy import RelationalPolicy
 
 TINY = relational.RelationalConfig(token=16, pair=8, layers=1, heads=2, ends=4, conflicts=2)
@@ -35,7 +39,7 @@ SMALL = Curriculum(
 @pytest.fixture
 def two_chairs(as_built, monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """A data set of two chairs of four parts; extra ones are of the same family."""
-    monkeypatch.setattr("roboassembly.learning.relational.collect.CHAIRS", ["cantilever"])
+    monkeypatch.setattr("roboassembly.learning.generated.CHAIRS", ["cantilever"])
     return as_built(easy=[("cantilever", 1), ("cantilever", 5)])
 
 
@@ -53,8 +57,8 @@ def test_lessons_are_gathered_once_and_by_the_student(tmp_path: Path) -> None:
     first = list(gather(names, tmp_path / "0", plays=2, seed=0, jobs=1))
     assert [g.name for g in first] == names
     assert not list(gather(names, tmp_path / "0", plays=2, seed=0, jobs=1))
-    courses = load_courses(tmp_path / "0", names)
-    assert [len(c.lessons) for c in courses] == [g.states for g in first]
+    courses = load_samples(tmp_path / "0", names)
+    assert [len(c.samples) for c in courses] == [g.states for g in first]
     # Another run gives the same; a student that knows nothing errs and is corrected: every play still ends well.
     again = list(gather(names, tmp_path / "again", plays=2, seed=0, jobs=1))
     assert [g.states for g in again] == [g.states for g in first]
@@ -73,9 +77,9 @@ def test_a_student_that_knows_hands_plays_with_them(tmp_path: Path) -> None:
     checkpoint.save(student, checkpoint.Checkpoint(relational.KIND, params, {}, {}))
     (taught,) = gather(["cantilever:1"], tmp_path / "0", plays=1, seed=0, jobs=1, student=student, setting="full")
     assert taught.choices == 3
-    (course,) = load_courses(tmp_path / "0", ["cantilever:1"])
-    assert course.hands is not None
-    assert course.tokens(course.lessons[0]).hold is not None
+    (course,) = load_samples(tmp_path / "0", ["cantilever:1"])
+    assert course.grasps is not None
+    assert tokens_in(course, course.samples[0]).hold is not None
 
 
 @pytest.mark.slow
@@ -96,8 +100,8 @@ def test_a_curriculum_with_robots_ends_in_one_policy_for_both_settings(
     folder = tmp_path / "run"
     stages = {p.stage for p in teach(curriculum, folder, 1)}
     assert {"lessons 0", "policy 0", "grasps", "practice 1"} <= stages
-    assert all(file_of(folder / "practice" / "1", name).is_file() for name in two_chairs[:1])
-    assert all(file_of(hands_of(folder / "lessons" / "0"), name).is_file() for name in two_chairs[:1])
+    assert all(dataset_file(folder / "practice" / "1", name).is_file() for name in two_chairs[:1])
+    assert all(dataset_file(hands_of(folder / "lessons" / "0"), name).is_file() for name in two_chairs[:1])
     policy = load_policy(str(folder / "policy.npz"))
     assert isinstance(policy, RelationalPolicy)
     assert policy.settings == ("object-centric", "full")
@@ -127,9 +131,9 @@ def test_a_curriculum_goes_on_where_it_was_stopped(two_chairs: list[str], tmp_pa
         if progress.stage == "policy 0" and progress.done == 5:
             break
     run.close()
-    before = file_of(folder / "lessons" / "0", two_chairs[0]).stat().st_mtime_ns
+    before = dataset_file(folder / "lessons" / "0", two_chairs[0]).stat().st_mtime_ns
     stages += list(teach(SMALL, folder, 1))
-    assert file_of(folder / "lessons" / "0", two_chairs[0]).stat().st_mtime_ns == before
+    assert dataset_file(folder / "lessons" / "0", two_chairs[0]).stat().st_mtime_ns == before
     assert [s.stage for s in stages if s.done == s.total] == [
         "validation", "lessons 0", "policy 0", "lessons 1", "policy 1",
     ]  # fmt: skip
@@ -156,9 +160,9 @@ def test_the_papers_policy_is_taught_from_folders_of_lessons(tmp_path: Path) -> 
     assert run_episode(policy, catalogue.make("cantilever", 1), 0).merges in range(4)
     # More lessons are another run's.
     list(gather(["cantilever:5"], tmp_path / "lessons", plays=1, seed=0, jobs=1))
-    with pytest.raises(InputError, match="other lessons"):
+    with pytest.raises(InputError, match="other samples"):
         list(teach_paper([tmp_path / "lessons"], extractor, tmp_path / "run", training))
-    with pytest.raises(InputError, match="no lessons"):
+    with pytest.raises(InputError, match="no samples"):
         list(teach_paper([tmp_path / "empty"], extractor, tmp_path / "other", training))
 
 

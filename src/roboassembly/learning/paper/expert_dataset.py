@@ -19,10 +19,9 @@ from jaxtyping import Float16
 from roboassembly.datasets.sets import FurnitureRef
 from roboassembly.envs.observation import Observer, surface_points
 from roboassembly.furniture.model import MAX_POINTS
+from roboassembly.learning.datasets import CLOUD_POINTS, LabeledState, SampleSet, dataset_file
 from roboassembly.learning.paper.dqn.network import Expert, Move, finished, play, told
 from roboassembly.learning.paper.dqn.train import ExpertTraining, load, read
-from roboassembly.learning.relational.collect import file_of
-from roboassembly.learning.relational.oracle_dataset import CLOUD_POINTS, Course, Lesson
 from roboassembly.parallel.processes import map_unordered
 from roboassembly.task.full.task import FullTask
 from roboassembly.task.object_centric.task import ObjectCentricTask
@@ -45,7 +44,7 @@ class Taught:
 
 def expert_course(
     expert: Expert, task: ObjectCentricTask | FullTask, name: str, plays: int, seed: int = 0, proofs: int = 0
-) -> tuple[Course, int]:
+) -> tuple[SampleSet, int]:
     """Lessons from an expert's plays, those that finish the chair only; Q-values are undiscounted returns.
 
     Args:
@@ -62,7 +61,7 @@ def expert_course(
     parts = task.furniture.parts
     clouds = np.array([surface_points(p.mesh, CLOUD_POINTS) for p in parts], np.float32)
     observer = Observer(task.furniture, len(parts), MAX_POINTS, 1)
-    lessons: list[Lesson] = []
+    lessons: list[LabeledState] = []
     done = 0
     for index in range(plays):
         proof = index < proofs
@@ -71,13 +70,13 @@ def expert_course(
         if finished(moves, expert.chair):
             done += 1
             lessons += [_lesson(expert, task, observer, move) for move in moves]
-    return Course(name, clouds, tuple(lessons), observer.grasp_poses if isinstance(task, FullTask) else None), done
+    return SampleSet(name, clouds, tuple(lessons), observer.grasp_poses if isinstance(task, FullTask) else None), done
 
 
-def _lesson(expert: Expert, task: ObjectCentricTask | FullTask, observer: Observer, move: Move) -> Lesson:
+def _lesson(expert: Expert, task: ObjectCentricTask | FullTask, observer: Observer, move: Move) -> LabeledState:
     seen = observer.observe(move.state)
     free = task.rules.free_points(move.state)[: len(task.furniture.parts)]
-    return Lesson(
+    return LabeledState(
         seen["connection_points"],
         seen["connections"],
         free,
@@ -88,7 +87,7 @@ def _lesson(expert: Expert, task: ObjectCentricTask | FullTask, observer: Observ
 
 
 def _values(expert: Expert, task: ObjectCentricTask | FullTask, move: Move) -> Float16[np.ndarray, "n n w"]:
-    """Q over free points in returns, as in `Lesson`."""
+    """Q over free points in returns, as in `LabeledState`."""
     joined, free = told(task, move.state)
     rows = np.flatnonzero(free)
     some = [x[np.ix_(rows, rows)] for x in expert.added(joined, free)]
@@ -109,8 +108,8 @@ def teach(
         jobs: chairs at a time.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    left = [p for p in picks if file_of(experts, p.name).is_file() and not file_of(folder, p.name).is_file()]
-    left = [p for p in left if not read(file_of(experts, p.name)).refused]
+    left = [p for p in picks if dataset_file(experts, p.name).is_file() and not dataset_file(folder, p.name).is_file()]
+    left = [p for p in left if not read(dataset_file(experts, p.name)).refused]
     work = partial(_teach, experts=experts, folder=folder, training=training, plays=plays)
     yield from map_unordered(work, left, jobs)
 
@@ -118,7 +117,7 @@ def teach(
 def _teach(pick: FurnitureRef, *, experts: Path, folder: Path, training: ExpertTraining, plays: int) -> Taught:
     task = training.task_of(pick)
     proofs = training.proofs if training.setting == "full" else 0
-    expert = load(file_of(experts, pick.name), task)
+    expert = load(dataset_file(experts, pick.name), task)
     course, done = expert_course(expert, task, pick.name, plays, training.seed, proofs)
-    course.save(file_of(folder, pick.name))
-    return Taught(pick.name, plays, done, len(course.lessons))
+    course.save(dataset_file(folder, pick.name))
+    return Taught(pick.name, plays, done, len(course.samples))

@@ -20,16 +20,14 @@ from jaxtyping import Bool, Float, Float16, Float32, Int16
 
 from roboassembly.errors import InputError
 from roboassembly.furniture.model import MAX_POINTS
-from roboassembly.learning.batches import size_for
+from roboassembly.learning.augmentation import FrameChange, augmented
+from roboassembly.learning.batches import padded_length
+from roboassembly.learning.datasets import LabeledState, SampleSet, group_labels
 from roboassembly.learning.layers import Params
 from roboassembly.learning.paper import autoencoder, heads
 from roboassembly.learning.paper import network as paper
-from roboassembly.learning.paper.augmentation import changed
 from roboassembly.learning.paper.autoencoder import CLOUD_POINTS
 from roboassembly.learning.paper.network import PaperConfig, PaperState
-from roboassembly.learning.relational.augmentation import Change
-from roboassembly.learning.relational.oracle_dataset import Course, Lesson
-from roboassembly.learning.relational.policy_view import groups_of
 from roboassembly.learning.training_run import Run
 from roboassembly.parallel.processes import prefetch
 from roboassembly.task.rules.connections import UP_AXES
@@ -95,7 +93,7 @@ class Example:
     worth: Float32[np.ndarray, "j 6"]
     """Exact Q-values of right pairs; all others' are 0."""
     values: Float16[np.ndarray, "n n h"] | None
-    """An expert's Q-values as in `Lesson`, taught in place of `worth` if there are any."""
+    """An expert's Q-values as in `LabeledState`, taught in place of `worth` if there are any."""
     grasps: Float32[np.ndarray, "P 8 6"] | None
     """The hand at each grasp, with robots."""
 
@@ -115,7 +113,7 @@ class Example:
     @property
     def most(self) -> float:
         """Of what is taught no more than this counts: what is left to be had, which experts overrate."""
-        return np.inf if self.values is None else len(np.unique(groups_of(self.connections))) - 1 + WHOLE
+        return np.inf if self.values is None else len(np.unique(group_labels(self.connections))) - 1 + WHOLE
 
     def exact(self) -> Float32[np.ndarray, "n n 6"]:
         """Exact Q-values."""
@@ -125,19 +123,19 @@ class Example:
         return out
 
 
-def worth_of(lesson: Lesson) -> Float32[np.ndarray, "j 6"]:
-    """Exact Q of the right pairs in `lesson.joints`: the best undiscounted return from the action on.
+def worth_of(lesson: LabeledState) -> Float32[np.ndarray, "j 6"]:
+    """Exact Q of the right pairs in `lesson.mates`: the best undiscounted return from the action on.
 
     Where the furniture can be finished after it, that is one for this and each later merge, and 4. A merge into a dead
     end counts 1: what more could be had there the oracle does not tell, so this is a lower bound. An action that
     cannot be carried out has 0, and so has every wrong pair.
     """
     merges = len(np.unique(lesson.group)) - 1
-    solvable, ways = lesson.joints[:, 4:5], lesson.joints[:, 5:]
+    solvable, ways = lesson.mates[:, 4:5], lesson.mates[:, 5:]
     return (ways * np.where(solvable, merges + WHOLE, 1.0)).astype(np.float32)
 
 
-def examples_of(courses: Sequence[Course], encoder: Params, augmentation: Augmentation) -> list[Example]:
+def examples_of(courses: Sequence[SampleSet], encoder: Params, augmentation: Augmentation) -> list[Example]:
     """All lessons of some courses, augmented: what the same seed draws does not depend on the other courses."""
     return [
         example
@@ -146,14 +144,14 @@ def examples_of(courses: Sequence[Course], encoder: Params, augmentation: Augmen
     ]
 
 
-def _examples_of_one(course: Course, index: int, encoder: Params, a: Augmentation) -> Iterator[Example]:
+def _examples_of_one(course: SampleSet, index: int, encoder: Params, a: Augmentation) -> Iterator[Example]:
     rng = np.random.default_rng([a.seed, index])
-    for version in [course, *(changed(course, Change.draw(rng)) for _ in range(a.changes))]:
+    for version in [course, *(augmented(course, FrameChange.draw(rng)) for _ in range(a.changes))]:
         clouds = version.clouds[:, :CLOUD_POINTS]
         noisy = [clouds + rng.normal(0.0, a.noise, clouds.shape).astype(np.float32) for _ in range(a.copies)]
         features = _features(encoder, np.concatenate([clouds, *noisy])).reshape(1 + a.copies, len(clouds), -1)
-        for lesson in version.lessons:
-            yield _example(lesson, index, features, version.hands)
+        for lesson in version.samples:
+            yield _example(lesson, index, features, version.grasps)
 
 
 def _features(encoder: Params, clouds: Float32[np.ndarray, "b n 3"]) -> Float32[np.ndarray, "b 48"]:
@@ -168,12 +166,15 @@ _encode = jax.jit(autoencoder.encode)
 
 
 def _example(
-    lesson: Lesson, index: int, features: Float32[np.ndarray, "c P 48"], grasps: Float32[np.ndarray, "P 8 6"] | None
+    lesson: LabeledState,
+    index: int,
+    features: Float32[np.ndarray, "c P 48"],
+    grasps: Float32[np.ndarray, "P 8 6"] | None,
 ) -> Example:
     part, point = np.nonzero(lesson.free)
     number = np.full(lesson.free.shape, -1)
     number[part, point] = np.arange(len(part))
-    u, k, v, l = lesson.joints[:, :4].T  # noqa: E741
+    u, k, v, l = lesson.mates[:, :4].T  # noqa: E741
     return Example(
         course=index,
         features=features,
@@ -185,7 +186,7 @@ def _example(
         group=lesson.group[part].astype(np.int16),
         joints=np.stack([number[u, k], number[v, l]], axis=1).astype(np.int16),
         worth=worth_of(lesson),
-        values=lesson.values,
+        values=lesson.q_values,
         grasps=grasps,
     )
 
@@ -221,7 +222,7 @@ def batch_of(
         `state` (b, s), `slot` (b, n), `exists` (b, n, n), and what `targets` takes.
     """
     hands = examples[0].grasps is not None
-    b, n = len(examples), size_for(max(len(e.part) for e in examples))
+    b, n = len(examples), padded_length(max(len(e.part) for e in examples))
     batch = {
         "state": np.zeros((b, paper.size(hands)), np.float32),
         "slot": np.zeros((b, n), np.int32),

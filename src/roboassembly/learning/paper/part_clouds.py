@@ -11,8 +11,8 @@ from roboassembly.datasets import catalogue
 from roboassembly.datasets.sets import FurnitureRef
 from roboassembly.envs.observation import surface_points
 from roboassembly.generate import CHAIRS
+from roboassembly.learning.generated import extra_names
 from roboassembly.learning.paper.autoencoder import CLOUD_POINTS
-from roboassembly.learning.relational.collect import extra_names
 from roboassembly.parallel.processes import map_ordered
 
 

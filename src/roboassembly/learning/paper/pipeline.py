@@ -15,14 +15,16 @@ from pathlib import Path
 from typing import Any
 
 from roboassembly.datasets.sets import FurnitureRef
+from roboassembly.errors import InputError
 from roboassembly.learning import checkpoint
-from roboassembly.learning.paper import autoencoder
+from roboassembly.learning.datasets import SampleSet, dataset_file, files_hash
+from roboassembly.learning.paper import autoencoder, imitation
 from roboassembly.learning.paper import expert_dataset as expert_lessons
+from roboassembly.learning.paper import network as paper
 from roboassembly.learning.paper.dqn import train as apprentices
 from roboassembly.learning.paper.dqn.train import ExpertTraining, Mastery
 from roboassembly.learning.paper.part_clouds import gather_clouds
 from roboassembly.learning.progress import Progress
-from roboassembly.learning.relational.collect import file_of
 from roboassembly.parallel.processes import one_thread_each
 from roboassembly.task.setting import SettingName
 
@@ -110,4 +112,33 @@ def teach_experts(
 
 def results(picks: Sequence[FurnitureRef], folder: Path) -> list[Mastery]:
     """What became of the chairs of a run that is done."""
-    return [apprentices.read(file_of(folder / "experts", p.name)) for p in picks]
+    return [apprentices.read(dataset_file(folder / "experts", p.name)) for p in picks]
+
+
+def teach_paper(
+    folders: Sequence[Path], extractor: Path, folder: Path, training: imitation.Training
+) -> Iterator[Progress]:
+    """Train the multi-task policy on all samples of some folders, or go on; `policy.npz` is the result.
+
+    Args:
+        folders: folders of samples, of experts or of the oracle.
+        extractor: checkpoint of the auto-encoder.
+        folder: folder of the run.
+        training: settings of the training.
+
+    Raises:
+        InputError: no samples, a broken file, or the folder holds another run.
+    """
+    encoder = checkpoint.load(extractor, autoencoder.KIND).params
+    files = sorted(path for f in folders for path in f.glob("*.npz"))
+    sets = [loaded for path in files if (loaded := SampleSet.load(path)).samples]
+    if not sets:
+        raise InputError(f"no samples in {', '.join(map(str, folders))}; `roboassembly train expert` makes some")
+    notes = {"samples": files_hash(files)}
+    examples = imitation.examples_of(sets, encoder, imitation.Augmentation(seed=training.seed))
+    path = folder / "paper.npz"
+    steps = imitation.train(examples, encoder, path, training, paper.PaperConfig(), notes)
+    for step, terms in steps:
+        yield Progress("paper", step, training.steps, terms)
+    done = checkpoint.load(path, paper.KIND)
+    checkpoint.save(folder / "policy.npz", checkpoint.Checkpoint(done.kind, done.params, done.config, {}), half=True)

@@ -1,59 +1,18 @@
-"""The same furniture told in another way: facing elsewhere, mirrored or of another size, it is assembled alike."""
+"""Augmentation of tokens: turned and mirrored furniture, without its clouds."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float, Int
 
+from roboassembly.learning.augmentation import FrameChange
 from roboassembly.learning.relational.clearance import MIRRORED
 from roboassembly.learning.relational.tokens import GRID_STEPS, Tokens
-from roboassembly.task.rules.connections import UP_AXES
-
-_SCALES = (0.7, 1.4)
 
 
-@dataclass(frozen=True)
-class Change:
-    """Of the furniture's frame, which all part frames are parallel to: mirrored first, then turned, and scaled."""
-
-    quarter_turns: int = 0
-    """About z, counter-clockwise: the furniture faces another way; up stays up."""
-    mirrored: bool = False
-    """Along x."""
-    scale: float = 1.0
-
-    @staticmethod
-    def draw(rng: np.random.Generator) -> Change:
-        """Any of them, sizes evenly in their logarithm."""
-        scale = float(np.exp(rng.uniform(*np.log(_SCALES))))
-        return Change(int(rng.integers(4)), bool(rng.integers(2)), scale)
-
-    @property
-    def mirror(self) -> Float[np.ndarray, "3 3"]:
-        """Of the world."""
-        return np.diag([-1.0 if self.mirrored else 1.0, 1.0, 1.0])
-
-    @property
-    def side(self) -> Float[np.ndarray, "3 3"]:
-        """Of a connection point's frame, or a hand's, which stays right-handed."""
-        return np.diag([1.0, -1.0 if self.mirrored else 1.0, 1.0])
-
-    @property
-    def matrix(self) -> Float[np.ndarray, "3 3"]:
-        """`new_from_old` for directions in a part's frame; its determinant is -1 if mirrored."""
-        cosine, sine = ((1, 0), (0, 1), (-1, 0), (0, -1))[self.quarter_turns % 4]
-        turn = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
-        return turn @ self.mirror
-
-
-VIEWS = tuple(Change(turns, mirrored) for mirrored in (False, True) for turns in range(4))
-"""All changes that keep the size: what a policy sees may be told in eight ways."""
-
-
-def seen(tokens: Tokens, change: Change) -> Tokens:
-    """The same tokens of furniture so changed, as `changed` and `Course.tokens` would give them; the size stays.
+def seen(tokens: Tokens, change: FrameChange) -> Tokens:
+    """The same tokens of furniture so changed, as `augmented` and `tokens_in` would give them; the size stays.
 
     Raises:
         ValueError: the change is of size.
@@ -86,8 +45,3 @@ def seen(tokens: Tokens, change: Change) -> Tokens:
         beside=beside.astype(tokens.beside.dtype),
         hold=hold,
     )
-
-
-def ways_after(change: Change) -> Int[np.ndarray, "6"]:
-    """The new `w` of each old one."""
-    return np.argmax(UP_AXES @ change.matrix.T @ UP_AXES.T, axis=1)

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections import Counter
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
-from itertools import cycle, islice
 from pathlib import Path
 
 import numpy as np
@@ -16,11 +14,11 @@ from roboassembly.datasets import catalogue
 from roboassembly.envs.observation import surface_points
 from roboassembly.errors import InputError
 from roboassembly.furniture.model import Furniture
-from roboassembly.generate import CHAIRS
 from roboassembly.learning import checkpoint
+from roboassembly.learning.datasets import CLOUD_POINTS, LabeledState, SampleSet, dataset_file
 from roboassembly.learning.relational import network as relational
 from roboassembly.learning.relational.grasps.dataset import GraspTeacher
-from roboassembly.learning.relational.oracle_dataset import CLOUD_POINTS, Course, Lesson, Student, Teacher
+from roboassembly.learning.relational.oracle_dataset import Student, Teacher
 from roboassembly.parallel.processes import map_unordered
 from roboassembly.solvers.hand_oracle import HandOracle
 from roboassembly.solvers.oracle import Oracle
@@ -28,14 +26,10 @@ from roboassembly.task.full.task import FullTask
 from roboassembly.task.object_centric.task import ObjectCentricTask
 from roboassembly.task.setting import SettingName
 
-_KINDS = ("", "sunk", "fused", "", "fused", "lattice", "", "sunk", "fused", "", "fused", "carcass")
-"""Families of extra pieces, in turn; a chair of the next family where there is none."""
 _TRIES = 3
 """Pairs of hands that are tried at a pair of points, until one joins them."""
 _MOST_HELD = 16
 """Parts, at most, of furniture taught with robots: what the oracle asks of hands grows exponentially with them."""
-EXTRA_SEEDS = 1_000_000_000
-"""Seeds of extra chairs start here, where those of no data set reach."""
 
 
 @dataclass(frozen=True)
@@ -49,30 +43,6 @@ class Gathered:
     choices: int
     """That the student made or a good move replaced; 0 without one."""
     seconds: float
-
-
-def extra_names(count: int, unseen: Sequence[str], first: int = EXTRA_SEEDS) -> list[str]:
-    """Names of `count` pieces that no data set holds: a third of them chairs, of all families in turn but the unseen
-    ones, the others to practise on.
-
-    Args:
-        count: how many.
-        unseen: families to leave out.
-        first: their seeds start here.
-    """
-    chairs = cycle(f for f in CHAIRS if f not in unseen)
-    used: Counter[str] = Counter()
-    names = []
-    for kind in islice(cycle(_KINDS), count):
-        family = kind or next(chairs)
-        names.append(f"{family}:{first + used[family]}")
-        used[family] += 1
-    return names
-
-
-def file_of(folder: Path, name: str) -> Path:
-    """Where the lessons of a chair lie."""
-    return folder / f"{name.replace(':', '_')}.npz"
 
 
 def hands_of(folder: Path) -> Path:
@@ -100,7 +70,7 @@ def gather(
         with_grasps: names of those of which there are lessons of grasps, of one play each.
     """
     (hands_of(folder) if setting == "full" else folder).mkdir(parents=True, exist_ok=True)
-    left = [name for name in names if not file_of(folder, name).is_file()]
+    left = [name for name in names if not dataset_file(folder, name).is_file()]
     work = partial(
         _gather, folder=folder, plays=plays, seed=seed, student=student, setting=setting,
         with_grasps=frozenset(with_grasps),
@@ -120,12 +90,12 @@ def _gather(
     except InputError:
         # One in some hundred practice frames does not come out, hands cannot hold it, or it has too many parts; nothing
         # is learnt from it.
-        Course(name, np.zeros((0, CLOUD_POINTS, 3), np.float32), ()).save(file_of(folder, name))
+        SampleSet(name, np.zeros((0, CLOUD_POINTS, 3), np.float32), ()).save(dataset_file(folder, name))
         return Gathered(name, 0, 0, 0, time.monotonic() - begun)
     clouds = np.array([surface_points(p.mesh, CLOUD_POINTS) for p in furniture.parts], np.float32)
     teacher = Teacher(furniture, clouds, oracle)
     moves = None if student is None else _student(student)
-    found: dict[bytes, Lesson] = {}
+    found: dict[bytes, LabeledState] = {}
     mistakes = choices = 0
     for index in range(plays):
         rng = np.random.default_rng([seed, int(number), index])
@@ -137,8 +107,8 @@ def _gather(
             found.setdefault(lesson.group.tobytes(), lesson)
     if isinstance(oracle, HandOracle) and name in with_grasps:
         hands = GraspTeacher(oracle.full, _TRIES, oracle).course(np.random.default_rng([seed, int(number)]), 1)
-        hands.save(file_of(hands_of(folder), name))
-    replace(teacher.course, name=name, lessons=tuple(found.values())).save(file_of(folder, name))
+        hands.save(dataset_file(hands_of(folder), name))
+    replace(teacher.course, name=name, samples=tuple(found.values())).save(dataset_file(folder, name))
     return Gathered(name, len(found), mistakes, choices, time.monotonic() - begun)
 
 
@@ -158,12 +128,3 @@ def _oracle(furniture: Furniture, setting: SettingName) -> Oracle:
 def _student(path: Path) -> Student:
     params = checkpoint.load(path, relational.KIND).params
     return partial(relational.best, params)
-
-
-def load_courses(folder: Path, names: Sequence[str]) -> list[Course]:
-    """The lessons of some chairs; those without any are left out.
-
-    Raises:
-        InputError: a file is broken.
-    """
-    return [course for name in names if (course := Course.load(file_of(folder, name))).lessons]

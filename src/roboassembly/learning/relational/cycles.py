@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 
-from roboassembly.learning.relational.features import FLIP
+from roboassembly.learning.mating import FLIP
 
 _MOST_BRIDGES = 3_000
 """Ways from one group to another by way of a third, that are compared with each other; more are thinned out."""

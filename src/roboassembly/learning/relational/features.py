@@ -6,12 +6,11 @@ Made in the network rather than kept in lessons: there are a hundred of them for
 from __future__ import annotations
 
 from roboassembly.learning.layers import Array
+from roboassembly.learning.mating import mating_rotations
 from roboassembly.task.rules.connections import UP_AXES
 
 PAIR, WAY = 39, 7
 """Numbers that describe an ordered pair of points, and a pair with a `w`."""
-FLIP = (1.0, -1.0, -1.0)
-"""Mating turns the normal and leaves the tangent."""
 _SAME_WAY = 0.999
 """Cosine of the turn between two groups' frames from which on they stand the same way."""
 _NEAR = 0.01
@@ -21,20 +20,7 @@ _FAR = 0.5
 
 def turns(frame: Array) -> Array:
     """(b, n, n, 3, 3) turn that takes the group of each token onto the group of each other once they are joined."""
-    return turns_between(frame, frame)
-
-
-def turns_between(moving: Array, waiting: Array) -> Array:
-    """(..., k, l, 3, 3) turn from the frame of moving tokens' group into that of waiting tokens' group.
-
-    Args:
-        moving: (..., k, 3, 3) `group_from_point` rotations.
-        waiting: (..., l, 3, 3) the same of the others.
-    """
-    xp = moving.__array_namespace__()
-    # v_from_u = F_v flip F_u^T
-    flip = xp.asarray(FLIP, dtype=moving.dtype)
-    return xp.einsum("...lic,...kjc->...klij", waiting * flip, moving)
+    return mating_rotations(frame, frame)
 
 
 def same_way(turn: Array) -> Array:

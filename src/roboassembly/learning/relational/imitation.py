@@ -15,11 +15,13 @@ import numpy as np
 import optax
 
 from roboassembly.learning import checkpoint
-from roboassembly.learning.batches import pad, size_for
+from roboassembly.learning.augmentation import AUGMENTATIONS, up_axis_permutation
+from roboassembly.learning.batches import padded_length
+from roboassembly.learning.datasets import SampleSet, dataset_file
 from roboassembly.learning.relational import network as relational
-from roboassembly.learning.relational.augmentation import VIEWS, seen, ways_after
-from roboassembly.learning.relational.collect import file_of
-from roboassembly.learning.relational.oracle_dataset import Course, answers
+from roboassembly.learning.relational.augmentation import seen
+from roboassembly.learning.relational.batches import pad
+from roboassembly.learning.relational.oracle_dataset import answers, tokens_in
 from roboassembly.learning.relational.tokens import Memory, Tokens
 from roboassembly.learning.training_run import Run
 from roboassembly.parallel.processes import map_ordered, prefetch
@@ -62,13 +64,13 @@ class Example:
     good: np.ndarray
 
 
-def examples_of(courses: Sequence[Course]) -> list[Example]:
+def examples_of(courses: Sequence[SampleSet]) -> list[Example]:
     """All lessons of some courses."""
     out = []
     for index, course in enumerate(courses):
         memory = Memory()
-        for lesson in course.lessons:
-            tokens = course.tokens(lesson, memory)
+        for lesson in course.samples:
+            tokens = tokens_in(course, lesson, memory)
             small = replace(tokens, beside=tokens.beside.astype(np.float16))
             out.append(Example(index, small, *answers(tokens, lesson)))
     return out
@@ -85,13 +87,13 @@ def load_examples(folder: Path, names: Sequence[str], jobs: int) -> list[Example
     Raises:
         InputError: a file of lessons is broken.
     """
-    paths = [file_of(folder, name) for name in names]
+    paths = [dataset_file(folder, name) for name in names]
     batches = map_ordered(_examples_in, paths, 1 if len(paths) < _FEW else jobs, chunk=4)
     return [replace(e, course=index) for index, batch in enumerate(batches) for e in batch]
 
 
 def _examples_in(path: Path) -> list[Example]:
-    return examples_of([Course.load(path)])
+    return examples_of([SampleSet.load(path)])
 
 
 def batch_of(
@@ -105,14 +107,16 @@ def batch_of(
         rng: draws for each state which way the furniture faces and whether it is mirrored; as it is without.
         blind: share of the states in which nothing is seen of the surface around the points.
     """
-    views = [VIEWS[0] if rng is None else VIEWS[int(rng.integers(len(VIEWS)))] for _ in examples]
+    views = [
+        AUGMENTATIONS[0] if rng is None else AUGMENTATIONS[int(rng.integers(len(AUGMENTATIONS)))] for _ in examples
+    ]
     batch = pad([seen(e.tokens, view) for e, view in zip(examples, views, strict=True)], size)
     batch["right"] = np.zeros((len(examples), size, size), np.uint8)
     batch["good"] = np.zeros((len(examples), size, size, 6), np.uint8)
     for row, (e, view) in enumerate(zip(examples, views, strict=True)):
         n = len(e.right)
         batch["right"][row, :n, :n] = e.right
-        batch["good"][row, :n, :n, ways_after(view)] = np.moveaxis(e.good, 2, 0)
+        batch["good"][row, :n, :n, up_axis_permutation(view)] = np.moveaxis(e.good, 2, 0)
         if rng is not None and rng.random() < blind:
             batch["patch"][row] = 255
     return batch
@@ -144,7 +148,7 @@ def batches_in(examples: Sequence[Example], batch: int) -> int:
 def _by_size(examples: Sequence[Example]) -> dict[int, list[int]]:
     by_size: dict[int, list[int]] = {}
     for index, e in enumerate(examples):
-        by_size.setdefault(size_for(len(e.right)), []).append(index)
+        by_size.setdefault(padded_length(len(e.right)), []).append(index)
     return by_size
 
 

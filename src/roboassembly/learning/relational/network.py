@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float32
 
-from roboassembly.learning.batches import pad
+from roboassembly.learning.augmentation import AUGMENTATIONS, FrameChange, up_axis_permutation
 from roboassembly.learning.layers import (
     Array,
     Params,
@@ -31,7 +31,8 @@ from roboassembly.learning.layers import (
     sigmoid,
     softplus,
 )
-from roboassembly.learning.relational.augmentation import VIEWS, Change, seen, ways_after
+from roboassembly.learning.relational.augmentation import seen
+from roboassembly.learning.relational.batches import pad
 from roboassembly.learning.relational.clearance import HOLD, ROOM
 from roboassembly.learning.relational.features import PAIR, WAY, of_pairs, of_ways, possible, same_way, turns
 from roboassembly.learning.relational.tokens import PATCH, POINT, Tokens
@@ -146,7 +147,7 @@ def apply(p: Params, t: dict[str, Array]) -> tuple[Array, Array, Array]:
     return right, linear(p["q"], ways)[..., 0], valid
 
 
-def values(p: Params, tokens: Tokens, views: Sequence[Change] = VIEWS[:1]) -> Float32[np.ndarray, "n n 6"]:
+def values(p: Params, tokens: Tokens, views: Sequence[FrameChange] = AUGMENTATIONS[:1]) -> Float32[np.ndarray, "n n 6"]:
     """Q of all actions in one state, on NumPy; -inf where two tokens are in one group.
 
     Args:
@@ -157,7 +158,7 @@ def values(p: Params, tokens: Tokens, views: Sequence[Change] = VIEWS[:1]) -> Fl
     t = pad([seen(tokens, view) for view in views], len(tokens.part))
     _, q, valid = apply(p, t)
     told = np.asarray(ranked(t, q, valid))
-    every = [q[..., ways_after(view)] for q, view in zip(told, views, strict=True)]
+    every = [q[..., up_axis_permutation(view)] for q, view in zip(told, views, strict=True)]
     return np.mean(np.stack(every), axis=0).astype(np.float32)
 
 

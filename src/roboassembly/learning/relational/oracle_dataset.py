@@ -12,15 +12,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float16, Float32, Int16, UInt8
+from jaxtyping import Float32, UInt8
 
 from roboassembly.envs.observation import Observer
 from roboassembly.furniture.model import MAX_POINTS, Furniture
-from roboassembly.learning import archive
-from roboassembly.learning.relational.policy_view import Situation, groups_of
+from roboassembly.learning.datasets import LabeledState, SampleSet
+from roboassembly.learning.relational.policy_view import Situation
 from roboassembly.learning.relational.tokens import Memory, Tokens, tokens_of
 from roboassembly.solvers.hand_oracle import HandOracle
 from roboassembly.solvers.oracle import LabeledMate, Oracle
@@ -28,100 +27,23 @@ from roboassembly.task.object_centric.task import ObjectCentricTask
 from roboassembly.task.rules.connections import GRASPS, UP_AXES
 from roboassembly.task.rules.groups import TaskState
 
-CLOUD_POINTS = 2048
-"""A part, as the relational policy sees it: fine enough to show tenons and holes."""
+
+def tokens_in(samples: SampleSet, sample: LabeledState, memory: Memory | None = None) -> Tokens:
+    """Return what the policy sees of a state; of the grippers, too, in the full setting."""
+    return tokens_of(situation_of(samples, sample), memory, hands=samples.grasps is not None)
 
 
-@dataclass(frozen=True, eq=False)
-class Lesson:
-    """One state of one chair, and its right pairs."""
-
-    points: Float32[np.ndarray, "P K 9"]
-    connections: Float32[np.ndarray, "P P 6"]
-    free: Bool[np.ndarray, "P K"]
-    poses: Float32[np.ndarray, "P 6"]
-    """World pose of each part, as in the observation."""
-    joints: Int16[np.ndarray, "j 11"]
-    """Ordered right pairs: u, k, v, l, whether the furniture can be finished after it, and the six ways."""
-    values: Float16[np.ndarray, "n n w"] | None = None
-    """An expert's Q-values over free points in the order of parts and points, not limited to what can be had, nor to
-    actions that exist: of each `w`, or what each `g_a` and then what each `g_b` adds. None where the oracle taught."""
-
-    @property
-    def group(self) -> np.ndarray:
-        """Each part's group, named by its first part."""
-        return groups_of(self.connections)
-
-
-@dataclass(frozen=True, eq=False)
-class Course:
-    """The lessons of one chair."""
-
-    name: str
-    clouds: Float32[np.ndarray, "P C 3"]
-    lessons: tuple[Lesson, ...]
-    hands: Float32[np.ndarray, "P 8 6"] | None = None
-    """The hand at each grasp, as in the observation; None in the object-centric setting."""
-
-    def tokens(self, lesson: Lesson, memory: Memory | None = None) -> Tokens:
-        """What the policy sees of a state, as `tokens_of` tells it; of hands, too, where there are some."""
-        return tokens_of(self.situation(lesson), memory, hands=self.hands is not None)
-
-    def situation(self, lesson: Lesson) -> Situation:
-        """What a policy is told of a state."""
-        return Situation(
-            self.clouds.astype(float),
-            lesson.points.astype(float),
-            lesson.connections.astype(float),
-            lesson.free,
-            lesson.group,
-            np.zeros((len(self.clouds), GRASPS, 6)) if self.hands is None else self.hands.astype(float),
-            lesson.poses.astype(float),
-        )
-
-    def save(self, path: Path) -> None:
-        """Write as npz, whole or not at all; clouds are rounded to half a millimetre."""
-        count = len(self.lessons)
-        joints = [lesson.joints for lesson in self.lessons]
-        values = [lesson.values.ravel() for lesson in self.lessons if lesson.values is not None]
-        arrays = {
-            "name": np.array(self.name),
-            "clouds": self.clouds.astype(np.float16),
-            "hands": np.zeros((0, GRASPS, 6), np.float32) if self.hands is None else self.hands,
-            "points": np.array([lesson.points for lesson in self.lessons]),
-            "connections": np.array([lesson.connections for lesson in self.lessons]),
-            "free": np.array([lesson.free for lesson in self.lessons]),
-            "poses": np.array([lesson.poses for lesson in self.lessons]),
-            "valued": np.array([lesson.values is not None for lesson in self.lessons], bool),
-            "values": np.concatenate(values) if values else np.zeros(0, np.float16),
-            "choices": np.array(max((x.values.shape[2] for x in self.lessons if x.values is not None), default=0)),
-            "joints": np.concatenate(joints) if count else np.zeros((0, 11), np.int16),
-            "state": np.repeat(np.arange(count), [len(j) for j in joints]),
-        }
-        archive.write(path, arrays)
-
-    @staticmethod
-    def load(path: Path) -> Course:
-        """Read what `save` wrote.
-
-        Raises:
-            InputError: the file is broken.
-        """
-        with archive.reading(path, "a course of lessons", "remove it and build it again") as z:
-            joints, state = z["joints"], z["state"]
-            points, connections, free, poses = z["points"], z["connections"], z["free"], z["poses"]
-            shapes = [(n, n, int(z["choices"])) for n in free.sum(axis=(1, 2)) * z["valued"]] if len(free) else []
-            ends = np.cumsum([np.prod(shape) for shape in shapes], dtype=int)
-            values = [v.reshape(s) for v, s in zip(np.split(z["values"], ends)[:-1], shapes, strict=True)]
-            lessons = tuple(
-                Lesson(
-                    points[i], connections[i], free[i], poses[i], joints[state == i],
-                    values[i] if z["valued"][i] else None,
-                )
-                for i in range(len(points))
-            )  # fmt: skip
-            hands = z["hands"] if len(z["hands"]) else None
-            return Course(str(z["name"]), z["clouds"].astype(np.float32), lessons, hands)
+def situation_of(samples: SampleSet, sample: LabeledState) -> Situation:
+    """Return what a policy is given of a state."""
+    return Situation(
+        samples.clouds.astype(float),
+        sample.points.astype(float),
+        sample.connections.astype(float),
+        sample.free,
+        sample.group,
+        np.zeros((len(samples.clouds), GRASPS, 6)) if samples.grasps is None else samples.grasps.astype(float),
+        sample.poses.astype(float),
+    )
 
 
 _DEAD = 0.5
@@ -136,9 +58,9 @@ Student = Callable[[Tokens], tuple[int, int, int]]
 class Play:
     """What one play from loose parts to the end gave."""
 
-    lessons: tuple[Lesson, ...]
+    lessons: tuple[LabeledState, ...]
     """Of each state."""
-    dead_ends: tuple[Lesson, ...]
+    dead_ends: tuple[LabeledState, ...]
     """Of some states next to those, from which the furniture cannot be finished."""
     mistakes: int
     """Choices of the student that were not good."""
@@ -166,16 +88,16 @@ class Teacher:
         self.oracle = oracle or Oracle(ObjectCentricTask(furniture))
         self._alone = {c.members[0] for c in furniture.classes if len(c.members) == 1}
         self._observer = Observer(furniture, len(furniture.parts), MAX_POINTS, 1)
-        self.course = Course(
+        self.course = SampleSet(
             furniture.name, clouds, (), self._observer.grasp_poses if isinstance(oracle, HandOracle) else None
         )
 
-    def lesson(self, state: TaskState, joints: list[LabeledMate]) -> Lesson:
+    def lesson(self, state: TaskState, joints: list[LabeledMate]) -> LabeledState:
         """A state as the policy sees it, with the answers."""
         seen = self._observer.observe(state)
         rows = [(j.u, j.k, j.v, j.l, j.solvable, *j.feasible_w) for j in joints]
         free = self.oracle.task.free_points(state)[: len(seen["poses"])]
-        return Lesson(
+        return LabeledState(
             seen["connection_points"],
             seen["connections"],
             free,
@@ -237,22 +159,22 @@ class Teacher:
 
         return [j for j in joints if not turned(j)] or joints
 
-    def _judge(self, student: Student, lesson: Lesson, good: list[LabeledMate]) -> LabeledMate | None:
+    def _judge(self, student: Student, lesson: LabeledState, good: list[LabeledMate]) -> LabeledMate | None:
         """The student's choice if it is good."""
-        tokens = self.course.tokens(lesson)
+        tokens = tokens_in(self.course, lesson)
         row, column, w = student(tokens)
         wanted = (tokens.part[row], tokens.point[row], tokens.part[column], tokens.point[column])
         return next((j for j in good if (j.u, j.k, j.v, j.l) == wanted and j.feasible_w[w]), None)
 
 
-def answers(tokens: Tokens, lesson: Lesson) -> tuple[UInt8[np.ndarray, "n n"], UInt8[np.ndarray, "n n 6"]]:
+def answers(tokens: Tokens, lesson: LabeledState) -> tuple[UInt8[np.ndarray, "n n"], UInt8[np.ndarray, "n n 6"]]:
     """Which ordered pairs of tokens are right, and which actions are good."""
     n = len(tokens.part)
     index = np.full(lesson.free.shape, -1)
     index[tokens.part, tokens.point] = np.arange(n)
     right, good = np.zeros((n, n), np.uint8), np.zeros((n, n, len(UP_AXES)), np.uint8)
-    u, k, v, l, solvable = lesson.joints[:, :5].T  # noqa: E741
+    u, k, v, l, solvable = lesson.mates[:, :5].T  # noqa: E741
     rows, columns = index[u, k], index[v, l]
     right[rows, columns] = 1
-    good[rows, columns] = lesson.joints[:, 5:] * solvable[:, None]
+    good[rows, columns] = lesson.mates[:, 5:] * solvable[:, None]
     return right, good

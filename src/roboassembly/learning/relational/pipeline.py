@@ -19,7 +19,6 @@ round; lessons of grasps teach a second network, and the rounds are its own:
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -28,22 +27,19 @@ from typing import Any
 from roboassembly.datasets.sets import RECIPES, furniture_refs, set_hash
 from roboassembly.errors import InputError
 from roboassembly.learning import checkpoint
+from roboassembly.learning.datasets import dataset_file
+from roboassembly.learning.generated import EXTRA_SEEDS, extra_names
 from roboassembly.learning.layers import Params
-from roboassembly.learning.paper import autoencoder
-from roboassembly.learning.paper import imitation as paper_imitation
-from roboassembly.learning.paper import network as paper
-from roboassembly.learning.paper.network import PaperConfig
+from roboassembly.learning.policy_weights import load_weights
 from roboassembly.learning.progress import Progress
-from roboassembly.learning.registry import checkpoint_of
 from roboassembly.learning.relational import imitation
 from roboassembly.learning.relational import network as relational
-from roboassembly.learning.relational.collect import EXTRA_SEEDS, extra_names, file_of, gather, hands_of
+from roboassembly.learning.relational.collect import gather, hands_of
 from roboassembly.learning.relational.grasps import imitation as grasp_imitation
 from roboassembly.learning.relational.grasps import network as grasping
 from roboassembly.learning.relational.grasps.on_policy import practise
 from roboassembly.learning.relational.imitation import Example, Training
 from roboassembly.learning.relational.network import RelationalConfig
-from roboassembly.learning.relational.oracle_dataset import Course
 from roboassembly.learning.relational.policy import HANDS, HELD, RelationalPolicy
 from roboassembly.task.setting import SettingName
 
@@ -146,7 +142,7 @@ def _taught_hands(
     for round_ in range(c.rounds + 1):
         if round_:
             lessons.append(folder / "practice" / str(round_))
-            there = sum(file_of(lessons[-1], name).is_file() for name in names)
+            there = sum(dataset_file(lessons[-1], name).is_file() for name in names)
             mistakes = tried = 0
             player = folder / f"player-{round_}.npz"
             practice = practise(names, lessons[-1], player, plays=1, seed=c.seed + round_, jobs=jobs)
@@ -176,7 +172,7 @@ def _start_of(c: Curriculum, folder: Path) -> Path | None:
         if c.setting == "full":
             raise InputError("--setting full goes on from a policy that knows the pairs: --start relational would do")
         return None
-    loaded = checkpoint_of(c.start)
+    loaded = load_weights(c.start)
     policy = RelationalPolicy.from_checkpoint(loaded, c.start) if loaded.kind == relational.KIND else None
     if policy is None or loaded.config.get("network") != asdict(c.network):
         raise InputError(f"--start {c.start}: its network is not the one to be taught; --start relational would do")
@@ -189,7 +185,7 @@ def _taught_grasps(
     folders: Sequence[Path], names: Sequence[str], path: Path, c: Curriculum, notes: dict[str, Any], jobs: int
 ) -> Iterator[Progress]:
     training = grasp_imitation.Training(steps=c.grasp_steps, seed=c.seed)
-    files = [file for folder in folders for name in names if (file := file_of(folder, name)).is_file()]
+    files = [file for folder in folders for name in names if (file := dataset_file(folder, name)).is_file()]
     if finished(path, training.steps, grasping.KIND):
         return
     examples = grasp_imitation.examples_of(files, jobs)
@@ -201,7 +197,7 @@ def _gathered(
     stage: str, names: Sequence[str], folder: Path, c: Curriculum, jobs: int, student: Path | None,
     with_grasps: Sequence[str] = (),
 ) -> Iterator[Progress]:  # fmt: skip
-    there = sum(file_of(folder, name).is_file() for name in names)
+    there = sum(dataset_file(folder, name).is_file() for name in names)
     mistakes = choices = 0
     gathering = gather(
         names, folder, plays=c.plays, seed=c.seed, jobs=jobs, student=student, setting=c.setting,
@@ -222,44 +218,6 @@ def _taught(
         if validation and (step % 1_000 == 0 or step == training.steps):
             scalars["validation"] = imitation.share_good(checkpoint.load(path, relational.KIND).params, validation)
         yield Progress(stage, step, training.steps, scalars)
-
-
-def teach_paper(
-    folders: Sequence[Path], extractor: Path, folder: Path, training: paper_imitation.Training
-) -> Iterator[Progress]:
-    """Teach the paper's policy all lessons of some folders, from where it was left; `policy.npz` is the result.
-
-    Args:
-        folders: of lessons, of experts or of the oracle.
-        extractor: checkpoint of the auto-encoder.
-        folder: of the run.
-        training: how.
-
-    Raises:
-        InputError: no lessons, a broken file, or the folder holds another run.
-    """
-    encoder = checkpoint.load(extractor, autoencoder.KIND).params
-    files = sorted(path for f in folders for path in f.glob("*.npz"))
-    courses = [course for path in files if (course := Course.load(path)).lessons]
-    if not courses:
-        raise InputError(f"no lessons in {', '.join(map(str, folders))}; `roboassembly train expert` makes some")
-    notes = {"lessons": lessons_hash(files)}
-    examples = paper_imitation.examples_of(courses, encoder, paper_imitation.Augmentation(seed=training.seed))
-    path = folder / "paper.npz"
-    steps = paper_imitation.train(examples, encoder, path, training, PaperConfig(), notes)
-    for step, terms in steps:
-        yield Progress("paper", step, training.steps, terms)
-    done = checkpoint.load(path, paper.KIND)
-    checkpoint.save(folder / "policy.npz", checkpoint.Checkpoint(done.kind, done.params, done.config, {}), half=True)
-
-
-def lessons_hash(files: Sequence[Path]) -> str:
-    """Of files' names and contents."""
-    digest = hashlib.sha256()
-    for path in files:
-        digest.update(path.name.encode())
-        digest.update(hashlib.sha256(path.read_bytes()).digest())
-    return digest.hexdigest()[:16]
 
 
 def finished(path: Path, steps: int, kind: str = relational.KIND) -> bool:

@@ -10,14 +10,14 @@ from jaxtyping import Int
 from roboassembly.envs.observation import Observation
 from roboassembly.errors import InputError
 from roboassembly.learning import checkpoint
+from roboassembly.learning.augmentation import AUGMENTATIONS
 from roboassembly.learning.checkpoint import Checkpoint
+from roboassembly.learning.datasets import CLOUD_POINTS
 from roboassembly.learning.layers import Params, sigmoid
 from roboassembly.learning.policy import Mask, Values, surest
 from roboassembly.learning.relational import network as relational
-from roboassembly.learning.relational.augmentation import VIEWS
 from roboassembly.learning.relational.grasps import network as grasping
 from roboassembly.learning.relational.grasps.features import handling_of
-from roboassembly.learning.relational.oracle_dataset import CLOUD_POINTS
 from roboassembly.learning.relational.policy_view import Situation
 from roboassembly.learning.relational.tokens import Memory, tokens_of
 from roboassembly.task.setting import SettingName
@@ -111,7 +111,7 @@ class RelationalPolicy:
             u, k = tokens.part[:, None], tokens.point[:, None]
             v, l = tokens.part[None], tokens.point[None]  # noqa: E741
             # Equal parts are worth the same but for rounding, which must not choose between them, nor between plans.
-            out[u, v, k, l] = np.round(relational.values(self.params, tokens, VIEWS[: self.views]), _DECIMALS)
+            out[u, v, k, l] = np.round(relational.values(self.params, tokens, AUGMENTATIONS[: self.views]), _DECIMALS)
         return out
 
     def probabilities(self, observation: Observation, mask: Mask) -> Values:

@@ -8,7 +8,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from roboassembly.geometry.poses import euler_from_rotations, rotations_from_euler
-from roboassembly.learning.relational.features import FLIP
+from roboassembly.learning.datasets import group_labels
+from roboassembly.learning.mating import FLIP
 from roboassembly.task.rules.connections import UP_AXES
 
 MEET, OPPOSED = 0.004, -0.99
@@ -39,7 +40,7 @@ class Situation:
             observation["connection_points"].astype(float),
             connections,
             np.asarray(mask.reshape(*mask.shape[:4], -1).any(axis=(1, 3, 4))),  # of u and k; the mask is symmetric
-            groups_of(connections),
+            group_labels(connections),
             observation["grasp_regions"].reshape(len(connections), -1, 6).astype(float),
             observation["poses"].astype(float),
         )
@@ -95,12 +96,6 @@ class Situation:
         """`part_from_member`; connections say nothing of a part and itself."""
         poses = self.connections[part, members]
         return rotations_from_euler(poses[:, 3:]), poses[:, :3]
-
-
-def groups_of(connections: Float[np.ndarray, "P P 6"]) -> Int[np.ndarray, "P"]:
-    """Each part's group, named by its first part: parts whose relative pose is told are joined."""
-    joined = (connections != 0).any(axis=2) | np.eye(len(connections), dtype=bool)
-    return np.argmax(joined, axis=1)
 
 
 def frames_of(points: Float[np.ndarray, "*n 9"]) -> Float[np.ndarray, "*n 3 3"]:

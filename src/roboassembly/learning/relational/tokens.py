@@ -22,9 +22,10 @@ from jaxtyping import Bool, Float, Float16, Float32, Int, UInt8
 from scipy.spatial import KDTree
 
 from roboassembly.geometry.poses import rotations_from_euler
+from roboassembly.learning.mating import mating_rotations
 from roboassembly.learning.relational.clearance import HOLD, MET, ROOM, Grasps
 from roboassembly.learning.relational.cycles import closing_bridges, closing_groups
-from roboassembly.learning.relational.features import possible, same_way, turns, turns_between
+from roboassembly.learning.relational.features import possible, same_way, turns
 from roboassembly.learning.relational.policy_view import MEET, OPPOSED, Situation, frames_of
 from roboassembly.task.rules.connections import GRASPS
 
@@ -282,7 +283,7 @@ def _pairs_of(first: _GroupView, second: _GroupView) -> tuple[UInt8[np.ndarray, 
 
 def _mated(first: _GroupView, second: _GroupView) -> tuple[Float[np.ndarray, "k l 3 3"], Float[np.ndarray, "k l 3"]]:
     """`second_from_first`, were each two points joined."""
-    turn = turns_between(first.frame, second.frame)
+    turn = mating_rotations(first.frame, second.frame)
     return turn, second.at[None] - (turn @ first.at[:, None, :, None])[..., 0]
 
 

@@ -13,9 +13,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 
+from roboassembly.learning.mating import mating_rotations
 from roboassembly.learning.paper.dqn.group_table import Registry
 from roboassembly.learning.paper.dqn.relative_poses import Placed, Relations
-from roboassembly.learning.relational.features import turns_between
 from roboassembly.task.rules.pairs import ANGLE_TOLERANCE, POSITION_TOLERANCE
 
 _SAME_WAY = 0.7
@@ -89,7 +89,7 @@ class Joints:
         turns_u, at_u, gap_u = self._all.frames(one, self._all.free(one))
         turns_v, at_v, gap_v = self._all.frames(two, self._all.free(two))
         at_v = at_v[None] + 0.5 * (gap_u[:, None] + gap_v[None])[..., None] * turns_v[None, :, :, 2]
-        turn = turns_between(turns_u, turns_v)
+        turn = mating_rotations(turns_u, turns_v)
         shift = at_v - np.einsum("klij,kj->kli", turn, at_u)
         flat = turn.reshape(*turn.shape[:2], 9)
         return np.concatenate([shift / POSITION_TOLERANCE, flat / ANGLE_TOLERANCE], axis=2)

@@ -25,6 +25,7 @@ from roboassembly.datasets.sets import FurnitureRef, furniture_hash
 from roboassembly.envs.observation import surface_points
 from roboassembly.errors import InputError
 from roboassembly.learning import checkpoint
+from roboassembly.learning.datasets import dataset_file
 from roboassembly.learning.layers import Params
 from roboassembly.learning.paper import autoencoder
 from roboassembly.learning.paper.autoencoder import CLOUD_POINTS
@@ -34,7 +35,6 @@ from roboassembly.learning.paper.dqn.agent import Learner, LearnerConfig, Memory
 from roboassembly.learning.paper.dqn.group_table import point_counts
 from roboassembly.learning.paper.dqn.memoized_env import Rehearsal, State
 from roboassembly.learning.paper.dqn.network import KIND, POINT_SIZES, Chair, Expert, chair_of, play
-from roboassembly.learning.relational.collect import file_of
 from roboassembly.parallel.processes import one_thread_each, worker_pool
 from roboassembly.statistics import success
 from roboassembly.task.full.task import FullTask
@@ -119,7 +119,7 @@ def size_of(points: int) -> int:
 
 def partial_of(folder: Path, name: str) -> Path:
     """Where a chair on its way lies."""
-    return file_of(folder, name).with_suffix(".partial.npz")
+    return dataset_file(folder, name).with_suffix(".partial.npz")
 
 
 class Bench:
@@ -199,7 +199,7 @@ class Bench:
     def _refuse(self, pick: FurnitureRef, why: str) -> None:
         result = Mastery(pick.name, False, 0, 0, 0.0, 0.0, why)
         config = {**self._notes, "furniture": pick.name, "training": asdict(self._training), "result": asdict(result)}
-        checkpoint.save(file_of(self._folder, pick.name), checkpoint.Checkpoint(KIND, {}, config, {}))
+        checkpoint.save(dataset_file(self._folder, pick.name), checkpoint.Checkpoint(KIND, {}, config, {}))
 
     def _enter(self, pick: FurnitureRef, task: ObjectCentricTask | FullTask) -> None:
         t = self._training
@@ -260,7 +260,7 @@ class Bench:
         )
         extra = {"features": pupil.chair.features, "depths": np.array(learner.depths, np.int32).reshape(-1, 2)}
         config = {**self._config(pupil), "result": asdict(result)}
-        checkpoint.save(file_of(self._folder, pupil.pick.name), checkpoint.Checkpoint(KIND, params, config, extra))
+        checkpoint.save(dataset_file(self._folder, pupil.pick.name), checkpoint.Checkpoint(KIND, params, config, extra))
         partial_of(self._folder, pupil.pick.name).unlink(missing_ok=True)
         return True
 
@@ -316,8 +316,8 @@ def train(
         keep_every: seconds between what is written of chairs on their way.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    there = [p for p in picks if file_of(folder, p.name).is_file()]
-    yield from (read(file_of(folder, p.name)) for p in there)
+    there = [p for p in picks if dataset_file(folder, p.name).is_file()]
+    yield from (read(dataset_file(folder, p.name)) for p in there)
     left = [p for p in picks if p not in there]
     by_size: dict[int, list[FurnitureRef]] = {}
     for p in left:
@@ -331,7 +331,7 @@ def train(
     if jobs == 1:
         for lot in lots:
             work(lot)
-            yield from (read(file_of(folder, p.name)) for p in lot)
+            yield from (read(dataset_file(folder, p.name)) for p in lot)
         return
     with worker_pool(jobs) as pool:
         with one_thread_each():
@@ -340,8 +340,8 @@ def train(
             done, running = wait(running, timeout=2.0)
             for future in done:
                 future.result()
-            ready = [p for p in left if file_of(folder, p.name).is_file()]
-            yield from (read(file_of(folder, p.name)) for p in ready)
+            ready = [p for p in left if dataset_file(folder, p.name).is_file()]
+            yield from (read(dataset_file(folder, p.name)) for p in ready)
             left = [p for p in left if p not in ready]
 
 

@@ -17,8 +17,8 @@ from jaxtyping import Bool, Float32, Int8
 from roboassembly.envs.observation import Observer, surface_points
 from roboassembly.furniture.model import MAX_POINTS
 from roboassembly.learning import archive
-from roboassembly.learning.relational.oracle_dataset import CLOUD_POINTS
-from roboassembly.learning.relational.policy_view import Situation, groups_of
+from roboassembly.learning.datasets import CLOUD_POINTS, group_labels
+from roboassembly.learning.relational.policy_view import Situation
 from roboassembly.solvers.hand_oracle import HandOracle
 from roboassembly.solvers.oracle import LabeledMate
 from roboassembly.task.full.grips import Grip
@@ -70,7 +70,7 @@ class GraspCourse:
         """What a policy is told of a state."""
         connections = lesson.connections.astype(float)
         return Situation(
-            self.clouds.astype(float), lesson.points.astype(float), connections, lesson.free, groups_of(connections),
+            self.clouds.astype(float), lesson.points.astype(float), connections, lesson.free, group_labels(connections),
             self.hands.astype(float), lesson.poses.astype(float),
         )  # fmt: skip
 

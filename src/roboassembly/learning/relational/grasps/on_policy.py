@@ -19,9 +19,10 @@ from roboassembly.datasets import catalogue
 from roboassembly.envs.observation import Observer, surface_points
 from roboassembly.errors import InputError
 from roboassembly.furniture.model import MAX_POINTS
-from roboassembly.learning.policy import ConfidentPolicy, guide_of
-from roboassembly.learning.registry import load_policy
-from roboassembly.learning.relational.collect import Gathered, file_of
+from roboassembly.learning.datasets import CLOUD_POINTS, dataset_file
+from roboassembly.learning.policy import guide_of
+from roboassembly.learning.policy_weights import load_weights
+from roboassembly.learning.relational.collect import Gathered
 from roboassembly.learning.relational.grasps.dataset import (
     NO,
     UNKNOWN,
@@ -30,7 +31,7 @@ from roboassembly.learning.relational.grasps.dataset import (
     GraspLesson,
     unanswered,
 )
-from roboassembly.learning.relational.oracle_dataset import CLOUD_POINTS
+from roboassembly.learning.relational.policy import RelationalPolicy
 from roboassembly.parallel.processes import map_unordered
 from roboassembly.solvers.guide import Guide
 from roboassembly.task.full.task import FullOutcome, FullTask, FullVerdict, MateGrasp, Refusal
@@ -64,7 +65,7 @@ def practise(
         jobs: pieces at a time.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    left = [name for name in names if not file_of(folder, name).is_file()]
+    left = [name for name in names if not dataset_file(folder, name).is_file()]
     yield from map_unordered(partial(_practise, folder=folder, policy=policy, plays=plays, seed=seed), left, jobs)
 
 
@@ -92,15 +93,13 @@ def _practise(name: str, *, folder: Path, policy: Path, plays: int, seed: int) -
             lessons += seen
             choices += len(tried)
             mistakes += sum(not (lesson.rest == YES).any() for lesson in tried)
-    GraspCourse(name, clouds, hands, tuple(lessons)).save(file_of(folder, name))
+    GraspCourse(name, clouds, hands, tuple(lessons)).save(dataset_file(folder, name))
     return Gathered(name, len(lessons), mistakes, choices, time.monotonic() - begun)
 
 
 @lru_cache(maxsize=1)
-def _policy(path: Path) -> ConfidentPolicy:
-    policy = load_policy(str(path))
-    assert isinstance(policy, ConfidentPolicy)
-    return policy
+def _policy(path: Path) -> RelationalPolicy:
+    return RelationalPolicy.from_checkpoint(load_weights(str(path)), str(path))
 
 
 def play(

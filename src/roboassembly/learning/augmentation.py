@@ -1,0 +1,103 @@
+"""Data augmentation: furniture that is turned, mirrored or scaled is assembled in the same way."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from roboassembly.geometry.poses import euler_from_rotations, rotations_from_euler
+from roboassembly.learning.datasets import LabeledState, SampleSet
+from roboassembly.task.rules.connections import UP_AXES
+
+_SCALES = (0.7, 1.4)
+"""Range of random scales."""
+
+
+@dataclass(frozen=True)
+class FrameChange:
+    """Change of the furniture's frame, to which all part frames are parallel: mirror, then turn, then scale."""
+
+    quarter_turns: int = 0
+    """Number of counter-clockwise turns by 90° about z; up stays up."""
+    mirrored: bool = False
+    """Whether x changes its sign first."""
+    scale: float = 1.0
+
+    @staticmethod
+    def draw(rng: np.random.Generator) -> FrameChange:
+        """Draw a change; scales are uniform in their logarithm."""
+        scale = float(np.exp(rng.uniform(*np.log(_SCALES))))
+        return FrameChange(int(rng.integers(4)), bool(rng.integers(2)), scale)
+
+    @property
+    def mirror(self) -> Float[np.ndarray, "3 3"]:
+        """Mirror of the world frame."""
+        return np.diag([-1.0 if self.mirrored else 1.0, 1.0, 1.0])
+
+    @property
+    def side(self) -> Float[np.ndarray, "3 3"]:
+        """Mirror of the frame of a connection point or a gripper, which stays right-handed."""
+        return np.diag([1.0, -1.0 if self.mirrored else 1.0, 1.0])
+
+    @property
+    def matrix(self) -> Float[np.ndarray, "3 3"]:
+        """`new_from_old` of directions in a part's frame; its determinant is -1 if mirrored."""
+        cosine, sine = ((1, 0), (0, 1), (-1, 0), (0, -1))[self.quarter_turns % 4]
+        turn = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+        return turn @ self.mirror
+
+
+AUGMENTATIONS = tuple(FrameChange(turns, mirrored) for mirrored in (False, True) for turns in range(4))
+"""The eight changes that keep the size; the first changes nothing."""
+
+
+def up_axis_permutation(change: FrameChange) -> Int[np.ndarray, "6"]:
+    """Return the new `w` of each old `w`."""
+    return np.argmax(UP_AXES @ change.matrix.T @ UP_AXES.T, axis=1)
+
+
+def augmented(samples: SampleSet, change: FrameChange) -> SampleSet:
+    """Return the same samples about the changed furniture."""
+    clouds = (change.scale * samples.clouds @ change.matrix.T).astype(np.float32)
+    grasps = samples.grasps
+    if grasps is not None:
+        # A gripper is its own mirror image.
+        grasps = _poses(grasps, change.matrix, change.side, change.scale).astype(np.float32)
+    return replace(
+        samples, clouds=clouds, grasps=grasps, samples=tuple(_sample(sample, change) for sample in samples.samples)
+    )
+
+
+def _sample(sample: LabeledState, change: FrameChange) -> LabeledState:
+    m, scale = change.matrix, change.scale
+    points = sample.points.reshape(*sample.points.shape[:2], 3, 3) @ m.T
+    points[:, :, 0] *= scale
+    order = up_axis_permutation(change)
+    mates = sample.mates.copy()
+    mates[:, 5 + order] = sample.mates[:, 5:]
+    q_values = sample.q_values
+    if q_values is not None:
+        moved = q_values.copy()
+        moved[..., order] = q_values
+        q_values = moved
+    return replace(
+        sample,
+        points=points.reshape(sample.points.shape).astype(np.float32),
+        connections=_poses(sample.connections, m, m, scale),
+        poses=_poses(sample.poses, change.mirror, m, scale),
+        mates=mates,
+        q_values=q_values,
+    )
+
+
+def _poses(
+    poses: Float[np.ndarray, "*n 6"], left: Float[np.ndarray, "3 3"], right: Float[np.ndarray, "3 3"], scale: float
+) -> Float[np.ndarray, "*n 6"]:
+    """Change poses of frames changed by `right` in frames changed by `left`; rows of zeros, "none", stay zeros."""
+    out = np.zeros_like(poses)
+    some = (poses != 0).any(axis=-1)
+    turns = left @ rotations_from_euler(poses[some][:, 3:].astype(float)) @ right.T
+    out[some] = np.concatenate([scale * poses[some][:, :3] @ left.T, euler_from_rotations(turns)], axis=-1)
+    return out
