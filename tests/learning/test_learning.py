@@ -229,7 +229,7 @@ def test_a_course_survives_a_file_and_a_broken_one_is_told(cantilever: SampleSet
     course.save(file)
     loaded = SampleSet.load(file)
     assert loaded.name == cantilever.name
-    for a, b in zip(loaded.lessons, course.samples, strict=True):
+    for a, b in zip(loaded.samples, course.samples, strict=True):
         for name in ("mates", "points", "poses", "free", "q_values"):
             assert np.array_equal(getattr(a, name), getattr(b, name))
     file.write_bytes(file.read_bytes()[:200])
