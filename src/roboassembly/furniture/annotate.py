@@ -13,7 +13,6 @@ from roboassembly.errors import FurnitureError
 from roboassembly.furniture.contacts import Contact, find_contacts
 from roboassembly.furniture.grasps import find_grasps
 from roboassembly.furniture.model import (
-    FACE_TO_FACE,
     MAX_POINTS,
     SAME_POINT,
     Connection,
@@ -27,6 +26,7 @@ from roboassembly.furniture.model import (
     check_part_count,
 )
 from roboassembly.furniture.symmetry import rotations_onto, symmetries
+from roboassembly.geometry.mating import mated_frame
 from roboassembly.geometry.meshes import Mesh, nearest_points
 from roboassembly.geometry.poses import SE3
 
@@ -284,20 +284,20 @@ def _connection_points(
         sign = 1.0 if lead.part == contacts[index].a else -1.0
         frames[index] = _agree(
             lead.inherited(slots[lead.part]),
-            [_across(f, contacts[index].gap) for f in other.inherited(slots[other.part])],
+            [mated_frame(f, contacts[index].gap) for f in other.inherited(slots[other.part])],
             _own_frame(contacts[index], sign),
         )
-        for end, frame in ((lead, frames[index]), (other, _across(frames[index], contacts[index].gap))):
+        for end, frame in ((lead, frames[index]), (other, mated_frame(frames[index], contacts[index].gap))):
             if end.orbit.frame is None:
                 end.orbit.frame = SE3(end.carriers[0].T, np.zeros(3)) * slots[end.part].actInv(frame)
         if lead.part != contacts[index].a:
-            frames[index] = _across(frames[index], contacts[index].gap)
+            frames[index] = mated_frame(frames[index], contacts[index].gap)
 
     points: list[list[ConnectionPoint]] = [[] for _ in slots]
     connections: list[Connection] = []
     for contact, frame in zip(contacts, frames, strict=True):
         corners = []
-        for part, placed in ((contact.a, frame), (contact.b, _across(frame, contact.gap))):
+        for part, placed in ((contact.a, frame), (contact.b, mated_frame(frame, contact.gap))):
             local = slots[part].actInv(placed)
             corners.extend([part, len(points[part])])
             points[part].append(
@@ -341,11 +341,6 @@ def _own_frame(contact: Contact, sign: float) -> SE3:
     tangent /= np.linalg.norm(tangent)
     position = contact.center - 0.5 * contact.gap * normal
     return SE3(np.column_stack([tangent, np.cross(normal, tangent), normal]), position)
-
-
-def _across(frame: SE3, gap: float) -> SE3:
-    """The mate's frame: beyond the gap, normal opposed, tangent equal."""
-    return frame * SE3(FACE_TO_FACE, np.array([0.0, 0.0, gap]))
 
 
 def _walk(ends: Sequence[tuple[_End, _End]], class_of: dict[int, ShapeClass]) -> list[int]:

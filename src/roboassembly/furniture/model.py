@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from roboassembly.errors import FurnitureError
+from roboassembly.geometry.mating import mating_pose
 from roboassembly.geometry.meshes import Mesh
 from roboassembly.geometry.poses import SE3
 
@@ -27,9 +28,6 @@ GRASP_REGIONS = 2
 """A part, as in the paper."""
 SAME_POINT = 0.01
 """Metres: contacts of like parts that fall this near to each other on their shape get one and the same point."""
-
-FACE_TO_FACE: Float[np.ndarray, "3 3"] = np.diag([1.0, -1.0, -1.0])
-"""Turns a point's frame into its mate's: normal opposed, tangent equal."""
 
 
 @dataclass(frozen=True)
@@ -68,8 +66,7 @@ def mate(point_v: ConnectionPoint, point_u: ConnectionPoint) -> SE3:
 
     Normals opposed, tangents equal, origins apart by the stored gap along the normal (the mean of the two).
     """
-    gap = 0.5 * (point_v.gap + point_u.gap)
-    return point_v.frame * SE3(FACE_TO_FACE, np.array([0.0, 0.0, gap])) * point_u.frame.inverse()
+    return mating_pose(point_v.frame, point_u.frame, 0.5 * (point_v.gap + point_u.gap))
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,6 +15,7 @@ import numpy as np
 import pinocchio as pin
 from jaxtyping import Float
 
+from roboassembly.geometry.mating import distinct_directions
 from roboassembly.geometry.poses import SE3, interpolate
 from roboassembly.planning.problem import Budget, PathResult, PlanningStatus
 from roboassembly.planning.rrt import rrt_connect, shortcut
@@ -57,7 +58,7 @@ def plan_mating(world: CollisionWorld, problem: MatingProblem, budget: Budget, s
         return result(PlanningStatus.START_IN_COLLISION)
     sky = world.top + world.radius + SKY_CLEARANCE
     leave = _rise(world, problem.start, sky, [UP, *_around()], problem.partner)
-    arrive = _rise(world, problem.goal, sky, _directions(problem.retreats), problem.partner)
+    arrive = _rise(world, problem.goal, sky, distinct_directions(problem.retreats), problem.partner)
     if leave is not None and arrive is not None and world.edge_is_free(leave[-1], arrive[-1]):
         return result(PlanningStatus.SOLVED, [*leave, *reversed(arrive)])
     if world.states - first_state >= budget.states:
@@ -86,15 +87,6 @@ def _shifted(pose: SE3, offset: Float[np.ndarray, "3"]) -> SE3:
 def _around() -> list[Float[np.ndarray, "3"]]:
     """Eight level directions."""
     return [np.array([np.cos(a), np.sin(a), 0.0]) for a in np.arange(8) * np.pi / 4]
-
-
-def _directions(retreats: Sequence[Float[np.ndarray, "3"]]) -> list[Float[np.ndarray, "3"]]:
-    """The retreats without repetition, in their order."""
-    out: list[Float[np.ndarray, "3"]] = []
-    for d in retreats:
-        if not any(float(d @ other) > 1.0 - 1e-6 for other in out):
-            out.append(d)
-    return out
 
 
 def _rise(

@@ -13,10 +13,10 @@ from functools import cached_property
 from itertools import chain, islice
 
 import numpy as np
-from jaxtyping import Float
 
 from roboassembly.errors import InputError
 from roboassembly.furniture.model import Furniture
+from roboassembly.geometry.mating import distinct_directions
 from roboassembly.geometry.poses import SE3
 from roboassembly.planning.problem import Budget
 from roboassembly.task.full.cell import check_size, initial_layout
@@ -294,7 +294,7 @@ class FullTask:
         self, one: Group, two: Group, merge: Merge, grip_a: Grip | None, grip_b: Grip | None
     ) -> Iterator[Retract]:
         u_placed, v_placed = one.moved_to(merge.furniture_from_u), two.moved_to(merge.furniture_from_v)
-        directions = _distinct(self.rules.retreats(one, two, merge.merged, np.eye(3)))
+        directions = distinct_directions(self.rules.retreats(one, two, merge.merged, np.eye(3)))
         return retracts(self.furniture, u_placed, v_placed, grip_a, grip_b, directions)
 
     def check_grips(self, one: Group, two: Group, merge: Merge, grip_a: Grip, grip_b: Grip) -> MateGrasp | Refusal:
@@ -367,11 +367,3 @@ def _meetings(planner: SegmentPlanner, joint: MateGrasp) -> Iterator[MateStance]
 def _reframed(group: Group, by: SE3) -> Group:
     """The same group told in the frame of the merged one."""
     return replace(group, furniture_from_part=tuple(by * p for p in group.furniture_from_part))
-
-
-def _distinct(directions: list[Float[np.ndarray, "3"]]) -> list[Float[np.ndarray, "3"]]:
-    out: list[Float[np.ndarray, "3"]] = []
-    for d in directions:
-        if not any(float(d @ o) > 1.0 - 1e-6 for o in out):
-            out.append(d)
-    return out
