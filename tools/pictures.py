@@ -9,7 +9,6 @@ from PIL import Image
 
 from drawing import Piece, drawn, hand
 from roboassembly.datasets import catalogue
-from roboassembly.envs.object_centric import existing_actions
 from roboassembly.envs.observation import Observer
 from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS, Furniture, Part
 from roboassembly.generate import CHAIRS, FAMILIES
@@ -64,7 +63,7 @@ def write_dead_end(name: str, path: Path, *, width: int, height: int) -> None:
     oracle, observer = Oracle(task), Observer(furniture, MAX_PARTS, MAX_POINTS, policy.cloud_points)
     state = task.initial_state(np.random.default_rng(0))
     while not state.complete:
-        action = policy.act(observer.observe(state), existing_actions(task, state))
+        action = policy.act(observer.observe(state), task.existing_actions(state))
         after = task.step(state, tuple(int(i) for i in action), 0).state
         if after is state or not oracle.state_solvable(after):
             break

@@ -19,7 +19,6 @@ from roboassembly.envs.pictures import EpisodePictures, Item
 from roboassembly.errors import ArgumentError
 from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS, Furniture
 from roboassembly.rendering.colors import Role
-from roboassembly.task.rules.connections import Rules
 from roboassembly.task.rules.groups import TaskState
 from roboassembly.task.setting import Outcome, Task
 
@@ -172,7 +171,7 @@ class AssemblyEnv(gymnasium.Env[Observation, np.ndarray], Generic[ATask, State, 
     def action_mask(self) -> Bool[np.ndarray, "P P K K ..."]:
         """The mask of actions that exist: both parts there and in different groups, both points there and free."""
         if self._mask is None:
-            self._mask = self._existing(self.task, self.state)
+            self._mask = self.task.existing_actions(self.state, *self._padding)
         return self._mask.copy()
 
     def action_masks(self) -> NoReturn:
@@ -186,10 +185,6 @@ class AssemblyEnv(gymnasium.Env[Observation, np.ndarray], Generic[ATask, State, 
             f"masks of {type(self).__name__} are for whole actions, not for single components; wrap the environment: "
             "roboassembly.envs.wrappers.DiscreteActions(env), which has action_masks(); or read info['action_mask']"
         )
-
-    def _existing(self, task: ATask, state: State) -> Bool[np.ndarray, "P P K K ..."]:
-        """The mask of a state."""
-        raise NotImplementedError
 
     @property
     def _joined(self) -> TaskState:
@@ -248,18 +243,6 @@ def pieces_of(furniture: FurnitureLike | Iterable[FurnitureLike]) -> list[Furnit
     if not pieces:
         raise ArgumentError("no furniture given; name at least one piece")
     return pieces
-
-
-def existing_pairs(
-    rules: Rules, state: TaskState, max_parts: int = MAX_PARTS, max_points: int = MAX_POINTS
-) -> Bool[np.ndarray, "P P K K"]:
-    """Which `(u, v, k, l)` name free points of parts in different groups."""
-    free = rules.free_points(state)[:max_parts, :max_points]
-    group = np.full(max_parts, -1)
-    for part, index in state.group_of.items():
-        group[part] = index
-    apart = group[:, None] != group[None]
-    return apart[:, :, None, None] & free[:, None, :, None] & free[None, :, None, :]
 
 
 def _check_padding(piece: Furniture, max_parts: int, max_points: int) -> None:

@@ -6,10 +6,9 @@ from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool
 
 from roboassembly.datasets import catalogue
-from roboassembly.envs.assembly import AssemblyEnv, FurnitureLike, existing_pairs, pieces_of
+from roboassembly.envs.assembly import AssemblyEnv, FurnitureLike, pieces_of
 from roboassembly.envs.pictures import Item
 from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS
 from roboassembly.geometry.poses import SE3
@@ -19,7 +18,6 @@ from roboassembly.robots.body import placed
 from roboassembly.task.full.cell import post_mesh
 from roboassembly.task.full.task import FullOutcome, FullTask
 from roboassembly.task.plans.full_plan import FullState
-from roboassembly.task.rules.connections import GRASPS
 
 
 class FullEnv(AssemblyEnv[FullTask, FullState, FullOutcome]):
@@ -76,9 +74,6 @@ class FullEnv(AssemblyEnv[FullTask, FullState, FullOutcome]):
             tasks, FullTask.action_branches, max_parts, max_points, cloud_points, render_mode, width, height
         )
 
-    def _existing(self, task: FullTask, state: FullState) -> Bool[np.ndarray, "P P K K 8 8"]:
-        return existing_actions(task, state, *self._padding)
-
     def _items(self) -> list[Item]:
         """Parts, both robots, and the posts that are up."""
         state, items = self.state.cell_state, super()._items()
@@ -92,15 +87,3 @@ class FullEnv(AssemblyEnv[FullTask, FullState, FullOutcome]):
     def _info(self, verdict: str, planning_steps: int) -> dict[str, Any]:
         told = super()._info(verdict, planning_steps)
         return {**told, "leg": self._outcome.segment if self._outcome else "", "density": self.state.cell.density}
-
-
-def existing_actions(
-    task: FullTask, state: FullState, max_parts: int = MAX_PARTS, max_points: int = MAX_POINTS
-) -> Bool[np.ndarray, "P P K K 8 8"]:
-    """The mask of actions that exist in a state, indexed by `(u, v, k, l, g_a, g_b)`."""
-    pairs = existing_pairs(task.rules, state.groups, max_parts, max_points)
-    grasps = np.zeros((max_parts, GRASPS), bool)
-    for index, part in enumerate(task.furniture.parts):
-        grasps[index, : 4 * len(part.grasps)] = True
-    hands = grasps[:, None, :, None] & grasps[None, :, None, :]
-    return pairs[..., None, None] & hands[:, :, None, None]

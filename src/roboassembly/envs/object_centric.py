@@ -4,15 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-import numpy as np
-from jaxtyping import Bool
-
 from roboassembly.datasets import catalogue
-from roboassembly.envs.assembly import AssemblyEnv, FurnitureLike, existing_pairs, pieces_of
+from roboassembly.envs.assembly import AssemblyEnv, FurnitureLike, pieces_of
 from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS
 from roboassembly.planning.problem import Budget
 from roboassembly.task.object_centric.task import ObjectCentricOutcome, ObjectCentricTask
-from roboassembly.task.rules.connections import UP_AXES
 from roboassembly.task.rules.groups import TaskState
 
 
@@ -74,14 +70,3 @@ class ObjectCentricEnv(AssemblyEnv[ObjectCentricTask, TaskState, ObjectCentricOu
         super().__init__(
             tasks, ObjectCentricTask.action_branches, max_parts, max_points, cloud_points, render_mode, width, height
         )
-
-    def _existing(self, task: ObjectCentricTask, state: TaskState) -> Bool[np.ndarray, "P P K K 6"]:
-        return existing_actions(task, state, *self._padding)
-
-
-def existing_actions(
-    task: ObjectCentricTask, state: TaskState, max_parts: int = MAX_PARTS, max_points: int = MAX_POINTS
-) -> Bool[np.ndarray, "P P K K 6"]:
-    """The mask of actions that exist in a state, indexed by `(u, v, k, l, w)`."""
-    pairs = existing_pairs(task.rules, state, max_parts, max_points)
-    return np.repeat(pairs[..., None], len(UP_AXES), axis=-1)

@@ -32,14 +32,11 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Bool, Float32, Int
 
-from roboassembly.envs import full, object_centric
 from roboassembly.envs.observation import Observation, Observer
 from roboassembly.errors import InputError, PolicyError
 from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS, Furniture
 from roboassembly.solvers.guide import Guide, Suggestion
-from roboassembly.task.full.task import FullTask
-from roboassembly.task.object_centric.task import ObjectCentricTask
-from roboassembly.task.setting import SettingName
+from roboassembly.task.setting import SettingName, Task
 
 RANDOM = "random"
 MAKER = "policy"
@@ -172,13 +169,12 @@ class _PolicyGuide:
     policy: ValuePolicy
     _seen: tuple[Furniture, Observer] | None = field(default=None, init=False)
 
-    def __call__(self, task: ObjectCentricTask | FullTask, state: Any) -> Sequence[Suggestion]:
+    def __call__(self, task: Task[Any, Any], state: Any) -> Sequence[Suggestion]:
         if self._seen is None or self._seen[0] is not task.furniture:
             observer = Observer(task.furniture, MAX_PARTS, MAX_POINTS, self.policy.cloud_points)
             self._seen = task.furniture, observer
         observation = self._seen[1].observe(task.groups_of(state))
-        exist = full.existing_actions if isinstance(task, FullTask) else object_centric.existing_actions
-        mask = exist(task, state)  # pyright: ignore[reportArgumentType]
+        mask = task.existing_actions(state)
         if isinstance(self.policy, ConfidentPolicy):
             scores = _told(self.policy, "probabilities", self.policy.probabilities(observation, mask), mask)
         else:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Literal, Protocol, TypeVar
+from typing import ClassVar, Literal, Protocol, TypeVar
 
 import numpy as np
+from jaxtyping import Bool
 
-from roboassembly.furniture.model import Furniture
+from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS, Furniture
 from roboassembly.planning.problem import Budget
 from roboassembly.task.rules.connections import Rules
 from roboassembly.task.rules.groups import TaskState
@@ -49,9 +50,11 @@ class Outcome(Protocol[State_co, Step_co]):
 class Task(Protocol[State, Step_co]):
     """The rules of a setting for one piece of furniture."""
 
+    setting: ClassVar[SettingName]
+
     @property
     def furniture(self) -> Furniture:
-        """What is assembled."""
+        """The furniture that is assembled."""
         ...
 
     @property
@@ -70,6 +73,12 @@ class Task(Protocol[State, Step_co]):
 
     def groups_of(self, state: State) -> TaskState:
         """The groups of a state."""
+        ...
+
+    def existing_actions(
+        self, state: State, max_parts: int = MAX_PARTS, max_points: int = MAX_POINTS
+    ) -> Bool[np.ndarray, "P P K K ..."]:
+        """Return the mask of actions that exist in a state, padded to `max_parts` and `max_points`."""
         ...
 
     def step(

@@ -10,7 +10,7 @@ import pytest
 
 import shapes
 from roboassembly.datasets import catalogue
-from roboassembly.envs.full import FullEnv, existing_actions
+from roboassembly.envs.full import FullEnv
 from roboassembly.envs.observation import Observer, surface_points
 from roboassembly.errors import InputError
 from roboassembly.evaluation.rollout import RolloutConfig, make_agent
@@ -258,7 +258,7 @@ def test_what_an_action_tells_of_its_hands() -> None:
     state = task.initial_state(np.random.default_rng(0))
     observer = Observer(task.furniture, len(task.furniture.parts), MAX_POINTS, 1)
     rng, seen = np.random.default_rng(1), set[FullVerdict]()
-    right = [a for a in np.argwhere(existing_actions(task, state)).tolist() if task.merge(state.groups, tuple(a[:4]))]
+    right = [a for a in np.argwhere(task.existing_actions(state)).tolist() if task.merge(state.groups, tuple(a[:4]))]
     for index in rng.permutation(len(right))[:14]:
         action = tuple(right[index])
         fresh, outcome = task.mate_grasp(state.groups, action), task.step(state, action, 5)
@@ -282,7 +282,7 @@ def test_what_is_asked_of_actions_is_what_fresh_tests_say() -> None:
     task = FullTask(shapes.stand())
     state = task.initial_state(np.random.default_rng(0))
     observer = Observer(task.furniture, len(task.furniture.parts), MAX_POINTS, 1)
-    actions = [tuple(a) for a in np.argwhere(existing_actions(task, state)).tolist()]
+    actions = [tuple(a) for a in np.argwhere(task.existing_actions(state)).tolist()]
     right = [a for a in actions if task.merge(state.groups, a[:4])]
     wrong = [a for a in actions if not task.merge(state.groups, a[:4])]
     lessons = list(ask(task, state, observer, [*wrong[:5], *right[::4]], np.random.default_rng(1)))

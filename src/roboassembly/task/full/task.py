@@ -11,11 +11,13 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cached_property
 from itertools import chain, islice
+from typing import ClassVar
 
 import numpy as np
+from jaxtyping import Bool
 
 from roboassembly.errors import InputError
-from roboassembly.furniture.model import Furniture
+from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS, Furniture
 from roboassembly.geometry.mating import distinct_directions
 from roboassembly.geometry.poses import SE3
 from roboassembly.planning.problem import Budget
@@ -30,6 +32,7 @@ from roboassembly.task.plans.full_plan import FullState, FullStep
 from roboassembly.task.rules.connections import GRASPS, Rules
 from roboassembly.task.rules.groups import Group, TaskState
 from roboassembly.task.rules.pairs import Merge
+from roboassembly.task.setting import SettingName
 
 BUDGET = Budget(states=8_000)
 """Of each path."""
@@ -101,6 +104,7 @@ class MateGrasp:
 class FullTask:
     """The rules of the full setting for one piece of furniture."""
 
+    setting: ClassVar[SettingName] = "full"
     action_branches = (GRASPS, GRASPS)
     """Choices that an action has after its pair: `g_a` and `g_b`."""
 
@@ -169,6 +173,17 @@ class FullTask:
         if not self.rules.pair_exists(state.groups, u, v, k, l):
             return False
         return all(0 <= g < 4 * len(self.furniture.parts[p].grasps) for p, g in ((u, g_a), (v, g_b)))
+
+    def existing_actions(
+        self, state: FullState, max_parts: int = MAX_PARTS, max_points: int = MAX_POINTS
+    ) -> Bool[np.ndarray, "P P K K 8 8"]:
+        """Return the mask of actions that exist in a state, indexed by `(u, v, k, l, g_a, g_b)`."""
+        pairs = self.rules.existing_pairs(state.groups, max_parts, max_points)
+        grasps = np.zeros((max_parts, GRASPS), bool)
+        for index, part in enumerate(self.furniture.parts):
+            grasps[index, : 4 * len(part.grasps)] = True
+        both = grasps[:, None, :, None] & grasps[None, :, None, :]
+        return pairs[..., None, None] & both[:, :, None, None]
 
     def groups_of(self, state: FullState) -> TaskState:
         """The groups of a state."""

@@ -7,11 +7,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-from roboassembly.furniture.model import Furniture
+from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS, Furniture
 from roboassembly.geometry.poses import SE3, align_axis
 from roboassembly.geometry.scene import Scene
 from roboassembly.planning.mating import MatingProblem, plan_mating
@@ -23,6 +24,7 @@ from roboassembly.task.plans.plan import PlanStep
 from roboassembly.task.rules.connections import UP_AXES, Rules
 from roboassembly.task.rules.groups import Group, TaskState, body, center_of_mass, hull_points
 from roboassembly.task.rules.pairs import Merge, PairRule
+from roboassembly.task.setting import SettingName
 
 
 class ObjectCentricVerdict(StrEnum):
@@ -70,6 +72,7 @@ class Mating:
 class ObjectCentricTask:
     """The rules of the object-centric setting for one piece of furniture."""
 
+    setting: ClassVar[SettingName] = "object-centric"
     action_branches = (len(UP_AXES),)
     """Choices that an action has after its pair: `w`."""
 
@@ -99,6 +102,13 @@ class ObjectCentricTask:
         """Whether the action names free points of two parts in different groups."""
         *pair, w = action
         return 0 <= w < len(UP_AXES) and self.rules.pair_exists(state, *pair)
+
+    def existing_actions(
+        self, state: TaskState, max_parts: int = MAX_PARTS, max_points: int = MAX_POINTS
+    ) -> Bool[np.ndarray, "P P K K 6"]:
+        """Return the mask of actions that exist in a state, indexed by `(u, v, k, l, w)`."""
+        pairs = self.rules.existing_pairs(state, max_parts, max_points)
+        return np.repeat(pairs[..., None], len(UP_AXES), axis=-1)
 
     def step(
         self, state: TaskState, action: tuple[int, ...], seed: int, budget: Budget | None = None

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 from roboassembly.furniture.model import Furniture
 from roboassembly.task.full.cell import Cell, Post
 from roboassembly.task.full.cell_state import CellState, Segment
 from roboassembly.task.plans.plan import UprightResult
 from roboassembly.task.rules.groups import TaskState
+from roboassembly.task.setting import SettingName
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +46,8 @@ class FullUprightMotion:
 @dataclass(frozen=True, eq=False)
 class FullPlan:
     """A whole assembly by two robots."""
+
+    setting: ClassVar[SettingName] = "full"
 
     furniture: Furniture
     initial: FullState

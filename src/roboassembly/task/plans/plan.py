@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Generic, TypeVar
+from typing import ClassVar, Generic, TypeVar
 
 from roboassembly.furniture.model import Furniture
 from roboassembly.geometry.poses import SE3
+from roboassembly.task.setting import SettingName
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,6 +84,8 @@ class UprightMotion:
 @dataclass(frozen=True, eq=False)
 class Plan:
     """A whole assembly."""
+
+    setting: ClassVar[SettingName] = "object-centric"
 
     furniture: Furniture
     initial: tuple[SE3, ...]

@@ -42,6 +42,17 @@ class Rules:
             free[part, point] = False
         return free
 
+    def existing_pairs(
+        self, state: TaskState, max_parts: int = MAX_PARTS, max_points: int = MAX_POINTS
+    ) -> Bool[np.ndarray, "P P K K"]:
+        """Return the mask of pairs `(u, v, k, l)` that name free points of parts in different groups."""
+        free = self.free_points(state)[:max_parts, :max_points]
+        group = np.full(max_parts, -1)
+        for part, index in state.group_of.items():
+            group[part] = index
+        separate = group[:, None] != group[None]
+        return separate[:, :, None, None] & free[:, None, :, None] & free[None, :, None, :]
+
     def pair_exists(self, state: TaskState, u: int, v: int, k: int, l: int) -> bool:  # noqa: E741
         """Whether `k` and `l` are free points of the parts `u` and `v`, and those in different groups."""
         n = len(self.furniture.parts)
