@@ -50,7 +50,9 @@ def rotation_from_quaternion(wxyz: Sequence[float] | Float[np.ndarray, "4"]) -> 
     return quaternion.toRotationMatrix()
 
 
-def from_quaternion(position: Sequence[float], wxyz: Sequence[float]) -> SE3:
+def from_quaternion(
+    position: Sequence[float] | Float[np.ndarray, "3"], wxyz: Sequence[float] | Float[np.ndarray, "4"]
+) -> SE3:
     """Pose from a position in metres and a quaternion `(w, x, y, z)`."""
     return SE3(rotation_from_quaternion(wxyz), np.asarray(position, dtype=float))
 

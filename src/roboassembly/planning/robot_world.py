@@ -114,7 +114,7 @@ class RobotWorld:
         tips = SE3(*arm().tips)
         geometry = pin.GeometryModel()
 
-        def add(name: str, carrier: int, placement: SE3, shape: object) -> int:
+        def add(name: str, carrier: int, placement: SE3, shape: coal.CollisionGeometry) -> int:
             return geometry.addGeometryObject(pin.GeometryObject(name, carrier, placement, shape))
 
         own = [add(link.name, carriers[link.carrier], SE3.Identity(), link.mesh.convex) for link in links()]

@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from roboassembly.geometry.meshes import Mesh
 from roboassembly.geometry.poses import SE3, transform_points, turn_about_vertical
-from roboassembly.robots.gripper import hand_bodies, panda_folder
+from roboassembly.robots.gripper import hand_bodies, panda_folder, shape_corners
 from roboassembly.robots.kinematics import JOINTS, arm
 from roboassembly.robots.platform import CLEARANCE, HEIGHT, LENGTH, PLATFORM_FROM_MOUNT, WIDTH
 
@@ -49,7 +49,7 @@ def links() -> tuple[Link, ...]:
         if name.startswith("panda_link"):
             carrier = shape.parentJoint
             placement = shape.placement if carrier else PLATFORM_FROM_MOUNT * shape.placement
-            hull = trimesh.convex.convex_hull(transform_points(placement, np.array(shape.geometry.vertices())))
+            hull = trimesh.convex.convex_hull(transform_points(placement, shape_corners(shape.geometry)))
             out.append(Link(name.removeprefix("panda_"), carrier, Mesh.from_trimesh(hull)))
     return tuple(out)
 

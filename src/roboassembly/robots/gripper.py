@@ -10,8 +10,8 @@ import importlib.metadata
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any
 
+import coal
 import numpy as np
 import pinocchio as pin
 import trimesh
@@ -121,7 +121,7 @@ class HandAgainst:
 class _Pool:
     """Pinocchio's batch of collision tests of a free hand with a mesh."""
 
-    def __init__(self, mesh: Mesh, shapes: tuple[Any, ...]) -> None:
+    def __init__(self, mesh: Mesh, shapes: tuple[coal.ConvexBase, ...]) -> None:
         model = pin.Model()
         palm = model.addJoint(0, pin.JointModelFreeFlyer(), SE3.Identity(), _PALM)
         joints = [palm]
@@ -143,10 +143,10 @@ class _Pool:
 
 
 @cache
-def _convex_shapes(back: float) -> tuple[Any, ...]:
+def _convex_shapes(back: float) -> tuple[coal.ConvexBase, ...]:
     """Coal's convex bodies of the closed hand, swept from `back` metres behind."""
     hand = _hand()
-    shapes = []
+    shapes: list[coal.ConvexBase] = []
     for mesh in (hand.palm, *hand.fingers):
         swept = Mesh.from_trimesh(_hull(np.concatenate([mesh.vertices, mesh.vertices - [0.0, 0.0, back]])))
         shapes.append(swept.convex)
@@ -189,16 +189,17 @@ def _hand() -> _Hand:
             frame = model.frames[shape.parentFrame]
             if frame.name == link:
                 placement = data.oMf[tips].actInv(data.oMi[frame.parentJoint] * shape.placement)
-                corners.append(transform_points(placement, _corners(shape.geometry)))
+                corners.append(transform_points(placement, shape_corners(shape.geometry)))
         bodies.append(Mesh.from_trimesh(_hull(np.concatenate(corners))))
     return _Hand(bodies[0], (bodies[1], bodies[2]), (opens[0], opens[1]))
 
 
-def _corners(shape: Any) -> Float[np.ndarray, "n 3"]:
-    """Of a box or of a mesh, in its own frame."""
-    if hasattr(shape, "halfSide"):
+def shape_corners(shape: coal.CollisionGeometry) -> Float[np.ndarray, "n 3"]:
+    """Return the corners of a box or the vertices of a mesh, in the shape's own frame."""
+    if isinstance(shape, coal.Box):
         signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
         return signs * np.array(shape.halfSide)
+    assert isinstance(shape, coal.BVHModelBase)
     return np.array(shape.vertices())
 
 
