@@ -1,4 +1,4 @@
-"""Speaks to the studio as a browser does, and shows nothing."""
+"""Client of the studio that speaks the protocol of a browser and shows nothing."""
 
 from __future__ import annotations
 
@@ -18,25 +18,25 @@ from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Origin, Subprotocol
 
 from roboassembly.studio.access import Access
-from roboassembly.studio.house import House
-from roboassembly.studio.server import studio
-from roboassembly.studio.visitor import Visitor
+from roboassembly.studio.client_session import ClientSession
+from roboassembly.studio.config import StudioConfig
+from roboassembly.studio.server import run_studio
 
 CAMERA = _messages.ViewerCameraMessage(
     (1.0, 0.0, 0.0, 0.0), (2.0, 2.0, 1.0), 0.6, 0.01, 100.0, 600, 800, (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)
 )
 
 
-def house(**changed: Any) -> House:
-    return House(**({"folders": (), "policies": ("relational",), "furniture": "stool", "scale": None,
+def config(**changed: Any) -> StudioConfig:
+    return StudioConfig(**({"folders": (), "policies": ("relational",), "furniture": "stool", "scale": None,
                      "setting": "object-centric", "seed": 0} | changed))  # fmt: skip
 
 
 def served(
     port: int = 0, host: str = "127.0.0.1", access: Access | None = None, **changed: Any
 ) -> AbstractContextManager[ViserServer]:
-    """A studio on this machine; `changed` fields of its house."""
-    return studio(house(**changed), access or Access(host), port)
+    """A studio on this machine; `changed` replaces fields of its configuration."""
+    return run_studio(config(**changed), access or Access(host), port)
 
 
 def packed(message: _messages.Message) -> bytes:
@@ -99,8 +99,8 @@ class Browser:
         ray = (tuple(map(float, numbers)) for numbers in (origin, direction))
         self.send(_messages.ScenePointerMessage("click", *ray, ((0.5, 0.5),), None))
 
-    def upload(self, visitor: Visitor, name: str, says: int, parts: list[bytes]) -> None:
-        source = visitor.panel.upload._impl.uuid
+    def upload(self, client: ClientSession, name: str, says: int, parts: list[bytes]) -> None:
+        source = client.panel.upload._impl.uuid
         self.send(_messages.FileTransferStartUpload(source, "t1", name, "application/zip", len(parts), says))
         for index, part in enumerate(parts):
             self.send(_messages.FileTransferPart(source, "t1", index, part))
@@ -123,18 +123,18 @@ class Browser:
         pytest.fail(f"the server never said {text!r}")
 
 
-def note_visitors(monkeypatch: pytest.MonkeyPatch) -> list[Visitor]:
+def note_clients(monkeypatch: pytest.MonkeyPatch) -> list[ClientSession]:
     """Visitors, in the order in which they came."""
-    visitors: list[Visitor] = []
-    own = Visitor.__init__
+    clients: list[ClientSession] = []
+    own = ClientSession.__init__
 
     def noted(self, client, of):
         own(self, client, of)
-        visitors.append(self)
-        visitors.sort(key=lambda v: v.client.client_id)
+        clients.append(self)
+        clients.sort(key=lambda v: v.handle.client_id)
 
-    monkeypatch.setattr(Visitor, "__init__", noted)
-    return visitors
+    monkeypatch.setattr(ClientSession, "__init__", noted)
+    return clients
 
 
 def until(true: Callable[[], bool], seconds: float = 60.0, every: float = 0.02) -> None:
@@ -144,5 +144,5 @@ def until(true: Callable[[], bool], seconds: float = 60.0, every: float = 0.02) 
         time.sleep(every)
 
 
-def merges(visitor: Visitor) -> int:
-    return -1 if visitor.session is None else visitor.session.merges
+def merges(client: ClientSession) -> int:
+    return -1 if client.session is None else client.session.merges

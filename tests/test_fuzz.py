@@ -25,7 +25,7 @@ from roboassembly.envs.wrappers import DiscreteActions
 from roboassembly.errors import FurnitureError, InputError
 from roboassembly.furniture import storage
 from roboassembly.learning.registry import load_policy
-from roboassembly.studio.session import Session
+from roboassembly.studio.assembly_session import AssemblySession
 from roboassembly.task.full.task import FullVerdict
 from roboassembly.task.object_centric.task import ObjectCentricVerdict
 from roboassembly.task.plans import plan_file
@@ -109,7 +109,7 @@ def one_line(error: BaseException) -> None:
     assert len(text) < 12_000
 
 
-def check_plan(content: bytes, session: Session) -> None:
+def check_plan(content: bytes, session: AssemblySession) -> None:
     try:
         script = plan_file.decode(content, "plan.json")
         session.repeat(script, lambda _: session.merges < 3)
@@ -148,7 +148,7 @@ def check_checkpoint(path: Path, env: ObjectCentricEnv) -> None:
 
 def try_plans(count: int, seed: int, stool) -> None:
     rng = np.random.default_rng(seed)
-    session = Session(stool, seed=2)
+    session = AssemblySession(stool, seed=2)
     session.search(None, lambda _: True)
     whole = plan_file.encode(session.plan())
     while session.undo():

@@ -33,7 +33,7 @@ from roboassembly.importers.pipeline import finish
 from roboassembly.learning import checkpoint
 from roboassembly.learning.policy import guide_of
 from roboassembly.learning.registry import load_policy
-from roboassembly.studio.wares import open_path
+from roboassembly.studio.sources import open_path
 from roboassembly.task.plans.plan import Plan
 
 _REAL = (

@@ -32,7 +32,7 @@ from roboassembly.errors import InputError
 from roboassembly.importers import folder
 from roboassembly.learning import checkpoint
 from roboassembly.learning import registry as loading
-from roboassembly.studio.wares import unpack
+from roboassembly.studio.uploads import unpack
 opened = {
     "folder": lambda path: folder.read(path),
     "policy": lambda path: loading.load_policy(str(path)),

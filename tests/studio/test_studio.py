@@ -24,15 +24,16 @@ from roboassembly.furniture import storage
 from roboassembly.learning.policy import guide_of
 from roboassembly.learning.registry import load_policy
 from roboassembly.solvers.search import solve
-from roboassembly.studio import wares
-from roboassembly.studio.session import Session
-from roboassembly.studio.visitor import Visitor
-from roboassembly.studio.wares import Wares, open_path, open_plan, open_upload, unpack
-from roboassembly.studio.words import told
+from roboassembly.studio import uploads
+from roboassembly.studio.assembly_session import AssemblySession
+from roboassembly.studio.client_session import ClientSession
+from roboassembly.studio.messages import attempt_message
+from roboassembly.studio.sources import BUILT_IN, Sources, open_path, open_plan
+from roboassembly.studio.uploads import open_upload, unpack
 from roboassembly.task.full.task import FullVerdict
 from roboassembly.task.object_centric.task import ObjectCentricVerdict
 from roboassembly.task.plans import plan_file
-from studio_client import Browser, merges, note_visitors, served, until
+from studio_client import Browser, merges, note_clients, served, until
 
 # Browsers that go away in the middle of something.
 pytestmark = pytest.mark.filterwarnings("ignore:Queued a")
@@ -51,16 +52,16 @@ def go_on(_) -> bool:
 
 
 def test_a_session_found_by_the_search_is_the_plan_of_the_search(stool):
-    session = Session(stool, seed=3)
+    session = AssemblySession(stool, seed=3)
     assert session.search(None, go_on) == ""
-    assert session.joined.complete
+    assert session.task_state.complete
     assert session.reward == len(stool.parts) - 1 + 4
     assert digest(session.plan()) == digest(solve(stool, 3).plan)
 
 
 def test_steps_done_one_by_one_with_the_search_s_actions_give_its_plan(stool):
     wanted = solve(stool, 1).plan
-    session = Session(stool, seed=1)
+    session = AssemblySession(stool, seed=1)
     for step in wanted.steps:
         assert session.attempt(step.action).merged
     assert session.plan().success
@@ -68,31 +69,31 @@ def test_steps_done_one_by_one_with_the_search_s_actions_give_its_plan(stool):
 
 
 def test_undo_goes_back_to_the_state_before_and_can_be_repeated_to_the_start(stool):
-    session = Session(stool, seed=1)
-    before = [p.homogeneous for p in session.joined.part_poses]
+    session = AssemblySession(stool, seed=1)
+    before = [p.homogeneous for p in session.task_state.part_poses]
     assert session.search(None, go_on) == ""
     merges = session.merges
     for k in range(merges):
         assert session.merges == merges - k
-        assert len(session.joined.groups) == 1 + k
+        assert len(session.task_state.groups) == 1 + k
         assert session.undo()
     assert not session.undo()
-    np.testing.assert_array_equal([p.homogeneous for p in session.joined.part_poses], before)
+    np.testing.assert_array_equal([p.homogeneous for p in session.task_state.part_poses], before)
     assert session.reward == 0.0
 
 
 def test_a_failure_changes_nothing_but_the_counts(stool):
-    session = Session(stool, seed=1)
+    session = AssemblySession(stool, seed=1)
     legs = [i for i, p in enumerate(stool.parts) if p.name.startswith("leg")]
     tried = session.attempt((legs[0], legs[1], 0, 0, 0))
     assert tried.verdict == ObjectCentricVerdict.WRONG_PAIR
     assert (session.merges, session.failures, session.reward) == (0, 1, 0.0)
-    assert len(session.joined.groups) == len(stool.parts)
-    assert "do not belong together" in told(stool, tried)
+    assert len(session.task_state.groups) == len(stool.parts)
+    assert "do not belong together" in attempt_message(stool, tried)
 
 
 def test_what_is_half_done_by_hand_is_finished_by_the_search_and_audited(stool):
-    session = Session(stool, seed=5)
+    session = AssemblySession(stool, seed=5)
     guide = guide_of(load_policy("relational"))
     for _ in range(3):
         action = session.suggestion(guide)
@@ -106,7 +107,7 @@ def test_what_is_half_done_by_hand_is_finished_by_the_search_and_audited(stool):
 
 
 def test_a_search_that_is_stopped_says_so_and_leaves_all_as_it_was(stool):
-    session = Session(stool, seed=1)
+    session = AssemblySession(stool, seed=1)
     seen = []
 
     def three(standing) -> bool:
@@ -121,44 +122,44 @@ def test_a_search_that_is_stopped_says_so_and_leaves_all_as_it_was(stool):
 
 
 def test_a_plan_that_was_saved_is_done_again_to_the_last_bit(stool, tmp_path):
-    session = Session(stool, seed=9)
+    session = AssemblySession(stool, seed=9)
     session.search(None, go_on)
     plan_file.write(session.plan(), tmp_path / "plan.json")
     storage.save(stool, tmp_path / "furniture")
     script, furniture = open_plan(tmp_path / "plan.json")
-    again = Session(furniture, script.setting, script.seed)
+    again = AssemblySession(furniture, script.setting, script.seed)
     assert again.repeat(script, go_on) == ""
     assert plan_file.encode(again.plan()) == (tmp_path / "plan.json").read_bytes()
-    with pytest.raises(InputError, match="whose parts are others"):
-        Session(catalogue.make("plank")).repeat(script, go_on)
+    with pytest.raises(InputError, match="whose parts differ"):
+        AssemblySession(catalogue.make("plank")).repeat(script, go_on)
     with pytest.raises(InputError, match="setting"):
-        Session(stool, "full").repeat(script, go_on)
+        AssemblySession(stool, "full").repeat(script, go_on)
 
 
 def test_a_plan_without_its_furniture_is_found_by_name_or_refused(stool, tmp_path):
-    session = Session(stool, seed=9)
+    session = AssemblySession(stool, seed=9)
     content = plan_file.encode(session.plan())
     (tmp_path / "plan.json").write_bytes(content)
     assert open_plan(tmp_path / "plan.json")[1].name == "stool-0"
     (tmp_path / "plan.json").write_bytes(content.replace(b'"stool-0"', b'"sofa-0"'))
-    with pytest.raises(InputError, match="furniture' that holds it"):
+    with pytest.raises(InputError, match="put its furniture folder at"):
         open_plan(tmp_path / "plan.json")
 
 
 def test_robots_are_asked_for_grasps_and_furniture_they_cannot_hold_is_refused(stool):
-    session = Session(stool, "full", 0)
+    session = AssemblySession(stool, "full", 0)
     assert [name for name, _ in session.choices()] == ["g_a", "g_b"]
     with pytest.raises(InputError, match="negative"):
-        Session(stool, seed=-1)
+        AssemblySession(stool, seed=-1)
     with pytest.raises(InputError, match="no hand can hold"):
-        Session(catalogue.make("upholstered", 23), "full")
+        AssemblySession(catalogue.make("upholstered", 23), "full")
 
 
 def test_every_verdict_has_words(stool):
-    session = Session(stool, seed=1)
+    session = AssemblySession(stool, seed=1)
     base = session.attempt((0, 1, 0, 0, 0))
     for verdict in {*map(str, ObjectCentricVerdict), *map(str, FullVerdict)} - {"merged"}:
-        text = told(stool, type(base)(base.action, verdict, "lift", 5, 0.001))
+        text = attempt_message(stool, type(base)(base.action, verdict, "lift", 5, 0.001))
         assert verdict.replace("_", " ") in text
         assert "Nothing moved" in text
 
@@ -168,16 +169,16 @@ def test_every_verdict_has_words(stool):
 
 def test_all_sources_open(stool, tmp_path):
     storage.save(stool, tmp_path / "mine" / "a")
-    sources = Wares((tmp_path / "mine",)).sources()
-    assert sources[wares.BUILT_IN]
+    own = Sources((tmp_path / "mine",))
+    pieces = own.pieces()
+    assert pieces[BUILT_IN]
     folder = f"folder:{tmp_path / 'mine'}"
-    assert sources[folder] == ["a"]
-    shop = Wares((tmp_path / "mine",))
-    assert len(shop.open(folder, "a").parts) == len(stool.parts)
-    assert shop.open(wares.BUILT_IN, "stool", 2).name == "stool-2"
-    for source, piece in ((folder, "b"), ("folder:/etc", "a"), (wares.BUILT_IN, "../a")):
+    assert pieces[folder] == ["a"]
+    assert len(own.open(folder, "a").parts) == len(stool.parts)
+    assert own.open(BUILT_IN, "stool", 2).name == "stool-2"
+    for source, piece in ((folder, "b"), ("folder:/etc", "a"), (BUILT_IN, "../a")):
         with pytest.raises(InputError):
-            shop.open(source, piece)
+            own.open(source, piece)
 
 
 def mesh_folder(furniture, folder: Path) -> Path:
@@ -201,7 +202,7 @@ def test_a_folder_of_stl_files_opens_as_it_is_and_as_an_archive(stool, tmp_path)
     brought = open_upload("my_stool.zip", zipped(files))
     assert [p.name for p in brought.parts] == [p.name for p in direct.parts]
     assert brought.name == "my_stool"
-    session = Session(brought)
+    session = AssemblySession(brought)
     assert session.search(None, go_on) == ""
 
 
@@ -217,7 +218,7 @@ def test_a_furniture_folder_comes_back_whole_from_an_archive(stool, tmp_path):
 )
 def test_entries_that_would_lie_elsewhere_are_refused_and_nothing_is_written(entry, tmp_path):
     (tmp_path / "up").mkdir()
-    with pytest.raises(InputError, match="would not lie inside"):
+    with pytest.raises(InputError, match="would lie outside"):
         unpack("a.zip", zipped({entry: b"solid x\nendsolid x\n"}), tmp_path / "up")
     assert [p.name for p in tmp_path.rglob("*") if p.is_file()] == []
 
@@ -228,13 +229,13 @@ def test_links_in_archives_are_refused(tmp_path):
         entry = zipfile.ZipInfo("passwd.stl")
         entry.external_attr = (stat.S_IFLNK | 0o777) << 16
         archive.writestr(entry, "/etc/passwd")
-    with pytest.raises(InputError, match="would not lie inside"):
+    with pytest.raises(InputError, match="would lie outside"):
         unpack("a.zip", out.getvalue(), tmp_path)
 
 
 @pytest.mark.parametrize("name", ["", ".", "..", "a/..", "x\0.glb"])
 def test_names_that_are_none_are_refused(name, tmp_path):
-    with pytest.raises(InputError, match="no name"):
+    with pytest.raises(InputError, match="not a valid file name"):
         unpack(name, b"", tmp_path)
 
 
@@ -248,20 +249,20 @@ def test_only_the_last_component_of_a_name_counts(tmp_path):
     "content", [b"", b"PK\x03\x04nonsense", b"\0" * 100, zipped({"a.stl": b"solid"})[:-30]], ids=range(4)
 )
 def test_broken_archives_are_one_clear_line(content, tmp_path):
-    with pytest.raises(InputError, match="no archive that can be read"):
+    with pytest.raises(InputError, match="not a readable ZIP archive"):
         unpack("a.zip", content, tmp_path)
 
 
 def test_what_unpacks_to_too_much_is_refused(monkeypatch, tmp_path):
     bomb = zipped({"a.stl": bytes(2_000_000)})
     assert len(bomb) < 10_000
-    monkeypatch.setattr(wares, "LARGEST_UPLOAD", 1_000_000)
+    monkeypatch.setattr(uploads, "LARGEST_UPLOAD", 1_000_000)
     with pytest.raises(InputError, match="unpacks to more than"):
         unpack("a.zip", bomb, tmp_path)
     with pytest.raises(InputError, match="at most"):
         unpack("a.glb", bytes(2_000_000), tmp_path)
-    monkeypatch.setattr(wares, "MOST_FILES", 3)
-    with pytest.raises(InputError, match="holds 4 files"):
+    monkeypatch.setattr(uploads, "MOST_FILES", 3)
+    with pytest.raises(InputError, match="contains 4 files"):
         unpack("b.zip", zipped({f"{i}.stl": b"" for i in range(4)}), tmp_path)
 
 
@@ -278,67 +279,67 @@ def test_brought_files_that_are_no_furniture_leave_nothing_behind(tmp_path, monk
 
 
 @pytest.fixture
-def came(monkeypatch) -> list[Visitor]:
-    return note_visitors(monkeypatch)
+def clients(monkeypatch) -> list[ClientSession]:
+    return note_clients(monkeypatch)
 
 
 @pytest.mark.parametrize("count", [8, pytest.param(50, marks=pytest.mark.slow)])
-def test_visitors_each_have_a_session_of_their_own(count, came):
+def test_visitors_each_have_a_session_of_their_own(count, clients):
     threads = threading.active_count()
     with served() as server:
         browsers = [Browser(server) for _ in range(count)]
-        until(lambda: len(came) == count and all(merges(v) == 0 for v in came))
+        until(lambda: len(clients) == count and all(merges(v) == 0 for v in clients))
         for k in (0, 7):
-            browsers[k].press(came[k].panel.suggest)
-            browsers[k].press(came[k].panel.join)
-        until(lambda: merges(came[0]) == merges(came[7]) == 1)
-        assert sum(merges(v) for v in came) == 2
+            browsers[k].press(clients[k].panel.suggest)
+            browsers[k].press(clients[k].panel.join)
+        until(lambda: merges(clients[0]) == merges(clients[7]) == 1)
+        assert sum(merges(v) for v in clients) == 2
         for browser in browsers:
             browser.connection.close()
-        until(lambda: not any(v.at_work for v in came))
+        until(lambda: not any(v.is_running for v in clients))
     until(lambda: threading.active_count() <= threads + 2)
 
 
-def test_a_whole_assembly_by_buttons_then_undo(came, stool):
+def test_a_whole_assembly_by_buttons_then_undo(clients, stool):
     with served() as server:
         browser = Browser(server)
-        until(lambda: len(came) == 1 and merges(came[0]) == 0)
-        panel = came[0].panel
+        until(lambda: len(clients) == 1 and merges(clients[0]) == 0)
+        panel = clients[0].panel
         browser.press(panel.join)
         until(lambda: "choose a point" in panel.message.content)
         browser.press(panel.runs["guided"])
-        until(lambda: merges(came[0]) == len(stool.parts) - 1)
+        until(lambda: merges(clients[0]) == len(stool.parts) - 1)
         until(lambda: panel.message.content.startswith("✓ Assembled"))
         assert f"{len(stool.parts) - 1} of {len(stool.parts) - 1} merges" in panel.status.content
         browser.press(panel.undo)
-        until(lambda: merges(came[0]) == len(stool.parts) - 2)
+        until(lambda: merges(clients[0]) == len(stool.parts) - 2)
         assert not panel.undo.disabled
 
 
-def test_a_plan_of_robots_is_brought_to_furniture_that_was_opened_without_grasps(came, stool):
-    content = plan_file.encode(Session(stool, "full", seed=3).plan())
+def test_a_plan_of_robots_is_brought_to_furniture_that_was_opened_without_grasps(clients, stool):
+    content = plan_file.encode(AssemblySession(stool, "full", seed=3).plan())
     with served() as server:
         browser = Browser(server)
-        until(lambda: len(came) == 1 and merges(came[0]) == 0)
-        assert came[0].session is not None
-        assert not any(part.grasps for part in came[0].session.furniture.parts)
-        browser.upload(came[0], "plan.json", len(content), [content])
-        until(lambda: came[0].session is not None and came[0].session.setting == "full")
-        assert came[0].session.seed == 3
-        assert all(part.grasps for part in came[0].session.furniture.parts)
+        until(lambda: len(clients) == 1 and merges(clients[0]) == 0)
+        assert clients[0].session is not None
+        assert not any(part.grasps for part in clients[0].session.furniture.parts)
+        browser.upload(clients[0], "plan.json", len(content), [content])
+        until(lambda: clients[0].session is not None and clients[0].session.setting == "full")
+        assert clients[0].session.seed == 3
+        assert all(part.grasps for part in clients[0].session.furniture.parts)
 
 
 @pytest.mark.slow
-def test_a_step_is_shown_soon(came, stool):
+def test_a_step_is_shown_soon(clients, stool):
     """From the button to the new state and the first frame of the way there."""
     seconds = []
     with served() as server:
         browser = Browser(server)
-        until(lambda: len(came) == 1 and merges(came[0]) == 0)
-        panel = came[0].panel
+        until(lambda: len(clients) == 1 and merges(clients[0]) == 0)
+        panel = clients[0].panel
         for merge in range(len(stool.parts) - 1):
             browser.press(panel.suggest)
-            until(lambda: "what the policy would do" in panel.message.content)
+            until(lambda: "The policy suggests this action" in panel.message.content)
             there, begun = f" {merge + 1} of {len(stool.parts) - 1} merges", time.monotonic()
             browser.press(panel.join)
             until(lambda there=there: there in panel.status.content, every=0.002)
@@ -348,25 +349,25 @@ def test_a_step_is_shown_soon(came, stool):
     assert np.median(seconds) < 1.0
 
 
-def test_a_plan_that_is_brought_is_done_again_on_the_furniture_shown(came, stool):
-    other = Session(stool, seed=4)
+def test_a_plan_that_is_brought_is_done_again_on_the_furniture_shown(clients, stool):
+    other = AssemblySession(stool, seed=4)
     other.search(None, go_on)
     content = plan_file.encode(other.plan())
     with served() as server:
         browser = Browser(server)
-        until(lambda: len(came) == 1 and merges(came[0]) == 0)
-        browser.upload(came[0], "plan.json", len(content), [content])
-        until(lambda: came[0].panel.message.content.startswith("✓ Done again"))
-        assert came[0].session is not None
-        assert came[0].session.seed == came[0].panel.seed.value == 4
-        assert plan_file.encode(came[0].session.plan()) == content
-        browser.upload(came[0], "plan.json", 7, [b"{}     "])
-        until(lambda: "is no plan" in came[0].panel.message.content)
-        assert merges(came[0]) == len(stool.parts) - 1
+        until(lambda: len(clients) == 1 and merges(clients[0]) == 0)
+        browser.upload(clients[0], "plan.json", len(content), [content])
+        until(lambda: clients[0].panel.message.content.startswith("✓ Repeated the plan"))
+        assert clients[0].session is not None
+        assert clients[0].session.seed == clients[0].panel.seed.value == 4
+        assert plan_file.encode(clients[0].session.plan()) == content
+        browser.upload(clients[0], "plan.json", 7, [b"{}     "])
+        until(lambda: "is no plan" in clients[0].panel.message.content)
+        assert merges(clients[0]) == len(stool.parts) - 1
 
 
-def test_a_long_search_is_cancelled(came, monkeypatch):
-    begun, slow = threading.Event(), Session.search
+def test_a_long_search_is_cancelled(clients, monkeypatch):
+    begun, slow = threading.Event(), AssemblySession.search
 
     def search(self, guide, watch):
         def watched(standing):
@@ -376,37 +377,37 @@ def test_a_long_search_is_cancelled(came, monkeypatch):
 
         return slow(self, guide, watched)
 
-    monkeypatch.setattr(Session, "search", search)
+    monkeypatch.setattr(AssemblySession, "search", search)
     with served(furniture="ladder") as server:
         browser = Browser(server)
-        until(lambda: len(came) == 1 and merges(came[0]) == 0)
-        panel = came[0].panel
+        until(lambda: len(clients) == 1 and merges(clients[0]) == 0)
+        panel = clients[0].panel
         browser.press(panel.runs["search"])
         assert begun.wait(20)
         assert panel.join.disabled
         browser.press(panel.cancel)
         until(lambda: "stopped" in panel.message.content)
-        assert merges(came[0]) == 0
+        assert merges(clients[0]) == 0
         assert not panel.join.disabled
 
 
-def test_uploads_are_opened_and_those_too_large_are_forgotten(came, stool, tmp_path, monkeypatch):
+def test_uploads_are_opened_and_those_too_large_are_forgotten(clients, stool, tmp_path, monkeypatch):
     folder = mesh_folder(stool, tmp_path / "brought")
     content = zipped({p.name: p.read_bytes() for p in folder.iterdir()})
     monkeypatch.setattr("roboassembly.studio.incoming.LARGEST_UPLOAD", len(content))
     with served() as server:
         browser = Browser(server)
-        until(lambda: len(came) == 1 and merges(came[0]) == 0)
-        kept = came[0].client.gui._current_file_upload_states
+        until(lambda: len(clients) == 1 and merges(clients[0]) == 0)
+        kept = clients[0].handle.gui._current_file_upload_states
         # Too large by what it says; by what comes, whatever it says; and one that is neither.
-        browser.upload(came[0], "a.zip", len(content) + 1, [b"x"])
-        browser.upload(came[0], "a.zip", 10, [bytes(len(content)), b"x", b"y"])
-        browser.upload(came[0], "../brought.zip", len(content), [content[:100], content[100:]])
-        until(lambda: came[0].session is not None and came[0].session.furniture.name == "brought")
+        browser.upload(clients[0], "a.zip", len(content) + 1, [b"x"])
+        browser.upload(clients[0], "a.zip", 10, [bytes(len(content)), b"x", b"y"])
+        browser.upload(clients[0], "../brought.zip", len(content), [content[:100], content[100:]])
+        until(lambda: clients[0].session is not None and clients[0].session.furniture.name == "brought")
         assert not kept
 
 
-def test_nothing_is_served_but_the_page_and_nobody_opens_a_tunnel(came):
+def test_nothing_is_served_but_the_page_and_nobody_opens_a_tunnel(clients):
     with served() as server:
         for path in (
             "/../../../../etc/passwd",
@@ -420,19 +421,19 @@ def test_nothing_is_served_but_the_page_and_nobody_opens_a_tunnel(came):
             assert b"200 OK" not in answer.split(b"\r\n", 1)[0], path
             assert b"root:" not in answer
         browser = Browser(server)
-        until(lambda: len(came) == 1)
+        until(lambda: len(clients) == 1)
         browser.send(_messages.ShareUrlRequest())
         time.sleep(0.3)
         assert server._share_tunnel is None
 
 
-def test_folders_are_opened_by_name_only_where_a_root_was_given(came, tmp_path):
+def test_folders_are_opened_by_name_only_where_a_root_was_given(clients, tmp_path):
     for roots in ((), (tmp_path,)):
-        came.clear()
+        clients.clear()
         with served(roots=roots) as server:
             browser = Browser(server)
-            until(lambda: len(came) == 1)
-            assert (came[0].panel.path is not None) == bool(roots)
+            until(lambda: len(clients) == 1)
+            assert (clients[0].panel.path is not None) == bool(roots)
             browser.connection.close()
 
 

@@ -24,11 +24,10 @@ from websockets.typing import Subprotocol
 
 import shapes
 from roboassembly.studio.access import Access
+from roboassembly.studio.client_session import ClientSession
 from roboassembly.studio.panel import NONE, PICKS
-from roboassembly.studio.screen import Screen
-from roboassembly.studio.visitor import Visitor
 from seeing import Sight, sight
-from studio_client import CAMERA, note_visitors, packed
+from studio_client import CAMERA, note_clients, packed
 from studio_client import served as in_this_process
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="make test-all installs it")
@@ -117,12 +116,12 @@ def test_a_whole_stool_is_put_together_by_clicking(page):
     seconds = []
     for merge in range(MERGES):
         press(page, "Suggest")
-        page.get_by_text("what the policy would do").wait_for()
+        page.get_by_text("The policy suggests this action").wait_for()
         begun = time.monotonic()
         press(page, "Join")
         page.get_by_text(f"{merge + 1} of {MERGES} merges").wait_for()
         seconds.append(time.monotonic() - begun)
-    print(f"from the click to what came of it: median {np.median(seconds):.2f} s, at most {max(seconds):.2f} s")
+    print(f"from the click to what clients of it: median {np.median(seconds):.2f} s, at most {max(seconds):.2f} s")
     assert np.median(seconds) < 1.0
     assert page.get_by_text("reward 12").is_visible()
     until(lambda: orange(picture(page, "moving")) > 100)
@@ -163,9 +162,9 @@ def test_the_first_picture_is_there_soon():
 
 
 @pytest.fixture
-def watched(browser, monkeypatch) -> Iterator[tuple[sync_api.Page, Visitor, Sight]]:
+def watched(browser, monkeypatch) -> Iterator[tuple[sync_api.Page, ClientSession, Sight]]:
     """A page of a studio in this process, which says where its camera is; and what can be seen there."""
-    came = note_visitors(monkeypatch)
+    clients = note_clients(monkeypatch)
     with in_this_process() as server:
         page = browser.new_page(viewport={"width": 1100, "height": 700})
         page.goto(f"http://localhost:{server.get_port()}")
@@ -173,10 +172,10 @@ def watched(browser, monkeypatch) -> Iterator[tuple[sync_api.Page, Visitor, Sigh
         until(lambda: warm(picture(page, "start")) > 2_000)
         for close in page.locator(".mantine-Notification-closeButton").all():
             close.click()  # that WebGL is slow here
-        visitor = came[0]
-        session, marks = visitor.session, visitor._shown._marks
-        assert session is not None
-        yield page, visitor, sight(session.furniture, session.joined.part_poses, marks.centers, marks.radii)
+        client = clients[0]
+        assert client.editor is not None
+        session, overlays = client.editor.session, client.editor.view.overlays
+        yield page, client, sight(session.furniture, session.task_state.part_poses, overlays.centers, overlays.radii)
         page.close()
 
 
@@ -185,13 +184,13 @@ class Lens:
 
     Args:
         page: that shows the scene.
-        visitor: its session in the studio.
+        client: its session in the studio.
         eye: where the camera goes, metres.
         target: what it looks at.
     """
 
-    def __init__(self, page: sync_api.Page, visitor: Visitor, eye: np.ndarray, target: np.ndarray) -> None:
-        camera = visitor.client.camera
+    def __init__(self, page: sync_api.Page, client: ClientSession, eye: np.ndarray, target: np.ndarray) -> None:
+        camera = client.handle.camera
         camera.position = eye
         camera.look_at = target
         # What the page says itself replaces what it was told.
@@ -227,55 +226,54 @@ def chosen(page: sync_api.Page) -> tuple[str, str]:
     return inputs.nth(1).input_value(), inputs.nth(2).input_value()
 
 
-def chosen_by_a_click(page: sync_api.Page, visitor: Visitor, pixel: np.ndarray) -> tuple[str, str]:
-    panel, looked = visitor.panel, visitor.__dict__.setdefault("looked", [])
+def chosen_by_a_click(page: sync_api.Page, client: ClientSession, answers: list, pixel: np.ndarray) -> tuple[str, str]:
+    panel = client.panel
     panel.next.value = PICKS[0]
     panel.u.value = panel.k.value = NONE
     until(lambda: chosen(page) == (NONE, NONE))
-    before = len(looked)
+    before = len(answers)
     page.mouse.click(*map(float, pixel))
-    until(lambda: len(looked) > before)
-    # Found; now it is chosen by the visitor's own thread.
+    until(lambda: len(answers) > before)
+    # The item is found; the thread of the session now chooses it.
     done = threading.Event()
     time.sleep(0.05)
-    visitor._ask(done.set)
+    client.submit(done.set)
     assert done.wait(10)
     until(lambda: chosen(page) == (panel.u.value, panel.k.value))
     return chosen(page)
 
 
 def test_each_visible_point_and_part_is_chosen_by_a_click_and_the_floor_is_not(watched, monkeypatch):
-    page, visitor, seen = watched
-    under = Screen.under
+    page, client, seen = watched
+    item_under, answers = client.editor.item_under, []
 
-    def noted(self, *ray):
-        found = under(self, *ray)
-        visitor.__dict__.setdefault("looked", []).append(found)
-        return found
+    def noted(event):
+        answers.append(item_under(event))
+        return answers[-1]
 
-    monkeypatch.setattr(Screen, "under", noted)
-    names = [f"{i}: {part.name}" for i, part in enumerate(visitor.session.furniture.parts)]
+    monkeypatch.setattr(client.editor, "item_under", noted)
+    names = [f"{i}: {part.name}" for i, part in enumerate(client.session.furniture.parts)]
     middle = np.mean([t.mean(axis=(0, 1)) for t in seen.triangles], axis=0)
     tried = {"points": 0, "parts": 0, "floor": 0}
     rng = np.random.default_rng(0)
     for number, eye in enumerate(middle + np.array([[1.6, -1.8, 1.2], [-1.2, -0.9, 1.9], [0.2, 2.0, 0.6]])):
-        lens = Lens(page, visitor, eye, middle)
+        lens = Lens(page, client, eye, middle)
         # The floor comes first: viser's own picking is wrong until the pointer was over a point.
         for pixel in rng.uniform([20, 60], [lens.box["width"] - 20, lens.box["height"] - 20], (6, 2)).round():
             if all(seen.first(lens.eye, lens.ray(p)) is None for p in around(pixel, 6)):
-                assert chosen_by_a_click(page, visitor, pixel) == (NONE, NONE), (number, pixel)
+                assert chosen_by_a_click(page, client, answers, pixel) == (NONE, NONE), (number, pixel)
                 tried["floor"] += 1
         for part in range(len(names)):
             pixel = np.round(lens.pixel(seen.triangles[part].mean(axis=(0, 1))))
             if lens.shows(pixel) and all(seen.first(lens.eye, lens.ray(p)) == (part, None) for p in around(pixel)):
-                assert chosen_by_a_click(page, visitor, pixel) == (names[part], NONE), (number, part)
+                assert chosen_by_a_click(page, client, answers, pixel) == (names[part], NONE), (number, part)
                 tried["parts"] += 1
         for ball in seen.visible(lens.eye):
             # A pixel is what a person can aim at.
             pixel = np.round(lens.pixel(seen.centers[ball]))
             if lens.shows(pixel) and seen.first(lens.eye, lens.ray(pixel)) == seen.owners[ball]:
                 part, point = seen.owners[ball]
-                assert chosen_by_a_click(page, visitor, pixel) == (names[part], str(point)), (number, ball)
+                assert chosen_by_a_click(page, client, answers, pixel) == (names[part], str(point)), (number, ball)
                 tried["points"] += 1
         picture(page, f"camera{number}")
     print(tried)

@@ -11,12 +11,11 @@ import pytest
 from viser import _messages
 
 import shapes
+from roboassembly.studio.client_session import ClientSession
 from roboassembly.studio.panel import NONE, PICKS
-from roboassembly.studio.picking import Picker, Shown
-from roboassembly.studio.screen import Screen
-from roboassembly.studio.visitor import Visitor
+from roboassembly.studio.picking import PickedItem, Picker, VisibleItems
 from seeing import Sight, sight
-from studio_client import Browser, merges, note_visitors, served, until
+from studio_client import Browser, merges, note_clients, served, until
 
 pytestmark = pytest.mark.filterwarnings("ignore:Queued a")
 EYES = np.array([[1.9, -2.1, 1.3], [-1.5, -1.2, 2.0], [0.3, 2.4, 0.5]])
@@ -24,69 +23,76 @@ EYES = np.array([[1.9, -2.1, 1.3], [-1.5, -1.2, 2.0], [0.3, 2.4, 0.5]])
 
 
 @pytest.fixture
-def opened(monkeypatch) -> Iterator[tuple[Browser, Visitor, Sight]]:
-    came, under = note_visitors(monkeypatch), Screen.under
-
-    def noted(self, *ray):
-        found = under(self, *ray)
-        self.__dict__.setdefault("looked", []).append(found)
-        return found
-
-    monkeypatch.setattr(Screen, "under", noted)
-    monkeypatch.setattr(Screen, "looked", property(lambda self: self.__dict__.setdefault("looked", [])), raising=False)
+def opened(monkeypatch) -> Iterator[tuple[Browser, ClientSession, Sight]]:
+    clients = note_clients(monkeypatch)
     with served() as server:
         browser = Browser(server)
-        until(lambda: len(came) == 1 and "Click a point" in came[0].panel.message.content)
-        yield browser, came[0], what_is_seen(came[0])
+        until(lambda: len(clients) == 1 and "Click a point" in clients[0].panel.message.content)
+        yield browser, clients[0], what_is_seen(clients[0])
         browser.connection.close()
 
 
-def what_is_seen(visitor: Visitor) -> Sight:
-    session, screen = visitor.session, visitor._screen
-    assert session is not None
-    assert screen is not None
-    marks = screen._marks
-    # A ball for each point that is free, and none besides.
-    free = session.free()[: len(session.furniture.parts)]
-    np.testing.assert_array_equal(marks.radii > 0.0, free)
-    return sight(session.furniture, session.joined.part_poses, marks.centers, marks.radii)
+@pytest.fixture
+def answers(opened, monkeypatch) -> list[PickedItem | None]:
+    """What each click on the scene met, in the order of the clicks."""
+    found: list[PickedItem | None] = []
+    editor = opened[1].editor
+    item_under = editor.item_under
+
+    def noted(event):
+        found.append(item_under(event))
+        return found[-1]
+
+    monkeypatch.setattr(editor, "item_under", noted)
+    return found
 
 
-def click(browser: Browser, visitor: Visitor, eye: np.ndarray, target: np.ndarray) -> tuple[str, str]:
-    """Part and point that stand in the panel after a click that picks what moves."""
-    panel, looked = visitor.panel, visitor._shown.looked  # pyright: ignore[reportAttributeAccessIssue]
+def what_is_seen(client: ClientSession) -> Sight:
+    assert client.editor is not None
+    session, overlays = client.editor.session, client.editor.view.overlays
+    # A ball for each free point, and no other ball.
+    free = session.free_points()[: len(session.furniture.parts)]
+    np.testing.assert_array_equal(overlays.radii > 0.0, free)
+    return sight(session.furniture, session.task_state.part_poses, overlays.centers, overlays.radii)
+
+
+def click(
+    browser: Browser, client: ClientSession, answers: list[PickedItem | None], eye: np.ndarray, target: np.ndarray
+) -> tuple[str, str]:
+    """Part and point in the panel after a click that chooses the moving part."""
+    panel = client.panel
     panel.next.value = PICKS[0]
     panel.u.value = panel.k.value = NONE
-    before = len(looked)
+    before = len(answers)
     browser.click(eye, target - eye)
-    until(lambda: len(looked) > before)
-    # Found; now it is chosen by the visitor's own thread.
+    until(lambda: len(answers) > before)
+    # The item is found; the thread of the session now chooses it.
     done = threading.Event()
     time.sleep(0.01)
-    visitor._ask(done.set)
+    client.submit(done.set)
     assert done.wait(10)
     return panel.u.value, panel.k.value
 
 
-def test_each_visible_point_and_part_is_chosen_and_the_floor_is_not(opened):
-    browser, visitor, seen = opened
-    assert visitor.session is not None
-    names = [f"{i}: {part.name}" for i, part in enumerate(visitor.session.furniture.parts)]
+def test_each_visible_point_and_part_is_chosen_and_the_floor_is_not(opened, answers):
+    browser, client, seen = opened
+    assert client.session is not None
+    names = [f"{i}: {part.name}" for i, part in enumerate(client.session.furniture.parts)]
     tried = {"points": 0, "parts": 0, "floor": 0}
     rng = np.random.default_rng(0)
     for eye in EYES:
         for ball in seen.visible(eye):
             part, point = seen.owners[ball]
-            assert click(browser, visitor, eye, seen.centers[ball]) == (names[part], str(point))
+            assert click(browser, client, answers, eye, seen.centers[ball]) == (names[part], str(point))
             tried["points"] += 1
         for part in range(len(names)):
             middle = seen.triangles[part].mean(axis=(0, 1))
             if seen.first(eye, (middle - eye) / np.linalg.norm(middle - eye)) == (part, None):
-                assert click(browser, visitor, eye, middle) == (names[part], NONE)
+                assert click(browser, client, answers, eye, middle) == (names[part], NONE)
                 tried["parts"] += 1
         for spot in rng.uniform(-0.8, 0.8, (8, 3)) * [1.0, 1.0, 0.0]:
             if seen.first(eye, (spot - eye) / np.linalg.norm(spot - eye)) is None:
-                assert click(browser, visitor, eye, spot) == (NONE, NONE)
+                assert click(browser, client, answers, eye, spot) == (NONE, NONE)
                 tried["floor"] += 1
     assert tried["points"] >= 30, tried
     assert tried["parts"] >= 15, tried
@@ -94,8 +100,8 @@ def test_each_visible_point_and_part_is_chosen_and_the_floor_is_not(opened):
 
 
 def test_the_first_click_picks_what_moves_and_the_second_what_waits(opened):
-    browser, visitor, seen = opened
-    eye, panel = EYES[1], visitor.panel
+    browser, client, seen = opened
+    eye, panel = EYES[1], client.panel
     balls = seen.visible(eye)
     one = balls[0]
     other = next(b for b in balls if seen.owners[b][0] != seen.owners[one][0])
@@ -110,43 +116,43 @@ def test_the_first_click_picks_what_moves_and_the_second_what_waits(opened):
 
 def test_what_viser_says_was_clicked_on_chooses_nothing(opened):
     """It says ball 0 of some part, or none, for clicks on the floor."""
-    browser, visitor, _ = opened
-    for node in visitor.client.scene._handle_from_node_name:
+    browser, client, _ = opened
+    for node in client.handle.scene._handle_from_node_name:
         for index in (None, 0, 3):
             browser.send(_messages.SceneNodeClickMessage(
-                node, index, (0.0, 0.0, 5.0), (0.0, 0.0, -1.0), (0.5, 0.5), None, str(visitor.client.client_id)
+                node, index, (0.0, 0.0, 5.0), (0.0, 0.0, -1.0), (0.5, 0.5), None, str(client.handle.client_id)
             ))  # fmt: skip
     browser.click((5.0, 5.0, 5.0), (0.0, 0.0, -1.0))
-    browser.set(visitor.panel.frames, True)
-    until(lambda: visitor._shown.look.frames)
-    assert (visitor.panel.u.value, visitor.panel.v.value) == (NONE, NONE)
+    browser.set(client.panel.frames, True)
+    until(lambda: client.editor.view.options.frames)
+    assert (client.panel.u.value, client.panel.v.value) == (NONE, NONE)
 
 
-def test_hidden_balls_are_not_chosen(opened):
-    browser, visitor, seen = opened
-    browser.set(visitor.panel.points, False)
-    until(lambda: not visitor._shown.look.points)
+def test_hidden_balls_are_not_chosen(opened, answers):
+    browser, client, seen = opened
+    browser.set(client.panel.points, False)
+    until(lambda: not client.editor.view.options.points)
     ball = seen.visible(EYES[0])[0]
     bare = Sight(seen.triangles, np.zeros((0, 3)), np.zeros(0), [])
     for eye in EYES:
         behind = bare.first(eye, (seen.centers[ball] - eye) / np.linalg.norm(seen.centers[ball] - eye))
-        chosen = click(browser, visitor, eye, seen.centers[ball])
+        chosen = click(browser, client, answers, eye, seen.centers[ball])
         assert chosen[1] == NONE
         assert chosen[0].split(":")[0] == (NONE if behind is None else str(behind[0]))
 
 
 def test_clicks_while_something_runs_and_on_joined_parts(opened):
     """Points that are not free any more when a click's turn comes are not chosen."""
-    browser, visitor, seen = opened
-    panel = visitor.panel
-    assert visitor.session is not None
+    browser, client, seen = opened
+    panel = client.panel
+    assert client.session is not None
     browser.press(panel.runs["search"])
     for ball in seen.visible(EYES[0]):
         browser.click(EYES[0], seen.centers[ball] - EYES[0])
-    until(lambda: merges(visitor) == len(visitor.session.furniture.parts) - 1)
+    until(lambda: merges(client) == len(client.session.furniture.parts) - 1)
     until(lambda: panel.message.content.startswith("✓"))
     browser.set(panel.frames, True)
-    until(lambda: visitor._shown.look.frames)
+    until(lambda: client.editor.view.options.frames)
     assert (panel.u.value, panel.v.value) == (NONE, NONE)
 
 
@@ -156,11 +162,11 @@ def test_what_stands_in_front_hides_what_is_behind():
     balls, none = np.zeros((1, 1, 3)), np.zeros((1, 1))
     down = np.array([0.01, 0.02, 5.0]), np.array([0.0, 0.0, -2.0])
     # The second mesh is no part, a robot for instance.
-    assert picker.first(Shown(here, balls, none), [box, box], *down) is None
-    assert picker.first(Shown([here[0], None], balls, none), [box, box], *down) == (0, None)
-    assert picker.first(Shown([None, None], balls, none), [box, box], *down) is None
+    assert picker.first(VisibleItems(here, balls, none), [box, box], *down) is None
+    assert picker.first(VisibleItems([here[0], None], balls, none), [box, box], *down) == (0, None)
+    assert picker.first(VisibleItems([None, None], balls, none), [box, box], *down) is None
     high = np.array([[[0.0, 0.0, 2.0]]])
-    assert picker.first(Shown(here, high, none + 0.1), [box, box], *down) == (0, 0)
-    assert picker.first(Shown(here, high, none + 0.01), [box, box], *down) is None
+    assert picker.first(VisibleItems(here, high, none + 0.1), [box, box], *down) == (0, 0)
+    assert picker.first(VisibleItems(here, high, none + 0.01), [box, box], *down) is None
     # Behind the camera there is nothing.
-    assert picker.first(Shown(here, high, none + 0.1), [box, box], down[0], -down[1]) is None
+    assert picker.first(VisibleItems(here, high, none + 0.1), [box, box], down[0], -down[1]) is None

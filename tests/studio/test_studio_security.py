@@ -23,16 +23,16 @@ from roboassembly.errors import InputError
 from roboassembly.furniture import storage
 from roboassembly.studio import incoming
 from roboassembly.studio.access import Access
-from roboassembly.studio.visitor import Visitor
+from roboassembly.studio.client_session import ClientSession
 from roboassembly.viewer.server import quiet_server
-from studio_client import CAMERA, Browser, merges, note_visitors, open_websocket, packed, served, until
+from studio_client import CAMERA, Browser, merges, note_clients, open_websocket, packed, served, until
 
 pytestmark = [pytest.mark.security, pytest.mark.filterwarnings("ignore:Queued a")]
 
 
 @pytest.fixture
-def came(monkeypatch) -> list[Visitor]:
-    return note_visitors(monkeypatch)
+def clients(monkeypatch) -> list[ClientSession]:
+    return note_clients(monkeypatch)
 
 
 @pytest.fixture(scope="module")
@@ -51,12 +51,12 @@ def guarded() -> Iterator[tuple[ViserServer, Access]]:
 
 
 @pytest.fixture
-def visit(came) -> Iterator[tuple[Browser, Visitor]]:
+def visit(clients) -> Iterator[tuple[Browser, ClientSession]]:
     """One browser that has the stool open."""
     with served() as server:
         browser = Browser(server)
-        until(lambda: len(came) == 1 and "Click a point" in came[0].panel.message.content)
-        yield browser, came[0]
+        until(lambda: len(clients) == 1 and "Click a point" in clients[0].panel.message.content)
+        yield browser, clients[0]
         browser.connection.close()
 
 
@@ -81,9 +81,9 @@ def refused(port: int, **asked: str) -> bool:
     return False
 
 
-def settled(browser: Browser, visitor: Visitor) -> None:
+def settled(browser: Browser, client: ClientSession) -> None:
     """Wait until all that was sent before has been handled: messages are handled in their order."""
-    control = visitor.panel.frames
+    control = client.panel.frames
     wanted = not control.value
     browser.set(control, wanted)
     until(lambda: control.value == wanted, 10.0)
@@ -139,7 +139,7 @@ def test_requests_with_no_host_or_with_two_are_refused(running):
 
 def test_further_origins_are_let_in_where_they_were_named():
     noted: list[str] = []
-    access = Access("127.0.0.1", origins=("https://studio.example.org", "http://box:9000/"), note=noted.append)
+    access = Access("127.0.0.1", origins=("https://studio.example.org", "http://box:9000/"), report=noted.append)
     with served(access=access) as server:
         port = server.get_port()
         for host, origin in (
@@ -240,29 +240,29 @@ def test_links_cannot_make_the_page_load_from_elsewhere(running):
 
 def test_a_policy_that_was_not_offered_is_not_loaded(visit, tmp_path):
     """Loading one in a Python file executes it."""
-    browser, visitor = visit
+    browser, client = visit
     marker, file = tmp_path / "executed", tmp_path / "evil.py"
     file.write_text(f"open({str(marker)!r}, 'w')\ndef policy(seed): return None\n")
-    browser.set(visitor.panel.policy, str(file))
-    browser.press(visitor.panel.suggest)
-    browser.press(visitor.panel.runs["alone"])
-    until(lambda: marker.exists() or merges(visitor) > 0)
+    browser.set(client.panel.policy, str(file))
+    browser.press(client.panel.suggest)
+    browser.press(client.panel.runs["alone"])
+    until(lambda: marker.exists() or merges(client) > 0)
     assert not marker.exists()
-    assert visitor.panel.policy.value == "relational"
+    assert client.panel.policy.value == "relational"
     browser.sees("“Policy” does not offer")
 
 
-def test_a_policy_named_at_start_is_offered_by_name(came, tmp_path):
+def test_a_policy_named_at_start_is_offered_by_name(clients, tmp_path):
     file = tmp_path / "mine.py"
     file.write_text("from roboassembly.learning.registry import load_policy\n"
                     "def policy(seed): return load_policy('relational')\n")  # fmt: skip
     with served(policies=("relational", str(file))) as server:
         browser = Browser(server)
-        until(lambda: len(came) == 1 and merges(came[0]) == 0)
-        browser.set(came[0].panel.policy, str(file))
-        browser.press(came[0].panel.suggest)
-        until(lambda: "what the policy would do" in came[0].panel.message.content)
-        assert came[0].panel.policy.value == str(file)
+        until(lambda: len(clients) == 1 and merges(clients[0]) == 0)
+        browser.set(clients[0].panel.policy, str(file))
+        browser.press(clients[0].panel.suggest)
+        until(lambda: "The policy suggests this action" in clients[0].panel.message.content)
+        assert clients[0].panel.policy.value == str(file)
 
 
 WRONG: tuple[object, ...] = (
@@ -272,28 +272,28 @@ WRONG: tuple[object, ...] = (
 
 
 def test_no_control_takes_what_it_does_not_offer(visit):
-    browser, visitor = visit
-    controls = dict(visitor.client.gui._gui_input_handle_from_uuid)
+    browser, client = visit
+    controls = dict(client.handle.gui._gui_input_handle_from_uuid)
     assert len(controls) > 25
     asked = []
-    own = Visitor._ask
-    visitor._ask = lambda *request: (asked.append(request), own(visitor, *request))  # type: ignore[method-assign]
+    own = client.submit
+    client.submit = lambda *request: (asked.append(request), own(*request))
     for control in controls.values():
         before, kind = control.value, type(control).__name__
         for value in WRONG:
             offered = {"GuiButtonHandle": value is True, "GuiCheckboxHandle": isinstance(value, bool)}
             if not offered.get(kind, False):
                 browser.set(control, value)
-        settled(browser, visitor)
-        if control is not visitor.panel.frames:
+        settled(browser, client)
+        if control is not client.panel.frames:
             assert control.value == before, control.label
     # Only the changes of `frames` by which the test waits got through.
-    assert all(request[1:] == ("look",) for request in asked)
+    assert all(request[1:] == ("view",) for request in asked)
 
 
 def test_what_a_control_offers_is_taken(visit):
-    browser, visitor = visit
-    panel = visitor.panel
+    browser, client = visit
+    panel = client.panel
     for control, value in (
         (panel.source, "built-in"), (panel.piece, "plank"), (panel.setting, "full"), (panel.seed, 10**6),
         (panel.number, 7), (panel.color, "groups"), (panel.u, panel.u.options[-1]), (panel.points, False),
@@ -303,25 +303,25 @@ def test_what_a_control_offers_is_taken(visit):
 
 
 def test_only_the_value_of_a_control_can_be_set(visit):
-    browser, visitor = visit
-    control = visitor.panel.time
+    browser, client = visit
+    control = client.panel.time
     before = dict(vars(control._impl))
     for name, value in (
         ("update_cb", []), ("removed", True), ("gui_api", 1), ("props", {}), ("sync_cb", None), ("uuid", "x"),
     ):  # fmt: skip
         browser.send(_messages.GuiUpdateMessage(control._impl.uuid, {name: value}))
         browser.send(_messages.GuiUpdateMessage(control._impl.uuid, {"value": 0, name: value}))
-    settled(browser, visitor)
+    settled(browser, client)
     assert vars(control._impl) == before
 
 
-def test_controls_that_are_off_or_of_someone_else_do_nothing(came):
+def test_controls_that_are_off_or_of_someone_else_do_nothing(clients):
     with served() as server:
         browsers = [Browser(server) for _ in range(2)]
-        until(lambda: len(came) == 2 and all(merges(v) == 0 for v in came))
-        one, other = came
+        until(lambda: len(clients) == 2 and all(merges(v) == 0 for v in clients))
+        one, other = clients
         browsers[0].set(other.panel.seed, 5)
-        one.panel.busy(True)
+        one.panel.set_busy(True)
         browsers[0].press(one.panel.runs["search"])
         one.panel.color.visible = False
         browsers[0].set(one.panel.color, "groups")
@@ -329,23 +329,23 @@ def test_controls_that_are_off_or_of_someone_else_do_nothing(came):
         assert other.panel.seed.value == 0
         assert one.panel.color.value != "groups"
         assert merges(one) == 0
-        one.panel.busy(False)
+        one.panel.set_busy(False)
         browsers[0].press(one.panel.runs["search"])
         until(lambda: merges(one) > 0)
 
 
 def test_a_refused_choice_is_shown_again_as_it_is(visit):
-    browser, visitor = visit
-    browser.set(visitor.panel.piece, "sofa")
-    uuid, value = visitor.panel.piece._impl.uuid, visitor.panel.piece.value
+    browser, client = visit
+    browser.set(client.panel.piece, "sofa")
+    uuid, value = client.panel.piece._impl.uuid, client.panel.piece.value
     wanted = {"type": "GuiUpdateMessage", "uuid": uuid, "updates": {"value": value}}
     assert any(wanted.items() <= message.items() for message in browser.messages(5.0))
 
 
 @pytest.mark.parametrize("field", ["wxyz", "position", "look_at", "up_direction", "fov", "near", "far", "image_width"])
 def test_cameras_that_are_none_are_ignored(visit, field):
-    browser, visitor = visit
-    camera, names = visitor.client.camera, ("wxyz", "position", "look_at", "up_direction", "fov", "near", "far")
+    browser, client = visit
+    camera, names = client.handle.camera, ("wxyz", "position", "look_at", "up_direction", "fov", "near", "far")
     before = [np.array(getattr(camera, name)) for name in names]
     own = getattr(CAMERA, field)
     vector = isinstance(own, tuple)
@@ -355,7 +355,7 @@ def test_cameras_that_are_none_are_ignored(visit, field):
     browser.send(replace(CAMERA, up_direction=(0.0, 0.0, 0.0)))
     browser.send(replace(CAMERA, wxyz=(0.0, 0.0, 0.0, 0.0)))
     browser.connection.send(packed(CAMERA).replace(b"\xa3fov", b"\xa3fox"))
-    settled(browser, visitor)
+    settled(browser, client)
     for name, value in zip(names, before, strict=True):
         np.testing.assert_array_equal(getattr(camera, name), value)
     assert camera.image_width == CAMERA.image_width
@@ -363,24 +363,24 @@ def test_cameras_that_are_none_are_ignored(visit, field):
     until(lambda: camera.fov == 0.7)
 
 
-def test_whoever_sends_no_camera_is_no_visitor(came):
+def test_whoever_sends_no_camera_is_no_visitor(clients):
     with served() as server:
         for wrong in (math.nan, math.inf, 1e300):
             Browser(server, replace(CAMERA, position=(wrong, 0.0, 0.0)))
         Browser(server)
-        until(lambda: len(came) == 1)
+        until(lambda: len(clients) == 1)
         time.sleep(0.2)
-        assert len(server.get_clients()) == len(came) == 1
+        assert len(server.get_clients()) == len(clients) == 1
 
 
 def test_messages_that_the_page_does_not_need_reach_nobody(visit, monkeypatch):
-    browser, visitor = visit
+    browser, client = visit
     reached: list[str] = []
-    gui, scene = type(visitor.client.gui), type(visitor.client.scene)
+    gui, scene = type(client.handle.gui), type(client.handle.scene)
     for owner in (gui, scene):
         for name in [n for n in vars(owner) if n.startswith("_handle_") and "gui_updates" not in n]:
             monkeypatch.setattr(owner, name, lambda *_, name=name: reached.append(name))
-    server = visitor.client._viser_server
+    server = client.handle._viser_server
     seen: list[str] = []
     own = type(server._websock_server)._handle_incoming_message
 
@@ -402,25 +402,24 @@ def test_messages_that_the_page_does_not_need_reach_nobody(visit, monkeypatch):
         browser.connection.send(msgspec.msgpack.encode({"type": kind.__name__}))
     for message in (
         _messages.ShareUrlRequest(), _messages.ShareUrlDisconnect(), _messages.RunJavascriptMessage("alert(1)"),
-        _messages.GuiFormDirtyMessage("x"), _messages.GuiButtonHoldMessage(visitor.panel.join._impl.uuid, 10.0),
+        _messages.GuiFormDirtyMessage("x"), _messages.GuiButtonHoldMessage(client.panel.join._impl.uuid, 10.0),
     ):  # fmt: skip
         browser.send(message)
     for raw in (b"", b"\xc1", b"\xff" * 100, b"\x91" * 100_000, b"\x80", msgspec.msgpack.encode({"type": ["x"]}),
                 msgspec.msgpack.encode({"type": "Message"}), msgspec.msgpack.encode([1, 2])):  # fmt: skip
         browser.connection.send(raw)
     browser.connection.send("text")
-    settled(browser, visitor)
+    settled(browser, client)
     assert set(seen) == {"GuiUpdateMessage"}
     assert not reached
     assert server._share_tunnel is None
 
 
 def test_clicks_that_are_none_are_ignored(visit):
-    browser, visitor = visit
+    browser, client = visit
     asked = []
-    visitor._clicked = asked.append  # type: ignore[method-assign]
-    visitor.client.scene.remove_click_callback()
-    visitor.client.scene.on_click()(asked.append)
+    client.handle.scene.remove_click_callback()
+    client.handle.scene.on_click()(asked.append)
     for origin, direction in (
         ((math.nan, 0, 0), (0, 0, 1)), ((0, 0, 0), (0, 0, math.inf)), ((0, 0, 0), (0, 0, 0)),
         ((1e300, 0, 0), (0, 0, 1)),
@@ -428,7 +427,7 @@ def test_clicks_that_are_none_are_ignored(visit):
         browser.send_ray(origin, direction)
     browser.send(_messages.ScenePointerMessage("click", None, None, ((0.5, 0.5),), None))
     browser.send(_messages.ScenePointerMessage("rect-select", None, None, ((0.1, 0.1), (0.9, 0.9)), None))
-    settled(browser, visitor)
+    settled(browser, client)
     assert not asked
     browser.click((0, 0, 2), (0, 0, -1))
     until(lambda: len(asked) == 1)
@@ -437,25 +436,33 @@ def test_clicks_that_are_none_are_ignored(visit):
 # Folders
 
 
-@pytest.fixture
-def offered(came, tmp_path) -> Iterator[tuple[Browser, Visitor, Path]]:
-    """A browser that may open what lies in `tmp_path/mine`, where `stool` is one."""
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory) -> Path:
+    """A folder with `mine`, which may be opened, and `theirs`, which may not; both contain a stool."""
+    folder = tmp_path_factory.mktemp("folders")
+    stool = make("stool", 3)
     for place in ("mine/stool", "theirs/stool"):
-        storage.save(make("stool", 3), tmp_path / place)
-    (tmp_path / "mine" / "link").symlink_to(tmp_path / "theirs" / "stool")
-    (tmp_path / "mine" / "holds_link").mkdir()
-    (tmp_path / "mine" / "holds_link" / "a.stl").symlink_to("/etc/passwd")
-    (tmp_path / "minefield").symlink_to(tmp_path / "theirs")
-    with served(roots=(tmp_path / "mine",)) as server:
+        storage.save(stool, folder / place)
+    (folder / "mine" / "link").symlink_to(folder / "theirs" / "stool")
+    (folder / "mine" / "holds_link").mkdir()
+    (folder / "mine" / "holds_link" / "a.stl").symlink_to("/etc/passwd")
+    (folder / "minefield").symlink_to(folder / "theirs")
+    return folder
+
+
+@pytest.fixture
+def offered(clients, folders) -> Iterator[tuple[Browser, ClientSession, Path]]:
+    """A browser that may open the contents of `mine`."""
+    with served(roots=(folders / "mine",)) as server:
         browser = Browser(server)
-        until(lambda: len(came) == 1 and merges(came[0]) == 0)
-        yield browser, came[0], tmp_path
+        until(lambda: len(clients) == 1 and merges(clients[0]) == 0)
+        yield browser, clients[0], folders
 
 
-def open_folder(browser: Browser, visitor: Visitor, name: str) -> None:
-    assert visitor.panel.path is not None
-    browser.set(visitor.panel.path, name)
-    controls = visitor.client.gui._gui_input_handle_from_uuid.values()
+def open_folder(browser: Browser, client: ClientSession, name: str) -> None:
+    assert client.panel.path is not None
+    browser.set(client.panel.path, name)
+    controls = client.handle.gui._gui_input_handle_from_uuid.values()
     browser.press(next(c for c in controls if getattr(c, "label", "") == "Open folder"))
 
 
@@ -465,21 +472,21 @@ def open_folder(browser: Browser, visitor: Visitor, name: str) -> None:
      "/", "holds_link", "/proc/self/root", "~", "nowhere", "stool/../..", "ladder:3"],
 )  # fmt: skip
 def test_nothing_is_opened_outside_of_the_folders_that_were_given(offered, name):
-    browser, visitor, root = offered
-    open_folder(browser, visitor, name.format(root=root))
-    until(lambda: "only what lies there can be opened" in visitor.panel.message.content, 10.0)
-    assert visitor.session is not None
-    assert visitor.session.furniture.name == "stool-0"
+    browser, client, root = offered
+    open_folder(browser, client, name.format(root=root))
+    until(lambda: "only the contents of these folders can be opened" in client.panel.message.content, 10.0)
+    assert client.session is not None
+    assert client.session.furniture.name == "stool-0"
 
 
 def test_what_lies_in_them_is_opened(offered):
-    browser, visitor, root = offered
+    browser, client, root = offered
     for name in ("stool", f"{root}/mine/stool", "stool/../stool"):
-        opened = visitor.session
-        open_folder(browser, visitor, name)
-        until(lambda opened=opened: visitor.session is not opened, 10.0)
-        assert visitor.session is not None
-        assert visitor.session.furniture.name == "stool-3"
+        opened = client.session
+        open_folder(browser, client, name)
+        until(lambda opened=opened: client.session is not opened, 10.0)
+        assert client.session is not None
+        assert client.session.furniture.name == "stool-3"
 
 
 # Floods
@@ -514,42 +521,42 @@ def test_large_messages_in_small_pieces_are_refused_too(running):
 
 
 def test_a_client_that_sends_without_end_is_slowed_down(visit, monkeypatch):
-    browser, visitor = visit
-    monkeypatch.setattr(incoming, "_BURST", 20.0)
-    monkeypatch.setattr(incoming, "_MESSAGES_PER_SECOND", 50.0)
+    browser, client = visit
+    monkeypatch.setattr(incoming, "BURST", 20.0)
+    monkeypatch.setattr(incoming, "MESSAGES_PER_SECOND", 50.0)
     handled = []
-    visitor.panel.undo.on_click(lambda _: handled.append(time.monotonic()))
+    client.panel.undo.on_click(lambda _: handled.append(time.monotonic()))
     begun = time.monotonic()
     for _ in range(100):
-        browser.press(visitor.panel.undo)
+        browser.press(client.panel.undo)
     until(lambda: len(handled) == 100)
     assert max(handled) - begun > 1.2, "20 at once, then 50 a second"
 
 
 def test_requests_that_wait_are_limited_and_those_that_say_the_same_are_one(visit, monkeypatch):
-    browser, visitor = visit
-    go_on, waiting = threading.Event(), visitor._requests._waiting
-    visitor._ask(lambda: go_on.wait(60))  # type: ignore[func-returns-value]
-    until(waiting.empty)
+    browser, client = visit
+    go_on = threading.Event()
+    client.submit(lambda: go_on.wait(60))
+    until(lambda: not len(client.requests))
     for value in (False, True) * 20:
-        browser.set(visitor.panel.grasps, value)
-    settled(browser, visitor)
-    assert waiting.qsize() == 1
+        browser.set(client.panel.grasps, value)
+    settled(browser, client)
+    assert len(client.requests) == 1
     for _ in range(200):
-        browser.press(visitor.panel.undo)
-    until(lambda: "Too much waits" in visitor.panel.message.content)
-    assert waiting.qsize() == 64
+        browser.press(client.panel.undo)
+    until(lambda: "Too many requests are waiting" in client.panel.message.content)
+    assert len(client.requests) == 64
     go_on.set()
-    until(lambda: "nothing to take back" in visitor.panel.message.content)
-    browser.press(visitor.panel.runs["search"])
-    until(lambda: merges(visitor) > 0)
+    until(lambda: "no step to undo" in client.panel.message.content)
+    browser.press(client.panel.runs["search"])
+    until(lambda: merges(client) > 0)
 
 
-def test_seventy_browsers_sixty_four_places(came, monkeypatch):
-    monkeypatch.setattr(Visitor, "_open_path", lambda *_: None)  # the stool 64 times would take long
+def test_seventy_browsers_sixty_four_places(clients, monkeypatch):
+    monkeypatch.setattr(ClientSession, "open_path", lambda *_: None)  # the stool 64 times would take long
     with served() as server:
         browsers = [Browser(server) for _ in range(70)]
-        until(lambda: len(server.get_clients()) == 70 and len(came) == 64)
+        until(lambda: len(server.get_clients()) == 70 and len(clients) == 64)
         sent_away: set[Browser] = set()
 
         def listen() -> int:
@@ -559,16 +566,16 @@ def test_seventy_browsers_sixty_four_places(came, monkeypatch):
         until(lambda: listen() == 6)
         time.sleep(0.3)
         assert listen() == 6
-        assert len(came) == 64
+        assert len(clients) == 64
         inside = next(b for b in browsers if b not in sent_away)
         inside.connection.close()
-        until(lambda: not all(v.at_work for v in came))
+        until(lambda: not all(v.is_running for v in clients))
         browsers.append(Browser(server))
-        until(lambda: len(came) == 65)
-        assert sum(v.at_work for v in came) == 64
+        until(lambda: len(clients) == 65)
+        assert sum(v.is_running for v in clients) == 64
         browsers.append(Browser(server))
         browsers[-1].sees("places are taken")
-        assert len(came) == 65
+        assert len(clients) == 65
         for browser in browsers:
             browser.connection.close()
 
@@ -589,7 +596,7 @@ def test_connections_are_limited_whether_or_not_they_say_anything(monkeypatch):
 
 def test_clients_that_never_read_are_dropped(running, monkeypatch):
     """The server answers pings at once, into memory if need be."""
-    monkeypatch.setattr(incoming, "_MOST_UNSENT", 1_000_000)
+    monkeypatch.setattr(incoming, "MOST_UNSENT", 1_000_000)
     port = running.get_port()
     asked = (
         f"Host: localhost:{port}", "Upgrade: websocket", "Connection: Upgrade", "Sec-WebSocket-Version: 13",
@@ -608,11 +615,11 @@ def test_clients_that_never_read_are_dropped(running, monkeypatch):
 
 
 def test_files_are_limited_in_size_number_and_name(visit, monkeypatch):
-    browser, visitor = visit
-    kept = visitor.client.gui._current_file_upload_states
-    source = visitor.panel.upload._impl.uuid
+    browser, client = visit
+    kept = client.handle.gui._current_file_upload_states
+    source = client.panel.upload._impl.uuid
     read: list[str] = []
-    visitor._upload = lambda file: read.append(file.name)  # type: ignore[method-assign]
+    client.open_upload = lambda file: read.append(file.name)
 
     def start(name: str, size: int, parts: int = 1, uuid: str = source, transfer: str = "t") -> None:
         browser.send(_messages.FileTransferStartUpload(uuid, transfer, name, "", parts, size))
@@ -623,64 +630,64 @@ def test_files_are_limited_in_size_number_and_name(visit, monkeypatch):
     start("none.zip", 10, 0)
     start("a\x1b[31m.zip", 10)
     start("x" * 501, 10)
-    start("elsewhere.zip", 10, uuid=visitor.panel.join._impl.uuid)
+    start("elsewhere.zip", 10, uuid=client.panel.join._impl.uuid)
     start("nowhere.zip", 10, uuid="x")
     browser.send(_messages.FileTransferPart(source, "unknown", 0, b"x"))
-    settled(browser, visitor)
+    settled(browser, client)
     assert not kept
 
     for transfer in "abcdefgh":  # never finished
         start("half.zip", 1000, 2, transfer=transfer)
         browser.send(_messages.FileTransferPart(source, transfer, 0, bytes(500)))
-    settled(browser, visitor)
+    settled(browser, client)
     assert list(kept) == ["h"]
     browser.send(_messages.FileTransferPart(source, "a", 1, bytes(500)))
     browser.send(_messages.FileTransferPart(source, "h", 0, bytes(500)))
     browser.send(_messages.FileTransferPart(source, "h", 7, bytes(500)))
-    settled(browser, visitor)
+    settled(browser, client)
     assert not read
     browser.send(_messages.FileTransferPart(source, "h", 1, bytes(500)))
     until(lambda: read == ["half.zip"])
-    until(lambda: not visitor.panel.upload.value.content)
+    until(lambda: not client.panel.upload.value.content)
 
     start("longer.zip", 10)
     browser.send(_messages.FileTransferPart(source, "t", 0, bytes(11)))
     start("shorter.zip", 10)
     browser.send(_messages.FileTransferPart(source, "t", 0, bytes(9)))
-    settled(browser, visitor)
+    settled(browser, client)
     assert not kept
     assert read == ["half.zip"]
 
 
-def test_files_of_all_clients_together_are_limited(came, monkeypatch):
+def test_files_of_all_clients_together_are_limited(clients, monkeypatch):
     monkeypatch.setattr(incoming, "MOST_UPLOADED", 1500)
     with served() as server:
         browsers = [Browser(server) for _ in range(2)]
-        until(lambda: len(came) == 2 and all(merges(v) == 0 for v in came))
-        for browser, visitor in zip(browsers, came, strict=True):
-            source = visitor.panel.upload._impl.uuid
+        until(lambda: len(clients) == 2 and all(merges(v) == 0 for v in clients))
+        for browser, client in zip(browsers, clients, strict=True):
+            source = client.panel.upload._impl.uuid
             browser.send(_messages.FileTransferStartUpload(source, "t", "a.zip", "", 2, 1000))
-            settled(browser, visitor)
-        kept = [bool(v.client.gui._current_file_upload_states) for v in came]
+            settled(browser, client)
+        kept = [bool(v.handle.gui._current_file_upload_states) for v in clients]
         assert kept == [True, False]
         browsers[1].sees("Too many files")
         browsers[0].connection.close()
         until(lambda: len(server.get_clients()) == 1)
         browsers[1].send(_messages.FileTransferStartUpload(source, "t", "a.zip", "", 2, 1000))
-        until(lambda: bool(came[1].client.gui._current_file_upload_states))
+        until(lambda: bool(clients[1].handle.gui._current_file_upload_states))
 
 
 def test_a_file_that_is_not_read_yet_is_not_followed_by_another(visit):
-    browser, visitor = visit
+    browser, client = visit
     go_on, read = threading.Event(), []
-    visitor._upload = lambda file: (go_on.wait(60), read.append(file.name))  # type: ignore[method-assign]
-    browser.upload(visitor, "first.zip", 3, [b"abc"])
-    until(lambda: bool(visitor.panel.upload.value.content))
-    browser.upload(visitor, "second.zip", 3, [b"abc"])
+    client.open_upload = lambda file: (go_on.wait(60), read.append(file.name))
+    browser.upload(client, "first.zip", 3, [b"abc"])
+    until(lambda: bool(client.panel.upload.value.content))
+    browser.upload(client, "second.zip", 3, [b"abc"])
     browser.sees("still being read")
     go_on.set()
-    until(lambda: not visitor.panel.upload.value.content)
-    browser.upload(visitor, "third.zip", 3, [b"abc"])
+    until(lambda: not client.panel.upload.value.content)
+    browser.upload(client, "third.zip", 3, [b"abc"])
     until(lambda: read == ["first.zip", "third.zip"])
 
 
@@ -712,7 +719,7 @@ def test_a_viser_that_cannot_be_guarded_is_not_started(monkeypatch):
 
 @pytest.mark.parametrize("place", ["_live_connections", "_gui_input_handle_from_uuid"])
 def test_a_viser_that_keeps_its_clients_elsewhere_is_not_started(monkeypatch, place):
-    belong = incoming.Clients.belong_to
+    belong = incoming.Clients.attach
 
     def later(self, server):
         for owner in (server._websock_server, server.gui):
@@ -720,6 +727,6 @@ def test_a_viser_that_keeps_its_clients_elsewhere_is_not_started(monkeypatch, pl
                 delattr(owner, place)
         belong(self, server)
 
-    monkeypatch.setattr(incoming.Clients, "belong_to", later)
+    monkeypatch.setattr(incoming.Clients, "attach", later)
     with pytest.raises(RuntimeError, match=place), served():
         pass

@@ -15,7 +15,7 @@ from roboassembly.cli import main
 from roboassembly.datasets.catalogue import make
 from roboassembly.furniture import storage
 from roboassembly.studio.access import Access
-from roboassembly.studio.session import Session
+from roboassembly.studio.assembly_session import AssemblySession
 from roboassembly.task.plans import plan_file
 
 
@@ -54,7 +54,7 @@ def plan_of(furniture: str, beside: str | None) -> Callable[[Path], Path]:
     """A plan of one piece, beside another."""
 
     def write(place: Path) -> Path:
-        plan_file.write(Session(make(furniture)).plan(), place / "plan.json")
+        plan_file.write(AssemblySession(make(furniture)).plan(), place / "plan.json")
         if beside is not None:
             storage.save(make(beside), place / "furniture")
         return place / "plan.json"
@@ -82,7 +82,7 @@ UNUSABLE = {
     "no plan": (file_of("plan.json", b"{}"), "plan.json"),
     "a plan cut off": (file_of("plan.json", b'{"format": '), "plan.json"),
     "a plan that is not there": (lambda place: place / "plan.json", "plan.json"),
-    "a plan of other parts": (plan_of("stool", "plank"), "whose parts are others"),
+    "a plan of other parts": (plan_of("stool", "plank"), "whose parts differ"),
     "a plan without its furniture": (renamed_plan, "furniture"),
 }
 OPTIONS = {
@@ -177,7 +177,7 @@ def test_the_address_is_printed_with_a_token_only_where_others_can_reach_it(prin
 
 
 def test_a_machine_is_reached_by_its_address_on_the_network(monkeypatch):
-    monkeypatch.setattr("roboassembly.studio.access._own_address", lambda: ["192.0.2.7"])
+    monkeypatch.setattr("roboassembly.studio.access.network_addresses", lambda: ["192.0.2.7"])
     access = Access("0.0.0.0", "12345678")
     assert access.urls(8080) == ["http://localhost:8080/?token=12345678", "http://192.0.2.7:8080/?token=12345678"]
     assert Access("192.0.2.8", "12345678").urls(8080) == ["http://192.0.2.8:8080/?token=12345678"]

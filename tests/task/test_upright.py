@@ -18,8 +18,8 @@ from roboassembly.geometry.poses import SE3, pose_from_seven, transform_points
 from roboassembly.learning.policy import guide_of
 from roboassembly.learning.registry import load_policy
 from roboassembly.solvers.search import solve
-from roboassembly.studio.session import Session
-from roboassembly.studio.words import upright_note
+from roboassembly.studio.assembly_session import AssemblySession
+from roboassembly.studio.messages import upright_message
 from roboassembly.task.full.cell import Cell, on_post
 from roboassembly.task.full.cell_state import CellState, PlacedGroup, Robot
 from roboassembly.task.full.execution import Ending, execute_upright
@@ -134,7 +134,7 @@ def test_a_piece_that_would_tip_over_is_left_as_it_lies_and_the_plan_says_why() 
     assert plan.final_poses == plan.initial
     assert make_timeline(plan, 10.0, None).frames[-1].caption.endswith("not set upright")
     assert json.loads(plan_file.encode(plan))["upright"]["motion"] is None
-    assert upright_note(plan.upright).startswith(" It is not set upright: it does not stay upright")
+    assert upright_message(plan.upright).startswith(" It is not set upright: it does not stay upright")
 
 
 def test_a_piece_that_only_balances_does_not_stand() -> None:
@@ -264,14 +264,14 @@ def test_files_of_the_version_before_are_read_and_of_a_later_one_refused(chair) 
 
 
 def test_the_studio_sets_a_finished_piece_upright_and_undo_takes_that_back(chair) -> None:
-    session = Session(chair("stool", 0), seed=1)
+    session = AssemblySession(chair("stool", 0), seed=1)
     assert session.search(guide_of(load_policy("relational")), lambda _: True) == ""
     assert session.upright is not None
     assert session.upright.success
     plan = session.plan()
     assert isinstance(plan, Plan)
     assert tilt_in_degrees(session.furniture, plan.final_poses) < 2.0
-    assert upright_note(session.upright) == " It stands on its feet."
+    assert upright_message(session.upright) == " It stands on its feet."
     last = plan.steps[-1].action
     assert session.undo()
     assert session.upright is None

@@ -56,13 +56,13 @@ class View:
     def run(self) -> int:
         """Serve until interrupted; returns the exit status."""
         from roboassembly.studio.access import Access
-        from roboassembly.studio.house import House
-        from roboassembly.studio.server import silence, studio
+        from roboassembly.studio.config import StudioConfig
+        from roboassembly.studio.server import run_studio, silence_connection_messages
 
         self._check()
         here = Path("furniture")
         folders = self.folders or ((here,) if here.is_dir() else ())
-        house = House(
+        config = StudioConfig(
             folders=tuple(f for f in folders if any(f.glob("*/furniture.json"))),
             policies=tuple(dict.fromkeys(("relational", *self.policies))),
             furniture=self.furniture,
@@ -72,8 +72,8 @@ class View:
             roots=self.folders,
         )
         access = Access(self.host, self.token, self.allow_origin, say)
-        silence()
-        with studio(house, access, self.port) as server:
+        silence_connection_messages()
+        with run_studio(config, access, self.port) as server:
             urls = access.urls(server.get_port())
             for url in urls:
                 say(f"{url}  (Ctrl-C ends it)" if url == urls[0] else url)
@@ -116,13 +116,13 @@ class View:
                 slow.cancel()
 
     def _check_furniture(self) -> None:
-        from roboassembly.studio.session import Session
-        from roboassembly.studio.wares import open_path, open_plan
+        from roboassembly.studio.assembly_session import AssemblySession
+        from roboassembly.studio.sources import open_path, open_plan
 
         if self.furniture.endswith(_PLAN):
             script, furniture = open_plan(Path(self.furniture))
-            Session(furniture, script.setting, script.seed).check(script)
+            AssemblySession(furniture, script.setting, script.seed).check(script)
         else:
             # What is read here is kept for the first who opens the page.
             furniture = open_path(self.furniture, self.scale, with_grasps=self.setting == "full")
-            Session(furniture, self.setting, self.seed)
+            AssemblySession(furniture, self.setting, self.seed)

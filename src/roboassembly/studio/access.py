@@ -1,8 +1,8 @@
-"""Who may open the studio: the addresses it answers to, the pages that may connect to it, and the token.
+"""Access control of the studio: the addresses that it answers to, the pages that may connect to it, and the token.
 
-A page of any other site can send requests to this machine, and can make a name of its own point to it (DNS rebinding).
-The browser then says so: `Origin` names the page, `Host` names the address that was asked for. Both are checked on
-every request. Other machines also need a token, which stands in the address that is printed at start.
+A page of another site can send requests to this machine, and can make its own name point to it (DNS rebinding). The
+browser's headers reveal that: `Origin` names the page, `Host` names the requested address. Both are checked on every
+request. Other machines also need a token, which is part of the address that is printed at the start.
 """
 
 from __future__ import annotations
@@ -28,27 +28,33 @@ _LOOPBACK_NAMES = ("127.0.0.1", "localhost", "::1")
 _DEFAULT_PORTS = {"http": 80, "https": 443}
 _HOST = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9._-]+)(?::([0-9]{1,5}))?")
 _TOKEN = re.compile(r"[A-Za-z0-9._~-]{8,200}")
-_MOST_NOTES = 20
-"""Refused origins that the terminal names, so that nobody can flood it."""
+_MOST_REPORTS = 20
+"""Largest number of refused origins that the terminal reports, so that nobody can flood it."""
 _WRONG_ADDRESS = """\
 The studio does not answer to this address. Use the address that `roboassembly view` printed.
-To reach it under another one, behind a proxy or a tunnel for instance, start it with --allow-origin and that address.
+To use another address, for example behind a proxy or a tunnel, start the studio with --allow-origin and that address.
 """
-_WRONG_TOKEN = "The studio needs its token. Open the address that `roboassembly view` printed, with ?token=... in it.\n"
+_WRONG_TOKEN = (
+    "The token is missing or wrong. Open the address that `roboassembly view` printed; it contains ?token=...\n"
+)
+
+
+def _ignore(_: str) -> None:
+    pass
 
 
 @dataclass(frozen=True)
 class Origin:
-    """Where a page comes from."""
+    """Origin of a web page."""
 
     scheme: str
     host: str
-    """In lower case, an IPv6 address without its brackets."""
+    """Host name in lower case; an IPv6 address has no brackets."""
     port: int
 
     @staticmethod
     def parse(text: str) -> Origin | None:
-        """Read `http://HOST` or `https://HOST:PORT`; None if it is anything else."""
+        """Parse `http://HOST[:PORT]` or `https://HOST[:PORT]`; return None for any other text."""
         scheme, _, rest = text.partition("://")
         place = _parse_host(rest)
         if scheme not in _DEFAULT_PORTS or place is None:
@@ -57,67 +63,68 @@ class Origin:
 
 
 class Access:
-    """Who may open the studio.
+    """Access rules of one studio.
 
     Args:
-        host: address that is listened on.
-        token: needed by everyone if given. Without one, a random token is needed unless `host` is a loopback address.
-        origins: further addresses under which the page is reached.
-        note: gets a line for the terminal about each origin that is refused.
+        host: address that the server listens on.
+        token: token that every client needs. If empty, a random token is needed, or none if `host` is a loopback
+            address.
+        origins: further addresses of the page.
+        report: called with a line for the terminal about each refused origin.
 
     Raises:
-        InputError: `token` or one of `origins` is none.
+        InputError: `token` or one of `origins` is not valid.
     """
 
     def __init__(
-        self, host: str, token: str = "", origins: Iterable[str] = (), note: Callable[[str], None] = lambda _: None
+        self, host: str, token: str = "", origins: Iterable[str] = (), report: Callable[[str], None] = _ignore
     ) -> None:
         if token and not _TOKEN.fullmatch(token):
-            raise InputError("--token takes 8 to 200 letters, digits or any of . _ ~ -")
+            raise InputError("--token must have 8 to 200 characters: letters, digits and . _ ~ -")
         self.host = host
         self.token = token or ("" if is_loopback(host) else secrets.token_urlsafe(32))
-        """Empty if none is needed."""
-        # Not the token: browsers send cookies to every port of a host.
+        """Token that clients need; empty if they need none."""
+        # Different from the token: browsers send cookies to every port of a host.
         self._cookie = secrets.token_urlsafe(32)
         self._allowed = [_origin(text) for text in origins]
-        self._note = note
-        self._noted: set[str] = set()
+        self._report = report
+        self._reported: set[str] = set()
 
     def urls(self, port: int) -> list[str]:
-        """Addresses to open, the first one on this machine where there is one; with the token, if one is needed.
+        """Return the addresses of the page, with the token if one is needed; an address for this machine comes first.
 
         Args:
-            port: that is served.
+            port: port of the server.
         """
         hosts = [self.host]
         if is_loopback(self.host):
             hosts = ["localhost"]
         elif _is_any(self.host):
-            hosts = ["localhost", *_own_address()]
+            hosts = ["localhost", *network_addresses()]
         query = f"/?token={self.token}" if self.token else ""
         return [f"http://{f'[{host}]' if ':' in host else host}:{port}{query}" for host in hosts]
 
     def refuse(self, connection: ServerConnection, request: Request) -> Response | None:
-        """Answer a request that is not allowed; None if it is."""
+        """Return the response to a forbidden request; None if the request is allowed."""
         local, port = connection.local_address[:2]
         names = request.headers.get_all("Host")
         if len(names) != 1 or not self._answers_to(names[0], local, port):
             return plain_response(http.HTTPStatus.FORBIDDEN, _WRONG_ADDRESS)
         pages = request.headers.get_all("Origin")
         if len(pages) > 1 or (pages and not self._trusts(pages[0], local, port)):
-            self._report(pages[0])
+            self._report_origin(pages[0])
             return plain_response(http.HTTPStatus.FORBIDDEN, _WRONG_ADDRESS)
         query = parse_qs(urlsplit(request.path).query, keep_blank_values=True)
         if not self._knows_token(request.headers, query):
             return plain_response(http.HTTPStatus.FORBIDDEN, _WRONG_TOKEN)
         if "Upgrade" not in request.headers and set(query) - {"token"}:
-            # viser's page takes orders from its address: `?websocket=` and `?playbackPath=` make it load what another
-            # server says, which may be a script.
+            # The address of viser's page can contain commands: `?websocket=` and `?playbackPath=` make it load content
+            # from another server, which may include scripts.
             return plain_response(http.HTTPStatus.FOUND, "", Location=f"/?token={self.token}" if self.token else "/")
         return None
 
     def headers(self, request: Request) -> Mapping[str, str]:
-        """Headers for the page: it connects to this server only, and no other page shows it in a frame."""
+        """Return the headers of the page, which let it connect only to this server and keep it out of frames."""
         host = request.headers["Host"]
         policy = [
             f"connect-src 'self' ws://{host} wss://{host} data: blob:",
@@ -155,10 +162,10 @@ class Access:
         return own or origin in self._allowed
 
     def _own_names(self, local: str) -> tuple[str, ...]:
-        """Names of this server.
+        """Return the names of this server.
 
         Args:
-            local: address of this machine that the request came to. It is a number, which no name server can forge.
+            local: numeric address of this machine that received the request; no name server can forge it.
         """
         names = (*_LOOPBACK_NAMES, _plain(local))
         return names if _is_any(self.host) else (*names, self.host.lower())
@@ -173,22 +180,24 @@ class Access:
                 key, _, value = pair.strip().partition("=")
                 if key == name:
                     given.append((value, self._cookie))
-        # What a client sends need not be text.
-        pairs = ((value.encode(errors="surrogatepass"), wanted.encode()) for value, wanted in given)
-        return any(hmac.compare_digest(value, wanted) for value, wanted in pairs)
+        # Clients may send bytes that are not valid text.
+        pairs = ((value.encode(errors="surrogatepass"), secret.encode()) for value, secret in given)
+        return any(hmac.compare_digest(value, secret) for value, secret in pairs)
 
-    def _report(self, origin: str) -> None:
-        """Tell the terminal which page was refused, once: behind a proxy that is the address to allow."""
+    def _report_origin(self, origin: str) -> None:
+        """Report a refused page once; if the studio is behind a proxy, this is the address to allow."""
         shown = ascii(origin[:100])
-        if shown not in self._noted and len(self._noted) < _MOST_NOTES:
-            self._noted.add(shown)
-            self._note(f"refused a page of {shown}; if it is yours, start with --allow-origin and that address")
+        if shown not in self._reported and len(self._reported) < _MOST_REPORTS:
+            self._reported.add(shown)
+            self._report(
+                f"refused a page from {shown}; if it is yours, start the studio with --allow-origin and that address"
+            )
 
 
 def _origin(text: str) -> Origin:
     origin = Origin.parse(text.removesuffix("/"))
     if origin is None:
-        raise InputError(f"--allow-origin {text!a} is no address; one like https://studio.example.org would do")
+        raise InputError(f"--allow-origin {text!a} is not an address; use one like https://studio.example.org")
     return origin
 
 
@@ -208,7 +217,7 @@ def _is_any(host: str) -> bool:
 
 
 def _plain(address: str) -> str:
-    """A numeric address as it stands in a URL; IPv4 that came through an IPv6 socket is IPv4."""
+    """Return a numeric address as in a URL; an IPv4 address from an IPv6 socket becomes plain IPv4."""
     try:
         number = ipaddress.ip_address(address.partition("%")[0])
     except ValueError:
@@ -217,8 +226,8 @@ def _plain(address: str) -> str:
     return str(mapped or number)
 
 
-def _own_address() -> list[str]:
-    """This machine's address on the network that it is connected to, if it is to any. Nothing is sent."""
+def network_addresses() -> list[str]:
+    """Return this machine's address on its network; empty without a network. No data is sent."""
     try:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
             probe.connect(("192.0.2.1", 9))
@@ -229,7 +238,7 @@ def _own_address() -> list[str]:
 
 
 def _parse_host(text: str) -> tuple[str, int | None] | None:
-    """Host, in lower case and without brackets, and port of `HOST` or `HOST:PORT`; None if it is neither."""
+    """Return host (lower case, no brackets) and port of `HOST` or `HOST:PORT`; None if the text is neither."""
     found = _HOST.fullmatch(text)
     if found is None:
         return None
@@ -240,5 +249,5 @@ def _parse_host(text: str) -> tuple[str, int | None] | None:
 
 
 def _cookie_name(place: tuple[str, int | None] | None) -> str:
-    """Name of the cookie: cookies of all ports of a host go together, and two studios must not share one."""
+    """Return the name of the cookie, with the port: all ports of a host share cookies, but studios must not."""
     return f"roboassembly-{place[1] if place and place[1] else 'default'}"

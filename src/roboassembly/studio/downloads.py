@@ -1,4 +1,4 @@
-"""Files that a browser gets."""
+"""Downloads: plans and pages that a client saves."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from roboassembly.viewer.html import write_html
 from roboassembly.viewer.playback import AnyPlan
 
 MOST_UNSENT = 50_000_000
-"""Bytes of files on their way to a client; more are made only once it has fetched these."""
+"""Largest size of the files on their way to a client [bytes]; beyond it, no further file is made."""
 
 
 def send_plan(client: ClientHandle, plan: AnyPlan, name: str) -> None:
     """Send a plan as `plan.json` or as `assembly.html`.
 
     Raises:
-        InputError: the client does not fetch the files that it asked for before.
+        InputError: the client has not received its earlier files yet.
     """
-    buffer = client._websock_connection.get_message_buffer()
+    buffer = client._websock_connection.get_message_buffer()  # pyright: ignore[reportPrivateUsage]
     with buffer.buffer_lock:
         unsent = sum(len(m.content) for m in buffer.message_from_id.values() if isinstance(m, FileTransferPart))
     if unsent > MOST_UNSENT:
-        raise InputError("the last files are still on their way; wait until they are here")
+        raise InputError("the last files are still being sent; wait until they have arrived")
     if name == "plan.json":
         content = plan_file.encode(plan)
     else:

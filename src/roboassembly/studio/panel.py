@@ -1,4 +1,4 @@
-"""The controls beside the scene. They do nothing themselves: each calls what it is given."""
+"""Panel of controls beside the scene. Each control only calls a callback."""
 
 from __future__ import annotations
 
@@ -9,46 +9,52 @@ from typing import Any
 
 from viser import GuiApi, GuiDropdownHandle, GuiTextHandle, Icon, UploadedFile
 
-from roboassembly.studio.screen import COLORS, Look
-from roboassembly.studio.wares import BUILT_IN
+from roboassembly.studio.scene_view import COLORS, ViewOptions
+from roboassembly.studio.sources import BUILT_IN
 
 NONE = "—"
-"""Chosen where nothing is."""
-PICKS = ("what moves", "what waits")
+"""Value of a dropdown without a choice."""
+PICKS = ("the moving part", "the waiting part")
+"""What the next click in the scene chooses."""
 SETTINGS = ("object-centric", "full")
 
 
 @dataclass(frozen=True)
-class Actions:
-    """What the controls call, in the browser's threads: quick, and from several at once."""
+class PanelCallbacks:
+    """Callbacks of the controls. They run in threads of the server, possibly several at once, and must return fast."""
 
     open: Callable[[], None]
+    """Called to open the chosen piece."""
     upload: Callable[[UploadedFile], None]
-    open_path: Callable[[str], None]
+    """Called with an uploaded file."""
+    open_folder: Callable[[str], None]
+    """Called with the name of a folder."""
     choose: Callable[[], None]
-    """A part, a point or a way was chosen."""
+    """Called when a component of the action changes."""
     join: Callable[[], None]
     undo: Callable[[], None]
     suggest: Callable[[], None]
     run: Callable[[str], None]
-    """`search`, `guided` or `alone`."""
+    """Called with `search`, `guided` or `alone`."""
     cancel: Callable[[], None]
     scrub: Callable[[], None]
-    play: Callable[[], None]
-    look: Callable[[], None]
+    """Called when the time slider moves."""
+    toggle_playback: Callable[[], None]
+    change_view: Callable[[], None]
+    """Called when a view option changes."""
     save: Callable[[str], None]
-    """`plan.json` or `assembly.html`."""
+    """Called with `plan.json` or `assembly.html`."""
 
 
 class Panel:
-    """All controls of one visitor.
+    """Controls of one client.
 
     Args:
-        gui: of the visitor's browser.
-        sources: pieces by where they come from.
-        policies: names.
-        roots: folders that others may be opened in, by name.
-        actions: called.
+        gui: GUI of the client.
+        sources: names of pieces by source.
+        policies: names of policies.
+        roots: folders in which folders can be opened by name.
+        callbacks: callbacks of the controls.
     """
 
     def __init__(
@@ -57,7 +63,7 @@ class Panel:
         sources: dict[str, list[str]],
         policies: Sequence[str],
         roots: Sequence[Path],
-        actions: Actions,
+        callbacks: PanelCallbacks,
     ) -> None:
         self._gui, self._sources = gui, sources
         gui.configure_theme(show_logo=False, show_share_button=False)
@@ -67,118 +73,126 @@ class Panel:
         self.message = gui.add_markdown("")
         self.progress = gui.add_progress_bar(0.0, visible=False, animated=True)
         self.cancel = gui.add_button("Cancel", icon=Icon.X, color="red", visible=False)
-        self.time = gui.add_slider("Time", 0, 1, 1, 0, hint="Drag to go back and forth; joining goes on at the end.")
+        self.time = gui.add_slider(
+            "Time", 0, 1, 1, 0, hint="Drag to see earlier steps. Joining always continues at the end."
+        )
         self.play = gui.add_button("Play", icon=Icon.PLAYER_PLAY)
         tabs = gui.add_tab_group()
         with tabs.add_tab("Join"):
-            self._add_joining(actions)
+            self._add_joining(callbacks)
         with tabs.add_tab("Run"):
-            self._add_running(policies, actions)
+            self._add_running(policies, callbacks)
         with tabs.add_tab("Furniture"):
-            self._add_opening(roots, actions)
+            self._add_opening(roots, callbacks)
         with tabs.add_tab("Show"):
-            self._add_looking(actions)
-        self.cancel.on_click(lambda _: actions.cancel())
-        self.play.on_click(lambda _: actions.play())
-        _by_hand(self.time, actions.scrub)
+            self._add_view_options(callbacks)
+        self.cancel.on_click(lambda _: callbacks.cancel())
+        self.play.on_click(lambda _: callbacks.toggle_playback())
+        _on_user_change(self.time, callbacks.scrub)
 
-    def _add_joining(self, actions: Actions) -> None:
+    def _add_joining(self, callbacks: PanelCallbacks) -> None:
         gui = self._gui
-        self.next = _dropdown(gui, "A click picks", PICKS)
+        self.next = _dropdown(gui, "A click chooses", PICKS)
         self.u = _dropdown(gui, "Moves")
         self.k = _dropdown(gui, "by point")
         self.v = _dropdown(gui, "Waits")
         self.l = _dropdown(gui, "at point")
-        self.ways = [_dropdown(gui, "", visible=False) for _ in range(2)]
-        for control in (self.u, self.k, self.v, self.l, *self.ways):
-            _by_hand(control, actions.choose)
+        self.choices = [_dropdown(gui, "", visible=False) for _ in range(2)]
+        for control in (self.u, self.k, self.v, self.l, *self.choices):
+            _on_user_change(control, callbacks.choose)
         self.join = gui.add_button("Join", icon=Icon.LINK, color="green")
         self.undo = gui.add_button("Undo", icon=Icon.ARROW_BACK_UP)
-        self.suggest = gui.add_button("Suggest", icon=Icon.BULB, hint="What the policy would do now.")
-        self.join.on_click(lambda _: actions.join())
-        self.undo.on_click(lambda _: actions.undo())
-        self.suggest.on_click(lambda _: actions.suggest())
+        self.suggest = gui.add_button("Suggest", icon=Icon.BULB, hint="Fill in the action that the policy prefers.")
+        self.join.on_click(lambda _: callbacks.join())
+        self.undo.on_click(lambda _: callbacks.undo())
+        self.suggest.on_click(lambda _: callbacks.suggest())
 
-    def _add_running(self, policies: Sequence[str], actions: Actions) -> None:
+    def _add_running(self, policies: Sequence[str], callbacks: PanelCallbacks) -> None:
         gui = self._gui
         self.policy = _dropdown(gui, "Policy", policies)
         self.runs = {
             name: gui.add_button(label, hint=hint)
             for name, label, hint in (
-                ("search", "Search", "By reasoning alone: taking the furniture apart in the mind."),
-                ("guided", "Policy and search", "The policy's suggestions first; dead ends are backed out of."),
-                ("alone", "Policy alone", "As in training: its first failure ends it."),
+                ("search", "Search", "Plan by disassembly, without a policy."),
+                ("guided", "Policy and search", "Try the policy's suggestions first; search leaves dead ends."),
+                ("alone", "Policy alone", "Run the policy without search; the first failure ends the run."),
             )
         }
         for name, button in self.runs.items():
-            button.on_click(lambda _, name=name: actions.run(name))
+            button.on_click(lambda _, name=name: callbacks.run(name))
 
-    def _add_opening(self, roots: Sequence[Path], actions: Actions) -> None:
+    def _add_opening(self, roots: Sequence[Path], callbacks: PanelCallbacks) -> None:
         gui = self._gui
         self.source = _dropdown(gui, "From", tuple(self._sources))
         self.piece = _dropdown(gui, "Piece", tuple(self._sources[BUILT_IN]))
         self.number = gui.add_number(
-            "Which", 0, min=0, max=10**6, step=1, hint="Each number is another piece of a family."
+            "Which", 0, min=0, max=10**6, step=1, hint="Each number is a different piece of the family."
         )
-        self.setting = gui.add_dropdown("Moved by", SETTINGS, hint="full: two mobile Frankas move the parts.")
-        self.seed = gui.add_number("Seed", 0, min=0, max=10**6, step=1, hint="Where the parts lie at first.")
+        self.setting = gui.add_dropdown(
+            "Moved by",
+            SETTINGS,
+            hint="object-centric: parts move by themselves. full: two mobile Franka robots move them.",
+        )
+        self.seed = gui.add_number(
+            "Seed", 0, min=0, max=10**6, step=1, hint="Seed of the initial placement and of the planner."
+        )
         opening = gui.add_button("Open", icon=Icon.FOLDER_OPEN)
-        opening.on_click(lambda _: actions.open())
-        _by_hand(self.source, self._list_pieces)
+        opening.on_click(lambda _: callbacks.open())
+        _on_user_change(self.source, self._list_pieces)
         self.upload = gui.add_upload_button(
             "Bring your own", icon=Icon.UPLOAD,
-            hint="A ZIP archive of STL, OBJ, PLY or GLB files, one a part, as they stand assembled; one GLB scene; or "
-            "the plan.json of the furniture shown.",
+            hint="A ZIP archive of STL, OBJ, PLY or GLB files (one file per part, in assembled poses), one GLB scene, "
+            "or a plan.json for the furniture that is open.",
         )  # fmt: skip
-        self.upload.on_upload(lambda event: actions.upload(event.target.value))
+        self.upload.on_upload(lambda event: callbacks.upload(event.target.value))
         self.path: GuiTextHandle | None = None
         if roots:
-            hint = (
-                f"Of furniture, or of 3D files, in {', '.join(map(str, roots))} on the machine that serves this page."
-            )
+            hint = f"A folder of furniture or of 3D files on the server, in {', '.join(map(str, roots))}."
             self.path = path = gui.add_text("Folder", "", hint=hint)
             button = gui.add_button("Open folder", icon=Icon.FOLDER)
-            button.on_click(lambda _: actions.open_path(path.value))
+            button.on_click(lambda _: callbacks.open_folder(path.value))
 
-    def _add_looking(self, actions: Actions) -> None:
+    def _add_view_options(self, callbacks: PanelCallbacks) -> None:
         gui = self._gui
-        self.color = gui.add_dropdown("Colours tell", COLORS)
+        self.color = gui.add_dropdown("Colour by", COLORS)
         self.points = gui.add_checkbox("Connection points", True)
-        self.frames = gui.add_checkbox("Their frames", False)
+        self.frames = gui.add_checkbox("Frames of the points", False)
         self.grasps = gui.add_checkbox("Grasp regions", False)
-        self.way = gui.add_checkbox("Way of what moves", True)
-        for control in (self.color, self.points, self.frames, self.grasps, self.way):
-            _by_hand(control, actions.look)
+        self.path_line = gui.add_checkbox("Path of the moving group", True)
+        for control in (self.color, self.points, self.frames, self.grasps, self.path_line):
+            _on_user_change(control, callbacks.change_view)
         for name in ("plan.json", "assembly.html"):
             button = gui.add_button(f"Save {name}", icon=Icon.DOWNLOAD)
-            button.on_click(lambda _, name=name: actions.save(name))
+            button.on_click(lambda _, name=name: callbacks.save(name))
 
     def _list_pieces(self) -> None:
         self.piece.options = tuple(self._sources[self.source.value])
         self.number.visible = self.source.value == BUILT_IN
 
     def forget_upload(self) -> None:
-        """Keep the file that came no longer."""
+        """Release the memory of the uploaded file."""
         self.upload._impl.value = UploadedFile("", b"")
 
     @property
-    def look(self) -> Look:
-        """What is to be seen."""
-        shown = (c.value for c in (self.points, self.frames, self.grasps, self.way))
-        return Look(self.color.value, *shown)
+    def view_options(self) -> ViewOptions:
+        """Current view options."""
+        shown = (c.value for c in (self.points, self.frames, self.grasps, self.path_line))
+        return ViewOptions(self.color.value, *shown)
 
-    def busy(self, busy: bool) -> None:
-        """While something runs it can be cancelled, and nothing else can be started."""
+    def set_busy(self, busy: bool) -> None:
+        """Show the progress bar and disable the buttons that start something, or the reverse."""
         self.progress.visible = self.cancel.visible = busy
         for button in (self.join, self.undo, self.suggest, *self.runs.values()):
             button.disabled = busy
 
 
-def _dropdown(gui: GuiApi, label: str, options: Sequence[str] = (NONE,), **told: Any) -> GuiDropdownHandle[str]:
-    """One whose options may change."""
-    return gui.add_dropdown(label, options, **told)
+def _dropdown(
+    gui: GuiApi, label: str, options: Sequence[str] = (NONE,), *, visible: bool = True
+) -> GuiDropdownHandle[str]:
+    """Add a dropdown whose options may change."""
+    return gui.add_dropdown(label, options, visible=visible)
 
 
-def _by_hand(control: Any, call: Callable[[], None]) -> None:
-    """Call when a person changes the control, not when the program does."""
+def _on_user_change(control: Any, call: Callable[[], None]) -> None:
+    """Call `call` when a client changes the control, not when the program does."""
     control.on_update(lambda event: call() if event.client is not None else None)

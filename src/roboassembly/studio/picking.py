@@ -1,8 +1,7 @@
-"""What is under the pointer: computed here from the ray of a click.
+"""Picking: the part or connection point under the pointer, computed from the ray of a click.
 
-viser also says which object was clicked on, and which of several balls that are drawn together. That is not used: with
-them viser tests an outline that is not seen, a ball of 1 m around the part, and so takes clicks on the floor for clicks
-on a point.
+viser also reports the clicked object, and the clicked ball of a batch of balls. That report is not used: for batches,
+viser tests an invisible sphere of 1 m around the part, and so reports clicks on the floor as clicks on a point.
 """
 
 from __future__ import annotations
@@ -17,63 +16,68 @@ from roboassembly.furniture.rays import Rays
 from roboassembly.geometry.meshes import Mesh
 from roboassembly.geometry.poses import SE3, transform_points
 
-Picked = tuple[int, int | None]
-"""Number of a part, and of its connection point if that was clicked on."""
+PickedItem = tuple[int, int | None]
+"""Part, and connection point of that part if the click is on a point."""
 
 
 @dataclass(frozen=True, eq=False)
-class Shown:
-    """What can be seen at a time."""
+class VisibleItems:
+    """Poses and balls that the scene shows."""
 
     poses: Sequence[SE3 | None]
-    """`world_from_mesh`, None where a mesh is not shown."""
+    """`world_from_mesh` of each mesh; None if it is hidden."""
     centers: Float[np.ndarray, "parts points 3"]
-    """Middle of the balls on connection points, in their parts' frames."""
+    """Centre of each connection point's ball in its part's frame [m]."""
     radii: Float[np.ndarray, "parts points"]
-    """Metres; 0 where a ball is not shown."""
+    """Radius of each ball [m]; 0 if it is hidden."""
 
 
 class Picker:
-    """Finds the first thing along a ray."""
+    """Finds the first part or connection point along a ray. It caches ray-casting structures of meshes."""
 
     def __init__(self) -> None:
         self._rays: dict[Mesh, Rays] = {}
 
     def first(
-        self, shown: Shown, meshes: Sequence[Mesh], origin: Float[np.ndarray, "3"], direction: Float[np.ndarray, "3"]
-    ) -> Picked | None:
-        """The part or the connection point that the ray meets first.
+        self,
+        items: VisibleItems,
+        meshes: Sequence[Mesh],
+        origin: Float[np.ndarray, "3"],
+        direction: Float[np.ndarray, "3"],
+    ) -> PickedItem | None:
+        """Return the part or connection point that a ray meets first.
 
         Args:
-            shown: what can be seen.
-            meshes: parts, in their order, then what else stands in the way, robots for instance.
-            origin: metres, in the world.
-            direction: of any length.
+            items: visible meshes and balls.
+            meshes: meshes of the parts, then other meshes, such as those of robots.
+            origin: world position of the start of the ray [m].
+            direction: direction of the ray, of any length.
 
         Returns:
-            None if the ray meets nothing, or something that is no part.
+            The part or point; None if the ray meets nothing, or another mesh first.
         """
         direction = direction / np.linalg.norm(direction)
-        parts = len(shown.radii)
-        nearest, picked = np.inf, None
-        for number, (mesh, pose) in enumerate(zip(meshes, shown.poses, strict=False)):
+        parts = len(items.radii)
+        nearest, found = np.inf, None
+        for number, (mesh, pose) in enumerate(zip(meshes, items.poses, strict=False)):
             if pose is None:
                 continue
             reach = self._reach(mesh, pose, origin, direction)
             if reach < nearest:
-                nearest, picked = reach, (number, None) if number < parts else None
+                nearest, found = reach, (number, None) if number < parts else None
         for part in range(parts):
-            pose = shown.poses[part]
+            pose = items.poses[part]
             if pose is None:
                 continue
-            centers = transform_points(pose, shown.centers[part])
-            for point in np.flatnonzero(shown.radii[part] > 0.0).tolist():
-                reach = _ball_reach(centers[point] - origin, shown.radii[part, point], direction)
+            centers = transform_points(pose, items.centers[part])
+            for point in np.flatnonzero(items.radii[part] > 0.0).tolist():
+                reach = _ball_reach(centers[point] - origin, items.radii[part, point], direction)
                 if reach < nearest:
-                    nearest, picked = reach, (part, point)
-        return picked
+                    nearest, found = reach, (part, point)
+        return found
 
-    def _reach(self, mesh: Mesh, pose: SE3, origin: np.ndarray, direction: np.ndarray) -> float:
+    def _reach(self, mesh: Mesh, pose: SE3, origin: Float[np.ndarray, "3"], direction: Float[np.ndarray, "3"]) -> float:
+        """Return the distance along a ray to a mesh [m]; infinity if the ray misses it."""
         if mesh not in self._rays:
             self._rays[mesh] = Rays(mesh)
         back = pose.inverse()
@@ -81,8 +85,8 @@ class Picker:
         return float(ahead[0]) if ahead[0] > 0.0 else np.inf
 
 
-def _ball_reach(center: np.ndarray, radius: float, direction: np.ndarray) -> float:
-    """Distance along the ray to a ball around `center`, seen from the ray's origin; infinite if it passes by."""
+def _ball_reach(center: Float[np.ndarray, "3"], radius: float, direction: Float[np.ndarray, "3"]) -> float:
+    """Return the distance [m] from the origin to a ball along a ray; infinity if the ray misses it."""
     along = float(center @ direction)
     inside = radius**2 - (float(center @ center) - along**2)
     if inside < 0.0 or along <= 0.0:

@@ -1,4 +1,4 @@
-"""The server behind `roboassembly view`: one session a visitor."""
+"""Server of the studio: one session per client."""
 
 from __future__ import annotations
 
@@ -15,82 +15,86 @@ from viser import ClientHandle, ViserServer
 
 from roboassembly.errors import InputError, RoboAssemblyError
 from roboassembly.studio.access import Access
-from roboassembly.studio.house import House
+from roboassembly.studio.config import StudioConfig
 from roboassembly.studio.incoming import Clients, StudioConnection
 from roboassembly.viewer.server import Guard, quiet_server
 
 if TYPE_CHECKING:
-    from roboassembly.studio.visitor import Visitor
+    from roboassembly.studio.client_session import ClientSession
 
-MOST_VISITORS = 64
-"""At a time; each has a thread, and memory of its own."""
+MOST_CLIENTS = 64
+"""Largest number of clients at a time; each has its own thread and memory."""
 
 
 @contextmanager
-def studio(house: House, access: Access, port: int) -> Iterator[ViserServer]:
-    """Serve until the end of the `with` block.
+def run_studio(config: StudioConfig, access: Access, port: int) -> Iterator[ViserServer]:
+    """Run a studio for a `with` block.
 
     Args:
-        house: what all visitors share.
-        access: who may visit, and the address to listen on.
-        port: any free one if 0.
+        config: configuration of the studio.
+        access: access rules, and the address to listen on.
+        port: port to listen on; any free one if 0.
 
     Raises:
-        InputError: the address cannot be listened on.
+        InputError: the server cannot listen on the address.
     """
-    _check(access.host, port)
-    clients = Clients()
-    guard = Guard(access.refuse, access.headers, functools.partial(StudioConnection, clients=clients))
+    _check_address(access.host, port)
+    registered = Clients()
+    guard = Guard(access.refuse, access.headers, functools.partial(StudioConnection, clients=registered))
     with quiet_server(access.host, port, guard) as server:
-        clients.belong_to(server)
-        visitors: dict[int, Visitor] = {}
+        registered.attach(server)
+        sessions: dict[int, ClientSession] = {}
         lock = threading.Lock()
-        ready = threading.Thread(target=_prepare, args=(house,), name="prepare", daemon=True)
+        ready = threading.Thread(target=_prepare, args=(config,), name="prepare", daemon=True)
         ready.start()
 
-        def come(client: ClientHandle) -> None:
+        def connect(client: ClientHandle) -> None:
             ready.join()
-            from roboassembly.studio.visitor import Visitor
+            from roboassembly.studio.client_session import ClientSession
 
             with lock:
                 if client.client_id not in server.get_clients():
-                    return  # gone before it was let in
-                full = len(visitors) >= MOST_VISITORS
+                    return  # it has gone already
+                full = len(sessions) >= MOST_CLIENTS
                 if not full:
-                    visitors[client.client_id] = Visitor(client, house)
+                    sessions[client.client_id] = ClientSession(client, config)
             if full:
-                client.gui.add_markdown(f"All {MOST_VISITORS} places are taken. Load the page again later.")
+                client.gui.add_markdown(f"All {MOST_CLIENTS} places are taken. Reload the page later.")
 
-        def go(client: ClientHandle) -> None:
+        def disconnect(client: ClientHandle) -> None:
             with lock:
-                visitor = visitors.pop(client.client_id, None)
-            if visitor is not None:
-                visitor.close()
+                session = sessions.pop(client.client_id, None)
+            if session is not None:
+                session.close()
 
-        server.on_client_connect(come)
-        server.on_client_disconnect(go)
+        server.on_client_connect(connect)
+        server.on_client_disconnect(disconnect)
         try:
             yield server
         finally:
             with lock:
-                here = list(visitors.values())
-            for visitor in here:
-                visitor.close()
+                open_sessions = list(sessions.values())
+            for session in open_sessions:
+                session.close()
 
 
-def _prepare(house: House) -> None:
-    """Load what visitors need, and make what they see first, while the browser is still loading the page."""
-    from roboassembly.studio import visitor
+def _prepare(config: StudioConfig) -> None:
+    """Import the modules of a session and open the first furniture while the browser loads the page."""
+    from roboassembly.studio import client_session
 
-    # Whoever comes will be told what is wrong with it.
+    # The client gets the error when its session opens the furniture.
     with suppress(RoboAssemblyError):
-        visitor.open_first(house)
+        client_session.open_first(config)
 
 
-def _check(host: str, port: int) -> None:
-    """Whether the address is free: viser would take the next one without a word."""
+def _check_address(host: str, port: int) -> None:
+    """Check that the address is free; viser would silently use the next port.
+
+    Raises:
+        InputError: the server cannot listen on it.
+    """
     if not 0 <= port < 65536:
-        raise InputError(f"--port {port}; 0 (any that is free) to 65535 would do")
+        raise InputError(f"--port {port} is not valid; it must be 0 (any free port) to 65535")
     try:
         family, *_, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
         with socket.socket(family, socket.SOCK_STREAM) as probe:
@@ -98,10 +102,10 @@ def _check(host: str, port: int) -> None:
             probe.bind(address)
     except (OSError, UnicodeError) as error:
         reason = error.strerror if isinstance(error, OSError) and error.strerror else error
-        raise InputError(f"cannot listen on {host}:{port}: {reason}; name another --port") from None
+        raise InputError(f"cannot listen on {host}:{port}: {reason}; choose another --host or --port") from None
 
 
-def silence() -> None:
-    """Keep what browsers do to their connections off the terminal."""
+def silence_connection_messages() -> None:
+    """Keep messages about closed connections off the terminal."""
     logging.getLogger("websockets").setLevel(logging.CRITICAL)
     warnings.filterwarnings("ignore", message="Queued a .* on a closed connection", category=UserWarning)

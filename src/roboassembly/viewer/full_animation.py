@@ -51,8 +51,8 @@ class FullPlanAnimator:
             SceneObject(f"robot_{name}/{i}_{link.name}", link.mesh) for name in "ab" for i, link in enumerate(own)
         ]
         posts = [
-            SceneObject(f"posts/{i}", post_mesh(float(stand.top[2])), framed=False)
-            for i, stand in enumerate(self.posts)
+            SceneObject(f"posts/{i}", post_mesh(float(post.top[2])), framed=False)
+            for i, post in enumerate(self.posts)
         ]
         return (*part_objects(self.plan.furniture), *robots, *posts)
 
@@ -115,8 +115,8 @@ class FullPlanAnimator:
         """Return the pose of each object; None for a post that is not up."""
         parts = {p: pose for g in state.groups() for p, pose in zip(g.parts, g.part_poses(), strict=True)}
         robots = [pose for r in state.robots for _, pose in placed(r.at, r.opening)]
-        up = {id(stand) for stand in state.posts}
-        posts = [SE3(np.eye(3), stand.top) if id(stand) in up else None for stand in self.posts]
+        up = {id(post) for post in state.posts}
+        posts = [SE3(np.eye(3), post.top) if id(post) in up else None for post in self.posts]
         return [*(parts[p] for p in range(len(parts))), *robots, *posts]
 
     def _move(self, poses: list[SE3 | None], segment: Segment, configuration: Float[np.ndarray, "10"]) -> None:

@@ -1,4 +1,4 @@
-"""Values that a control takes from a browser: only those that it offers."""
+"""Check of the values that browsers send: a control accepts only values that it offers."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from viser import (
 )
 
 LONGEST_TEXT = 500
-"""Characters in a text control, or of a file's name."""
+"""Largest number of characters in a text control or in the name of a file."""
 
 
-class Refused(Exception):  # noqa: N818
-    """A message is dropped. The text is for the person at the browser; empty if no person can have caused it."""
+class RefusedError(Exception):
+    """A message is dropped. Its text is for the user; it is empty if the studio's page cannot have sent the message."""
 
 
 def check_value(control: Any, value: bool | int | float | str) -> None:
-    """Whether a control offers the value.
+    """Check that a control offers a value.
 
     Raises:
-        Refused: it does not.
+        RefusedError: the control does not offer it.
     """
     named = f"“{getattr(control, 'label', '')}”"
     match control:
@@ -37,11 +37,11 @@ def check_value(control: Any, value: bool | int | float | str) -> None:
         case GuiDropdownHandle():
             allowed = isinstance(value, str) and value in control.options
             if not allowed:
-                raise Refused(f"{named} does not offer {_shortened(value)}.")
+                raise RefusedError(f"{named} does not offer {_shortened(value)}.")
         case GuiSliderHandle() | GuiNumberHandle():
             allowed = _in_range(value, control)
             if not allowed:
-                raise Refused(f"{named} takes {control.min} to {control.max}, not {_shortened(value)}.")
+                raise RefusedError(f"{named} accepts {control.min} to {control.max}, not {_shortened(value)}.")
         case GuiTextHandle():
             allowed = isinstance(value, str)
             if allowed:
@@ -49,7 +49,7 @@ def check_value(control: Any, value: bool | int | float | str) -> None:
         case _:
             allowed = False
     if not allowed:
-        raise Refused(f"{named} does not take {_shortened(value)}.")
+        raise RefusedError(f"{named} does not accept {_shortened(value)}.")
 
 
 def _in_range(value: object, control: GuiSliderHandle[Any] | GuiNumberHandle[Any]) -> bool:
@@ -57,20 +57,24 @@ def _in_range(value: object, control: GuiSliderHandle[Any] | GuiNumberHandle[Any
         return False
     if isinstance(control.value, int) and value != int(value):
         return False
-    # Without limits nothing is in range: every control of the studio has some.
+    # No value is in range without limits; every numeric control of the studio has them.
     return control.min is not None and control.max is not None and control.min <= value <= control.max
 
 
 def check_text(text: str, named: str) -> None:
-    """Whether a text is short and shows on one line.
+    """Check that a text is short and printable on one line.
+
+    Args:
+        text: text to check.
+        named: what the text is, for the error.
 
     Raises:
-        Refused: it is not.
+        RefusedError: the text is too long or has control characters.
     """
     if len(text) > LONGEST_TEXT:
-        raise Refused(f"{named} has at most {LONGEST_TEXT} characters, not {len(text):,}.")
+        raise RefusedError(f"{named} may have at most {LONGEST_TEXT} characters, not {len(text):,}.")
     if not text.isprintable():
-        raise Refused(f"{named} cannot hold control characters.")
+        raise RefusedError(f"{named} must not contain control characters.")
 
 
 def _shortened(value: object) -> str:

@@ -1,4 +1,4 @@
-"""One visitor's work: a piece of furniture, what has been joined so far, what is tried next. Knows no browser."""
+"""Assembly of one piece by hand, by a policy or by the search. It knows no browser."""
 
 from __future__ import annotations
 
@@ -28,100 +28,100 @@ from roboassembly.task.rules.groups import TaskState
 from roboassembly.task.setting import SettingName
 
 _PLANNER = threading.Lock()
-"""OMPL's random numbers are one stream for the whole process, so that visitors plan one after another."""
+"""Lock of the planner: OMPL has one stream of random numbers per process, so sessions plan one after another."""
 MERGED = "merged"
 
 
 @dataclass(frozen=True)
-class Tried:
-    """What an action came to."""
+class Attempt:
+    """Result of one action."""
 
     action: tuple[int, ...]
     verdict: str
     """`ObjectCentricVerdict` or `FullVerdict`."""
-    leg: str
-    """In which robots failed; empty if they did not, or there are none."""
+    segment: str
+    """Motion segment in which the robots failed; empty if there are no robots or they did not fail."""
     planning_steps: int
     """Configurations tested for collision."""
     planning_seconds: float
 
     @property
     def merged(self) -> bool:
-        """Whether it worked."""
+        """Whether the action merged two groups."""
         return self.verdict == MERGED
 
 
 @dataclass(eq=False)
-class Session:
-    """An assembly by hand, by a policy or by the search, in turns.
+class AssemblySession:
+    """Assembly of one piece in one setting, with undo.
 
     Args:
-        furniture: what is assembled.
-        setting: what moves the parts.
-        seed: of how all lies at first, and of the planner; 0 or more.
+        furniture: furniture to assemble.
+        setting: setting of the task.
+        seed: seed of the initial state and of the planner; 0 or more.
 
     Raises:
-        InputError: a negative seed, or furniture that does not suit the workcell.
+        InputError: the seed is negative, or the furniture does not suit the workcell.
     """
 
     furniture: Furniture
     setting: SettingName = "object-centric"
     seed: int = 0
     planning_steps: int = field(default=0, init=False)
-    """Configurations tested for collision by all that was tried."""
+    """Configurations tested for collision so far."""
     failures: int = field(default=0, init=False)
-    """Actions that did not work."""
+    """Number of failed actions."""
 
     def __post_init__(self) -> None:
         if self.seed < 0:
-            raise InputError(f"seed {self.seed} is negative; 0 or more would do")
+            raise InputError(f"seed {self.seed} is negative; it must be 0 or more")
         self.task: Any = (FullTask if self.setting == "full" else ObjectCentricTask)(self.furniture)
         self._states: list[Any] = [self.task.initial_state(np.random.default_rng(self.seed))]
         self._steps: list[Any] = []
         self.upright: UprightResult[Any] | None = None
-        """How the finished piece ends; None as long as it is not finished."""
+        """Result of setting the finished piece upright; None while it is not finished."""
         self._observer = Observer(self.furniture, MAX_PARTS, MAX_POINTS, 1)
 
     @cached_property
-    def held(self) -> Furniture:
-        """The furniture with its grasps, which may have been left out."""
+    def furniture_with_grasps(self) -> Furniture:
+        """The furniture with grasps; they are computed if it has none."""
         return self.furniture if any(p.grasps for p in self.furniture.parts) else add_grasps(self.furniture)
 
     @property
     def state(self) -> Any:
-        """The present one, in the task's own terms."""
+        """Current state of the task: `TaskState`, or `FullState` in the full setting."""
         return self._states[-1]
 
     @property
-    def joined(self) -> TaskState:
-        """Groups of the present state."""
+    def task_state(self) -> TaskState:
+        """Groups of the current state."""
         return self.task.groups_of(self.state)
 
     @property
     def merges(self) -> int:
-        """That worked and were not taken back."""
+        """Number of merges in the current state."""
         return len(self._steps)
 
     @property
     def reward(self) -> float:
-        """What the environment would have given for them."""
-        return self.merges * MERGE_REWARD + self.joined.complete * COMPLETION_REWARD
+        """Reward that the environment gives for these merges."""
+        return self.merges * MERGE_REWARD + self.task_state.complete * COMPLETION_REWARD
 
     def points(self) -> Float32[np.ndarray, "20 10 9"]:
-        """Position, normal and tangent of all connection points in their parts' frames, as the observation has them."""
-        return self._observer.observe(self.joined)["connection_points"]
+        """Return position [m], normal and tangent of each connection point in its part's frame."""
+        return self._observer.observe(self.task_state)["connection_points"]
 
-    def free(self) -> Bool[np.ndarray, "20 10"]:
-        """Which connection points touch nothing yet."""
-        return self.task.rules.free_points(self.joined)
+    def free_points(self) -> Bool[np.ndarray, "20 10"]:
+        """Return which connection points are not connected yet."""
+        return self.task.rules.free_points(self.task_state)
 
     def choices(self) -> tuple[tuple[str, int], ...]:
-        """What an action has after `(u, v, k, l)`: the name of each and how many there are at most."""
+        """Return the name and the number of values of each component of an action after `(u, v, k, l)`."""
         names = ("g_a", "g_b") if self.setting == "full" else ("w",)
         return tuple(zip(names, self.task.action_branches, strict=True))
 
-    def attempt(self, action: tuple[int, ...]) -> Tried:
-        """Carry out an action; if it works, it is the newest step."""
+    def attempt(self, action: tuple[int, ...]) -> Attempt:
+        """Carry out an action; it becomes the newest step if it merges."""
         with _PLANNER:
             outcome = self.task.step(self.state, action, planner_seed(self.seed, action))
         self.planning_steps += outcome.planning_steps
@@ -131,46 +131,48 @@ class Session:
             self._set_upright()
         else:
             self.failures += 1
-        leg = getattr(outcome, "leg", "")
-        return Tried(action, str(outcome.verdict), leg, outcome.planning_steps, outcome.planning_seconds)
+        segment = outcome.segment if self.setting == "full" else ""
+        return Attempt(action, str(outcome.verdict), segment, outcome.planning_steps, outcome.planning_seconds)
 
     def check(self, script: Script) -> None:
-        """Whether a plan is of this furniture in this setting.
+        """Check that a plan is for this furniture and this setting.
 
         Raises:
-            InputError: it is a plan of other parts, or of the other setting.
+            InputError: the plan is for other parts or for the other setting.
         """
         parts = tuple(p.name for p in self.furniture.parts)
         if script.parts != parts:
-            raise InputError(f"the plan is of '{script.furniture}', whose parts are others than those shown")
+            raise InputError(f"the plan is for '{script.furniture}', whose parts differ from those of this furniture")
         if script.setting != self.setting:
-            raise InputError(f"the plan is of setting '{script.setting}'; open the furniture in that one")
+            raise InputError(
+                f"the plan is for the setting '{script.setting}', not '{self.setting}'; open the furniture in that one"
+            )
 
     def repeat(self, script: Script, watch: Watch) -> str:
-        """Do a plan again from here, each step planned and checked anew.
+        """Carry out the actions of a plan from the current state; each step is planned and checked again.
 
         Args:
-            script: of a plan of the same furniture in the same setting.
-            watch: as of `search`.
+            script: plan for the same furniture and setting.
+            watch: see `search`.
 
         Returns:
-            Why it ended early; empty if it did not.
+            The reason of an early end; empty if all actions were carried out.
 
         Raises:
-            InputError: it is a plan of other parts, or of the other setting.
+            InputError: the plan is for other parts or for the other setting.
         """
         self.check(script)
         before = self.planning_steps
         for index, action in enumerate(script.actions):
             if not watch(SearchProgress(index, index, self.planning_steps - before)):
                 return "stopped"
-            tried = self.attempt(action)
-            if not tried.merged:
-                return f"step {index + 1} of the plan ended as {tried.verdict} this time"
+            attempt = self.attempt(action)
+            if not attempt.merged:
+                return f"step {index + 1} of the plan ended as {attempt.verdict} this time"
         return ""
 
     def undo(self) -> bool:
-        """Take the newest step back, and the motion that followed it if it was the last; False if there is none."""
+        """Remove the newest step, and the motion that set the piece upright; returns False if there is no step."""
         if not self._steps:
             return False
         self._steps.pop()
@@ -178,29 +180,29 @@ class Session:
         self.upright = None
         return True
 
-    def search(self, guide: Guide | None, watch: Watch) -> str:
-        """Look for a way to the end from here, and take it.
+    def search(self, guide: Guide[Any] | None, watch: Watch) -> str:
+        """Search for the remaining steps from the current state, and carry them out.
 
         Args:
-            guide: suggests merges; plain reasoning if None.
-            watch: told how far it is before each merge that is tried; False gives up.
+            guide: suggests actions; plain search if None.
+            watch: called with the progress before each attempted merge; the search stops if it returns False.
 
         Returns:
-            Why there is none; empty if there is one.
+            The reason of the failure; empty if the furniture was assembled.
         """
 
-        def watched(standing: SearchProgress) -> bool:
-            # Others get a chance between two merges.
+        def watch_unlocked(progress: SearchProgress) -> bool:
+            # Other sessions may plan between two merges.
             _PLANNER.release()
-            go_on = watch(standing)
+            go_on = watch(progress)
             _PLANNER.acquire()
             return go_on
 
         with _PLANNER:
             if self.setting == "full":
-                result = solve_full_from(self.task, self.state, self.seed, FULL_LIMITS, guide, watched)
+                result = solve_full_from(self.task, self.state, self.seed, FULL_LIMITS, guide, watch_unlocked)
             else:
-                result = solve_from(self.task, self.state, self.seed, SearchLimits(), guide, watched)
+                result = solve_from(self.task, self.state, self.seed, SearchLimits(), guide, watch_unlocked)
         self.planning_steps += result.planning_steps
         if result.plan.success:
             self._steps += result.plan.steps
@@ -209,19 +211,19 @@ class Session:
         return result.reason
 
     def _set_upright(self) -> None:
-        """Once all is assembled, plan the motion that sets the piece on its feet."""
-        if self.joined.complete:
+        """Plan the motion that sets the piece on its feet, if it is complete."""
+        if self.task_state.complete:
             with _PLANNER:
                 self.upright = set_upright(self.plan()).upright
 
-    def suggestion(self, guide: Guide) -> tuple[int, ...] | None:
-        """What a policy would do now; None if it sees nothing."""
+    def suggestion(self, guide: Guide[Any]) -> tuple[int, ...] | None:
+        """Return the action that a policy prefers; None if it suggests none."""
         suggestions = guide(self.task, self.state)
         return suggestions[0].action if suggestions else None
 
     def plan(self) -> Plan | FullPlan:
-        """All steps so far as a record, and the motion after the last of all."""
-        steps, complete = tuple(self._steps), self.joined.complete
+        """Return the record of all steps, and of the motion that set the piece upright."""
+        steps, complete = tuple(self._steps), self.task_state.complete
         if self.setting == "full":
             return FullPlan(self.furniture, self._states[0], steps, complete, self.seed, self.upright)
         return Plan(self.furniture, self._states[0].part_poses, steps, complete, self.seed, self.upright)

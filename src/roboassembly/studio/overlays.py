@@ -1,4 +1,4 @@
-"""What is drawn on parts besides themselves: balls on connection points, their frames, and grasp regions."""
+"""Overlays on parts in the scene: balls on connection points, frames of these points, and grasp regions."""
 
 from __future__ import annotations
 
@@ -15,87 +15,87 @@ from roboassembly.furniture.model import MAX_POINTS, Furniture, GraspRegion
 from roboassembly.rendering.colors import MOVING, WAITING, Color, to_bytes
 from roboassembly.robots.gripper import hand_pose
 
-End = tuple[int, int]
-"""Part and point."""
-Chosen = tuple[End | None, End | None]
-"""What is to move, and what is to wait."""
-_DOT: Color = (0.16, 0.32, 0.62)
-_DOT_RADIUS, _CHOSEN_RADIUS = 0.007, 0.012
-"""Metres."""
+PointId = tuple[int, int]
+"""Part, and connection point of that part."""
+ChosenPoints = tuple[PointId | None, PointId | None]
+"""Chosen point of the moving part and of the waiting part."""
+_BALL_COLOR: Color = (0.16, 0.32, 0.62)
+_BALL_RADIUS, _CHOSEN_RADIUS = 0.007, 0.012
+"""Radii of the balls [m]."""
 _PIN, _LONGEST_PIN = 0.012, 0.06
-"""Metres that a dot stands off the part's hull along the point's normal, so that it shows, and from the point at most:
-points lie in the middle of what touches, which often is inside a tenon or at the bottom of a mortise."""
+"""Distance [m] of a ball from the hull of its part along the point's normal, and largest distance from the point. The
+ball must be visible: points lie in the middle of a contact, often inside a tenon or at the bottom of a mortise."""
 _AXIS = 0.04
-"""Metres: length of a frame's axes."""
+"""Length of the axes of a frame [m]."""
 _FINGER, _APPROACH = 0.03, 0.06
-"""Metres: half the length of a finger's line, and how far a hand's way in is drawn."""
+"""Lengths of the lines for a finger and for the approach of a hand [m]."""
 _AXES = np.array([[220, 60, 50], [60, 160, 70], [50, 100, 210]], np.uint8)
 _GRASP = np.array([150, 60, 160], np.uint8)
-_BALL = trimesh.creation.icosphere(subdivisions=2, radius=1.0)
+_SPHERE = trimesh.creation.icosphere(subdivisions=2, radius=1.0)
 
 
 @dataclass(eq=False)
-class Marks:
-    """Marks on all parts of a piece; they hang on the parts' meshes, and so move with them.
+class Overlays:
+    """Overlays on the parts of a piece. They are children of the parts' meshes and move with them.
 
     Args:
-        scene: of one client.
-        furniture: whose parts they are on.
-        names: of the parts' meshes in the scene.
+        scene: scene of one client.
+        furniture: furniture that is shown.
+        names: name of each part's mesh in the scene.
     """
 
     scene: SceneApi
     furniture: Furniture
     names: Sequence[str]
     centers: Float[np.ndarray, "parts 10 3"] = field(init=False)
-    """Middle of each ball, in its part's frame."""
+    """Centre of each ball in its part's frame [m]."""
     radii: Float[np.ndarray, "parts 10"] = field(init=False)
-    """Metres of each ball that is shown; 0 for the others."""
-    _dots: list[BatchedMeshHandle] = field(default_factory=list, init=False)
+    """Radius of each ball [m]; 0 if it is hidden."""
+    _balls: list[BatchedMeshHandle] = field(default_factory=list, init=False)
     _pins: list[LineSegmentsHandle] = field(default_factory=list, init=False)
     _frames: list[LineSegmentsHandle] = field(default_factory=list, init=False)
     _grasps: list[LineSegmentsHandle] = field(default_factory=list, init=False)
-    _shown: tuple[np.ndarray, Chosen] | None = field(default=None, init=False)
+    _shown: tuple[Bool[np.ndarray, "20 10"], ChosenPoints] | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
         self.centers = np.zeros((len(self.names), MAX_POINTS, 3))
         self.radii = np.zeros((len(self.names), MAX_POINTS))
 
-    def lay(
+    def draw(
         self,
         points: Float[np.ndarray, "20 10 9"],
         free: Bool[np.ndarray, "20 10"],
         frames: bool,
         grasps: Sequence[Sequence[GraspRegion]],
     ) -> None:
-        """Draw all anew.
+        """Replace all overlays.
 
         Args:
-            points: position, normal and tangent in the parts' frames.
-            free: which of them can be joined.
-            frames: draw the points' frames, too.
-            grasps: of each part, to be drawn too; none where they are not asked for.
+            points: position [m], normal and tangent of each connection point in its part's frame.
+            free: whether each point is free.
+            frames: whether to draw the frames of the points.
+            grasps: grasp regions of each part; empty to draw none.
         """
         self.clear()
-        self.centers = np.stack([self._heads(part, points[part]) for part in range(len(self.names))])
-        for part, (name, heads) in enumerate(zip(self.names, self.centers, strict=True)):
-            self._dots.append(self._put_dots(name, heads))
-            self._pins.append(self._put_pins(name, points[part, :, :3], heads))
+        self.centers = np.stack([self._ball_centers(part, points[part]) for part in range(len(self.names))])
+        for part, (name, centers) in enumerate(zip(self.names, self.centers, strict=True)):
+            self._balls.append(self._add_balls(name, centers))
+            self._pins.append(self._add_pins(name, points[part, :, :3], centers))
             if frames and free[part].any():
-                self._frames.append(self._put_frames(name, points[part][free[part]]))
+                self._frames.append(self._add_frames(name, points[part][free[part]]))
             if grasps and grasps[part]:
-                self._grasps.append(self._put_grasps(name, grasps[part]))
+                self._grasps.append(self._add_grasps(name, grasps[part]))
 
-    def show(self, free: Bool[np.ndarray, "20 10"], chosen: Chosen) -> None:
-        """Show those points only, and which two are chosen."""
+    def show(self, free: Bool[np.ndarray, "20 10"], chosen: ChosenPoints) -> None:
+        """Show the free points, and highlight the chosen ones."""
         if self._shown is not None and self._shown[1] == chosen and np.array_equal(self._shown[0], free):
             return
         self._shown = free, chosen
         radii = np.zeros_like(self.radii)
-        for part, (handle, pins) in enumerate(zip(self._dots, self._pins, strict=True)):
+        for part, (handle, pins) in enumerate(zip(self._balls, self._pins, strict=True)):
             pins.visible = bool(free[part].any())
-            sizes = np.where(free[part], _DOT_RADIUS, 0.0)
-            colors = np.tile(np.array(to_bytes(_DOT), np.uint8), (MAX_POINTS, 1))
+            sizes = np.where(free[part], _BALL_RADIUS, 0.0)
+            colors = np.tile(np.array(to_bytes(_BALL_COLOR), np.uint8), (MAX_POINTS, 1))
             for end, color in zip(chosen, (MOVING, WAITING), strict=True):
                 if end is not None and end[0] == part:
                     sizes[end[1]], colors[end[1]] = _CHOSEN_RADIUS, to_bytes(color)
@@ -105,32 +105,34 @@ class Marks:
         self.radii = radii
 
     def clear(self) -> None:
-        """Take all marks away."""
-        for handle in (*self._dots, *self._pins, *self._frames, *self._grasps):
+        """Remove all overlays."""
+        for handle in (*self._balls, *self._pins, *self._frames, *self._grasps):
             handle.remove()
-        self._dots, self._pins, self._frames, self._grasps = [], [], [], []
+        self._balls, self._pins, self._frames, self._grasps = [], [], [], []
         self.radii = np.zeros_like(self.radii)
         self._shown = None
 
-    def _heads(self, part: int, rows: Float[np.ndarray, "10 9"]) -> Float[np.ndarray, "10 3"]:
-        """Where a part's dots are."""
+    def _ball_centers(self, part: int, rows: Float[np.ndarray, "10 9"]) -> Float[np.ndarray, "10 3"]:
+        """Return the centres of a part's balls in its frame [m]."""
         position, normal = rows[:, :3], rows[:, 3:6]
         planes = ConvexHull(self.furniture.parts[part].mesh.hull_vertices).equations
         toward = normal @ planes[:, :3].T
         with np.errstate(divide="ignore", invalid="ignore"):
-            leave = np.where(toward > 1e-6, -(position @ planes[:, :3].T + planes[:, 3]) / toward, np.inf)
-        return position + np.clip(leave.min(axis=1) + _PIN, _PIN, _LONGEST_PIN)[:, None] * normal
+            exits = np.where(toward > 1e-6, -(position @ planes[:, :3].T + planes[:, 3]) / toward, np.inf)
+        return position + np.clip(exits.min(axis=1) + _PIN, _PIN, _LONGEST_PIN)[:, None] * normal
 
-    def _put_pins(
-        self, name: str, feet: Float[np.ndarray, "10 3"], heads: Float[np.ndarray, "10 3"]
+    def _add_pins(
+        self, name: str, points: Float[np.ndarray, "10 3"], centers: Float[np.ndarray, "10 3"]
     ) -> LineSegmentsHandle:
-        return self._put_lines(f"/{name}/pins", np.stack([feet, heads], axis=1), np.tile(to_bytes(_DOT), (10, 2, 1)))
+        return self._add_lines(
+            f"/{name}/pins", np.stack([points, centers], axis=1), np.tile(to_bytes(_BALL_COLOR), (10, 2, 1))
+        )
 
-    def _put_dots(self, name: str, positions: Float[np.ndarray, "10 3"]) -> BatchedMeshHandle:
+    def _add_balls(self, name: str, positions: Float[np.ndarray, "10 3"]) -> BatchedMeshHandle:
         return self.scene.add_batched_meshes_simple(
             f"/{name}/points",
-            _BALL.vertices.astype(np.float32),
-            _BALL.faces.astype(np.uint32),
+            _SPHERE.vertices.astype(np.float32),
+            _SPHERE.faces.astype(np.uint32),
             batched_wxyzs=np.tile(np.array([1.0, 0.0, 0.0, 0.0], np.float32), (MAX_POINTS, 1)),
             batched_positions=positions.astype(np.float32),
             batched_scales=np.zeros(MAX_POINTS, np.float32),
@@ -139,15 +141,15 @@ class Marks:
             receive_shadow=False,
         )
 
-    def _put_frames(self, name: str, rows: Float[np.ndarray, "n 9"]) -> LineSegmentsHandle:
+    def _add_frames(self, name: str, rows: Float[np.ndarray, "n 9"]) -> LineSegmentsHandle:
         position, normal, tangent = rows[:, :3], rows[:, 3:6], rows[:, 6:]
         axes = np.stack([tangent, np.cross(normal, tangent), normal], axis=1)
         lines = np.stack([np.repeat(position[:, None], 3, 1), position[:, None] + _AXIS * axes], axis=2)
         colors = np.tile(_AXES[None, :, None], (len(rows), 1, 2, 1)).reshape(-1, 2, 3)
-        return self._put_lines(f"/{name}/frames", lines.reshape(-1, 2, 3), colors)
+        return self._add_lines(f"/{name}/frames", lines.reshape(-1, 2, 3), colors)
 
-    def _put_grasps(self, name: str, grasps: Sequence[GraspRegion]) -> LineSegmentsHandle:
-        lines = []
+    def _add_grasps(self, name: str, grasps: Sequence[GraspRegion]) -> LineSegmentsHandle:
+        lines: list[list[Float[np.ndarray, "3"]]] = []
         for grasp in grasps:
             for approach in grasp.approaches:
                 hand = hand_pose(grasp.position, grasp.closing, approach)
@@ -156,9 +158,9 @@ class Marks:
                 lines.append([grasp.position - _FINGER * approach, grasp.position - _APPROACH * approach])
                 lines.append([pad - _FINGER * approach for pad in pads])
         colors = np.tile(_GRASP, (len(lines), 2, 1))
-        return self._put_lines(f"/{name}/grasps", np.array(lines), colors)
+        return self._add_lines(f"/{name}/grasps", np.array(lines), colors)
 
-    def _put_lines(self, name: str, lines: Float[np.ndarray, "n 2 3"], colors: np.ndarray) -> LineSegmentsHandle:
+    def _add_lines(self, name: str, lines: Float[np.ndarray, "n 2 3"], colors: np.ndarray) -> LineSegmentsHandle:
         return self.scene.add_line_segments(
             name, lines.astype(np.float32), colors, thickness=2.0, thickness_units="screen"
         )

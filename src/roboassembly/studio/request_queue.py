@@ -1,4 +1,4 @@
-"""Requests of one client that wait for their turn."""
+"""Queue of the requests of one client."""
 
 from __future__ import annotations
 
@@ -7,27 +7,29 @@ import threading
 from collections.abc import Callable
 
 MOST_WAITING = 64
-"""Requests of one client. More are refused, so that a client that only asks cannot fill the memory."""
+"""Largest number of waiting requests of one client. Further ones are refused, so that no client fills the memory."""
 Request = Callable[[], None]
 
 
-class Requests:
-    """A queue that other threads fill and one thread empties."""
+class RequestQueue:
+    """Queue that several threads fill and one thread empties."""
 
     def __init__(self) -> None:
         self._waiting: queue.Queue[tuple[Request, str]] = queue.Queue(MOST_WAITING)
         self._lock = threading.Lock()
         self._once: set[str] = set()
 
+    def __len__(self) -> int:
+        """Return the number of waiting requests."""
+        return self._waiting.qsize()
+
     def add(self, request: Request, once: str = "") -> bool:
-        """Let a request wait.
+        """Add a request; returns whether there was room for it.
 
         Args:
-            request: called in its turn.
-            once: name of requests of which one that waits does for all: each looks at the controls when its turn comes.
-
-        Returns:
-            Whether there is room for it.
+            request: function to call later.
+            once: name of interchangeable requests; at most one request of this name waits at a time. Such a request
+                reads the state of the controls when it is called.
         """
         with self._lock:
             if once and once in self._once:
@@ -41,10 +43,10 @@ class Requests:
             return True
 
     def next(self, timeout: float | None) -> Request:
-        """The oldest request; waits for one.
+        """Remove and return the oldest request; wait for one if there is none.
 
         Raises:
-            queue.Empty: none came within `timeout` seconds.
+            queue.Empty: no request came within `timeout` seconds.
         """
         request, once = self._waiting.get(timeout=timeout)
         with self._lock:

@@ -1,0 +1,104 @@
+"""Form for an action: the dropdowns of the panel that hold its components."""
+
+from __future__ import annotations
+
+import numpy as np
+from viser import GuiDropdownHandle
+
+from roboassembly.studio.assembly_session import AssemblySession
+from roboassembly.studio.overlays import ChosenPoints, PointId
+from roboassembly.studio.panel import NONE, PICKS, Panel
+
+UP_AXES = ("+z up", "−z up", "+x up", "−x up", "+y up", "−y up")
+"""Label of each `w`: the axis of the assembled furniture that points up."""
+
+
+class ActionForm:
+    """Dropdowns of a panel that hold the components of an action.
+
+    Args:
+        panel: panel with the dropdowns.
+        session: session in which the action is carried out.
+    """
+
+    def __init__(self, panel: Panel, session: AssemblySession) -> None:
+        self._panel, self._session = panel, session
+        for control, choice in zip(panel.choices, [*session.choices(), None], strict=False):
+            control.visible = choice is not None
+            if choice is None:
+                continue
+            name, count = choice
+            if name == "w":
+                control.label, control.options = "Waits with (w)", tuple(f"{i}: {a}" for i, a in enumerate(UP_AXES))
+            else:
+                control.label = f"Grasp of R_{name[-1]} ({name})"
+                control.options = tuple(f"{i}: region {i // 4}, direction {i % 4}" for i in range(count))
+
+    def update_options(self) -> None:
+        """Offer the parts and points that are free now; keep a choice that is still free."""
+        panel, free = self._panel, self._session.free_points()
+        parts = [self._label(i) for i in np.flatnonzero(free.any(axis=1)).tolist()]
+        for control in (panel.u, panel.v):
+            _set_options(control, parts)
+        for part, point in ((panel.u, panel.k), (panel.v, panel.l)):
+            own = [] if part.value == NONE else [str(k) for k in np.flatnonzero(free[_number(part.value)])]
+            _set_options(point, own)
+
+    def pick(self, part: int, point: int | None) -> bool:
+        """Choose a part, or one of its points; returns False if it is not free."""
+        free = self._session.free_points()[part]
+        if not (free.any() if point is None else free[point]):
+            return False
+        panel = self._panel
+        moving = panel.next.value == PICKS[0]
+        part_control, point_control = (panel.u, panel.k) if moving else (panel.v, panel.l)
+        if part_control.value != self._label(part):
+            point_control.value = NONE
+        part_control.value = self._label(part)
+        self.update_options()
+        if point is not None:
+            point_control.value = str(point)
+            panel.next.value = PICKS[moving]
+        return True
+
+    def fill(self, action: tuple[int, ...]) -> None:
+        """Set all dropdowns to an action."""
+        panel, (u, v, k, l, *choices) = self._panel, action  # noqa: E741
+        panel.u.value, panel.v.value = self._label(u), self._label(v)
+        self.update_options()
+        panel.k.value, panel.l.value = str(k), str(l)
+        for control, value in zip(panel.choices, choices, strict=False):
+            control.value = control.options[value]
+
+    @property
+    def points(self) -> ChosenPoints:
+        """Chosen points of the moving and of the waiting part; None for one that is not chosen."""
+        panel = self._panel
+        return _point(panel.u, panel.k), _point(panel.v, panel.l)
+
+    @property
+    def choices(self) -> list[int]:
+        """Values of `w`, or of `g_a` and `g_b`."""
+        return [_number(c.value) for c, _ in zip(self._panel.choices, self._session.choices(), strict=False)]
+
+    def _label(self, part: int) -> str:
+        return f"{part}: {self._session.furniture.parts[part].name}"
+
+
+def _point(part: GuiDropdownHandle[str], point: GuiDropdownHandle[str]) -> PointId | None:
+    if NONE in (part.value, point.value):
+        return None
+    return _number(part.value), int(point.value)
+
+
+def _number(text: str) -> int:
+    return int(text.partition(":")[0])
+
+
+def _set_options(control: GuiDropdownHandle[str], options: list[str]) -> None:
+    """Set the options of a dropdown; keep its value if it is still offered."""
+    value = control.value
+    new = (NONE, *options)
+    if control.options != new:
+        control.options = new
+    control.value = value if value in new else NONE
