@@ -11,12 +11,13 @@ from roboassembly.task.object_centric.task import ObjectCentricVerdict
 from roboassembly.task.plans.plan import UprightResult
 
 _EXPLANATIONS: dict[str, str] = {
-    ObjectCentricVerdict.NOT_AN_ACTION: "A point is not free, a grasp does not exist, or both parts belong to one group already.",
-    ObjectCentricVerdict.WRONG_PAIR: "These two points do not belong together: the joined groups would not be a part of this "
-    "furniture.",
+    ObjectCentricVerdict.NOT_AN_ACTION: "A point is not free, a grasp does not exist, or both parts belong to one "
+    "group already.",
+    ObjectCentricVerdict.WRONG_PAIR: "These two points do not belong together: the joined groups would not be a part "
+    "of this furniture.",
     ObjectCentricVerdict.START_IN_COLLISION: "The moving group collides where it lies.",
-    ObjectCentricVerdict.GOAL_IN_COLLISION: "At the joint, the moving group would collide with the ground or with another part. "
-    "Another axis up may help, or moving the other group.",
+    ObjectCentricVerdict.GOAL_IN_COLLISION: "At the joint, the moving group would collide with the ground or with "
+    "another part. Another axis up may help, or moving the other group.",
     ObjectCentricVerdict.UNREACHABLE: "Obstacles block every way of the moving group to the joint.",
     ObjectCentricVerdict.BUDGET_EXHAUSTED: "The planner found no path within the number of states that it may check.",
     FullVerdict.GRASP_BLOCKED: "The rest of the group blocks the hand's way to the part. Another grasp may help.",
