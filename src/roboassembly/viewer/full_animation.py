@@ -51,8 +51,7 @@ class FullPlanAnimator:
             SceneObject(f"robot_{name}/{i}_{link.name}", link.mesh) for name in "ab" for i, link in enumerate(own)
         ]
         posts = [
-            SceneObject(f"posts/{i}", post_mesh(float(post.top[2])), framed=False)
-            for i, post in enumerate(self.posts)
+            SceneObject(f"posts/{i}", post_mesh(float(post.top[2])), framed=False) for i, post in enumerate(self.posts)
         ]
         return (*part_objects(self.plan.furniture), *robots, *posts)
 
