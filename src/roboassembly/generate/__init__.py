@@ -13,7 +13,6 @@ import numpy as np
 
 from roboassembly.errors import UnknownNameError
 from roboassembly.furniture.model import RawPart
-from roboassembly.generate import fused, sunk
 from roboassembly.generate.bench import GardenChair, SlattedBench
 from roboassembly.generate.cantilever import CantileverChair
 from roboassembly.generate.carcass import Carcass
@@ -25,6 +24,7 @@ from roboassembly.generate.lattice import Lattice
 from roboassembly.generate.panel import PanelChair
 from roboassembly.generate.pedestal import PedestalChair
 from roboassembly.generate.plank import PlankChair
+from roboassembly.generate.remade import fused, remade, sunk
 from roboassembly.generate.shell import ShellChair
 from roboassembly.generate.shelves import Bookcase, OpenShelf
 from roboassembly.generate.side_frames import RockerChair, SledChair
@@ -55,13 +55,13 @@ FUSED_FROM = (
 FAMILIES["fused"] = Family(
     "fused",
     "other families' parts joined at random",
-    partial(fused.build, tuple(FAMILIES[name].build for name in FUSED_FROM)),
+    partial(remade, fused, [FAMILIES[name].build for name in FUSED_FROM]),
     "abstract",
 )
 FAMILIES["sunk"] = Family(
     "sunk",
     "other families' parts driven into each other, and repaired like imported ones",
-    partial(sunk.build, tuple(FAMILIES[name].build for name in (*FUSED_FROM, "fused", "fused", "fused"))),
+    partial(remade, sunk, [FAMILIES[name].build for name in (*FUSED_FROM, "fused", "fused", "fused")]),
     "abstract",
 )
 

@@ -11,7 +11,7 @@ import numpy as np
 from roboassembly.generate.design import Assembly, Blank, Design, chance, count, drawn, family, size
 from roboassembly.generate.joints import CLEARANCE, Tenon, joint_frame, mouths, rail
 from roboassembly.generate.outlines import rectangles
-from roboassembly.generate.solids import Solid, bent, block, ribbon, sweep
+from roboassembly.generate.solids import Solid, bar, bent, block, ribbon, sweep
 from roboassembly.generate.vectors import Vector, X, Y, Z, leaning, move, unit, vector
 
 SEAT_SLAT = 0.022
@@ -53,9 +53,8 @@ class SlattedBench(Design):
         tenon = Tenon(0.55 * pitch, 0.011, deep)
         first = vector(0, front + 0.012 + pitch / 2, s.seat_height - SEAT_SLAT / 2 - 0.003)
         slat = Blank(rail(first - inner * X, first + inner * X, Y, pitch - 0.0125, SEAT_SLAT, tenon, 0.004))
-        for k in range(s.seat_slats):
-            a.part(f"seat_slat_{k + 1}", "seat_surface_bar", slat, move(y=k * pitch))
-            side -= tenon.pocket(joint_frame(first + k * pitch * Y + inner * X, -X, Y))
+        places = a.each("seat_slat", "seat_surface_bar", slat, [move(y=k * pitch) for k in range(s.seat_slats)])
+        a.pockets(tenon, joint_frame(first + inner * X, -X, Y), side, places)
         self.back(a, side, knee, along, inner, reach, deep)
         if s.stretcher:
             # On the middle line of the rear legs, which run straight up to their bend.
@@ -107,14 +106,14 @@ class SlattedBench(Design):
         path = [foot, foot + 0.004 * Z, middle, leg_top - CLEARANCE * Z]
         leg = sweep(path, X, Y, rectangles(s.side, np.array([0.78, 0.84, 1.0, 0.9]) * s.stile, 0.003))
         thin = s.side / 2 - 0.0001
-        bar = block((x - thin, front + 0.02, rail_z - half), (x + thin, knee[1], rail_z + half))
+        seat_rail = block((x - thin, front + 0.02, rail_z - half), (x + thin, knee[1], rail_z + half))
         heel, bend = vector(x, rear - 0.01, 0), knee + x * X
         points, tangents = bent([heel - 0.05 * unit(bend - heel), bend - 0.045 * Z, bend + reach * along], 0.35, 4)
         points = np.concatenate([points[:-1], points[-1:] - 0.014 * along, points[-1:]])
         tangents = np.concatenate([tangents, tangents[-1:]])
         wide = s.stile * np.interp(points[:, 2], [0, knee[2], s.height - 0.02, s.height], [0.9, 1.0, 0.85, 0.55])
         post = ribbon(points, tangents, X, rectangles(s.side, wide, 0.003))
-        return leg + bar + post.trim_by_plane((0.0, 0.0, 1.0), 0.0)
+        return leg + seat_rail + post.trim_by_plane((0.0, 0.0, 1.0), 0.0)
 
     def armrest(self, leg_top: Vector, knee: Vector, along: Vector, across: Vector) -> Solid:
         """The left armrest on its front leg, to the leaning post's front edge."""
@@ -123,8 +122,7 @@ class SlattedBench(Design):
         y = np.array([front - 0.050, front - 0.044, front - 0.01, 0.5 * (front + end[1]), end[1] + 0.04])
         wide = np.array([0.040, 0.052, 0.062, 0.054, 0.044]) * max(1.0, self.side / 0.036)
         high = np.array([0.014, 0.020, 0.024, 0.024, 0.024])
-        arm = sweep(np.column_stack([np.full(5, x), y, np.full(5, z)]), X, Z, rectangles(wide, high, 0.004))
-        return arm.trim_by_plane(across, float((end + 0.008 * across) @ across))
+        return bar(x, y, z, X, Z, wide, high, 0.004).trim_by_plane(across, float((end + 0.008 * across) @ across))
 
 
 @family("garden", "slats between two sides that are sawn in one piece, armrests")

@@ -127,14 +127,12 @@ class Carcass(Design):
         inset = 0.04 if s.bottom_under else s.board / 2
         places = [move(x, y) for x in (inset, s.width - inset) for y in (0.04, s.depth - 0.04)]
         blank = Blank(turned([(0.0, 0.8 * r), (foot - CLEARANCE, r)], 14))
-        for k, place in enumerate(places):
-            a.part(f"foot_{k}", "foot", blank, place)
+        a.each("foot", "foot", blank, {f"{k}": place for k, place in enumerate(places)})
         if pinned is not None:
             pin = RoundTenon(radius=0.3 * r, length=0.008, sides=10)
             blank += pin.tongue(joint_frame(foot * Z, -Z, X))
             for place in places:
-                hole = pin.pocket(place * joint_frame(foot * Z, -Z, X))
-                pinned -= hole.translate((0.0, 0.0, -foot))
+                pinned -= pin.pocket(place * joint_frame(foot * Z, -Z, X)).translate((0.0, 0.0, -foot))
 
     def plank(self, a: Assembly, name: str, label: str, low: Vector, high: Vector, alike: bool = True) -> Blank:
         """Add a box; boxes of one size are interchangeable, except one that is not left `alike`."""

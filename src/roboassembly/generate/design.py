@@ -12,7 +12,7 @@ The defaults are the catalogue model. Values are drawn in the order of the decla
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from types import SimpleNamespace
 from typing import Any, ClassVar, Literal, Self, TypeVar, dataclass_transform
@@ -86,6 +86,13 @@ class Assembly:
         self.parts.append(PartDesign(name, label, blank, pose, mirrored))
         return blank
 
+    def each(self, name: str, label: str, blank: Blank, places: Mapping[str, SE3] | Sequence[SE3]) -> list[SE3]:
+        """Add equal parts, named by the keys of their places or numbered from 1; return the places."""
+        named = places if isinstance(places, Mapping) else {f"{k + 1}": place for k, place in enumerate(places)}
+        for key, place in named.items():
+            self.part(f"{name}_{key}", label, blank, place)
+        return list(named.values())
+
     def pair(self, name: str, label: str, shape: Solid | Blank, first: str = "right") -> Blank:
         """Add a part cut on the `first` side (left or right) and its mirror image on the other."""
         blank = self.part(f"{name}_{first}", label, shape)
@@ -104,16 +111,28 @@ class Assembly:
         return self.part(name, label, rail(start, end, up, *section, tenon, chamfer))
 
     def join(
-        self, joint: Tongue, frame: SE3, tongue: Blank, pocket: Blank, at: Sequence[SE3] = (), over: float = 0.002
+        self,
+        joint: Tongue,
+        frame: SE3,
+        tongue: Blank,
+        pocket: Blank,
+        at: Sequence[SE3] = (IN_PLACE,),
+        over: float = 0.002,
     ) -> None:
         """Make both halves of a joint: add the tongue to one blank, take the pocket from the other.
 
-        `at` has the places of the parts with the tongue, if `frame` is in their blank's frame and not the furniture's;
-        the pocket sticks out of its mouth by `over`.
+        `at` has the places of the parts with the tongue, `frame` is in their blank's frame; the pocket sticks out of
+        its mouth by `over`.
         """
         tongue += joint.tongue(frame)
-        for mouth in [pose * frame for pose in at] or [frame]:
-            pocket -= joint.pocket(mouth, over)
+        self.pockets(joint, frame, pocket, at, over)
+
+    def pockets(
+        self, joint: Tongue, frame: SE3, pocket: Blank, at: Sequence[SE3] = (IN_PLACE,), over: float = 0.002
+    ) -> None:
+        """Make one half of a joint, whose other half the parts at these places already have."""
+        for place in at:
+            pocket -= joint.pocket(place * frame, over)
 
     def join_sides(self, joint: Tongue, frame: SE3, tongue: Blank, pocket: Blank) -> None:
         """Make both halves of a joint at the left, and the tongue of its mirror image into the mirrored part."""

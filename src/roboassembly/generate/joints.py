@@ -6,7 +6,7 @@ part (toward the part with the tongue), x along the tongue's width, y along its 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -135,8 +135,10 @@ def spindle(start: Vector, end: Vector, up: Vector, belly: float, tenon: RoundTe
 
 def splayed_leg(
     under: float, splay: float, tenon: RoundTenon, mouth: float, profile: Sequence[tuple[float, float]]
-) -> tuple[Solid, Vector]:
-    """Return a turned leg that leans toward -x on its way up to a level face above the origin, and its axis.
+) -> tuple[Solid, Callable[[SE3], SE3]]:
+    """Return a turned leg that leans toward -x on its way up to a level face above the origin.
+
+    The second value is a function from the leg's place to its joint's frame in that face.
 
     Args:
         under: height of that face [m].
@@ -150,9 +152,8 @@ def splayed_leg(
     stations = [(-tenon.length, tenon.end_radius or tenon.radius), (mouth, tenon.radius + tenon.slope * mouth)]
     stations += [(share * length, radius) for share, radius in profile]
     body = turned_along(under * Z, -axis, Y, stations, tenon.sides)
-    return body.trim_by_plane((0.0, 0.0, 1.0), 0.0), axis
 
+    def mouth_at(pose: SE3) -> SE3:
+        return joint_frame(pose.act(under * Z), -(pose.rotation @ axis), pose.rotation @ Y)
 
-def splayed_mouth(pose: SE3, under: float, axis: Vector) -> SE3:
-    """Return the joint frame of a splayed leg at its place, in the face at the height `under`."""
-    return joint_frame(pose.act(under * Z), -(pose.rotation @ axis), pose.rotation @ Y)
+    return body.trim_by_plane((0.0, 0.0, 1.0), 0.0), mouth_at

@@ -136,12 +136,12 @@ class LadderChair(Design):
             if s.cross_stretcher and k == 1:
                 # This pair has a mortise on the inner face: the left one is the right one turned about z.
                 start, end = vector(side_x + 0.017 / 2, 0, z), vector(-side_x - 0.017 / 2, 0, z)
-                bar = a.part(f"{name}_right", label, bars[1].solid - CROSS_TENON.pocket(joint_frame(start, X, Z)))
-                a.part(f"{name}_left", label, bar, spin(np.pi))
+                bar = Blank(bars[1].solid - CROSS_TENON.pocket(joint_frame(start, X, Z)))
+                a.each(name, label, bar, {"right": move(), "left": spin(np.pi)})
                 a.part("stretcher_cross", "bar_stretcher", rail(start, end, Z, 0.030, 0.017, CROSS_TENON))
             else:
-                bar = a.part(f"{name}_right", label, bars[min(k, 1)], move(z=lift))
-                a.part(f"{name}_left", label, bar, move(-2 * side_x, z=lift))
+                places = {"right": move(z=lift), "left": move(-2 * side_x, z=lift)}
+                a.each(name, label, bars[min(k, 1)], places)
 
         post, leg = Blank(self.post_blank(reach)), Blank(self.leg_blank())
         for upright, cuts in ((post, post_cuts), (leg, leg_cuts)):

@@ -12,7 +12,7 @@ import numpy as np
 from roboassembly.generate.design import Assembly, Blank, Design, chance, count, drawn, family, size
 from roboassembly.generate.joints import CLEARANCE, Tenon, joint_frame
 from roboassembly.generate.outlines import rectangle, rectangles, rounded_trapezoid
-from roboassembly.generate.solids import column, pad, polyline, sweep
+from roboassembly.generate.solids import bar, column, pad, polyline, sweep
 from roboassembly.generate.vectors import Vector, X, Y, Z, leaning, move, spin, vector
 
 GROOVE = 0.008
@@ -48,9 +48,8 @@ class PanelChair(Design):
         deep = (s.seat_thickness - 0.0105) / 2  # joints from above and from below keep this board between them
         # A leg's outer faces (-x, -y) are upright, its inner ones taper: quarter turns take it to all corners.
         z, thick = np.array([0.0, 0.003, 0.88 * under, under - c]), np.array([s.taper, s.taper, 1.0, 1.0])
-        path = polyline(vector(0, 0, 0), (-(1 - thick) * s.leg / 2, X + Y), (z, Z))
-        thick[0] -= 0.06
-        leg = Blank(sweep(path, X, Y, rectangles(thick * s.leg, thick * s.leg, 0.004)))
+        inward, wide = -(1 - thick) * s.leg / 2, (thick - [0.06, 0, 0, 0]) * s.leg
+        leg = Blank(bar(inward, inward, z, X, Y, wide, wide, 0.004))
         x, y = s.width / 2 - 0.030 - s.leg / 2, s.depth / 2 - 0.020 - s.leg / 2
         feet = {
             "front_right": (-x, -y),
@@ -120,13 +119,12 @@ class PanelChair(Design):
         x = np.interp(y, [support_y, mouth[1]], [support_x, foot[0] - 0.002])
         x[:3] = support_x
         widths, heights = [0.034, 0.046, 0.056, 0.054, 0.046, 0.038], [0.014, 0.021, *[thickness] * 4]
-        bar = sweep(np.column_stack([x, y, np.full(6, level)]), X, Z, rectangles(widths, heights, 0.004))
-        arm = Blank(bar.trim_by_plane(across, float((mouth + c * across) @ across)))
+        whole = bar(x, y, level, X, Z, widths, heights, 0.004)
+        arm = Blank(whole.trim_by_plane(across, float((mouth + c * across) @ across)))
         # A long root would show where the face leans away from the armrest's end.
         a.join(tenon, joint_frame(mouth, -Y, Z), arm, post, over=0.012)
         a.pair("armrest", "arm_horizontal_bar", arm)
         support = Blank(column([(c, 0.030, 0.030), (0.5 * rise, 0.025, 0.025), (rise - c, 0.034, 0.030)], 0.004))
         a.join(support_tenon, joint_frame(vector(0, 0, 0), Z, X), support, seat, at=places)
         a.join(support_tenon, joint_frame(rise * Z, -Z, X), support, arm, at=places[:1])
-        for side, pose in zip(("right", "left"), places, strict=True):
-            a.part(f"arm_support_{side}", "arm_near_vertical_bar", support, pose)
+        a.each("arm_support", "arm_near_vertical_bar", support, {"right": places[0], "left": places[1]})

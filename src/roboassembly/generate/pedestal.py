@@ -11,7 +11,7 @@ import numpy as np
 from roboassembly.generate.design import Assembly, Blank, Design, chance, drawn, family, size
 from roboassembly.generate.joints import CLEARANCE, RoundTenon, Tenon, joint_frame
 from roboassembly.generate.outlines import rectangle, rectangles, rounded_trapezoid
-from roboassembly.generate.solids import pad, polyline, ribbon, sweep, turned
+from roboassembly.generate.solids import bar, pad, polyline, ribbon, sweep, turned
 from roboassembly.generate.vectors import Vector, X, Y, Z, leaning, move, spin, unit, vector
 
 FOOT_TENON = Tenon(0.024, 0.012, 0.014)
@@ -29,7 +29,7 @@ PLATE = 0.036
 """Thickness of the plate under the seat."""
 
 
-@family("pedestal", "five feet around a hub, column with cover, upholstered seat, back on a bar")
+@family("pedestal", "five feet around a hub, with cover, upholstered seat, back on a bar")
 class PedestalChair(Design):
     """A chair of 11 to 20 parts."""
 
@@ -112,8 +112,7 @@ class PedestalChair(Design):
             (end + 0.018, low - 0.002, 0.018, 0.010),
         ]
         x, height, wide, high = np.array(stations).T
-        body = sweep(np.column_stack([x, 0 * x, height]), Y, Z, rectangles(wide, high, 0.004))
-        body += FOOT_TENON.tongue(joint_frame(mouth, X, Z))
+        body = bar(x, 0.0, height, Y, Z, wide, high, 0.004) + FOOT_TENON.tongue(joint_frame(mouth, X, Z))
         under = vector(end - 0.010, 0, low - 0.011)
         if self.casters:
             return Blank(body - CASTER_PIN.pocket(joint_frame(under, -Z, X)))
@@ -175,8 +174,7 @@ class PedestalChair(Design):
         x_pad = x[-1] + np.array([0.016, 0.015, 0.012, 0.0, -0.006, -0.007, -0.007])
         wide = np.array([0.040, 0.058, 0.070, 0.062, 0.052, 0.042, 0.030])
         high = np.array([0.012, 0.022, 0.026, 0.026, 0.026, 0.022, 0.014])
-        path = np.column_stack([x_pad, y_pad, top + 0.013 + 0 * y_pad])
-        rest = Blank(sweep(path, X, Z, rectangles(wide, high, 0.004)) - ARM_PIN.pocket(pin))
+        rest = Blank(bar(x_pad, y_pad, top + 0.013, X, Z, wide, high, 0.004) - ARM_PIN.pocket(pin))
         for side, place in (("left", spin(0.0, face, y)), ("right", spin(np.pi, -face, y))):
             seat -= BRACKET_TENON.pocket(place * socket, over=0.02)
             a.part(f"arm_bracket_{side}", "arm_near_vertical_bar", bracket, place)

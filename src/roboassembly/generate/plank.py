@@ -59,12 +59,11 @@ class PlankChair(Design):
         if s.keys:
             key, hole = self.key()
             key_x = x + s.board / 2 + c + KEY[0] / 2
-            for side, at in (("left", key_x), ("right", -key_x)):
+            for at in (key_x, -key_x):
                 stretcher -= hole.translate((at, 0.0, 0.0))
-                a.part(f"key_{side}", "bar_stretcher", key, move(at))
+            a.each("key", "bar_stretcher", key, {"left": move(key_x), "right": move(-key_x)})
         a.part("stretcher", "bar_stretcher", stretcher)
-        for side, pose in places.items():
-            a.part(f"leg_board_{side}", "leg", board, pose)
+        a.each("leg_board", "leg", board, places)
         if s.back != NO_BACK:
             along, _ = leaning(s.rake)
             foot = vector(0, s.depth / 2 - 0.075, s.seat_height)

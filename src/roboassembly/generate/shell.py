@@ -9,16 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from roboassembly.generate.design import Assembly, Blank, Design, family, one_of, size
-from roboassembly.generate.joints import (
-    CLEARANCE,
-    RoundTenon,
-    Tenon,
-    joint_frame,
-    mouths,
-    rail,
-    splayed_leg,
-    splayed_mouth,
-)
+from roboassembly.generate.joints import CLEARANCE, RoundTenon, Tenon, joint_frame, mouths, rail, splayed_leg
 from roboassembly.generate.solids import Solid, bent, block, loft
 from roboassembly.generate.vectors import Points, X, Z, leaning, move, spin, vector
 
@@ -61,12 +52,12 @@ class ShellChair(Design):
         half, lug_x, inner = leg_x + 0.03, 0.62 * leg_x, bar_y - BAR[0] / 2
         bar = Blank(block((-half, -BAR[0] / 2, bar_low), (half, BAR[0] / 2, bar_top - CLEARANCE)))
         profile = [(0.12, s.leg), (0.5, 0.95 * s.leg), (1.05, 0.58 * s.leg)]
-        solid, axis = splayed_leg(bar_low, s.splay, LEG_TENON, MOUTH, profile)
+        solid, mouth_at = splayed_leg(bar_low, s.splay, LEG_TENON, MOUTH, profile)
         leg = Blank(solid)
         # On the front bar (the one at -y) both legs lean outward and forward.
         on_bar = [spin(np.pi + 0.9, -leg_x), spin(-0.9, leg_x)]
         for pose in on_bar:
-            bar -= LEG_TENON.pocket(splayed_mouth(pose, bar_low, axis), over=MOUTH)
+            bar -= LEG_TENON.pocket(mouth_at(pose), over=MOUTH)
         for x in (-lug_x, lug_x):
             bar -= LUG_PEG.pocket(joint_frame(vector(x, 0, bar_top), Z, X))
         start, end = vector(0, -inner, bar_low + 0.014), vector(0, inner, bar_low + 0.014)

@@ -46,18 +46,16 @@ class OpenShelf(Design):
         tongue = Tenon(0.82 * deep, 0.5 * s.shelf, 0.4 * s.side)
         board = Blank(rail(first - inner * X, first + inner * X, Y, deep, s.shelf, tongue))
         levels = np.linspace(0.0, s.height - 0.085 - 0.06, s.shelves)
-        for k, z in enumerate(levels):
-            a.part(f"shelf_{k + 1}", "shelf", board, move(z=z))
-            side -= tongue.pocket(move(z=z) * joint_frame(first + inner * X, -X, Y))
+        places = a.each("shelf", "shelf", board, [move(z=z) for z in levels])
+        a.pockets(tongue, joint_frame(first + inner * X, -X, Y), side, places)
         tenon = Tenon(0.030, 0.008, 0.4 * s.side)
-        places = [0.5 * (levels[k] + levels[k + 1]) + 0.085 for k in ((-2,) if s.bars == 1 else (0, -2))]
+        heights = [0.5 * (levels[k] + levels[k + 1]) + 0.085 for k in ((-2,) if s.bars == 1 else (0, -2))]
         if s.shelves == 2 and s.bars == 2:
-            places = [0.085 + levels[1] * share for share in (0.3, 0.7)]
-        start = vector(-inner, rear - 0.014, places[0])
+            heights = [0.085 + levels[1] * share for share in (0.3, 0.7)]
+        start = vector(-inner, rear - 0.014, heights[0])
         bar = Blank(rail(start, start + 2 * inner * X, Z, 0.050, 0.016, tenon))
-        for k, z in enumerate(places):
-            a.part(f"back_bar_{k + 1}", "frame_bar", bar, move(z=z - places[0]))
-            side -= tenon.pocket(joint_frame(vector(inner, rear - 0.014, z), -X, Z))
+        a.each("back_bar", "frame_bar", bar, [move(z=z - heights[0]) for z in heights])
+        a.pockets(tenon, joint_frame(vector(inner, rear - 0.014, 0), -X, Z), side, [move(z=z) for z in heights])
         a.pair("side", "frame_board", side, first="left")
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from roboassembly.generate.design import Assembly, Blank, Design, chance, count, drawn, family, size
 from roboassembly.generate.joints import CLEARANCE, Tenon, arched_rail, joint_frame, mouths, rail
 from roboassembly.generate.outlines import from_front_to_rear, rectangle, rectangles
-from roboassembly.generate.solids import Solid, loft, pad, polyline, sweep
+from roboassembly.generate.solids import Solid, bar, loft, pad, polyline, sweep
 from roboassembly.generate.vectors import Vector, X, Y, Z, leaning, move, spin, vector
 
 RUNNER = 0.032
@@ -62,8 +62,8 @@ class SledChair(Design):
         # its left and right legs differ anyway (their feet are slanted), and should do so by more than a hair.
         side_x, side_z = x0 - outward, rail_z - (0.012 if s.bow else 0.0)
         start, end = vector(side_x, front + half, side_z), vector(side_x, back - half, side_z)
-        side_rail = a.part("seat_rail_right", "seat_frame_bar", rail(start, end, Z, s.rail, 0.018, rail_tenon))
-        a.part("seat_rail_left", "seat_frame_bar", side_rail, move(-2 * side_x))
+        side_rail = Blank(rail(start, end, Z, s.rail, 0.018, rail_tenon))
+        a.each("seat_rail", "seat_frame_bar", side_rail, {"right": move(), "left": move(-2 * side_x)})
         for frame, cuts in zip(mouths(start, end, Z), (leg_cuts, post_cuts), strict=True):
             cuts.append(rail_tenon.pocket(frame))
         # Rails along x, between the frames.
@@ -92,8 +92,7 @@ class SledChair(Design):
             post -= groove
         for y, upright in ((front, leg), (back, post)):
             a.join(foot_tenon, joint_frame(vector(x0, y, floor), Z, X), upright, runner, over=0.012)
-        a.part("runner_right", "runner", runner)
-        a.part("runner_left", "runner", runner, move(-2 * x0))
+        a.each("runner", "runner", runner, {"right": move(), "left": move(-2 * x0)})
         if s.arms:
             top_tenon, top_mouth = Tenon(0.5 * t, 0.5 * t, 0.013), joint_frame(vector(x0, front, leg_top), -Z, X)
             leg += top_tenon.tongue(top_mouth)
@@ -155,8 +154,7 @@ class SledChair(Design):
                 np.array([front - 0.075, front - 0.06, back + 0.09, back + 0.105]),
                 np.array([0.014, 0.0, 0.0, 0.014]),
             )
-            path = np.column_stack([np.full(4, x), y, (low + RUNNER) / 2])
-            return Blank(sweep(path, X, Z, rectangles(t, RUNNER - low, 0.004))), Solid()
+            return Blank(bar(x, y, (low + RUNNER) / 2, X, Z, t, RUNNER - low, 0.004)), Solid()
         angle = np.linspace((front - 0.13) / self.bow, (back + 0.22) / self.bow, 13)
         radial = np.column_stack([0 * angle, np.sin(angle), -np.cos(angle)])
         points = vector(x, 0, self.bow) + (self.bow - RUNNER / 2) * radial
@@ -173,7 +171,7 @@ class SledChair(Design):
         y = np.array([front - 0.06, front - 0.053, front - 0.02, front + 0.06, 0.5 * (front + rear), rear + 0.03])
         x = leg_x - np.array([0.006, 0.006, 0.008, 0.008, 0.006, leg_x - mouth[0]])
         wide, high = self.post * np.array([1.1, 1.4, 1.7, 1.6, 1.25, 0.9]), ARM * np.array([0.6, 0.9, 1, 1, 1, 1])
-        arm = sweep(np.column_stack([x, y, np.full(6, mouth[2])]), X, Z, rectangles(wide, high, 0.004))
+        arm = bar(x, y, mouth[2], X, Z, wide, high, 0.004)
         # The post grows slimmer on its way up, so that its front face leans a little more than `across` says.
         return Blank(arm.trim_by_plane(across, float((mouth + CLEARANCE * across) @ across)))
 

@@ -11,9 +11,10 @@ from collections.abc import Sequence
 import manifold3d
 import numpy as np
 from jaxtyping import Float, Int
+from numpy.typing import ArrayLike
 
 from roboassembly.generate.outlines import Outline, circle, inset, rectangles
-from roboassembly.generate.vectors import Points, Vector, X, Y, Z, unit, vector
+from roboassembly.generate.vectors import Points, Vector, X, Y, unit, vector
 from roboassembly.geometry.poses import SE3
 
 Solid = manifold3d.Manifold
@@ -77,6 +78,16 @@ def sweep(
     return loft(points[:, None, :] + outlines[..., :1] * u + outlines[..., 1:] * v)
 
 
+def bar(
+    x: ArrayLike, y: ArrayLike, z: ArrayLike, u: Vector, v: Vector, wide: ArrayLike, high: ArrayLike, chamfer: ArrayLike
+) -> Solid:
+    """Return a bar of rectangular sections, `wide` along `u` and `high` along `v`, through points.
+
+    Single numbers stand for all sections.
+    """
+    return sweep(np.stack(np.broadcast_arrays(x, y, z), axis=-1), u, v, rectangles(wide, high, chamfer))
+
+
 def block(low: Sequence[float] | Vector, high: Sequence[float] | Vector) -> Solid:
     """Return an axis-aligned box between two corners."""
     low_corner, high_corner = np.asarray(low, float), np.asarray(high, float)
@@ -86,7 +97,7 @@ def block(low: Sequence[float] | Vector, high: Sequence[float] | Vector) -> Soli
 def column(stations: Sequence[tuple[float, float, float]], chamfer: float) -> Solid:
     """Return a bar about the z axis from `(z, width along x, width along y)` in rising z."""
     z, wide, deep = np.array(stations, dtype=float).T
-    return sweep(z[:, None] * Z, X, Y, rectangles(wide, deep, chamfer))
+    return bar(0.0, 0.0, z, X, Y, wide, deep, chamfer)
 
 
 def turned(profile: Sequence[tuple[float, float]], sides: int = 12) -> Solid:

@@ -11,7 +11,7 @@ import numpy as np
 from roboassembly.generate.design import Assembly, Blank, Design, count, family, one_of, size
 from roboassembly.generate.joints import CLEARANCE, Tenon, joint_frame, rail
 from roboassembly.generate.outlines import rectangles, rounded_trapezoid, smooth, symmetric
-from roboassembly.generate.solids import bent, block, cut_out, mirrored_x, pad, polyline, sweep
+from roboassembly.generate.solids import bar, bent, block, cut_out, mirrored_x, pad, polyline, sweep
 from roboassembly.generate.vectors import X, Y, Z, leaning, move, spin, vector
 
 LEG_TENON = Tenon(0.024, 0.024, 0.022)
@@ -89,20 +89,17 @@ class SplatChair(Design):
         a.part("crest_rail", "back_frame_horizontal_bar", crest)
 
         # Rails between the posts, below the seat.
-        bar = Blank(rail(-inner * X, inner * X, Z, 0.026, 0.014, BAR_TENON))
-        for k in range(s.stretchers):
-            z = 0.16 + 0.09 * k
-            y = float(np.interp(z, points[:, 2], points[:, 1]))
-            a.part(f"stretcher_{k + 1}", "bar_stretcher", bar, move(y=y, z=z))
-            post -= BAR_TENON.pocket(joint_frame(vector(inner, y, z), -X, Z))
+        stretcher = Blank(rail(-inner * X, inner * X, Z, 0.026, 0.014, BAR_TENON))
+        heights = [0.16, 0.25][: s.stretchers]
+        places = [move(y=float(np.interp(z, points[:, 2], points[:, 1])), z=z) for z in heights]
+        a.each("stretcher", "bar_stretcher", stretcher, places)
+        a.pockets(BAR_TENON, joint_frame(inner * X, -X, Z), post, places)
         a.pair("post", "back_frame_vertical_bar", post, first="left")
 
         leg = self.front_leg(under - c)
         x, y = s.width / 2 - 0.022 - s.leg / 2, -s.depth / 2 + 0.022 + s.leg / 2
         places = {"right": spin(0.0, -x, y), "left": spin(np.pi / 2, x, y)}
-        a.join(LEG_TENON, joint_frame(under * Z, -Z, X), leg, seat, at=list(places.values()))
-        for side, pose in places.items():
-            a.part(f"leg_front_{side}", "leg", leg, pose)
+        a.join(LEG_TENON, joint_frame(under * Z, -Z, X), leg, seat, a.each("leg_front", "leg", leg, places))
         a.part("seat", "seat_single_surface", seat)
 
     def front_leg(self, top: float) -> Blank:
@@ -113,7 +110,7 @@ class SplatChair(Design):
         if self.knee == 0.0:
             wide = self.leg * np.interp(z / top, [0, 0.9, 1], [0.6, 1, 1])
             out = -(self.leg - wide) / 2
-        return Blank(sweep(np.column_stack([out, out, z]), X, Y, rectangles(wide, wide, 0.2 * wide)))
+        return Blank(bar(out, out, z, X, Y, wide, wide, 0.2 * wide))
 
     def splat(self, space: float, span: float) -> tuple[np.ndarray, Tenon]:
         """The outline of the splat, with something to trim below, and the tenon it has at either end."""

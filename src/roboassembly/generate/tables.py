@@ -11,8 +11,8 @@ import numpy as np
 
 from roboassembly.generate.design import Assembly, Blank, Design, corners, count, drawn, family, one_of, size
 from roboassembly.generate.joints import CLEARANCE, RoundTenon, Tenon, joint_frame, mouths, rail
-from roboassembly.generate.outlines import rectangles, rounded_trapezoid, symmetric
-from roboassembly.generate.solids import cut_out, pad, polyline, sweep
+from roboassembly.generate.outlines import rounded_trapezoid, symmetric
+from roboassembly.generate.solids import bar, cut_out, pad
 from roboassembly.generate.vectors import X, Y, Z, move, spin, vector
 
 LEG_TENON = RoundTenon(radius=0.011, length=0.014, sides=12)
@@ -40,8 +40,8 @@ class ApronTable(Design):
         # The leg at (-x, -y): its outer faces upright, its inner ones tapering below the aprons.
         z = np.array([0.0, 0.004, under - s.apron - 0.03, under - CLEARANCE])
         thick = np.array([0.94 * s.taper, s.taper, 1.0, 1.0])
-        path = polyline(vector(0, 0, 0), (-(1 - thick) * half, X + Y), (z, Z))
-        leg = Blank(sweep(path, X, Y, rectangles(thick * s.leg, thick * s.leg, 0.004)))
+        inward = -(1 - thick) * half
+        leg = Blank(bar(inward, inward, z, X, Y, thick * s.leg, thick * s.leg, 0.004))
         # Without bars a leg is alike across its diagonal.
         legs = corners(x, y, alike=not s.shelf_bars)
         a.join(LEG_TENON, joint_frame(under * Z, -Z, X), leg, top, at=[pose for _, pose, _ in legs])
@@ -50,8 +50,7 @@ class ApronTable(Design):
         level = (under - 0.010 - s.apron / 2) * Z
         for axis, reach, over, sides in ((X, x, y * Y, ("front", "back")), (Y, y, x * X, ("right", "left"))):
             apron = Blank(rail((half - reach) * axis + level, (reach - half) * axis + level, Z, s.apron, 0.020, tenon))
-            for sign, side in zip((-1, 1), sides, strict=True):
-                a.part(f"apron_{side}", "apron", apron, move(*(sign * over)))
+            a.each("apron", "apron", apron, {sides[0]: move(*-over), sides[1]: move(*over)})
             leg -= tenon.pocket(joint_frame(half * axis + level, axis, Z))
         if s.shelf_bars:
             low = Tenon(0.016, 0.008, 0.008)
@@ -59,8 +58,8 @@ class ApronTable(Design):
             k = float(np.interp(height, z, thick))
             face, middle = -x - (1 - k) * half + k * half + 0.0012, -y - (1 - k) * half
             start, end = vector(face, middle, height), vector(-face, middle, height)
-            bar = a.part("bar_front", "bar_stretcher", rail(start, end, Z, 0.026, 0.012, low))
-            a.part("bar_back", "bar_stretcher", bar, move(y=-2 * middle))
+            low_bar = Blank(rail(start, end, Z, 0.026, 0.012, low))
+            a.each("bar", "bar_stretcher", low_bar, {"front": move(), "back": move(y=-2 * middle)})
             leg -= low.pocket(move(x, y) * mouths(start, end, Z)[0], over=0.012)
         for corner, pose, mirrored in legs:
             a.part(f"leg_{corner}", "leg", leg, pose, mirrored)
@@ -94,7 +93,7 @@ class TrestleTable(Design):
         head = Blank(cut_out(symmetric(head_outline), vector(0, 0, 0), Y, Z, s.thickness))
         z = np.array([foot_top + c, foot_top + 0.05, 0.5 * (foot_top + head_low), head_low - 0.05, head_low - c])
         widths = s.post * np.array([1, 0.96, s.waist, 0.96, 1])
-        post = Blank(sweep(z[:, None] * Z, Y, -X, rectangles(widths, 0.82 * s.thickness, 0.003)))
+        post = Blank(bar(0.0, 0.0, z, Y, -X, widths, 0.82 * s.thickness, 0.003))
         tenon = Tenon(0.60 * s.post, 0.45 * s.thickness, 0.024)
         a.join(tenon, joint_frame(foot_top * Z, Z, Y), post, foot)
         a.join(tenon, joint_frame(head_low * Z, -Z, Y), post, head)
@@ -106,10 +105,10 @@ class TrestleTable(Design):
         bar_tenon = Tenon(0.028, 0.011, 0.36 * s.thickness)
         shares = [0.62] if s.stretchers == 1 else [0.32, 0.72]
         first = vector(0, 0, foot_top + shares[0] * (head_low - foot_top))
-        bar = Blank(rail(first - (x - inner) * X, first + (x - inner) * X, Z, 0.050, 0.024, bar_tenon))
+        stretcher = Blank(rail(first - (x - inner) * X, first + (x - inner) * X, Z, 0.050, 0.024, bar_tenon))
         for k, share in enumerate(shares):
             lift = (share - shares[0]) * (head_low - foot_top)
-            a.part(f"stretcher_{k + 1}", "bar_stretcher", bar, move(z=lift))
+            a.part(f"stretcher_{k + 1}", "bar_stretcher", stretcher, move(z=lift))
             at = vector(-inner, 0, foot_top + share * (head_low - foot_top))
             post -= bar_tenon.pocket(joint_frame(at, -X, Z))
         for side, facing in places.items():

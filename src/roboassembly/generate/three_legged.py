@@ -9,9 +9,9 @@ from __future__ import annotations
 import numpy as np
 
 from roboassembly.generate.design import Assembly, Blank, Design, chance, count, family, one_of, size
-from roboassembly.generate.joints import CLEARANCE, RoundTenon, Tenon, joint_frame, splayed_leg, splayed_mouth
+from roboassembly.generate.joints import CLEARANCE, RoundTenon, Tenon, joint_frame, splayed_leg
 from roboassembly.generate.outlines import circle, rectangles
-from roboassembly.generate.solids import pad, placed, polyline, sweep, turned, turned_along
+from roboassembly.generate.solids import bar, pad, placed, polyline, sweep, turned, turned_along
 from roboassembly.generate.vectors import X, Y, Z, leaning, move, spin, vector
 
 NO_BACK, HOOP, POSTS = range(3)
@@ -59,12 +59,11 @@ class ThreeLeggedChair(Design):
         else:
             r = 0.5 * s.leg
             profile = [(0.2, 0.9 * r), (0.42, 1.15 * r), (0.60, r), (1.05, 0.68 * r)]
-            solid, axis = splayed_leg(under, s.splay, LEG_PEG, MOUTH, profile)
+            solid, mouth_at = splayed_leg(under, s.splay, LEG_PEG, MOUTH, profile)
             leg, places = Blank(solid), [place * move(0.28 * s.seat) for place in places]
             for place in places:
-                seat -= LEG_PEG.pocket(splayed_mouth(place, under, axis), over=MOUTH)
-        for name, place in zip(("front", "back_left", "back_right"), places, strict=True):
-            a.part(f"leg_{name}", "leg", leg, place)
+                seat -= LEG_PEG.pocket(mouth_at(place), over=MOUTH)
+        a.each("leg", "leg", leg, dict(zip(("front", "back_left", "back_right"), places, strict=True)))
         if s.back == HOOP:
             self.hoop(a, seat)
         elif s.back == POSTS:
@@ -77,7 +76,7 @@ class ThreeLeggedChair(Design):
         z = np.array([0.0, 0.004, 0.05, star - 0.06, star - 0.03, top - 0.03, top])
         out = np.array([0.062, 0.060, 0.040, 0.010, 0.0, 0.0, 0.0])
         wide = self.leg * np.array([0.60, 0.66, 0.70, 0.92, 1.0, 1.0, 0.92])
-        leg = sweep(np.column_stack([reach + out, 0 * z, z]), X, Y, rectangles(wide, 0.8 * wide, 0.005))
+        leg = bar(reach + out, 0.0, z, X, Y, wide, 0.8 * wide, 0.005)
         leg += LEG_PEG.tongue(joint_frame(vector(reach, 0, under), -Z, X))
         return Blank(leg - STAR_TENON.pocket(joint_frame(vector(reach - self.leg / 2, 0, star), -X, Y)))
 

@@ -11,7 +11,7 @@ import numpy as np
 from roboassembly.generate.design import Assembly, Blank, Design, chance, drawn, family, one_of, size
 from roboassembly.generate.joints import CLEARANCE, RoundTenon, Tenon, joint_frame
 from roboassembly.generate.outlines import rectangles, rounded_trapezoid
-from roboassembly.generate.solids import Solid, block, column, pad, polyline, sweep, turned
+from roboassembly.generate.solids import Solid, bar, block, column, pad, polyline, sweep, turned
 from roboassembly.generate.vectors import X, Y, Z, move, spin, vector
 
 TURNED_LEGS, SQUARE_LEGS, RUNNERS, PLINTH = range(4)
@@ -91,17 +91,14 @@ class UpholsteredChair(Design):
                       for side, sign in (("left", 1), ("right", -1))}  # fmt: skip
             on_left = [pose for pose in places.values() if pose.translation[0] > 0 or not self.arms]
             a.join(LEG_PEG, joint_frame(under * Z, -Z, X), leg, on, at=on_left)
-            for corner, pose in places.items():
-                a.part(f"leg_{corner}", "leg", leg, pose)
+            a.each("leg", "leg", leg, places)
         elif self.base == RUNNERS or self.arms:
-            path = [vector(0, at, top / 2) for at in (-y - 0.03, -y - 0.02, y + 0.02, y + 0.03)]
-            shares = np.array([0.9, 1, 1, 0.9])
-            runner = Blank(sweep(path, X, Z, rectangles(0.045, shares * top, 0.004)))
+            along, high = np.array([-y - 0.03, -y - 0.02, y + 0.02, y + 0.03]), top * np.array([0.9, 1, 1, 0.9])
+            runner = Blank(bar(0.0, along, top / 2, X, Z, 0.045, high, 0.004))
             for at in (-0.6 * y, 0.6 * y):
                 poses = [move(px) for px in reversed(sides)]
                 a.join(LEG_PEG, joint_frame(vector(0, at, under), -Z, X), runner, on, at=poses)
-            a.part("runner_left", "runner", runner, move(x))
-            a.part("runner_right", "runner", runner, spin(np.pi, -x))
+            a.each("runner", "runner", runner, {"left": move(x), "right": spin(np.pi, -x)})
         else:
             outline = rounded_trapezoid(2 * x + 0.04, 2 * x + 0.04, 2 * y + 0.04, 0.03)
             plinth = a.part("plinth", "foot_base", pad(outline, 0.0, top, 0.006))

@@ -1,4 +1,4 @@
-"""The Windsor: a saddled seat that carries everything, four splayed turned legs below, spindles and a comb above.
+"""The Windsor: a saddled seat that carries everything, four splayed turned legs below, s and a comb above.
 
 All spindles of a back are parallel, so that the comb can come down on them in one straight motion. Once the comb
 sits on one spindle that is in the seat, another spindle can no longer get between them. The legs are splayed and
@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from roboassembly.generate.design import Assembly, Blank, Design, chance, count, drawn, family, one_of, size
-from roboassembly.generate.joints import RoundTenon, joint_frame, splayed_leg, splayed_mouth
+from roboassembly.generate.joints import RoundTenon, joint_frame, splayed_leg
 from roboassembly.generate.outlines import Outline, rectangles
 from roboassembly.generate.solids import Solid, pad, sweep, turned_along
 from roboassembly.generate.vectors import Points, Vector, X, Y, leaning, move, spin
@@ -79,13 +79,13 @@ class WindsorChair(Design):
         seat = Blank(pad(self.seat_outline(20), under, base, 0.007, crown=-s.saddle, under=0.010))
 
         # Legs: the same leg, turned about the vertical to each of its four directions.
-        solid, axis = splayed_leg(under, s.splay, LEG_TENON, MOUTH, self.leg_profile())
+        solid, mouth_at = splayed_leg(under, s.splay, LEG_TENON, MOUTH, self.leg_profile())
         leg = Blank(solid)
         for end, y, heading in (("front", -0.30, -0.85), ("back", 0.28, 0.95)):
             for side, x in (("left", 0.29), ("right", -0.29)):
                 pose = spin(heading if x > 0 else np.pi - heading, x * s.seat_width, y * s.seat_depth)
                 a.part(f"leg_{end}_{side}", "leg", leg, pose)
-                seat -= LEG_TENON.pocket(splayed_mouth(pose, under, axis), over=MOUTH)
+                seat -= LEG_TENON.pocket(mouth_at(pose), over=MOUTH)
 
         # The back: everything along one leaning direction, in tiers of spindles with a rail on top of each.
         along, _ = leaning(s.rake)

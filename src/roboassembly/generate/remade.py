@@ -1,0 +1,140 @@
+"""Structures to learn from that are made of what other families build.
+
+`fused` parts are assemblies themselves: a side frame, a back, a pair of legs in one piece. Real furniture comes like
+that: bent tubes, welded frames, backs that were glued in the factory. Such a part touches another one in several places
+at once. Here neighbouring parts are joined at random, mostly the same on the left as on the right, and the whole is
+stretched and made to lean first: what can be taken apart along straight lines still can be afterwards.
+
+`sunk` parts have been through the repair of imported files. Files of real furniture overlap at nearly every joint, by
+anything from a hair to the depth of a tenon, and repair cuts pockets for that: too shallow to be seen in a cloud of
+points, deep enough to hold a part fast. Here parts are driven into their neighbours, and repaired.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from roboassembly.errors import FurnitureError
+from roboassembly.furniture.contacts import Contact, find_contacts
+from roboassembly.furniture.model import RawPart
+from roboassembly.generate.design import Blank, Build, PartDesign, as_parts
+from roboassembly.generate.solids import Solid, from_triangles, triangles
+from roboassembly.geometry.meshes import Mesh
+from roboassembly.repair import RepairLimits, repair
+
+TRIES = 20
+FEWEST_PARTS = 3
+OVERLAP = 1e-4
+"""Length by which fused parts reach into each other [m]."""
+MIRROR_TOLERANCE = 0.01
+"""Distance [m] between a part's place and its mirror image's, and share of the volume by which they may differ."""
+SHALLOWEST, DEEPEST = 0.0003, 0.012
+"""Bounds of the depth to which a part is driven into another [m]; shallow is as frequent as deep."""
+VOLUME_TOLERANCE = 0.02
+"""Share of the volume that two parts may differ by to be driven in alike."""
+LIMITS = RepairLimits(openings=8)
+"""Effort of the repair; furniture that needs more takes minutes."""
+
+Change = Callable[[Sequence[RawPart], np.random.Generator], list[PartDesign]]
+
+
+def remade(change: Change, bases: Sequence[Build], rng: np.random.Generator | None) -> list[PartDesign]:
+    """Return what one of the bases builds, changed; without a generator always the same."""
+    rng = np.random.default_rng(1) if rng is None else rng
+    for _ in range(TRIES):
+        try:
+            return change(as_parts(bases[int(rng.integers(len(bases)))](rng)), rng)
+        except FurnitureError:
+            continue
+    raise FurnitureError(f"{TRIES} tries to change another family's parts failed; try another seed")
+
+
+def fused(base: Sequence[RawPart], rng: np.random.Generator) -> list[PartDesign]:
+    """Return 3 parts or more, each joined from parts of the base.
+
+    Raises:
+        FurnitureError: the base has too few parts, or parts that are stretched or joined touch others.
+    """
+    if len(base) <= FEWEST_PARTS:
+        raise FurnitureError("too few parts to join any")
+    matrix = np.diag(np.exp(rng.uniform(-0.3, 0.3, 3)))
+    if rng.random() < 0.3:
+        matrix = np.array([[1, 0, 0], [0, 1, rng.uniform(-0.25, 0.25)], [0, 0, 1]]) @ matrix
+    parts = [RawPart(p.name, Mesh(p.mesh.vertices @ matrix.T, p.mesh.faces), p.label) for p in base]
+    contacts = find_contacts([p.mesh for p in parts], [p.name for p in parts])
+    group = _groups(parts, contacts, rng)
+    solids = [from_triangles(p.mesh.vertices, p.mesh.faces) for p in parts]
+    joined: list[PartDesign] = []
+    for name in dict.fromkeys(group):
+        members = [i for i, g in enumerate(group) if g == name]
+        whole = Blank(Solid())
+        for i in members:
+            whole += solids[i]
+        for c in contacts:
+            if group[c.a] == group[c.b] == name:
+                # Closes the gap between the two, so that no face is left inside.
+                whole += solids[c.a].translate(tuple((c.gap + OVERLAP) * c.normal))
+        largest = max(members, key=lambda i: parts[i].mesh.volume)
+        joined.append(PartDesign(f"part_{len(joined):02d}", parts[largest].label, whole))
+    find_contacts([Mesh(*triangles(p.blank.solid)) for p in joined], [p.name for p in joined])
+    return joined
+
+
+def _groups(parts: Sequence[RawPart], contacts: Sequence[Contact], rng: np.random.Generator) -> list[int]:
+    """Return the group of each part."""
+    group = list(range(len(parts)))
+    touching = {frozenset((c.a, c.b)) for c in contacts}
+    images = _mirror_images(parts) if rng.random() < 0.8 else list(range(len(parts)))
+    count = int(rng.integers(FEWEST_PARTS, len(parts)))
+    while len(set(group)) > max(count, FEWEST_PARTS):
+        size = [group.count(g) for g in group]
+        left = [(c.a, c.b) for c in contacts if group[c.a] != group[c.b]]
+        if not left:
+            break
+        # Small groups rather than one that swallows all the others.
+        weight = np.array([1.0 / (size[a] * size[b]) for a, b in left])
+        a, b = left[rng.choice(len(left), p=weight / weight.sum())]
+        for i, j in ((a, b), (images[a], images[b])):
+            if frozenset((i, j)) in touching and group[i] != group[j] and len(set(group)) > FEWEST_PARTS:
+                group = [group[j] if g == group[i] else g for g in group]
+    return group
+
+
+def _mirror_images(parts: Sequence[RawPart]) -> list[int]:
+    """Return for each part the one at the place of its mirror image; itself in the middle or if there is none."""
+    centres = np.array([p.mesh.center_of_mass for p in parts])
+    volumes = np.array([p.mesh.volume for p in parts])
+    out: list[int] = []
+    for i, centre in enumerate(centres):
+        near = np.linalg.norm(centres - centre * [-1.0, 1.0, 1.0], axis=1) < MIRROR_TOLERANCE
+        like = near & (np.abs(volumes - volumes[i]) < MIRROR_TOLERANCE * volumes[i])
+        out.append(int(np.argmax(like)) if like.any() else i)
+    return out
+
+
+def sunk(parts: Sequence[RawPart], rng: np.random.Generator) -> list[PartDesign]:
+    """Return the parts, each lengthened into some of those that it touches, and repaired.
+
+    Raises:
+        FurnitureError: repair refuses the overlaps.
+    """
+    contacts = find_contacts([p.mesh for p in parts], [p.name for p in parts])
+    share = rng.choice([0.3, 0.7, 1.0])
+    depth = float(np.exp(rng.uniform(np.log(SHALLOWEST), np.log(DEEPEST))))
+    solids = [from_triangles(p.mesh.vertices, p.mesh.faces) for p in parts]
+    whole = list(solids)
+    chosen: dict[tuple[int, int], bool] = {}
+    for c in contacts:
+        # Of contacts between parts of the same sizes, all are chosen or none.
+        sizes = sorted(round(float(np.log(parts[i].mesh.volume)) / VOLUME_TOLERANCE) for i in (c.a, c.b))
+        if not chosen.setdefault((sizes[0], sizes[1]), bool(rng.random() < share)):
+            continue
+        # The lesser one is driven in, as a rail into a post.
+        lesser, inward = (c.a, c.normal) if parts[c.a].mesh.volume <= parts[c.b].mesh.volume else (c.b, -c.normal)
+        whole[lesser] += solids[lesser].translate(tuple((c.gap + depth) * inward))
+    lengthened = [replace(p, mesh=Mesh(*triangles(s))) for p, s in zip(parts, whole, strict=True)]
+    repaired = repair(lengthened, limits=LIMITS).parts
+    return [PartDesign(p.name, p.label, Blank(from_triangles(p.mesh.vertices, p.mesh.faces))) for p in repaired]
