@@ -36,17 +36,31 @@ IN_PLACE = SE3.Identity()
 
 
 class Blank:
-    """Shape that parts are cut from; joints may be added as long as the assembly is being built."""
+    """Shape that equal parts are cut from; joints may be added as long as the assembly is being built.
 
-    def __init__(self, solid: Solid) -> None:
-        self.solid = solid
+    A blank that gets its body later (`Blank()`, then `blank.body = ...`) is cut when everything else has been added.
+    """
+
+    def __init__(self, body: Solid | None = None) -> None:
+        self.body = Solid() if body is None else body
+        self._late: list[Solid] | None = [] if body is None else None
+
+    @property
+    def solid(self) -> Solid:
+        """The finished shape."""
+        while self._late:
+            self.body -= self._late.pop(0)
+        return self.body
 
     def __iadd__(self, solid: Solid) -> Self:
-        self.solid += solid
+        self.body += solid
         return self
 
     def __isub__(self, solid: Solid) -> Self:
-        self.solid -= solid
+        if self._late is None:
+            self.body -= solid
+        else:
+            self._late.append(solid)
         return self
 
 

@@ -50,24 +50,14 @@ class LadderChair(Design):
         return 11 <= 10 + self.slats + stretchers <= 18 and abs(self.width - self.depth) > 0.01
 
     @cached_property
-    def half(self) -> float:
-        """Half the side of a post."""
-        return self.post / 2
-
-    @cached_property
     def post_x(self) -> float:
         """Distance of the axes of posts and legs from the middle."""
-        return self.width / 2 - self.half
+        return self.width / 2 - self.post / 2
 
     @cached_property
     def front_y(self) -> float:
         """The axes of the front legs; those of the posts lie as far behind the middle."""
-        return -self.depth / 2 + self.half
-
-    @cached_property
-    def under(self) -> float:
-        """Underside of the seat; legs and aprons end a clearance below."""
-        return self.seat_height - self.seat_thickness
+        return -self.depth / 2 + self.post / 2
 
     @cached_property
     def lower(self) -> tuple[float, ...]:
@@ -80,11 +70,10 @@ class LadderChair(Design):
         return vector(0, -self.front_y, self.seat_height + 0.01) + up * along
 
     def build(self, a: Assembly) -> None:
-        s, half, inner = self, self.half, self.post_x - self.half
-        front_y, back_y = s.front_y, -s.front_y
+        s, front_y, back_y, half = self, self.front_y, -self.front_y, self.post / 2
+        inner, top = s.post_x - half, s.seat_height - s.seat_thickness - CLEARANCE
         along, _ = leaning(s.rake)
-        post_cuts: list[Solid] = []  # mortises of the right-hand post (x < 0)
-        leg_cuts: list[Solid] = []
+        post, leg = Blank(), Blank()  # the right-hand ones (x < 0)
 
         # Rails across, at the back: slats and crest (leaning), apron and stretcher (upright).
         reach = (s.height - (s.seat_height + 0.01)) / np.cos(s.rake)
@@ -97,19 +86,15 @@ class LadderChair(Design):
             up = first_up + k * (s.slat_height + gap)
             lift = s.on_post(up) - s.on_post(first_up)
             a.part(f"slat_{k + 1}", "back_surface_horizontal_bar", bent, move(*lift))
-            post_cuts.append(tenon.pocket(joint_frame(s.on_post(up) - inner * X, X, along)))
+            post -= tenon.pocket(joint_frame(s.on_post(up) - inner * X, X, along))
         middle, tenon = s.on_post(crest_up), Tenon(0.6 * s.crest_height, 0.009, 0.40 * s.post)
         crest = arched_rail(middle, inner, s.rake, (s.crest_height, 0.016), tenon, s.arch, s.bend)
         a.part("crest_rail", "back_frame_horizontal_bar", crest)
-        post_cuts.append(tenon.pocket(joint_frame(middle - inner * X, X, along)))
+        post -= tenon.pocket(joint_frame(middle - inner * X, X, along))
 
         # A leg's joints come from two sides: toward the outer corner they keep out of each other's way.
         outward, deep = 0.12 * s.post, 0.30 * s.post
-        apron_z, apron_tenon, tenon = (
-            s.under - CLEARANCE - s.apron / 2,
-            Tenon(0.6 * s.apron, 0.008, deep),
-            Tenon(0.020, 0.008, deep),
-        )
+        apron_z, apron_tenon, tenon = top - s.apron / 2, Tenon(0.6 * s.apron, 0.008, deep), Tenon(0.020, 0.008, deep)
         front, back = front_y - outward, back_y + outward
         for name, label, z, section, joint, at_front, at_back in (
             ("apron", "seat_frame_bar", apron_z, (s.apron, 0.018), apron_tenon, True, True),
@@ -118,10 +103,10 @@ class LadderChair(Design):
             bar = Blank(rail(vector(-inner, front, z), vector(inner, front, z), Z, *section, joint))
             if at_front:
                 a.part(f"{name}_front", label, bar)
-                leg_cuts.append(joint.pocket(joint_frame(vector(-inner, front, z), X, Z)))
+                leg -= joint.pocket(joint_frame(vector(-inner, front, z), X, Z))
             if at_back:
                 a.part(f"{name}_back", label, bar, move(y=back - front))
-                post_cuts.append(joint.pocket(joint_frame(vector(-inner, back, z), X, Z)))
+                post -= joint.pocket(joint_frame(vector(-inner, back, z), X, Z))
 
         # Rails fore and aft; the left one is the right one moved over.
         side_x = -(s.post_x + outward)
@@ -131,8 +116,8 @@ class LadderChair(Design):
             rows.append((name, "bar_stretcher", z, z - s.lower[0], (0.030, 0.017), tenon))
         bars = [self.side_rail(side_x, z, section, joint) for _, _, z, _, section, joint in rows[:2]]
         for k, (name, label, z, lift, _, joint) in enumerate(rows):
-            for y, out, cuts in ((front_y + half, Y, leg_cuts), (back_y - half, -Y, post_cuts)):
-                cuts.append(joint.pocket(joint_frame(vector(side_x, y, z), out, Z)))
+            leg -= joint.pocket(joint_frame(vector(side_x, front_y + half, z), Y, Z))
+            post -= joint.pocket(joint_frame(vector(side_x, back_y - half, z), -Y, Z))
             if s.cross_stretcher and k == 1:
                 # This pair has a mortise on the inner face: the left one is the right one turned about z.
                 start, end = vector(side_x + 0.017 / 2, 0, z), vector(-side_x - 0.017 / 2, 0, z)
@@ -143,10 +128,7 @@ class LadderChair(Design):
                 places = {"right": move(z=lift), "left": move(-2 * side_x, z=lift)}
                 a.each(name, label, bars[min(k, 1)], places)
 
-        post, leg = Blank(self.post_blank(reach)), Blank(self.leg_blank())
-        for upright, cuts in ((post, post_cuts), (leg, leg_cuts)):
-            for cut in cuts:
-                upright -= cut
+        post.body, leg.body = self.post_blank(reach), self.leg_blank(top)
         a.pair("post", "back_frame_vertical_bar", post)
         if s.side_stretchers or s.front_stretcher:
             a.pair("leg_front", "leg", leg)
@@ -158,7 +140,7 @@ class LadderChair(Design):
 
     def side_rail(self, x: float, z: float, section: tuple[float, float], tenon: Tenon) -> Blank:
         """A rail of a height and a thickness from a front leg to a post."""
-        start, end = vector(x, self.front_y + self.half, z), vector(x, -self.front_y - self.half, z)
+        start, end = vector(x, self.front_y + self.post / 2, z), vector(x, -self.front_y - self.post / 2, z)
         body = sweep([start + CLEARANCE * Y, end - CLEARANCE * Y], X, Z, rectangle(section[1], section[0], 0.003))
         return Blank(body + tenon.tongue(joint_frame(start, Y, Z)) + tenon.tongue(joint_frame(end, -Y, Z)))
 
@@ -176,26 +158,20 @@ class LadderChair(Design):
         # Horizontal sections, so that the foot is level; the rake is small enough for them to look square.
         return sweep(path, X, Y, rectangles(wide * t, deep * t, 0.004)).translate((-self.post_x, 0, 0))
 
-    def leg_blank(self) -> Solid:
+    def leg_blank(self, top: float) -> Solid:
         """The right-hand front leg without mortises: square at the apron, slimmer toward the foot."""
-        t, top = self.post, self.under - CLEARANCE
-        jointed = self.side_stretchers or self.front_stretcher
+        t, jointed = self.post, self.side_stretchers or self.front_stretcher
         low = self.lower[0] - 0.02 if jointed else top - self.apron - 0.02
         stations = [(0.0, 0.68), (0.004, 0.74), (0.5 * low, 0.90), (low, 1.0), (top, 1.0)]
         return column([(z, t * k, t * k) for z, k in stations], 0.004).translate((-self.post_x, self.front_y, 0))
 
     def seat(self) -> Solid:
         """A board wider than its frame, notched around the posts; it comes from above."""
-        s, back_y = self, -self.front_y
-        front, rear = s.front_y - s.half - 0.016, back_y + 0.25 * s.post
+        s, under = self, self.seat_height - self.seat_thickness
+        front, rear = s.front_y - s.post / 2 - 0.016, -s.front_y + 0.25 * s.post
         width, edge = s.width + 0.024, min(0.012, 0.4 * s.seat_thickness)
         outline = rounded_trapezoid(width + 0.012, width, rear - front, 0.03) + np.array([0.0, (front + rear) / 2])
-        seat = pad(outline, s.under, s.seat_height, edge, s.crown, under=0.004)
-        x, y, low, high = (
-            s.post_x - s.half - CLEARANCE,
-            back_y - s.half - CLEARANCE,
-            s.under - 0.01,
-            s.seat_height + 0.05,
-        )
-        seat -= block((-0.5, y, low), (-x, 0.5, high))
-        return seat - block((x, y, low), (0.5, 0.5, high))
+        seat = pad(outline, under, s.seat_height, edge, s.crown, under=0.004)
+        x, y = s.post_x - s.post / 2 - CLEARANCE, -s.front_y - s.post / 2 - CLEARANCE
+        seat -= block((-0.5, y, under - 0.01), (-x, 0.5, s.seat_height + 0.05))
+        return seat - block((x, y, under - 0.01), (0.5, 0.5, s.seat_height + 0.05))

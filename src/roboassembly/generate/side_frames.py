@@ -56,58 +56,51 @@ class SledChair(Design):
         outward = 0.12 * t
         rail_tenon, foot_tenon = Tenon(0.6 * s.rail, 0.008, 0.30 * t), Tenon(0.5 * t, 0.5 * t, 0.018)
 
-        leg_cuts: list[Solid] = []  # mortises of the right-hand leg
-        post_cuts: list[Solid] = []
+        leg, post = Blank(), Blank()  # the right-hand ones
         # Seat rails along y; the left one is moved over. Under a rocker's seat they are lower than the cross rails:
         # its left and right legs differ anyway (their feet are slanted), and should do so by more than a hair.
         side_x, side_z = x0 - outward, rail_z - (0.012 if s.bow else 0.0)
         start, end = vector(side_x, front + half, side_z), vector(side_x, back - half, side_z)
         side_rail = Blank(rail(start, end, Z, s.rail, 0.018, rail_tenon))
         a.each("seat_rail", "seat_frame_bar", side_rail, {"right": move(), "left": move(-2 * side_x)})
-        for frame, cuts in zip(mouths(start, end, Z), (leg_cuts, post_cuts), strict=True):
-            cuts.append(rail_tenon.pocket(frame))
+        for frame, upright in zip(mouths(start, end, Z), (leg, post), strict=True):
+            upright -= rail_tenon.pocket(frame)
         # Rails along x, between the frames.
         inner = x0 + half
         start = vector(inner, front - outward, rail_z)
         cross_rail = Blank(rail(start, start - 2 * inner * X, Z, s.rail, 0.018, rail_tenon))
-        for name, y, cuts in (("front", front - outward, leg_cuts), ("back", back + outward, post_cuts)):
+        for name, y, upright in (("front", front - outward, leg), ("back", back + outward, post)):
             a.part(f"cross_rail_{name}", "seat_frame_bar", cross_rail, move(y=y - start[1]))
-            cuts.append(rail_tenon.pocket(joint_frame(vector(inner, y, rail_z), X, Z)))
+            upright -= rail_tenon.pocket(joint_frame(vector(inner, y, rail_z), X, Z))
 
         # The right-hand leg and post; the post is upright to the knee, then it leans.
         along, across = leaning(s.rake)
         knee = s.seat_height - 0.01
         reach = (s.height - knee) / np.cos(s.rake)
         base = vector(0, back, knee)
-        post_cuts += self.back(a, base, reach, -inner)
+        self.back(a, base, reach, -inner, post)
         foot = floor - (0.02 if s.bow else -c)
-        leg = Blank(sweep([vector(x0, front, foot), vector(x0, front, leg_top - c)], X, Y, rectangle(t, t, 0.004)))
+        leg.body = sweep([vector(x0, front, foot), vector(x0, front, leg_top - c)], X, Y, rectangle(t, t, 0.004))
         above_knee = polyline(base + x0 * X, (np.array([0.03, reach - 0.006, reach]), along))
         path = np.array([vector(x0, back, foot), vector(x0, back, knee - 0.03), *above_knee])
         deep = np.array([t, t, 0.95 * t, 0.70 * t, 0.52 * t])
-        post = Blank(sweep(path, X, Y, rectangles(t, deep, 0.004)))
+        post.body = sweep(path, X, Y, rectangles(t, deep, 0.004))
         runner, groove = self.runner(x0, front, back, floor)
         if s.bow:
-            leg -= groove
-            post -= groove
+            leg.body -= groove
+            post.body -= groove
         for y, upright in ((front, leg), (back, post)):
             a.join(foot_tenon, joint_frame(vector(x0, y, floor), Z, X), upright, runner, over=0.012)
         a.each("runner", "runner", runner, {"right": move(), "left": move(-2 * x0)})
         if s.arms:
-            top_tenon, top_mouth = Tenon(0.5 * t, 0.5 * t, 0.013), joint_frame(vector(x0, front, leg_top), -Z, X)
-            leg += top_tenon.tongue(top_mouth)
             # Upright, and off the middle: clear of a slat's tenon.
             arm_tenon, level = Tenon(0.014, 0.008, 0.30 * t, root=0.02), s.seat_height + 0.205 - ARM / 2
             front_face = float(np.interp(level, path[:, 2], path[:, 1] - deep / 2))
             arm_mouth = vector(x0 - 0.2 * t, front_face, level)
             arm = self.armrest(arm_mouth, front, x0, across)
-            arm += arm_tenon.tongue(joint_frame(arm_mouth, -Y, Z))
-            arm -= top_tenon.pocket(top_mouth)
-            post_cuts.append(arm_tenon.pocket(joint_frame(arm_mouth, -Y, Z), over=0.015))
+            a.join(arm_tenon, joint_frame(arm_mouth, -Y, Z), arm, post, over=0.015)
+            a.join(Tenon(0.5 * t, 0.5 * t, 0.013), joint_frame(vector(x0, front, leg_top), -Z, X), leg, arm)
             a.pair("armrest", "arm_horizontal_bar", arm)
-        for upright, cuts in ((leg, leg_cuts), (post, post_cuts)):
-            for cut in cuts:
-                upright -= cut
         if s.bow:
             a.pair("leg_front", "leg", leg)
         else:
@@ -117,8 +110,8 @@ class SledChair(Design):
         a.pair("post", "back_frame_vertical_bar", post)
         a.part("seat", "seat_single_surface", self.seat(front - half - 0.012, back - half - 0.010, -inner))
 
-    def back(self, a: Assembly, base: Vector, reach: float, inner: float) -> list[Solid]:
-        """Add crest, slats and spindles between the posts, `inner` from the middle; return a post's mortises."""
+    def back(self, a: Assembly, base: Vector, reach: float, inner: float, post: Blank) -> None:
+        """Add crest, slats and spindles between the posts, whose faces are `inner` from the middle."""
         s, (along, _) = self, leaning(self.rake)
         crest_up, low = reach - 0.006 - s.crest / 2, 0.14
         top = crest_up - s.crest / 2
@@ -138,13 +131,12 @@ class SledChair(Design):
                 for frame, bar in zip(mouths(start + x * X, end + x * X, X), (slat, crest), strict=True):
                     bar -= SPINDLE_TENON.pocket(frame)
                 a.part(f"spindle_{k + 1}", "back_surface_vertical_bar", stick, move(x))
-        cuts: list[Solid] = []
         for k, up in enumerate(ups):
             name = "back_rail_lower" if s.spindles else f"slat_{k + 1}"
             a.part(name, "back_surface_horizontal_bar", slat, move(*((up - low) * along)))
-            cuts.append(slat_tenon.pocket(joint_frame(base + up * along - inner * X, X, along)))
+            post -= slat_tenon.pocket(joint_frame(base + up * along - inner * X, X, along))
         a.part("crest_rail", "back_frame_horizontal_bar", crest)
-        return [*cuts, crest_tenon.pocket(joint_frame(base + crest_up * along - inner * X, X, along))]
+        post -= crest_tenon.pocket(joint_frame(base + crest_up * along - inner * X, X, along))
 
     def runner(self, x: float, front: float, back: float, floor: float) -> tuple[Blank, Solid]:
         """The right-hand runner, and what fits uprights to its curved top."""
