@@ -183,7 +183,7 @@ def chance(default: bool, share: float = 0.5) -> bool:
 
 def one_of(*choices: T, default: T | None = None) -> T:
     """Declare a value drawn from a list; one listed twice is twice as frequent, the first is the default."""
-    return drawn(choices[0] if default is None else default, lambda rng, _: rng.choice(np.array(choices)).item())
+    return drawn(choices[0] if default is None else default, lambda rng, _: choices[rng.integers(len(choices))])
 
 
 def drawn(default: T, draw: Callable[[np.random.Generator, Any], T]) -> T:

@@ -11,11 +11,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from roboassembly.furniture.model import MAX_PARTS
-from roboassembly.generate.design import Assembly, Design, chance, count, drawn, family, one_of, size
+from roboassembly.generate.design import Assembly, Blank, Design, chance, count, drawn, family, one_of, size
 from roboassembly.generate.joints import CLEARANCE, RoundTenon, Tenon, joint_frame, mouths, rail, spindle
 from roboassembly.generate.outlines import rectangle
 from roboassembly.generate.solids import Solid, block, placed, sweep, turned
 from roboassembly.generate.vectors import Vector, X, Y, Z, move, turn, vector
+from roboassembly.geometry.poses import SE3
 
 LEVEL = 0.085
 """Distance between the heights at which rails may stand, so that those from two sides do not meet [m]."""
@@ -27,19 +28,16 @@ NO_TENON = Tenon(0.004, 0.004, -0.002, root=0.006)
 """Tongue that does not come out of its rail."""
 
 Post = tuple[int, int]
-Mortises = dict[Post, list[Solid]]
-"""What is cut out of each post, in the furniture's frame."""
+"""Column and row of a post."""
 
 
 class RailRow(NamedTuple):
-    """Rails between two posts at one or two heights."""
+    """Rails at one or two levels along an axis, from the post of column `i` and row `j` to the next one."""
 
     i: int
-    """Column of the post at which they begin."""
     j: int
     axis: str
     low: int
-    """Lowest level."""
     high: int
     fill: str
     """What is between the rails: none, spindles or panel."""
@@ -48,6 +46,12 @@ class RailRow(NamedTuple):
     def ends(self) -> tuple[Post, Post]:
         """The two posts."""
         return (self.i, self.j), (self.i + (self.axis == "x"), self.j + (self.axis == "y"))
+
+
+DEFAULT_ROWS = (
+    RailRow(0, 0, "x", 2, 4, "spindles"), RailRow(0, 1, "x", 2, 4, "none"),
+    RailRow(0, 0, "y", 1, 1, "none"), RailRow(1, 0, "y", 1, 1, "none"),
+)  # fmt: skip
 
 
 def draw_rows(rng: np.random.Generator, s: Any) -> tuple[RailRow, ...]:
@@ -76,19 +80,9 @@ def height_of(level: int) -> float:
 class Lattice(Design):
     """A frame of 4 to 18 parts."""
 
-    posts: Post = drawn(
-        (2, 2), lambda rng, _: ((2, 1), (2, 1), (2, 2), (2, 2), (3, 1), (3, 2))[rng.integers(6)]
-    )  # along x and y
+    posts: Post = one_of((2, 1), (2, 1), (2, 2), (2, 2), (3, 1), (3, 2), default=(2, 2))  # along x and y
     height: float = size(0.55, 0.3, 0.95)
-    rows: tuple[RailRow, ...] = drawn(
-        (
-            RailRow(0, 0, "x", 2, 4, "spindles"),
-            RailRow(0, 1, "x", 2, 4, "none"),
-            RailRow(0, 0, "y", 1, 1, "none"),
-            RailRow(1, 0, "y", 1, 1, "none"),
-        ),
-        draw_rows,
-    )
+    rows: tuple[RailRow, ...] = drawn(DEFAULT_ROWS, draw_rows)
     width: float = size(0.40, 0.18, 0.55)  # between neighbouring posts' axes along x
     depth: float = size(0.34, 0.18, 0.5)
     post: float = size(0.036, 0.032, 0.05)  # side of a square post, or diameter of a round one
@@ -108,34 +102,30 @@ class Lattice(Design):
     )  # about x and y, of the whole
 
     def fits(self) -> bool:
-        few = 4 <= len(self.parts()) <= min(18, MAX_PARTS)
-        return few and abs(self.width - self.depth) > 0.02 and self.connected()
-
-    def connected(self) -> bool:
-        """Whether everything hangs together."""
         joined = {(0, 0)}
         for _ in self.rows:
             for row in self.rows:
                 if joined & set(row.ends):
                     joined |= set(row.ends)
-        return self.top or self.base or len(joined) == self.posts[0] * self.posts[1]
+        connected = self.top or self.base or len(joined) == self.posts[0] * self.posts[1]
+        return connected and abs(self.width - self.depth) > 0.02 and 4 <= len(self.parts()) <= min(18, MAX_PARTS)
 
     def at(self, post: Post) -> Vector:
         """The foot of a post's axis."""
         return vector(post[0] * self.width, post[1] * self.depth, 0.0)
 
     def build(self, a: Assembly) -> None:
-        mortises: Mortises = {(i, j): [] for i in range(self.posts[0]) for j in range(self.posts[1])}
+        posts = {(i, j): Blank() for i in range(self.posts[0]) for j in range(self.posts[1])}
         for row in self.rows:
-            self.rails(a, row, mortises)
+            self.rails(a, row, posts)
         if self.slats and self.posts[1] == 2:
             self.lay_slats(a)
-        for k, post in enumerate(sorted(mortises)[: self.pegs]):
-            self.peg(a, k, post, mortises)
-        self.posts_and_boards(a, mortises)
+        for k, post in enumerate(sorted(posts)[: self.pegs]):
+            self.peg(a, k, post, posts[post])
+        self.posts_and_boards(a, posts)
         a.lean(turn(X, self.tilt[0]) @ turn(Y, self.tilt[1]))
 
-    def rails(self, a: Assembly, row: RailRow, mortises: Mortises) -> None:
+    def rails(self, a: Assembly, row: RailRow, posts: dict[Post, Blank]) -> None:
         """Add rails between two posts, and what is between the rails."""
         s, run = self, X if row.axis == "x" else Y
         # Tenons start inside a round post's rim; what is butted stops at its foremost line.
@@ -149,7 +139,8 @@ class Lattice(Design):
             start, end = here + half * run + height_of(level) * Z, there - half * run + height_of(level) * Z
             if not s.butted:
                 for post, frame in zip(row.ends, mouths(start, end, Z), strict=True):
-                    mortises[post].append((ROUND if s.round_rails else tenon).pocket(frame, over=0.01))
+                    pocket = (ROUND if s.round_rails else tenon).pocket(frame, over=0.01)
+                    posts[post] -= placed(pocket, move(*s.at(post)).inverse())
             if s.round_rails:
                 solid = spindle(0 * X, length * run, Z, 0.0105, BUTT if s.butted else ROUND, straight=0.02)
             else:
@@ -220,40 +211,35 @@ class Lattice(Design):
             x = s.post / 2 + 0.005 + (k + 0.5) * each
             a.part(f"slat_{k}", "seat_frame_bar", slat, move(x, 0.0, height_of(low[0]) + s.rail / 2 + CLEARANCE))
 
-    def peg(self, a: Assembly, k: int, post: Post, mortises: Mortises) -> None:
+    def peg(self, a: Assembly, k: int, post: Post, blank: Blank) -> None:
         """Add a knob on the outer face of a post."""
         half = self.post / 2 if not self.round_posts else 0.46 * self.post
         side = -1 if post[0] == 0 else 1
         z = min(height_of(2 * (k + 1)) + 0.5 * LEVEL, self.height - 0.06)
         at, frame = self.at(post) + side * half * X + z * Z, joint_frame(0 * X, side * X, Z)
-        mortises[post].append(PEG.pocket(joint_frame(at, side * X, Z), over=0.01))
+        blank -= placed(PEG.pocket(joint_frame(at, side * X, Z), over=0.01), move(*self.at(post)).inverse())
         knob = PEG.tongue(frame) + placed(turned([(0.0025, 0.006), (0.02, 0.012), (0.03, 0.010)]), frame)
         a.part(f"peg_{k}", "arm_knob", a.alike(("peg", side), knob), move(*at))
 
-    def posts_and_boards(self, a: Assembly, mortises: Mortises) -> None:
+    def posts_and_boards(self, a: Assembly, posts: dict[Post, Blank]) -> None:
         """Add posts, and boards on top of and below them."""
         s, tenon = self, RoundTenon(radius=0.3 * self.post, length=0.6 * self.board)
         low, high = (s.board + CLEARANCE if s.base else 0.0), (s.height - CLEARANCE if s.top else s.height)
         margin = 0.6 * s.post + 0.01
         near, far = -margin * (X + Y), self.at((s.posts[0] - 1, s.posts[1] - 1)) + margin * (X + Y)
-        boards = {}
+        boards: list[tuple[str, SE3, Blank]] = []
         if s.top:
-            boards["top"] = block(near + s.height * Z, far + (s.height + s.board) * Z)
+            solid = block(near + s.height * Z, far + (s.height + s.board) * Z)
+            boards.append(("top", joint_frame(s.height * Z, -Z, X), Blank(solid)))
         if s.base:
-            boards["base"] = block(near, far + s.board * Z)
-        for post, cuts in mortises.items():
-            if s.round_posts:
-                blank = turned([(low, s.post / 2), (high, s.post / 2)], 16)
-            else:
-                blank = sweep([low * Z, high * Z], X, Y, rectangle(s.post, s.post, 0.003))
-            if not s.butted:
-                for board in boards:
-                    mouth, out = (s.height * Z, -Z) if board == "top" else (s.board * Z, Z)
-                    blank += tenon.tongue(joint_frame(mouth, out, X))
-                    boards[board] -= tenon.pocket(joint_frame(mouth + s.at(post), out, X))
+            boards.append(("base", joint_frame(s.board * Z, Z, X), Blank(block(near, far + s.board * Z))))
+        square = rectangle(s.post, s.post, 0.003)
+        for post, blank in posts.items():
             place = move(*s.at(post))
-            for cut in cuts:
-                blank -= placed(cut, place.inverse())
+            ends = [(low, s.post / 2), (high, s.post / 2)]
+            blank.body = turned(ends, 16) if s.round_posts else sweep([low * Z, high * Z], X, Y, square)
+            for _, mouth, board in boards if not s.butted else []:
+                a.join(tenon, mouth, blank, board, at=[place])
             a.part(f"post_{post[0]}{post[1]}", "leg", blank, place)
-        for name, board in boards.items():
+        for name, _, board in boards:
             a.part(name, "seat_single_surface", board)
