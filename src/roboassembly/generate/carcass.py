@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from roboassembly.generate.design import Assembly, Blank, Design, chance, drawn, family, one_of, size
-from roboassembly.generate.joints import CLEARANCE, RoundTenon, Tenon, joint_frame
-from roboassembly.generate.solids import Solid, block, turned
+from roboassembly.generate.joints import CLEARANCE, RoundTenon, Tenon, joint_frame, mouths
+from roboassembly.generate.solids import block, turned
 from roboassembly.generate.vectors import Vector, X, Y, Z, move, turn, vector
 
 Shares = tuple[float, ...]
@@ -58,9 +58,8 @@ class Carcass(Design):
     def fits(self) -> bool:
         narrow = min(self.bays) * self.width < 0.1
         crowded = any((b - a) * self.height < 0.08 for own in self.shelves for a, b in pairwise(own))
-        if narrow or crowded or self.height <= 0.12 + 3 * self.board:
-            return False
-        return 4 <= len(self.parts()) <= 18
+        low = self.height <= 0.12 + 3 * self.board
+        return not (narrow or crowded or low) and 4 <= len(self.parts()) <= 18
 
     def build(self, a: Assembly) -> None:
         s, c = self, CLEARANCE
@@ -70,25 +69,22 @@ class Carcass(Design):
         # Left faces of the uprights: two sides and the dividers between them.
         inner = s.width - (len(s.bays) + 1) * s.board
         lefts = np.concatenate([[0.0], np.cumsum([share * inner + s.board for share in s.bays])])
-        grooves: list[list[Solid]] = [[] for _ in lefts]
+        uprights = [Blank() for _ in lefts]
         floor = low if s.bottom_under else low + 0.04 + s.board
         ceiling = high if s.top_over else high - s.board
         shelves = [[floor + share * (ceiling - floor) for share in own] for own in s.shelves]
         full = ([] if s.bottom_under else [low + 0.04]) + ([] if s.top_over else [high - s.board])
         for bay, own in enumerate(shelves):
             for k, z in enumerate([*own, *full]):
-                depth = 1.0 if k >= len(own) else s.shelf_depth
-                self.shelf(a, f"shelf_{bay}_{k}", lefts[bay : bay + 2], z, depth, grooves[bay : bay + 2])
+                front = 0.0 if k >= len(own) else (1.0 - s.shelf_depth) * s.depth
+                self.shelf(a, f"shelf_{bay}_{k}", lefts[bay : bay + 2], vector(0, front, z), uprights[bay : bay + 2])
         for k in range(s.rails):
             z = floor + (k + 0.5) * (ceiling - floor) / s.rails
             if len(s.bays) == 1 and all(abs(z - height) > 0.12 for height in shelves[0]):
                 start = vector(lefts[0] + s.board + c, 0.2 * s.depth, z)
                 self.plank(a, f"rail_{k}", "bar", start, vector(lefts[-1] - c, 0.2 * s.depth + 0.02, z + 0.05))
-        for k, (left, cuts) in enumerate(zip(lefts, grooves, strict=True)):
-            corner = vector(left, 0, low)
-            upright = block(corner, corner + vector(s.board, s.depth, high - low))
-            for cut in cuts:
-                upright -= cut
+        for k, (left, upright) in enumerate(zip(lefts, uprights, strict=True)):
+            upright.body = block(vector(left, 0, low), vector(left, 0, low) + vector(s.board, s.depth, high - low))
             a.part(f"upright_{k}", "board", upright)
         if s.top_over:
             self.plank(a, "top", "board", vector(0, 0, high + c), vector(s.width, s.depth, s.height))
@@ -103,22 +99,20 @@ class Carcass(Design):
             self.stand(a, foot, bottom if pinned else None)
         a.lean(turn(X, s.tilt))
 
-    def shelf(
-        self, a: Assembly, name: str, lefts: np.ndarray, z: float, depth: float, grooves: list[list[Solid]]
-    ) -> None:
+    def shelf(self, a: Assembly, name: str, lefts: np.ndarray, at: Vector, uprights: list[Blank]) -> None:
         """Add a board between two uprights, in grooves that are open at the front, or butted."""
         s, c = self, CLEARANCE
+        start, end = (lefts[0] + s.board) * X, lefts[1] * X
         deep = s.housing * s.board / (2 if len(s.bays) > 1 else 1)
         if deep < 0.004:
             deep = 0.0
-        start, end = lefts[0] + s.board, lefts[1]
-        if deep:
-            for x, out, cuts in ((start, X, grooves[0]), (end, -X, grooves[1])):
-                # From the front edge, or the shelf could not come in where a back closes the other way.
-                frame = joint_frame(vector(x, s.depth / 2, z + s.board / 2), out, Y)
-                cuts.append(Tenon(s.depth + 0.02, s.board, deep).pocket(frame))
-        low = vector(start + c - deep, (1.0 - depth) * s.depth, z)
-        self.plank(a, name, "shelf", low, vector(end - c + deep, s.depth, z + s.board))
+        else:
+            # From the front edge, or the shelf could not come in where a back closes the other way.
+            tongue, middle = Tenon(s.depth + 0.02, s.board, deep), vector(0, s.depth / 2, at[2] + s.board / 2)
+            for mouth, upright in zip(mouths(start + middle, end + middle, Y), uprights, strict=True):
+                upright -= tongue.pocket(mouth)
+        far = vector(0, s.depth, at[2] + s.board)
+        self.plank(a, name, "shelf", at + start + (c - deep) * X, far + end - (c - deep) * X)
 
     def stand(self, a: Assembly, foot: float, pinned: Blank | None) -> None:
         """Add round feet, under the bottom board (with pins, if it is `pinned`) or under the sides."""
