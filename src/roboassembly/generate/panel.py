@@ -51,16 +51,11 @@ class PanelChair(Design):
         inward, wide = -(1 - thick) * s.leg / 2, (thick - [0.06, 0, 0, 0]) * s.leg
         leg = Blank(bar(inward, inward, z, X, Y, wide, wide, 0.004))
         x, y = s.width / 2 - 0.030 - s.leg / 2, s.depth / 2 - 0.020 - s.leg / 2
-        feet = {
-            "front_right": (-x, -y),
-            "front_left": (x, -y),
-            "back_left": (x - 0.025, y),
-            "back_right": (0.025 - x, y),
-        }
-        for quarter, (name, at) in enumerate(feet.items()):
-            a.part(f"leg_{name}", "leg", leg, spin(quarter * np.pi / 2, *at))
-        tenon, places = Tenon(0.5 * s.leg, 0.5 * s.leg, deep), [move(*at) for at in feet.values()]
-        a.join(tenon, joint_frame(under * Z, -Z, X), leg, seat, at=places)
+        feet = [(-x, -y), (x, -y), (x - 0.025, y), (0.025 - x, y)]
+        for quarter, corner in enumerate(("front_right", "front_left", "back_left", "back_right")):
+            a.part(f"leg_{corner}", "leg", leg, spin(quarter * np.pi / 2, *feet[quarter]))
+        tenon = Tenon(0.5 * s.leg, 0.5 * s.leg, deep)
+        a.join(tenon, joint_frame(under * Z, -Z, X), leg, seat, at=[move(*foot) for foot in feet])
 
         # Posts lean back from the seat's rear corners; everything between them lies along `along`.
         along, across = leaning(s.rake)
@@ -70,8 +65,8 @@ class PanelChair(Design):
         low = s.open_below / np.cos(s.rake)
         post_tenon = Tenon(0.55 * s.post, 0.40 * s.post, deep)
         rail_tenon = Tenon(0.38 * s.post, 0.34 * s.post, 0.5 * s.rail_height)
-        path = [foot + d * along for d in (c / np.cos(s.rake), reach + 0.05)]
-        shaft = sweep(path, X, Y, rectangle(s.post, s.post, 0.003))
+        ends = [foot + c / np.cos(s.rake) * along, foot + (reach + 0.05) * along]
+        shaft = sweep(ends, X, Y, rectangle(s.post, s.post, 0.003))
         post = Blank(shaft.trim_by_plane(-along, -(foot + (reach - c) * along) @ along))
         top = foot + reach * along - 0.10 * s.post * X
         post += post_tenon.tongue(joint_frame(foot, Z, X))
@@ -112,10 +107,8 @@ class PanelChair(Design):
         mouth = vector(foot[0] - 0.0045, foot[1] - s.post / 2 + (level - foot[2]) * np.tan(s.rake), level)
         support_x, support_y = -(s.width / 2 - 0.045), -0.14 * s.depth
         places = [move(x, support_y, s.seat_height) for x in (support_x, -support_x)]
-        y = (
-            np.array([-0.055, -0.049, -0.025, 0.04, 0.5 * (mouth[1] - support_y), mouth[1] + 0.02 - support_y])
-            + support_y
-        )
+        length = mouth[1] - support_y
+        y = support_y + np.array([-0.055, -0.049, -0.025, 0.04, 0.5 * length, length + 0.02])
         x = np.interp(y, [support_y, mouth[1]], [support_x, foot[0] - 0.002])
         x[:3] = support_x
         widths, heights = [0.034, 0.046, 0.056, 0.054, 0.046, 0.038], [0.014, 0.021, *[thickness] * 4]

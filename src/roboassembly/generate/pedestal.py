@@ -29,7 +29,7 @@ PLATE = 0.036
 """Thickness of the plate under the seat."""
 
 
-@family("pedestal", "five feet around a hub, with cover, upholstered seat, back on a bar")
+@family("pedestal", "five feet around a hub, column with cover, upholstered seat, back on a bar")
 class PedestalChair(Design):
     """A chair of 11 to 20 parts."""
 
@@ -82,8 +82,7 @@ class PedestalChair(Design):
         plate = Blank(pad(rounded_trapezoid(0.17, 0.15, 0.20, 0.03), plate_low, plate_low + PLATE, 0.002, under=0.010))
         plate -= COLUMN_HEAD.pocket(joint_frame(plate_low * Z, -Z, X))
         outline = rounded_trapezoid(s.width, s.width - 0.05, s.depth, 0.07, steps=4)
-        edge = 0.3 * s.seat_thickness
-        seat = Blank(pad(outline, under, s.seat_height, edge, s.crown, under=0.2 * s.seat_thickness))
+        seat = Blank(pad(outline, under, s.seat_height, 0.3 * s.seat_thickness, s.crown, 0.2 * s.seat_thickness))
         for x in (-0.055, 0.055):
             a.join(SEAT_PEG, joint_frame(vector(x, -0.02, under), -Z, X), plate, seat)
 
@@ -103,15 +102,9 @@ class PedestalChair(Design):
     def foot(self, mouth: Vector, tip: Vector) -> Blank:
         """A foot along +x from the hub's flat to its tip."""
         (flat, _, z), (end, _, low) = mouth, tip
-        stations = [
-            (flat + CLEARANCE, z, 0.022, 0.050),
-            (flat + 0.06, z - 0.001, 0.027, 0.044),
-            (0.6 * end, 0.62 * z + 0.38 * low, 0.027, 0.032),
-            (end - 0.010, low, 0.030, 0.022),
-            (end + 0.012, low - 0.001, 0.028, 0.018),
-            (end + 0.018, low - 0.002, 0.018, 0.010),
-        ]
-        x, height, wide, high = np.array(stations).T
+        x = [flat + CLEARANCE, flat + 0.06, 0.6 * end, end - 0.010, end + 0.012, end + 0.018]
+        height = [z, z - 0.001, 0.62 * z + 0.38 * low, low, low - 0.001, low - 0.002]
+        wide, high = [0.022, 0.027, 0.027, 0.030, 0.028, 0.018], [0.050, 0.044, 0.032, 0.022, 0.018, 0.010]
         body = bar(x, 0.0, height, Y, Z, wide, high, 0.004) + FOOT_TENON.tongue(joint_frame(mouth, X, Z))
         under = vector(end - 0.010, 0, low - 0.011)
         if self.casters:
@@ -131,25 +124,23 @@ class PedestalChair(Design):
     def bar(self, start: Vector, bend: Vector, mouth: Vector) -> Blank:
         """A flat bar backward from the plate and up to the back, with tongues at both ends."""
         along, _ = leaning(self.rake)
-        points, tangents = [start + CLEARANCE * Y], [Y]
         begin, finish = bend - 0.07 * Y, bend + 0.07 * along
-        for t in np.linspace(0, 1, 6):
-            points.append((1 - t) ** 2 * begin + 2 * t * (1 - t) * bend + t**2 * finish)
-            tangents.append(unit(2 * (1 - t) * (bend - begin) + 2 * t * (finish - bend)))
-        points, tangents = [*points, mouth - CLEARANCE * along], [*tangents, along]
-        body = ribbon(points, tangents, X, rectangle(0.060, 0.016, 0.004))
+        shares = np.linspace(0, 1, 6)
+        curve = [(1 - t) ** 2 * begin + 2 * t * (1 - t) * bend + t**2 * finish for t in shares]
+        tangents = [unit(2 * (1 - t) * (bend - begin) + 2 * t * (finish - bend)) for t in shares]
+        points = [start + CLEARANCE * Y, *curve, mouth - CLEARANCE * along]
+        body = ribbon(points, [Y, *tangents, along], X, rectangle(0.060, 0.016, 0.004))
         body += BAR_TENON.tongue(joint_frame(start, Y, X))
         return Blank(body + BACK_TENON.tongue(joint_frame(mouth, -along, X)))
 
     def back(self, mouth: Vector) -> Blank:
         """An upholstered back, gently bent around the sitter, with a socket in its lower edge."""
         along, across = leaning(self.rake)
-        share = np.array([-1, -0.97, -0.85, -0.5, 0, 0.5, 0.85, 0.97, 1])
-        x = self.back_width / 2 * share
+        x = self.back_width / 2 * np.array([-1, -0.97, -0.85, -0.5, 0, 0.5, 0.85, 0.97, 1])
         high = self.back_height * np.array([0.62, 0.78, 0.93, 1, 1, 1, 0.93, 0.78, 0.62])
         thick = np.array([0.022, 0.032, 0.042, 0.046, 0.048, 0.046, 0.042, 0.032, 0.022])
-        forward = 0.035 * (x / (self.back_width / 2)) ** 2
-        path = polyline(mouth + self.back_height / 2 * along, (x, X), (forward, across))
+        middle, forward = mouth + self.back_height / 2 * along, 0.035 * (x / (self.back_width / 2)) ** 2
+        path = polyline(middle, (x, X), (forward, across))
         body = sweep(path, along, across, rectangles(high, thick, 0.3 * thick))
         return Blank(body - BACK_TENON.pocket(joint_frame(mouth, -along, X)))
 

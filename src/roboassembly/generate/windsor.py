@@ -1,4 +1,4 @@
-"""The Windsor: a saddled seat that carries everything, four splayed turned legs below, s and a comb above.
+"""The Windsor: a saddled seat that carries everything, four splayed turned legs below, spindles and a comb above.
 
 All spindles of a back are parallel, so that the comb can come down on them in one straight motion. Once the comb
 sits on one spindle that is in the seat, another spindle can no longer get between them. The legs are splayed and
@@ -6,8 +6,6 @@ go in one by one, along their own axes; for that reason no stretcher joins them.
 """
 
 from __future__ import annotations
-
-from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
@@ -23,6 +21,8 @@ SPINDLE_FOOT = RoundTenon(radius=0.0080, length=0.020, sides=8)
 SPINDLE_TIP = RoundTenon(radius=0.0062, length=0.022, sides=8)
 MOUTH = 0.012
 """Holes are slanted to the faces that they start from, so that a tool enters from this far outside."""
+SPAN = 0.37
+"""Distance of the outer spindles from the middle, share of the seat's width."""
 BELT = 0.032
 """Height of the rail between two rows of spindles."""
 
@@ -55,23 +55,16 @@ class WindsorChair(Design):
         y = np.sign(s) * np.abs(s) ** power * self.seat_depth / 2
         return np.column_stack([x * (1.0 - 0.06 * s), y])
 
-    @cached_property
-    def span(self) -> float:
-        """Distance of the outer spindles from the middle."""
-        return 0.37 * self.seat_width
-
-    @cached_property
-    def rear(self) -> float:
-        """Rearmost y of the row of spindles; every hole keeps clear of the seat's rounded edge."""
-        edge = self.seat_outline(200)[1:100]
-        limit = float(np.interp(self.span, edge[::-1, 0], edge[::-1, 1])) - 0.036
-        return min(self.seat_depth / 2 - 0.030, self.bow + limit)
-
     def on_back(self, x: Float[np.ndarray, "k"], z: float) -> Points:
         """Points of the row of spindles at x, moved up along the back to the height z."""
         along, _ = leaning(self.rake)
-        row = np.column_stack([x, self.rear - self.bow * (x / self.span) ** 2, np.full(len(x), self.seat_height)])
-        return row + along * (z - self.seat_height) / np.cos(self.rake)
+        span, base = SPAN * self.seat_width, self.seat_height
+        # Every hole keeps clear of the seat's rounded edge.
+        edge = self.seat_outline(200)[1:100]
+        limit = float(np.interp(span, edge[::-1, 0], edge[::-1, 1])) - 0.036
+        rear = min(self.seat_depth / 2 - 0.030, self.bow + limit)
+        row = np.stack(np.broadcast_arrays(x, rear - self.bow * (x / span) ** 2, base), axis=-1)
+        return row + along * (z - base) / np.cos(self.rake)
 
     def build(self, a: Assembly) -> None:
         s, base = self, self.seat_height
@@ -92,7 +85,7 @@ class WindsorChair(Design):
         comb_low = s.height - s.comb_height * np.cos(s.rake)
         low = base + 0.42 * (comb_low - base)
         comb, belt = Blank(self.rail(comb_low, s.comb_height, True)), Blank(self.rail(low, BELT, False))
-        xs = np.linspace(-s.span, s.span, s.spindles)
+        xs = np.linspace(-SPAN * s.seat_width, SPAN * s.seat_width, s.spindles)
         tiers = [("", xs, base - 0.001, comb_low, seat, comb)]
         if s.belt:
             # The upper row stands between the lower one, so that the belt's holes from both sides do not meet.
@@ -132,10 +125,9 @@ class WindsorChair(Design):
         """A bent rail over the row of spindles, level below at z; tapered, its ends are lower and rounded."""
         along, _ = leaning(self.rake)
         share = np.array([-1, -0.95, -0.8, -0.55, -0.28, 0.0, 0.28, 0.55, 0.8, 0.95, 1])
-        x = (self.span + 0.030) * share
-        high = (
-            np.interp(np.abs(share), [0, 0.55, 0.8, 0.95, 1], [1, 0.97, 0.88, 0.72, 0.55]) if tapered else np.ones(11)
-        )
+        x = (SPAN * self.seat_width + 0.030) * share
+        sizes = [1, 0.97, 0.88, 0.72, 0.55] if tapered else [1, 1, 1, 1, 1]
+        high = np.interp(np.abs(share), [0, 0.55, 0.8, 0.95, 1], sizes)
         thick = np.interp(np.abs(share), [0, 0.95, 1], [0.025, 0.025, 0.016])
         path = self.on_back(x, z) + along * (height * high / 2)[:, None]
         return sweep(path, along, Y, rectangles(high * height, thick, 0.004))
