@@ -74,7 +74,7 @@ def untrained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     from roboassembly.learning import checkpoint
     from roboassembly.learning.relational import network as relational
 
-    config = relational.RelationalConfig(token=16, pair=8, layers=1, heads=2, ends=4, conflicts=2)
+    config = relational.RelationalConfig(token=16, pair=8, layers=1, heads=2, conflict_inputs=4, conflicts=2)
     params = relational.init(np.random.default_rng(0), config)
     path = tmp_path_factory.mktemp("policy") / "untrained.npz"
     checkpoint.save(path, checkpoint.Checkpoint(relational.KIND, params, {"network": asdict(config)}, {}))

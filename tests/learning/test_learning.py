@@ -20,23 +20,23 @@ from roboassembly.learning.batches import padded_length
 from roboassembly.learning.datasets import SampleSet
 from roboassembly.learning.relational import imitation
 from roboassembly.learning.relational import network as relational
-from roboassembly.learning.relational.batches import pad
-from roboassembly.learning.relational.cycles import closing_bridges, closing_groups
-from roboassembly.learning.relational.features import of_pairs, of_ways
-from roboassembly.learning.relational.oracle_dataset import Teacher, answers, tokens_in
-from roboassembly.learning.relational.policy_view import Situation
-from roboassembly.learning.relational.tokens import PATCH, POINT, Memory, Tokens, tokens_of
+from roboassembly.learning.relational.cycles import closed_3_cycles, closed_4_cycles
+from roboassembly.learning.relational.features import pair_features, up_axis_features
+from roboassembly.learning.relational.group_geometry import PATCH_SIZE
+from roboassembly.learning.relational.oracle_dataset import Labeler, targets_of
+from roboassembly.learning.relational.policy_view import PolicyView
+from roboassembly.learning.relational.tokens import POINT_FEATURES, TokenCache, Tokens, pad, tokens_of, tokens_of_sample
 from roboassembly.solvers.search import solve
 
-CONFIG = relational.RelationalConfig(token=16, pair=8, layers=1, heads=2, ends=4, conflicts=2)
+CONFIG = relational.RelationalConfig(token=16, pair=8, layers=1, heads=2, conflict_inputs=4, conflicts=2)
 
 
 def course(name: str, points: int = 64) -> SampleSet:
     family, seed = name.split(":")
     furniture = catalogue.make(family, int(seed))
     clouds = np.array([surface_points(p.mesh, points) for p in furniture.parts], np.float32)
-    teacher = Teacher(furniture, clouds)
-    return SampleSet(furniture.name, clouds, teacher.play(np.random.default_rng(0)).lessons)
+    teacher = Labeler(furniture, clouds)
+    return SampleSet(furniture.name, clouds, teacher.rollout(np.random.default_rng(0)).states)
 
 
 @pytest.fixture(scope="module")
@@ -56,9 +56,9 @@ def values(params: dict, tokens: Tokens) -> np.ndarray:
 
 
 def test_tokens_do_not_depend_on_where_parts_lie() -> None:
-    one, two = (tokens_of(Situation.of(*observed(seed))) for seed in (0, 1))
+    one, two = (tokens_of(PolicyView.from_observation(*observed(seed))) for seed in (0, 1))
     assert not np.allclose(observed(0)[0]["poses"], observed(1)[0]["poses"])
-    for name in ("patch", "own", "meet", "beside", "loops", "bridges"):
+    for name in ("patch", "features", "matches", "bounds", "cycles_3", "cycles_4"):
         assert np.array_equal(getattr(one, name), getattr(two, name)), name
 
 
@@ -69,9 +69,9 @@ def test_what_is_imagined_of_a_merge_comes_true(name: str) -> None:
     plan = solve(catalogue.find(name), 0).plan
     for step in plan.steps:
         u, v, k, l, _ = step.action  # noqa: E741
-        imagined = Situation.of(observation, info["action_mask"]).after(u, k, v, l)
+        imagined = PolicyView.from_observation(observation, info["action_mask"]).after_merge(u, k, v, l)
         observation, _, _, _, info = env.step(np.array(step.action))
-        seen = Situation.of(observation, info["action_mask"])
+        seen = PolicyView.from_observation(observation, info["action_mask"])
         n = len(env.state.part_poses)
         assert np.array_equal(imagined.group[:n], seen.group[:n])
         assert np.abs(imagined.connections[..., :3] - seen.connections[..., :3]).max() < 0.003
@@ -82,9 +82,9 @@ def test_what_is_imagined_of_a_merge_comes_true(name: str) -> None:
 
 
 def test_a_memory_changes_nothing(cantilever: SampleSet) -> None:
-    memory = Memory(most=40)
+    memory = TokenCache(max_entries=40)
     for lesson in cantilever.samples:
-        fresh, remembered = tokens_in(cantilever, lesson), tokens_in(cantilever, lesson, memory)
+        fresh, remembered = tokens_of_sample(cantilever, lesson), tokens_of_sample(cantilever, lesson, memory)
         for name in Tokens.__dataclass_fields__:
             assert np.array_equal(getattr(fresh, name), getattr(remembered, name)), name
 
@@ -100,16 +100,16 @@ def test_loops_close_where_a_third_group_fits_both() -> None:
     wanted = np.zeros((6, 6), int)
     for one, two in ((0, 2), (1, 4), (3, 5)):
         wanted[one, two] = wanted[two, one] = 1
-    assert np.array_equal(closing_groups(groups, at, frame, possible), wanted)
+    assert np.array_equal(closed_3_cycles(groups, at, frame, possible), wanted)
     # Where the brace cannot go, nothing closes; neither with one that is 6 mm too long.
     without = possible.copy()
     without[3, 5] = without[5, 3] = False
-    assert not closing_groups(groups, at, frame, without).any()
+    assert not closed_3_cycles(groups, at, frame, without).any()
     longer = at.copy()
     longer[5, 2] += 0.006
-    assert not closing_groups(groups, longer, frame, possible).any()
+    assert not closed_3_cycles(groups, longer, frame, possible).any()
     # Two groups close no loop.
-    assert not closing_groups(groups[:2], at, frame, possible).any()
+    assert not closed_3_cycles(groups[:2], at, frame, possible).any()
 
 
 def test_bridges_close_where_two_groups_reach_as_far() -> None:
@@ -122,7 +122,7 @@ def test_bridges_close_where_two_groups_reach_as_far() -> None:
     groups = [np.array([2 * i, 2 * i + 1]) for i in range(5)]
     possible = normal @ normal.T < -0.5
     possible &= ~np.kron(np.eye(5, dtype=bool), np.ones((2, 2), bool))
-    found = closing_bridges(groups, at, frame, possible)
+    found = closed_4_cycles(groups, at, frame, possible)
     assert np.array_equal(found, found.T)
     # Each end of the two equal rods may take either hole of a post, the other rod and the other post being witnesses.
     assert found[0, 4] == found[1, 4] == found[2, 5] == found[3, 5] == found[1, 6] == 2
@@ -133,10 +133,11 @@ def test_bridges_close_where_two_groups_reach_as_far() -> None:
 def test_features_of_a_pair_by_hand() -> None:
     # A point on top of a group 1 m wide and 0.2 m high, and one below another, 0.4 m wide and high.
     frame = np.array([np.eye(3), np.diag([1.0, -1.0, -1.0])])
-    own = np.zeros((2, POINT), np.float32)
+    own = np.zeros((2, POINT_FEATURES), np.float32)
     own[:, 0], own[:, -1] = (0.2, 0.4), 1.0
     tokens = Tokens(
-        np.arange(2), np.zeros(2, int), np.arange(2), np.zeros((2, PATCH), np.uint8), own, frame.astype(np.float32),
+        np.arange(2), np.zeros(2, int), np.arange(2), np.zeros((2, PATCH_SIZE), np.uint8), own,
+        frame.astype(np.float32),
         np.array([[0.0, 0.0, 0.2], [0.1, 0.0, 0.0]], np.float32),
         np.array([[1.0, 1.0, 0.2], [0.4, 0.4, 0.4]], np.float32),
         np.zeros((2, 2, 4), np.uint8), np.array([[[0.0] * 6, [-0.4, -0.3, -0.2, 0.2, 0.3, -0.4]]] * 2, np.float32),
@@ -144,7 +145,7 @@ def test_features_of_a_pair_by_hand() -> None:
     )  # fmt: skip
     t = pad([tokens], 2)
     valid = ~np.eye(2, dtype=bool)[None]
-    pair = of_pairs({k: v.astype(np.float32) for k, v in t.items()}, valid)[0]
+    pair = pair_features({k: v.astype(np.float32) for k, v in t.items()}, valid)[0]
     assert not pair[0, 0].any()
     cosine, diagonal, shift, same_way, sizes = np.split(pair[0, 1, 10:20], [1, 4, 7, 8])
     assert (cosine, same_way) == (1.0, 1.0)
@@ -153,7 +154,7 @@ def test_features_of_a_pair_by_hand() -> None:
     assert np.allclose(sizes, [0.2, 0.4])
     assert np.allclose(pair[0, 1, 21:24], [1.0, 1.0, 0.2])  # the moving group's extent
     assert np.allclose(pair[0, 1, 24:], [1, 1, 1, 2 / 3, np.log(3), 1, 1, 1, 1, 0.1, np.log(4), 1, 1, 1, 1])
-    way = of_ways({k: v.astype(np.float32) for k, v in t.items()})[0, 0, 1]
+    way = up_axis_features({k: v.astype(np.float32) for k, v in t.items()})[0, 0, 1]
     up = way[0]  # its lowest point is 0.2 m lower than the waiting group's with +z up, its highest 0.4 m
     assert np.allclose(up[[0, 2, 4, 5]], [-0.4, -0.8, -1.0, 2 * -0.5], atol=1e-6)
     assert np.allclose(way[1, [0, 2]], [0.8, 0.4], atol=1e-6)  # upside down
@@ -165,8 +166,8 @@ def test_values_follow_a_renumbering_of_parts() -> None:
     shuffled = {k: v[order] for k, v in observation.items()}
     shuffled["connections"] = shuffled["connections"][:, order]
     params = relational.init(np.random.default_rng(0), CONFIG)
-    plain = tokens_of(Situation.of(observation, mask))
-    turned = tokens_of(Situation.of(shuffled, mask[order][:, order]))
+    plain = tokens_of(PolicyView.from_observation(observation, mask))
+    turned = tokens_of(PolicyView.from_observation(shuffled, mask[order][:, order]))
     where = {(int(order[p]), int(k)): i for i, (p, k) in enumerate(zip(turned.part, turned.point, strict=True))}
     index = [where[int(p), int(k)] for p, k in zip(plain.part, plain.point, strict=True)]
     assert np.allclose(values(params, turned)[np.ix_(index, index)], values(params, plain), atol=1e-4)
@@ -174,7 +175,7 @@ def test_values_follow_a_renumbering_of_parts() -> None:
 
 def test_numpy_and_jax_say_the_same_and_padding_changes_nothing(cantilever: SampleSet) -> None:
     params = relational.init(np.random.default_rng(0), CONFIG)
-    tokens = [tokens_in(cantilever, lesson) for lesson in cantilever.samples]
+    tokens = [tokens_of_sample(cantilever, lesson) for lesson in cantilever.samples]
     n = [len(t.part) for t in tokens]
     narrow, wide = (pad(tokens, size) for size in (padded_length(max(n)), 48))
     here = relational.apply(params, narrow)
@@ -187,11 +188,13 @@ def test_numpy_and_jax_say_the_same_and_padding_changes_nothing(cantilever: Samp
 
 def test_views_are_averaged(cantilever: SampleSet) -> None:
     params = relational.init(np.random.default_rng(0), CONFIG)
-    tokens = tokens_in(cantilever, cantilever.samples[0])
+    tokens = tokens_of_sample(cantilever, cantilever.samples[0])
     alone = relational.values(params, tokens)
     assert np.array_equal(alone, relational.values(params, tokens, AUGMENTATIONS[:1]))
     other = augmented(cantilever, AUGMENTATIONS[5])
-    turned = relational.values(params, tokens_in(other, other.samples[0]))[..., up_axis_permutation(AUGMENTATIONS[5])]
+    turned = relational.values(params, tokens_of_sample(other, other.samples[0]))[
+        ..., up_axis_permutation(AUGMENTATIONS[5])
+    ]
     both = relational.values(params, tokens, (AUGMENTATIONS[0], AUGMENTATIONS[5]))
     valid = np.isfinite(alone)
     assert np.allclose(both[valid], 0.5 * (alone + turned)[valid], atol=1e-2)
@@ -211,8 +214,8 @@ def test_lessons_say_what_the_oracle_says(cantilever: SampleSet) -> None:
     """Four parts: three lessons; in each something is good, and whatever is good is right."""
     assert len(cantilever.samples) == 3
     for lesson in cantilever.samples:
-        tokens = tokens_in(cantilever, lesson)
-        right, good = answers(tokens, lesson)
+        tokens = tokens_of_sample(cantilever, lesson)
+        right, good = targets_of(tokens, lesson)
         assert good.any()
         assert (good.any(axis=2) <= right.astype(bool)).all()
         different = tokens.group[:, None] != tokens.group[None]
@@ -238,33 +241,33 @@ def test_a_course_survives_a_file_and_a_broken_one_is_told(cantilever: SampleSet
 
 
 def test_a_student_that_errs_is_set_right(cantilever: SampleSet) -> None:
-    teacher = Teacher(catalogue.make("cantilever", 1), cantilever.clouds)
+    teacher = Labeler(catalogue.make("cantilever", 1), cantilever.clouds)
 
     def hopeless(tokens: Tokens) -> tuple[int, int, int]:
         return 0, 0, 0
 
-    play = teacher.play(np.random.default_rng(0), hopeless)
-    assert len(play.lessons) == play.mistakes == 3
+    play = teacher.rollout(np.random.default_rng(0), hopeless)
+    assert len(play.states) == play.mistakes == 3
 
 
 def test_dead_ends_are_lessons_too() -> None:
     furniture = catalogue.make("windsor", 0)
     clouds = np.array([surface_points(p.mesh, 64) for p in furniture.parts], np.float32)
-    teacher = Teacher(furniture, clouds)
-    play = teacher.play(np.random.default_rng(1))
-    assert len(play.lessons) == len(furniture.parts) - 1
+    teacher = Labeler(furniture, clouds)
+    play = teacher.rollout(np.random.default_rng(1))
+    assert len(play.states) == len(furniture.parts) - 1
     assert len(play.dead_ends) > 2
     for lesson in play.dead_ends:
         assert not lesson.mates[:, 4].any()
-    taught = imitation.examples_of([SampleSet("windsor:0", clouds, (*play.lessons, *play.dead_ends))])
-    assert [e.good.any() for e in taught] == [True] * len(play.lessons) + [False] * len(play.dead_ends)
+    taught = imitation.examples_of([SampleSet("windsor:0", clouds, (*play.states, *play.dead_ends))])
+    assert [e.good.any() for e in taught] == [True] * len(play.states) + [False] * len(play.dead_ends)
     # What is learnt of them is that nothing is good; which choice is made there does not matter.
     params = relational.init(np.random.default_rng(0), CONFIG)
     dead = [e for e in taught if not e.good.any()][:2]
     _, terms = imitation.losses(params, imitation.batch_of(dead, padded_length(max(len(e.right) for e in dead))))
     assert not np.asarray(terms["choice"]).any()
     assert (np.asarray(terms["values"]) > 0.0).all()
-    assert imitation.share_good(params, taught) == imitation.share_good(params, taught[: len(play.lessons)])
+    assert imitation.share_good(params, taught) == imitation.share_good(params, taught[: len(play.states)])
 
 
 def test_a_gradient_is_the_same_in_pieces(cantilever: SampleSet) -> None:

@@ -26,11 +26,11 @@ from roboassembly.learning.policy import ConfidentPolicy, RandomPolicy, guide_of
 from roboassembly.learning.registry import load_policy
 from roboassembly.learning.relational import network as relational
 from roboassembly.learning.relational.policy import RelationalPolicy
-from roboassembly.learning.relational.policy_view import Situation
+from roboassembly.learning.relational.policy_view import PolicyView
 from roboassembly.learning.relational.tokens import tokens_of
 from roboassembly.solvers.search import solve
 
-CONFIG = relational.RelationalConfig(token=16, pair=8, layers=1, heads=2, ends=4, conflicts=2)
+CONFIG = relational.RelationalConfig(token=16, pair=8, layers=1, heads=2, conflict_inputs=4, conflicts=2)
 
 
 @pytest.fixture(scope="module")
@@ -61,8 +61,8 @@ def test_rounding_does_not_choose_between_equal_parts(monkeypatch: pytest.Monkey
     chosen = policy.act(observation, mask)
     exact, rng = relational.values, np.random.default_rng(0)
 
-    def noisy(params, tokens, views):
-        q = exact(params, tokens, views)
+    def noisy(params, tokens, augmentations):
+        q = exact(params, tokens, augmentations)
         return q + rng.uniform(-1e-6, 1e-6, size=q.shape).astype(np.float32)
 
     monkeypatch.setattr(relational, "values", noisy)
@@ -76,8 +76,8 @@ def test_values_are_the_networks_at_the_right_places(params: dict, seen) -> None
     values = policy.values(observation, mask)
     assert values.dtype == np.float32
     np.testing.assert_array_equal(np.isfinite(values), mask)
-    tokens = tokens_of(Situation.of(observation, mask))
-    row, column, w = relational.best(params, tokens)
+    tokens = tokens_of(PolicyView.from_observation(observation, mask))
+    row, column, w = relational.best_action(params, tokens)
     best = (tokens.part[row], tokens.part[column], tokens.point[row], tokens.point[column], w)
     assert values[best] == values.max()
     q = relational.values(params, tokens)
@@ -85,7 +85,7 @@ def test_values_are_the_networks_at_the_right_places(params: dict, seen) -> None
     for i, j in rng.integers(len(tokens.part), size=(50, 2)):
         here = values[tokens.part[i], tokens.part[j], tokens.point[i], tokens.point[j]]
         np.testing.assert_allclose(here, q[i, j], rtol=0, atol=0.00051)
-    action = replace(policy, ahead=0).act(observation, mask)
+    action = replace(policy, beam_width=0).act(observation, mask)
     assert mask[tuple(action)]
     assert values[tuple(action)] >= values.max() - 1e-3
     chance = policy.probabilities(observation, mask)
@@ -99,9 +99,9 @@ class _Told(RelationalPolicy):
     worth: ClassVar[dict[frozenset, float]] = {}
     first: ClassVar[list[tuple[int, ...]]] = []
 
-    def _values(self, situation: Situation) -> np.ndarray:
-        values = np.full(situation.actions, -np.inf, np.float32)
-        exist = [a for a in self.first if situation.group[a[0]] != situation.group[a[1]]]
+    def pair_values(self, view: PolicyView) -> np.ndarray:
+        values = np.full(view.action_shape, -np.inf, np.float32)
+        exist = [a for a in self.first if view.group[a[0]] != view.group[a[1]]]
         joined = frozenset(a for a in self.first if a not in exist)
         for a in exist:
             values[a] = self.worth.get(joined | {a}, -3.0)
@@ -116,19 +116,19 @@ def test_a_plan_in_imagination_gives_up_what_looks_best_but_leads_nowhere() -> N
     a = free[0]
     b = next(x for x in free if len({x[0], x[1], a[0], a[1]}) == 4)
     c = next(x for x in free if len({x[0], x[1], a[0], a[1], b[0], b[1]}) == 6)
-    policy = _Told({}, ahead=3)
+    policy = _Told({}, beam_width=3)
     _Told.first = [a, b, c]
     # a looks best and ruins what is left; b and c help each other.
     _Told.worth = {
         frozenset({a}): 3.0, frozenset({b}): 2.0, frozenset({c}): 1.0,
         frozenset({a, b}): -4.0, frozenset({a, c}): -4.0, frozenset({b, c}): 5.0,
     }  # fmt: skip
-    assert tuple(replace(policy, ahead=0).act(observation, mask)) == a
+    assert tuple(replace(policy, beam_width=0).act(observation, mask)) == a
     assert tuple(policy.act(observation, mask)) == b
     # Two merges deep, b before c and c before b are one plan, which begins with the surer.
-    assert tuple(replace(policy, depth=2).act(observation, mask)) == b
+    assert tuple(replace(policy, beam_depth=2).act(observation, mask)) == b
     _Told.worth[frozenset({c})] = 2.5
-    assert tuple(replace(policy, depth=2).act(observation, mask)) == c
+    assert tuple(replace(policy, beam_depth=2).act(observation, mask)) == c
 
 
 def test_the_surest_is_the_first_of_those_within_rounding() -> None:
@@ -188,7 +188,7 @@ BAD: dict[str, tuple[Callable[[dict], dict], object, str]] = {
     "heads": (dict, {**NETWORK, "heads": 3}, "3 heads do not divide tokens of 16"),
     "other sizes": (dict, {**NETWORK, "token": 32}, r"'/patch/1/w' is float32 \(128, 16\); .* \(128, 32\)"),
     "more layers": (dict, {**NETWORK, "layers": 2}, r"at '/blocks' it lacks \['1'\]"),
-    "array gone": (lambda p: _without(p, "judge", "0", "b"), NETWORK, r"at '/judge/0' it lacks \['b'\]"),
+    "array gone": (lambda p: _without(p, "pair", "0", "b"), NETWORK, r"at '/pair/0' it lacks \['b'\]"),
     "array more": (lambda p: {**p, "z": np.zeros(2, np.float32)}, NETWORK, r"has \['z'\] besides"),
     "not nested": (lambda p: {**p, "q": np.zeros(2, np.float32)}, NETWORK, "'/q' is not what"),
     "whole numbers": (lambda p: {**p, "q": {"w": np.zeros((32, 1), int), "b": p["q"]["b"]}}, NETWORK, "int64"),

@@ -54,7 +54,7 @@ PAPER: dict[SettingName, dict[str, float]] = {
 _UNSEEN = ", families in no training"
 _OFTEN = 5.0
 """Seconds after which the time that a stage has taken is written down again."""
-_TINY = RelationalConfig(token=32, pair=16, layers=1, heads=2, ends=8, conflicts=2)
+_TINY = RelationalConfig(token=32, pair=16, layers=1, heads=2, conflict_inputs=8, conflicts=2)
 
 
 def begin(setting: SettingName) -> str:

@@ -30,6 +30,16 @@ def mating_pose(v_from_point: SE3, u_from_point: SE3, gap: float = 0.0) -> SE3:
     return mated_frame(v_from_point, gap) * u_from_point.inverse()
 
 
+def point_frames(points: Any) -> Any:
+    """Return the (..., 3, 3) rotation matrices `part_from_point` of (..., 9) points: position, normal and tangent.
+
+    Works on NumPy and on JAX arrays.
+    """
+    xp = points.__array_namespace__()
+    normal, tangent = points[..., 3:6], points[..., 6:9]
+    return xp.stack([tangent, xp.cross(normal, tangent), normal], axis=-1)
+
+
 def mating_rotations(u_frames: Any, v_frames: Any) -> Any:
     """Return `v_from_u` rotations for every point of u on every point of v.
 
@@ -49,25 +59,29 @@ def mating_rotations(u_frames: Any, v_frames: Any) -> Any:
 
 
 def mating_poses(
-    u_frames: Float[np.ndarray, "*n k 3 3"],
-    u_origins: Float[np.ndarray, "*n k 3"],
-    v_frames: Float[np.ndarray, "*n l 3 3"],
-    v_origins: Float[np.ndarray, "*n l 3"],
-    gaps: Float[np.ndarray, "*n k l"] | float = 0.0,
-) -> tuple[Float[np.ndarray, "*n k l 3 3"], Float[np.ndarray, "*n k l 3"]]:
+    u_frames: Any, u_origins: Any, v_frames: Any, v_origins: Any, gaps: Any = None
+) -> tuple[Any, Any]:  # fmt: skip
     """Return rotations and translations [m] of `v_from_u` for every point of u on every point of v.
 
+    Works on NumPy and on JAX arrays.
+
     Args:
-        u_frames: rotation matrices `u_from_point`.
-        u_origins: positions of the points of u [m].
-        v_frames: rotation matrices `v_from_point`.
-        v_origins: positions of the points of v [m].
-        gaps: distance between the points of each pair along the normal [m].
+        u_frames: rotation matrices `u_from_point`, shape `(..., k, 3, 3)`.
+        u_origins: positions of the points of u, shape `(..., k, 3)` [m].
+        v_frames: rotation matrices `v_from_point`, shape `(..., l, 3, 3)`.
+        v_origins: positions of the points of v, shape `(..., l, 3)` [m].
+        gaps: distance between the points of each pair along the normal, one for all or shape `(..., k, l)` [m]; 0 if
+            None.
+
+    Returns:
+        Rotation matrices, shape `(..., k, l, 3, 3)`, and translations, shape `(..., k, l, 3)`.
     """
+    xp = u_frames.__array_namespace__()
     rotations = mating_rotations(u_frames, v_frames)
-    gap = np.broadcast_to(np.asarray(gaps, v_origins.dtype), rotations.shape[:-2])
-    met = v_origins[..., None, :, :] + gap[..., None] * v_frames[..., None, :, :, 2]
-    return rotations, met - np.einsum("...klij,...kj->...kli", rotations, u_origins)
+    met = v_origins[..., None, :, :]
+    if gaps is not None:
+        met = met + xp.asarray(gaps, dtype=v_origins.dtype)[..., None] * v_frames[..., None, :, :, 2]
+    return rotations, met - xp.einsum("...klij,...kj->...kli", rotations, u_origins)
 
 
 def distinct_directions(directions: Sequence[Float[np.ndarray, "3"]]) -> list[Float[np.ndarray, "3"]]:

@@ -12,11 +12,10 @@ from roboassembly.envs.observation import Observer, surface_points
 from roboassembly.furniture.model import MAX_POINTS
 from roboassembly.learning.augmentation import AUGMENTATIONS, FrameChange, augmented, up_axis_permutation
 from roboassembly.learning.datasets import SampleSet
-from roboassembly.learning.relational.augmentation import seen
-from roboassembly.learning.relational.batches import pad
-from roboassembly.learning.relational.features import of_ways
-from roboassembly.learning.relational.oracle_dataset import Teacher, answers, tokens_in
-from roboassembly.learning.relational.tokens import Tokens
+from roboassembly.learning.relational.augmentation import augment_tokens
+from roboassembly.learning.relational.features import up_axis_features
+from roboassembly.learning.relational.oracle_dataset import Labeler, targets_of
+from roboassembly.learning.relational.tokens import Tokens, pad, tokens_of_sample
 from roboassembly.task.rules.connections import UP_AXES
 
 
@@ -25,7 +24,7 @@ def course() -> SampleSet:
     furniture = catalogue.make("three_legged", 1, with_grasps=True)
     clouds = np.array([surface_points(p.mesh, 96) for p in furniture.parts], np.float32)
     hands = Observer(furniture, len(furniture.parts), MAX_POINTS, 1).grasp_poses
-    lessons = Teacher(furniture, clouds).play(np.random.default_rng(0)).lessons
+    lessons = Labeler(furniture, clouds).rollout(np.random.default_rng(0)).states
     n = int(lessons[1].free.sum())
     valued = replace(lessons[1], q_values=np.random.default_rng(1).normal(size=(n, n, 6)).astype(np.float16))
     return SampleSet(furniture.name, clouds, (lessons[0], valued, *lessons[2:]), hands)
@@ -40,7 +39,7 @@ def test_a_change_by_hand() -> None:
 
 
 def ways(tokens: Tokens) -> np.ndarray:
-    return of_ways(pad([tokens], len(tokens.part)))[0]
+    return up_axis_features(pad([tokens], len(tokens.part)))[0]
 
 
 @pytest.mark.parametrize("turns", [0, 1, 2, 3])
@@ -50,13 +49,13 @@ def test_what_fits_what_stays_and_ways_follow_their_axes(course: SampleSet, turn
     other = augmented(course, change)
     order = [int(np.argmax(UP_AXES @ (change.matrix @ axis))) for axis in UP_AXES]
     for before, after in zip(course.samples, other.samples, strict=True):
-        a, b = tokens_in(course, before), tokens_in(other, after)
+        a, b = tokens_of_sample(course, before), tokens_of_sample(other, after)
         # How other points would meet, and how high the groups would stand with each axis up.
-        for name in ("meet", "loops", "bridges"):
+        for name in ("matches", "cycles_3", "cycles_4"):
             assert np.array_equal(getattr(a, name), getattr(b, name)), name
         assert np.allclose(ways(a), ways(b)[:, :, order], atol=2e-3)
-        right, good = answers(a, before)
-        right_after, good_after = answers(b, after)
+        right, good = targets_of(a, before)
+        right_after, good_after = targets_of(b, after)
         assert np.array_equal(right, right_after)
         assert np.array_equal(good, good_after[:, :, order])
         if before.q_values is not None and after.q_values is not None:
@@ -67,14 +66,14 @@ def test_what_fits_what_stays_and_ways_follow_their_axes(course: SampleSet, turn
 def test_tokens_can_be_changed_without_the_clouds(course: SampleSet, change: FrameChange) -> None:
     other = augmented(course, change)
     for before, after in zip(course.samples, other.samples, strict=True):
-        told, wanted = seen(tokens_in(course, before), change), tokens_in(other, after)
+        told, wanted = augment_tokens(tokens_of_sample(course, before), change), tokens_of_sample(other, after)
         assert np.abs(told.patch.astype(int) - wanted.patch).max() <= 1
-        for name in set(Tokens.__dataclass_fields__) - {"patch", "hold", "room"}:
+        for name in set(Tokens.__dataclass_fields__) - {"patch", "grasps", "clearance"}:
             assert np.allclose(getattr(told, name), getattr(wanted, name), atol=1e-5), name
-        _, good = answers(tokens_in(course, before), before)
-        assert np.array_equal(answers(wanted, after)[1][:, :, up_axis_permutation(change)], good)
+        _, good = targets_of(tokens_of_sample(course, before), before)
+        assert np.array_equal(targets_of(wanted, after)[1][:, :, up_axis_permutation(change)], good)
     with pytest.raises(ValueError, match="clouds"):
-        seen(told, FrameChange(scale=2.0))
+        augment_tokens(told, FrameChange(scale=2.0))
 
 
 @pytest.mark.parametrize("change", AUGMENTATIONS)
@@ -87,8 +86,8 @@ def test_hands_are_mirrored_and_turned_with_the_parts(course: SampleSet, change:
     assert np.array_equal(other.grasps.any(axis=2), there)
     np.testing.assert_allclose(other.grasps[there][:, :3], course.grasps[there][:, :3] @ change.matrix.T, atol=1e-6)
     for before, after in zip(course.samples, other.samples, strict=True):
-        told, wanted = seen(tokens_in(course, before), change), tokens_in(other, after)
-        for a, b in ((told.hold, wanted.hold), (told.room, wanted.room)):
+        told, wanted = augment_tokens(tokens_of_sample(course, before), change), tokens_of_sample(other, after)
+        for a, b in ((told.grasps, wanted.grasps), (told.clearance, wanted.clearance)):
             assert a is not None
             assert b is not None
             # The meshes of the two fingers are each other's mirror image but for a millimetre, a tenth of the scale.

@@ -31,7 +31,7 @@ from roboassembly.learning.paper.autoencoder import CLOUD_POINTS
 from roboassembly.learning.paper.imitation import Augmentation, Example, Training
 from roboassembly.learning.paper.network import PaperConfig, PaperPolicy, PaperState
 from roboassembly.learning.registry import load_policy
-from roboassembly.learning.relational.oracle_dataset import Teacher
+from roboassembly.learning.relational.oracle_dataset import Labeler
 from roboassembly.solvers.hand_oracle import HandOracle
 from roboassembly.solvers.oracle import Oracle
 from roboassembly.task.full.task import FullTask
@@ -52,12 +52,12 @@ def chair() -> Furniture:
 @pytest.fixture(scope="module")
 def course(chair: Furniture) -> SampleSet:
     clouds = np.array([surface_points(p.mesh, CLOUD_POINTS) for p in chair.parts], np.float32)
-    teacher = Teacher(chair, clouds)
+    teacher = Labeler(chair, clouds)
     lessons = {}
     for seed in range(8):
-        for lesson in teacher.play(np.random.default_rng(seed)).lessons:
+        for lesson in teacher.rollout(np.random.default_rng(seed)).states:
             lessons.setdefault(lesson.group.tobytes(), lesson)
-    return replace(teacher.course, samples=tuple(lessons.values()))
+    return teacher.sample_set(tuple(lessons.values()))
 
 
 @pytest.fixture(scope="module")
@@ -175,14 +175,14 @@ def test_with_robots_what_both_grasps_add_is_taught_and_chosen(tmp_path: Path) -
     stand = shapes.stand()
     task = FullTask(stand)
     clouds = np.array([surface_points(p.mesh, CLOUD_POINTS) for p in stand.parts], np.float32)
-    teacher = Teacher(stand, clouds, HandOracle(task))
+    teacher = Labeler(stand, clouds, HandOracle(task))
     rng = np.random.default_rng(0)
     hands = Observer(stand, 4, 10, 1).observe(task.initial_state(rng).groups)["grasp_regions"].reshape(4, 8, 6)
     lessons = []
-    for lesson in teacher.play(rng).lessons:
+    for lesson in teacher.rollout(rng).states:
         n = int(lesson.free.sum())
         lessons.append(replace(lesson, q_values=rng.uniform(0.0, 4.0, (n, n, 16)).astype(np.float16)))
-    course = replace(teacher.course, samples=tuple(lessons), grasps=hands)
+    course = replace(teacher.sample_set(lessons), grasps=hands)
     course.save(tmp_path / "stand.npz")
     again = SampleSet.load(tmp_path / "stand.npz")
     assert again.grasps is not None

@@ -24,12 +24,12 @@ from roboassembly.learning.progress import Progress
 from roboassembly.learning.registry import load_policy
 from roboassembly.learning.relational import imitation
 from roboassembly.learning.relational import network as relational
-from roboassembly.learning.relational.collect import gather, hands_of
-from roboassembly.learning.relational.oracle_dataset import tokens_in
+from roboassembly.learning.relational.collect import collect, grasp_folder
 from roboassembly.learning.relational.pipeline import Curriculum, teach
 from roboassembly.learning.relational.policy import RelationalPolicy
+from roboassembly.learning.relational.tokens import tokens_of_sample
 
-TINY = relational.RelationalConfig(token=16, pair=8, layers=1, heads=2, ends=4, conflicts=2)
+TINY = relational.RelationalConfig(token=16, pair=8, layers=1, heads=2, conflict_inputs=4, conflicts=2)
 SMALL = Curriculum(
     set="chairs-24:train", extra=1, validation=1, plays=1, rounds=1, steps=12, round_steps=6, batch=2, seed=3,
     network=TINY,
@@ -54,32 +54,32 @@ def test_extra_names_are_of_seen_families_and_of_no_data_set() -> None:
 
 def test_lessons_are_gathered_once_and_by_the_student(tmp_path: Path) -> None:
     names = ["cantilever:1", "three_legged:1"]
-    first = list(gather(names, tmp_path / "0", plays=2, seed=0, jobs=1))
+    first = list(collect(names, tmp_path / "0", episodes=2, seed=0, jobs=1))
     assert [g.name for g in first] == names
-    assert not list(gather(names, tmp_path / "0", plays=2, seed=0, jobs=1))
+    assert not list(collect(names, tmp_path / "0", episodes=2, seed=0, jobs=1))
     courses = load_samples(tmp_path / "0", names)
     assert [len(c.samples) for c in courses] == [g.states for g in first]
     # Another run gives the same; a student that knows nothing errs and is corrected: every play still ends well.
-    again = list(gather(names, tmp_path / "again", plays=2, seed=0, jobs=1))
+    again = list(collect(names, tmp_path / "again", episodes=2, seed=0, jobs=1))
     assert [g.states for g in again] == [g.states for g in first]
     fresh = relational.init(np.random.default_rng(0), TINY)
     student = tmp_path / "student.npz"
     checkpoint.save(student, checkpoint.Checkpoint(relational.KIND, fresh, {}, {}))
-    taught = list(gather(names[:1], tmp_path / "1", plays=1, seed=0, jobs=1, student=student))
+    taught = list(collect(names[:1], tmp_path / "1", episodes=1, seed=0, jobs=1, policy=student))
     assert taught[0].choices == 3  # four parts
     assert 0 < taught[0].mistakes <= 3
 
 
 def test_a_student_that_knows_hands_plays_with_them(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
-    params = relational.init(rng, TINY) | relational.init_hands(rng, TINY)
+    params = relational.init(rng, TINY) | relational.init_grasp_inputs(rng, TINY)
     student = tmp_path / "student.npz"
     checkpoint.save(student, checkpoint.Checkpoint(relational.KIND, params, {}, {}))
-    (taught,) = gather(["cantilever:1"], tmp_path / "0", plays=1, seed=0, jobs=1, student=student, setting="full")
+    (taught,) = collect(["cantilever:1"], tmp_path / "0", episodes=1, seed=0, jobs=1, policy=student, setting="full")
     assert taught.choices == 3
     (course,) = load_samples(tmp_path / "0", ["cantilever:1"])
     assert course.grasps is not None
-    assert tokens_in(course, course.samples[0]).hold is not None
+    assert tokens_of_sample(course, course.samples[0]).grasps is not None
 
 
 @pytest.mark.slow
@@ -101,16 +101,16 @@ def test_a_curriculum_with_robots_ends_in_one_policy_for_both_settings(
     stages = {p.stage for p in teach(curriculum, folder, 1)}
     assert {"lessons 0", "policy 0", "grasps", "practice 1"} <= stages
     assert all(dataset_file(folder / "practice" / "1", name).is_file() for name in two_chairs[:1])
-    assert all(dataset_file(hands_of(folder / "lessons" / "0"), name).is_file() for name in two_chairs[:1])
+    assert all(dataset_file(grasp_folder(folder / "lessons" / "0"), name).is_file() for name in two_chairs[:1])
     policy = load_policy(str(folder / "policy.npz"))
     assert isinstance(policy, RelationalPolicy)
     assert policy.settings == ("object-centric", "full")
-    assert policy.held is not None
+    assert policy.full_params is not None
     before = checkpoint.load(start, relational.KIND).params
     # The one setting is what it was; for the other both networks have learnt.
     flat = dict(_flat(policy.params))
     assert all(np.array_equal(v, flat[k]) for k, v in _flat(before))
-    assert any(not np.array_equal(v, flat[k]) for k, v in _flat(policy.held))
+    assert any(not np.array_equal(v, flat[k]) for k, v in _flat(policy.full_params))
     assert {p.stage for p in teach(curriculum, folder, 1)} == set()
 
 
@@ -149,7 +149,7 @@ def test_a_curriculum_goes_on_where_it_was_stopped(two_chairs: list[str], tmp_pa
 
 
 def test_the_papers_policy_is_taught_from_folders_of_lessons(tmp_path: Path) -> None:
-    list(gather(["cantilever:1"], tmp_path / "lessons", plays=1, seed=0, jobs=1))
+    list(collect(["cantilever:1"], tmp_path / "lessons", episodes=1, seed=0, jobs=1))
     encoder = autoencoder.init(np.random.default_rng(0))
     extractor = tmp_path / "autoencoder.npz"
     checkpoint.save(extractor, checkpoint.Checkpoint(autoencoder.KIND, encoder, {}, {}))
@@ -159,7 +159,7 @@ def test_the_papers_policy_is_taught_from_folders_of_lessons(tmp_path: Path) -> 
     policy = load_policy(str(tmp_path / "run" / "policy.npz"))
     assert run_episode(policy, catalogue.make("cantilever", 1), 0).merges in range(4)
     # More lessons are another run's.
-    list(gather(["cantilever:5"], tmp_path / "lessons", plays=1, seed=0, jobs=1))
+    list(collect(["cantilever:5"], tmp_path / "lessons", episodes=1, seed=0, jobs=1))
     with pytest.raises(InputError, match="other samples"):
         list(teach_paper([tmp_path / "lessons"], extractor, tmp_path / "run", training))
     with pytest.raises(InputError, match="no samples"):
@@ -167,7 +167,7 @@ def test_the_papers_policy_is_taught_from_folders_of_lessons(tmp_path: Path) -> 
 
 
 def test_share_good_counts_states_whose_surest_action_leads_on(tmp_path: Path) -> None:
-    list(gather(["cantilever:1"], tmp_path, plays=1, seed=0, jobs=1))
+    list(collect(["cantilever:1"], tmp_path, episodes=1, seed=0, jobs=1))
     examples = imitation.load_examples(tmp_path, ["cantilever:1"], 1)
     params = relational.init(np.random.default_rng(1), TINY)
     good = []

@@ -1,4 +1,4 @@
-"""Augmentation of tokens: turned and mirrored furniture, without its clouds."""
+"""Augmentation of tokens: the tokens of turned or mirrored furniture, without its clouds."""
 
 from __future__ import annotations
 
@@ -7,41 +7,40 @@ from dataclasses import replace
 import numpy as np
 
 from roboassembly.learning.augmentation import FrameChange
-from roboassembly.learning.relational.clearance import MIRRORED
-from roboassembly.learning.relational.tokens import GRID_STEPS, Tokens
+from roboassembly.learning.relational.clearance import MIRROR_SIGNS
+from roboassembly.learning.relational.group_geometry import PATCH_STEPS
+from roboassembly.learning.relational.tokens import Tokens
 
 
-def seen(tokens: Tokens, change: FrameChange) -> Tokens:
-    """The same tokens of furniture so changed, as `augmented` and `tokens_in` would give them; the size stays.
+def augment_tokens(tokens: Tokens, change: FrameChange) -> Tokens:
+    """Return the tokens of the changed furniture, as its clouds would give them.
 
     Raises:
-        ValueError: the change is of size.
+        ValueError: the change scales; scaled tokens need the clouds.
     """
     if change.scale != 1.0:
-        raise ValueError(f"a change of size ({change.scale}) needs the clouds")
+        raise ValueError(f"a change of scale ({change.scale}) needs the clouds")
     m = change.matrix
     side = np.diag(change.side)
-    own = tokens.own.copy()
-    own[:, 2:5] = tokens.own[:, 2:5] * side
-    own[:, 5:8] = tokens.own[:, 5:8] @ np.abs(m).T
+    features = tokens.features.copy()
+    features[:, 2:5] = tokens.features[:, 2:5] * side
+    features[:, 5:8] = tokens.features[:, 5:8] @ np.abs(m).T
     for first in (8, 11, 14):
-        own[:, first : first + 3] = tokens.own[:, first : first + 3] @ m.T
-    patch = tokens.patch
+        features[:, first : first + 3] = tokens.features[:, first : first + 3] @ m.T
+    patch, grasps = tokens.patch, tokens.grasps
     if change.mirrored:
-        patch = patch.reshape(len(patch), len(GRID_STEPS), 5, 5, 5)[:, :, :, ::-1].reshape(patch.shape)
-    hold = tokens.hold
-    if hold is not None and change.mirrored:
-        hold = hold * MIRRORED
-    low, high = tokens.beside[..., :3], tokens.beside[..., 3:]
+        patch = patch.reshape(len(patch), len(PATCH_STEPS), 5, 5, 5)[:, :, :, ::-1].reshape(patch.shape)
+        grasps = None if grasps is None else grasps * MIRROR_SIGNS
+    low, high = tokens.bounds[..., :3], tokens.bounds[..., 3:]
     ahead, back = np.maximum(m, 0.0).T, np.maximum(-m, 0.0).T
-    beside = np.concatenate([low @ ahead - high @ back, high @ ahead - low @ back], axis=-1)
+    bounds = np.concatenate([low @ ahead - high @ back, high @ ahead - low @ back], axis=-1)
     return replace(
         tokens,
-        own=own,
+        features=features,
         patch=patch,
         frame=(m @ tokens.frame * side).astype(np.float32),
         position=(tokens.position @ m.T).astype(np.float32),
         extent=(tokens.extent @ np.abs(m).T).astype(np.float32),
-        beside=beside.astype(tokens.beside.dtype),
-        hold=hold,
+        bounds=bounds.astype(tokens.bounds.dtype),
+        grasps=grasps,
     )

@@ -1,123 +1,294 @@
-"""Room for hands at connection points: what the network that values pairs is told of `g_a` and `g_b`.
+"""Clearance between a gripper and clouds of points, and the features of a part's grasps that follow from it.
 
-Late in an assembly no hand may reach the place where the next parts meet, and no merge can be undone. Which grasps of a
-part its own group still leaves free, and which of them would meet the other group at the joint, follows from the clouds
-as in `hands`; here it is told of all free points and of all pairs of them, more coarsely.
+Late in an assembly no gripper may reach the place where the next parts mate, and no merge can be undone. Which grasps a
+group leaves free, and which of them the other group of a mate blocks, follows from the clouds in the observation. The
+exact test on meshes is in `task.full`; this one is what a policy can know.
+
+The gripper is three convex bodies, a palm and two fingers. All functions work in the tips frame of `robots.gripper`,
+between the finger tips: z along the approach, y along the closing direction.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import cache
+
 import numpy as np
 from jaxtyping import Bool, Float, Float16, Float32
+from scipy.spatial import ConvexHull
 
 from roboassembly.geometry.poses import rotations_from_euler
-from roboassembly.learning.relational.grasps.features import (
-    ARM_FAR,
-    ARM_STRETCHES,
-    FAR,
-    NEAR,
-    around,
-    boxes,
-    clearance,
-    from_arm,
-    widths,
-)
-from roboassembly.robots.gripper import MAX_OPENING, RETREAT
+from roboassembly.robots.gripper import MAX_OPENING, RETREAT, hand_bodies
 from roboassembly.task.full.cell import WIDER
 
-HOLD, ROOM = 16, 4
-"""Numbers that describe a grasp as a point sees it, and the grasps of one point's part at a pair."""
-MIRRORED = np.where(np.isin(np.arange(HOLD), (1, 4)), -1, 1).astype(np.float16)
-"""By what a mirror multiplies what describes a grasp: what lies along the tangent of the other side changes sign."""
-_EVERY = 2
-"""Of how many points of a cloud one is looked at."""
-MET = 480
-"""Points of the other group that are looked at, at most."""
+CUTOFF = 0.05
+"""Largest clearance of a gripper that is told apart [m]."""
+SCALE = 0.01
+"""Scale of the tanh features of clearances: within it, the exact distance matters [m]."""
+ARM_SECTIONS = ((0.13, 0.30), (0.30, 0.50))
+"""Distances from the tips at which wrist and forearm begin and end [m]."""
+ARM_CUTOFF = 0.3
+"""Largest clearance of wrist and forearm that is told apart [m]."""
+MATE_RETREATS = (0.0, 0.03, 0.10, 0.20)
+"""Distances out of a mate at which a gripper is tested [m]."""
+GRASP_FEATURES = 16
+"""Number of features of one grasp, seen from a connection point."""
+CLEARANCE_FEATURES = 4
+"""Number of features of all grasps of one part at one mate."""
+MIRROR_SIGNS = np.where(np.isin(np.arange(GRASP_FEATURES), (1, 4)), -1, 1).astype(np.float16)
+"""Factors of the grasp features under a mirror: what lies along a point frame's y axis changes its sign."""
+MAX_OTHER_POINTS = 480
+"""Largest number of points of the other group that are tested against a gripper."""
+_STRIDE = 2
+"""Every so many points of a group's own cloud are tested."""
+_UNKNOWN_OPENING = 0.03
+"""Opening assumed where the cloud has no point between the pads [m]."""
+_PAD_MARGIN = 0.003
+"""Distance beyond an open pad at which points still count as between the pads [m]."""
+_PAD_RADIUS = 0.011
+"""Distance from a pad's middle to its rim [m]."""
 
 
-class Grasps:
-    """The hands at one part, and how much room its group leaves them.
+@dataclass(frozen=True, eq=False)
+class PlacedGrasps:
+    """The eight grasps of a part, in the frame of its group."""
+
+    exists: Bool[np.ndarray, "8"]
+    """Whether the part has the grasp."""
+    rotation: Float[np.ndarray, "8 3 3"]
+    """`group_from_tips` rotations."""
+    position: Float[np.ndarray, "8 3"]
+    """Positions of the tips [m]."""
+    opening: Float[np.ndarray, "8"]
+    """Distance between the pads when closed on the part, as far as the cloud shows [m]."""
+
+    @staticmethod
+    def place(
+        poses: Float[np.ndarray, "8 6"], rotation: Float[np.ndarray, "3 3"], translation: Float[np.ndarray, "3"],
+        own: Float[np.ndarray, "c 3"],
+    ) -> PlacedGrasps:  # fmt: skip
+        """Place the grasps of a part.
+
+        Args:
+            poses: `part_from_tips` of each grasp, translation [m] and Euler angles; zeros where there is none.
+            rotation: `group_from_part`.
+            translation: `group_from_part` [m].
+            own: cloud of the part in the group's frame [m].
+        """
+        rotations, positions = rotation @ rotations_from_euler(poses[:, 3:]), poses[:, :3] @ rotation.T + translation
+        return PlacedGrasps(poses.any(axis=1), rotations, positions, _openings(rotations, positions, own))
+
+    @property
+    def approach_opening(self) -> Float[np.ndarray, "8"]:
+        """Distance between the pads as the open gripper approaches [m]."""
+        return np.minimum(MAX_OPENING, self.opening + WIDER)
+
+    def near(self, grasp: int, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "3 m"]:
+        """Return the points that a gripper at one grasp could touch, in its tips frame [m].
+
+        Its approach and its way out of a mate are included.
+        """
+        local = self.rotation[grasp].T @ (points - self.position[grasp]).T
+        low, high = _reach()
+        return local[:, ((local > low[:, None]) & (local < high[:, None])).all(axis=0)]
+
+
+def _openings(
+    rotation: Float[np.ndarray, "8 3 3"], position: Float[np.ndarray, "8 3"], points: Float[np.ndarray, "n 3"]
+) -> Float[np.ndarray, "8"]:
+    """Distance between the pads of each grasp, from the points between them [m]."""
+    local = np.einsum("gnj,gji->gni", points - position[:, None], rotation)
+    between = (np.abs(local[..., 0]) < _PAD_RADIUS) & (np.abs(local[..., 2]) < _PAD_RADIUS)
+    between &= np.abs(local[..., 1]) < 0.5 * MAX_OPENING + _PAD_MARGIN
+    opening = 2.0 * np.where(between, np.abs(local[..., 1]), 0.0).max(axis=1)
+    return np.where(opening > 0.0, opening, _UNKNOWN_OPENING)
+
+
+@dataclass(frozen=True, eq=False)
+class GripperShape:
+    """Palm and fingers of the closed gripper, all convex, in the tips frame."""
+
+    low: Float[np.ndarray, "3 3"]
+    """Lower corners of the bodies' bounding boxes [m]."""
+    high: Float[np.ndarray, "3 3"]
+    """Upper corners of the bodies' bounding boxes [m]."""
+    faces: tuple[tuple[Float[np.ndarray, "f 3"], Float[np.ndarray, "f 1"]], ...]
+    """Outward normals of each body's faces, and the faces' distances from the origin [m]."""
+    motion: Float[np.ndarray, "3 3"]
+    """Motion of each body for each metre between the pads."""
+
+
+@cache
+def gripper_shape(retreat: float = 0.0) -> GripperShape:
+    """Return the gripper's bodies, swept along the last `retreat` metres of its approach."""
+    corners, faces, motion = [], [], []
+    for (mesh, closed), (_, opened) in zip(hand_bodies(0.0), hand_bodies(1.0), strict=True):
+        points = mesh.vertices @ closed.rotation.T + closed.translation
+        hull = ConvexHull(np.concatenate([points, points - [0.0, 0.0, retreat]]))
+        planes = np.unique(hull.equations.round(9), axis=0)
+        corners.append((hull.min_bound, hull.max_bound))
+        faces.append((planes[:, :3], -planes[:, 3:]))
+        motion.append(opened.translation - closed.translation)
+    low, high = np.array(corners).transpose(1, 0, 2)
+    return GripperShape(low, high, tuple(faces), np.array(motion))
+
+
+@cache
+def _reach() -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+    """Corners of a box around all that the gripper can touch, in the tips frame [m]."""
+    shape, margin = gripper_shape(RETREAT), CUTOFF + MATE_RETREATS[-1]
+    margin += 0.5 * MAX_OPENING
+    return shape.low.min(axis=0) - margin, shape.high.max(axis=0) + margin
+
+
+def hand_clearance(points: Float[np.ndarray, "3 n"], opening: float, retreat: float = 0.0) -> float:
+    """Return the distance from the gripper to the nearest point [m]: negative inside, `CUTOFF` at most.
 
     Args:
-        poses: of each grasp in the part's frame, translation and Euler angles; 0 where there is none.
-        own: points of the part, in its group's frame.
-        rest: points of the group's other parts.
-        turn: `group_from_part`.
-        shift: the same, metres.
+        points: points in the tips frame [m].
+        opening: distance between the pads [m].
+        retreat: distance that the gripper comes from, straight along its approach; the whole way counts [m].
+    """
+    shape = gripper_shape(retreat)
+    offset = opening * shape.motion
+    middle, half = 0.5 * (shape.low + shape.high) + offset, 0.5 * (shape.high - shape.low)
+    beyond = np.abs(points - middle[..., None]) - half[..., None]
+    outside = np.maximum(np.maximum(beyond[:, 0], beyond[:, 1]), beyond[:, 2])
+    nearest = float(outside.min(initial=CUTOFF))
+    if nearest >= SCALE:
+        return nearest
+    # The boxes say which points are near, the bodies' faces how near they are.
+    close = outside < SCALE
+    distances = [
+        (normals @ (points[:, close[i]] - offset[i][:, None]) - offsets).max(axis=0).min(initial=CUTOFF)
+        for i, (normals, offsets) in enumerate(shape.faces)
+        if close[i].any()
+    ]
+    return float(min(distances))
+
+
+def box_distances(points: Float32[np.ndarray, "3 n"], opening: float) -> Float32[np.ndarray, "n"]:
+    """Return the distance from each point to the gripper's bounding boxes [m], negative inside.
+
+    Args:
+        points: points in the tips frame [m].
+        opening: distance between the pads [m].
+    """
+    shape, out = gripper_shape(), np.full(points.shape[1], np.inf, np.float32)
+    for low, high, motion in zip(shape.low, shape.high, shape.motion, strict=True):
+        middle, half = 0.5 * (low + high) + opening * motion, 0.5 * (high - low)
+        # One axis after the other: NumPy takes five times as long over short last axes.
+        beyond = np.abs(points[0] - np.float32(middle[0])) - np.float32(half[0])
+        for axis in (1, 2):
+            np.maximum(beyond, np.abs(points[axis] - np.float32(middle[axis])) - np.float32(half[axis]), out=beyond)
+        np.minimum(out, beyond, out=out)
+    return out
+
+
+def arm_clearance(points: Float[np.ndarray, "3 n"], near: float, far: float) -> float:
+    """Return the distance from a section of the arm's axis to the nearest point [m], `ARM_CUTOFF` at most.
+
+    Args:
+        points: points in the tips frame [m].
+        near: distance from the tips to the section's beginning, against the approach [m].
+        far: distance from the tips to the section's end [m].
+    """
+    offset = points.copy()
+    offset[2] -= np.clip(points[2], -far, -near)
+    return float(np.sqrt((offset**2).sum(axis=0).min(initial=ARM_CUTOFF**2)))
+
+
+class PartGrasps:
+    """The grasps of one part, and the clearance that its own group leaves them.
+
+    Args:
+        poses: `part_from_tips` of each grasp, translation [m] and Euler angles; zeros where there is none.
+        own: cloud of the part in its group's frame [m].
+        rest: cloud of the group's other parts [m].
+        rotation: `group_from_part`.
+        translation: `group_from_part` [m].
     """
 
     def __init__(
         self, poses: Float[np.ndarray, "8 6"], own: Float[np.ndarray, "c 3"], rest: Float[np.ndarray, "m 3"],
-        turn: Float[np.ndarray, "3 3"], shift: Float[np.ndarray, "3"],
+        rotation: Float[np.ndarray, "3 3"], translation: Float[np.ndarray, "3"],
     ) -> None:  # fmt: skip
-        self.there: Bool[np.ndarray, "8"] = np.any(poses, axis=1)
-        self.turn: Float[np.ndarray, "8 3 3"] = turn @ rotations_from_euler(poses[:, 3:])
-        self.at: Float[np.ndarray, "8 3"] = poses[:, :3] @ turn.T + shift
-        self.width: Float[np.ndarray, "8"] = widths(self.turn, self.at, own)
-        self.clear = np.full((len(poses), 3), -FAR)
-        """Metres to the part as the open hand comes, to the other parts then, and to these once it holds."""
-        self.arm = np.zeros((len(poses), len(ARM_STRETCHES)))
-        """Metres from wrist and forearm to the group."""
-        wide = np.minimum(MAX_OPENING, self.width + WIDER)
-        for g in np.flatnonzero(self.there).tolist():
-            held, others = (around(self.turn[g], self.at[g], points[::_EVERY]) for points in (own, rest))
-            self.clear[g] = (
-                clearance(held, wide[g], RETREAT), clearance(others, wide[g], RETREAT), clearance(others, self.width[g])
-            )  # fmt: skip
-            whole = np.concatenate([held, others], axis=1)
-            self.arm[g] = [from_arm(whole, *stretch) for stretch in ARM_STRETCHES]
+        self.placed = placed = PlacedGrasps.place(poses, rotation, translation, own)
+        self.clearance = np.full((len(poses), 3), -CUTOFF)
+        """Clearance to the part and to the other parts on the approach, and to the other parts once closed [m]."""
+        self.arm = np.zeros((len(poses), len(ARM_SECTIONS)))
+        """Clearance between wrist and group, and between forearm and group [m]."""
+        wide = placed.approach_opening
+        for g in np.flatnonzero(placed.exists).tolist():
+            part, others = (placed.near(g, points[::_STRIDE]) for points in (own, rest))
+            self.clearance[g] = (
+                hand_clearance(part, wide[g], RETREAT),
+                hand_clearance(others, wide[g], RETREAT),
+                hand_clearance(others, placed.opening[g]),
+            )
+            whole = np.concatenate([part, others], axis=1)
+            self.arm[g] = [arm_clearance(whole, *section) for section in ARM_SECTIONS]
 
-    def seen_from(self, at: Float[np.ndarray, "3"], frame: Float[np.ndarray, "3 3"]) -> Float16[np.ndarray, "8 16"]:
-        """The hands in the frame of a connection point of the part, which is given in the group's frame."""
-        told = np.concatenate(
+    def features(
+        self, position: Float[np.ndarray, "3"], frame: Float[np.ndarray, "3 3"]
+    ) -> Float16[np.ndarray, "8 16"]:
+        """Return the features of each grasp, seen from a connection point of the part; zeros where there is no grasp.
+
+        | index | feature | unit |
+        |---|---|---|
+        | 0–2 | position of the tips in the point's frame | 0.25 m |
+        | 3–5 | approach direction in the point's frame | |
+        | 6–8 | absolute components of the closing direction in the point's frame | |
+        | 9–11 | tanh of the three clearances in `clearance` | 10 mm |
+        | 12 | clearance to the group's other parts on the approach | 50 mm |
+        | 13, 14 | clearance of wrist and forearm | 0.3 m |
+        | 15 | 1 if the grasp exists | |
+
+        Args:
+            position: position of the point in the group's frame [m].
+            frame: `group_from_point`.
+        """
+        exists = self.placed.exists[:, None]
+        features = np.concatenate(
             [
-                4.0 * (self.at - at) @ frame,
-                self.turn[:, :, 2] @ frame,
-                np.abs(self.turn[:, :, 1] @ frame),
-                np.tanh(self.clear / NEAR),
-                self.clear[:, 1:2] / FAR,
-                self.arm / ARM_FAR,
-                self.there[:, None],
+                4.0 * (self.placed.position - position) @ frame,
+                self.placed.rotation[:, :, 2] @ frame,
+                np.abs(self.placed.rotation[:, :, 1] @ frame),
+                np.tanh(self.clearance / SCALE),
+                self.clearance[:, 1:2] / CUTOFF,
+                self.arm / ARM_CUTOFF,
+                exists,
             ],
             axis=1,
         )
-        return np.where(self.there[:, None], told, 0.0).astype(np.float16)
+        return np.where(exists, features, 0.0).astype(np.float16)
 
-    def room(
-        self, turn: Float[np.ndarray, "l 3 3"], shift: Float[np.ndarray, "l 3"], met: Float[np.ndarray, "n 3"]
-    ) -> Float16[np.ndarray, "l 4"]:
-        """How much room the hands have at some joints: the best of them has, the second best, what share has any, and
-        the best one by the other group alone.
+    def mate_clearance(
+        self, rotation: Float[np.ndarray, "l 3 3"], translation: Float[np.ndarray, "l 3"],
+        other: Float[np.ndarray, "n 3"],
+    ) -> Float16[np.ndarray, "l 4"]:  # fmt: skip
+        """Return the features of all grasps together at some mates.
+
+        | index | feature | unit |
+        |---|---|---|
+        | 0 | tanh of the largest clearance of any grasp | 10 mm |
+        | 1 | tanh of the second largest clearance | 10 mm |
+        | 2 | tanh of the largest clearance to the other group alone | 10 mm |
+        | 3 | share of the grasps that have a positive clearance | |
 
         Args:
-            turn: `other_from_group`, once joined, of each joint.
-            shift: the same, metres.
-            met: points of the other group, in its frame.
+            rotation: `other_from_group` at each mate.
+            translation: `other_from_group` at each mate [m].
+            other: cloud of the other group in its frame [m].
         """
-        here = np.einsum("lni,lij->jln", met[None] - shift[:, None], turn).astype(np.float32)
-        flat = here.reshape(3, -1)
-        nearest = np.full((len(self.there), len(turn)), -FAR)
-        for g in np.flatnonzero(self.there).tolist():
-            local = self.turn[g].T.astype(np.float32) @ (flat - self.at[g].astype(np.float32)[:, None])
-            outside = _outside(local, self.width[g]).reshape(len(turn), -1)
-            nearest[g] = np.minimum(outside.min(axis=1), FAR)
-        own = self.clear.min(axis=1)
-        both = np.sort(np.minimum(nearest, own[:, None]), axis=0)
-        told = [both[-1], both[-2], nearest.max(axis=0)]
-        share = (both > 0.0).mean(axis=0)
-        return np.stack([*(np.tanh(x / NEAR) for x in told), share], axis=1).astype(np.float16)
-
-
-def _outside(points: Float32[np.ndarray, "3 n"], opening: float) -> Float32[np.ndarray, "n"]:
-    """Metres from each point, in the frame of a hand's tips, to the boxes around palm and fingers; negative inside."""
-    out = np.full(points.shape[1], np.inf, np.float32)
-    for low, high, opens in zip(*boxes(), strict=True):
-        beside = None
-        middle, half = 0.5 * (low + high) + opening * opens, 0.5 * (high - low)
-        # One axis after the other: NumPy takes five times as long over short last axes.
-        for axis in range(3):
-            along = np.abs(points[axis] - np.float32(middle[axis])) - np.float32(half[axis])
-            beside = along if beside is None else np.maximum(beside, along, out=beside)
-        assert beside is not None
-        np.minimum(out, beside, out=out)
-    return out
+        placed = self.placed
+        mated = np.einsum("lni,lij->jln", other[None] - translation[:, None], rotation).astype(np.float32)
+        flat = mated.reshape(3, -1)
+        nearest = np.full((len(placed.exists), len(rotation)), -CUTOFF)
+        for g in np.flatnonzero(placed.exists).tolist():
+            local = placed.rotation[g].T.astype(np.float32) @ (flat - placed.position[g].astype(np.float32)[:, None])
+            outside = box_distances(local, placed.opening[g]).reshape(len(rotation), -1)
+            nearest[g] = np.minimum(outside.min(axis=1), CUTOFF)
+        both = np.sort(np.minimum(nearest, self.clearance.min(axis=1)[:, None]), axis=0)
+        largest = [np.tanh(x / SCALE) for x in (both[-1], both[-2], nearest.max(axis=0))]
+        return np.stack([*largest, (both > 0.0).mean(axis=0)], axis=1).astype(np.float16)

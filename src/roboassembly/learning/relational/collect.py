@@ -1,10 +1,10 @@
-"""Collects lessons for the multi-task policy: one file a chair, made in parallel, never made twice."""
+"""Collects training samples: one file for each piece of furniture, in parallel, and no file twice."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Collection, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
 
@@ -17,8 +17,8 @@ from roboassembly.furniture.model import Furniture
 from roboassembly.learning import checkpoint
 from roboassembly.learning.datasets import CLOUD_POINTS, LabeledState, SampleSet, dataset_file
 from roboassembly.learning.relational import network as relational
-from roboassembly.learning.relational.grasps.dataset import GraspTeacher
-from roboassembly.learning.relational.oracle_dataset import Student, Teacher
+from roboassembly.learning.relational.grasps.dataset import GraspLabeler
+from roboassembly.learning.relational.oracle_dataset import Labeler, TokenPolicy
 from roboassembly.parallel.processes import map_unordered
 from roboassembly.solvers.hand_oracle import HandOracle
 from roboassembly.solvers.oracle import Oracle
@@ -26,98 +26,107 @@ from roboassembly.task.full.task import FullTask
 from roboassembly.task.object_centric.task import ObjectCentricTask
 from roboassembly.task.setting import SettingName
 
-_TRIES = 3
-"""Pairs of hands that are tried at a pair of points, until one joins them."""
-_MOST_HELD = 16
-"""Parts, at most, of furniture taught with robots: what the oracle asks of hands grows exponentially with them."""
+_GRASP_TRIES = 3
+"""Number of grasp pairs that are carried out for a pair of points, until one works."""
+_MAX_PARTS = 16
+"""Largest number of parts in the full setting: the oracle's grasp tests grow exponentially with it."""
 
 
 @dataclass(frozen=True)
-class Gathered:
-    """What one chair gave."""
+class CollectResult:
+    """Summary of the samples of one piece."""
 
     name: str
+    """Name of the piece, `family:seed`."""
     states: int
+    """Number of samples."""
     mistakes: int
-    """Choices of the student that were not good."""
+    """Number of the policy's choices that were not viable."""
     choices: int
-    """That the student made or a good move replaced; 0 without one."""
+    """Number of the policy's choices; 0 without a policy."""
     seconds: float
+    """Duration [s]."""
 
 
-def hands_of(folder: Path) -> Path:
-    """Where the lessons of grasps (`grasp_lessons`) lie that belong to those of a folder, under the same names."""
-    return folder / "hands"
+def grasp_folder(folder: Path) -> Path:
+    """Return the folder of the grasp samples (`grasps.dataset`) that belong to a folder of samples."""
+    return folder / "grasps"
 
 
-def gather(
-    names: Sequence[str], folder: Path, *, plays: int, seed: int, jobs: int, student: Path | None = None,
+def collect(
+    names: Sequence[str], folder: Path, *, episodes: int, seed: int, jobs: int, policy: Path | None = None,
     setting: SettingName = "object-centric", with_grasps: Collection[str] = (),
-) -> Iterator[Gathered]:  # fmt: skip
-    """Write the lessons of generated chairs, those that are there already excepted; yields as chairs are done.
-
-    In the full setting there may be lessons of grasps besides (`hands_of`); they take several times as long.
+) -> Iterator[CollectResult]:  # fmt: skip
+    """Write the samples of generated furniture, and yield as pieces are done; existing files are kept.
 
     Args:
-        names: `family:seed` of each.
-        folder: gets a file for each.
-        plays: of each chair, from loose parts to the end.
-        seed: of the starts and moves.
-        jobs: chairs at a time.
-        student: checkpoint of the relational policy that moves in the first play, as it would play alike each time;
-            random good moves in the others, and without one.
-        setting: whose rules are taught. Furniture that does not suit robots gives no lessons in the full one.
-        with_grasps: names of those of which there are lessons of grasps, of one play each.
+        names: names of the pieces, `family:seed`.
+        folder: folder of the files, one for each piece.
+        episodes: number of episodes of each piece, from loose parts to the finished furniture.
+        seed: seed of starts and actions.
+        jobs: number of processes.
+        policy: checkpoint of the relational policy that acts in the first episode of each piece (its actions would be
+            the same in the others); all other actions are random viable ones.
+        setting: setting whose oracle labels the actions. In the full setting, furniture that does not suit the robots
+            gives no samples.
+        with_grasps: names of the pieces that get grasp samples as well, of one episode each (full setting). These take
+            several times as long.
     """
-    (hands_of(folder) if setting == "full" else folder).mkdir(parents=True, exist_ok=True)
+    (grasp_folder(folder) if setting == "full" else folder).mkdir(parents=True, exist_ok=True)
     left = [name for name in names if not dataset_file(folder, name).is_file()]
     work = partial(
-        _gather, folder=folder, plays=plays, seed=seed, student=student, setting=setting,
+        _collect, folder=folder, episodes=episodes, seed=seed, policy=policy, setting=setting,
         with_grasps=frozenset(with_grasps),
     )  # fmt: skip
     yield from map_unordered(work, left, jobs)
 
 
-def _gather(
-    name: str, *, folder: Path, plays: int, seed: int, student: Path | None, setting: SettingName,
+def _collect(
+    name: str, *, folder: Path, episodes: int, seed: int, policy: Path | None, setting: SettingName,
     with_grasps: frozenset[str],
-) -> Gathered:  # fmt: skip
-    begun = time.monotonic()
+) -> CollectResult:  # fmt: skip
+    """Write the samples of one piece."""
+    start = time.monotonic()
     family, _, number = name.partition(":")
     try:
         furniture = catalogue.make(family, int(number), with_grasps=setting == "full")
         oracle = _oracle(furniture, setting)
     except InputError:
-        # One in some hundred practice frames does not come out, hands cannot hold it, or it has too many parts; nothing
-        # is learnt from it.
+        # A few generated frames are invalid, cannot be grasped, or have too many parts; they give no samples.
         SampleSet(name, np.zeros((0, CLOUD_POINTS, 3), np.float32), ()).save(dataset_file(folder, name))
-        return Gathered(name, 0, 0, 0, time.monotonic() - begun)
+        return CollectResult(name, 0, 0, 0, time.monotonic() - start)
     clouds = np.array([surface_points(p.mesh, CLOUD_POINTS) for p in furniture.parts], np.float32)
-    teacher = Teacher(furniture, clouds, oracle)
-    moves = None if student is None else _student(student)
-    found: dict[bytes, LabeledState] = {}
+    labeler = Labeler(furniture, clouds, oracle)
+    token_policy = None if policy is None else _token_policy(policy)
+    samples: dict[bytes, LabeledState] = {}
     mistakes = choices = 0
-    for index in range(plays):
+    for index in range(episodes):
         rng = np.random.default_rng([seed, int(number), index])
-        student_moves = moves if index == 0 else None
-        play = teacher.play(rng, student_moves)
-        if student_moves is not None:
-            mistakes, choices = play.mistakes, len(play.lessons)
-        for lesson in (*play.lessons, *play.dead_ends):
-            found.setdefault(lesson.group.tobytes(), lesson)
+        acting = token_policy if index == 0 else None
+        episode = labeler.rollout(rng, acting)
+        if acting is not None:
+            mistakes, choices = episode.mistakes, len(episode.states)
+        for sample in (*episode.states, *episode.dead_ends):
+            samples.setdefault(sample.group.tobytes(), sample)
     if isinstance(oracle, HandOracle) and name in with_grasps:
-        hands = GraspTeacher(oracle.full, _TRIES, oracle).course(np.random.default_rng([seed, int(number)]), 1)
-        hands.save(dataset_file(hands_of(folder), name))
-    replace(teacher.course, name=name, samples=tuple(found.values())).save(dataset_file(folder, name))
-    return Gathered(name, len(found), mistakes, choices, time.monotonic() - begun)
+        grasp_labeler = GraspLabeler(oracle.full, _GRASP_TRIES, oracle)
+        grasp_samples = grasp_labeler.collect(np.random.default_rng([seed, int(number)]), 1)
+        grasp_samples.save(dataset_file(grasp_folder(folder), name))
+    labeler.sample_set(tuple(samples.values()), name).save(dataset_file(folder, name))
+    return CollectResult(name, len(samples), mistakes, choices, time.monotonic() - start)
 
 
 def _oracle(furniture: Furniture, setting: SettingName) -> Oracle:
+    """Oracle of a setting.
+
+    Raises:
+        InputError: the furniture does not suit the robots, or has too many parts for their oracle.
+    """
     if setting == "object-centric":
         return Oracle(ObjectCentricTask(furniture))
-    if len(furniture.parts) > _MOST_HELD:
+    if len(furniture.parts) > _MAX_PARTS:
         raise InputError(
-            f"{furniture.name} has {len(furniture.parts)} parts; with robots at most {_MOST_HELD} are taught"
+            f"{furniture.name} has {len(furniture.parts)} parts; the full oracle takes at most {_MAX_PARTS}"
         )
     task = FullTask(furniture)
     task.check_graspable()
@@ -125,6 +134,7 @@ def _oracle(furniture: Furniture, setting: SettingName) -> Oracle:
 
 
 @lru_cache(maxsize=1)
-def _student(path: Path) -> Student:
+def _token_policy(path: Path) -> TokenPolicy:
+    """Policy of a checkpoint, read once in each process."""
     params = checkpoint.load(path, relational.KIND).params
-    return partial(relational.best, params)
+    return partial(relational.best_action, params)

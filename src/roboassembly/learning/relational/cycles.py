@@ -1,8 +1,15 @@
-"""Which pairs of points could belong to one whole: loops of three groups that close.
+"""3-cycles and 4-cycles of groups: mates that fit together speak for each other.
 
-In a jigsaw a piece is known to be right when a third one fits in with both. Joining point k of group A to point l of
-group B fixes how all other points of the two lie to each other. If any two points of a third group C lie to each other
-just as a point of A and one of B then do, C could be joined to both at once, and that speaks for the pair.
+In a jigsaw a piece is known to be right when a third one fits both of its neighbours. Mating point k of group A with
+point l of group B fixes how all other points of the two groups lie to each other. If two points of a third group C lie
+to each other just as a free point of A and one of B then do, C could mate with both at once: the three mates close a
+3-cycle, and that speaks for the pair (k, l).
+
+A group between two others, as a rod between two legs, fixes how these lie to each other. If another group between the
+same two fixes the same, the four mates close a 4-cycle, and each speaks for the others.
+
+Both functions take the n free points of a state in their groups' frames and the pairs that may mate; all other pairs
+neither count nor close a cycle. Their results are symmetric.
 """
 
 from __future__ import annotations
@@ -13,135 +20,149 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 
-from roboassembly.learning.mating import FLIP
+from roboassembly.geometry.mating import FACE_TO_FACE, mating_poses
 
-_MOST_BRIDGES = 3_000
-"""Ways from one group to another by way of a third, that are compared with each other; more are thinned out."""
-_POSITION, _DIRECTION = 0.004, 0.05
-"""Metres, and norm of the difference of directions: what counts as the same. Gaps at joints add up to 2 mm a loop."""
+_FLIP = FACE_TO_FACE.diagonal()
+"""Diagonal of the rotation between the frames of two mated points."""
+_MAX_CHAINS = 3_000
+"""Largest number of chains between two groups that are compared; more are thinned out evenly."""
+_POSITION_TOLERANCE = 0.004
+"""Distance up to which two positions are the same [m]; gaps at mates add up to 2 mm in a cycle."""
+_DIRECTION_TOLERANCE = 0.05
+"""Norm of the difference up to which two unit vectors are the same."""
 
 
-def closing_groups(
+def closed_3_cycles(
     groups: Sequence[Int[np.ndarray, "_"]],
-    at: Float[np.ndarray, "n 3"],
+    position: Float[np.ndarray, "n 3"],
     frame: Float[np.ndarray, "n 3 3"],
-    possible: Bool[np.ndarray, "n n"],
+    plausible: Bool[np.ndarray, "n n"],
 ) -> Int[np.ndarray, "n n"]:
-    """For two points of different groups, how many third groups could be joined to both once they are; symmetric.
+    """Count for each pair of points the third groups that close a 3-cycle with it.
 
     Args:
-        groups: points of each group.
-        at: where each point is, in its group's frame, metres.
+        groups: points of each group, as numbers in 0..n.
+        position: position of each point in its group's frame [m].
         frame: `group_from_point` rotation of each point.
-        possible: pairs that may be joined; symmetric. All others neither count nor close a loop.
+        plausible: pairs that may mate; symmetric.
     """
-    out = np.zeros(possible.shape, int)
-    plugs = [np.array([(m, o) for m in group for o in group if m != o], int).reshape(-1, 2) for group in groups]
-    plug = np.concatenate(plugs) if plugs else np.zeros((0, 2), int)
-    owner = np.repeat(np.arange(len(groups)), [len(p) for p in plugs])
-    sockets = [_sockets(one, two, at, frame, possible) for i, one in enumerate(groups) for two in groups[:i]]
-    names = np.concatenate([s[0] for s in sockets]) if sockets else np.zeros((0, 4), int)
-    if not len(names) or not len(plug):
-        return out
-    first, second = plug.T
+    count = np.zeros(plausible.shape, int)
+    # Two points of the third group, in the frame of the first: they have to fit a free point of A and one of B.
+    ends = [np.array([(m, o) for m in group for o in group if m != o], int).reshape(-1, 2) for group in groups]
+    end = np.concatenate(ends) if ends else np.zeros((0, 2), int)
+    owner = np.repeat(np.arange(len(groups)), [len(e) for e in ends])
+    places = [_places(a, b, position, frame, plausible) for i, a in enumerate(groups) for b in groups[:i]]
+    place_points = np.concatenate([g[0] for g in places]) if places else np.zeros((0, 4), int)
+    if not len(place_points) or not len(end):
+        return count
+    first, second = end.T
     back = frame[first].transpose(0, 2, 1)
-    plug_poses = _told(np.einsum("nij,nj->ni", back, at[second] - at[first]), back @ frame[second])
-    found = KDTree(np.concatenate([s[1] for s in sockets])).sparse_distance_matrix(
-        KDTree(plug_poses), 1.0, output_type="ndarray"
+    end_poses = _in_tolerances(np.einsum("nij,nj->ni", back, position[second] - position[first]), back @ frame[second])
+    found = KDTree(np.concatenate([g[1] for g in places])).sparse_distance_matrix(
+        KDTree(end_poses), 1.0, output_type="ndarray"
     )
-    k, l, other_k, other_l = names[found["i"]].T  # noqa: E741
-    m, other_m = plug[found["j"]].T
-    fits = possible[other_k, m] & possible[other_l, other_m]
+    k, l, other_k, other_l = place_points[found["i"]].T  # noqa: E741
+    m, other_m = end[found["j"]].T
+    fits = plausible[other_k, m] & plausible[other_l, other_m]
     closed = np.unique(np.stack([k, l, owner[found["j"]]], axis=1)[fits], axis=0)
-    np.add.at(out, (closed[:, 0], closed[:, 1]), 1)
-    return out + out.T
+    np.add.at(count, (closed[:, 0], closed[:, 1]), 1)
+    return count + count.T
 
 
-def _sockets(
-    one: Int[np.ndarray, "a"],
-    two: Int[np.ndarray, "b"],
-    at: Float[np.ndarray, "n 3"],
+def _places(
+    a: Int[np.ndarray, "a"],
+    b: Int[np.ndarray, "b"],
+    position: Float[np.ndarray, "n 3"],
     frame: Float[np.ndarray, "n 3 3"],
-    possible: Bool[np.ndarray, "n n"],
+    plausible: Bool[np.ndarray, "n n"],
 ) -> tuple[Int[np.ndarray, "s 4"], Float[np.ndarray, "s 9"]]:
-    """How a second point of one group and one of another lie to each other, as a plug would, for each possible pair."""
-    rows, columns = np.nonzero(possible[np.ix_(one, two)])
-    k, l = one[rows], two[columns]  # noqa: E741
-    turn, origin = _laid(k, l, at, frame)
-    there = np.einsum("pij,bj->pbi", turn, at[two]) + origin[:, None]
-    back = (frame[one] * FLIP).transpose(0, 2, 1)[None, :, None]
-    shift = (back @ (there[:, None] - at[one][None, :, None])[..., None])[..., 0]
-    turned = back @ (turn[:, None] @ (frame[two] * FLIP))[:, None]
-    p, a, b = (i.ravel() for i in np.indices(shift.shape[:3]))
-    names = np.stack([k[p], l[p], one[a], two[b]], axis=1)
-    second = (names[:, 0] != names[:, 2]) & (names[:, 1] != names[:, 3])
-    return names[second], _told(shift.reshape(-1, 3), turned.reshape(-1, 3, 3))[second]
+    """Places that a third group would fill: for each pair that may mate, another point of each of the two groups.
+
+    Returns:
+        Points (k, l, other k, other l), and the pose of the mate of `other l` in the frame of the mate of `other k`, in
+        tolerances.
+    """
+    rows, columns = np.nonzero(plausible[np.ix_(a, b)])
+    k, l = a[rows], b[columns]  # noqa: E741
+    rotations, translations = mating_poses(frame[b], position[b], frame[a], position[a])
+    rotation, translation = rotations[columns, rows], translations[columns, rows]
+    mated = np.einsum("pij,bj->pbi", rotation, position[b]) + translation[:, None]
+    back = (frame[a] * _FLIP).transpose(0, 2, 1)[None, :, None]
+    offset = (back @ (mated[:, None] - position[a][None, :, None])[..., None])[..., 0]
+    turn = back @ (rotation[:, None] @ (frame[b] * _FLIP))[:, None]
+    p, i, j = (index.ravel() for index in np.indices(offset.shape[:3]))
+    points = np.stack([k[p], l[p], a[i], b[j]], axis=1)
+    others = (points[:, 0] != points[:, 2]) & (points[:, 1] != points[:, 3])
+    return points[others], _in_tolerances(offset.reshape(-1, 3), turn.reshape(-1, 3, 3))[others]
 
 
-def _laid(
-    k: Int[np.ndarray, "p"],
-    l: Int[np.ndarray, "p"],  # noqa: E741
-    at: Float[np.ndarray, "n 3"],
-    frame: Float[np.ndarray, "n 3 3"],
-) -> tuple[Float[np.ndarray, "p 3 3"], Float[np.ndarray, "p 3"]]:
-    """Poses of the groups of points `l` in those of points `k` once each two are joined."""
-    turn = (frame[k] * FLIP) @ frame[l].transpose(0, 2, 1)
-    return turn, at[k] - np.einsum("pij,pj->pi", turn, at[l])
-
-
-def _told(shift: Float[np.ndarray, "s 3"], turn: Float[np.ndarray, "s 3 3"]) -> Float[np.ndarray, "s 9"]:
-    """A relative pose in tolerances."""
-    return np.concatenate([shift / _POSITION, turn[:, :, 2] / _DIRECTION, turn[:, :, 0] / _DIRECTION], axis=1)
-
-
-def closing_bridges(
+def closed_4_cycles(
     groups: Sequence[Int[np.ndarray, "_"]],
-    at: Float[np.ndarray, "n 3"],
+    position: Float[np.ndarray, "n 3"],
     frame: Float[np.ndarray, "n 3 3"],
-    possible: Bool[np.ndarray, "n n"],
+    plausible: Bool[np.ndarray, "n n"],
 ) -> Int[np.ndarray, "n n"]:
-    """For two points of different groups, how many other groups close a loop of four with theirs; symmetric.
-
-    A group that lies between two others, as a rod between two legs, fixes how these lie to each other. Where another
-    group between the same two fixes the same, each of the four joints speaks for the others.
+    """Count for each pair of points the other groups that close a 4-cycle with it.
 
     Args:
-        groups: points of each group.
-        at: where each point is, in its group's frame, metres.
+        groups: points of each group, as numbers in 0..n.
+        position: position of each point in its group's frame [m].
         frame: `group_from_point` rotation of each point.
-        possible: pairs that may be joined; symmetric. All others neither count nor close a loop.
+        plausible: pairs that may mate; symmetric.
     """
-    out = np.zeros(possible.shape, int)
-    owner = np.zeros(len(at), int)
-    for name, tokens in enumerate(groups):
-        owner[tokens] = name
-    rows, columns = np.nonzero(possible)
-    by_row = [np.flatnonzero(owner[rows] == name) for name in range(len(groups))]
-    by_column = [np.flatnonzero(owner[columns] == name) for name in range(len(groups))]
-    turn, shift = _laid(rows, columns, at, frame)
-    for one in range(len(groups)):
-        for two in range(one):
-            first, second = by_row[one], by_column[two]
-            i, j = np.nonzero(owner[columns[first]][:, None] == owner[rows[second]][None])
-            first, second = first[i], second[j]
-            through = columns[first] != rows[second]
-            first, second = first[through], second[through]
-            if len(first) > _MOST_BRIDGES:
-                kept = np.linspace(0, len(first) - 1, _MOST_BRIDGES).astype(int)
-                first, second = first[kept], second[kept]
+    count = np.zeros(plausible.shape, int)
+    owner = np.zeros(len(position), int)
+    for group, points in enumerate(groups):
+        owner[points] = group
+    rows, columns = np.nonzero(plausible)
+    rotations, translations = mating_poses(frame, position, frame, position)
+    rotation, translation = rotations[columns, rows], translations[columns, rows]
+    by_row = [np.flatnonzero(owner[rows] == group) for group in range(len(groups))]
+    by_column = [np.flatnonzero(owner[columns] == group) for group in range(len(groups))]
+    for a in range(len(groups)):
+        for b in range(a):
+            # A chain: a point of A with one of a group between, another point of that group with one of B.
+            first, second = _chains(by_row[a], by_column[b], rows, columns, owner)
             if len(first) < 2:
                 continue
-            moved = (turn[first] @ shift[second][:, :, None])[..., 0] + shift[first]
-            a, b = KDTree(moved).query_pairs(_POSITION, output_type="ndarray").T
-            apart = (owner[columns[first[a]]] != owner[columns[first[b]]]) & (rows[first[a]] != rows[first[b]])
-            apart &= columns[second[a]] != columns[second[b]]
-            a, b = a[apart], b[apart]
-            turned = (turn[first] @ turn[second])[:, :, ::2]
-            alike = np.abs(turned[a] - turned[b]).max(axis=(1, 2)) < _DIRECTION
-            a, b = a[alike], b[alike]
-            for joint in (first, second):
-                for here, there in ((a, b), (b, a)):
-                    # Each witness counts once for a pair.
-                    support = np.unique(joint[here] * len(groups) + owner[columns[first[there]]]) // len(groups)
-                    np.add.at(out, (rows[support], columns[support]), 1)
-    return out + out.T
+            end = (rotation[first] @ translation[second][:, :, None])[..., 0] + translation[first]
+            i, j = KDTree(end).query_pairs(_POSITION_TOLERANCE, output_type="ndarray").T
+            differ = (owner[columns[first[i]]] != owner[columns[first[j]]]) & (rows[first[i]] != rows[first[j]])
+            differ &= columns[second[i]] != columns[second[j]]
+            i, j = i[differ], j[differ]
+            turn = (rotation[first] @ rotation[second])[:, :, ::2]
+            same = np.abs(turn[i] - turn[j]).max(axis=(1, 2)) < _DIRECTION_TOLERANCE
+            i, j = i[same], j[same]
+            for mate in (first, second):
+                for here, there in ((i, j), (j, i)):
+                    # Each group that closes a cycle counts once for a pair.
+                    support = np.unique(mate[here] * len(groups) + owner[columns[first[there]]]) // len(groups)
+                    np.add.at(count, (rows[support], columns[support]), 1)
+    return count + count.T
+
+
+def _chains(
+    from_a: Int[np.ndarray, "i"],
+    to_b: Int[np.ndarray, "j"],
+    rows: Int[np.ndarray, "p"],
+    columns: Int[np.ndarray, "p"],
+    owner: Int[np.ndarray, "n"],
+) -> tuple[Int[np.ndarray, "c"], Int[np.ndarray, "c"]]:
+    """Chains of two mates by way of a group between, `_MAX_CHAINS` at most: the first and the second pair of each."""
+    i, j = np.nonzero(owner[columns[from_a]][:, None] == owner[rows[to_b]][None])
+    first, second = from_a[i], to_b[j]
+    through = columns[first] != rows[second]
+    first, second = first[through], second[through]
+    if len(first) > _MAX_CHAINS:
+        kept = np.linspace(0, len(first) - 1, _MAX_CHAINS).astype(int)
+        first, second = first[kept], second[kept]
+    return first, second
+
+
+def _in_tolerances(
+    translation: Float[np.ndarray, "s 3"], rotation: Float[np.ndarray, "s 3 3"]
+) -> Float[np.ndarray, "s 9"]:
+    """Poses as points; those nearer than 1 are the same."""
+    normal, tangent = rotation[:, :, 2], rotation[:, :, 0]
+    scaled = [translation / _POSITION_TOLERANCE, normal / _DIRECTION_TOLERANCE, tangent / _DIRECTION_TOLERANCE]
+    return np.concatenate(scaled, axis=1)

@@ -19,10 +19,9 @@ from roboassembly.learning.augmentation import AUGMENTATIONS, up_axis_permutatio
 from roboassembly.learning.batches import padded_length
 from roboassembly.learning.datasets import SampleSet, dataset_file
 from roboassembly.learning.relational import network as relational
-from roboassembly.learning.relational.augmentation import seen
-from roboassembly.learning.relational.batches import pad
-from roboassembly.learning.relational.oracle_dataset import answers, tokens_in
-from roboassembly.learning.relational.tokens import Memory, Tokens
+from roboassembly.learning.relational.augmentation import augment_tokens
+from roboassembly.learning.relational.oracle_dataset import targets_of
+from roboassembly.learning.relational.tokens import TokenCache, Tokens, pad, tokens_of_sample
 from roboassembly.learning.training_run import Run
 from roboassembly.parallel.processes import map_ordered, prefetch
 
@@ -68,11 +67,11 @@ def examples_of(courses: Sequence[SampleSet]) -> list[Example]:
     """All lessons of some courses."""
     out = []
     for index, course in enumerate(courses):
-        memory = Memory()
+        memory = TokenCache()
         for lesson in course.samples:
-            tokens = tokens_in(course, lesson, memory)
-            small = replace(tokens, beside=tokens.beside.astype(np.float16))
-            out.append(Example(index, small, *answers(tokens, lesson)))
+            tokens = tokens_of_sample(course, lesson, memory)
+            small = replace(tokens, bounds=tokens.bounds.astype(np.float16))
+            out.append(Example(index, small, *targets_of(tokens, lesson)))
     return out
 
 
@@ -99,7 +98,7 @@ def _examples_in(path: Path) -> list[Example]:
 def batch_of(
     examples: Sequence[Example], size: int, rng: np.random.Generator | None = None, blind: float = 0.0
 ) -> dict[str, np.ndarray]:
-    """Padded arrays with answers.
+    """Padded arrays with targets_of.
 
     Args:
         examples: states.
@@ -110,7 +109,7 @@ def batch_of(
     views = [
         AUGMENTATIONS[0] if rng is None else AUGMENTATIONS[int(rng.integers(len(AUGMENTATIONS)))] for _ in examples
     ]
-    batch = pad([seen(e.tokens, view) for e, view in zip(examples, views, strict=True)], size)
+    batch = pad([augment_tokens(e.tokens, view) for e, view in zip(examples, views, strict=True)], size)
     batch["right"] = np.zeros((len(examples), size, size), np.uint8)
     batch["good"] = np.zeros((len(examples), size, size, 6), np.uint8)
     for row, (e, view) in enumerate(zip(examples, views, strict=True)):
@@ -272,8 +271,8 @@ def train(
     params = relational.init(np.random.default_rng(training.seed), config)
     if initial is not None:
         params = checkpoint.load(initial, relational.KIND).params
-    if examples and examples[0].tokens.hold is not None and "hold" not in params:
-        params |= relational.init_hands(np.random.default_rng([training.seed, 1]), config)
+    if examples and examples[0].tokens.grasps is not None and "grasp" not in params:
+        params |= relational.init_grasp_inputs(np.random.default_rng([training.seed, 1]), config)
     run = Run(path, relational.KIND, about, training.steps, training.keep_every)
     step, params, state = run.resume(params, optimiser(training).init(params))
     for batch in prefetch(_shown(examples, training, step)):

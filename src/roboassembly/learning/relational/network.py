@@ -1,12 +1,15 @@
-"""The relational policy: a small transformer over connection points that values every pair of them.
+"""The relational network: a small transformer over connection points that values every pair of them.
 
-Three steps. First every pair is judged by itself: do the two surfaces look made for each other, and would the groups
-meet as they should? Then tokens learn from each other what surrounds them: who else wants this place, what is already
-joined. Last, for every two groups, it is asked whom they would lock out: for any two points of a third group that
-belong to one of them each, a learned conflict says whether the third could still come to both at once. Q-values of
-`(u, v, k, l, w)` are read off the pairs.
+The forward pass has four steps.
 
-Indifferent to the numbering of parts and points, and to their number.
+1. Each pair is judged by itself: do the two surfaces look made for each other, and do the groups meet as they should?
+2. Tokens learn from each other what surrounds them: which others compete for the same place, what is joined already.
+3. For each two groups, conflicts say which groups they would lock out: for any two points of a third group that fit one
+   of them each, a learned conflict says whether the third could still come to both at once.
+4. Q-values of `(u, v, k, l, w)` follow from the pairs and conflicts.
+
+The network is equivariant to the numbering of parts and points, and works for any number of them. `apply` and the
+functions that it calls are pure and run on NumPy and on JAX arrays.
 """
 
 from __future__ import annotations
@@ -17,6 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float32
 
+from roboassembly.geometry.mating import mating_rotations
 from roboassembly.learning.augmentation import AUGMENTATIONS, FrameChange, up_axis_permutation
 from roboassembly.learning.layers import (
     Array,
@@ -31,19 +35,27 @@ from roboassembly.learning.layers import (
     sigmoid,
     softplus,
 )
-from roboassembly.learning.relational.augmentation import seen
-from roboassembly.learning.relational.batches import pad
-from roboassembly.learning.relational.clearance import HOLD, ROOM
-from roboassembly.learning.relational.features import PAIR, WAY, of_pairs, of_ways, possible, same_way, turns
-from roboassembly.learning.relational.tokens import PATCH, POINT, Tokens
+from roboassembly.learning.relational.augmentation import augment_tokens
+from roboassembly.learning.relational.clearance import CLEARANCE_FEATURES, GRASP_FEATURES
+from roboassembly.learning.relational.features import (
+    PAIR_FEATURES,
+    UP_AXIS_FEATURES,
+    frames_parallel,
+    pair_features,
+    plausible_pairs,
+    up_axis_features,
+)
+from roboassembly.learning.relational.group_geometry import PATCH_SIZE
+from roboassembly.learning.relational.tokens import POINT_FEATURES, Tokens, pad
 
 KIND = "relational"
-"""Of checkpoints."""
+"""Kind of the network's checkpoints."""
 MAX_GROUPS = 20
-_DOUBT = 10.0
-"""Taken off the logits of pairs after which two groups that are surely upright would not stand the same way."""
-_REL = 13
-"""Numbers of one token's frame in another's: rotation, translation, and whether there is any."""
+"""Largest number of groups in a state."""
+_IMPLAUSIBLE_PENALTY = 10.0
+"""Number subtracted from the logits of pairs that leave two upright groups standing in different directions."""
+_RELATIVE_POSE = 13
+"""Numbers of one token's pose in another's frame: rotation, translation, and 1 if there is any."""
 
 
 @dataclass(frozen=True)
@@ -51,152 +63,186 @@ class RelationalConfig:
     """Sizes of the network."""
 
     token: int = 96
+    """Width of a token."""
     pair: int = 48
+    """Width of a pair."""
     layers: int = 3
+    """Number of transformer blocks."""
     heads: int = 4
-    ends: int = 24
-    """Of a point, for judging conflicts."""
+    """Number of attention heads."""
+    conflict_inputs: int = 24
+    """Width of a token where conflicts are computed."""
     conflicts: int = 8
+    """Number of kinds of conflicts."""
 
 
 def init(rng: np.random.Generator, c: RelationalConfig) -> Params:
-    """Fresh weights."""
-    edge = c.pair + _REL + 3
+    """Return fresh weights."""
+    edge = c.pair + _RELATIVE_POSE + 3
     return {
-        "patch": init_mlp(rng, PATCH, 128, c.token),
-        "own": init_mlp(rng, POINT, 64, c.token),
+        "patch": init_mlp(rng, PATCH_SIZE, 128, c.token),
+        "point": init_mlp(rng, POINT_FEATURES, 64, c.token),
         "pair_u": init_linear(rng, c.token, c.pair),
         "pair_v": init_linear(rng, c.token, c.pair),
-        "pair_own": init_linear(rng, PAIR, c.pair),
-        "judge": init_mlp(rng, c.pair, c.pair, c.pair),
-        "right": init_linear(rng, c.pair, 1),
+        "pair_features": init_linear(rng, PAIR_FEATURES, c.pair),
+        "pair": init_mlp(rng, c.pair, c.pair, c.pair),
+        "fits": init_linear(rng, c.pair, 1),
         "blocks": {str(i): init_block(rng, c.token, edge, c.heads) for i in range(c.layers)},
-        "end": init_linear(rng, c.token, c.ends),
-        "conflict_1": init_linear(rng, c.ends, 32),
-        "conflict_2": init_linear(rng, c.ends, 32),
-        "conflict_rel": init_linear(rng, _REL, 32),
+        "conflict_input": init_linear(rng, c.token, c.conflict_inputs),
+        "conflict_first": init_linear(rng, c.conflict_inputs, 32),
+        "conflict_second": init_linear(rng, c.conflict_inputs, 32),
+        "conflict_pose": init_linear(rng, _RELATIVE_POSE, 32),
         "conflict": init_linear(rng, 32, c.conflicts),
         "value_u": init_linear(rng, c.token, c.pair),
         "value_v": init_linear(rng, c.token, c.pair),
         "value_conflict": init_linear(rng, 2 * c.conflicts, c.pair),
         "value": init_mlp(rng, c.pair, c.pair, c.pair),
         "q_pair": init_linear(rng, c.pair, 32),
-        "q_way": init_linear(rng, WAY, 32),
+        "q_axis": init_linear(rng, UP_AXIS_FEATURES, 32),
         "q": init_linear(rng, 32, 1),
     }
 
 
-def init_hands(rng: np.random.Generator, c: RelationalConfig) -> Params:
-    """Fresh weights besides, for a network that sees what room there is for hands; they change nothing yet."""
+def init_grasp_inputs(rng: np.random.Generator, c: RelationalConfig) -> Params:
+    """Return fresh weights to add to those of `init`, for grasps and their clearance; they change nothing at first."""
     return {
-        "hold": init_mlp(rng, HOLD, 48, 48),
-        "held": _silent(init_linear(rng, 48, c.token)),
-        "room": {"0": init_linear(rng, 2 * ROOM, 32), "1": _silent(init_linear(rng, 32, c.pair))},
+        "grasp": init_mlp(rng, GRASP_FEATURES, 48, 48),
+        "grasp_token": _zeros_like(init_linear(rng, 48, c.token)),
+        "clearance": {
+            "0": init_linear(rng, 2 * CLEARANCE_FEATURES, 32),
+            "1": _zeros_like(init_linear(rng, 32, c.pair)),
+        },
     }
 
 
-def _silent(p: Params) -> Params:
+def _zeros_like(p: Params) -> Params:
     return {name: np.zeros_like(value) for name, value in p.items()}
 
 
 def apply(p: Params, t: dict[str, Array]) -> tuple[Array, Array, Array]:
-    """Values of all pairs.
+    """Value all pairs of a batch of b states with n tokens each.
 
     Args:
-        p: of `init`, perhaps with those of `init_hands`.
-        t: a batch of tokens, as `batches.pad` makes it; with what is told of hands where the weights ask for it.
+        p: weights of `init`, perhaps with those of `init_grasp_inputs`.
+        t: batch of `tokens.pad`; with grasps and clearance where the weights need them.
 
     Returns:
-        right: (b, n, n) logit that the ordered pair is right.
-        q: (b, n, n, 6) logit of the share of the best possible return that the action leads to.
-        valid: (b, n, n) whether the two tokens are there and in different groups.
+        fits: (b, n, n) logit of the probability that the ordered pair fits.
+        q: (b, n, n, 6) logit of the probability that the furniture can be finished after the action.
+        valid: (b, n, n) whether the two tokens exist and are in different groups.
     """
-    xp = t["own"].__array_namespace__()
+    xp = t["features"].__array_namespace__()
     t = {name: a if name in ("group", "patch") else xp.astype(a, xp.float32) for name, a in t.items()}
     group = t["group"]
     present = group >= 0
     both = present[:, :, None] & present[:, None, :]
     same_group = group[:, :, None] == group[:, None, :]
     valid, same = both & ~same_group, xp.astype(both & same_group, xp.float32)[..., None]
-    token = mlp(p["patch"], 1.0 - xp.astype(t["patch"], xp.float32) / 255.0) + mlp(p["own"], t["own"])
-    if "hold" in p:
-        grasps = gelu(mlp(p["hold"], t["hold"])) * t["hold"][..., -1:]
-        token = token + linear(p["held"], xp.max(grasps, axis=2))
 
-    mates = linear(p["pair_u"], token)[:, :, None] + linear(p["pair_v"], token)[:, None]
-    judged = mlp(p["judge"], gelu(mates + linear(p["pair_own"], of_pairs(t, valid))))
-    if "room" in p:
-        judged = judged + mlp(p["room"], xp.concatenate([t["room"], xp.swapaxes(t["room"], 1, 2)], axis=-1))
-    right = linear(p["right"], judged)[..., 0]
-    belief = sigmoid(right) * xp.astype(valid, xp.float32)
+    token = _embed_points(p, t)
+    pair = _judge_pairs(p, t, token, valid)
+    fits = linear(p["fits"], pair)[..., 0]
+    belief = sigmoid(fits) * xp.astype(valid, xp.float32)
     belief = xp.maximum(belief, xp.swapaxes(belief, 1, 2))
 
-    rel = _relative(xp, t["frame"], t["position"], same)
+    pose = _relative_poses(t["frame"], t["position"], same)
     known = xp.astype(valid, xp.float32)[..., None]
     identity = xp.broadcast_to(xp.eye(group.shape[1], dtype=xp.float32)[None, :, :, None], known.shape)
-    edges = xp.concatenate([judged * known, rel, belief[..., None], known, identity], axis=-1)
+    edges = xp.concatenate([pair * known, pose, belief[..., None], known, identity], axis=-1)
     for i in range(len(p["blocks"])):
         token = block(p["blocks"][str(i)], token, edges, present)
 
+    conflicts = _conflicts(p, token, pose, same, belief, group)
+    value = linear(p["value_u"], token)[:, :, None] + linear(p["value_v"], token)[:, None]
+    value = mlp(p["value"], gelu(pair + value + linear(p["value_conflict"], conflicts)))
+    actions = gelu(linear(p["q_pair"], value)[..., None, :] + linear(p["q_axis"], up_axis_features(t)))
+    return fits, linear(p["q"], actions)[..., 0], valid
+
+
+def _embed_points(p: Params, t: dict[str, Array]) -> Array:
+    """(b, n, d) tokens: the surface around each point, the point's features, and the best of its part's grasps."""
+    xp = t["features"].__array_namespace__()
+    token = mlp(p["patch"], 1.0 - xp.astype(t["patch"], xp.float32) / 255.0) + mlp(p["point"], t["features"])
+    if "grasp" in p:
+        grasps = gelu(mlp(p["grasp"], t["grasps"])) * t["grasps"][..., -1:]
+        token = token + linear(p["grasp_token"], xp.max(grasps, axis=2))
+    return token
+
+
+def _judge_pairs(p: Params, t: dict[str, Array], token: Array, valid: Array) -> Array:
+    """(b, n, n, d) pairs, each by itself: its two tokens, its features, and the clearance of its grasps."""
+    xp = token.__array_namespace__()
+    tokens = linear(p["pair_u"], token)[:, :, None] + linear(p["pair_v"], token)[:, None]
+    pair = mlp(p["pair"], gelu(tokens + linear(p["pair_features"], pair_features(t, valid))))
+    if "clearance" in p:
+        both = xp.concatenate([t["clearance"], xp.swapaxes(t["clearance"], 1, 2)], axis=-1)
+        pair = pair + mlp(p["clearance"], both)
+    return pair
+
+
+def _relative_poses(frame: Array, position: Array, same: Array) -> Array:
+    """(b, n, n, 13) pose of each token in each other's frame, translations in 1/3 m; zeros between two groups."""
+    xp = position.__array_namespace__()
+    b, n = position.shape[:2]
+    rotation = xp.reshape(xp.einsum("bkji,bljm->bklim", frame, frame), (b, n, n, 9))
+    translation = xp.einsum("bkji,bklj->bkli", frame, position[:, None] - position[:, :, None])
+    return xp.concatenate([rotation, 3.0 * translation, xp.ones_like(same)], axis=-1) * same
+
+
+def _conflicts(p: Params, token: Array, pose: Array, same: Array, belief: Array, group: Array) -> Array:
+    """(b, n, n, 2c): for the groups of two tokens, how much third groups would suffer from their merge."""
+    xp = token.__array_namespace__()
     member = xp.astype(group[..., None] == xp.arange(MAX_GROUPS), xp.float32)
     wants = xp.minimum(belief @ member, 1.0)
-    locked = _locked_out(p, token, rel, same, wants, member)
-    value = linear(p["value_u"], token)[:, :, None] + linear(p["value_v"], token)[:, None]
-    value = mlp(p["value"], gelu(judged + value + linear(p["value_conflict"], locked)))
-    ways = gelu(linear(p["q_pair"], value)[..., None, :] + linear(p["q_way"], of_ways(t)))
-    return right, linear(p["q"], ways)[..., 0], valid
-
-
-def values(p: Params, tokens: Tokens, views: Sequence[FrameChange] = AUGMENTATIONS[:1]) -> Float32[np.ndarray, "n n 6"]:
-    """Q of all actions in one state, on NumPy; -inf where two tokens are in one group.
-
-    Args:
-        p: of `init`.
-        tokens: of the state.
-        views: ways to look at it; what they say is averaged.
-    """
-    t = pad([seen(tokens, view) for view in views], len(tokens.part))
-    _, q, valid = apply(p, t)
-    told = np.asarray(ranked(t, q, valid))
-    every = [q[..., up_axis_permutation(view)] for q, view in zip(told, views, strict=True)]
-    return np.mean(np.stack(every), axis=0).astype(np.float32)
-
-
-def ranked(t: dict[str, Array], q: Array, valid: Array) -> Array:
-    """(b, n, n, 6) Q by which a policy chooses, from what `apply` says; -inf where two tokens are in one group.
-
-    Lessons do not tell everything: where a part is symmetric, standing it the other way round is right as well. So
-    pairs after which two upright groups would not stand the same way come last.
-    """
-    xp = q.__array_namespace__()
-    can = possible(same_way(turns(xp.astype(t["frame"], xp.float32))), t["own"][..., -1] > 0, valid)
-    doubt = xp.where(can | ~xp.any(can, axis=(1, 2), keepdims=True), 0.0, _DOUBT)
-    return xp.where(valid[..., None], q - xp.astype(doubt, q.dtype)[..., None], -xp.inf)
-
-
-def best(p: Params, tokens: Tokens) -> tuple[int, int, int]:
-    """Rows of the two tokens, and the `w`, of the surest action."""
-    q = values(p, tokens)
-    row, column, w = np.unravel_index(np.argmax(q), q.shape)
-    return int(row), int(column), int(w)
-
-
-def _relative(xp: Array, frame: Array, position: Array, same: Array) -> Array:
-    """Each token's frame in each other's, where they are in one group; zero elsewhere."""
-    b, n = position.shape[:2]
-    turn = xp.reshape(xp.einsum("bkji,bljm->bklim", frame, frame), (b, n, n, 9))
-    shift = xp.einsum("bkji,bklj->bkli", frame, position[:, None] - position[:, :, None])
-    return xp.concatenate([turn, 3.0 * shift, xp.ones_like(same)], axis=-1) * same
-
-
-def _locked_out(p: Params, token: Array, rel: Array, same: Array, wants: Array, member: Array) -> Array:
-    """(b, n, n, 2c): for the groups of two tokens, how much third groups would suffer from their merging."""
-    xp = token.__array_namespace__()
-    end = linear(p["end"], token)
-    hidden = linear(p["conflict_1"], end)[:, :, None] + linear(p["conflict_2"], end)[:, None]
-    conflict = softplus(linear(p["conflict"], gelu(hidden + linear(p["conflict_rel"], rel)))) * same
+    inputs = linear(p["conflict_input"], token)
+    hidden = linear(p["conflict_first"], inputs)[:, :, None] + linear(p["conflict_second"], inputs)[:, None]
+    conflict = softplus(linear(p["conflict"], gelu(hidden + linear(p["conflict_pose"], pose)))) * same
+    # Points x and y of a third group, wanted by groups g and h; then from groups to the tokens k and l.
     half = xp.einsum("bxg,bxyc->bgyc", wants, conflict)
     between = xp.einsum("bgyc,byh->bghc", half, wants)
     per_token = xp.einsum("bkg,bghc->bkhc", member, between)
-    locked = xp.einsum("bkhc,blh->bklc", per_token, member)
-    return xp.concatenate([xp.log1p(locked), xp.tanh(locked)], axis=-1)
+    total = xp.einsum("bkhc,blh->bklc", per_token, member)
+    return xp.concatenate([xp.log1p(total), xp.tanh(total)], axis=-1)
+
+
+def ranked(t: dict[str, Array], q: Array, valid: Array) -> Array:
+    """Return (b, n, n, 6) Q-values by which a policy chooses; -inf where two tokens are in one group.
+
+    Samples do not label every viable action: a symmetric part may also stand the other way round. So pairs that leave
+    two upright groups standing in different directions come last.
+
+    Args:
+        t: batch of `tokens.pad`.
+        q: of `apply`.
+        valid: of `apply`.
+    """
+    xp = q.__array_namespace__()
+    frame = xp.astype(t["frame"], xp.float32)
+    plausible = plausible_pairs(frames_parallel(mating_rotations(frame, frame)), t["features"][..., -1] > 0, valid)
+    any_plausible = xp.any(plausible, axis=(1, 2), keepdims=True)
+    penalty = xp.where(plausible | ~any_plausible, 0.0, _IMPLAUSIBLE_PENALTY)
+    return xp.where(valid[..., None], q - xp.astype(penalty, q.dtype)[..., None], -xp.inf)
+
+
+def values(
+    p: Params, tokens: Tokens, augmentations: Sequence[FrameChange] = AUGMENTATIONS[:1]
+) -> Float32[np.ndarray, "n n 6"]:
+    """Return Q-values of all actions in one state, on NumPy; -inf where two tokens are in one group.
+
+    Args:
+        p: weights of `init`.
+        tokens: the state.
+        augmentations: changes of the furniture over which Q is averaged.
+    """
+    t = pad([augment_tokens(tokens, change) for change in augmentations], len(tokens.part))
+    _, q, valid = apply(p, t)
+    changed = np.asarray(ranked(t, q, valid))
+    back = [q[..., up_axis_permutation(change)] for q, change in zip(changed, augmentations, strict=True)]
+    return np.mean(np.stack(back), axis=0).astype(np.float32)
+
+
+def best_action(p: Params, tokens: Tokens) -> tuple[int, int, int]:
+    """Return the action of the greatest value: rows of the moving and the waiting token, and `w`."""
+    q = values(p, tokens)
+    row, column, w = np.unravel_index(np.argmax(q), q.shape)
+    return int(row), int(column), int(w)

@@ -1,16 +1,16 @@
-"""What the multi-task policy is taught: states of many chairs, with the exact worth of every action in them.
+"""Training samples of the relational policy: states of many pieces, with the oracle's label of every action.
 
-Worth is the oracle's: 1 where the furniture can still be finished after the action, 0 where the pair is wrong, cannot
-be joined, or leads into a dead end.
+An action is viable if the furniture can still be finished after it. It is not if its pair does not fit, if the groups
+cannot mate, or if it leads into a dead end.
 
-States come from plays that never leave the path on which the furniture can be finished: with nobody to learn from yet
-the moves are drawn at random among the good ones; later the student moves as long as it is right, and its mistakes
-become lessons (DAgger, Ross et al. 2011, "A Reduction of Imitation Learning and Structured Prediction").
+States come from episodes that never leave the path on which the furniture can be finished. Without a policy, the moves
+are random viable ones. With a policy, its own actions are carried out as long as they are viable, and where it errs the
+oracle corrects it (DAgger, Ross et al. 2011, "A Reduction of Imitation Learning and Structured Prediction").
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,162 +19,153 @@ from jaxtyping import Float32, UInt8
 from roboassembly.envs.observation import Observer
 from roboassembly.furniture.model import MAX_POINTS, Furniture
 from roboassembly.learning.datasets import LabeledState, SampleSet
-from roboassembly.learning.relational.policy_view import Situation
-from roboassembly.learning.relational.tokens import Memory, Tokens, tokens_of
+from roboassembly.learning.relational.tokens import Tokens, tokens_of_sample
 from roboassembly.solvers.hand_oracle import HandOracle
 from roboassembly.solvers.oracle import LabeledMate, Oracle
 from roboassembly.task.object_centric.task import ObjectCentricTask
-from roboassembly.task.rules.connections import GRASPS, UP_AXES
+from roboassembly.task.rules.connections import UP_AXES
 from roboassembly.task.rules.groups import TaskState
 
-
-def tokens_in(samples: SampleSet, sample: LabeledState, memory: Memory | None = None) -> Tokens:
-    """Return what the policy sees of a state; of the grippers, too, in the full setting."""
-    return tokens_of(situation_of(samples, sample), memory, hands=samples.grasps is not None)
-
-
-def situation_of(samples: SampleSet, sample: LabeledState) -> Situation:
-    """Return what a policy is given of a state."""
-    return Situation(
-        samples.clouds.astype(float),
-        sample.points.astype(float),
-        sample.connections.astype(float),
-        sample.free,
-        sample.group,
-        np.zeros((len(samples.clouds), GRASPS, 6)) if samples.grasps is None else samples.grasps.astype(float),
-        sample.poses.astype(float),
-    )
-
-
-_DEAD = 0.5
-"""Share of states with a way into a dead end where one is looked at."""
-_TURNED = 0.02
-"""Largest difference of two rotations that count as one."""
-Student = Callable[[Tokens], tuple[int, int, int]]
-"""Picks the ordered pair of tokens and `w` that it thinks best."""
+TokenPolicy = Callable[[Tokens], tuple[int, int, int]]
+"""Picks an action: the tokens of the moving and of the waiting point, and `w`."""
+_DEAD_END_SHARE = 0.5
+"""Share of the states with an action into a dead end for which one dead end is labelled."""
+_SAME_ROTATION = 0.02
+"""Largest difference between the entries of two rotations that count as one."""
 
 
 @dataclass(frozen=True, eq=False)
-class Play:
-    """What one play from loose parts to the end gave."""
+class LabeledEpisode:
+    """An episode from loose parts to the finished furniture."""
 
-    lessons: tuple[LabeledState, ...]
-    """Of each state."""
+    states: tuple[LabeledState, ...]
+    """State before each merge."""
     dead_ends: tuple[LabeledState, ...]
-    """Of some states next to those, from which the furniture cannot be finished."""
+    """Some dead ends, each one merge away from the episode."""
     mistakes: int
-    """Choices of the student that were not good."""
+    """Number of actions of the policy that were not viable."""
 
 
-def _after(state: TaskState, joint: LabeledMate) -> TaskState:
-    """What is left to be joined."""
-    u_group, v_group = state.groups[state.group_of[joint.u]], state.groups[state.group_of[joint.v]]
-    rest = (g for g in state.groups if g is not u_group and g is not v_group)
-    return TaskState((*rest, joint.merge.merged))
-
-
-class Teacher:
-    """Knows one chair by heart and examines plays of it.
+class Labeler:
+    """Labels the states of one piece of furniture, and rolls out episodes of it.
 
     Args:
-        furniture: the chair.
-        clouds: of its parts, as the policy sees them.
-        oracle: of the setting that is taught; the object-centric one if not given.
+        furniture: the piece.
+        clouds: surface points of each part, as the policy sees them [m].
+        oracle: oracle of the setting; the object-centric one if None.
     """
 
     def __init__(
         self, furniture: Furniture, clouds: Float32[np.ndarray, "P C 3"], oracle: Oracle | None = None
     ) -> None:
         self.oracle = oracle or Oracle(ObjectCentricTask(furniture))
-        self._alone = {c.members[0] for c in furniture.classes if len(c.members) == 1}
+        self._unique_parts = {c.members[0] for c in furniture.classes if len(c.members) == 1}
         self._observer = Observer(furniture, len(furniture.parts), MAX_POINTS, 1)
-        self.course = SampleSet(
-            furniture.name, clouds, (), self._observer.grasp_poses if isinstance(oracle, HandOracle) else None
-        )
+        grasps = self._observer.grasp_poses if isinstance(oracle, HandOracle) else None
+        self._empty = SampleSet(furniture.name, clouds, (), grasps)
 
-    def lesson(self, state: TaskState, joints: list[LabeledMate]) -> LabeledState:
-        """A state as the policy sees it, with the answers."""
-        seen = self._observer.observe(state)
-        rows = [(j.u, j.k, j.v, j.l, j.solvable, *j.feasible_w) for j in joints]
-        free = self.oracle.task.free_points(state)[: len(seen["poses"])]
+    def sample_set(self, samples: Sequence[LabeledState], name: str = "") -> SampleSet:
+        """Return labelled states as a data set, under the furniture's name or another one."""
+        return replace(self._empty, name=name or self._empty.name, samples=tuple(samples))
+
+    def label(self, state: TaskState, mates: Sequence[LabeledMate]) -> LabeledState:
+        """Return a state as a policy sees it, labelled with the pairs that fit."""
+        observation = self._observer.observe(state)
+        rows = [(m.u, m.k, m.v, m.l, m.solvable, *m.feasible_w) for m in mates]
+        free = self.oracle.task.free_points(state)[: len(observation["poses"])]
         return LabeledState(
-            seen["connection_points"],
-            seen["connections"],
+            observation["connection_points"],
+            observation["connections"],
             free,
-            seen["poses"],
+            observation["poses"],
             np.array(rows, np.int16).reshape(-1, 5 + len(UP_AXES)),
         )
 
-    def play(self, rng: np.random.Generator, student: Student | None = None) -> Play:
-        """One play from loose parts to the end.
+    def rollout(self, rng: np.random.Generator, policy: TokenPolicy | None = None) -> LabeledEpisode:
+        """Roll out one episode from loose parts to the finished furniture.
 
         Args:
-            rng: draws among good moves where there is no student or it errs.
-            student: moves as long as it is right.
+            rng: draws the start, the dead ends, and viable actions where the policy errs or there is none.
+            policy: chooses actions; those that are not viable are replaced.
         """
-        task = self.oracle.task
-        state, lessons, ends, mistakes = task.initial_state(rng), [], [], 0
-        before: list[tuple[TaskState, list[LabeledMate], LabeledMate]] = []
+        state = self.oracle.task.initial_state(rng)
+        states: list[LabeledState] = []
+        dead_ends: list[LabeledState] = []
+        mistakes = 0
+        history: list[tuple[TaskState, list[LabeledMate], LabeledMate]] = []
         while not state.complete:
-            joints = self.oracle.mates(state)
-            good = self._upright([j for j in joints if j.viable])
-            if not good:
-                # Equal parts whose points differ: slots alone do not tell that this cannot go on. Take it back.
-                if not before:
+            mates = self.oracle.mates(state)
+            viable = self._keeping_upright([m for m in mates if m.viable])
+            if not viable:
+                # Equal parts whose points differ: the slots alone do not show that this is a dead end. Undo one merge.
+                if not history:
                     break
-                state, joints, joint = before.pop()
-                lessons.pop()
-                joints = [replace(j, solvable=False) if j is joint else j for j in joints]
-                good = self._upright([j for j in joints if j.viable])
-                if not good:
+                state, mates, mate = history.pop()
+                states.pop()
+                mates = [replace(m, solvable=False) if m is mate else m for m in mates]
+                viable = self._keeping_upright([m for m in mates if m.viable])
+                if not viable:
                     break
-                lessons.append(self.lesson(state, joints))
-                joint = good[rng.integers(len(good))]
+                states.append(self.label(state, mates))
+                mate = viable[rng.integers(len(viable))]
             else:
-                lessons.append(self.lesson(state, joints))
-                joint = self._judge(student, lessons[-1], good) if student is not None else None
-                mistakes += student is not None and joint is None
-                joint = joint or good[rng.integers(len(good))]
-            before.append((state, joints, joint))
-            dead = [j for j in self._upright(joints) if any(j.feasible_w) and not j.solvable]
-            if dead and rng.random() < _DEAD:
-                end = _after(state, dead[rng.integers(len(dead))])
-                ends.append(self.lesson(end, [replace(j, solvable=False) for j in self.oracle.mates(end)]))
-            state = _after(state, joint)
-        return Play(tuple(lessons), tuple(ends), mistakes)
+                states.append(self.label(state, mates))
+                chosen = None if policy is None else self._chosen(policy, states[-1], viable)
+                mistakes += policy is not None and chosen is None
+                mate = chosen or viable[rng.integers(len(viable))]
+            history.append((state, mates, mate))
+            deadly = [m for m in self._keeping_upright(mates) if any(m.feasible_w) and not m.solvable]
+            if deadly and rng.random() < _DEAD_END_SHARE:
+                end = _after(state, deadly[rng.integers(len(deadly))])
+                dead_ends.append(self.label(end, [replace(m, solvable=False) for m in self.oracle.mates(end)]))
+            state = _after(state, mate)
+        return LabeledEpisode(tuple(states), tuple(dead_ends), mistakes)
 
-    def _upright(self, joints: list[LabeledMate]) -> list[LabeledMate]:
-        """Those that leave parts without a like of their own standing as delivered, if there are any.
+    def _keeping_upright(self, mates: list[LabeledMate]) -> list[LabeledMate]:
+        """Mates that leave all parts of a unique shape standing as in the furniture's frame, if there are any.
 
-        A symmetric part may be turned as well, but one who sees from the parts' frames how the furniture stands has no
-        reason to.
+        A symmetric part may be turned as well, but the parts' frames show how the furniture stands, so a policy has no
+        reason to turn one.
         """
 
-        def turned(joint: LabeledMate) -> bool:
-            merged = joint.merge.merged
-            alone = [
-                r.rotation for p, r in zip(merged.parts, merged.furniture_from_part, strict=True) if p in self._alone
-            ]
-            return any(np.abs(r - alone[0]).max() > _TURNED for r in alone[1:])
+        def keeps(mate: LabeledMate) -> bool:
+            merged = mate.merge.merged
+            placed = zip(merged.parts, merged.furniture_from_part, strict=True)
+            unique = [pose.rotation for part, pose in placed if part in self._unique_parts]
+            return all(np.abs(r - unique[0]).max() <= _SAME_ROTATION for r in unique[1:])
 
-        return [j for j in joints if not turned(j)] or joints
+        return [m for m in mates if keeps(m)] or mates
 
-    def _judge(self, student: Student, lesson: LabeledState, good: list[LabeledMate]) -> LabeledMate | None:
-        """The student's choice if it is good."""
-        tokens = tokens_in(self.course, lesson)
-        row, column, w = student(tokens)
-        wanted = (tokens.part[row], tokens.point[row], tokens.part[column], tokens.point[column])
-        return next((j for j in good if (j.u, j.k, j.v, j.l) == wanted and j.feasible_w[w]), None)
+    def _chosen(self, policy: TokenPolicy, sample: LabeledState, viable: list[LabeledMate]) -> LabeledMate | None:
+        """Mate that the policy chooses; None if it is not viable."""
+        tokens = tokens_of_sample(self._empty, sample)
+        row, column, w = policy(tokens)
+        action = (tokens.part[row], tokens.point[row], tokens.part[column], tokens.point[column])
+        return next((m for m in viable if (m.u, m.k, m.v, m.l) == action and m.feasible_w[w]), None)
 
 
-def answers(tokens: Tokens, lesson: LabeledState) -> tuple[UInt8[np.ndarray, "n n"], UInt8[np.ndarray, "n n 6"]]:
-    """Which ordered pairs of tokens are right, and which actions are good."""
+def _after(state: TaskState, mate: LabeledMate) -> TaskState:
+    """State after a merge."""
+    u_group, v_group = state.groups[state.group_of[mate.u]], state.groups[state.group_of[mate.v]]
+    rest = (g for g in state.groups if g is not u_group and g is not v_group)
+    return TaskState((*rest, mate.merge.merged))
+
+
+def targets_of(
+    tokens: Tokens, sample: LabeledState
+) -> tuple[UInt8[np.ndarray, "n n"], UInt8[np.ndarray, "n n 6"]]:  # fmt: skip
+    """Return which ordered pairs of tokens fit, and which actions are viable.
+
+    Args:
+        tokens: the state.
+        sample: the same state with its labels.
+    """
     n = len(tokens.part)
-    index = np.full(lesson.free.shape, -1)
+    index = np.full(sample.free.shape, -1)
     index[tokens.part, tokens.point] = np.arange(n)
-    right, good = np.zeros((n, n), np.uint8), np.zeros((n, n, len(UP_AXES)), np.uint8)
-    u, k, v, l, solvable = lesson.mates[:, :5].T  # noqa: E741
+    fits, viable = np.zeros((n, n), np.uint8), np.zeros((n, n, len(UP_AXES)), np.uint8)
+    u, k, v, l, solvable = sample.mates[:, :5].T  # noqa: E741
     rows, columns = index[u, k], index[v, l]
-    right[rows, columns] = 1
-    good[rows, columns] = lesson.mates[:, 5:] * solvable[:, None]
-    return right, good
+    fits[rows, columns] = 1
+    viable[rows, columns] = sample.mates[:, 5:] * solvable[:, None]
+    return fits, viable

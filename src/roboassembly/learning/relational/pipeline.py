@@ -34,13 +34,13 @@ from roboassembly.learning.policy_weights import load_weights
 from roboassembly.learning.progress import Progress
 from roboassembly.learning.relational import imitation
 from roboassembly.learning.relational import network as relational
-from roboassembly.learning.relational.collect import gather, hands_of
+from roboassembly.learning.relational.collect import collect, grasp_folder
 from roboassembly.learning.relational.grasps import imitation as grasp_imitation
 from roboassembly.learning.relational.grasps import network as grasping
-from roboassembly.learning.relational.grasps.on_policy import practise
+from roboassembly.learning.relational.grasps.on_policy import collect_on_policy
 from roboassembly.learning.relational.imitation import Example, Training
 from roboassembly.learning.relational.network import RelationalConfig
-from roboassembly.learning.relational.policy import HANDS, HELD, RelationalPolicy
+from roboassembly.learning.relational.policy import FULL_PARAMS, GRASP_PARAMS, RelationalPolicy
 from roboassembly.task.setting import SettingName
 
 _VALIDATION_SEEDS = EXTRA_SEEDS + 1_000_000
@@ -55,7 +55,7 @@ class Curriculum:
     limit: int | None = None
     """The first so many of them only."""
     extra: int = 6_000
-    """Generated pieces besides: chairs of the set's training families, and others to practise on."""
+    """Generated pieces besides: chairs of the set's training families, and others to collect_on_policy on."""
     validation: int = 60
     """Pieces of neither on which progress is told."""
     plays: int = 1
@@ -127,7 +127,7 @@ def teach(curriculum: Curriculum, folder: Path, jobs: int) -> Iterator[Progress]
     final = checkpoint.load(last, relational.KIND)
     if full:
         assert started is not None
-        learnt = {**checkpoint.load(started, relational.KIND).params, HELD: final.params}
+        learnt = {**checkpoint.load(started, relational.KIND).params, FULL_PARAMS: final.params}
         yield from _taught_hands(learnt, final.config, names, folder, curriculum, notes, jobs)
     else:
         _write(folder / "policy.npz", final.params, final.config)
@@ -138,21 +138,21 @@ def _taught_hands(
     jobs: int,
 ) -> Iterator[Progress]:  # fmt: skip
     """The network that chooses grasps: taught once, and again after each round of its own plays."""
-    lessons = [hands_of(folder / "lessons" / "0")]
+    lessons = [grasp_folder(folder / "lessons" / "0")]
     for round_ in range(c.rounds + 1):
         if round_:
             lessons.append(folder / "practice" / str(round_))
             there = sum(dataset_file(lessons[-1], name).is_file() for name in names)
             mistakes = tried = 0
             player = folder / f"player-{round_}.npz"
-            practice = practise(names, lessons[-1], player, plays=1, seed=c.seed + round_, jobs=jobs)
+            practice = collect_on_policy(names, lessons[-1], player, episodes=1, seed=c.seed + round_, jobs=jobs)
             for done, g in enumerate(practice, 1):
                 mistakes, tried = mistakes + g.mistakes, tried + g.choices
                 scalars = {"mistakes": mistakes / max(tried, 1)}
                 yield Progress(f"practice {round_}", there + done, len(names), scalars)
         grasps = folder / f"grasping-{round_}.npz"
         yield from _taught_grasps(lessons, names, grasps, c, notes, jobs)
-        taught = {**learnt, HANDS: checkpoint.load(grasps, grasping.KIND).params}
+        taught = {**learnt, GRASP_PARAMS: checkpoint.load(grasps, grasping.KIND).params}
         last = round_ == c.rounds
         _write(folder / ("policy.npz" if last else f"player-{round_ + 1}.npz"), taught, config)
 
@@ -199,8 +199,8 @@ def _gathered(
 ) -> Iterator[Progress]:  # fmt: skip
     there = sum(dataset_file(folder, name).is_file() for name in names)
     mistakes = choices = 0
-    gathering = gather(
-        names, folder, plays=c.plays, seed=c.seed, jobs=jobs, student=student, setting=c.setting,
+    gathering = collect(
+        names, folder, episodes=c.plays, seed=c.seed, jobs=jobs, policy=student, setting=c.setting,
         with_grasps=with_grasps,
     )  # fmt: skip
     for done, g in enumerate(gathering, 1):

@@ -1,11 +1,11 @@
-"""The relational network as a policy: values of all actions, and plans that it follows in imagination."""
+"""The relational network as a policy: values of all actions, and a beam search over expected merges."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Bool, Float, Int
 
 from roboassembly.envs.observation import Observation
 from roboassembly.errors import InputError
@@ -17,210 +17,229 @@ from roboassembly.learning.layers import Params, sigmoid
 from roboassembly.learning.policy import Mask, Values, surest
 from roboassembly.learning.relational import network as relational
 from roboassembly.learning.relational.grasps import network as grasping
-from roboassembly.learning.relational.grasps.features import handling_of
-from roboassembly.learning.relational.policy_view import Situation
-from roboassembly.learning.relational.tokens import Memory, tokens_of
+from roboassembly.learning.relational.grasps.features import grasp_features
+from roboassembly.learning.relational.policy_view import PolicyView
+from roboassembly.learning.relational.tokens import TokenCache, tokens_of
 from roboassembly.task.setting import SettingName
 
-HANDS, HELD = "hands", "held"
-"""Under which names a checkpoint holds the weights of the network that chooses grasps, and of the one that values pairs
-where hands have to join them."""
-_WITH_GRASPS = 6
-"""Dimensions of a mask of actions with two grasps."""
+GRASP_PARAMS, FULL_PARAMS = "grasps", "full"
+"""Names in a checkpoint of the weights of the grasp network, and of those that value pairs in the full setting."""
+_FULL_MASK_AXES = 6
+"""Number of axes of a mask of actions in the full setting."""
 _DECIMALS = 3
-"""Of logits that are told apart."""
-_CONSIDERED = 400
-"""Actions among which those of different groups are looked for."""
-_HANDLED = 12
-"""Right pairs, the surest ones, for which hands are looked for."""
-_ENOUGH, _HARDLY = 5, 0.03
-"""With so many actions of which the logarithms of their chances are less than this below what any hands could make of
-the next pair, that one is not looked at."""
+"""Decimals to which logits are rounded."""
+_MAX_CANDIDATES = 400
+"""Number of best actions among which those of different groups are looked for."""
+_MAX_GRASPED_PAIRS = 12
+"""Number of best pairs whose grasps are valued."""
+_ENOUGH_ACTIONS, _CLOSE = 5, 0.03
+"""Number of actions whose log-probability reaches the next pair's within a margin, from which on it is skipped."""
 _HOPELESS = -20.0
-"""Logarithm of the chance that is left where nothing can be joined any more."""
-_UNHANDLED = -8.0
-"""Logarithm of the chance of hands that nobody looked at."""
+"""Log-probability of finishing where no action is left."""
+_UNKNOWN_GRASPS = -8.0
+"""Log-probability of grasps that are not valued."""
 
 
 @dataclass(frozen=True, eq=False)
 class RelationalPolicy:
-    """The relational network, on NumPy; the surest choice first."""
+    """The relational network on NumPy; it takes the action that most probably leads to the finished furniture."""
 
     params: Params
+    """Weights of `network`."""
     name: str = relational.KIND
+    """Name of the policy in reports."""
     cloud_points: int = CLOUD_POINTS
-    views: int = 1
-    """Ways in which each state is looked at, up to eight: more are surer and take longer."""
-    ahead: int = 4
-    """Plans that it follows in imagination, side by side; none below two."""
-    depth: int = 1
-    """Merges that it imagines of each."""
-    hands: Params | None = None
-    """Of the network that chooses grasps (`grasping`); None if there is none, and no playing with robots then."""
-    held: Params | None = None
-    """Like `params`, for what hands have to join; the same if None."""
-    memory: Memory = field(default_factory=Memory, repr=False)
+    """Number of points of each part's cloud in the observations."""
+    augmentations: int = 1
+    """Number of augmentations over which values are averaged, 8 at most; more are more accurate and take longer."""
+    beam_width: int = 4
+    """Number of action sequences that `act` compares; below 2, it takes the best action."""
+    beam_depth: int = 1
+    """Number of merges in each of these sequences."""
+    grasp_params: Params | None = None
+    """Weights of `grasps.network`; without them, the policy works in the object-centric setting only."""
+    full_params: Params | None = None
+    """Weights of `network` for the full setting; `params` if None."""
+    cache: TokenCache = field(default_factory=TokenCache, repr=False)
+    """Geometry of earlier states."""
 
     @property
     def settings(self) -> tuple[SettingName, ...]:
-        """In which it can play."""
-        return ("object-centric",) if self.hands is None else ("object-centric", "full")
+        """Settings that the policy works in."""
+        return ("object-centric",) if self.grasp_params is None else ("object-centric", "full")
 
     @staticmethod
     def from_checkpoint(loaded: Checkpoint, where: str) -> RelationalPolicy:
-        """The policy that a checkpoint holds.
+        """Make the policy of a checkpoint.
 
         Args:
-            loaded: of kind `relational`.
+            loaded: checkpoint of kind `relational`.
             where: the file, for messages and reports.
 
         Raises:
-            InputError: its configuration or arrays are not those of such a network.
+            InputError: configuration and arrays do not fit each other.
         """
         config = checkpoint.network_config(relational.RelationalConfig(), loaded.config.get("network"), where)
         if config.token % config.heads:
             raise InputError(f"'{where}': {config.heads} heads do not divide tokens of {config.token}; they must")
-        wanted = relational.init(np.random.default_rng(0), config)
-        params = {name: array for name, array in loaded.params.items() if name not in (HANDS, HELD)}
-        hands, held = loaded.params.get(HANDS), loaded.params.get(HELD)
-        with_hands = wanted | relational.init_hands(np.random.default_rng(0), config)
-        for own, like in ((params, wanted), (held, with_hands), (hands, grasping.init(np.random.default_rng(0)))):
-            if own is not None:
-                checkpoint.check_arrays(own, like, where)
-        return RelationalPolicy(params, where, hands=hands, held=held)
+        expected = relational.init(np.random.default_rng(0), config)
+        with_grasps = expected | relational.init_grasp_inputs(np.random.default_rng(0), config)
+        params = {name: array for name, array in loaded.params.items() if name not in (GRASP_PARAMS, FULL_PARAMS)}
+        grasp_params, full_params = loaded.params.get(GRASP_PARAMS), loaded.params.get(FULL_PARAMS)
+        grasp_net = grasping.init(np.random.default_rng(0))
+        for found, like in ((params, expected), (full_params, with_grasps), (grasp_params, grasp_net)):
+            if found is not None:
+                checkpoint.check_arrays(found, like, where)
+        return RelationalPolicy(params, where, grasp_params=grasp_params, full_params=full_params)
 
-    def values(self, observation: Observation, mask: Mask) -> Values:
-        """Logits that actions are good, or with robots the logarithms of their chances; -inf where the action does not
-        exist.
+    def act(self, observation: Observation, mask: Mask) -> Int[np.ndarray, "_"]:
+        """Return the best action.
+
+        In the object-centric setting it is the first of the action sequence after which the furniture can most probably
+        be finished, found by beam search.
 
         Raises:
-            InputError: the policy knows nothing of hands, and the mask is one of grasps.
+            InputError: no action exists, or the mask has grasps and the policy has no grasp network.
         """
-        situation = Situation.of(observation, mask)
-        if mask.ndim != _WITH_GRASPS:
-            return self._values(situation)
-        if self.hands is None:
-            raise InputError(f"the policy '{self.name}' has learnt nothing of hands; --setting object-centric would do")
-        pairs = self if self.held is None else replace(self, params=self.held)
-        return pairs._held(situation, pairs._values(situation), self.hands, mask)
+        if mask.ndim == _FULL_MASK_AXES:
+            return surest(self.values(observation, mask))
+        view = PolicyView.from_observation(observation, mask)
+        values = self.pair_values(view)
+        return surest(values) if self.beam_width < 2 else self._beam_search(_Sequence(view, values))
 
-    def _values(self, situation: Situation) -> Values:
-        out = np.full(situation.actions, -np.inf, np.float32)
-        tokens = tokens_of(situation, self.memory, hands="hold" in self.params)
+    def values(self, observation: Observation, mask: Mask) -> Values:
+        """Return logits of the probabilities of actions, in the full setting their logarithms.
+
+        The values of actions that do not exist are -inf.
+
+        Raises:
+            InputError: the mask has grasps and the policy has no grasp network.
+        """
+        view = PolicyView.from_observation(observation, mask)
+        if mask.ndim != _FULL_MASK_AXES:
+            return self.pair_values(view)
+        if self.grasp_params is None:
+            raise InputError(f"the policy '{self.name}' has no grasp network; --setting object-centric would do")
+        policy = self if self.full_params is None else replace(self, params=self.full_params)
+        return policy._grasp_values(view, self.grasp_params, mask)
+
+    def probabilities(self, observation: Observation, mask: Mask) -> Values:
+        """Return for each action the probability that the furniture can be finished after it."""
+        values = self.values(observation, mask)
+        return np.exp(values) if mask.ndim == _FULL_MASK_AXES else sigmoid(values)
+
+    def pair_values(self, view: PolicyView) -> Values:
+        """Return the logits of all object-centric actions; -inf where an action does not exist."""
+        out = np.full(view.action_shape, -np.inf, np.float32)
+        tokens = tokens_of(view, self.cache, grasps="grasp" in self.params)
         if len(tokens.part):
             u, k = tokens.part[:, None], tokens.point[:, None]
             v, l = tokens.part[None], tokens.point[None]  # noqa: E741
-            # Equal parts are worth the same but for rounding, which must not choose between them, nor between plans.
-            out[u, v, k, l] = np.round(relational.values(self.params, tokens, AUGMENTATIONS[: self.views]), _DECIMALS)
+            # Rounding errors must not choose between equal parts, nor between action sequences.
+            q = relational.values(self.params, tokens, AUGMENTATIONS[: self.augmentations])
+            out[u, v, k, l] = np.round(q, _DECIMALS)
         return out
 
-    def probabilities(self, observation: Observation, mask: Mask) -> Values:
-        """Chance that the furniture can still be finished after each action."""
-        values = self.values(observation, mask)
-        return np.exp(values) if mask.ndim == _WITH_GRASPS else sigmoid(values)
+    def _beam_search(self, start: _Sequence) -> Int[np.ndarray, "5"]:
+        """First action of the best of `beam_width` sequences of `beam_depth` merges."""
+        beam = [start]
+        for _ in range(self.beam_depth):
+            longer: dict[frozenset[_Mate], tuple[_Sequence, tuple[int, ...], float]] = {}
+            for sequence in beam:
+                for action in _candidates(sequence.values, sequence.view.group, self.beam_width):
+                    u, v, k, l, _ = action  # noqa: E741
+                    log_probability = sequence.log_probability + _log_sigmoid(float(sequence.values[action]))
+                    # The same merges in another order are the same sequence.
+                    mates = sequence.mates | {frozenset(((u, k), (v, l)))}
+                    if mates not in longer or log_probability > longer[mates][2]:
+                        longer[mates] = sequence, action, log_probability
+            if not longer:
+                break
+            best = sorted(longer.items(), key=lambda item: -item[1][2])[: self.beam_width]
+            beam = [self._extended(*item, mates) for mates, item in best]
+        chosen = max(beam, key=lambda sequence: sequence.log_probability + sequence.log_finish)
+        return surest(start.values) if chosen.first is None else np.array(chosen.first)
 
-    def act(self, observation: Observation, mask: Mask) -> Int[np.ndarray, "_"]:
-        """The surest action; with `ahead`, the first of the plan after which the furniture most surely can be finished.
+    def _extended(
+        self, sequence: _Sequence, action: tuple[int, ...], log_probability: float, mates: frozenset[_Mate]
+    ) -> _Sequence:
+        """Sequence with one more action."""
+        u, v, k, l, _ = action  # noqa: E741
+        after = sequence.view.after_merge(u, k, v, l)
+        return _Sequence(after, self.pair_values(after), sequence.first or action, log_probability, mates)
 
-        Raises:
-            InputError: there is none, or the policy knows nothing of hands and is asked for grasps.
+    def _grasp_values(self, view: PolicyView, grasp_params: Params, mask: Mask) -> Values:
+        """Log-probabilities of actions with grasps.
+
+        An action works if its pair is viable, if a viable action is left afterwards, and if its grasps work. Grasps are
+        valued for the best pairs only.
         """
-        if mask.ndim == _WITH_GRASPS:
-            return surest(self.values(observation, mask))
-        situation = Situation.of(observation, mask)
-        values = self._values(situation)
-        if self.ahead < 2:
-            return surest(values)
-        return self._plan(_Plan(situation, values))
-
-    def _held(self, situation: Situation, values: Values, hands: Params, mask: Mask) -> Values:
-        """Of actions with two grasps: that the pair is good, that something good is left then, that the hands fit."""
+        values = self.pair_values(view)
         pairs = -np.logaddexp(0.0, -values.max(axis=-1))
-        if self.ahead > 1:
-            pairs = self._hopeful(situation, values, pairs)
-        out = np.where(mask, pairs[..., None, None] + _UNHANDLED, -np.inf).astype(np.float32)
+        if self.beam_width > 1:
+            pairs = self._with_log_finish(view, values, pairs)
+        out = np.where(mask, pairs[..., None, None] + _UNKNOWN_GRASPS, -np.inf).astype(np.float32)
         flat = pairs.ravel()
-        found = np.full(_ENOUGH, -np.inf)
-        for index in np.argsort(-flat, kind="stable")[:_HANDLED]:
-            # No hands make an action surer than its pair is.
-            if flat[index] == -np.inf or found[0] > flat[index] - _HARDLY:
+        best = np.full(_ENOUGH_ACTIONS, -np.inf)
+        for index in np.argsort(-flat, kind="stable")[:_MAX_GRASPED_PAIRS]:
+            # No action is more probable than its pair.
+            if flat[index] == -np.inf or best[0] > flat[index] - _CLOSE:
                 break
             u, v, k, l = (int(i) for i in np.unravel_index(index, pairs.shape))  # noqa: E741
-            chance = grasping.log_chance(hands, handling_of(situation, u, k, v, l))
-            out[u, v, k, l] = np.where(mask[u, v, k, l], flat[index] + chance, -np.inf)
-            found = np.sort([*found, *out[u, v, k, l].ravel()])[-_ENOUGH:]
+            grasps = grasping.log_probability(grasp_params, grasp_features(view, u, k, v, l))
+            out[u, v, k, l] = np.where(mask[u, v, k, l], flat[index] + grasps, -np.inf)
+            best = np.sort([*best, *out[u, v, k, l].ravel()])[-_ENOUGH_ACTIONS:]
         return np.round(out, _DECIMALS)
 
-    def _hopeful(self, situation: Situation, values: Values, pairs: np.ndarray) -> np.ndarray:
-        """With what is left after the best merge of each two groups added to all their pairs."""
-        group = situation.group
-        hopes: dict[frozenset[int], float] = {}
-        for action in _candidates(values, group, self.ahead):
-            plan = self._imagined(_Plan(situation, values), action, 0.0, frozenset())
-            hopes[frozenset((int(group[action[0]]), int(group[action[1]])))] = max(plan.hope, _HOPELESS)
-        # Nobody looked at the others because they are worse.
-        out = pairs + min(hopes.values(), default=0.0)
-        for two, hope in hopes.items():
-            one, other = sorted(two)
-            here = np.isin(group, one)[:, None] & np.isin(group, other)[None]
-            out = np.where((here | here.T)[..., None, None], pairs + hope, out)
+    def _with_log_finish(
+        self, view: PolicyView, values: Values, pairs: Float[np.ndarray, "P P K K"]
+    ) -> Float[np.ndarray, "P P K K"]:
+        """Log-probabilities of pairs, plus that of finishing after the best merge of their two groups."""
+        group = view.group
+        log_finish: dict[tuple[int, int], float] = {}
+        for action in _candidates(values, group, self.beam_width):
+            after = self._extended(_Sequence(view, values), action, 0.0, frozenset())
+            u_group, v_group = sorted((int(group[action[0]]), int(group[action[1]])))
+            log_finish[u_group, v_group] = max(after.log_finish, _HOPELESS)
+        # All other groups are worse, so nothing is computed for them.
+        out = pairs + min(log_finish.values(), default=0.0)
+        for (u_group, v_group), finish in log_finish.items():
+            here: Bool[np.ndarray, "P P"] = np.isin(group, u_group)[:, None] & np.isin(group, v_group)[None]
+            out = np.where((here | here.T)[..., None, None], pairs + finish, out)
         return out
 
-    def _plan(self, start: _Plan) -> Int[np.ndarray, "5"]:
-        """Beam search in imagination: `depth` merges deep, `ahead` plans wide."""
-        plans = [start]
-        for _ in range(self.depth):
-            wider: dict[frozenset[_Pair], tuple[_Plan, tuple[int, ...], float]] = {}
-            for plan in plans:
-                for action in _candidates(plan.values, plan.situation.group, self.ahead):
-                    u, v, k, l, _ = action  # noqa: E741
-                    chance = plan.chance + _log_sigmoid(float(plan.values[action]))
-                    # Merges in another order are the same plan.
-                    key = plan.pairs | {frozenset(((u, k), (v, l)))}
-                    if key not in wider or chance > wider[key][2]:
-                        wider[key] = plan, action, chance
-            if not wider:
-                break
-            likely = sorted(wider.items(), key=lambda item: -item[1][2])[: self.ahead]
-            plans = [self._imagined(plan, action, chance, key) for key, (plan, action, chance) in likely]
-        best = max(plans, key=lambda plan: plan.chance + plan.hope)
-        return surest(start.values) if best.first is None else np.array(best.first)
 
-    def _imagined(self, plan: _Plan, action: tuple[int, ...], chance: float, pairs: frozenset[_Pair]) -> _Plan:
-        u, v, k, l, _ = action  # noqa: E741
-        after = plan.situation.after(u, k, v, l)
-        return _Plan(after, self._values(after), plan.first or action, chance, pairs)
-
-
-_Pair = frozenset[tuple[int, int]]
+_Mate = frozenset[tuple[int, int]]
+"""Two mated points, each as its part and its number."""
 
 
 @dataclass(frozen=True, eq=False)
-class _Plan:
-    """Merges in imagination, and what would be left."""
+class _Sequence:
+    """A sequence of merges, and the state that it should lead to."""
 
-    situation: Situation
+    view: PolicyView
     values: Values
+    """Values of the actions in this state."""
     first: tuple[int, ...] | None = None
-    """The action to begin with."""
-    chance: float = 0.0
-    """Logarithm, that all merges so far are good."""
-    pairs: frozenset[_Pair] = frozenset()
+    """First action of the sequence."""
+    log_probability: float = 0.0
+    """Log-probability that all merges are viable."""
+    mates: frozenset[_Mate] = frozenset()
 
     @property
-    def hope(self) -> float:
-        """Logarithm of the chance that it can be finished; certain where nothing is left to be joined."""
+    def log_finish(self) -> float:
+        """Log-probability that the furniture can be finished from here; 0 where it is finished."""
         best = float(self.values.max(initial=-np.inf))
         if best == -np.inf:
-            return 0.0 if self.situation.joined else -np.inf
+            return 0.0 if self.view.complete else -np.inf
         return _log_sigmoid(best)
 
 
 def _candidates(values: Values, group: Int[np.ndarray, "P"], count: int) -> list[tuple[int, ...]]:
-    """The best action of each two groups, best first."""
+    """Best action of each two groups, the best `count` of them in order."""
     # Few of all actions exist; of equal ones the first counts, on every machine.
     exist = np.flatnonzero(values > -np.inf)
-    order = exist[np.argsort(-values.ravel()[exist], kind="stable")[:_CONSIDERED]]
+    order = exist[np.argsort(-values.ravel()[exist], kind="stable")[:_MAX_CANDIDATES]]
     out: dict[frozenset[int], tuple[int, ...]] = {}
     for flat in order:
         if len(out) == count:

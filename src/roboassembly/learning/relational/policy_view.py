@@ -1,4 +1,4 @@
-"""What is there to be joined, as a policy sees it; and what would be left after a merge, in its imagination."""
+"""What a policy sees of a state, and the state that it expects after a merge."""
 
 from __future__ import annotations
 
@@ -7,35 +7,41 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from roboassembly.geometry.mating import mating_poses, point_frames
 from roboassembly.geometry.poses import euler_from_rotations, rotations_from_euler
-from roboassembly.learning.datasets import group_labels
-from roboassembly.learning.mating import FLIP
-from roboassembly.task.rules.connections import UP_AXES
+from roboassembly.learning.datasets import LabeledState, SampleSet, group_labels
+from roboassembly.task.rules.connections import GRASPS, UP_AXES
 
-MEET, OPPOSED = 0.004, -0.99
-"""Metres, and cosine of two normals: points that would touch."""
+CONTACT_DISTANCE = 0.004
+"""Distance below which two connection points touch [m]."""
+CONTACT_COSINE = -0.99
+"""Cosine between the normals of two points below which they can touch."""
 
 
 @dataclass(frozen=True, eq=False)
-class Situation:
-    """P parts with K points each, arrays as in `envs.observation`."""
+class PolicyView:
+    """One state of P parts with K connection points each, as arrays of `envs.observation`."""
 
     clouds: Float[np.ndarray, "P C 3"]
+    """Surface points of each part in its frame [m]."""
     points: Float[np.ndarray, "P K 9"]
+    """Position [m], normal and tangent of each connection point in its part's frame."""
     connections: Float[np.ndarray, "P P 6"]
+    """`i_from_j` of two parts of one group, translation [m] and Euler angles; else zeros."""
     free: Bool[np.ndarray, "P K"]
+    """Whether each connection point exists and touches nothing."""
     group: Int[np.ndarray, "P"]
-    """Of each part, named by its first part."""
-    hands: Float[np.ndarray, "P 8 6"]
-    """Of each grasp, in the part's frame; 0 where there is none, or nobody asks."""
+    """Group of each part, as the number of the group's first part."""
+    grasps: Float[np.ndarray, "P 8 6"]
+    """`part_from_tips` of each grasp; zeros where there is none or where grasps do not matter."""
     poses: Float[np.ndarray, "P 6"]
-    """Of parts in the world."""
+    """`world_from_part` of each part, translation [m] and Euler angles."""
 
     @staticmethod
-    def of(observation: dict[str, np.ndarray], mask: Bool[np.ndarray, "P P K K ..."]) -> Situation:
-        """Of an observation and the mask of existing actions."""
+    def from_observation(observation: dict[str, np.ndarray], mask: Bool[np.ndarray, "P P K K ..."]) -> PolicyView:
+        """Return the view of an observation, with the mask of the actions that exist."""
         connections = observation["connections"].astype(float)
-        return Situation(
+        return PolicyView(
             observation["shapes"].astype(float),
             observation["connection_points"].astype(float),
             connections,
@@ -45,60 +51,81 @@ class Situation:
             observation["poses"].astype(float),
         )
 
+    @staticmethod
+    def from_sample(samples: SampleSet, sample: LabeledState) -> PolicyView:
+        """Return the view of a training sample, one of `samples`."""
+        return PolicyView(
+            samples.clouds.astype(float),
+            sample.points.astype(float),
+            sample.connections.astype(float),
+            sample.free,
+            sample.group,
+            np.zeros((len(samples.clouds), GRASPS, 6)) if samples.grasps is None else samples.grasps.astype(float),
+            sample.poses.astype(float),
+        )
+
     @property
-    def actions(self) -> tuple[int, int, int, int, int]:
-        """Shape of the mask of actions `(u, v, k, l, w)`."""
+    def action_shape(self) -> tuple[int, int, int, int, int]:
+        """Shape of the object-centric mask of actions `(u, v, k, l, w)`."""
         parts, points = self.free.shape
         return parts, parts, points, points, len(UP_AXES)
 
     @property
-    def joined(self) -> bool:
-        """Whether all parts are one group; rows that only fill the arrays up are none."""
+    def complete(self) -> bool:
+        """Whether all parts are one group; rows that only pad the arrays do not count."""
         return len(np.unique(self.group[self.points.any(axis=(1, 2))])) < 2
 
-    def after(self, u: int, k: int, v: int, l: int) -> Situation:  # noqa: E741
-        """What would be left if point `k` of part `u` met point `l` of part `v`: their groups one, and their points
-        that then touch no longer free. Gaps at joints are neglected."""
-        movers, waiting = np.flatnonzero(self.group == self.group[u]), np.flatnonzero(self.group == self.group[v])
-        turn, shift = self.mated(u, k, v, l)
-        (moved, shifted), (waited, where) = self.relative(u, movers), self.relative(v, waiting)
-        turns = np.concatenate([turn @ moved, waited])
-        shifts = np.concatenate([shifted @ turn.T + shift, where])
-        members = np.concatenate([movers, waiting])
-        back = turns.transpose(0, 2, 1)
-        relative = back[:, None] @ turns[None]
-        apart = (back[:, None] @ (shifts[None] - shifts[:, None])[..., None])[..., 0]
-        poses = np.concatenate([apart, euler_from_rotations(relative.reshape(-1, 3, 3)).reshape(apart.shape)], axis=-1)
-        poses[np.arange(len(members)), np.arange(len(members))] = 0.0
+    def after_merge(self, u: int, k: int, v: int, l: int) -> PolicyView:  # noqa: E741
+        """Return the view after point `k` of part `u` mates with point `l` of part `v`.
+
+        The two groups are one, and their points that touch are no longer free. Gaps between mated points are neglected
+        and the world poses stay as they are.
+        """
+        moving, waiting = np.flatnonzero(self.group == self.group[u]), np.flatnonzero(self.group == self.group[v])
+        members = np.concatenate([moving, waiting])
+        v_from_u = self.mating_pose(u, k, v, l)
+        u_rotations, u_translations = self.part_from_members(u, moving)
+        v_rotations, v_translations = self.part_from_members(v, waiting)
+        rotations = np.concatenate([v_from_u[0] @ u_rotations, v_rotations])
+        translations = np.concatenate([u_translations @ v_from_u[0].T + v_from_u[1], v_translations])
+
         connections, free, group = self.connections.copy(), self.free.copy(), self.group.copy()
-        connections[np.ix_(members, members)] = poses
+        connections[np.ix_(members, members)] = _relative_poses(rotations, translations)
         group[members] = members.min()
-        # Points of the members in v's frame: which of the one group touch any of the other?
-        ends, points = np.nonzero(free[members])
-        at = np.einsum("nij,nj->ni", turns[ends], self.points[members[ends], points, :3]) + shifts[ends]
-        out = np.einsum("nij,nj->ni", turns[ends], self.points[members[ends], points, 3:6])
-        near = np.linalg.norm(at[:, None] - at[None], axis=2) < MEET
-        moves = ends < len(movers)
-        touch = near & (out @ out.T < OPPOSED) & (moves[:, None] != moves[None])
-        taken = touch.any(axis=1)
-        free[members[ends[taken]], points[taken]] = False
+        row, point = np.nonzero(free[members])
+        points = self.points[members[row], point]
+        position = np.einsum("nij,nj->ni", rotations[row], points[:, :3]) + translations[row]
+        normal = np.einsum("nij,nj->ni", rotations[row], points[:, 3:6])
+        near = np.linalg.norm(position[:, None] - position[None], axis=2) < CONTACT_DISTANCE
+        moves = row < len(moving)
+        touch = near & (normal @ normal.T < CONTACT_COSINE) & (moves[:, None] != moves[None])
+        occupied = touch.any(axis=1)
+        free[members[row[occupied]], point[occupied]] = False
         free[u, k] = free[v, l] = False
         return replace(self, connections=connections, free=free, group=group)
 
-    def mated(self, u: int, k: int, v: int, l: int) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]:  # noqa: E741
-        """`v_from_u`, parts, if point `k` of part `u` met point `l` of part `v`; gaps are neglected."""
-        turn = (frames_of(self.points[v, l]) * FLIP) @ frames_of(self.points[u, k]).T
-        return turn, self.points[v, l, :3] - turn @ self.points[u, k, :3]
+    def mating_pose(self, u: int, k: int, v: int, l: int) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]:  # noqa: E741
+        """Return `v_from_u` of two parts when point `k` of part `u` mates with point `l` of part `v`, without a gap."""
+        a, b = self.points[u, k][None], self.points[v, l][None]
+        rotation, translation = mating_poses(point_frames(a), a[:, :3], point_frames(b), b[:, :3])
+        return rotation[0, 0], translation[0, 0]
 
-    def relative(
+    def part_from_members(
         self, part: int, members: Int[np.ndarray, "m"]
     ) -> tuple[Float[np.ndarray, "m 3 3"], Float[np.ndarray, "m 3"]]:
-        """`part_from_member`; connections say nothing of a part and itself."""
+        """Return the poses of some members of a part's group in the part's frame; the part itself may be one."""
         poses = self.connections[part, members]
         return rotations_from_euler(poses[:, 3:]), poses[:, :3]
 
 
-def frames_of(points: Float[np.ndarray, "*n 9"]) -> Float[np.ndarray, "*n 3 3"]:
-    """`part_from_point` rotations."""
-    normal, tangent = points[..., 3:6], points[..., 6:9]
-    return np.stack([tangent, np.cross(normal, tangent), normal], axis=-1)
+def _relative_poses(
+    rotations: Float[np.ndarray, "m 3 3"], translations: Float[np.ndarray, "m 3"]
+) -> Float[np.ndarray, "m m 6"]:
+    """`i_from_j` of any two of some parts in one frame, translation and Euler angles; zeros on the diagonal."""
+    back = rotations.transpose(0, 2, 1)
+    relative = back[:, None] @ rotations[None]
+    offset = (back[:, None] @ (translations[None] - translations[:, None])[..., None])[..., 0]
+    angles = euler_from_rotations(relative.reshape(-1, 3, 3)).reshape(offset.shape)
+    poses = np.concatenate([offset, angles], axis=-1)
+    poses[np.arange(len(poses)), np.arange(len(poses))] = 0.0
+    return poses

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 
-from roboassembly.learning.mating import mating_rotations
+from roboassembly.geometry.mating import mating_poses
 from roboassembly.learning.paper.dqn.group_table import Registry
 from roboassembly.learning.paper.dqn.relative_poses import Placed, Relations
 from roboassembly.task.rules.pairs import ANGLE_TOLERANCE, POSITION_TOLERANCE
@@ -88,9 +88,8 @@ class Joints:
         """How each free point of a group, laid on each of another's, places the two; in tolerances."""
         turns_u, at_u, gap_u = self._all.frames(one, self._all.free(one))
         turns_v, at_v, gap_v = self._all.frames(two, self._all.free(two))
-        at_v = at_v[None] + 0.5 * (gap_u[:, None] + gap_v[None])[..., None] * turns_v[None, :, :, 2]
-        turn = mating_rotations(turns_u, turns_v)
-        shift = at_v - np.einsum("klij,kj->kli", turn, at_u)
+        gaps = 0.5 * (gap_u[:, None] + gap_v[None])
+        turn, shift = mating_poses(turns_u, at_u, turns_v, at_v, gaps)
         flat = turn.reshape(*turn.shape[:2], 9)
         return np.concatenate([shift / POSITION_TOLERANCE, flat / ANGLE_TOLERANCE], axis=2)
 

@@ -1,8 +1,8 @@
-"""What the relational policy is taught about hands: which of them could join right pairs, in plays of many chairs.
+"""Training samples of the grasp network: which grasps can carry out pairs that fit, in episodes of many pieces.
 
-A play takes right pairs after which the furniture can still be finished, as the oracle knows, and tries grasps at
-random until one works out. For each pair it is kept which hands can take the groups, which two have room at the joint,
-where the arms reach it, and what became of those that were tried.
+An episode takes viable pairs, as the oracle knows them, and tries random grasps until an action works. The sample of a
+pair says which grasps can pick the groups, which two fit at the mate, where the arms reach it, and what became of the
+actions that were carried out.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from jaxtyping import Bool, Float32, Int8
 from roboassembly.envs.observation import Observer, surface_points
 from roboassembly.furniture.model import MAX_POINTS
 from roboassembly.learning import archive
-from roboassembly.learning.datasets import CLOUD_POINTS, group_labels
-from roboassembly.learning.relational.policy_view import Situation
+from roboassembly.learning.datasets import CLOUD_POINTS, check_format, group_labels
+from roboassembly.learning.relational.policy_view import PolicyView
 from roboassembly.solvers.hand_oracle import HandOracle
 from roboassembly.solvers.oracle import LabeledMate
 from roboassembly.task.full.grips import Grip
@@ -27,94 +27,124 @@ from roboassembly.task.plans.full_plan import FullState
 from roboassembly.task.rollout import draw_seed, rollout
 from roboassembly.task.rules.connections import GRASPS
 
+FORMAT = 2
+"""Version of the files."""
 UNKNOWN, NO, YES = -1, 0, 1
-"""What is known of a hand, or of two."""
-_TOGETHER = 16
-"""Pairs of hands that fit alone of which it is found out whether they fit together."""
-_MEET = 6
-"""Pairs of hands that fit together of which it is found out whether the arms reach the joint."""
+"""Values of a label."""
+_FIT_TESTS = 16
+"""Number of grasp pairs of which it is tested whether both fit together."""
+_REACH_TESTS = 6
+"""Number of grasp pairs that fit of which it is tested whether the arms reach the mate."""
 _PAIRS = 3
-"""Right pairs of a state that are tried before a play is given up."""
+"""Number of viable pairs of a state that are tried before an episode ends."""
 
 
 @dataclass(frozen=True, eq=False)
-class GraspLesson:
-    """One right pair of one state."""
+class LabeledGrasps:
+    """One pair that fits in one state, and the labels of its grasps: `UNKNOWN`, `NO` or `YES`."""
 
     points: Float32[np.ndarray, "P K 9"]
+    """Connection points, as in the observation."""
     connections: Float32[np.ndarray, "P P 6"]
+    """Relative poses of joined parts, as in the observation."""
     free: Bool[np.ndarray, "P K"]
+    """Whether each point exists and is free."""
     poses: Float32[np.ndarray, "P 6"]
+    """World pose of each part, as in the observation."""
     pair: tuple[int, int, int, int]
-    """u, k, v, l."""
-    take: Int8[np.ndarray, "2 8"]
-    """Whether R_a can take u's group from its post with each hand, and R_b v's."""
-    room: Int8[np.ndarray, "8 8"]
-    """Whether two hands have room at their parts and at the joint."""
-    meet: Int8[np.ndarray, "8 8"]
-    """Whether both arms reach the joint then, somewhere."""
-    rest: Int8[np.ndarray, "8 8"]
-    """Whether all else works out then, too."""
+    """The pair (u, k, v, l)."""
+    pick: Int8[np.ndarray, "2 8"]
+    """Whether R_a can pick u's group from its post with each grasp, and R_b v's."""
+    fit: Int8[np.ndarray, "8 8"]
+    """Whether two grasps fit at their parts and at the mate."""
+    reach: Int8[np.ndarray, "8 8"]
+    """Whether both arms then reach the mate somewhere."""
+    finish: Int8[np.ndarray, "8 8"]
+    """Whether all else then works, too."""
+
+    @staticmethod
+    def unlabeled(
+        task: FullTask, state: FullState, observer: Observer, pair: tuple[int, int, int, int]
+    ) -> LabeledGrasps:
+        """Return a pair (u, k, v, l) of which no label is known.
+
+        Args:
+            task: rules for the furniture.
+            state: state of the furniture.
+            observer: observer of the furniture.
+            pair: the pair; it fits.
+        """
+        observation = observer.observe(state.groups)
+        free = task.rules.free_points(state.groups)[: len(observation["poses"])]
+        return LabeledGrasps(
+            observation["connection_points"], observation["connections"], free, observation["poses"], pair,
+            np.full((2, GRASPS), UNKNOWN, np.int8),
+            *(np.full((GRASPS, GRASPS), UNKNOWN, np.int8) for _ in range(3)),
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
-class GraspCourse:
-    """The lessons of one chair."""
+class GraspSamples:
+    """The labelled grasps of one piece of furniture."""
 
     name: str
+    """Name of the furniture."""
     clouds: Float32[np.ndarray, "P C 3"]
-    hands: Float32[np.ndarray, "P 8 6"]
-    lessons: tuple[GraspLesson, ...]
+    """Surface points of each part in its frame [m]."""
+    grasps: Float32[np.ndarray, "P 8 6"]
+    """Gripper pose of each grasp in the part's frame, as in the observation."""
+    samples: tuple[LabeledGrasps, ...]
 
-    def situation(self, lesson: GraspLesson) -> Situation:
-        """What a policy is told of a state."""
-        connections = lesson.connections.astype(float)
-        return Situation(
-            self.clouds.astype(float), lesson.points.astype(float), connections, lesson.free, group_labels(connections),
-            self.hands.astype(float), lesson.poses.astype(float),
+    def view(self, sample: LabeledGrasps) -> PolicyView:
+        """Return what a policy sees of the state of a sample."""
+        connections = sample.connections.astype(float)
+        return PolicyView(
+            self.clouds.astype(float), sample.points.astype(float), connections, sample.free, group_labels(connections),
+            self.grasps.astype(float), sample.poses.astype(float),
         )  # fmt: skip
 
     def save(self, path: Path) -> None:
-        """Write as npz, whole or not at all; clouds are rounded to half a millimetre."""
+        """Write as npz, whole or not at all; clouds are stored as 16-bit floats, half a millimetre exact."""
+        mates = [(x.fit, x.reach, x.finish) for x in self.samples]
         arrays = {
+            "format": np.array(FORMAT),
             "name": np.array(self.name),
             "clouds": self.clouds.astype(np.float16),
-            "hands": self.hands,
-            "points": np.array([x.points for x in self.lessons]),
-            "connections": np.array([x.connections for x in self.lessons]),
-            "free": np.array([x.free for x in self.lessons]),
-            "poses": np.array([x.poses for x in self.lessons]),
-            "pairs": np.array([x.pair for x in self.lessons], np.int16).reshape(-1, 4),
-            "take": np.array([x.take for x in self.lessons], np.int8).reshape(-1, 2, GRASPS),
-            "together": np.array([(x.room, x.meet, x.rest) for x in self.lessons], np.int8).reshape(
-                -1, 3, GRASPS, GRASPS
-            ),
+            "grasps": self.grasps,
+            "points": np.array([x.points for x in self.samples]),
+            "connections": np.array([x.connections for x in self.samples]),
+            "free": np.array([x.free for x in self.samples]),
+            "poses": np.array([x.poses for x in self.samples]),
+            "pairs": np.array([x.pair for x in self.samples], np.int16).reshape(-1, 4),
+            "pick": np.array([x.pick for x in self.samples], np.int8).reshape(-1, 2, GRASPS),
+            "mate": np.array(mates, np.int8).reshape(-1, 3, GRASPS, GRASPS),
         }
         archive.write(path, arrays)
 
     @staticmethod
-    def load(path: Path) -> GraspCourse:
+    def load(path: Path) -> GraspSamples:
         """Read what `save` wrote.
 
         Raises:
-            InputError: the file is broken.
+            InputError: the file is broken, or of another format.
         """
-        with archive.reading(path, "a course of grasps", "remove it and build it again") as z:
-            names = ("points", "connections", "free", "poses", "pairs", "take", "together")
-            lessons = tuple(
-                GraspLesson(p, c, f, w, tuple(pair.tolist()), take, *together)
-                for p, c, f, w, pair, take, together in zip(*(z[name] for name in names), strict=True)
+        with archive.reading(path, "a file of grasp samples", "remove it and build it again") as z:
+            check_format(path, z, FORMAT)
+            names = ("points", "connections", "free", "poses", "pairs", "pick", "mate")
+            samples = tuple(
+                LabeledGrasps(points, connections, free, poses, tuple(pair.tolist()), pick, *mate)
+                for points, connections, free, poses, pair, pick, mate in zip(*(z[n] for n in names), strict=True)
             )
-            return GraspCourse(str(z["name"]), z["clouds"].astype(np.float32), z["hands"], lessons)
+            return GraspSamples(str(z["name"]), z["clouds"].astype(np.float32), z["grasps"], samples)
 
 
-class GraspTeacher:
-    """Plays one chair with two robots, and watches which hands work.
+class GraspLabeler:
+    """Assembles one piece of furniture with two robots, and labels the grasps.
 
     Args:
-        task: the chair.
-        tries: of pairs of hands that seem to work, for each pair of points.
-        oracle: of the task, if there is one already.
+        task: rules for the furniture.
+        tries: number of grasp pairs that are carried out for each pair of points, of those that passed all tests.
+        oracle: oracle of the task; a new one if None.
     """
 
     def __init__(self, task: FullTask, tries: int, oracle: HandOracle | None = None) -> None:
@@ -122,79 +152,60 @@ class GraspTeacher:
         self._oracle = oracle or HandOracle(task)
         self._observer = Observer(task.furniture, len(task.furniture.parts), MAX_POINTS, 1)
 
-    def course(self, rng: np.random.Generator, plays: int) -> GraspCourse:
-        """Lessons from some plays.
+    def collect(self, rng: np.random.Generator, episodes: int) -> GraspSamples:
+        """Return the samples of some episodes.
 
         Raises:
             InputError: the furniture does not suit the cell.
         """
         furniture = self.task.furniture
         clouds = np.array([surface_points(p.mesh, CLOUD_POINTS) for p in furniture.parts], np.float32)
-        lessons: list[GraspLesson] = []
-        for _ in range(plays):
-            lessons += self.play(self.task.initial_state(rng), rng)
-        return GraspCourse(furniture.name, clouds, self._observer.grasp_poses, tuple(lessons))
+        samples: list[LabeledGrasps] = []
+        for _ in range(episodes):
+            samples += self.rollout(self.task.initial_state(rng), rng)
+        return GraspSamples(furniture.name, clouds, self._observer.grasp_poses, tuple(samples))
 
-    def play(self, state: FullState, rng: np.random.Generator) -> list[GraspLesson]:
-        """Play one episode of viable pairs, as far as it leads; a lesson for each pair that was looked at."""
-        lessons: list[GraspLesson] = []
+    def rollout(self, state: FullState, rng: np.random.Generator) -> list[LabeledGrasps]:
+        """Run one episode of viable pairs, and return a sample of each pair that was tested."""
+        samples: list[LabeledGrasps] = []
 
         def propose(state: FullState) -> Iterator[tuple[int, ...]]:
             mates = [m for m in self._oracle.mates(state.groups) if m.viable]
             for index in rng.permutation(len(mates))[:_PAIRS]:
                 mate = mates[index]
-                take, room, meet = self._tested(state, mate, rng)
-                lesson = unanswered(self.task, state, self._observer, (mate.u, mate.k, mate.v, mate.l))
-                lessons.append(replace(lesson, take=take, room=room, meet=meet))
-                taken = (take[0, :, None] == YES) & (take[1] == YES)
-                for g_a, g_b in rng.permutation(np.argwhere(taken & (meet == YES)))[: self.tries].tolist():
+                pick, fit, reach = self._tested(state, mate, rng)
+                sample = LabeledGrasps.unlabeled(self.task, state, self._observer, (mate.u, mate.k, mate.v, mate.l))
+                samples.append(replace(sample, pick=pick, fit=fit, reach=reach))
+                both = (pick[0, :, None] == YES) & (pick[1] == YES)
+                for g_a, g_b in rng.permutation(np.argwhere(both & (reach == YES)))[: self.tries].tolist():
                     yield mate.u, mate.v, mate.k, mate.l, g_a, g_b
 
         for transition in rollout(self.task, state, propose, rng):
-            lessons[-1].rest[transition.action[4:]] = YES if transition.merged else NO
-        return lessons
+            samples[-1].finish[transition.action[4:]] = YES if transition.merged else NO
+        return samples
 
     def _tested(
-        self, state: FullState, joint: LabeledMate, rng: np.random.Generator
+        self, state: FullState, mate: LabeledMate, rng: np.random.Generator
     ) -> tuple[Int8[np.ndarray, "2 8"], Int8[np.ndarray, "8 8"], Int8[np.ndarray, "8 8"]]:
-        """Each hand alone, and some pairs of them together: `take`, `room` and `meet` of a lesson."""
-        task, groups, merge = self.task, state.groups, joint.merge
-        u_group, v_group = groups.groups[groups.group_of[joint.u]], groups.groups[groups.group_of[joint.v]]
-        take = np.full((2, GRASPS), UNKNOWN, np.int8)
-        room, meet = np.full((GRASPS, GRASPS), NO, np.int8), np.full((GRASPS, GRASPS), UNKNOWN, np.int8)
-        hands: list[dict[int, Grip]] = []
-        for robot, part in enumerate((joint.u, joint.v)):
-            holds = task.free_grips(groups, part)
-            for g, held in holds.items():
-                take[robot, g] = task.can_pick(state, part, held, robot, draw_seed(rng))
-            hands.append({g: h for g, h in holds.items() if task.grip_fits(u_group, v_group, merge, h, robot)})
-        both = [(a, b) for a in hands[0] for b in hands[1]]
-        room[tuple(np.array(both, int).reshape(-1, 2).T)] = UNKNOWN
-        met = 0
-        for index in rng.permutation(len(both))[:_TOGETHER]:
+        """Labels `pick`, `fit` and `reach`: of each grasp alone, and of some pairs of grasps."""
+        task, groups, merge = self.task, state.groups, mate.merge
+        u_group, v_group = groups.groups[groups.group_of[mate.u]], groups.groups[groups.group_of[mate.v]]
+        pick = np.full((2, GRASPS), UNKNOWN, np.int8)
+        fit, reach = np.full((GRASPS, GRASPS), NO, np.int8), np.full((GRASPS, GRASPS), UNKNOWN, np.int8)
+        fitting: list[dict[int, Grip]] = []
+        for robot, part in enumerate((mate.u, mate.v)):
+            grips = task.free_grips(groups, part)
+            for g, grip in grips.items():
+                pick[robot, g] = task.can_pick(state, part, grip, robot, draw_seed(rng))
+            fitting.append({g: h for g, h in grips.items() if task.grip_fits(u_group, v_group, merge, h, robot)})
+        both = [(a, b) for a in fitting[0] for b in fitting[1]]
+        fit[tuple(np.array(both, int).reshape(-1, 2).T)] = UNKNOWN
+        reach_tests = 0
+        for index in rng.permutation(len(both))[:_FIT_TESTS]:
             a, b = both[index]
-            fitted = task.check_grips(u_group, v_group, merge, hands[0][a], hands[1][b])
-            room[a, b] = isinstance(fitted, MateGrasp)
-            if isinstance(fitted, MateGrasp) and met < _MEET:
-                met += 1
-                meet[a, b] = task.can_mate(state, fitted, draw_seed(rng))
-        return take, room, meet
-
-
-def unanswered(
-    task: FullTask, state: FullState, observer: Observer, pair: tuple[int, int, int, int]
-) -> GraspLesson:  # fmt: skip
-    """A lesson of a pair (u, k, v, l) of which nothing is known yet.
-
-    Args:
-        task: of the furniture.
-        state: that it is in.
-        observer: of the furniture.
-        pair: right.
-    """
-    seen = observer.observe(state.groups)
-    free = task.rules.free_points(state.groups)[: len(seen["poses"])]
-    return GraspLesson(
-        seen["connection_points"], seen["connections"], free, seen["poses"], pair,
-        np.full((2, GRASPS), UNKNOWN, np.int8), *(np.full((GRASPS, GRASPS), UNKNOWN, np.int8) for _ in range(3)),
-    )  # fmt: skip
+            checked = task.check_grips(u_group, v_group, merge, fitting[0][a], fitting[1][b])
+            fit[a, b] = isinstance(checked, MateGrasp)
+            if isinstance(checked, MateGrasp) and reach_tests < _REACH_TESTS:
+                reach_tests += 1
+                reach[a, b] = task.can_mate(state, checked, draw_seed(rng))
+        return pick, fit, reach

@@ -1,8 +1,7 @@
-"""What two hands would meet at a joint, told from clouds: the relational policy's view of `g_a` and `g_b`.
+"""Features of two grasps at a mate: what the grippers would touch, from the clouds of the observation.
 
-Only what the observation tells is used: clouds, the hand's pose for each grasp, and how parts lie to each other. A hand
-is three convex bodies. What it meets is told by how far the nearest point of a cloud is outside them, or how deep
-inside; how far it is open, by the points of the held part between its pads.
+Everything is in the frame of v's part, where u's group is already mated. The direction out of the mate is the normal of
+v's point for u's group and its opposite for v's group.
 """
 
 from __future__ import annotations
@@ -12,261 +11,214 @@ from functools import cache
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32
-from scipy.spatial import ConvexHull
 
 from roboassembly.geometry.poses import rotations_from_euler
-from roboassembly.learning.relational.policy_view import Situation
-from roboassembly.robots.gripper import MAX_OPENING, RETREAT, hand_bodies
-from roboassembly.task.full.cell import WIDER
+from roboassembly.learning.relational.clearance import (
+    ARM_CUTOFF,
+    ARM_SECTIONS,
+    CUTOFF,
+    MATE_RETREATS,
+    SCALE,
+    PlacedGrasps,
+    arm_clearance,
+    gripper_shape,
+    hand_clearance,
+)
+from roboassembly.learning.relational.policy_view import PolicyView
+from roboassembly.robots.gripper import MAX_OPENING, RETREAT
 from roboassembly.task.rules.connections import GRASPS
 
-ONE, TWO = 43, 9
-"""Numbers that describe one hand at a joint, and two together."""
-FAR = 0.05
-"""Metres beyond which it does not matter how far something is from a hand."""
-NEAR = 0.01
-"""Metres within which it matters by how much."""
-ARM_STRETCHES, ARM_FAR = ((0.13, 0.30), (0.30, 0.50)), 0.3
-"""Metres from the tips to where wrist and forearm begin and end; and from these to what does not matter to them."""
-_POST = 12
-"""Points of a post that are looked at."""
-_APART = 0.6
-"""Metres between the tips of two hands beyond which they do not meet."""
-_WAY = (0.0, 0.03, 0.10, 0.20)
-"""Metres out of the joint at which a hand is looked at."""
-_CLOSED = 0.03
-"""Metres between the pads of a hand that holds something of which there is no point between them."""
-_LOOSE = 0.003
-"""Metres by which a closed hand is opened to tell what else of its part it meets."""
-_PAD = 0.011
-"""Metres from its middle to the rims of a pad."""
+SINGLE_FEATURES = 43
+"""Number of features of one grasp at a mate."""
+PAIR_FEATURES = 9
+"""Number of features of two grasps at a mate."""
+_POST_POINTS, _POST_STEP = 12, 0.04
+"""Number of points on a post, and their distance [m]."""
+_MAX_DISTANCE = 0.6
+"""Distance between the tips of two grippers beyond which these cannot touch [m]."""
+_CLOSED_MARGIN = 0.003
+"""Distance by which a closed gripper is opened to test what else of its part it touches [m]."""
 
 
 @dataclass(frozen=True, eq=False)
-class Handling:
-    """Two hands at a joint; rows are grasps of u's part, columns those of v's."""
+class GraspFeatures:
+    """The grasps of u's part (rows) and of v's part (columns) at the mate of a point of u with a point of v.
 
-    one: Float32[np.ndarray, "2 8 43"]
-    """Of R_a's hand at u, and of R_b's at v."""
-    two: Float32[np.ndarray, "8 8 9"]
-    there: Bool[np.ndarray, "8 8"]
+    | index of `single` | feature | unit |
+    |---|---|---|
+    | 0–2 | clearance of the open gripper on its approach: to its part, the rest of its group, the other group | 50 mm |
+    | 3, 4 | clearance of the closed gripper to its part and the rest of its group | 50 mm |
+    | 5–8 | clearance of the closed gripper to the other group, 0, 30, 100 and 200 mm out of the mate | 50 mm |
+    | 9 | least of 5–8 | 50 mm |
+    | 10–19 | tanh of the ten clearances above | 10 mm |
+    | 20–23 | clearance of the wrist to its group, the other group mated, the same 200 mm out, the post below | 0.3 m |
+    | 24–27 | the same of the forearm | 0.3 m |
+    | 28, 29 | cosine of approach and of closing direction (absolute) with the direction out of the mate | |
+    | 30, 31 | cosine of approach and of closing direction (absolute) with the world's up | |
+    | 32, 33 | distance of the tips from the mate, and its component out of the mate | 0.5 m |
+    | 34 | height of the tips above the middle of the group's bounds | 0.5 m |
+    | 35 | opening of the closed gripper | 80 mm |
+    | 36 | horizontal distance of the tips from the middle of the bounds | 0.5 m |
+    | 37 | cosine of the approach with the horizontal direction from the middle to the tips | |
+    | 38 | height of the group | m |
+    | 39 | diagonal of the group's bounds | m |
+    | 40 | number of points of the group's cloud | 50,000 |
+    | 41 | height of the tips above the group's lowest point | m |
+    | 42 | 1 if the group has more than one part | |
+
+    | index of `pair` | feature | unit |
+    |---|---|---|
+    | 0, 1 | clearance of the closed, and of the approaching open gripper at u to the closed gripper at v | 50 mm |
+    | 2, 3 | tanh of these clearances | 10 mm |
+    | 4 | cosine between the two approaches | |
+    | 5 | distance between the tips | 0.5 m |
+    | 6 | component of their offset out of the mate | 0.5 m |
+    | 7, 8 | components of the offset along the approach at u, and of its opposite along that at v | 0.5 m |
+    """
+
+    single: Float32[np.ndarray, "2 8 43"]
+    """Features of R_a's gripper at u, and of R_b's at v."""
+    pair: Float32[np.ndarray, "8 8 9"]
+    """Features of both grippers together."""
+    exists: Bool[np.ndarray, "8 8"]
     """Whether both grasps exist."""
 
 
-@dataclass(frozen=True, eq=False)
-class _Held:
-    """A group in the frame of v's part, and the hands that could hold it by one part."""
+def grasp_features(view: PolicyView, u: int, k: int, v: int, l: int) -> GraspFeatures:  # noqa: E741
+    """Return the features of all grasps when point `k` of part `u` mates with point `l` of part `v`."""
+    a = _GraspedGroup.mated(view, u, *view.mating_pose(u, k, v, l))
+    b = _GraspedGroup.mated(view, v, np.eye(3), np.zeros(3))
+    out, mate = view.points[v, l, 3:6], view.points[v, l, :3]
+    single = np.stack([_single_features(a, b, out, mate), _single_features(b, a, -out, mate)])
+    exists = a.grasps.exists[:, None] & b.grasps.exists[None]
+    return GraspFeatures(single.astype(np.float32), _pair_features(a, b, out).astype(np.float32), exists)
 
-    turn: Float[np.ndarray, "8 3 3"]
-    at: Float[np.ndarray, "8 3"]
-    there: Bool[np.ndarray, "8"]
-    width: Float[np.ndarray, "8"]
-    """Metres between the pads, as far as the cloud tells."""
+
+@dataclass(frozen=True, eq=False)
+class _GraspedGroup:
+    """A group in the frame of v's part, and the grasps of one of its parts."""
+
+    grasps: PlacedGrasps
     own: Float[np.ndarray, "c 3"]
-    """Points of the held part."""
+    """Cloud of the grasped part [m]."""
     rest: Float[np.ndarray, "m 3"]
-    """Points of all its parts but the held one."""
+    """Cloud of the group's other parts [m]."""
     whole: Float[np.ndarray, "n 3"]
+    """Cloud of the group [m]."""
     world: Float[np.ndarray, "3 3"]
-    """World directions in that frame, as columns: where the group stands now."""
+    """Axes of the world as columns, as the group stands before the merge."""
+
+    @staticmethod
+    def mated(
+        view: PolicyView, part: int, rotation: Float[np.ndarray, "3 3"], translation: Float[np.ndarray, "3"]
+    ) -> _GraspedGroup:
+        """Return the group of a part, whose pose in v's part is given."""
+        members = np.flatnonzero(view.group == view.group[part])
+        rotations, translations = view.part_from_members(part, members)
+        clouds = view.clouds[members] @ rotations.transpose(0, 2, 1) + translations[:, None]
+        clouds = clouds @ rotation.T + translation
+        own = clouds[members == part][0]
+        return _GraspedGroup(
+            PlacedGrasps.place(view.grasps[part], rotation, translation, own),
+            own,
+            clouds[members != part].reshape(-1, 3),
+            clouds.reshape(-1, 3),
+            rotation @ rotations_from_euler(view.poses[part, 3:]).T,
+        )
 
     def post(self) -> Float[np.ndarray, "n 3"]:
-        """Points of the post that holds the group, about below its middle."""
-        at = self.whole @ self.world
-        middle, lowest = at.mean(axis=0), at[:, 2].min()
-        down = np.tile([middle[0], middle[1], lowest], (_POST, 1))
-        down[:, 2] -= np.arange(_POST) * 0.04
-        return down @ self.world.T
+        """Points of the post that carries the group, about below its middle [m]."""
+        in_world = self.whole @ self.world
+        middle, lowest = in_world.mean(axis=0), in_world[:, 2].min()
+        points = np.tile([middle[0], middle[1], lowest], (_POST_POINTS, 1))
+        points[:, 2] -= np.arange(_POST_POINTS) * _POST_STEP
+        return points @ self.world.T
 
 
-def handling_of(s: Situation, u: int, k: int, v: int, l: int) -> Handling:  # noqa: E741
-    """Of a pair: what every hand at `u` and every hand at `v` would meet."""
-    a, b = _held(s, u, *s.mated(u, k, v, l)), _held(s, v, np.eye(3), np.zeros(3))
-    way, joint = s.points[v, l, 3:6], s.points[v, l, :3]
-    one = np.stack([_one(a, b, way, joint), _one(b, a, -way, joint)]).astype(np.float32)
-    return Handling(one, _two(a, b, way).astype(np.float32), a.there[:, None] & b.there[None])
+def _single_features(
+    own: _GraspedGroup, other: _GraspedGroup, out: Float[np.ndarray, "3"], mate: Float[np.ndarray, "3"]
+) -> Float[np.ndarray, "8 43"]:
+    """Features of each grasp of one group.
 
-
-def _held(s: Situation, part: int, turn: np.ndarray, shift: np.ndarray) -> _Held:
-    members = np.flatnonzero(s.group == s.group[part])
-    rotations, positions = s.relative(part, members)
-    clouds = s.clouds[members] @ rotations.transpose(0, 2, 1) + positions[:, None]
-    clouds = clouds @ turn.T + shift
-    poses = s.hands[part]
-    hands = turn @ rotations_from_euler(poses[:, 3:])
-    world = turn @ rotations_from_euler(s.poses[part, 3:]).T
-    at, own = poses[:, :3] @ turn.T + shift, clouds[members == part][0]
-    return _Held(
-        hands, at, poses.any(axis=1), widths(hands, at, own), own, clouds[members != part].reshape(-1, 3),
-        clouds.reshape(-1, 3), world,
-    )  # fmt: skip
-
-
-def widths(turn: np.ndarray, at: np.ndarray, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "8"]:
-    """Metres between the pads of each hand, by the points that are between them."""
-    local = np.einsum("gnj,gji->gni", points - at[:, None], turn)
-    between = (np.abs(local[..., 0]) < _PAD) & (np.abs(local[..., 2]) < _PAD)
-    across = np.where(between & (np.abs(local[..., 1]) < 0.5 * MAX_OPENING + _LOOSE), np.abs(local[..., 1]), 0.0)
-    width = 2.0 * across.max(axis=1)
-    return np.where(width > 0.0, width, _CLOSED)
-
-
-def _one(own: _Held, other: _Held, way: Float[np.ndarray, "3"], joint: Float[np.ndarray, "3"]) -> np.ndarray:
-    """Of each hand of one group, while the other comes or waits; `way` is the one out of the joint."""
-    wide = np.minimum(MAX_OPENING, own.width + WIDER)
-    clear, arm = np.full((GRASPS, 9), FAR), np.full((GRASPS, 8), ARM_FAR)
+    Args:
+        own: the group.
+        other: the group that it mates with.
+        out: direction of `own` out of the mate.
+        mate: position of the mated points [m].
+    """
+    grasps, wide = own.grasps, own.grasps.approach_opening
+    clearance, arm = np.full((GRASPS, 9), CUTOFF), np.full((GRASPS, 8), ARM_CUTOFF)
     post = own.post()
-    for g in np.flatnonzero(own.there).tolist():
-        held, rest, met = (around(own.turn[g], own.at[g], points) for points in (own.own, own.rest, other.whole))
-        clear[g, :3] = [clearance(points, wide[g], RETREAT) for points in (held, rest, met)]
-        clear[g, 3:5] = clearance(held, own.width[g] + _LOOSE), clearance(rest, own.width[g])
-        clear[g, 5:] = [clearance(met - out * (way @ own.turn[g])[:, None], own.width[g]) for out in _WAY]
-        whole = np.concatenate([held, rest], axis=1)
-        away = met - _WAY[-1] * (way @ own.turn[g])[:, None]
-        below = own.turn[g].T @ (post - own.at[g]).T
-        arm[g] = [from_arm(points, *stretch) for stretch in ARM_STRETCHES for points in (whole, met, away, below)]
-    room = np.concatenate([clear, clear[:, 5:].min(axis=1, keepdims=True)], axis=1)
-    approach, closing = own.turn[:, :, 2], own.turn[:, :, 1]
+    for g in np.flatnonzero(grasps.exists).tolist():
+        part, rest, met = (grasps.near(g, points) for points in (own.own, own.rest, other.whole))
+        retreat = (out @ grasps.rotation[g])[:, None]
+        clearance[g, :3] = [hand_clearance(points, wide[g], RETREAT) for points in (part, rest, met)]
+        clearance[g, 3] = hand_clearance(part, grasps.opening[g] + _CLOSED_MARGIN)
+        clearance[g, 4] = hand_clearance(rest, grasps.opening[g])
+        clearance[g, 5:] = [hand_clearance(met - d * retreat, grasps.opening[g]) for d in MATE_RETREATS]
+        clouds = (
+            np.concatenate([part, rest], axis=1),
+            met,
+            met - MATE_RETREATS[-1] * retreat,
+            grasps.rotation[g].T @ (post - grasps.position[g]).T,
+        )
+        arm[g] = [arm_clearance(points, *section) for section in ARM_SECTIONS for points in clouds]
+    clearance = np.concatenate([clearance, clearance[:, 5:].min(axis=1, keepdims=True)], axis=1)
+    approach, closing, up = grasps.rotation[:, :, 2], grasps.rotation[:, :, 1], own.world[:, 2]
     low, high = own.whole.min(axis=0), own.whole.max(axis=0)
-    middle, size, up = 0.5 * (low + high), float(np.linalg.norm(high - low)), own.world[:, 2]
     heights = own.whole @ up
-    from_joint, from_middle = own.at - joint, own.at - middle
-    level = from_middle - np.outer(from_middle @ up, up)
-    outward = level / np.maximum(np.linalg.norm(level, axis=1, keepdims=True), 1e-6)
-    told = [
-        np.clip(room, -FAR, FAR) / FAR,
-        np.tanh(room / NEAR),
-        arm / ARM_FAR,
-        np.stack([approach @ way, np.abs(closing @ way), approach @ up, np.abs(closing @ up)], axis=1),
-        2.0 * np.stack([np.linalg.norm(from_joint, axis=1), from_joint @ way, from_middle @ up], axis=1),
-        own.width[:, None] / MAX_OPENING,
-        2.0 * np.linalg.norm(level, axis=1)[:, None],
-        np.einsum("gi,gi->g", approach, outward)[:, None],
-        np.full((GRASPS, 3), [float(np.ptp(heights)), size, 2e-5 * len(own.whole)]),
-        np.stack([own.at @ up - heights.min(), (len(own.rest) > 0) * np.ones(GRASPS)], axis=1),
-    ]  # fmt: skip
-    return np.concatenate(told, axis=1)
+    from_mate, from_middle = grasps.position - mate, grasps.position - 0.5 * (low + high)
+    horizontal = from_middle - np.outer(from_middle @ up, up)
+    distance = np.linalg.norm(horizontal, axis=1, keepdims=True)
+    sizes = [float(np.ptp(heights)), float(np.linalg.norm(high - low)), 2e-5 * len(own.whole)]
+    features = [
+        np.clip(clearance, -CUTOFF, CUTOFF) / CUTOFF,
+        np.tanh(clearance / SCALE),
+        arm / ARM_CUTOFF,
+        np.stack([approach @ out, np.abs(closing @ out), approach @ up, np.abs(closing @ up)], axis=1),
+        2.0 * np.stack([np.linalg.norm(from_mate, axis=1), from_mate @ out, from_middle @ up], axis=1),
+        grasps.opening[:, None] / MAX_OPENING,
+        2.0 * distance,
+        np.einsum("gi,gi->g", approach, horizontal / np.maximum(distance, 1e-6))[:, None],
+        np.full((GRASPS, 3), sizes),
+        np.stack([grasps.position @ up - heights.min(), (len(own.rest) > 0) * np.ones(GRASPS)], axis=1),
+    ]
+    return np.concatenate(features, axis=1)
 
 
-def _two(a: _Held, b: _Held, way: Float[np.ndarray, "3"]) -> np.ndarray:
-    """Of two hands at the joint."""
-    apart = a.at[:, None] - b.at[None]
-    distance = np.linalg.norm(apart, axis=2)
-    surface, opens = _surface()
-    skins = (surface + b.width[:, None, None] * opens) @ b.turn.transpose(0, 2, 1) + b.at[:, None]
-    wide = np.minimum(MAX_OPENING, a.width + WIDER)
-    clear = np.full((2, GRASPS, GRASPS), FAR)
-    for g in np.flatnonzero(a.there).tolist():
-        for h in np.flatnonzero(b.there & (distance[g] < _APART)).tolist():
-            near = around(a.turn[g], a.at[g], skins[h])
-            clear[:, g, h] = clearance(near, a.width[g]), clearance(near, wide[g], RETREAT)
-    of_a, of_b = a.turn[:, :, 2], b.turn[:, :, 2]
+def _pair_features(a: _GraspedGroup, b: _GraspedGroup, out: Float[np.ndarray, "3"]) -> Float[np.ndarray, "8 8 9"]:
+    """Features of any grasp of u's part and any of v's."""
+    offset = a.grasps.position[:, None] - b.grasps.position[None]
+    distance = np.linalg.norm(offset, axis=2)
+    surface, motion = _gripper_surface()
+    opened = surface + b.grasps.opening[:, None, None] * motion
+    surfaces = opened @ b.grasps.rotation.transpose(0, 2, 1) + b.grasps.position[:, None]
+    wide = a.grasps.approach_opening
+    clearance = np.full((2, GRASPS, GRASPS), CUTOFF)
+    for g in np.flatnonzero(a.grasps.exists).tolist():
+        for h in np.flatnonzero(b.grasps.exists & (distance[g] < _MAX_DISTANCE)).tolist():
+            near = a.grasps.near(g, surfaces[h])
+            clearance[:, g, h] = hand_clearance(near, a.grasps.opening[g]), hand_clearance(near, wide[g], RETREAT)
+    a_approach, b_approach = a.grasps.rotation[:, :, 2], b.grasps.rotation[:, :, 2]
     return np.stack(
         [
-            *(np.clip(clear, -FAR, FAR) / FAR),
-            *np.tanh(clear / NEAR),
-            of_a @ of_b.T,
+            *(np.clip(clearance, -CUTOFF, CUTOFF) / CUTOFF),
+            *np.tanh(clearance / SCALE),
+            a_approach @ b_approach.T,
             2.0 * distance,
-            2.0 * apart @ way,
-            np.einsum("abi,ai->ab", apart, of_a) * 2.0,
-            -np.einsum("abi,bi->ab", apart, of_b) * 2.0,
+            2.0 * offset @ out,
+            np.einsum("abi,ai->ab", offset, a_approach) * 2.0,
+            -np.einsum("abi,bi->ab", offset, b_approach) * 2.0,
         ],
         axis=-1,
     )
 
 
-def around(
-    turn: Float[np.ndarray, "3 3"], at: Float[np.ndarray, "3"], points: Float[np.ndarray, "n 3"]
-) -> Float[np.ndarray, "3 m"]:
-    """In the frame of a hand's tips, whose pose is given, the points that it could meet: as it comes, and a way out of
-    the joint."""
-    local = turn.T @ (points - at).T
-    low, high = _reach()
-    return local[:, ((local > low[:, None]) & (local < high[:, None])).all(axis=0)]
-
-
-def from_arm(points: Float[np.ndarray, "3 n"], near: float, far: float) -> float:
-    """Metres from the line behind a hand, between two distances from its tips, to the nearest of some points in their
-    frame: where the arm will be."""
-    beside = points.copy()
-    beside[2] -= np.clip(points[2], -far, -near)
-    return float(np.sqrt((beside**2).sum(axis=0).min(initial=ARM_FAR**2)))
-
-
-def clearance(points: Float[np.ndarray, "3 n"], opening: float, back: float = 0.0) -> float:
-    """Metres from a hand to the nearest of some points in the frame of its tips, negative inside; `FAR` at most.
-
-    Args:
-        points: of `around`.
-        opening: metres between the pads.
-        back: metres from behind which the hand comes; its whole way counts.
-    """
-    bodies = _bodies(back)
-    opened = opening * bodies.opens
-    middle, half = 0.5 * (bodies.low + bodies.high) + opened, 0.5 * (bodies.high - bodies.low)
-    beside = np.abs(points - middle[..., None]) - half[..., None]
-    out = np.maximum(np.maximum(beside[:, 0], beside[:, 1]), beside[:, 2])
-    nearest = float(out.min(initial=FAR))
-    if nearest >= NEAR:
-        return nearest
-    # Boxes tell what is near, the bodies' faces how near.
-    close = out < NEAR
-    beyond = [
-        (normals @ (points[:, close[i]] - opened[i][:, None]) - offsets).max(axis=0).min(initial=FAR)
-        for i, (normals, offsets) in enumerate(bodies.faces)
-        if close[i].any()
-    ]
-    return float(min(beyond))
-
-
-@dataclass(frozen=True, eq=False)
-class _Bodies:
-    """Palm and fingers of the closed hand, all convex, in the tips' frame."""
-
-    low: Float[np.ndarray, "3 3"]
-    """Corners of their boxes."""
-    high: Float[np.ndarray, "3 3"]
-    faces: tuple[tuple[Float[np.ndarray, "f 3"], Float[np.ndarray, "f 1"]], ...]
-    """Normals of their faces, and how far these are from the origin."""
-    opens: Float[np.ndarray, "3 3"]
-    """How far each moves for each metre between the pads."""
-
-
 @cache
-def _bodies(back: float) -> _Bodies:
-    """The hand, swept from `back` metres behind."""
-    corners, faces, opens = [], [], []
-    for (mesh, shut), (_, open_) in zip(hand_bodies(0.0), hand_bodies(1.0), strict=True):
-        points = mesh.vertices @ shut.rotation.T + shut.translation
-        hull = ConvexHull(np.concatenate([points, points - [0.0, 0.0, back]]))
-        planes = np.unique(hull.equations.round(9), axis=0)
-        corners.append((hull.min_bound, hull.max_bound))
-        faces.append((planes[:, :3], -planes[:, 3:]))
-        opens.append(open_.translation - shut.translation)
-    low, high = np.array(corners).transpose(1, 0, 2)
-    return _Bodies(low, high, tuple(faces), np.array(opens))
-
-
-def boxes() -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3 3"], Float[np.ndarray, "3 3"]]:
-    """Corners of the boxes around palm and fingers of the closed hand, in the frame of its tips, and how far each moves
-    for each metre between the pads."""
-    bodies = _bodies(0.0)
-    return bodies.low, bodies.high, bodies.opens
-
-
-@cache
-def _reach() -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
-    """Corners of a box around all that a hand can meet, in the frame of its tips."""
-    bodies, more = _bodies(RETREAT), FAR + _WAY[-1]
-    more += 0.5 * MAX_OPENING
-    return bodies.low.min(axis=0) - more, bodies.high.max(axis=0) + more
-
-
-@cache
-def _surface() -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
-    """Points on the boxes of a closed hand, and how far each moves for each metre between the pads."""
+def _gripper_surface() -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
+    """Points on the bounding boxes of the closed gripper [m], and their motion for each metre between the pads."""
     grid = np.stack(np.meshgrid(*[np.linspace(0.0, 1.0, 5)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
     grid = grid[((grid == 0.0) | (grid == 1.0)).any(axis=1)]
-    hand = _bodies(0.0)
-    points = hand.low[:, None] + grid * (hand.high - hand.low)[:, None]
-    return points.reshape(-1, 3), np.repeat(hand.opens, len(grid), axis=0)
+    shape = gripper_shape()
+    points = shape.low[:, None] + grid * (shape.high - shape.low)[:, None]
+    return points.reshape(-1, 3), np.repeat(shape.motion, len(grid), axis=0)

@@ -16,13 +16,13 @@ import optax
 from roboassembly.errors import InputError
 from roboassembly.learning.layers import Array, Params
 from roboassembly.learning.relational.grasps import network as grasping
-from roboassembly.learning.relational.grasps.dataset import UNKNOWN, YES, GraspCourse
-from roboassembly.learning.relational.grasps.features import handling_of
+from roboassembly.learning.relational.grasps.dataset import UNKNOWN, YES, GraspSamples
+from roboassembly.learning.relational.grasps.features import grasp_features
 from roboassembly.learning.relational.imitation import cross_entropy
 from roboassembly.learning.training_run import Run
 from roboassembly.parallel.processes import map_ordered
 
-_TOGETHER = ("room", "meet", "rest")
+_TOGETHER = ("fit", "reach", "finish")
 """What is said of two hands, in this order."""
 
 
@@ -66,12 +66,12 @@ def examples_of(paths: Sequence[Path], jobs: int) -> Examples:
 
 
 def _rows(path: Path) -> list[tuple[np.ndarray, ...]]:
-    course = GraspCourse.load(path)
+    course = GraspSamples.load(path)
     out = []
-    for lesson in course.lessons:
-        seen = handling_of(course.situation(lesson), *lesson.pair)
-        together = np.stack([lesson.room, lesson.meet, lesson.rest], axis=-1)
-        out.append((seen.one, seen.two, seen.there, lesson.take, together))
+    for lesson in course.samples:
+        seen = grasp_features(course.view(lesson), *lesson.pair)
+        together = np.stack([lesson.fit, lesson.reach, lesson.finish], axis=-1)
+        out.append((seen.single, seen.pair, seen.exists, lesson.pick, together))
     return out
 
 

@@ -1,8 +1,8 @@
-"""Which hands can join a right pair: a small network on what `hands` sees, beside the one that values pairs.
+"""The grasp network: with which grasps two robots can carry out a pair that fits.
 
-It says four things: of each hand whether it can take its group from where that waits, and of each two whether they
-have room at their parts and at the joint, whether the arms then reach it, and whether all else then works out. The
-chance that an action works is the product of all.
+It answers four questions: of each grasp, whether its robot can pick the group from where it waits; and of each two
+grasps, whether they fit at their parts and at the mate, whether the arms then reach the mate, and whether all else then
+works. The probability that an action works is the product of the answers.
 """
 
 from __future__ import annotations
@@ -11,43 +11,45 @@ import numpy as np
 from jaxtyping import Float32
 
 from roboassembly.learning.layers import Array, Params, gelu, init_linear, init_mlp, linear, mlp
-from roboassembly.learning.relational.grasps.features import ONE, TWO, Handling
+from roboassembly.learning.relational.grasps.features import PAIR_FEATURES, SINGLE_FEATURES, GraspFeatures
 
 KIND = "grasping"
-"""Of checkpoints."""
+"""Kind of the network's checkpoints."""
 _WIDTH = 64
+"""Width of the hidden layers."""
 
 
 def init(rng: np.random.Generator) -> Params:
-    """Fresh weights."""
+    """Return fresh weights."""
     return {
-        "take": init_mlp(rng, ONE, _WIDTH, _WIDTH, 1),
-        "a": init_mlp(rng, ONE, _WIDTH, _WIDTH),
-        "b": init_mlp(rng, ONE, _WIDTH, _WIDTH),
-        "two": init_linear(rng, TWO, _WIDTH),
-        "pair": init_mlp(rng, _WIDTH, _WIDTH, 3),
+        "pick": init_mlp(rng, SINGLE_FEATURES, _WIDTH, _WIDTH, 1),
+        "grasp_a": init_mlp(rng, SINGLE_FEATURES, _WIDTH, _WIDTH),
+        "grasp_b": init_mlp(rng, SINGLE_FEATURES, _WIDTH, _WIDTH),
+        "grasp_pair": init_linear(rng, PAIR_FEATURES, _WIDTH),
+        "mate": init_mlp(rng, _WIDTH, _WIDTH, 3),
     }
 
 
-def apply(p: Params, one: Array, two: Array) -> tuple[Array, Array]:
-    """Logits of what is said of hands at some joints.
+def apply(p: Params, single: Array, pair: Array) -> tuple[Array, Array]:
+    """Return logits for the grasps at b mates.
 
     Args:
-        p: of `init`.
-        one: (b, 2, 8, n) of `Handling`.
-        two: (b, 8, 8, n) of `Handling`.
+        p: weights of `init`.
+        single: (b, 2, 8, 43) features of each grasp.
+        pair: (b, 8, 8, 9) features of each two grasps.
 
     Returns:
-        (b, 2, 8) that R_a can take u's group, and R_b v's; (b, 8, 8, 3) that two hands have room, that the arms reach
-        the joint if so, and that all else works out then.
+        pick: (b, 2, 8) whether R_a can pick u's group, and R_b v's.
+        mate: (b, 8, 8, 3) whether two grasps fit, whether the arms reach the mate if so, and whether all else works
+            then.
     """
-    a, b = mlp(p["a"], one[:, 0]), mlp(p["b"], one[:, 1])
-    together = mlp(p["pair"], gelu(a[:, :, None] + b[:, None] + linear(p["two"], two)))
-    return mlp(p["take"], one)[..., 0], together
+    a, b = mlp(p["grasp_a"], single[:, 0]), mlp(p["grasp_b"], single[:, 1])
+    mate = mlp(p["mate"], gelu(a[:, :, None] + b[:, None] + linear(p["grasp_pair"], pair)))
+    return mlp(p["pick"], single)[..., 0], mate
 
 
-def log_chance(p: Params, handling: Handling) -> Float32[np.ndarray, "8 8"]:
-    """Logarithm of the chance that each pair of hands can join the pair; -inf where a grasp does not exist."""
-    take, together = (-np.logaddexp(0.0, -logits[0]) for logits in apply(p, handling.one[None], handling.two[None]))
-    chance = take[0, :, None] + take[1] + together.sum(axis=2)
-    return np.where(handling.there, chance, -np.inf).astype(np.float32)
+def log_probability(p: Params, features: GraspFeatures) -> Float32[np.ndarray, "8 8"]:
+    """Return the log-probability that each two grasps can carry out the pair; -inf where a grasp does not exist."""
+    pick, mate = (-np.logaddexp(0.0, -x[0]) for x in apply(p, features.single[None], features.pair[None]))
+    both = pick[0, :, None] + pick[1] + mate.sum(axis=2)
+    return np.where(features.exists, both, -np.inf).astype(np.float32)

@@ -1,9 +1,9 @@
-"""Lessons of grasps from the policy's own plays: what becomes of the hands that it would choose.
+"""Grasp samples from the policy's own episodes: what becomes of the grasps that it would choose.
 
-Hands drawn at random (`grasp_lessons`) say little of those that a policy prefers: among hundreds of hands it takes the
-one whose chance it overrates most. So it plays, and every action carried out answers for its own hands; after one that
-fails, the next best is tried in the same state. Of more of the actions that it would choose in a state it is asked what
-can be told without planning: whether both hands have room, and of some whether the arms could do it.
+Random grasps (`grasps.dataset`) say little of those that a policy prefers: among hundreds it takes the one whose
+probability it overrates most. So the policy acts, and every action that is carried out labels its own two grasps; after
+one that fails, the next best is tried in the same state. More of its favourites in each state are labelled by what can
+be tested without planning: whether both grasps fit, and of a few whether the arms can do it.
 """
 
 from __future__ import annotations
@@ -22,15 +22,8 @@ from roboassembly.furniture.model import MAX_POINTS
 from roboassembly.learning.datasets import CLOUD_POINTS, dataset_file
 from roboassembly.learning.policy import guide_of
 from roboassembly.learning.policy_weights import load_weights
-from roboassembly.learning.relational.collect import Gathered
-from roboassembly.learning.relational.grasps.dataset import (
-    NO,
-    UNKNOWN,
-    YES,
-    GraspCourse,
-    GraspLesson,
-    unanswered,
-)
+from roboassembly.learning.relational.collect import CollectResult
+from roboassembly.learning.relational.grasps.dataset import NO, UNKNOWN, YES, GraspSamples, LabeledGrasps
 from roboassembly.learning.relational.policy import RelationalPolicy
 from roboassembly.parallel.processes import map_unordered
 from roboassembly.solvers.guide import Guide
@@ -39,146 +32,164 @@ from roboassembly.task.plans.full_plan import FullState
 from roboassembly.task.rollout import draw_seed, rollout
 from roboassembly.task.rules.connections import GRASPS
 
-_TRIED = 5
-"""Actions of a state before a play is given up."""
-_CURIOUS = 0.25
-"""Share of actions that are any of those suggested, not the best of them."""
-_ASKED, _ARMS_ASKED = 12, 3
-"""Suggestions of a state of which it is asked whether the hands have room; and, of those that have, whether the arms
-take both groups and reach the joint."""
-_HANDS = (FullVerdict.GRASP_BLOCKED, FullVerdict.JOINT_BLOCKED, FullVerdict.CANNOT_RELEASE)
-_TAKING = ("drive to", "grasp", "approach", "lift")
-"""How the legs are called in which a group is fetched from its post."""
+_MAX_TRIED = 5
+"""Number of actions that are carried out in a state before an episode ends."""
+_EXPLORATION = 0.25
+"""Share of the actions that are drawn from all suggestions, instead of the best one."""
+_FIT_TESTS, _ARM_TESTS = 12, 3
+"""Number of suggestions of a state of which it is tested whether the grasps fit; and, of those that do, whether the
+arms pick both groups and reach the mate."""
+_DOES_NOT_FIT = (FullVerdict.GRASP_BLOCKED, FullVerdict.JOINT_BLOCKED, FullVerdict.CANNOT_RELEASE)
+_PICKING = ("drive to", "grasp", "approach", "lift")
+"""First words of the segments in which a group is picked from its post."""
 
 
-def practise(
-    names: Sequence[str], folder: Path, policy: Path, *, plays: int, seed: int, jobs: int
-) -> Iterator[Gathered]:
-    """Write the lessons of generated furniture, those that are there already excepted; yields as pieces are done.
+def collect_on_policy(
+    names: Sequence[str], folder: Path, policy: Path, *, episodes: int, seed: int, jobs: int
+) -> Iterator[CollectResult]:
+    """Write the grasp samples of generated furniture, and yield as pieces are done; existing files are kept.
 
     Args:
-        names: `family:seed` of each.
-        folder: gets a file for each.
-        policy: checkpoint of the relational policy that plays, with hands.
-        plays: of each piece.
-        seed: of the starts and all that is drawn.
-        jobs: pieces at a time.
+        names: names of the pieces, `family:seed`.
+        folder: folder of the files, one for each piece.
+        policy: checkpoint of the relational policy that acts, with a grasp network.
+        episodes: number of episodes of each piece.
+        seed: seed of the starts and of everything drawn.
+        jobs: number of processes.
     """
     folder.mkdir(parents=True, exist_ok=True)
     left = [name for name in names if not dataset_file(folder, name).is_file()]
-    yield from map_unordered(partial(_practise, folder=folder, policy=policy, plays=plays, seed=seed), left, jobs)
+    yield from map_unordered(partial(_collect, folder=folder, policy=policy, episodes=episodes, seed=seed), left, jobs)
 
 
-def _practise(name: str, *, folder: Path, policy: Path, plays: int, seed: int) -> Gathered:
-    begun = time.monotonic()
+def _collect(name: str, *, folder: Path, policy: Path, episodes: int, seed: int) -> CollectResult:
+    """Write the grasp samples of one piece."""
+    start = time.monotonic()
     family, _, number = name.partition(":")
-    lessons: list[GraspLesson] = []
+    samples: list[LabeledGrasps] = []
     mistakes = choices = 0
-    clouds, hands = np.zeros((0, CLOUD_POINTS, 3), np.float32), np.zeros((0, GRASPS, 6), np.float32)
+    clouds, grasps = np.zeros((0, CLOUD_POINTS, 3), np.float32), np.zeros((0, GRASPS, 6), np.float32)
     try:
         task = FullTask(catalogue.make(family, int(number)))
         task.check_graspable()
     except InputError:
-        # Two robots could not assemble it whatever they did.
-        plays = 0
+        # Two robots cannot assemble this piece.
+        pass
     else:
         parts = task.furniture.parts
         clouds = np.array([surface_points(p.mesh, CLOUD_POINTS) for p in parts], np.float32)
         observer = Observer(task.furniture, len(parts), MAX_POINTS, 1)
-        hands = observer.grasp_poses
-        for index in range(plays):
+        grasps = observer.grasp_poses
+        guide: Guide[FullState] = guide_of(_policy(policy))
+        for index in range(episodes):
             rng = np.random.default_rng([seed, int(number), index])
-            state = task.initial_state(rng)
-            seen, tried = play(task, state, observer, guide_of(_policy(policy)), rng)
-            lessons += seen
+            found, tried = rollout_on_policy(task, task.initial_state(rng), observer, guide, rng)
+            samples += found
             choices += len(tried)
-            mistakes += sum(not (lesson.rest == YES).any() for lesson in tried)
-    GraspCourse(name, clouds, hands, tuple(lessons)).save(dataset_file(folder, name))
-    return Gathered(name, len(lessons), mistakes, choices, time.monotonic() - begun)
+            mistakes += sum(not (sample.finish == YES).any() for sample in tried)
+    GraspSamples(name, clouds, grasps, tuple(samples)).save(dataset_file(folder, name))
+    return CollectResult(name, len(samples), mistakes, choices, time.monotonic() - start)
 
 
 @lru_cache(maxsize=1)
 def _policy(path: Path) -> RelationalPolicy:
+    """Policy of a checkpoint, read once in each process."""
     return RelationalPolicy.from_checkpoint(load_weights(str(path)), str(path))
 
 
-def play(
+def rollout_on_policy(
     task: FullTask, state: FullState, observer: Observer, guide: Guide[FullState], rng: np.random.Generator
-) -> tuple[list[GraspLesson], list[GraspLesson]]:
-    """Play one episode, as far as it leads.
+) -> tuple[list[LabeledGrasps], list[LabeledGrasps]]:
+    """Run one episode.
+
+    Args:
+        task: rules for the furniture.
+        state: start of the episode.
+        observer: observer of the furniture.
+        guide: suggests actions, best first.
+        rng: draws explorations and the planner's seeds.
 
     Returns:
-        All its lessons, and those among them of actions that were carried out and whose pair was right.
+        All samples, and those among them of actions that were carried out and whose pair fits.
     """
-    lessons: list[GraspLesson] = []
-    tried: list[GraspLesson] = []
+    samples: list[LabeledGrasps] = []
+    tried: list[LabeledGrasps] = []
 
     def propose(state: FullState) -> Iterator[tuple[int, ...]]:
-        left = list(guide(task, state))
-        lessons.extend(ask(task, state, observer, [one.action for one in left[:_ASKED]], rng))
-        for _ in range(min(_TRIED, len(left))):
-            yield left.pop(int(rng.integers(len(left))) if rng.random() < _CURIOUS else 0).action
+        left = [suggestion.action for suggestion in guide(task, state)]
+        samples.extend(probe_grasps(task, state, observer, left[:_FIT_TESTS], rng))
+        for _ in range(min(_MAX_TRIED, len(left))):
+            yield left.pop(int(rng.integers(len(left))) if rng.random() < _EXPLORATION else 0)
 
     for transition in rollout(task, state, propose, rng):
         outcome = transition.outcome
         if outcome.verdict not in (FullVerdict.WRONG_PAIR, FullVerdict.NOT_AN_ACTION):
-            tried.append(lesson_of(task, transition.state, observer, transition.action, outcome))
-            lessons.append(tried[-1])
-    return lessons, tried
+            tried.append(label_outcome(task, transition.state, observer, transition.action, outcome))
+            samples.append(tried[-1])
+    return samples, tried
 
 
-def ask(
+def probe_grasps(
     task: FullTask, state: FullState, observer: Observer, actions: Sequence[tuple[int, ...]], rng: np.random.Generator
-) -> Iterator[GraspLesson]:
-    """What can be told of some actions without carrying them out; a lesson for each right pair.
+) -> list[LabeledGrasps]:
+    """Label the grasps of some actions without carrying them out; one sample for each pair that fits.
 
     Args:
-        task: of the furniture.
-        state: unchanged.
-        observer: of the furniture.
-        actions: that exist.
-        rng: draws for the arms.
+        task: rules for the furniture.
+        state: state of the furniture.
+        observer: observer of the furniture.
+        actions: actions that exist.
+        rng: draws the planner's seeds.
     """
-    lessons: dict[tuple[int, ...], GraspLesson] = {}
-    arms = 0
+    samples: dict[tuple[int, ...], LabeledGrasps] = {}
+    arm_tests = 0
     for action in actions:
         u, v, k, l, g_a, g_b = action  # noqa: E741
-        joint = task.mate_grasp(state.groups, action)
-        if isinstance(joint, Refusal) and joint.verdict is FullVerdict.WRONG_PAIR:
+        mate = task.mate_grasp(state.groups, action)
+        if isinstance(mate, Refusal) and mate.verdict is FullVerdict.WRONG_PAIR:
             continue
-        if (u, v, k, l) not in lessons:
-            lessons[u, v, k, l] = unanswered(task, state, observer, (u, k, v, l))
-        lesson = lessons[u, v, k, l]
-        lesson.room[g_a, g_b] = NO if isinstance(joint, Refusal) else YES
-        if isinstance(joint, MateGrasp) and arms < _ARMS_ASKED:
-            arms += 1
-            lesson.meet[g_a, g_b] = task.can_mate(state, joint, draw_seed(rng))
-            for robot, part, g, held in ((0, u, g_a, joint.grip_a), (1, v, g_b, joint.grip_b)):
-                if lesson.take[robot, g] == UNKNOWN:
-                    lesson.take[robot, g] = task.can_pick(state, part, held, robot, draw_seed(rng))
-    yield from lessons.values()
+        if (u, v, k, l) not in samples:
+            samples[u, v, k, l] = LabeledGrasps.unlabeled(task, state, observer, (u, k, v, l))
+        sample = samples[u, v, k, l]
+        sample.fit[g_a, g_b] = NO if isinstance(mate, Refusal) else YES
+        if isinstance(mate, MateGrasp) and arm_tests < _ARM_TESTS:
+            arm_tests += 1
+            sample.reach[g_a, g_b] = task.can_mate(state, mate, draw_seed(rng))
+            for robot, part, g, grip in ((0, u, g_a, mate.grip_a), (1, v, g_b, mate.grip_b)):
+                if sample.pick[robot, g] == UNKNOWN:
+                    sample.pick[robot, g] = task.can_pick(state, part, grip, robot, draw_seed(rng))
+    return list(samples.values())
 
 
-def lesson_of(
+def label_outcome(
     task: FullTask, state: FullState, observer: Observer, action: tuple[int, ...], outcome: FullOutcome
-) -> GraspLesson:
-    """What an action of a right pair tells of its own two hands, by how far it came."""
+) -> LabeledGrasps:
+    """Label the two grasps of an action whose pair fits, by how far it came.
+
+    Args:
+        task: rules for the furniture.
+        state: state before the action.
+        observer: observer of the furniture.
+        action: the action.
+        outcome: outcome of the action.
+    """
     u, v, k, l, g_a, g_b = action  # noqa: E741
-    lesson = unanswered(task, state, observer, (u, k, v, l))
-    take, room, meet, rest = lesson.take, lesson.room, lesson.meet, lesson.rest
-    at, hands = (g_a, g_b), ((0, g_a), (1, g_b))
-    if outcome.verdict in _HANDS:
-        room[at] = NO
-    elif outcome.segment == "mate" and outcome.verdict is FullVerdict.NO_ARM_SOLUTION:
-        room[at], meet[at] = YES, NO
-    elif outcome.step is None and outcome.segment.startswith(_TAKING):
-        room[at], meet[at] = YES, YES
+    sample = LabeledGrasps.unlabeled(task, state, observer, (u, k, v, l))
+    both, of_robot = (g_a, g_b), ((0, g_a), (1, g_b))
+    if outcome.verdict in _DOES_NOT_FIT:
+        sample.fit[both] = NO
+        return sample
+    sample.fit[both] = YES
+    if outcome.segment == "mate" and outcome.verdict is FullVerdict.NO_ARM_SOLUTION:
+        sample.reach[both] = NO
+        return sample
+    sample.reach[both] = YES
+    if outcome.step is None and outcome.segment.startswith(_PICKING):
         of_v = outcome.segment.endswith("v")
         if of_v:
-            take[hands[0]] = YES
-        take[hands[of_v]] = NO
-    else:
-        room[at], meet[at] = YES, YES
-        take[hands[0]] = take[hands[1]] = YES
-        rest[at] = NO if outcome.step is None else YES
-    return lesson
+            sample.pick[of_robot[0]] = YES
+        sample.pick[of_robot[of_v]] = NO
+        return sample
+    sample.pick[of_robot[0]] = sample.pick[of_robot[1]] = YES
+    sample.finish[both] = NO if outcome.step is None else YES
+    return sample

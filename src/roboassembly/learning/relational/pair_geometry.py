@@ -1,0 +1,91 @@
+"""Geometry of two groups: what happens when any point of one mates with any point of the other.
+
+The first group moves, the second waits; all results are in the frame of the waiting group.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Float16, UInt8
+
+from roboassembly.geometry.mating import mating_poses
+from roboassembly.learning.relational.group_geometry import GroupGeometry
+from roboassembly.learning.relational.policy_view import CONTACT_COSINE, CONTACT_DISTANCE
+
+_NEAR = 0.012
+"""Distance up to which two points that do not mate should probably coincide [m]."""
+_AROUND = 0.040
+"""Distance up to which two points that do not mate are in each other's way [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class PairGeometry:
+    """Each of k points of a moving group mated with each of l points of a waiting group."""
+
+    matches: UInt8[np.ndarray, "k l 4"]
+    """Counts of other pairs of points, see `Tokens.matches`."""
+    bounds: Float[np.ndarray, "k l 6"]
+    """Bounds of the moving group relative to the waiting group's, see `Tokens.bounds` [m]."""
+
+    @staticmethod
+    def between(moving: GroupGeometry, waiting: GroupGeometry) -> PairGeometry:
+        """Return the geometry of two groups."""
+        rotation, translation = _poses(moving, waiting)
+        matches = _count_matches(rotation, translation, moving, waiting)
+        return PairGeometry(matches, _relative_bounds(rotation, translation, moving, waiting))
+
+
+def grasp_clearance(moving: GroupGeometry, waiting: GroupGeometry) -> Float16[np.ndarray, "k l 4"]:
+    """Return the clearance of the moving group's grasps at each mate, see `Tokens.clearance`.
+
+    Both groups must have grasps.
+    """
+    assert moving.grasps is not None
+    assert waiting.grasps is not None
+    rotation, translation = _poses(moving, waiting)
+    mates = zip(moving.grasps.of_point, rotation, translation, strict=True)
+    return np.stack([grasps.mate_clearance(r, t, waiting.grasps.cloud) for grasps, r, t in mates])
+
+
+def _poses(
+    moving: GroupGeometry, waiting: GroupGeometry
+) -> tuple[Float[np.ndarray, "k l 3 3"], Float[np.ndarray, "k l 3"]]:
+    """`waiting_from_moving` at each mate."""
+    return mating_poses(moving.frame, moving.position, waiting.frame, waiting.position)
+
+
+def _count_matches(
+    rotation: Float[np.ndarray, "k l 3 3"], translation: Float[np.ndarray, "k l 3"], moving: GroupGeometry,
+    waiting: GroupGeometry,
+) -> UInt8[np.ndarray, "k l 4"]:  # fmt: skip
+    """How many other pairs of points mate, mate with equal tangents, nearly meet, and come close."""
+    # (k, l, k, 3): all points of the moving group at each mate, and (k, l, k, l): their distances to the waiting ones.
+    back = rotation.transpose(0, 1, 3, 2)
+    mated = moving.position @ back + translation[:, :, None]
+    squared = _squared(mated)[..., None] + _squared(waiting.position) - 2.0 * (mated @ waiting.position.T)
+    distance = np.sqrt(np.maximum(squared, 0.0))
+    opposed = (moving.frame[:, :, 2] @ back) @ waiting.frame[:, :, 2].T < CONTACT_COSINE
+    aligned = (moving.frame[:, :, 0] @ back) @ waiting.frame[:, :, 0].T > -CONTACT_COSINE
+    mates = (distance < CONTACT_DISTANCE) & opposed
+    near = (distance < _NEAR) & ~mates
+    around = (distance < _AROUND) & ~mates
+    counts = [np.any(x, axis=3).sum(axis=2) for x in (mates, mates & aligned, near, around)]
+    # The pair itself mates, too.
+    return np.maximum(np.stack(counts, axis=-1) - np.array([1, 1, 0, 0]), 0).astype(np.uint8)
+
+
+def _squared(vectors: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n"]:
+    """Squared lengths."""
+    return (vectors * vectors).sum(axis=-1)
+
+
+def _relative_bounds(
+    rotation: Float[np.ndarray, "k l 3 3"], translation: Float[np.ndarray, "k l 3"], moving: GroupGeometry,
+    waiting: GroupGeometry,
+) -> Float[np.ndarray, "k l 6"]:  # fmt: skip
+    """Lower and upper bounds of the moving group less those of the waiting group [m]."""
+    mated = (rotation.reshape(-1, 3) @ moving.cloud.T).reshape(*translation.shape, -1)
+    low, high = mated.min(axis=3) + translation, mated.max(axis=3) + translation
+    return np.concatenate([low - waiting.cloud.min(axis=0), high - waiting.cloud.max(axis=0)], axis=-1)
