@@ -1,6 +1,13 @@
-"""Draws the pictures of the README: `.venv/bin/python tools/pictures.py`."""
+"""Draws the pictures and the film of the documentation, into docs/images.
 
-import tempfile
+python tools/pictures.py              # all of them
+python tools/pictures.py film rooms   # some of them, by name
+"""
+
+import sys
+import tomllib
+from collections.abc import Callable, Iterator
+from html import escape
 from pathlib import Path
 
 import imageio.v3 as iio
@@ -14,22 +21,25 @@ from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS, Furniture, Part
 from roboassembly.generate import CHAIRS, FAMILIES
 from roboassembly.geometry.poses import SE3
 from roboassembly.learning.registry import load_policy
-from roboassembly.rendering.colors import WOOD
+from roboassembly.rendering.colors import WOOD, part_colors
+from roboassembly.rendering.offscreen import STILL, OffscreenRenderer
 from roboassembly.robots.gripper import hand_pose
 from roboassembly.solvers.oracle import Oracle
 from roboassembly.solvers.search import solve, solve_full
 from roboassembly.task.object_centric.task import ObjectCentricTask
 from roboassembly.task.object_centric.upright import set_upright
 from roboassembly.task.rules.groups import TaskState
-from roboassembly.viewer.film import render_contact_sheet, render_meshes, write_film, write_storyboard
-from roboassembly.viewer.playback import AnyPlan
+from roboassembly.viewer.camera_path import follow
+from roboassembly.viewer.film import render_contact_sheet, render_meshes, write_storyboard
+from roboassembly.viewer.playback import AnyPlan, make_timeline
 
-IMAGES = Path(__file__).parents[1] / "docs" / "images"
+ROOT = Path(__file__).parents[1]
+IMAGES = ROOT / "docs" / "images"
 GROUPS = [(0.85, 0.65, 0.35), (0.35, 0.55, 0.80), (0.80, 0.40, 0.35), (0.45, 0.70, 0.45), (0.65, 0.50, 0.75)]
 
 
 def part_in_hands(part: Part, turn: np.ndarray, size: int) -> np.ndarray:
-    """One part as it stands in the furniture, a closed hand at each of its grasp regions by its first direction."""
+    """Draw one part as it stands in the furniture, with a closed hand at each of its grasp regions."""
     pose = SE3(turn, np.zeros(3))
     pieces: list[Piece] = [(part.mesh, pose, WOOD)]
     for region in part.grasps:
@@ -38,7 +48,7 @@ def part_in_hands(part: Part, turn: np.ndarray, size: int) -> np.ndarray:
 
 
 def write_grasps(name: str, path: Path, columns: int, size: int) -> None:
-    """One part of each shape of some furniture, in hands."""
+    """Draw one part of each shape of some furniture, each in two hands."""
     furniture = catalogue.find(name)
     tiles = []
     for shape in furniture.classes:
@@ -50,14 +60,14 @@ def write_grasps(name: str, path: Path, columns: int, size: int) -> None:
 
 
 def groups_as_they_lie(furniture: Furniture, state: TaskState, width: int, height: int) -> np.ndarray:
-    """A state of the object-centric task, its groups in colours of their own."""
+    """Draw a state of the object-centric task, each group in its own colour."""
     meshes = [part.mesh for part in furniture.parts]
     colors = [GROUPS[state.group_of[p] % len(GROUPS)] for p in range(len(meshes))]
     return render_meshes(meshes, state.part_poses, colors, width, height)
 
 
 def write_dead_end(name: str, path: Path, *, width: int, height: int) -> None:
-    """The policy alone, led into a dead end: before its last good state, and after the merge that shut a part out."""
+    """Draw how the policy alone runs into a dead end: before and after the merge that locks a part out."""
     furniture = catalogue.find(name)
     task, policy = ObjectCentricTask(furniture), load_policy("relational")
     oracle, observer = Oracle(task), Observer(furniture, MAX_PARTS, MAX_POINTS, policy.cloud_points)
@@ -72,22 +82,127 @@ def write_dead_end(name: str, path: Path, *, width: int, height: int) -> None:
     iio.imwrite(path, np.concatenate(pictures, axis=1))
 
 
-def write_loop(plan: AnyPlan, path: Path, *, width: int, height: int, fps: int) -> None:
-    """The film of a plan as an animated WebP, which pages show where they are read."""
-    with tempfile.TemporaryDirectory() as folder:
-        film = Path(folder) / "film.mp4"
-        write_film(plan, film, width=width, height=height, fps=fps)
-        frames = [Image.fromarray(frame) for frame in iio.imiter(film, plugin="FFMPEG")]
-    frames[0].save(path, save_all=True, append_images=frames[1:], duration=1000 // fps, loop=0, quality=40, method=4)
+def frames_of(plan: AnyPlan, *, width: int, height: int, fps: int, seconds_per_step: float) -> Iterator[Image.Image]:
+    """Yield the frames of a plan's film, as sharp as single pictures."""
+    timeline = make_timeline(plan, fps, seconds_per_step)
+    points = timeline.box_corners.reshape(-1, 3)
+    center = 0.5 * (points.min(axis=0) + points.max(axis=0))
+    radius = float(np.linalg.norm(points - center, axis=1).max())
+    meshes = [item.mesh for item in timeline.objects]
+    with OffscreenRenderer(meshes, width, height, center=center, radius=radius, quality=STILL) as renderer:
+        for frame, camera in zip(timeline.frames, follow(timeline, width / height), strict=True):
+            yield Image.fromarray(renderer.picture(frame.poses, part_colors(frame.roles), camera, frame.caption))
 
 
-write_grasps("ladder", IMAGES / "grasps.png", columns=5, size=200)
-write_dead_end("splat:8", IMAGES / "dead_end.png", width=480, height=320)
-ladder = set_upright(solve(catalogue.make("ladder"), 0).plan)
-write_storyboard(ladder, IMAGES / "storyboard.png", columns=4, width=360, height=240)
-two_robots = set_upright(solve_full(catalogue.make("stool"), 0).plan)
-write_storyboard(two_robots, IMAGES / "two_robots.png", columns=5, width=320, height=240)
-write_loop(two_robots, IMAGES / "two_robots.webp", width=480, height=320, fps=8)
-render_contact_sheet([catalogue.make(f) for f in FAMILIES], IMAGES / "families.png", columns=7, size=200)
-sixty = [catalogue.make(list(CHAIRS)[i % len(CHAIRS)], 1 + i // len(CHAIRS)) for i in range(60)]
-render_contact_sheet(sixty, IMAGES / "sixty.png", columns=10, size=140, names=False)
+def write_loop(plan: AnyPlan, path: Path, *, width: int, height: int, fps: int, seconds_per_step: float) -> None:
+    """Write the film of a plan as an animated WebP, which code hosts play in a page; it pauses at its end."""
+    first, *others = frames_of(plan, width=width, height=height, fps=fps, seconds_per_step=seconds_per_step)
+    durations = [*[1000 // fps] * len(others), 3000]
+    first.save(path, save_all=True, append_images=others, duration=durations, loop=0, quality=60, method=4)
+
+
+def draw_film() -> None:
+    """Draw the film of the README: two robots assemble a chair and set it upright."""
+    plan = set_upright(solve_full(catalogue.make("splat", 1), 2).plan)
+    write_loop(plan, IMAGES / "two_robots.webp", width=960, height=540, fps=10, seconds_per_step=3.5)
+
+
+def draw_two_robots() -> None:
+    """Draw the steps of a stool that two robots assemble."""
+    plan = set_upright(solve_full(catalogue.make("stool"), 0).plan)
+    write_storyboard(plan, IMAGES / "two_robots.png", columns=5, width=320, height=240)
+
+
+def draw_storyboard() -> None:
+    """Draw the steps of a chair whose parts move by themselves."""
+    plan = set_upright(solve(catalogue.make("ladder"), 0).plan)
+    write_storyboard(plan, IMAGES / "storyboard.png", columns=4, width=360, height=240)
+
+
+def draw_sixty() -> None:
+    """Draw sixty chairs, of all families."""
+    pieces = [catalogue.make(list(CHAIRS)[i % len(CHAIRS)], 1 + i // len(CHAIRS)) for i in range(60)]
+    render_contact_sheet(pieces, IMAGES / "sixty.png", columns=10, size=140, names=False)
+
+
+ROOMS = {
+    "cli": "commands",
+    "bench": "speed against other libraries",
+    "studio": "the page in the browser",
+    "viewer": "films, pages, playback",
+    "evaluation": "rollouts, benchmark table",
+    "learning": "policies, paper/ and relational/",
+    "audit": "plans checked by python-fcl",
+    "envs": "Gymnasium environments",
+    "solvers": "search, oracle, baselines",
+    "rendering": "pictures off screen",
+    "task": "rules, object_centric/, full/, plans/",
+    "planning": "collision worlds, RRT-Connect",
+    "simulation": "MuJoCo: settling, execution",
+    "datasets": "sets, catalogue",
+    "generate": "furniture families",
+    "importers": "furniture formats",
+    "repair": "gaps, trimming",
+    "furniture": "parts, contacts, grasps, storage",
+    "robots": "mobile Franka, reach",
+    "geometry": "poses, meshes, scenes",
+    "parallel": "processes, Ray",
+    "statistics": "intervals",
+    "errors": "one-line errors",
+}
+"""What each room of the package holds."""
+
+
+def draw_rooms() -> None:
+    """Draw the rooms of the package, layer above layer, as the import contract in pyproject.toml has them."""
+    (IMAGES / "rooms.svg").write_text(rooms_picture())
+
+
+def rooms_picture() -> str:
+    """Return the SVG of `draw_rooms`."""
+    contracts = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]["contracts"]
+    layers = [line.replace("roboassembly.", "").split(" | ") for line in contracts[0]["layers"]]
+    width, high, gap, top = 760, 40, 8, 34
+    height = top + len(layers) * (high + gap) + 4
+    out = [
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="{width}" height="{height}" viewBox="0 0 {width} {height}"'
+        ' font-family="Helvetica, Arial, sans-serif">',
+        f'<rect width="{width}" height="{height}" rx="6" fill="#ffffff"/>',
+        '<text x="16" y="22" font-size="13" fill="#555555">A room imports only from rooms below it.</text>',
+    ]
+    for row, rooms in enumerate(layers):
+        wide = (width - 32 - gap * (len(rooms) - 1)) / len(rooms)
+        for column, room in enumerate(rooms):
+            x, y = 16 + column * (wide + gap), top + row * (high + gap)
+            color = _shade(row, len(layers))
+            end = "/" if (ROOT / "src" / "roboassembly" / room).is_dir() else ".py"
+            out += [
+                f'<rect x="{x:.0f}" y="{y}" width="{wide:.0f}" height="{high}" rx="5" fill="{color}"/>',
+                f'<text x="{x + 12:.0f}" y="{y + 17}" font-size="14" font-weight="bold" fill="#222222">{room}{end}</text>',
+                f'<text x="{x + 12:.0f}" y="{y + 33}" font-size="12" fill="#444444">{escape(ROOMS[room])}</text>',
+            ]
+    return "\n".join([*out, "</svg>"]) + "\n"
+
+
+def _shade(row: int, rows: int) -> str:
+    """A colour from light orange at the top to light brown at the bottom."""
+    share = row / max(1, rows - 1)
+    return "#" + "".join(f"{round(a + share * (b - a)):02x}" for a, b in ((255, 222), (226, 205), (186, 190)))
+
+
+PICTURES: dict[str, Callable[[], None]] = {
+    "film": draw_film,
+    "storyboard": draw_storyboard,
+    "two_robots": draw_two_robots,
+    "grasps": lambda: write_grasps("ladder", IMAGES / "grasps.png", columns=5, size=200),
+    "dead_end": lambda: write_dead_end("splat:8", IMAGES / "dead_end.png", width=480, height=320),
+    "families": lambda: render_contact_sheet(
+        [catalogue.make(f) for f in FAMILIES], IMAGES / "families.png", columns=7, size=200
+    ),
+    "sixty": draw_sixty,
+    "rooms": draw_rooms,
+}
+
+if __name__ == "__main__":
+    for chosen in sys.argv[1:] or PICTURES:
+        PICTURES[chosen]()

@@ -51,7 +51,7 @@ def test_no_example_is_overlooked(page: str) -> None:
 
 
 def test_pages_with_examples_are_found() -> None:
-    assert {"README.md", "docs/furniture.md", "docs/quickstart.md", "examples/masked_ppo.py"} <= {
+    assert {"README.md", "docs/furniture.md", "docs/quickstart.md", "examples/05_masked_ppo.py"} <= {
         c.page for c in ALL_COMMANDS
     }
     assert len(OF_OURS) > 30
@@ -131,7 +131,7 @@ def test_pip_installs_what_there_is(page: str) -> None:
 
 def extras_needed(command: Command) -> set[str]:
     """Beyond the package alone."""
-    needed = {"rl"} if "examples/masked_ppo.py" in command.words else set()
+    needed = {"rl"} if "examples/05_masked_ppo.py" in command.words else set()
     words = command.arguments or [""]
     needed |= {"learn"} if words[0] in ("train", "benchmark") or "--export" in words else set()
     needed |= {"bench"} if words[0] == "bench" or "--audit" in words else set()

@@ -40,7 +40,7 @@ WHEN_QUICK = [
     (r"roboassembly view .*|roboassembly view", "each starts a server; the studio's tests start enough of them"),
     (r"roboassembly train .*", "JAX compiles for half a minute"),
     (r"roboassembly bench .*", "measures for minutes"),
-    (r"python examples/masked_ppo\.py.*|roboassembly evaluate --policy examples/.*", "needs PyTorch"),
+    (r"python examples/05_masked_ppo\.py.*|roboassembly evaluate --policy examples/.*", "needs PyTorch"),
 ]
 """Commands that the quick form leaves out besides."""
 SMALLER = [
@@ -50,7 +50,7 @@ SMALLER = [
      "--limit 1 --extra 0 --plays 1 --steps 2 --round-steps 2 --jobs 1", "a day"),
     (r"roboassembly train multitask", "--limit 1 --extra 0 --steps 2 --jobs 1", "hours"),
     (r"roboassembly bench .*", "--quick", "minutes"),
-    (r"python examples/masked_ppo\.py.*", "--steps 256", "minutes"),
+    (r"python examples/05_masked_ppo\.py.*", "--steps 256", "minutes"),
     (r"roboassembly evaluate .*--episodes 100|roboassembly evaluate --policy examples/.*", "--episodes 2", "minutes"),
 ]  # fmt: skip
 """Words added in either form, for what would take too long as it is written."""
@@ -96,7 +96,7 @@ class Reader:
             if find_spec("sb3_contrib"):
                 subprocess.run([sys.executable, *command.words[1:], *more], check=True, timeout=500)
             return
-        if "examples/masked_ppo.py" in command.words and not find_spec("sb3_contrib"):
+        if "examples/05_masked_ppo.py" in command.words and not find_spec("sb3_contrib"):
             return
         more += BRIEFLY.get(command.arguments[0], []) if self.quick else []
         if command.arguments[:2] == ["dataset", "build"]:

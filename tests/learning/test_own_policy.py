@@ -29,7 +29,7 @@ from roboassembly.solvers.search import solve, solve_full
 from scripts import script
 
 ROOT = Path(__file__).parents[2]
-DOC, EXAMPLE = ROOT / "docs" / "your-own-policy.md", ROOT / "examples" / "masked_ppo.py"
+DOC, EXAMPLE = ROOT / "docs" / "your-own-policy.md", ROOT / "examples" / "05_masked_ppo.py"
 
 RANDOM = """
 from __future__ import annotations

@@ -1,11 +1,11 @@
 """A policy learnt with PyTorch and the MaskablePPO of sb3-contrib, in one file: network, training, `policy(seed)`.
 
     python -m pip install '.[rl]'                                # in the source folder
-    python examples/masked_ppo.py                                # some minutes on one core
-    python examples/masked_ppo.py --setting full --steps 4000    # goes on from there: which hands
+    python examples/05_masked_ppo.py                                # some minutes on one core
+    python examples/05_masked_ppo.py --setting full --steps 4000    # goes on from there: which hands
     roboassembly generate three_legged --seed 3 --out stools/three_legged-3
-    roboassembly evaluate --policy examples/masked_ppo.py --set folder:stools --episodes 50
-    roboassembly evaluate --policy examples/masked_ppo.py --set folder:stools --episodes 10 --setting full
+    roboassembly evaluate --policy examples/05_masked_ppo.py --set folder:stools --episodes 50
+    roboassembly evaluate --policy examples/05_masked_ppo.py --set folder:stools --episodes 10 --setting full
 
 It learns one small stool by trial and error and nothing else; docs/your-own-policy.md says how far that goes.
 """
@@ -112,7 +112,7 @@ class Scores(nn.Module):
         return score[..., None] + held[:, :, None, :, None, 0] + held[:, None, :, None, :, 1]
 
 
-# The policy that `roboassembly evaluate --policy examples/masked_ppo.py` plays.
+# The policy that `roboassembly evaluate --policy examples/05_masked_ppo.py` plays.
 
 
 class PairPolicy:
