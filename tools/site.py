@@ -25,8 +25,8 @@ ROOT = Path(__file__).parents[1]
 DOCS, PAGES, GALLERY = ROOT / "docs", ROOT / "build" / "pages", ROOT / "build" / "gallery"
 AT_THE_ROOT = {"README.md": "index.md", "CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changelog.md"}
 """Files beside docs/, and the pages that they become."""
-EXAMPLES = "examples"
-"""A folder beside docs/ that pages lead to."""
+EXAMPLES, CITATION = "examples", "CITATION.cff"
+"""A folder and a file beside docs/ that pages link to."""
 COLUMNS = 80
 """Width of a command's help."""
 
@@ -49,15 +49,16 @@ def gather() -> None:
     made |= {"commands.md": commands_page(), "gallery.md": gallery_page()}
     for name, text in made.items():
         (PAGES / name).write_text(text)
+    shutil.copy(ROOT / CITATION, PAGES / CITATION)
     for path in PAGES.rglob("*.md"):
-        path.write_text(with_equations(path.read_text()).replace(f"](../{EXAMPLES}/", f"]({EXAMPLES}/"))
+        path.write_text(with_equations(moved(path.read_text())))
 
 
 def moved(text: str) -> str:
-    """A file of the root with its links as they are from docs/."""
+    """Return a page with its links to the root, or from the root, as they are in the folder of all pages."""
     for name, page in AT_THE_ROOT.items():
-        text = text.replace(f"]({name}", f"]({page}")
-    return text.replace("](docs/", "](")
+        text = text.replace(f"](../{name}", f"]({page}").replace(f"]({name}", f"]({page}")
+    return text.replace("](docs/", "](").replace(f"](../{EXAMPLES}/", f"]({EXAMPLES}/")
 
 
 def with_equations(text: str) -> str:

@@ -6,7 +6,7 @@ import re
 
 import pytest
 
-from scripts import script
+from scripts import ROOT, script
 
 pytest.importorskip("ziamath")
 
@@ -36,3 +36,12 @@ def test_equations_are_drawn_and_code_is_left_alone() -> None:
 def test_links_of_the_root_lead_on_from_the_site() -> None:
     moved = site.moved("[a](docs/task.md) ![b](docs/images/sixty.png) [c](CONTRIBUTING.md#release) [d](README.md)")
     assert moved == "[a](task.md) ![b](images/sixty.png) [c](contributing.md#release) [d](index.md)"
+    moved = site.moved("[a](../CONTRIBUTING.md) [b](../examples/05_masked_ppo.py) [c](task.md)")
+    assert moved == "[a](contributing.md) [b](examples/05_masked_ppo.py) [c](task.md)"
+
+
+def test_picture_of_the_rooms_shows_every_room() -> None:
+    package = ROOT / "src" / "roboassembly"
+    rooms = {path.name for path in package.iterdir() if (path / "__init__.py").exists()}
+    picture = (ROOT / "docs" / "images" / "rooms.svg").read_text()
+    assert {f"{room}/" for room in rooms} <= set(re.findall(r">([a-z]+/)<", picture))
