@@ -1,13 +1,13 @@
-"""A policy learnt with PyTorch and the MaskablePPO of sb3-contrib, in one file: network, training, `policy(seed)`.
+"""Train a policy with PyTorch and the MaskablePPO of sb3-contrib; network, training and `policy` in one file.
 
     python -m pip install '.[rl]'                                # in the source folder
-    python examples/05_masked_ppo.py                                # some minutes on one core
-    python examples/05_masked_ppo.py --setting full --steps 4000    # goes on from there: which hands
+    python examples/05_masked_ppo.py                                # a few minutes on one core
+    python examples/05_masked_ppo.py --setting full --steps 4000    # continues from there: grasps
     roboassembly generate three_legged --seed 3 --out stools/three_legged-3
     roboassembly evaluate --policy examples/05_masked_ppo.py --set folder:stools --episodes 50
     roboassembly evaluate --policy examples/05_masked_ppo.py --set folder:stools --episodes 10 --setting full
 
-It learns one small stool by trial and error and nothing else; docs/your-own-policy.md says how far that goes.
+It learns to assemble one small stool by trial and error; docs/your-own-policy.md says what it cannot do.
 """
 
 from __future__ import annotations
@@ -27,19 +27,19 @@ from roboassembly.learning.policy import surest
 
 SETTINGS = ("object-centric", "full")
 STOOL = "three_legged:3"
-"""What it trains on: five parts, twelve connection points."""
+"""Training furniture: five parts, twelve connection points."""
 CLOUD, GRASPS, AXES = 64, 8, 6
 TOKEN, HAND = 16, 10
-"""Numbers that tell a connection point, and a hand at it."""
+"""Number of features of a connection point, and of a hand at it."""
 
 
-# What the network sees: a row for each free connection point.
+# Features: one row for each free connection point.
 
 
 def rows_of(observation: dict[str, np.ndarray], mask: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Free connection points: rows of numbers, their `(part, point)`, and which actions exist between them.
+    """Return the features of free connection points, their `(part, point)`, and which actions exist between them.
 
-    Where parts lie is left out, so that one start is like another; only a hand is told how steeply it would come down.
+    Poses of parts are left out, so that all starts look alike. The one exception is how steeply a hand would come down.
     """
     first, second = np.nonzero(mask.any(axis=(1, 3, *range(4, mask.ndim))))
     parts = int(observation["shapes"].any(axis=(1, 2)).sum())
@@ -48,13 +48,13 @@ def rows_of(observation: dict[str, np.ndarray], mask: np.ndarray) -> tuple[np.nd
     groups = np.full(len(first), (1.0 / size[:parts]).sum() / parts)
     reach = np.abs(observation["shapes"]).max(axis=1)
     points = observation["connection_points"][first, second]
-    told = np.stack([np.ones(len(first)), groups, size[first] / parts, size[first] > 1], axis=1)
+    state = np.stack([np.ones(len(first)), groups, size[first] / parts, size[first] > 1], axis=1)
     hands = observation["grasp_regions"].reshape(len(mask), GRASPS, 6)[first]
-    turn, lies = rotation(hands[..., 3:]), rotation(observation["poses"][first, 3:])
+    turn, part_turn = rotation(hands[..., 3:]), rotation(observation["poses"][first, 3:])
     away = 10.0 * (hands[..., :3] - points[:, None, :3])
-    down = np.einsum("ni,nhi->nh", lies[:, 2], turn[..., 2])[..., None]
+    down = np.einsum("ni,nhi->nh", part_turn[:, 2], turn[..., 2])[..., None]
     hand = np.concatenate([away, turn[..., 1], turn[..., 2], down], axis=-1).reshape(len(first), GRASPS * HAND)
-    rows = np.concatenate([told, points * np.repeat([3.0, 1.0, 1.0], 3), 3.0 * reach[first], hand], axis=1).astype(
+    rows = np.concatenate([state, points * np.repeat([3.0, 1.0, 1.0], 3), 3.0 * reach[first], hand], axis=1).astype(
         np.float32
     )
     exists = mask[first[:, None], first, second[:, None], second]
@@ -62,7 +62,7 @@ def rows_of(observation: dict[str, np.ndarray], mask: np.ndarray) -> tuple[np.nd
 
 
 def rotation(euler: np.ndarray) -> np.ndarray:
-    """Matrices of roll, pitch and yaw: `Rz(yaw) Ry(pitch) Rx(roll)`."""
+    """Return the matrices of roll, pitch and yaw: `Rz(yaw) Ry(pitch) Rx(roll)`."""
     (cr, cp, cy), (sr, sp, sy) = np.moveaxis(np.cos(euler), -1, 0), np.moveaxis(np.sin(euler), -1, 0)
     rows = [
         [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
@@ -76,7 +76,7 @@ def rotation(euler: np.ndarray) -> np.ndarray:
 
 
 class Points(nn.Module):
-    """Every free point in the light of all others."""
+    """Encodes each free point, given the mean of all points."""
 
     def __init__(self, width: int) -> None:
         super().__init__()
@@ -84,14 +84,14 @@ class Points(nn.Module):
         self.together = nn.Linear(width, width)
 
     def forward(self, rows: torch.Tensor) -> torch.Tensor:
-        """Rows `(batch, n, numbers)`; those of zeros are padding."""
+        """Encode rows `(batch, n, features)`; rows of zeros are padding."""
         there, each = rows[..., :1], self.alone(rows[..., :TOKEN])
         mean = (each * there).sum(1, keepdim=True) / there.sum(1, keepdim=True).clamp(min=1.0)
         return torch.tanh(each + self.together(mean)) * there
 
 
 class Scores(nn.Module):
-    """A score for every action: of the pair of points, and of the axis or the two hands given the pair."""
+    """Scores every action: the pair of points, and the axis or the two hands given the pair."""
 
     def __init__(self, width: int = 64) -> None:
         super().__init__()
@@ -101,7 +101,7 @@ class Scores(nn.Module):
         self.hand = nn.Sequential(nn.Linear(width + HAND, width), nn.Tanh(), nn.Linear(width, 2))
 
     def forward(self, rows: torch.Tensor, robots: bool) -> torch.Tensor:
-        """`(batch, n, n, 6)`, or `(batch, n, n, 8, 8)` with robots."""
+        """Return scores `(batch, n, n, 6)`, or `(batch, n, n, 8, 8)` with robots."""
         points = self.points(rows)
         pairs = torch.relu(self.moves(points)[:, :, None] + self.waits(points)[:, None])
         score = self.pair(pairs)
@@ -112,11 +112,11 @@ class Scores(nn.Module):
         return score[..., None] + held[:, :, None, :, None, 0] + held[:, None, :, None, :, 1]
 
 
-# The policy that `roboassembly evaluate --policy examples/05_masked_ppo.py` plays.
+# The policy for `roboassembly evaluate --policy examples/05_masked_ppo.py`.
 
 
 class PairPolicy:
-    """Takes the best action of the network."""
+    """Chooses the action with the best score."""
 
     name = "masked-ppo"
     cloud_points = CLOUD
@@ -126,11 +126,11 @@ class PairPolicy:
         self.networks = networks
 
     def act(self, observation: dict[str, np.ndarray], mask: np.ndarray) -> np.ndarray:
-        """The best of `values`."""
+        """Return the best action."""
         return surest(self.values(observation, mask))
 
     def values(self, observation: dict[str, np.ndarray], mask: np.ndarray) -> np.ndarray:
-        """Scores of all actions, -inf where there is none: this is what lets a policy guide the search."""
+        """Return a score for every action, -inf where none exists; this lets a policy guide the search."""
         robots = mask.ndim == 6
         rows, points, exists = rows_of(observation, mask)
         with torch.no_grad():
@@ -142,24 +142,24 @@ class PairPolicy:
 
 
 def weights(setting: str) -> Path:
-    """Where training puts them: beside this file."""
+    """Return the path of the trained weights, beside this file."""
     return Path(__file__).with_name(f"masked_ppo-{setting}.pt")
 
 
 @cache
 def trained(setting: str) -> Scores:
-    """The network with its weights, read once. Without any of the full setting it knows pairs, and nothing of hands."""
+    """Load the network once. Without weights for the full setting, those of the other one score the pairs only."""
     path = next((p for p in (weights(setting), weights(SETTINGS[0])) if p.is_file()), None)
     if path is None:
         raise FileNotFoundError(f"no weights at {weights(setting)}; train them first: python {__file__}")
     scores = Scores()
-    # Tensors only: nothing in the file is executed.
+    # weights_only: the file holds tensors, and nothing in it is executed.
     scores.load_state_dict(torch.load(path, weights_only=True))
     return scores
 
 
 def policy(seed: int) -> PairPolicy:
-    """What `evaluate` asks for, once an episode; this policy draws nothing."""
+    """Make the policy; the commands call this once per episode. It uses no random numbers."""
     return PairPolicy({setting: trained(setting) for setting in SETTINGS})
 
 
@@ -167,9 +167,9 @@ def policy(seed: int) -> PairPolicy:
 
 
 class Pairs(gymnasium.Wrapper):
-    """The environment as a learner for `Box` and `Discrete` wants it: rows in, the number of a pair and a way out.
+    """Wraps the environment for learners of `Box` and `Discrete`: features in, the number of an action out.
 
-    With 12 free points that are 864 numbers where the padded space has 240,000.
+    With 12 free points there are 864 actions; the padded space has 240,000.
     """
 
     def __init__(self, env: gymnasium.Env) -> None:
@@ -182,22 +182,22 @@ class Pairs(gymnasium.Wrapper):
         self.action_space = spaces.Discrete(int(np.prod(self.shape)))
 
     def reset(self, **options: object) -> tuple[np.ndarray, dict]:
-        """As the wrapped environment's."""
+        """Reset the wrapped environment."""
         observation, info = self.env.reset(**options)
-        return self._seen(observation, info), info
+        return self._features(observation, info), info
 
     def step(self, number: int) -> tuple[np.ndarray, float, bool, bool, dict]:
-        """As the wrapped environment's, by number."""
-        i, j, *way = np.unravel_index(int(number), self.shape)
+        """Execute the action with a number in the wrapped environment."""
+        i, j, *choice = np.unravel_index(int(number), self.shape)
         (u, k), (v, l) = self.points[i], self.points[j]  # noqa: E741
-        observation, reward, terminated, truncated, info = self.env.step(np.array([u, v, k, l, *way]))
-        return self._seen(observation, info), float(reward), terminated, truncated, info
+        observation, reward, terminated, truncated, info = self.env.step(np.array([u, v, k, l, *choice]))
+        return self._features(observation, info), float(reward), terminated, truncated, info
 
     def action_masks(self) -> np.ndarray:
-        """Which numbers are actions that exist; a furniture that stands has none, and PPO asks no more then."""
+        """Return which numbers are actions that exist; finished furniture has none."""
         return self.exists.ravel()
 
-    def _seen(self, observation: dict[str, np.ndarray], info: dict) -> np.ndarray:
+    def _features(self, observation: dict[str, np.ndarray], info: dict) -> np.ndarray:
         rows, self.points, exists = rows_of(observation, info["action_mask"])
         n = len(rows)
         self.exists = np.zeros(self.shape, bool)
@@ -206,7 +206,7 @@ class Pairs(gymnasium.Wrapper):
 
 
 def learner(env: Pairs, scores: Scores, robots: bool, seed: int):
-    """MaskablePPO with `Scores` as its actor and a small critic."""
+    """Return a MaskablePPO with `Scores` as its actor and a small critic."""
     from sb3_contrib import MaskablePPO
     from sb3_contrib.common.maskable.policies import MaskableActorCriticPolicy
     from stable_baselines3.common.torch_layers import MlpExtractor
@@ -222,19 +222,19 @@ def learner(env: Pairs, scores: Scores, robots: bool, seed: int):
     class Critic(nn.Module):
         def __init__(self) -> None:
             super().__init__()
-            self.points, self.worth = Points(64), nn.Linear(64, 1)
+            self.points, self.value = Points(64), nn.Linear(64, 1)
 
         def forward(self, flat: torch.Tensor) -> torch.Tensor:
-            return self.worth(self.points(flat.unflatten(-1, env.observation_space.shape)).mean(1))
+            return self.value(self.points(flat.unflatten(-1, env.observation_space.shape)).mean(1))
 
     class ActorCritic(MaskableActorCriticPolicy):
         def _build(self, lr_schedule) -> None:
-            # Nothing between the rows and the two networks: sb3 flattens them and hands them on.
+            # sb3 flattens the features; both networks take them as they are.
             self.mlp_extractor = MlpExtractor(self.features_dim, [], nn.Identity)
             self.action_net, self.value_net = Actor(), Critic()
             self.optimizer = self.optimizer_class(self.parameters(), lr=lr_schedule(1), **self.optimizer_kwargs)
 
-    # Steps of robots are dear, so more is learnt of each.
+    # Steps with robots are slow, so each one is used more often.
     rollout, epochs = (256, 10) if robots else (512, 6)
     return MaskablePPO(
         ActorCritic, env, learning_rate=1e-3, n_steps=rollout, batch_size=rollout // 4, n_epochs=epochs, gamma=0.95,
@@ -243,23 +243,23 @@ def learner(env: Pairs, scores: Scores, robots: bool, seed: int):
 
 
 def main() -> None:
-    """Train, from the weights that are there if there are any (the full setting from those of the other), and write."""
+    """Train, starting from existing weights if there are any, and save the weights."""
     parser = argparse.ArgumentParser(description=main.__doc__)
     parser.add_argument("--furniture", default=STOOL, help="a built-in piece or a furniture folder")
     parser.add_argument("--setting", choices=SETTINGS, default=SETTINGS[0])
     parser.add_argument("--steps", type=int, default=12_000)
     parser.add_argument("--seed", type=int, default=0)
-    told = parser.parse_args()
-    robots = told.setting == "full"
+    args = parser.parse_args()
+    robots = args.setting == "full"
     name = roboassembly.envs.FULL if robots else roboassembly.envs.OBJECT_CENTRIC
-    env = Pairs(gymnasium.make(name, furniture=told.furniture, cloud_points=CLOUD))
-    torch.manual_seed(told.seed)
-    scores = trained(told.setting) if weights(SETTINGS[0]).is_file() else Scores()
-    model = learner(env, scores, robots, told.seed)
-    while model.num_timesteps < told.steps:
+    env = Pairs(gymnasium.make(name, furniture=args.furniture, cloud_points=CLOUD))
+    torch.manual_seed(args.seed)
+    scores = trained(args.setting) if weights(SETTINGS[0]).is_file() else Scores()
+    model = learner(env, scores, robots, args.seed)
+    while model.num_timesteps < args.steps:
         model.learn(model.n_steps, reset_num_timesteps=False)
-        torch.save(scores.state_dict(), weights(told.setting))
-    print(weights(told.setting))
+        torch.save(scores.state_dict(), weights(args.setting))
+    print(weights(args.setting))
 
 
 if __name__ == "__main__":
