@@ -132,6 +132,7 @@ def test_pip_installs_what_there_is(page: str) -> None:
 def extras_needed(command: Command) -> set[str]:
     """Beyond the package alone."""
     needed = {"rl"} if "examples/05_masked_ppo.py" in command.words else set()
+    needed |= {"learn"} if "examples/04_paper_method_small.py" in command.words else set()
     words = command.arguments or [""]
     needed |= {"learn"} if words[0] in ("train", "benchmark") or "--export" in words else set()
     needed |= {"bench"} if words[0] == "bench" or "--audit" in words else set()

@@ -40,7 +40,8 @@ WHEN_QUICK = [
     (r"roboassembly view .*|roboassembly view", "each starts a server; the studio's tests start enough of them"),
     (r"roboassembly train .*", "JAX compiles for half a minute"),
     (r"roboassembly bench .*", "measures for minutes"),
-    (r"python examples/05_masked_ppo\.py.*|roboassembly evaluate --policy examples/.*", "needs PyTorch"),
+    (r"python examples/.*", "`test_examples.py` runs them in this process"),
+    (r"roboassembly evaluate --policy examples/05_masked_ppo\.py.*", "needs PyTorch"),
 ]
 """Commands that the quick form leaves out besides."""
 SMALLER = [
@@ -93,7 +94,7 @@ class Reader:
         more = [word for row in matches(SMALLER, command) for word in row[1].split()]
         if command.arguments is None:
             assert command.words[0] == "python", command
-            if find_spec("sb3_contrib"):
+            if "rl" not in extras_needed(command) or find_spec("sb3_contrib"):
                 subprocess.run([sys.executable, *command.words[1:], *more], check=True, timeout=500)
             return
         if "examples/05_masked_ppo.py" in command.words and not find_spec("sb3_contrib"):

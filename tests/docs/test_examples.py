@@ -64,9 +64,11 @@ def test_custom_policy(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFi
 
 @pytest.mark.slow
 @pytest.mark.skipif(not find_spec("jax"), reason="needs JAX")
-def test_paper_method_small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_paper_method_small(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     run_script("04_paper_method_small.py", "--out", "small", monkeypatch=monkeypatch)
-    assert "of 2 chairs" in capsys.readouterr().out
+    assert "the policy solves 2 of 2 chairs" in capsys.readouterr().out
     assert (tmp_path / "small" / "policy.npz").exists()
 
 
