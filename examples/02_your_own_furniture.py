@@ -3,8 +3,8 @@
     python examples/02_your_own_furniture.py
     python examples/02_your_own_furniture.py --meshes my_files --scale 0.001
 
-Takes a folder with one STL, OBJ, PLY or GLB file per part, each part at its place in the finished piece. Without one, it
-first writes the meshes of a small table, in millimetres.
+Takes a folder with one STL, OBJ, PLY or GLB file per part, each part at its place in the finished piece. Without one,
+it first writes the meshes of a small table, in millimetres.
 """
 
 from __future__ import annotations

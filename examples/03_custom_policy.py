@@ -21,8 +21,8 @@ from roboassembly.solvers.search import solve
 class Facing:
     """Prefers pairs of connection points that face each other in the furniture's frame.
 
-    Part frames are parallel to the furniture's frame, so the two normals of a right pair are opposed and the two tangents
-    equal. Many wrong pairs look the same; this policy is simple, not good.
+    Part frames are parallel to the furniture's frame, so the two normals of a right pair are opposed and the two
+    tangents equal. Many wrong pairs look the same; this policy is simple, not good.
     """
 
     name = "facing"

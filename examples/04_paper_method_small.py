@@ -5,8 +5,8 @@
 
 The four steps are those of the paper: an auto-encoder of part shapes, one Double DQN expert per chair, samples from the
 experts' episodes, and one policy that imitates their Q-values. The paper uses 220 chairs and 40,000 environment steps
-each; `roboassembly train` and `roboassembly benchmark` do that. The last lines show how far two chairs of one family go:
-a third of the family, and another family. Stop the script at any moment; the same command continues it.
+each; `roboassembly train` and `roboassembly benchmark` do that. The last lines show how far two chairs of one family
+go: to a third one, and to another family. Stop the script at any moment; the same command continues it.
 """
 
 from __future__ import annotations

@@ -175,11 +175,12 @@ def rooms_picture() -> str:
         for column, room in enumerate(rooms):
             x, y = 16 + column * (wide + gap), top + row * (high + gap)
             color = _shade(row, len(layers))
+            text = f'<text x="{x + 12:.0f}"'
             end = "/" if (ROOT / "src" / "roboassembly" / room).is_dir() else ".py"
             out += [
                 f'<rect x="{x:.0f}" y="{y}" width="{wide:.0f}" height="{high}" rx="5" fill="{color}"/>',
-                f'<text x="{x + 12:.0f}" y="{y + 17}" font-size="14" font-weight="bold" fill="#222222">{room}{end}</text>',
-                f'<text x="{x + 12:.0f}" y="{y + 33}" font-size="12" fill="#444444">{escape(ROOMS[room])}</text>',
+                f'{text} y="{y + 17}" font-size="14" font-weight="bold" fill="#222222">{room}{end}</text>',
+                f'{text} y="{y + 33}" font-size="12" fill="#444444">{escape(ROOMS[room])}</text>',
             ]
     return "\n".join([*out, "</svg>"]) + "\n"
 
