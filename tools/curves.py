@@ -2,7 +2,7 @@
 
     python tools/curves.py PICTURE.png RUN [RUN ...]
 
-Each a folder of `roboassembly benchmark`, `train expert` or `train multitask`, in either setting; its name is told.
+Each run is a folder of `roboassembly benchmark`, `train expert` or `train multitask`, in either setting.
 """
 
 import sys
@@ -18,13 +18,13 @@ from roboassembly.learning.logs import read
 from roboassembly.learning.paper.pipeline import results
 
 PANEL = 4.2, 3.0
-"""Inches."""
+"""Width and height of the picture [inch]."""
 GRASPS = {"take": "one hand takes its group", "room": "two hands have room", "meet": "arms reach the joint",
           "rest": "all else works out"}  # fmt: skip
 
 
 def mastered(folder: Path) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """For each split steps, and the share of the chairs tried that is mastered after so many."""
+    """Return, for each split, the steps and the share of the tried chairs that are solved after them."""
     picks = [p for p in furniture_refs("chairs-412:train") if dataset_file(folder / "experts", p.name).is_file()]
     split = {p.name: p.entry.split for p in picks if p.entry is not None}
     tried = [r for r in results(picks, folder) if not r.refused]
@@ -38,7 +38,7 @@ def mastered(folder: Path) -> dict[str, tuple[np.ndarray, np.ndarray]]:
 
 
 def main(picture: Path, runs: Sequence[Path]) -> None:
-    """One picture of four panels, each with what the runs know of it."""
+    """Draw one picture of four panels with the scalars of all runs."""
     figure = Figure(figsize=(2 * PANEL[0], 2 * PANEL[1]), layout="constrained")
     (experts, choices), (hands, losses) = figure.subplots(2, 2)
     for run in runs:

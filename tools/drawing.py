@@ -1,4 +1,4 @@
-"""What the scripts that draw pictures share."""
+"""Drawing functions that the scripts for pictures share."""
 
 from collections.abc import Iterable, Sequence
 
@@ -16,7 +16,7 @@ PALM, FINGER = (0.86, 0.88, 0.90), (0.25, 0.28, 0.32)
 
 
 def drawn(pieces: Sequence[Piece], width: int, height: int) -> np.ndarray:
-    """Meshes above the ground, from where all of them are seen."""
+    """Draw meshes above the ground, from where all of them are visible."""
     points = np.concatenate([box_corners(mesh, pose) for mesh, pose, _ in pieces])
     lift = SE3(np.eye(3), np.array([0.0, 0.0, 0.03 - min(points[:, 2].min(), 0.03)]))
     meshes, poses, colors = zip(*pieces, strict=True)
@@ -24,6 +24,6 @@ def drawn(pieces: Sequence[Piece], width: int, height: int) -> np.ndarray:
 
 
 def hand(tips: SE3, width: float) -> Iterable[Piece]:
-    """A hand whose pads are so far apart, in metres, around the tips' frame."""
+    """Return the pieces of a hand at the frame of its tips, with the given distance between the pads [m]."""
     for color, (mesh, tips_from_body) in zip((PALM, FINGER, FINGER), hand_bodies(width), strict=True):
         yield mesh, tips * tips_from_body, color

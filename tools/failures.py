@@ -1,11 +1,11 @@
-"""Draws what went wrong where a policy failed, a row an episode.
+"""Draws the failed episodes of a policy, one row per episode.
 
     roboassembly evaluate --policy relational --set SET --json > episodes.json
     python tools/failures.py episodes.json PICTURE.png [NAME ...]
 
-Without names the first failed episode of each verdict, with robots of each kind of failure. From left to right: the
-groups as they lay when the last action was chosen, the two it names in colours; the two as it would have joined them,
-with the hands that would hold them if there are robots; the same parts where they belong.
+Without names, it draws the first failed episode of each verdict, or of each kind of failure with robots. A row shows,
+from left to right: the groups as they lay before the last action, with its two groups in colours; the two groups as the
+action would join them, with the hands that would hold them if there are robots; the same parts where they belong.
 """
 
 import json
@@ -34,20 +34,20 @@ MOVED, WAITING, OTHER = (0.30, 0.50, 0.80), (0.88, 0.55, 0.25), (0.80, 0.80, 0.7
 
 
 def of_group(furniture: Furniture, group: Group, at: SE3, color: Color) -> Iterable[Piece]:
-    """The parts of a group whose frame is at a pose."""
+    """Yield the parts of a group whose frame is at a pose."""
     for part, pose in zip(group.parts, group.furniture_from_part, strict=True):
         yield furniture.parts[part].mesh, at * pose, color
 
 
 def of_hand(furniture: Furniture, group: Group, at: SE3, part: int, grasp: int) -> Iterable[Piece]:
-    """The hand that holds a part of a group, closed."""
+    """Yield the closed hand that holds a part of a group."""
     held = grip_of(furniture, group, part, grasp)
     if held is not None:
         yield from hand(at * held.furniture_from_tips, held.closed)
 
 
 def row(furniture: Furniture, env: Any, state: TaskState, action: Sequence[int]) -> np.ndarray:
-    """The three pictures of a last action."""
+    """Draw the three pictures of a last action."""
     u, v, k, l, *ways = action  # noqa: E741
     moved, waiting = (state.groups[state.group_of[part]] for part in (u, v))
     color = {id(moved): MOVED, id(waiting): WAITING}
@@ -60,9 +60,9 @@ def row(furniture: Furniture, env: Any, state: TaskState, action: Sequence[int])
         joined += of_hand(furniture, moved, dictated, u, ways[0])
         joined += of_hand(furniture, waiting, still, v, ways[1])
 
-    told = pairs.assign_slots(state) or state
+    assigned = pairs.assign_slots(state) or state
     slots = {state.group_of[u]: MOVED, state.group_of[v]: WAITING}
-    colors = {slot: slots.get(i, OTHER) for i, group in enumerate(told.groups) for slot in group.slots}
+    colors = {slot: slots.get(i, OTHER) for i, group in enumerate(assigned.groups) for slot in group.slots}
     belong = [
         (part.mesh, pose, colors.get(i, OTHER))
         for i, (part, pose) in enumerate(zip(furniture.parts, furniture.assembled, strict=True))
@@ -71,21 +71,21 @@ def row(furniture: Furniture, env: Any, state: TaskState, action: Sequence[int])
 
 
 def found(picks: Sequence[FurnitureRef], name: str, full: bool) -> Furniture:
-    """The piece of a set that has a name, which need not be that of its folder."""
+    """Return the piece of a set with a name, which may differ from the name of its folder."""
     likely = sorted(picks, key=lambda p: p.name.replace(":", "-") != name)
     return next(f for f in (p.furniture(with_grasps=full) for p in likely) if f.name == name)
 
 
 def main(source: Path, picture: Path, names: Sequence[str]) -> None:
-    """One picture of all rows; what each shows is printed."""
-    told = json.loads(source.read_text())
-    full = told["setting"] == "full"
-    failed = [e for e in told["per_furniture"] if not e["success"] and len(e["actions"]) > e["merges"]]
+    """Draw one picture of all rows, and print what each row shows."""
+    report = json.loads(source.read_text())
+    full = report["setting"] == "full"
+    failed = [e for e in report["per_furniture"] if not e["success"] and len(e["actions"]) > e["merges"]]
     first = {failure_of(Episode(**e)) if full else e["verdict"]: e for e in reversed(failed)}
     chosen = [e for e in failed if e["furniture"] in names] if names else list(first.values())
     if not chosen:
         sys.exit(f"{source} has no such failed episode; failed are: {', '.join(e['furniture'] for e in failed)}")
-    picks = furniture_refs(told["set"])
+    picks = furniture_refs(report["set"])
     rows = []
     for episode in chosen:
         furniture = found(picks, episode["furniture"], full)

@@ -1,4 +1,4 @@
-"""Makes what the site's gallery shows: `make gallery`. A film, a page and a picture of each piece, in build/gallery."""
+"""Makes the gallery of the site (`make gallery`): a film, a page and a picture of each piece, in build/gallery."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ PIECES = {
     "bookcase": "assemble shelf_bookcase",
     "two-robots": "assemble stool --setting full",
 }
-"""By folder, the command whose results it holds."""
+"""Command whose results each folder holds."""
 
 shutil.rmtree(OUT, ignore_errors=True)
 shown = []
@@ -31,17 +31,17 @@ for name, command in PIECES.items():
     folder.mkdir(parents=True)
     words = [*shlex.split(command), "--out", str(folder), "--json"]
     done = subprocess.run([sys.executable, "-m", "roboassembly.cli", *words], stdout=subprocess.PIPE, check=True)
-    told = json.loads(done.stdout)
+    report = json.loads(done.stdout)
     picture = folder / "finished.png"
     render_furniture(storage.load(folder / "furniture"), picture, width=960, height=540)
-    figures = f"{told['parts']} parts, {told['merges']} merges, {told['planning_steps']:,} states checked in "
+    figures = f"{report['parts']} parts, {report['merges']} merges, {report['planning_steps']:,} states checked in "
     shown.append(
         {
-            "title": told["furniture"] + ", by two robots" * (told["setting"] == "full"),
+            "title": report["furniture"] + ", by two robots" * (report["setting"] == "full"),
             "command": f"roboassembly {command}",
-            "figures": f"{figures}{told['planning_seconds']:.2f} s",
-            "film": str(Path(told["outputs"]["film"]).relative_to(OUT)),
-            "page": str(Path(told["outputs"]["html"]).relative_to(OUT)),
+            "figures": f"{figures}{report['planning_seconds']:.2f} s",
+            "film": str(Path(report["outputs"]["film"]).relative_to(OUT)),
+            "page": str(Path(report["outputs"]["html"]).relative_to(OUT)),
             "picture": str(picture.relative_to(OUT)),
         }
     )

@@ -1,8 +1,8 @@
-"""Gathers the pages of the site in build/pages, for mkdocs.yml: `make docs`.
+"""Gathers the pages of the site in build/pages, for mkdocs.yml (`make docs`).
 
-Most are the files of docs/ as they are. README and its like come from the root, the commands' help from the command
-line, the gallery from what `make gallery` has made. Equations (`$...$` and `$$...$$`, as code hosts read them) become
-drawings: MathJax or KaTeX would be a script to fetch or to carry, and MathML asks for a font that not everybody has.
+Most pages are the files in docs/. README, CONTRIBUTING and CHANGELOG come from the root, the help of the commands from
+the command line, and the gallery from `make gallery`. Equations (`$...$` and `$$...$$`, the form of code hosts) become
+SVG: MathJax or KaTeX would need a script, and MathML a font that not everybody has.
 """
 
 from __future__ import annotations
@@ -28,20 +28,20 @@ AT_THE_ROOT = {"README.md": "index.md", "CONTRIBUTING.md": "contributing.md", "C
 EXAMPLES, CITATION = "examples", "CITATION.cff"
 """A folder and a file beside docs/ that pages link to."""
 COLUMNS = 80
-"""Width of a command's help."""
+"""Width of the help of a command [characters]."""
 
 _SUBCOMMAND = re.compile(r"^ *• ([\w-]+) ", re.MULTILINE)
 _CODE_OR_EQUATION = re.compile(
     r"(?P<code>^```.*?^```$|`[^`]+`)|\$\$(?P<block>.+?)\$\$|\$(?P<inline>[^$\n]+)\$", re.MULTILINE | re.DOTALL
 )
 _MARKDOWN = str.maketrans({c: f"&#{ord(c)};" for c in "*_[]|\\`"})
-"""What would mean something to Markdown, as entities."""
+"""Characters with a meaning in Markdown, as entities."""
 EQUATION_SIZE = 17.5
-"""Pixels, which look as large as the text."""
+"""Font size of equations [pixel]; looks as large as the text."""
 
 
 def gather() -> None:
-    """Write all pages anew."""
+    """Write all pages."""
     shutil.rmtree(PAGES, ignore_errors=True)
     shutil.copytree(DOCS, PAGES)
     shutil.copytree(ROOT / EXAMPLES, PAGES / EXAMPLES, ignore=shutil.ignore_patterns("__pycache__"))
@@ -62,34 +62,34 @@ def moved(text: str) -> str:
 
 
 def with_equations(text: str) -> str:
-    """Markdown whose equations are SVG, in the text's colour; code stays as it is."""
+    """Return Markdown with its equations as SVG, in the colour of the text; code stays as it is."""
 
     def drawn(found: re.Match[str]) -> str:
         if found["code"]:
             return found["code"]
         latex = " ".join((found["block"] or found["inline"]).split())
         equation = ziamath.Latex(latex, size=EQUATION_SIZE, color="currentColor", inline=bool(found["inline"]))
-        told = f'role="img" aria-label="{html.escape(latex).translate(_MARKDOWN)}"'
+        label = f'role="img" aria-label="{html.escape(latex).translate(_MARKDOWN)}"'
         if found["block"]:
-            return f'<div {told} style="overflow-x: auto; text-align: center">{equation.svg()}</div>'
+            return f'<div {label} style="overflow-x: auto; text-align: center">{equation.svg()}</div>'
         below = f"display: inline-block; vertical-align: {equation.getyofst():.2f}px; line-height: 0"
-        return f'<span {told} style="{below}">{equation.svg()}</span>'
+        return f'<span {label} style="{below}">{equation.svg()}</span>'
 
     return _CODE_OR_EQUATION.sub(drawn, text)
 
 
 def commands_page() -> str:
-    """Every command and its help."""
+    """Return the page with every command and its help."""
     os.environ.update(COLUMNS=str(COLUMNS), NO_COLOR="1")
-    told = dict(_help([]))
-    if len(told) < 2:
-        raise ValueError(f"no subcommands found in the help:\n{told}")
-    intro = "# Commands\n\nWhat `--help` says of each.\n"
-    return intro + "".join(f"\n## {' '.join(words)}\n\n```text\n{text}```\n" for words, text in told.items())
+    commands = dict(_help([]))
+    if len(commands) < 2:
+        raise ValueError(f"no subcommands found in the help:\n{commands}")
+    intro = "# Commands\n\nThe output of `--help` for each command.\n"
+    return intro + "".join(f"\n## {' '.join(words)}\n\n```text\n{text}```\n" for words, text in commands.items())
 
 
 def _help(words: Sequence[str]) -> Iterator[tuple[tuple[str, ...], str]]:
-    """A command and its help, then the same of its subcommands."""
+    """Yield a command and its help, then those of its subcommands."""
     said = io.StringIO()
     with contextlib.redirect_stdout(said), contextlib.suppress(SystemExit):
         parse([*words, "--help"])
@@ -101,7 +101,7 @@ def _help(words: Sequence[str]) -> Iterator[tuple[tuple[str, ...], str]]:
 
 
 def gallery_page() -> str:
-    """Films and pages as far as they are made, which are copied beside it; then the pictures of the other pages."""
+    """Return the page of the gallery: films and pages that exist, copied beside it, then pictures of other pages."""
     text = "# Gallery\n"
     made = GALLERY / "gallery.json"
     if not made.exists():
@@ -120,7 +120,7 @@ def gallery_page() -> str:
 
 
 def _copied(name: str) -> str:
-    """A file of the gallery, copied to where pages find it under the name returned."""
+    """Copy a file of the gallery beside the pages, and return its name there."""
     place = PAGES / "gallery" / name
     place.parent.mkdir(parents=True, exist_ok=True)
     shutil.copy(GALLERY / name, place)

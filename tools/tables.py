@@ -1,6 +1,6 @@
-"""Writes the tables of imports, and of assemblies by robots, for results.md, in Markdown.
+"""Prints the tables of imports, and of assemblies by robots, for results.md, in Markdown.
 
-In a folder with the unpacked samples, for one archive after another:
+Run this in a folder with the unpacked samples, for one archive after another:
 
     for set in ikea-manual:ikea_manuals_at_work ikea-env:clvrai_furniture furniture-bench:furniture_bench; do
         kind=${set%%:*} source=${set#*:}
@@ -9,9 +9,9 @@ In a folder with the unpacked samples, for one archive after another:
         python tools/tables.py $kind.import.json $kind.search.json
     done
 
-Part of a source, like `ikea_manuals_at_work/parts/Chair`, makes part of a table. `--no-cache`, because the seconds that
-a look-up takes are not those of the import. One file, of `roboassembly evaluate --setting full --json`, makes a table
-of assemblies by robots.
+Part of a source, like `ikea_manuals_at_work/parts/Chair`, gives part of a table. `--no-cache` makes the times those of
+an import, not of a look-up. A single file, of `roboassembly evaluate --setting full --json`, gives a table of
+assemblies by robots.
 """
 
 import json
@@ -24,7 +24,7 @@ HEAD = ("piece", "parts", "connections", "moved, mm", "trimmed at most, %", "siz
 
 
 def row(item: dict, episode: dict | None) -> list[str]:
-    """One piece."""
+    """Return the row of one piece."""
     seconds = "from the cache" if item["cached"] else f"{item['seconds']:.1f}"
     if item["error"]:
         return [item["name"], "", "", "", "", "", seconds, f"refused: {item['error']}", "", "", ""]
@@ -45,7 +45,7 @@ def row(item: dict, episode: dict | None) -> list[str]:
 
 
 def table(imports: dict, search: dict) -> list[str]:
-    """Lines: totals, nothing, and the table, from what the two commands printed."""
+    """Return the lines of totals and table, from the output of both commands."""
     items = imports["items"]
     episodes = {e["furniture"]: e for e in search["per_furniture"]}
     imported = [i for i in items if not i["error"]]
@@ -64,7 +64,7 @@ FULL_HEAD = ("piece", "parts", "planned", "planning, s", "a merge, s", "carried 
 
 
 def full_row(episode: dict) -> list[str]:
-    """One piece with robots."""
+    """Return the row of one piece with robots."""
     done, merges = episode["executed"], episode["step_seconds"]
     if not episode["success"] and done is None:
         return [episode["furniture"], str(episode["parts"]), f"{episode['verdict']}: {episode['reason']}", *[""] * 7]
@@ -84,7 +84,7 @@ def full_row(episode: dict) -> list[str]:
 
 
 def full_table(report: dict) -> list[str]:
-    """Lines: totals, nothing, and the table, from what `evaluate --setting full` printed."""
+    """Return the lines of totals and table, from the output of `evaluate --setting full`."""
     episodes = report["per_furniture"]
     planned = [e for e in episodes if e["success"] or e["executed"] is not None]
     totals = [f"{len(planned)} of {len(episodes)} planned"]
@@ -103,8 +103,8 @@ def main() -> None:
     """Print the table of the files named on the command line."""
     if len(sys.argv) not in (2, 3):
         sys.exit(__doc__)
-    told = [json.loads(Path(name).read_text()) for name in sys.argv[1:]]
-    print("\n".join(full_table(*told) if len(told) == 1 else table(*told)))
+    reports = [json.loads(Path(name).read_text()) for name in sys.argv[1:]]
+    print("\n".join(full_table(*reports) if len(reports) == 1 else table(*reports)))
 
 
 if __name__ == "__main__":
