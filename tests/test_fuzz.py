@@ -26,7 +26,7 @@ from roboassembly.errors import FurnitureError, InputError
 from roboassembly.furniture import storage
 from roboassembly.learning.registry import load_policy
 from roboassembly.studio.assembly_session import AssemblySession
-from roboassembly.task.full.task import FullVerdict
+from roboassembly.task.full.failure import FullVerdict
 from roboassembly.task.object_centric.task import ObjectCentricVerdict
 from roboassembly.task.plans import plan_file
 

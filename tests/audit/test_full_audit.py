@@ -11,6 +11,7 @@ import pytest
 from roboassembly.audit.full import RobotAuditReport, RobotViolationKind, audit_full_plan
 from roboassembly.geometry.poses import SE3
 from roboassembly.task.full.cell_state import Segment
+from roboassembly.task.full.failure import Stage
 from roboassembly.task.plans.full_plan import FullPlan
 
 pytest.importorskip("fcl")
@@ -76,7 +77,7 @@ def test_an_arm_through_itself_through_the_ground_and_past_its_limit(two_merges:
 def test_what_is_held_through_another_part(two_merges: FullPlan) -> None:
     """Without the way that avoids it, the mating hand comes out of v's group sideways."""
     segments = two_merges.steps[0].segments
-    mate = next(segment for segment in segments if segment.name == "mate")
+    mate = next(segment for segment in segments if segment.stage is Stage.MATE)
 
     def shifted(segment: Segment) -> Segment:
         off = np.zeros(10)
@@ -88,7 +89,7 @@ def test_what_is_held_through_another_part(two_merges: FullPlan) -> None:
     step = replace(two_merges.steps[0], segments=(shifted(mate),))
     report = audit_full_plan(replace(two_merges, steps=(step,)), 0.002)
     assert RobotViolationKind.PENETRATION in kinds(report)
-    assert any(v.segment == "mate" and "what the other holds" in v.what for v in report.first)
+    assert any(v.segment == "R_a: mate" and "what the other holds" in v.what for v in report.first)
 
 
 def test_a_post_and_a_part_in_a_standing_part(two_merges: FullPlan) -> None:

@@ -287,7 +287,7 @@ def test_the_full_setting_through_gymnasium() -> None:
     env = gymnasium.make(FULL, furniture="stool")
     _, info = env.reset(seed=0)
     assert info["action_mask"].shape == (20, 20, 10, 10, 8, 8)
-    assert info["leg"] == ""
+    assert (info["stage"], info["robot"]) == ("", -1)
     assert 0.0 < info["density"] <= 700.0
     *_, info = env.step(np.zeros(6, int))
     assert info["verdict"] == "not_an_action"

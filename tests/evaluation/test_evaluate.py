@@ -22,6 +22,7 @@ from roboassembly.furniture import storage
 from roboassembly.furniture.model import Furniture
 from roboassembly.solvers.search import solve
 from roboassembly.statistics import success
+from roboassembly.task.full.failure import Stage
 from shapes import GAP, brick, furniture, pose
 
 
@@ -77,13 +78,14 @@ def test_the_printed_summary() -> None:
 
 def test_what_ended_episodes_with_robots() -> None:
     ends = [
-        ("grasp_blocked", "grasp u"), ("cannot_release", "back off"), ("no_arm_solution", "mate"),
-        ("joint_blocked", "mate"), ("no_path", "drive v"), ("no_path", "leave u"), ("no_path", "set down"),
-        ("no_placement", "set down"), ("wrong_pair", ""), ("no_plan", "limits reached"), ("not_grasped", "approach u"),
-        ("merged", ""),
+        ("grasp_blocked", Stage.GRASP), ("cannot_release", Stage.RELEASE), ("no_arm_solution", Stage.MATE),
+        ("joint_blocked", Stage.MATE), ("no_path", Stage.DRIVE_TO_MATE), ("no_path", Stage.LEAVE),
+        ("no_path", Stage.CARRY), ("no_placement", Stage.SET_DOWN), ("wrong_pair", ""), ("no_plan", ""),
+        ("not_grasped", ""), ("merged", ""),
     ]  # fmt: skip
     some = tuple(
-        replace(episode(i, verdict == "merged"), verdict=verdict, reason=leg) for i, (verdict, leg) in enumerate(ends)
+        replace(episode(i, verdict == "merged"), verdict=verdict, stage=stage)
+        for i, (verdict, stage) in enumerate(ends)
     )
     assert Evaluation(RolloutConfig("x", setting="full"), "s", 1, some).to_json()["failures"] == {
         "placing": 3, "grasp blocked": 2, "no arm solution": 1, "mating path": 1, "path": 1, "wrong pair": 1,

@@ -30,7 +30,7 @@ from roboassembly.studio.client_session import ClientSession
 from roboassembly.studio.messages import attempt_message
 from roboassembly.studio.sources import BUILT_IN, Sources, open_path, open_plan
 from roboassembly.studio.uploads import open_upload, unpack
-from roboassembly.task.full.task import FullVerdict
+from roboassembly.task.full.failure import FullVerdict
 from roboassembly.task.object_centric.task import ObjectCentricVerdict
 from roboassembly.task.plans import plan_file
 from studio_client import Browser, merges, note_clients, served, until

@@ -126,7 +126,7 @@ def test_a_path_through_something_fails(merge: tuple[FullTask, float, FullStep])
     through[:2] = post[:2]
     bad = replace(drive, path=(drive.path[0], through, *drive.path[1:]))
     done = execute(task.furniture, density, replace(step, segments=(bad, *step.segments[1:])))
-    assert (done.ending, done.segment) == (Ending.COLLISION, "drive to u")
+    assert (done.ending, done.segment) == (Ending.COLLISION, "R_a: drive to group")
 
 
 def test_a_grasp_beside_the_part_fails(merge: tuple[FullTask, float, FullStep]) -> None:
@@ -135,4 +135,4 @@ def test_a_grasp_beside_the_part_fails(merge: tuple[FullTask, float, FullStep]) 
     # R_a stops where the drive ended, 100 mm short of the part.
     segments[1] = replace(segments[1], path=segments[1].path[:1])
     done = execute(task.furniture, density, replace(step, segments=tuple(segments)))
-    assert (done.ending, done.segment) == (Ending.NOT_GRASPED, "approach u")
+    assert (done.ending, done.segment) == (Ending.NOT_GRASPED, "R_a: approach")

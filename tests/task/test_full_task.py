@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import weakref
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from itertools import pairwise, product
+from multiprocessing import get_context
 
 import numpy as np
 import pytest
@@ -14,7 +16,7 @@ from roboassembly.furniture.model import Furniture
 from roboassembly.geometry.poses import SE3, rotation_angle
 from roboassembly.geometry.scene import Body, Shape
 from roboassembly.planning.problem import Budget
-from roboassembly.planning.robot_world import RobotWorld
+from roboassembly.planning.robot_world import RobotWorld, Tally
 from roboassembly.robots.body import world_from_tips
 from roboassembly.robots.reach import reach
 from roboassembly.solvers.disassembly import partition_of
@@ -22,16 +24,18 @@ from roboassembly.solvers.options import grasping
 from roboassembly.solvers.search import SearchLimits, solve_full
 from roboassembly.task.full.cell import Post
 from roboassembly.task.full.cell_state import Segment
-from roboassembly.task.full.grips import Grip
-from roboassembly.task.full.pick import PickRequest, _taking, pick_both
-from roboassembly.task.full.segments import LegError, SegmentPlanner
-from roboassembly.task.full.task import FullOutcome, FullTask, FullVerdict, MateGrasp
+from roboassembly.task.full.failure import STRAIGHT, Failure, FullVerdict, Stage
+from roboassembly.task.full.grips import Grip, MateGrasp
+from roboassembly.task.full.pick import PickRequest, pick
+from roboassembly.task.full.segments import Planned, StepContext, child_seed, retreat_path
+from roboassembly.task.full.step import pick_both
+from roboassembly.task.full.task import FullOutcome, FullTask
 from roboassembly.task.plans.full_plan import FullState
 from shapes import GAP, RobotChecker, brick, furniture, pose
 
-SEGMENTS = [
-    "drive to u", "approach u", "lift u", "drive to v", "approach v", "lift v", "drive", "drive", "mate",
-    "back off from u", "leave u", "carry", "set down", "back off", "leave",
+STAGES = [
+    *[Stage.DRIVE_TO_GROUP, Stage.APPROACH, Stage.LIFT] * 2, *[Stage.DRIVE_TO_MATE] * 2, Stage.MATE, Stage.RELEASE,
+    Stage.LEAVE, Stage.CARRY, Stage.SET_DOWN, Stage.RELEASE, Stage.LEAVE,
 ]  # fmt: skip
 
 
@@ -61,13 +65,13 @@ def merged(task: FullTask, start: FullState) -> FullOutcome:
 
 
 def test_a_world_is_let_go_and_its_states_still_count(task: FullTask, start: FullState) -> None:
-    segments = SegmentPlanner(task.furniture, start.cell, start.cell_state, Budget(), np.random.default_rng(0))
-    world = segments.world(start.cell_state, 0)
+    tally = Tally()
+    world = StepContext(task.furniture, start.cell, Budget()).world(start.cell_state, 0, tally)
     world.free(np.array([start.cell_state.robots[0].at, start.cell_state.robots[1].at]))
     there = weakref.ref(world)
     del world
     assert there() is None
-    assert segments.states == 2
+    assert tally.states == 2
 
 
 def test_room_of_one_hand_is_part_of_what_fits(task: FullTask, start: FullState) -> None:
@@ -96,10 +100,14 @@ def _kinds(stool: Furniture, c) -> set[str]:
     return {kind for kind in ("stretcher", "leg") if any(kind in n for n in names)}
 
 
-def wanted_of(start: FullState, part: int, held: Grip) -> tuple[PickRequest, Post]:
-    """A group to be taken, and its post."""
-    standing = next(s for s in start.cell_state.placed if part in s.group.parts)
-    return PickRequest(standing.group, held, "u"), standing.post
+def request_for(start: FullState, part: int, grip: Grip) -> tuple[PickRequest, Post]:
+    """A request to pick the group of a part, and its post."""
+    placed = next(s for s in start.cell_state.placed if part in s.group.parts)
+    return PickRequest(placed.group, grip), placed.post
+
+
+def context_of(task: FullTask, state: FullState) -> StepContext:
+    return StepContext(task.furniture, state.cell, task.budget)
 
 
 def dense(segment: Segment, step: float) -> list[np.ndarray]:
@@ -136,8 +144,7 @@ def test_what_is_no_action_or_wrong_costs_nothing(task: FullTask, start: FullSta
 
 def test_the_segments_follow_each_other_as_in_the_paper(merged: FullOutcome) -> None:
     segments = merged.segments
-    names = [segment.name for segment in segments]
-    assert ["drive" if name in ("drive u", "drive v") else name for name in names] == SEGMENTS
+    assert [segment.stage for segment in segments] == STAGES
     assert [segment.robot for segment in segments] == [
         0,
         0,
@@ -192,7 +199,7 @@ def test_no_part_floats_or_jumps(task: FullTask, merged: FullOutcome) -> None:
 
 
 def test_mated_parts_are_where_the_furniture_has_them(task: FullTask, merged: FullOutcome) -> None:
-    mate = next(segment for segment in merged.segments if segment.name == "mate")
+    mate = next(segment for segment in merged.segments if segment.stage is Stage.MATE)
     where = {p: q for g in mate.after.groups() for p, q in zip(g.parts, g.part_poses(), strict=True)}
     joined = next(g for g in merged.state.groups.groups if len(g.parts) == 2)
     one, two = joined.parts
@@ -204,14 +211,14 @@ def test_mated_parts_are_where_the_furniture_has_them(task: FullTask, merged: Fu
 
 def test_hands_come_lift_and_mate_in_straight_lines(merged: FullOutcome) -> None:
     for segment in merged.segments:
-        if segment.name.split()[0] in ("approach", "lift", "mate", "back"):
+        if segment.stage in STRAIGHT - {Stage.SET_DOWN}:
             tips = [world_from_tips(q) for q in segment.path]
             start, end = tips[0].translation, tips[-1].translation
             along = (end - start) / np.linalg.norm(end - start)
             off = np.array([t.translation - start for t in tips])
             assert np.abs(off - np.outer(off @ along, along)).max() < 1e-5, segment.name
             assert max(rotation_angle(t.rotation.T @ tips[0].rotation) for t in tips) < 1e-5, segment.name
-            if segment.name.startswith("lift"):
+            if segment.stage is Stage.LIFT:
                 assert along == pytest.approx([0.0, 0.0, 1.0], abs=1e-6)
 
 
@@ -220,7 +227,7 @@ def test_the_same_seed_takes_the_same_way(task: FullTask, start: FullState, merg
     again = task.step(start, merged.step.action, 3)
     assert again.planning_steps == merged.planning_steps
     for a, b in zip(again.segments, merged.segments, strict=True):
-        assert a.name == b.name
+        assert (a.stage, a.robot) == (b.stage, b.robot)
         assert all(np.array_equal(p, q) for p, q in zip(a.path, b.path, strict=True))
 
 
@@ -237,7 +244,7 @@ def test_a_grasp_that_the_group_blocks_is_told_before_anything_moves(task: FullT
             ):
                 for g in set(range(8)) - free:
                     outcome = task.step(state, (u, c.part_b, c.point_a, c.point_b, g, 0), 0)
-                    assert (outcome.verdict, outcome.segment) == (FullVerdict.GRASP_BLOCKED, "grasp u")
+                    assert outcome.failure == Failure(FullVerdict.GRASP_BLOCKED, Stage.GRASP, 0)
                     assert outcome.state is state
                     assert outcome.segments == ()
 
@@ -248,25 +255,20 @@ def test_without_a_budget_there_is_no_path(task: FullTask, start: FullState, mer
     # Straight edges need no search, so it may get some way.
     assert outcome.verdict in (FullVerdict.NO_PATH, FullVerdict.MERGED)
     for segments, search in ((merged.segments, True), (outcome.segments, False)):
-        ways = [
-            len(segment.path) for segment in segments if segment.name.split()[0] in ("drive", "carry", "leave", "make")
-        ]
-        assert (max(ways, default=2) > 2) is search
+        lengths = [len(segment.path) for segment in segments if segment.stage not in STRAIGHT]
+        assert (max(lengths, default=2) > 2) is search
 
 
 def test_a_robot_that_stands_in_the_way_drives_elsewhere(task: FullTask, start: FullState, merged: FullOutcome) -> None:
     assert merged.step is not None
     action = merged.step.action
     held = task.free_grips(start.groups, action[0])[action[4]]
-    wanted, stand = wanted_of(start, action[0], held)
+    request, stand = request_for(start, action[0], held)
     post = stand.top[:2]
 
     def without_r_b_moving(state: FullState) -> bool:
-        segments = SegmentPlanner(task.furniture, state.cell, state.cell_state, task.budget, np.random.default_rng(0))
-        try:
-            return next(_taking(segments, 0, wanted).tries, None) is not None
-        except LegError:
-            return False
+        planned = pick(context_of(task, state), state.cell_state, 0, request, np.random.SeedSequence(0))
+        return isinstance(planned, Planned)
 
     for far, angle in product((0.4, 0.35, 0.45, 0.5), np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False)):
         place = post + far * np.array([np.cos(angle), np.sin(angle)])
@@ -279,7 +281,7 @@ def test_a_robot_that_stands_in_the_way_drives_elsewhere(task: FullTask, start: 
     assert task.can_pick(state, action[0], held, 0, 0), "that is for the other robot to see to"
     outcome = task.step(state, action, 0)
     assert outcome.verdict is FullVerdict.MERGED
-    assert [segment.robot for segment in outcome.segments if segment.name == "make way"] == [1]
+    assert [segment.robot for segment in outcome.segments if segment.stage is Stage.MAKE_WAY] == [1]
     for segment in outcome.segments[:4]:
         own = segment.before.robots[segment.robot]
         checker = RobotChecker(
@@ -293,16 +295,17 @@ def test_groups_are_taken_with_the_arm_as_it_will_be(
 ) -> None:  # fmt: skip
     assert merged.step is not None
     u, v, _, _, g_a, g_b = merged.step.action
-    wanted = [wanted_of(start, part, task.free_grips(start.groups, part)[g])[0] for part, g in ((u, g_a), (v, g_b))]
+    requests = [request_for(start, part, task.free_grips(start.groups, part)[g])[0] for part, g in ((u, g_a), (v, g_b))]
 
-    def arms(like: list[np.ndarray | None]) -> list[np.ndarray]:
-        segments = SegmentPlanner(task.furniture, start.cell, start.cell_state, task.budget, np.random.default_rng(0))
-        pick_both(segments, [replace(w, like=q) for w, q in zip(wanted, like, strict=True)])
-        return [robot.at for robot in segments.state.robots]
+    def arms(preferred: list[np.ndarray | None]) -> list[np.ndarray]:
+        liked = [replace(request, preferred=q) for request, q in zip(requests, preferred, strict=True)]
+        planned = pick_both(context_of(task, start), start.cell_state, liked, np.random.SeedSequence(0))
+        assert isinstance(planned, Planned)
+        return [robot.at for robot in planned.state.robots]
 
     usual = arms([None, None])
     like: list[np.ndarray | None] = []
-    for w, q in zip(wanted, usual, strict=True):
+    for w, q in zip(requests, usual, strict=True):
         tips = w.group.world_from_furniture * w.grip.furniture_from_tips
         others = reach(tips, 64, np.random.default_rng(1)).configurations
         like.append(others[np.argmax(np.linalg.norm((others - q)[:, 3:], axis=1))])
@@ -313,18 +316,15 @@ def test_groups_are_taken_with_the_arm_as_it_will_be(
 
 
 def test_a_hand_backs_off_less_where_something_is_behind_it(task: FullTask, merged: FullOutcome) -> None:
-    segment = next(segment for segment in merged.segments if segment.name == "back off from u")
+    segment = next(s for s in merged.segments if s.stage is Stage.RELEASE and s.robot == 0)
     at = segment.path[0]
     out = -world_from_tips(at).rotation[:, 2]
 
     def backs_off(far: float) -> float | None:
         """How far, with a small block that far behind the finger tips."""
-        segments = SegmentPlanner(
-            task.furniture, merged.state.cell, segment.before, task.budget, np.random.default_rng(0)
-        )
         place = world_from_tips(at).translation + far * out
         block = Body("block", (Shape(brick(0.01, 0.01, 0.01), SE3.Identity()),), SE3(np.eye(3), place), False)
-        way = segments.back(RobotWorld([block], segment.before.robots[0].opening), at)
+        way = retreat_path(RobotWorld([block], segment.before.robots[0].opening), at)
         if way is None:
             return None
         return float(np.linalg.norm(world_from_tips(way[-1]).translation - world_from_tips(at).translation))
@@ -372,3 +372,64 @@ def test_a_part_that_hands_can_never_join_is_refused(task: FullTask) -> None:
     # A pad that stands out over the edge can be held there.
     over = upper.transformed(pose(x=0.15))
     assert FullTask(furniture("pad over an edge", {"board": lower, "pad": over})).unjoinable is None
+
+
+def test_a_query_between_steps_changes_nothing(task: FullTask, start: FullState, merged: FullOutcome) -> None:
+    assert merged.step is not None
+    action = merged.step.action
+    grasp = task.mate_grasp(start.groups, action)
+    assert isinstance(grasp, MateGrasp)
+    for seed in (3, 4):
+        assert task.can_mate(start, grasp, seed)
+        assert task.can_pick(start, action[0], grasp.grip_a, 0, seed)
+        assert task.can_pick(start, action[1], grasp.grip_b, 1, seed)
+    again = task.step(start, action, 3)
+    assert paths_of(again) == paths_of(merged)
+    assert again.planning_steps == merged.planning_steps
+
+
+def test_another_process_plans_the_same(stool: Furniture, merged: FullOutcome) -> None:
+    assert merged.step is not None
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+        paths, states = pool.submit(planned_elsewhere, stool, merged.step.action).result()
+    assert (paths, states) == (paths_of(merged), merged.planning_steps)
+
+
+def paths_of(outcome: FullOutcome) -> list[tuple[str, list[list[float]]]]:
+    return [(segment.name, [q.tolist() for q in segment.path]) for segment in outcome.segments]
+
+
+def planned_elsewhere(stool: Furniture, action: tuple[int, ...]) -> tuple[list[tuple[str, list[list[float]]]], int]:
+    task = FullTask(stool)
+    outcome = task.step(task.initial_state(np.random.default_rng(0)), action, 3)
+    return paths_of(outcome), outcome.planning_steps
+
+
+def test_a_stage_can_be_planned_by_itself(task: FullTask, start: FullState, merged: FullOutcome) -> None:
+    """A pick changes nothing, does not depend on other stages, and counts its own states."""
+    assert merged.step is not None
+    request, _ = request_for(
+        start, merged.step.action[0], task.free_grips(start.groups, merged.step.action[0])[merged.step.action[4]]
+    )
+    planned = [
+        pick(context_of(task, start), start.cell_state, 0, request, np.random.SeedSequence(seed)) for seed in (1, 2, 1)
+    ]
+    stages = [Stage.DRIVE_TO_GROUP, Stage.APPROACH, Stage.LIFT]
+    for one in planned:
+        assert isinstance(one, Planned)
+        assert [segment.stage for segment in one.segments] == stages
+        assert one.states > 0
+        assert one.state.robots[0].payload is not None
+        assert start.cell_state.robots[0].payload is None
+    first, other, again = (np.concatenate(one.segments[0].path) for one in planned if isinstance(one, Planned))
+    assert np.array_equal(first, again)
+    assert not np.array_equal(first, other)
+
+
+def test_an_attempt_is_drawn_by_its_own_key() -> None:
+    seed = np.random.SeedSequence(5)
+    keys = [(), (0,), (1,), (0, 1), (1, 0)]
+    words = [tuple(child_seed(seed, *key).generate_state(2).tolist()) for key in keys]
+    assert len(set(words)) == len(keys)
+    assert child_seed(child_seed(seed, 0), 1).generate_state(1) == child_seed(seed, 0, 1).generate_state(1)
+    assert seed.n_children_spawned == 0

@@ -27,7 +27,8 @@ from roboassembly.planning.robot_path import Floor, connect, number_space
 from roboassembly.planning.rrt import exhaustion, run_rrt_connect
 from roboassembly.solvers.search import solve_full
 from roboassembly.task.full.cell_state import Configuration, Segment
-from roboassembly.task.full.task import FullTask, FullVerdict
+from roboassembly.task.full.failure import FullVerdict, Stage
+from roboassembly.task.full.task import FullTask
 from roboassembly.task.plans.full_plan import FullPlan
 
 _STEP = 0.02
@@ -35,6 +36,8 @@ _STEP = 0.02
 _CAP = 20.0
 """Seconds after which a plan of theirs is stopped."""
 _BUDGET = Budget(states=20_000)
+_SEARCHED = frozenset({Stage.DRIVE_TO_GROUP, Stage.DRIVE_TO_MATE, Stage.CARRY, Stage.LEAVE})
+"""Stages whose paths are searched."""
 
 
 @dataclass(frozen=True)
@@ -166,12 +169,7 @@ def run_robot_bench(
         skipped["pybullet"] = str(error)
     try:
         steps = result.plan.steps[:merges]
-        segments = [
-            segment
-            for step in steps
-            for segment in step.segments
-            if segment.name.split()[0] in ("drive", "carry", "leave")
-        ]
+        segments = [segment for step in steps for segment in step.segments if segment.stage in _SEARCHED]
         tell("timing states")
         microseconds, agreement = _states(furniture, segments, states, bullet, seed)
         paths = []

@@ -31,8 +31,9 @@ class FullEnv(AssemblyEnv[FullTask, FullState, FullOutcome]):
 
     **Reward**: 1 for a merge, 4 more for the last one, else 0 and the episode ends.
 
-    **Info**: as of `ObjectCentricEnv`, with `verdict` a value of `FullVerdict`; besides `leg`, in which the step
-    failed (empty if it did not), and `density`, kg/m³, at which a robot can carry the whole.
+    **Info**: as of `ObjectCentricEnv`, with `verdict` a value of `FullVerdict`; besides `stage` and `robot`,
+    the stage (a value of `Stage`, "" if none) and the robot (0, 1, or -1) that failed, and `density`, kg/m³, at which a
+    robot can carry the whole.
 
     **Errors** and **masks**: as of `ObjectCentricEnv`.
 
@@ -86,4 +87,11 @@ class FullEnv(AssemblyEnv[FullTask, FullState, FullOutcome]):
 
     def _info(self, verdict: str, planning_steps: int) -> dict[str, Any]:
         told = super()._info(verdict, planning_steps)
-        return {**told, "leg": self._outcome.segment if self._outcome else "", "density": self.state.cell.density}
+        return {**told, **_failed(self._outcome), "density": self.state.cell.density}
+
+
+def _failed(outcome: FullOutcome | None) -> dict[str, Any]:
+    failure = None if outcome is None else outcome.failure
+    if failure is None or failure.stage is None:
+        return {"stage": "", "robot": -1}
+    return {"stage": failure.stage.value, "robot": -1 if failure.robot is None else failure.robot}

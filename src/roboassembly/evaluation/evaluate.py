@@ -18,7 +18,7 @@ from roboassembly.errors import RoboAssemblyError
 from roboassembly.evaluation.rollout import Agent, Episode, RolloutConfig, make_agent
 from roboassembly.parallel.processes import one_thread_each, worker_pool
 from roboassembly.statistics import success
-from roboassembly.task.full.task import FullVerdict
+from roboassembly.task.full.failure import AFTER_MATING, FullVerdict
 
 KINDS = {
     FullVerdict.WRONG_PAIR: "wrong pair", FullVerdict.GRASP_BLOCKED: "grasp blocked",
@@ -26,8 +26,6 @@ KINDS = {
     FullVerdict.JOINT_BLOCKED: "mating path", FullVerdict.NO_PLACEMENT: "placing",
 }  # fmt: skip
 """What ended an episode with robots, told coarsely."""
-_AFTER_MATING = ("back", "leave", "carry", "set")
-"""How names of legs begin that follow the mating."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +79,7 @@ def failure_of(episode: Episode) -> str:
     """What ended an episode with robots that did not succeed: one of `KINDS`, `path`, or its verdict."""
     verdict = episode.verdict
     if verdict == FullVerdict.NO_PATH:
-        return "placing" if episode.reason.split()[0] in _AFTER_MATING else "path"
+        return "placing" if episode.stage in AFTER_MATING else "path"
     return next((kind for known, kind in KINDS.items() if verdict == known), verdict.replace("_", " "))
 
 

@@ -23,6 +23,7 @@ from roboassembly.solvers.joint_rrt import solve_jointly
 from roboassembly.solvers.random_order import assemble_in_random_order
 from roboassembly.solvers.search import SearchResult, solve, solve_full
 from roboassembly.task.full.execution import execute_plan, in_all
+from roboassembly.task.full.failure import Failure
 from roboassembly.task.object_centric.task import ObjectCentricTask, ObjectCentricVerdict
 from roboassembly.task.plans.full_plan import FullPlan
 from roboassembly.task.plans.plan import Plan
@@ -60,7 +61,9 @@ class Episode:
     unseen: bool | None = None
     """Whether the family occurs in no training; None if the set does not know."""
     reason: str = ""
-    """Why a solver found nothing, in words; the leg in which a policy's last step failed with robots."""
+    """Why a solver found nothing, or the stage in which a policy's last step failed with robots, in words."""
+    stage: str = ""
+    """Stage in which a policy's last step failed with robots (`Stage`); empty if none did."""
     step_seconds: tuple[float, ...] = ()
     """Of planning each merge of the plan."""
     executed: dict[str, Any] | None = None
@@ -97,8 +100,8 @@ class PolicyRollout:
     planning_steps: int
     planning_seconds: float
     policy_seconds: float
-    leg: str = ""
-    """In which the last step failed, with robots."""
+    failure: Failure | None = None
+    """Failure of the last step, with robots."""
 
 
 Agent = Callable[[Furniture, int], Episode]
@@ -228,7 +231,8 @@ def rollout_policy(
         plan = FullPlan(furniture, initial, tuple(merges), bool(info["success"]), seed)
     else:
         plan = Plan(furniture, initial.part_poses, tuple(merges), bool(info["success"]), seed)
-    return PolicyRollout(plan, tuple(actions), info["verdict"], states, planning, thinking, info.get("leg", ""))
+    failure = getattr(env.last_outcome, "failure", None)
+    return PolicyRollout(plan, tuple(actions), info["verdict"], states, planning, thinking, failure)
 
 
 def run_episode(policy: Policy, furniture: Furniture, seed: int) -> Episode:
@@ -245,9 +249,11 @@ def _alone(policy: Policy, setting: SettingName, furniture: Furniture, seed: int
         if setting == "full":
             return _refused(furniture, seed, error), None
         raise
+    failed = done.failure
     episode = Episode(
         furniture.name, len(furniture.parts), seed, done.plan.success, len(done.plan.steps), done.verdict,
-        done.planning_steps, done.planning_seconds, done.policy_seconds, done.actions, reason=done.leg,
+        done.planning_steps, done.planning_seconds, done.policy_seconds, done.actions,
+        reason="" if failed is None else failed.stage_text, stage="" if failed is None else str(failed.stage or ""),
     )  # fmt: skip
     return episode, done.plan
 

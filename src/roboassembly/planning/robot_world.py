@@ -106,10 +106,18 @@ class RobotWorld:
         held: what the hand holds, `body_from_mesh` being `tips_from_mesh`; its pads are meant to touch it and are not
             tested against it.
         lands: whether what is held may touch the ground.
+        tally: counts the tested configurations; a new one if None.
     """
 
-    def __init__(self, still: Sequence[Body], opening: float, held: Sequence[Shape] = (), lands: bool = False) -> None:
-        self.tally = Tally()
+    def __init__(
+        self,
+        still: Sequence[Body],
+        opening: float,
+        held: Sequence[Shape] = (),
+        lands: bool = False,
+        tally: Tally | None = None,
+    ) -> None:
+        self.tally = tally or Tally()
         model, carriers = _model()
         tips = SE3(*arm().tips)
         geometry = pin.GeometryModel()

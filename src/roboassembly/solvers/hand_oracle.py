@@ -9,7 +9,8 @@ from roboassembly.geometry.poses import SE3
 from roboassembly.solvers.blocking import Parts
 from roboassembly.solvers.options import End, fitting
 from roboassembly.solvers.oracle import Oracle
-from roboassembly.task.full.task import FullTask, MateGrasp
+from roboassembly.task.full.grips import MateGrasp
+from roboassembly.task.full.task import FullTask
 from roboassembly.task.object_centric.task import ObjectCentricTask
 from roboassembly.task.rules.connections import UP_AXES
 from roboassembly.task.rules.groups import Group, TaskState

@@ -10,8 +10,8 @@ import numpy as np
 from roboassembly.furniture.model import Furniture
 from roboassembly.geometry.poses import SE3
 from roboassembly.solvers.disassembly import Disassembly, Parts
-from roboassembly.task.full.grips import Grip
-from roboassembly.task.full.task import FullTask, MateGrasp
+from roboassembly.task.full.grips import Grip, MateGrasp
+from roboassembly.task.full.task import FullTask
 from roboassembly.task.plans.full_plan import FullState
 from roboassembly.task.rules.connections import GRASPS, UP_AXES
 from roboassembly.task.rules.groups import Group, TaskState, point_at_slot

@@ -18,6 +18,7 @@ from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS, Furniture
 from roboassembly.solvers.forward import SearchLimits, SearchProgress, Watch, planner_seed
 from roboassembly.solvers.guide import Guide
 from roboassembly.solvers.search import FULL_LIMITS, solve_from, solve_full_from
+from roboassembly.task.full.failure import Failure
 from roboassembly.task.full.task import FullTask
 from roboassembly.task.object_centric.task import ObjectCentricTask
 from roboassembly.task.object_centric.upright import set_upright
@@ -39,8 +40,8 @@ class Attempt:
     action: tuple[int, ...]
     verdict: str
     """`ObjectCentricVerdict` or `FullVerdict`."""
-    segment: str
-    """Motion segment in which the robots failed; empty if there are no robots or they did not fail."""
+    stage: str
+    """Robot and stage that failed, in words; empty if none did."""
     planning_steps: int
     """Configurations tested for collision."""
     planning_seconds: float
@@ -131,8 +132,9 @@ class AssemblySession:
             self._set_upright()
         else:
             self.failures += 1
-        segment = outcome.segment if self.setting == "full" else ""
-        return Attempt(action, str(outcome.verdict), segment, outcome.planning_steps, outcome.planning_seconds)
+        failure: Failure | None = getattr(outcome, "failure", None)
+        stage = "" if failure is None else failure.stage_text
+        return Attempt(action, str(outcome.verdict), stage, outcome.planning_steps, outcome.planning_seconds)
 
     def check(self, script: Script) -> None:
         """Check that a plan is for this furniture and this setting.

@@ -6,7 +6,7 @@ from typing import Any
 
 from roboassembly.furniture.model import Furniture
 from roboassembly.studio.assembly_session import Attempt
-from roboassembly.task.full.task import FullVerdict
+from roboassembly.task.full.failure import FullVerdict
 from roboassembly.task.object_centric.task import ObjectCentricVerdict
 from roboassembly.task.plans.plan import UprightResult
 
@@ -44,6 +44,6 @@ def attempt_message(furniture: Furniture, attempt: Attempt) -> str:
     cost = f"{attempt.planning_steps:,} states checked in {1e3 * attempt.planning_seconds:.0f} ms"
     if attempt.merged:
         return f"✓ {what}: joined; {cost}."
-    segment = f" in “{attempt.segment}”" if attempt.segment else ""
+    stage = f" ({attempt.stage})" if attempt.stage else ""
     name, explanation = attempt.verdict.replace("_", " "), _EXPLANATIONS[attempt.verdict]
-    return f"✗ {what}: *{name}*{segment}; {cost}. {explanation} Nothing moved. In training, the episode would end here."
+    return f"✗ {what}: *{name}*{stage}; {cost}. {explanation} Nothing moved. In training, the episode would end here."

@@ -18,6 +18,7 @@ from roboassembly.rendering.colors import Role
 from roboassembly.robots.body import hand_links, links, placed
 from roboassembly.task.full.cell import Post, post_mesh
 from roboassembly.task.full.cell_state import CellState, Segment
+from roboassembly.task.full.failure import Stage
 from roboassembly.task.plans.full_plan import FullPlan
 from roboassembly.viewer.captions import ending_caption, step_caption
 from roboassembly.viewer.motion_timing import ease
@@ -98,12 +99,12 @@ class FullPlanAnimator:
         durations = self.seconds_per_step * weights / weights.sum()
         roles = self._roles(part_roles)
         for segment, seconds in zip(segments, durations, strict=True):
-            text = f"{caption} | R_{'ab'[segment.robot]}: {segment.name}"
+            text = f"{caption} | {segment.name}"
             count = max(1, round(seconds * self.frames_per_second))
             poses = self._poses(segment.before)
             for k in range(1, count + 1):
                 self._move(poses, segment, _configuration_at(segment, ease(k / count)))
-                key = k == count and segment.name == "mate"
+                key = k == count and segment.stage is Stage.MATE
                 yield Frame(tuple(poses), roles, index, Phase.MOVING, text, key)
 
     def _roles(self, parts: list[Role]) -> tuple[Role, ...]:

@@ -19,7 +19,8 @@ from roboassembly.learning.paper.dqn.exploration import Practice
 from roboassembly.learning.paper.dqn.memoized_env import Rehearsal
 from roboassembly.learning.paper.dqn.network import Chair, Expert, chair_of, play, told
 from roboassembly.learning.paper.dqn.trials import BLOCKED, FAILS, MERGES, UNKNOWN
-from roboassembly.task.full.task import FullTask, Refusal
+from roboassembly.task.full.failure import Failure
+from roboassembly.task.full.task import FullTask
 from roboassembly.task.object_centric.task import ObjectCentricTask, ObjectCentricVerdict
 from roboassembly.task.rules.groups import Group
 
@@ -173,7 +174,7 @@ def test_what_is_remembered_of_hands_is_what_fresh_tests_say() -> None:
             for row, column, way in actions[rng.permutation(len(actions))[: most - checked[verdict]]].tolist():
                 ends = (rehearsal.part[row], rehearsal.part[column], rehearsal.point[row], rehearsal.point[column])
                 fresh = task.mate_grasp(before, (*(int(n) for n in ends), *divmod(way, 8)))
-                assert isinstance(fresh, Refusal) == (verdict != MERGES)
+                assert isinstance(fresh, Failure) == (verdict != MERGES)
                 checked[verdict] += 1
                 if verdict == MERGES:
                     after = rehearsal.step(state, (row, column, way))

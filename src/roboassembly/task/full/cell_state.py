@@ -11,14 +11,15 @@ from roboassembly.furniture.model import Furniture
 from roboassembly.geometry.poses import SE3
 from roboassembly.geometry.scene import Body, Shape
 from roboassembly.planning.robot_path import Path
-from roboassembly.planning.robot_world import RobotWorld
+from roboassembly.planning.robot_world import RobotWorld, Tally
 from roboassembly.robots.body import placed, world_from_tips
 from roboassembly.task.full.cell import Post
+from roboassembly.task.full.failure import Stage, stage_text
 from roboassembly.task.full.grips import Grip
 from roboassembly.task.rules.groups import Group, body
 
 Configuration = Float[np.ndarray, "10"]
-"""`(x, y, angle)` of the platform, then the arm's seven; metres and radians."""
+"""`(x, y, angle)` of the platform and the seven joint angles of the arm [m, rad]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,11 +35,11 @@ class Payload:
     """A group in a hand."""
 
     group: Group
-    """Its `world_from_furniture` is of no account: it goes where the hand goes."""
+    """Group whose `world_from_furniture` has no meaning: it moves with the hand."""
     grip: Grip
 
     def shapes(self, furniture: Furniture) -> tuple[Shape, ...]:
-        """Its parts, in the frame of the finger tips."""
+        """Return the group's parts in the frame of the finger tips."""
         tips = self.grip.furniture_from_tips
         return tuple(
             Shape(furniture.parts[p].mesh, tips.actInv(pose))
@@ -46,96 +47,101 @@ class Payload:
         )
 
     def placed(self, configuration: Configuration) -> Group:
-        """The group where the hand has it."""
+        """Return the group where it is when the robot has a configuration."""
         return self.group.moved_to(world_from_tips(configuration) * self.grip.furniture_from_tips.inverse())
 
 
 @dataclass(frozen=True, eq=False)
 class Robot:
-    """One of the two."""
+    """State of one robot."""
 
     at: Configuration
     opening: float
-    """Metres between the pads."""
+    """Distance between the pads [m]."""
     payload: Payload | None = None
 
     def body(self, furniture: Furniture) -> Body:
-        """As something still."""
+        """Return the robot and its payload as one body that stands still."""
         tips = world_from_tips(self.at)
         links = [Shape(link.mesh, pose, convex=True) for link, pose in placed(self.at, self.opening)]
         load = [Shape(s.mesh, tips * s.body_from_mesh) for s in self.payload_shapes(furniture)]
         return Body("robot", (*links, *load), SE3.Identity())
 
     def payload_shapes(self, furniture: Furniture) -> tuple[Shape, ...]:
-        """What is in its hand, in the frame of the finger tips."""
+        """Return the parts in the hand, in the frame of the finger tips."""
         return () if self.payload is None else self.payload.shapes(furniture)
 
 
 @dataclass(frozen=True, eq=False)
 class CellState:
-    """All that is where it is. Immutable: a segment makes a new one."""
+    """Poses of all groups, posts and robots at one time. Immutable: a segment leads to a new one."""
 
     placed: tuple[PlacedGroup, ...]
     robots: tuple[Robot, Robot]
     """R_a, R_b."""
     free_posts: tuple[Post, ...] = ()
-    """Without anything on them."""
+    """Raised posts without a group."""
     on_floor: tuple[Group, ...] = ()
-    """Groups that stand on the floor by themselves."""
+    """Groups that stand on the floor."""
 
     def around(self, furniture: Furniture, robot: int) -> list[Body]:
-        """What is in one robot's way."""
-        out = [body(furniture, s.group, f"group{i}") for i, s in enumerate(self.placed)]
-        out += [s.post.body(f"post{i}") for i, s in enumerate(self.placed)]
-        out += [stand.body(f"free post{i}") for i, stand in enumerate(self.free_posts)]
-        out += [body(furniture, group, f"on floor{i}") for i, group in enumerate(self.on_floor)]
-        return [*out, self.robots[1 - robot].body(furniture)]
+        """Return the obstacles of one robot."""
+        obstacles = [body(furniture, p.group, f"group{i}") for i, p in enumerate(self.placed)]
+        obstacles += [p.post.body(f"post{i}") for i, p in enumerate(self.placed)]
+        obstacles += [post.body(f"free post{i}") for i, post in enumerate(self.free_posts)]
+        obstacles += [body(furniture, group, f"on floor{i}") for i, group in enumerate(self.on_floor)]
+        return [*obstacles, self.robots[1 - robot].body(furniture)]
 
-    def world(self, furniture: Furniture, robot: int, lands: bool = False) -> RobotWorld:
-        """The planning model of one robot, with what it holds, among all else.
+    def world(self, furniture: Furniture, robot: int, lands: bool = False, tally: Tally | None = None) -> RobotWorld:
+        """Return the collision model of one robot and its payload among all else.
 
         Args:
-            furniture: what the groups are of.
+            furniture: furniture of the groups.
             robot: 0 or 1.
-            lands: whether what it holds may touch the ground.
+            lands: whether the payload may touch the ground.
+            tally: counts the tested configurations; a new one if None.
         """
         own = self.robots[robot]
-        return RobotWorld(self.around(furniture, robot), own.opening, own.payload_shapes(furniture), lands)
+        return RobotWorld(self.around(furniture, robot), own.opening, own.payload_shapes(furniture), lands, tally)
 
     def moved(self, robot: int, at: Configuration) -> CellState:
-        """With one robot elsewhere."""
+        """Return the state with one robot elsewhere."""
         return self.with_robot(robot, replace(self.robots[robot], at=at))
 
     def with_robot(self, robot: int, new: Robot) -> CellState:
-        """With one robot's hand or place changed."""
+        """Return the state with another state of one robot."""
         a, b = self.robots
         return replace(self, robots=(new, b) if robot == 0 else (a, new))
 
     @property
     def posts(self) -> tuple[Post, ...]:
-        """Posts that are up."""
-        return (*(s.post for s in self.placed), *self.free_posts)
+        """All raised posts."""
+        return (*(p.post for p in self.placed), *self.free_posts)
 
     def groups(self) -> list[Group]:
-        """All groups where they are, those in hands last."""
-        held = [r.payload.placed(r.at) for r in self.robots if r.payload is not None]
-        return [*(s.group for s in self.placed), *self.on_floor, *held]
+        """Return all groups where they are, those in hands last."""
+        carried = [r.payload.placed(r.at) for r in self.robots if r.payload is not None]
+        return [*(p.group for p in self.placed), *self.on_floor, *carried]
 
 
 @dataclass(frozen=True, eq=False)
 class Segment:
-    """One robot moves, all else stands still."""
+    """A motion of one robot while all else stands still."""
 
-    name: str
-    """Such as `drive to u`, `mate`, `set down`."""
+    stage: Stage
     robot: int
     """0 is R_a, 1 is R_b."""
     path: Path
-    """Between two way-points joints and platform move evenly."""
+    """Way-points; between two of them all ten numbers change linearly."""
     before: CellState
-    """At its beginning."""
+    """State at the beginning."""
+
+    @property
+    def name(self) -> str:
+        """Robot and stage in words."""
+        return stage_text(self.stage, self.robot)
 
     @property
     def after(self) -> CellState:
-        """At its end."""
+        """State at the end."""
         return self.before.moved(self.robot, self.path[-1])

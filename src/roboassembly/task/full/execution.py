@@ -24,6 +24,7 @@ from roboassembly.simulation.execution import StepPhysics
 from roboassembly.simulation.mobile_arms import Load, between_pads
 from roboassembly.simulation.model import mass_properties
 from roboassembly.task.full.cell_state import Payload, Segment
+from roboassembly.task.full.failure import STRAIGHT, Stage
 from roboassembly.task.full.grips import Grip
 from roboassembly.task.plans.full_plan import FullPlan, FullStep
 from roboassembly.task.rules.groups import Group, body
@@ -34,8 +35,6 @@ STANDING_POSITION, STANDING_ANGLE = 0.01, float(np.deg2rad(2.0))
 """Metres and radians that the finished piece may be off where it is to stand, once the robot has left."""
 MOST_TRACKING = 0.005
 """Metres that finger tips may be off their path."""
-_LINES = ("approach", "lift", "mate", "back", "set")
-"""First words of segments that are straight lines near other things, and gone slowly."""
 _SLOWLY, _LOADED = 0.3, 0.7
 """Shares of the speed at which robots go elsewhere: on those segments, and with a group in the hand."""
 _AUDITED = 10
@@ -168,15 +167,13 @@ class _Execution:
         self.furniture, self.segments = furniture, segments
         start = segments[0].before
         # u's group before v's, so that a merge's loads have the numbers of the robots that take them.
-        lifts = sorted(
-            (segment for segment in segments if segment.name.startswith("lift ")), key=lambda segment: segment.name
-        )
+        lifts = sorted((s for s in segments if s.stage is Stage.LIFT), key=lambda segment: segment.robot)
         self.grips = [_grip(segment) for segment in lifts]
         self.load_of = {segment.robot: load for load, segment in enumerate(lifts)}
         """Robot to the number of the load that it takes."""
         openings = [robot.opening for robot in start.robots]
         for segment in segments:
-            if segment.name.startswith("drive to "):
+            if segment.stage is Stage.DRIVE_TO_GROUP:
                 openings[segment.robot] = segment.before.robots[segment.robot].opening
         loads = [self._load(grip.group, grip.grip, density) for grip in self.grips]
         if segments[-1].after.on_floor:
@@ -207,25 +204,25 @@ class _Execution:
     def _leg(self, segment: Segment) -> Ending:
         physics, first = self.physics, len(self.physics.log.tracking)
         speed = 1.0 if segment.before.robots[segment.robot].payload is None else _LOADED
-        physics.follow(segment.robot, segment.path, _SLOWLY if segment.name.split()[0] in _LINES else speed)
+        physics.follow(segment.robot, segment.path, _SLOWLY if segment.stage in STRAIGHT else speed)
         if max(physics.log.tracking[first:]) > MOST_TRACKING:
             return Ending.OFF_THE_PATH
         if self._touches(segment, np.array(physics.log.samples[first::_AUDITED])):
             return Ending.COLLISION
-        if segment.name.startswith("approach "):
+        if segment.stage is Stage.APPROACH:
             return Ending.DONE if physics.grasp(segment.robot, self.load_of[segment.robot]) else Ending.NOT_GRASPED
-        if segment.name == "mate":
+        if segment.stage is Stage.MATE:
             self.joint = self._joint_error(segment)
             if self.joint[0] > JOINT_POSITION or self.joint[1] > JOINT_ANGLE:
                 return Ending.NOT_MATED
             physics.join()
             physics.release(0, self._next(segment).before.robots[0].opening)
-        if segment.name == "set down":
+        if segment.stage is Stage.SET_DOWN:
             after = self._next(segment).before
             # What is set on the floor stands there by itself; a post that has risen holds what is set on it.
             held = () if after.on_floor else tuple(range(len(self.grips)))
             physics.release(segment.robot, after.robots[segment.robot].opening, held)
-        if segment.name == "leave" and segment.before.on_floor and not self._stands(segment.before.on_floor[0]):
+        if segment.stage is Stage.LEAVE and segment.before.on_floor and not self._stands(segment.before.on_floor[0]):
             return Ending.NOT_STANDING
         return Ending.DONE
 
@@ -235,12 +232,12 @@ class _Execution:
     def _touches(self, segment: Segment, q: Float[np.ndarray, "n 10"]) -> bool:
         """Whether any state that a robot came through touches anything but what it is meant to."""
         state = segment.before
-        if segment.name == "mate":
+        if segment.stage is Stage.MATE:
             state = state.with_robot(1, replace(state.robots[1], payload=None))
-        if segment.name.startswith("lift ") or segment.name == "set down":
+        if segment.stage in (Stage.LIFT, Stage.SET_DOWN):
             # The post on which it sits, or is to sit.
             state = replace(state, free_posts=())
-        lands = segment.name == "set down" and bool(self._next(segment).before.on_floor)
+        lands = segment.stage is Stage.SET_DOWN and bool(self._next(segment).before.on_floor)
         self.states += len(q)
         return not state.world(self.furniture, segment.robot, lands).free(q).all()
 

@@ -1,4 +1,7 @@
-"""What two hands and two groups do to each other at a joint, before any arm comes in: cheap tests that must hold."""
+"""Grips of hands on groups, and what two hands and two groups do to each other at a joint.
+
+All tests here come before any arm does: they are cheap, and an action must pass them.
+"""
 
 from __future__ import annotations
 
@@ -15,48 +18,102 @@ from roboassembly.planning.world import CollisionWorld
 from roboassembly.robots.gripper import MAX_OPENING, RETREAT, hand_bodies, hand_pose
 from roboassembly.task.full.cell import WIDER
 from roboassembly.task.rules.groups import Group, body
+from roboassembly.task.rules.pairs import Merge
 
 TOUCH = 2e-4
-"""Metres between a pad and what it holds, in the exact geometry."""
-_CLEAR = 0.02
-"""Metres beyond which a retreat that has left the partner's boxes goes on."""
+"""Distance between a pad and the part that it holds, in the exact geometry [m]."""
+_BEYOND_PARTNER = 0.02
+"""Distance that a retract goes on after it has left the partner's boxes [m]."""
 _LONGEST = 0.6
+"""Length of a retract at most [m]."""
 _ASTRAY = 1e-3
-"""Metres of room on each side of an open hand."""
+"""Clearance on each side of an open hand [m]."""
 _SHORTEST, _SHORT_OF, _AMPLE = 0.03, 0.005, 0.2
+"""Length of a retract at least; distance that it ends before what stops it; length beyond which more is no better
+[m]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Grip:
-    """A hand that holds one part of a group."""
+    """Grip of a hand on one part of a group."""
 
     part: int
     grasp: int
-    """0 to 7: region, then direction."""
+    """Index 0 to 7 of the grasp: region, then direction."""
     furniture_from_tips: SE3
-    """In the group's frame."""
+    """Pose of the finger tips in the group's frame."""
     approach: Float[np.ndarray, "3"]
-    """Unit vector of the group's frame along which the hand comes."""
+    """Unit vector in the group's frame along which the hand comes."""
     closed: float
-    """Metres between the pads."""
+    """Distance between the pads when they hold the part [m]."""
     open: float
+    """Distance between the pads as the hand comes and goes [m]."""
 
     def moved(self, by: SE3) -> Grip:
-        """The same, told in another frame: `other_from_group`."""
+        """Return the same grip in another frame.
+
+        Args:
+            by: `other_from_group`.
+        """
         return replace(self, furniture_from_tips=by * self.furniture_from_tips, approach=by.rotation @ self.approach)
 
     def hand(self, opening: float, moves: bool = False) -> Body:
-        """The hand as a body of the group's frame."""
+        """Return the hand as a body of the group's frame."""
         return Body("hand", hand_shapes(opening), self.furniture_from_tips, moves)
 
 
+@dataclass(frozen=True, eq=False)
+class Retract:
+    """A straight motion out of a joint."""
+
+    direction: Float[np.ndarray, "3"]
+    """Unit vector of the merged group's frame along which u's group leaves, with the hand that holds it."""
+    length: float
+    """Distance until nothing of u's group is beside anything of v's [m]."""
+
+    @property
+    def usable_length(self) -> float:
+        """Length, as far as more of it is better [m]."""
+        return min(self.length, _AMPLE)
+
+
+@dataclass(frozen=True, eq=False)
+class MateGrasp:
+    """A right pair and two grips that pass all tests before any arm comes in."""
+
+    merge: Merge
+    u: Group
+    """Group of u in its own frame."""
+    v: Group
+    grip_a: Grip
+    """R_a's grip on u's group, in the frame of that group."""
+    grip_b: Grip
+    """R_b's grip on v's group, in the frame of that group."""
+    retracts: tuple[Retract, ...]
+    """Straight motions out of the joint, the most useful first."""
+
+    @property
+    def merged_grips(self) -> tuple[Grip, Grip]:
+        """Both grips in the merged group's frame."""
+        return self.grip_a.moved(self.merge.furniture_from_u), self.grip_b.moved(self.merge.furniture_from_v)
+
+    @property
+    def merged_groups(self) -> tuple[Group, Group]:
+        """Both groups in the merged group's frame."""
+        return _reframed(self.u, self.merge.furniture_from_u), _reframed(self.v, self.merge.furniture_from_v)
+
+
 def hand_shapes(opening: float) -> tuple[Shape, ...]:
-    """Palm and fingers in the frame of the finger tips."""
+    """Return palm and fingers in the frame of the finger tips.
+
+    Args:
+        opening: distance between the pads [m].
+    """
     return tuple(Shape(mesh, pose, convex=True) for mesh, pose in hand_bodies(opening))
 
 
 def grip_of(furniture: Furniture, group: Group, part: int, grasp: int) -> Grip | None:
-    """How a hand holds a part with grasp 0 to 7; None if the part has no such grasp."""
+    """Return the grip on a part with grasp 0 to 7; None if the part has no such grasp."""
     regions = furniture.parts[part].grasps
     region_index, direction = divmod(grasp, 4)
     if region_index >= len(regions):
@@ -74,43 +131,21 @@ def grip_of(furniture: Furniture, group: Group, part: int, grasp: int) -> Grip |
     )
 
 
-def can_grip(furniture: Furniture, group: Group, held: Grip) -> bool:
-    """Whether the open hand comes straight to the part, and closes, and meets nothing of the group."""
+def can_grip(furniture: Furniture, group: Group, grip: Grip) -> bool:
+    """Whether the open hand comes straight to the part and closes without touching the rest of the group."""
     alone = group.moved_to(SE3.Identity())
-    return _comes(held, [body(furniture, alone, "group")]) and grip_fits_group(furniture, alone, held)
+    return _can_approach(grip, [body(furniture, alone, "group")]) and grip_fits_group(furniture, alone, grip)
 
 
-def grip_fits_group(furniture: Furniture, group: Group, held: Grip) -> bool:
-    """Whether the closed hand meets nothing of a group, where both are."""
-    scene = Scene((held.hand(held.closed, moves=True), body(furniture, group, "group")), ground=False)
-    return CollisionWorld(scene).is_free(held.furniture_from_tips)
+def grip_fits_group(furniture: Furniture, group: Group, grip: Grip) -> bool:
+    """Whether the closed hand touches nothing of a group, with both where they are."""
+    scene = Scene((grip.hand(grip.closed, moves=True), body(furniture, group, "group")), ground=False)
+    return CollisionWorld(scene).is_free(grip.furniture_from_tips)
 
 
-def _comes(held: Grip, still: Sequence[Body]) -> bool:
-    hand = held.hand(held.open, moves=True)
-    world = CollisionWorld(Scene((hand, *still), ground=False))
-    goal = held.furniture_from_tips
-    back = SE3(goal.rotation, goal.translation - RETREAT * held.approach)
-    if not (world.is_free(goal) and world.edge_is_free(goal, back)):
-        return False
-    # It may stray a little sideways.
-    aside = (sign * _ASTRAY * axis for axis in goal.rotation.T[:2] for sign in (-1.0, 1.0))
-    return all(world.is_free(SE3(goal.rotation, goal.translation + shift)) for shift in aside)
-
-
-@dataclass(frozen=True, eq=False)
-class Retract:
-    """A straight way out of a joint."""
-
-    direction: Float[np.ndarray, "3"]
-    """Unit vector of the merged group's frame, along which u's group and the hand that holds it leave."""
-    length: float
-    """Metres, until nothing of it is beside anything of v's."""
-
-    @property
-    def usable_length(self) -> float:
-        """Metres, as far as more of them are better."""
-        return min(self.length, _AMPLE)
+def can_release(furniture: Furniture, merged: Group, grip: Grip, *others: Body) -> bool:
+    """Whether the hand, open again, backs out of the merged group and past other bodies, such as the other hand."""
+    return _can_approach(grip, [body(furniture, merged, "merged"), *others])
 
 
 def retracts(
@@ -121,21 +156,29 @@ def retracts(
     grip_v: Grip | None,
     directions: Sequence[Float[np.ndarray, "3"]],
 ) -> Iterator[Retract]:
-    """Straight ways along which u's group leaves v's, both in the merged group's frame and held, if a hold is given;
-    none if they, or the hands, are in each other's way where they are joined."""
+    """Yield straight motions along which u's group leaves v's; none if they, or the hands, collide at the joint.
+
+    Args:
+        furniture: furniture of both groups.
+        u_group: in the merged group's frame.
+        v_group: in the merged group's frame.
+        grip_u: hand that moves with u's group, in u's frame; None if there is no hand.
+        grip_v: hand that stays with v's group, in v's frame; None if there is no hand.
+        directions: unit vectors that are tried.
+    """
     moving = Body(
         "moving",
-        (*body(furniture, u_group, "u").shapes, *_closed(grip_u)),
+        (*body(furniture, u_group, "u").shapes, *_closed_hand(grip_u)),
         u_group.world_from_furniture,
         True,
     )
-    still = Body("still", (*body(furniture, v_group, "v").shapes, *_closed(grip_v)), v_group.world_from_furniture)
+    still = Body("still", (*body(furniture, v_group, "v").shapes, *_closed_hand(grip_v)), v_group.world_from_furniture)
     world = CollisionWorld(Scene((moving, still), ground=False))
     goal = moving.pose
     if not world.is_free(goal):
         return
     for d in directions:
-        length = min(world.distance_to_clear(goal, d, "still") + _CLEAR, _LONGEST)
+        length = min(world.distance_to_clear(goal, d, "still") + _BEYOND_PARTNER, _LONGEST)
         reached = length * world.free_fraction(goal, SE3(goal.rotation, goal.translation + length * d))
         if reached >= length:
             yield Retract(d, length)
@@ -143,13 +186,25 @@ def retracts(
             yield Retract(d, reached - _SHORT_OF)
 
 
-def can_release(furniture: Furniture, merged: Group, held: Grip, *others: Body) -> bool:
-    """Whether the hand, open again, backs out of the merged group and past others, such as the other hand."""
-    return _comes(held, [body(furniture, merged, "merged"), *others])
+def _can_approach(grip: Grip, still: Sequence[Body]) -> bool:
+    hand = grip.hand(grip.open, moves=True)
+    world = CollisionWorld(Scene((hand, *still), ground=False))
+    goal = grip.furniture_from_tips
+    back = SE3(goal.rotation, goal.translation - RETREAT * grip.approach)
+    if not (world.is_free(goal) and world.edge_is_free(goal, back)):
+        return False
+    # The hand may stray a little sideways.
+    aside = (sign * _ASTRAY * axis for axis in goal.rotation.T[:2] for sign in (-1.0, 1.0))
+    return all(world.is_free(SE3(goal.rotation, goal.translation + shift)) for shift in aside)
 
 
-def _closed(held: Grip | None) -> tuple[Shape, ...]:
-    if held is None:
+def _closed_hand(grip: Grip | None) -> tuple[Shape, ...]:
+    if grip is None:
         return ()
-    tips = held.furniture_from_tips
-    return tuple(Shape(s.mesh, tips * s.body_from_mesh, s.convex) for s in hand_shapes(held.closed))
+    tips = grip.furniture_from_tips
+    return tuple(Shape(s.mesh, tips * s.body_from_mesh, s.convex) for s in hand_shapes(grip.closed))
+
+
+def _reframed(group: Group, by: SE3) -> Group:
+    """Return the same group with its parts' poses in another frame."""
+    return replace(group, furniture_from_part=tuple(by * p for p in group.furniture_from_part))

@@ -1,4 +1,4 @@
-"""The segments by which two robots join what they hold: they meet, one brings its group in, and lets go of it."""
+"""Mating: two robots drive to where their groups mate, R_a brings its group in, lets go of it and leaves."""
 
 from __future__ import annotations
 
@@ -8,98 +8,173 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
+from roboassembly.furniture.model import Furniture
 from roboassembly.geometry.poses import SE3, align_axis, turn_about_vertical
 from roboassembly.planning.robot_path import Path, line, path_is_free
-from roboassembly.planning.robot_world import RobotWorld
+from roboassembly.planning.robot_world import RobotWorld, Tally
 from roboassembly.robots.kinematics import Poses
 from roboassembly.robots.reach import nearness, reach
-from roboassembly.task.full.cell_state import Configuration, Payload, Robot
-from roboassembly.task.full.grips import Grip, Retract
-from roboassembly.task.full.segments import GUESSES, TUCKED, LegError, Obstacle, SegmentPlanner
+from roboassembly.task.full.cell_state import CellState, Configuration, Payload, Robot
+from roboassembly.task.full.failure import Failure, FullVerdict, Stage
+from roboassembly.task.full.grips import MateGrasp, Retract
+from roboassembly.task.full.segments import (
+    GUESSES,
+    TUCKED,
+    Planned,
+    StepContext,
+    child_seed,
+    parking_path,
+    retreat_path,
+)
 from roboassembly.task.rules.groups import Group, hull_points
 
 _SPINS = 16
-"""Turns about the way into a joint in which two groups may meet."""
+"""Turns of the merged group about the direction of the mating motion that are considered."""
 _HEIGHTS = (0.45, 0.6, 0.75, 0.9)
-"""Metres above the floor of the lowest point of two groups that meet."""
-_MEETINGS = 6
-"""Poses to meet in that are looked at, those that both arms reach best first."""
-_PLACES_OF_B, _PLACES_OF_A = 3, 4
-"""Ways to stand at a meeting that are tried."""
+"""Heights of the merged group's lowest point above the floor that are considered [m]."""
+_POSES = 6
+"""Poses of the merged group that are looked at, those first that both arms reach best."""
+_STANCES_OF_B, _STANCES_OF_A = 3, 4
+"""Configurations of each robot that are tried at a pose."""
 _BEYOND = (0.4, 0.15, 0.0)
-"""Metres beyond the end of the way into a joint from which R_a comes, if it can: paths end where there is room."""
+"""Distances [m] beyond the end of the retract from which R_a starts the mating motion, the first that is free: paths
+end where there is room."""
+_FAR = np.array([1e3, 0.0, 0.0, *TUCKED])
+"""Configuration of a robot that is in nobody's way."""
 
 
 @dataclass(frozen=True, eq=False)
 class MateStance:
-    """How two robots stand when they join two groups."""
+    """Where both robots stand when they mate two groups."""
 
     world_from_furniture: SE3
-    """Of the merged group."""
+    """Pose of the merged group."""
     a: Configuration
+    """R_a's configuration when the groups are mated."""
     b: Configuration
     out: Path
-    """R_a's, out of the joint."""
+    """R_a's path straight out of the joint, with its group; reversed it is the mating motion."""
     back: Path
-    """Of R_a's empty hand, once both are joined."""
+    """Path of R_a's empty hand, once the groups are mated."""
 
 
 def mate_stances(
-    planner: SegmentPlanner, grip_a: Grip, grip_b: Grip, u: Group, v: Group, ways: Sequence[Retract], merged: Group
+    context: StepContext, state: CellState, grasp: MateGrasp, seed: np.random.SeedSequence, tally: Tally
 ) -> Iterator[MateStance]:
-    """Ways to stand in which both hands, each with its group, have them joined, R_a comes straight out, and its empty
-    hand straight back; first one in each pose of the joint, since what is wrong with one often is with its like.
+    """Yield stances in which both hands hold the mated groups, R_a comes straight out, and so does its empty hand.
+
+    The first stance of each pose comes before the second one of any: what is wrong with one often is with its like.
 
     Args:
-        segments: so far.
-        grip_a: of u's group, in the merged group's frame.
-        grip_b: of v's group, in the merged group's frame.
-        u: in the merged group's frame.
-        v: in the merged group's frame.
-        ways: straight out of the joint.
-        merged: both.
+        context: of the step.
+        state: unchanged; only what stands in the cell counts, not where the robots are.
+        grasp: both grips at the joint.
+        seed: of all draws.
+        tally: counts the tested configurations.
     """
-    rest = replace(planner.state, placed=tuple(s for s in planner.state.placed if not _is_in(s.group, merged)))
-    payload_a, payload_b = Payload(u, grip_a), Payload(v, grip_b)
-    far = np.array([1e3, 0.0, 0.0, *TUCKED])
-    absent = rest.with_robot(0, Robot(far, grip_a.closed, payload_a)).with_robot(
-        1, Robot(far, grip_b.closed, payload_b)
+    merged, (grip_a, grip_b) = grasp.merge.merged, grasp.merged_grips
+    rest = replace(state, placed=tuple(p for p in state.placed if not set(p.group.parts) <= set(merged.parts)))
+    payload_a, payload_b = (
+        Payload(group, grip) for group, grip in zip(grasp.merged_groups, grasp.merged_grips, strict=True)
     )
-    world_a, world_b = planner.world(absent, 0), planner.world(absent, 1)
-    letting_go = absent.with_robot(0, Robot(far, grip_a.open)).with_robot(
-        1, Robot(far, grip_b.closed, Payload(merged, grip_b))
+    mated = rest.with_robot(0, Robot(_FAR, grip_a.closed, payload_a)).with_robot(
+        1, Robot(_FAR, grip_b.closed, payload_b)
     )
+    released = mated.with_robot(0, Robot(_FAR, grip_a.open)).with_robot(
+        1, Robot(_FAR, grip_b.closed, Payload(merged, grip_b))
+    )
+    world_a, world_b = context.world(mated, 0, tally), context.world(mated, 1, tally)
 
-    def of_pose(way: Retract, pose: SE3) -> Iterator[MateStance]:
-        b = reach(pose * grip_b.furniture_from_tips, GUESSES, planner.rng).configurations
-        a = reach(pose * grip_a.furniture_from_tips, GUESSES, planner.rng).configurations
-        b, a = (q[w.free(q)] if len(q) else q for q, w in ((b, world_b), (a, world_a)))
+    def at_pose(retract: Retract, pose: SE3, drawn: np.random.SeedSequence) -> Iterator[MateStance]:
+        b = _free_reach(world_b, pose * grip_b.furniture_from_tips, child_seed(drawn, 1))
+        a = _free_reach(world_a, pose * grip_a.furniture_from_tips, child_seed(drawn, 0))
         if not len(a) or not len(b):
             return
         # The farther R_b stands from where R_a would, the less they are in each other's way.
-        apart = np.linalg.norm(b[:, None, :2] - a[None, :, :2], axis=2).mean(axis=1)
-        for at_b in b[np.argsort(-apart)[:_PLACES_OF_B]]:
-            world, empty = planner.world(absent.moved(1, at_b), 0), planner.world(letting_go.moved(1, at_b), 0)
+        distance = np.linalg.norm(b[:, None, :2] - a[None, :, :2], axis=2).mean(axis=1)
+        for at_b in b[np.argsort(-distance)[:_STANCES_OF_B]]:
+            world = context.world(mated.moved(1, at_b), 0, tally)
+            empty = context.world(released.moved(1, at_b), 0, tally)
             free = a[world.free(a)]
             order = np.argsort(-np.linalg.norm(free[:, :2] - at_b[:2], axis=1))
-            for at_a in free[order[:_PLACES_OF_A]]:
-                out = _way_out(world, at_a, pose.rotation @ way.direction, way.length)
-                back = None if out is None else planner.back(empty, at_a)
+            for at_a in free[order[:_STANCES_OF_A]]:
+                out = _path_out(world, at_a, pose.rotation @ retract.direction, retract.length)
+                back = None if out is None else retreat_path(empty, at_a)
                 if out is not None and back is not None:
                     yield MateStance(pose, at_a, at_b, out, back)
 
-    left = [of_pose(way, pose) for way, pose in _poses_to_meet(planner, grip_a, grip_b, ways, merged)]
+    poses = _mating_poses(context, grasp, child_seed(seed, 0))
+    left = [at_pose(retract, pose, child_seed(seed, 1, i)) for i, (retract, pose) in enumerate(poses)]
     while left:
-        for some in tuple(left):
-            meeting = next(some, None)
-            if meeting is None:
-                left.remove(some)
+        for stances in tuple(left):
+            stance = next(stances, None)
+            if stance is None:
+                left.remove(stances)
             else:
-                yield meeting
+                yield stance
 
 
-def _way_out(world: RobotWorld, at: Configuration, direction: Float[np.ndarray, "3"], length: float) -> Path | None:
-    """R_a's straight way out of a joint, as far as there is any use in it; None if there is none of the length."""
+def drive_and_mate(
+    context: StepContext, state: CellState, stance: MateStance, seed: np.random.SeedSequence
+) -> Planned | Failure:
+    """Plan to drive both robots, each with its group, to a stance, and to mate the groups.
+
+    R_b drives first; if that fails, R_a does.
+
+    Args:
+        context: of the step.
+        state: at the beginning; both groups are in the hands.
+        stance: where to mate.
+        seed: of all draws.
+    """
+    tally = Tally()
+    goals = (stance.out[-1], stance.b)
+    failure = Failure(FullVerdict.NO_PATH, Stage.DRIVE_TO_MATE)
+    for order in ((1, 0), (0, 1)):
+        done: Planned | None = Planned(state)
+        for robot in order:
+            world = context.world(done.state, robot, tally)
+            path = context.connect(world, done.state.robots[robot].at, goals[robot], child_seed(seed, order[0], robot))
+            if path is None:
+                failure, done = Failure(FullVerdict.NO_PATH, Stage.DRIVE_TO_MATE, robot), None
+                break
+            done = done.move(Stage.DRIVE_TO_MATE, robot, path)
+        if done is not None:
+            return replace(done.move(Stage.MATE, 0, tuple(reversed(stance.out))), states=tally.states)
+    return replace(failure, states=tally.states)
+
+
+def release(
+    context: StepContext, state: CellState, stance: MateStance, grasp: MateGrasp, seed: np.random.SeedSequence
+) -> Planned | Failure:
+    """Plan R_a to open its hand, back off and drive away; R_b then holds the merged group alone.
+
+    Args:
+        context: of the step.
+        state: right after the mating motion.
+        stance: where the groups were mated.
+        grasp: how they are held.
+        seed: of all draws.
+    """
+    tally = Tally()
+    a, b = state.robots
+    grip_a, grip_b = grasp.merged_grips
+    joined = state.with_robot(1, replace(b, payload=Payload(grasp.merge.merged, grip_b)))
+    done = Planned(joined.with_robot(0, Robot(a.at, grip_a.open))).move(Stage.RELEASE, 0, stance.back)
+    path = parking_path(context, context.world(done.state, 0, tally), done.state.robots[0].at, seed)
+    if path is None:
+        return Failure(FullVerdict.NO_PATH, Stage.LEAVE, 0, states=tally.states)
+    return replace(done.move(Stage.LEAVE, 0, path), states=tally.states)
+
+
+def _free_reach(world: RobotWorld, tips: SE3, seed: np.random.SeedSequence) -> Float[np.ndarray, "n 10"]:
+    """Return free configurations with the finger tips at a pose."""
+    found = reach(tips, GUESSES, np.random.default_rng(seed)).configurations
+    return found[world.free(found)] if len(found) else found
+
+
+def _path_out(world: RobotWorld, at: Configuration, direction: Float[np.ndarray, "3"], length: float) -> Path | None:
+    """Return R_a's straight path out of a joint, longer than `length` if that is free; None if there is none."""
     for beyond in _BEYOND:
         out = line(at, (length + beyond) * direction)
         if out is not None and path_is_free(world, out):
@@ -107,85 +182,41 @@ def _way_out(world: RobotWorld, at: Configuration, direction: Float[np.ndarray, 
     return None
 
 
-def _poses_to_meet(
-    planner: SegmentPlanner, grip_a: Grip, grip_b: Grip, ways: Sequence[Retract], merged: Group
-) -> Iterator[tuple[Retract, SE3]]:
-    """Poses of the merged group, near the middle, with the way out level, those that suit both arms best first."""
-    points = hull_points(planner.furniture, merged)
-    some: list[tuple[Retract, SE3]] = []
+def _mating_poses(context: StepContext, grasp: MateGrasp, seed: np.random.SeedSequence) -> list[tuple[Retract, SE3]]:
+    """Return poses of the merged group near the middle, with the retract level; the easiest for both arms first."""
+    candidates = _level_poses(context.furniture, grasp.merge.merged, grasp.retracts)
+    far = np.maximum(
+        *(
+            nearness(
+                Poses(
+                    np.array([p.rotation @ grip.furniture_from_tips.rotation for _, p in candidates]),
+                    np.array([p.act(grip.furniture_from_tips.translation) for _, p in candidates]),
+                )
+            )
+            for grip in grasp.merged_grips
+        )
+    )
+    rng, poses = np.random.default_rng(seed), list[tuple[Retract, SE3]]()
+    for index in np.argsort(far, kind="stable")[:_POSES]:
+        retract, pose = candidates[index]
+        spot = 0.3 * context.cell.radius * rng.uniform(-1.0, 1.0, 2)
+        drawn = SE3(turn_about_vertical(rng.uniform(-np.pi, np.pi)), np.array([*spot, 0.0]))
+        poses.append((retract, drawn * pose))
+    return poses
+
+
+def _level_poses(furniture: Furniture, merged: Group, retracts: Sequence[Retract]) -> list[tuple[Retract, SE3]]:
+    """Return poses above the origin in which each retract goes along the world's x axis."""
+    points = hull_points(furniture, merged)
+    poses: list[tuple[Retract, SE3]] = []
     about = align_axis(np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0]))
-    for way in ways:
-        level = align_axis(way.direction, np.array([1.0, 0.0, 0.0]))
+    for retract in retracts:
+        level = align_axis(retract.direction, np.array([1.0, 0.0, 0.0]))
         for spin in np.arange(_SPINS) * 2.0 * np.pi / _SPINS:
             turn = about @ turn_about_vertical(spin) @ about.T @ level
             turned = points @ turn.T
             low, high = turned.min(axis=0), turned.max(axis=0)
             for height in _HEIGHTS:
                 shift = np.array([*(-0.5 * (low + high)[:2]), height - low[2]])
-                some.append((way, SE3(turn, shift)))
-    far = np.maximum(
-        *(
-            nearness(
-                Poses(
-                    np.array([p.rotation @ h.furniture_from_tips.rotation for _, p in some]),
-                    np.array([p.act(h.furniture_from_tips.translation) for _, p in some]),
-                )
-            )
-            for h in (grip_a, grip_b)
-        )
-    )
-    for index in np.argsort(far, kind="stable")[:_MEETINGS]:
-        way, pose = some[index]
-        spot = 0.3 * planner.cell.radius * planner.rng.uniform(-1.0, 1.0, 2)
-        drawn = SE3(turn_about_vertical(planner.rng.uniform(-np.pi, np.pi)), np.array([*spot, 0.0]))
-        yield way, drawn * pose
-
-
-def join(planner: SegmentPlanner, meeting: MateStance) -> None:
-    """Drive both robots to a meeting and mate.
-
-    Args:
-        segments: so far; those of this are added.
-        meeting: where.
-
-    Raises:
-        LegError: there is no way.
-    """
-    drives = ((1, meeting.b, "drive v"), (0, meeting.out[-1], "drive u"))
-    before, failed = planner.reached, ""
-    for order in (drives, drives[::-1]):
-        for robot, goal, name in order:
-            way = planner.go(planner.world(planner.state, robot), planner.state.robots[robot].at, goal)
-            if way is None:
-                failed = name
-                break
-            planner.add(name, robot, way)
-        else:
-            planner.add("mate", 0, tuple(reversed(meeting.out)))
-            return
-        planner.back_to(before)
-    raise LegError(Obstacle.NO_PATH, failed)
-
-
-def release(planner: SegmentPlanner, meeting: MateStance, merged: Group, grip_a: Grip, grip_b: Grip) -> None:
-    """R_a opens its hand, backs off and drives away; R_b holds the merged group.
-
-    Args:
-        segments: so far; those of this are added.
-        meeting: in which they were joined.
-        merged: both groups.
-        grip_a: of it.
-        grip_b: of it.
-
-    Raises:
-        LegError: R_a cannot drive away.
-    """
-    a, b = planner.state.robots
-    planner.state = planner.state.with_robot(1, replace(b, payload=Payload(merged, grip_b)))
-    planner.state = planner.state.with_robot(0, Robot(a.at, grip_a.open))
-    planner.add("back off from u", 0, meeting.back)
-    planner.park(0, planner.world(planner.state, 0), "leave u")
-
-
-def _is_in(group: Group, merged: Group) -> bool:
-    return set(group.parts) <= set(merged.parts)
+                poses.append((retract, SE3(turn, shift)))
+    return poses

@@ -1,177 +1,162 @@
-"""The segments by which a robot takes a standing group: it drives to it, closes its hand and lifts it from its post."""
+"""Picking: a robot drives to a group on its post, grips it and lifts it."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from itertools import islice
 
 import numpy as np
 
 from roboassembly.planning.robot_path import Path, line, path_is_free
-from roboassembly.planning.robot_world import RobotWorld
+from roboassembly.planning.robot_world import RobotWorld, Tally
 from roboassembly.robots.body import DOF
 from roboassembly.task.full.cell_state import CellState, Configuration, Payload, Robot
+from roboassembly.task.full.failure import Failure, FullVerdict, Stage
 from roboassembly.task.full.grips import Grip
-from roboassembly.task.full.segments import ARM, LIFT, PLACE, TRIES, LegError, Obstacle, SegmentPlanner
+from roboassembly.task.full.segments import (
+    ARM,
+    LIFT_HEIGHT,
+    PLATFORM,
+    Planned,
+    StepContext,
+    arm_configurations,
+    child_seed,
+    retreat_path,
+)
 from roboassembly.task.rules.groups import Group
 
 _DRAWS = 3
-"""Times that ways to stand are looked for before there is none."""
-_MAKING_WAY = 3
-"""Times that the other robot drives elsewhere."""
+"""Draws of configurations before there is none."""
+_DRIVES = 12
+"""Configurations at the grasp to which the planner looks for a path."""
 _AWAY = np.array([1e3, *[0.0] * (DOF - 1)])
-"""Where a robot is in nobody's way."""
+"""Offset of a configuration that is in nobody's way."""
 
 
 @dataclass(frozen=True, eq=False)
 class PickRequest:
-    """What a robot is to take."""
+    """What a robot is to pick."""
 
     group: Group
+    """Group on a post."""
     grip: Grip
-    name: str
-    """Of the group, for the segments."""
-    like: Configuration | None = None
-    """Whose arm it would rather have as it takes it; if None, the nearer the platform is to where it was the better."""
+    preferred: Configuration | None = None
+    """Configuration whose arm joints are preferred at the grasp; None to prefer the shortest drive."""
 
 
-@dataclass(eq=False)
-class _Taking:
-    """A robot takes a standing group."""
+@dataclass(frozen=True, eq=False)
+class _PickOption:
+    """One configuration at the grasp, with the straight motions from it."""
 
-    before: CellState
-    """Its hand open."""
-    loaded: CellState
-    """The group in its hand, the post still there."""
-    world: RobotWorld
-    """As it comes."""
-    tries: Iterator[tuple[Path, Path]]
-    """Straight back from the group, and straight up with it."""
-    failed: str
-    """The segment that the last try failed in."""
+    back: Path
+    """Straight back from the group; reversed it is the approach."""
+    lift: Path
 
 
-def pick_both(planner: SegmentPlanner, wanted: Sequence[PickRequest]) -> None:
-    """R_a takes one standing group, R_b another one, in the order that works.
+@dataclass(frozen=True, eq=False)
+class _PickStates:
+    """States around the moment at which the hand closes."""
 
-    Args:
-        segments: so far; those of this are added.
-        wanted: R_a's, then R_b's.
-
-    Raises:
-        LegError: it cannot be.
-    """
-    before = planner.reached
-    try:
-        for robot in (0, 1):
-            _pick_past(planner, robot, wanted[robot])
-    except LegError as no:
-        planner.back_to(before)
-        if no.final:
-            raise
-        try:
-            for robot in (1, 0):
-                _pick_past(planner, robot, wanted[robot])
-        except LegError:
-            # Of two failures the one in the usual order is told.
-            raise no from None
+    open: CellState
+    """The hand is open, the group on its post."""
+    closed: CellState
+    """The group is in the hand, its post still up."""
 
 
-def _pick_past(planner: SegmentPlanner, robot: int, wanted: PickRequest) -> None:
-    """Take a standing group; if the other robot stands in the way, and holds nothing, it drives elsewhere.
-
-    Raises:
-        LegError: it cannot be.
-    """
-    before, other = planner.reached, 1 - robot
-    for left in reversed(range(_MAKING_WAY + 1)):
-        try:
-            pick(planner, robot, wanted)
-        except LegError as no:
-            planner.back_to(before)
-            if left == 0 or planner.state.robots[other].payload is not None:
-                raise
-            if not can_pick(planner, robot, wanted):
-                raise LegError(no.why, no.segment, final=True) from None
-            planner.park(other, planner.world(planner.state, other), "make way")
-        else:
-            return
-
-
-def _index(planner: SegmentPlanner, group: Group) -> int:
-    """Of a group among those that stand."""
-    return next(i for i, s in enumerate(planner.state.placed) if s.group.parts == group.parts)
-
-
-def pick(planner: SegmentPlanner, robot: int, wanted: PickRequest) -> None:
-    """Drive to a standing group, take it and lift it from its post, which sinks into the floor.
+def pick(
+    context: StepContext, state: CellState, robot: int, request: PickRequest, seed: np.random.SeedSequence
+) -> Planned | Failure:
+    """Plan to drive to a group, grip it and lift it off its post, which sinks into the floor.
 
     Args:
-        segments: so far; those of this are added.
+        context: of the step.
+        state: at the beginning; the robot's hand is empty.
         robot: 0 or 1.
-        wanted: group.
-
-    Raises:
-        LegError: it cannot be.
+        request: what to pick, and how.
+        seed: of all draws.
     """
-    taking = _taking(planner, robot, wanted)
-    before, loaded, name = taking.before, taking.loaded, wanted.name
-    for back, up in islice(taking.tries, TRIES):
-        way = planner.go(taking.world, before.robots[robot].at, back[-1])
-        if way is None:
-            taking.failed = f"drive to {name}"
+    tally = Tally()
+    states = _pick_states(state, robot, request)
+    world = context.world(states.open, robot, tally)
+    failure = Failure(FullVerdict.NO_ARM_SOLUTION, Stage.GRASP, robot)
+    drives = 0
+    for option in _pick_options(context, states, world, robot, request, child_seed(seed, 0), tally):
+        if isinstance(option, Failure):
+            failure = option
             continue
-        planner.state = before
-        planner.add(f"drive to {name}", robot, way)
-        planner.add(f"approach {name}", robot, tuple(reversed(back)))
-        planner.state = loaded.moved(robot, planner.state.robots[robot].at)
-        planner.add(f"lift {name}", robot, up)
-        planner.state = replace(planner.state, free_posts=before.free_posts)
-        return
-    raise LegError(Obstacle.NO_PATH, taking.failed)
+        path = context.connect(world, state.robots[robot].at, option.back[-1], child_seed(seed, 1, drives))
+        drives += 1
+        if path is not None:
+            there = Planned(states.open).move(Stage.DRIVE_TO_GROUP, robot, path)
+            there = there.move(Stage.APPROACH, robot, tuple(reversed(option.back)))
+            lifted = there.change(states.closed.moved(robot, there.state.robots[robot].at))
+            lifted = lifted.move(Stage.LIFT, robot, option.lift)
+            done = lifted.change(replace(lifted.state, free_posts=state.free_posts))
+            return replace(done, states=tally.states)
+        failure = Failure(FullVerdict.NO_PATH, Stage.DRIVE_TO_GROUP, robot)
+        if drives == _DRIVES:
+            break
+    return replace(failure, states=tally.states)
 
 
-def can_pick(planner: SegmentPlanner, robot: int, wanted: PickRequest) -> bool:
-    """Whether a standing group can be taken and lifted, wherever the robot comes from and the other one is."""
-    before, other = planner.state, 1 - robot
-    away = before.robots[other].at + _AWAY
-    planner.state = before.moved(other, away)
-    try:
-        return next(_taking(planner, robot, wanted).tries, None) is not None
-    except LegError:
-        return False
-    finally:
-        planner.state = before
+def can_pick(
+    context: StepContext,
+    state: CellState,
+    robot: int,
+    request: PickRequest,
+    seed: np.random.SeedSequence,
+    tally: Tally,
+) -> bool:
+    """Whether a group can be gripped and lifted, wherever the robot comes from and the other robot stands.
 
-
-def _taking(planner: SegmentPlanner, robot: int, wanted: PickRequest) -> _Taking:
-    """Ways to take a standing group and lift it, `fetch` without the drive.
-
-    Raises:
-        LegError: there is no way to stand (from the first of the tries).
+    Args:
+        context: of the step.
+        state: unchanged.
+        robot: 0 or 1.
+        request: what to pick, and how.
+        seed: of all draws.
+        tally: counts the tested configurations.
     """
-    grip, name, index = wanted.grip, wanted.name, _index(planner, wanted.group)
-    before = planner.state.with_robot(robot, replace(planner.state.robots[robot], opening=grip.open, payload=None))
-    group, stand = planner.state.placed[index].group, planner.state.placed[index].post
-    rest = tuple(s for i, s in enumerate(before.placed) if i != index)
-    taken = Robot(before.robots[robot].at, grip.closed, Payload(group, grip))
-    loaded = replace(before, placed=rest, free_posts=(*before.free_posts, stand)).with_robot(robot, taken)
-    tips = group.world_from_furniture * grip.furniture_from_tips
-    world, lifting = planner.world(before, robot), planner.world(loaded, robot)
-    near = (before.robots[robot].at, PLACE) if wanted.like is None else (wanted.like, ARM)
+    other = 1 - robot
+    cleared = state.moved(other, state.robots[other].at + _AWAY)
+    states = _pick_states(cleared, robot, request)
+    world = context.world(states.open, robot, tally)
+    options = _pick_options(context, states, world, robot, request, seed, tally)
+    return any(isinstance(option, _PickOption) for option in options)
 
-    def tries() -> Iterator[tuple[Path, Path]]:
-        for at in planner.ways_to_stand(world, tips, *near, f"grasp {name}", _DRAWS):
-            back = planner.back(world, at)
-            if back is None:
-                taking.failed = f"approach {name}"
-                continue
-            up = line(at, np.array([0.0, 0.0, LIFT]))
-            if up is None or not path_is_free(lifting, up):
-                taking.failed = f"lift {name}"
-                continue
-            yield back, up
 
-    taking = _Taking(before, loaded, world, tries(), f"grasp {name}")
-    return taking
+def _pick_states(state: CellState, robot: int, request: PickRequest) -> _PickStates:
+    index = next(i for i, placed in enumerate(state.placed) if placed.group.parts == request.group.parts)
+    picked, rest = state.placed[index], (*state.placed[:index], *state.placed[index + 1 :])
+    at = state.robots[robot].at
+    opened = state.with_robot(robot, Robot(at, request.grip.open))
+    closed = replace(opened, placed=rest, free_posts=(*opened.free_posts, picked.post))
+    payload = Payload(picked.group, request.grip)
+    return _PickStates(opened, closed.with_robot(robot, Robot(at, request.grip.closed, payload)))
+
+
+def _pick_options(
+    context: StepContext,
+    states: _PickStates,
+    world: RobotWorld,
+    robot: int,
+    request: PickRequest,
+    seed: np.random.SeedSequence,
+    tally: Tally,
+) -> Iterator[_PickOption | Failure]:
+    """Yield ways to grip the group and lift it, and why others fail."""
+    lifting = context.world(states.closed, robot, tally)
+    near, entries = states.open.robots[robot].at, PLATFORM
+    if request.preferred is not None:
+        near, entries = request.preferred, ARM
+    tips = request.group.world_from_furniture * request.grip.furniture_from_tips
+    for at in arm_configurations(world, tips, near, entries, seed, _DRAWS):
+        back = retreat_path(world, at)
+        if back is None:
+            yield Failure(FullVerdict.NO_PATH, Stage.APPROACH, robot)
+            continue
+        up = line(at, np.array([0.0, 0.0, LIFT_HEIGHT]))
+        if up is None or not path_is_free(lifting, up):
+            yield Failure(FullVerdict.NO_PATH, Stage.LIFT, robot)
+            continue
+        yield _PickOption(back, up)

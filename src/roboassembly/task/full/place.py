@@ -1,162 +1,192 @@
-"""The segments by which a robot sets what it holds on a post that rises for it, or on the floor, and leaves."""
+"""Placing: a robot sets its payload on a post that rises for it, or on the floor, and leaves."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import islice
 
 import numpy as np
 from jaxtyping import Float
 
 from roboassembly.geometry.poses import SE3, align_axis, turn_about_vertical
 from roboassembly.planning.robot_path import Path, line, path_is_free
-from roboassembly.planning.robot_world import RobotWorld
+from roboassembly.planning.robot_world import RobotWorld, Tally
 from roboassembly.task.full.cell import Post, free_places, on_post, open_grasps, reach_from
-from roboassembly.task.full.cell_state import CellState, Configuration, PlacedGroup, Robot
-from roboassembly.task.full.segments import LIFT, PLACE, LegError, Obstacle, SegmentPlanner
+from roboassembly.task.full.cell_state import CellState, PlacedGroup, Robot
+from roboassembly.task.full.failure import Failure, FullVerdict, Stage
+from roboassembly.task.full.segments import (
+    LIFT_HEIGHT,
+    PLATFORM,
+    Planned,
+    StepContext,
+    arm_configurations,
+    child_seed,
+    parking_path,
+    retreat_path,
+)
 from roboassembly.task.layout import group_footprint
 from roboassembly.task.rules.connections import UP_AXES
 from roboassembly.task.rules.groups import Group
 
 _OUTWARD = (1.0, 1.15, 1.3)
-"""Where a merged group may stand: as far from the middle as a post of before, or farther by so much."""
+"""Distances from the middle at which a merged group may stand, as multiples of that of an earlier post."""
 _ROUNDS = 3
 """Times that each way to stand is tried, turned otherwise and elsewhere."""
-_OF_ONE, _CARRIES = 3, 12
-"""Ways to come to one way to stand, and to all of them, to which the planner looks for a path."""
+_PER_PLACE, _CARRIES = 3, 12
+"""Configurations above one place, and above all places, to which the planner looks for a path."""
 
 
 @dataclass(frozen=True, eq=False)
-class _Down:
-    """A way to set a group down, `put_down` without the drive and what follows."""
+class _Descent:
+    """A way to set a group down, without the motions before and after it."""
 
     with_post: CellState
-    after: CellState
-    """The group on its post or on the floor, the hand open and not yet gone."""
+    """The post has risen; the group is in the hand."""
+    released: CellState
+    """The group stands; the hand is open and still around it."""
     leaving: RobotWorld
+    """Collision model of the robot that leaves."""
     above: Path
-    """Straight up from where the group stands."""
+    """Straight up from where the group stands; reversed it sets the group down."""
     back: Path
+    """Of the open hand."""
 
 
-def set_down(planner: SegmentPlanner, wanted: Sequence[Float[np.ndarray, "2"]]) -> None:
-    """R_b sets what it holds on a post that rises for it, and drives away.
-
-    Args:
-        segments: so far; those of this are added.
-        wanted: places in the ring that are free.
-
-    Raises:
-        LegError: it cannot be.
-    """
-    robot = planner.state.robots[1]
-    assert robot.payload is not None
-    put_down(planner, 1, _places(planner, robot.payload.group, robot.at, wanted), PLACE)
-
-
-def put_down(planner: SegmentPlanner, index: int, places: Iterable[PlacedGroup | Group], joints: slice) -> None:
-    """A robot carries what it holds to one of several places, sets it down there and drives away.
+def place_on_post(
+    context: StepContext, state: CellState, spots: Sequence[Float[np.ndarray, "2"]], seed: np.random.SeedSequence
+) -> Planned | Failure:
+    """Plan R_b to set its payload on a post that rises for it, and to drive away.
 
     Args:
-        segments: so far; those of this are added.
-        index: of the robot.
-        places: in the order in which they are tried: on a post that rises for it, or (a group) on the floor.
-        joints: ways to stand are tried first that are near the robot's present configuration in these.
-
-    Raises:
-        LegError: it cannot be.
+        context: of the step.
+        state: at the beginning.
+        spots: places near which the post may rise [m].
+        seed: of all draws.
     """
-    before = planner.reached
-    robot = planner.state.robots[index]
-    carrying = planner.world(planner.state, index)
-    failed = LegError(Obstacle.NO_PATH, "set down")
-    for down in islice(_ways_down(planner, index, places, joints), _CARRIES):
-        path = planner.go(carrying, robot.at, down.above[-1])
-        if path is None:
+    payload = state.robots[1].payload
+    assert payload is not None
+    places = _posts_for(context, state, payload.group, spots, child_seed(seed, 0))
+    return put_down(context, state, 1, places, PLATFORM, child_seed(seed, 1))
+
+
+def put_down(
+    context: StepContext,
+    state: CellState,
+    robot: int,
+    places: Iterable[PlacedGroup | Group],
+    entries: slice,
+    seed: np.random.SeedSequence,
+) -> Planned | Failure:
+    """Plan a robot to carry its payload to one of several places, set it down there and drive away.
+
+    Args:
+        context: of the step.
+        state: at the beginning.
+        robot: 0 or 1.
+        places: poses of the payload, in the order in which they are tried: on a post that rises, or on the floor.
+        entries: entries of configurations; those are tried first that are near the present configuration in them.
+        seed: of all draws.
+    """
+    tally = Tally()
+    start = state.robots[robot].at
+    carrying = context.world(state, robot, tally)
+    failure = Failure(FullVerdict.NO_PLACEMENT, Stage.SET_DOWN, robot, final=True)
+    carries = 0
+    for descent in _descents(context, state, robot, places, entries, child_seed(seed, 0), tally):
+        if isinstance(descent, Failure):
+            failure = failure if carries else descent
             continue
-        planner.add("carry", index, path)
-        planner.state = replace(planner.state, free_posts=down.with_post.free_posts)
-        planner.add("set down", index, tuple(reversed(down.above)))
-        planner.state = down.after.moved(index, planner.state.robots[index].at)
-        planner.add("back off", index, down.back)
-        try:
-            planner.park(index, down.leaving, "leave")
-        except LegError as no:
-            failed = no
-            planner.back_to(before)
-        else:
-            return
-    raise failed
+        if not carries:
+            failure = Failure(FullVerdict.NO_PATH, Stage.CARRY, robot)
+        carries += 1
+        path = context.connect(carrying, start, descent.above[-1], child_seed(seed, 1, carries))
+        if path is not None:
+            done = Planned(state).move(Stage.CARRY, robot, path)
+            done = done.change(replace(done.state, free_posts=descent.with_post.free_posts))
+            done = done.move(Stage.SET_DOWN, robot, tuple(reversed(descent.above)))
+            done = done.change(descent.released.moved(robot, done.state.robots[robot].at))
+            done = done.move(Stage.RELEASE, robot, descent.back)
+            parked = parking_path(context, descent.leaving, done.state.robots[robot].at, child_seed(seed, 2, carries))
+            if parked is not None:
+                return replace(done.move(Stage.LEAVE, robot, parked), states=tally.states)
+            failure = Failure(FullVerdict.NO_PATH, Stage.LEAVE, robot)
+        if carries == _CARRIES:
+            break
+    return replace(failure, states=tally.states)
 
 
-def _ways_down(
-    planner: SegmentPlanner, index: int, places: Iterable[PlacedGroup | Group], joints: slice
-) -> Iterator[_Down]:
-    """Ways to set down what a robot holds, in the order of the places.
-
-    Raises:
-        LegError: there is none.
-    """
-    start, robot, other = planner.state, planner.state.robots[index], 1 - index
-    grip = robot.payload
-    assert grip is not None
-    failed = LegError(Obstacle.NO_PLACEMENT, "set down", final=True)
-    found = False
-    for place in places:
+def _descents(
+    context: StepContext,
+    state: CellState,
+    robot: int,
+    places: Iterable[PlacedGroup | Group],
+    entries: slice,
+    seed: np.random.SeedSequence,
+    tally: Tally,
+) -> Iterator[_Descent | Failure]:
+    """Yield ways to set down what a robot holds, in the order of the places, and why others fail."""
+    start, other = state.robots[robot].at, 1 - robot
+    payload = state.robots[robot].payload
+    assert payload is not None
+    for index, place in enumerate(places):
         if isinstance(place, PlacedGroup):
-            group, with_post = place.group, replace(start, free_posts=(*start.free_posts, place.post))
-            there = replace(start, placed=(*start.placed, place))
+            group, with_post = place.group, replace(state, free_posts=(*state.free_posts, place.post))
+            there = replace(state, placed=(*state.placed, place))
         else:
-            group, with_post = place, start
-            there = replace(start, on_floor=(*start.on_floor, place))
-        after = there.with_robot(index, Robot(robot.at, grip.grip.open))
-        if not planner.world(after, other).free(after.robots[other].at[None])[0]:
-            continue  # the other robot stands where the post would rise, or the group
-        lowering, leaving = planner.world(with_post, index), planner.world(after, index)
-        tips = group.world_from_furniture * grip.grip.furniture_from_tips
-        ways = 0
-        try:
-            for at in planner.ways_to_stand(lowering, tips, robot.at, joints, "set down"):
-                above = line(at, np.array([0.0, 0.0, LIFT]))
-                if above is None or not path_is_free(lowering, above):
-                    continue
-                back = planner.back(leaving, at)
-                if back is None:
-                    continue
-                found = True
-                yield _Down(with_post, after, leaving, above, back)
-                ways += 1
-                if ways == _OF_ONE:
-                    break
-        except LegError as none:
-            failed = LegError(none.why, none.segment, final=True)
-        else:
-            failed = LegError(Obstacle.NO_PATH, "set down", final=True)
-    if not found:
-        raise failed
+            group, with_post = place, state
+            there = replace(state, on_floor=(*state.on_floor, place))
+        released = there.with_robot(robot, Robot(start, payload.grip.open))
+        if not context.world(released, other, tally).free(released.robots[other].at[None])[0]:
+            continue  # the other robot stands where the post or the group would be
+        lowering, leaving = context.world(with_post, robot, tally), context.world(released, robot, tally)
+        tips = group.world_from_furniture * payload.grip.furniture_from_tips
+        found, reached = 0, False
+        for at in arm_configurations(lowering, tips, start, entries, child_seed(seed, index)):
+            reached = True
+            above = line(at, np.array([0.0, 0.0, LIFT_HEIGHT]))
+            if above is None or not path_is_free(lowering, above):
+                continue
+            back = retreat_path(leaving, at)
+            if back is None:
+                continue
+            yield _Descent(with_post, released, leaving, above, back)
+            found += 1
+            if found == _PER_PLACE:
+                break
+        if not found:
+            kind = FullVerdict.NO_PATH if reached else FullVerdict.NO_ARM_SOLUTION
+            yield Failure(kind, Stage.SET_DOWN, robot, final=True)
 
 
-def _places(
-    planner: SegmentPlanner, merged: Group, near: Configuration, wanted: Sequence[Float[np.ndarray, "2"]]
+def _posts_for(
+    context: StepContext,
+    state: CellState,
+    merged: Group,
+    spots: Sequence[Float[np.ndarray, "2"]],
+    seed: np.random.SeedSequence,
 ) -> Iterator[PlacedGroup]:
-    """Ways for the merged group to stand on a post, turned at random: each axis up once, and then again in another
-    place, those of each round first that leave most grasps open; finished furniture upright if it can."""
-    taken = [group_footprint(planner.furniture, s.group) for s in planner.state.placed]
-    order = np.argsort([np.linalg.norm(p - near[:2]) for p in wanted])
-    places = [wanted[o] * f for f in _OUTWARD for o in order]
+    """Yield ways for the merged group to stand on a post, turned at random about the vertical.
+
+    Each axis is up once in each round. Those come first that leave most grasps open; finished furniture stands upright
+    if it can.
+    """
+    furniture, rng = context.furniture, np.random.default_rng(seed)
+    occupied = [group_footprint(furniture, placed.group) for placed in state.placed]
+    near = state.robots[1].at[:2]
+    order = np.argsort([np.linalg.norm(spot - near) for spot in spots])
+    places = [spots[i] * factor for factor in _OUTWARD for i in order]
     for round_ in range(_ROUNDS):
-        found: list[tuple[float, Group, Post]] = []
-        for w in planner.rng.permutation(len(UP_AXES)):
-            turn = turn_about_vertical(planner.rng.uniform(-np.pi, np.pi)) @ align_axis(UP_AXES[w], UP_AXES[0])
-            held = on_post(planner.furniture, merged.moved_to(SE3(turn, np.zeros(3))), np.zeros(2))
-            if held is not None:
-                upright = w == 0 and len(merged.parts) == len(planner.furniture.parts)
-                found.append((float(upright) + open_grasps(planner.furniture, *held), *held))
-        for _, group, stand in sorted(found, key=lambda item: -item[0]):
-            fit = free_places(places, reach_from(planner.furniture, group, stand), taken)
+        ranked: list[tuple[float, Group, Post]] = []
+        for w in rng.permutation(len(UP_AXES)):
+            turn = turn_about_vertical(rng.uniform(-np.pi, np.pi)) @ align_axis(UP_AXES[w], UP_AXES[0])
+            placed = on_post(furniture, merged.moved_to(SE3(turn, np.zeros(3))), np.zeros(2))
+            if placed is not None:
+                upright = w == 0 and len(merged.parts) == len(furniture.parts)
+                ranked.append((float(upright) + open_grasps(furniture, *placed), *placed))
+        for _, group, post in sorted(ranked, key=lambda item: -item[0]):
+            fit = free_places(places, reach_from(furniture, group, post), occupied)
             if not fit:
                 continue
             shift = np.array([*fit[round_ % len(fit)], 0.0])
             moved = SE3(np.eye(3), shift) * group.world_from_furniture
-            yield PlacedGroup(group.moved_to(moved), Post(stand.top + shift))
+            yield PlacedGroup(group.moved_to(moved), Post(post.top + shift))

@@ -1,13 +1,15 @@
-"""What a full step's planning has come to: the moment, the segments so far, and what all segments need.
+"""Shared planning functions of a full step.
 
-Each is planned on exact geometry: the robot with what it holds, all else as obstacles. Way-points of the hand that
-have to be straight (approach, lift, mate, back off) are lines in space; in between RRT-Connect finds the way.
+A stage of a step is a function from a `CellState` and a seed to a `Planned` or a `Failure`. It changes nothing, so
+that stages can be tested, timed and tried in parallel. Collisions are tested on exact geometry: the robot with its
+payload moves, all else is an obstacle. Straight motions of the hand (approach, lift, mate, release) are lines in
+space; RRT-Connect connects them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from enum import StrEnum
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -21,145 +23,128 @@ from roboassembly.robots.body import world_from_tips
 from roboassembly.robots.reach import reach
 from roboassembly.task.full.cell import Cell
 from roboassembly.task.full.cell_state import CellState, Configuration, Segment
+from roboassembly.task.full.failure import Failure, Stage
 
 TUCKED = np.array([0.0, -1.2, 0.0, -2.6, 0.0, 2.0, 0.785])
-"""The arm folded over the platform, to drive."""
-PLACE, ARM = slice(2), slice(3, None)
-"""Joints of a configuration."""
+"""Joint angles of the arm folded over the platform [rad]."""
+PLATFORM, ARM = slice(2), slice(3, None)
+"""Entries of a configuration: position of the platform; joints of the arm."""
 GUESSES = 64
-"""Arm configurations looked for at a pose of the hand."""
-LIFT = 0.06
-"""Metres that a group rises straight from its post before anything else, and sinks onto it."""
-_BACK = (0.10, 0.05)
-"""Metres that an open hand comes and goes straight; less, but so that the fingers are out, where the wrist would meet
-the other robot's hand."""
-TRIES = 12
-"""Ways to stand at a pose to which the planner looks for a path."""
-_PARKINGS = 12
-"""Places to drive to afterwards that are tried."""
+"""Configurations drawn for a pose of the hand."""
+LIFT_HEIGHT = 0.06
+"""Distance [m] that a group moves straight up from its post, and straight down onto it."""
+_RETREATS = (0.10, 0.05)
+"""Distances [m] that an open hand comes and goes straight; the shorter one where the wrist would hit
+the other hand."""
+_PARKING_SPOTS = 12
+"""Places to drive to that are tried."""
 
 
-class Obstacle(StrEnum):
-    """Why a segment cannot be."""
+@dataclass(frozen=True, eq=False)
+class StepContext:
+    """What stays the same during a step."""
 
-    NO_ARM_SOLUTION = "no_arm_solution"
-    """No way to stand that has the hand where it must be without a collision."""
-    NO_PATH = "no_path"
-    NO_PLACEMENT = "no_placement"
-    """No post can hold the merged group, or there is no room for it."""
+    furniture: Furniture
+    cell: Cell
+    budget: Budget
+    """Limit of each path."""
 
-
-class LegError(Exception):
-    """A segment cannot be planned.
-
-    Args:
-        why: it cannot.
-        segment: its name.
-        final: whether other segments before it would not help.
-    """
-
-    def __init__(self, why: Obstacle, segment: str, *, final: bool = False) -> None:
-        super().__init__(f"{segment}: {why}")
-        self.why, self.segment, self.final = why, segment, final
-
-
-class SegmentPlanner:
-    """Segments of one step, planned one after the other and kept.
-
-    Args:
-        furniture: what is assembled.
-        cell: where.
-        state: at the beginning.
-        budget: of each path.
-        rng: draws.
-    """
-
-    def __init__(
-        self, furniture: Furniture, cell: Cell, state: CellState, budget: Budget, rng: np.random.Generator
-    ) -> None:
-        self.furniture, self.cell, self.state, self.budget, self.rng = furniture, cell, state, budget, rng
-        self.segments: list[Segment] = []
-        self._tallies: list[Tally] = []
-
-    @property
-    def states(self) -> int:
-        """Configurations tested for collision so far."""
-        return sum(tally.states for tally in self._tallies)
-
-    @property
-    def reached(self) -> tuple[CellState, tuple[Segment, ...]]:
-        """How far it is, to come `back_to`."""
-        return self.state, tuple(self.segments)
-
-    def back_to(self, reached: tuple[CellState, tuple[Segment, ...]]) -> None:
-        """Take back the segments planned since then."""
-        self.state, self.segments = reached[0], list(reached[1])
-
-    def world(self, state: CellState, robot: int) -> RobotWorld:
-        """One robot among all else."""
-        made = state.world(self.furniture, robot)
-        self._tallies.append(made.tally)
-        return made
-
-    def go(self, world: RobotWorld, start: Configuration, goal: Configuration) -> Path | None:
-        """A way through a world; None if none was found within the budget."""
-        seed = int(self.rng.integers(2**31 - 1))
-        return connect(world, start, goal, Floor(self.cell.floor), self.budget, seed)
-
-    def add(self, name: str, robot: int, path: Path) -> None:
-        """Keep a segment that begins at the moment, and go on to its end."""
-        path = turned_on(path, self.state.robots[robot].at)
-        segment = Segment(name, robot, path, self.state)
-        self.segments.append(segment)
-        self.state = segment.after
-
-    def ways_to_stand(
-        self, world: RobotWorld, tips: SE3, near: Configuration, joints: slice, segment: str, draws: int = 1
-    ) -> Iterator[Configuration]:
-        """Free configurations with the finger tips there, of each draw of `GUESSES` those nearest to one first.
+    def world(self, state: CellState, robot: int, tally: Tally) -> RobotWorld:
+        """Return the collision model of one robot among all else.
 
         Args:
-            world: to be free in.
-            tips: where they are to be.
-            near: configuration.
-            joints: that count for what is near.
-            segment: for the error.
-            draws: of configurations.
-
-        Raises:
-            LegError: there is none.
+            state: where all is.
+            robot: 0 or 1.
+            tally: counts the tested configurations.
         """
-        none = True
-        for _ in range(draws):
-            found = reach(tips, GUESSES, self.rng).configurations
-            free = found[world.free(found)] if len(found) else found
-            none = none and not len(free)
-            yield from free[np.argsort(np.linalg.norm((free - near)[:, joints], axis=1))]
-        if none:
-            raise LegError(Obstacle.NO_ARM_SOLUTION, segment)
+        return state.world(self.furniture, robot, tally=tally)
 
-    def back(self, world: RobotWorld, at: Configuration) -> Path | None:
-        """Straight back out of a grasp, driving or from where the platform stands."""
-        approach = world_from_tips(at).rotation[:, 2]
-        for length, drive in product(_BACK, (True, False)):
-            back = line(at, -length * approach, drive=drive)
-            if back is not None and path_is_free(world, back):
-                return back
-        return None
+    def connect(
+        self, world: RobotWorld, start: Configuration, goal: Configuration, seed: np.random.SeedSequence
+    ) -> Path | None:
+        """Return a free path; None if none was found within the budget."""
+        return connect(world, start, goal, Floor(self.cell.floor), self.budget, int(seed.generate_state(1)[0] >> 1))
 
-    def park(self, robot: int, world: RobotWorld, name: str) -> None:
-        """Fold the arm and drive to a free place near the middle.
 
-        Raises:
-            LegError: there is no way.
-        """
-        for _ in range(_PARKINGS):
-            spot = 0.7 * self.cell.radius * self.rng.uniform(-1.0, 1.0, 2)
-            goal = np.array([*spot, self.rng.uniform(-np.pi, np.pi), *TUCKED])
-            if not world.free(goal[None])[0]:
-                continue
-            path = self.go(world, self.state.robots[robot].at, goal)
+@dataclass(frozen=True, eq=False)
+class Planned:
+    """Segments from one state of the cell to another. Immutable."""
+
+    state: CellState
+    """State after the last segment."""
+    segments: tuple[Segment, ...] = ()
+    states: int = 0
+    """Configurations tested for collision."""
+
+    def move(self, stage: Stage, robot: int, path: Path) -> Planned:
+        """Return this and one more segment."""
+        segment = Segment(stage, robot, turned_on(path, self.state.robots[robot].at), self.state)
+        return replace(self, state=segment.after, segments=(*self.segments, segment))
+
+    def change(self, state: CellState) -> Planned:
+        """Return this with another state at the end: a hand has opened or closed, a post has risen or sunk."""
+        return replace(self, state=state)
+
+    def then(self, later: Planned | Failure) -> Planned | Failure:
+        """Return this and what was planned from its end on; or the failure, with the states tested until then."""
+        states = self.states + later.states
+        if isinstance(later, Failure):
+            return replace(later, states=states)
+        return Planned(later.state, (*self.segments, *later.segments), states)
+
+
+def child_seed(seed: np.random.SeedSequence, *key: int) -> np.random.SeedSequence:
+    """Return the seed of a part of a computation. It depends on nothing but `seed` and `key`."""
+    return np.random.SeedSequence(seed.entropy, spawn_key=(*seed.spawn_key, *key))
+
+
+def arm_configurations(
+    world: RobotWorld,
+    tips: SE3,
+    near: Configuration,
+    entries: slice,
+    seed: np.random.SeedSequence,
+    draws: int = 1,
+) -> Iterator[Configuration]:
+    """Yield free configurations with the finger tips at a pose; of each draw of `GUESSES` the nearest first.
+
+    Args:
+        world: collision model.
+        tips: `world_from_tips`.
+        near: configuration that others should be near.
+        entries: entries of configurations that the distance counts.
+        seed: of the draws.
+        draws: number of draws.
+    """
+    for draw in range(draws):
+        found = reach(tips, GUESSES, np.random.default_rng(child_seed(seed, draw))).configurations
+        free = found[world.free(found)] if len(found) else found
+        yield from free[np.argsort(np.linalg.norm((free - near)[:, entries], axis=1))]
+
+
+def retreat_path(world: RobotWorld, at: Configuration) -> Path | None:
+    """Return the straight path of an open hand out of a grasp; None if there is none.
+
+    The platform drives along if it can, else it stands still.
+    """
+    approach = world_from_tips(at).rotation[:, 2]
+    for length, drive in product(_RETREATS, (True, False)):
+        back = line(at, -length * approach, drive=drive)
+        if back is not None and path_is_free(world, back):
+            return back
+    return None
+
+
+def parking_path(
+    context: StepContext, world: RobotWorld, start: Configuration, seed: np.random.SeedSequence
+) -> Path | None:
+    """Return a path that folds the arm and drives to a free place near the middle; None if none was found."""
+    rng = np.random.default_rng(child_seed(seed, 0))
+    for spot in range(_PARKING_SPOTS):
+        place = 0.7 * context.cell.radius * rng.uniform(-1.0, 1.0, 2)
+        goal = np.array([*place, rng.uniform(-np.pi, np.pi), *TUCKED])
+        if world.free(goal[None])[0]:
+            path = context.connect(world, start, goal, child_seed(seed, 1, spot))
             if path is not None:
-                self.add(name, robot, path)
-                return
-        raise LegError(Obstacle.NO_PATH, name)
+                return path
+    return None

@@ -1,7 +1,7 @@
-"""After the last merge, with robots: one of them takes the finished piece from its post and sets it on its feet.
+"""Last motion of a full plan: a robot picks the finished piece from its post and sets it on its feet on the floor.
 
-The hand is chosen as for a merge: grasps that the rest of the piece leaves free, those first that an arm reaches easily
-both at the post and on the floor. The segments are those of a merge, too: take, lift, carry, set down, back off, leave.
+The grips are chosen as for a merge: those that the rest of the piece leaves free, and first those that an arm reaches
+easily both at the post and on the floor. The stages are those of a step: pick, carry, set down, release, leave.
 """
 
 from __future__ import annotations
@@ -16,12 +16,14 @@ from jaxtyping import Float
 
 from roboassembly.furniture.model import Furniture
 from roboassembly.geometry.poses import SE3, turn_about_vertical
+from roboassembly.planning.robot_world import Tally
 from roboassembly.robots.kinematics import Poses
 from roboassembly.robots.reach import nearness
+from roboassembly.task.full.cell_state import CellState
 from roboassembly.task.full.grips import Grip
 from roboassembly.task.full.pick import PickRequest, can_pick, pick
 from roboassembly.task.full.place import put_down
-from roboassembly.task.full.segments import ARM, LegError, SegmentPlanner
+from roboassembly.task.full.segments import ARM, Planned, StepContext, child_seed
 from roboassembly.task.full.task import BUDGET, FullTask
 from roboassembly.task.object_centric.stance import NOT_ASSEMBLED, Stance, stance_of, standing_at
 from roboassembly.task.plans.full_plan import FullPlan, FullUprightMotion
@@ -30,92 +32,90 @@ from roboassembly.task.rules.connections import GRASPS
 from roboassembly.task.rules.groups import Group, center_of_mass
 
 _STATES = 400_000
-"""Configurations that may be tested before there is no way."""
+"""Configurations that are tested before the planner gives up."""
 _ATTEMPTS = 16
-"""Grasps that are planned with, of those that pass the cheap tests."""
+"""Grips that are planned with, of those that pass the cheap tests."""
 _SPOTS = 5
-"""Places on the floor that are tried with each."""
+"""Places on the floor that are tried with each grip."""
 _SPREAD = 0.5
 """Share of the ring's radius within which these places lie, but for the first one, the middle of the cell."""
 _LEVER = 0.05
-"""How much farther from easy reach counts a grasp a metre farther from the centre of mass."""
+"""Weight of a grip's distance from the centre of mass against its distance from easy reach."""
 
 
 def plan_upright(plan: FullPlan) -> UprightResult[FullUprightMotion]:
-    """How a robot sets the assembled piece on its feet on the floor. What is drawn depends on the plan's seed only.
+    """Plan how a robot sets the assembled piece on its feet on the floor. The draws depend on the plan's seed only.
 
     Args:
         plan: of a whole assembly, without its last motion.
     """
     begun = time.perf_counter()
-    rng = np.random.default_rng([plan.seed, zlib.crc32(b"set upright")])
-    planner = SegmentPlanner(plan.furniture, plan.initial.cell, plan.final_cell_state, BUDGET, rng)
-    reason = _planned(planner)
-    motion = None if reason else FullUprightMotion(tuple(planner.segments))
-    return UprightResult(not reason, reason, motion, planner.states, time.perf_counter() - begun)
+    context, state = StepContext(plan.furniture, plan.initial.cell, BUDGET), plan.final_cell_state
+    seed = np.random.SeedSequence([plan.seed, zlib.crc32(b"set upright")])
 
+    def result(reason: str, done: Planned | None, states: int) -> UprightResult[FullUprightMotion]:
+        motion = None if done is None else FullUprightMotion(done.segments)
+        return UprightResult(not reason, reason, motion, states, time.perf_counter() - begun)
 
-def _planned(planner: SegmentPlanner) -> str:
-    """Plan all segments; why it cannot be, empty if it can."""
-    furniture, start = planner.furniture, planner.reached
-    group = planner.state.placed[0].group
+    group = state.placed[0].group
     where = dict(zip(group.parts, group.part_poses(), strict=True))
-    stance = stance_of(furniture, [where[p] for p in range(len(where))])
-    if stance is None:
-        return NOT_ASSEMBLED
-    if stance.reason:
-        return stance.reason
-    attempts, failed = 0, "no hand reaches it both on its post and on the floor"
-    for grip, robot in _hands(planner, group, _turned(furniture, group, stance, np.zeros(2))):
-        if attempts == _ATTEMPTS or planner.states > _STATES:
+    stance = stance_of(plan.furniture, [where[p] for p in range(len(where))])
+    if stance is None or stance.reason:
+        return result(NOT_ASSEMBLED if stance is None else stance.reason, None, 0)
+    attempts, tally, reason = 0, Tally(), "no hand reaches it both on its post and on the floor"
+    for index, (grip, robot) in enumerate(_grips(context, state, group, stance)):
+        if attempts == _ATTEMPTS or tally.states > _STATES:
             break
-        wanted = PickRequest(group, grip, "piece")
-        if not can_pick(planner, robot, wanted):
+        request, drawn = PickRequest(group, grip), child_seed(seed, index)
+        if not can_pick(context, state, robot, request, child_seed(drawn, 0), tally):
             continue
         attempts += 1
-        try:
-            pick(planner, robot, wanted)
-            put_down(planner, robot, _on_floor(planner, group, stance), ARM)
-        except LegError as no:
-            failed = f"the robots found no way: {no}"
-            planner.back_to(start)
-        else:
-            return ""
-    return f"{failed} ({attempts} grasps tried)"
+        done = pick(context, state, robot, request, child_seed(drawn, 1))
+        if isinstance(done, Planned):
+            places = _on_floor(context, group, stance, child_seed(drawn, 2))
+            done = done.then(put_down(context, done.state, robot, places, ARM, child_seed(drawn, 3)))
+        tally.states += done.states
+        if isinstance(done, Planned):
+            return result("", done, tally.states)
+        reason = f"the robots found no way: {done.stage_text}: {done.kind}"
+    return result(f"{reason} ({attempts} grasps tried)", None, tally.states)
 
 
 def _turned(furniture: Furniture, group: Group, stance: Stance, place: Float[np.ndarray, "2"]) -> Group:
-    """The group as it stands on its feet, its centre of mass above a place of the floor."""
-    # The stance is told in a frame of the furniture that may be another than the group's own, if it is symmetric.
+    """Return the group as it stands on its feet, its centre of mass above a place of the floor."""
+    # If the furniture is symmetric, the stance's frame may differ from the group's.
     other_from_group = stance.group.world_from_furniture.actInv(group.world_from_furniture)
     return standing_at(furniture, group, stance.rotation @ other_from_group.rotation, place)
 
 
-def _hands(planner: SegmentPlanner, group: Group, goal: Group) -> Iterator[tuple[Grip, int]]:
-    """Grasps of the piece and the robot that takes it, the most promising first; the nearer robot before the other."""
-    task = FullTask(planner.furniture)
-    grips = [h for part in group.parts for g in range(GRASPS) if (h := task.free_grip(group, part, g)) is not None]
+def _grips(context: StepContext, state: CellState, group: Group, stance: Stance) -> Iterator[tuple[Grip, int]]:
+    """Yield grips on the piece and the robot that picks it: the most promising grip first, the nearer robot first."""
+    task = FullTask(context.furniture)
+    free = (task.free_grip(group, part, grasp) for part in group.parts for grasp in range(GRASPS))
+    grips = [grip for grip in free if grip is not None]
     if not grips:
         return
-    far = np.maximum(*(_far(grips, g.world_from_furniture) for g in (group, goal)))
-    center = center_of_mass(planner.furniture, group)
-    lever = [float(np.linalg.norm(h.furniture_from_tips.translation - center)) for h in grips]
-    post = planner.state.placed[0].post.top[:2]
-    robots = sorted((0, 1), key=lambda r: float(np.linalg.norm(planner.state.robots[r].at[:2] - post)))
+    goal = _turned(context.furniture, group, stance, np.zeros(2))
+    far = np.maximum(*(_difficulty(grips, pose) for pose in (group.world_from_furniture, goal.world_from_furniture)))
+    center = center_of_mass(context.furniture, group)
+    lever = [float(np.linalg.norm(grip.furniture_from_tips.translation - center)) for grip in grips]
+    post = state.placed[0].post.top[:2]
+    robots = sorted((0, 1), key=lambda robot: float(np.linalg.norm(state.robots[robot].at[:2] - post)))
     for index in np.argsort(far + _LEVER * np.array(lever), kind="stable"):
         for robot in robots:
             yield grips[index], robot
 
 
-def _far(grips: list[Grip], pose: SE3) -> Float[np.ndarray, "n"]:
-    """How far each hand is from what an arm reaches in many ways, with the piece at a pose."""
+def _difficulty(grips: list[Grip], pose: SE3) -> Float[np.ndarray, "n"]:
+    """Return how far each hand is from what an arm reaches in many ways, with the piece at a pose."""
     tips = [pose * grip.furniture_from_tips for grip in grips]
     return nearness(Poses(np.array([t.rotation for t in tips]), np.array([t.translation for t in tips])))
 
 
-def _on_floor(planner: SegmentPlanner, group: Group, stance: Stance) -> Iterator[Group]:
-    """Where the piece may stand: in the middle of the cell, then elsewhere, turned about the vertical at random."""
+def _on_floor(context: StepContext, group: Group, stance: Stance, seed: np.random.SeedSequence) -> Iterator[Group]:
+    """Yield poses of the piece on the floor: in the middle of the cell, then elsewhere, turned at random."""
+    rng = np.random.default_rng(seed)
     for k in range(_SPOTS):
-        place = planner.rng.uniform(-_SPREAD, _SPREAD, 2) * planner.cell.radius * (k > 0)
-        turn = turn_about_vertical(planner.rng.uniform(-np.pi, np.pi) * (k > 0))
-        yield _turned(planner.furniture, group, replace(stance, rotation=turn @ stance.rotation), place)
+        place = rng.uniform(-_SPREAD, _SPREAD, 2) * context.cell.radius * (k > 0)
+        turn = turn_about_vertical(rng.uniform(-np.pi, np.pi) * (k > 0))
+        yield _turned(context.furniture, group, replace(stance, rotation=turn @ stance.rotation), place)

@@ -10,7 +10,8 @@
                       `_Upright`; absent if it is not assembled, or if nobody asked for it
     robots, posts     full only: both robots' configurations at first; where cups of posts ever end
 
-Version 1 had no `upright`; versions 1 and 2 called `segments` `legs`. All three are read.
+Version 1 had no `upright`; versions 1 and 2 had `legs` with a `name` instead of `segments` with a
+`stage`. All three are read.
 
 Poses are `(x, y, z, qw, qx, qy, qz)`, metres, world frame, z up, ground at z = 0. Between two way-points of `path` the
 translation is linear and the rotation spherical-linear, both from 0 to 1 together.
@@ -85,7 +86,8 @@ class _Furniture(msgspec.Struct):
 
 
 class _Segment(msgspec.Struct):
-    name: str
+    stage: str
+    """A value of `Stage`."""
     robot: int
     """Which moves; the other one stands still."""
     opening: float
@@ -297,7 +299,9 @@ def _segment(segment: Segment, posts: dict[int, int]) -> _Segment:
         group, tips = robot.payload.group, robot.payload.grip.furniture_from_tips
         held = {p: tips.actInv(pose) for p, pose in zip(group.parts, group.furniture_from_part, strict=True)}
     up = sorted(posts[id(stand)] for stand in segment.before.posts)
-    return _Segment(segment.name, segment.robot, robot.opening, [q.tolist() for q in segment.path], _placed(held), up)
+    return _Segment(
+        segment.stage.value, segment.robot, robot.opening, [q.tolist() for q in segment.path], _placed(held), up
+    )
 
 
 def _placed(poses: dict[int, SE3]) -> list[_Placed]:

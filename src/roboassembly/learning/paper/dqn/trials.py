@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from roboassembly.planning.problem import Budget
-from roboassembly.task.full.task import FullTask, FullVerdict, Refusal
+from roboassembly.task.full.failure import Failure, FullVerdict
+from roboassembly.task.full.task import FullTask
 from roboassembly.task.object_centric.task import ObjectCentricTask, ObjectCentricVerdict
 from roboassembly.task.rules.connections import GRASPS
 from roboassembly.task.rules.groups import Group, TaskState
@@ -106,10 +107,10 @@ class Held:
         *ends, way = names
         g_a, g_b = divmod(way, GRASPS)
         joint = self._task.mate_grasp(TaskState(groups), (*ends, g_a, g_b))
-        if not isinstance(joint, Refusal):
+        if not isinstance(joint, Failure):
             return Found(MERGES, [way], joint.merge.merged)
-        if joint.verdict is FullVerdict.GRASP_BLOCKED:
-            return Found(BLOCKED, _sharing(g_a, g_b, joint.segment == "grasp u", joint.segment == "grasp v"))
+        if joint.kind is FullVerdict.GRASP_BLOCKED:
+            return Found(BLOCKED, _sharing(g_a, g_b, joint.robot == 0, joint.robot == 1))
         return Found(BLOCKED, self._as_blocked(groups, names))
 
     def _as_blocked(self, groups: tuple[Group, Group], names: tuple[int, ...]) -> Sequence[int]:

@@ -21,8 +21,8 @@ from roboassembly.learning.datasets import CLOUD_POINTS, check_format, group_lab
 from roboassembly.learning.relational.policy_view import PolicyView
 from roboassembly.solvers.hand_oracle import HandOracle
 from roboassembly.solvers.oracle import LabeledMate
-from roboassembly.task.full.grips import Grip
-from roboassembly.task.full.task import FullTask, MateGrasp
+from roboassembly.task.full.grips import Grip, MateGrasp
+from roboassembly.task.full.task import FullTask
 from roboassembly.task.plans.full_plan import FullState
 from roboassembly.task.rollout import draw_seed, rollout
 from roboassembly.task.rules.connections import GRASPS

@@ -27,7 +27,9 @@ from roboassembly.learning.relational.grasps.dataset import NO, UNKNOWN, YES, Gr
 from roboassembly.learning.relational.policy import RelationalPolicy
 from roboassembly.parallel.processes import map_unordered
 from roboassembly.solvers.guide import Guide
-from roboassembly.task.full.task import FullOutcome, FullTask, FullVerdict, MateGrasp, Refusal
+from roboassembly.task.full.failure import PICKING, Failure, FullVerdict, Stage
+from roboassembly.task.full.grips import MateGrasp
+from roboassembly.task.full.task import FullOutcome, FullTask
 from roboassembly.task.plans.full_plan import FullState
 from roboassembly.task.rollout import draw_seed, rollout
 from roboassembly.task.rules.connections import GRASPS
@@ -40,8 +42,6 @@ _FIT_TESTS, _ARM_TESTS = 12, 3
 """Number of suggestions of a state of which it is tested whether the grasps fit; and, of those that do, whether the
 arms pick both groups and reach the mate."""
 _DOES_NOT_FIT = (FullVerdict.GRASP_BLOCKED, FullVerdict.JOINT_BLOCKED, FullVerdict.CANNOT_RELEASE)
-_PICKING = ("drive to", "grasp", "approach", "lift")
-"""First words of the segments in which a group is picked from its post."""
 
 
 def collect_on_policy(
@@ -146,12 +146,12 @@ def probe_grasps(
     for action in actions:
         u, v, k, l, g_a, g_b = action  # noqa: E741
         mate = task.mate_grasp(state.groups, action)
-        if isinstance(mate, Refusal) and mate.verdict is FullVerdict.WRONG_PAIR:
+        if isinstance(mate, Failure) and mate.kind is FullVerdict.WRONG_PAIR:
             continue
         if (u, v, k, l) not in samples:
             samples[u, v, k, l] = LabeledGrasps.unlabeled(task, state, observer, (u, k, v, l))
         sample = samples[u, v, k, l]
-        sample.fit[g_a, g_b] = NO if isinstance(mate, Refusal) else YES
+        sample.fit[g_a, g_b] = NO if isinstance(mate, Failure) else YES
         if isinstance(mate, MateGrasp) and arm_tests < _ARM_TESTS:
             arm_tests += 1
             sample.reach[g_a, g_b] = task.can_mate(state, mate, draw_seed(rng))
@@ -180,15 +180,16 @@ def label_outcome(
         sample.fit[both] = NO
         return sample
     sample.fit[both] = YES
-    if outcome.segment == "mate" and outcome.verdict is FullVerdict.NO_ARM_SOLUTION:
+    failure = outcome.failure
+    if failure == Failure(FullVerdict.NO_ARM_SOLUTION, Stage.MATE):
         sample.reach[both] = NO
         return sample
     sample.reach[both] = YES
-    if outcome.step is None and outcome.segment.startswith(_PICKING):
-        of_v = outcome.segment.endswith("v")
-        if of_v:
+    if failure is not None and failure.stage in PICKING:
+        # R_a picks first.
+        if failure.robot == 1:
             sample.pick[of_robot[0]] = YES
-        sample.pick[of_robot[of_v]] = NO
+        sample.pick[of_robot[failure.robot == 1]] = NO
         return sample
     sample.pick[of_robot[0]] = sample.pick[of_robot[1]] = YES
     sample.finish[both] = NO if outcome.step is None else YES
