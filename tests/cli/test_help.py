@@ -15,20 +15,20 @@ import pytest
 import tyro
 
 from roboassembly import cli
-from roboassembly.cli.flags import CONFIG, registry
+from roboassembly.cli.flags import CONFIG, command_registry
 
 NEGATIVE = ("Do not ", "Skip ", "Without ", "Never ")
 SWITCHES = {
     "--no-film": "Do not render assembly.mp4.",
     "--no-browser": "Do not open a browser window.",
-    "--no-search": "Do not search for another way where the policy's choice fails.",
-    "--no-cache": "Do not take over the result of an earlier import of the same files.",
+    "--no-search": "Do not search for another action if the policy's action fails.",
+    "--no-cache": "Do not reuse the result of an earlier import of the same files.",
 }
 
 
 def classes() -> Iterator[type]:
     """The data classes of all commands."""
-    todo: list[object] = [cli._Command]
+    todo: list[object] = [cli.Command]
     while todo:
         kind = todo.pop()
         if dataclasses.is_dataclass(kind) and isinstance(kind, type):
@@ -128,9 +128,9 @@ class Example:
 
 
 def test_a_new_switch_gets_the_right_text(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    monkeypatch.setattr("roboassembly.cli.flags._PACKAGE", __name__)
+    monkeypatch.setattr("roboassembly.cli.flags.PACKAGE", __name__)
     monkeypatch.setenv("NO_COLOR", "1")
-    with registry():
+    with command_registry():
         assert tyro.cli(Example, args=["--no-colour"], config=CONFIG) == Example(colour=False)
         assert tyro.cli(Example, args=["--size", "3"], config=CONFIG) == Example(size=3)
         with pytest.raises(SystemExit):

@@ -11,7 +11,7 @@ import pytest
 import trimesh
 
 from roboassembly.cli import main
-from roboassembly.cli.importing import Kind, _names
+from roboassembly.cli.importing import Kind, piece_names
 from roboassembly.cli.output import writable_folder
 from roboassembly.furniture import storage
 from roboassembly.importers import IMPORTERS
@@ -55,7 +55,7 @@ def test_a_folder_of_parts(tmp_path, capsys):
 
 def test_up_is_for_folders(tmp_path, capsys):
     assert run("import", "partnet", tmp_path, "--up", "y") == 2
-    assert "--up y is for 'folder'" in capsys.readouterr().err
+    assert "--up y is for the format 'folder'" in capsys.readouterr().err
     table(tmp_path / "in")
     assert run("import", "folder", tmp_path / "in", "--up=-z", "--out", tmp_path / "out", "--json") == 0
     slots = storage.load(tmp_path / "out")
@@ -89,4 +89,4 @@ def test_names_are_different(tmp_path):
     for path in paths[:4]:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.touch()
-    assert _names(paths) == ["p_chair", "p_stool", "p_chair_2", "p_stool_2", "q_chair"]
+    assert piece_names(paths) == ["p_chair", "p_stool", "p_chair_2", "p_stool_2", "q_chair"]

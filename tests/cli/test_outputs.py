@@ -52,7 +52,7 @@ def test_import_refuses_a_name_that_exists(run: Run, tmp_path: Path) -> None:
     other = table(tmp_path / "other", 0.6)
     status, printed, err = run("import", "folder", other, "--out", out)
     assert (status, printed) == (2, "")
-    assert the_one_line(err) == f"error: '{out}' exists already; --force replaces it, --out names another place"
+    assert the_one_line(err) == f"error: '{out}' exists already; replace it with --force or choose another --out"
     assert state(out) == before
     assert run("import", "folder", other, "--out", out, "--force")[0] == 0
     assert storage.load(out).provenance.identifier == "other"
@@ -81,8 +81,8 @@ def test_many_pieces_of_which_some_exist(run: Run, tmp_path: Path) -> None:
     report = json.loads(printed)
     assert (status, report["imported"], report["refused"]) == (0, 2, 1)
     errors = {item["name"]: item["error"] for item in report["items"]}
-    assert errors == {"one": None, "three": None, "two": f"'{out / 'two'}' exists already; --force replaces it, --out "
-                      "names another place"}  # fmt: skip
+    assert errors == {"one": None, "three": None, "two": f"'{out / 'two'}' exists already; replace it with --force "
+                      "or choose another --out"}  # fmt: skip
     assert state(out / "two") == before
     status, printed, _ = run("import", "folder", tmp_path / "in", "--out", out, "--jobs", "1")
     assert (status, printed.strip()) == (2, "0 imported, 3 refused")
@@ -175,7 +175,7 @@ def test_importing_a_parent_folder_passes_over_earlier_results(
     assert status == 0
     assert [item["name"] for item in report["items"]] == finished == ["table"]
     assert {Path(p).name for p in report["skipped"]} == {"table", "exported", "furniture", ".killed-x1y2", "new"}
-    assert "passed over earlier results: " in err
+    assert "skipped furniture folders of this program: " in err
     before = state(tmp_path / "new")
     status, _, err = run("import", "folder", ".", "--out", "new", "--jobs", "1")
     assert (status, state(tmp_path / "new")) == (2, before)
@@ -201,7 +201,7 @@ def test_generate_refuses_what_exists(run: Run, tmp_path: Path, monkeypatch: pyt
     for more in ((), ("--out", "stool-0")):
         status, printed, err = run("generate", "stool", *more)
         assert (status, printed, state(tmp_path)) == (2, "", before)
-        assert "'stool-0' exists already; --force replaces it" in the_one_line(err)
+        assert "'stool-0' exists already; replace it with --force" in the_one_line(err)
     assert run("generate", "stool", "--seed", "1", "--out", "stool-0", "--force")[0] == 0
     assert storage.load(tmp_path / "stool-0").name == "stool-1"
     (tmp_path / "letters").mkdir()
@@ -214,7 +214,7 @@ def test_export_refuses_what_exists(run: Run, tmp_path: Path) -> None:
     (tmp_path / "stool-0.xml").write_text("<mujoco/>")
     status, printed, err = run("export", "mjcf", "stool", "--out", tmp_path)
     assert (status, printed) == (2, "")
-    assert f"'{tmp_path / 'stool-0.xml'}' exists already; --force" in the_one_line(err)
+    assert f"'{tmp_path / 'stool-0.xml'}' exists already; replace it with --force" in the_one_line(err)
     assert state(tmp_path) == {"stool-0.xml": b"<mujoco/>"}
     assert run("export", "urdf", "stool", "--out", tmp_path)[0] == 0
     assert run("export", "mjcf", "stool", "--out", tmp_path, "--force")[0] == 0
@@ -240,12 +240,12 @@ def test_assemble_replaces_its_own_results_and_nothing_else(run: Run, tmp_path: 
     command = ("assemble", tmp_path / "desk" / "furniture", "--no-film", "--policy", "none", "--out")
     status, printed, err = run(*command, tmp_path / "desk")
     assert (status, printed) == (2, "")
-    assert f"'{tmp_path / 'desk' / 'furniture'}' comes from no earlier assembly" in the_one_line(err)
+    assert f"'{tmp_path / 'desk' / 'furniture'}' is not a result of an earlier run" in the_one_line(err)
     assert state(tmp_path / "desk" / "furniture") == before
 
     (tmp_path / "plans").mkdir()
     (tmp_path / "plans" / "plan.json").write_text('{"holiday": "Crete"}')
-    assert "is no plan of this program" in the_one_line(run(*command, tmp_path / "plans")[2])
+    assert "is not a plan of this program" in the_one_line(run(*command, tmp_path / "plans")[2])
     assert state(tmp_path / "plans") == {"plan.json": b'{"holiday": "Crete"}'}
 
     for _ in range(2):
@@ -261,12 +261,12 @@ def test_a_set_is_not_built_anew_with_another_seed(
     monkeypatch.setattr("roboassembly.solvers.dataset_builder.build_dataset", lambda *_: iter([(1, 1)]))
     status, printed, err = run("dataset", "build", "chairs-24", "--seed", "7")
     assert (status, printed) == (2, "")
-    assert the_one_line(err) == "error: chairs-24 is built already with seed 0; --force builds it again with seed 7"
+    assert the_one_line(err) == "error: data set chairs-24 was built with seed 0, not 7; replace it with --force"
     assert path.read_bytes() == before
     assert run("dataset", "build", "chairs-24")[0] == 0
     assert run("dataset", "build", "chairs-24", "--seed", "7", "--force")[0] == 0
     path.write_bytes(msgspec.json.encode({"format": "old"}))
-    assert "is built already" not in run("dataset", "build", "chairs-24", "--seed", "7")[2]
+    assert "was built with seed" not in run("dataset", "build", "chairs-24", "--seed", "7")[2]
 
 
 # Folders that cannot be written

@@ -136,7 +136,7 @@ def test_crashes_warnings_and_log_messages() -> None:
         "    thread.start()\n"
         "    thread.join()\n"
         f"    raise RuntimeError({NASTY!r})\n"
-        "cli.Assemble.run = run\n"
+        "cli.AssembleCommand.run = run\n"
         "cli.main(['assemble'])\n"
     )
     status, out, err = command(code=code)

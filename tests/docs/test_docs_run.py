@@ -48,7 +48,7 @@ SMALLER = [
     (r"roboassembly train expert .*", "--limit 1 --jobs 1", "hours for 220 chairs"),
     (r"roboassembly train multitask --preset paper .*", "--steps 20 --jobs 1", "half an hour"),
     (r"roboassembly train multitask --setting full .*",
-     "--limit 1 --extra 0 --plays 1 --steps 2 --round-steps 2 --jobs 1", "a day"),
+     "--limit 1 --extra 0 --episodes 1 --steps 2 --round-steps 2 --jobs 1", "a day"),
     (r"roboassembly train multitask", "--limit 1 --extra 0 --steps 2 --jobs 1", "hours"),
     (r"roboassembly bench .*", "--quick", "minutes"),
     (r"python examples/05_masked_ppo\.py.*", "--steps 256", "minutes"),

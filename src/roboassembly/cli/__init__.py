@@ -11,87 +11,88 @@ from typing import Annotated, Any
 
 import tyro
 
-from roboassembly.cli.assemble import Assemble
-from roboassembly.cli.bench import Bench
-from roboassembly.cli.benchmark import Benchmark
-from roboassembly.cli.dataset import Dataset
-from roboassembly.cli.evaluate import Evaluate
-from roboassembly.cli.export import Export
-from roboassembly.cli.flags import CONFIG, registry
-from roboassembly.cli.generate import Generate
-from roboassembly.cli.importing import Import
-from roboassembly.cli.output import DONE_BADLY, guard_terminal, plain, print_json, reader_may_leave, say, show
-from roboassembly.cli.train import Train
-from roboassembly.cli.view import View
+from roboassembly.cli.assemble import AssembleCommand
+from roboassembly.cli.bench import BenchCommand
+from roboassembly.cli.benchmark import BenchmarkCommand
+from roboassembly.cli.dataset import DatasetCommand
+from roboassembly.cli.evaluate import EvaluateCommand
+from roboassembly.cli.export import ExportCommand
+from roboassembly.cli.flags import CONFIG, command_registry
+from roboassembly.cli.generate import GenerateCommand
+from roboassembly.cli.importing import ImportCommand
+from roboassembly.cli.output import FAILED, allow_closed_stdout, guard_terminal, plain, print_json, say, show
+from roboassembly.cli.train import TrainCommand
+from roboassembly.cli.view import ViewCommand
 from roboassembly.errors import InputError, RoboAssemblyError
 
-_Command = (
-    Annotated[Assemble, tyro.conf.subcommand("assemble")]
-    | Annotated[View, tyro.conf.subcommand("view")]
-    | Annotated[Import, tyro.conf.subcommand("import")]
-    | Annotated[Generate, tyro.conf.subcommand("generate")]
-    | Annotated[Export, tyro.conf.subcommand("export")]
-    | Annotated[Dataset, tyro.conf.subcommand("dataset")]
-    | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
-    | Annotated[Train, tyro.conf.subcommand("train")]
-    | Annotated[Benchmark, tyro.conf.subcommand("benchmark")]
-    | Annotated[Bench, tyro.conf.subcommand("bench")]
+Command = (
+    Annotated[AssembleCommand, tyro.conf.subcommand("assemble")]
+    | Annotated[ViewCommand, tyro.conf.subcommand("view")]
+    | Annotated[ImportCommand, tyro.conf.subcommand("import")]
+    | Annotated[GenerateCommand, tyro.conf.subcommand("generate")]
+    | Annotated[ExportCommand, tyro.conf.subcommand("export")]
+    | Annotated[DatasetCommand, tyro.conf.subcommand("dataset")]
+    | Annotated[EvaluateCommand, tyro.conf.subcommand("evaluate")]
+    | Annotated[TrainCommand, tyro.conf.subcommand("train")]
+    | Annotated[BenchmarkCommand, tyro.conf.subcommand("benchmark")]
+    | Annotated[BenchCommand, tyro.conf.subcommand("bench")]
 )
+"""All commands."""
 
 
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EACCES, errno.EPERM)
-"""Disks that are full or may not be written; it may turn out in the middle of a command."""
+"""Errors of a disk that is full or read-only; they can occur in the middle of a command."""
 
 
 def parse(arguments: Sequence[str] | None = None) -> Any:
-    """The command that a line asks for, not run yet; exits with 0 after `--help`, with 2 if there is no such command.
+    """Parse a command line and return the command, not run yet; exits with 0 after `--help` and with 2 after an error.
 
     Args:
-        arguments: the words after `roboassembly`; the process's own if None.
+        arguments: arguments after `roboassembly`; those of the process if None.
     """
-    words = list(sys.argv[1:] if arguments is None else arguments)
-    if all(plain(word) == word for word in words):
-        return _parsed(words)
-    # The parser repeats what it does not understand, control characters included.
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    if all(plain(argument) == argument for argument in given):
+        return _parse(given)
+    # Errors of the parser repeat the arguments, with their control characters.
     out, err = io.StringIO(), io.StringIO()
     try:
         with redirect_stdout(out), redirect_stderr(err):
-            return _parsed(words)
+            return _parse(given)
     finally:
         show(*out.getvalue().splitlines())
         say(*err.getvalue().splitlines())
 
 
-def _parsed(words: Sequence[str]) -> Any:
-    with registry(), reader_may_leave():
+def _parse(arguments: Sequence[str]) -> Any:
+    with command_registry(), allow_closed_stdout():
         return tyro.cli(
-            _Command,  # pyright: ignore[reportArgumentType]
+            Command,  # pyright: ignore[reportArgumentType]
             prog="roboassembly",
             description="Plan, simulate and learn furniture assembly.",
-            args=words,
+            args=arguments,
             config=CONFIG,
         )
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run one command and exit: 0 done, 1 not solved or not possible here, 2 bad input."""
+    """Run a command and exit with 0 (done), 1 (not solved, or not possible on this machine) or 2 (bad input)."""
     guard_terminal()
     command = parse(arguments)
     try:
         status = command.run()
     except RoboAssemblyError as error:
-        status = _failed(command, str(error), 2 if isinstance(error, InputError) else DONE_BADLY)
+        status = _report_failure(command, str(error), 2 if isinstance(error, InputError) else FAILED)
     except OSError as error:
         if error.errno not in _NO_ROOM:
             raise
-        status = _failed(command, f"cannot write {error.filename or 'all of it'}: {error.strerror}", DONE_BADLY)
+        status = _report_failure(command, f"cannot write {error.filename or 'the results'}: {error.strerror}", FAILED)
     except KeyboardInterrupt:
         say("interrupted")
         status = 130
     sys.exit(status)
 
 
-def _failed(command: Any, reason: str, status: int) -> int:
+def _report_failure(command: Any, reason: str, status: int) -> int:
     say(f"error: {reason}")
     if command.json:
         print_json({"success": False, "error": reason})

@@ -1,4 +1,4 @@
-"""`roboassembly assemble`: from furniture to a plan, a page to turn in the browser, and a film."""
+"""`roboassembly assemble`: plan the assembly of one piece, and write the plan, a web page and a film."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from roboassembly.cli.options import Execution, Setting
+from roboassembly.cli.options import Execution, Setting, require_at_least
 from roboassembly.cli.output import (
     DONE,
-    DONE_BADLY,
+    FAILED,
     check_writable,
     print_json,
     refuse_furniture_folder,
@@ -35,39 +35,38 @@ NO_POLICY = "none"
 
 
 @dataclass(frozen=True)
-class Assemble:
-    """Find out how furniture is put together without a collision, and show it."""
+class AssembleCommand:
+    """Plan a collision-free assembly of furniture, and write the plan, a web page and a film."""
 
     furniture: Annotated[str, tyro.conf.Positional] = "ladder"
-    """A built-in piece (`ladder`, or `windsor:3` for another of its family) or a furniture folder."""
+    """A built-in piece (`FAMILY` or `FAMILY:SEED`, such as `windsor:3`) or a furniture folder."""
     setting: Setting = "object-centric"
     """What moves the parts. object-centric: parts move by themselves. full: two mobile Franka robots move them."""
     execution: Execution = "kinematic"
-    """How the robots of --setting full move. kinematic: paths are planned and checked. dynamic: actuated robots carry
-    the plan out in physics as well."""
+    """How the robots of --setting full move. kinematic: their paths are planned and checked for collisions. dynamic:
+    actuated robots also execute the plan in a physics simulation."""
     seed: int = 0
-    """Random seed: where the parts lie at first, and what the planner draws."""
+    """Random seed of the initial placement and of the planner."""
     out: Path = Path("assembly")
-    """Folder for the results: plan.json, timings.json, assembly.html, assembly.mp4 and the furniture. Results of an
-    earlier run in it are replaced."""
+    """Folder for the results: plan.json, timings.json, assembly.html, assembly.mp4 and furniture/. The results of an
+    earlier run are replaced."""
     policy: str = "relational"
-    """What guides the search: `relational` (the trained policy of the package), a checkpoint, a Python file of your
-    own, which is executed (docs/your-own-policy.md), or `none`."""
+    """Policy that guides the search: `relational` (the trained policy of this package), a checkpoint, your own Python
+    file, which is executed (docs/your-own-policy.md), or `none`."""
     search: bool = True
-    """Search for another way where the policy's choice fails."""
+    """Search for another action if the policy's action fails."""
     film: bool = True
     """Render assembly.mp4."""
     json: bool = False
-    """Print one JSON object on stdout, all else on stderr."""
+    """Print one JSON object on stdout and everything else on stderr."""
 
     def run(self) -> int:
-        """Do it; returns the exit status."""
-        if self.seed < 0:
-            raise InputError(f"--seed {self.seed} is negative; 0 or more would do")
+        """Run the command; returns the exit status."""
+        require_at_least(0, seed=self.seed)
         if not self.search and self.policy == NO_POLICY:
-            raise InputError("--no-search needs a --policy to play alone; 'relational' would do")
+            raise InputError("--no-search needs a policy, but --policy is none; use --policy relational")
         if self.execution == "dynamic" and self.setting != "full":
-            raise InputError("--execution dynamic takes --setting full: there are no robots in the other one")
+            raise InputError("--execution dynamic needs robots; add --setting full")
         self._check_out()
         from roboassembly.datasets import catalogue
         from roboassembly.task.object_centric.upright import set_upright
@@ -80,8 +79,8 @@ class Assemble:
         solved = time.perf_counter() - started
         if result.plan.success:
             say(
-                f"assembled in {len(result.plan.steps)} merges{self._told(result)}: {result.planning_steps} states "
-                f"checked, {result.planning_seconds:.2f} s of planning, {solved:.2f} s in all"
+                f"assembled in {len(result.plan.steps)} merges{self._policy_share(result)}: {result.planning_steps} "
+                f"states checked, {result.planning_seconds:.2f} s of planning, {solved:.2f} s in total"
             )
         else:
             say(f"not assembled: {result.reason}")
@@ -115,13 +114,13 @@ class Assemble:
             print_json(report)
         else:
             show(*outputs.values())
-        return DONE if success else DONE_BADLY
+        return DONE if success else FAILED
 
     def _check_out(self) -> None:
-        """Refuse a folder that cannot be written, or that holds what no earlier assembly wrote.
+        """Check that the results can be written and replace nothing but earlier results.
 
         Raises:
-            InputError: naming it, and what would do.
+            InputError: the folder cannot be written, or contains files of other origin.
         """
         from roboassembly.task.plans import plan_file
 
@@ -129,12 +128,14 @@ class Assemble:
         refuse_furniture_folder(self.out)
         plan, furniture = self.out / "plan.json", self.out / "furniture"
         if plan.exists() and not plan_file.is_plan(plan):
-            raise InputError(f"'{plan}' is no plan of this program; name another --out, or move the file")
+            raise InputError(f"'{plan}' is not a plan of this program; choose another --out, or move the file")
         if furniture.exists() and not plan.exists():
-            raise InputError(f"'{furniture}' comes from no earlier assembly; name another --out, it would be replaced")
+            raise InputError(
+                f"'{furniture}' is not a result of an earlier run and would be replaced; choose another --out"
+            )
 
     def _solver(self) -> Callable[[Furniture], SearchResult[Any]]:
-        """What finds the plan. A policy that is of no use is told before anything is done."""
+        """Return the function that finds the plan; a policy that cannot be used raises an error here."""
         from roboassembly.solvers.search import SearchResult, solve, solve_full
 
         solver: Any = solve_full if self.setting == "full" else solve
@@ -149,9 +150,9 @@ class Assemble:
             return partial(solver, seed=self.seed, guide=guide_of(policy))
         from roboassembly.evaluation.rollout import rollout_policy
 
-        def alone(furniture: Furniture) -> SearchResult[Any]:
+        def run_policy(furniture: Furniture) -> SearchResult[Any]:
             done = rollout_policy(policy, furniture, self.seed, self.setting)
-            failed = f"{self.policy} alone: merge {len(done.actions)} ended as {done.verdict}"
+            failed = f"policy {self.policy} without search: merge {len(done.actions)} ended as {done.verdict}"
             return SearchResult(
                 plan=done.plan,
                 planning_steps=done.planning_steps,
@@ -163,25 +164,25 @@ class Assemble:
                 guide_seconds=done.policy_seconds,
             )
 
-        return alone
+        return run_policy
 
     def _executed(self, plan: FullPlan) -> dict[str, Any]:
-        """Carry a plan out in physics; what to tell of it."""
+        """Execute a plan in physics and return the report."""
         from roboassembly.task.full.execution import execute_plan, execute_upright, in_all
 
-        say("carrying it out ...")
+        say("executing the plan ...")
         merges = execute_plan(plan)
         done = in_all(plan, merges, execute_upright(plan) if all(m.success for m in merges) else None)
         if not done.reason:
-            say(f"carried out in {done.simulated_seconds} simulated s: fingers at most {done.tracking_error_mm} mm off "
-                f"their paths, joints {done.joint_error_mm} mm")  # fmt: skip
+            say(f"executed in {done.simulated_seconds} s of simulated time: largest error of the fingers "
+                f"{done.tracking_error_mm} mm, of the joints {done.joint_error_mm} mm")  # fmt: skip
         else:
-            say(f"not carried out: {done.reason}")
+            say(f"not executed: {done.reason}")
         if done.upright is not None:
             say("set upright in physics" if done.upright else f"not set upright in physics: {done.upright_reason}")
         return asdict(done)
 
-    def _told(self, result: SearchResult[Any]) -> str:
+    def _policy_share(self, result: SearchResult[Any]) -> str:
         return "" if self.policy == NO_POLICY else f", {result.guided} of them chosen by {self.policy}"
 
     def _write(self, result: SearchResult[Any], solved: float) -> dict[str, str]:
@@ -195,11 +196,11 @@ class Assemble:
         plan = result.plan
         outputs: dict[str, str] = {}
 
-        def wrote(name: str, path: Path) -> None:
+        def add_output(name: str, path: Path) -> None:
             outputs[name] = str(path)
 
         plan_file.write(plan, folder / "plan.json")
-        wrote("plan", folder / "plan.json")
+        add_output("plan", folder / "plan.json")
         timings = {
             "planning_seconds": result.planning_seconds,
             "solve_seconds": solved,
@@ -211,25 +212,25 @@ class Assemble:
             "upright_seconds": 0.0 if plan.upright is None else plan.upright.planning_seconds,
         }
         (folder / "timings.json").write_text(jsonlib.dumps(timings, indent=1) + "\n")
-        wrote("timings", folder / "timings.json")
-        wrote("furniture", storage.save(plan.furniture, folder / "furniture"))
+        add_output("timings", folder / "timings.json")
+        add_output("furniture", storage.save(plan.furniture, folder / "furniture"))
         write_html(plan, folder / "assembly.html")
-        wrote("html", folder / "assembly.html")
+        add_output("html", folder / "assembly.html")
         if self.film:
             say("rendering the film ...")
             try:
                 write_film(plan, folder / "assembly.mp4")
-                wrote("film", folder / "assembly.mp4")
+                add_output("film", folder / "assembly.mp4")
             except RenderingUnavailableError as error:
                 say(f"no film: {error}")
         if "film" not in outputs:
-            # A film of an earlier run would show another plan.
+            # The film of an earlier run would show another plan.
             (folder / "assembly.mp4").unlink(missing_ok=True)
         return outputs
 
 
 def _upright_line(result: UprightResult[Any]) -> str:
-    """Whether the assembled piece ends on its feet."""
+    """Return a line that says whether the piece stands on its feet."""
     if not result.success:
         return f"not set upright: {result.reason}"
     if result.motion is None:
@@ -238,10 +239,10 @@ def _upright_line(result: UprightResult[Any]) -> str:
 
 
 def _upright_end(planned: UprightResult[Any] | None, executed: dict[str, Any]) -> tuple[bool, str]:
-    """Whether the piece stands on its feet at the end of all, in physics too if it was carried out; and why not."""
+    """Return whether the piece stands on its feet at the end, in physics too if it was executed; and why not."""
     if planned is None:
         return False, "not assembled"
     if not planned.success or not executed or executed["upright"]:
         return planned.success, planned.reason
     why = executed["upright_reason"] or executed["reason"]
-    return False, f"planned, but not carried out: {why}"
+    return False, f"planned, but not executed: {why}"

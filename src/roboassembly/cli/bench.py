@@ -1,4 +1,4 @@
-"""`roboassembly bench`: how fast, against what people would use instead, in the same run."""
+"""`roboassembly bench`: speed of planning beside other software, measured in the same run."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
+from roboassembly.cli.options import require_at_least
 from roboassembly.cli.output import DONE, print_json, say, show
-from roboassembly.errors import InputError
 
 if TYPE_CHECKING:
     from roboassembly.bench.planning import PlanningBenchReport
@@ -16,42 +16,42 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Bench:
-    """Measure the speed of planning, next to OMPL with PyBullet and with python-fcl as collision checkers."""
+class BenchCommand:
+    """Measure the speed of planning, beside OMPL with PyBullet and with python-fcl as collision checkers."""
 
     what: Annotated[Literal["planning", "robots"], tyro.conf.Positional] = "planning"
-    """What to measure. planning: parts that move by themselves. robots: motions of two mobile Franka robots."""
+    """What to measure. planning: motions of parts. robots: motions of two mobile Franka robots."""
     furniture: str = "stool"
-    """Piece that the robots assemble (robots)."""
+    """Piece that the robots assemble; for `robots` only."""
     chairs: int = 3
-    """Number of chairs of 15 parts whose merges are planned (planning)."""
+    """Number of chairs of 15 parts; for `planning` only."""
     seed: int = 0
     """Random seed of the planners."""
     quick: bool = False
-    """Plan a few merges only, to see that it works."""
+    """Plan a few merges only, as a test of the installation."""
     json: bool = False
-    """Print one JSON object on stdout, all else on stderr."""
+    """Print one JSON object on stdout and everything else on stderr."""
 
     def run(self) -> int:
-        """Do it; returns the exit status."""
-        if self.chairs < 1:
-            raise InputError(f"--chairs {self.chairs}; 1 or more would do")
-        if self.seed < 0:
-            raise InputError(f"--seed {self.seed} is negative; 0 or more would do")
+        """Run the command; returns the exit status."""
+        require_at_least(1, chairs=self.chairs)
+        require_at_least(0, seed=self.seed)
         if self.what == "robots":
             return self._robots()
         from roboassembly.bench.planning import PlanningBenchConfig, run_planning_bench
 
         config = PlanningBenchConfig.quick() if self.quick else PlanningBenchConfig(chairs=self.chairs)
-        return self._told(run_planning_bench(replace(config, seed=self.seed), progress=say))
+        return self._print_report(run_planning_bench(replace(config, seed=self.seed), progress=say))
 
     def _robots(self) -> int:
         from roboassembly.bench.robots import run_robot_bench
 
         states, merges = (200, 1) if self.quick else (2_000, None)
-        return self._told(run_robot_bench(self.furniture, seed=self.seed, states=states, merges=merges, progress=say))
+        return self._print_report(
+            run_robot_bench(self.furniture, seed=self.seed, states=states, merges=merges, progress=say)
+        )
 
-    def _told(self, report: PlanningBenchReport | RobotBenchReport) -> int:
+    def _print_report(self, report: PlanningBenchReport | RobotBenchReport) -> int:
         if self.json:
             print_json(report.to_json())
         else:

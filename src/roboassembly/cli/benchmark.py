@@ -1,4 +1,4 @@
-"""`roboassembly benchmark`: the paper's table, ours beside it."""
+"""`roboassembly benchmark`: the paper's table, with the results of this package beside it."""
 
 from __future__ import annotations
 
@@ -6,53 +6,50 @@ import json
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from roboassembly.cli.multitask import PACKAGES, follow, needs
-from roboassembly.cli.options import CORES, Jobs, Ray, Setting
+from roboassembly.cli.multitask import PACKAGES, follow, require_packages
+from roboassembly.cli.options import CORES, Jobs, Ray, Setting, require_at_least
 from roboassembly.cli.output import DONE, check_writable_file, print_json, show, writable_folder
-from roboassembly.errors import InputError
 from roboassembly.parallel.processes import use_cluster
 
 
 @dataclass(frozen=True)
-class Benchmark:
-    """Make the paper's table; the same command continues a run that was stopped."""
+class BenchmarkCommand:
+    """Reproduce the paper's table; run the same command again to resume an interrupted run."""
 
     setting: Setting = "object-centric"
     """What moves the parts. object-centric: parts move by themselves. full: two mobile Franka robots move them."""
     quick: bool = False
-    """Run all of it on a tiny scale in three minutes, to see that it works."""
+    """Run everything on a tiny scale, in about three minutes, as a test of the installation."""
     retrain: bool = False
-    """Train the relational policy too, instead of taking the one that comes with the package."""
+    """Train the relational policy as well, instead of using the one of this package."""
     real: tuple[str, ...] = ()
-    """Sets of real furniture to measure as well, each `folder:PATH` of a folder of furniture folders."""
+    """Sets of real furniture to evaluate as well; each is `folder:PATH`, a folder of furniture folders."""
     sample: int | None = None
-    """Measure on only SAMPLE pieces of each set, drawn by the seed."""
+    """Evaluate on SAMPLE random pieces of each set."""
     experts: int | None = None
-    """Train experts for only EXPERTS of the training pieces, drawn by the seed."""
+    """Train experts for EXPERTS random training pieces only."""
     out: Path | None = None
-    """Folder of the run. Without it: runs/benchmark, with -full and -quick appended for these."""
+    """Folder of the run. Without it: runs/benchmark, with the suffix -full or -quick if these are set."""
     write: Path | None = None
-    """Document, like docs/results.md, whose table between the marks is replaced by the new one."""
+    """Document, such as docs/results.md, in which the table between the markers is replaced."""
     seed: int = 0
     """Random seed of the whole run."""
     jobs: Jobs = CORES
     """Number of processes."""
     ray: Ray = None
     json: bool = False
-    """Print one JSON object on stdout, all else on stderr."""
+    """Print one JSON object on stdout and everything else on stderr."""
 
     def run(self) -> int:
-        """Do it; returns the exit status."""
-        if self.seed < 0 or self.jobs < 1:
-            raise InputError("--seed takes 0 or more, --jobs takes 1 or more")
-        if min(n for n in (self.sample, self.experts, 1) if n is not None) < 1:
-            raise InputError("--sample and --experts take 1 or more")
-        needs(*PACKAGES)
+        """Run the command; returns the exit status."""
+        require_at_least(0, seed=self.seed)
+        require_at_least(1, jobs=self.jobs, sample=self.sample, experts=self.experts)
+        require_packages(*PACKAGES)
         from roboassembly.datasets.sets import furniture_refs
         from roboassembly.evaluation import benchmark
 
-        usual = "runs/benchmark" + "-full" * (self.setting == "full") + "-quick" * self.quick
-        out = self.out or Path(usual)
+        default = "runs/benchmark" + "-full" * (self.setting == "full") + "-quick" * self.quick
+        out = self.out or Path(default)
         writable_folder(out)
         for real in self.real:
             furniture_refs(real)
@@ -67,14 +64,14 @@ class Benchmark:
         )  # fmt: skip
         with use_cluster(self.ray, self.jobs) as jobs:
             follow(benchmark.run(plan, out, jobs), out)
-        told = benchmark.report(plan, out)
-        lines = benchmark.table(told)
-        (out / "benchmark.json").write_text(json.dumps(told, indent=1) + "\n")
+        report = benchmark.report(plan, out)
+        lines = benchmark.table(report)
+        (out / "benchmark.json").write_text(json.dumps(report, indent=1) + "\n")
         (out / "table.md").write_text("\n".join(lines) + "\n")
         if self.write is not None:
             benchmark.put_into(self.write, lines, self.setting)
         if self.json:
-            print_json(told)
+            print_json(report)
         else:
             show(*lines)
         return DONE

@@ -8,34 +8,34 @@ from typing import Annotated, Literal
 
 import tyro
 
-from roboassembly.cli.options import CORES, Jobs, Ray
+from roboassembly.cli.options import CORES, Jobs, Ray, require_at_least
 from roboassembly.cli.output import DONE, check_writable, print_json, progress_bar, show
 from roboassembly.errors import InputError
 from roboassembly.parallel.processes import use_cluster
 
 
 @dataclass(frozen=True)
-class Dataset:
-    """Build, list or show data sets of certified furniture."""
+class DatasetCommand:
+    """Build, list or show data sets of generated furniture."""
 
     what: Annotated[Literal["build", "list", "show"], tyro.conf.Positional]
-    """build: make the set; if it is stopped, the same command continues. list: name all sets. show: describe one."""
+    """build: generate a set; run it again to resume an interrupted run. list: list all sets. show: describe a set."""
     name: Annotated[str, tyro.conf.Positional] = "chairs-412"
     """Name of the set."""
     seed: int = 0
-    """Random seed of `build`: another seed makes a set of other chairs."""
+    """Random seed of `build`; another seed gives other chairs."""
     jobs: Jobs = CORES
-    """Number of chairs to work on at the same time."""
+    """Number of processes."""
     ray: Ray = None
     force: bool = False
-    """Build the set again if it is there already, made with another seed."""
+    """Build the set again if it was built with another seed."""
     json: bool = False
-    """Print one JSON object on stdout, all else on stderr."""
+    """Print one JSON object on stdout and everything else on stderr."""
 
     def run(self) -> int:
-        """Do it; returns the exit status."""
-        if self.seed < 0 or self.jobs < 1:
-            raise InputError(f"--seed {self.seed} --jobs {self.jobs}: 0 or more, and 1 or more, would do")
+        """Run the command; returns the exit status."""
+        require_at_least(0, seed=self.seed)
+        require_at_least(1, jobs=self.jobs)
         from roboassembly.datasets import sets as datasets
 
         if self.what == "list":
@@ -56,10 +56,10 @@ class Dataset:
         return self._show()
 
     def _check_built(self) -> None:
-        """Refuse to replace a set that others may have results for.
+        """Check that building replaces no set of another seed, for which results may exist.
 
         Raises:
-            InputError: it is built with another seed, or the folder cannot be written.
+            InputError: the set was built with another seed, or the folder cannot be written.
         """
         from roboassembly.datasets import sets as datasets
 
@@ -70,10 +70,10 @@ class Dataset:
         try:
             built = datasets.load_manifest(self.name)
         except InputError:
-            return  # of an older version, or broken: it is of no use to anybody
+            return  # a set of an older version, or a broken one, may be replaced
         if built.seed != self.seed:
             raise InputError(
-                f"{self.name} is built already with seed {built.seed}; --force builds it again with seed {self.seed}"
+                f"data set {self.name} was built with seed {built.seed}, not {self.seed}; replace it with --force"
             )
 
     def _build(self) -> None:
@@ -84,15 +84,15 @@ class Dataset:
             use_cluster(self.ray, self.jobs) as jobs,
             progress_bar(desc=f"building {self.name}", unit="chair") as progress,
         ):
-            for done, of in build_dataset(RECIPES[self.name], self.seed, jobs):
-                progress.total = of
+            for done, total in build_dataset(RECIPES[self.name], self.seed, jobs):
+                progress.total = total
                 progress.update(done - progress.n)
 
     def _show(self) -> int:
         from roboassembly.datasets import sets as datasets
 
         manifest = datasets.load_manifest(self.name)
-        summary = {}
+        summary: dict[str, dict[str, float]] = {}
         for split in (datasets.EASY, datasets.HARD, datasets.TEST):
             entries = [e for e in manifest.entries if e.split == split]
             summary[split] = {

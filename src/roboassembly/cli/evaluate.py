@@ -1,4 +1,4 @@
-"""`roboassembly evaluate`: success and planning effort of a way of assembling on a set."""
+"""`roboassembly evaluate`: success rate and planning effort of a policy or a solver on a set of furniture."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from roboassembly.cli.options import CORES, Execution, Jobs, Ray, Setting, chosen
+from roboassembly.cli.options import CORES, Execution, Jobs, Ray, Setting, require_at_least, selected_furniture
 from roboassembly.cli.output import DONE, check_writable, print_json, progress_bar, say, show
 from roboassembly.errors import InputError
 from roboassembly.parallel.processes import use_cluster
@@ -23,53 +23,53 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Evaluate:
-    """Measure how often a policy or a solver assembles the pieces of a set, and with how much planning."""
+class EvaluateCommand:
+    """Measure the success rate and the planning effort of a policy or a solver on a set of furniture."""
 
     policy: str = "search"
-    """What is measured. A policy: `relational`, `paper`, `random`, a checkpoint, or a Python file of your own, which is
-    executed (docs/your-own-policy.md). Or a solver: `search`, `joint-rrt` (the paper's baseline), `right-pairs`,
-    `right-pairs-random-w`."""
+    """Policy or solver to evaluate. Policies: `relational`, `paper`, `random`, a checkpoint, or your own Python file,
+    which is executed (docs/your-own-policy.md). Solvers: `search`, `joint-rrt` (the paper's RRT-Connect baseline),
+    `right-pairs` (correct pairs in random order), `right-pairs-random-w` (the same with random `w`)."""
     search: bool = False
-    """Let the policy guide the search. Without it the policy acts alone."""
+    """Let the policy guide the search. Without it, the policy acts alone."""
     setting: Setting = "object-centric"
-    """What moves the parts. object-centric: parts move by themselves. full: two mobile Franka robots move them; of the
-    solvers only `search` can do that, and a policy has to choose grasps."""
+    """What moves the parts. object-centric: parts move by themselves. full: two mobile Franka robots move
+    them, which needs the solver `search` or a policy that chooses grasps."""
     execution: Execution = "kinematic"
-    """How the robots of --setting full move. kinematic: paths are planned and checked. dynamic: actuated robots carry
-    the plan out in physics as well."""
+    """How the robots of --setting full move. kinematic: their paths are planned and checked for collisions. dynamic:
+    actuated robots also execute the plan in a physics simulation."""
     audit: bool = False
-    """Check every plan for collisions once more with python-fcl, a library that planning does not use."""
+    """Check each plan for collisions again with python-fcl, a library that the planner does not use."""
     set: Annotated[str, tyro.conf.arg(name="set")] = "chairs-412:test"
-    """The furniture: `chairs-412:test` (or `:train`, `:easy`, `:hard`), or `folder:PATH` of a folder of furniture
-    folders."""
+    """Furniture: `NAME:SPLIT` of a data set, with the split train, easy, hard, test or all; or `folder:PATH`, a folder
+    of furniture folders."""
     limit: int | None = None
-    """Take only the first LIMIT pieces of the set."""
+    """Use the first LIMIT pieces of the set only."""
     sample: int | None = None
-    """Take only SAMPLE pieces of the set, drawn by the seed."""
+    """Use SAMPLE random pieces of the set only."""
     episodes: int = 1
-    """Number of episodes for each piece; each begins with the parts lying in other places."""
+    """Number of episodes per piece; each has a different initial placement."""
     seed: int = 0
-    """Random seed of the starts and the planner."""
+    """Random seed of the initial placements, of the planner and of --sample."""
     jobs: Jobs = CORES
-    """Number of pieces to work on at the same time."""
+    """Number of processes."""
     ray: Ray = None
     out: Path | None = None
-    """File to which every episode is written as it ends. If the run is stopped, the same command continues it."""
+    """File for the results of the episodes. Run the same command again to resume an interrupted run."""
     export: Path | None = None
-    """Write the successful episodes as a Minari data set into this new folder, named like `chairs-v0`."""
+    """Write the successful episodes as a Minari data set to this new folder, with a name such as `chairs-v0`."""
     json: bool = False
-    """Print one JSON object on stdout, all else on stderr."""
+    """Print one JSON object on stdout and everything else on stderr."""
 
     def run(self) -> int:
-        """Do it; returns the exit status."""
-        if self.seed < 0 or min(self.jobs, self.episodes) < 1:
-            raise InputError("--seed takes 0 or more, --jobs and --episodes take 1 or more")
+        """Run the command; returns the exit status."""
+        require_at_least(0, seed=self.seed)
+        require_at_least(1, jobs=self.jobs, episodes=self.episodes)
         for path in (self.out, self.export):
             if path is not None:
                 check_writable(path.parent)
         if self.out is not None and self.out.is_dir():
-            raise InputError(f"cannot write to {self.out}: it is a folder; name a file")
+            raise InputError(f"cannot write to {self.out}: it is a folder; --out must be a file")
         from roboassembly.evaluation.evaluate import Evaluation
         from roboassembly.evaluation.rollout import EXPORTABLE, SOLVERS, RolloutConfig
 
@@ -77,23 +77,25 @@ class Evaluate:
             from roboassembly.evaluation.export import check_target
 
             if self.setting == "full":
-                raise InputError("--export takes episodes of --setting object-centric")
+                raise InputError("--export does not support --setting full; use --setting object-centric")
 
             if self.policy in SOLVERS and self.policy not in EXPORTABLE:
-                raise InputError(f"--export: '{self.policy}' tells no actions; a policy or 'search' would do")
+                raise InputError(
+                    f"--export does not support '{self.policy}', which has no actions; use a policy or 'search'"
+                )
             check_target(self.export)
-        picks = chosen(self.set, self.limit, self.sample, self.seed)
-        way = RolloutConfig(self.policy, self.search, self.setting, self.execution, self.audit)
-        total = len(picks) * self.episodes
+        refs = selected_furniture(self.set, self.limit, self.sample, self.seed)
+        config = RolloutConfig(self.policy, self.search, self.setting, self.execution, self.audit)
+        total = len(refs) * self.episodes
         with use_cluster(self.ray, self.jobs) as jobs:
-            episodes = tuple(progress_bar(self._played(way, picks, jobs), total=total, unit="episode"))
-        evaluation = Evaluation(way, self.set, self.seed, episodes)
+            episodes = tuple(progress_bar(self._episodes(config, refs, jobs), total=total, unit="episode"))
+        evaluation = Evaluation(config, self.set, self.seed, episodes)
         report = evaluation.to_json()
         if self.export is not None:
             from roboassembly.evaluation.export import export
 
             say("writing the successful episodes ...")
-            played = zip((p for p in picks for _ in range(self.episodes)), episodes, strict=True)
+            played = zip((p for p in refs for _ in range(self.episodes)), episodes, strict=True)
             done = export(self.export, played, self.policy + " with search" * self.search)
             report["exported"] = {
                 "path": str(done.path), "episodes": done.episodes, "steps": done.steps, "refused": done.refused,
@@ -106,54 +108,53 @@ class Evaluate:
                 show(self.export)
         return DONE
 
-    def _played(self, way: RolloutConfig, picks: Sequence[FurnitureRef], jobs: int) -> Iterator[Episode]:
-        """All episodes; those that `out` holds are not played again."""
+    def _episodes(self, config: RolloutConfig, refs: Sequence[FurnitureRef], jobs: int) -> Iterator[Episode]:
+        """Yield all episodes; those that `out` contains are read from there."""
         from roboassembly.datasets.sets import set_hash
         from roboassembly.evaluation.episodes import read_episodes, record_episodes
         from roboassembly.evaluation.evaluate import evaluate
         from roboassembly.learning.policy_weights import weights_hash
 
         if self.out is None:
-            return evaluate(way, picks, self.seed, jobs, episodes=self.episodes)
+            return evaluate(config, refs, self.seed, jobs, episodes=self.episodes)
         about = {
-            "way": asdict(way), "weights": weights_hash(self.policy), "set": self.set, "set_hash": set_hash(picks),
+            "way": asdict(config), "weights": weights_hash(self.policy), "set": self.set, "set_hash": set_hash(refs),
             "seed": self.seed, "episodes": self.episodes,
         }  # fmt: skip
         there = read_episodes(self.out, about)
         if there is None:
             raise InputError(
-                f"--out {self.out}: holds something else than episodes of this policy, set and seed; another name "
-                "would do"
+                f"--out {self.out} contains other data than episodes of this policy, set and seed; choose another file"
             )
-        rest = partial(evaluate, way, picks, self.seed, jobs, episodes=self.episodes, played=len(there))
+        rest = partial(evaluate, config, refs, self.seed, jobs, episodes=self.episodes, played=len(there))
         return record_episodes(self.out, about, there, rest)
 
 
 def summary(evaluation: Evaluation) -> list[str]:
-    """Lines: success in all, by family, and how failures ended."""
+    """Return lines with the success rates, in total and by family, and the verdicts of failed episodes."""
     from roboassembly.statistics import success
 
     def line(name: str, episodes: Sequence[Episode]) -> str:
-        told = success([e.success for e in episodes])
-        low, high = told["ci95"]
+        rates = success([e.success for e in episodes])
+        low, high = rates["ci95"]
         steps = sum(e.planning_steps for e in episodes) / len(episodes)
-        rate = f"{told['success_rate']:7.1%}"
+        rate = f"{rates['success_rate']:7.1%}"
         return f"{name:24} {len(episodes):5} {rate}  {100 * low:5.1f}-{100 * high:5.1f} {steps:9,.0f}"
 
-    every = evaluation.episodes
-    told, way = evaluation.to_json(), evaluation.way
-    how = f"{told['policy']}{' guiding the search' * way.search} on {evaluation.set}, seed {evaluation.seed}"
-    lines = [how, f"{'':24} {'n':>5} {'success':>7}  {'95 %':>11} {'states':>9}", line("all", every)]
-    families = sorted({e.family for e in every} - {""})
+    episodes = evaluation.episodes
+    report = evaluation.to_json()
+    how = f"{report['policy']}{' with search' * evaluation.way.search} on {evaluation.set}, seed {evaluation.seed}"
+    lines = [how, f"{'':24} {'n':>5} {'success':>7}  {'95 %':>11} {'states':>9}", line("all", episodes)]
+    families = sorted({e.family for e in episodes} - {""})
     if families:
-        for name, wanted in (("of families in training", False), ("of other families", True)):
-            some = [e for e in every if e.unseen is wanted]
+        for name, unseen in (("of families in training", False), ("of other families", True)):
+            some = [e for e in episodes if e.unseen is unseen]
             lines += [line(name, some)] if some else []
-        lines += [line(f"  {f}", [e for e in every if e.family == f]) for f in families]
-    if "planned" in told:
-        lines.append(f"planned: {told['planned']['success_rate']:.1%}; all else counts what was carried out")
-    if "violations" in told:
-        lines.append(f"found by the audit: {told['violations']}")
-    failed = Counter(e.verdict for e in every if not e.success)
+        lines += [line(f"  {f}", [e for e in episodes if e.family == f]) for f in families]
+    if "planned" in report:
+        lines.append(f"planned: {report['planned']['success_rate']:.1%}; all other figures are for the execution")
+    if "violations" in report:
+        lines.append(f"violations found by the audit: {report['violations']}")
+    failed = Counter(e.verdict for e in episodes if not e.success)
     lines += [f"failed: {n:4} {verdict}" for verdict, n in failed.most_common()]
     return lines

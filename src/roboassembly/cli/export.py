@@ -1,4 +1,4 @@
-"""`roboassembly export`: furniture for other programs."""
+"""`roboassembly export`: furniture as MJCF or URDF."""
 
 from __future__ import annotations
 
@@ -20,22 +20,22 @@ from roboassembly.cli.output import (
 
 
 @dataclass(frozen=True)
-class Export:
-    """Write furniture as MJCF, for MuJoCo, or as URDF."""
+class ExportCommand:
+    """Export furniture as MJCF, the format of MuJoCo, or as URDF."""
 
     kind: Annotated[Literal["mjcf", "urdf"], tyro.conf.Positional]
-    """The format to write."""
+    """Format of the file."""
     furniture: Annotated[str, tyro.conf.Positional] = "ladder"
-    """A built-in piece or a furniture folder, as for `assemble`."""
+    """A built-in piece (`FAMILY` or `FAMILY:SEED`) or a furniture folder."""
     out: Path = Path("export")
     """Folder for the file and its meshes."""
     force: bool = False
-    """Replace a file that is there already."""
+    """Replace an existing file."""
     json: bool = False
-    """Print one JSON object on stdout, all else on stderr."""
+    """Print one JSON object on stdout and everything else on stderr."""
 
     def run(self) -> int:
-        """Do it; returns the exit status."""
+        """Run the command; returns the exit status."""
         from roboassembly.datasets import catalogue
         from roboassembly.furniture.export import export_mjcf, export_urdf, exported_file
 

@@ -1,8 +1,8 @@
-"""How the fields of a command become flags with help that reads right.
+"""Flags and help texts of commands, made from the fields of their data classes.
 
-A field's help is the text below it, as one paragraph. A boolean field that is true by default, `film: bool = True`, has
-the flag `--no-film`; its text says what the command does without the flag ("Render assembly.mp4."), so the flag's help
-is the opposite: "Do not render assembly.mp4."
+The help of a flag is the docstring below its field. A boolean field that is true by default (`film: bool = True`)
+becomes the flag `--no-film`. Its docstring says what the command does without the flag ("Render assembly.mp4."), so the
+help of the flag is the negation: "Do not render assembly.mp4."
 """
 
 from __future__ import annotations
@@ -19,22 +19,23 @@ import tyro
 from tyro.constructors import ConstructorRegistry, StructConstructorSpec, StructFieldSpec, StructTypeInfo
 
 CONFIG = (tyro.conf.FlagCreatePairsOff, tyro.conf.OmitSubcommandPrefixes, tyro.conf.DisallowNone)
-"""One flag for a boolean, no prefixes, and no value `None` that could be typed."""
+"""Options of tyro: one flag per boolean, no prefixes, and no value `None` on the command line."""
 
-_PACKAGE = __name__.rpartition(".")[0]
+PACKAGE = __name__.rpartition(".")[0]
+"""Package whose data classes are commands."""
 
 
-def registry() -> ConstructorRegistry:
-    """What makes flags of the fields of commands."""
+def command_registry() -> ConstructorRegistry:
+    """Return the tyro registry that makes flags from the fields of commands."""
     out = ConstructorRegistry()
     out.struct_rule(_command)
     return out
 
 
 def _command(info: StructTypeInfo) -> StructConstructorSpec | None:
-    """The fields of a command, each with its help."""
+    """Return the flags of a command with their help texts; None for another type."""
     kind = info.type
-    if not (dataclasses.is_dataclass(kind) and isinstance(kind, type) and kind.__module__.startswith(_PACKAGE)):
+    if not (dataclasses.is_dataclass(kind) and isinstance(kind, type) and kind.__module__.startswith(PACKAGE)):
         return None
     hints = get_type_hints(kind, include_extras=True)
     return StructConstructorSpec(kind, tuple(_field(f, hints[f.name], kind) for f in dataclasses.fields(kind)))
@@ -47,15 +48,15 @@ def _field(field: dataclasses.Field[Any], hint: Any, kind: type) -> StructFieldS
         text = f"Do not {text[:1].lower()}{text[1:]}"
     metadata = get_args(hint)[1:] if get_origin(hint) is Annotated else ()
     plain = get_args(hint)[0] if metadata else hint
-    unsaid = default is None or isinstance(default, bool) or default == ()
-    # What a field says of itself comes last, and counts.
-    usual = tyro.conf.arg(metavar=_metavar(field, plain, metadata), help_behavior_hint="" if unsaid else None)
-    marked: Any = Annotated[(plain, usual, *metadata)]
-    return StructFieldSpec(field.name, marked, default, text)
+    hide_default = default is None or isinstance(default, bool) or default == ()
+    # Settings of the field itself come last and take precedence.
+    common = tyro.conf.arg(metavar=_metavar(field, plain, metadata), help_behavior_hint="" if hide_default else None)
+    annotated: Any = Annotated[(plain, common, *metadata)]
+    return StructFieldSpec(field.name, annotated, default, text)
 
 
 def _metavar(field: dataclasses.Field[Any], plain: Any, metadata: tuple[object, ...]) -> str | None:
-    """What stands for a value in the help, where it is not its type or the values that there are."""
+    """Return the placeholder of a positional argument in the help; None for tyro's own."""
     if tyro.conf.Positional not in metadata or plain not in (str, Path):
         return None
     return field.name.upper() if field.default is dataclasses.MISSING else f"[{field.name.upper()}]"
@@ -63,7 +64,7 @@ def _metavar(field: dataclasses.Field[Any], plain: Any, metadata: tuple[object, 
 
 @cache
 def _texts(kind: type) -> dict[str, str]:
-    """The text below each field of a data class and of those that it inherits from, as one paragraph."""
+    """Return the docstring of each field of a data class and of its bases, as one paragraph."""
     out: dict[str, str] = {}
     for owner in reversed(kind.__mro__):
         if not dataclasses.is_dataclass(owner):

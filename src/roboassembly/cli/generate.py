@@ -1,4 +1,4 @@
-"""`roboassembly generate`: save a built-in chair as a furniture folder."""
+"""`roboassembly generate`: save built-in furniture as a furniture folder."""
 
 from __future__ import annotations
 
@@ -8,32 +8,31 @@ from typing import Annotated
 
 import tyro
 
+from roboassembly.cli.options import require_at_least
 from roboassembly.cli.output import DONE, check_writable, print_json, refuse_existing, show
 
 
 @dataclass(frozen=True)
-class Generate:
-    """Make one piece of a built-in family and save it as a furniture folder."""
+class GenerateCommand:
+    """Generate a piece of a built-in family and save it as a furniture folder."""
 
     family: Annotated[str, tyro.conf.Positional]
-    """Name of the family, `stool` for instance; a name that is not known is answered with all that are."""
+    """Name of the family, such as `stool`; an unknown name prints the list of families."""
     seed: int = 0
-    """Another seed makes another piece of the family."""
+    """Random seed; each seed gives a different piece of the family."""
     out: Path | None = None
-    """Folder to write. Without it: FAMILY-SEED."""
+    """Folder for the furniture. Without it: FAMILY-SEED."""
     force: bool = False
-    """Replace furniture that is there already."""
+    """Replace existing furniture."""
     json: bool = False
-    """Print one JSON object on stdout, all else on stderr."""
+    """Print one JSON object on stdout and everything else on stderr."""
 
     def run(self) -> int:
-        """Do it; returns the exit status."""
+        """Run the command; returns the exit status."""
         from roboassembly.datasets import catalogue
-        from roboassembly.errors import InputError
         from roboassembly.furniture import storage
 
-        if self.seed < 0:
-            raise InputError(f"--seed {self.seed} is negative; 0 or more would do")
+        require_at_least(0, seed=self.seed)
         target = self.out or Path(f"{self.family}-{self.seed}")
         if self.out is not None:
             check_writable(target)

@@ -1,4 +1,4 @@
-"""`roboassembly import`: real furniture, repaired and annotated, as furniture folders."""
+"""`roboassembly import`: import real furniture, repair and annotate it, and save it as furniture folders."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from roboassembly.cli.options import CORES, Jobs
+from roboassembly.cli.options import CORES, Jobs, require_at_least
 from roboassembly.cli.output import DONE, check_writable, print_json, progress_bar, refuse_existing, say, show
 from roboassembly.errors import InputError
 from roboassembly.parallel.processes import worker_pool
@@ -20,16 +20,17 @@ if TYPE_CHECKING:
     from roboassembly.importers.kept import Summary
 
 Kind = Literal["partnet", "ikea-manual", "ikea-env", "furniture-bench", "folder"]
-"""The names in `furniture.importers.IMPORTERS`."""
+"""Names of the formats in `importers.IMPORTERS`."""
 UnitName = Literal["mm", "cm", "m", "in", "ft"]
-"""The names in `furniture.importers.units.METRES`."""
-USUAL_OUT = Path("furniture")
+"""Names of the units in `geometry.units.METRES`."""
+DEFAULT_OUT = Path("furniture")
+"""Folder for pieces without --out."""
 UpAxis = Literal["x", "y", "z", "-x", "-y", "-z"]
 
 
 @dataclass(frozen=True)
-class Piece:
-    """One piece to import."""
+class ImportJob:
+    """Import of one piece: its source, its target and the options."""
 
     kind: Kind
     source: Path
@@ -43,8 +44,8 @@ class Piece:
 
 
 @dataclass(frozen=True)
-class Item:
-    """What became of one piece."""
+class ImportResult:
+    """Result of the import of one piece."""
 
     name: str
     parts: int
@@ -53,91 +54,91 @@ class Item:
     trimmed_max_percent: float
     seconds: float
     unholdable: tuple[str, ...]
-    """Names of the parts that no Franka hand can hold."""
+    """Names of the parts that no Franka gripper can hold."""
     size_change_mm: dict[str, float]
-    """Largest change of each part's size, negative where it became smaller; by the part's name."""
+    """Largest change of size of each part [mm] by the name of the part; negative if the part became smaller."""
     changes: tuple[str, ...]
-    """Parts whose size changed, or that sit less deep in a neighbour, by more than 1 mm; a line each."""
+    """One line for each part whose size, or whose depth in a neighbour, changed by more than 1 mm."""
     folder: str | None
     error: str | None
     cached: bool = False
-    """Whether it was imported before, so that `seconds` are those of a look-up."""
+    """Whether the result comes from the cache; `seconds` is then the time of the look-up."""
     unit: str | None = None
-    """Of the files: mm, cm, m, in or ft; None where the scale is that of none of them, or where nothing was read."""
+    """Unit of the files: mm, cm, m, in or ft; None for another scale, or if nothing was read."""
     unit_guessed: bool = False
     unit_others: tuple[str, ...] = ()
-    """Units that are nearly as likely as the guessed one."""
+    """Units that are nearly as likely as the estimated one."""
     unit_text: str = ""
-    """How the piece got its size, for people."""
+    """Explanation of the unit, for the user."""
     scale: float | None = None
-    """Metres per unit of the files."""
+    """Scale of the files [m per unit]."""
     size_m: tuple[float, float, float] | None = None
-    """Of the piece as read: along x, y and z (up), in metres."""
+    """Size of the piece in the files along x, y and z (up) [m]."""
     remarks: tuple[str, ...] = ()
-    """What a person should know of the reading, one line each."""
+    """Remarks on the files for the user, one line each."""
 
 
 @dataclass(frozen=True)
-class Import:
-    """Read real furniture, make its parts fit without touching, and save furniture folders."""
+class ImportCommand:
+    """Import real furniture, repair it so that no parts overlap, and save furniture folders."""
 
     kind: Annotated[Kind, tyro.conf.Positional]
-    """Format of the source. folder: your own OBJ, STL, PLY or GLB files, each a part in its assembled place, or one GLB
-    scene. partnet: PartNet v0 folders. ikea-manual: part folders of IKEA-Manuals-at-Work. ikea-env: MJCF of the IKEA
-    Furniture Assembly Environment. furniture-bench: FurnitureBench meshes with assembled_poses.json."""
+    """Format of the source. folder: your own files, one OBJ, STL, PLY or GLB file per part in its assembled pose, or
+    one GLB scene. partnet: PartNet v0 folders. ikea-manual: part folders of IKEA-Manuals-at-Work. ikea-env: MJCF
+    of the IKEA Furniture Assembly Environment. furniture-bench: FurnitureBench meshes with assembled_poses.json."""
     source: Annotated[Path, tyro.conf.Positional]
-    """A piece, or a folder with many pieces below it. Results of this program in it are passed over."""
+    """A piece, or a folder with many pieces in subfolders. Furniture folders of this program in it are skipped."""
     out: Path | None = None
-    """Folder to write. A single piece becomes this folder itself if it is new; else each piece gets a folder of its own
-    name in it. Without --out they go to `furniture/`."""
+    """Folder for the furniture. For a single piece, a new folder becomes the furniture folder itself; otherwise each
+    piece gets a subfolder. Without --out: `furniture/`."""
     force: bool = False
-    """Replace furniture that is there already. The old one stays if the import fails."""
+    """Replace existing furniture. If the import fails, the old furniture is kept."""
     unit: UnitName | None = None
-    """Unit of length of the files. Without it and --scale: as the format says, or guessed from typical sizes of
-    furniture, and the guess is printed."""
+    """Unit of length of the files. Without --unit and --scale: as defined by the format, or estimated from typical
+    sizes of furniture; the estimate is printed."""
     scale: float | None = None
-    """Metres per unit of the files, where it is none of --unit."""
+    """Scale of the files in metres per unit, if --unit has no name for it."""
     up: UpAxis | None = None
-    """Up axis of the files, for `folder` only. Without it: y for GLB files, z for all others."""
+    """Up axis of the files; for `folder` only. Without it: y for GLB files, z for other files."""
     split: bool = False
-    """Make a part of each separate body of a mesh, for `folder` only: for one file that holds all parts."""
+    """Make a part of each separate body of a mesh, if one file contains several parts; for `folder` only."""
     jobs: Jobs = CORES
-    """Number of pieces to import at the same time."""
+    """Number of processes."""
     allow_shortening: bool = False
-    """Accept parts that become more than 5 mm smaller, or sit more than 5 mm less deep in a neighbour, where the parts
-    cannot clear each other in another way."""
+    """Accept repairs that shorten a part, or its depth in a neighbour, by more than 5 mm, if overlaps cannot be removed
+    in another way."""
     cache: bool = True
-    """Take over the result of an earlier import of the same files."""
+    """Reuse the result of an earlier import of the same files."""
     json: bool = False
-    """Print one JSON object on stdout, all else on stderr."""
+    """Print one JSON object on stdout and everything else on stderr."""
 
     def run(self) -> int:
-        """Do it; returns the exit status."""
+        """Run the command; returns the exit status."""
         from roboassembly.geometry import units
         from roboassembly.importers import IMPORTERS
         from roboassembly.importers.earlier import without_results
 
         if self.scale is not None and not 1e-6 < self.scale < 1e6:
-            raise InputError(f"--scale {self.scale} is absurd; metres per unit of the files, for instance 0.5")
+            raise InputError(f"--scale {self.scale} is not plausible; give metres per unit of the files, such as 0.5")
         scale = units.scale_of(self.unit, self.scale)
-        if self.jobs < 1:
-            raise InputError(f"--jobs {self.jobs}; 1 or more would do")
+        require_at_least(1, jobs=self.jobs)
         if self.up is not None and self.kind != "folder":
-            raise InputError(f"--up {self.up} is for 'folder'; the format '{self.kind}' says itself which way is up")
+            raise InputError(f"--up {self.up} is for the format 'folder'; the format '{self.kind}' defines the up axis")
         if self.split and self.kind != "folder":
-            raise InputError(f"--split is for 'folder'; the format '{self.kind}' says itself what the parts are")
-        out = self.out or USUAL_OUT
+            raise InputError(f"--split is for the format 'folder'; the format '{self.kind}' defines the parts")
+        out = self.out or DEFAULT_OUT
         check_writable(out)
         found, skipped = without_results(IMPORTERS[self.kind].find(self.source), self.source, out)
         pieces = [
-            Piece(self.kind, source, target, name, scale, self.up, self.cache, self.allow_shortening, self.split)
-            for source, target, name in zip(found, self._targets(found), _names(found), strict=True)
+            ImportJob(self.kind, source, target, name, scale, self.up, self.cache, self.allow_shortening, self.split)
+            for source, target, name in zip(found, self._targets(found), piece_names(found), strict=True)
         ]
         if skipped:
-            say(f"passed over earlier results: {', '.join(map(str, skipped[:5]))}{', ...' if skipped[5:] else ''}")
+            listed = ", ".join(map(str, skipped[:5])) + ", ..." * bool(skipped[5:])
+            say(f"skipped furniture folders of this program: {listed}")
         if len(pieces) == 1 and not self.force:
             refuse_existing(pieces[0].target)
-        items: list[Item] = []
+        items: list[ImportResult] = []
         with progress_bar(total=len(pieces), desc="importing", unit="piece", disable=len(pieces) == 1) as progress:
             for item in self._each(pieces):
                 items.append(item)
@@ -155,21 +156,21 @@ class Import:
         return DONE if imported else 2
 
     def _targets(self, found: list[Path]) -> list[Path]:
-        """Where each piece goes."""
+        """Return the folder for each piece."""
         new = self.out is not None and (not self.out.exists() or (self.out / "furniture.json").exists())
         if self.out is not None and len(found) == 1 and new:
             return [self.out]
-        return [(self.out or USUAL_OUT) / name for name in _names(found)]
+        return [(self.out or DEFAULT_OUT) / name for name in piece_names(found)]
 
-    def _each(self, pieces: list[Piece]) -> Iterator[Item]:
-        """What became of each piece, in order; those that are there already are not imported."""
+    def _each(self, pieces: list[ImportJob]) -> Iterator[ImportResult]:
+        """Yield the result of each piece in order; a piece that exists already is not imported."""
         refused = {} if self.force else {p: str(e) for p in pieces if (e := _existing(p.target))}
         work = [piece for piece in pieces if piece not in refused]
         done = self._imported(work)
         for piece in pieces:
             yield _failed(piece, refused[piece]) if piece in refused else next(done)
 
-    def _imported(self, work: list[Piece]) -> Iterator[Item]:
+    def _imported(self, work: list[ImportJob]) -> Iterator[ImportResult]:
         if self.jobs == 1 or len(work) < 2:
             yield from map(import_piece, work)
             return
@@ -178,8 +179,10 @@ class Import:
                 try:
                     yield future.result()
                 except BrokenProcessPool:
-                    lost = "not imported: a worker process died (out of memory?); try this piece again with --jobs 1"
-                    yield _failed(piece, lost)
+                    reason = (
+                        "not imported: a worker process died (out of memory?); import this piece again with --jobs 1"
+                    )
+                    yield _failed(piece, reason)
 
 
 def _existing(target: Path) -> InputError | None:
@@ -190,12 +193,12 @@ def _existing(target: Path) -> InputError | None:
     return None
 
 
-def _failed(piece: Piece, reason: str) -> Item:
-    return Item(piece.name, 0, 0, 0.0, 0.0, 0.0, (), {}, (), None, reason)
+def _failed(piece: ImportJob, reason: str) -> ImportResult:
+    return ImportResult(piece.name, 0, 0, 0.0, 0.0, 0.0, (), {}, (), None, reason)
 
 
-def _report(item: Item) -> list[str]:
-    """Lines for people."""
+def _report(item: ImportResult) -> list[str]:
+    """Return the lines for the user."""
     lines = [f"{item.name}: {item.error}" if item.error else _summary(item)]
     if item.size_m is not None and item.scale is not None:
         lines.append(f"  unit: {item.unit_text}; {_size(item.size_m)}")
@@ -204,31 +207,31 @@ def _report(item: Item) -> list[str]:
     return lines
 
 
-def _other(item: Item, unit: str) -> str:
+def _other(item: ImportResult, unit: str) -> str:
     from roboassembly.geometry.units import METRES, NAMES
 
     assert item.size_m is not None
     assert item.scale is not None
     size = [METRES[unit] / item.scale * side for side in item.size_m]
-    return f"  it may be in {NAMES[unit]} as well: {_size(size)}; if so, import it with --unit {unit}"
+    return f"  the unit may also be {NAMES[unit]}: {_size(size)}; if so, import it with --unit {unit}"
 
 
 def _size(sides: Sequence[float]) -> str:
     return " x ".join(f"{side:.2f}" if side >= 0.1 else f"{side:.3f}" for side in sides) + " m"
 
 
-def _summary(item: Item) -> str:
+def _summary(item: ImportResult) -> str:
     text = f"{item.name}: {item.parts} parts -> {item.folder}"
     if item.cached:
-        text += " (as imported before)"
+        text += " (from the cache)"
     if item.unholdable:
-        text += f" (no hand can hold {', '.join(item.unholdable)}: object-centric setting only)"
-    name, change = max(item.size_change_mm.items(), key=lambda one: abs(one[1]))
+        text += f" (the gripper cannot hold {', '.join(item.unholdable)}: for the setting object-centric only)"
+    name, change = max(item.size_change_mm.items(), key=lambda named: abs(named[1]))
     return f"{text}; largest change of size: {name} {change:+.2f} mm"
 
 
-def import_piece(piece: Piece) -> Item:
-    """Read, repair, annotate and save one piece; what cannot be used ends up in the item's `error`."""
+def import_piece(piece: ImportJob) -> ImportResult:
+    """Read, repair, annotate and save one piece; the result's `error` says why it was refused."""
     from roboassembly.importers import kept
 
     started = time.perf_counter()
@@ -237,14 +240,14 @@ def import_piece(piece: Piece) -> Item:
         summary = kept.recall(place, piece.source, piece.target) if place is not None else None
         cached = summary is not None
         if summary is None:
-            summary = _import_anew(piece)
-            # Files that were changed in the meantime may be other than those that were read.
+            summary = _import(piece)
+            # Do not cache the result if the files changed in the meantime.
             if place is not None and place == _place(piece):
                 kept.keep(place, summary, piece.target)
     except InputError as error:
         summary, cached = kept.Summary(error=str(error)), False
     unit = summary.unit
-    return Item(
+    return ImportResult(
         piece.name,
         summary.parts,
         summary.connections,
@@ -267,7 +270,7 @@ def import_piece(piece: Piece) -> Item:
     )
 
 
-def _place(piece: Piece) -> Path | None:
+def _place(piece: ImportJob) -> Path | None:
     from roboassembly.importers import IMPORTERS, kept
 
     reads = IMPORTERS[piece.kind].reads(piece.source)
@@ -276,7 +279,7 @@ def _place(piece: Piece) -> Path | None:
     )
 
 
-def _import_anew(piece: Piece) -> Summary:
+def _import(piece: ImportJob) -> Summary:
     from roboassembly.errors import FurnitureError
     from roboassembly.furniture import storage
     from roboassembly.geometry import units
@@ -311,8 +314,8 @@ def _import_anew(piece: Piece) -> Summary:
     )
 
 
-def _names(sources: list[Path]) -> list[str]:
-    """Each piece's own name, with its parent's before it where two would be the same, and a number if need be."""
+def piece_names(sources: list[Path]) -> list[str]:
+    """Return a unique name per source: its own, with that of its parent or a number if several are the same."""
     resolved = [source.resolve() for source in sources]
     own = [(source.stem if source.is_file() else source.name) or "furniture" for source in resolved]
     names = [

@@ -1,16 +1,16 @@
-"""`roboassembly train multitask`: one policy for all chairs, by imitation."""
+"""`roboassembly train multitask`: one policy for all pieces, by imitation."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 from tqdm import tqdm
 
-from roboassembly.cli.options import CORES, Jobs, Ray, Setting
+from roboassembly.cli.options import CORES, Jobs, Ray, Setting, require_at_least
 from roboassembly.cli.output import DONE, print_json, progress_bar, say, show, writable_folder
 from roboassembly.errors import InputError, MissingExtraError
 from roboassembly.parallel.processes import use_cluster
@@ -22,64 +22,59 @@ if TYPE_CHECKING:
 
 
 PACKAGES = ("jax", "optax", "tensorboardX", "matplotlib")
-"""That a run with logs and curves needs."""
+"""Packages that a training run needs."""
 
 
 @dataclass(frozen=True)
-class Multitask:
-    """Train one policy for all pieces by imitation; the same command continues a run that was stopped."""
+class MultitaskCommand:
+    """Train one policy for all pieces by imitation; run it again to resume an interrupted run."""
 
     preset: Literal["relational", "paper"] = "relational"
-    """relational: learn from an oracle, then in --rounds from its own episodes, corrected by the oracle. paper: learn
-    the Q-values of the experts' samples in --lessons."""
+    """relational: imitate an oracle; in later --rounds, imitate its corrections of the policy's own episodes. paper:
+    imitate the Q-values of the experts, from their samples in --samples."""
     set: Annotated[str, tyro.conf.arg(name="set")] = "chairs-412:train"
-    """Generated furniture to train on, `NAME:SPLIT` (preset relational)."""
+    """Generated furniture to train on, `NAME:SPLIT`; for the preset relational."""
     out: Path = Path("runs/multitask")
-    """Folder of the run. The result is policy.npz in it."""
+    """Folder of the run; the result is policy.npz."""
     limit: int | None = None
-    """Take only the first LIMIT pieces of the set."""
+    """Use the first LIMIT pieces of the set only."""
     extra: int | None = None
-    """Number of further generated pieces to train on (preset relational). Without it: 6,000, in the setting full
-    1,500."""
-    plays: int | None = None
-    """Number of episodes for each piece in each round (preset relational). Without it: 1, in the setting full 3."""
+    """Number of additional generated pieces to train on; for the preset relational. Without it: 6,000, or 1,500 with
+    --setting full."""
+    episodes: int | None = None
+    """Number of episodes per piece and round; for the preset relational. Without it: 1, or 3 with --setting full."""
     rounds: int | None = None
-    """Number of rounds in which the policy's own episodes are corrected (preset relational). Without it: 0, in the
-    setting full 1."""
+    """Number of rounds with corrected episodes of the policy; for the preset relational. Without it: 0, or 1 with
+    --setting full."""
     setting: Setting = "object-centric"
-    """What moves the parts (preset relational). object-centric: parts move by themselves. full: two mobile Franka
-    robots move them."""
+    """What moves the parts; for the preset relational. object-centric: parts move by themselves. full: two mobile
+    Franka robots move them."""
     start: str | None = None
-    """Policy to start from, `relational` or a checkpoint (preset relational). Without it: none, in the setting full
-    `relational`."""
+    """Policy to start from, `relational` or a checkpoint; for the preset relational. Without it: none, or `relational`
+    with --setting full."""
     steps: int | None = None
-    """Number of gradient steps. Without it: 16,000 (preset relational, first round), 3,000 (the same in the setting
-    full), 20,000 (preset paper)."""
+    """Number of gradient steps. Without it: 20,000 for the preset paper; 16,000, or 3,000 with --setting full, for the
+    first round of the preset relational."""
     round_steps: int = 8_000
-    """Number of gradient steps in each later round (preset relational)."""
-    lessons: tuple[Path, ...] = ()
-    """Folders of training samples, from `train expert` or from a run of the preset relational (preset paper)."""
+    """Number of gradient steps in each later round; for the preset relational."""
+    samples: tuple[Path, ...] = ()
+    """Folders of training samples from `train expert` or from a run of the preset relational; for the preset paper."""
     extractor: Path | None = None
-    """Checkpoint of the auto-encoder, autoencoder.npz (preset paper)."""
+    """Checkpoint autoencoder.npz of the auto-encoder; for the preset paper."""
     seed: int = 0
-    """Random seed of the weights, the starts and the order of samples."""
+    """Random seed of the weights, of the initial placements and of the order of samples."""
     jobs: Jobs = CORES
     """Number of processes."""
     ray: Ray = None
     json: bool = False
-    """Print one JSON object on stdout, all else on stderr."""
+    """Print one JSON object on stdout and everything else on stderr."""
 
     def run(self) -> int:
-        """Do it; returns the exit status."""
-        if (
-            self.seed < 0
-            or min(self.extra or 0, self.rounds or 0) < 0
-            or min(1 if self.plays is None else self.plays, self.jobs, self.round_steps) < 1
-        ):
-            raise InputError("--seed, --extra, --rounds take 0 or more, --plays, --round-steps and --jobs 1 or more")
-        if 0 in (self.limit, self.steps) or min(self.limit or 1, self.steps or 1) < 1:
-            raise InputError("--limit and --steps take 1 or more")
-        needs(*PACKAGES)
+        """Run the command; returns the exit status."""
+        require_at_least(0, seed=self.seed, extra=self.extra, rounds=self.rounds)
+        require_at_least(1, episodes=self.episodes, round_steps=self.round_steps, jobs=self.jobs)
+        require_at_least(1, limit=self.limit, steps=self.steps)
+        require_packages(*PACKAGES)
         writable_folder(self.out)
         with use_cluster(self.ray, self.jobs) as jobs:
             last = follow(self._relational(jobs) if self.preset == "relational" else self._paper(), self.out)
@@ -88,7 +83,7 @@ class Multitask:
         if self.json:
             print_json(report)
         else:
-            show(f"{path}: try it with roboassembly evaluate --policy {path}")
+            show(f"{path}: evaluate it with roboassembly evaluate --policy {path}")
         return DONE
 
     def _relational(self, jobs: int) -> Iterable[Progress]:
@@ -97,27 +92,29 @@ class Multitask:
         usual = Curriculum.with_hands() if self.setting == "full" else Curriculum()
         curriculum = replace(
             usual, set=self.set, limit=self.limit, extra=usual.extra if self.extra is None else self.extra,
-            plays=self.plays or usual.plays, rounds=usual.rounds if self.rounds is None else self.rounds,
+            plays=self.episodes or usual.plays, rounds=usual.rounds if self.rounds is None else self.rounds,
             steps=self.steps or usual.steps, round_steps=self.round_steps, seed=self.seed,
             start=self.start or usual.start,
         )  # fmt: skip
         return teach(curriculum, self.out, jobs)
 
     def _paper(self) -> Iterable[Progress]:
-        if not self.lessons or self.extractor is None:
-            raise InputError("--preset paper takes --lessons FOLDER and --extractor CHECKPOINT (of `train expert`)")
+        if not self.samples or self.extractor is None:
+            raise InputError(
+                "--preset paper needs --samples FOLDER and --extractor CHECKPOINT, both from `train expert`"
+            )
         from roboassembly.learning.paper.imitation import Training
         from roboassembly.learning.paper.pipeline import teach_paper
 
         training = Training(steps=self.steps or Training.steps, seed=self.seed)
-        return teach_paper(self.lessons, self.extractor, self.out, training)
+        return teach_paper(self.samples, self.extractor, self.out, training)
 
 
-def needs(*packages: str) -> None:
-    """Refuse where what training needs is not installed; what JAX will compile is kept.
+def require_packages(*packages: str) -> None:
+    """Check that packages are installed, and switch the cache of compiled JAX functions on.
 
     Raises:
-        MissingExtraError: it is not.
+        MissingExtraError: a package is not installed.
     """
     for package in packages:
         if find_spec(package) is None:
@@ -128,11 +125,11 @@ def needs(*packages: str) -> None:
 
 
 def follow(progress: Iterable[Progress], folder: Path) -> dict[str, float]:
-    """Show bars and write logs and curves of a run while it goes on; what it said last, by stage and name."""
+    """Show progress bars and write logs and curves of a run; returns the last figures by stage and name."""
     from roboassembly.learning import logs
 
     last: dict[str, float] = {}
-    bar: tqdm | None = None
+    bar: tqdm[Any] | None = None
     stage = ""
     with logs.Log(folder) as log:
         for p in progress:

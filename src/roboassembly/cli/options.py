@@ -1,4 +1,4 @@
-"""Options that several commands take, `jobs: Jobs = CORES` for instance."""
+"""Options that several commands share, such as `jobs: Jobs = CORES`."""
 
 from __future__ import annotations
 
@@ -13,33 +13,47 @@ if TYPE_CHECKING:
     from roboassembly.datasets.sets import FurnitureRef
 
 CORES = os.cpu_count() or 1
-Jobs = Annotated[int, tyro.conf.arg(help_behavior_hint="(default: one a core)")]
-"""Its help is the same on every machine."""
+Jobs = Annotated[int, tyro.conf.arg(help_behavior_hint="(default: one per core)")]
+"""Number of processes; its help is the same on every machine."""
 Ray = Annotated[
     str | None,
     tyro.conf.arg(
-        help="Spread the work over a Ray cluster: HOST:PORT of its head, `auto`, or `local`. All machines need this "
-        "package and the same folders under the same paths.",
+        help="Run on a Ray cluster: HOST:PORT of its head node, `auto`, or `local`. All machines need this package and "
+        "the same folders at the same paths.",
         metavar="ADDRESS",
     ),
 ]
-"""Address of a Ray cluster."""
+"""Address of a Ray cluster; None to use this machine only."""
 Setting = Literal["object-centric", "full"]
-"""`task.setting.SettingName`, which takes a while to import."""
+"""Setting, like `task.setting.SettingName`, which is slow to import."""
 Execution = Literal["kinematic", "dynamic"]
-"""`learning.players.ExecutionName`."""
+"""Execution of a full plan."""
 
 
-def chosen(name: str, limit: int | None, sample: int | None, seed: int) -> list[FurnitureRef]:
-    """What `--set`, `--limit`, `--sample` and `--seed` name.
+def require_at_least(least: int, **values: int | None) -> None:
+    """Check options against a smallest value; a value of None passes.
+
+    Args:
+        least: smallest value.
+        values: values by the name of the option, with underscores.
 
     Raises:
-        InputError: both of the counts are given, or one below 1; or no such set, or no furniture in the folder.
+        InputError: a value is smaller.
+    """
+    for name, value in values.items():
+        if value is not None and value < least:
+            raise InputError(f"--{name.replace('_', '-')} {value} is too small; it must be {least} or more")
+
+
+def selected_furniture(name: str, limit: int | None, sample: int | None, seed: int) -> list[FurnitureRef]:
+    """Return the furniture that `--set`, `--limit`, `--sample` and `--seed` select.
+
+    Raises:
+        InputError: both counts are given, a count is below 1, or the set does not exist or is empty.
     """
     if limit is not None and sample is not None:
-        raise InputError("--limit takes the first pieces and --sample draws some; only one of them would do")
-    if min(n for n in (limit, sample, 1) if n is not None) < 1:
-        raise InputError("--limit and --sample take 1 or more")
+        raise InputError("--limit and --sample exclude each other; give only one of them")
+    require_at_least(1, limit=limit, sample=sample)
     from roboassembly.datasets.sets import furniture_refs, sample_refs
 
     return sample_refs(furniture_refs(name)[:limit], sample, seed)

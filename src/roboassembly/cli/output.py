@@ -1,4 +1,4 @@
-"""What commands print, and where: results on stdout, all else on stderr, control characters written out."""
+"""Output of commands: results go to stdout, everything else to stderr; control characters are escaped."""
 
 from __future__ import annotations
 
@@ -22,33 +22,33 @@ from tqdm import tqdm
 
 from roboassembly.errors import InputError
 
-_LOGGED_EVERY = 30.0
-"""Seconds."""
-DONE, DONE_BADLY = 0, 1
-"""Exit statuses: it worked; it was tried in earnest and did not work. Bad input is 2."""
-_STEERING = frozenset({"Cc", "Cf", "Cs", "Zl", "Zp"})
-"""Unicode categories that a terminal acts on or cannot show: control, format (the bidirectional overrides are among
-them), lone surrogates (bytes of file names that are no text), and separators of lines and paragraphs."""
+_LOG_INTERVAL = 30.0
+"""Time between two lines of a progress bar in a log file [s]."""
+DONE, FAILED = 0, 1
+"""Exit statuses of success and of failure on valid input. Bad input has status 2."""
+_CONTROL = frozenset({"Cc", "Cf", "Cs", "Zl", "Zp"})
+"""Unicode categories that a terminal interprets or cannot show: control, format (with the bidirectional overrides),
+lone surrogates (bytes of file names that are not text), and separators of lines and paragraphs."""
 _HARMLESS = frozenset("\t\u200c\u200d")
-"""Tab, and the two joiners that Persian, Indic scripts and emoji are written with."""
+"""Tab, and the two joiners that Persian, Indic scripts and emoji need."""
 
 
 def plain(text: object) -> str:
-    r"""The text as one line that cannot steer a terminal: each control character is written out, ESC as `\x1b`."""
+    r"""Return the text as one line with escaped control characters, such as `\x1b` for ESC."""
     line = str(text)
     if line.isprintable():
         return line
-    return "".join(_written_out(c) for c in line)
+    return "".join(_escaped(c) for c in line)
 
 
-def _written_out(character: str) -> str:
-    if unicodedata.category(character) not in _STEERING or character in _HARMLESS:
+def _escaped(character: str) -> str:
+    if unicodedata.category(character) not in _CONTROL or character in _HARMLESS:
         return character
     return character.encode("unicode_escape").decode("ascii")
 
 
 def say(*lines: object) -> None:
-    """Print lines on stderr, for the person who watches."""
+    """Print lines on stderr."""
     _print(lines, sys.stderr)
 
 
@@ -58,42 +58,42 @@ def show(*lines: object) -> None:
 
 
 def _print(lines: Iterable[object], stream: TextIO) -> None:
-    with reader_may_leave():
+    with allow_closed_stdout():
         for line in lines:
             print(plain(line), file=stream)
         stream.flush()
 
 
 @contextmanager
-def reader_may_leave() -> Iterator[None]:
-    """End quietly where the program that reads stdout has ended, as in `roboassembly ... | head -1`."""
+def allow_closed_stdout() -> Iterator[None]:
+    """Exit quietly if the reader of stdout has exited, as in `roboassembly ... | head -1`."""
     try:
         yield
     except BrokenPipeError:
-        # Python flushes stdout once more when it ends, and would complain then.
+        # Python flushes stdout at its end, which would print an error.
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
-        sys.exit(DONE_BADLY)
+        sys.exit(FAILED)
 
 
 def print_json(result: Mapping[str, object]) -> None:
     """Print the one JSON object that `--json` promises."""
-    # JSON leaves the one control character as it is that ASCII has beyond the letters.
-    with reader_may_leave():
+    # JSON escapes all ASCII control characters but DEL.
+    with allow_closed_stdout():
         print(json.dumps(result).replace("\x7f", "\\u007f"), flush=True)
 
 
 def progress_bar(iterable: Iterable[Any] | None = None, desc: str | None = None, **options: Any) -> tqdm[Any]:
-    """A bar on stderr, as `tqdm`; a line now and then where stderr is no terminal, so that log files stay small.
+    """Return a progress bar of `tqdm` on stderr; if stderr is not a terminal, it prints a line now and then.
 
     Args:
-        iterable: counted while it is gone through.
-        desc: what is counted; its control characters are written out.
-        options: of `tqdm`.
+        iterable: iterable to count; None to update the bar by hand.
+        desc: label of the bar; its control characters are escaped.
+        options: options of `tqdm`.
     """
-    # A run that goes on begins with many at once; by itself tqdm would then expect as many more before it shows any.
-    every = 0.1 if sys.stderr.isatty() else _LOGGED_EVERY
-    named = None if desc is None else plain(desc)
-    return tqdm(iterable, desc=named, mininterval=every, miniters=1, **options)
+    # A resumed run begins with many items at once; tqdm would expect as many again before the next update.
+    interval = 0.1 if sys.stderr.isatty() else _LOG_INTERVAL
+    label = None if desc is None else plain(desc)
+    return tqdm(iterable, desc=label, mininterval=interval, miniters=1, **options)
 
 
 class _PlainLog(logging.Formatter):
@@ -104,9 +104,9 @@ class _PlainLog(logging.Formatter):
 
 
 def guard_terminal() -> None:
-    """Let all that Python itself prints pass through `plain` too: tracebacks, warnings, log messages of libraries."""
+    """Escape control characters in the output of Python itself: tracebacks, warnings and log messages of libraries."""
     if isinstance(sys.stdout, io.TextIOWrapper):
-        # Letters that the terminal's encoding lacks are no reason to fail; on stderr Python does so by itself.
+        # Characters that the encoding of the terminal lacks are escaped, as Python does on stderr.
         sys.stdout.reconfigure(errors="backslashreplace")
     sys.excepthook = _print_traceback
     if threading.excepthook is threading.__excepthook__:
@@ -134,24 +134,24 @@ def _format_warning(
 
 
 def check_writable(path: Path) -> None:
-    """Refuse a folder that could not be made or written; nothing is left behind.
+    """Check that a folder can be created or written; leaves no files behind.
 
     Raises:
-        InputError: it or something above it is a file, or may not be written.
+        InputError: the folder cannot be created or written.
     """
     try:
         nearest = next(p for p in (path, *path.absolute().parents) if p.exists() or p.is_symlink())
-        # With a name of its own: other commands may be trying the same folder.
+        # The name is unique: other commands may check the same folder.
         tempfile.TemporaryFile(dir=nearest).close()
     except (OSError, ValueError) as error:
         raise InputError(f"cannot write to folder {path}: {_reason(error)}") from None
 
 
 def check_writable_file(path: Path) -> None:
-    """Refuse a file that is there and may not be written.
+    """Check that a file can be written.
 
     Raises:
-        InputError: naming it.
+        InputError: the file cannot be written.
     """
     try:
         path.open("ab").close()
@@ -160,36 +160,36 @@ def check_writable_file(path: Path) -> None:
 
 
 def refuse_existing(target: Path) -> None:
-    """Refuse to write where something is already; an empty folder is nothing.
+    """Check that a path does not exist or is an empty folder.
 
     Raises:
-        InputError: naming it, and what would do.
+        InputError: the path exists.
     """
     try:
-        there = target.is_symlink() or (any(target.iterdir()) if target.is_dir() else target.exists())
+        exists = target.is_symlink() or (any(target.iterdir()) if target.is_dir() else target.exists())
     except OSError as error:
         raise InputError(f"cannot write to {target}: {_reason(error)}") from None
-    if there and target.is_dir() and not (target / "furniture.json").is_file():
-        raise InputError(f"'{target}' exists and is not a furniture folder; --out names another place")
-    if there:
-        raise InputError(f"'{target}' exists already; --force replaces it, --out names another place")
+    if exists and target.is_dir() and not (target / "furniture.json").is_file():
+        raise InputError(f"'{target}' exists and is not a furniture folder; choose another --out")
+    if exists:
+        raise InputError(f"'{target}' exists already; replace it with --force or choose another --out")
 
 
 def refuse_furniture_folder(path: Path) -> None:
-    """Refuse to write other files into a furniture folder.
+    """Check that a path is not a furniture folder, which other files must not be mixed with.
 
     Raises:
-        InputError: it is one.
+        InputError: the path is a furniture folder.
     """
     if (path / "furniture.json").exists():
-        raise InputError(f"'{path}' is a furniture folder; name another --out for what comes of it")
+        raise InputError(f"'{path}' is a furniture folder; choose another --out for the results")
 
 
 def writable_folder(path: Path) -> Path:
-    """Make the folder if need be.
+    """Create a folder unless it exists, and return it.
 
     Raises:
-        InputError: it is a file, or cannot be made or written.
+        InputError: the folder cannot be created or written.
     """
     check_writable(path)
     try:

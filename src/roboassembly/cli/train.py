@@ -1,4 +1,4 @@
-"""`roboassembly train`: the auto-encoder, an expert for each chair, one policy for all."""
+"""`roboassembly train`: the auto-encoder, one expert per piece, and one policy for all pieces."""
 
 from __future__ import annotations
 
@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from roboassembly.cli.multitask import PACKAGES, Multitask, follow, needs
-from roboassembly.cli.options import CORES, Jobs, Ray, Setting, chosen
-from roboassembly.cli.output import DONE, DONE_BADLY, print_json, show, writable_folder
-from roboassembly.errors import InputError
+from roboassembly.cli.multitask import PACKAGES, MultitaskCommand, follow, require_packages
+from roboassembly.cli.options import CORES, Jobs, Ray, Setting, require_at_least, selected_furniture
+from roboassembly.cli.output import DONE, FAILED, print_json, show, writable_folder
 from roboassembly.parallel.processes import use_cluster
 
 if TYPE_CHECKING:
@@ -22,112 +21,109 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Autoencoder:
-    """Train the auto-encoder, which describes the shape of a part in a few numbers."""
+class AutoencoderCommand:
+    """Train the auto-encoder, which encodes the shape of a part as a short vector."""
 
     set: Annotated[str, tyro.conf.arg(name="set")] = "chairs-412:train"
-    """Furniture to train on: `NAME:SPLIT` of a data set, or `folder:PATH` of a folder of furniture folders."""
+    """Furniture to train on: `NAME:SPLIT` of a data set, or `folder:PATH`, a folder of furniture folders."""
     out: Path = Path("runs/experts")
-    """Folder of the run. The result is autoencoder.npz in it. If the run is stopped, the same command continues it."""
+    """Folder of the run; the result is autoencoder.npz. Run the same command again to resume an interrupted run."""
     limit: int | None = None
-    """Take only the first LIMIT pieces of the set."""
+    """Use the first LIMIT pieces of the set only."""
     sample: int | None = None
-    """Take only SAMPLE pieces of the set, drawn by the seed."""
+    """Use SAMPLE random pieces of the set only."""
     steps: int | None = None
     """Number of gradient steps. Without it: 4,000."""
     seed: int = 0
-    """Random seed of the weights, the order of samples and --sample."""
+    """Random seed of the weights, of the order of samples and of --sample."""
     jobs: Jobs = CORES
     """Number of processes."""
     ray: Ray = None
     json: bool = False
-    """Print one JSON object on stdout, all else on stderr."""
+    """Print one JSON object on stdout and everything else on stderr."""
 
     def run(self) -> int:
-        """Do it; returns the exit status."""
-        picks = self.prepared()
+        """Run the command; returns the exit status."""
+        refs = self.select_furniture()
         with use_cluster(self.ray, self.jobs) as jobs:
-            last = self.featured(picks, jobs)
+            last = self.train_autoencoder(refs, jobs)
         if self.json:
             chamfer = last.get("auto-encoder/chamfer")
-            print_json({"set": self.set, "steps": self.schooling().features.steps, "chamfer": chamfer,
+            print_json({"set": self.set, "steps": self.config().features.steps, "chamfer": chamfer,
                         "out": str(self.out)})  # fmt: skip
         return DONE
 
-    def prepared(self) -> list[FurnitureRef]:
-        """The furniture, once everything is checked."""
-        if self.seed < 0 or self.jobs < 1:
-            raise InputError("--seed takes 0 or more, --jobs takes 1 or more")
-        if self.steps is not None and self.steps < 1:
-            raise InputError("--steps takes 1 or more")
-        needs(*PACKAGES)
-        picks = chosen(self.set, self.limit, self.sample, self.seed)
+    def select_furniture(self) -> list[FurnitureRef]:
+        """Check all options, and return the furniture to train on."""
+        require_at_least(0, seed=self.seed)
+        require_at_least(1, jobs=self.jobs, steps=self.steps)
+        require_packages(*PACKAGES)
+        refs = selected_furniture(self.set, self.limit, self.sample, self.seed)
         writable_folder(self.out)
-        return picks
+        return refs
 
-    def schooling(self) -> Schooling:
-        """How."""
+    def config(self) -> Schooling:
+        """Return the configuration of the run."""
         from roboassembly.learning.paper.pipeline import Schooling
 
         plain = Schooling()
         features = plain.features if self.steps is None else replace(plain.features, steps=self.steps)
         return replace(plain, features=features).seeded(self.seed)
 
-    def featured(self, picks: Sequence[FurnitureRef], jobs: int) -> dict[str, float]:
-        """Train the auto-encoder unless it is done; what it said last."""
+    def train_autoencoder(self, refs: Sequence[FurnitureRef], jobs: int) -> dict[str, float]:
+        """Train the auto-encoder unless it is trained already; returns its last figures."""
         from roboassembly.learning.paper.pipeline import teach_features
 
         notes = {"set": self.set, "limit": self.limit, "sample": self.sample}
-        return follow(teach_features(picks, self.out, self.schooling(), notes, jobs), self.out)
+        return follow(teach_features(refs, self.out, self.config(), notes, jobs), self.out)
 
 
 @dataclass(frozen=True)
-class Expert(Autoencoder):
-    """Train a Double DQN for each piece and write training samples of it; the auto-encoder comes first."""
+class ExpertCommand(AutoencoderCommand):
+    """Train the auto-encoder and a Double DQN expert per piece, and write the experts' samples."""
 
     steps: int | None = None
-    """Largest number of environment steps for each piece. Without it: 40,000."""
+    """Largest number of environment steps per piece. Without it: 40,000."""
     setting: Setting = "object-centric"
     """What moves the parts. object-centric: parts move by themselves. full: two mobile Franka robots move them."""
-    plays: int | None = None
-    """Number of episodes of each expert that become training samples. Without it: 6, in the setting full 4."""
+    episodes: int | None = None
+    """Number of episodes of each expert that become training samples. Without it: 6, or 4 with --setting full."""
     side_by_side: int = 4
-    """Number of experts that each process trains at the same time; a GPU takes many more."""
+    """Number of experts that each process trains at the same time; a GPU can train many more."""
 
     def run(self) -> int:
-        """Do it; returns the exit status."""
-        if min(self.side_by_side, 1 if self.plays is None else self.plays) < 1:
-            raise InputError("--side-by-side and --plays take 1 or more")
-        picks = self.prepared()
+        """Run the command; returns the exit status."""
+        require_at_least(1, side_by_side=self.side_by_side, episodes=self.episodes)
+        refs = self.select_furniture()
         from roboassembly.learning.paper.pipeline import results, teach_experts
 
         with use_cluster(self.ray, self.jobs) as jobs:
-            self.featured(picks, jobs)
-            follow(teach_experts(picks, self.out, self.schooling(), {"set": self.set}, jobs), self.out)
-        trained = results(picks, self.out)
-        report = _report(picks, trained)
+            self.train_autoencoder(refs, jobs)
+            follow(teach_experts(refs, self.out, self.config(), {"set": self.set}, jobs), self.out)
+        trained = results(refs, self.out)
+        report = _report(refs, trained)
         if self.json:
             print_json({**report, "set": self.set, "seed": self.seed, "out": str(self.out)})
         else:
             for split, figures in report.items():
                 show(f"{split}: {figures}")
-        return DONE if any(r.mastered for r in trained) else DONE_BADLY
+        return DONE if any(r.mastered for r in trained) else FAILED
 
-    def schooling(self) -> Schooling:
-        """How."""
+    def config(self) -> Schooling:
+        """Return the configuration of the run."""
         from roboassembly.learning.paper.pipeline import Schooling
 
         usual = Schooling.usual(self.setting)
         experts = usual.experts if self.steps is None else replace(usual.experts, steps=self.steps)
-        plays = self.plays or usual.plays
-        return replace(usual, experts=experts, side_by_side=self.side_by_side, plays=plays).seeded(self.seed)
+        episodes = self.episodes or usual.plays
+        return replace(usual, experts=experts, side_by_side=self.side_by_side, plays=episodes).seeded(self.seed)
 
 
-def _report(picks: Sequence[FurnitureRef], results: Sequence[Mastery]) -> dict[str, object]:
-    """Figures over all chairs, and over those of each split if the set has any."""
+def _report(refs: Sequence[FurnitureRef], results: Sequence[Mastery]) -> dict[str, object]:
+    """Return figures for all pieces, and for each split of the set."""
     from roboassembly.learning.paper.dqn.train import mastery
 
-    split_of = {p.name: p.entry.split for p in picks if p.entry is not None}
+    split_of = {p.name: p.entry.split for p in refs if p.entry is not None}
     out: dict[str, object] = dict(mastery(results))
     for split in sorted(set(split_of.values())):
         out[split] = mastery([r for r in results if split_of.get(r.name) == split])
@@ -136,13 +132,13 @@ def _report(picks: Sequence[FurnitureRef], results: Sequence[Mastery]) -> dict[s
 
 
 @dataclass(frozen=True)
-class Train:
-    """Train networks; the same command continues a run that was stopped."""
+class TrainCommand:
+    """Train networks; run the same command again to resume an interrupted run."""
 
     what: (
-        Annotated[Autoencoder, tyro.conf.subcommand("autoencoder")]
-        | Annotated[Expert, tyro.conf.subcommand("expert")]
-        | Annotated[Multitask, tyro.conf.subcommand("multitask")]
+        Annotated[AutoencoderCommand, tyro.conf.subcommand("autoencoder")]
+        | Annotated[ExpertCommand, tyro.conf.subcommand("expert")]
+        | Annotated[MultitaskCommand, tyro.conf.subcommand("multitask")]
     )
 
     @property
@@ -151,5 +147,5 @@ class Train:
         return self.what.json
 
     def run(self) -> int:
-        """Do it; returns the exit status."""
+        """Run the command; returns the exit status."""
         return self.what.run()

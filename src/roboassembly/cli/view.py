@@ -1,4 +1,4 @@
-"""`roboassembly view`: the studio in the browser."""
+"""`roboassembly view`: the studio, a web page to assemble furniture interactively."""
 
 from __future__ import annotations
 
@@ -11,50 +11,51 @@ from typing import Annotated
 
 import tyro
 
-from roboassembly.cli.options import Setting
+from roboassembly.cli.options import Setting, require_at_least
 from roboassembly.cli.output import DONE, print_json, say
 from roboassembly.errors import InputError
 
 _PLAN = ".json"
 _SLOW = 2.0
-"""Seconds after which it is said what is being read."""
+"""Time after which a message says what is being read [s]."""
 
 
 @dataclass(frozen=True)
-class View:
-    """Put furniture together in the browser: by hand, by a policy or by the search."""
+class ViewCommand:
+    """Assemble furniture in the browser: by hand, by a policy or by the search."""
 
     furniture: Annotated[str, tyro.conf.Positional] = "ladder"
-    """Shown at first: a built-in chair (`ladder`, `windsor:3`, ...), a furniture folder, or 3D files: a folder of STL,
-    OBJ, PLY or GLB files, one a part, or one GLB scene; or a plan.json, which is done again."""
+    """Furniture to open: a built-in piece (`FAMILY` or `FAMILY:SEED`), a furniture folder, a GLB scene, or a folder
+    with one STL, OBJ, PLY or GLB file per part; or a plan.json, which is planned and checked again."""
     setting: Setting = "object-centric"
-    """What moves the parts at first: they fly by themselves, or two mobile Frankas move them."""
+    """What moves the parts, at first. object-centric: parts move by themselves. full: two mobile Franka robots move
+    them."""
     seed: int = 0
-    """Where the parts lie at first, and what the planner draws."""
+    """Random seed of the initial placement and of the planner, at first."""
     scale: float | None = None
-    """Metres per unit of 3D files; guessed if not given."""
+    """Scale of 3D files in metres per unit. Without it: estimated from typical sizes of furniture."""
     folders: tuple[Path, ...] = ()
-    """Folders of furniture folders, to choose from, and in which other folders may be opened by name. If none is given,
-    `furniture` where it is there, which `roboassembly import` writes; then nothing is opened by name."""
+    """Folders of furniture folders to choose from; the page can also open other folders in them by name. Without it:
+    `furniture`, where `roboassembly import` writes to, without opening by name."""
     policies: tuple[str, ...] = ()
-    """Policies to choose from, besides the one of the package: checkpoints, or Python files, which are executed."""
+    """Additional policies to choose from: checkpoints, or Python files, which are executed."""
     host: str = "127.0.0.1"
-    """Address to listen on. 0.0.0.0 lets other machines in, a phone for instance; they need the printed address, which
-    has a token in it."""
+    """Address to listen on. 0.0.0.0 admits other machines, such as a phone; they need the printed address, which
+    contains a token."""
     port: int = 8080
-    """Port to listen on; 0 takes any that is free."""
+    """Port to listen on; 0 for any free port."""
     token: str = ""
-    """Secret of 8 letters or more that the address must contain. By default a random one, and none if only this machine
-    can reach --host."""
+    """Secret of 8 characters or more that the address must contain. Without it: a random one, or none if only this
+    machine can reach --host."""
     allow_origin: tuple[str, ...] = ()
-    """Further addresses under which the page is reached, behind a proxy for instance: https://studio.example.org"""
+    """Further addresses of the page, for example behind a proxy: https://studio.example.org"""
     browser: bool = True
     """Open a browser window."""
     json: bool = False
-    """Print one JSON object, with the page's address, on stdout once it can be visited; all else on stderr."""
+    """Print one JSON object with the address of the page on stdout once it is served, and everything else on stderr."""
 
     def run(self) -> int:
-        """Serve until interrupted; returns the exit status."""
+        """Serve the page until interrupted; returns the exit status."""
         from roboassembly.studio.access import Access
         from roboassembly.studio.config import StudioConfig
         from roboassembly.studio.server import run_studio, silence_connection_messages
@@ -76,7 +77,7 @@ class View:
         with run_studio(config, access, self.port) as server:
             urls = access.urls(server.get_port())
             for url in urls:
-                say(f"{url}  (Ctrl-C ends it)" if url == urls[0] else url)
+                say(f"{url}  (stop with Ctrl-C)" if url == urls[0] else url)
             if self.json:
                 print_json({"success": True, "url": urls[0], "urls": urls})
             if self.browser:
@@ -88,25 +89,26 @@ class View:
         return DONE
 
     def _check(self) -> None:
-        """Read everything that is named, before anything is served.
+        """Check all options and read all named files before the server starts.
 
         Raises:
-            InputError: some of it cannot be used.
+            InputError: an option or a file is not valid.
         """
-        if self.seed < 0:
-            raise InputError(f"--seed {self.seed} is negative; 0 or more would do")
+        require_at_least(0, seed=self.seed)
         if self.scale is not None and not (math.isfinite(self.scale) and self.scale > 0.0):
-            raise InputError(f"--scale {self.scale} is no size; a positive number of metres would do")
+            raise InputError(
+                f"--scale {self.scale} is not a positive number; give metres per unit of the files, such as 0.001"
+            )
         for folder in self.folders:
             if not folder.is_dir():
-                raise InputError(f"--folders {folder}: there is no such folder")
+                raise InputError(f"--folders {folder} does not exist or is not a folder")
         if self.policies:
             from roboassembly.learning.registry import load_policy
 
             for name in self.policies:
                 load_policy(name)
-        # The built-in chair that is shown by default is made while the browser loads the page.
-        if self.furniture != View.furniture:
+        # The default furniture is generated while the browser loads the page.
+        if self.furniture != ViewCommand.furniture:
             slow = threading.Timer(_SLOW, say, [f"reading {self.furniture} ..."])
             slow.daemon = True
             slow.start()
@@ -123,6 +125,6 @@ class View:
             script, furniture = open_plan(Path(self.furniture))
             AssemblySession(furniture, script.setting, script.seed).check(script)
         else:
-            # What is read here is kept for the first who opens the page.
+            # The result is cached for the first client.
             furniture = open_path(self.furniture, self.scale, with_grasps=self.setting == "full")
             AssemblySession(furniture, self.setting, self.seed)
