@@ -1,4 +1,4 @@
-"""The documentation as data: its pages, the commands and blocks of Python that they show, names that they quote."""
+"""The documentation as data: its pages, and the commands and blocks of Python that they show."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ PAGES = {
     str(p.relative_to(ROOT)): p
     for p in (*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").rglob("*.md")), *sorted(ROOT.glob("examples/*.py")))
 }
-"""What people read, examples' headers included."""
+"""Pages for people, including the docstrings of examples."""
 PROGRAMS = ("roboassembly", "make", "python", "pip", "pytest", "bash", "ray", "uv", "git", "export", "cd")
-"""With what a command begins, with or without a folder before it."""
+"""Programs that commands begin with, with or without a folder before them."""
 
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 SPAN = re.compile(r"`([^`]+)`")
@@ -28,30 +28,30 @@ _INDENTED = re.compile(r"(?:^    .*\n|^\n(?=    ))+", re.MULTILINE)
 
 @dataclass(frozen=True)
 class Command:
-    """A line for the shell."""
+    """A command line."""
 
     page: str
     line: int
-    """In its page; 0 in prose."""
+    """Line number in the page; 0 in prose."""
     text: str
-    """Without its comment."""
+    """The command without its comment."""
     comment: str = ""
 
     @property
     def words(self) -> list[str]:
-        """The program and its arguments, without what the shell does with its output."""
+        """The program and its arguments, without redirections."""
         words = shlex.split(self.text)
         return words[: words.index(">") if ">" in words else None]
 
     @property
     def target(self) -> str | None:
-        """The file that takes the output."""
+        """File that receives the output; None without a redirection."""
         words = shlex.split(self.text)
         return words[words.index(">") + 1] if ">" in words else None
 
     @property
     def arguments(self) -> list[str] | None:
-        """The arguments of `roboassembly`; None for another program."""
+        """Arguments of `roboassembly`; None for another program."""
         return self.words[1:] if self.words[0] == "roboassembly" else None
 
     def __str__(self) -> str:
@@ -60,13 +60,13 @@ class Command:
 
 @dataclass(frozen=True)
 class Block:
-    """Python."""
+    """A block of Python."""
 
     page: str
     line: int
     text: str
     saved: str | None
-    """The file that the page says to write it to."""
+    """File that the page says to write the block to."""
 
     def __str__(self) -> str:
         return f"{self.page}:{self.line}"
@@ -74,7 +74,7 @@ class Block:
 
 @cache
 def text_of(page: str) -> str:
-    """The page as Markdown; of an example its docstring, with what is indented as a block."""
+    """Return a page as Markdown; for an example its docstring, with indented lines as a block."""
     text = PAGES[page].read_text()
     if not page.endswith(".py"):
         return text
@@ -84,18 +84,18 @@ def text_of(page: str) -> str:
 
 @cache
 def prose_of(page: str) -> str:
-    """The page without its blocks."""
+    """Return a page without its blocks."""
     return FENCE.sub("", text_of(page))
 
 
 @cache
 def examples(page: str) -> tuple[Command | Block, ...]:
-    """All commands and blocks of Python, in the page's order."""
+    """Return all commands and blocks of Python, in the order of the page."""
     return tuple(_examples(page, text_of(page)))
 
 
 def commands(page: str) -> list[Command]:
-    """Commands of the page's blocks, in order."""
+    """Return the commands of the blocks of a page, in order."""
     return [e for e in examples(page) if isinstance(e, Command)]
 
 
@@ -112,18 +112,18 @@ def _examples(page: str, text: str) -> Iterator[Command | Block]:
 
 
 def holds_commands(block: str) -> bool:
-    """Whether a block without a language is for the shell."""
+    """Return whether a block without a language holds commands."""
     return is_command(_joined(block).lstrip().partition("\n")[0])
 
 
 def is_command(text: str) -> bool:
-    """Whether text begins with a program and goes on."""
+    """Return whether text begins with a program and has arguments."""
     program, _, rest = text.strip().partition(" ")
     return program.rpartition("/")[2] in PROGRAMS and bool(rest.strip())
 
 
 def commands_in_prose(page: str) -> list[Command]:
-    """Commands between back quotes."""
+    """Return the commands between back quotes."""
     spans = (" ".join(found.split()) for found in SPAN.findall(prose_of(page)))
     return [_command(page, 0, span) for span in spans if is_command(span)]
 
@@ -136,7 +136,7 @@ def _command(page: str, line: int, text: str) -> Command:
 
 
 def _joined(block: str) -> str:
-    """With commands that go on in the next line in one; as many lines as before."""
+    """Join commands that continue in the next line; the number of lines stays."""
     return re.sub(r"((?:[^\n]*\\\n)+)([^\n]*\n)", lambda m: _one(m[1]) + m[2] + "\n" * m[1].count("\n"), block)
 
 

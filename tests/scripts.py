@@ -1,4 +1,4 @@
-"""Scripts that stand outside the package, loaded as modules."""
+"""Loads scripts outside the package as modules."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ ROOT = Path(__file__).parents[1]
 
 
 def script(place: str | Path) -> ModuleType:
-    """The script at a place in the repository, or anywhere, run as an import would; what lies beside it is found."""
+    """Return the script at a place in the repository, or anywhere, as a module; it can import files beside it."""
     path = ROOT / place
     if str(path.parent) not in sys.path:
         sys.path.append(str(path.parent))

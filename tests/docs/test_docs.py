@@ -1,6 +1,6 @@
-"""What the documentation shows is so: commands and options exist, what they need is named before, links lead somewhere.
+"""Checks what the documentation says: commands and options exist, their requirements come first, links lead somewhere.
 
-`test_docs_run.py` runs it.
+`test_docs_run.py` runs the examples.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ LINK = re.compile(r"\]\(([^)\s]+)\)")
 HEADING = re.compile(r"^#+ +(.*)$", re.MULTILINE)
 OPTION = re.compile(r"(?<![\w-])--[a-z][a-z-]*")
 STAND_INS = {"KIND": "folder"}
-"""What a word in capitals may stand for, where not every word would do."""
+"""Values for words in capitals that accept only some values."""
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 EXTRAS = PROJECT["project"]["optional-dependencies"]
 
@@ -37,7 +37,7 @@ OF_OURS = [c for c in ALL_COMMANDS if c.arguments is not None]
 
 @pytest.mark.parametrize("page", PAGES)
 def test_no_example_is_overlooked(page: str) -> None:
-    """All fences are found, and a block holds either nothing but commands or none."""
+    """All fences are found, and a block holds only commands or none."""
     text = text_of(page)
     assert len(re.findall(r"^ *```", text, re.MULTILINE)) == 2 * len(FENCE.findall(text))
     blocks = [e for e in documentation.examples(page) if isinstance(e, documentation.Block)]
@@ -78,18 +78,18 @@ def test_commands_in_prose_can_be_typed(page: str) -> None:
 
 
 FOREIGN = {"--strict": "twine", "--head": "ray", "--address": "ray"}
-"""Options of other programs that pages name."""
+"""Options of other programs that pages mention."""
 
 
 @cache
 def options() -> set[str]:
-    """Of all commands, and of the scripts beside the package."""
+    """Return the options of all commands, and of the scripts beside the package."""
     scripts = [p.read_text() for folder in ("tools", "examples") for p in (ROOT / folder).glob("*.py")]
     ours = OPTION.findall(script("tools/site.py").commands_page())
     return {*ours, *(o for text in scripts for o in re.findall(r'add_argument\("(--[a-z-]+)', text))}
 
 
-@pytest.mark.parametrize("page", [p for p in PAGES if p != "CHANGELOG.md"])  # it tells of options of the past, too
+@pytest.mark.parametrize("page", [p for p in PAGES if p != "CHANGELOG.md"])  # it names old options, too
 def test_options_exist_wherever_they_are_named(page: str) -> None:
     named = set(OPTION.findall(text_of(page)))
     assert named <= options() | FOREIGN.keys()
@@ -102,7 +102,7 @@ def test_options_of_other_programs_are_still_named() -> None:
 
 
 def pip_installs(command: Command) -> list[str] | None:
-    """What a `pip install` installs; None for another command."""
+    """Return what a `pip install` installs; None for another command."""
     words = command.words
     if "install" not in words or "pip" not in words[: words.index("install")]:
         return None
@@ -116,7 +116,7 @@ def extras_of(requirement: str) -> list[str]:
 
 @pytest.mark.parametrize("page", PAGES)
 def test_pip_installs_what_there_is(page: str) -> None:
-    """The package comes from its folder, for it is in no index; all else is something that the project depends on."""
+    """The package comes from its folder, because it is in no index; everything else is a dependency of the project."""
     groups = [*EXTRAS.values(), PROJECT["project"]["dependencies"], *PROJECT["dependency-groups"].values()]
     known = {re.split(r"[\s\[<>=;]", r)[0] for group in groups for r in group if isinstance(r, str)}
     for command in (*commands(page), *commands_in_prose(page)):
@@ -130,7 +130,7 @@ def test_pip_installs_what_there_is(page: str) -> None:
 
 
 def extras_needed(command: Command) -> set[str]:
-    """Beyond the package alone."""
+    """Return the extras that a command needs."""
     needed = {"rl"} if "examples/05_masked_ppo.py" in command.words else set()
     needed |= {"learn"} if "examples/04_paper_method_small.py" in command.words else set()
     words = command.arguments or [""]
@@ -140,7 +140,7 @@ def extras_needed(command: Command) -> set[str]:
 
 
 UNNAMED = {("docs/furniture.md", "learn"): "the page has no line that installs Minari, for --export"}
-"""Extras that a page does not say how to install, and why that is left so."""
+"""Extras that a page does not install, and why."""
 
 
 @pytest.mark.parametrize("page", PAGES)
@@ -170,18 +170,18 @@ def test_data_sets_are_built_before_they_are_used(page: str) -> None:
 
 @cache
 def files() -> tuple[str, ...]:
-    """Of the repository, by path."""
+    """Return the paths of all files of the repository."""
     folders = (ROOT / name for name in ("src", "tests", "docs", "tools", "examples"))
     return tuple(f"/{p.relative_to(ROOT)}" for p in (*ROOT.glob("*.*"), *(p for f in folders for p in f.rglob("*.*"))))
 
 
 OWN = {e.saved for page in PAGES for e in documentation.examples(page) if isinstance(e, documentation.Block)}
-"""Files that pages tell readers to write."""
+"""Files that pages ask readers to write."""
 
 
 @pytest.mark.parametrize("page", [p for p in PAGES if p != "CHANGELOG.md"])
 def test_files_exist_wherever_they_are_named(page: str) -> None:
-    """By their path or the end of it: `learning/relational/tokens.py`, or `tokens.py`."""
+    """Files are named by their path or its end: `learning/relational/tokens.py`, or `tokens.py`."""
     for span in SPAN.findall(prose_of(page)):
         for name in re.findall(r"(?<![\w/.<-])[\w./-]*[a-z_]\.(?:py|toml)(?!\w)", span):
             assert name in OWN or any(file.endswith(f"/{name}") for file in files()), f"{page}: `{name}`"
@@ -211,7 +211,7 @@ def test_make_targets_exist(page: str) -> None:
 
 
 class Recorder:
-    """In place of viser's controls: which labels a panel shows, and in which tab."""
+    """Stands in for viser's controls, and records which labels a panel shows in which tab."""
 
     def __init__(self) -> None:
         self.tab_of: dict[str, str | None] = {}
@@ -239,7 +239,7 @@ class Recorder:
 
 @cache
 def controls() -> Recorder:
-    """Of the studio's panel, with everything on it."""
+    """Record the whole panel of the studio."""
     gui = Recorder()
     rest = {name: MagicMock() for name in inspect.signature(Panel).parameters if name != "gui"}
     Panel(gui=gui, **rest)  # pyright: ignore[reportArgumentType]
@@ -247,7 +247,7 @@ def controls() -> Recorder:
 
 
 QUOTED = re.compile(r"(?<![*\w])\*([^*\s][^*]*)\*(?!\*)")
-"""How pages write what is to be read on the screen."""
+"""Labels on the screen, as pages write them."""
 
 
 def quoted(text: str) -> list[str]:
@@ -262,24 +262,24 @@ def test_the_panel_is_read() -> None:
 
 @pytest.mark.parametrize("page", PAGES)
 def test_controls_of_the_studio_have_these_names_and_are_in_these_tabs(page: str) -> None:
-    """Where a page speaks of the studio, what it quotes is there; and it says which tab to open for it.
+    """A page about the studio quotes only labels that exist, and names their tab.
 
-    The studio's own page goes through all tabs, each in sections of its own.
+    The studio's own page has a section for each tab.
     """
     names = {*controls().tab_of, *controls().tabs}
     whole = page == "docs/studio.md"
     for paragraph in re.split(r"\n\s*\n", prose_of(page)):
         if not (whole or "roboassembly view" in paragraph):
             continue
-        told = quoted(paragraph)
-        assert set(told) <= names, f"{page}: {sorted(set(told) - names)} on no control"
-        tabs = {tab for name in told if name not in controls().tabs and (tab := controls().tab_of[name])}
-        assert whole or tabs <= set(told), f"{page}: which tab? {sorted(tabs)}"
+        labels = quoted(paragraph)
+        assert set(labels) <= names, f"{page}: {sorted(set(labels) - names)} on no control"
+        tabs = {tab for name in labels if name not in controls().tabs and (tab := controls().tab_of[name])}
+        assert whole or tabs <= set(labels), f"{page}: which tab? {sorted(tabs)}"
 
 
 @pytest.mark.parametrize("page", PAGES)
 def test_links_lead_somewhere(page: str) -> None:
-    """On a code host, where pages are the files themselves; `make docs` checks the site's."""
+    """Links work on a code host, where pages are the files themselves; `make docs` checks those of the site."""
     for target in LINK.findall(prose_of(page)):
         if re.match(r"\w+:", target):
             continue
@@ -291,5 +291,5 @@ def test_links_lead_somewhere(page: str) -> None:
 
 
 def _anchor(heading: str) -> str:
-    """As code hosts and the site make it of a heading."""
+    """Return the anchor that code hosts and the site make of a heading."""
     return re.sub(r"[^\w\- ]", "", heading.lower()).strip().replace(" ", "-")

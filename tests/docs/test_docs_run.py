@@ -1,7 +1,7 @@
-"""What the documentation shows runs: all of a page in its order, in a folder that stands for a fresh clone.
+"""Runs the examples of the documentation: each page in its order, in a folder that stands for a fresh clone.
 
-Two forms. The quick one leaves out films and what takes minutes. The slow one runs nearly all, what takes hours in a
-smaller form. The tables below say what is left out or smaller, and why.
+There are two forms. The quick one leaves out films and everything that takes minutes. The slow one runs nearly all, in
+a smaller form if it takes hours. The tables below say what is left out or smaller, and why.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ ALWAYS = [
     (r"python -m pip install .*", "as above; `test_docs.py` checks that what the lines name exists"),
     (r"roboassembly benchmark", "days; `test_benchmark.py` runs all of it in miniature"),
 ]
-"""Commands that do not run here, by what they match."""
+"""Patterns of commands that never run here."""
 WHEN_QUICK = [
     (r"roboassembly .*--setting full.*", "two robots take their time"),
     (r"roboassembly view .*|roboassembly view", "each starts a server; the studio's tests start enough of them"),
@@ -43,7 +43,7 @@ WHEN_QUICK = [
     (r"python examples/.*", "`test_examples.py` runs them in this process"),
     (r"roboassembly evaluate --policy examples/05_masked_ppo\.py.*", "needs PyTorch"),
 ]
-"""Commands that the quick form leaves out besides."""
+"""Patterns of commands that the quick form leaves out as well."""
 SMALLER = [
     (r"roboassembly train expert .*", "--limit 1 --jobs 1", "hours for 220 chairs"),
     (r"roboassembly train multitask --preset paper .*", "--steps 20 --jobs 1", "half an hour"),
@@ -54,11 +54,11 @@ SMALLER = [
     (r"python examples/05_masked_ppo\.py.*", "--steps 256", "minutes"),
     (r"roboassembly evaluate .*--episodes 100|roboassembly evaluate --policy examples/.*", "--episodes 2", "minutes"),
 ]  # fmt: skip
-"""Words added in either form, for what would take too long as it is written."""
+"""Words added to commands that would take too long as written."""
 BRIEFLY = {"assemble": ["--no-film"], "evaluate": ["--jobs", "1"], "import": ["--jobs", "1"]}
 """Words added in the quick form: no film, no further processes."""
 BUILT = [("three_legged", 3)]
-"""What a built data set holds here, in each split: `dataset build` takes 12 minutes, and has tests of its own."""
+"""Pieces in each split of a built data set; `dataset build` takes 12 minutes and has tests of its own."""
 
 
 def matches(table: list, command: Command) -> list:
@@ -67,7 +67,7 @@ def matches(table: list, command: Command) -> list:
 
 @dataclass
 class Reader:
-    """Somebody who does what a page says."""
+    """Does what a page says."""
 
     quick: bool
     as_built: Callable[..., list[str]]
@@ -75,7 +75,7 @@ class Reader:
     namespace: dict[str, object] = field(default_factory=dict)
 
     def read(self, page: str) -> None:
-        """Run all of it in the current folder."""
+        """Run the whole page in the current folder."""
         for example in examples(page):
             if isinstance(example, Block):
                 self._execute(example)
@@ -109,7 +109,7 @@ class Reader:
 
 
 def run(words: list[str], command: Command) -> None:
-    """In this process. What a shell would write to a file is there afterwards, and is one JSON object."""
+    """Run a command in this process; its output goes to the file that a shell would write, as one JSON object."""
     with contextlib.ExitStack() as stack:
         if command.target:
             stack.enter_context(contextlib.redirect_stdout(stack.enter_context(Path(command.target).open("w"))))
@@ -121,7 +121,7 @@ def run(words: list[str], command: Command) -> None:
 
 
 def visit(words: list[str]) -> None:
-    """Start the studio, look at its page, end it."""
+    """Start the studio, load its page, and stop it."""
     line = [sys.executable, "-m", "roboassembly.cli", *words, "--no-browser", "--port", "0", "--json"]
     with subprocess.Popen(line, stdout=subprocess.PIPE, text=True) as server:
         try:
@@ -144,7 +144,7 @@ def _draws() -> bool:
 
 @pytest.fixture
 def clone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """What of a fresh clone examples use, and files that only a reader can have; no data set is built."""
+    """A folder with the files that examples need: those of a clone and those of a reader; no data set is built."""
     monkeypatch.setenv("ROBOASSEMBLY_CACHE", str(tmp_path / "cache"))
     folder = tmp_path / "clone"
     shutil.copytree(ROOT / "examples", folder / "examples", ignore=shutil.ignore_patterns("*.pt", "__pycache__"))
@@ -181,7 +181,7 @@ MODULES = {
     "jax": "jax", "optax": "optax", "tensorboardx": "tensorboardX", "matplotlib": "matplotlib", "minari": "minari",
     "pybullet": "pybullet", "python-fcl": "fcl", "sb3-contrib": "sb3_contrib", "ray": "ray",
 }  # fmt: skip
-"""What extras bring, and the module of it that is imported."""
+"""Packages of the extras, and the modules they provide."""
 WITHOUT = """
 import sys
 
@@ -198,11 +198,11 @@ for line in sys.argv[2:]:
     except SystemExit as end:
         assert end.code == 0, line
 """
-"""Commands, one after another, where some modules are not installed."""
+"""A script that runs commands where some modules are not installed."""
 
 
 def test_commands_run_on_the_package_alone(clone: Path, as_built) -> None:
-    """Whatever pages do not install an extra for. `view` is started as well by the slow form."""
+    """Commands that need no extra run without any; the slow form also starts `view`."""
     named = {re.split(r"[\s\[<>=;]", r)[0] for requirements in EXTRAS.values() for r in requirements}
     assert named == MODULES.keys()
     as_built("chairs-24", easy=BUILT, hard=BUILT, test=BUILT)
@@ -229,7 +229,7 @@ def test_commands_run_on_the_package_alone(clone: Path, as_built) -> None:
 
 
 def test_nothing_is_left_out_that_is_not_there() -> None:
-    """Every row of the tables is about some command, and each command runs in some form."""
+    """Every row of the tables matches a command, and every command runs in some form."""
     commands = [e for page in PAGES for e in examples(page) if isinstance(e, Command)]
     for table in (ALWAYS, WHEN_QUICK, SMALLER):
         for row in table:

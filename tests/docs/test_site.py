@@ -1,4 +1,4 @@
-"""Pages of the site that are made from other files."""
+"""Tests pages of the site that are generated."""
 
 from __future__ import annotations
 
