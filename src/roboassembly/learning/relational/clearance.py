@@ -76,7 +76,7 @@ class PlacedGrasps:
             own: cloud of the part in the group's frame [m].
         """
         rotations, positions = rotation @ rotations_from_euler(poses[:, 3:]), poses[:, :3] @ rotation.T + translation
-        return PlacedGrasps(poses.any(axis=1), rotations, positions, _openings(rotations, positions, own))
+        return PlacedGrasps((poses != 0.0).any(axis=1), rotations, positions, _openings(rotations, positions, own))
 
     @property
     def approach_opening(self) -> Float[np.ndarray, "8"]:
@@ -121,7 +121,9 @@ class GripperShape:
 @cache
 def gripper_shape(retreat: float = 0.0) -> GripperShape:
     """Return the gripper's bodies, swept along the last `retreat` metres of its approach."""
-    corners, faces, motion = [], [], []
+    corners: list[tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]] = []
+    faces: list[tuple[Float[np.ndarray, "f 3"], Float[np.ndarray, "f 1"]]] = []
+    motion: list[Float[np.ndarray, "3"]] = []
     for (mesh, closed), (_, opened) in zip(hand_bodies(0.0), hand_bodies(1.0), strict=True):
         points = mesh.vertices @ closed.rotation.T + closed.translation
         hull = ConvexHull(np.concatenate([points, points - [0.0, 0.0, retreat]]))

@@ -90,7 +90,7 @@ def _places(
     back = (frame[a] * _FLIP).transpose(0, 2, 1)[None, :, None]
     offset = (back @ (mated[:, None] - position[a][None, :, None])[..., None])[..., 0]
     turn = back @ (rotation[:, None] @ (frame[b] * _FLIP))[:, None]
-    p, i, j = (index.ravel() for index in np.indices(offset.shape[:3]))
+    p, i, j = np.nonzero(np.ones(offset.shape[:3], bool))
     points = np.stack([k[p], l[p], a[i], b[j]], axis=1)
     others = (points[:, 0] != points[:, 2]) & (points[:, 1] != points[:, 3])
     return points[others], _in_tolerances(offset.reshape(-1, 3), turn.reshape(-1, 3, 3))[others]
@@ -126,7 +126,8 @@ def closed_4_cycles(
             if len(first) < 2:
                 continue
             end = (rotation[first] @ translation[second][:, :, None])[..., 0] + translation[first]
-            i, j = KDTree(end).query_pairs(_POSITION_TOLERANCE, output_type="ndarray").T
+            near: Int[np.ndarray, "q 2"] = KDTree(end).query_pairs(_POSITION_TOLERANCE, output_type="ndarray")
+            i, j = near.T
             differ = (owner[columns[first[i]]] != owner[columns[first[j]]]) & (rows[first[i]] != rows[first[j]])
             differ &= columns[second[i]] != columns[second[j]]
             i, j = i[differ], j[differ]

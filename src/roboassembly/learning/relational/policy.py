@@ -181,11 +181,12 @@ class RelationalPolicy:
         out = np.where(mask, pairs[..., None, None] + _UNKNOWN_GRASPS, -np.inf).astype(np.float32)
         flat = pairs.ravel()
         best = np.full(_ENOUGH_ACTIONS, -np.inf)
-        for index in np.argsort(-flat, kind="stable")[:_MAX_GRASPED_PAIRS]:
+        order: list[int] = np.argsort(-flat, kind="stable")[:_MAX_GRASPED_PAIRS].tolist()
+        for index in order:
             # No action is more probable than its pair.
             if flat[index] == -np.inf or best[0] > flat[index] - _CLOSE:
                 break
-            u, v, k, l = (int(i) for i in np.unravel_index(index, pairs.shape))  # noqa: E741
+            u, v, k, l = np.array(np.unravel_index(index, pairs.shape)).tolist()  # noqa: E741
             grasps = grasping.log_probability(grasp_params, grasp_features(view, u, k, v, l))
             out[u, v, k, l] = np.where(mask[u, v, k, l], flat[index] + grasps, -np.inf)
             best = np.sort([*best, *out[u, v, k, l].ravel()])[-_ENOUGH_ACTIONS:]
@@ -239,12 +240,12 @@ def _candidates(values: Values, group: Int[np.ndarray, "P"], count: int) -> list
     """Best action of each two groups, the best `count` of them in order."""
     # Few of all actions exist; of equal ones the first counts, on every machine.
     exist = np.flatnonzero(values > -np.inf)
-    order = exist[np.argsort(-values.ravel()[exist], kind="stable")[:_MAX_CANDIDATES]]
+    order: list[int] = exist[np.argsort(-values.ravel()[exist], kind="stable")[:_MAX_CANDIDATES]].tolist()
     out: dict[frozenset[int], tuple[int, ...]] = {}
     for flat in order:
         if len(out) == count:
             break
-        action = tuple(int(i) for i in np.unravel_index(flat, values.shape))
+        action: tuple[int, ...] = tuple(np.array(np.unravel_index(flat, values.shape)).tolist())
         out.setdefault(frozenset((int(group[action[0]]), int(group[action[1]]))), action)
     return list(out.values())
 

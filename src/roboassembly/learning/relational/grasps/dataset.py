@@ -171,8 +171,8 @@ class GraspLabeler:
 
         def propose(state: FullState) -> Iterator[tuple[int, ...]]:
             mates = [m for m in self._oracle.mates(state.groups) if m.viable]
-            for index in rng.permutation(len(mates))[:_PAIRS]:
-                mate = mates[index]
+            order: list[int] = rng.permutation(len(mates))[:_PAIRS].tolist()
+            for mate in (mates[index] for index in order):
                 pick, fit, reach = self._tested(state, mate, rng)
                 sample = LabeledGrasps.unlabeled(self.task, state, self._observer, (mate.u, mate.k, mate.v, mate.l))
                 samples.append(replace(sample, pick=pick, fit=fit, reach=reach))
@@ -201,8 +201,8 @@ class GraspLabeler:
         both = [(a, b) for a in fitting[0] for b in fitting[1]]
         fit[tuple(np.array(both, int).reshape(-1, 2).T)] = UNKNOWN
         reach_tests = 0
-        for index in rng.permutation(len(both))[:_FIT_TESTS]:
-            a, b = both[index]
+        order: list[int] = rng.permutation(len(both))[:_FIT_TESTS].tolist()
+        for a, b in (both[index] for index in order):
             checked = task.check_grips(u_group, v_group, merge, fitting[0][a], fitting[1][b])
             fit[a, b] = isinstance(checked, MateGrasp)
             if isinstance(checked, MateGrasp) and reach_tests < _REACH_TESTS:
