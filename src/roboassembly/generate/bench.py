@@ -55,47 +55,44 @@ class SlattedBench(Design):
         slat = Blank(rail(first - inner * X, first + inner * X, Y, pitch - 0.0125, SEAT_SLAT, tenon, 0.004))
         places = a.each("seat_slat", "seat_surface_bar", slat, [move(y=k * pitch) for k in range(s.seat_slats)])
         a.pockets(tenon, joint_frame(first + inner * X, -X, Y), side, places)
-        self.back(a, side, knee, along, inner, reach, deep)
+        self.back(a, side, knee, along, reach)
         if s.stretcher:
             # On the middle line of the rear legs, which run straight up to their bend.
             share = 0.15 / (knee[2] - 0.045)
             at = vector(0, (1 - share) * (rear - 0.01) + share * knee[1], 0.15)
             a.cross("stretcher", "bar_stretcher", at, inner, Z, (0.045, 0.022), Tenon(0.024, 0.012, deep), side)
         if s.arms:
-            arm = a.part("armrest_left", "arm_horizontal_bar", self.armrest(leg_top, knee, along, across))
-            a.part("armrest_right", "arm_horizontal_bar", arm, move(-2 * leg_top[0]))
+            arm = Blank(self.armrest(leg_top, knee, along, across))
+            a.each("armrest", "arm_horizontal_bar", arm, {"left": move(), "right": move(-2 * leg_top[0])})
             a.join(ARM_TENON, joint_frame(leg_top, -Z, Y), side, arm)
         a.pair("side", "leg", side, first="left")
 
-    def back(
-        self, a: Assembly, side: Blank, knee: Vector, along: Vector, inner: float, reach: float, deep: float
-    ) -> None:
+    def back(self, a: Assembly, side: Blank, knee: Vector, along: Vector, reach: float) -> None:
         """Add the back: bars along x, all alike, or two with upright slats between them."""
-        top, low = reach - 0.010 - CREST / 2, 0.085
-        if not self.upright:
-            height = min(0.085, 0.60 * (top - low) / max(1, self.back_bars - 1))
-            ups = np.linspace(low + 0.03, reach - 0.010 - height / 2, self.back_bars)
-            bars = [(f"back_bar_{k + 1}", up, height) for k, up in enumerate(ups)]
-        else:
-            bars = [("crest_rail", top, CREST), ("back_rail_lower", low, 0.050)]
-        tenons = [Tenon(0.6 * height, 0.010, deep) for _, _, height in bars]
-        blanks = [
-            Blank(
-                rail(knee + up * along - inner * X, knee + up * along + inner * X, along, height, 0.022, tenon, 0.004)
-            )
-            for (_, up, height), tenon in zip(bars, tenons, strict=True)
-        ]
+        inner, top, low = self.width / 2 - self.side, reach - 0.010 - CREST / 2, 0.085
+
+        def blank(up: float, height: float) -> Blank:
+            at, tenon = knee + up * along, Tenon(0.6 * height, 0.010, 0.42 * self.side)
+            return Blank(rail(at - inner * X, at + inner * X, along, height, 0.022, tenon, 0.004))
+
         if self.upright:
+            crest, lower = blank(top, CREST), blank(low, 0.050)
+            bars = [("crest_rail", top, CREST, crest, 0.0), ("back_rail_lower", low, 0.050, lower, 0.0)]
             start, end = knee + (low + 0.025) * along, knee + (top - CREST / 2) * along
             upright = Blank(rail(start, end, X, 0.052, 0.012, UPRIGHT_TENON, 0.002))
-            for k in range(self.upright_slats):
-                x = (k - (self.upright_slats - 1) / 2) * (2 * inner / self.upright_slats)
-                a.part(f"back_slat_{k + 1}", "back_surface_vertical_bar", upright, move(x))
-                for frame, blank in zip(mouths(start + x * X, end + x * X, X), reversed(blanks), strict=True):
-                    blank -= UPRIGHT_TENON.pocket(frame)
-        for (name, up, _), blank, tenon in zip(bars, blanks, tenons, strict=True):
-            lift = 0.0 if self.upright else up - bars[0][1]
-            a.part(name, "back_surface_horizontal_bar", blank if self.upright else blanks[0], move(*(lift * along)))
+            pitch = 2 * inner / self.upright_slats
+            places = [move((k - (self.upright_slats - 1) / 2) * pitch) for k in range(self.upright_slats)]
+            a.each("back_slat", "back_surface_vertical_bar", upright, places)
+            for frame, rail_blank in zip(mouths(start, end, X), (lower, crest), strict=True):
+                a.pockets(UPRIGHT_TENON, frame, rail_blank, places)
+        else:
+            height = min(0.085, 0.60 * (top - low) / max(1, self.back_bars - 1))
+            ups = np.linspace(low + 0.03, reach - 0.010 - height / 2, self.back_bars)
+            first = blank(ups[0], height)
+            bars = [(f"back_bar_{k + 1}", up, height, first, up - ups[0]) for k, up in enumerate(ups)]
+        for name, up, height, shape, lift in bars:
+            a.part(name, "back_surface_horizontal_bar", shape, move(*(lift * along)))
+            tenon = Tenon(0.6 * height, 0.010, 0.42 * self.side)
             side -= tenon.pocket(joint_frame(knee + up * along + inner * X, -X, along))
 
     def sawn_side(self, leg_top: Vector, front: float, rear: float, knee: Vector, along: Vector, reach: float) -> Solid:

@@ -43,13 +43,13 @@ class Blank:
 
     def __init__(self, body: Solid | None = None) -> None:
         self.body = Solid() if body is None else body
-        self._late: list[Solid] | None = [] if body is None else None
+        self._waiting: list[Solid] | None = [] if body is None else None
 
     @property
     def solid(self) -> Solid:
         """The finished shape."""
-        while self._late:
-            self.body -= self._late.pop(0)
+        while self._waiting:
+            self.body -= self._waiting.pop(0)
         return self.body
 
     def __iadd__(self, solid: Solid) -> Self:
@@ -57,10 +57,10 @@ class Blank:
         return self
 
     def __isub__(self, solid: Solid) -> Self:
-        if self._late is None:
+        if self._waiting is None:
             self.body -= solid
         else:
-            self._late.append(solid)
+            self._waiting.append(solid)
         return self
 
 

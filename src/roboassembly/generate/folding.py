@@ -55,11 +55,8 @@ class FoldingChair(Design):
         # Where they cross, a pin of the inner leg goes into the outer one.
         lines = np.array([rise[1:], -lean[1:]]).T
         cross = front_foot + np.linalg.solve(lines, (rear_foot - front_foot)[1:])[0] * rise
-        pin, ends = (
-            joint_frame(cross + outer_face * X, -X, Z),
-            [cross + (inner_x + 0.3 * t) * X, cross + (outer_face - c) * X],
-        )
-        inner += sweep(ends, Y, Z, rectangle(0.024, 0.024, 0.006)) + PIVOT.tongue(pin)
+        pin, collar = joint_frame(cross + outer_face * X, -X, Z), [inner_x + 0.3 * t, outer_face - c]
+        inner += sweep([cross + x * X for x in collar], Y, Z, rectangle(0.024, 0.024, 0.006)) + PIVOT.tongue(pin)
         outer -= PIVOT.pocket(pin)
 
         # Seat and rods.

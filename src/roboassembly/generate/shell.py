@@ -55,8 +55,8 @@ class ShellChair(Design):
         solid, mouth_at = splayed_leg(bar_low, s.splay, LEG_TENON, MOUTH, profile)
         leg = Blank(solid)
         # On the front bar (the one at -y) both legs lean outward and forward.
-        on_bar = [spin(np.pi + 0.9, -leg_x), spin(-0.9, leg_x)]
-        for pose in on_bar:
+        on_bar = {"right": spin(np.pi + 0.9, -leg_x), "left": spin(-0.9, leg_x)}
+        for pose in on_bar.values():
             bar -= LEG_TENON.pocket(mouth_at(pose), over=MOUTH)
         for x in (-lug_x, lug_x):
             bar -= LUG_PEG.pocket(joint_frame(vector(x, 0, bar_top), Z, X))
@@ -66,13 +66,11 @@ class ShellChair(Design):
         for k, x in enumerate(([], [0.0], [-0.045, 0.045])[s.spreaders]):
             a.part(f"spreader_{k + 1}", "bar_stretcher", spreader, move(x - first))
             bar -= SPREADER_TENON.pocket(move(x, bar_y) * mouths(start, end, Z)[0])
-        for end, place, sides in (
-            ("front", spin(0.0, y=-bar_y), ("right", "left")),
-            ("back", spin(np.pi, y=bar_y), ("left", "right")),
-        ):
-            a.part(f"bar_{end}", "seat_frame_bar", bar, place)
-            for side, pose in zip(sides, on_bar, strict=True):
-                a.part(f"leg_{end}_{side}", "leg", leg, place * pose)
+        other = {"right": "left", "left": "right"}
+        a.part("bar_front", "seat_frame_bar", bar, front := move(y=-bar_y))
+        a.each("leg_front", "leg", leg, {side: front * pose for side, pose in on_bar.items()})
+        a.part("bar_back", "seat_frame_bar", bar, back := spin(np.pi, y=bar_y))
+        a.each("leg_back", "leg", leg, {other[side]: back * pose for side, pose in on_bar.items()})
 
         # The shell with lugs on the bars.
         path, heading, dish, wide = self.surface()

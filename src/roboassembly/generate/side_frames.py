@@ -120,9 +120,8 @@ class SledChair(Design):
         slats = min(s.slats, int(space / (SLAT + 0.004)))
         ups = [low + k * (SLAT + (space - slats * SLAT) / slats) for k in range(slats)] if not s.spindles else [low]
         crest_tenon, slat_tenon = Tenon(0.6 * s.crest, 0.009, 0.30 * s.post), Tenon(0.65 * SLAT, 0.009, 0.30 * s.post)
-        crest = Blank(
-            arched_rail(base + crest_up * along, inner, s.rake, (s.crest, 0.018), crest_tenon, 0.018, stations=7)
-        )
+        middle = base + crest_up * along
+        crest = Blank(arched_rail(middle, inner, s.rake, (s.crest, 0.018), crest_tenon, 0.018, stations=7))
         slat = Blank(arched_rail(base + low * along, inner, s.rake, (SLAT, 0.018), slat_tenon, stations=7))
         if s.spindles:
             start, end = base + (low + SLAT / 2) * along, base + top * along
@@ -136,16 +135,13 @@ class SledChair(Design):
             a.part(name, "back_surface_horizontal_bar", slat, move(*((up - low) * along)))
             post -= slat_tenon.pocket(joint_frame(base + up * along - inner * X, X, along))
         a.part("crest_rail", "back_frame_horizontal_bar", crest)
-        post -= crest_tenon.pocket(joint_frame(base + crest_up * along - inner * X, X, along))
+        post -= crest_tenon.pocket(joint_frame(middle - inner * X, X, along))
 
     def runner(self, x: float, front: float, back: float, floor: float) -> tuple[Blank, Solid]:
         """The right-hand runner, and what fits uprights to its curved top."""
         t = self.post
         if not self.bow:
-            y, low = (
-                np.array([front - 0.075, front - 0.06, back + 0.09, back + 0.105]),
-                np.array([0.014, 0.0, 0.0, 0.014]),
-            )
+            y, low = [front - 0.075, front - 0.06, back + 0.09, back + 0.105], np.array([0.014, 0.0, 0.0, 0.014])
             return Blank(bar(x, y, (low + RUNNER) / 2, X, Z, t, RUNNER - low, 0.004)), Solid()
         angle = np.linspace((front - 0.13) / self.bow, (back + 0.22) / self.bow, 13)
         radial = np.column_stack([0 * angle, np.sin(angle), -np.cos(angle)])

@@ -49,9 +49,8 @@ class Throne(Design):
 
         # Seat and front board.
         front, rear = -s.depth / 2 + 0.012, heel[1] - 0.024
-        seat = Blank(
-            pad(from_front_to_rear(front, rear, 2 * (inner - c), 0.012), under, s.seat_height, 0.006, under=0.003)
-        )
+        outline = from_front_to_rear(front, rear, 2 * (inner - c), 0.012)
+        seat = Blank(pad(outline, under, s.seat_height, 0.006, under=0.003))
         mouth = vector(inner, (front + rear) / 2, under + 0.013)
         a.join_sides(Tenon(0.75 * (rear - front), 0.014, GROOVE), joint_frame(mouth, -X, Y), seat, side)
         if s.front:

@@ -56,14 +56,12 @@ class UpholsteredChair(Design):
         else:
             arm_outline = rounded_trapezoid(s.arm_width, s.arm_width, s.depth + 0.01, 0.018)
             top = s.seat_height + s.arm_rise
-            block_arm = pad(arm_outline, under, top, min(0.03, 0.4 * s.arm_width), under=0.008)
-            arm = Blank(block_arm.translate((half + s.arm_width / 2, 0.0, 0.0)))
+            middle_arm = pad(arm_outline, under, top, min(0.03, 0.4 * s.arm_width), under=0.008)
+            arm = Blank(middle_arm.translate((half + s.arm_width / 2, 0.0, 0.0)))
+            on_seat = vector(half, -0.05, under + 0.5 * s.seat_thickness)
             on_back = vector(half, rear + 0.5 * s.arm_rise * np.tan(s.rake), s.seat_height + 0.5 * s.arm_rise)
-            for tongue, mouth, up, blank in (
-                (SEAT_TONGUE, vector(half, -0.05, under + 0.5 * s.seat_thickness), Y, seat),
-                (BACK_TONGUE, on_back, Z, back),
-            ):
-                a.join_sides(tongue, joint_frame(mouth, -X, up), blank, arm)
+            a.join_sides(SEAT_TONGUE, joint_frame(on_seat, -X, Y), seat, arm)
+            a.join_sides(BACK_TONGUE, joint_frame(on_back, -X, Z), back, arm)
             self.stand(a, arm, under, half + s.arm_width / 2)
             a.pair("arm", "arm_sofa_style", arm, first="left")
         a.part("back", "back_soft_surface", back)
