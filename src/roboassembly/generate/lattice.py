@@ -148,12 +148,15 @@ class Lattice(Design):
                 if s.round_posts and not s.butted:
                     solid = self.shortened(solid, run, length, 0.5 * s.post - half + CLEARANCE)
                 if filled and not s.butted:
-                    solid -= self.fill_pockets(run, length, 1 if index == 0 else -1, row.fill)
+                    out, filling = Z if index == 0 else -Z, self.filling(row.fill, length)
+                    mouths_out = [(joint_frame(x * run + s.rail / 2 * out, out, run), joint) for x, joint in filling]
+                    holes = [joint.pocket(mouth) for mouth, joint in mouths_out]
+                    solid -= holes[0] if row.fill == "panel" else sum(holes, Solid())
             blank = a.alike((row.axis, s.round_rails, filled and (row.fill, index)), solid)
             a.part(f"rail_{name}_{level}", "bar_stretcher", blank, move(*start))
         if filled:
             bottom = here + half * run + (height_of(row.low) + s.rail / 2) * Z
-            self.fill_between(a, run, length, bottom, height_of(row.high) - height_of(row.low) - s.rail, row.fill, name)
+            self.fill_between(a, run, length, bottom, height_of(row.high) - height_of(row.low) - s.rail, row)
 
     def shortened(self, solid: Solid, run: Vector, length: float, by: float) -> Solid:
         """A rail whose shoulders, which stand off a round post's rim, end `by` metres before its tenons begin."""
@@ -165,38 +168,26 @@ class Lattice(Design):
             solid -= block(*(ends + wide)) - block(*(ends + tenon))
         return solid
 
-    def places(self, length: float) -> list[float]:
-        """Distances of the spindles from a rail's start."""
-        return [length * (k + 1) / (self.fill + 1) for k in range(self.fill)]
-
-    def fill_pockets(self, run: Vector, length: float, side: int, fill: str) -> Solid:
-        """What the filling takes out of a rail whose middle line begins at the origin; `side` 1 for its upper face."""
-        face = side * (self.rail / 2) * Z
+    def filling(self, fill: str, length: float) -> list[tuple[float, Tenon | RoundTenon]]:
+        """Where between the ends of two rails their spindles or their panel stand, and the joints at their ends."""
         if fill == "panel":
-            groove = Tenon(0.7 * length, 0.007, 0.008)
-            return groove.pocket(joint_frame(0.5 * length * run + face, side * Z, run))
-        out = Solid()
-        for d in self.places(length):
-            out += PEG.pocket(joint_frame(d * run + face, side * Z, run))
-        return out
+            return [(0.5 * length, Tenon(0.7 * length, 0.007, 0.008))]
+        return [(length * (k + 1) / (self.fill + 1), PEG) for k in range(self.fill)]
 
-    def fill_between(
-        self, a: Assembly, run: Vector, length: float, bottom: Vector, rise: float, fill: str, name: str
-    ) -> None:
+    def fill_between(self, a: Assembly, run: Vector, length: float, bottom: Vector, rise: float, row: RailRow) -> None:
         """Add spindles or a panel between two rails that are `rise` apart."""
-        key = (fill, tuple(run), round(rise, 6))
-        if fill == "panel":
-            groove = Tenon(0.7 * length, 0.007, 0.008)
+        key, filling = (row.fill, tuple(run), round(rise, 6)), self.filling(row.fill, length)
+        name, places = f"{row.axis}{row.i}{row.j}", [move(*(bottom + middle * run)) for middle, _ in filling]
+        if row.fill == "panel":
             ends = [CLEARANCE * Z, (rise - CLEARANCE) * Z]
             solid = sweep(ends, run, np.cross(Z, run), rectangle(0.7 * length, 0.012))
-            if not self.butted:
-                for frame in mouths(0 * Z, rise * Z, run):
-                    solid += groove.tongue(frame)
-            a.part(f"panel_{name}", "back_single_surface", a.alike(key, solid), move(*(bottom + 0.5 * length * run)))
-            return
-        blank = a.alike(key, spindle(0 * Z, rise * Z, run, 0.008, BUTT if self.butted else PEG))
-        for k, d in enumerate(self.places(length)):
-            a.part(f"spindle_{name}_{k}", "back_surface_vertical_bar", blank, move(*(bottom + d * run)))
+            for frame in mouths(0 * Z, rise * Z, run) if not self.butted else ():
+                solid += filling[0][1].tongue(frame)
+            a.part(f"panel_{name}", "back_single_surface", a.alike(key, solid), places[0])
+        else:
+            blank = a.alike(key, spindle(0 * Z, rise * Z, run, 0.008, BUTT if self.butted else PEG))
+            named = {f"{name}_{k}": place for k, place in enumerate(places)}
+            a.each("spindle", "back_surface_vertical_bar", blank, named)
 
     def lay_slats(self, a: Assembly) -> None:
         """Add boards across two rails along x that stand at the same height at front and back."""
@@ -207,9 +198,9 @@ class Lattice(Design):
             return
         each = (s.width - s.post - 0.01) / s.slats
         slat = a.alike("slat", block((-0.4 * each, -0.011, 0.0), (0.4 * each, s.depth + 0.011, 0.012)))
+        z = height_of(low[0]) + s.rail / 2 + CLEARANCE
         for k in range(s.slats):
-            x = s.post / 2 + 0.005 + (k + 0.5) * each
-            a.part(f"slat_{k}", "seat_frame_bar", slat, move(x, 0.0, height_of(low[0]) + s.rail / 2 + CLEARANCE))
+            a.part(f"slat_{k}", "seat_frame_bar", slat, move(s.post / 2 + 0.005 + (k + 0.5) * each, z=z))
 
     def peg(self, a: Assembly, k: int, post: Post, blank: Blank) -> None:
         """Add a knob on the outer face of a post."""
