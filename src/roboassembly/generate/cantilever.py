@@ -51,7 +51,7 @@ class CantileverChair(Design):
         # The seat, flat or cushioned, with a tongue along either side.
         long = s.depth - 0.04 - 2 * (s.bend * 0.9)
         at, tongue = seat_front * (Y + Z) + (s.depth - 0.04) / 2 * run, Tenon(long, 0.45 * t, deep)
-        a.part("seat", "seat_single_surface", self.panel(at, run, inner, long + 0.07, s.seat, tongue, 0.0))
+        a.part("seat", "seat_single_surface", self.panel(at, run, long + 0.07, s.seat, tongue, 0.0))
         strip -= tongue.pocket(joint_frame(at + inner * X, -X, run))
 
         # Boards in the back; two of them are alike.
@@ -64,7 +64,7 @@ class CantileverChair(Design):
             board = min(0.75 * (high - low), 0.30)
             ups = {"back": high - board / 2}
         tongue, first = Tenon(0.8 * board, 0.45 * t, deep), min(ups.values())
-        back = self.panel(knee * (Y + Z) + first * along, along, inner, board, 0.014, tongue, 0.02)
+        back = self.panel(knee * (Y + Z) + first * along, along, board, 0.014, tongue, 0.02)
         for name, up in ups.items():
             a.part(name, "back_single_surface", back, move(*((up - first) * along)))
             strip -= tongue.pocket(joint_frame(knee * (Y + Z) + up * along + inner * X, -X, along))
@@ -80,16 +80,15 @@ class CantileverChair(Design):
             a.cross("front_bar", "seat_frame_bar", at, inner, unit(upright), (0.9 * t, 0.85 * t), tenon, strip)
         a.pair("frame", "leg", strip, first="left")
 
-    def panel(
-        self, center: Vector, along: Vector, inner: float, length: float, thickness: float, tongue: Tenon, bow: float
-    ) -> Blank:
-        """A panel between the strips, `length` along `along`, hollowed by `bow`, with a tongue at either side."""
-        end, normal = inner - CLEARANCE, np.cross(X, along)
+    def panel(self, at: Vector, up: Vector, long: float, thick: float, tongue: Tenon, bow: float) -> Blank:
+        """A panel between the strips, its length along `up`, hollowed by `bow`, with a tongue at either side."""
+        inner, normal = self.width / 2 - self.strip, np.cross(X, up)
+        end = inner - CLEARANCE
         x = end * np.array([-1, -0.97, -0.7, -0.35, 0, 0.35, 0.7, 0.97, 1])
         ease = np.array([0.85, 1, 1, 1, 1, 1, 1, 1, 0.85])
-        path = polyline(center, (x, X), (-(bow * (1 - (x / end) ** 2)), normal))
-        lengths, thicknesses = length - (1 - ease) * 0.05, thickness * ease
-        body = sweep(path, along, normal, rectangles(lengths, thicknesses, min(0.3 * thickness, 0.010)))
+        path = polyline(at, (x, X), (-(bow * (1 - (x / end) ** 2)), normal))
+        lengths, thicknesses = long - (1 - ease) * 0.05, thick * ease
+        body = sweep(path, up, normal, rectangles(lengths, thicknesses, min(0.3 * thick, 0.010)))
         for side in (1, -1):
-            body += tongue.tongue(joint_frame(center + side * inner * X, -side * X, along))
+            body += tongue.tongue(joint_frame(at + side * inner * X, -side * X, up))
         return Blank(body)

@@ -89,10 +89,8 @@ class Carcass(Design):
         if s.top_over:
             self.plank(a, "top", "board", vector(0, 0, high + c), vector(s.width, s.depth, s.height))
         pinned = s.feet and s.bottom_under and s.board > 0.014  # feet have pins in the bottom
-        bottom: Blank | None = None
-        if s.bottom_under:
-            corner, far = vector(0, 0, foot), vector(s.width, s.depth, foot + s.board)
-            bottom = self.plank(a, "bottom", "board", corner, far, alike=not pinned)
+        corner, far = vector(0, 0, foot), vector(s.width, s.depth, foot + s.board)
+        bottom = self.plank(a, "bottom", "board", corner, far, alike=not pinned) if s.bottom_under else None
         if s.back:
             self.plank(a, "back", "board", vector(0, s.depth + c, low), vector(s.width, s.depth + c + 0.008, high))
         if s.feet:

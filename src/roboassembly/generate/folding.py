@@ -16,8 +16,7 @@ from roboassembly.generate.vectors import Vector, X, Y, Z, move, unit, vector
 
 ROD = RoundTenon(radius=0.0075, length=0.012, sides=10)
 PIVOT = RoundTenon(radius=0.0085, length=0.010, sides=12)
-BETWEEN_LEGS = 0.009
-"""Gap between the crossed legs, which a collar around the pivot fills [m]."""
+BETWEEN_LEGS = 0.009  # gap between the crossed legs, which a collar around the pivot fills [m]
 
 
 @family("folding", "two pairs of crossed legs with rods, seat and slats between them")

@@ -18,14 +18,11 @@ from roboassembly.generate.solids import Solid, block, placed, sweep, turned
 from roboassembly.generate.vectors import Vector, X, Y, Z, move, turn, vector
 from roboassembly.geometry.poses import SE3
 
-LEVEL = 0.085
-"""Distance between the heights at which rails may stand, so that those from two sides do not meet [m]."""
+LEVEL = 0.085  # distance between the heights at which rails may stand, so that those from two sides do not meet [m]
 ROUND = RoundTenon(radius=0.0075, length=0.012, sides=10)
 PEG = RoundTenon(radius=0.006, length=0.010, sides=10)
-BUTT = RoundTenon(radius=0.0075, length=-CLEARANCE, sides=10)
-"""End of a bar that stops a clearance before the face."""
-NO_TENON = Tenon(0.004, 0.004, -0.002, root=0.006)
-"""Tongue that does not come out of its rail."""
+BUTT = RoundTenon(radius=0.0075, length=-CLEARANCE, sides=10)  # end of a bar that stops a clearance before the face
+NO_TENON = Tenon(0.004, 0.004, -0.002, root=0.006)  # tongue that does not come out of its rail
 
 Post = tuple[int, int]
 """Column and row of a post."""
@@ -39,8 +36,7 @@ class RailRow(NamedTuple):
     axis: str
     low: int
     high: int
-    fill: str
-    """What is between the rails: none, spindles or panel."""
+    fill: str  # what is between the rails: none, spindles or panel
 
     @property
     def ends(self) -> tuple[Post, Post]:

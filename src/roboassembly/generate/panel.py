@@ -15,10 +15,8 @@ from roboassembly.generate.outlines import rectangle, rectangles, rounded_trapez
 from roboassembly.generate.solids import bar, column, pad, polyline, sweep
 from roboassembly.generate.vectors import Vector, X, Y, Z, leaning, move, spin, vector
 
-GROOVE = 0.008
-"""Depth of the grooves that hold the panel."""
-BOARD = 0.011
-"""Thickness of its boards."""
+GROOVE = 0.008  # depth of the grooves that hold the panel
+BOARD = 0.011  # thickness of its boards
 
 
 @family("panel", "board seat on tapered legs, boards in grooves between two posts, armrests")
@@ -76,7 +74,7 @@ class PanelChair(Design):
         post += rail_tenon.tongue(joint_frame(top, -along, X))
 
         # Boards: their ends are the tongues in the grooves.
-        ends = (2 * (post_x - half + GROOVE)) / 2 * X
+        ends = (post_x - half + GROOVE) * X
         tall = (reach - c - low - (s.boards - 1) * c) / s.boards
         middle = vector(0, foot[1], foot[2]) + (low + tall / 2) * along
         board = Blank(sweep([middle - ends, middle + ends], along, across, rectangle(tall, BOARD, 0.0015)))

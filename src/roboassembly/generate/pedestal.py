@@ -17,16 +17,14 @@ from roboassembly.generate.vectors import Vector, X, Y, Z, leaning, move, spin, 
 FOOT_TENON = Tenon(0.024, 0.012, 0.014)
 CASTER_PIN = RoundTenon(radius=0.0050, length=0.010, sides=8)
 SEAT_PEG = RoundTenon(radius=0.0075, length=0.014, sides=8)
-COLUMN = 0.0185
-"""Radius of the column between its tenons."""
+COLUMN = 0.0185  # radius of the column between its tenons
 COLUMN_FOOT = RoundTenon(radius=0.0155, length=0.036, end_radius=0.0140, sides=16)
 COLUMN_HEAD = RoundTenon(radius=0.0140, length=0.020, end_radius=0.0130, sides=16)
 BAR_TENON = Tenon(0.044, 0.010, 0.026)
 BACK_TENON = Tenon(0.046, 0.012, 0.090)
 BRACKET_TENON = Tenon(0.034, 0.010, 0.030)
 ARM_PIN = Tenon(0.030, 0.008, 0.011)
-PLATE = 0.036
-"""Thickness of the plate under the seat."""
+PLATE = 0.036  # thickness of the plate under the seat
 
 
 @family("pedestal", "five feet around a hub, column with cover, upholstered seat, back on a bar")
@@ -146,8 +144,8 @@ class PedestalChair(Design):
 
     def armrests(self, a: Assembly, seat: Blank, level: float) -> None:
         """Add brackets at the seat's sides, and pads on them."""
-        y = -0.02
         # The seat's side is not quite parallel to y: cut its flat for the bracket.
+        y = -0.02
         face = self.width / 2 - 0.05 * (0.5 + y / self.depth) / 2 - 0.006
         for side in (1, -1):
             ends = [vector(side * (face - CLEARANCE), y, level), vector(side * (face + 0.05), y, level)]

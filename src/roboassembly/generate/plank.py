@@ -16,8 +16,7 @@ from roboassembly.generate.solids import Solid, block, column, cut_out, pad
 from roboassembly.generate.vectors import X, Y, Z, leaning, move, spin, vector
 
 BACK_TENON = Tenon(0.110, 0.016, 0.022, root=0.03)
-KEY = (0.017, 0.010)
-"""Width (along x) and thickness (along y) of a key."""
+KEY = (0.017, 0.010)  # width (along x) and thickness (along y) of a key
 HEART, STRAIGHT, NO_BACK = range(3)
 
 

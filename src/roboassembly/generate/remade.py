@@ -27,16 +27,12 @@ from roboassembly.repair import RepairLimits, repair
 
 TRIES = 20
 FEWEST_PARTS = 3
-OVERLAP = 1e-4
-"""Length by which fused parts reach into each other [m]."""
+OVERLAP = 1e-4  # length by which fused parts reach into each other [m]
 MIRROR_TOLERANCE = 0.01
 """Distance [m] between a part's place and its mirror image's, and share of the volume by which they may differ."""
-SHALLOWEST, DEEPEST = 0.0003, 0.012
-"""Bounds of the depth to which a part is driven into another [m]; shallow is as frequent as deep."""
-VOLUME_TOLERANCE = 0.02
-"""Share of the volume that two parts may differ by to be driven in alike."""
-LIMITS = RepairLimits(openings=8)
-"""Effort of the repair; furniture that needs more takes minutes."""
+SHALLOWEST, DEEPEST = 0.0003, 0.012  # bounds of the depth to which a part is driven into another [m]
+VOLUME_TOLERANCE = 0.02  # share of the volume that two parts may differ by to be driven in alike
+LIMITS = RepairLimits(openings=8)  # effort of the repair; furniture that needs more takes minutes
 
 Change = Callable[[Sequence[RawPart], np.random.Generator], list[PartDesign]]
 
@@ -123,6 +119,7 @@ def sunk(parts: Sequence[RawPart], rng: np.random.Generator) -> list[PartDesign]
     """
     contacts = find_contacts([p.mesh for p in parts], [p.name for p in parts])
     share = rng.choice([0.3, 0.7, 1.0])
+    # Shallow is as frequent as deep.
     depth = float(np.exp(rng.uniform(np.log(SHALLOWEST), np.log(DEEPEST))))
     solids = [from_triangles(p.mesh.vertices, p.mesh.faces) for p in parts]
     whole = list(solids)

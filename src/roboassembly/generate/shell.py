@@ -17,12 +17,9 @@ MOUTH = 0.010
 LEG_TENON = RoundTenon(radius=0.0115, length=0.022, end_radius=0.0105, sides=12)
 LUG_PEG = Tenon(0.030, 0.014, 0.012)
 SPREADER_TENON = Tenon(0.016, 0.010, 0.014)
-BAR = (0.042, 0.036)
-"""Depth and height of the bars."""
-LUG = 0.022
-"""Height of the lugs under the shell."""
-ROUND = 0.085
-"""Radius of the shell's upper corners."""
+BAR = (0.042, 0.036)  # depth and height of the bars
+LUG = 0.022  # height of the lugs under the shell
+ROUND = 0.085  # radius of the shell's upper corners
 
 
 @family("shell", "seat and back bent from one piece, on two bars with splayed legs")
@@ -66,11 +63,10 @@ class ShellChair(Design):
         for k, x in enumerate(([], [0.0], [-0.045, 0.045])[s.spreaders]):
             a.part(f"spreader_{k + 1}", "bar_stretcher", spreader, move(x - first))
             bar -= SPREADER_TENON.pocket(move(x, bar_y) * mouths(start, end, Z)[0])
-        other = {"right": "left", "left": "right"}
         a.part("bar_front", "seat_frame_bar", bar, front := move(y=-bar_y))
         a.each("leg_front", "leg", leg, {side: front * pose for side, pose in on_bar.items()})
         a.part("bar_back", "seat_frame_bar", bar, back := spin(np.pi, y=bar_y))
-        a.each("leg_back", "leg", leg, {other[side]: back * pose for side, pose in on_bar.items()})
+        a.each("leg_back", "leg", leg, {"left": back * on_bar["right"], "right": back * on_bar["left"]})
 
         # The shell with lugs on the bars.
         path, heading, dish, wide = self.surface()

@@ -16,12 +16,9 @@ from roboassembly.generate.outlines import from_front_to_rear, rectangle, rectan
 from roboassembly.generate.solids import Solid, bar, loft, pad, polyline, sweep
 from roboassembly.generate.vectors import Vector, X, Y, Z, leaning, move, spin, vector
 
-RUNNER = 0.032
-"""Height of a runner."""
-ARM = 0.024
-"""Thickness of an armrest."""
-SLAT = 0.042
-"""Height of a slat."""
+RUNNER = 0.032  # height of a runner
+ARM = 0.024  # thickness of an armrest
+SLAT = 0.042  # height of a slat
 SPINDLE_TENON = Tenon(0.015, 0.007, 0.014)
 
 
@@ -75,14 +72,13 @@ class SledChair(Design):
 
         # The right-hand leg and post; the post is upright to the knee, then it leans.
         along, across = leaning(s.rake)
-        knee = s.seat_height - 0.01
-        reach = (s.height - knee) / np.cos(s.rake)
-        base = vector(0, back, knee)
+        base = vector(0, back, s.seat_height - 0.01)  # the post's knee
+        reach = (s.height - base[2]) / np.cos(s.rake)
         self.back(a, base, reach, -inner, post)
         foot = floor - (0.02 if s.bow else -c)
         leg.body = sweep([vector(x0, front, foot), vector(x0, front, leg_top - c)], X, Y, rectangle(t, t, 0.004))
         above_knee = polyline(base + x0 * X, (np.array([0.03, reach - 0.006, reach]), along))
-        path = np.array([vector(x0, back, foot), vector(x0, back, knee - 0.03), *above_knee])
+        path = np.array([vector(x0, back, foot), vector(x0, back, base[2] - 0.03), *above_knee])
         deep = np.array([t, t, 0.95 * t, 0.70 * t, 0.52 * t])
         post.body = sweep(path, X, Y, rectangles(t, deep, 0.004))
         runner, groove = self.runner(x0, front, back, floor)
@@ -126,10 +122,10 @@ class SledChair(Design):
         if s.spindles:
             start, end = base + (low + SLAT / 2) * along, base + top * along
             stick = Blank(rail(start, end, X, 0.026, 0.011, SPINDLE_TENON, 0.002))
-            for k, x in enumerate(np.linspace(-1, 1, s.spindles) * (inner - 0.075)):
-                for frame, bar in zip(mouths(start + x * X, end + x * X, X), (slat, crest), strict=True):
-                    bar -= SPINDLE_TENON.pocket(frame)
-                a.part(f"spindle_{k + 1}", "back_surface_vertical_bar", stick, move(x))
+            places = [move(x) for x in np.linspace(-1, 1, s.spindles) * (inner - 0.075)]
+            a.each("spindle", "back_surface_vertical_bar", stick, places)
+            for frame, blank in zip(mouths(start, end, X), (slat, crest), strict=True):
+                a.pockets(SPINDLE_TENON, frame, blank, places)
         for k, up in enumerate(ups):
             name = "back_rail_lower" if s.spindles else f"slat_{k + 1}"
             a.part(name, "back_surface_horizontal_bar", slat, move(*((up - low) * along)))

@@ -62,8 +62,8 @@ class SplatChair(Design):
         post = Blank(shaft.trim_by_plane(-along, -float((knee + (reach - c) * along) @ along)))
 
         # The crest on posts and splat: level below, waved above.
-        foot = vector(0, knee[1] + (s.seat_height - knee[2]) * np.tan(s.rake), s.seat_height)
-        span = ((knee + reach * along)[2] - s.seat_height) / along[2]
+        top, foot = knee + reach * along, vector(0, knee[1] + (s.seat_height - knee[2]) * np.tan(s.rake), s.seat_height)
+        span = (top[2] - s.seat_height) / along[2]
         x = np.array([-1, -0.96, -0.86, -0.7, -0.45, -0.2, 0, 0.2, 0.45, 0.7, 0.86, 0.96, 1])
         high = s.crest * np.array([0.68, 0.84, 0.92, 0.84, 0.86, 1.02, 1.08, 1.02, 0.86, 0.84, 0.92, 0.84, 0.68])
         path = polyline(foot + span * along, ((s.back_width / 2 + s.ears) * x, X), (high / 2, along))
@@ -78,11 +78,8 @@ class SplatChair(Design):
         seat = Blank(pad(outline, under, s.seat_height, 0.012, under=0.008))
         notch = block((inner - c, rear - s.post / 2 - 0.012, 0), (1, 1, 1))
         seat -= notch + mirrored_x(notch)
-        for sign in (1, -1):
-            mouth = joint_frame(vector(sign * knee[0], *(knee + reach * along)[1:]), -along, X)
-            crest -= CREST_TENON.pocket(mouth)
-            if sign > 0:
-                post += CREST_TENON.tongue(mouth)
+        a.join(CREST_TENON, joint_frame(top, -along, X), post, crest)
+        crest -= CREST_TENON.pocket(joint_frame(top * [-1, 1, 1], -along, X))
         a.join_sides(SEAT_TENON, joint_frame(vector(inner, rear, under + 0.5 * s.seat_thickness), -X, Z), seat, post)
         a.join(tenon, joint_frame(foot, along, X), splat, seat, over=0.01)
         a.part("splat", "back_single_surface", splat)
@@ -90,8 +87,7 @@ class SplatChair(Design):
 
         # Rails between the posts, below the seat.
         stretcher = Blank(rail(-inner * X, inner * X, Z, 0.026, 0.014, BAR_TENON))
-        heights = [0.16, 0.25][: s.stretchers]
-        places = [move(y=float(np.interp(z, points[:, 2], points[:, 1])), z=z) for z in heights]
+        places = [move(y=np.interp(z, points[:, 2], points[:, 1]), z=z) for z in (0.16, 0.25)[: s.stretchers]]
         a.each("stretcher", "bar_stretcher", stretcher, places)
         a.pockets(BAR_TENON, joint_frame(inner * X, -X, Z), post, places)
         a.pair("post", "back_frame_vertical_bar", post, first="left")

@@ -33,24 +33,23 @@ class Stool(Design):
     rows: int = count(1, 1, 2)  # stretchers on each side
 
     def build(self, a: Assembly) -> None:
-        under = self.height - self.thickness
-        reach = (0.31 if self.round else 0.40) * self.seat  # of a leg's axis from both middle planes
-        square = rounded_trapezoid(self.seat, self.seat, self.seat, 0.05, steps=4)
-        outline = circle(self.seat / 2, 24) if self.round else square
-        seat = Blank(pad(outline, under, self.height, 0.008, -self.saddle, under=0.008))
+        s, under = self, self.height - self.thickness
+        reach = (0.31 if s.round else 0.40) * s.seat  # of a leg's axis from both middle planes
+        outline = circle(s.seat / 2, 24) if s.round else rounded_trapezoid(s.seat, s.seat, s.seat, 0.05, steps=4)
+        seat = Blank(pad(outline, under, s.height, 0.008, -s.saddle, under=0.008))
         leg = Blank(self.leg(under - CLEARANCE))
         legs = corners(reach, reach, alike=False)
         a.join(LEG_TENON, joint_frame(under * Z, -Z, X), leg, seat, at=[pose for _, pose, _ in legs])
 
         # The holes of the leg at (-x, -y); stretchers along x are lower than those along y, and all are alike.
-        inner = reach - 0.93 * self.leg_radius
+        inner = reach - 0.93 * s.leg_radius
         start, end = vector(-inner, 0, 0), vector(inner, 0, 0)
-        stretcher = Blank(spindle(start, end, Z, self.stretcher, STRETCHER_TENON, straight=0.014))
+        stretcher = Blank(spindle(start, end, Z, s.stretcher, STRETCHER_TENON, straight=0.014))
         hole = STRETCHER_TENON.pocket(move(reach) * mouths(start, end, Z)[0], over=0.012)
-        for k, z in enumerate([0.12, 0.165] if self.rows == 1 else [0.10, 0.14, 0.235, 0.275]):
+        for k, z in enumerate([0.12, 0.165] if s.rows == 1 else [0.10, 0.14, 0.235, 0.275]):
             level = move(z=z) * spin(k % 2 * np.pi / 2)
             leg -= placed(hole, level)
-            row = "" if self.rows == 1 else ("_lower", "_upper")[k // 2]
+            row = "" if s.rows == 1 else ("_lower", "_upper")[k // 2]
             # The quarter turn takes -y, the front, to +x, the left.
             for y, side in zip((-reach, reach), (("front", "back"), ("left", "right"))[k % 2], strict=True):
                 a.part(f"stretcher_{side}{row}", "bar_stretcher", stretcher, level * move(y=y))

@@ -46,15 +46,13 @@ class ApronTable(Design):
         legs = corners(x, y, alike=not s.shelf_bars)
         a.join(LEG_TENON, joint_frame(under * Z, -Z, X), leg, top, at=[pose for _, pose, _ in legs])
 
-        tenon = Tenon(0.6 * s.apron, 0.009, 0.22 * s.leg)
-        level = (under - 0.010 - s.apron / 2) * Z
+        tenon, level = Tenon(0.6 * s.apron, 0.009, 0.22 * s.leg), (under - 0.010 - s.apron / 2) * Z
         for axis, reach, over, sides in ((X, x, y * Y, ("front", "back")), (Y, y, x * X, ("right", "left"))):
             apron = Blank(rail((half - reach) * axis + level, (reach - half) * axis + level, Z, s.apron, 0.020, tenon))
             a.each("apron", "apron", apron, {sides[0]: move(*-over), sides[1]: move(*over)})
             leg -= tenon.pocket(joint_frame(half * axis + level, axis, Z))
         if s.shelf_bars:
-            low = Tenon(0.016, 0.008, 0.008)
-            height = 0.28 * under
+            low, height = Tenon(0.016, 0.008, 0.008), 0.28 * under
             k = float(np.interp(height, z, thick))
             face, middle = -x - (1 - k) * half + k * half + 0.0012, -y - (1 - k) * half
             start, end = vector(face, middle, height), vector(-face, middle, height)

@@ -12,7 +12,7 @@ from roboassembly.generate.design import Assembly, Blank, Design, chance, count,
 from roboassembly.generate.joints import CLEARANCE, RoundTenon, Tenon, joint_frame, splayed_leg
 from roboassembly.generate.outlines import circle, rectangles
 from roboassembly.generate.solids import bar, pad, placed, polyline, sweep, turned, turned_along
-from roboassembly.generate.vectors import X, Y, Z, leaning, move, spin, vector
+from roboassembly.generate.vectors import Points, X, Y, Z, leaning, move, spin, vector
 
 NO_BACK, HOOP, POSTS = range(3)
 MOUTH = 0.012
@@ -101,19 +101,17 @@ class ThreeLeggedChair(Design):
         profile = [(-POST_FOOT.length, POST_FOOT.radius), (MOUTH, POST_FOOT.radius), (0.4 * length, 0.0135)]
         profile += [(length - MOUTH, POST_TIP.radius), (length + POST_TIP.length, POST_TIP.radius)]
         post = Blank(turned_along(0 * X, along, X, profile, 8))
-        end = span + 0.055
-        x = end * np.array([-1, -0.95, -0.75, -0.5, -0.25, 0, 0.25, 0.5, 0.75, 0.95, 1])
-        high = CREST * np.interp(np.abs(x) / end, [0, 0.75, 0.95, 1], [1.1, 1.0, 0.85, 0.6])
-        thick = np.interp(np.abs(x) / end, [0, 0.95, 1], [0.027, 0.027, 0.017])
+        share = np.array([-1, -0.95, -0.75, -0.5, -0.25, 0, 0.25, 0.5, 0.75, 0.95, 1])
+        high = CREST * np.interp(np.abs(share), [0, 0.75, 0.95, 1], [1.1, 1.0, 0.85, 0.6])
+        thick = np.interp(np.abs(share), [0, 0.95, 1], [0.027, 0.027, 0.017])
 
-        def row(x: np.ndarray) -> np.ndarray:
-            """How far back the crest is at x."""
-            return rear - 0.05 * ((x / span) ** 2 - 1) * 0.5
+        def row(x: np.ndarray, z: float) -> Points:
+            """Points of the bent row of posts at x."""
+            return np.stack(np.broadcast_arrays(x, rear - 0.05 * ((x / span) ** 2 - 1) * 0.5, z), axis=-1)
 
-        base = np.column_stack([x, row(x), np.full(len(x), self.seat_height)]) + length * along
-        crest = Blank(sweep(base + (high / 2)[:, None] * along, along, Y, rectangles(high, thick, 0.004)))
-        for k, at in enumerate(np.linspace(-span, span, self.posts)):
-            foot = vector(at, float(row(np.array(at))), self.seat_height - 0.001)
+        path = row((span + 0.055) * share, self.seat_height) + length * along + (high / 2)[:, None] * along
+        crest = Blank(sweep(path, along, Y, rectangles(high, thick, 0.004)))
+        for k, foot in enumerate(row(np.linspace(-span, span, self.posts), self.seat_height - 0.001)):
             a.part(f"post_{k + 1}", "back_surface_vertical_bar", post, move(*foot))
             seat -= POST_FOOT.pocket(joint_frame(foot, along, X), over=MOUTH)
             crest -= POST_TIP.pocket(joint_frame(foot + length * along, -along, X), over=MOUTH)

@@ -111,5 +111,5 @@ class Throne(Design):
         ]  # fmt: skip
         low, high, start, end = 0.11, self.seat_height - 0.13, front + 0.10, rear - 0.12
         window = np.array([(start, low), (end, low), (end - 0.01, high), (start + 0.01, high)])
-        middle = vector(inner + self.side / 2, 0, 0)
-        return cut_out(np.array(outline), middle, Y, Z, self.side, [window] if self.window else [])
+        holes = [window] if self.window else []
+        return cut_out(np.array(outline), vector(inner + self.side / 2, 0, 0), Y, Z, self.side, holes)

@@ -54,10 +54,9 @@ class UpholsteredChair(Design):
         if not s.arms:
             self.stand(a, seat, under, half - 0.055)
         else:
-            arm_outline = rounded_trapezoid(s.arm_width, s.arm_width, s.depth + 0.01, 0.018)
-            top = s.seat_height + s.arm_rise
-            middle_arm = pad(arm_outline, under, top, min(0.03, 0.4 * s.arm_width), under=0.008)
-            arm = Blank(middle_arm.translate((half + s.arm_width / 2, 0.0, 0.0)))
+            outline = rounded_trapezoid(s.arm_width, s.arm_width, s.depth + 0.01, 0.018)
+            cushion = pad(outline, under, s.seat_height + s.arm_rise, min(0.03, 0.4 * s.arm_width), under=0.008)
+            arm = Blank(cushion.translate((half + s.arm_width / 2, 0.0, 0.0)))
             on_seat = vector(half, -0.05, under + 0.5 * s.seat_thickness)
             on_back = vector(half, rear + 0.5 * s.arm_rise * np.tan(s.rake), s.seat_height + 0.5 * s.arm_rise)
             a.join_sides(SEAT_TONGUE, joint_frame(on_seat, -X, Y), seat, arm)

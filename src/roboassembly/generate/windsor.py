@@ -19,12 +19,9 @@ from roboassembly.generate.vectors import Points, Vector, X, Y, leaning, move, s
 LEG_TENON = RoundTenon(radius=0.0125, length=0.026, end_radius=0.011)
 SPINDLE_FOOT = RoundTenon(radius=0.0080, length=0.020, sides=8)
 SPINDLE_TIP = RoundTenon(radius=0.0062, length=0.022, sides=8)
-MOUTH = 0.012
-"""Holes are slanted to the faces that they start from, so that a tool enters from this far outside."""
-SPAN = 0.37
-"""Distance of the outer spindles from the middle, share of the seat's width."""
-BELT = 0.032
-"""Height of the rail between two rows of spindles."""
+MOUTH = 0.012  # holes are slanted to the faces that they start from, so that a tool enters from this far outside
+SPAN = 0.37  # distance of the outer spindles from the middle, share of the seat's width
+BELT = 0.032  # height of the rail between two rows of spindles
 
 
 @family("windsor", "saddled seat on splayed turned legs, spindles under a bent comb")
@@ -89,9 +86,8 @@ class WindsorChair(Design):
         tiers = [("", xs, base - 0.001, comb_low, seat, comb)]
         if s.belt:
             # The upper row stands between the lower one, so that the belt's holes from both sides do not meet.
-            between = (xs[1:] + xs[:-1]) / 2
             tiers = [("_lower", xs, base - 0.001, low, seat, belt)]
-            tiers += [("_upper", between, low + BELT * np.cos(s.rake), comb_low, belt, comb)]
+            tiers += [("_upper", (xs[1:] + xs[:-1]) / 2, low + BELT * np.cos(s.rake), comb_low, belt, comb)]
         for tier, stand, low, high, lower, upper in tiers:
             spindle = Blank(self.spindle((high - low) / np.cos(s.rake), along))
             feet, heads = self.on_back(stand, low), self.on_back(stand, high)
