@@ -471,7 +471,7 @@ def test_rrt_ends_at_one_of_its_goals() -> None:
     assert min(np.abs(path[-1].homogeneous - g.homogeneous).max() for g in goals) < 1e-9
     checker = Checker(scene)
     assert not checker.path_hits(path, 0.001)
-    short = shortcut(world, path, 0)
+    short = shortcut(path, world.edge_is_free, 0, 40)
     assert len(short) <= len(path)
     assert np.array_equal(short[0].homogeneous, path[0].homogeneous)
     assert np.array_equal(short[-1].homogeneous, path[-1].homogeneous)
@@ -481,4 +481,4 @@ def test_rrt_ends_at_one_of_its_goals() -> None:
 def test_shortcut_leaves_out_what_is_not_needed() -> None:
     world = CollisionWorld(Scene((still("far", shapes.box((5, 5, 5), (6, 6, 6))), mover(shapes.brick(0.1, 0.1, 0.1)))))
     zigzag = [pose(x, (-1) ** i * 0.2, 0.5) for i, x in enumerate(np.linspace(0, 1, 8))]
-    assert len(shortcut(world, zigzag, 0)) == 2
+    assert len(shortcut(zigzag, world.edge_is_free, 0, 40)) == 2

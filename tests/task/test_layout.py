@@ -15,16 +15,8 @@ from roboassembly.furniture.model import Furniture
 from roboassembly.geometry.poses import SE3
 from roboassembly.geometry.scene import Body, Shape
 from roboassembly.simulation.settle import settle
-from roboassembly.task.layout import (
-    GROUND_CLEARANCE,
-    SPACING,
-    Circle,
-    footprint,
-    free_spot,
-    group_footprint,
-    scatter_parts,
-)
-from roboassembly.task.rules.groups import TaskState, hull_points
+from roboassembly.task.layout import GROUND_CLEARANCE, SPACING, free_spot, scatter_parts
+from roboassembly.task.rules.groups import Circle, TaskState, footprint, group_footprint, hull_points
 
 coordinate = st.floats(-1, 1).map(lambda x: round(x, 3))
 circles = st.builds(

@@ -12,11 +12,11 @@ from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS, Furniture
 from roboassembly.geometry.poses import SE3
 from roboassembly.geometry.scene import Scene
 from roboassembly.planning.problem import Budget
-from roboassembly.task.layout import GROUND_CLEARANCE, group_footprint
+from roboassembly.task.layout import GROUND_CLEARANCE
 from roboassembly.task.object_centric.task import ObjectCentricOutcome, ObjectCentricTask, ObjectCentricVerdict
 from roboassembly.task.plans.plan import SETTLING_INTERVAL
 from roboassembly.task.rules.connections import UP_AXES
-from roboassembly.task.rules.groups import Group, TaskState, body, center_of_mass, hull_points
+from roboassembly.task.rules.groups import Group, TaskState, body, center_of_mass, group_footprint, hull_points
 from shapes import Checker, pose, turn
 
 UP, DOWN = 0, 1

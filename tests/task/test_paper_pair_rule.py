@@ -15,7 +15,7 @@ from roboassembly.furniture.model import Furniture
 from roboassembly.geometry.poses import SE3
 from roboassembly.task.rules.connections import Rules
 from roboassembly.task.rules.groups import Group, TaskState
-from roboassembly.task.rules.paper_pair_rule import paper_accepts, paper_pair_rule
+from roboassembly.task.rules.paper_pair_rule import paper_pair_rule
 
 
 def all_loose(furniture: Furniture) -> TaskState:
@@ -60,7 +60,7 @@ def compare(furniture: Furniture, rng: np.random.Generator) -> Counter[str]:
                 continue
             u_group, v_group = state.groups[state.group_of[u]], state.groups[state.group_of[v]]
             merge = rules.pairs.judge(u_group, v_group, u, k, v, m)
-            paper = paper_accepts(furniture, state, u, v, k, m)
+            paper = rules.paper_accepts(state, u, v, k, m)
             counts["both" if merge and paper else "ours" if merge else "paper" if paper else "neither"] += 1
             if merge is not None:
                 merges.append((u_group, v_group, merge.merged))

@@ -23,11 +23,12 @@ from roboassembly.audit.object_centric import fcl_model, fcl_module
 from roboassembly.furniture.model import Furniture
 from roboassembly.geometry.meshes import Mesh
 from roboassembly.geometry.poses import SE3
+from roboassembly.planning.robot_path import Configuration
 from roboassembly.robots.body import links
 from roboassembly.robots.gripper import TIPS, hand_bodies, panda_folder
 from roboassembly.robots.kinematics import JOINTS
 from roboassembly.robots.platform import PLATFORM_FROM_MOUNT
-from roboassembly.task.full.cell_state import CellState, Configuration, Robot, Segment
+from roboassembly.task.full.cell_state import CellState, Robot, Segment
 from roboassembly.task.plans.full_plan import FullPlan
 
 RESOLUTION = 0.02

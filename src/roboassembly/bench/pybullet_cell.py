@@ -11,11 +11,12 @@ from collections.abc import Callable
 from roboassembly.bench.bullet import Bullet, numbers, quiet
 from roboassembly.furniture.model import Furniture
 from roboassembly.geometry.poses import SE3
+from roboassembly.planning.robot_path import Configuration
 from roboassembly.robots.body import world_from_platform, world_from_tips
 from roboassembly.robots.gripper import panda_folder
 from roboassembly.robots.kinematics import JOINTS
 from roboassembly.robots.platform import CLEARANCE, HEIGHT, LENGTH, PLATFORM_FROM_MOUNT, WIDTH
-from roboassembly.task.full.cell_state import Configuration, Segment
+from roboassembly.task.full.cell_state import Segment
 
 
 class BulletCell:

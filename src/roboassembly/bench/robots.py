@@ -23,10 +23,10 @@ from roboassembly.datasets import catalogue
 from roboassembly.errors import InputError, MissingExtraError
 from roboassembly.furniture.model import Furniture
 from roboassembly.planning.problem import Budget
-from roboassembly.planning.robot_path import Floor, connect, number_space
+from roboassembly.planning.robot_path import Configuration, Floor, connect, number_space
 from roboassembly.planning.rrt import exhaustion, run_rrt_connect
 from roboassembly.solvers.search import solve_full
-from roboassembly.task.full.cell_state import Configuration, Segment
+from roboassembly.task.full.cell_state import Segment
 from roboassembly.task.full.failure import FullVerdict, Stage
 from roboassembly.task.full.task import FullTask
 from roboassembly.task.plans.full_plan import FullPlan

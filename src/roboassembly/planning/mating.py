@@ -29,6 +29,8 @@ _PARTIAL_RETREATS = (0.04, 0.12, 0.3)
 _PROBE = 0.004
 """Metres of the smallest motion that counts as leaving the mating pose."""
 _WIGGLES = 60
+_SHORTCUTS = 40
+"""Pairs of way-points that are tried."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +77,7 @@ def plan_mating(world: CollisionWorld, problem: MatingProblem, budget: Budget, s
     found = rrt_connect(world, begin[-1], [f[-1] for f in footholds], bounds, remaining, seed)
     if found is None:
         return result(PlanningStatus.BUDGET_EXHAUSTED, planner="rrt-connect")
-    found = shortcut(world, found, seed)
+    found = shortcut(found, world.edge_is_free, seed, _SHORTCUTS)
     hold = min(footholds, key=lambda f: float(np.linalg.norm(pin.log6(f[-1].actInv(found[-1])).vector)))
     return result(PlanningStatus.SOLVED, [*begin[:-1], *found[:-1], *reversed(hold)], "rrt-connect")
 

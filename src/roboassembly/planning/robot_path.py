@@ -15,7 +15,7 @@ from ompl import base
 from roboassembly.geometry.poses import SE3
 from roboassembly.planning.problem import Budget
 from roboassembly.planning.robot_world import RobotWorld
-from roboassembly.planning.rrt import box_around, exhaustion, run_rrt_connect
+from roboassembly.planning.rrt import box_around, exhaustion, run_rrt_connect, shortcut
 from roboassembly.robots.body import DOF, world_from_tips
 from roboassembly.robots.kinematics import arm
 from roboassembly.robots.reach import in_mount
@@ -27,7 +27,9 @@ _LINE_STEP = 0.02
 _LEAP = 0.5
 """Radians between two way-points of a line: more is another branch of solutions."""
 _SHORTCUTS = 30
+"""Pairs of way-points that are tried."""
 Configuration = Float[np.ndarray, "10"]
+"""`(x, y, angle)` of the platform and the seven joint angles of the arm [m, rad]."""
 Path = tuple[Configuration, ...]
 
 
@@ -66,7 +68,11 @@ def connect(
         seed,
         _LONGEST,
     )
-    return None if found is None else shortcut(world, [read(s) for s in found], seed, clear=clear)
+    if found is None:
+        return None
+    return shortcut(
+        [read(s) for s in found], lambda a, b: world.edge_is_free(a, b, clear=clear), seed, _SHORTCUTS
+    )  # fmt: skip
 
 
 def number_space(
@@ -88,19 +94,6 @@ def number_space(
         return np.array([made[axis] for axis in range(DOF)])
 
     return space, state, read
-
-
-def shortcut(world: RobotWorld, path: Sequence[Configuration], seed: int, *, clear: bool = False) -> Path:
-    """Leave out way-points between which the straight edge is free."""
-    rng = np.random.default_rng(seed)
-    way = list(path)
-    for _ in range(_SHORTCUTS):
-        if len(way) < 3:
-            break
-        i, j = sorted(rng.choice(len(way), size=2, replace=False).tolist())
-        if j - i > 1 and world.edge_is_free(way[i], way[j], clear=clear):
-            del way[i + 1 : j]
-    return tuple(way)
 
 
 def nearest_turn(q: Configuration, to: Configuration) -> Configuration:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import pinocchio as pin
@@ -21,6 +21,7 @@ from roboassembly.planning.world import CollisionWorld
 util.setLogLevel(util.LogLevel.LOG_NONE)
 
 Exhausted = Callable[[], bool]
+Waypoint = TypeVar("Waypoint")
 RANGE = 0.25
 """Longest extension of a tree, in OMPL's SE(3) metric (metres plus radians)."""
 
@@ -135,17 +136,26 @@ def rrt_connect(
     return None if path is None else tuple(pose_of(s) for s in path)
 
 
-def shortcut(world: CollisionWorld, path: Sequence[SE3], seed: int, attempts: int = 40) -> tuple[SE3, ...]:
-    """Leave out way-points between which the straight edge is free (random pairs, then neighbours)."""
+def shortcut(
+    path: Sequence[Waypoint], edge_is_free: Callable[[Waypoint, Waypoint], bool], seed: int, attempts: int
+) -> tuple[Waypoint, ...]:
+    """Return a path without the way-points that a free straight edge makes needless.
+
+    Args:
+        path: way-points.
+        edge_is_free: whether the straight edge between two way-points is free.
+        seed: of the pairs that are tried.
+        attempts: number of pairs that are tried.
+    """
     rng = np.random.default_rng(seed)
-    poses = list(path)
+    kept = list(path)
     for _ in range(attempts):
-        if len(poses) < 3:
+        if len(kept) < 3:
             break
-        i, j = sorted(rng.choice(len(poses), size=2, replace=False).tolist())
-        if j - i > 1 and world.edge_is_free(poses[i], poses[j]):
-            del poses[i + 1 : j]
-    return tuple(poses)
+        i, j = sorted(rng.choice(len(kept), size=2, replace=False).tolist())
+        if j - i > 1 and edge_is_free(kept[i], kept[j]):
+            del kept[i + 1 : j]
+    return tuple(kept)
 
 
 def set_pose(state: Any, pose: SE3) -> None:

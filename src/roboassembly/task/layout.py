@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
 
 from roboassembly.furniture.model import Furniture
 from roboassembly.geometry.poses import SE3, turn_about_vertical
-from roboassembly.task.rules.groups import Group, TaskState, hull_points
+from roboassembly.task.rules.groups import Group, TaskState
 
 GROUND_CLEARANCE = 1e-3
 """Metres between the ground and the lowest point of anything that rests on it."""
@@ -18,28 +17,6 @@ SPACING = 0.03
 """Metres between the circles around things on the ground."""
 _CROWDING = 0.6
 """Share of the floor that the circles of all parts cover when an episode begins."""
-
-
-@dataclass(frozen=True, eq=False)
-class Circle:
-    """A disc of the ground that a group covers, seen from above."""
-
-    center: Float[np.ndarray, "2"]
-    """Metres, world."""
-    radius: float
-    """Metres."""
-
-
-def footprint(points: Float[np.ndarray, "n 3"]) -> Circle:
-    """The circle around the middle of the points' level box."""
-    center = 0.5 * (points[:, :2].min(axis=0) + points[:, :2].max(axis=0))
-    return Circle(center, float(np.linalg.norm(points[:, :2] - center, axis=1).max()))
-
-
-def group_footprint(furniture: Furniture, group: Group) -> Circle:
-    """The circle that a group covers where it is."""
-    pose = group.world_from_furniture
-    return footprint(hull_points(furniture, group) @ pose.rotation.T + pose.translation)
 
 
 def free_spot(wanted: Circle, occupied: Sequence[Circle], spacing: float = SPACING) -> Float[np.ndarray, "2"]:

@@ -21,8 +21,7 @@ from roboassembly.geometry.meshes import WOOD_DENSITY, Mesh
 from roboassembly.geometry.poses import SE3, transform_points, turn_about_vertical
 from roboassembly.geometry.scene import Body, Shape
 from roboassembly.robots.gripper import MAX_OPENING, HandAgainst
-from roboassembly.task.layout import Circle
-from roboassembly.task.rules.groups import Group, center_of_mass, hull_points
+from roboassembly.task.rules.groups import Circle, Group, center_of_mass, hull_points
 
 POST_RADIUS = 0.018
 """Metres."""

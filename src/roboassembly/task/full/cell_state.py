@@ -4,22 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-import numpy as np
-from jaxtyping import Float
-
 from roboassembly.furniture.model import Furniture
 from roboassembly.geometry.poses import SE3
 from roboassembly.geometry.scene import Body, Shape
-from roboassembly.planning.robot_path import Path
+from roboassembly.planning.robot_path import Configuration, Path
 from roboassembly.planning.robot_world import RobotWorld, Tally
 from roboassembly.robots.body import placed, world_from_tips
 from roboassembly.task.full.cell import Post
 from roboassembly.task.full.failure import Stage, stage_text
 from roboassembly.task.full.grips import Grip
 from roboassembly.task.rules.groups import Group, body
-
-Configuration = Float[np.ndarray, "10"]
-"""`(x, y, angle)` of the platform and the seven joint angles of the arm [m, rad]."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,11 +10,11 @@ from jaxtyping import Float
 
 from roboassembly.furniture.model import Furniture
 from roboassembly.geometry.poses import SE3, align_axis, turn_about_vertical
-from roboassembly.planning.robot_path import Path, line, path_is_free
+from roboassembly.planning.robot_path import Configuration, Path, line, path_is_free
 from roboassembly.planning.robot_world import RobotWorld, Tally
 from roboassembly.robots.kinematics import Poses
 from roboassembly.robots.reach import nearness, reach
-from roboassembly.task.full.cell_state import CellState, Configuration, Payload, Robot
+from roboassembly.task.full.cell_state import CellState, Payload, Robot
 from roboassembly.task.full.failure import Failure, FullVerdict, Stage
 from roboassembly.task.full.grips import MateGrasp, Retract
 from roboassembly.task.full.segments import (

@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from roboassembly.planning.robot_path import Path, line, path_is_free
+from roboassembly.planning.robot_path import Configuration, Path, line, path_is_free
 from roboassembly.planning.robot_world import RobotWorld, Tally
 from roboassembly.robots.body import DOF
-from roboassembly.task.full.cell_state import CellState, Configuration, Payload, Robot
+from roboassembly.task.full.cell_state import CellState, Payload, Robot
 from roboassembly.task.full.failure import Failure, FullVerdict, Stage
 from roboassembly.task.full.grips import Grip
 from roboassembly.task.full.segments import (

@@ -24,9 +24,8 @@ from roboassembly.task.full.segments import (
     parking_path,
     retreat_path,
 )
-from roboassembly.task.layout import group_footprint
 from roboassembly.task.rules.connections import UP_AXES
-from roboassembly.task.rules.groups import Group
+from roboassembly.task.rules.groups import Group, group_footprint
 
 _OUTWARD = (1.0, 1.15, 1.3)
 """Distances from the middle at which a merged group may stand, as multiples of that of an earlier post."""

@@ -17,12 +17,12 @@ import numpy as np
 from roboassembly.furniture.model import Furniture
 from roboassembly.geometry.poses import SE3
 from roboassembly.planning.problem import Budget
-from roboassembly.planning.robot_path import Floor, Path, connect, line, path_is_free, turned_on
+from roboassembly.planning.robot_path import Configuration, Floor, Path, connect, line, path_is_free, turned_on
 from roboassembly.planning.robot_world import RobotWorld, Tally
 from roboassembly.robots.body import world_from_tips
 from roboassembly.robots.reach import reach
 from roboassembly.task.full.cell import Cell
-from roboassembly.task.full.cell_state import CellState, Configuration, Segment
+from roboassembly.task.full.cell_state import CellState, Segment
 from roboassembly.task.full.failure import Failure, Stage
 
 TUCKED = np.array([0.0, -1.2, 0.0, -2.6, 0.0, 2.0, 0.785])

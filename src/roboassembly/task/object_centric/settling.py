@@ -8,9 +8,9 @@ import numpy as np
 
 from roboassembly.furniture.model import Furniture
 from roboassembly.geometry.poses import SE3, transform_points
-from roboassembly.task.layout import GROUND_CLEARANCE, Circle, footprint, free_spot
+from roboassembly.task.layout import GROUND_CLEARANCE, free_spot
 from roboassembly.task.plans.plan import SETTLING_INTERVAL
-from roboassembly.task.rules.groups import Group, body, center_of_mass, hull_points
+from roboassembly.task.rules.groups import Circle, Group, body, center_of_mass, footprint, hull_points
 
 
 def settle_group(furniture: Furniture, group: Group, taken: Sequence[Circle] = ()) -> tuple[tuple[SE3, ...], Group]:

@@ -18,11 +18,20 @@ from roboassembly.geometry.scene import Scene
 from roboassembly.planning.mating import MatingProblem, plan_mating
 from roboassembly.planning.problem import Budget, PathResult
 from roboassembly.planning.world import CollisionWorld
-from roboassembly.task.layout import GROUND_CLEARANCE, Circle, footprint, free_spot, group_footprint, scatter_parts
+from roboassembly.task.layout import GROUND_CLEARANCE, free_spot, scatter_parts
 from roboassembly.task.object_centric.settling import settle_group
 from roboassembly.task.plans.plan import PlanStep
 from roboassembly.task.rules.connections import UP_AXES, Rules
-from roboassembly.task.rules.groups import Group, TaskState, body, center_of_mass, hull_points
+from roboassembly.task.rules.groups import (
+    Circle,
+    Group,
+    TaskState,
+    body,
+    center_of_mass,
+    footprint,
+    group_footprint,
+    hull_points,
+)
 from roboassembly.task.rules.pairs import Merge, PairRule
 from roboassembly.task.setting import SettingName
 

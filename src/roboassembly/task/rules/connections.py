@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float
 from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS, Furniture
 from roboassembly.task.rules.groups import Group, TaskState
 from roboassembly.task.rules.pairs import PairRule
+from roboassembly.task.rules.paper_pair_rule import paper_accepts
 
 UP_AXES: Float[np.ndarray, "6 3"] = np.array(
     [[0, 0, 1], [0, 0, -1], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]], dtype=float
@@ -64,6 +65,10 @@ class Rules:
             if not 0 <= point < len(state.groups[state.group_of[part]].points_of(self.furniture, part)):
                 return False
         return not {(u, k), (v, l)} & state.occupied(self.furniture)
+
+    def paper_accepts(self, state: TaskState, u: int, v: int, k: int, l: int) -> bool:  # noqa: E741
+        """Whether the paper's own test accepts a pair of a state; `pairs` is the rule that the environments use."""
+        return paper_accepts(self.furniture, state, u, v, k, l)
 
     def retreats(
         self, u_group: Group, v_group: Group, merged: Group, turn: Float[np.ndarray, "3 3"]

@@ -136,6 +136,28 @@ def hull_points(furniture: Furniture, group: Group) -> Float[np.ndarray, "n 3"]:
     )
 
 
+@dataclass(frozen=True, eq=False)
+class Circle:
+    """A disc of the ground that a group covers, seen from above."""
+
+    center: Float[np.ndarray, "2"]
+    """Metres, world."""
+    radius: float
+    """Metres."""
+
+
+def footprint(points: Float[np.ndarray, "n 3"]) -> Circle:
+    """The circle around the middle of the points' level box."""
+    center = 0.5 * (points[:, :2].min(axis=0) + points[:, :2].max(axis=0))
+    return Circle(center, float(np.linalg.norm(points[:, :2] - center, axis=1).max()))
+
+
+def group_footprint(furniture: Furniture, group: Group) -> Circle:
+    """The circle that a group covers where it is."""
+    pose = group.world_from_furniture
+    return footprint(hull_points(furniture, group) @ pose.rotation.T + pose.translation)
+
+
 def body(furniture: Furniture, group: Group, name: str, *, origin: Float[np.ndarray, "3"] | None = None,
          moves: bool = False) -> Body:  # fmt: skip
     """The group as a body whose frame is the group's, shifted to `origin` (in the group's frame)."""

@@ -8,8 +8,8 @@ The paper (section "Step Function and Rewards") tests a pair `(u, v, k, l)` by p
 4. The pair is right if `u'` is in `Set(P_u)` and `v'` is `v`.
 
 The test sees two parts and not their groups, so it accepts pairs whose groups do not fit each other. It lets equivalent
-stand for `u` but not for `v`, so it rejects a top whose corner is brought onto another leg than its own, and accepts
-that leg brought onto the corner. `PairRule` tests whether the merged group is congruent to a sub-assembly.
+parts stand for `u` but not for `v`, so it rejects a top whose corner is brought onto another leg than its own, and
+accepts that leg brought onto the corner. `PairRule` tests whether the merged group is congruent to a sub-assembly.
 """
 
 from __future__ import annotations

@@ -25,9 +25,9 @@ from roboassembly.learning.paper.dqn.group_table import Kind, Named, Registry, T
 from roboassembly.learning.paper.dqn.mates import Joints
 from roboassembly.learning.paper.dqn.trials import FAILS, MERGES, UNKNOWN, trial_of
 from roboassembly.task.full.task import FullTask
-from roboassembly.task.layout import free_spot, group_footprint
+from roboassembly.task.layout import free_spot
 from roboassembly.task.object_centric.task import ObjectCentricTask
-from roboassembly.task.rules.groups import Group, TaskState
+from roboassembly.task.rules.groups import Group, TaskState, group_footprint
 
 _CACHED = 150e6
 """Bytes of tables of what is known that are kept, each of one state."""
