@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from roboassembly.furniture.model import Furniture
 from roboassembly.geometry.poses import SE3, turn_about_vertical
-from roboassembly.task.rules.groups import Group, TaskState
+from roboassembly.task.rules.groups import Circle, Group, TaskState, footprint
 
 GROUND_CLEARANCE = 1e-3
 """Metres between the ground and the lowest point of anything that rests on it."""
