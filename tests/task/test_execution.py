@@ -13,7 +13,7 @@ from roboassembly.simulation.execution import StepPhysics
 from roboassembly.simulation.mobile_arms import Load, between_pads
 from roboassembly.simulation.pacing import TIME_STEP, paced
 from roboassembly.solvers.options import grasping
-from roboassembly.task.full.execution import JOINT_ANGLE, JOINT_POSITION, Ending, execute
+from roboassembly.task.full.execution import JOINT_ANGLE, JOINT_POSITION, ExecutionVerdict, execute
 from roboassembly.task.full.segments import TUCKED
 from roboassembly.task.full.task import FullTask
 from roboassembly.task.plans.full_plan import FullStep
@@ -108,7 +108,7 @@ def merge(chair) -> tuple[FullTask, float, FullStep]:
 def test_a_planned_step_is_carried_out(merge: tuple[FullTask, float, FullStep]) -> None:
     task, density, step = merge
     done = execute(task.furniture, density, step)
-    assert (done.ending, done.segment) == (Ending.DONE, "")
+    assert (done.ending, done.segment) == (ExecutionVerdict.DONE, "")
     assert done.success
     assert 0.0 < done.joint_position < JOINT_POSITION
     assert done.joint_angle < JOINT_ANGLE
@@ -126,7 +126,7 @@ def test_a_path_through_something_fails(merge: tuple[FullTask, float, FullStep])
     through[:2] = post[:2]
     bad = replace(drive, path=(drive.path[0], through, *drive.path[1:]))
     done = execute(task.furniture, density, replace(step, segments=(bad, *step.segments[1:])))
-    assert (done.ending, done.segment) == (Ending.COLLISION, "R_a: drive to group")
+    assert (done.ending, done.segment) == (ExecutionVerdict.COLLISION, "R_a: drive to group")
 
 
 def test_a_grasp_beside_the_part_fails(merge: tuple[FullTask, float, FullStep]) -> None:
@@ -135,4 +135,4 @@ def test_a_grasp_beside_the_part_fails(merge: tuple[FullTask, float, FullStep]) 
     # R_a stops where the drive ended, 100 mm short of the part.
     segments[1] = replace(segments[1], path=segments[1].path[:1])
     done = execute(task.furniture, density, replace(step, segments=tuple(segments)))
-    assert (done.ending, done.segment) == (Ending.NOT_GRASPED, "R_a: approach")
+    assert (done.ending, done.segment) == (ExecutionVerdict.NOT_GRASPED, "R_a: approach")

@@ -22,7 +22,7 @@ from roboassembly.studio.assembly_session import AssemblySession
 from roboassembly.studio.messages import upright_message
 from roboassembly.task.full.cell import Cell, on_post
 from roboassembly.task.full.cell_state import CellState, PlacedGroup, Robot
-from roboassembly.task.full.execution import Ending, execute_upright
+from roboassembly.task.full.execution import ExecutionVerdict, execute_upright
 from roboassembly.task.full.failure import Stage
 from roboassembly.task.full.segments import TUCKED
 from roboassembly.task.object_centric.settling import settle_group
@@ -367,7 +367,7 @@ def test_it_is_carried_out_in_physics_and_a_piece_that_is_dropped_is_told(chair)
     plan = _full(chair("stool", 0), False)
     done = execute_upright(plan)
     assert done is not None
-    assert (done.ending, done.segment) == (Ending.DONE, "")
+    assert (done.ending, done.segment) == (ExecutionVerdict.DONE, "")
     assert 0.0 < done.tracking < 0.005
     assert done.pad_force > 5.0
     assert execute_upright(plan) == done
@@ -381,5 +381,5 @@ def test_it_is_carried_out_in_physics_and_a_piece_that_is_dropped_is_told(chair)
     assert plan.upright is not None
     dropped = execute_upright(replace(plan, upright=replace(plan.upright, motion=FullUprightMotion(segments))))
     assert dropped is not None
-    assert (dropped.ending, dropped.success) == (Ending.NOT_STANDING, False)
+    assert (dropped.ending, dropped.success) == (ExecutionVerdict.NOT_STANDING, False)
     assert dropped.segment.endswith("leave")

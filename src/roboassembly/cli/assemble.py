@@ -168,11 +168,11 @@ class AssembleCommand:
 
     def _executed(self, plan: FullPlan) -> dict[str, Any]:
         """Execute a plan in physics and return the report."""
-        from roboassembly.task.full.execution import execute_plan, execute_upright, in_all
+        from roboassembly.task.full.execution import execute_plan, execute_upright, summarize_execution
 
         say("executing the plan ...")
         merges = execute_plan(plan)
-        done = in_all(plan, merges, execute_upright(plan) if all(m.success for m in merges) else None)
+        done = summarize_execution(plan, merges, execute_upright(plan) if all(m.success for m in merges) else None)
         if not done.reason:
             say(f"executed in {done.simulated_seconds} s of simulated time: largest error of the fingers "
                 f"{done.tracking_error_mm} mm, of the joints {done.joint_error_mm} mm")  # fmt: skip

@@ -22,7 +22,7 @@ from roboassembly.solvers.guide import Guide
 from roboassembly.solvers.joint_rrt import solve_jointly
 from roboassembly.solvers.random_order import assemble_in_random_order
 from roboassembly.solvers.search import SearchResult, solve, solve_full
-from roboassembly.task.full.execution import execute_plan, in_all
+from roboassembly.task.full.execution import execute_plan, summarize_execution
 from roboassembly.task.full.failure import Failure
 from roboassembly.task.object_centric.task import ObjectCentricTask, ObjectCentricVerdict
 from roboassembly.task.plans.full_plan import FullPlan
@@ -47,8 +47,8 @@ class Episode:
     success: bool
     merges: int
     verdict: str
-    """How the last step ended (`ObjectCentricVerdict`, `FullVerdict`, `Ending`); of a solver: `merged`, or why it did
-    not get there."""
+    """How the last step ended (`ObjectCentricVerdict`, `FullVerdict`, `ExecutionVerdict`); of a solver:
+    `merged`, or why it did not get there."""
     planning_steps: int
     """Configurations tested for collision."""
     planning_seconds: float
@@ -67,7 +67,7 @@ class Episode:
     step_seconds: tuple[float, ...] = ()
     """Of planning each merge of the plan."""
     executed: dict[str, Any] | None = None
-    """Of a plan that was carried out in physics: `task.execution.Execution` in numbers."""
+    """Of a plan that was carried out in physics: `task.full.execution.PlanExecution` in numbers."""
     violations: int | None = None
     """That an audit of the plan found; None without one."""
 
@@ -132,7 +132,7 @@ def _play(way: RolloutConfig, own: Callable[[Furniture, int], _Played], furnitur
     if way.audit and plan is not None:
         episode = replace(episode, violations=_violations(plan))
     if way.execution == "dynamic" and isinstance(plan, FullPlan) and plan.success:
-        done = in_all(plan, execute_plan(plan))
+        done = summarize_execution(plan, execute_plan(plan))
         verdict = episode.verdict if done.success else done.ending
         episode = replace(episode, success=done.success, verdict=verdict, reason=done.reason, executed=asdict(done))
     return episode

@@ -1,4 +1,4 @@
-"""Where things lie on the ground: how parts come to rest, and where there is room."""
+"""Layout of groups on the ground: rest poses of parts, and free spots between other groups."""
 
 from __future__ import annotations
 
@@ -12,39 +12,39 @@ from roboassembly.geometry.poses import SE3, turn_about_vertical
 from roboassembly.task.rules.groups import Circle, Group, TaskState, footprint
 
 GROUND_CLEARANCE = 1e-3
-"""Metres between the ground and the lowest point of anything that rests on it."""
+"""Distance between the ground and the lowest point of anything that rests on it [m]."""
 SPACING = 0.03
-"""Metres between the circles around things on the ground."""
+"""Distance between the circles around groups on the ground [m]."""
 _CROWDING = 0.6
-"""Share of the floor that the circles of all parts cover when an episode begins."""
+"""Share of the floor that the circles of all parts cover at the beginning of an episode."""
 
 
-def free_spot(wanted: Circle, occupied: Sequence[Circle], spacing: float = SPACING) -> Float[np.ndarray, "2"]:
-    """The nearest place to `wanted.center` at which its circle keeps `spacing` from all occupied ones.
+def free_spot(circle: Circle, occupied: Sequence[Circle], spacing: float = SPACING) -> Float[np.ndarray, "2"]:
+    """Return the place nearest to `circle.center` at which the circle keeps `spacing` from all occupied ones.
 
     The nearest free point of the plane outside a union of discs is the point itself, its projection onto one of the
     rims, or a point where two rims cross; all are tried.
     """
     if not occupied:
-        return wanted.center
+        return circle.center
     centers = np.array([c.center for c in occupied])
-    reach = np.array([c.radius for c in occupied]) + wanted.radius + spacing
-    offset = wanted.center - centers
+    reach = np.array([c.radius for c in occupied]) + circle.radius + spacing
+    offset = circle.center - centers
     distance = np.linalg.norm(offset, axis=1)
     outward = np.where(distance[:, None] > 1e-9, offset / np.maximum(distance, 1e-9)[:, None], np.array([1.0, 0.0]))
-    places = np.concatenate([wanted.center[None], centers + outward * reach[:, None], _crossings(centers, reach)])
-    room = np.linalg.norm(places[:, None] - centers[None], axis=2) - reach[None]
-    places = places[(room > -1e-9).all(axis=1)]
-    return places[np.argmin(np.round(np.linalg.norm(places - wanted.center, axis=1), 9))]
+    places = np.concatenate([circle.center[None], centers + outward * reach[:, None], _crossings(centers, reach)])
+    clearance = np.linalg.norm(places[:, None] - centers[None], axis=2) - reach[None]
+    places = places[(clearance > -1e-9).all(axis=1)]
+    return places[np.argmin(np.round(np.linalg.norm(places - circle.center, axis=1), 9))]
 
 
 def _crossings(centers: Float[np.ndarray, "n 2"], reach: Float[np.ndarray, "n"]) -> Float[np.ndarray, "k 2"]:
-    """Where any two of some circles meet."""
+    """Return the points where two circles cross."""
     i, j = np.triu_indices(len(centers), 1)
     between = centers[j] - centers[i]
     d = np.linalg.norm(between, axis=1)
-    meet = (d >= 1e-9) & (d <= reach[i] + reach[j]) & (d >= np.abs(reach[i] - reach[j]))
-    i, j, between, d = i[meet], j[meet], between[meet], d[meet]
+    crossing = (d >= 1e-9) & (d <= reach[i] + reach[j]) & (d >= np.abs(reach[i] - reach[j]))
+    i, j, between, d = i[crossing], j[crossing], between[crossing], d[crossing]
     along = (d * d + reach[i] ** 2 - reach[j] ** 2) / (2 * d)
     across = np.sqrt(np.maximum(0.0, reach[i] ** 2 - along * along))
     unit = between / d[:, None]
@@ -54,7 +54,7 @@ def _crossings(centers: Float[np.ndarray, "n 2"], reach: Float[np.ndarray, "n"])
 
 
 def scatter_parts(furniture: Furniture, rng: np.random.Generator) -> TaskState:
-    """Every part alone, at rest on the ground in a random place and pose."""
+    """Return a state with every part alone, at rest on the ground in a random place and pose."""
     placed: list[tuple[SE3, Circle]] = []
     for part in furniture.parts:
         rotations, likely = part.mesh.resting_rotations
@@ -65,11 +65,11 @@ def scatter_parts(furniture: Furniture, rng: np.random.Generator) -> TaskState:
     side = float(np.sqrt(sum(np.pi * (c.radius + SPACING) ** 2 for _, c in placed) / _CROWDING))
     occupied: list[Circle] = []
     groups: list[Group | None] = [None] * len(placed)
-    # The largest first: the small ones still find room between them.
+    # The largest first: small ones still find room between them.
     for part in sorted(range(len(placed)), key=lambda p: -placed[p][1].radius):
         pose, circle = placed[part]
-        wanted = Circle(rng.uniform(-0.5 * side, 0.5 * side, size=2), circle.radius)
-        spot = free_spot(wanted, occupied)
+        circle_at = Circle(rng.uniform(-0.5 * side, 0.5 * side, size=2), circle.radius)
+        spot = free_spot(circle_at, occupied)
         occupied.append(Circle(spot, circle.radius))
         moved = SE3(pose.rotation, pose.translation + np.array([*(spot - circle.center), 0.0]))
         slot = furniture.assembled[part]

@@ -1,7 +1,7 @@
-"""The workcell: posts that rise out of the floor in a ring and hold parts and groups from below, and room to drive.
+"""The workcell: posts rise out of the floor in a ring and hold parts and groups from below; robots drive between them.
 
-A post has a suction cup on its top. Whatever it holds hangs higher than the robots' platforms, so that these drive
-beneath it, and only posts are in their way. An empty post sinks into the floor.
+A post has a suction cup on its top. It holds its group higher than the robots' platforms, which drive beneath it, so
+that only posts are in their way. An empty post sinks into the floor.
 """
 
 from __future__ import annotations
@@ -24,54 +24,55 @@ from roboassembly.robots.gripper import MAX_OPENING, HandAgainst
 from roboassembly.task.rules.groups import Circle, Group, center_of_mass, hull_points
 
 POST_RADIUS = 0.018
-"""Metres."""
+"""Radius of a post [m]."""
 CUP_GAP = 1e-3
-"""Metres between a cup and what it holds: its lip is soft, and not part of the exact geometry."""
+"""Distance between a cup and what it holds [m]: its lip is soft and not part of the exact geometry."""
 LOWEST = 0.6
-"""Metres above the floor of whatever a post holds: the platforms are 0.4 m high."""
+"""Height of the lowest point of a group on a post [m]; the platforms are 0.4 m high."""
 LANE = 0.35
-"""Metres between the circles of neighbours in the ring."""
+"""Distance between the circles of neighbours in the ring [m]."""
 BETWEEN_POSTS = 0.9
-"""Metres: wide enough for a platform."""
+"""Distance between posts at least [m], wide enough for a platform."""
 SMALLEST_RING = 1.6
-"""Metres, its radius."""
+"""Radius of the ring at least [m]."""
 LARGEST = 1.3
-"""Metres across: what two arms can still turn and set down."""
+"""Extent of furniture along one axis that two arms can still turn and set down [m]."""
 PAYLOAD = 3.0
-"""Kilograms that a Panda can carry."""
+"""Mass that a Panda can carry [kg]."""
 _POST_LENGTH = 2.0
+"""Length of a post [m]."""
 _GRID, _GRID_STEP = 9, 0.03
-"""Places around the centre of mass where a cup is tried."""
+"""Number of places along each axis around the centre of mass where a cup is tried, and their distance [m]."""
 _COARSE, _FINE = POST_RADIUS, 1e-3
-"""Metres between rays by which a cup's height is told, for each place and for the one that is chosen."""
+"""Distances between rays that find the height of a cup [m], for all places and for the chosen one."""
 _OFF_CENTER = 1.0
-"""Share of the grasps that a cup a metre nearer to the centre of mass is worth."""
+"""Share of open grasps that a metre of distance from the centre of mass costs."""
 _FROM_BELOW = 0.5
-"""Vertical component of an approach from which on no arm can be beneath it."""
+"""Vertical component of an approach above which the arm would have to be beneath the group."""
 _RESTS = 8
-"""Poses of rest in which a part is tried on its post."""
+"""Number of rest poses in which a part is tried on its post."""
 WIDER = 0.02
-"""Metres that a hand opens wider than what it comes for."""
+"""Distance that a hand opens wider than the part [m]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Post:
-    """A post in use."""
+    """A raised post."""
 
     top: Float[np.ndarray, "3"]
-    """Where its cup ends, metres, world."""
+    """Position of the top of its cup in the world [m]."""
 
     def body(self, name: str) -> Body:
-        """Its shape. It goes down through the floor."""
+        """Return its shape, which reaches through the floor."""
         return Body(name, (Shape(post_mesh(), SE3.Identity(), convex=True),), SE3(np.eye(3), self.top))
 
 
 @lru_cache(maxsize=256)
 def post_mesh(length: float = _POST_LENGTH) -> Mesh:
-    """A post, the middle of its top in the origin.
+    """Return the mesh of a post whose top is centred on the origin.
 
     Args:
-        length: metres.
+        length: length of the post [m].
     """
     post = trimesh.creation.cylinder(POST_RADIUS, length, sections=16)
     post.apply_translation([0.0, 0.0, -0.5 * length])
@@ -80,21 +81,21 @@ def post_mesh(length: float = _POST_LENGTH) -> Mesh:
 
 @dataclass(frozen=True, eq=False)
 class Cell:
-    """Where posts can rise, for one piece of furniture."""
+    """Size of the workcell for one piece of furniture."""
 
     radius: float
-    """Of the ring, metres."""
+    """Radius of the ring of posts [m]."""
     density: float
-    """kg/m³, so that the whole stays within the payload."""
+    """Density at which a robot can carry the whole furniture [kg/m³]."""
 
     @property
     def floor(self) -> float:
-        """Metres from the middle to the walls, which nobody crosses."""
+        """Distance from the middle to the walls [m]."""
         return self.radius + 2.0
 
 
 def check_size(furniture: Furniture) -> float:
-    """The density at which a robot can carry the whole.
+    """Return the density at which a robot can carry the whole furniture [kg/m³].
 
     Raises:
         InputError: a part has no grasp, or the furniture is too large for the cell.
@@ -118,16 +119,16 @@ def check_size(furniture: Furniture) -> float:
 
 
 def initial_layout(furniture: Furniture, rng: np.random.Generator) -> tuple[Cell, tuple[Group, ...], tuple[Post, ...]]:
-    """Every part alone on a post of the ring, in a random order and pose.
+    """Return cell, groups and posts with every part alone on a post of the ring, in a random order and pose.
 
     Raises:
         InputError: the furniture does not suit the cell, or a post finds no place beneath a part.
     """
     density = check_size(furniture)
-    held: list[tuple[Group, Post, float]] = []
+    hung: list[tuple[Group, Post, float]] = []
     for index, part in enumerate(furniture.parts):
         rotations, likely = part.mesh.resting_rotations
-        # At random, but so that hands can come to it: of several poses the one that leaves most grasps open.
+        # Of several random poses, take the one that leaves most grasps open.
         best: tuple[float, Group, Post] | None = None
         for rest in rng.choice(len(rotations), size=min(_RESTS, len(rotations)), replace=False, p=likely):
             turn = turn_about_vertical(rng.uniform(-np.pi, np.pi))
@@ -141,33 +142,33 @@ def initial_layout(furniture: Furniture, rng: np.random.Generator) -> tuple[Cell
                 best = (share, *found)
         if best is None:
             raise InputError(f"{furniture.name}: no post can hold part '{part.name}' from below")
-        held.append((*best[1:], reach_from(furniture, *best[1:])))
-    order = rng.permutation(len(held))
-    widths = np.array([held[i][2] for i in order])
+        hung.append((*best[1:], reach_from(furniture, *best[1:])))
+    order = rng.permutation(len(hung))
+    widths = np.array([hung[i][2] for i in order])
     chords = np.maximum(widths + np.roll(widths, -1) + LANE, BETWEEN_POSTS)
     radius = max(SMALLEST_RING, float(chords.sum()) / (2.0 * np.pi) * 1.05)
-    # Each stands a chord behind the one before it.
+    # Each post stands one chord behind the one before it.
     angles = (np.cumsum(chords) - chords) / chords.sum() * 2.0 * np.pi + rng.uniform(0.0, 2.0 * np.pi)
-    groups: list[Group] = [held[0][0]] * len(held)
-    stands: list[Post] = [held[0][1]] * len(held)
+    groups: list[Group] = [hung[0][0]] * len(hung)
+    posts: list[Post] = [hung[0][1]] * len(hung)
     for i, angle in zip(order, angles, strict=True):
         shift = radius * np.array([np.cos(angle), np.sin(angle), 0.0])
-        group, stand, _ = held[i]
+        group, post, _ = hung[i]
         groups[i] = group.moved_to(SE3(np.eye(3), shift) * group.world_from_furniture)
-        stands[i] = Post(stand.top + shift)
-    return Cell(radius, density), tuple(groups), tuple(stands)
+        posts[i] = Post(post.top + shift)
+    return Cell(radius, density), tuple(groups), tuple(posts)
 
 
-def reach_from(furniture: Furniture, group: Group, stand: Post) -> float:
-    """Metres that a group reaches out level from its post."""
+def reach_from(furniture: Furniture, group: Group, post: Post) -> float:
+    """Return the level distance from a post to the farthest point of its group [m]."""
     points = transform_points(group.world_from_furniture, hull_points(furniture, group))
-    return float(np.linalg.norm(points[:, :2] - stand.top[:2], axis=1).max())
+    return float(np.linalg.norm(points[:, :2] - post.top[:2], axis=1).max())
 
 
 def on_post(furniture: Furniture, group: Group, place: Float[np.ndarray, "2"]) -> tuple[Group, Post] | None:
-    """A group, turned as it is, moved onto a post at `place`; None if no post can hold it near its centre of mass.
+    """Return a group moved onto a post at `place` without turning; None if no post can hold it near its centre of mass.
 
-    Of the places for the cup the one is taken that leaves most of the group's grasps to the hands.
+    The cup goes where it leaves most of the group's grasps open.
     """
     turn = group.world_from_furniture.rotation
     group = group.moved_to(SE3(turn, np.zeros(3)))
@@ -179,20 +180,20 @@ def on_post(furniture: Furniture, group: Group, place: Float[np.ndarray, "2"]) -
     offsets = offsets[np.argsort(np.linalg.norm(offsets, axis=1), kind="stable")]
     feet = center[:2] + offsets[:, None] + _disc(_COARSE)
     height = _undersides(furniture, group, feet.reshape(-1, 2), lowest - 0.1).reshape(feet.shape[:2])
-    held = np.flatnonzero(np.isfinite(height[:, 0]))
-    if not len(held):
+    covered = np.flatnonzero(np.isfinite(height[:, 0]))
+    if not len(covered):
         return None
-    tops = np.concatenate([center[:2] + offsets[held], height[held].min(axis=1)[:, None] - CUP_GAP], axis=1)
-    free = _free_hands(furniture, group, tops)
-    top = tops[int(np.argmax(np.round(free, 6) - _OFF_CENTER * np.linalg.norm(offsets[held], axis=1)))]
-    # What is round may bulge between few rays.
+    tops = np.concatenate([center[:2] + offsets[covered], height[covered].min(axis=1)[:, None] - CUP_GAP], axis=1)
+    free = _open_shares(furniture, group, tops)
+    top = tops[int(np.argmax(np.round(free, 6) - _OFF_CENTER * np.linalg.norm(offsets[covered], axis=1)))]
+    # A round underside may bulge between few rays.
     top[2] = _undersides(furniture, group, top[:2] + _disc(_FINE), lowest - 0.1).min() - CUP_GAP
     shift = np.array([*(place - top[:2]), LOWEST - lowest])
     return group.moved_to(SE3(turn, shift)), Post(top + shift)
 
 
 def _disc(step: float) -> Float[np.ndarray, "n 2"]:
-    """Places on a cup, the middle first, `step` metres apart, the rim among them."""
+    """Return places on a cup, `step` metres apart, the middle first and the rim among them."""
     out = [np.zeros((1, 2))]
     for radius in np.linspace(0.0, POST_RADIUS, round(POST_RADIUS / step) + 1)[1:]:
         angles = np.linspace(0.0, 2.0 * np.pi, max(8, round(2.0 * np.pi * radius / step)), endpoint=False)
@@ -203,7 +204,7 @@ def _disc(step: float) -> Float[np.ndarray, "n 2"]:
 def _undersides(
     furniture: Furniture, group: Group, feet: Float[np.ndarray, "n 2"], start: float
 ) -> Float[np.ndarray, "n"]:
-    """Height of what is first met going up from each place at height `start`, metres; infinite where there is none."""
+    """Return the height of the group's underside above each place [m]; infinite if there is none above `start`."""
     height = np.full(len(feet), np.inf)
     below = np.concatenate([feet, np.full((len(feet), 1), start)], axis=1)
     for part, pose in zip(group.parts, group.part_poses(), strict=True):
@@ -214,14 +215,13 @@ def _undersides(
     return height
 
 
-def open_grasps(furniture: Furniture, group: Group, stand: Post) -> float:
-    """Share of a group's grasps to which a hand can come past its post, and not from below."""
-    return float(_free_hands(furniture, group, stand.top[None])[0])
+def open_grasps(furniture: Furniture, group: Group, post: Post) -> float:
+    """Return the share of a group's grasps to which a hand can come past its post, and not from below."""
+    return float(_open_shares(furniture, group, post.top[None])[0])
 
 
-def _free_hands(furniture: Furniture, group: Group, tops: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n"]:
-    """Share of the group's grasps whose hand a post at each place leaves alone, open and closed, and that does not come
-    from below."""
+def _open_shares(furniture: Furniture, group: Group, tops: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n"]:
+    """Return, for each post, the share of grasps whose hand does not touch the post and does not come from below."""
     positions, closing, approach, widths = [], [], [], []
     for part, pose in zip(group.parts, group.part_poses(), strict=True):
         for region in furniture.parts[part].grasps:
@@ -232,11 +232,11 @@ def _free_hands(furniture: Furniture, group: Group, tops: Float[np.ndarray, "n 3
                 widths.append(region.width)
     count, several = len(positions), len(tops)
     from_post = (np.array(positions)[None] - tops[:, None]).reshape(-1, 3)
-    hands = from_post, np.tile(closing, (several, 1)), np.tile(approach, (several, 1))
+    frames = from_post, np.tile(closing, (several, 1)), np.tile(approach, (several, 1))
     opening, closed = np.minimum(MAX_OPENING, np.array(widths) + WIDER), np.array(widths)
-    hits = _against_post().touches(*hands, np.tile(opening, several), coming=True)
-    # Between fingers that come past it the post would be in their way as they close.
-    hits |= _against_post().touches(*hands, np.tile(closed, several))
+    hits = _against_post().touches(*frames, np.tile(opening, several), coming=True)
+    # A post between the open fingers would stop them as they close.
+    hits |= _against_post().touches(*frames, np.tile(closed, several))
     below = np.array(approach)[:, 2] > _FROM_BELOW
     return 1.0 - (hits.reshape(several, count) | below).mean(axis=1)
 
@@ -251,10 +251,12 @@ def _rays(mesh: Mesh) -> Rays:
     return Rays(mesh)
 
 
-def free_places(wanted: Sequence[Float[np.ndarray, "2"]], radius: float, taken: Sequence[Circle]) -> list[np.ndarray]:
-    """Those of the wanted places where a circle keeps clear of all others."""
+def free_places(
+    places: Sequence[Float[np.ndarray, "2"]], radius: float, occupied: Sequence[Circle]
+) -> list[Float[np.ndarray, "2"]]:
+    """Return the places where a circle keeps clear of all occupied ones."""
     return [
         place
-        for place in wanted
-        if all(np.linalg.norm(place - c.center) > radius + c.radius + 0.5 * LANE for c in taken)
+        for place in places
+        if all(np.linalg.norm(place - c.center) > radius + c.radius + 0.5 * LANE for c in occupied)
     ]

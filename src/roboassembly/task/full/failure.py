@@ -71,8 +71,8 @@ def stage_text(stage: Stage, robot: int | None = None) -> str:
         stage: what is done.
         robot: 0 or 1; None if the stage concerns both.
     """
-    words = stage.value.replace("_", " ")
-    return words if robot is None else f"{ROBOT_NAMES[robot]}: {words}"
+    text = stage.value.replace("_", " ")
+    return text if robot is None else f"{ROBOT_NAMES[robot]}: {text}"
 
 
 @dataclass(frozen=True)

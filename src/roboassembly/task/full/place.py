@@ -48,7 +48,7 @@ class _Descent:
     above: Path
     """Straight up from where the group stands; reversed it sets the group down."""
     back: Path
-    """Of the open hand."""
+    """Straight path of the open hand away from the group."""
 
 
 def place_on_post(

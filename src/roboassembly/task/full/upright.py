@@ -37,7 +37,7 @@ _ATTEMPTS = 16
 """Grips that are planned with, of those that pass the cheap tests."""
 _SPOTS = 5
 """Places on the floor that are tried with each grip."""
-_SPREAD = 0.5
+_SPOT_RANGE = 0.5
 """Share of the ring's radius within which these places lie, but for the first one, the middle of the cell."""
 _LEVER = 0.05
 """Weight of a grip's distance from the centre of mass against its distance from easy reach."""
@@ -116,6 +116,6 @@ def _on_floor(context: StepContext, group: Group, stance: Stance, seed: np.rando
     """Yield poses of the piece on the floor: in the middle of the cell, then elsewhere, turned at random."""
     rng = np.random.default_rng(seed)
     for k in range(_SPOTS):
-        place = rng.uniform(-_SPREAD, _SPREAD, 2) * context.cell.radius * (k > 0)
+        place = rng.uniform(-_SPOT_RANGE, _SPOT_RANGE, 2) * context.cell.radius * (k > 0)
         turn = turn_about_vertical(rng.uniform(-np.pi, np.pi) * (k > 0))
         yield _turned(context.furniture, group, replace(stance, rotation=turn @ stance.rotation), place)
