@@ -37,7 +37,7 @@ def test_the_file_alone_tells_where_everything_is(two_merges: FullPlan) -> None:
             path = [np.array(q) for q in segment["path"]]
             assert np.allclose(path[0], robots[segment["robot"]])
             start, end = world_from_tips(path[0]), world_from_tips(path[-1])
-            for held in segment["held"]:
+            for held in segment["payload"]:
                 in_hand = pose_from_seven(held["pose"])
                 assert np.allclose((start * in_hand).homogeneous, where[held["part"]].homogeneous, atol=1e-5)
                 where[held["part"]] = end * in_hand

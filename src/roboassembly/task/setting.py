@@ -1,4 +1,4 @@
-"""What the object-centric and the full task have in common, for those who do not care which it is."""
+"""Interfaces that the object-centric and the full task share."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ Step_co = TypeVar("Step_co", covariant=True)
 
 
 class Outcome(Protocol[State_co, Step_co]):
-    """What a step led to."""
+    """Result of a step."""
 
     @property
     def state(self) -> State_co:
-        """The new one; the old one unless merged."""
+        """State after the step; the state before it unless merged."""
         ...
 
     @property
     def step(self) -> Step_co | None:
-        """The record, if merged."""
+        """Record of the step; None unless merged."""
         ...
 
     @property
     def verdict(self) -> str:
-        """How it ended."""
+        """How the step ended."""
         ...
 
     @property
@@ -43,12 +43,12 @@ class Outcome(Protocol[State_co, Step_co]):
 
     @property
     def planning_seconds(self) -> float:
-        """Wall time."""
+        """Wall time [s]."""
         ...
 
 
 class Task(Protocol[State, Step_co]):
-    """The rules of a setting for one piece of furniture."""
+    """Task of one setting for one piece of furniture."""
 
     setting: ClassVar[SettingName]
 
@@ -59,20 +59,20 @@ class Task(Protocol[State, Step_co]):
 
     @property
     def rules(self) -> Rules:
-        """About pairs."""
+        """Rules about pairs."""
         ...
 
     @property
     def action_branches(self) -> tuple[int, ...]:
-        """How many choices an action has after its pair: of `w`, or of `g_a` and `g_b`."""
+        """Number of values of each component of an action after its pair: of `w`, or of `g_a` and `g_b`."""
         ...
 
     def initial_state(self, rng: np.random.Generator) -> State:
-        """How an episode begins."""
+        """Return a state in which an episode begins."""
         ...
 
     def groups_of(self, state: State) -> TaskState:
-        """The groups of a state."""
+        """Return the groups of a state."""
         ...
 
     def existing_actions(

@@ -1,4 +1,4 @@
-"""Letting a group go: it falls and comes to rest on the ground, by physics."""
+"""Settling: a released group falls and comes to rest on the ground, by physics."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from roboassembly.task.plans.plan import SETTLING_INTERVAL
 from roboassembly.task.rules.groups import Circle, Group, body, center_of_mass, footprint, hull_points
 
 
-def settle_group(furniture: Furniture, group: Group, taken: Sequence[Circle] = ()) -> tuple[tuple[SE3, ...], Group]:
-    """Let a group fall and settle, then lay it down at the nearest free spot, `GROUND_CLEARANCE` above the ground.
+def settle_group(furniture: Furniture, group: Group, occupied: Sequence[Circle] = ()) -> tuple[tuple[SE3, ...], Group]:
+    """Drop a group, let it settle, and lay it down at the nearest free spot, `GROUND_CLEARANCE` above the ground.
 
     Args:
-        furniture: what the group is of.
-        group: where it is let go.
-        taken: circles of all else on the ground.
+        furniture: furniture of the group.
+        group: group where it is released.
+        occupied: circles of all other groups on the ground.
 
     Returns:
         Motions of the world that take the group to rest, every `SETTLING_INTERVAL` seconds, the first the identity;
@@ -34,6 +34,6 @@ def settle_group(furniture: Furniture, group: Group, taken: Sequence[Circle] = (
     points = transform_points(rested.world_from_furniture, hull_points(furniture, rested))
     circle = footprint(points)
     lift = GROUND_CLEARANCE - float(points[:, 2].min())
-    nudge = SE3(np.eye(3), np.array([*(free_spot(circle, taken) - circle.center), lift]))
+    nudge = SE3(np.eye(3), np.array([*(free_spot(circle, occupied) - circle.center), lift]))
     motions[-1] = nudge * motions[-1]
     return tuple(motions), rested.moved_to(nudge * rested.world_from_furniture)

@@ -1,4 +1,4 @@
-"""How a finished piece stands on its feet, and whether it stays.
+"""Stance of a finished piece: how it stands on its feet, and whether it stays upright.
 
 Up is the +z axis of the assembled furniture's frame. A piece can be set upright only if it then stays: let go upright,
 or nudged by `NUDGE` to any side, it has to come to rest less than `LARGEST_LEAN` from the vertical.
@@ -20,48 +20,48 @@ from roboassembly.task.rules.groups import Group, center_of_mass, hull_points
 from roboassembly.task.rules.pairs import PairRule
 
 TILT_TOLERANCE = float(np.deg2rad(2.0))
-"""Radians between a piece's z axis and where it points when the piece stands, up to which it counts as standing."""
+"""Angle between a piece's z axis and its direction in the stance up to which the piece counts as standing [rad]."""
 LARGEST_LEAN = float(np.deg2rad(10.0))
-"""Radians from the vertical at which a standing piece may come to rest: a rocking chair leans by a few degrees."""
+"""Largest angle from the vertical at which a standing piece may rest [rad]; a rocking chair leans by a few degrees."""
 NUDGE = float(np.deg2rad(1.0))
-"""Radians by which a standing piece is tilted to each side, to find out whether it only balances."""
+"""Angle by which a standing piece is tilted to each side to test whether it only balances [rad]."""
 NOT_ASSEMBLED = "the parts are not where the furniture has them"
-"""Why parts that are not the assembled furniture are not set upright."""
+"""Reason for parts that are not the assembled furniture."""
 _UP = np.array([0.0, 0.0, 1.0])
 _SIDES = ((1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0))
 
 
 @dataclass(frozen=True, eq=False)
 class Stance:
-    """How a finished piece stands on its feet, if it does."""
+    """Stance of a finished piece on its feet."""
 
     group: Group
-    """The whole piece where it is now, in the furniture's frame."""
+    """Whole piece at its present pose."""
     rotation: Float[np.ndarray, "3 3"]
-    """Of the furniture's frame in the world once it stands: the smallest turn from where it is, and its lean."""
+    """Rotation of the furniture's frame in the world when the piece stands, the nearest to its present rotation."""
     lean: float
-    """Radians from the vertical at which it comes to rest, let go upright or nudged: the largest."""
+    """Largest angle from the vertical at which the piece rests after it is released upright or nudged [rad]."""
 
     @property
     def reason(self) -> str:
-        """Why it does not stay upright; empty if it does."""
+        """Reason why the piece does not stay upright; empty if it does."""
         if self.lean <= LARGEST_LEAN:
             return ""
         return f"it does not stay upright: it tips over and comes to rest {np.rad2deg(self.lean):.0f}° from it"
 
     @property
     def reached(self) -> bool:
-        """Whether the piece is turned like this already, but for a turn about the vertical."""
+        """Whether the piece stands like this already, up to a turn about the vertical."""
         return tilt(self.group.world_from_furniture.rotation) <= self.lean + TILT_TOLERANCE
 
 
 def tilt(rotation: Float[np.ndarray, "3 3"]) -> float:
-    """Radians between the z axis of a frame and the vertical."""
+    """Return the angle between the z axis of a frame and the vertical [rad]."""
     return float(np.arctan2(np.hypot(rotation[0, 2], rotation[1, 2]), rotation[2, 2]))
 
 
 def stance_of(furniture: Furniture, poses: Sequence[SE3]) -> Stance | None:
-    """How an assembled piece stands; None if the parts at `poses` are not the assembled furniture.
+    """Return the stance of an assembled piece; None if the parts at `poses` are not the assembled furniture.
 
     Args:
         furniture: what is assembled.
@@ -83,7 +83,7 @@ def stance_of(furniture: Furniture, poses: Sequence[SE3]) -> Stance | None:
 
 
 def _rest(furniture: Furniture, group: Group, turn: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
-    """Rotation in which a group comes to rest when it is let go turned some way."""
+    """Return the rotation in which a group rests after it is released with some rotation."""
     _, rested = settle_group(furniture, standing_at(furniture, group, turn))
     return rested.world_from_furniture.rotation
 
@@ -94,10 +94,10 @@ def standing_at(
     rotation: Float[np.ndarray, "3 3"],
     place: Float[np.ndarray, "2"] | None = None,
 ) -> Group:
-    """A group turned some way, its lowest point `GROUND_CLEARANCE` above the ground.
+    """Return a group with some rotation, its lowest point `GROUND_CLEARANCE` above the ground.
 
     Args:
-        furniture: what the group is of.
+        furniture: furniture of the group.
         group: to be moved.
         rotation: of the furniture's frame in the world.
         place: of its centre of mass on the ground, metres; where it is now if None.

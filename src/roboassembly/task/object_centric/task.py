@@ -1,4 +1,4 @@
-"""The object-centric step: v's group waits in a chosen pose, u's group comes along a path, they join and settle.
+"""The object-centric task: v's group waits in a chosen pose, u's group comes along a path, they mate and settle.
 
 Everything here is a pure function of state, action and seed; the environment and the solvers both call it.
 """
@@ -37,53 +37,53 @@ from roboassembly.task.setting import SettingName
 
 
 class ObjectCentricVerdict(StrEnum):
-    """How a step ended. Everything but `MERGED` ends the episode."""
+    """How an object-centric step ended. Everything but `MERGED` ends the episode."""
 
     MERGED = "merged"
     NOT_AN_ACTION = "not_an_action"
-    """A part or point that is not there or not free, or two parts of one group: masked out."""
+    """A part or point does not exist, a point is not free, or both parts are in one group: masked out."""
     WRONG_PAIR = "wrong_pair"
     START_IN_COLLISION = "start_in_collision"
     GOAL_IN_COLLISION = "goal_in_collision"
-    """At the mating pose u's group would be in the ground, in v's group or in something else."""
+    """U's group at its mating pose collides with the ground, v's group or another group."""
     UNREACHABLE = "unreachable"
     BUDGET_EXHAUSTED = "budget_exhausted"
 
 
 @dataclass(frozen=True, eq=False)
 class ObjectCentricOutcome:
-    """What a step led to."""
+    """Result of a step."""
 
     verdict: ObjectCentricVerdict
     state: TaskState
-    """The new state; the old one unless merged."""
+    """State after the step; the state before it unless merged."""
     step: PlanStep | None
-    """The record, if merged."""
+    """Record of the step; None unless merged."""
     planning_steps: int
     planning_seconds: float
 
 
 @dataclass(frozen=True, eq=False)
 class Mating:
-    """A right pair set up for planning: who moves, who waits where, what lies around."""
+    """Right pair set up for planning: the moving group, the waiting group and all others."""
 
     merge: Merge
     u_group: Group
     v_group: Group
-    """Where it waits."""
+    """V's group at its waiting pose."""
     u_goal: Group
-    """Where u's group mates."""
+    """U's group at its mating pose."""
     merged: Group
-    """Both, joined, before settling."""
+    """Merged group before it settles."""
     others: tuple[Group, ...]
 
 
 class ObjectCentricTask:
-    """The rules of the object-centric setting for one piece of furniture."""
+    """Task of the object-centric setting for one piece of furniture."""
 
     setting: ClassVar[SettingName] = "object-centric"
     action_branches = (len(UP_AXES),)
-    """Choices that an action has after its pair: `w`."""
+    """Number of values of `w`, the component of an action after its pair."""
 
     def __init__(self, furniture: Furniture, budget: Budget | None = None) -> None:
         self.furniture = furniture
@@ -92,19 +92,19 @@ class ObjectCentricTask:
 
     @property
     def pairs(self) -> PairRule:
-        """Which pairs are right."""
+        """Rule that judges whether a pair is right."""
         return self.rules.pairs
 
     def initial_state(self, rng: np.random.Generator) -> TaskState:
-        """All parts apart, at random on the ground."""
+        """Return a state with every part alone, at random on the ground."""
         return scatter_parts(self.furniture, rng)
 
     def groups_of(self, state: TaskState) -> TaskState:
-        """The groups of a state: all that it is."""
+        """Return the groups of a state, which is the state itself."""
         return state
 
     def free_points(self, state: TaskState) -> Bool[np.ndarray, "20 10"]:
-        """Which connection points exist and do not touch anything yet, padded."""
+        """Return the mask of connection points that exist and touch nothing yet, padded."""
         return self.rules.free_points(state)
 
     def exists(self, state: TaskState, action: tuple[int, ...]) -> bool:
@@ -143,7 +143,7 @@ class ObjectCentricTask:
         return self._apply(state, action, mating, result)
 
     def prepare(self, state: TaskState, action: tuple[int, ...]) -> Mating | None:
-        """Set up the mating that the action asks for; None if the pair is wrong."""
+        """Return the mating that an action asks for; None if the pair is wrong."""
         u, v, k, l, w = action  # noqa: E741
         u_group, v_group = state.groups[state.group_of[u]], state.groups[state.group_of[v]]
         merge = self.pairs.judge(u_group, v_group, u, k, v, l)
@@ -162,7 +162,7 @@ class ObjectCentricTask:
         )
 
     def _waiting_pose(self, v_group: Group, merge: Merge, w: int, obstacles: list[Circle]) -> SE3:
-        """`world_from_furniture` of the merged group: v's group on the ground with axis `w` up, room for both."""
+        """Return `world_from_furniture` of the merged group: v's group on the ground, axis `w` up, space for both."""
         now = v_group.world_from_furniture * merge.furniture_from_v.inverse()
         turn = align_axis(now.rotation @ UP_AXES[w], np.array([0.0, 0.0, 1.0])) @ now.rotation
         own = hull_points(self.furniture, v_group)
@@ -177,12 +177,12 @@ class ObjectCentricTask:
         return SE3(turn, np.array([*(spot - whole.center), lift]))
 
     def plan(self, mating: Mating, seed: int, budget: Budget | None = None) -> PathResult:
-        """The path of u's group, in the frame at its centre of mass."""
+        """Plan the path of u's group, for the frame at its centre of mass."""
         scene, axes, problem = self.planning_problem(mating)
         return plan_mating(CollisionWorld(scene, box_axes=axes), problem, budget or self.budget, seed)
 
     def planning_problem(self, mating: Mating) -> tuple[Scene, Float[np.ndarray, "3 3"], MatingProblem]:
-        """What `plan` hands to the planner: the scene, the axes along which boxes are laid, and the problem."""
+        """Return what `plan` passes to the planner: the scene, the axes of bounding boxes, and the problem."""
         origin = center_of_mass(self.furniture, mating.u_group)
         mover = body(self.furniture, mating.u_group, "moving", origin=origin, moves=True)
         still = [body(self.furniture, mating.v_group, "waiting")]

@@ -1,4 +1,4 @@
-"""The last motion of a plan: after the last merge the finished piece is set upright on its feet.
+"""Last motion of a plan: after the last merge the finished piece is set upright on its feet.
 
 It is planned and checked like any other motion. It is made when a plan is to be shown: environments, rewards and the
 planning steps of merges know nothing of it.
@@ -27,12 +27,12 @@ from roboassembly.task.rules.groups import body, center_of_mass
 
 PLANNER = "lift-turn-lower"
 _CLEARANCE = 0.02
-"""Metres between the ground and the lowest point of the piece while it turns."""
+"""Distance between the ground and the lowest point of the piece while it turns [m]."""
 AnyPlan = TypeVar("AnyPlan", bound=Plan | FullPlan)
 
 
 def set_upright(plan: AnyPlan) -> AnyPlan:
-    """The plan with its last motion, by which the assembled piece ends on its feet; or with the reason why it cannot.
+    """Return the plan with its last motion, which sets the piece on its feet, or with the reason why there is none.
 
     In the object-centric setting the piece moves by itself; in the full setting a robot takes it from its post and sets
     it on the floor. A plan that did not succeed, or that has been set upright already, comes back as it is. The same
@@ -51,7 +51,7 @@ def set_upright(plan: AnyPlan) -> AnyPlan:
 
 
 def _motion(furniture: Furniture, poses: Sequence[SE3]) -> tuple[UprightMotion | None, str, int]:
-    """The motion, if one is needed and there is one; why there is none; and configurations tested."""
+    """Return the motion or None, the reason if the piece does not end on its feet, and the states tested."""
     stance = stance_of(furniture, poses)
     if stance is None:
         return None, NOT_ASSEMBLED, 0
@@ -75,8 +75,10 @@ def _motion(furniture: Furniture, poses: Sequence[SE3]) -> tuple[UprightMotion |
 
 
 def _lift_turn_lower(world: CollisionWorld, start: SE3, goal: SE3) -> tuple[SE3, ...]:
-    """Straight up, a turn about the centre of mass, straight down. Nothing but the ground is there, so that it is free
-    if both ends are: the turn happens as high as its lowest point asks for."""
+    """Return a path straight up, a turn about the centre of mass, and straight down.
+
+    Only the ground is there, so the path is free if both ends are: the turn happens high enough.
+    """
     travel = max(2, int(np.ceil(np.rad2deg(rotation_angle(start.rotation.T @ goal.rotation)))))
     turning = interpolate(start, goal, np.linspace(0.0, 1.0, travel + 1)).T
     lowest = min(

@@ -15,17 +15,17 @@ from roboassembly.task.setting import SettingName
 
 @dataclass(frozen=True, eq=False)
 class FullState:
-    """Where all is between two steps."""
+    """State of the full setting between two steps."""
 
     groups: TaskState
     cell_state: CellState
-    """Its `standing` are the groups, in their order."""
+    """State of the cell; its `placed` are the groups, in their order."""
     cell: Cell
 
 
 @dataclass(frozen=True, eq=False)
 class FullStep:
-    """The record of one merge."""
+    """Record of one merge by two robots."""
 
     action: tuple[int, ...]
     """`(u, v, k, l, g_a, g_b)`."""
@@ -37,15 +37,15 @@ class FullStep:
 
 @dataclass(frozen=True, eq=False)
 class FullUprightMotion:
-    """A robot takes the finished piece from its post, sets it on the floor and leaves."""
+    """Motion of a robot that sets the finished piece from its post on the floor and leaves."""
 
     segments: tuple[Segment, ...]
-    """At least one."""
+    """Motion segments, at least one."""
 
 
 @dataclass(frozen=True, eq=False)
 class FullPlan:
-    """A whole assembly by two robots."""
+    """Plan of a whole assembly by two robots."""
 
     setting: ClassVar[SettingName] = "full"
 
@@ -55,22 +55,22 @@ class FullPlan:
     success: bool
     seed: int
     upright: UprightResult[FullUprightMotion] | None = None
-    """How the piece ends; None if it is not assembled, or as long as `upright.set_upright` was not asked."""
+    """Whether the piece ends on its feet; None if it is not assembled or `set_upright` was not called."""
 
     @property
     def final_segments(self) -> tuple[Segment, ...]:
-        """Those of the motion that sets the piece on its feet; empty if there is none."""
+        """Segments of the motion that sets the piece on its feet; empty if there is none."""
         return self.upright.motion.segments if self.upright is not None and self.upright.motion is not None else ()
 
     @property
     def final_cell_state(self) -> CellState:
-        """Where all is at the end."""
+        """State of the cell at the end."""
         segments = self.final_segments or (self.steps[-1].segments if self.steps else ())
         return segments[-1].after if segments else self.initial.cell_state
 
     @property
     def posts(self) -> tuple[Post, ...]:
-        """All posts that are ever up, each once."""
+        """All posts that are raised at any time, each once."""
         segments = [*(segment for step in self.steps for segment in step.segments), *self.final_segments]
         states = [self.initial.cell_state, *(m for segment in segments for m in (segment.before, segment.after))]
         return tuple({id(stand): stand for state in states for stand in state.posts}.values())

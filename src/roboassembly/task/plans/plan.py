@@ -1,4 +1,4 @@
-"""An assembly plan as a record: what moved where, and what lay still. `plan.json` is this, and the viewer reads it."""
+"""Record of an object-centric assembly: paths and poses. `plan.json` stores it, the viewer shows it."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from roboassembly.task.setting import SettingName
 
 @dataclass(frozen=True, eq=False)
 class PlanStep:
-    """One merge: a group moves along a path to its mate, they join, the merged group is let go and settles."""
+    """Record of one merge: a group moves along a path to its mate, and the merged group is released and settles."""
 
     action: tuple[int, ...]
     """`(u, v, k, l, w)` in the object-centric setting."""
     moving: dict[int, SE3]
-    """Parts of u's group: index to `group_from_part`. The frame of the group is at its centre of mass."""
+    """`group_from_part` of each part of u's group. The frame of the group is at its centre of mass."""
     waiting: tuple[int, ...]
     """Parts of v's group."""
     still: dict[int, SE3]
@@ -26,20 +26,20 @@ class PlanStep:
     """`world_from_group` way-points of the moving group, start to mating pose. Between two of them the translation
     is linear and the rotation spherical-linear."""
     settling: tuple[SE3, ...]
-    """How the merged group comes to rest, every `SETTLING_INTERVAL` seconds: motions of the world that take it from
-    its pose at the moment of mating to its pose then. The first is the identity."""
+    """Motions of the world, every `SETTLING_INTERVAL` seconds, that take the merged group from its mating pose to its
+    pose at that time. The first is the identity."""
     after: tuple[SE3, ...]
     """World pose of every part when the step is over."""
     planning_steps: int
     """Configurations tested for collision."""
     planner: str
-    """What found the path: `retreat` or `rrt-connect`."""
+    """Planner that found the path: `retreat` or `rrt-connect`."""
     planning_seconds: float
-    """Wall time of the planning; not part of `plan.json`."""
+    """Wall time of the planning [s]; not part of `plan.json`."""
 
 
 SETTLING_INTERVAL = 0.05
-"""Seconds of simulated time between two poses of `PlanStep.settling`."""
+"""Simulated time between two poses of `PlanStep.settling` [s]."""
 
 
 Motion = TypeVar("Motion")
@@ -53,20 +53,20 @@ class UprightResult(Generic[Motion]):
     """
 
     success: bool
-    """The piece stands on its feet at the end."""
+    """Whether the piece stands on its feet at the end."""
     reason: str
-    """Why it does not; empty if it does."""
+    """Reason why the piece does not stand; empty if it does."""
     motion: Motion | None
-    """None if there is no way, or if the piece stood already."""
+    """Motion that sets the piece on its feet; None if none was found or the piece stood already."""
     planning_steps: int
     """Configurations tested for collision, failed attempts included."""
     planning_seconds: float
-    """Wall time; not part of `plan.json`."""
+    """Wall time [s]; not part of `plan.json`."""
 
 
 @dataclass(frozen=True, eq=False)
 class UprightMotion:
-    """The finished piece moves as one body along a path to its feet, is let go and settles."""
+    """Motion of the finished piece as one body along a path to its feet, after which it is released and settles."""
 
     moving: dict[int, SE3]
     """Pose of every part in the frame of the piece, whose origin is its centre of mass."""
@@ -78,12 +78,12 @@ class UprightMotion:
     after: tuple[SE3, ...]
     """World pose of every part at rest."""
     planner: str
-    """What found the path."""
+    """Planner that found the path."""
 
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """A whole assembly."""
+    """Plan of a whole assembly in the object-centric setting."""
 
     setting: ClassVar[SettingName] = "object-centric"
 
@@ -94,7 +94,7 @@ class Plan:
     success: bool
     seed: int
     upright: UprightResult[UprightMotion] | None = None
-    """How the piece ends; None if it is not assembled, or as long as `upright.set_upright` was not asked."""
+    """Whether the piece ends on its feet; None if it is not assembled or `set_upright` was not called."""
 
     @property
     def final_poses(self) -> tuple[SE3, ...]:

@@ -48,7 +48,7 @@ class _Header(msgspec.Struct):
 
 
 def is_plan(path: Path) -> bool:
-    """Whether a file says that it is a plan of this program; nothing else of it is looked at."""
+    """Whether a file says that it is a plan of this program. Nothing else of it is read."""
     try:
         return msgspec.json.decode(path.read_bytes(), type=_Header).format == FORMAT
     except (OSError, msgspec.DecodeError, UnicodeDecodeError):
@@ -89,15 +89,15 @@ class _Segment(msgspec.Struct):
     stage: str
     """A value of `Stage`."""
     robot: int
-    """Which moves; the other one stands still."""
+    """Robot that moves; the other one stands still."""
     opening: float
-    """Metres between its finger pads."""
+    """Distance between its finger pads [m]."""
     path: list[list[float]]
-    """Its configurations."""
-    held: list[_Placed]
-    """What its hand holds: poses of parts in the frame of the finger tips."""
+    """Configurations of the robot."""
+    payload: list[_Placed]
+    """Parts in its hand, with their poses in the frame of the finger tips."""
     posts: list[int]
-    """That are up meanwhile."""
+    """Posts that are raised meanwhile."""
 
 
 class _FullStep(msgspec.Struct):
@@ -110,21 +110,21 @@ class _FullStep(msgspec.Struct):
 
 
 class _Motion(msgspec.Struct):
-    """Object-centric: the piece moves as one, is let go and settles."""
+    """Object-centric motion: the piece moves as one body, is released and settles."""
 
     path: list[list[float]]
-    """Poses of the piece's frame (origin at its centre of mass), from where it lies to where it is let go."""
+    """Poses of the piece's frame (origin at its centre of mass), from where it lies to where it is released."""
     moving: list[_Placed]
     """All parts, in the frame of the piece."""
     settling: list[list[float]]
-    """As in `_Step`."""
+    """Motions of the world, like those of `_Step`."""
     after: list[list[float]]
     """World pose of every part at the end."""
     planner: str
 
 
 class _FullMotion(msgspec.Struct):
-    """Full: a robot takes the piece from its post and sets it on the floor."""
+    """Full motion: a robot picks the piece from its post and sets it on the floor."""
 
     segments: list[_Segment]
     after: list[list[float]]
@@ -136,7 +136,7 @@ class _Upright(msgspec.Struct):
     reason: str
     """Why the piece does not end on its feet; empty if it does."""
     motion: _Motion | _FullMotion | None
-    """None if there is no way, or if the piece stood already."""
+    """Motion; None if none was found or the piece stood already."""
     planning_steps: int
     """Configurations tested for collision; not part of those of the steps."""
 
@@ -154,15 +154,15 @@ class _File(msgspec.Struct, omit_defaults=True):
     robots: list[list[float]] = []
     posts: list[list[float]] = []
     density: float = 0.0
-    """kg/m³ of the parts, full only."""
+    """Density of the parts [kg/m³], full only."""
 
 
 class _Done(msgspec.Struct):
     action: list[int]
 
 
-class _Told(msgspec.Struct):
-    """As much of a file as is read."""
+class _ScriptFile(msgspec.Struct):
+    """Part of a file that is read."""
 
     format: str
     version: int
@@ -173,7 +173,7 @@ class _Told(msgspec.Struct):
 
 
 def encode(plan: Plan | FullPlan) -> bytes:
-    """The contents of `plan.json`."""
+    """Return the contents of `plan.json`."""
     furniture = plan.furniture
     full = isinstance(plan, FullPlan)
     document = _File(
@@ -211,12 +211,12 @@ def write(plan: Plan | FullPlan, path: Path) -> None:
 
 @dataclass(frozen=True)
 class Script:
-    """What of a plan it takes to do it again."""
+    """Part of a plan that is needed to carry it out again."""
 
     furniture: str
-    """Its name."""
+    """Name of the furniture."""
     parts: tuple[str, ...]
-    """Their names."""
+    """Names of the parts."""
     setting: SettingName
     seed: int
     actions: tuple[tuple[int, ...], ...]
@@ -225,7 +225,7 @@ class Script:
 def decode(content: bytes, where: str) -> Script:
     """Read the contents of `plan.json`.
 
-    What it says of poses and paths is not taken over: whoever does the plan again plans and checks it again.
+    Poses and paths of the file are not used: the plan is planned and checked again.
 
     Args:
         content: of the file.
@@ -235,23 +235,23 @@ def decode(content: bytes, where: str) -> Script:
         InputError: it is no plan, of another version, or an action has the wrong length.
     """
     try:
-        told = msgspec.json.decode(content, type=_Told)
+        header = msgspec.json.decode(content, type=_ScriptFile)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise InputError(f"'{where}' is no plan: {error}; `roboassembly assemble` writes one") from None
-    if told.format != FORMAT or told.version not in READ_VERSIONS:
+    if header.format != FORMAT or header.version not in READ_VERSIONS:
         known = ", ".join(map(str, READ_VERSIONS))
         raise InputError(
-            f"'{where}' has format {told.format!r}, version {told.version}; this program reads {FORMAT!r}, versions "
-            f"{known}: `roboassembly assemble` of this version writes the plan anew"
+            f"'{where}' has format {header.format!r}, version {header.version}; this program reads {FORMAT!r}, "
+            f"versions {known}: `roboassembly assemble` of this version writes the plan anew"
         )
-    length = 6 if told.setting == "full" else 5
-    for index, step in enumerate(told.steps):
+    length = 6 if header.setting == "full" else 5
+    for index, step in enumerate(header.steps):
         if len(step.action) != length or not all(-_LARGEST < i < _LARGEST for i in step.action):
             raise InputError(f"'{where}': step {index}: action {step.action}; {length} small whole numbers would do")
-    if not 0 <= told.seed < _LARGEST:
-        raise InputError(f"'{where}': seed {told.seed}; 0 to {_LARGEST - 1} would do")
-    actions = tuple(tuple(step.action) for step in told.steps)
-    return Script(told.furniture.name, tuple(told.furniture.parts), told.setting, told.seed, actions)
+    if not 0 <= header.seed < _LARGEST:
+        raise InputError(f"'{where}': seed {header.seed}; 0 to {_LARGEST - 1} would do")
+    actions = tuple(tuple(step.action) for step in header.steps)
+    return Script(header.furniture.name, tuple(header.furniture.parts), header.setting, header.seed, actions)
 
 
 def _step(step: PlanStep) -> _Step:
@@ -288,19 +288,19 @@ def _motion(motion: UprightMotion) -> _Motion:
 
 
 def _where(state: CellState) -> list[list[float]]:
-    """Of all parts."""
+    """Return the pose of every part."""
     return [pose_to_seven(p) for p in TaskState(tuple(state.groups())).part_poses]
 
 
 def _segment(segment: Segment, posts: dict[int, int]) -> _Segment:
     robot = segment.before.robots[segment.robot]
-    held: dict[int, SE3] = {}
+    payload: dict[int, SE3] = {}
     if robot.payload is not None:
         group, tips = robot.payload.group, robot.payload.grip.furniture_from_tips
-        held = {p: tips.actInv(pose) for p, pose in zip(group.parts, group.furniture_from_part, strict=True)}
+        payload = {p: tips.actInv(pose) for p, pose in zip(group.parts, group.furniture_from_part, strict=True)}
     up = sorted(posts[id(stand)] for stand in segment.before.posts)
     return _Segment(
-        segment.stage.value, segment.robot, robot.opening, [q.tolist() for q in segment.path], _placed(held), up
+        segment.stage.value, segment.robot, robot.opening, [q.tolist() for q in segment.path], _placed(payload), up
     )
 
 

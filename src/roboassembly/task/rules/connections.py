@@ -1,4 +1,4 @@
-"""What both settings share: which points are free, which pairs exist, which are right, how joints come apart."""
+"""Rules of both settings: free connection points, existing pairs, right pairs, and retreats from a joint."""
 
 from __future__ import annotations
 
@@ -15,26 +15,26 @@ from roboassembly.task.rules.paper_pair_rule import paper_accepts
 UP_AXES: Float[np.ndarray, "6 3"] = np.array(
     [[0, 0, 1], [0, 0, -1], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]], dtype=float
 )
-"""The axes of the furniture's frame; that which points up while v's group waits, for each `w`."""
+"""Axis of the furniture's frame that points up while v's group waits, for each `w`."""
 GRASPS = 8
-"""Of a part: two regions, each from four directions."""
+"""Number of grasps of a part: two regions, each from four directions."""
 _AGAINST = -0.2
-"""Cosine: a retreat may run this much against a contact's normal, because a patch's mean normal is only a mean."""
+"""Cosine between a retreat and a contact's normal at least. It is negative because a patch's normal is only a mean."""
 
 
 class Rules:
-    """The rules about pairs for one piece of furniture."""
+    """Rules about pairs for one piece of furniture."""
 
     def __init__(self, furniture: Furniture) -> None:
         self.furniture = furniture
 
     @cached_property
     def pairs(self) -> PairRule:
-        """Which pairs are right."""
+        """Rule that judges whether a pair is right."""
         return PairRule(self.furniture)
 
     def free_points(self, state: TaskState) -> Bool[np.ndarray, "20 10"]:
-        """Which connection points exist and do not touch anything yet, padded."""
+        """Return the mask of connection points that exist and touch nothing yet, padded."""
         free = np.zeros((MAX_PARTS, MAX_POINTS), dtype=bool)
         for group in state.groups:
             for part in group.parts:
@@ -55,7 +55,7 @@ class Rules:
         return separate[:, :, None, None] & free[:, None, :, None] & free[None, :, None, :]
 
     def pair_exists(self, state: TaskState, u: int, v: int, k: int, l: int) -> bool:  # noqa: E741
-        """Whether `k` and `l` are free points of the parts `u` and `v`, and those in different groups."""
+        """Whether `k` and `l` are free points of the parts `u` and `v`, and these are in different groups."""
         n = len(self.furniture.parts)
         if not (0 <= u < n and 0 <= v < n):
             return False
@@ -73,16 +73,16 @@ class Rules:
     def retreats(
         self, u_group: Group, v_group: Group, merged: Group, turn: Float[np.ndarray, "3 3"]
     ) -> list[Float[np.ndarray, "3"]]:
-        """Directions in the furniture's frame along which u's group may let go of v's, the most promising first.
+        """Return directions in the furniture's frame along which u's group may leave v's, the most promising first.
 
         Candidates are the contact normals and their mean, the long axes of the parts that meet, and the axes of the
         furniture; those against a contact's normal are left out.
 
         Args:
-            u_group: moves.
-            v_group: waits.
-            merged: both, joined.
-            turn: `world_from_furniture` while they are joined; of equally good directions that which rises is first.
+            u_group: group that moves.
+            v_group: group that waits.
+            merged: both groups, mated.
+            turn: `world_from_furniture` while they are joined; of equally good directions the rising one comes first.
         """
         slot_of = dict(zip(merged.parts, merged.slots, strict=True))
         u_slots = {slot_of[p] for p in u_group.parts}

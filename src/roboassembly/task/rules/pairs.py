@@ -1,7 +1,7 @@
-"""Is the pair right? Whether two groups, mated at two connection points, make a sub-assembly of the furniture.
+"""Pair rule: whether two groups, mated at two connection points, make a sub-assembly of the furniture.
 
-The paper's rule with equivalent parts, made whole: the merged group, at the relative pose that the two connection
-frames dictate, must be congruent to a sub-assembly once equivalent parts may swap slots.
+The merged group, at the relative pose that the two connection frames dictate, must be congruent to a sub-assembly in
+which equivalent parts may swap slots. The paper's own test looks at two parts only (`paper_pair_rule`).
 """
 
 from __future__ import annotations
@@ -17,30 +17,30 @@ from roboassembly.geometry.poses import SE3, rotation_angle
 from roboassembly.task.rules.groups import Group, TaskState
 
 POSITION_TOLERANCE = 3e-3
-"""Metres between a part's centre and its slot's. Gaps at the joints of real furniture differ by as much: four equal
-legs under a top that does not lie quite level on them."""
+"""Distance between a part's centre and its slot's at most [m]. Gaps at the joints of real furniture differ by as much:
+four equal legs under a top that is not quite level."""
 ANGLE_TOLERANCE = float(np.deg2rad(2.0))
-"""Radians between a part and its slot, after the best symmetry of its shape."""
+"""Angle between a part and its slot at most, after the best symmetry of its shape [rad]."""
 _COSINE = 1.0 + 2.0 * np.cos(ANGLE_TOLERANCE)
 _STIFF_POSITION, _STIFF_ANGLE = 1e-5, 1e-4
-"""Metres and radians by which parts of one group may be told elsewhere: what is joined stays as it is. Tolerance is for
-what is not joined yet; else a group that takes other slots, those of parts that are equal within tolerance only, would
-be bent into them."""
+"""Distance and angle by which parts of one group may move against each other as the group takes other slots [m, rad].
+The larger tolerances are for what is not joined yet; a joined group must not be bent into slots that are equal within
+tolerance only."""
 
 
 @dataclass(frozen=True, eq=False)
 class Merge:
-    """A right pair: the merged group, and where both groups stand in it."""
+    """Result of a right pair: the merged group, and the poses of both groups in it."""
 
     merged: Group
-    """Its `world_from_furniture` is the identity: only its shape is settled here."""
+    """Merged group; its `world_from_furniture` is the identity."""
     furniture_from_u: SE3
-    """Motion that takes u's group from its own frame into the merged group's."""
+    """Motion that takes u's group from its own frame into the merged group's frame."""
     furniture_from_v: SE3
 
 
 class PairRule:
-    """Judges pairs for one piece of furniture. Precomputes what all judgements share."""
+    """Judges pairs for one piece of furniture."""
 
     def __init__(self, furniture: Furniture) -> None:
         self._furniture = furniture
@@ -49,7 +49,7 @@ class PairRule:
         self._slot_positions = np.array([slot.translation for slot in furniture.assembled])
         self._turns = [c.symmetries for c in furniture.classes]
         self._members = [np.array(c.members) for c in furniture.classes]
-        # Every way to put a part of a class into a slot: rotation, and the slot's index.
+        # All rotations of a part of a class in all slots of the class, and the slot of each.
         self._rotations = [
             (self._slot_rotations[m][:, None] @ t[None]).reshape(-1, 3, 3)
             for m, t in zip(self._members, self._turns, strict=True)
@@ -58,7 +58,7 @@ class PairRule:
         self._places: dict[tuple[object, ...], list[tuple[tuple[int, ...], tuple[SE3, ...]]]] = {}
 
     def judge(self, u_group: Group, v_group: Group, u: int, k: int, v: int, l: int) -> Merge | None:  # noqa: E741
-        """The merge that point `k` of part `u` onto point `l` of part `v` makes, or None if the pair is wrong."""
+        """Return the merge that point `k` of part `u` on point `l` of part `v` makes; None if the pair is wrong."""
         v_group_from_u_group = self.dictated(u_group, v_group, u, k, v, l)
         frame_of_u = u_group.furniture_from_part[u_group.parts.index(u)]
         frame_of_v = v_group.furniture_from_part[v_group.parts.index(v)]
@@ -76,28 +76,29 @@ class PairRule:
             tuple(placed[i] for i in order),
             SE3.Identity(),
         )
-        # Both groups were exact already: what tolerance took up lies between the two of them.
+        # Both groups are exact already; the tolerance is taken up between them.
         exact_u = placed[members.index(u)] * frame_of_u.inverse()
         exact_v = placed[members.index(v)] * frame_of_v.inverse()
         return Merge(merged, exact_u, exact_v)
 
     def dictated(self, u_group: Group, v_group: Group, u: int, k: int, v: int, l: int) -> SE3:  # noqa: E741
-        """`v_group_from_u_group` once point `k` of part `u` lies on point `l` of part `v`, right or wrong."""
+        """Return `v_group_from_u_group` with point `k` of part `u` on point `l` of part `v`, right or wrong."""
         v_from_u = mate(v_group.points_of(self._furniture, v)[l], u_group.points_of(self._furniture, u)[k])
         points_of_u = self._furniture.assembled[u_group.slots[u_group.parts.index(u)]]
         points_of_v = self._furniture.assembled[v_group.slots[v_group.parts.index(v)]]
         return points_of_v * v_from_u * points_of_u.inverse()
 
     def placements(self, group: Group) -> Iterator[Group]:
-        """The group where it is, told in every set of slots that it could take: its own first, each set once."""
+        """Yield the group where it is, described by every set of slots that it could take, its own set first."""
         yield group
         for slots, placed in self._other_places(group):
             world = group.world_from_furniture * group.furniture_from_part[0] * placed[0].inverse()
             yield Group(group.parts, slots, placed, world)
 
     def furniture_frames(self, poses: Sequence[SE3]) -> Iterator[SE3]:
-        """Each `world_from_furniture` in which parts at `poses` are the assembled furniture; several if it is
-        symmetric.
+        """Yield each `world_from_furniture` in which parts at `poses` are the assembled furniture.
+
+        There are several if the furniture is symmetric.
 
         Args:
             poses: `world_from_part` of every part.
@@ -107,75 +108,75 @@ class PairRule:
             yield poses[0] * placed[0].inverse()
 
     def _other_places(self, group: Group) -> list[tuple[tuple[int, ...], tuple[SE3, ...]]]:
-        """Other sets of slots that a group could take, and its parts there; kept, being asked for often."""
+        """Return other sets of slots that a group could take, and the poses of its parts there. Results are cached."""
         turns = np.round([p.rotation for p in group.furniture_from_part], 3) + 0.0
         key = (group.parts, group.slots, turns.tobytes())
         if key not in self._places:
             found: dict[frozenset[int], tuple[tuple[int, ...], tuple[SE3, ...]]] = {}
             joined = (range(len(group.parts)),)
             for slots, placed in self._embeddings(group.parts, group.furniture_from_part, joined):
-                told = tuple(slots.tolist())
-                found.setdefault(frozenset(told), (told, tuple(placed)))
+                other = tuple(slots.tolist())
+                found.setdefault(frozenset(other), (other, tuple(placed)))
             found.pop(frozenset(group.slots), None)
             self._places[key] = list(found.values())
         return self._places[key]
 
     def slot_assignments(self, state: TaskState) -> Iterator[TaskState]:
-        """The same state told so that every slot is claimed once, in each way that its joined groups allow.
+        """Yield the state described so that every slot is taken once, in each way that its joined groups allow.
 
-        Loose parts take what joined ones of their class have left over, their own slot if they can.
+        Loose parts take the slots that joined parts of their class leave, their own slot if they can.
         """
         joined = [g for g in state.groups if len(g.parts) > 1]
         loose = [g for g in state.groups if len(g.parts) == 1]
-        for told in self._disjoint(joined, frozenset()):
-            taken = {slot for g in told for slot in g.slots}
-            homeless = [g for g in loose if g.parts[0] in taken]
-            taken.update(g.parts[0] for g in loose if g not in homeless)
+        for described in self._disjoint(joined, frozenset()):
+            used = {slot for g in described for slot in g.slots}
+            homeless = [g for g in loose if g.parts[0] in used]
+            used.update(g.parts[0] for g in loose if g not in homeless)
             moved = {}
             for group in homeless:
                 part = group.parts[0]
-                slot = next(int(m) for m in self._members[self._class_of[part]] if m not in taken)
-                taken.add(slot)
+                slot = next(int(m) for m in self._members[self._class_of[part]] if m not in used)
+                used.add(slot)
                 pose = self._furniture.assembled[slot]
                 moved[group] = Group((part,), (slot,), (pose,), group.part_poses()[0] * pose.inverse())
-            moved.update(zip(joined, told, strict=True))
+            moved.update(zip(joined, described, strict=True))
             yield TaskState(tuple(moved.get(g, g) for g in state.groups))
 
     def assign_slots(self, state: TaskState) -> TaskState | None:
-        """The first of `slot_assignments`; None if the groups would share slots whatever they took."""
+        """Return the first of `slot_assignments`; None if the groups share slots in every one."""
         return next(self.slot_assignments(state), None)
 
-    def _disjoint(self, groups: Sequence[Group], taken: frozenset[int]) -> Iterator[list[Group]]:
-        """Places of several groups that share no slot."""
+    def _disjoint(self, groups: Sequence[Group], used: frozenset[int]) -> Iterator[list[Group]]:
+        """Yield placements of several groups that share no slot."""
         if not groups:
             yield []
             return
         for group in self.placements(groups[0]):
-            if not taken & set(group.slots):
-                for others in self._disjoint(groups[1:], taken | set(group.slots)):
+            if not used & set(group.slots):
+                for others in self._disjoint(groups[1:], used | set(group.slots)):
                     yield [group, *others]
 
     def _embeddings(
         self, members: tuple[int, ...], poses: tuple[SE3, ...], joined: Sequence[range]
     ) -> Iterator[tuple[Int[np.ndarray, "m"], list[SE3]]]:
-        """Distinct slots of their classes for parts at `poses` after one common motion: the least first, by angle.
+        """Yield distinct slots for parts at `poses` after one common motion, the motion with the smallest angle first.
 
         Args:
-            members: the parts.
-            poses: where each is.
-            joined: which of them, by their places in `members`, are rigidly joined.
+            members: indices of the parts.
+            poses: pose of each part.
+            joined: ranges of `members` that are rigidly joined.
         """
         classes = self._class_of[list(members)]
-        ways = [len(self._slots[c]) for c in classes]
-        anchor = int(np.argmin(ways))
+        choices = [len(self._slots[c]) for c in classes]
+        anchor = int(np.argmin(choices))
         positions = np.array([p.translation for p in poses])
         rotations = np.array([p.rotation for p in poses])
         motions = self._rotations[classes[anchor]] @ rotations[anchor].T
         shifts = self._slot_positions[self._slots[classes[anchor]]] - motions @ positions[anchor]
         placed = np.einsum("cij,pj->cpi", motions, positions) + shifts[:, None]
         alike = classes[:, None] == self._class_of[None]
-        apart = np.linalg.norm(placed[:, :, None] - self._slot_positions[None, None], axis=3)
-        fits = (apart < POSITION_TOLERANCE) & alike[None]
+        distance = np.linalg.norm(placed[:, :, None] - self._slot_positions[None, None], axis=3)
+        fits = (distance < POSITION_TOLERANCE) & alike[None]
         hopeful = np.flatnonzero(fits.any(axis=2).all(axis=1))
         turned = np.trace(motions[hopeful], axis1=1, axis2=2)
         moved = np.linalg.norm(shifts[hopeful], axis=1)
@@ -190,20 +191,20 @@ class PairRule:
     def _in_slots(
         self, classes: Int[np.ndarray, "m"], slots: Int[np.ndarray, "m"], rotations: Float[np.ndarray, "m 3 3"]
     ) -> list[SE3] | None:
-        """Each part exactly in its slot, turned by the symmetry nearest to its rotation; None if none is near."""
+        """Return each part exactly in its slot, turned by the symmetry nearest to its rotation; None if none fits."""
         out = []
         for c, slot, rotation in zip(classes, slots, rotations, strict=True):
-            ways = self._slot_rotations[slot] @ self._turns[c]
-            closeness = np.einsum("wij,ij->w", ways, rotation)
+            candidates = self._slot_rotations[slot] @ self._turns[c]
+            closeness = np.einsum("wij,ij->w", candidates, rotation)
             best = int(np.argmax(closeness))
             if closeness[best] < _COSINE:
                 return None
-            out.append(SE3(ways[best], self._slot_positions[slot]))
+            out.append(SE3(candidates[best], self._slot_positions[slot]))
         return out
 
 
 def _is_rigid(moved: Sequence[tuple[SE3, SE3]]) -> bool:
-    """Whether one motion takes all first poses to the second ones."""
+    """Whether one motion takes all first poses to the second poses."""
     motion = moved[0][1] * moved[0][0].inverse()
     for before, after in moved[1:]:
         there = motion * before
