@@ -1,0 +1,60 @@
+"""Grasp samples of random grasps: their labels are those of fresh tests, and they survive a file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import shapes
+from roboassembly.errors import InputError
+from roboassembly.learning.relational.grasps.dataset import NO, UNKNOWN, YES, GraspLabeler, GraspSamples
+from roboassembly.task.full.task import FullTask, FullVerdict, MateGrasp
+
+
+@pytest.fixture(scope="module")
+def stand() -> GraspSamples:
+    return GraspLabeler(FullTask(shapes.stand()), tries=1).collect(np.random.default_rng(0), episodes=1)
+
+
+def test_labels_are_those_of_fresh_tests(stand: GraspSamples) -> None:
+    task = FullTask(shapes.stand())
+    first = task.initial_state(np.random.default_rng(0))
+    assert len(stand.samples) >= len(task.furniture.parts) - 1
+    sample = stand.samples[0]
+    u, k, v, l = sample.pair  # noqa: E741
+    for g_a, g_b in np.argwhere(sample.fit != UNKNOWN).tolist():
+        fresh = task.mate_grasp(first.groups, (u, v, k, l, g_a, g_b))
+        assert isinstance(fresh, MateGrasp) == (sample.fit[g_a, g_b] == YES)
+        assert sample.fit[g_a, g_b] == YES or sample.reach[g_a, g_b] == UNKNOWN
+    # What cannot be picked fails when it is carried out.
+    for g_a, g_b in np.argwhere(sample.fit == YES).tolist():
+        picked = sample.pick[0, g_a] == YES == sample.pick[1, g_b]
+        if not picked or sample.reach[g_a, g_b] == NO:
+            outcome = task.step(first, (u, v, k, l, g_a, g_b), 5)
+            assert outcome.verdict is FullVerdict.NO_ARM_SOLUTION or outcome.segment[:4] in ("appr", "lift")
+        if sample.finish[g_a, g_b] == YES:
+            assert picked
+            assert sample.reach[g_a, g_b] == YES
+
+
+def test_a_file_keeps_the_samples_and_a_broken_one_is_refused(stand: GraspSamples, tmp_path: Path) -> None:
+    stand.save(tmp_path / "a.npz")
+    loaded = GraspSamples.load(tmp_path / "a.npz")
+    assert loaded.name == stand.name
+    assert np.array_equal(loaded.grasps, stand.grasps)
+    for a, b in zip(loaded.samples, stand.samples, strict=True):
+        assert a.pair == b.pair
+        assert all(np.array_equal(getattr(a, n), getattr(b, n)) for n in ("pick", "fit", "reach", "finish"))
+        assert np.array_equal(a.connections, b.connections)
+    (tmp_path / "a.npz").write_bytes(b"no archive")
+    with pytest.raises(InputError, match="remove it"):
+        GraspSamples.load(tmp_path / "a.npz")
+
+
+def test_a_sample_is_seen_as_the_state_that_it_came_from(stand: GraspSamples) -> None:
+    view = stand.view(stand.samples[0])
+    assert view.group.tolist() == list(range(len(stand.clouds)))
+    assert np.array_equal(view.grasps, stand.grasps.astype(float))
+    assert stand.view(stand.samples[-1]).group.tolist() != view.group.tolist()
