@@ -87,16 +87,16 @@ class MultitaskCommand:
         return DONE
 
     def _relational(self, jobs: int) -> Iterable[Progress]:
-        from roboassembly.learning.relational.pipeline import Curriculum, teach
+        from roboassembly.learning.relational.pipeline import RelationalPipelineConfig, run_pipeline
 
-        usual = Curriculum.with_hands() if self.setting == "full" else Curriculum()
-        curriculum = replace(
-            usual, set=self.set, limit=self.limit, extra=usual.extra if self.extra is None else self.extra,
-            plays=self.episodes or usual.plays, rounds=usual.rounds if self.rounds is None else self.rounds,
-            steps=self.steps or usual.steps, round_steps=self.round_steps, seed=self.seed,
-            start=self.start or usual.start,
+        default = RelationalPipelineConfig.full() if self.setting == "full" else RelationalPipelineConfig()
+        config = replace(
+            default, set=self.set, limit=self.limit, extra=default.extra if self.extra is None else self.extra,
+            episodes=self.episodes or default.plays, rounds=default.rounds if self.rounds is None else self.rounds,
+            steps=self.steps or default.steps, round_steps=self.round_steps, seed=self.seed,
+            start=self.start or default.start,
         )  # fmt: skip
-        return teach(curriculum, self.out, jobs)
+        return run_pipeline(config, self.out, jobs)
 
     def _paper(self) -> Iterable[Progress]:
         if not self.samples or self.extractor is None:

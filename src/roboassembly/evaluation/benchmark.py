@@ -39,9 +39,8 @@ from roboassembly.learning.paper.pipeline import (
 )
 from roboassembly.learning.policy_weights import weights_hash
 from roboassembly.learning.progress import Progress
-from roboassembly.learning.relational import pipeline as multitask
 from roboassembly.learning.relational.network import RelationalConfig
-from roboassembly.learning.relational.pipeline import Curriculum
+from roboassembly.learning.relational.pipeline import RelationalPipelineConfig, run_pipeline
 from roboassembly.solvers.dataset_builder import build_dataset
 from roboassembly.task.setting import SettingName
 
@@ -80,7 +79,7 @@ class Benchmark:
     """Take the relational policy of the package; else train one."""
     schooling: Schooling = field(default_factory=Schooling)
     paper: paper_imitation.Training = field(default_factory=paper_imitation.Training)
-    relational: Curriculum = field(default_factory=Curriculum)
+    relational: RelationalPipelineConfig = field(default_factory=RelationalPipelineConfig)
     seed: int = 0
 
     @staticmethod
@@ -91,15 +90,15 @@ class Benchmark:
             return plain
         # With robots an update takes several times as long: any two points have 64 ways to be joined in place of six.
         paper = replace(plain.paper, steps=5_000)
-        return replace(plain, schooling=Schooling.usual(setting), paper=paper, relational=Curriculum.with_hands())
+        return replace(plain, schooling=Schooling.usual(setting), paper=paper, relational=RelationalPipelineConfig.full())
 
     @staticmethod
     def quick(setting: SettingName = "object-centric", seed: int = 0) -> Benchmark:
         """All stages, tiny: to see that they work, not what they reach."""
         experts = ExpertTraining(steps=1_600, least_steps=400, setting=setting)
-        relational = Curriculum(extra=0, validation=0, steps=40, network=_TINY)
+        relational = RelationalPipelineConfig(extra=0, validation=0, steps=40, network=_TINY)
         if setting == "full":
-            relational = replace(Curriculum.with_hands(), extra=0, validation=0, plays=1, steps=2, grasp_steps=40)
+            relational = replace(RelationalPipelineConfig.full(), extra=0, validation=0, episodes=1, steps=2, grasp_steps=40)
         return Benchmark(
             setting, set="chairs-24", train_limit=3, taught=3, sample=2 if setting == "full" else 3, shipped=False,
             schooling=Schooling(autoencoder.Training(steps=40), 4, experts, plays=8 if setting == "full" else 2),
@@ -152,7 +151,7 @@ def run(b: Benchmark, folder: Path, jobs: int) -> Iterator[Progress]:
     yield from _timed(folder, "paper", paper)
     if not b.shipped:
         lessons = replace(b.relational, set=f"{b.set}:train", limit=b.train_limit, seed=b.seed)
-        yield from _timed(folder, "relational", multitask.teach(lessons, folder / "relational", jobs))
+        yield from _timed(folder, "relational", run_pipeline(lessons, folder / "relational", jobs))
     played = chain.from_iterable(tried(trial, folder, jobs) for trial in trials(b, folder))
     yield from _timed(folder, "evaluation", played)
 

@@ -1,25 +1,25 @@
-"""Teaches the relational policy, from nothing to a checkpoint: lessons, imitation, and rounds of aggregation.
+"""Training pipeline of the relational policy, from nothing to a checkpoint: samples, imitation, rounds of DAgger.
 
-In each round after the first the student plays the chairs itself, its mistakes are corrected, and it goes on learning
-from all lessons so far (DAgger, Ross et al. 2011). Everything is kept in one folder; whatever is there already is not
-done again, so that a run that was stopped goes on where it was.
+In each round after the first, the policy acts itself, the oracle corrects its mistakes, and it trains on all samples so
+far (DAgger, Ross et al. 2011). Everything is kept in one folder, and existing files are not made again, so a run that
+was stopped continues where it was.
 
-    lessons/0/…        of random good moves       policy-0.npz   taught with them
-    lessons/1/…        of policy-0's plays        policy-1.npz   taught with both
-    …                                             policy.npz     the last one, to be shipped
+    samples/0/…         of random viable actions    policy-0.npz   trained on them
+    samples/1/…         of episodes of policy-0     policy-1.npz   trained on both
+    …                                               policy.npz     the last one
 
-In the full setting this begins with the weights of a policy that knows the object-centric one, and ends with the first
-round; lessons of grasps teach a second network, and the rounds are its own:
+In the full setting, the pipeline starts from the weights of an object-centric policy and trains on pairs for one round.
+Grasp samples train a second network, and the further rounds are those of this network:
 
-    lessons/0/hands/…  of random hands            grasping-0.npz  taught with them
-    practice/1/…       of player-1's plays        grasping-1.npz  taught with both
+    samples/0/grasps/…  of random grasps            grasps-0.npz   trained on them
+    on_policy/1/…       of episodes of acting-1     grasps-1.npz   trained on both
 
-`policy.npz` holds all three then, so that one file plays in both settings.
+`policy.npz` then holds the weights of both settings.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -28,198 +28,198 @@ from roboassembly.datasets.sets import RECIPES, furniture_refs, set_hash
 from roboassembly.errors import InputError
 from roboassembly.learning import checkpoint
 from roboassembly.learning.datasets import dataset_file
+from roboassembly.learning.fit import is_trained
 from roboassembly.learning.generated import EXTRA_SEEDS, extra_names
 from roboassembly.learning.layers import Params
 from roboassembly.learning.policy_weights import load_weights
 from roboassembly.learning.progress import Progress
 from roboassembly.learning.relational import imitation
 from roboassembly.learning.relational import network as relational
-from roboassembly.learning.relational.collect import collect, grasp_folder
+from roboassembly.learning.relational.collect import CollectResult, collect, grasp_folder
 from roboassembly.learning.relational.grasps import imitation as grasp_imitation
 from roboassembly.learning.relational.grasps import network as grasping
 from roboassembly.learning.relational.grasps.on_policy import collect_on_policy
-from roboassembly.learning.relational.imitation import Example, Training
+from roboassembly.learning.relational.imitation import RelationalTraining, TokenExample
 from roboassembly.learning.relational.network import RelationalConfig
 from roboassembly.learning.relational.policy import FULL_PARAMS, GRASP_PARAMS, RelationalPolicy
 from roboassembly.task.setting import SettingName
 
 _VALIDATION_SEEDS = EXTRA_SEEDS + 1_000_000
+"""First seed of the validation pieces."""
 
 
 @dataclass(frozen=True)
-class Curriculum:
-    """What the policy is taught, and for how long."""
+class RelationalPipelineConfig:
+    """Settings of the pipeline."""
 
     set: str = "chairs-412:train"
-    """Its chairs are all taught."""
+    """Generated furniture to train on, `NAME:SPLIT`."""
     limit: int | None = None
-    """The first so many of them only."""
+    """Number of pieces of the set, from the first on; all if None."""
     extra: int = 6_000
-    """Generated pieces besides: chairs of the set's training families, and others to collect_on_policy on."""
+    """Number of further generated pieces: chairs of the set's training families, and simple frames."""
     validation: int = 60
-    """Pieces of neither on which progress is told."""
-    plays: int = 1
-    """Of each piece, in each round; with hands, of lessons of pairs, the first of them its own."""
+    """Number of generated pieces for validation; none of them is trained on."""
+    episodes: int = 1
+    """Number of episodes of each piece in each round; the policy acts in the first of them."""
     rounds: int = 0
-    """Of aggregation, after the first; with hands, of what its own plays tell of them."""
+    """Number of rounds after the first; in the full setting, rounds of the grasp network."""
     steps: int = 16_000
-    """Updates in the first round."""
+    """Number of gradient steps in the first round."""
     round_steps: int = 8_000
-    """Updates in each later one."""
+    """Number of gradient steps in each later round."""
     learning_rate: float = 2e-3
+    """Largest learning rate in the first round; half of it in later ones."""
     batch: int = 16
+    """Number of states of 48 tokens in a batch."""
     seed: int = 0
+    """Random seed."""
     network: RelationalConfig = field(default_factory=RelationalConfig)
+    """Sizes of the network."""
     setting: SettingName = "object-centric"
+    """Setting whose oracle labels the samples."""
     start: str = ""
-    """Policy to begin with, by name or path; needed in the full setting, where it is kept for the other one."""
+    """Policy whose weights come first, by name or path. The full setting needs one, and keeps its weights for the
+    object-centric setting."""
     grasp_steps: int = 12_000
-    """Updates of the network that chooses grasps (full)."""
+    """Number of gradient steps of the grasp network (full setting)."""
 
     @staticmethod
-    def with_hands() -> Curriculum:
-        """What the shipped policy learns besides to play with robots."""
-        return Curriculum(
-            extra=1_500, validation=24, plays=3, rounds=1, steps=3_000, learning_rate=1e-3, setting="full",
+    def full() -> RelationalPipelineConfig:
+        """Return the settings that made the shipped policy in the full setting."""
+        return RelationalPipelineConfig(
+            extra=1_500, validation=24, episodes=3, rounds=1, steps=3_000, learning_rate=1e-3, setting="full",
             start="relational",
         )  # fmt: skip
 
 
-def teach(curriculum: Curriculum, folder: Path, jobs: int) -> Iterator[Progress]:
-    """Run the whole curriculum in `folder`, from where it was left.
+def run_pipeline(config: RelationalPipelineConfig, folder: Path, jobs: int) -> Iterator[Progress]:
+    """Run the pipeline in a folder, from where it stopped; `policy.npz` is the result.
 
     Args:
-        curriculum: what to do.
-        folder: of the run.
-        jobs: chairs at a time.
+        config: settings.
+        folder: folder of the run.
+        jobs: number of processes.
 
     Raises:
-        InputError: the set is not built, or the folder holds another curriculum's run.
+        InputError: the set is not built, `config.start` is missing or of another network, or the folder holds a run
+            with other settings.
     """
-    if curriculum.set.partition(":")[0] not in RECIPES:
-        raise InputError(f"--set {curriculum.set}: lessons are made of generated chairs; one of {', '.join(RECIPES)}")
-    started = _start_of(curriculum, folder)
-    picks = furniture_refs(curriculum.set)[: curriculum.limit]
-    unseen = RECIPES[curriculum.set.partition(":")[0]].unseen_families
-    names = [p.name for p in picks] + extra_names(curriculum.extra, unseen)
-    held_out = extra_names(curriculum.validation, unseen, first=_VALIDATION_SEEDS)
-    notes = {"curriculum": asdict(curriculum), "set_hash": set_hash(picks)}
-    yield from _gathered("validation", held_out, folder / "lessons" / "validation", curriculum, jobs, None)
-    validation = imitation.load_examples(folder / "lessons" / "validation", held_out, jobs)
-    examples: list[Example] = []
-    last = started
-    full = curriculum.setting == "full"
-    for round_ in range(1 if full else curriculum.rounds + 1):
-        lessons = folder / "lessons" / str(round_)
-        with_grasps = [p.name for p in picks] if full else []
-        yield from _gathered(f"lessons {round_}", names, lessons, curriculum, jobs, last, with_grasps)
-        path = folder / f"policy-{round_}.npz"
-        steps = curriculum.round_steps if round_ else curriculum.steps
-        examples += imitation.load_examples(lessons, names, jobs)
-        if not finished(path, steps):
-            rate = curriculum.learning_rate * (0.5 if round_ else 1.0)
-            training = Training(steps, rate, batch=curriculum.batch, seed=curriculum.seed + round_)
-            yield from _taught(
-                f"policy {round_}", examples, validation, path, training, curriculum.network, notes, last
-            )
+    recipe = RECIPES.get(config.set.partition(":")[0])
+    if recipe is None:
+        raise InputError(f"--set {config.set}: the oracle labels generated furniture; one of {', '.join(RECIPES)}")
+    start = _start_checkpoint(config, folder)
+    refs = furniture_refs(config.set)[: config.limit]
+    names = [ref.name for ref in refs] + extra_names(config.extra, recipe.unseen_families)
+    held_out = extra_names(config.validation, recipe.unseen_families, first=_VALIDATION_SEEDS)
+    notes = {"pipeline": asdict(config), "set_hash": set_hash(refs)}
+    full = config.setting == "full"
+
+    yield from _collect("validation", held_out, folder / "samples" / "validation", config, jobs, None)
+    validation = imitation.load_examples(folder / "samples" / "validation", held_out, jobs)
+    examples: list[TokenExample] = []
+    last = start
+    for index in range(1 if full else config.rounds + 1):
+        samples, path = folder / "samples" / str(index), folder / f"policy-{index}.npz"
+        with_grasps = [ref.name for ref in refs] if full else []
+        yield from _collect(f"samples {index}", names, samples, config, jobs, last, with_grasps)
+        examples += imitation.load_examples(samples, names, jobs)
+        steps, rate = (config.round_steps, 0.5 * config.learning_rate) if index else (config.steps, config.learning_rate)
+        if not is_trained(path, relational.KIND, steps):
+            training = RelationalTraining(steps, rate, batch=config.batch, seed=config.seed + index)
+            training_steps = imitation.train(examples, path, training, config.network, notes, last)
+            yield from _validated(f"policy {index}", training_steps, steps, path, validation)
         last = path
     assert last is not None
     final = checkpoint.load(last, relational.KIND)
-    if full:
-        assert started is not None
-        learnt = {**checkpoint.load(started, relational.KIND).params, FULL_PARAMS: final.params}
-        yield from _taught_hands(learnt, final.config, names, folder, curriculum, notes, jobs)
+    if start is not None and full:
+        both = {**checkpoint.load(start, relational.KIND).params, FULL_PARAMS: final.params}
+        yield from _grasp_rounds(both, final.config, names, folder, config, notes, jobs)
     else:
-        _write(folder / "policy.npz", final.params, final.config)
+        _save_policy(folder / "policy.npz", final.params, final.config)
 
 
-def _taught_hands(
-    learnt: Params, config: dict[str, Any], names: Sequence[str], folder: Path, c: Curriculum, notes: dict[str, Any],
-    jobs: int,
-) -> Iterator[Progress]:  # fmt: skip
-    """The network that chooses grasps: taught once, and again after each round of its own plays."""
-    lessons = [grasp_folder(folder / "lessons" / "0")]
-    for round_ in range(c.rounds + 1):
-        if round_:
-            lessons.append(folder / "practice" / str(round_))
-            there = sum(dataset_file(lessons[-1], name).is_file() for name in names)
-            mistakes = tried = 0
-            player = folder / f"player-{round_}.npz"
-            practice = collect_on_policy(names, lessons[-1], player, episodes=1, seed=c.seed + round_, jobs=jobs)
-            for done, g in enumerate(practice, 1):
-                mistakes, tried = mistakes + g.mistakes, tried + g.choices
-                scalars = {"mistakes": mistakes / max(tried, 1)}
-                yield Progress(f"practice {round_}", there + done, len(names), scalars)
-        grasps = folder / f"grasping-{round_}.npz"
-        yield from _taught_grasps(lessons, names, grasps, c, notes, jobs)
-        taught = {**learnt, GRASP_PARAMS: checkpoint.load(grasps, grasping.KIND).params}
-        last = round_ == c.rounds
-        _write(folder / ("policy.npz" if last else f"player-{round_ + 1}.npz"), taught, config)
-
-
-def _write(path: Path, params: Params, config: dict[str, Any]) -> None:
-    """A policy to play with."""
-    checkpoint.save(path, checkpoint.Checkpoint(relational.KIND, params, config, {}), half=True)
-
-
-def _start_of(c: Curriculum, folder: Path) -> Path | None:
-    """The weights to begin with, by themselves; None where there are none.
+def _start_checkpoint(config: RelationalPipelineConfig, folder: Path) -> Path | None:
+    """Checkpoint of the object-centric weights to start from; None if there are none.
 
     Raises:
-        InputError: there is no such policy, it is of another network, or none is named in the full setting.
+        InputError: there is no such policy, it is of another network, or the full setting names none.
     """
-    if not c.start:
-        if c.setting == "full":
-            raise InputError("--setting full goes on from a policy that knows the pairs: --start relational would do")
+    if not config.start:
+        if config.setting == "full":
+            raise InputError("--setting full starts from an object-centric policy: --start relational would do")
         return None
-    loaded = load_weights(c.start)
-    policy = RelationalPolicy.from_checkpoint(loaded, c.start) if loaded.kind == relational.KIND else None
-    if policy is None or loaded.config.get("network") != asdict(c.network):
-        raise InputError(f"--start {c.start}: its network is not the one to be taught; --start relational would do")
+    loaded = load_weights(config.start)
+    policy = RelationalPolicy.from_checkpoint(loaded, config.start) if loaded.kind == relational.KIND else None
+    if policy is None or loaded.config.get("network") != asdict(config.network):
+        raise InputError(f"--start {config.start}: its network has other sizes or kind; --start relational would do")
     path = folder / "start.npz"
     checkpoint.save(path, checkpoint.Checkpoint(loaded.kind, policy.params, loaded.config, {}))
     return path
 
 
-def _taught_grasps(
-    folders: Sequence[Path], names: Sequence[str], path: Path, c: Curriculum, notes: dict[str, Any], jobs: int
-) -> Iterator[Progress]:
-    training = grasp_imitation.Training(steps=c.grasp_steps, seed=c.seed)
-    files = [file for folder in folders for name in names if (file := dataset_file(folder, name)).is_file()]
-    if finished(path, training.steps, grasping.KIND):
-        return
-    examples = grasp_imitation.examples_of(files, jobs)
-    for step, terms in grasp_imitation.train(examples, path, training, notes):
-        yield Progress("grasps", step, training.steps, terms)
-
-
-def _gathered(
-    stage: str, names: Sequence[str], folder: Path, c: Curriculum, jobs: int, student: Path | None,
+def _collect(
+    stage: str, names: Sequence[str], folder: Path, config: RelationalPipelineConfig, jobs: int, policy: Path | None,
     with_grasps: Sequence[str] = (),
 ) -> Iterator[Progress]:  # fmt: skip
-    there = sum(dataset_file(folder, name).is_file() for name in names)
-    mistakes = choices = 0
-    gathering = collect(
-        names, folder, episodes=c.plays, seed=c.seed, jobs=jobs, policy=student, setting=c.setting,
+    """Collect the samples of a round."""
+    results = collect(
+        names, folder, episodes=config.episodes, seed=config.seed, jobs=jobs, policy=policy, setting=config.setting,
         with_grasps=with_grasps,
     )  # fmt: skip
-    for done, g in enumerate(gathering, 1):
-        mistakes, choices = mistakes + g.mistakes, choices + g.choices
-        scalars = {"mistakes": mistakes / max(choices, 1)} if student else {}
-        yield Progress(stage, there + done, len(names), scalars)
+    yield from _counted(stage, results, names, folder, mistakes=policy is not None)
 
 
-def _taught(
-    stage: str, examples: list[Example], validation: list[Example], path: Path, training: Training,
-    network: RelationalConfig, notes: dict[str, Any], initial: Path | None,
+def _counted(
+    stage: str, results: Iterable[CollectResult], names: Sequence[str], folder: Path, *, mistakes: bool
+) -> Iterator[Progress]:
+    """Progress of a collection, with the share of the policy's choices that were mistakes."""
+    existing = sum(dataset_file(folder, name).is_file() for name in names)
+    wrong = choices = 0
+    for done, result in enumerate(results, 1):
+        wrong, choices = wrong + result.mistakes, choices + result.choices
+        scalars = {"mistakes": wrong / max(choices, 1)} if mistakes else {}
+        yield Progress(stage, existing + done, len(names), scalars)
+
+
+def _validated(
+    stage: str, training_steps: Iterable[tuple[int, dict[str, float]]], steps: int, path: Path,
+    validation: Sequence[TokenExample],
 ) -> Iterator[Progress]:  # fmt: skip
-    for step, terms in imitation.train(examples, path, training, network, notes, initial):
+    """Progress of a training, with a validation every 1,000 steps and at the end."""
+    for step, terms in training_steps:
         scalars = dict(terms)
-        if validation and (step % 1_000 == 0 or step == training.steps):
-            scalars["validation"] = imitation.share_good(checkpoint.load(path, relational.KIND).params, validation)
-        yield Progress(stage, step, training.steps, scalars)
+        if validation and (step % 1_000 == 0 or step == steps):
+            params = checkpoint.load(path, relational.KIND).params
+            scalars["validation"] = imitation.viable_share(params, validation)
+        yield Progress(stage, step, steps, scalars)
 
 
-def finished(path: Path, steps: int, kind: str = relational.KIND) -> bool:
-    """Whether the checkpoint at `path`, of a kind of network, has had its steps."""
-    return path.is_file() and int(checkpoint.load(path, kind).extra["step"]) >= steps
+def _grasp_rounds(
+    params: Params, network: dict[str, Any], names: Sequence[str], folder: Path, config: RelationalPipelineConfig,
+    notes: dict[str, Any], jobs: int,
+) -> Iterator[Progress]:  # fmt: skip
+    """Train the grasp network, and again after each round of its own episodes; writes `policy.npz`."""
+    folders = [grasp_folder(folder / "samples" / "0")]
+    for index in range(config.rounds + 1):
+        if index:
+            folders.append(folder / "on_policy" / str(index))
+            acting = folder / f"acting-{index}.npz"
+            seed = config.seed + index
+            results = collect_on_policy(names, folders[-1], acting, episodes=1, seed=seed, jobs=jobs)
+            yield from _counted(f"on policy {index}", results, names, folders[-1], mistakes=True)
+        path = folder / f"grasps-{index}.npz"
+        training = grasp_imitation.GraspTraining(steps=config.grasp_steps, seed=config.seed)
+        if not is_trained(path, grasping.KIND, training.steps):
+            files = [file for f in folders for name in names if (file := dataset_file(f, name)).is_file()]
+            examples = grasp_imitation.examples_of(files, jobs)
+            for step, terms in grasp_imitation.train(examples, path, training, notes):
+                yield Progress("grasps", step, training.steps, terms)
+        both = {**params, GRASP_PARAMS: checkpoint.load(path, grasping.KIND).params}
+        last = index == config.rounds
+        _save_policy(folder / ("policy.npz" if last else f"acting-{index + 1}.npz"), both, network)
+
+
+def _save_policy(path: Path, params: Params, config: dict[str, Any]) -> None:
+    """Write the checkpoint of a policy, with 16-bit weights."""
+    checkpoint.save(path, checkpoint.Checkpoint(relational.KIND, params, config, {}), half=True)

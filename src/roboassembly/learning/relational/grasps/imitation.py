@@ -1,9 +1,9 @@
-"""Teaches the relational policy which hands can join a pair, from `grasp_lessons`."""
+"""Imitation of fresh tests: trains the grasp network on labelled grasps."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -12,136 +12,148 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
+from jaxtyping import Bool, Float32, Int8
 
 from roboassembly.errors import InputError
+from roboassembly.learning.fit import Batch, Fit, FitConfig
 from roboassembly.learning.layers import Array, Params
 from roboassembly.learning.relational.grasps import network as grasping
 from roboassembly.learning.relational.grasps.dataset import UNKNOWN, YES, GraspSamples
 from roboassembly.learning.relational.grasps.features import grasp_features
 from roboassembly.learning.relational.imitation import cross_entropy
-from roboassembly.learning.training_run import Run
 from roboassembly.parallel.processes import map_ordered
 
-_TOGETHER = ("fit", "reach", "finish")
-"""What is said of two hands, in this order."""
+ANSWERS = ("fit", "reach", "finish")
+"""Answers about two grasps, in the order of the network's output."""
 
 
 @dataclass(frozen=True)
-class Training:
-    """How to train."""
+class GraspTraining(FitConfig):
+    """Settings of the training of the grasp network."""
 
     steps: int = 12_000
+    """Number of gradient steps."""
     learning_rate: float = 2e-3
-    weight_decay: float = 0.3
-    """As much as this, because what arms can do is known of few actions only."""
+    """Largest learning rate."""
     batch: int = 64
-    """Pairs of points, with all their pairs of hands."""
-    seed: int = 0
-    keep_every: float = 60.0
-    """Seconds between checkpoints."""
+    """Pairs of points in a batch, each with all its pairs of grasps."""
+    weight_decay: float = 0.3
+    """Decoupled weight decay; as large as this because few actions tell what the arms can do."""
 
 
 @dataclass(frozen=True, eq=False)
-class Examples:
-    """Pairs of points, ready for the network."""
+class GraspExamples:
+    """Labelled grasps of m pairs of points, ready for the network."""
 
-    one: np.ndarray
-    two: np.ndarray
-    there: np.ndarray
-    take: np.ndarray
-    together: np.ndarray
-    """`room`, `meet` and `rest` of `GraspLesson`, along the last axis."""
+    single: Float32[np.ndarray, "m 2 8 43"]
+    """Features of each grasp."""
+    pair: Float32[np.ndarray, "m 8 8 9"]
+    """Features of each two grasps."""
+    exists: Bool[np.ndarray, "m 8 8"]
+    """Whether both grasps exist."""
+    pick: Int8[np.ndarray, "m 2 8"]
+    """Labels `LabeledGrasps.pick`."""
+    mate: Int8[np.ndarray, "m 8 8 3"]
+    """Labels `fit`, `reach` and `finish`."""
 
 
-def examples_of(paths: Sequence[Path], jobs: int) -> Examples:
-    """All lessons of some files.
+def examples_of(paths: Sequence[Path], jobs: int) -> GraspExamples:
+    """Return the examples of some files.
 
     Raises:
-        InputError: a file is broken, or there are no lessons.
+        InputError: a file is broken, or there are no samples.
     """
-    rows = [row for some in map_ordered(_rows, paths, jobs, chunk=4) for row in some]
+    rows = [row for of_file in map_ordered(_rows, paths, jobs, chunk=4) for row in of_file]
     if not rows:
-        raise InputError("no lessons of grasps to learn from")
-    return Examples(*(np.array(column) for column in zip(*rows, strict=True)))
+        raise InputError("no grasp samples to learn from")
+    return GraspExamples(*(np.array(column) for column in zip(*rows, strict=True)))
 
 
 def _rows(path: Path) -> list[tuple[np.ndarray, ...]]:
-    course = GraspSamples.load(path)
-    out = []
-    for lesson in course.samples:
-        seen = grasp_features(course.view(lesson), *lesson.pair)
-        together = np.stack([lesson.fit, lesson.reach, lesson.finish], axis=-1)
-        out.append((seen.single, seen.pair, seen.exists, lesson.pick, together))
+    """Arrays of `GraspExamples` for each sample of a file."""
+    samples = GraspSamples.load(path)
+    out: list[tuple[np.ndarray, ...]] = []
+    for sample in samples.samples:
+        features = grasp_features(samples.view(sample), *sample.pair)
+        mate = np.stack([sample.fit, sample.reach, sample.finish], axis=-1)
+        out.append((features.single, features.pair, features.exists, sample.pick, mate))
     return out
 
 
-def losses(params: Params, batch: dict[str, Array]) -> tuple[Array, dict[str, Array]]:
-    """Binary cross-entropy of each answer, averaged over where it is known."""
-    take, together = grasping.apply(params, batch["one"], batch["two"])
-    terms = {"take": _mean(take, batch["take"])}
-    there = batch["there"][..., None]
-    known = jnp.where(there, batch["together"], UNKNOWN)
-    terms |= {name: _mean(together[..., i], known[..., i]) for i, name in enumerate(_TOGETHER)}
+def losses(params: Params, batch: Batch) -> tuple[Array, dict[str, Array]]:
+    """Return the loss of a batch and its terms: the binary cross-entropy of each answer where its label is known."""
+    pick, mate = grasping.apply(params, batch["single"], batch["pair"])
+    terms = {"pick": _known_mean(pick, batch["pick"])}
+    labels = jnp.where(batch["exists"][..., None], batch["mate"], UNKNOWN)
+    terms |= {name: _known_mean(mate[..., i], labels[..., i]) for i, name in enumerate(ANSWERS)}
     return sum(terms.values(), jnp.zeros(())), terms
 
 
-def _mean(logits: Array, known: Array) -> Array:
-    told = known != UNKNOWN
-    return (cross_entropy(logits, known == YES) * told).sum() / jnp.maximum(told.sum(), 1)
+def _known_mean(logits: Array, labels: Array) -> Array:
+    """Mean cross-entropy over the known labels."""
+    known = labels != UNKNOWN
+    return (cross_entropy(logits, labels == YES) * known).sum() / jnp.maximum(known.sum(), 1)
 
 
-def optimiser(t: Training) -> optax.GradientTransformation:
-    """AdamW with cosine decay."""
+def optimiser(t: GraspTraining) -> optax.GradientTransformation:
+    """Return the optimiser: AdamW (Loshchilov and Hutter 2019) with cosine decay and clipped gradients."""
     schedule = optax.cosine_decay_schedule(t.learning_rate, t.steps, 0.02)
     return optax.chain(optax.clip_by_global_norm(1.0), optax.adamw(schedule, weight_decay=t.weight_decay))
 
 
 @partial(jax.jit, static_argnums=0)
-def _update(t: Training, params: Any, state: Any, batch: Any) -> tuple[Any, Any, dict[str, Array]]:
+def _update(t: GraspTraining, params: Any, state: Any, batch: Any) -> tuple[Any, Any, dict[str, Array]]:
     (loss, terms), gradient = jax.value_and_grad(losses, has_aux=True)(params, batch)
     change, state = optimiser(t).update(gradient, state, params)
     return optax.apply_updates(params, change), state, {"loss": loss, **terms}
 
 
 def train(
-    examples: Examples, path: Path, training: Training, notes: dict[str, Any]
+    examples: GraspExamples, path: Path, training: GraspTraining, notes: dict[str, Any]
 ) -> Iterator[tuple[int, dict[str, float]]]:
     """Train until `training.steps`, from the checkpoint at `path` if there is one; yields step and losses.
+
+    Args:
+        examples: grasps to learn from.
+        path: file of the checkpoint.
+        training: settings of the training.
+        notes: origin of the examples, kept in the checkpoint.
 
     Raises:
         InputError: the checkpoint at `path` is of other training.
     """
-    about = {"training": asdict(training), **notes}
-    fresh: Any = grasping.init(np.random.default_rng(training.seed))
-    run = Run(path, grasping.KIND, about, training.steps, training.keep_every)
-    step, params, state = run.resume(fresh, optimiser(training).init(fresh))
-    while step < training.steps:
-        rng = np.random.default_rng([training.seed, step])
-        chosen = rng.integers(len(examples.one), size=training.batch)
-        batch = {name: array[chosen] for name, array in vars(examples).items()}
-        params, state, terms = _update(training, params, state, batch)
-        step += 1
-        run.keep(step, params, state)
-        yield step, {k: float(v) for k, v in terms.items()}
+
+    def batches(first: int) -> Iterator[Batch]:
+        for step in range(first, training.steps):
+            rng = np.random.default_rng([training.seed, step])
+            chosen = rng.integers(len(examples.single), size=training.batch)
+            yield {name: array[chosen] for name, array in vars(examples).items()}
+
+    def init_params() -> Params:
+        return grasping.init(np.random.default_rng(training.seed))
+
+    fit = Fit(path, grasping.KIND, training, notes)
+    yield from fit.run(init_params, optimiser(training).init, partial(_update, training), batches)  # pyright: ignore[reportArgumentType]
 
 
-def quality(params: Params, examples: Examples) -> dict[str, float]:
-    """What the network makes of lessons.
+def accuracy(params: Params, examples: GraspExamples) -> dict[str, float]:
+    """Return how well the network predicts labels.
 
     Returns:
-        For each answer the share of those known that it is on the right side of; and `first`, of pairs of points with
-        hands known to have room, the share where the surest of all hands looked at have.
+        `pick`, `fit`, `reach`, `finish`: share of the known labels that are predicted. `first`: of the pairs of points
+        with grasps known to fit, the share where the most probable of all labelled grasps do.
     """
-    take, together = (np.asarray(x) for x in grasping.apply(params, examples.one, examples.two))
-    out = {"take": _right(take, examples.take)}
-    out |= {name: _right(together[..., i], examples.together[..., i]) for i, name in enumerate(_TOGETHER)}
-    room = np.where(examples.there, examples.together[..., 0], UNKNOWN)
-    hope = np.flatnonzero((room == YES).any(axis=(1, 2)))
-    sure = np.where(room != UNKNOWN, together[..., 0], -np.inf)[hope].reshape(len(hope), -1)
-    fits = (room[hope] == YES).reshape(len(hope), -1)
-    return out | {"first": float(fits[np.arange(len(hope)), sure.argmax(axis=1)].mean())}
+    pick, mate = (np.asarray(x) for x in grasping.apply(params, examples.single, examples.pair))
+    out = {"pick": _known_share(pick, examples.pick)}
+    out |= {name: _known_share(mate[..., i], examples.mate[..., i]) for i, name in enumerate(ANSWERS)}
+    fit = np.where(examples.exists, examples.mate[..., 0], UNKNOWN)
+    solvable = np.flatnonzero((fit == YES).any(axis=(1, 2)))
+    scores = np.where(fit != UNKNOWN, mate[..., 0], -np.inf)[solvable].reshape(len(solvable), -1)
+    fits = (fit[solvable] == YES).reshape(len(solvable), -1)
+    return out | {"first": float(fits[np.arange(len(solvable)), scores.argmax(axis=1)].mean())}
 
 
-def _right(logits: np.ndarray, known: np.ndarray) -> float:
-    told = known != UNKNOWN
-    return float(((logits > 0.0) == (known == YES))[told].mean()) if told.any() else 1.0
+def _known_share(logits: np.ndarray, labels: np.ndarray) -> float:
+    """Share of the known labels that logits predict; 1 if none is known."""
+    known = labels != UNKNOWN
+    return float(((logits > 0.0) == (labels == YES))[known].mean()) if known.any() else 1.0
