@@ -5,10 +5,9 @@ from __future__ import annotations
 import subprocess
 import sys
 from collections.abc import Callable
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from itertools import pairwise
 from pathlib import Path
-from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -19,15 +18,12 @@ from roboassembly.errors import InputError, UnknownNameError
 from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS
 from roboassembly.learning import checkpoint, policy_weights
 from roboassembly.learning.checkpoint import Checkpoint
-from roboassembly.learning.datasets import CLOUD_POINTS
 from roboassembly.learning.paper import autoencoder
 from roboassembly.learning.paper import network as paper
 from roboassembly.learning.policy import ConfidentPolicy, RandomPolicy, guide_of, surest
 from roboassembly.learning.registry import load_policy
 from roboassembly.learning.relational import network as relational
 from roboassembly.learning.relational.policy import RelationalPolicy
-from roboassembly.learning.relational.policy_view import PolicyView
-from roboassembly.learning.relational.tokens import tokens_of
 from roboassembly.solvers.search import solve
 
 CONFIG = relational.RelationalConfig(token=16, pair=8, layers=1, heads=2, conflict_inputs=4, conflicts=2)
@@ -49,86 +45,6 @@ def seen() -> tuple[dict[str, np.ndarray], np.ndarray]:
     env = ObjectCentricEnv("cantilever:1", cloud_points=512)
     observation, info = env.reset(seed=0)
     return observation, info["action_mask"]
-
-
-def test_rounding_does_not_choose_between_equal_parts(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What the last bits of a product are may depend on where in memory its factors lie."""
-    env = ObjectCentricEnv("stool:1", cloud_points=CLOUD_POINTS)
-    observation, info = env.reset(seed=0)
-    mask = info["action_mask"]
-    policy = load_policy("relational")
-    assert isinstance(policy, RelationalPolicy)
-    chosen = policy.act(observation, mask)
-    exact, rng = relational.values, np.random.default_rng(0)
-
-    def noisy(params, tokens, augmentations):
-        q = exact(params, tokens, augmentations)
-        return q + rng.uniform(-1e-6, 1e-6, size=q.shape).astype(np.float32)
-
-    monkeypatch.setattr(relational, "values", noisy)
-    for _ in range(5):
-        np.testing.assert_array_equal(policy.act(observation, mask), chosen)
-
-
-def test_values_are_the_networks_at_the_right_places(params: dict, seen) -> None:
-    observation, mask = seen
-    policy = RelationalPolicy(params)
-    values = policy.values(observation, mask)
-    assert values.dtype == np.float32
-    np.testing.assert_array_equal(np.isfinite(values), mask)
-    tokens = tokens_of(PolicyView.from_observation(observation, mask))
-    row, column, w = relational.best_action(params, tokens)
-    best = (tokens.part[row], tokens.part[column], tokens.point[row], tokens.point[column], w)
-    assert values[best] == values.max()
-    q = relational.values(params, tokens)
-    rng = np.random.default_rng(1)
-    for i, j in rng.integers(len(tokens.part), size=(50, 2)):
-        here = values[tokens.part[i], tokens.part[j], tokens.point[i], tokens.point[j]]
-        np.testing.assert_allclose(here, q[i, j], rtol=0, atol=0.00051)
-    action = replace(policy, beam_width=0).act(observation, mask)
-    assert mask[tuple(action)]
-    assert values[tuple(action)] >= values.max() - 1e-3
-    chance = policy.probabilities(observation, mask)
-    np.testing.assert_allclose(chance[mask], 1.0 / (1.0 + np.exp(-values[mask])), rtol=1e-4, atol=1e-6)
-    assert not chance[~mask].any()
-
-
-class _Told(RelationalPolicy):
-    """Values by hand: in `worth`, of the best action of a state, by the pairs of points that are joined in it."""
-
-    worth: ClassVar[dict[frozenset, float]] = {}
-    first: ClassVar[list[tuple[int, ...]]] = []
-
-    def pair_values(self, view: PolicyView) -> np.ndarray:
-        values = np.full(view.action_shape, -np.inf, np.float32)
-        exist = [a for a in self.first if view.group[a[0]] != view.group[a[1]]]
-        joined = frozenset(a for a in self.first if a not in exist)
-        for a in exist:
-            values[a] = self.worth.get(joined | {a}, -3.0)
-        return values
-
-
-def test_a_plan_in_imagination_gives_up_what_looks_best_but_leads_nowhere() -> None:
-    env = ObjectCentricEnv("stool", cloud_points=8)
-    observation, info = env.reset(seed=0)
-    mask = info["action_mask"]
-    free = [tuple(int(i) for i in a) for a in np.argwhere(mask)]
-    a = free[0]
-    b = next(x for x in free if len({x[0], x[1], a[0], a[1]}) == 4)
-    c = next(x for x in free if len({x[0], x[1], a[0], a[1], b[0], b[1]}) == 6)
-    policy = _Told({}, beam_width=3)
-    _Told.first = [a, b, c]
-    # a looks best and ruins what is left; b and c help each other.
-    _Told.worth = {
-        frozenset({a}): 3.0, frozenset({b}): 2.0, frozenset({c}): 1.0,
-        frozenset({a, b}): -4.0, frozenset({a, c}): -4.0, frozenset({b, c}): 5.0,
-    }  # fmt: skip
-    assert tuple(replace(policy, beam_width=0).act(observation, mask)) == a
-    assert tuple(policy.act(observation, mask)) == b
-    # Two merges deep, b before c and c before b are one plan, which begins with the surer.
-    assert tuple(replace(policy, beam_depth=2).act(observation, mask)) == b
-    _Told.worth[frozenset({c})] = 2.5
-    assert tuple(replace(policy, beam_depth=2).act(observation, mask)) == c
 
 
 def test_the_surest_is_the_first_of_those_within_rounding() -> None:

@@ -92,7 +92,7 @@ class MultitaskCommand:
         default = RelationalPipelineConfig.full() if self.setting == "full" else RelationalPipelineConfig()
         config = replace(
             default, set=self.set, limit=self.limit, extra=default.extra if self.extra is None else self.extra,
-            episodes=self.episodes or default.plays, rounds=default.rounds if self.rounds is None else self.rounds,
+            episodes=self.episodes or default.episodes, rounds=default.rounds if self.rounds is None else self.rounds,
             steps=self.steps or default.steps, round_steps=self.round_steps, seed=self.seed,
             start=self.start or default.start,
         )  # fmt: skip

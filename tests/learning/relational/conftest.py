@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import pytest
-
 from relational_cases import labeled
+
 from roboassembly.learning.datasets import SampleSet
 
 

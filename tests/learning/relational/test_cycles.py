@@ -33,7 +33,9 @@ def test_3_cycles_close_where_a_third_group_fits_both() -> None:
 def test_4_cycles_close_where_two_groups_reach_equally_far() -> None:
     # Two posts; a rod of 0.5 m at their feet, one at their tops, and a third that is 4 cm longer.
     holes = [[0, 0, 0], [0, 0, 1]]
-    position = np.array([*holes, *holes, [0, 0, 0], [0.5, 0, 0], [0, 0, 0], [0.5, 0, 0], [0, 0, 0], [0.54, 0, 0]], float)
+    position = np.array(
+        [*holes, *holes, [0, 0, 0], [0.5, 0, 0], [0, 0, 0], [0.5, 0, 0], [0, 0, 0], [0.54, 0, 0]], float
+    )
     normal = np.array([[1, 0, 0]] * 2 + [[-1, 0, 0]] * 2 + [[-1, 0, 0], [1, 0, 0]] * 3, float)
     tangent = np.tile([0.0, 0.0, 1.0], (len(position), 1))
     frame = np.stack([tangent, np.cross(normal, tangent), normal], axis=2)
@@ -42,7 +44,7 @@ def test_4_cycles_close_where_two_groups_reach_equally_far() -> None:
     plausible &= ~np.kron(np.eye(5, dtype=bool), np.ones((2, 2), bool))
     found = closed_4_cycles(groups, position, frame, plausible)
     assert np.array_equal(found, found.T)
-    # Each end of the two equal rods may take either hole of a post, as the other rod and the other post close the cycle.
+    # Each end of the two equal rods may take either hole of a post: the other rod and the other post close the cycle.
     assert found[0, 4] == found[1, 4] == found[2, 5] == found[3, 5] == found[1, 6] == 2
     assert not found[:, 8:].any()
     assert not found[~plausible].any()

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from relational_cases import grasp_view, scattered
 
 import shapes
-from relational_cases import grasp_view, scattered
 from roboassembly.datasets import catalogue
 from roboassembly.furniture.model import Furniture
 from roboassembly.geometry.poses import SE3
@@ -25,8 +25,8 @@ AT_OTHER = 5
 def post_on_board() -> Furniture:
     """A bar upright in the middle of a board.
 
-    A gripper that comes to the bar's lower end from above touches nothing but the board, 60 mm below its grasp; one that
-    grips the board's edge is far from the bar.
+    A gripper that comes to the bar's lower end from above touches nothing but the board, 60 mm below its grasp. One
+    that grips the board's edge is far from the bar.
     """
     return shapes.furniture(
         "post",

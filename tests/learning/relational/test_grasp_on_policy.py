@@ -6,9 +6,9 @@ from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
+from relational_cases import TINY
 
 import shapes
-from relational_cases import TINY
 from roboassembly.envs.observation import Observer
 from roboassembly.furniture.model import MAX_POINTS
 from roboassembly.learning import checkpoint

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import jax
 import numpy as np
-
 from relational_cases import TINY, observed
+
 from roboassembly.learning.augmentation import AUGMENTATIONS, augmented, up_axis_permutation
 from roboassembly.learning.batches import padded_length
 from roboassembly.learning.datasets import SampleSet

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-
 from relational_cases import observed
+
 from roboassembly.learning.datasets import SampleSet
 from roboassembly.learning.relational.policy_view import PolicyView
 from roboassembly.learning.relational.tokens import TokenCache, Tokens, pad, tokens_of, tokens_of_sample

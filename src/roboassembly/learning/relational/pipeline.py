@@ -124,7 +124,9 @@ def run_pipeline(config: RelationalPipelineConfig, folder: Path, jobs: int) -> I
         with_grasps = [ref.name for ref in refs] if full else []
         yield from _collect(f"samples {index}", names, samples, config, jobs, last, with_grasps)
         examples += imitation.load_examples(samples, names, jobs)
-        steps, rate = (config.round_steps, 0.5 * config.learning_rate) if index else (config.steps, config.learning_rate)
+        steps, rate = (
+            (config.round_steps, 0.5 * config.learning_rate) if index else (config.steps, config.learning_rate)
+        )
         if not is_trained(path, relational.KIND, steps):
             training = RelationalTraining(steps, rate, batch=config.batch, seed=config.seed + index)
             training_steps = imitation.train(examples, path, training, config.network, notes, last)

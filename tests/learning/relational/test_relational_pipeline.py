@@ -1,0 +1,104 @@
+"""The training pipeline: samples, rounds, continuing, and the files that it leaves."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from relational_cases import TINY
+
+from roboassembly.datasets import sets as datasets
+from roboassembly.errors import InputError
+from roboassembly.learning import checkpoint
+from roboassembly.learning.datasets import dataset_file
+from roboassembly.learning.layers import Params
+from roboassembly.learning.progress import Progress
+from roboassembly.learning.registry import load_policy
+from roboassembly.learning.relational import network as relational
+from roboassembly.learning.relational.collect import grasp_folder
+from roboassembly.learning.relational.pipeline import RelationalPipelineConfig, run_pipeline
+from roboassembly.learning.relational.policy import RelationalPolicy
+
+SMALL = RelationalPipelineConfig(
+    set="chairs-24:train", extra=1, validation=1, episodes=1, rounds=1, steps=12, round_steps=6, batch=2, seed=3,
+    network=TINY,
+)  # fmt: skip
+
+
+@pytest.fixture
+def two_chairs(as_built, monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """A data set of two chairs of four parts; extra ones are of the same family."""
+    monkeypatch.setattr("roboassembly.learning.generated.CHAIRS", ["cantilever"])
+    return as_built(easy=[("cantilever", 1), ("cantilever", 5)])
+
+
+def _flat(params: Params, above: str = "") -> Iterator[tuple[str, np.ndarray]]:
+    for name, value in params.items():
+        if isinstance(value, dict):
+            yield from _flat(value, f"{above}{name}/")
+        else:
+            yield above + name, value
+
+
+@pytest.mark.slow
+def test_the_full_pipeline_ends_in_one_policy_for_both_settings(
+    two_chairs: list[str], tmp_path: Path
+) -> None:  # fmt: skip
+    with pytest.raises(InputError, match="--start relational"):
+        next(run_pipeline(replace(SMALL, setting="full"), tmp_path / "none", 1))
+    with pytest.raises(InputError, match="its network"):
+        next(run_pipeline(replace(SMALL, setting="full", start="relational"), tmp_path / "none", 1))
+    start = tmp_path / "start.npz"
+    weights = relational.init(np.random.default_rng(0), TINY)
+    config = {"network": asdict(TINY)}
+    checkpoint.save(start, checkpoint.Checkpoint(relational.KIND, weights, config, {}), half=True)
+    config = replace(SMALL, setting="full", start=str(start), rounds=1, limit=1, extra=0, validation=0, grasp_steps=5)
+    folder = tmp_path / "run"
+    stages = {p.stage for p in run_pipeline(config, folder, 1)}
+    assert {"samples 0", "policy 0", "grasps", "on policy 1"} <= stages
+    assert all(dataset_file(folder / "on_policy" / "1", name).is_file() for name in two_chairs[:1])
+    assert all(dataset_file(grasp_folder(folder / "samples" / "0"), name).is_file() for name in two_chairs[:1])
+    policy = load_policy(str(folder / "policy.npz"))
+    assert isinstance(policy, RelationalPolicy)
+    assert policy.settings == ("object-centric", "full")
+    assert policy.full_params is not None
+    before = checkpoint.load(start, relational.KIND).params
+    # The object-centric weights are kept; those of the full setting have changed.
+    flat = dict(_flat(policy.params))
+    assert all(np.array_equal(v, flat[k]) for k, v in _flat(before))
+    assert any(not np.array_equal(v, flat[k]) for k, v in _flat(policy.full_params))
+    assert {p.stage for p in run_pipeline(config, folder, 1)} == set()
+
+
+def test_a_pipeline_continues_where_it_was_stopped(two_chairs: list[str], tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    stages: list[Progress] = []
+    run = run_pipeline(SMALL, folder, 1)
+    for progress in run:
+        stages.append(progress)
+        if progress.stage == "policy 0" and progress.done == 5:
+            break
+    run.close()
+    before = dataset_file(folder / "samples" / "0", two_chairs[0]).stat().st_mtime_ns
+    stages += list(run_pipeline(SMALL, folder, 1))
+    assert dataset_file(folder / "samples" / "0", two_chairs[0]).stat().st_mtime_ns == before
+    assert [s.stage for s in stages if s.done == s.total] == [
+        "validation", "samples 0", "policy 0", "samples 1", "policy 1",
+    ]  # fmt: skip
+    assert 0.0 <= stages[-1].scalars["validation"] <= 1.0
+    final = checkpoint.load(folder / "policy.npz", relational.KIND)
+    assert final.config["set_hash"] == datasets.set_hash(datasets.furniture_refs("chairs-24:train"))
+    assert final.config["pipeline"]["rounds"] == 1
+    assert not final.extra
+    # Nothing is left to do; other settings do not continue with these weights.
+    assert list(run_pipeline(SMALL, folder, 1)) == []
+    with pytest.raises(InputError, match="pipeline"):
+        list(run_pipeline(replace(SMALL, round_steps=8), folder, 1))
+
+
+def test_an_unknown_set_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="labels generated furniture"):
+        next(run_pipeline(replace(SMALL, set="folder:here"), tmp_path, 1))

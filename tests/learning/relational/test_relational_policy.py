@@ -1,0 +1,162 @@
+"""The relational policy: values, beam search, both settings, its checkpoint."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+import pytest
+from relational_cases import TINY
+
+from roboassembly.datasets import catalogue
+from roboassembly.envs.full import FullEnv
+from roboassembly.envs.object_centric import ObjectCentricEnv
+from roboassembly.errors import InputError
+from roboassembly.evaluation.rollout import RolloutConfig, make_agent
+from roboassembly.learning import checkpoint
+from roboassembly.learning.datasets import CLOUD_POINTS
+from roboassembly.learning.layers import Params
+from roboassembly.learning.registry import load_policy
+from roboassembly.learning.relational import network as relational
+from roboassembly.learning.relational.grasps import network as grasping
+from roboassembly.learning.relational.policy import RelationalPolicy
+from roboassembly.learning.relational.policy_view import PolicyView
+from roboassembly.learning.relational.tokens import tokens_of
+from roboassembly.task.full.task import FullVerdict
+
+
+@pytest.fixture(scope="module")
+def params() -> Params:
+    return relational.init(np.random.default_rng(0), TINY)
+
+
+@pytest.fixture(scope="module")
+def first() -> tuple[dict[str, np.ndarray], np.ndarray]:
+    env = ObjectCentricEnv("cantilever:1", cloud_points=512)
+    observation, info = env.reset(seed=0)
+    return observation, info["action_mask"]
+
+
+def test_rounding_does_not_choose_between_equal_parts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The last bits of a product may depend on where in memory its factors lie."""
+    env = ObjectCentricEnv("stool:1", cloud_points=CLOUD_POINTS)
+    observation, info = env.reset(seed=0)
+    mask = info["action_mask"]
+    policy = load_policy("relational")
+    assert isinstance(policy, RelationalPolicy)
+    chosen = policy.act(observation, mask)
+    exact, rng = relational.values, np.random.default_rng(0)
+
+    def noisy(params, tokens, augmentations):
+        q = exact(params, tokens, augmentations)
+        return q + rng.uniform(-1e-6, 1e-6, size=q.shape).astype(np.float32)
+
+    monkeypatch.setattr(relational, "values", noisy)
+    for _ in range(5):
+        np.testing.assert_array_equal(policy.act(observation, mask), chosen)
+
+
+def test_values_are_those_of_the_network_at_the_right_places(
+    params: Params, first: tuple[dict[str, np.ndarray], np.ndarray]
+) -> None:
+    observation, mask = first
+    policy = RelationalPolicy(params)
+    values = policy.values(observation, mask)
+    assert values.dtype == np.float32
+    np.testing.assert_array_equal(np.isfinite(values), mask)
+    tokens = tokens_of(PolicyView.from_observation(observation, mask))
+    row, column, w = relational.best_action(params, tokens)
+    best = (tokens.part[row], tokens.part[column], tokens.point[row], tokens.point[column], w)
+    assert values[best] == values.max()
+    q = relational.values(params, tokens)
+    rng = np.random.default_rng(1)
+    for i, j in rng.integers(len(tokens.part), size=(50, 2)):
+        here = values[tokens.part[i], tokens.part[j], tokens.point[i], tokens.point[j]]
+        np.testing.assert_allclose(here, q[i, j], rtol=0, atol=0.00051)
+    action = replace(policy, beam_width=0).act(observation, mask)
+    assert mask[tuple(action)]
+    assert values[tuple(action)] >= values.max() - 1e-3
+    chance = policy.probabilities(observation, mask)
+    np.testing.assert_allclose(chance[mask], 1.0 / (1.0 + np.exp(-values[mask])), rtol=1e-4, atol=1e-6)
+    assert not chance[~mask].any()
+
+
+class ScriptedPolicy(RelationalPolicy):
+    """Values of each state by hand: `value_after` has the value of the actions that lead to a set of merges."""
+
+    value_after: ClassVar[dict[frozenset, float]] = {}
+    first: ClassVar[list[tuple[int, ...]]] = []
+
+    def pair_values(self, view: PolicyView) -> np.ndarray:
+        values = np.full(view.action_shape, -np.inf, np.float32)
+        exist = [a for a in self.first if view.group[a[0]] != view.group[a[1]]]
+        joined = frozenset(a for a in self.first if a not in exist)
+        for a in exist:
+            values[a] = self.value_after.get(joined | {a}, -3.0)
+        return values
+
+
+def test_beam_search_gives_up_the_best_action_if_it_leads_nowhere() -> None:
+    env = ObjectCentricEnv("stool", cloud_points=8)
+    observation, info = env.reset(seed=0)
+    mask = info["action_mask"]
+    free = [tuple(int(i) for i in a) for a in np.argwhere(mask)]
+    a = free[0]
+    b = next(x for x in free if len({x[0], x[1], a[0], a[1]}) == 4)
+    c = next(x for x in free if len({x[0], x[1], a[0], a[1], b[0], b[1]}) == 6)
+    policy = ScriptedPolicy({}, beam_width=3)
+    ScriptedPolicy.first = [a, b, c]
+    # a has the best value and ruins what is left; b and c help each other.
+    ScriptedPolicy.value_after = {
+        frozenset({a}): 3.0, frozenset({b}): 2.0, frozenset({c}): 1.0,
+        frozenset({a, b}): -4.0, frozenset({a, c}): -4.0, frozenset({b, c}): 5.0,
+    }  # fmt: skip
+    assert tuple(replace(policy, beam_width=0).act(observation, mask)) == a
+    assert tuple(policy.act(observation, mask)) == b
+    # With two merges, b before c and c before b are one sequence, which begins with the better.
+    assert tuple(replace(policy, beam_depth=2).act(observation, mask)) == b
+    ScriptedPolicy.value_after[frozenset({c})] = 2.5
+    assert tuple(replace(policy, beam_depth=2).act(observation, mask)) == c
+
+
+def test_a_policy_with_a_grasp_network_acts_in_the_full_setting() -> None:
+    furniture = catalogue.make("three_legged", 1)
+    shipped = load_policy("relational")
+    assert isinstance(shipped, RelationalPolicy)
+    policy = replace(shipped, grasp_params=grasping.init(np.random.default_rng(0)))
+    env = FullEnv(furniture, cloud_points=policy.cloud_points)
+    observation, info = env.reset(seed=0)
+    mask = info["action_mask"]
+    values = policy.values(observation, mask)
+    assert values.shape == mask.shape
+    assert np.array_equal(values > -np.inf, mask)
+    assert ((policy.probabilities(observation, mask) > 0.0) <= mask).all()
+    action = policy.act(observation, mask)
+    assert mask[tuple(action)]
+    *_, info = env.step(action)
+    # It knows pairs, but no grasps.
+    assert info["verdict"] not in (FullVerdict.WRONG_PAIR, FullVerdict.NOT_AN_ACTION)
+    random = make_agent(RolloutConfig("random", setting="full"))(furniture, 0)
+    assert (random.success, len(random.actions)) == (False, random.merges + 1)
+    done = make_agent(RolloutConfig(policy, setting="full"))(furniture, 0)
+    assert done.actions
+    assert len(done.actions[0]) == 6
+    with pytest.raises(InputError, match="has no grasp network"):
+        replace(shipped, grasp_params=None).values(observation, mask)
+
+
+def test_a_checkpoint_may_hold_a_grasp_network(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    grasps, params = grasping.init(rng), relational.init(rng, relational.RelationalConfig())
+    config = {"network": asdict(relational.RelationalConfig())}
+    whole = checkpoint.Checkpoint(relational.KIND, {**params, "grasps": grasps}, config, {})
+    checkpoint.save(tmp_path / "p.npz", whole)
+    policy = load_policy(str(tmp_path / "p.npz"))
+    assert isinstance(policy, RelationalPolicy)
+    assert policy.settings == ("object-centric", "full")
+    broken = {**grasps, "grasp_pair": {"w": grasps["grasp_pair"]["w"][:2], "b": grasps["grasp_pair"]["b"]}}
+    checkpoint.save(tmp_path / "p.npz", replace(whole, params={**params, "grasps": broken}))
+    with pytest.raises(InputError, match="grasp_pair"):
+        load_policy(str(tmp_path / "p.npz"))
