@@ -7,7 +7,8 @@ import numpy as np
 from roboassembly.datasets import catalogue
 from roboassembly.solvers.hand_oracle import HandOracle
 from roboassembly.solvers.options import fitting
-from roboassembly.task.full.task import FullTask, MateGrasp
+from roboassembly.task.full.grips import MateGrasp
+from roboassembly.task.full.task import FullTask
 
 
 def test_the_hand_oracle_agrees_with_the_task() -> None:

@@ -90,7 +90,9 @@ class Benchmark:
             return plain
         # With robots an update takes several times as long: any two points have 64 ways to be joined in place of six.
         paper = replace(plain.paper, steps=5_000)
-        return replace(plain, schooling=Schooling.usual(setting), paper=paper, relational=RelationalPipelineConfig.full())
+        return replace(
+            plain, schooling=Schooling.usual(setting), paper=paper, relational=RelationalPipelineConfig.full()
+        )
 
     @staticmethod
     def quick(setting: SettingName = "object-centric", seed: int = 0) -> Benchmark:
@@ -98,7 +100,9 @@ class Benchmark:
         experts = ExpertTraining(steps=1_600, least_steps=400, setting=setting)
         relational = RelationalPipelineConfig(extra=0, validation=0, steps=40, network=_TINY)
         if setting == "full":
-            relational = replace(RelationalPipelineConfig.full(), extra=0, validation=0, episodes=1, steps=2, grasp_steps=40)
+            relational = replace(
+                RelationalPipelineConfig.full(), extra=0, validation=0, episodes=1, steps=2, grasp_steps=40
+            )
         return Benchmark(
             setting, set="chairs-24", train_limit=3, taught=3, sample=2 if setting == "full" else 3, shipped=False,
             schooling=Schooling(autoencoder.Training(steps=40), 4, experts, plays=8 if setting == "full" else 2),

@@ -18,7 +18,9 @@ from roboassembly.learning.relational.grasps import network as grasping
 from roboassembly.learning.relational.grasps.dataset import NO, UNKNOWN, YES, GraspSamples
 from roboassembly.learning.relational.grasps.on_policy import collect_on_policy, label_outcome, probe_grasps
 from roboassembly.learning.relational.policy import GRASP_PARAMS
-from roboassembly.task.full.task import FullTask, FullVerdict, MateGrasp
+from roboassembly.task.full.failure import FullVerdict
+from roboassembly.task.full.grips import MateGrasp
+from roboassembly.task.full.task import FullTask
 
 
 def test_an_outcome_labels_the_grasps_of_its_action() -> None:

@@ -24,7 +24,7 @@ from roboassembly.learning.relational.grasps import network as grasping
 from roboassembly.learning.relational.policy import RelationalPolicy
 from roboassembly.learning.relational.policy_view import PolicyView
 from roboassembly.learning.relational.tokens import tokens_of
-from roboassembly.task.full.task import FullVerdict
+from roboassembly.task.full.failure import FullVerdict
 
 
 @pytest.fixture(scope="module")
