@@ -11,7 +11,7 @@ from roboassembly.geometry.poses import SE3
 from roboassembly.robots.body import world_from_tips
 from roboassembly.simulation.execution import StepPhysics
 from roboassembly.simulation.mobile_arms import Load, between_pads
-from roboassembly.simulation.pacing import TIME_STEP, paced
+from roboassembly.simulation.pacing import TIME_STEP, time_parametrize
 from roboassembly.solvers.options import grasping
 from roboassembly.task.full.execution import JOINT_ANGLE, JOINT_POSITION, ExecutionVerdict, execute
 from roboassembly.task.full.segments import TUCKED
@@ -36,7 +36,7 @@ def far_bar() -> Load:
 
 def test_pace_is_at_rest_at_the_ends_and_within_limits() -> None:
     goal = A + np.array([1.0, 0.5, 0.3, 0.4, 0.1, 0.0, 0.2, 0.0, 0.0, 0.0])
-    rows = list(paced([A, goal]))
+    rows = list(time_parametrize([A, goal]))
     q, velocity = (np.array(r) for r in zip(*rows, strict=True))
     assert np.allclose(q[-1], goal)
     assert np.abs(velocity[-1]).max() < 1e-6
@@ -49,13 +49,13 @@ def test_pace_is_at_rest_at_the_ends_and_within_limits() -> None:
 
 def test_a_robot_stops_where_its_path_bends() -> None:
     corner, end = A + np.eye(10)[0], A + np.eye(10)[0] + np.eye(10)[1]
-    rows = list(paced([A, corner, end]))
+    rows = list(time_parametrize([A, corner, end]))
     speeds = np.array([np.linalg.norm(v) for _, v in rows])
     at = int(np.argmin([np.linalg.norm(q - corner) for q, _ in rows]))
     assert speeds[at] < 1e-6
-    straight = list(paced([A, A + 0.5 * np.eye(10)[0], A + np.eye(10)[0]]))
+    straight = list(time_parametrize([A, A + 0.5 * np.eye(10)[0], A + np.eye(10)[0]]))
     assert min(np.linalg.norm(v) for _, v in straight[50:-50]) > 0.01
-    assert not list(paced([A, A]))
+    assert not list(time_parametrize([A, A]))
 
 
 def test_fingers_hold_what_is_between_them_and_only_that() -> None:

@@ -1,4 +1,4 @@
-"""What an audit asks of the parts at the end: whether they are the furniture, and whether it stands. SciPy alone."""
+"""Final checks of an audit: whether the parts are the furniture, and whether it stands. Uses SciPy alone."""
 
 from __future__ import annotations
 
@@ -13,22 +13,23 @@ from roboassembly.furniture.model import Furniture
 from roboassembly.geometry.poses import SE3
 
 SAME_POSITION = 1e-5
-"""Metres by which two records of one pose may differ."""
+"""Distance by which two records of one pose may differ [m]."""
 SAME_ANGLE = 1e-4
-"""Radians, likewise."""
+"""Angle by which two records of one pose may differ [rad]."""
 _LEAN = float(np.deg2rad(10.0))
-"""Radians: a rocking chair at rest leans by a few degrees."""
+"""Angle from the vertical of a standing piece at most [rad]; a rocking chair at rest leans by a few degrees."""
 _ABOVE_GROUND, _FEET, _BALANCE = 0.002, 0.003, 0.005
-"""Metres; see `stands`."""
+"""Tolerances of `stands` [m]."""
 
 
 def misplaced(furniture: Furniture, poses: Sequence[SE3]) -> tuple[int, ...]:
-    """Parts without a slot of their own, however the furniture is laid over them; like parts may be swapped, and
-    turned by symmetries of their shape.
+    """Return parts without a slot of their own, however the furniture is laid over them.
+
+    Equivalent parts may be swapped, and turned by symmetries of their shape.
 
     Args:
-        furniture: what should be assembled.
-        poses: of its parts, `world_from_part`.
+        furniture: furniture that should be assembled.
+        poses: `world_from_part` of its parts.
     """
     best: tuple[int, ...] = tuple(range(len(poses)))
     for _, astray in _layings(furniture, poses):
@@ -44,8 +45,8 @@ def stands(furniture: Furniture, poses: Sequence[SE3]) -> bool:
     than `_FEET` above the lowest.
 
     Args:
-        furniture: what is assembled.
-        poses: of its parts, `world_from_part`.
+        furniture: furniture that is assembled.
+        poses: `world_from_part` of its parts.
     """
     up = [f.rotation[2, 2] for f, astray in _layings(furniture, poses) if not astray]
     if max(up, default=-1.0) < np.cos(_LEAN):
@@ -63,9 +64,9 @@ def stands(furniture: Furniture, poses: Sequence[SE3]) -> bool:
 
 
 def _layings(furniture: Furniture, poses: Sequence[SE3]) -> Iterator[tuple[SE3, tuple[int, ...]]]:
-    """Ways to lay the furniture over its parts: `world_from_furniture`, and parts that have no slot of their own then.
+    """Yield ways to lay the furniture over its parts: `world_from_furniture`, and parts without a slot of their own.
 
-    In each a part with the fewest like it is in a slot exactly; all such slots and symmetries are gone through.
+    In each, a part with the fewest equivalents is exactly in a slot; all its slots and symmetries are tried.
     """
     slots: list[_Slots] = [
         (np.array(furniture.classes[c].members), furniture.classes[c].symmetries) for c in furniture.class_of
@@ -84,8 +85,8 @@ _Slots = tuple[Int[np.ndarray, "m"], Float[np.ndarray, "s 3 3"]]
 def _astray(
     furniture: Furniture, poses: Sequence[SE3], furniture_from_world: SE3, slots: Sequence[_Slots]
 ) -> tuple[int, ...]:
-    """Parts without a slot of their own after the motion."""
-    taken: set[int] = set()
+    """Return parts without a slot of their own after a motion."""
+    used: set[int] = set()
     out: list[int] = []
     for part, pose in enumerate(poses):
         here = furniture_from_world * pose
@@ -93,8 +94,8 @@ def _astray(
             there = furniture.assembled[slot]
             near = float(np.linalg.norm(here.translation - there.translation)) < 10 * SAME_POSITION
             left = there.rotation.T @ here.rotation
-            if slot not in taken and near and min(angle_of(t.T @ left) for t in slots[part][1]) < 10 * SAME_ANGLE:
-                taken.add(int(slot))
+            if slot not in used and near and min(angle_of(t.T @ left) for t in slots[part][1]) < 10 * SAME_ANGLE:
+                used.add(int(slot))
                 break
         else:
             out.append(part)
@@ -102,5 +103,5 @@ def _astray(
 
 
 def angle_of(rotation: Float[np.ndarray, "3 3"]) -> float:
-    """Of a rotation matrix, radians."""
+    """Return the angle of a rotation matrix [rad]."""
     return float(Rotation.from_matrix(rotation).magnitude())

@@ -1,7 +1,7 @@
-"""An audit of full plans by other means than those that made them: python-fcl, and Pinocchio's model of the URDF.
+"""Audit of full plans by other means than those that made them: python-fcl, and Pinocchio's model of the URDF.
 
-Everything is taken from the record of the segments. Arms are placed by Pinocchio from the URDF, which planning does not
-use, and every state is tested, where planning certifies stretches.
+Everything comes from the record of the segments. Pinocchio places the arms from the URDF, which planning does not use,
+and every state is tested, where planning certifies whole stretches.
 """
 
 from __future__ import annotations
@@ -32,38 +32,38 @@ from roboassembly.task.full.cell_state import CellState, Robot, Segment
 from roboassembly.task.plans.full_plan import FullPlan
 
 RESOLUTION = 0.02
-"""Metres that a point of the robot travels between two states, about."""
+"""Distance that a point of the robot travels between two states, about [m]."""
 _REACH = np.array([1.0, 1.0, 1.6, 1.2, 1.2, 0.9, 0.9, 0.6, 0.5, 0.4])
-"""Metres that a point moves for a metre or radian of each of the ten, about."""
+"""Distance that a point moves for a unit of each of the ten numbers of a configuration, about [m]."""
 _SAME = 1e-6
-"""By which two records of one pose or configuration may differ."""
+"""Difference of two records of one pose or configuration at most."""
 _LISTED = 20
 _HAND = ("palm", "left finger", "right finger")
 _PADS = _HAND[1:]
 _ENDS = ("link7", *_HAND)
-"""What does not move against the load."""
+"""Links that do not move against the payload."""
 
 
 class RobotViolationKind(StrEnum):
-    """What can be wrong with a segment."""
+    """Kinds of violations in a full plan."""
 
     PENETRATION = "penetration"
-    """The robot or what it holds in something else."""
+    """The robot or its payload is in something else."""
     OWN_PENETRATION = "own_penetration"
-    """Two links in each other, or what is held in a link."""
+    """Two links are in each other, or the payload is in a link."""
     GROUND = "ground"
     JOINT_LIMIT = "joint_limit"
     JUMP = "jump"
-    """Something is elsewhere than the segment before left it."""
+    """Something is not where the segment before left it."""
     NOT_ASSEMBLED = "not_assembled"
-    """What stands there in the end is not the furniture."""
+    """The parts at the end are not the furniture."""
     NOT_UPRIGHT = "not_upright"
-    """The piece is said to stand on its feet on the floor in the end, and does not."""
+    """The plan says that the piece ends on its feet on the floor, and it does not."""
 
 
 @dataclass(frozen=True)
 class RobotViolation:
-    """One thing that is wrong."""
+    """One violation in a full plan."""
 
     kind: RobotViolationKind
     step: int
@@ -73,41 +73,41 @@ class RobotViolation:
 
 @dataclass(frozen=True)
 class RobotAuditReport:
-    """What was looked at and what was found."""
+    """Result of the audit of a full plan."""
 
     segments: int
     states: int
     counts: dict[RobotViolationKind, int]
-    """Violations by kind; penetrations once a state."""
+    """Number of violations of each kind; a penetration counts once a state."""
     first: tuple[RobotViolation, ...]
 
     @property
     def passed(self) -> bool:
-        """Nothing is wrong."""
+        """Whether nothing is wrong."""
         return not self.counts
 
     def summary(self) -> str:
-        """One line."""
-        told = f"{self.segments} segments and {self.states} states audited"
+        """Return the result in one line."""
+        audited = f"{self.segments} segments and {self.states} states audited"
         if self.passed:
-            return f"{told}: nothing wrong"
+            return f"{audited}: nothing wrong"
         found = ", ".join(f"{count} {kind.value}" for kind, count in self.counts.items())
         v = self.first[0]
-        return f"{told}: {found}; first in step {v.step}, {v.segment}: {v.what}"
+        return f"{audited}: {found}; first in step {v.step}, {v.segment}: {v.what}"
 
 
 def audit_full_plan(plan: FullPlan, resolution: float = RESOLUTION) -> RobotAuditReport:
     """Replay the plan and look for anything that could not happen.
 
-    Of all that stands: each group and post against all others. In every segment: the moving robot and what it holds
-    against all that stands, posts, the other robot and what that holds, the ground, and itself; joint limits; that
-    everything is where the segment before left it. At the end: that it is the furniture, and that it stands on its feet
-    on the floor if the plan says so. The segments that set it there count as one step more. The pads may touch what
-    they hold, and a group its post.
+    Tested at the beginning and whenever something was set down: each group and post against all others. In every
+    segment: the moving robot and its payload against all groups, posts, the other robot and its payload, the ground and
+    itself; joint limits; and that everything is where the segment before left it. At the end: that the parts are the
+    furniture, and that it stands on its feet on the floor if the plan says so. The segments that set it there count as
+    one more step. Pads may touch the part that they hold, and a group may touch its post.
 
     Args:
-        plan: as recorded.
-        resolution: metres between two states, about.
+        plan: recorded plan.
+        resolution: distance that a point travels between two states, about [m].
 
     Raises:
         MissingExtraError: python-fcl is not installed.
@@ -161,14 +161,14 @@ class _RobotAudit:
                 self._found(RobotViolationKind.JUMP, step, segment.name, f"part {part}")
 
     def _keep_apart(self, step: int, segment: str, state: CellState) -> None:
-        """Groups and posts that stand are not in each other, but for a group's own post."""
+        """Find groups and posts that are in each other, except a group and its own post."""
         furniture, things = self._plan.furniture, []
         groups = [*enumerate(s.group for s in state.placed), *((-1 - i, g) for i, g in enumerate(state.on_floor))]
         for owner, group in groups:
             for p, pose in zip(group.parts, group.part_poses(), strict=True):
                 things.append((owner, f"part {p}", self._placed(furniture.parts[p].mesh, pose)))
-        for owner, stand in enumerate(state.posts):
-            body = stand.body(f"post {owner}")
+        for owner, post in enumerate(state.posts):
+            body = post.body(f"post {owner}")
             things += [(owner, body.name, self._placed(s.mesh, body.pose * s.body_from_mesh)) for s in body.shapes]
         for (owner, name, thing), (other, what, still) in combinations(things, 2):
             if owner != other and self._touch(thing, still):
@@ -181,7 +181,7 @@ class _RobotAudit:
         manager.registerObjects([thing for _, thing in still])
         manager.setup()
         robot = _robot_meshes()
-        load = {f"held {i}": held for i, held in enumerate(_load(self._plan.furniture, own))}
+        load = {f"held {i}": shape for i, shape in enumerate(_load(self._plan.furniture, own))}
         shapes = robot | {name: mesh for name, (mesh, _) in load.items()}
         moving = {name: self._placed(mesh, SE3.Identity()) for name, mesh in shapes.items()}
         constant = {*_ENDS, *load}
@@ -207,15 +207,15 @@ class _RobotAudit:
                     self._found(RobotViolationKind.OWN_PENETRATION, step, segment.name, f"{a} in {b}, state {state}")
 
     def _surroundings(self, state: CellState, other: Robot) -> list[tuple[str, Any]]:
-        """All that stands still, with names."""
+        """Return everything that stands still, with names."""
         furniture = self._plan.furniture
         out = [
             (f"part {p}", self._placed(furniture.parts[p].mesh, pose))
             for group in (*(s.group for s in state.placed), *state.on_floor)
             for p, pose in zip(group.parts, group.part_poses(), strict=True)
         ]
-        for i, stand in enumerate(state.posts):
-            body = stand.body(f"post {i}")
+        for i, post in enumerate(state.posts):
+            body = post.body(f"post {i}")
             out += [(body.name, self._placed(s.mesh, body.pose * s.body_from_mesh)) for s in body.shapes]
         where = _robot_poses(other.at, other.opening)
         out += [(f"the other's {name}", self._placed(mesh, where[name])) for name, mesh in _robot_meshes().items()]
@@ -237,23 +237,23 @@ class _RobotAudit:
 
 
 def _still_things(state: CellState) -> tuple[Any, ...]:
-    """All that stands but the robots."""
+    """Return everything that stands except the robots."""
     return state.placed, state.free_posts, state.on_floor
 
 
 def _load(furniture: Furniture, robot: Robot) -> list[tuple[Mesh, SE3]]:
-    """What a hand holds, with `tips_from_part`."""
+    """Return the meshes in a hand, with `tips_from_part`."""
     return [(s.mesh, s.body_from_mesh) for s in robot.payload_shapes(furniture)]
 
 
 def _part_poses(furniture: Furniture, state: CellState) -> list[SE3]:
-    """Of all parts."""
+    """Return the pose of every part."""
     where = {p: pose for g in state.groups() for p, pose in zip(g.parts, g.part_poses(), strict=True)}
     return [where[p] for p in range(len(furniture.parts))]
 
 
 def _dense(path: Sequence[Configuration], resolution: float) -> Iterator[Configuration]:
-    """Every state, way-points included."""
+    """Yield every state, way-points included."""
     yield path[0]
     for a, b in pairwise(path):
         count = max(1, int(np.ceil(np.abs(b - a) @ _REACH / resolution)))
@@ -274,14 +274,14 @@ def _limits() -> tuple[Float[np.ndarray, "7"], Float[np.ndarray, "7"]]:
 
 @cache
 def _robot_meshes() -> dict[str, Mesh]:
-    """Platform, links of the arm, palm and fingers."""
+    """Return the meshes of platform, links of the arm, palm and fingers."""
     return {link.name: link.mesh for link in links()} | dict(
         zip(_HAND, (mesh for mesh, _ in hand_bodies(0.0)), strict=True)
     )
 
 
 def _robot_poses(q: Configuration, opening: float) -> dict[str, SE3]:
-    """Of every one of them and of the finger tips, in the world."""
+    """Return the world poses of all links and of the finger tips."""
     model = _urdf()
     data = model.createData()
     pin.framesForwardKinematics(model, data, np.array([*q[3:], 0.5 * opening, 0.5 * opening]))
@@ -295,15 +295,15 @@ def _robot_poses(q: Configuration, opening: float) -> dict[str, SE3]:
 
 @cache
 def _own_pairs() -> tuple[tuple[str, str], ...]:
-    """Links that may not touch: two joints or more apart, and apart when the arm is straight up."""
+    """Return pairs of links that may not touch: two joints or more between them, no contact with the arm straight."""
     fcl, meshes, where = fcl_module(), _robot_meshes(), _robot_poses(np.zeros(10), 0.0)
     carrier = {link.name: link.carrier for link in links()} | dict.fromkeys(_HAND, JOINTS)
 
-    def apart(a: str, b: str) -> bool:
-        one, other = (
+    def separate(a: str, b: str) -> bool:
+        first, other = (
             fcl.CollisionObject(fcl_model(fcl, meshes[n]), fcl.Transform(where[n].rotation, where[n].translation))
             for n in (a, b)
         )
-        return not fcl.collide(one, other, fcl.CollisionRequest(), fcl.CollisionResult())
+        return not fcl.collide(first, other, fcl.CollisionRequest(), fcl.CollisionResult())
 
-    return tuple((a, b) for a, b in combinations(meshes, 2) if carrier[b] - carrier[a] > 1 and apart(a, b))
+    return tuple((a, b) for a, b in combinations(meshes, 2) if carrier[b] - carrier[a] > 1 and separate(a, b))

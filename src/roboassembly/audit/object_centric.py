@@ -1,8 +1,8 @@
-"""An audit of assembly plans by other means than those that made them: python-fcl, SciPy, and the record alone.
+"""Audit of object-centric plans by other means than those that made them: python-fcl, SciPy, and the record alone.
 
-Everything is taken from the `Plan`: meshes, and the poses in its steps. Edges are interpolated here (SciPy's Slerp),
-collisions are FCL's on the exact triangles, lowest points are those of the vertices. Nothing of the planner is used,
-so that a mistake in it cannot hide itself.
+Everything comes from the `Plan`: meshes, and the poses in its steps. SciPy's Slerp interpolates edges, FCL tests exact
+triangles for collision, and vertices give the lowest points. The audit uses no code of the planner, so that a mistake
+there cannot hide itself.
 """
 
 from __future__ import annotations
@@ -28,45 +28,45 @@ from roboassembly.task.plans.plan import Plan, PlanStep, UprightMotion, UprightR
 _ORTHONORMAL = 1e-6
 """Largest entry of R Rᵀ - 1 that a rotation may have."""
 _CONTACTS = 200
-"""Pairs of triangles of which FCL reports the depth."""
+"""Number of pairs of triangles whose depth FCL reports."""
 _LISTED = 20
 """Violations kept in the report; all are counted."""
 
 
 class ViolationKind(StrEnum):
-    """What can be wrong with a plan."""
+    """Kinds of violations in an object-centric plan."""
 
     PATH_PENETRATION = "path_penetration"
-    """A moving part in a still one."""
+    """A moving part is in a still one."""
     PATH_GROUND = "path_ground"
-    """A moving part in the ground."""
+    """A moving part is in the ground."""
     STILL_PENETRATION = "still_penetration"
-    """Two still parts in each other."""
+    """Two still parts are in each other."""
     STILL_GROUND = "still_ground"
     REST_PENETRATION = "rest_penetration"
-    """Two parts in each other, before the first step or after one."""
+    """Two parts are in each other before the first step or after one."""
     REST_GROUND = "rest_ground"
     DISCONTINUITY = "discontinuity"
-    """A part that is elsewhere than it was left."""
+    """A part is not where it was left."""
     NOT_A_ROTATION = "not_a_rotation"
-    """A pose whose matrix is not orthonormal: it would stretch or shear the part. What follows from it is found too."""
+    """A pose has a matrix that is not orthonormal, which would stretch or shear the part."""
     NOT_RIGID = "not_rigid"
     """Parts of one group moved against each other."""
     MISSING_PART = "missing_part"
-    """A step that does not account for every part once, or has no path."""
+    """A step does not account for every part once, or has no path."""
     NOT_ASSEMBLED = "not_assembled"
     """The arrangement after the last step is not the furniture."""
     NOT_UPRIGHT = "not_upright"
-    """The piece is said to stand on its feet in the end, and does not."""
+    """The plan says that the piece ends on its feet, and it does not."""
 
 
 @dataclass(frozen=True)
 class Violation:
-    """One thing that is wrong."""
+    """One violation in an object-centric plan."""
 
     kind: ViolationKind
     step: int
-    """-1: before the first step; as many as there are steps: the motion that sets the piece upright."""
+    """Index of the step; -1 before the first step; the number of steps for the motion that sets the piece upright."""
     state: int
     """Index of the state along the step's path; -1: not on a path."""
     parts: tuple[int, ...]
@@ -77,23 +77,23 @@ class Violation:
 
 @dataclass(frozen=True)
 class AuditReport:
-    """What was looked at and what was found."""
+    """Result of the audit of an object-centric plan."""
 
     steps: int
     states: int
-    """Of moving groups along their paths."""
+    """Number of states of moving groups along their paths."""
     counts: dict[ViolationKind, int]
-    """Violations by kind; penetrations once a state."""
+    """Number of violations of each kind; a penetration counts once a state."""
     first: tuple[Violation, ...]
-    """The first of them."""
+    """First violations, at most `_LISTED`."""
 
     @property
     def passed(self) -> bool:
-        """Nothing is wrong."""
+        """Whether nothing is wrong."""
         return not self.counts
 
     def summary(self) -> str:
-        """One line."""
+        """Return the result in one line."""
         if self.passed:
             return f"{self.steps} steps and {self.states} states audited: nothing wrong"
         found = ", ".join(f"{count} {kind.value}" for kind, count in self.counts.items())
@@ -109,17 +109,17 @@ def audit_plan(
 ) -> AuditReport:
     """Replay the plan and look for anything that could not happen.
 
-    Looked at, at the given resolution: moving parts against still parts and against the ground (z = 0). In each step:
-    still parts against each other. Before the first step and after each: all parts against each other and the ground.
-    That parts start where they were left, and groups stay rigid (v's group may be set down elsewhere, as a whole).
-    After the last: that the arrangement is the furniture, like parts swapped and turned by symmetries of their shape.
-    The motion that sets the piece upright: the same, and that the piece stands on its feet in the end (`stands`).
-    Motion while settling is not looked at: that is physics, of the merged group alone.
+    Tested along paths, at the given resolution: moving parts against still parts and against the ground (z = 0). In each
+    step: still parts against each other. Before the first step and after each: all parts against each other and the
+    ground. Parts start where they were left, and groups stay rigid (v's group may be set down elsewhere, as a whole).
+    After the last step: the arrangement is the furniture, up to swapped equivalent parts and symmetries of their shape.
+    The motion that sets the piece upright is tested in the same way, and so is that the piece stands on its feet at the
+    end (`stands`). Settling is not tested: it is physics of the merged group alone.
 
     Args:
-        plan: as recorded.
-        resolution: metres that the fastest point of the moving group travels between two states, at most.
-        angular_resolution: radians that it turns, at most.
+        plan: recorded plan.
+        resolution: distance that the fastest point of the moving group travels between two states at most [m].
+        angular_resolution: angle that it turns between two states at most [rad].
 
     Raises:
         MissingExtraError: python-fcl is not installed.
@@ -184,7 +184,7 @@ class _Audit:
         )
 
     def _depth(self, a: Any, b: Any) -> float | None:
-        """Metres that the surfaces cut into each other; None if they do not."""
+        """Return the depth to which surfaces cut into each other [m]; None if they do not."""
         request = self._fcl.CollisionRequest(num_max_contacts=_CONTACTS, enable_contact=True)
         result = self._fcl.CollisionResult()
         if not self._fcl.collide(a, b, request, result):
@@ -293,7 +293,7 @@ class _Audit:
     def _interpolated(
         self, path: Sequence[SE3], radius: float
     ) -> Iterator[tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]]:
-        """Every state of the path: rotation and translation, the way-points included."""
+        """Yield rotation and translation of every state of the path, way-points included."""
         yield path[0].rotation, path[0].translation
         for a, b in pairwise(path):
             ends = Rotation.from_matrix(np.array([a.rotation, b.rotation]))
@@ -307,7 +307,7 @@ class _Audit:
 
 
 def fcl_module() -> Any:
-    """python-fcl.
+    """Return the module python-fcl.
 
     Raises:
         MissingExtraError: it is not installed.
@@ -319,7 +319,7 @@ def fcl_module() -> Any:
 
 
 def fcl_model(fcl: Any, mesh: Mesh) -> Any:
-    """A mesh as FCL's triangles."""
+    """Return a mesh as FCL's triangles."""
     model = fcl.BVHModel()
     model.beginModel(len(mesh.vertices), len(mesh.faces))
     model.addSubModel(mesh.vertices, mesh.faces)
@@ -330,7 +330,7 @@ def fcl_model(fcl: Any, mesh: Mesh) -> Any:
 def _winding_number(
     point: Float[np.ndarray, "3"], vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]
 ) -> float:
-    """How often the surface goes around the point: 1 inside of a solid, 0 outside (van Oosterom and Strackee 1983)."""
+    """Return a surface's winding number about a point: 1 inside a solid, 0 outside (van Oosterom and Strackee 1983)."""
     a, b, c = (vertices[faces[:, i]] - point for i in range(3))
     la, lb, lc = (np.linalg.norm(x, axis=1) for x in (a, b, c))
     volume = np.einsum("ij,ij->i", a, np.cross(b, c))

@@ -1,4 +1,4 @@
-"""Two mobile Frankas in MuJoCo: actuated joints, gravity, fingers that close by force and hold by friction."""
+"""Physics of two mobile Frankas in MuJoCo: actuated joints, gravity, fingers that press and hold by friction."""
 
 from __future__ import annotations
 
@@ -14,32 +14,32 @@ from roboassembly.robots.body import tip_positions
 from roboassembly.robots.kinematics import JOINTS, arm
 from roboassembly.simulation.mobile_arms import GAINS, GRIP_FORCE, NAMES, Load, lag, model_of
 from roboassembly.simulation.model import rotation_to_quaternion
-from roboassembly.simulation.pacing import TIME_STEP, paced
+from roboassembly.simulation.pacing import TIME_STEP, time_parametrize
 
 _GRIP_WEIGHTS, _LIGHTEST_GRIP = 10.0, 8.0
-"""Each finger presses with so many times the load's weight, and with no fewer newtons."""
+"""Force of each finger as a multiple of the load's weight, and at least [N]."""
 _YIELDING = 0.1
-"""Share of its stiffness that an arm keeps while its hand closes, so that the hand centres itself on what it holds."""
+"""Share of its stiffness that an arm keeps while its hand closes, so that the hand centres itself on the load."""
 
 
 @dataclass(eq=False)
-class Log:
-    """What happened while it was carried out."""
+class PhysicsLog:
+    """Measurements during an execution."""
 
     tracking: list[float] = field(default_factory=list)
-    """Metres from where the finger tips ought to be, at every sample."""
+    """Distance of the finger tips from their path at every sample [m]."""
     pad_force: float = 0.0
-    """Newtons, the largest normal force on a pad."""
+    """Largest normal force on a pad [N]."""
     samples: list[Float[np.ndarray, "10"]] = field(default_factory=list)
-    """Configurations of the robot that moves, at every sample."""
+    """Configuration of the moving robot at every sample."""
 
 
 class StepPhysics:
     """The physics of one step: two robots and the two groups that they join, or the finished piece.
 
     Args:
-        robots: configurations at the beginning.
-        openings: metres between the pads.
+        robots: configurations of the robots at the beginning.
+        openings: distances between the pads [m].
         loads: u's group and v's group, or the finished piece, on their posts at the beginning.
     """
 
@@ -55,7 +55,7 @@ class StepPhysics:
         self._bodies = [self.model.body(f"load{index}").id for index in range(len(loads))]
         self._dofs = [self.model.jnt_dofadr[joints] for joints in self._joints]
         self._jacobian = np.zeros((3, self.model.nv))
-        self._held: list[list[int]] = [[], []]
+        self._payloads: list[list[int]] = [[], []]
         for r, (q, opening) in enumerate(zip(robots, openings, strict=True)):
             self.data.qpos[self._addresses(r)] = q
             self.data.ctrl[self._controls(r)] = q
@@ -65,11 +65,11 @@ class StepPhysics:
         mujoco.mj_forward(self.model, self.data)
         for index in range(len(loads)):
             self._weld(f"post{index}", True)
-        self.log = Log()
+        self.log = PhysicsLog()
 
     @property
     def seconds(self) -> float:
-        """Simulated so far."""
+        """Time simulated so far [s]."""
         return float(self.data.time)
 
     def _addresses(self, robot: int) -> Float[np.ndarray, "10"]:
@@ -79,16 +79,16 @@ class StepPhysics:
         return slice(robot * (len(NAMES) + 2), robot * (len(NAMES) + 2) + len(NAMES))
 
     def configuration(self, robot: int) -> Float[np.ndarray, "10"]:
-        """Where a robot is."""
+        """Return the configuration of a robot."""
         return np.array(self.data.qpos[self._addresses(robot)])
 
     def pose(self, load: int) -> SE3:
-        """`world_from_body` of a load."""
+        """Return `world_from_body` of a load."""
         body = self._bodies[load]
         return from_quaternion(self.data.xpos[body], self.data.xquat[body])
 
     def tips(self, robot: int) -> SE3:
-        """Where the finger tips are."""
+        """Return the pose of the finger tips."""
         link = self._links[robot]
         return from_quaternion(self.data.xpos[link], self.data.xquat[link]) * SE3(*arm().tips)
 
@@ -101,15 +101,15 @@ class StepPhysics:
         self.data.ctrl[first : first + 2] = 0.5 * opening
 
     def _weld(self, name: str, active: bool) -> None:
-        """Switch a weld; what it holds together is held as it is now."""
+        """Switch a weld, which keeps the present relative pose of its bodies."""
         eq = self.model.equality(name).id
         if active:
-            one, two = int(self.model.eq_obj1id[eq]), int(self.model.eq_obj2id[eq])
-            a = from_quaternion(self.data.xpos[one], self.data.xquat[one])
-            b = from_quaternion(self.data.xpos[two], self.data.xquat[two])
+            first, second = int(self.model.eq_obj1id[eq]), int(self.model.eq_obj2id[eq])
+            a = from_quaternion(self.data.xpos[first], self.data.xquat[first])
+            b = from_quaternion(self.data.xpos[second], self.data.xquat[second])
             relative = a.actInv(b)
-            # Held where its weight pulls: a lever would turn it.
-            anchor = self.loads[self._bodies.index(two)].center
+            # The weld acts at the centre of mass: a lever would turn the load.
+            anchor = self.loads[self._bodies.index(second)].center
             row = self.model.eq_data[eq]
             row[:3] = anchor
             row[3:6] = relative.act(anchor)
@@ -117,17 +117,17 @@ class StepPhysics:
             row[10] = 1.0
         self.data.eq_active[eq] = active
 
-    def follow(self, robot: int, path: Sequence[Float[np.ndarray, "10"]], slower: float = 1.0) -> None:
-        """Move one robot along a path, at its own pace; the other one holds still."""
-        wanted: list[np.ndarray] = []
-        got: list[np.ndarray] = []
+    def follow(self, robot: int, path: Sequence[Float[np.ndarray, "10"]], speed: float = 1.0) -> None:
+        """Move one robot along a path; the other one holds still."""
+        planned: list[np.ndarray] = []
+        reached: list[np.ndarray] = []
 
         def sample(q: Float[np.ndarray, "10"]) -> None:
-            wanted.append(q)
-            got.append(self._tip_position(robot))
+            planned.append(q)
+            reached.append(self._tip_position(robot))
             self.log.samples.append(self.configuration(robot))
 
-        for q, velocity in paced(path, slower):
+        for q, velocity in time_parametrize(path, speed):
             self.data.ctrl[self._controls(robot)] = q + velocity * lag()
             self._step()
             sample(q)
@@ -135,14 +135,14 @@ class StepPhysics:
             self.data.ctrl[self._controls(robot)] = path[-1]
             self._step()
         sample(path[-1])
-        off = np.array(got) - tip_positions(np.array(wanted))
+        off = np.array(reached) - tip_positions(np.array(planned))
         self.log.tracking += np.linalg.norm(off, axis=1).tolist()
 
     def _step(self) -> None:
-        """One time step, with the torques that carry what each hand holds."""
+        """Make one time step, with the torques that carry the payload of each hand."""
         self.data.qfrc_applied[:] = 0.0
-        for robot, held in enumerate(self._held):
-            for load in held:
+        for robot, loads_in_hand in enumerate(self._payloads):
+            for load in loads_in_hand:
                 body, dofs = self._bodies[load], self._dofs[robot]
                 place = self.data.xipos[body]
                 mujoco.mj_jac(self.model, self.data, self._jacobian, None, place, self._links[robot])
@@ -151,9 +151,9 @@ class StepPhysics:
         mujoco.mj_step(self.model, self.data)
 
     def grasp(self, robot: int, load: int, seconds: float = 0.6) -> bool:
-        """Close the hand; once both pads press the load it is held fast. Whether they do."""
+        """Close the hand and weld the load to it if both pads press the load. Return whether they do."""
         first = self._controls(robot).stop
-        # As much as the load needs: a light one would be pushed askew.
+        # The force depends on the load: a strong grip would push a light one askew.
         weight = -self.model.opt.gravity[2] * self.model.body_mass[self._bodies[load]]
         limit = float(np.clip(_GRIP_WEIGHTS * weight, _LIGHTEST_GRIP, GRIP_FORCE))
         self.model.actuator_forcerange[first : first + 2] = [-limit, limit]
@@ -168,17 +168,17 @@ class StepPhysics:
             return False
         self._weld(f"grip{'ab'[robot]}{load}", True)
         self._weld(f"post{load}", False)
-        self._held[robot].append(load)
+        self._payloads[robot].append(load)
         return True
 
     def _stiffen(self, robot: int, share: float) -> None:
-        """Let the arm's joints hold with a share of their stiffness."""
+        """Set the stiffness of the arm's joints to a share of its full value."""
         joints = slice(self._controls(robot).stop - JOINTS, self._controls(robot).stop)
         self.model.actuator_gainprm[joints, 0] = share * np.array(GAINS)
         self.model.actuator_biasprm[joints, 1] = -share * np.array(GAINS)
 
     def pad_forces(self, robot: int, load: int) -> tuple[float, float]:
-        """Newtons that each finger presses on a load."""
+        """Return the force of each finger on a load [N]."""
         out = [0.0, 0.0]
         force = np.zeros(6)
         body = self._bodies[load]
@@ -193,17 +193,17 @@ class StepPhysics:
         return out[0], out[1]
 
     def join(self) -> None:
-        """Weld the loads as they are: R_b holds both from now on."""
+        """Weld the loads together as they are; R_b holds both from now on."""
         self._weld("joint", True)
-        self._held[1] = [0, 1]
+        self._payloads[1] = [0, 1]
 
     def release(self, robot: int, opening: float, posts: Sequence[int] = ()) -> None:
-        """Open the hand; loads named in `posts` stay where they are, on a post that has risen."""
+        """Open the hand; loads named in `posts` stay where they are, each on a raised post."""
         for load in posts:
             self._weld(f"post{load}", True)
         for load in range(len(self.loads)):
             self._weld(f"grip{'ab'[robot]}{load}", False)
-        self._held[robot] = []
+        self._payloads[robot] = []
         self._open(robot, opening)
         for _ in range(round(0.4 / TIME_STEP)):
             self._step()

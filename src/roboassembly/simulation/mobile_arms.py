@@ -27,48 +27,48 @@ from roboassembly.simulation.model import FLOOR_FRICTION, rotation_to_quaternion
 from roboassembly.simulation.pacing import TIME_STEP
 
 GAINS = (9000.0, 9000.0, 7000.0, 7000.0, 4000.0, 4000.0, 3000.0)
-"""N·m/rad of the arm's joints."""
+"""Stiffness of the arm's joints [N·m/rad]."""
 GRIP_FORCE = 40.0
-"""Newtons of each finger, at most; the hand's continuous limit is 70."""
+"""Largest force of each finger [N]; the hand's continuous limit is 70 N."""
 NAMES = ("x", "y", "turn", *(f"q{i + 1}" for i in range(JOINTS)))
-"""Joints of a robot, behind `a/` or `b/`; actuators have the names of what they drive."""
+"""Names of a robot's joints, after `a/` or `b/`; actuators have the names of their joints."""
 _PLATFORM_MASS = 90.0
-"""Kilograms, batteries included."""
+"""Mass of the platform, batteries included [kg]."""
 _PLATFORM_GAINS = (6e5, 6e5, 1.5e5)
-"""N/m, N/m and N·m/rad of the platform's drives."""
+"""Stiffness of the platform's drives [N/m, N/m, N·m/rad]."""
 _TORQUES = (87.0, 87.0, 87.0, 87.0, 12.0, 12.0, 12.0)
-"""N·m, Franka's limits."""
+"""Torque limits of Franka's joints [N·m]."""
 _DAMPING_RATIO = 1.0
 _PAD_FRICTION = [1.0, 0.02, 0.001]
-"""Rubber on wood: sliding, torsional [m], rolling [m]."""
+"""Friction of rubber on wood: sliding, torsional [m], rolling [m]."""
 _CLIP = 0.03
-"""Metres around a grasp of the part's surface that the pads can meet."""
+"""Half the extent around a grasp of the part's surface that the pads can touch [m]."""
 _STIFF = [2.0 * TIME_STEP, 1.0], [0.999, 0.9999, 1e-4, 0.5, 2.0]
-"""What holds fast: time constant and damping; impedances."""
+"""Solver parameters of welds: time constant [s] and damping ratio; impedances."""
 _BEYOND = 1e-3
-"""Metres beyond the pads, likewise."""
+"""Extent of that surface beyond the pads [m]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Load:
-    """A group that a robot may hold: one rigid body."""
+    """Group that a robot may hold, as one rigid body."""
 
     pose: SE3
-    """`world_from_body` at the beginning."""
+    """Pose `world_from_body` at the beginning."""
     mass: float
-    """Kilograms."""
+    """Mass [kg]."""
     center: Float[np.ndarray, "3"]
-    """Of mass, in the body's frame, metres."""
+    """Centre of mass in the body's frame [m]."""
     inertia: Float[np.ndarray, "3 3"]
-    """About it, kg·m²."""
+    """Inertia about the centre of mass [kg·m²]."""
     between_pads: tuple[Mesh, ...]
-    """Convex pieces, in the body's frame, that pads may meet."""
+    """Convex pieces, in the body's frame, that pads may touch."""
     feet: tuple[Mesh, ...] = ()
-    """Meshes, in the body's frame, whose convex hulls the floor may meet; empty of what is never set on it."""
+    """Meshes, in the body's frame, whose convex hulls may touch the floor; empty if the load is never set on it."""
 
 
 def model_of(loads: Sequence[Load]) -> mujoco.MjModel:
-    """Robots `a` and `b`, bodies `load0` and, of two loads, `load1`, and welds, all off.
+    """Return a model of robots `a` and `b`, bodies `load0` and, with two loads, `load1`, and welds, all inactive.
 
     `post0` holds a load to the world, `gripa0` to a robot's last link, `joint` two loads together.
 
@@ -103,14 +103,14 @@ def _all_gains() -> Float[np.ndarray, "10"]:
 
 @cache
 def _dampings() -> Float[np.ndarray, "10"]:
-    """Critical for the inertia that each joint moves, roughly."""
+    """Return damping that is about critical for the inertia that each joint moves."""
     inertia = np.array([_PLATFORM_MASS + 20.0, _PLATFORM_MASS + 20.0, 12.0, 2.0, 2.0, 1.2, 1.2, 0.3, 0.25, 0.15])
     return 2.0 * _DAMPING_RATIO * np.sqrt(_all_gains() * inertia)
 
 
 @cache
 def lag() -> Float[np.ndarray, "10"]:
-    """Seconds by which a joint would trail behind without its velocity fed forward."""
+    """Return the delay of each joint without velocity feed-forward [s]."""
     return _dampings() / _all_gains()
 
 
@@ -170,9 +170,9 @@ def _add_robot(spec: mujoco.MjSpec, name: str) -> None:
         actuator.forcelimited, actuator.forcerange = True, [-GRIP_FORCE, GRIP_FORCE]
 
 
-def _couple(spec: mujoco.MjSpec, one: str, two: str) -> None:
-    """Both fingers open and close by as much, as in Franka's hand."""
-    gear = spec.add_equality(name=f"{one} gear", name1=one, name2=two)
+def _couple(spec: mujoco.MjSpec, first: str, second: str) -> None:
+    """Couple two joints so that they move equally, as the fingers of Franka's hand do."""
+    gear = spec.add_equality(name=f"{one} gear", name1=first, name2=second)
     gear.type = mujoco.mjtEq.mjEQ_JOINT
     gear.objtype = mujoco.mjtObj.mjOBJ_JOINT
     gear.data[:5] = [0.0, 1.0, 0.0, 0.0, 0.0]
@@ -216,20 +216,21 @@ def _add_mesh(spec: mujoco.MjSpec, name: str, mesh: Mesh) -> None:
     )  # fmt: skip
 
 
-def _add_weld(spec: mujoco.MjSpec, name: str, one: str, two: str) -> None:
-    weld = spec.add_equality(name=name, name1=one, name2=two, active=False)
+def _add_weld(spec: mujoco.MjSpec, name: str, first: str, second: str) -> None:
+    weld = spec.add_equality(name=name, name1=first, name2=second, active=False)
     weld.type = mujoco.mjtEq.mjEQ_WELD
     weld.objtype = mujoco.mjtObj.mjOBJ_BODY
     weld.solref, weld.solimp = _STIFF
 
 
 def between_pads(mesh: Mesh, frame: SE3, width: float) -> Mesh:
-    """The part's own surface that pads can meet: the convex hull of what lies around a grasp, in the mesh's frame.
+    """Return the part's surface that pads can touch: the convex hull of what lies around a grasp, in the mesh's frame.
 
     Args:
-        mesh: of the part.
+        mesh: mesh of the part.
         frame: `mesh_from_tips`.
-        width: metres between the pads when they touch. What lies beyond them (the other limb of a frame) is left out.
+        width: distance between the pads when they touch [m]; what lies beyond them, such as the other limb of a frame,
+            is left out.
     """
     solid = mesh.trimesh
     box = trimesh.creation.box([2.0 * _CLIP, width + 2.0 * _BEYOND, 2.0 * _CLIP])

@@ -1,4 +1,4 @@
-"""The physics model of a scene: MuJoCo, parts as convex hulls, masses from volumes."""
+"""MuJoCo model of a scene: parts as convex hulls, masses from volumes."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from roboassembly.geometry.meshes import WOOD_DENSITY
 from roboassembly.geometry.scene import Body, Scene
 
 TIME_STEP = 0.004
-"""Seconds."""
+"""Time step of the physics of settling [s]."""
 FLOOR_FRICTION = [0.7, 0.01, 0.005]
-"""Sliding (wood on a floor), torsional [m] and rolling [m]: turned parts must come to rest."""
+"""Friction of wood on a floor: sliding, torsional [m] and rolling [m]. Round parts must come to rest."""
 
 
 def compile_scene(scene: Scene) -> mujoco.MjModel:
-    """A MuJoCo model with one body per body of the scene; those that move have a free joint, in the scene's order.
+    """Return a MuJoCo model with one body per body of the scene, in the scene's order; moving ones have a free joint.
 
     Bodies and their joints bear the scene's names. Mesh geoms collide as convex hulls.
     """
@@ -68,7 +68,7 @@ def _add_body(spec: mujoco.MjSpec, body: Body, known: dict[int, str]) -> None:
 
 
 def mass_properties(body: Body) -> tuple[float, np.ndarray, np.ndarray]:
-    """Mass [kg], centre of mass [m] and inertia about it [kg·m²], in the body's frame, at `WOOD_DENSITY`."""
+    """Return mass [kg], centre of mass [m] and inertia about it [kg·m²] in the body's frame, at `WOOD_DENSITY`."""
     masses = np.array([WOOD_DENSITY * shape.mesh.volume for shape in body.shapes])
     centers = np.array([shape.body_from_mesh.act(shape.mesh.center_of_mass) for shape in body.shapes])
     total = float(masses.sum())
@@ -82,7 +82,7 @@ def mass_properties(body: Body) -> tuple[float, np.ndarray, np.ndarray]:
 
 
 def rotation_to_quaternion(rotation: np.ndarray) -> np.ndarray:
-    """`w, x, y, z` of a rotation, as MuJoCo has it."""
+    """Return the quaternion `w, x, y, z` of a rotation, in MuJoCo's order."""
     quaternion = np.empty(4)
     mujoco.mju_mat2Quat(quaternion, np.ascontiguousarray(rotation).ravel())
     return quaternion

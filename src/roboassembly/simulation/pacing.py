@@ -1,4 +1,4 @@
-"""When a robot is where on its path: smooth, within its speeds and accelerations."""
+"""Time parametrization of paths: smooth motions within a robot's speeds and accelerations."""
 
 from __future__ import annotations
 
@@ -9,24 +9,24 @@ from jaxtyping import Float
 from scipy.interpolate import CubicSpline
 
 TIME_STEP = 0.002
-"""Seconds."""
+"""Time step of the physics of robots [s]."""
 _SPEEDS = np.array([0.8, 0.8, 1.0, 1.5, 1.5, 1.5, 1.5, 2.0, 2.0, 2.0])
 _ACCELERATIONS = np.array([0.8, 0.8, 1.2, 4.0, 4.0, 4.0, 4.0, 6.0, 6.0, 6.0])
-"""m/s and rad/s, m/s² and rad/s², at most: well within what a Panda does (2.1 rad/s, 7.5 rad/s²)."""
+"""Largest speeds [m/s, rad/s] and accelerations [m/s², rad/s²], well within a Panda's (2.1 rad/s, 7.5 rad/s²)."""
 _PEAK_SPEED, _PEAK_ACCELERATION = 1.875, 5.7735
-"""Of a quintic from rest to rest over unit way and time."""
+"""Largest speed and acceleration of a quintic from rest to rest over unit distance and time."""
 _BEND = 0.98
-"""Cosine between edges from which on a robot does not stop at a way-point."""
+"""Cosine between two edges above which a robot does not stop at the way-point between them."""
 
 
-def paced(
-    path: Sequence[Float[np.ndarray, "10"]], slower: float = 1.0
+def time_parametrize(
+    path: Sequence[Float[np.ndarray, "10"]], speed: float = 1.0
 ) -> Iterator[tuple[Float[np.ndarray, "10"], Float[np.ndarray, "10"]]]:
-    """Configurations and velocities, every time step: at rest at the ends and wherever the path bends.
+    """Yield configurations and velocities at every time step, at rest at the ends and wherever the path bends.
 
     Args:
         path: way-points.
-        slower: share of the speed that is allowed.
+        speed: share of the full speed.
     """
     run = [path[0]]
     for k in range(1, len(path)):
@@ -35,12 +35,12 @@ def paced(
             a, b = (path[k] - path[k - 1]) / _SPEEDS, (path[k + 1] - path[k]) / _SPEEDS
             if a @ b > _BEND * np.linalg.norm(a) * np.linalg.norm(b):
                 continue
-        yield from _stretch(np.array(run), slower)
+        yield from _stretch(np.array(run), speed)
         run = [path[k]]
 
 
 def _stretch(
-    points: Float[np.ndarray, "k 10"], slower: float
+    points: Float[np.ndarray, "k 10"], speed: float
 ) -> Iterator[tuple[Float[np.ndarray, "10"], Float[np.ndarray, "10"]]]:
     """One smooth motion through points that lie almost in line: quintic in time."""
     steps = np.abs(np.diff(points, axis=0))
@@ -49,8 +49,8 @@ def _stretch(
         return
     way = steps.sum(axis=0)
     seconds = max(
-        (_PEAK_SPEED * way / (slower * _SPEEDS)).max(),
-        np.sqrt(_PEAK_ACCELERATION * way / (slower * _ACCELERATIONS)).max(),
+        (_PEAK_SPEED * way / (speed * _SPEEDS)).max(),
+        np.sqrt(_PEAK_ACCELERATION * way / (speed * _ACCELERATIONS)).max(),
     )
     count = int(np.ceil(seconds / TIME_STEP))
     # A smooth curve through the points, so that velocities do not jump from edge to edge.

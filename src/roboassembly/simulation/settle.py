@@ -1,4 +1,4 @@
-"""Letting a body go: it falls, rocks and comes to rest on the ground."""
+"""Settling of a body: it falls, rocks and comes to rest on the ground."""
 
 from __future__ import annotations
 
@@ -12,26 +12,26 @@ from roboassembly.geometry.scene import Body, Scene
 from roboassembly.simulation.model import TIME_STEP, compile_scene
 
 MAX_SECONDS = 4.0
-"""Simulated time after which a body counts as settled in any case."""
+"""Simulated time after which a body counts as settled in any case [s]."""
 _STILL_SPEED = 0.01
-"""Metres a second of the farthest point, and below this ..."""
+"""Speed of the farthest point below which a body is still [m/s]."""
 _STILL_CHECKS = 3
-"""... at so many samples in a row, the body is at rest."""
+"""Number of successive still samples after which a body is at rest."""
 
 
 @dataclass(frozen=True, eq=False)
-class Settled:
-    """How a body came to rest."""
+class SettledMotion:
+    """Motion of a body that comes to rest."""
 
     poses: tuple[SE3, ...]
-    """`world_from_body` at every sample, the first as given, the last at rest."""
+    """Pose `world_from_body` at every sample, the first as given, the last at rest."""
     seconds: float
-    """Simulated time until rest."""
+    """Simulated time until rest [s]."""
     at_rest: bool
-    """False if it still moved after `MAX_SECONDS`."""
+    """Whether the body was at rest before `MAX_SECONDS`."""
 
 
-def settle(body: Body, interval: float) -> Settled:
+def settle(body: Body, interval: float) -> SettledMotion:
     """Drop `body` onto the ground, alone, and sample its pose every `interval` seconds of simulated time."""
     model = compile_scene(Scene((body,)))
     data = mujoco.MjData(model)
@@ -43,4 +43,4 @@ def settle(body: Body, interval: float) -> Settled:
         poses.append(from_quaternion(data.qpos[:3], data.qpos[3:7]))
         speed = float(np.linalg.norm(data.qvel[:3]) + radius * np.linalg.norm(data.qvel[3:6]))
         quiet = quiet + 1 if speed < _STILL_SPEED else 0
-    return Settled(tuple(poses), float(data.time), quiet >= _STILL_CHECKS)
+    return SettledMotion(tuple(poses), float(data.time), quiet >= _STILL_CHECKS)
