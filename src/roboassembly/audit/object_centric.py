@@ -109,7 +109,7 @@ def audit_plan(
 ) -> AuditReport:
     """Replay the plan and look for anything that could not happen.
 
-    Tested along paths, at the given resolution: moving parts against still parts and against the ground (z = 0). In each
+    Tested along paths, at the given resolution: moving parts against still parts and the ground (z = 0). In each
     step: still parts against each other. Before the first step and after each: all parts against each other and the
     ground. Parts start where they were left, and groups stay rigid (v's group may be set down elsewhere, as a whole).
     After the last step: the arrangement is the furniture, up to swapped equivalent parts and symmetries of their shape.

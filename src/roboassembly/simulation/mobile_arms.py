@@ -172,7 +172,7 @@ def _add_robot(spec: mujoco.MjSpec, name: str) -> None:
 
 def _couple(spec: mujoco.MjSpec, first: str, second: str) -> None:
     """Couple two joints so that they move equally, as the fingers of Franka's hand do."""
-    gear = spec.add_equality(name=f"{one} gear", name1=first, name2=second)
+    gear = spec.add_equality(name=f"{first} gear", name1=first, name2=second)
     gear.type = mujoco.mjtEq.mjEQ_JOINT
     gear.objtype = mujoco.mjtObj.mjOBJ_JOINT
     gear.data[:5] = [0.0, 1.0, 0.0, 0.0, 0.0]
