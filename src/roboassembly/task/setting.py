@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Literal, Protocol, TypeVar
+from typing import TYPE_CHECKING, ClassVar, Literal, Protocol, TypeVar
 
 import numpy as np
 from jaxtyping import Bool
 
 from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS, Furniture
-from roboassembly.planning.problem import Budget
 from roboassembly.task.rules.connections import Rules
 from roboassembly.task.rules.groups import TaskState
+
+if TYPE_CHECKING:
+    # Records of plans name their setting, and audits read records: they load nothing of the planner.
+    from roboassembly.planning.problem import Budget
 
 SettingName = Literal["object-centric", "full"]
 State = TypeVar("State")
