@@ -103,14 +103,14 @@ def write_loop(plan: AnyPlan, path: Path, *, width: int, height: int, fps: int, 
 
 def draw_film() -> None:
     """Draw the film of the README: two robots assemble a chair and set it upright."""
-    plan = set_upright(solve_full(catalogue.make("splat", 1), 2).plan)
+    plan = set_upright(solve_full(catalogue.make("splat", 1), 1).plan)
     write_loop(plan, IMAGES / "two_robots.webp", width=960, height=540, fps=10, seconds_per_step=3.5)
 
 
 def draw_two_robots() -> None:
     """Draw the steps of a stool that two robots assemble."""
     plan = set_upright(solve_full(catalogue.make("stool"), 0).plan)
-    write_storyboard(plan, IMAGES / "two_robots.png", columns=5, width=320, height=240)
+    write_storyboard(plan, IMAGES / "two_robots.png", columns=4, width=480, height=320)
 
 
 def draw_storyboard() -> None:
