@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from scipy.optimize import nnls
 from scipy.spatial.transform import Rotation
 
@@ -68,9 +68,7 @@ def _layings(furniture: Furniture, poses: Sequence[SE3]) -> Iterator[tuple[SE3, 
 
     In each, a part with the fewest equivalents is exactly in a slot; all its slots and symmetries are tried.
     """
-    slots: list[_Slots] = [
-        (np.array(furniture.classes[c].members), furniture.classes[c].symmetries) for c in furniture.class_of
-    ]
+    slots: list[_Slots] = [(furniture.classes[c].members, furniture.classes[c].symmetries) for c in furniture.class_of]
     anchor = min(range(len(poses)), key=lambda p: len(slots[p][0]) * len(slots[p][1]))
     for slot in slots[anchor][0]:
         for turn in slots[anchor][1]:
@@ -79,7 +77,7 @@ def _layings(furniture: Furniture, poses: Sequence[SE3]) -> Iterator[tuple[SE3, 
             yield furniture_from_world.inverse(), _astray(furniture, poses, furniture_from_world, slots)
 
 
-_Slots = tuple[Int[np.ndarray, "m"], Float[np.ndarray, "s 3 3"]]
+_Slots = tuple[tuple[int, ...], Float[np.ndarray, "s 3 3"]]
 
 
 def _astray(
@@ -95,7 +93,7 @@ def _astray(
             near = float(np.linalg.norm(here.translation - there.translation)) < 10 * SAME_POSITION
             left = there.rotation.T @ here.rotation
             if slot not in used and near and min(angle_of(t.T @ left) for t in slots[part][1]) < 10 * SAME_ANGLE:
-                used.add(int(slot))
+                used.add(slot)
                 break
         else:
             out.append(part)

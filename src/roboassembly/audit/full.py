@@ -162,7 +162,8 @@ class _RobotAudit:
 
     def _keep_apart(self, step: int, segment: str, state: CellState) -> None:
         """Find groups and posts that are in each other, except a group and its own post."""
-        furniture, things = self._plan.furniture, []
+        furniture = self._plan.furniture
+        things: list[tuple[int, str, Any]] = []
         groups = [*enumerate(s.group for s in state.placed), *((-1 - i, g) for i, g in enumerate(state.on_floor))]
         for owner, group in groups:
             for p, pose in zip(group.parts, group.part_poses(), strict=True):

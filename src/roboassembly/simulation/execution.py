@@ -26,11 +26,11 @@ _YIELDING = 0.1
 class PhysicsLog:
     """Measurements during an execution."""
 
-    tracking: list[float] = field(default_factory=list)
+    tracking: list[float] = field(default_factory=list[float])
     """Distance of the finger tips from their path at every sample [m]."""
     pad_force: float = 0.0
     """Largest normal force on a pad [N]."""
-    samples: list[Float[np.ndarray, "10"]] = field(default_factory=list)
+    samples: list[Float[np.ndarray, "10"]] = field(default_factory=list[Float[np.ndarray, "10"]])
     """Configuration of the moving robot at every sample."""
 
 

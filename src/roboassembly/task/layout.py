@@ -35,7 +35,7 @@ def free_spot(circle: Circle, occupied: Sequence[Circle], spacing: float = SPACI
     places = np.concatenate([circle.center[None], centers + outward * reach[:, None], _crossings(centers, reach)])
     clearance = np.linalg.norm(places[:, None] - centers[None], axis=2) - reach[None]
     places = places[(clearance > -1e-9).all(axis=1)]
-    return places[np.argmin(np.round(np.linalg.norm(places - circle.center, axis=1), 9))]
+    return places[np.argmin(np.linalg.norm(places - circle.center, axis=1).round(9))]
 
 
 def _crossings(centers: Float[np.ndarray, "n 2"], reach: Float[np.ndarray, "n"]) -> Float[np.ndarray, "k 2"]:

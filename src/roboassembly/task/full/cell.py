@@ -143,7 +143,7 @@ def initial_layout(furniture: Furniture, rng: np.random.Generator) -> tuple[Cell
         if best is None:
             raise InputError(f"{furniture.name}: no post can hold part '{part.name}' from below")
         hung.append((*best[1:], reach_from(furniture, *best[1:])))
-    order = rng.permutation(len(hung))
+    order: list[int] = rng.permutation(len(hung)).tolist()
     widths = np.array([hung[i][2] for i in order])
     chords = np.maximum(widths + np.roll(widths, -1) + LANE, BETWEEN_POSTS)
     radius = max(SMALLEST_RING, float(chords.sum()) / (2.0 * np.pi) * 1.05)
@@ -222,7 +222,10 @@ def open_grasps(furniture: Furniture, group: Group, post: Post) -> float:
 
 def _open_shares(furniture: Furniture, group: Group, tops: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n"]:
     """Return, for each post, the share of grasps whose hand does not touch the post and does not come from below."""
-    positions, closing, approach, widths = [], [], [], []
+    positions: list[Float[np.ndarray, "3"]] = []
+    closing: list[Float[np.ndarray, "3"]] = []
+    approach: list[Float[np.ndarray, "3"]] = []
+    widths: list[float] = []
     for part, pose in zip(group.parts, group.part_poses(), strict=True):
         for region in furniture.parts[part].grasps:
             for direction in region.approaches:

@@ -197,7 +197,8 @@ def _mating_poses(context: StepContext, grasp: MateGrasp, seed: np.random.SeedSe
         )
     )
     rng, poses = np.random.default_rng(seed), list[tuple[Retract, SE3]]()
-    for index in np.argsort(far, kind="stable")[:_POSES]:
+    order: list[int] = np.argsort(far, kind="stable").tolist()
+    for index in order[:_POSES]:
         retract, pose = candidates[index]
         spot = 0.3 * context.cell.radius * rng.uniform(-1.0, 1.0, 2)
         drawn = SE3(turn_about_vertical(rng.uniform(-np.pi, np.pi)), np.array([*spot, 0.0]))

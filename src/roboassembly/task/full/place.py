@@ -172,7 +172,7 @@ def _posts_for(
     furniture, rng = context.furniture, np.random.default_rng(seed)
     occupied = [group_footprint(furniture, placed.group) for placed in state.placed]
     near = state.robots[1].at[:2]
-    order = np.argsort([np.linalg.norm(spot - near) for spot in spots])
+    order: list[int] = np.argsort([float(np.linalg.norm(spot - near)) for spot in spots]).tolist()
     places = [spots[i] * factor for factor in _OUTWARD for i in order]
     for round_ in range(_ROUNDS):
         ranked: list[tuple[float, Group, Post]] = []

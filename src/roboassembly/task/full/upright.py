@@ -64,7 +64,7 @@ def plan_upright(plan: FullPlan) -> UprightResult[FullUprightMotion]:
         return result(NOT_ASSEMBLED if stance is None else stance.reason, None, 0)
     attempts, tally, reason = 0, Tally(), "no hand reaches it both on its post and on the floor"
     for index, (grip, robot) in enumerate(_grips(context, state, group, stance)):
-        if attempts == _ATTEMPTS or tally.states > _STATES:
+        if attempts >= _ATTEMPTS or tally.states > _STATES:
             break
         request, drawn = PickRequest(group, grip), child_seed(seed, index)
         if not can_pick(context, state, robot, request, child_seed(drawn, 0), tally):

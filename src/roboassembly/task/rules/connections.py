@@ -87,7 +87,8 @@ class Rules:
         slot_of = dict(zip(merged.parts, merged.slots, strict=True))
         u_slots = {slot_of[p] for p in u_group.parts}
         v_slots = {slot_of[p] for p in v_group.parts}
-        normals, axes = [], [*UP_AXES]
+        normals: list[Float[np.ndarray, "3"]] = []
+        axes: list[Float[np.ndarray, "3"]] = [*UP_AXES]
         for slot in sorted(v_slots):
             for k, point in enumerate(self.furniture.parts[slot].points):
                 other = self.furniture.mate_of.get((slot, k))
@@ -103,5 +104,5 @@ class Rules:
         candidates = np.concatenate([along, np.array(axes)])
         against = (candidates @ along.T).min(axis=1)
         rising = (candidates @ turn.T)[:, 2]
-        order = np.argsort(-np.round(against + 0.3 * rising, 3), kind="stable")
+        order = np.argsort(-(against + 0.3 * rising).round(3), kind="stable")
         return [candidates[i] for i in order if against[i] > _AGAINST]

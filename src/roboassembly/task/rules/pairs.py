@@ -44,17 +44,19 @@ class PairRule:
 
     def __init__(self, furniture: Furniture) -> None:
         self._furniture = furniture
-        self._class_of = np.array(furniture.class_of)
-        self._slot_rotations = np.array([slot.rotation for slot in furniture.assembled])
-        self._slot_positions = np.array([slot.translation for slot in furniture.assembled])
-        self._turns = [c.symmetries for c in furniture.classes]
-        self._members = [np.array(c.members) for c in furniture.classes]
+        self._class_of: Int[np.ndarray, "n"] = np.array(furniture.class_of)
+        self._slot_rotations: Float[np.ndarray, "n 3 3"] = np.array([slot.rotation for slot in furniture.assembled])
+        self._slot_positions: Float[np.ndarray, "n 3"] = np.array([slot.translation for slot in furniture.assembled])
+        self._turns: list[Float[np.ndarray, "s 3 3"]] = [c.symmetries for c in furniture.classes]
+        self._members: list[Int[np.ndarray, "m"]] = [np.array(c.members) for c in furniture.classes]
         # All rotations of a part of a class in all slots of the class, and the slot of each.
-        self._rotations = [
+        self._rotations: list[Float[np.ndarray, "r 3 3"]] = [
             (self._slot_rotations[m][:, None] @ t[None]).reshape(-1, 3, 3)
             for m, t in zip(self._members, self._turns, strict=True)
         ]
-        self._slots = [np.repeat(m, len(t)) for m, t in zip(self._members, self._turns, strict=True)]
+        self._slots: list[Int[np.ndarray, "r"]] = [
+            np.repeat(m, len(t)) for m, t in zip(self._members, self._turns, strict=True)
+        ]
         self._places: dict[tuple[object, ...], list[tuple[tuple[int, ...], tuple[SE3, ...]]]] = {}
 
     def judge(self, u_group: Group, v_group: Group, u: int, k: int, v: int, l: int) -> Merge | None:  # noqa: E741
@@ -69,7 +71,7 @@ class PairRule:
         if fit is None:
             return None
         slots, placed = fit
-        order = np.argsort(members)
+        order: list[int] = np.argsort(members).tolist()
         merged = Group(
             tuple(members[i] for i in order),
             tuple(int(slots[i]) for i in order),
@@ -132,10 +134,10 @@ class PairRule:
             used = {slot for g in described for slot in g.slots}
             homeless = [g for g in loose if g.parts[0] in used]
             used.update(g.parts[0] for g in loose if g not in homeless)
-            moved = {}
+            moved: dict[Group, Group] = {}
             for group in homeless:
                 part = group.parts[0]
-                slot = next(int(m) for m in self._members[self._class_of[part]] if m not in used)
+                slot = next(m for m in self._furniture.classes[self._furniture.class_of[part]].members if m not in used)
                 used.add(slot)
                 pose = self._furniture.assembled[slot]
                 moved[group] = Group((part,), (slot,), (pose,), group.part_poses()[0] * pose.inverse())
@@ -166,7 +168,7 @@ class PairRule:
             poses: pose of each part.
             joined: ranges of `members` that are rigidly joined.
         """
-        classes = self._class_of[list(members)]
+        classes = [self._furniture.class_of[member] for member in members]
         choices = [len(self._slots[c]) for c in classes]
         anchor = int(np.argmin(choices))
         positions = np.array([p.translation for p in poses])
@@ -174,13 +176,13 @@ class PairRule:
         motions = self._rotations[classes[anchor]] @ rotations[anchor].T
         shifts = self._slot_positions[self._slots[classes[anchor]]] - motions @ positions[anchor]
         placed = np.einsum("cij,pj->cpi", motions, positions) + shifts[:, None]
-        alike = classes[:, None] == self._class_of[None]
+        alike = np.array(classes)[:, None] == self._class_of[None]
         distance = np.linalg.norm(placed[:, :, None] - self._slot_positions[None, None], axis=3)
         fits = (distance < POSITION_TOLERANCE) & alike[None]
         hopeful = np.flatnonzero(fits.any(axis=2).all(axis=1))
         turned = np.trace(motions[hopeful], axis1=1, axis2=2)
         moved = np.linalg.norm(shifts[hopeful], axis=1)
-        for candidate in hopeful[np.lexsort((np.round(moved, 6), -np.round(turned, 6)))]:
+        for candidate in hopeful[np.lexsort((moved.round(6), -turned.round(6)))].tolist():
             slots = np.argmax(fits[candidate], axis=1)
             if len(set(slots.tolist())) < len(slots):
                 continue
@@ -189,11 +191,11 @@ class PairRule:
                 yield slots, exact
 
     def _in_slots(
-        self, classes: Int[np.ndarray, "m"], slots: Int[np.ndarray, "m"], rotations: Float[np.ndarray, "m 3 3"]
+        self, classes: Sequence[int], slots: Int[np.ndarray, "m"], rotations: Float[np.ndarray, "m 3 3"]
     ) -> list[SE3] | None:
         """Return each part exactly in its slot, turned by the symmetry nearest to its rotation; None if none fits."""
-        out = []
-        for c, slot, rotation in zip(classes, slots, rotations, strict=True):
+        out: list[SE3] = []
+        for c, slot, rotation in zip(classes, slots.tolist(), rotations, strict=True):
             candidates = self._slot_rotations[slot] @ self._turns[c]
             closeness = np.einsum("wij,ij->w", candidates, rotation)
             best = int(np.argmax(closeness))
