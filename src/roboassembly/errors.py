@@ -1,4 +1,4 @@
-"""The exceptions users meet. Each message is one line: what is wrong, where, and what would do."""
+"""Exceptions of this package. Each message is one line: what is wrong, where, and what is valid."""
 
 from __future__ import annotations
 
@@ -8,35 +8,35 @@ from pathlib import Path
 
 
 class RoboAssemblyError(Exception):
-    """Base of every error that this package raises on purpose."""
+    """Base class of the errors of this package."""
 
     def __reduce__(self) -> tuple[object, ...]:
-        # Worker processes hand errors over pickled, and would call `__init__` with the message alone.
-        return _again, (type(self), *self.args)
+        # Unpickling, as after an error in a worker process, would call `__init__` with the message alone.
+        return _restore, (type(self), *self.args)
 
 
-def _again(kind: type[RoboAssemblyError], *args: object) -> RoboAssemblyError:
+def _restore(kind: type[RoboAssemblyError], *args: object) -> RoboAssemblyError:
     return kind.__new__(kind, *args)
 
 
 class InputError(RoboAssemblyError):
-    """Something handed in cannot be used; the command line answers with exit status 2."""
+    """Input is not valid; the command line exits with status 2."""
 
 
 class ArgumentError(InputError, ValueError):
-    """An argument of a class or function has a value that it cannot have."""
+    """An argument of a class or function has an invalid value."""
 
 
 class FurnitureError(InputError):
-    """Furniture, or a file that should hold some, breaks a rule of the format or of geometry."""
+    """Furniture, or a file of furniture, violates the format or a geometric rule."""
 
 
 class PolicyError(InputError):
-    """What a policy answers is no answer: not an action, or not a value for each."""
+    """A policy returns no valid action, or no valid values of actions."""
 
 
 class UnknownNameError(InputError):
-    """A name that is not registered; the message offers near misses, or everything there is."""
+    """A name is unknown; the message lists similar names, or all names."""
 
     def __init__(self, kind: str, name: str, known: Iterable[str]) -> None:
         names = sorted(known)
@@ -46,14 +46,14 @@ class UnknownNameError(InputError):
 
 
 class MissingExtraError(RoboAssemblyError):
-    """An optional dependency is needed and not installed."""
+    """An optional dependency is not installed."""
 
     def __init__(self, package: str, extra: str) -> None:
         super().__init__(f"'{package}' is not installed; run in the source folder: python -m pip install '.[{extra}]'")
 
 
 class MissingRobotError(RoboAssemblyError):
-    """The wheel with the robot's shapes is not installed, or not whole."""
+    """The package with the meshes of the robot is not installed, or not complete."""
 
     def __init__(self, wheel: str, folder: Path | None = None) -> None:
         lacks = f"has no urdf/panda.urdf in {folder}" if folder else "is not installed"

@@ -11,7 +11,7 @@ _Z = 1.959963984540054
 
 
 def success(outcomes: Sequence[bool]) -> dict[str, Any]:
-    """Count outcomes: `n`, `success_rate` and its 95 % Wilson interval `ci95`; both are None where n is 0."""
+    """Return `n`, `success_rate` and its 95 % Wilson interval `ci95` of outcomes; both are None if `n` is 0."""
     n, solved = len(outcomes), sum(outcomes)
     if not n:
         return {"n": 0, "success_rate": None, "ci95": None}
@@ -20,7 +20,7 @@ def success(outcomes: Sequence[bool]) -> dict[str, Any]:
 
 
 def wilson(solved: int, n: int) -> tuple[float, float]:
-    """95 % confidence interval of `solved` successes in `n` > 0 trials (Wilson 1927, the score interval)."""
+    """Return the 95 % confidence interval of `solved` successes in `n` > 0 trials (Wilson 1927, the score interval)."""
     p, weight = solved / n, _Z**2 / n
     middle, half = p + weight / 2.0, _Z * math.sqrt(p * (1.0 - p) / n + weight / (4.0 * n))
     return max(0.0, (middle - half) / (1.0 + weight)), min(1.0, (middle + half) / (1.0 + weight))

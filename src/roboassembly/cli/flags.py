@@ -34,8 +34,8 @@ def command_registry() -> ConstructorRegistry:
 
 def _command(info: StructTypeInfo) -> StructConstructorSpec | None:
     """Return the flags of a command with their help texts; None for another type."""
-    kind = info.type
-    if not (dataclasses.is_dataclass(kind) and isinstance(kind, type) and kind.__module__.startswith(PACKAGE)):
+    kind: Any = info.type
+    if not (isinstance(kind, type) and dataclasses.is_dataclass(kind) and kind.__module__.startswith(PACKAGE)):
         return None
     hints = get_type_hints(kind, include_extras=True)
     return StructConstructorSpec(kind, tuple(_field(f, hints[f.name], kind) for f in dataclasses.fields(kind)))
@@ -75,4 +75,6 @@ def _texts(kind: type) -> dict[str, str]:
             match statement, below:
                 case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(text))):
                     out[name] = " ".join(text.split())
+                case _:
+                    pass
     return out

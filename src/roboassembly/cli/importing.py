@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
@@ -296,7 +296,7 @@ def _import(piece: ImportJob) -> Summary:
         return Summary(error=str(refusal), refused_at=str(piece.source))
     unit = raw.unit or units.of_format(raw.provenance.scale, piece.scale)
     x, y, z = (round(side, 4) for side in raw.size)
-    reading = {"unit": unit, "size_m": (x, y, z), "remarks": raw.remarks}
+    reading: dict[str, Any] = {"unit": unit, "size_m": (x, y, z), "remarks": raw.remarks}
     try:
         imported = finish(piece.name, raw, allow_shortening=piece.allow_shortening)
     except FurnitureError as refusal:

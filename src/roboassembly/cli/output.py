@@ -12,7 +12,7 @@ import threading
 import traceback
 import unicodedata
 import warnings
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Generator, Iterable, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
@@ -65,7 +65,7 @@ def _print(lines: Iterable[object], stream: TextIO) -> None:
 
 
 @contextmanager
-def allow_closed_stdout() -> Iterator[None]:
+def allow_closed_stdout() -> Generator[None]:
     """Exit quietly if the reader of stdout has exited, as in `roboassembly ... | head -1`."""
     try:
         yield

@@ -1,7 +1,7 @@
-"""Data sets: named lists of furniture with splits, each entry reproducible from its family and seed.
+"""Data sets: named lists of furniture with splits, reproducible from the family and the seed of each piece.
 
-A manifest is a JSON file in the user's cache folder (`$ROBOASSEMBLY_CACHE`, else the system's place for caches). The
-furniture itself is generated when it is asked for, and checked against the manifest's hash.
+The manifest of a set is a JSON file in the cache folder (`$ROBOASSEMBLY_CACHE`, or the default of the system). The
+furniture is generated when it is used, and checked against the hash in the manifest.
 """
 
 from __future__ import annotations
@@ -23,36 +23,36 @@ from roboassembly.furniture.model import Furniture
 VERSION = 5
 EASY, HARD, TEST = "easy", "hard", "test"
 SPLITS = {"train": (EASY, HARD), EASY: (EASY,), HARD: (HARD,), TEST: (TEST,), "all": (EASY, HARD, TEST)}
-"""What may follow a set's name after a colon."""
+"""Names of splits, and the parts of a set that they include."""
 
 
 class Entry(msgspec.Struct, frozen=True):
-    """One piece of a data set."""
+    """Piece of a data set."""
 
     family: str
     seed: int
     split: str
     """`easy`, `hard` or `test`."""
     unseen: bool
-    """Of a family that does not occur in training."""
+    """Whether training has no piece of this family."""
     parts: int
     difficulty: float
-    """Share of random orders of right merges, each with its best `w`, that fail."""
+    """Share of random orders of correct merges, each with its best `w`, that fail."""
     dead_end: bool
-    """Some random order of feasible right merges ended where no right merge is feasible any more."""
+    """Whether a random order of feasible correct merges ended in a state without a feasible correct merge."""
     planning_steps: int
-    """What search spent to certify it."""
+    """Planning steps of the search that certified the piece as solvable."""
     hash: str
-    """Of the parts' meshes and slots."""
+    """Hash of the parts' meshes and slots."""
 
     @property
     def name(self) -> str:
-        """As `roboassembly assemble` takes it."""
+        """Name of the piece for `roboassembly assemble`."""
         return f"{self.family}:{self.seed}"
 
 
 class Manifest(msgspec.Struct, frozen=True):
-    """A data set."""
+    """Contents of a data set."""
 
     name: str
     version: int
@@ -62,16 +62,16 @@ class Manifest(msgspec.Struct, frozen=True):
 
 @dataclass(frozen=True)
 class Recipe:
-    """How a data set is made."""
+    """Recipe of a data set."""
 
     name: str
     description: str
     train: int
-    """Pieces in training, the easier half `easy`, the other `hard`."""
+    """Number of training pieces; the easier half is `easy`, the other half `hard`."""
     test_seen: int
-    """Test pieces of training families."""
+    """Number of test pieces of families that occur in training."""
     test_unseen: int
-    """Test pieces of families that training never shows."""
+    """Number of test pieces of the other families."""
     unseen_families: tuple[str, ...]
 
 
@@ -95,10 +95,10 @@ RECIPES = {
 
 
 def manifest_path(name: str) -> Path:
-    """Where the manifest of a named set is, or would be.
+    """Return the path of a set's manifest, which exists if the set is built.
 
     Raises:
-        UnknownNameError: no such set.
+        UnknownNameError: the set does not exist.
     """
     if name not in RECIPES:
         raise UnknownNameError("data set", name, RECIPES)
@@ -109,8 +109,8 @@ def load_manifest(name: str) -> Manifest:
     """Read a built set's manifest.
 
     Raises:
-        UnknownNameError: no such set.
-        InputError: it is not built yet, of another version, or broken.
+        UnknownNameError: the set does not exist.
+        InputError: the set is not built, has another version, or is broken.
     """
     path = manifest_path(name)
     if not path.is_file():
@@ -128,11 +128,11 @@ def make_entry(entry: Entry, *, with_grasps: bool = True) -> Furniture:
     """Generate an entry's furniture.
 
     Args:
-        entry: of a data set.
-        with_grasps: as of `annotate`.
+        entry: entry of a data set.
+        with_grasps: see `annotate`.
 
     Raises:
-        InputError: it does not come out as when the set was built.
+        InputError: the furniture differs from the one of the data set.
     """
     furniture = catalogue.make(entry.family, entry.seed, with_grasps=with_grasps)
     if furniture_hash(furniture) != entry.hash:
@@ -141,7 +141,7 @@ def make_entry(entry: Entry, *, with_grasps: bool = True) -> Furniture:
 
 
 def furniture_hash(furniture: Furniture) -> str:
-    """Hash of what the parts are and where they go, slots to a hundredth of a millimetre."""
+    """Return a hash of the parts and their slots, which are rounded to 0.01 mm."""
     digest = hashlib.sha256()
     for part, slot in zip(furniture.parts, furniture.assembled, strict=True):
         digest.update(part.name.encode())
@@ -152,15 +152,15 @@ def furniture_hash(furniture: Furniture) -> str:
 
 @dataclass(frozen=True)
 class FurnitureRef:
-    """Furniture of a set that is made when asked for, so that workers can make their own."""
+    """Reference to a piece of a set; each worker process makes or loads the furniture itself."""
 
     name: str
-    """For reports."""
+    """Name of the piece in reports."""
     entry: Entry | None
     folder: Path | None
 
     def furniture(self, *, with_grasps: bool = True) -> Furniture:
-        """Make it, if need be without grasps, or load it."""
+        """Generate or load the furniture; generated furniture has grasps only if `with_grasps`."""
         if self.entry is not None:
             return make_entry(self.entry, with_grasps=with_grasps)
         assert self.folder is not None
@@ -168,7 +168,7 @@ class FurnitureRef:
 
     @property
     def hash(self) -> str:
-        """Of what it is made of: as the manifest has it, or of the files of its folder."""
+        """Hash from the manifest, or of the files of the folder."""
         if self.entry is not None:
             return self.entry.hash
         assert self.folder is not None
@@ -176,11 +176,11 @@ class FurnitureRef:
 
 
 def furniture_refs(spec: str) -> list[FurnitureRef]:
-    """The pieces of `NAME`, `NAME:SPLIT` or `folder:PATH`.
+    """Return references to the pieces of `NAME`, `NAME:SPLIT` or `folder:PATH`.
 
     Raises:
-        UnknownNameError: no such set or split.
-        InputError: the set is not built, or the folder holds no furniture.
+        UnknownNameError: the set or the split does not exist.
+        InputError: the set is not built, or the folder contains no furniture.
     """
     name, _, rest = spec.partition(":")
     if name == "folder":
@@ -199,17 +199,17 @@ def furniture_refs(spec: str) -> list[FurnitureRef]:
     return [FurnitureRef(e.name, e, None) for e in load_manifest(name).entries if e.split in SPLITS[split]]
 
 
-def sample_refs(picks: Sequence[FurnitureRef], count: int | None, seed: int) -> list[FurnitureRef]:
-    """So many of them, drawn by the seed, in the order drawn; all if there are fewer; all as they are if None."""
+def sample_refs(refs: Sequence[FurnitureRef], count: int | None, seed: int) -> list[FurnitureRef]:
+    """Return `count` random references in random order, or all if there are fewer; None keeps all in order."""
     if count is None:
-        return list(picks)
-    order = np.random.default_rng(seed).permutation(len(picks))
-    return [picks[i] for i in order[:count]]
+        return list(refs)
+    order = np.random.default_rng(seed).permutation(len(refs))
+    return [refs[i] for i in order[:count]]
 
 
-def set_hash(picks: Sequence[FurnitureRef]) -> str:
-    """A short digest of the furniture of a set."""
+def set_hash(refs: Sequence[FurnitureRef]) -> str:
+    """Return a short hash of the furniture of a set."""
     digest = hashlib.sha256()
-    for p in picks:
-        digest.update(f"{p.name} {p.hash}\n".encode())
+    for ref in refs:
+        digest.update(f"{ref.name} {ref.hash}\n".encode())
     return digest.hexdigest()[:16]

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from types import TracebackType
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -202,7 +203,7 @@ class OffscreenRenderer:
             )
         return spec.compile()
 
-    def _add_mesh(self, spec, name: str, mesh: Mesh) -> None:
+    def _add_mesh(self, spec: Any, name: str, mesh: Mesh) -> None:
         shaded = shade(mesh)
         faces = shaded.faces
         normals = shaded.normals

@@ -67,4 +67,5 @@ def _surfaces(faces: Int[np.ndarray, "f 3"], unit: Float[np.ndarray, "f 3"], cre
     flat = np.einsum("ij,ij->i", unit[a], unit[b]) > np.cos(crease)
     a, b = a[flat], b[flat]
     graph = coo_array((np.ones(len(a)), (a, b)), shape=(len(faces), len(faces)))
-    return connected_components(graph, directed=False)[1]
+    labels: Int[np.ndarray, "f"] = connected_components(graph, directed=False)[1]
+    return labels

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from viser import ClientHandle, SceneClickEvent
 
@@ -41,7 +43,7 @@ class AssemblyEditor:
         session, panel, view = self.session, self._panel, self.view
         with self._client.atomic():
             panel.time.max = max(1, view.last)
-            panel.time.visible = panel.play.visible = view.last > 0
+            panel.time.visible = panel.play_button.visible = view.last > 0
             panel.time.value = view.index
             self.update_form()
             view.refresh()
@@ -70,7 +72,7 @@ class AssemblyEditor:
             if self._form.pick(part, point):
                 self.view.choose(self._form.points)
 
-    def suggest(self, guide: Guide) -> str:
+    def suggest(self, guide: Guide[Any]) -> str:
         """Fill in the action that a policy prefers; returns a message."""
         action = self.session.suggestion(guide)
         if action is None:

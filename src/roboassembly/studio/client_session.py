@@ -7,6 +7,7 @@ import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from viser import ClientHandle, SceneClickEvent, UploadedFile
 
@@ -125,12 +126,12 @@ class ClientSession:
         """Carry out requests in turn, and advance the playback between them."""
         while True:
             due = time.monotonic() + 1.0 / FRAMES_PER_SECOND
-            playing = self.editor if self.editor is not None and self.editor.view.is_playing else None
+            moving = self.editor if self.editor is not None and self.editor.view.is_playing else None
             try:
-                request = self.requests.next(timeout=None if playing is None else 1.0 / FRAMES_PER_SECOND)
+                request = self.requests.next(timeout=None if moving is None else 1.0 / FRAMES_PER_SECOND)
             except queue.Empty:
-                if playing is not None:
-                    playing.advance(max(0.0, time.monotonic() - due))
+                if moving is not None:
+                    moving.advance(max(0.0, time.monotonic() - due))
                 continue
             if self._closed:
                 return
@@ -247,7 +248,7 @@ class ClientSession:
 
     # Running
 
-    def _guide(self) -> Guide:
+    def _guide(self) -> Guide[Any]:
         return guide_of(self._policy(self.panel.policy.value))
 
     def _policy(self, name: str) -> Policy:
@@ -311,7 +312,7 @@ class ClientSession:
 
         return watch
 
-    def _run_policy(self, guide: Guide, watch: Watch) -> str:
+    def _run_policy(self, guide: Guide[Any], watch: Watch) -> str:
         """Carry out the policy's preferred action until the piece is complete; returns the reason of an early end."""
         session, states = self._open_session, self._open_session.planning_steps
         for k in range(len(session.furniture.parts)):

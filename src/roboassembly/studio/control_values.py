@@ -35,7 +35,8 @@ def check_value(control: Any, value: bool | int | float | str) -> None:
         case GuiCheckboxHandle():
             allowed = isinstance(value, bool)
         case GuiDropdownHandle():
-            allowed = isinstance(value, str) and value in control.options
+            options: tuple[str, ...] = control.options
+            allowed = isinstance(value, str) and value in options
             if not allowed:
                 raise RefusedError(f"{named} does not offer {_shortened(value)}.")
         case GuiSliderHandle() | GuiNumberHandle():

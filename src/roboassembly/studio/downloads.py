@@ -6,9 +6,9 @@ import tempfile
 from pathlib import Path
 
 from viser import ClientHandle
-from viser._messages import FileTransferPart
 
 from roboassembly.errors import InputError
+from roboassembly.studio.viser_internals import unsent_file_bytes
 from roboassembly.task.plans import plan_file
 from roboassembly.viewer.html import write_html
 from roboassembly.viewer.playback import AnyPlan
@@ -23,10 +23,7 @@ def send_plan(client: ClientHandle, plan: AnyPlan, name: str) -> None:
     Raises:
         InputError: the client has not received its earlier files yet.
     """
-    buffer = client._websock_connection.get_message_buffer()  # pyright: ignore[reportPrivateUsage]
-    with buffer.buffer_lock:
-        unsent = sum(len(m.content) for m in buffer.message_from_id.values() if isinstance(m, FileTransferPart))
-    if unsent > MOST_UNSENT:
+    if unsent_file_bytes(client) > MOST_UNSENT:
         raise InputError("the last files are still being sent; wait until they have arrived")
     if name == "plan.json":
         content = plan_file.encode(plan)

@@ -16,14 +16,22 @@ from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal
 
 import msgspec
-import viser
 from msgspec import Meta, Struct
 from viser import ClientHandle, GuiUploadButtonHandle, ViserServer
-from viser._messages import GuiUpdateMessage
 from websockets.asyncio.server import ServerConnection
 
 from roboassembly.studio.config import LARGEST_UPLOAD
 from roboassembly.studio.control_values import RefusedError, check_text, check_value
+from roboassembly.studio.viser_internals import (
+    check_viser,
+    connected_client,
+    control_of,
+    controls_of,
+    is_removed,
+    live_connections,
+    resend_value,
+    uploads_in_progress,
+)
 
 MOST_CONNECTIONS = 128
 """Largest number of open connections, in any state."""
@@ -93,7 +101,8 @@ class _Part(_Message, tag="FileTransferPart"):
     content: bytes
 
 
-_DECODER = msgspec.msgpack.Decoder(_Camera | _Click | _Update | _Start | _Part)
+_AnyMessage = _Camera | _Click | _Update | _Start | _Part
+_DECODER = msgspec.msgpack.Decoder(_AnyMessage)
 
 
 @dataclass
@@ -105,7 +114,7 @@ class _Upload:
     """Size of the file that the client announced [bytes]."""
     parts: int
     """Number of chunks that the client announced."""
-    indices: set[int] = field(default_factory=set)
+    indices: set[int] = field(default_factory=set[int])
     """Indices of the received chunks."""
     received: int = 0
     """Size of the received chunks [bytes]."""
@@ -123,15 +132,7 @@ class Clients:
         Raises:
             RuntimeError: this version of viser stores its clients in another way.
         """
-        places = (
-            (server._websock_server, "_live_connections"), (server, "_connected_clients"),
-            (server.gui, "_gui_input_handle_from_uuid"), (server.gui, "_current_file_upload_states"),
-        )  # fmt: skip
-        for owner, name in places:
-            if not isinstance(getattr(owner, name, None), dict):
-                raise RuntimeError(
-                    f"viser {viser.__version__} has no {name}, which the check of messages needs; install viser 1.1"
-                )
+        check_viser(server)
         self._server = server
 
     def of(self, connection: StudioConnection) -> ClientHandle | None:
@@ -139,18 +140,18 @@ class Clients:
         if self._server is None:
             return None
         number = next((n for n, c in self._connections() if c is connection), None)
-        return None if number is None else self._server._connected_clients.get(number)
+        return None if number is None else connected_client(self._server, number)
 
     def uploaded(self) -> int:
         """Return the size of all uploads that are being sent or not read yet [bytes]."""
         if self._server is None:
             return 0
         incoming = sum(c.uploading for _, c in self._connections() if isinstance(c, StudioConnection))
-        controls = (c for client in self._server.get_clients().values() for c in _controls(client).values())
+        controls = (c for client in self._server.get_clients().values() for c in controls_of(client).values())
         return incoming + sum(len(c.value.content) for c in controls if isinstance(c, GuiUploadButtonHandle))
 
     def _connections(self) -> list[tuple[int, ServerConnection]]:
-        return [] if self._server is None else list(self._server._websock_server._live_connections.items())
+        return [] if self._server is None else live_connections(self._server)
 
 
 class StudioConnection(ServerConnection):
@@ -206,7 +207,7 @@ class StudioConnection(ServerConnection):
         if self._due > now:
             await asyncio.sleep(self._due - now)
 
-    def _check(self, message: _Message, client: ClientHandle | None) -> None:
+    def _check(self, message: _AnyMessage, client: ClientHandle | None) -> None:
         match message:
             case _Camera():
                 _check_camera(message)
@@ -217,7 +218,7 @@ class StudioConnection(ServerConnection):
                 try:
                     check_value(control, message.updates.value)
                 except RefusedError:
-                    _resend(control)
+                    resend_value(control)
                     raise
             case _Start():
                 self._begin_upload(message, client)
@@ -259,7 +260,7 @@ class StudioConnection(ServerConnection):
     def _drop_upload(self, client: ClientHandle | None) -> None:
         self._upload = None
         if client is not None:
-            client.gui._current_file_upload_states.clear()
+            uploads_in_progress(client).clear()
 
     def _notify(self, client: ClientHandle | None, text: str) -> None:
         now = time.monotonic()
@@ -268,7 +269,7 @@ class StudioConnection(ServerConnection):
             client.add_notification("Refused", text, color="red", auto_close_seconds=10.0)
 
 
-def _decoded(raw: object) -> _Message:
+def _decoded(raw: object) -> _AnyMessage:
     if not isinstance(raw, bytes):
         raise RefusedError
     try:
@@ -300,21 +301,9 @@ def _all_finite(numbers: Iterable[float]) -> bool:
     return all(math.isfinite(x) and abs(x) <= _FARTHEST for x in numbers)
 
 
-def _controls(client: ClientHandle) -> dict[str, Any]:
-    """Return a copy of the controls; another thread may be adding some."""
-    return dict(client.gui._gui_input_handle_from_uuid)
-
-
 def _control(client: ClientHandle | None, uuid: str) -> Any:
     """Return a control of this client that its user can use now."""
-    control = None if client is None else client.gui._gui_input_handle_from_uuid.get(uuid)
-    if control is None or control._impl.removed or not control.visible or getattr(control, "disabled", False):
+    control = None if client is None else control_of(client, uuid)
+    if control is None or is_removed(control) or not control.visible or getattr(control, "disabled", False):
         raise RefusedError
     return control
-
-
-def _resend(control: Any) -> None:
-    """Send the current value of a control to its client."""
-    if not control._impl.is_button and isinstance(control.value, bool | int | float | str):
-        update = GuiUpdateMessage(control._impl.uuid, {"value": control.value})
-        control._impl.gui_api._websock_interface.queue_message(update)

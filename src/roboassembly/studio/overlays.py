@@ -31,7 +31,7 @@ _FINGER, _APPROACH = 0.03, 0.06
 """Lengths of the lines for a finger and for the approach of a hand [m]."""
 _AXES = np.array([[220, 60, 50], [60, 160, 70], [50, 100, 210]], np.uint8)
 _GRASP = np.array([150, 60, 160], np.uint8)
-_SPHERE = trimesh.creation.icosphere(subdivisions=2, radius=1.0)
+_SPHERE: trimesh.Trimesh = trimesh.creation.icosphere(subdivisions=2, radius=1.0)
 
 
 @dataclass(eq=False)
@@ -51,10 +51,10 @@ class Overlays:
     """Centre of each ball in its part's frame [m]."""
     radii: Float[np.ndarray, "parts 10"] = field(init=False)
     """Radius of each ball [m]; 0 if it is hidden."""
-    _balls: list[BatchedMeshHandle] = field(default_factory=list, init=False)
-    _pins: list[LineSegmentsHandle] = field(default_factory=list, init=False)
-    _frames: list[LineSegmentsHandle] = field(default_factory=list, init=False)
-    _grasps: list[LineSegmentsHandle] = field(default_factory=list, init=False)
+    _balls: list[BatchedMeshHandle] = field(default_factory=list[BatchedMeshHandle], init=False)
+    _pins: list[LineSegmentsHandle] = field(default_factory=list[LineSegmentsHandle], init=False)
+    _frames: list[LineSegmentsHandle] = field(default_factory=list[LineSegmentsHandle], init=False)
+    _grasps: list[LineSegmentsHandle] = field(default_factory=list[LineSegmentsHandle], init=False)
     _shown: tuple[Bool[np.ndarray, "20 10"], ChosenPoints] | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:

@@ -11,6 +11,7 @@ from viser import GuiApi, GuiDropdownHandle, GuiTextHandle, Icon, UploadedFile
 
 from roboassembly.studio.scene_view import COLORS, ViewOptions
 from roboassembly.studio.sources import BUILT_IN
+from roboassembly.studio.viser_internals import forget_upload
 
 NONE = "—"
 """Value of a dropdown without a choice."""
@@ -76,7 +77,7 @@ class Panel:
         self.time = gui.add_slider(
             "Time", 0, 1, 1, 0, hint="Drag to see earlier steps. Joining always continues at the end."
         )
-        self.play = gui.add_button("Play", icon=Icon.PLAYER_PLAY)
+        self.play_button = gui.add_button("Play", icon=Icon.PLAYER_PLAY)
         tabs = gui.add_tab_group()
         with tabs.add_tab("Join"):
             self._add_joining(callbacks)
@@ -87,7 +88,7 @@ class Panel:
         with tabs.add_tab("Show"):
             self._add_view_options(callbacks)
         self.cancel.on_click(lambda _: callbacks.cancel())
-        self.play.on_click(lambda _: callbacks.toggle_playback())
+        self.play_button.on_click(lambda _: callbacks.toggle_playback())
         _on_user_change(self.time, callbacks.scrub)
 
     def _add_joining(self, callbacks: PanelCallbacks) -> None:
@@ -171,7 +172,7 @@ class Panel:
 
     def forget_upload(self) -> None:
         """Release the memory of the uploaded file."""
-        self.upload._impl.value = UploadedFile("", b"")
+        forget_upload(self.upload)
 
     @property
     def view_options(self) -> ViewOptions:

@@ -7,7 +7,7 @@ import logging
 import socket
 import threading
 import warnings
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING
 
@@ -27,7 +27,7 @@ MOST_CLIENTS = 64
 
 
 @contextmanager
-def run_studio(config: StudioConfig, access: Access, port: int) -> Iterator[ViserServer]:
+def run_studio(config: StudioConfig, access: Access, port: int) -> Generator[ViserServer]:
     """Run a studio for a `with` block.
 
     Args:

@@ -29,13 +29,15 @@ def follow(timeline: Timeline, aspect: float) -> list[Camera]:
     points = _points_to_show(timeline, timeline.box_corners)
     window = max(1, round(CAMERA_SECONDS * timeline.frames_per_second))
     middle = np.array([0.5 * (p.min(axis=0) + p.max(axis=0)) for p in points])
-    targets = uniform_filter1d(middle, window, axis=0, mode="nearest")
+    targets: Float[np.ndarray, "frames 3"] = uniform_filter1d(middle, window, axis=0, mode="nearest")
     time = np.arange(len(points)) / timeline.frames_per_second
     azimuths = AZIMUTH + ORBIT_RATE * (time - 0.5 * time[-1])
     cameras = [fit_camera(p, aspect, float(azimuths[i]), target=targets[i]) for i, p in enumerate(points)]
     # Maxima over a window, averaged over the same window, are nowhere below the distance that a frame needs.
-    needed = maximum_filter1d(np.array([c.distance for c in cameras]), 2 * (window // 2) + 1, mode="nearest")
-    distances = uniform_filter1d(needed, 2 * (window // 2) + 1, mode="nearest")
+    needed: Float[np.ndarray, "frames"] = maximum_filter1d(
+        np.array([c.distance for c in cameras]), 2 * (window // 2) + 1, mode="nearest"
+    )
+    distances: Float[np.ndarray, "frames"] = uniform_filter1d(needed, 2 * (window // 2) + 1, mode="nearest")
     return [Camera(c.target, float(d), c.azimuth) for c, d in zip(cameras, distances, strict=True)]
 
 

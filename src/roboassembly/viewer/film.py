@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
 from pathlib import Path
+from typing import Any
 
 import imageio.v3 as iio
 import imageio_ffmpeg
@@ -70,7 +71,7 @@ def write_film(
         raise RenderingUnavailableError("ffmpeg is missing; install it with: pip install imageio-ffmpeg") from error
     path = Path(path)
     with _renderer(timeline, width, height, quality) as renderer, atomic_write(path) as unfinished:
-        writer = imageio_ffmpeg.write_frames(
+        writer: Generator[None, Any, None] = imageio_ffmpeg.write_frames(
             str(unfinished),
             (width, height),
             fps=fps,
@@ -102,7 +103,7 @@ def render_pictures(
     """
     timeline = make_timeline(plan, 10.0, None)
     cameras = follow(timeline, width / height)
-    out = []
+    out: list[UInt8[np.ndarray, "height width 3"]] = []
     with _renderer(timeline, width, height, quality) as renderer:
         for index in key_frames(timeline):
             frame = timeline.frames[index]

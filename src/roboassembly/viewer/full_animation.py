@@ -152,5 +152,5 @@ def _configuration_at(segment: Segment, share: float) -> Float[np.ndarray, "10"]
         return segment.path[-1]
     at = share * reached[-1]
     k = min(int(np.searchsorted(reached, at, side="right")) - 1, len(segment.path) - 2)
-    inner = (at - reached[k]) / max(reached[k + 1] - reached[k], 1e-12)
+    inner = float(at - reached[k]) / max(reached[k + 1] - reached[k], 1e-12)
     return segment.path[k] + inner * (segment.path[k + 1] - segment.path[k])

@@ -9,7 +9,7 @@ from __future__ import annotations
 import http
 import inspect
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Generator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
@@ -51,13 +51,13 @@ def plain_response(status: http.HTTPStatus, text: str, **headers: str) -> Respon
 
 
 REFUSE_ALL = Guard(
-    lambda *_: plain_response(http.HTTPStatus.FORBIDDEN, "This server only writes a file.\n"), lambda _: {}
+    lambda _, __: plain_response(http.HTTPStatus.FORBIDDEN, "This server only writes a file.\n"), lambda _: {}
 )
 """Refuses every request. viser records a page through a listening server, which no client needs."""
 
 
 @contextmanager
-def quiet_server(host: str, port: int, guard: Guard = REFUSE_ALL) -> Iterator[ViserServer]:
+def quiet_server(host: str, port: int, guard: Guard = REFUSE_ALL) -> Generator[ViserServer]:
     """Run a viser server for a `with` block, without announcements on the terminal and without world axes.
 
     viser announces itself through rich's console, from two threads, whatever `verbose` says; so that console is kept

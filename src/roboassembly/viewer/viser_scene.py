@@ -78,7 +78,7 @@ def set_up_scene(scene: SceneApi, points: Float[np.ndarray, "n 3"]) -> None:
     scene.configure_default_lights(enabled=True, cast_shadow=True)
     low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
     reach = float((high - low).max())
-    middle = np.round(low + high) / 2.0
+    middle: Float[np.ndarray, "2"] = np.round(low + high) / 2.0
     scene.add_grid(
         "/floor",
         infinite_grid=True,
