@@ -62,9 +62,10 @@ def plan_upright(plan: FullPlan) -> UprightResult[FullUprightMotion]:
     stance = stance_of(plan.furniture, [where[p] for p in range(len(where))])
     if stance is None or stance.reason:
         return result(NOT_ASSEMBLED if stance is None else stance.reason, None, 0)
-    attempts, tally, reason = 0, Tally(), "no hand reaches it both on its post and on the floor"
+    attempts, spent, tally = 0, 0, Tally()
+    reason = "no hand reaches it both on its post and on the floor"
     for index, (grip, robot) in enumerate(_grips(context, state, group, stance)):
-        if attempts >= _ATTEMPTS or tally.states > _STATES:
+        if attempts >= _ATTEMPTS or spent + tally.states > _STATES:
             break
         request, drawn = PickRequest(group, grip), child_seed(seed, index)
         if not can_pick(context, state, robot, request, child_seed(drawn, 0), tally):
@@ -74,11 +75,11 @@ def plan_upright(plan: FullPlan) -> UprightResult[FullUprightMotion]:
         if isinstance(done, Planned):
             places = _on_floor(context, group, stance, child_seed(drawn, 2))
             done = done.then(put_down(context, done.state, robot, places, ARM, child_seed(drawn, 3)))
-        tally.states += done.states
+        spent += done.states
         if isinstance(done, Planned):
-            return result("", done, tally.states)
+            return result("", done, spent + tally.states)
         reason = f"the robots found no way: {done.stage_text}: {done.kind}"
-    return result(f"{reason} ({attempts} grasps tried)", None, tally.states)
+    return result(f"{reason} ({attempts} grasps tried)", None, spent + tally.states)
 
 
 def _turned(furniture: Furniture, group: Group, stance: Stance, place: Float[np.ndarray, "2"]) -> Group:
