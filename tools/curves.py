@@ -19,8 +19,8 @@ from roboassembly.learning.paper.pipeline import results
 
 PANEL = 4.2, 3.0
 """Width and height of the picture [inch]."""
-GRASPS = {"take": "one hand takes its group", "room": "two hands have room", "meet": "arms reach the joint",
-          "rest": "all else works out"}  # fmt: skip
+GRASPS = {"pick": "one gripper picks its group", "fit": "two grippers fit", "reach": "arms reach the mate",
+          "finish": "all else works"}  # fmt: skip
 
 
 def mastered(folder: Path) -> dict[str, tuple[np.ndarray, np.ndarray]]:

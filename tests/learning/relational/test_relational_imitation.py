@@ -43,7 +43,8 @@ def test_dead_ends_teach_that_no_action_is_viable() -> None:
     # Which action is chosen in a dead end does not matter.
     params = relational.init(np.random.default_rng(0), TINY)
     dead = [e for e in examples if not e.viable.any()][:2]
-    _, terms = imitation.losses(params, imitation.batch_of(dead, padded_length(max(len(e.fits) for e in dead))))
+    batch = imitation.batch_of(dead, padded_length(max(len(e.fits) for e in dead)))
+    _, terms = jax.jit(imitation.losses)(params, batch)
     assert not np.asarray(terms["choice"]).any()
     assert (np.asarray(terms["values"]) > 0.0).all()
     assert imitation.viable_share(params, examples) == imitation.viable_share(params, examples[: len(episode.states)])
@@ -74,19 +75,19 @@ def test_a_gradient_is_the_same_in_pieces(cantilever: SampleSet) -> None:
 
 def test_training_fits_one_chair_and_continues_where_it_was_killed(cantilever: SampleSet, tmp_path: Path) -> None:
     examples = imitation.examples_of([cantilever])
-    training = imitation.RelationalTraining(steps=60, learning_rate=1e-2, warmup=5, batch=2, keep_every=0.0)
+    training = imitation.RelationalTraining(steps=40, learning_rate=1e-2, warmup=5, batch=2, keep_every=0.0)
     whole = list(imitation.train(examples, tmp_path / "whole.npz", training, TINY, {}))
     assert whole[-1][1]["loss"] < 0.5 * whole[0][1]["loss"]
     assert np.mean([terms["chosen"] for _, terms in whole[-10:]]) > 0.9
 
     run = imitation.train(examples, tmp_path / "killed.npz", training, TINY, {})
     for step, _ in run:
-        if step == 31:
+        if step == 21:
             break
     del run
     rest = list(imitation.train(examples, tmp_path / "killed.npz", training, TINY, {}))
-    assert rest[0][0] == 32
-    assert rest[-1][0] == 60
+    assert rest[0][0] == 22
+    assert rest[-1][0] == 40
     ends = [checkpoint.load(tmp_path / name, "relational").params for name in ("whole.npz", "killed.npz")]
     assert all(np.array_equal(a, b) for a, b in zip(*map(jax.tree.leaves, ends), strict=True))
     with pytest.raises(InputError, match="other training"):

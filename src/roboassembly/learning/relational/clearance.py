@@ -22,13 +22,13 @@ from roboassembly.robots.gripper import MAX_OPENING, RETREAT, hand_bodies
 from roboassembly.task.full.cell import WIDER
 
 CUTOFF = 0.05
-"""Largest clearance of a gripper that is told apart [m]."""
+"""Value from which on clearances of a gripper are clipped [m]."""
 SCALE = 0.01
 """Scale of the tanh features of clearances: within it, the exact distance matters [m]."""
 ARM_SECTIONS = ((0.13, 0.30), (0.30, 0.50))
 """Distances from the tips at which wrist and forearm begin and end [m]."""
 ARM_CUTOFF = 0.3
-"""Largest clearance of wrist and forearm that is told apart [m]."""
+"""Value from which on clearances of wrist and forearm are clipped [m]."""
 MATE_RETREATS = (0.0, 0.03, 0.10, 0.20)
 """Distances out of a mate at which a gripper is tested [m]."""
 GRASP_FEATURES = 16

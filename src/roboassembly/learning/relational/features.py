@@ -19,7 +19,7 @@ _PARALLEL = 0.999
 _SCALE = 0.01
 """Scale of the tanh features of heights [m]."""
 _CUTOFF = 0.5
-"""Largest height that is told apart [m]."""
+"""Value from which on heights are clipped [m]."""
 
 
 def frames_parallel(rotation: Array) -> Array:

@@ -14,7 +14,7 @@ from roboassembly.geometry.poses import rotations_from_euler
 from roboassembly.learning.relational.clearance import MAX_OTHER_POINTS, PartGrasps
 
 PATCH_STEPS = (0.010, 0.040, 0.150)
-"""Steps of the grids that sample the surface around a point, at the scale of a joint, a part and a piece [m]."""
+"""Steps of the grids that sample the surface around a point, at the scale of a joint, a part and a whole piece [m]."""
 PATCH_GRID = np.stack(np.meshgrid(*[np.arange(-2.0, 3.0)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
 """Points of a grid in the connection point's frame, in steps: five a side."""
 PATCH_SIZE = len(PATCH_STEPS) * len(PATCH_GRID)
@@ -101,7 +101,7 @@ class GroupGeometry:
     cloud: Float[np.ndarray, "s 3"]
     """Some points of the group's surface [m]."""
     grasps: GroupGrasps | None
-    """Grasps of the group; None where nobody asks for them."""
+    """Grasps of the group; None if the tokens have no grasps."""
 
     @staticmethod
     def build(

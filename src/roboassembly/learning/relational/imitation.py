@@ -225,11 +225,14 @@ def gradient_of(params: Any, batch: dict[str, Any]) -> tuple[Any, dict[str, jax.
     """
     pieces = _pieces(*batch["group"].shape) if jax.default_backend() == "cpu" else 1
 
-    def add(gradient: Any, piece: Any) -> tuple[Any, dict[str, jax.Array]]:
-        (loss, terms), more = jax.value_and_grad(losses, has_aux=True)(params, piece)
-        return jax.tree.map(lambda a, b: a + b / pieces, gradient, more), {"loss": loss, **terms}
+    def accumulated(total: Array, part: Array) -> Array:
+        return total + part / pieces
 
-    split = jax.tree.map(lambda x: x.reshape(pieces, -1, *x.shape[1:]), batch)
+    def add(gradient: Any, piece: Any) -> tuple[Any, dict[str, jax.Array]]:
+        (loss, terms), part = jax.value_and_grad(losses, has_aux=True)(params, piece)
+        return jax.tree.map(accumulated, gradient, part), {"loss": loss, **terms}
+
+    split = {name: x.reshape(pieces, -1, *x.shape[1:]) for name, x in batch.items()}
     gradient, terms = jax.lax.scan(add, jax.tree.map(jnp.zeros_like, params), split)
     return gradient, {k: v.mean() for k, v in terms.items()}
 
