@@ -385,7 +385,7 @@ def test_import_of_one_bad_piece_is_2(run: Run, tmp_path: Path) -> None:
         (("autoencoder", "--set", "chairs-413"), "unknown data set 'chairs-413'; did you mean chairs-412"),
         (("multitask", "--rounds", "-1"), "--rounds -1 is too small"),
         (("multitask", "--preset", "paper"), "--samples FOLDER"),
-        (("multitask", "--set", "folder:here"), "lessons are made of generated chairs"),
+        (("multitask", "--set", "folder:here"), "the oracle labels generated furniture"),
     ],
 )
 def test_training_refuses_in_one_line(run: Run, tmp_path: Path, arguments: tuple[str, ...], said: str) -> None:
