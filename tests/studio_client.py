@@ -21,6 +21,7 @@ from roboassembly.studio.access import Access
 from roboassembly.studio.client_session import ClientSession
 from roboassembly.studio.config import StudioConfig
 from roboassembly.studio.server import run_studio
+from roboassembly.studio.viser_internals import identifier_of
 
 CAMERA = _messages.ViewerCameraMessage(
     (1.0, 0.0, 0.0, 0.0), (2.0, 2.0, 1.0), 0.6, 0.01, 100.0, 600, 800, (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)
@@ -86,7 +87,7 @@ class Browser:
         self.connection.send(packed(message))
 
     def set(self, control: Any, value: object) -> None:
-        self.send(_messages.GuiUpdateMessage(control._impl.uuid, {"value": value}))
+        self.send(_messages.GuiUpdateMessage(identifier_of(control), {"value": value}))
 
     def press(self, button: GuiButtonHandle) -> None:
         self.set(button, True)
@@ -100,7 +101,7 @@ class Browser:
         self.send(_messages.ScenePointerMessage("click", *ray, ((0.5, 0.5),), None))
 
     def upload(self, client: ClientSession, name: str, says: int, parts: list[bytes]) -> None:
-        source = client.panel.upload._impl.uuid
+        source = identifier_of(client.panel.upload)
         self.send(_messages.FileTransferStartUpload(source, "t1", name, "application/zip", len(parts), says))
         for index, part in enumerate(parts):
             self.send(_messages.FileTransferPart(source, "t1", index, part))

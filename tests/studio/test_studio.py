@@ -30,6 +30,7 @@ from roboassembly.studio.client_session import ClientSession
 from roboassembly.studio.messages import attempt_message
 from roboassembly.studio.sources import BUILT_IN, Sources, open_path, open_plan
 from roboassembly.studio.uploads import open_upload, unpack
+from roboassembly.studio.viser_internals import uploads_in_progress
 from roboassembly.task.full.failure import FullVerdict
 from roboassembly.task.object_centric.task import ObjectCentricVerdict
 from roboassembly.task.plans import plan_file
@@ -398,7 +399,7 @@ def test_uploads_are_opened_and_those_too_large_are_forgotten(clients, stool, tm
     with served() as server:
         browser = Browser(server)
         until(lambda: len(clients) == 1 and merges(clients[0]) == 0)
-        kept = clients[0].handle.gui._current_file_upload_states
+        kept = uploads_in_progress(clients[0].handle)
         # Too large by what it says; by what comes, whatever it says; and one that is neither.
         browser.upload(clients[0], "a.zip", len(content) + 1, [b"x"])
         browser.upload(clients[0], "a.zip", 10, [bytes(len(content)), b"x", b"y"])

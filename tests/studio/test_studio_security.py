@@ -24,6 +24,7 @@ from roboassembly.furniture import storage
 from roboassembly.studio import incoming
 from roboassembly.studio.access import Access
 from roboassembly.studio.client_session import ClientSession
+from roboassembly.studio.viser_internals import controls_of, identifier_of, uploads_in_progress
 from roboassembly.viewer.server import quiet_server
 from studio_client import CAMERA, Browser, merges, note_clients, open_websocket, packed, served, until
 
@@ -273,7 +274,7 @@ WRONG: tuple[object, ...] = (
 
 def test_no_control_takes_what_it_does_not_offer(visit):
     browser, client = visit
-    controls = dict(client.handle.gui._gui_input_handle_from_uuid)
+    controls = controls_of(client.handle)
     assert len(controls) > 25
     asked = []
     own = client.submit
@@ -309,8 +310,8 @@ def test_only_the_value_of_a_control_can_be_set(visit):
     for name, value in (
         ("update_cb", []), ("removed", True), ("gui_api", 1), ("props", {}), ("sync_cb", None), ("uuid", "x"),
     ):  # fmt: skip
-        browser.send(_messages.GuiUpdateMessage(control._impl.uuid, {name: value}))
-        browser.send(_messages.GuiUpdateMessage(control._impl.uuid, {"value": 0, name: value}))
+        browser.send(_messages.GuiUpdateMessage(identifier_of(control), {name: value}))
+        browser.send(_messages.GuiUpdateMessage(identifier_of(control), {"value": 0, name: value}))
     settled(browser, client)
     assert vars(control._impl) == before
 
@@ -337,7 +338,7 @@ def test_controls_that_are_off_or_of_someone_else_do_nothing(clients):
 def test_a_refused_choice_is_shown_again_as_it_is(visit):
     browser, client = visit
     browser.set(client.panel.piece, "sofa")
-    uuid, value = client.panel.piece._impl.uuid, client.panel.piece.value
+    uuid, value = identifier_of(client.panel.piece), client.panel.piece.value
     wanted = {"type": "GuiUpdateMessage", "uuid": uuid, "updates": {"value": value}}
     assert any(wanted.items() <= message.items() for message in browser.messages(5.0))
 
@@ -402,7 +403,7 @@ def test_messages_that_the_page_does_not_need_reach_nobody(visit, monkeypatch):
         browser.connection.send(msgspec.msgpack.encode({"type": kind.__name__}))
     for message in (
         _messages.ShareUrlRequest(), _messages.ShareUrlDisconnect(), _messages.RunJavascriptMessage("alert(1)"),
-        _messages.GuiFormDirtyMessage("x"), _messages.GuiButtonHoldMessage(client.panel.join._impl.uuid, 10.0),
+        _messages.GuiFormDirtyMessage("x"), _messages.GuiButtonHoldMessage(identifier_of(client.panel.join), 10.0),
     ):  # fmt: skip
         browser.send(message)
     for raw in (b"", b"\xc1", b"\xff" * 100, b"\x91" * 100_000, b"\x80", msgspec.msgpack.encode({"type": ["x"]}),
@@ -462,7 +463,7 @@ def offered(clients, folders) -> Iterator[tuple[Browser, ClientSession, Path]]:
 def open_folder(browser: Browser, client: ClientSession, name: str) -> None:
     assert client.panel.path is not None
     browser.set(client.panel.path, name)
-    controls = client.handle.gui._gui_input_handle_from_uuid.values()
+    controls = controls_of(client.handle).values()
     browser.press(next(c for c in controls if getattr(c, "label", "") == "Open folder"))
 
 
@@ -616,8 +617,8 @@ def test_clients_that_never_read_are_dropped(running, monkeypatch):
 
 def test_files_are_limited_in_size_number_and_name(visit, monkeypatch):
     browser, client = visit
-    kept = client.handle.gui._current_file_upload_states
-    source = client.panel.upload._impl.uuid
+    kept = uploads_in_progress(client.handle)
+    source = identifier_of(client.panel.upload)
     read: list[str] = []
     client.open_upload = lambda file: read.append(file.name)
 
@@ -630,7 +631,7 @@ def test_files_are_limited_in_size_number_and_name(visit, monkeypatch):
     start("none.zip", 10, 0)
     start("a\x1b[31m.zip", 10)
     start("x" * 501, 10)
-    start("elsewhere.zip", 10, uuid=client.panel.join._impl.uuid)
+    start("elsewhere.zip", 10, uuid=identifier_of(client.panel.join))
     start("nowhere.zip", 10, uuid="x")
     browser.send(_messages.FileTransferPart(source, "unknown", 0, b"x"))
     settled(browser, client)
@@ -665,16 +666,16 @@ def test_files_of_all_clients_together_are_limited(clients, monkeypatch):
         browsers = [Browser(server) for _ in range(2)]
         until(lambda: len(clients) == 2 and all(merges(v) == 0 for v in clients))
         for browser, client in zip(browsers, clients, strict=True):
-            source = client.panel.upload._impl.uuid
+            source = identifier_of(client.panel.upload)
             browser.send(_messages.FileTransferStartUpload(source, "t", "a.zip", "", 2, 1000))
             settled(browser, client)
-        kept = [bool(v.handle.gui._current_file_upload_states) for v in clients]
+        kept = [bool(uploads_in_progress(v.handle)) for v in clients]
         assert kept == [True, False]
         browsers[1].sees("Too many files")
         browsers[0].connection.close()
         until(lambda: len(server.get_clients()) == 1)
         browsers[1].send(_messages.FileTransferStartUpload(source, "t", "a.zip", "", 2, 1000))
-        until(lambda: bool(clients[1].handle.gui._current_file_upload_states))
+        until(lambda: bool(uploads_in_progress(clients[1].handle)))
 
 
 def test_a_file_that_is_not_read_yet_is_not_followed_by_another(visit):
