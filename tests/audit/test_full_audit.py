@@ -22,7 +22,7 @@ LOW = np.array([0.81, 1.75, -0.05, -1.51, 1.08, 2.44, -1.4])
 """Reaches the ground beside the platform."""
 
 
-def with_leg(plan: FullPlan, index: int, change: Callable[[Segment], Segment]) -> FullPlan:
+def with_segment(plan: FullPlan, index: int, change: Callable[[Segment], Segment]) -> FullPlan:
     segments = list(plan.steps[0].segments)
     segments[index] = change(segments[index])
     step = replace(plan.steps[0], segments=tuple(segments))
@@ -52,14 +52,16 @@ def test_a_right_plan_passes(two_merges: FullPlan) -> None:
 def test_driving_through_a_post(two_merges: FullPlan) -> None:
     standing = two_merges.steps[0].segments[0].before.placed[-1]
     q = np.array([*standing.post.top[:2], 0.0, *two_merges.initial.cell_state.robots[0].at[3:]])
-    report = audit_full_plan(with_leg(two_merges, 0, by_way_of(q)), COARSE)
+    report = audit_full_plan(with_segment(two_merges, 0, by_way_of(q)), COARSE)
     assert RobotViolationKind.PENETRATION in kinds(report)
     assert any("platform in" in v.what and "post" in v.what for v in report.first)
 
 
 def test_driving_through_the_other_robot(two_merges: FullPlan) -> None:
     segment = two_merges.steps[0].segments[0]
-    report = audit_full_plan(with_leg(two_merges, 0, by_way_of(segment.before.robots[1 - segment.robot].at)), COARSE)
+    report = audit_full_plan(
+        with_segment(two_merges, 0, by_way_of(segment.before.robots[1 - segment.robot].at)), COARSE
+    )
     assert any("the other's platform" in v.what for v in report.first)
 
 
@@ -70,7 +72,7 @@ def test_an_arm_through_itself_through_the_ground_and_past_its_limit(two_merges:
         (LOW, RobotViolationKind.GROUND),
         (np.array([*start[3:9], 3.0]), RobotViolationKind.JOINT_LIMIT),
     ):
-        bad = with_leg(two_merges, 0, by_way_of(np.array([*start[:3], *arm])))
+        bad = with_segment(two_merges, 0, by_way_of(np.array([*start[:3], *arm])))
         assert kind in kinds(audit_full_plan(bad, COARSE))
 
 
@@ -106,7 +108,7 @@ def test_a_post_and_a_part_in_a_standing_part(two_merges: FullPlan) -> None:
 
 def test_jumps(two_merges: FullPlan) -> None:
     report = audit_full_plan(
-        with_leg(two_merges, 1, lambda segment: replace(segment, path=(segment.path[0] + 1e-3, *segment.path[1:]))),
+        with_segment(two_merges, 1, lambda segment: replace(segment, path=(segment.path[0] + 1e-3, *segment.path[1:]))),
         COARSE,
     )
     assert kinds(report) == {RobotViolationKind.JUMP}
@@ -116,7 +118,7 @@ def test_jumps(two_merges: FullPlan) -> None:
     away.translation = away.translation + np.array([0.0, 0.0, 0.001])
     moved = replace(standing, group=standing.group.moved_to(away))
     report = audit_full_plan(
-        with_leg(
+        with_segment(
             two_merges, 2, lambda segment: replace(segment, before=replace(state, placed=(moved, *state.placed[1:])))
         ),
         COARSE,

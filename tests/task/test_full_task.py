@@ -1,4 +1,4 @@
-"""The full step: two robots fetch, meet, join and set down; every segment audited by python-fcl."""
+"""The full step: two robots pick, mate, release and place; every segment checked by python-fcl."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from roboassembly.solvers.options import grasping
 from roboassembly.solvers.search import SearchLimits, solve_full
 from roboassembly.task.full.cell import Post
 from roboassembly.task.full.cell_state import Segment
-from roboassembly.task.full.failure import STRAIGHT, Failure, FullVerdict, Stage
+from roboassembly.task.full.failure import AFTER_MATING, PICKING, STRAIGHT, Failure, FullVerdict, Stage
 from roboassembly.task.full.grips import Grip, MateGrasp
 from roboassembly.task.full.pick import PickRequest, pick
 from roboassembly.task.full.segments import Planned, StepContext, child_seed, retreat_path
@@ -64,7 +64,7 @@ def merged(task: FullTask, start: FullState) -> FullOutcome:
     pytest.fail("no action merges")
 
 
-def test_a_world_is_let_go_and_its_states_still_count(task: FullTask, start: FullState) -> None:
+def test_a_collision_model_is_freed_and_its_states_still_count(task: FullTask, start: FullState) -> None:
     tally = Tally()
     world = StepContext(task.furniture, start.cell, Budget()).world(start.cell_state, 0, tally)
     world.free(np.array([start.cell_state.robots[0].at, start.cell_state.robots[1].at]))
@@ -74,7 +74,7 @@ def test_a_world_is_let_go_and_its_states_still_count(task: FullTask, start: Ful
     assert tally.states == 2
 
 
-def test_room_of_one_hand_is_part_of_what_fits(task: FullTask, start: FullState) -> None:
+def test_a_grip_that_fits_the_joint_has_room_there(task: FullTask, start: FullState) -> None:
     state, told = start.groups, set[tuple[bool, bool]]()
     for c in task.furniture.connections:
         u, v = c.part_a, c.part_b
@@ -127,7 +127,9 @@ def test_the_start_is_free(task: FullTask, start: FullState) -> None:
         assert not checker.hits(own.at)
 
 
-def test_what_is_no_action_or_wrong_costs_nothing(task: FullTask, start: FullState, merged: FullOutcome) -> None:
+def test_nonexistent_actions_and_wrong_pairs_cost_no_planning(
+    task: FullTask, start: FullState, merged: FullOutcome
+) -> None:
     assert merged.step is not None
     u, v, k, l, g_a, g_b = merged.step.action  # noqa: E741
     for action in ((u, u, k, l, g_a, g_b), (u, v, 9, l, g_a, g_b), (u, v, k, l, 8, g_b), (99, v, k, l, g_a, g_b)):
@@ -142,7 +144,7 @@ def test_what_is_no_action_or_wrong_costs_nothing(task: FullTask, start: FullSta
     assert task.step(merged.state, merged.step.action, 0).verdict is FullVerdict.NOT_AN_ACTION
 
 
-def test_the_segments_follow_each_other_as_in_the_paper(merged: FullOutcome) -> None:
+def test_stages_follow_each_other_as_in_the_paper(merged: FullOutcome) -> None:
     segments = merged.segments
     assert [segment.stage for segment in segments] == STAGES
     assert [segment.robot for segment in segments] == [
@@ -170,7 +172,7 @@ def test_the_segments_follow_each_other_as_in_the_paper(merged: FullOutcome) -> 
 
 
 @pytest.mark.slow
-def test_no_leg_touches_anything(task: FullTask, merged: FullOutcome) -> None:
+def test_no_segment_touches_anything(task: FullTask, merged: FullOutcome) -> None:
     """Coarser ones are looked at in `test_evaluate.py`, a whole plan by the audit."""
     for segment in merged.segments:
         own = segment.before.robots[segment.robot]
@@ -209,7 +211,7 @@ def test_mated_parts_are_where_the_furniture_has_them(task: FullTask, merged: Fu
     assert rotation_angle(got.rotation.T @ wanted.rotation) < 1e-5
 
 
-def test_hands_come_lift_and_mate_in_straight_lines(merged: FullOutcome) -> None:
+def test_approach_lift_mate_and_release_are_straight_lines(merged: FullOutcome) -> None:
     for segment in merged.segments:
         if segment.stage in STRAIGHT - {Stage.SET_DOWN}:
             tips = [world_from_tips(q) for q in segment.path]
@@ -222,7 +224,7 @@ def test_hands_come_lift_and_mate_in_straight_lines(merged: FullOutcome) -> None
                 assert along == pytest.approx([0.0, 0.0, 1.0], abs=1e-6)
 
 
-def test_the_same_seed_takes_the_same_way(task: FullTask, start: FullState, merged: FullOutcome) -> None:
+def test_the_same_seed_gives_the_same_plan(task: FullTask, start: FullState, merged: FullOutcome) -> None:
     assert merged.step is not None
     again = task.step(start, merged.step.action, 3)
     assert again.planning_steps == merged.planning_steps
@@ -231,7 +233,7 @@ def test_the_same_seed_takes_the_same_way(task: FullTask, start: FullState, merg
         assert all(np.array_equal(p, q) for p, q in zip(a.path, b.path, strict=True))
 
 
-def test_a_grasp_that_the_group_blocks_is_told_before_anything_moves(task: FullTask, merged: FullOutcome) -> None:
+def test_a_blocked_grasp_fails_before_anything_moves(task: FullTask, merged: FullOutcome) -> None:
     state = merged.state
     joined = next(g for g in state.groups.groups if len(g.parts) == 2)
     for u in joined.parts:
@@ -290,7 +292,7 @@ def test_a_robot_that_stands_in_the_way_drives_elsewhere(task: FullTask, start: 
         assert not [q for q in dense(segment, 0.08) if checker.hits(q)], segment.name
 
 
-def test_groups_are_taken_with_the_arm_as_it_will_be(
+def test_groups_are_picked_with_the_preferred_arm(
     task: FullTask, start: FullState, merged: FullOutcome
 ) -> None:  # fmt: skip
     assert merged.step is not None
@@ -433,3 +435,12 @@ def test_an_attempt_is_drawn_by_its_own_key() -> None:
     assert len(set(words)) == len(keys)
     assert child_seed(child_seed(seed, 0), 1).generate_state(1) == child_seed(seed, 0, 1).generate_state(1)
     assert seed.n_children_spawned == 0
+
+
+def test_failures_name_stage_and_robot_in_one_place() -> None:
+    failure = Failure(FullVerdict.NO_PATH, Stage.DRIVE_TO_GROUP, 1, final=True, states=7)
+    assert failure == Failure(FullVerdict.NO_PATH, Stage.DRIVE_TO_GROUP, 1)
+    assert failure.stage_text == "R_b: drive to group"
+    assert Failure(FullVerdict.NO_ARM_SOLUTION, Stage.MATE).stage_text == "mate"
+    assert Failure(FullVerdict.WRONG_PAIR).stage_text == ""
+    assert not PICKING & AFTER_MATING

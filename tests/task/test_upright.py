@@ -363,7 +363,7 @@ def test_a_robot_says_why_it_leaves_a_piece_on_its_post(chair) -> None:
     assert make_timeline(left, 10.0, None).frames[-1].caption.endswith("not set upright")
 
 
-def test_it_is_carried_out_in_physics_and_a_piece_that_is_dropped_is_told(chair) -> None:
+def test_it_is_carried_out_in_physics_and_a_dropped_piece_is_reported(chair) -> None:
     plan = _full(chair("stool", 0), False)
     done = execute_upright(plan)
     assert done is not None
