@@ -41,7 +41,7 @@ def grasp_view(furniture: Furniture, state: TaskState, cloud_points: int = 2048)
     n = len(furniture.parts)
     observation = Observer(furniture, n, MAX_POINTS, cloud_points).observe(state)
     free = FullTask(furniture).rules.free_points(state)[:n]
-    # The mask of a single action for each free point is enough: the view takes its free points from it.
+    # The view reads its free points from the mask.
     mask = np.broadcast_to(free[:, None, :, None, None], (n, n, MAX_POINTS, MAX_POINTS, 6))
     return PolicyView.from_observation(observation, mask)
 
