@@ -21,8 +21,8 @@ from drawing import Piece, drawn, hand
 from roboassembly.datasets.sets import FurnitureRef, furniture_refs
 from roboassembly.envs.full import FullEnv
 from roboassembly.envs.object_centric import ObjectCentricEnv
+from roboassembly.evaluation.episodes import Episode
 from roboassembly.evaluation.evaluate import failure_of
-from roboassembly.evaluation.rollout import Episode
 from roboassembly.furniture.model import Furniture
 from roboassembly.geometry.poses import SE3
 from roboassembly.rendering.colors import Color

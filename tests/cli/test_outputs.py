@@ -312,14 +312,13 @@ def test_an_out_that_cannot_be_written_is_found_before_the_work(
     }[place]
     worked: list[str] = []
     for what in (
-        "roboassembly.solvers.search.solve",
-        "roboassembly.solvers.search.solve_full",
+        "roboassembly.solvers.forward.Search.run",
         "roboassembly.importers.pipeline.finish",
         "roboassembly.furniture.annotate.annotate",
         "roboassembly.learning.paper.pipeline.teach_features",
         "roboassembly.learning.relational.pipeline.run_pipeline",
         "roboassembly.evaluation.benchmark.run",
-        "roboassembly.evaluation.rollout.solve",
+        "roboassembly.evaluation.rollout.rollout",
     ):
         monkeypatch.setattr(what, lambda *_, what=what, **__: worked.append(what))
     begun = time.monotonic()
@@ -343,16 +342,16 @@ def test_a_folder_without_permission(run: Run, tmp_path: Path) -> None:
 def test_a_table_that_cannot_be_written_is_found_before_the_benchmark(
     run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from roboassembly.evaluation import benchmark
+    from roboassembly.evaluation import benchmark, report
 
     document = tmp_path / "results.md"
-    document.write_text(f"{benchmark.begin('object-centric')} -->\n{benchmark.END}\n")
+    document.write_text(f"{report.begin('object-centric')} -->\n{report.END}\n")
     monkeypatch.setattr(benchmark, "run", lambda *_: pytest.fail("begun"))
 
     def refuse(path: Path, mode: str = "r", *rest: object) -> object:
         raise OSError(30, "Read-only file system", str(path))
 
     monkeypatch.setattr(Path, "open", refuse)
-    monkeypatch.setattr(Path, "read_text", lambda path: f"{benchmark.begin('object-centric')} -->\n{benchmark.END}\n")
+    monkeypatch.setattr(Path, "read_text", lambda path: f"{report.begin('object-centric')} -->\n{report.END}\n")
     status, _, err = run("benchmark", "--quick", "--out", tmp_path / "run", "--write", document)
     assert (status, f"cannot write {document}: Read-only file system" in err) == (2, True)

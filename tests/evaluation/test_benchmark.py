@@ -12,7 +12,7 @@ import pytest
 
 from roboassembly.cli import main
 from roboassembly.errors import InputError
-from roboassembly.evaluation import benchmark
+from roboassembly.evaluation import benchmark, report
 from roboassembly.learning.progress import Progress
 
 
@@ -31,7 +31,7 @@ def test_the_whole_table(as_built, tmp_path: Path, capsys: pytest.CaptureFixture
         test=[("cantilever", 3), ("three_legged", 4), ("splat", 1)],
     )  # fmt: skip
     out, document = tmp_path / "run", tmp_path / "results.md"
-    document.write_text(f"# Figures\n\n{benchmark.begin('object-centric')} -->\nold\n{benchmark.END}\n\nThe rest.\n")
+    document.write_text(f"# Figures\n\n{report.begin('object-centric')} -->\nold\n{report.END}\n\nThe rest.\n")
     # Together with pytest's workers more processes would only start for longer than they work.
     first = told(capsys, "--out", str(out), "--jobs", "1", "--write", str(document))
 
@@ -74,12 +74,12 @@ def test_the_whole_table(as_built, tmp_path: Path, capsys: pytest.CaptureFixture
 
     # Episodes of other weights do not count.
     shutil.copy(out / "relational" / "policy-0.npz", out / "relational" / "policy.npz")
-    plan = benchmark.Benchmark.quick()
-    trial = next(t for t in benchmark.trials(plan, out) if t.name == "relational")
-    assert benchmark.episodes_of(episodes, trial) == []
+    plan = benchmark.BenchmarkConfig.quick()
+    measurement = next(m for m in benchmark.measurements(plan, out) if m.name == "relational")
+    assert measurement.known_episodes(out) == []
 
     with pytest.raises(InputError, match="another seed"):
-        next(benchmark.run(benchmark.Benchmark.quick(seed=1), out, 1))
+        next(benchmark.run(benchmark.BenchmarkConfig.quick(seed=1), out, 1))
 
 
 @pytest.mark.slow
@@ -100,9 +100,9 @@ def test_the_whole_table_with_robots(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert without_times(again) == without_times(first)
 
 
-def without_times(report: dict[str, Any]) -> list[Any]:
+def without_times(figures: dict[str, Any]) -> list[Any]:
     """The rows, without what the clock said."""
-    rows = json.loads(json.dumps(report["rows"]))
+    rows = json.loads(json.dumps(figures["rows"]))
     for row in rows:
         figures = row["figures"]
         for name in [n for n in figures if "seconds" in n]:
@@ -125,7 +125,7 @@ def test_a_document_without_marks_is_refused_before_anything_is_done(tmp_path: P
 
 def test_what_is_no_generated_set_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="one of chairs-412"):
-        next(benchmark.run(benchmark.Benchmark(set="folder"), tmp_path, 1))
+        next(benchmark.run(benchmark.BenchmarkConfig(set="folder"), tmp_path, 1))
 
 
 def test_the_time_of_a_run_that_is_killed_counts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -137,9 +137,9 @@ def test_the_time_of_a_run_that_is_killed_counts(tmp_path: Path, monkeypatch: py
             now[0] += 10.0
             yield Progress("evaluation", done, 3, {})
 
-    killed = benchmark._timed(tmp_path, "evaluation", steps())
+    killed = benchmark.timed(tmp_path, "evaluation", steps())
     next(killed)
     next(killed)
     assert json.loads((tmp_path / "seconds.json").read_text()) == {"evaluation": 20.0}
-    assert len(list(benchmark._timed(tmp_path, "evaluation", steps()))) == 3
+    assert len(list(benchmark.timed(tmp_path, "evaluation", steps()))) == 3
     assert json.loads((tmp_path / "seconds.json").read_text()) == {"evaluation": 50.0}

@@ -15,9 +15,10 @@ from roboassembly.cli.evaluate import summary
 from roboassembly.datasets import catalogue
 from roboassembly.datasets.sets import Entry, FurnitureRef, furniture_hash, furniture_refs, sample_refs
 from roboassembly.errors import InputError, MissingExtraError, RoboAssemblyError, UnknownNameError
+from roboassembly.evaluation.episodes import Episode
 from roboassembly.evaluation.evaluate import Evaluation, episode_seed, evaluate
 from roboassembly.evaluation.export import check_target, export
-from roboassembly.evaluation.rollout import SOLVERS, Episode, RolloutConfig, make_agent, run_episode
+from roboassembly.evaluation.rollout import SOLVERS, RolloutConfig, make_agent, run_episode
 from roboassembly.furniture import storage
 from roboassembly.furniture.model import Furniture
 from roboassembly.solvers.search import solve

@@ -19,8 +19,9 @@ from roboassembly.datasets.sets import furniture_refs
 from roboassembly.envs.full import FullEnv
 from roboassembly.envs.object_centric import ObjectCentricEnv
 from roboassembly.errors import InputError, PolicyError, UnknownNameError
+from roboassembly.evaluation.episodes import Episode
 from roboassembly.evaluation.evaluate import episode_seed, evaluate
-from roboassembly.evaluation.rollout import Episode, RolloutConfig, make_agent, rollout_policy
+from roboassembly.evaluation.rollout import RolloutConfig, make_agent, rollout_policy
 from roboassembly.furniture import storage
 from roboassembly.furniture.model import Furniture
 from roboassembly.learning.policy import guide_of

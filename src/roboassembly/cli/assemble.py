@@ -136,9 +136,10 @@ class AssembleCommand:
 
     def _solver(self) -> Callable[[Furniture], SearchResult[Any]]:
         """Return the function that finds the plan; a policy that cannot be used raises an error here."""
-        from roboassembly.solvers.search import SearchResult, solve, solve_full
+        from roboassembly.settings import SETTINGS
+        from roboassembly.solvers.forward import SearchResult
 
-        solver: Any = solve_full if self.setting == "full" else solve
+        solver = SETTINGS[self.setting].solve
         if self.policy == NO_POLICY:
             return partial(solver, seed=self.seed)
         from roboassembly.learning.policy import check_setting, guide_of

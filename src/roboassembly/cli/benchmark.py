@@ -46,32 +46,33 @@ class BenchmarkCommand:
         require_at_least(1, jobs=self.jobs, sample=self.sample, experts=self.experts)
         require_packages(*PACKAGES)
         from roboassembly.datasets.sets import furniture_refs
-        from roboassembly.evaluation import benchmark
+        from roboassembly.evaluation import benchmark, report
+        from roboassembly.settings import DEFAULT
 
-        default = "runs/benchmark" + "-full" * (self.setting == "full") + "-quick" * self.quick
+        default = "runs/benchmark" + f"-{self.setting}" * (self.setting != DEFAULT) + "-quick" * self.quick
         out = self.out or Path(default)
         writable_folder(out)
         for real in self.real:
             furniture_refs(real)
         if self.write is not None:
-            benchmark.check_marks(self.write, self.setting)
+            report.check_marks(self.write, self.setting)
             check_writable_file(self.write)
-        make = benchmark.Benchmark.quick if self.quick else benchmark.Benchmark.whole
+        make = benchmark.BenchmarkConfig.quick if self.quick else benchmark.BenchmarkConfig.whole
         plan = make(self.setting, self.seed)
         plan = replace(
             plan, real=self.real, shipped=plan.shipped and not self.retrain, sample=self.sample or plan.sample,
-            taught=self.experts or plan.taught,
+            experts=self.experts or plan.experts,
         )  # fmt: skip
         with use_cluster(self.ray, self.jobs) as jobs:
             follow(benchmark.run(plan, out, jobs), out)
-        report = benchmark.report(plan, out)
-        lines = benchmark.table(report)
-        (out / "benchmark.json").write_text(json.dumps(report, indent=1) + "\n")
+        results = benchmark.report(plan, out)
+        lines = report.table(results)
+        (out / "benchmark.json").write_text(json.dumps(results, indent=1) + "\n")
         (out / "table.md").write_text("\n".join(lines) + "\n")
         if self.write is not None:
-            benchmark.put_into(self.write, lines, self.setting)
+            report.put_into(self.write, lines, self.setting)
         if self.json:
-            print_json(report)
+            print_json(results)
         else:
             show(*lines)
         return DONE

@@ -18,8 +18,9 @@ from roboassembly.parallel.processes import use_cluster
 
 if TYPE_CHECKING:
     from roboassembly.datasets.sets import FurnitureRef
+    from roboassembly.evaluation.episodes import Episode
     from roboassembly.evaluation.evaluate import Evaluation
-    from roboassembly.evaluation.rollout import Episode, RolloutConfig
+    from roboassembly.evaluation.rollout import RolloutConfig
 
 
 @dataclass(frozen=True)
@@ -71,15 +72,16 @@ class EvaluateCommand:
         if self.out is not None and self.out.is_dir():
             raise InputError(f"cannot write to {self.out}: it is a folder; --out must be a file")
         from roboassembly.evaluation.evaluate import Evaluation
-        from roboassembly.evaluation.rollout import EXPORTABLE, SOLVERS, RolloutConfig
+        from roboassembly.evaluation.rollout import SOLVERS, RolloutConfig
+        from roboassembly.settings import SETTINGS
 
         if self.export is not None:
             from roboassembly.evaluation.export import check_target
 
-            if self.setting == "full":
+            if SETTINGS[self.setting].has_robots:
                 raise InputError("--export does not support --setting full; use --setting object-centric")
 
-            if self.policy in SOLVERS and self.policy not in EXPORTABLE:
+            if self.policy in SOLVERS and not SOLVERS[self.policy].has_actions:
                 raise InputError(
                     f"--export does not support '{self.policy}', which has no actions; use a policy or 'search'"
                 )
@@ -118,15 +120,15 @@ class EvaluateCommand:
         if self.out is None:
             return evaluate(config, refs, self.seed, jobs, episodes=self.episodes)
         about = {
-            "way": asdict(config), "weights": weights_hash(self.policy), "set": self.set, "set_hash": set_hash(refs),
-            "seed": self.seed, "episodes": self.episodes,
+            "config": asdict(config), "weights": weights_hash(self.policy), "set": self.set,
+            "set_hash": set_hash(refs), "seed": self.seed, "episodes": self.episodes,
         }  # fmt: skip
         there = read_episodes(self.out, about)
         if there is None:
             raise InputError(
                 f"--out {self.out} contains other data than episodes of this policy, set and seed; choose another file"
             )
-        rest = partial(evaluate, config, refs, self.seed, jobs, episodes=self.episodes, played=len(there))
+        rest = partial(evaluate, config, refs, self.seed, jobs, episodes=self.episodes, done=len(there))
         return record_episodes(self.out, about, there, rest)
 
 
@@ -143,7 +145,7 @@ def summary(evaluation: Evaluation) -> list[str]:
 
     episodes = evaluation.episodes
     report = evaluation.to_json()
-    how = f"{report['policy']}{' with search' * evaluation.way.search} on {evaluation.set}, seed {evaluation.seed}"
+    how = f"{report['policy']}{' with search' * evaluation.config.search} on {evaluation.set}, seed {evaluation.seed}"
     lines = [how, f"{'':24} {'n':>5} {'success':>7}  {'95 %':>11} {'states':>9}", line("all", episodes)]
     families = sorted({e.family for e in episodes} - {""})
     if families:

@@ -140,9 +140,9 @@ class AssemblyEnv(gymnasium.Env[Observation, np.ndarray], Generic[ATask, State, 
         done = merged and self._joined.complete
         over = done or not merged
         self._ending = str(outcome.verdict) if over else None
-        reward = MERGE_REWARD * merged + COMPLETION_REWARD * done
+        reward = reward_of(merged, done)
         info = self._info(str(outcome.verdict), outcome.planning_steps)
-        return observation, float(reward), over, False, info
+        return observation, reward, over, False, info
 
     def render(self) -> UInt8[np.ndarray, "height width 3"] | None:  # pyright: ignore[reportIncompatibleMethodOverride]
         """Draw the present state: what the last action moved is orange, what it moved that to is green.
@@ -220,6 +220,11 @@ class AssemblyEnv(gymnasium.Env[Observation, np.ndarray], Generic[ATask, State, 
             "furniture": self.task.furniture.name,
             "action_mask": self.action_mask,
         }
+
+
+def reward_of(merged: bool, complete: bool) -> float:
+    """Return the reward of a step that merged two groups or not, and left the furniture complete or not."""
+    return MERGE_REWARD * merged + COMPLETION_REWARD * complete
 
 
 def pieces_of(furniture: FurnitureLike | Iterable[FurnitureLike]) -> list[Furniture]:

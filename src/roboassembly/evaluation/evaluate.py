@@ -1,4 +1,4 @@
-"""How well a policy, or a solver, does on a set of furniture."""
+"""Evaluates a policy or a solver on a set of furniture."""
 
 from __future__ import annotations
 
@@ -15,52 +15,54 @@ import numpy as np
 
 from roboassembly.datasets.sets import FurnitureRef
 from roboassembly.errors import RoboAssemblyError
-from roboassembly.evaluation.rollout import Agent, Episode, RolloutConfig, make_agent
+from roboassembly.evaluation.episodes import Episode
+from roboassembly.evaluation.rollout import Agent, RolloutConfig, make_agent
 from roboassembly.parallel.processes import one_thread_each, worker_pool
+from roboassembly.settings import SETTINGS
 from roboassembly.statistics import success
 from roboassembly.task.full.failure import AFTER_MATING, FullVerdict
 
-KINDS = {
+FAILURES = {
     FullVerdict.WRONG_PAIR: "wrong pair", FullVerdict.GRASP_BLOCKED: "grasp blocked",
     FullVerdict.CANNOT_RELEASE: "grasp blocked", FullVerdict.NO_ARM_SOLUTION: "no arm solution",
     FullVerdict.JOINT_BLOCKED: "mating path", FullVerdict.NO_PLACEMENT: "placing",
 }  # fmt: skip
-"""What ended an episode with robots, told coarsely."""
+"""Coarse kind of failure of each verdict with robots."""
 
 
 @dataclass(frozen=True)
 class Evaluation:
-    """What all episodes say together."""
+    """Episodes of one configuration on one set, and their summary."""
 
-    way: RolloutConfig
+    config: RolloutConfig
     set: str
     seed: int
     episodes: tuple[Episode, ...]
-    """At least one."""
+    """One or more."""
 
     def to_json(self) -> dict[str, Any]:
-        """Success with its 95 % Wilson interval over episodes, and effort, over all and over the solved.
+        """Return success with its 95 % Wilson interval over episodes, and effort, over all and over the solved.
 
-        `unseen` is the same success over families that occur in no training; None if the set does not know them.
-        `planned` is the share that was planned, where plans were carried out besides; `failures` what ended the others
-        with robots.
+        `unseen` is the success over families that occur in no training; None if the set does not know them. `planned`
+        is the share that was planned, where plans are carried out as well; `failures` counts what ended the failed
+        episodes with robots.
         """
         solved = [e for e in self.episodes if e.success]
         unseen = [e for e in self.episodes if e.unseen]
         merges = [seconds for e in self.episodes for seconds in e.step_seconds]
-        way = self.way
+        config = self.config
         more: dict[str, Any] = {}
-        if way.execution == "dynamic":
+        if config.execution == "dynamic":
             more["planned"] = success([e.executed is not None for e in self.episodes])
-        if way.setting == "full":
+        if SETTINGS[config.setting].has_robots:
             more["failures"] = dict(Counter(failure_of(e) for e in self.episodes if not e.success).most_common())
-        if way.audit:
+        if config.audit:
             more["violations"] = sum(e.violations or 0 for e in self.episodes)
         return {
-            "policy": way.policy if isinstance(way.policy, str) else way.policy.name,
-            "search": way.search,
-            "setting": way.setting,
-            "execution": way.execution,
+            "policy": config.policy if isinstance(config.policy, str) else config.policy.name,
+            "search": config.search,
+            "setting": config.setting,
+            "execution": config.execution,
             "set": self.set,
             "seed": self.seed,
             **success([e.success for e in self.episodes]),
@@ -76,11 +78,11 @@ class Evaluation:
 
 
 def failure_of(episode: Episode) -> str:
-    """What ended an episode with robots that did not succeed: one of `KINDS`, `path`, or its verdict."""
+    """Return the kind of failure of an episode with robots: one of `FAILURES`, `path`, or its verdict."""
     verdict = episode.verdict
     if verdict == FullVerdict.NO_PATH:
         return "placing" if episode.stage in AFTER_MATING else "path"
-    return next((kind for known, kind in KINDS.items() if verdict == known), verdict.replace("_", " "))
+    return next((kind for known, kind in FAILURES.items() if verdict == known), verdict.replace("_", " "))
 
 
 def _mean(values: Sequence[float]) -> float | None:
@@ -88,72 +90,74 @@ def _mean(values: Sequence[float]) -> float | None:
 
 
 def episode_seed(seed: int, name: str, episode: int) -> int:
-    """The seed of one episode: from the piece's name, so that what else is in the set does not matter."""
-    words = np.random.SeedSequence([seed, zlib.crc32(name.encode()), episode]).generate_state(1)
-    return int(words[0] >> 1)
+    """Return the seed of one episode; it depends on the piece's name, not on the rest of the set."""
+    state = np.random.SeedSequence([seed, zlib.crc32(name.encode()), episode]).generate_state(1)
+    return int(state[0] >> 1)
 
 
 def evaluate(
-    way: RolloutConfig, picks: Sequence[FurnitureRef], seed: int, jobs: int, *, episodes: int = 1, played: int = 0
+    config: RolloutConfig, refs: Sequence[FurnitureRef], seed: int, jobs: int, *, episodes: int = 1, done: int = 0
 ) -> Iterator[Episode]:
-    """Play episodes of each piece, in order. Nothing but times depends on `jobs`, nor on what else is in the set.
+    """Run episodes of each piece, in order. Only times depend on `jobs`; nothing depends on the rest of the set.
 
     Args:
-        way: how; a policy of your own has to survive pickling if there are several jobs.
-        picks: the pieces.
-        seed: of all; episode `i` of a piece has the seed `episode_seed(seed, its name, i)`.
+        config: how episodes are run; a policy object must be picklable if there are several jobs.
+        refs: the pieces.
+        seed: seed of all; episode `i` of a piece has the seed `episode_seed(seed, its name, i)`.
         jobs: pieces at a time, each in a process of its own; in this process if 1.
-        episodes: of each piece.
-        played: so many of all episodes, the first ones, are left out.
+        episodes: number of episodes of each piece.
+        done: number of episodes, from the first, that are left out.
 
     Raises:
         UnknownNameError: no such policy.
-        InputError: the policy or a piece is of no use.
+        InputError: the policy or a piece cannot be used.
         MissingExtraError: an audit without python-fcl.
         RoboAssemblyError: a worker died.
     """
-    own = make_agent(way)
-    left = [range(max(0, played - index * episodes), episodes) for index in range(len(picks))]
+    agent = make_agent(config)
+    left = [range(max(0, done - index * episodes), episodes) for index in range(len(refs))]
     work = [
-        (pick, [episode_seed(seed, pick.name, i) for i in some]) for pick, some in zip(picks, left, strict=True) if some
+        (ref, [episode_seed(seed, ref.name, i) for i in some]) for ref, some in zip(refs, left, strict=True) if some
     ]
     if jobs == 1 or not work:
-        return (episode for pick, seeds in work for episode in _play_piece(own, pick, seeds))
-    return _in_processes(way, work, jobs)
+        return (episode for ref, seeds in work for episode in _run_piece(agent, ref, seeds))
+    return _run_in_processes(config, work, jobs)
 
 
-def _in_processes(way: RolloutConfig, work: Sequence[tuple[FurnitureRef, list[int]]], jobs: int) -> Iterator[Episode]:
+def _run_in_processes(
+    config: RolloutConfig, work: Sequence[tuple[FurnitureRef, list[int]]], jobs: int
+) -> Iterator[Episode]:
     futures: list[Future[list[Episode]]] = []
     try:
-        with worker_pool(min(jobs, len(work)), _start, (way,)) as pool:
+        with worker_pool(min(jobs, len(work)), _start_worker, (config,)) as pool:
             with one_thread_each():
-                futures = [pool.submit(_play_here, pick, seeds) for pick, seeds in work]
+                futures = [pool.submit(_run_in_worker, ref, seeds) for ref, seeds in work]
             for future in futures:
                 yield from future.result()
     except BrokenProcessPool:
-        done = sum(f.done() and not f.exception() for f in futures)
-        late = ", ".join(pick.name for (pick, _), f in zip(work, futures, strict=False) if f.exception())
+        ended = sum(f.done() and not f.exception() for f in futures)
+        missing = ", ".join(ref.name for (ref, _), f in zip(work, futures, strict=False) if f.exception())
         raise RoboAssemblyError(
-            f"a worker process died (out of memory?) after {done} of {len(work)} pieces, among them not: {late:.200}; "
+            f"a worker process died (out of memory?) after {ended} of {len(work)} pieces; missing: {missing:.200}; "
             "fewer --jobs would take less memory, --jobs 1 would show which piece it was"
         ) from None
 
 
-_here: dict[str, Agent] = {}
-"""Of a worker process: what it plays with."""
+_worker: dict[str, Agent] = {}
+"""Agent of this worker process."""
 
 
-def _start(way: RolloutConfig) -> None:
-    _here["agent"] = make_agent(way)
+def _start_worker(config: RolloutConfig) -> None:
+    _worker["agent"] = make_agent(config)
 
 
-def _play_here(pick: FurnitureRef, seeds: list[int]) -> list[Episode]:
-    return _play_piece(_here["agent"], pick, seeds)
+def _run_in_worker(ref: FurnitureRef, seeds: list[int]) -> list[Episode]:
+    return _run_piece(_worker["agent"], ref, seeds)
 
 
-def _play_piece(own: Agent, pick: FurnitureRef, seeds: list[int]) -> list[Episode]:
-    furniture = pick.furniture()
+def _run_piece(agent: Agent, ref: FurnitureRef, seeds: list[int]) -> list[Episode]:
+    furniture = ref.furniture()
     known: dict[str, Any] = {}
-    if pick.entry is not None:
-        known = {"family": pick.entry.family, "unseen": pick.entry.unseen}
-    return [replace(own(furniture, seed), **known) for seed in seeds]
+    if ref.entry is not None:
+        known = {"family": ref.entry.family, "unseen": ref.entry.unseen}
+    return [replace(agent(furniture, seed), **known) for seed in seeds]

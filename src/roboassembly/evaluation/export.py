@@ -1,4 +1,4 @@
-"""Successful episodes as a Minari data set, for learners that read those.
+"""Exports successful episodes as a Minari data set.
 
 Minari keeps its data sets in a folder of folders (`$MINARI_DATASETS_PATH`, by default `~/.minari/datasets`), each named
 like `chairs-v0`. So what is exported to `data/chairs-v0` is loaded by
@@ -16,6 +16,7 @@ import shutil
 import tempfile
 from collections.abc import Iterable
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,34 +26,39 @@ import numpy as np
 from roboassembly import __version__
 from roboassembly.datasets.sets import FurnitureRef
 from roboassembly.envs import OBJECT_CENTRIC
+from roboassembly.envs.assembly import reward_of
+from roboassembly.envs.observation import Observer
 from roboassembly.errors import InputError, MissingExtraError
-from roboassembly.evaluation.rollout import Episode
+from roboassembly.evaluation.episodes import Episode
+from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS
+from roboassembly.task.object_centric.task import ObjectCentricTask
+from roboassembly.task.rollout import rollout
 
 if TYPE_CHECKING:
     from minari.data_collector import EpisodeBuffer
 
 CLOUD_POINTS = 128
-"""Points of each part's cloud in exported observations: the environment's own default."""
+"""Points of each part's cloud in exported observations; the environment's default."""
 _ID = re.compile(r"[-\w]+-v\d+")
 
 
 @dataclass(frozen=True)
 class Exported:
-    """What was written."""
+    """Summary of a written data set."""
 
     path: Path
     episodes: int
     steps: int
     refused: int
-    """Successful episodes that did not succeed again in the environment: the search's paths may be others."""
+    """Successful episodes that failed when run again: the search may have found other paths."""
 
 
 def check_target(path: Path) -> None:
-    """That a data set can be written there, before long work begins.
+    """Check that a data set can be written to a path, before long work begins.
 
     Raises:
         MissingExtraError: Minari is not installed.
-        InputError: no name for a data set, or something is there already.
+        InputError: the name suits no data set, or the path exists.
     """
     try:
         import h5py  # noqa: F401
@@ -66,51 +72,53 @@ def check_target(path: Path) -> None:
 
 
 def export(
-    path: Path, played: Iterable[tuple[FurnitureRef, Episode]], policy: str, cloud_points: int = CLOUD_POINTS
+    path: Path, episodes: Iterable[tuple[FurnitureRef, Episode]], policy: str, cloud_points: int = CLOUD_POINTS
 ) -> Exported:
     """Replay successful episodes in the environment and write them, whole or not at all.
 
     Args:
-        path: a folder that is not there yet, named like `chairs-v0`.
-        played: pieces, and what was played with them; failed episodes are left out.
-        policy: what chose the actions, for the data set's description.
-        cloud_points: of each part, in the observations.
+        path: new folder, named like `chairs-v0`.
+        episodes: pieces and their episodes; failed ones are left out.
+        policy: name of what chose the actions, for the data set's description.
+        cloud_points: points of each part's cloud in the observations.
 
     Raises:
         MissingExtraError: Minari is not installed.
-        InputError: the path is of no use, or there is no successful episode.
+        InputError: the path cannot be used, or there is no successful episode.
     """
     check_target(path)
     from minari.dataset.minari_storage import MinariStorage
 
-    good = [(pick, episode) for pick, episode in played if episode.success and episode.actions]
-    if not good:
+    solved = [(ref, episode) for ref, episode in episodes if episode.success and episode.actions]
+    if not solved:
         raise InputError(f"--export {path}: no episode succeeded, so there is nothing to export")
-    names = list(dict.fromkeys(_furniture_name(pick) for pick, _ in good))
+    names = list(dict.fromkeys(_furniture_name(ref) for ref, _ in solved))
     env = gymnasium.make(OBJECT_CENTRIC, furniture=names, cloud_points=cloud_points, disable_env_checker=True)
+    tasks: tuple[ObjectCentricTask, ...] = env.get_wrapper_attr("tasks")
     path.parent.mkdir(parents=True, exist_ok=True)
     written = steps = 0
     with tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent.resolve()) as scratch:
         storage = MinariStorage.new(
             Path(scratch) / "data", env.observation_space, env.action_space, env.spec, data_format="hdf5"
         )
-        for pick, episode in good:
-            buffer = _replay(env, episode, names.index(_furniture_name(pick)), written)
+        for ref, episode in solved:
+            index = names.index(_furniture_name(ref))
+            buffer = _replay(tasks[index], episode, index, written, cloud_points)
             if buffer is not None:
                 storage.update_episodes([buffer])
                 written, steps = written + 1, steps + len(buffer)
         if not written:
-            raise InputError(f"--export {path}: none of {len(good)} episodes succeeded again; nothing to export")
+            raise InputError(f"--export {path}: none of {len(solved)} episodes succeeded again; nothing to export")
         storage.update_metadata(_metadata(path.name, policy))
         (Path(scratch) / path.name).mkdir()
         shutil.move(Path(scratch) / "data", Path(scratch) / path.name / "data")
         (Path(scratch) / path.name).rename(path)
-    return Exported(path, written, steps, len(good) - written)
+    return Exported(path, written, steps, len(solved) - written)
 
 
-def _furniture_name(pick: FurnitureRef) -> str:
-    """As the environment takes it."""
-    return pick.name if pick.folder is None else str(pick.folder)
+def _furniture_name(ref: FurnitureRef) -> str:
+    """Return the name that the environment takes."""
+    return ref.name if ref.folder is None else str(ref.folder)
 
 
 def _metadata(name: str, policy: str) -> dict[str, Any]:
@@ -125,29 +133,28 @@ def _metadata(name: str, policy: str) -> dict[str, Any]:
     }
 
 
-def _replay(env: gymnasium.Env[Any, Any], episode: Episode, index: int, number: int) -> EpisodeBuffer | None:
-    """The episode again; None if it does not succeed."""
+def _replay(
+    task: ObjectCentricTask, episode: Episode, index: int, number: int, cloud_points: int
+) -> EpisodeBuffer | None:
+    """Run the episode's actions again as the environment does; None if the episode does not succeed."""
     from minari.data_collector import EpisodeBuffer
 
-    options = {"furniture": index}
-    observation, info = env.reset(seed=episode.seed, options=options)
-    seen, rewards = [observation], []
-    for action in episode.actions:
-        observation, reward, terminated, _, info = env.step(np.array(action))
-        seen.append(observation)
-        rewards.append(float(reward))
-        if terminated:
-            break
-    if not info["success"]:
+    rng = np.random.default_rng(episode.seed)
+    actions = iter(episode.actions)
+    initial = task.initial_state(rng)
+    tried = list(rollout(task, initial, lambda _: islice(actions, 1), rng))
+    if not tried or not tried[-1].outcome.state.complete:
         return None
-    n = len(rewards)
+    observer = Observer(task.furniture, MAX_PARTS, MAX_POINTS, cloud_points)
+    seen = [observer.observe(state) for state in (initial, *(t.outcome.state for t in tried))]
+    n = len(tried)
     return EpisodeBuffer(
         id=number,
         seed=episode.seed,
-        options=options,
+        options={"furniture": index},
         observations={key: np.array([o[key] for o in seen]) for key in seen[0]},
-        actions=np.array(episode.actions[:n], np.int64),  # pyright: ignore[reportArgumentType] (arrays are stored as they are)
-        rewards=rewards,
+        actions=np.array([t.action for t in tried], np.int64),  # pyright: ignore[reportArgumentType] (arrays are stored as they are)
+        rewards=[reward_of(t.merged, t.outcome.state.complete) for t in tried],
         terminations=[False] * (n - 1) + [True],
         truncations=[False] * n,
         infos={},

@@ -1,4 +1,4 @@
-"""What plays an episode: a policy alone, a policy that guides the search, or a solver; in either setting."""
+"""Agents that run one episode: a policy alone, a policy that guides the search, or a solver; in either setting."""
 
 from __future__ import annotations
 
@@ -10,93 +10,56 @@ from typing import Any, Literal
 
 import numpy as np
 
-from roboassembly.envs.full import FullEnv
-from roboassembly.envs.object_centric import ObjectCentricEnv
-from roboassembly.errors import InputError, PolicyError, UnknownNameError
-from roboassembly.furniture.model import Furniture
+from roboassembly.envs.arguments import checked_action
+from roboassembly.envs.observation import Observer
+from roboassembly.errors import InputError, UnknownNameError
+from roboassembly.evaluation.episodes import Episode
+from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS, Furniture
 from roboassembly.learning.policy import Policy, check_setting, chosen, guide_of
-from roboassembly.learning.policy_weights import FILES, NAMES
-from roboassembly.learning.registry import PolicyFactory, policy_factory
+from roboassembly.learning.registry import FILES, NAMES, Maker, maker_of
 from roboassembly.planning.problem import Budget, PlanningStatus
+from roboassembly.settings import DEFAULT, SETTINGS, Setting
 from roboassembly.solvers.guide import Guide
 from roboassembly.solvers.joint_rrt import solve_jointly
 from roboassembly.solvers.random_order import assemble_in_random_order
-from roboassembly.solvers.search import SearchResult, solve, solve_full
-from roboassembly.task.full.execution import execute_plan, summarize_execution
+from roboassembly.task.full.execution import summarize_execution
 from roboassembly.task.full.failure import Failure
-from roboassembly.task.object_centric.task import ObjectCentricTask, ObjectCentricVerdict
-from roboassembly.task.plans.full_plan import FullPlan
-from roboassembly.task.plans.plan import Plan
-from roboassembly.task.setting import SettingName
+from roboassembly.task.object_centric.task import ObjectCentricTask
+from roboassembly.task.rollout import Action, rollout
+from roboassembly.task.setting import SettingName, Task
 
 ExecutionName = Literal["kinematic", "dynamic"]
 SEARCH = "search"
 REFUSED = "refused"
 """Verdict on furniture that does not suit the cell."""
-_NO_PLAN = "no_plan"
-
-
-@dataclass(frozen=True)
-class Episode:
-    """One try at one piece."""
-
-    furniture: str
-    parts: int
-    seed: int
-    """Of the start, and of all that is drawn; `reset(seed=...)` of the environment."""
-    success: bool
-    merges: int
-    verdict: str
-    """How the last step ended (`ObjectCentricVerdict`, `FullVerdict`, `ExecutionVerdict`); of a solver:
-    `merged`, or why it did not get there."""
-    planning_steps: int
-    """Configurations tested for collision."""
-    planning_seconds: float
-    policy_seconds: float = 0.0
-    """Time that the policy took to choose."""
-    actions: tuple[tuple[int, ...], ...] = ()
-    """Of each step, where the way of assembling has such."""
-    family: str = ""
-    """Empty if the set does not know."""
-    unseen: bool | None = None
-    """Whether the family occurs in no training; None if the set does not know."""
-    reason: str = ""
-    """Why a solver found nothing, or the stage in which a policy's last step failed with robots, in words."""
-    stage: str = ""
-    """Stage in which a policy's last step failed with robots (`Stage`); empty if none did."""
-    step_seconds: tuple[float, ...] = ()
-    """Of planning each merge of the plan."""
-    executed: dict[str, Any] | None = None
-    """Of a plan that was carried out in physics: `task.full.execution.PlanExecution` in numbers."""
-    violations: int | None = None
-    """That an audit of the plan found; None without one."""
+_MERGED, _NO_PLAN, _STUCK = "merged", "no_plan", "stuck"
 
 
 @dataclass(frozen=True)
 class RolloutConfig:
-    """A way of assembling."""
+    """Everything that decides how an episode is run."""
 
     policy: str | Policy = SEARCH
-    """A solver's name, a policy's, the path of a checkpoint or of a Python file, or a policy of your own."""
+    """Name of a solver or of a policy, path of a checkpoint or of a Python file, or a policy object."""
     search: bool = False
-    """The policy guides the search; else it plays alone."""
-    setting: SettingName = "object-centric"
+    """The policy guides the search; otherwise it acts alone."""
+    setting: SettingName = DEFAULT
     execution: ExecutionName = "kinematic"
-    """`dynamic`: what is planned in the full setting is carried out in physics besides, and has to succeed there."""
+    """`dynamic`: plans of the full setting are also carried out in physics, and have to succeed there."""
     audit: bool = False
     """Replay every plan with python-fcl."""
 
 
 @dataclass(frozen=True, eq=False)
 class PolicyRollout:
-    """What a policy did alone."""
+    """Episode of a policy that acts alone."""
 
-    plan: Plan | FullPlan
-    """Its merges; not a success if it failed."""
-    actions: tuple[tuple[int, ...], ...]
-    """One more than merges if it failed."""
+    plan: Any
+    """Its merges as a plan of the setting; unsuccessful if the episode failed."""
+    actions: tuple[Action, ...]
+    """All actions: one more than merges if the episode failed."""
     verdict: str
-    """Of the last step."""
+    """Outcome of the last step."""
     planning_steps: int
     planning_seconds: float
     policy_seconds: float
@@ -104,191 +67,204 @@ class PolicyRollout:
     """Failure of the last step, with robots."""
 
 
+@dataclass(frozen=True, eq=False)
+class _Start:
+    """A piece of furniture at the start of an episode."""
+
+    setting: Setting
+    task: Task[Any, Any]
+    state: Any
+    rng: np.random.Generator
+    """Source of the episode's further draws."""
+    seed: int
+
+
 Agent = Callable[[Furniture, int], Episode]
-_Played = tuple[Episode, Plan | FullPlan | None]
+"""Runs an episode of a piece of furniture with a seed."""
+_Result = tuple[Episode, Any]
+"""An episode and its plan; None if the solver makes none."""
+_Run = Callable[[_Start], _Result]
 
 
-def make_agent(way: RolloutConfig) -> Agent:
-    """What plays an episode of a piece with a seed.
+def make_agent(config: RolloutConfig) -> Agent:
+    """Return the function that runs episodes.
 
     Raises:
         UnknownNameError: no such policy.
-        InputError: the file is of no use, what is named cannot guide the search, or does not know the setting.
+        InputError: the file cannot be used, or the policy cannot guide the search or does not know the setting.
         MissingExtraError: an audit without python-fcl.
     """
-    if way.execution == "dynamic" and way.setting != "full":
+    setting = SETTINGS[config.setting]
+    if config.execution == "dynamic" and setting.execute is None:
         raise InputError("--execution dynamic takes --setting full: there are no robots in the other one")
-    if way.audit:
+    if config.audit:
         from roboassembly.audit.object_centric import fcl_module
 
         fcl_module()
-    return partial(_play, way, _own(way))
+    return partial(_episode, config, _runner(config))
 
 
-def _play(way: RolloutConfig, own: Callable[[Furniture, int], _Played], furniture: Furniture, seed: int) -> Episode:
-    episode, plan = own(furniture, seed)
-    if plan is not None:
-        episode = replace(episode, step_seconds=tuple(round(s.planning_seconds, 5) for s in plan.steps))
-    if way.audit and plan is not None:
-        episode = replace(episode, violations=_violations(plan))
-    if way.execution == "dynamic" and isinstance(plan, FullPlan) and plan.success:
-        done = summarize_execution(plan, execute_plan(plan))
+def run_episode(policy: Policy, furniture: Furniture, seed: int) -> Episode:
+    """Run one object-centric episode of a policy."""
+    return make_agent(RolloutConfig(policy))(furniture, seed)
+
+
+def rollout_policy(policy: Policy, furniture: Furniture, seed: int, setting: SettingName = DEFAULT) -> PolicyRollout:
+    """Let a policy act alone for one episode; it sees observations and masks only.
+
+    The episode is the one that the setting's environment runs after `reset(seed=seed)`.
+
+    Raises:
+        PolicyError: the policy picks something that is no action.
+        InputError: the furniture does not suit the setting.
+    """
+    return _rollout(policy, _start(SETTINGS[setting], furniture, seed))
+
+
+def _start(setting: Setting, furniture: Furniture, seed: int) -> _Start:
+    rng = np.random.default_rng(seed)
+    task = setting.make_task(furniture)
+    return _Start(setting, task, task.initial_state(rng), rng, seed)
+
+
+def _rollout(policy: Policy, start: _Start) -> PolicyRollout:
+    task, furniture = start.task, start.task.furniture
+    observer = Observer(furniture, MAX_PARTS, MAX_POINTS, policy.cloud_points)
+    names = ("u", "v", "k", "l", *start.setting.choices)
+    thinking = 0.0
+
+    def propose(state: Any) -> Iterable[Action]:
+        nonlocal thinking
+        observation, mask = observer.observe(task.groups_of(state)), task.existing_actions(state)
+        begun = time.perf_counter()
+        action = chosen(policy, observation, mask)
+        thinking += time.perf_counter() - begun
+        return [checked_action(action, mask.shape, names)]
+
+    tried = list(rollout(task, start.state, propose, start.rng))
+    last = tried[-1].outcome
+    merges = tuple(t.outcome.step for t in tried if t.merged)
+    complete = task.groups_of(last.state).complete
+    return PolicyRollout(
+        plan=start.setting.make_plan(furniture, start.state, merges, complete, start.seed),
+        actions=tuple(t.action for t in tried),
+        verdict=str(last.verdict),
+        planning_steps=sum(t.outcome.planning_steps for t in tried),
+        planning_seconds=sum(t.outcome.planning_seconds for t in tried),
+        policy_seconds=thinking,
+        failure=last.failure,
+    )
+
+
+def _episode(config: RolloutConfig, run: _Run, furniture: Furniture, seed: int) -> Episode:
+    """Run an episode, then audit its plan and carry it out in physics if the configuration says so."""
+    setting = SETTINGS[config.setting]
+    try:
+        start = _start(setting, furniture, seed)
+    except InputError as error:
+        return Episode(furniture.name, len(furniture.parts), seed, False, 0, REFUSED, 0, 0.0, reason=str(error))
+    episode, plan = run(start)
+    if plan is None:
+        return episode
+    episode = replace(episode, step_seconds=tuple(round(s.planning_seconds, 5) for s in plan.steps))
+    if config.audit:
+        episode = replace(episode, violations=sum(setting.audit(plan).counts.values()))
+    if config.execution == "dynamic" and setting.execute is not None and plan.success:
+        done = summarize_execution(plan, setting.execute(plan))
         verdict = episode.verdict if done.success else done.ending
         episode = replace(episode, success=done.success, verdict=verdict, reason=done.reason, executed=asdict(done))
     return episode
 
 
-def _violations(plan: Plan | FullPlan) -> int:
-    from roboassembly.audit.full import audit_full_plan
-    from roboassembly.audit.object_centric import audit_plan
+def _runner(config: RolloutConfig) -> _Run:
+    """Return what runs the configuration's episodes from their start."""
+    policy = config.policy
+    known = [name for name, solver in SOLVERS.items() if config.setting in solver.settings]
+    if isinstance(policy, str) and policy in SOLVERS:
+        if policy not in known:
+            raise InputError(f"'{policy}' chooses no grasps; --setting {config.setting} takes --policy {SEARCH}")
+        if config.search:
+            raise InputError(f"'{policy}' cannot guide the search; a policy that values actions would do")
+        return SOLVERS[policy].run
+    make = _maker(policy, known)
+    # Only to check it; each episode makes its own.
+    sample = make(0)
+    check_setting(sample, config.setting, SEARCH)
+    if config.search:
+        guide_of(sample)
+        return lambda start: _search(start, guide_of(make(start.seed)))
+    return lambda start: _act_alone(make(start.seed), start)
 
-    report = audit_full_plan(plan) if isinstance(plan, FullPlan) else audit_plan(plan)
-    return sum(report.counts.values())
 
-
-def _search_full(furniture: Furniture, seed: int, guide: Guide | None = None) -> _Played:
+def _maker(policy: str | Policy, solvers: Iterable[str]) -> Maker:
+    if not isinstance(policy, str):
+        return lambda seed: policy
     try:
-        return _searched(solve_full(furniture, seed, guide=guide))
-    except PolicyError:
-        raise
-    except InputError as error:
-        return _refused(furniture, seed, error), None
+        return maker_of(policy)
+    except UnknownNameError:
+        raise UnknownNameError("policy", policy, [*solvers, *NAMES, *FILES]) from None
 
 
-def _refused(furniture: Furniture, seed: int, why: InputError) -> Episode:
-    return Episode(furniture.name, len(furniture.parts), seed, False, 0, REFUSED, 0, 0.0, reason=str(why))
+def _act_alone(policy: Policy, start: _Start) -> _Result:
+    done = _rollout(policy, start)
+    failure = done.failure
+    furniture = start.task.furniture
+    episode = Episode(
+        furniture.name, len(furniture.parts), start.seed, done.plan.success, len(done.plan.steps), done.verdict,
+        done.planning_steps, done.planning_seconds, done.policy_seconds, done.actions,
+        reason="" if failure is None else failure.stage_text, stage="" if failure is None else str(failure.stage or ""),
+    )  # fmt: skip
+    return episode, done.plan
 
 
-def _searched(result: SearchResult[Plan] | SearchResult[FullPlan]) -> _Played:
+def _search(start: _Start, guide: Guide[Any] | None = None) -> _Result:
+    setting = start.setting
+    result = setting.solve_from(start.task, start.state, start.seed, setting.limits, guide)
     plan = result.plan
     episode = Episode(
         plan.furniture.name, len(plan.furniture.parts), plan.seed, plan.success, len(plan.steps),
-        ObjectCentricVerdict.MERGED.value if plan.success else _NO_PLAN, result.planning_steps, result.planning_seconds,
+        _MERGED if plan.success else _NO_PLAN, result.planning_steps, result.planning_seconds,
         result.guide_seconds, tuple(step.action for step in plan.steps), reason=result.reason,
     )  # fmt: skip
     return episode, plan
 
 
-def _own(way: RolloutConfig) -> Callable[[Furniture, int], _Played]:
-    """What plays in the way's setting, without what may follow."""
-    policy, full = way.policy, way.setting == "full"
-    solvers = FULL_SOLVERS if full else SOLVERS
-    if isinstance(policy, str):
-        if policy in solvers:
-            if way.search:
-                raise InputError(f"'{policy}' cannot guide the search; a policy that values actions would do")
-            return solvers[policy]
-        if policy in SOLVERS:
-            raise InputError(f"'{policy}' chooses no grasps; --setting full takes --policy {SEARCH}")
-    make = _maker(policy, solvers)
-    # One to look at; each episode has its own.
-    looked_at = make(0)
-    check_setting(looked_at, way.setting, SEARCH)
-    if way.search:
-        guide_of(looked_at)
-        search = _search_full if full else _search
-        return lambda furniture, seed: search(furniture, seed, guide_of(make(seed)))
-    return lambda furniture, seed: _alone(make(seed), way.setting, furniture, seed)
-
-
-def _maker(policy: str | Policy, solvers: Iterable[str]) -> PolicyFactory:
-    if not isinstance(policy, str):
-        return lambda seed: policy
-    try:
-        return policy_factory(policy)
-    except UnknownNameError:
-        raise UnknownNameError("policy", policy, [*solvers, *NAMES, *FILES]) from None
-
-
-def rollout_policy(
-    policy: Policy, furniture: Furniture, seed: int, setting: SettingName = "object-centric"
-) -> PolicyRollout:
-    """Let a policy play one episode of the environment, by `reset` and `step` alone.
-
-    Raises:
-        PolicyError: what the policy picks is no action.
-        InputError: the furniture does not suit the setting.
-    """
-    env: Any = (FullEnv if setting == "full" else ObjectCentricEnv)(furniture, cloud_points=policy.cloud_points)
-    observation, info = env.reset(seed=seed)
-    initial = env.state
-    actions: list[tuple[int, ...]] = []
-    merges: list[Any] = []
-    states, planning, thinking, over = 0, 0.0, 0.0, False
-    while not over:
-        begun = time.perf_counter()
-        action = chosen(policy, observation, info["action_mask"])
-        thinking += time.perf_counter() - begun
-        observation, _, terminated, truncated, info = env.step(np.array(action))
-        over = terminated or truncated
-        actions.append(action)
-        states += info["planning_steps"]
-        outcome = env.last_outcome
-        if outcome is not None:
-            planning += outcome.planning_seconds
-            merges += [outcome.step] if outcome.step is not None else []
-    if setting == "full":
-        plan = FullPlan(furniture, initial, tuple(merges), bool(info["success"]), seed)
-    else:
-        plan = Plan(furniture, initial.part_poses, tuple(merges), bool(info["success"]), seed)
-    failure = getattr(env.last_outcome, "failure", None)
-    return PolicyRollout(plan, tuple(actions), info["verdict"], states, planning, thinking, failure)
-
-
-def run_episode(policy: Policy, furniture: Furniture, seed: int) -> Episode:
-    """One episode of a policy, your own included."""
-    return make_agent(RolloutConfig(policy))(furniture, seed)
-
-
-def _alone(policy: Policy, setting: SettingName, furniture: Furniture, seed: int) -> _Played:
-    try:
-        done = rollout_policy(policy, furniture, seed, setting)
-    except PolicyError:
-        raise
-    except InputError as error:
-        if setting == "full":
-            return _refused(furniture, seed, error), None
-        raise
-    failed = done.failure
-    episode = Episode(
-        furniture.name, len(furniture.parts), seed, done.plan.success, len(done.plan.steps), done.verdict,
-        done.planning_steps, done.planning_seconds, done.policy_seconds, done.actions,
-        reason="" if failed is None else failed.stage_text, stage="" if failed is None else str(failed.stage or ""),
-    )  # fmt: skip
-    return episode, done.plan
-
-
-def _search(furniture: Furniture, seed: int, guide: Guide | None = None) -> _Played:
-    return _searched(solve(furniture, seed, guide=guide))
-
-
-def _joint(furniture: Furniture, seed: int) -> _Played:
-    result = solve_jointly(furniture, seed)
+def _joint_rrt(start: _Start) -> _Result:
+    furniture = start.task.furniture
+    result = solve_jointly(furniture, start.seed)
     parts, solved = len(furniture.parts), result.status is PlanningStatus.SOLVED
-    verdict = ObjectCentricVerdict.MERGED.value if solved else result.status.value
-    merges = (parts - 1) * solved
+    verdict = _MERGED if solved else result.status.value
     steps, seconds = result.planning_steps, result.planning_seconds
-    return Episode(furniture.name, parts, seed, solved, merges, verdict, steps, seconds), None
+    return Episode(furniture.name, parts, start.seed, solved, (parts - 1) * solved, verdict, steps, seconds), None
 
 
-def _right_pairs(furniture: Furniture, seed: int, best_w: bool) -> _Played:
-    play = assemble_in_random_order(ObjectCentricTask(furniture), seed, best_w=best_w, patient=False, budget=Budget())
-    verdict = ObjectCentricVerdict.MERGED.value if play.completed else "stuck"
+def _right_pairs(start: _Start, best_w: bool) -> _Result:
+    furniture = start.task.furniture
+    result = assemble_in_random_order(
+        ObjectCentricTask(furniture), start.seed, best_w=best_w, patient=False, budget=Budget()
+    )
     episode = Episode(
-        furniture.name, len(furniture.parts), seed, play.completed, play.merges, verdict, play.planning_steps,
-        play.planning_seconds,
+        furniture.name, len(furniture.parts), start.seed, result.completed, result.merges,
+        _MERGED if result.completed else _STUCK, result.planning_steps, result.planning_seconds,
     )  # fmt: skip
     return episode, None
 
 
-SOLVERS: dict[str, Callable[[Furniture, int], _Played]] = {
-    SEARCH: _search,
-    "joint-rrt": _joint,
-    "right-pairs": partial(_right_pairs, best_w=True),
-    "right-pairs-random-w": partial(_right_pairs, best_w=False),
+@dataclass(frozen=True)
+class Solver:
+    """A solver that can be named in place of a policy."""
+
+    run: _Run
+    settings: tuple[SettingName, ...] = (DEFAULT,)
+    has_actions: bool = False
+    """Its episodes name their actions, so that they can be exported."""
+
+
+SOLVERS: dict[str, Solver] = {
+    SEARCH: Solver(_search, ("object-centric", "full"), has_actions=True),
+    "joint-rrt": Solver(_joint_rrt),
+    "right-pairs": Solver(partial(_right_pairs, best_w=True)),
+    "right-pairs-random-w": Solver(partial(_right_pairs, best_w=False)),
 }
-"""`search` knows how the furniture comes apart; `joint-rrt` is the paper's baseline; `right-pairs` always takes a right
-pair, in random order, with its best `w` or a random one: what is left to learn once pairs are known."""
-FULL_SOLVERS: dict[str, Callable[[Furniture, int], _Played]] = {SEARCH: _search_full}
-EXPORTABLE = (SEARCH,)
-"""Solvers whose episodes tell their actions."""
+"""`search` plans by disassembly; `joint-rrt` is the paper's RRT-Connect baseline; `right-pairs` joins right pairs in
+random order, each with its best `w` or a random one: what is left to learn once pairs are known."""

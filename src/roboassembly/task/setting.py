@@ -14,6 +14,7 @@ from roboassembly.task.rules.groups import TaskState
 if TYPE_CHECKING:
     # Records of plans name their setting, and audits read records: they load nothing of the planner.
     from roboassembly.planning.problem import Budget
+    from roboassembly.task.full.failure import Failure
 
 SettingName = Literal["object-centric", "full"]
 State = TypeVar("State")
@@ -37,6 +38,11 @@ class Outcome(Protocol[State_co, Step_co]):
     @property
     def verdict(self) -> str:
         """How the step ended."""
+        ...
+
+    @property
+    def failure(self) -> Failure | None:
+        """Failure of a step with robots; None if it merged, or without robots."""
         ...
 
     @property

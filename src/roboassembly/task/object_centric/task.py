@@ -61,6 +61,8 @@ class ObjectCentricOutcome:
     """Record of the step; None unless merged."""
     planning_steps: int
     planning_seconds: float
+    failure: None = None
+    """There are no robots that could fail."""
 
 
 @dataclass(frozen=True, eq=False)
