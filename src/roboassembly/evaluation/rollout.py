@@ -16,7 +16,8 @@ from roboassembly.errors import InputError, UnknownNameError
 from roboassembly.evaluation.episodes import Episode
 from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS, Furniture
 from roboassembly.learning.policy import Policy, check_setting, chosen, guide_of
-from roboassembly.learning.registry import FILES, NAMES, Maker, maker_of
+from roboassembly.learning.policy_weights import FILES, NAMES
+from roboassembly.learning.registry import PolicyFactory, policy_factory
 from roboassembly.planning.problem import Budget, PlanningStatus
 from roboassembly.settings import DEFAULT, SETTINGS, Setting
 from roboassembly.solvers.guide import Guide
@@ -186,7 +187,7 @@ def _runner(config: RolloutConfig) -> _Run:
         if config.search:
             raise InputError(f"'{policy}' cannot guide the search; a policy that values actions would do")
         return SOLVERS[policy].run
-    make = _maker(policy, known)
+    make = _factory(policy, known)
     # Only to check it; each episode makes its own.
     sample = make(0)
     check_setting(sample, config.setting, SEARCH)
@@ -196,11 +197,11 @@ def _runner(config: RolloutConfig) -> _Run:
     return lambda start: _act_alone(make(start.seed), start)
 
 
-def _maker(policy: str | Policy, solvers: Iterable[str]) -> Maker:
+def _factory(policy: str | Policy, solvers: Iterable[str]) -> PolicyFactory:
     if not isinstance(policy, str):
         return lambda seed: policy
     try:
-        return maker_of(policy)
+        return policy_factory(policy)
     except UnknownNameError:
         raise UnknownNameError("policy", policy, [*solvers, *NAMES, *FILES]) from None
 
