@@ -22,7 +22,7 @@ class Episode:
     success: bool
     merges: int
     verdict: str
-    """Outcome of the last step (a verdict of the setting, or `Ending`); for a solver `merged` or why it failed."""
+    """Outcome of the last step (a verdict of the setting, or `ExecutionVerdict`); for a solver `merged` or why it failed."""
     planning_steps: int
     """Configurations tested for collision."""
     planning_seconds: float
@@ -41,7 +41,7 @@ class Episode:
     step_seconds: tuple[float, ...] = ()
     """Planning time of each merge of the plan [s]."""
     executed: dict[str, Any] | None = None
-    """Result of a plan that was carried out in physics: `task.full.execution.Execution` in numbers."""
+    """Result of a plan that was carried out in physics: `task.full.execution.PlanExecution` in numbers."""
     violations: int | None = None
     """Number of violations that an audit of the plan found; None without an audit."""
 
