@@ -22,7 +22,7 @@ class Episode:
     success: bool
     merges: int
     verdict: str
-    """Outcome of the last step (verdict of the setting, or `ExecutionVerdict`); for a solver `merged` or why it failed."""
+    """Outcome of the last step (verdict of the setting or of the execution); for a solver `merged` or why it failed."""
     planning_steps: int
     """Configurations tested for collision."""
     planning_seconds: float
