@@ -45,3 +45,9 @@ def test_picture_of_the_rooms_shows_every_room() -> None:
     rooms = {path.name for path in package.iterdir() if (path / "__init__.py").exists()}
     picture = (ROOT / "docs" / "images" / "rooms.svg").read_text()
     assert {f"{room}/" for room in rooms} <= set(re.findall(r">([a-z]+/)<", picture))
+
+
+def test_pictures_are_small_enough_to_load_in_a_page() -> None:
+    images = [path for path in (ROOT / "docs" / "images").iterdir() if path.is_file()]
+    assert {path.name for path in images} >= {"two_robots.webp", "rooms.svg"}
+    assert max(path.stat().st_size for path in images) <= 3_000_000
