@@ -118,6 +118,7 @@ class ViewCommand:
                 slow.cancel()
 
     def _check_furniture(self) -> None:
+        from roboassembly.settings import SETTINGS
         from roboassembly.studio.assembly_session import AssemblySession
         from roboassembly.studio.sources import open_path, open_plan
 
@@ -126,5 +127,5 @@ class ViewCommand:
             AssemblySession(furniture, script.setting, script.seed).check(script)
         else:
             # The result is cached for the first client.
-            furniture = open_path(self.furniture, self.scale, with_grasps=self.setting == "full")
+            furniture = open_path(self.furniture, self.scale, with_grasps=SETTINGS[self.setting].has_robots)
             AssemblySession(furniture, self.setting, self.seed)

@@ -1,4 +1,4 @@
-"""The paper's state as arrays of fixed shape: geometry, connection points, grasp regions, poses, connections.
+"""Observations: the paper's state as arrays of fixed shape (geometry, points, grasps, poses, connections).
 
 | key | shape | meaning | unit |
 |---|---|---|---|
@@ -6,7 +6,7 @@
 | `connection_points` | (P, K, 9) | position, outward normal, tangent, part frame | m, 1, 1 |
 | `grasp_regions` | (P, 2, 4, 6) | hand in four directions, part frame: translation, Euler angles | m, rad |
 | `poses` | (P, 6) | world pose of each part: translation and Euler angles | m, rad |
-| `connections` | (P, P, 6) | pose of part j in part i's frame if both are in one group, else 0 | m, rad |
+| `connections` | (P, P, 6) | connection tensor: pose of part j in part i's frame in one group, else 0 | m, rad |
 
 P, K and C are `max_parts`, `max_points` and `cloud_points`. Rows of parts and points that are not there are 0, and
 so are those of grasp regions that a part lacks. A hand's frame lies between the finger tips: z along the approach, y

@@ -1,4 +1,7 @@
-"""The paper's baseline: one motion plan for all parts at once, knowing their final poses."""
+"""RRT-Connect baseline of the paper ("6M RRT-Connect"): plans the motion of all M parts at once, in 6·M dimensions.
+
+It knows the parts' final poses and has no order of merges.
+"""
 
 from __future__ import annotations
 
@@ -14,12 +17,12 @@ from roboassembly.planning.problem import Budget, PlanningStatus
 from roboassembly.task.layout import GROUND_CLEARANCE, scatter_parts
 
 BUDGET = Budget(states=100_000)
-"""The paper's."""
+"""Budget of the paper."""
 
 
 @dataclass(frozen=True, eq=False)
 class JointResult:
-    """What the baseline came to."""
+    """Result of the RRT-Connect baseline."""
 
     status: PlanningStatus
     planning_steps: int

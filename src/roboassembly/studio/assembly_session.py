@@ -15,12 +15,10 @@ from roboassembly.envs.observation import Observer
 from roboassembly.errors import InputError
 from roboassembly.furniture.annotate import add_grasps
 from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS, Furniture
-from roboassembly.solvers.forward import SearchLimits, SearchProgress, Watch, planner_seed
+from roboassembly.settings import SETTINGS
+from roboassembly.solvers.forward import SearchProgress, Watch, planner_seed
 from roboassembly.solvers.guide import Guide
-from roboassembly.solvers.search import FULL_LIMITS, solve_from, solve_full_from
 from roboassembly.task.full.failure import Failure
-from roboassembly.task.full.task import FullTask
-from roboassembly.task.object_centric.task import ObjectCentricTask
 from roboassembly.task.object_centric.upright import set_upright
 from roboassembly.task.plans.full_plan import FullPlan
 from roboassembly.task.plans.plan import Plan, UprightResult
@@ -76,7 +74,7 @@ class AssemblySession:
     def __post_init__(self) -> None:
         if self.seed < 0:
             raise InputError(f"seed {self.seed} is negative; it must be 0 or more")
-        self.task: Any = (FullTask if self.setting == "full" else ObjectCentricTask)(self.furniture)
+        self.task: Any = SETTINGS[self.setting].make_task(self.furniture)
         self._states: list[Any] = [self.task.initial_state(np.random.default_rng(self.seed))]
         self._steps: list[Any] = []
         self.upright: UprightResult[Any] | None = None
@@ -118,8 +116,7 @@ class AssemblySession:
 
     def choices(self) -> tuple[tuple[str, int], ...]:
         """Return the name and the number of values of each component of an action after `(u, v, k, l)`."""
-        names = ("g_a", "g_b") if self.setting == "full" else ("w",)
-        return tuple(zip(names, self.task.action_branches, strict=True))
+        return tuple(zip(SETTINGS[self.setting].choices, self.task.action_branches, strict=True))
 
     def attempt(self, action: tuple[int, ...]) -> Attempt:
         """Carry out an action; it becomes the newest step if it merges."""
@@ -201,10 +198,8 @@ class AssemblySession:
             return go_on
 
         with _PLANNER:
-            if self.setting == "full":
-                result = solve_full_from(self.task, self.state, self.seed, FULL_LIMITS, guide, watch_unlocked)
-            else:
-                result = solve_from(self.task, self.state, self.seed, SearchLimits(), guide, watch_unlocked)
+            setting = SETTINGS[self.setting]
+            result = setting.solve_from(self.task, self.state, self.seed, setting.limits, guide, watch_unlocked)
         self.planning_steps += result.planning_steps
         if result.plan.success:
             self._steps += result.plan.steps
@@ -226,6 +221,5 @@ class AssemblySession:
     def plan(self) -> Plan | FullPlan:
         """Return the record of all steps, and of the motion that set the piece upright."""
         steps, complete = tuple(self._steps), self.task_state.complete
-        if self.setting == "full":
-            return FullPlan(self.furniture, self._states[0], steps, complete, self.seed, self.upright)
-        return Plan(self.furniture, self._states[0].part_poses, steps, complete, self.seed, self.upright)
+        make_plan = SETTINGS[self.setting].make_plan
+        return make_plan(self.furniture, self._states[0], steps, complete, self.seed, self.upright)

@@ -15,6 +15,7 @@ from roboassembly.errors import InputError, RoboAssemblyError
 from roboassembly.furniture.model import Furniture
 from roboassembly.learning.policy import Policy, guide_of, settings_of
 from roboassembly.learning.registry import load_policy
+from roboassembly.settings import SETTINGS
 from roboassembly.solvers.forward import SearchProgress, Watch
 from roboassembly.solvers.guide import Guide
 from roboassembly.studio.assembly_editor import AssemblyEditor
@@ -42,7 +43,7 @@ def open_first(config: StudioConfig) -> None:
         InputError: see `open_path`.
     """
     if not config.furniture.endswith(_PLAN):
-        open_path(config.furniture, config.scale, with_grasps=config.setting == "full")
+        open_path(config.furniture, config.scale, with_grasps=SETTINGS[config.setting].has_robots)
 
 
 class ClientSession:
@@ -192,7 +193,10 @@ class ClientSession:
         if file.name.lower().endswith(_PLAN):
             script = plan_file.decode(file.content, Path(file.name).name)
             session = self._open_session
-            self._open(lambda: session.furniture_with_grasps if script.setting == "full" else session.furniture, script)
+            self._open(
+                lambda: session.furniture_with_grasps if SETTINGS[script.setting].has_robots else session.furniture,
+                script,
+            )
             self._repeat(script)
             return
         self._say(f"Reading {Path(file.name).name}. Repair may take a while …")

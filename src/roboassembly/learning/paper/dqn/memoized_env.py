@@ -51,7 +51,7 @@ class Rehearsal:
         """That every two points have."""
         self.trial = trial_of(task)
         rng = np.random.default_rng(seed)
-        initial = task.initial_state(rng).groups if isinstance(task, FullTask) else task.initial_state(rng)
+        initial = task.groups_of(task.initial_state(rng))  # pyright: ignore[reportArgumentType]
         self.every = Registry(task, initial.groups, self.trial.by_part)
         self.part, self.point, self.like = self.every.part, self.every.point, self.every.like
         """Of `Registry`."""
