@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from roboassembly.datasets.sets import furniture_refs
 from roboassembly.learning.datasets import dataset_file
 from roboassembly.learning.logs import read
-from roboassembly.learning.paper.pipeline import results
+from roboassembly.learning.paper.pipeline import expert_results
 
 PANEL = 4.2, 3.0
 """Width and height of the picture [inch]."""
@@ -27,7 +27,7 @@ def mastered(folder: Path) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Return, for each split, the steps and the share of the tried chairs that are solved after them."""
     picks = [p for p in furniture_refs("chairs-412:train") if dataset_file(folder / "experts", p.name).is_file()]
     split = {p.name: p.entry.split for p in picks if p.entry is not None}
-    tried = [r for r in results(picks, folder) if not r.refused]
+    tried = [r for r in expert_results(picks, folder) if not r.refused]
     out = {}
     for name in ("easy", "hard"):
         some = [r for r in tried if split[r.name] == name]

@@ -315,7 +315,7 @@ def test_an_out_that_cannot_be_written_is_found_before_the_work(
         "roboassembly.solvers.forward.Search.run",
         "roboassembly.importers.pipeline.finish",
         "roboassembly.furniture.annotate.annotate",
-        "roboassembly.learning.paper.pipeline.teach_features",
+        "roboassembly.learning.paper.pipeline.train_autoencoder",
         "roboassembly.learning.relational.pipeline.run_pipeline",
         "roboassembly.evaluation.benchmark.run",
         "roboassembly.evaluation.rollout.rollout",

@@ -11,7 +11,7 @@ from roboassembly.learning import logs
 
 
 def test_logs_average_and_survive_a_broken_line(tmp_path: Path) -> None:
-    with logs.Log(tmp_path) as log:
+    with logs.TrainingLog(tmp_path) as log:
         for step in range(1, 101):
             log.add("policy 0", step, {"loss": float(step)})
         log.add("policy 0", 103, {"loss": 1.0}, last=True)

@@ -103,11 +103,11 @@ class MultitaskCommand:
             raise InputError(
                 "--preset paper needs --samples FOLDER and --extractor CHECKPOINT, both from `train expert`"
             )
-        from roboassembly.learning.paper.imitation import Training
-        from roboassembly.learning.paper.pipeline import teach_paper
+        from roboassembly.learning.paper.imitation import PaperTraining
+        from roboassembly.learning.paper.pipeline import train_policy
 
-        training = Training(steps=self.steps or Training.steps, seed=self.seed)
-        return teach_paper(self.samples, self.extractor, self.out, training)
+        training = PaperTraining(steps=self.steps or PaperTraining.steps, seed=self.seed)
+        return train_policy(self.samples, self.extractor, self.out, training)
 
 
 def require_packages(*packages: str) -> None:
@@ -131,7 +131,7 @@ def follow(progress: Iterable[Progress], folder: Path) -> dict[str, float]:
     last: dict[str, float] = {}
     bar: tqdm[Any] | None = None
     stage = ""
-    with logs.Log(folder) as log:
+    with logs.TrainingLog(folder) as log:
         for p in progress:
             if bar is None or stage != p.stage:
                 if bar is not None:

@@ -16,8 +16,8 @@ from roboassembly.parallel.processes import use_cluster
 
 if TYPE_CHECKING:
     from roboassembly.datasets.sets import FurnitureRef
-    from roboassembly.learning.paper.dqn.train import Mastery
-    from roboassembly.learning.paper.pipeline import Schooling
+    from roboassembly.learning.paper.dqn.results import ExpertResult
+    from roboassembly.learning.paper.pipeline import PipelineConfig
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class AutoencoderCommand:
             last = self.train_autoencoder(refs, jobs)
         if self.json:
             chamfer = last.get("auto-encoder/chamfer")
-            print_json({"set": self.set, "steps": self.config().features.steps, "chamfer": chamfer,
+            print_json({"set": self.set, "steps": self.config().autoencoder.steps, "chamfer": chamfer,
                         "out": str(self.out)})  # fmt: skip
         return DONE
 
@@ -62,20 +62,20 @@ class AutoencoderCommand:
         writable_folder(self.out)
         return refs
 
-    def config(self) -> Schooling:
+    def config(self) -> PipelineConfig:
         """Return the configuration of the run."""
-        from roboassembly.learning.paper.pipeline import Schooling
+        from roboassembly.learning.paper.pipeline import PipelineConfig
 
-        plain = Schooling()
-        features = plain.features if self.steps is None else replace(plain.features, steps=self.steps)
-        return replace(plain, features=features).seeded(self.seed)
+        plain = PipelineConfig()
+        autoencoder = plain.autoencoder if self.steps is None else replace(plain.autoencoder, steps=self.steps)
+        return replace(plain, autoencoder=autoencoder).seeded(self.seed)
 
     def train_autoencoder(self, refs: Sequence[FurnitureRef], jobs: int) -> dict[str, float]:
         """Train the auto-encoder unless it is trained already; returns its last figures."""
-        from roboassembly.learning.paper.pipeline import teach_features
+        from roboassembly.learning.paper.pipeline import train_autoencoder
 
         notes = {"set": self.set, "limit": self.limit, "sample": self.sample}
-        return follow(teach_features(refs, self.out, self.config(), notes, jobs), self.out)
+        return follow(train_autoencoder(refs, self.out, self.config(), notes, jobs), self.out)
 
 
 @dataclass(frozen=True)
@@ -95,12 +95,12 @@ class ExpertCommand(AutoencoderCommand):
         """Run the command; returns the exit status."""
         require_at_least(1, side_by_side=self.side_by_side, episodes=self.episodes)
         refs = self.select_furniture()
-        from roboassembly.learning.paper.pipeline import results, teach_experts
+        from roboassembly.learning.paper.pipeline import expert_results, train_experts
 
         with use_cluster(self.ray, self.jobs) as jobs:
             self.train_autoencoder(refs, jobs)
-            follow(teach_experts(refs, self.out, self.config(), {"set": self.set}, jobs), self.out)
-        trained = results(refs, self.out)
+            follow(train_experts(refs, self.out, self.config(), {"set": self.set}, jobs), self.out)
+        trained = expert_results(refs, self.out)
         report = _report(refs, trained)
         if self.json:
             print_json({**report, "set": self.set, "seed": self.seed, "out": str(self.out)})
@@ -109,24 +109,24 @@ class ExpertCommand(AutoencoderCommand):
                 show(f"{split}: {figures}")
         return DONE if any(r.mastered for r in trained) else FAILED
 
-    def config(self) -> Schooling:
+    def config(self) -> PipelineConfig:
         """Return the configuration of the run."""
-        from roboassembly.learning.paper.pipeline import Schooling
+        from roboassembly.learning.paper.pipeline import PipelineConfig
 
-        usual = Schooling.usual(self.setting)
+        usual = PipelineConfig.default(self.setting)
         experts = usual.experts if self.steps is None else replace(usual.experts, steps=self.steps)
-        episodes = self.episodes or usual.plays
-        return replace(usual, experts=experts, side_by_side=self.side_by_side, plays=episodes).seeded(self.seed)
+        episodes = self.episodes or usual.episodes
+        return replace(usual, experts=experts, side_by_side=self.side_by_side, episodes=episodes).seeded(self.seed)
 
 
-def _report(refs: Sequence[FurnitureRef], results: Sequence[Mastery]) -> dict[str, object]:
+def _report(refs: Sequence[FurnitureRef], results: Sequence[ExpertResult]) -> dict[str, object]:
     """Return figures for all pieces, and for each split of the set."""
-    from roboassembly.learning.paper.dqn.train import mastery
+    from roboassembly.learning.paper.dqn.results import summary
 
     split_of = {p.name: p.entry.split for p in refs if p.entry is not None}
-    out: dict[str, object] = dict(mastery(results))
+    out: dict[str, object] = dict(summary(results))
     for split in sorted(set(split_of.values())):
-        out[split] = mastery([r for r in results if split_of.get(r.name) == split])
+        out[split] = summary([r for r in results if split_of.get(r.name) == split])
     out["per_furniture"] = [vars(r) for r in sorted(results, key=lambda r: r.name)]
     return out
 

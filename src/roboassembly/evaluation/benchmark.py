@@ -2,7 +2,7 @@
 
 One stage after another, each kept in the run's folder; stages that are done are not done again.
 
-    autoencoder.npz  experts/  lessons/     of the training chairs
+    autoencoder.npz  experts/  samples/     of the training chairs
     paper/policy.npz  relational/policy.npz
     episodes/<row>.jsonl                    every episode as it ends
     benchmark.json  table.md                report and table
@@ -27,16 +27,18 @@ from roboassembly.evaluation.episodes import Episode, read_episodes, record_epis
 from roboassembly.evaluation.evaluate import Evaluation, evaluate
 from roboassembly.evaluation.report import UNSEEN, Row
 from roboassembly.evaluation.rollout import REFUSED, ExecutionName, RolloutConfig
-from roboassembly.learning.paper import autoencoder
-from roboassembly.learning.paper import imitation as paper_imitation
-from roboassembly.learning.paper.dqn.train import ExpertTraining, mastery
+from roboassembly.learning.paper.autoencoder import AutoencoderTraining
+from roboassembly.learning.paper.dqn.results import summary
+from roboassembly.learning.paper.dqn.train import ExpertTraining
+from roboassembly.learning.paper.imitation import PaperTraining
 from roboassembly.learning.paper.pipeline import (
-    Schooling,
-    extractor_of,
-    results,
-    teach_experts,
-    teach_features,
-    teach_paper,
+    PipelineConfig,
+    autoencoder_file,
+    expert_results,
+    samples_folder,
+    train_autoencoder,
+    train_experts,
+    train_policy,
 )
 from roboassembly.learning.policy_weights import weights_hash
 from roboassembly.learning.progress import Progress
@@ -90,8 +92,8 @@ class BenchmarkConfig:
     """Additional sets of real furniture for the relational policy, each `folder:PATH`."""
     shipped: bool = True
     """Use the relational policy of the package; otherwise train one."""
-    pipeline: Schooling = field(default_factory=Schooling)
-    paper: paper_imitation.Training = field(default_factory=paper_imitation.Training)
+    pipeline: PipelineConfig = field(default_factory=PipelineConfig)
+    paper: PaperTraining = field(default_factory=PaperTraining)
     relational: RelationalPipelineConfig = field(default_factory=RelationalPipelineConfig)
     seed: int = 0
 
@@ -110,25 +112,25 @@ _WHOLE: dict[SettingName, BenchmarkConfig] = {
     "object-centric": BenchmarkConfig(),
     # An update takes several times as long: any two points can be joined in 64 ways in place of six.
     "full": BenchmarkConfig(
-        "full", pipeline=Schooling.usual("full"), paper=paper_imitation.Training(steps=5_000),
+        "full", pipeline=PipelineConfig.default("full"), paper=PaperTraining(steps=5_000),
         relational=RelationalPipelineConfig.full(),
     ),
 }  # fmt: skip
 _QUICK_BASE = BenchmarkConfig(
-    set="chairs-24", train_limit=3, experts=3, shipped=False, paper=paper_imitation.Training(steps=40)
+    set="chairs-24", train_limit=3, experts=3, shipped=False, paper=PaperTraining(steps=40)
 )
 _QUICK: dict[SettingName, BenchmarkConfig] = {
     "object-centric": replace(
         _QUICK_BASE, sample=3, relational=RelationalPipelineConfig(extra=0, validation=0, steps=40, network=_TINY),
-        pipeline=Schooling(
-            autoencoder.Training(steps=40), 4, ExpertTraining(steps=1_600, least_steps=400), plays=2
+        pipeline=PipelineConfig(
+            AutoencoderTraining(steps=40), 4, ExpertTraining(steps=1_600, least_steps=400), episodes=2
         ),
     ),
     "full": replace(
         _QUICK_BASE, setting="full", sample=2,
         relational=replace(RelationalPipelineConfig.full(), extra=0, validation=0, episodes=1, steps=2, grasp_steps=40),
-        pipeline=Schooling(
-            autoencoder.Training(steps=40), 4, ExpertTraining(steps=1_600, least_steps=400, setting="full"), plays=8
+        pipeline=PipelineConfig(
+            AutoencoderTraining(steps=40), 4, ExpertTraining(steps=1_600, least_steps=400, setting="full"), episodes=8
         ),
     ),
 }  # fmt: skip
@@ -153,11 +155,11 @@ def run(config: BenchmarkConfig, folder: Path, jobs: int) -> Iterator[Progress]:
         for done, total in build_dataset(RECIPES[config.set], 0, jobs):
             yield Progress(f"data set {config.set}", done, total, {})
     pipeline, chairs = config.pipeline.seeded(config.seed), expert_chairs(config)
-    features = teach_features(chairs, folder, pipeline, {"set": config.set, "sample": config.experts}, jobs)
-    experts = teach_experts(chairs, folder, pipeline, {"set": config.set}, jobs)
+    features = train_autoencoder(chairs, folder, pipeline, {"set": config.set, "sample": config.experts}, jobs)
+    experts = train_experts(chairs, folder, pipeline, {"set": config.set}, jobs)
     yield from timed(folder, "experts", chain(features, experts))
     training = replace(config.paper, seed=config.seed)
-    paper = teach_paper([folder / "lessons"], extractor_of(folder), folder / "paper", training)
+    paper = train_policy([samples_folder(folder)], autoencoder_file(folder), folder / "paper", training)
     yield from timed(folder, "paper", paper)
     if not config.shipped:
         relational = replace(config.relational, set=f"{config.set}:train", limit=config.train_limit, seed=config.seed)
@@ -273,12 +275,12 @@ def rows(config: BenchmarkConfig, folder: Path) -> list[Row]:
     out: list[Row] = []
     chairs, figures_of = expert_chairs(config), asdict(PAPER[config.setting])
     split_of = {ref.name: ref.entry.split for ref in chairs if ref.entry is not None}
-    trained = results(chairs, folder)
+    trained = expert_results(chairs, folder)
     option = SETTINGS[config.setting].option
     sample = "" if config.experts is None else f" --sample {config.experts}"
     command = f"roboassembly train expert{option} --set {config.set}:train{sample} --seed {config.seed} --json"
     for split in ("easy", "hard"):
-        figures = mastery([r for r in trained if split_of[r.name] == split])
+        figures = summary([r for r in trained if split_of[r.name] == split])
         if figures["n"]:
             out.append(Row("experts", f"{split} training chairs", figures, command, figures_of[split]))
     for measurement in measurements(config, folder):

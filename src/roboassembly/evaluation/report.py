@@ -61,7 +61,7 @@ def table(report: dict[str, Any]) -> list[str]:
         counts = {row["on"]: row["figures"]["refused"] for row in report["rows"] if row["figures"].get("refused")}
         lines += ["", "Left out because no two grippers can hold and join all their parts: "
                   + ", ".join(f"{count} of {on}" for on, count in counts.items()) + "."]  # fmt: skip
-    fresh = {r["on"]: f["trials_success_rate"] for r in report["rows"] if "trials_success_rate" in (f := r["figures"])}
+    fresh = {r["on"]: f["test_success_rate"] for r in report["rows"] if "test_success_rate" in (f := r["figures"])}
     if SETTINGS[report["setting"]].has_robots and fresh:
         lines += ["", "Experts count as in the paper, where found paths are kept: by episodes from starts of their "
                   "training. From other starts they finish "

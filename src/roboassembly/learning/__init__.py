@@ -1,1 +1,1 @@
-"""Policies that learn to assemble: what they see, how they are taught, and how they are kept."""
+"""Policies that learn to assemble: their protocol, their training, their checkpoints."""

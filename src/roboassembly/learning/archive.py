@@ -1,4 +1,4 @@
-"""Arrays in npz files that are written whole or not at all, and no code in them."""
+"""Arrays in npz files, without code, written whole or not at all."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ _BROKEN = (
     OSError, ValueError, KeyError, EOFError, TypeError, OverflowError, MemoryError, RuntimeError, struct.error,
     zipfile.BadZipFile, zipfile.LargeZipFile, zlib.error, lzma.LZMAError,
 )  # fmt: skip
-"""What reading a file raises that is cut short, changed, encrypted, or something else."""
+"""Errors of reading a file that is cut short, changed, encrypted, or something else."""
 Arrays = Mapping[str, np.ndarray]
 """Arrays of a file by name."""
 _ARCHIVE = b"PK"
-"""How an npz file begins, as all ZIP archives do."""
+"""First bytes of an npz file, as of all ZIP archives."""
 
 
 def write(path: Path, arrays: Mapping[str, Any]) -> None:
-    """Write arrays, compressed; a process that is killed meanwhile leaves the file as it was."""
+    """Write arrays, compressed; if the process is killed meanwhile, the file stays as it was."""
     scratch = path.with_name(f".{path.name}.{os.getpid()}.npz")
     try:
         np.savez_compressed(scratch, allow_pickle=False, **arrays)
@@ -39,13 +39,13 @@ def write(path: Path, arrays: Mapping[str, Any]) -> None:
 
 @contextmanager
 def reading(path: Path, what: str, remedy: str, largest: int | None = None) -> Iterator[Arrays]:
-    """Arrays that `write` wrote; whatever goes wrong inside is the file's fault.
+    """Open the arrays that `write` wrote; errors inside the block count as errors of the file.
 
     Args:
-        path: of the file.
-        what: it should be, for the message.
-        remedy: what to do if it is not.
-        largest: bytes that all arrays may unpack to; any number if None.
+        path: file.
+        what: expected content, for messages.
+        remedy: advice for messages.
+        largest: largest unpacked size of all arrays [bytes]; any if None.
 
     Raises:
         InputError: the file is a folder, no archive, broken, too large, or lacks something.

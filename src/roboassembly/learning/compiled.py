@@ -1,4 +1,4 @@
-"""What JAX compiles is kept from run to run."""
+"""JAX's compilation cache, kept from run to run."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ _CPU_INFO = Path("/proc/cpuinfo")
 
 
 def keep_compiled() -> None:
-    """From now on what JAX compiles, here and in processes started from here, is kept in the cache folder.
+    """Keep what JAX compiles, here and in processes started from here, in the cache folder.
 
-    To be called before JAX is imported. `$JAX_COMPILATION_CACHE_DIR` names another place.
+    Call it before JAX is imported. `$JAX_COMPILATION_CACHE_DIR` names another folder.
     """
     flags = re.search(r"^(flags|Features)\s*:(.*)$", _CPU_INFO.read_text(), re.M) if _CPU_INFO.is_file() else None
-    # Compiled for this kind of processor: a home folder may be shared by machines of several.
+    # One folder for each kind of processor: several machines may share a home folder.
     kind = f"{platform.machine()} {flags[2] if flags else platform.processor()}"
     folder = cache_folder() / "jax" / hashlib.sha256(kind.encode()).hexdigest()[:12]
     os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(folder))

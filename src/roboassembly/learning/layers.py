@@ -1,7 +1,7 @@
-"""The few layers that our networks are made of, as pure functions of a dictionary of arrays.
+"""Layers of all networks, as pure functions of a dictionary of arrays.
 
-They run on NumPy and on JAX arrays alike (`__array_namespace__` tells which), so that a trained policy needs nothing
-but NumPy to act, and starts in no time, while JAX differentiates and compiles the same lines for training.
+They run on NumPy and on JAX arrays (`__array_namespace__` selects which). A trained policy therefore needs only NumPy
+to act, and starts at once, while JAX differentiates and compiles the same lines for training.
 """
 
 from __future__ import annotations
@@ -18,66 +18,66 @@ Array = Any
 
 
 def init_linear(rng: np.random.Generator, inputs: int, outputs: int) -> Params:
-    """Weights with variance 1 / inputs (LeCun's normal), no bias."""
+    """Return an affine map with weights of variance 1 / inputs (LeCun's normal) and no bias."""
     weights = rng.normal(0.0, inputs**-0.5, (inputs, outputs)).astype(np.float32)
     return {"w": weights, "b": np.zeros(outputs, np.float32)}
 
 
 def linear(p: Params, x: Array) -> Array:
-    """Affine map of the last axis."""
+    """Apply an affine map to the last axis."""
     return x @ p["w"] + p["b"]
 
 
 def init_mlp(rng: np.random.Generator, *sizes: int) -> Params:
-    """Affine maps from each size to the next."""
+    """Return affine maps from each size to the next."""
     return {str(i): init_linear(rng, a, b) for i, (a, b) in enumerate(pairwise(sizes))}
 
 
 def mlp(p: Params, x: Array) -> Array:
-    """Affine maps with GELU between them."""
+    """Apply affine maps with GELU between them."""
     for i in range(len(p)):
         x = linear(p[str(i)], gelu(x) if i else x)
     return x
 
 
 def gelu(x: Array) -> Array:
-    """Gaussian error linear unit, the tanh form (Hendrycks and Gimpel 2016)."""
+    """Return the Gaussian error linear unit in its tanh form (Hendrycks and Gimpel 2016)."""
     xp = x.__array_namespace__()
     return 0.5 * x * (1.0 + xp.tanh(0.7978845608 * (x + 0.044715 * x * x * x)))
 
 
 def sigmoid(x: Array) -> Array:
-    """Logistic function, without overflow."""
+    """Return the logistic function, without overflow."""
     return 0.5 * (1.0 + x.__array_namespace__().tanh(0.5 * x))
 
 
 def softplus(x: Array) -> Array:
-    """log(1 + exp(x)), without overflow."""
+    """Return log(1 + exp(x)), without overflow."""
     xp = x.__array_namespace__()
     return xp.maximum(x, 0.0) + xp.log1p(xp.exp(-xp.abs(x)))
 
 
 def softmax(x: Array, axis: int) -> Array:
-    """Exponentials that sum to 1."""
+    """Return exponentials that sum to 1 along an axis."""
     xp = x.__array_namespace__()
     e = xp.exp(x - xp.max(x, axis=axis, keepdims=True))
     return e / xp.sum(e, axis=axis, keepdims=True)
 
 
 def init_norm(size: int) -> Params:
-    """Layer normalisation that changes nothing yet."""
+    """Return a layer normalisation with scale 1 and offset 0."""
     return {"w": np.ones(size, np.float32), "b": np.zeros(size, np.float32)}
 
 
 def norm(p: Params, x: Array) -> Array:
-    """Layer normalisation (Ba et al. 2016)."""
+    """Apply layer normalisation (Ba et al. 2016)."""
     xp = x.__array_namespace__()
     x = x - xp.mean(x, axis=-1, keepdims=True)
     return x / xp.sqrt(xp.mean(x * x, axis=-1, keepdims=True) + 1e-6) * p["w"] + p["b"]
 
 
 def init_block(rng: np.random.Generator, size: int, edge: int, heads: int) -> Params:
-    """A transformer block whose attention sees what lies between two tokens."""
+    """Return a transformer block whose attention uses features of pairs of tokens (edges)."""
     return {
         "norm1": init_norm(size),
         "qkv": init_linear(rng, size, 3 * size),
@@ -90,13 +90,13 @@ def init_block(rng: np.random.Generator, size: int, edge: int, heads: int) -> Pa
 
 
 def block(p: Params, x: Array, edges: Array, present: Array) -> Array:
-    """Pre-norm transformer block; edges bias the attention and are values in it (as in Graphormer, Ying et al. 2021).
+    """Apply a pre-norm transformer block; edges bias the attention and add values (Graphormer, Ying et al. 2021).
 
     Args:
-        p: of `init_block`.
-        x: (b, n, d).
-        edges: (b, n, n, e), of row to column.
-        present: (b, n), false for padding.
+        p: weights from `init_block`.
+        x: (b, n, d) tokens.
+        edges: (b, n, n, e) features from row to column.
+        present: (b, n) false for padding.
     """
     xp = x.__array_namespace__()
     b, n, d = x.shape

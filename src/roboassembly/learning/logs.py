@@ -1,4 +1,4 @@
-"""What training says while it runs: TensorBoard events, the same numbers as lines of JSON, and pictures of curves."""
+"""Training logs: TensorBoard events, the same numbers as lines of JSON, and pictures of the curves."""
 
 from __future__ import annotations
 
@@ -10,12 +10,15 @@ from types import TracebackType
 from roboassembly.errors import InputError
 
 LINES = "scalars.jsonl"
-_EVERY = 50
-"""Steps that one point of a curve is the mean of."""
+_WINDOW = 50
+"""Number of steps that each point of a curve averages."""
 
 
-class Log:
-    """Means of scalars over every few steps, by stage. A run that goes on repeats the steps it lost; the last count."""
+class TrainingLog:
+    """Writes means of scalars over a few steps, by stage.
+
+    A continued run repeats the steps that it lost; the later values count.
+    """
 
     def __init__(self, folder: Path) -> None:
         from tensorboardX import SummaryWriter
@@ -23,22 +26,22 @@ class Log:
         folder.mkdir(parents=True, exist_ok=True)
         self._writer = SummaryWriter(str(folder / "tensorboard"))
         self._lines = (folder / LINES).open("a")
-        self._held: dict[str, list[float]] = {}
+        self._pending: dict[str, list[float]] = {}
 
     def add(self, stage: str, step: int, scalars: Mapping[str, float], *, last: bool = False) -> None:
-        """Take in the scalars of a step; they are written with every fiftieth step, and with the last."""
+        """Add the scalars of a step; means are written with every fiftieth step, and with the last."""
         for name, value in scalars.items():
-            self._held.setdefault(name, []).append(value)
-        if not self._held or not (last or step % _EVERY == 0):
+            self._pending.setdefault(name, []).append(value)
+        if not self._pending or not (last or step % _WINDOW == 0):
             return
-        means = {name: sum(values) / len(values) for name, values in self._held.items()}
-        self._held.clear()
+        means = {name: sum(values) / len(values) for name, values in self._pending.items()}
+        self._pending.clear()
         for name, value in means.items():
             self._writer.add_scalar(f"{stage}/{name}", value, step)
         self._lines.write(json.dumps({"stage": stage, "step": step, **means}) + "\n")
         self._lines.flush()
 
-    def __enter__(self) -> Log:
+    def __enter__(self) -> TrainingLog:
         return self
 
     def __exit__(
@@ -49,7 +52,7 @@ class Log:
 
 
 def read(folder: Path) -> dict[str, dict[str, dict[int, float]]]:
-    """Scalars of a run by name, stage and step.
+    """Return the scalars of a run by name, stage and step.
 
     Raises:
         InputError: the folder holds no run.
@@ -70,7 +73,7 @@ def read(folder: Path) -> dict[str, dict[str, dict[int, float]]]:
 
 
 def draw(folder: Path) -> Path:
-    """Learning curves of a run as `curves.png` in its folder: a panel for each scalar, a line for each stage.
+    """Draw the learning curves of a run as `curves.png` in its folder: a panel for each scalar, a line for each stage.
 
     Raises:
         InputError: the folder holds no run.

@@ -1,6 +1,6 @@
-"""What plays: anything that picks an action from an observation and the mask of existing actions.
+"""The policy protocol: anything that picks an action from an observation and the mask of existing actions.
 
-A policy of your own needs no base class, only the attributes of `Policy`:
+Your own policy needs no base class, only the attributes of `Policy`:
 
     class Mine:
         name = "mine"
@@ -9,18 +9,18 @@ A policy of your own needs no base class, only the attributes of `Policy`:
         def act(self, observation, mask):
             return np.argwhere(mask)[0]
 
-    players.play_episode(Mine(), catalogue.make("stool"), seed=0)
+    rollout.run_episode(Mine(), catalogue.make("stool"), seed=0)
 
-One that plays with robots says so: `settings = ("object-centric", "full")`.
+A policy that acts in the full setting says so: `settings = ("object-centric", "full")`.
 
-In a file of its own, `my_policy.py`, all commands take it (`roboassembly evaluate --policy my_policy.py`). The file
-defines `policy`: a function that gets a seed and returns a policy, or a class whose objects are made of a seed.
+All commands take a policy from a file (`roboassembly evaluate --policy my_policy.py`). The file defines `policy`: a
+function that gets a seed and returns a policy, or a class whose constructor takes a seed.
 
     def policy(seed: int) -> Mine:
         return Mine()
 
-It is called for every episode anew, with another seed each, so that nothing depends on what was played before; what
-takes long, like reading weights, is better done once in the file. `docs/your-own-policy.md` has examples.
+It is called for each episode, with a different seed, so that no episode depends on an earlier one. Do what takes long,
+like reading weights, once when the file is loaded. `docs/your-own-policy.md` has examples.
 """
 
 from __future__ import annotations
@@ -40,46 +40,51 @@ from roboassembly.task.setting import SettingName, Task
 
 RANDOM = "random"
 MAKER = "policy"
-"""What a policy's file defines."""
+"""Name that the file of a policy defines."""
 _TIE = 1e-3
 """Values nearer than this to the best count as equal: rounding must not choose between equal parts."""
 _SUGGESTIONS = 32
-"""That a guide makes in a state, at most."""
+"""Largest number of suggestions of a guide in a state."""
 
 Mask = Bool[np.ndarray, "P P K K ..."]
-"""Which actions `(u, v, k, l, w)` exist, or `(u, v, k, l, g_a, g_b)` with robots, as in `info["action_mask"]`."""
+"""Which actions `(u, v, k, l, w)` exist, or `(u, v, k, l, g_a, g_b)` in the full setting; `info["action_mask"]`."""
 Values = Float32[np.ndarray, "P P K K ..."]
+"""A value for each action."""
 
 
 class Policy(Protocol):
-    """Picks actions."""
+    """Policy: picks actions."""
 
     @property
     def name(self) -> str:
-        """For reports."""
+        """Name in reports."""
         ...
 
     @property
     def cloud_points(self) -> int:
-        """Points of each part's cloud that observations must have."""
+        """Number of points of each part's cloud in the observations."""
         ...
 
     def act(self, observation: Observation, mask: Mask) -> Int[np.ndarray, "_"]:
-        """The action to take, `(u, v, k, l, w)` or `(u, v, k, l, g_a, g_b)`; arrays as in `envs.observation`,
-        padded."""
+        """Return the action to take, `(u, v, k, l, w)` or `(u, v, k, l, g_a, g_b)`.
+
+        Args:
+            observation: arrays as in `envs.observation`, padded.
+            mask: which actions exist.
+        """
         ...
 
 
 def settings_of(policy: Policy) -> tuple[SettingName, ...]:
-    """In which a policy can play: its attribute `settings`; object-centric if it has none."""
+    """Return the settings that a policy can act in: its attribute `settings`; object-centric if it has none."""
     return getattr(policy, "settings", ("object-centric",))
 
 
 def chosen(policy: Policy, observation: Observation, mask: Mask) -> tuple[int, ...]:
-    """The action that a policy picks.
+    """Return the action that a policy picks.
 
     Raises:
-        PolicyError: it is no row of whole numbers, one for each axis of the mask.
+        PolicyError: it is not a row of whole numbers, one for each axis of the mask.
     """
     picked = policy.act(observation, mask)
     try:
@@ -87,18 +92,18 @@ def chosen(policy: Policy, observation: Observation, mask: Mask) -> tuple[int, .
     except (TypeError, ValueError):
         action = np.empty(0)
     if action.shape != (mask.ndim,) or action.dtype.kind not in "iu":
-        told = " ".join(repr(picked).split())
-        raise PolicyError(f"the policy '{policy.name}' picked {told:.200}; {mask.ndim} whole numbers would do")
+        found = " ".join(repr(picked).split())
+        raise PolicyError(f"the policy '{policy.name}' picked {found:.200}; {mask.ndim} whole numbers would do")
     return tuple(int(a) for a in action)
 
 
 def check_setting(policy: Policy, setting: SettingName, solver: str) -> None:
-    """That a policy can play in a setting.
+    """Check that a policy can act in a setting.
 
     Args:
-        policy: any.
+        policy: policy.
         setting: `object-centric` or `full`.
-        solver: that could be named instead.
+        solver: name of a solver to suggest instead.
 
     Raises:
         InputError: it cannot.
@@ -113,25 +118,25 @@ def check_setting(policy: Policy, setting: SettingName, solver: str) -> None:
 
 @runtime_checkable
 class ValuePolicy(Policy, Protocol):
-    """Values all actions and takes the best."""
+    """Policy that values all actions and takes the best."""
 
     def values(self, observation: Observation, mask: Mask) -> Values:
-        """What each action is worth, on a scale of the policy's own; -inf where the action does not exist."""
+        """Return a value of each action, on the policy's own scale; -inf where the action does not exist."""
         ...
 
 
 @runtime_checkable
 class ConfidentPolicy(ValuePolicy, Protocol):
-    """Knows besides how likely each action is good, which tells a guided search when to leave it alone."""
+    """Policy that also gives probabilities, which tell a guided search when to ignore it."""
 
     def probabilities(self, observation: Observation, mask: Mask) -> Values:
-        """Chance that the furniture can still be finished after the action, 0 to 1; 0 where it does not exist."""
+        """Return the probability that the furniture can be finished after each action; 0 where it does not exist."""
         ...
 
 
 @dataclass(eq=False)
 class RandomPolicy:
-    """Any action that exists."""
+    """Policy that draws any existing action."""
 
     rng: np.random.Generator
     name: str = RANDOM
@@ -139,7 +144,7 @@ class RandomPolicy:
     settings: tuple[SettingName, ...] = ("object-centric", "full")
 
     def act(self, observation: Observation, mask: Mask) -> Int[np.ndarray, "_"]:
-        """One of the existing actions, all alike.
+        """Draw one of the existing actions, all equally likely.
 
         Raises:
             InputError: there is none.
@@ -151,7 +156,7 @@ class RandomPolicy:
 
 
 def surest(values: Values) -> Int[np.ndarray, "_"]:
-    """The action of the greatest value; of those within rounding of it, the first.
+    """Return the action with the greatest value; the first of those within rounding of it.
 
     Raises:
         InputError: no action exists.
@@ -164,7 +169,7 @@ def surest(values: Values) -> Int[np.ndarray, "_"]:
 
 @dataclass(eq=False)
 class _PolicyGuide:
-    """Suggests what a policy values most."""
+    """Guide that suggests what a policy values most."""
 
     policy: ValuePolicy
     _seen: tuple[Furniture, Observer] | None = field(default=None, init=False)
@@ -176,16 +181,16 @@ class _PolicyGuide:
         observation = self._seen[1].observe(task.groups_of(state))
         mask = task.existing_actions(state)
         if isinstance(self.policy, ConfidentPolicy):
-            scores = _told(self.policy, "probabilities", self.policy.probabilities(observation, mask), mask)
+            scores = _checked_values(self.policy, "probabilities", self.policy.probabilities(observation, mask), mask)
         else:
-            # Of values we know only which are better, so the best is always worth a try.
-            values = _told(self.policy, "values", self.policy.values(observation, mask), mask)
+            # Only the order of values is known, so the best is always worth a try.
+            values = _checked_values(self.policy, "values", self.policy.values(observation, mask), mask)
             values = np.where(mask, values, -np.inf)
             best = values.max()
             scores = np.exp(values - best) if np.isfinite(best) else np.zeros_like(values)
         flat = np.where(mask, scores, 0.0).ravel()
         top = np.argpartition(-flat, _SUGGESTIONS)[:_SUGGESTIONS]
-        # Rounded, and then by number: rounding errors must not choose between equal parts.
+        # Rounded, then by number: rounding errors must not choose between equal parts.
         order = top[np.lexsort((top, -np.round(flat[top] / _TIE)))]
         return [
             Suggestion(tuple(int(i) for i in np.unravel_index(index, mask.shape)), float(flat[index]))
@@ -194,11 +199,11 @@ class _PolicyGuide:
         ]
 
 
-def _told(policy: Policy, what: str, values: Values, mask: Mask) -> Values:
-    """What a policy says of all actions.
+def _checked_values(policy: Policy, what: str, values: Values, mask: Mask) -> Values:
+    """Return the values of a policy, checked.
 
     Raises:
-        PolicyError: it has another shape than the mask, or says nothing of an action that exists.
+        PolicyError: their shape is not that of the mask, or the value of an existing action is not a number.
     """
     values = np.asarray(values)
     if values.shape != mask.shape:
@@ -209,7 +214,7 @@ def _told(policy: Policy, what: str, values: Values, mask: Mask) -> Values:
 
 
 def guide_of(policy: Policy) -> Guide:
-    """Lets a policy guide the search (`solvers.search.solve(..., guide=...)`).
+    """Return a guide for the search (`solvers.search.solve(..., guide=...)`) from a policy.
 
     Raises:
         InputError: the policy does not value actions.

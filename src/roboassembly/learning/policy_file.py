@@ -1,4 +1,4 @@
-"""Policies in a Python file of one's own, which defines `policy(seed)`. The file is executed."""
+"""Policies from a Python file that defines `policy(seed)`. The file is executed."""
 
 from __future__ import annotations
 
@@ -23,33 +23,35 @@ Made = TypeVar("Made")
 
 
 def load(path: Path) -> Callable[[int], Policy]:
-    """Execute a file; what makes its policy for an episode with a seed.
+    """Execute a file; returns a function that makes its policy for the episode with a seed.
 
-    The file's `policy` gets a seed of its own that follows from the episode's: a generator with the episode's seed
-    itself would draw the numbers that the parts were laid out by.
+    The file's `policy` gets a seed derived from the episode's: a generator with the episode's seed itself would draw
+    the numbers that the layout of the parts was drawn from.
 
     Raises:
-        InputError: there is no such file, it ends in an error, or does not define `policy`. What is returned raises it
-            where `policy` ends in an error or makes something that is no policy.
+        InputError: there is no such file, it fails, or it does not define `policy`. The returned function raises it if
+            `policy` fails or makes something that is no policy.
     """
     if not path.is_file():
         raise InputError(f"no policy file at '{path}'; name a Python file that defines {MAKER}(seed)")
     module = _tried(path, lambda: _executed(path))
     make = getattr(module, MAKER, None)
     if not callable(make):
-        told = "defines no" if make is None else f"has a {type(make).__name__} as its"
-        raise InputError(f"'{path}' {told} {MAKER}; a function {MAKER}(seed) that returns a policy would do")
+        found = "defines no" if make is None else f"has a {type(make).__name__} as its"
+        raise InputError(f"'{path}' {found} {MAKER}; a function {MAKER}(seed) that returns a policy would do")
 
     def made(seed: int) -> Policy:
-        words = np.random.SeedSequence([seed, 1]).generate_state(1)
-        return _tried(path, lambda: _checked(make(int(words[0] >> 1)), path))
+        state = np.random.SeedSequence([seed, 1]).generate_state(1)
+        return _tried(path, lambda: _checked(make(int(state[0] >> 1)), path))
 
     return made
 
 
 def _executed(path: Path) -> ModuleType:
-    """The file as a module. Its name follows from its path, so that workers can hand over what its classes make; no
-    byte code is written beside it."""
+    """Return the file as a module, without writing byte code beside it.
+
+    Its name follows from its path, so that workers can pickle objects of its classes.
+    """
     name = f"{__name__}_{hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:16]}"
     spec = importlib.util.spec_from_file_location(name, path)
     assert spec is not None
@@ -66,25 +68,25 @@ def _executed(path: Path) -> ModuleType:
 
 
 def _tried(path: Path, what: Callable[[], Made]) -> Made:
-    """Do it; any error but one of this package becomes one line that says where in the file it came from."""
+    """Call a function; errors from outside this package become one line that names the line of the file."""
     try:
         return what()
     except RoboAssemblyError:
         raise
     except (Exception, SystemExit) as error:
         lines = [f.lineno for f in traceback.extract_tb(error.__traceback__) if f.filename == str(path)]
-        line, words = lines[-1] if lines else None, " ".join(str(error).split())
+        line, text = lines[-1] if lines else None, " ".join(str(error).split())
         if isinstance(error, SyntaxError) and error.filename == str(path):
-            line, words = error.lineno, error.msg
-        told = f"{type(error).__name__}: {words}" if words else type(error).__name__
-        raise InputError(f"'{path}'{f', line {line}' if line else ''}: {told}") from error
+            line, text = error.lineno, error.msg
+        message = f"{type(error).__name__}: {text}" if text else type(error).__name__
+        raise InputError(f"'{path}'{f', line {line}' if line else ''}: {message}") from error
 
 
 def _checked(policy: Any, path: Path) -> Policy:
-    """That it has what `Policy` asks for.
+    """Check that a policy has what `Policy` asks for.
 
     Raises:
-        InputError: naming what it has not.
+        InputError: names what it lacks.
     """
 
     def bad(what: str) -> InputError:
@@ -93,18 +95,18 @@ def _checked(policy: Any, path: Path) -> Policy:
     if policy is None or isinstance(policy, type):
         raise bad("nothing" if policy is None else f"the class {policy.__name__}, not an object of it")
     kind = type(policy).__name__
-    wanted = {"name": "a text", "cloud_points": "a whole number, 1 or more", "act": "a method (observation, mask)"}
-    lacks = [f"`{name}`, {what}" for name, what in wanted.items() if not hasattr(policy, name)]
+    expected = {"name": "a text", "cloud_points": "a whole number, 1 or more", "act": "a method (observation, mask)"}
+    lacks = [f"`{name}`, {what}" for name, what in expected.items() if not hasattr(policy, name)]
     if lacks:
         raise bad(f"a {kind}, which is no policy: it lacks {', and '.join(lacks)}")
     points, settings = policy.cloud_points, getattr(policy, "settings", _SETTINGS[:1])
     whole = isinstance(points, int | np.integer) and not isinstance(points, bool)
     if not isinstance(policy.name, str) or not policy.name:
-        raise bad(f"a {kind} whose `name` is {policy.name!r}; {wanted['name']} would do")
+        raise bad(f"a {kind} whose `name` is {policy.name!r}; {expected['name']} would do")
     if not whole or points < 1:
-        raise bad(f"a {kind} whose `cloud_points` is {points!r}; {wanted['cloud_points']} would do")
+        raise bad(f"a {kind} whose `cloud_points` is {points!r}; {expected['cloud_points']} would do")
     if not isinstance(settings, tuple | list) or not settings or any(s not in _SETTINGS for s in settings):
         raise bad(f"a {kind} whose `settings` is {settings!r}; like {_SETTINGS!r} would do")
     if not callable(policy.act):
-        raise bad(f"a {kind} whose `act` is {policy.act!r}; {wanted['act']} would do")
+        raise bad(f"a {kind} whose `act` is {policy.act!r}; {expected['act']} would do")
     return policy

@@ -1,4 +1,4 @@
-"""How far a run is."""
+"""Progress of a run."""
 
 from __future__ import annotations
 
@@ -7,9 +7,13 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Progress:
-    """How far one stage is, and what it says."""
+    """Progress of one stage of a run."""
 
     stage: str
+    """Name of the stage."""
     done: int
+    """Number of steps done."""
     total: int
+    """Number of steps of the stage."""
     scalars: dict[str, float]
+    """Losses and other values of the last step."""

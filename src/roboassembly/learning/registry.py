@@ -8,8 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from roboassembly.errors import InputError
-from roboassembly.learning import checkpoint, policy_file
+from roboassembly.learning import policy_file
 from roboassembly.learning.checkpoint import Checkpoint
+from roboassembly.learning.paper import network as paper
+from roboassembly.learning.paper.network import PaperPolicy
 from roboassembly.learning.policy import RANDOM, Policy, RandomPolicy
 from roboassembly.learning.policy_weights import load_weights
 from roboassembly.learning.relational import network as relational
@@ -57,15 +59,6 @@ def policy_factory(name: str) -> PolicyFactory:
 def _from_checkpoint(loaded: Checkpoint, where: str) -> Policy:
     if loaded.kind == relational.KIND:
         return RelationalPolicy.from_checkpoint(loaded, where)
-    if loaded.kind == "paper":
-        from roboassembly.learning.paper import autoencoder
-        from roboassembly.learning.paper import network as paper
-
-        config = checkpoint.network_config(paper.PaperConfig(), loaded.config.get("network"), where)
-        rng, zeros = np.random.default_rng(0), np.zeros(paper.size(config.hands), np.float32)
-        network = paper.init(rng, config)
-        inputs = {"mean": zeros, "scale": zeros}
-        wanted = {"network": network, "inputs": inputs, "encoder": autoencoder.init(rng)}
-        checkpoint.check_arrays(loaded.params, wanted, where)
-        return paper.PaperPolicy.from_checkpoint(loaded)
+    if loaded.kind == paper.KIND:
+        return PaperPolicy.from_checkpoint(loaded, where)
     raise InputError(f"'{where}' holds a '{loaded.kind}' network, which is no policy; '{relational.KIND}' would do")

@@ -10,7 +10,7 @@ import pytest
 from roboassembly.errors import InputError
 from roboassembly.learning import checkpoint
 from roboassembly.learning.paper import autoencoder
-from roboassembly.learning.paper.autoencoder import FEATURE, Training
+from roboassembly.learning.paper.autoencoder import FEATURE, AutoencoderTraining
 
 
 def test_chamfer_by_hand() -> None:
@@ -48,7 +48,7 @@ def test_numpy_and_jax_agree() -> None:
 
 def test_learns_and_resumes_to_the_same_weights(tmp_path: Path) -> None:
     pytest.importorskip("jax")
-    clouds, training = _clouds(12), Training(steps=30, batch=4, keep_every=0.0)
+    clouds, training = _clouds(12), AutoencoderTraining(steps=30, batch=4, keep_every=0.0)
     losses = [terms["chamfer"] for _, terms in autoencoder.train(clouds, tmp_path / "a.npz", training, {})]
     assert np.mean(losses[-5:]) < 0.7 * losses[0]
     for step, _ in autoencoder.train(clouds, tmp_path / "b.npz", training, {}):
@@ -57,12 +57,12 @@ def test_learns_and_resumes_to_the_same_weights(tmp_path: Path) -> None:
     first, *_ = autoencoder.train(clouds, tmp_path / "b.npz", training, {})
     assert first[0] in (11, 12)
     whole, resumed = (checkpoint.load(tmp_path / f"{n}.npz", autoencoder.KIND).params for n in "ab")
-    np.testing.assert_allclose(whole["point"]["0"]["w"], resumed["point"]["0"]["w"], atol=1e-6)
+    np.testing.assert_allclose(whole["encoder"]["0"]["w"], resumed["encoder"]["0"]["w"], atol=1e-6)
 
 
 def test_other_training_is_refused(tmp_path: Path) -> None:
     pytest.importorskip("jax")
     clouds = _clouds(4)
-    list(autoencoder.train(clouds, tmp_path / "a.npz", Training(steps=1, batch=2), {"set": "one"}))
+    list(autoencoder.train(clouds, tmp_path / "a.npz", AutoencoderTraining(steps=1, batch=2), {"set": "one"}))
     with pytest.raises(InputError, match="trained with other set"):
-        next(autoencoder.train(clouds, tmp_path / "a.npz", Training(steps=1, batch=2), {"set": "other"}))
+        next(autoencoder.train(clouds, tmp_path / "a.npz", AutoencoderTraining(steps=1, batch=2), {"set": "other"}))

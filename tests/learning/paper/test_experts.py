@@ -14,11 +14,11 @@ from roboassembly.furniture import storage
 from roboassembly.geometry.poses import SE3
 from roboassembly.learning import checkpoint
 from roboassembly.learning.paper import autoencoder
-from roboassembly.learning.paper.dqn import network as experts
-from roboassembly.learning.paper.dqn.exploration import Practice
-from roboassembly.learning.paper.dqn.memoized_env import Rehearsal
-from roboassembly.learning.paper.dqn.network import Chair, Expert, chair_of, play, told
-from roboassembly.learning.paper.dqn.trials import BLOCKED, FAILS, MERGES, UNKNOWN
+from roboassembly.learning.paper.dqn import network
+from roboassembly.learning.paper.dqn.exploration import PlanExplorer
+from roboassembly.learning.paper.dqn.mate_checks import BLOCKED, FAILS, MERGES, UNKNOWN
+from roboassembly.learning.paper.dqn.memoized_env import MemoizedEnv
+from roboassembly.learning.paper.dqn.network import ChairInputs, ExpertPolicy, chair_inputs, encode_state, run_expert
 from roboassembly.task.full.failure import Failure
 from roboassembly.task.full.task import FullTask
 from roboassembly.task.object_centric.task import ObjectCentricTask, ObjectCentricVerdict
@@ -26,11 +26,11 @@ from roboassembly.task.rules.groups import Group
 
 jax = pytest.importorskip("jax")
 from roboassembly.learning.paper import imitation as paper_imitation  # noqa: E402
-from roboassembly.learning.paper.dqn import losses as double_q  # noqa: E402
-from roboassembly.learning.paper.dqn import train as apprentices  # noqa: E402
-from roboassembly.learning.paper.dqn.agent import Learner, LearnerConfig, Memory  # noqa: E402
-from roboassembly.learning.paper.dqn.train import Bench, ExpertTraining  # noqa: E402
-from roboassembly.learning.paper.expert_dataset import expert_course  # noqa: E402
+from roboassembly.learning.paper.dqn import losses, results  # noqa: E402
+from roboassembly.learning.paper.dqn.agent import AgentConfig, DQNAgent  # noqa: E402
+from roboassembly.learning.paper.dqn.replay_buffer import ReplayBuffer  # noqa: E402
+from roboassembly.learning.paper.dqn.train import ExpertRun, ExpertTraining, partial_file  # noqa: E402
+from roboassembly.learning.paper.expert_dataset import expert_samples  # noqa: E402
 from roboassembly.learning.paper.imitation import Augmentation  # noqa: E402
 
 
@@ -40,13 +40,13 @@ def test_double_q_target_by_hand() -> None:
     target = np.array([[7.0, 0.3, 2.0], [7.0, 0.3, 2.0], [9.0, 9.0, 9.0]])
     exists = np.array([[True, True, True], [True, False, True], [True, True, True]])
     # The online network chooses (not the target's 7), only among what exists; the target network tells the worth.
-    assert double_q.double_q_target(reward, done, online, target, exists) == pytest.approx([1.3, 3.0, 5.0])
+    assert losses.double_q_target(reward, done, online, target, exists) == pytest.approx([1.3, 3.0, 5.0])
 
 
 def test_the_best_of_two_choices_that_add_up_is_that_of_all_their_combinations() -> None:
     rng = np.random.default_rng(0)
     online, target = ([rng.normal(size=(5, 4, ways)) for ways in (3, 2)] for _ in range(2))
-    highest, there = double_q.best_ways(online, target)
+    highest, there = losses.best_branches(online, target)
     whole = [(x[..., :, None] + y[..., None, :]).reshape(5, 4, 6) for x, y in (online, target)]
     assert highest == pytest.approx(whole[0].max(-1))
     assert there == pytest.approx(np.take_along_axis(whole[1], whole[0].argmax(-1)[..., None], -1)[..., 0])
@@ -59,29 +59,29 @@ def test_margin_loss_by_hand() -> None:
     whole = np.array([[1, 0, 1, 0], [0, 0, 0, 0], [1, 0, 0, 0]], bool).reshape(q.shape)
     # 0.7 + 0.1 is above 0.5, the better of two that lead to the whole (0.9 is of an action that does not exist); with
     # no such action nothing is asked; and 0.3 + 0.1 is below 0.9.
-    assert double_q.margin_loss([q], exists, whole) == pytest.approx([0.3, 0.0, 0.0])
+    assert losses.margin_loss([q], exists, whole) == pytest.approx([0.3, 0.0, 0.0])
 
 
 def test_what_led_to_the_whole_chair_is_told_apart() -> None:
     task = _task()
     chair = _chair(task)
-    learner = Learner(Memory(Rehearsal(task, 3), chair), LearnerConfig(), np.random.default_rng(0))
-    memory, m, n = learner.memory, chair.points, len(chair.part)
-    while not learner.finished_once:
-        assert len(memory.states) == 1 or not memory.sample(learner.rng, learner.config)["whole"].any()
-        learner.move(np.zeros((n, n, 6), np.float32))
-    batch, path = memory.sample(learner.rng, LearnerConfig(batch=300)), memory.best_path()
-    start = (batch["joined"] == memory.joined[0]).all(axis=(1, 2))
+    agent = DQNAgent(ReplayBuffer(MemoizedEnv(task, 3), chair), AgentConfig(), np.random.default_rng(0))
+    buffer, m, n = agent.buffer, chair.points, len(chair.part)
+    while not agent.finished_once:
+        assert len(buffer.states) == 1 or not buffer.sample(agent.rng, 24, 2)["whole"].any()
+        agent.step(np.zeros((n, n, 6), np.float32))
+    batch, path = buffer.sample(agent.rng, 300, 2), buffer.best_path()
+    start = (batch["joined"] == buffer.joined[0]).all(axis=(1, 2))
     assert start.any()
     for whole in batch["whole"][start]:
         assert whole.any()
         for action in np.argwhere(whole).tolist():
-            states = [memory.states[0]]
+            states = [buffer.states[0]]
             # Take the best merges from there on: they do end with the chair.
-            states.append(memory.states[memory.merges[0][tuple(action)]])
+            states.append(buffer.states[buffer.merges[0][tuple(action)]])
             while len(states[-1]) > 1:
-                known = memory.merges[memory.index[states[-1]]]
-                states.append(memory.states[max(known.values(), key=memory.worth)])
+                known = buffer.merges[buffer.index[states[-1]]]
+                states.append(buffer.states[max(known.values(), key=buffer.reached)])
             assert len(states) == chair.parts
     assert len(path) == chair.parts - 1
     assert not batch["whole"][:, m:].any()
@@ -91,22 +91,22 @@ def _task() -> ObjectCentricTask:
     return ObjectCentricTask(catalogue.make("cantilever", 1))
 
 
-def _chair(task: ObjectCentricTask) -> Chair:
-    return chair_of(task, np.eye(len(task.furniture.parts), 8, dtype=np.float32))
+def _chair(task: ObjectCentricTask) -> ChairInputs:
+    return chair_inputs(task, np.eye(len(task.furniture.parts), 8, dtype=np.float32))
 
 
-def _play_at_random(rehearsal: Rehearsal, rng: np.random.Generator, episodes: int) -> None:
+def _play_at_random(env: MemoizedEnv, rng: np.random.Generator, episodes: int) -> None:
     for _ in range(episodes):
-        state = rehearsal.start
+        state = env.start
         while len(state) > 1:
-            known, exists = rehearsal.known(state), rehearsal.exists(state)[..., None] & np.ones(rehearsal.ways, bool)
+            known, exists = env.known(state), env.exists(state)[..., None] & np.ones(env.choices, bool)
             options = np.argwhere(exists & (known < FAILS))
             if not len(options):
                 break
             works = np.argwhere(known == MERGES)
             options = works if len(works) and rng.random() < 0.5 else options
             row, column, w = options[rng.integers(len(options))].tolist()
-            after = rehearsal.step(state, (row, column, w))
+            after = env.step(state, (row, column, w))
             if after is None:
                 break
             state = after
@@ -118,41 +118,41 @@ def test_equal_parts_with_other_points_can_be_learnt() -> None:
     counts = [len(p.points) for p in task.furniture.parts]
     chair = _chair(task)
     assert chair.points == sum(counts) + 1
-    rehearsal = Rehearsal(task, 0)
-    assert np.array_equal(chair.part[: chair.points], rehearsal.part)
-    learner = Learner(Memory(rehearsal, chair), LearnerConfig(), np.random.default_rng(0))
+    env = MemoizedEnv(task, 0)
+    assert np.array_equal(chair.part[: chair.points], env.part)
+    agent = DQNAgent(ReplayBuffer(env, chair), AgentConfig(), np.random.default_rng(0))
     n = len(chair.part)
     for _ in range(300):
-        learner.move(np.zeros((n, n, 6), np.float32))
-    assert learner.memory.sample(learner.rng, learner.config)["fails"].any()
-    expert = Expert(chair, experts.init(np.random.default_rng(0), n, chair.features.shape[1]))
-    assert play(expert, task, 0)
+        agent.step(np.zeros((n, n, 6), np.float32))
+    assert agent.buffer.sample(agent.rng, 24, 2)["fails"].any()
+    expert = ExpertPolicy(chair, network.init(np.random.default_rng(0), n, chair.features.shape[1]))
+    assert run_expert(expert, task, 0)
 
 
 @pytest.mark.parametrize("family", ["cantilever", "three_legged"])
 def test_remembered_outcomes_are_those_of_fresh_steps(family: str) -> None:
     task = ObjectCentricTask(catalogue.make(family, 1))
-    rehearsal, rng = Rehearsal(task, 3), np.random.default_rng(0)
-    _play_at_random(rehearsal, rng, 60)
+    env, rng = MemoizedEnv(task, 3), np.random.default_rng(0)
+    _play_at_random(env, rng, 60)
     checked = differing = index = 0
-    states = [rehearsal.start]
+    states = [env.start]
     while index < min(len(states), 8):
         state, index = states[index], index + 1
-        known, exists = rehearsal.known(state), rehearsal.exists(state)
-        before = rehearsal.laid_out(state)
+        known, exists = env.known(state), env.exists(state)
+        before = env.laid_out(state)
         for verdict, count in ((MERGES, 4), (FAILS, 8)):
             some = np.argwhere(((known == verdict) | ((known > FAILS) & (verdict == FAILS))) & exists[..., None])
             for row, column, w in some[rng.permutation(len(some))[:count]].tolist():
-                names = (rehearsal.part[row], rehearsal.part[column], rehearsal.point[row], rehearsal.point[column], w)
+                names = (env.part[row], env.part[column], env.point[row], env.point[column], w)
                 fresh = task.step(before, tuple(int(n) for n in names), 0)
                 alike = (fresh.verdict is ObjectCentricVerdict.MERGED) == (verdict == MERGES)
                 checked, differing = checked + 1, differing + (not alike)
                 if verdict == MERGES and alike:
-                    after = rehearsal.step(state, (row, column, w))
+                    after = env.step(state, (row, column, w))
                     assert after is not None
-                    joined, free = told(task, fresh.state)
-                    np.testing.assert_array_equal(rehearsal.joined(after), joined)
-                    np.testing.assert_array_equal(rehearsal.owners(after) >= 0, free)
+                    joined, free = encode_state(task, fresh.state)
+                    np.testing.assert_array_equal(env.joined(after), joined)
+                    np.testing.assert_array_equal(env.owners(after) >= 0, free)
                     states.append(after)
     assert checked > 30
     # Equal parts are equal to a tolerance, and where things lie may decide in a close case.
@@ -162,22 +162,22 @@ def test_remembered_outcomes_are_those_of_fresh_steps(family: str) -> None:
 def test_what_is_remembered_of_hands_is_what_fresh_tests_say() -> None:
     """250 outcomes: all tests but the arms' depend on the groups alone, so that nothing may differ."""
     task = FullTask(catalogue.make("three_legged", 24))
-    rehearsal, rng = Rehearsal(task, 3), np.random.default_rng(0)
-    _play_at_random(rehearsal, rng, 150)
-    states, asked = [rehearsal.start], {MERGES: 100, FAILS: 50, BLOCKED: 100}
+    env, rng = MemoizedEnv(task, 3), np.random.default_rng(0)
+    _play_at_random(env, rng, 150)
+    states, asked = [env.start], {MERGES: 100, FAILS: 50, BLOCKED: 100}
     checked = dict.fromkeys(asked, 0)
     for state in states:
-        known, exists = rehearsal.known(state), rehearsal.exists(state)[..., None]
-        before = rehearsal.laid_out(state)
+        known, exists = env.known(state), env.exists(state)[..., None]
+        before = env.laid_out(state)
         for verdict, most in asked.items():
             actions = np.argwhere((known == verdict) & exists)
             for row, column, way in actions[rng.permutation(len(actions))[: most - checked[verdict]]].tolist():
-                ends = (rehearsal.part[row], rehearsal.part[column], rehearsal.point[row], rehearsal.point[column])
+                ends = (env.part[row], env.part[column], env.point[row], env.point[column])
                 fresh = task.mate_grasp(before, (*(int(n) for n in ends), *divmod(way, 8)))
                 assert isinstance(fresh, Failure) == (verdict != MERGES)
                 checked[verdict] += 1
                 if verdict == MERGES:
-                    after = rehearsal.step(state, (row, column, way))
+                    after = env.step(state, (row, column, way))
                     assert after is not None
                     states += [after] if len(after) > 1 and after not in states else []
     assert checked == asked
@@ -196,27 +196,27 @@ def test_how_a_part_is_turned_in_its_slot_matters_to_hands_only() -> None:
         turned = {part: furniture.assembled[part] * SE3(rotation, np.zeros(3)), other: furniture.assembled[other]}
         groups.append(Group(parts, parts, tuple(turned[p] for p in parts), SE3.Identity()))
     assert not np.allclose(turn, np.eye(3))
-    hands, flying = Rehearsal(FullTask(furniture), 0), Rehearsal(ObjectCentricTask(furniture), 0)
-    assert len({hands.every.key(g) for g in groups}) == 2
-    assert len({flying.every.key(g) for g in groups}) == 1
+    hands, flying = MemoizedEnv(FullTask(furniture), 0), MemoizedEnv(ObjectCentricTask(furniture), 0)
+    assert len({hands.table.key(g) for g in groups}) == 2
+    assert len({flying.table.key(g) for g in groups}) == 1
 
 
 def test_an_expert_plays_with_robots() -> None:
     task = FullTask(catalogue.make("three_legged", 24))
     chair = _chair(task)
-    assert chair.ways == (8, 8)
+    assert chair.branches == (8, 8)
     n = len(chair.part)
-    learner = Learner(Memory(Rehearsal(task, 0), chair), LearnerConfig(), np.random.default_rng(0))
+    agent = DQNAgent(ReplayBuffer(MemoizedEnv(task, 0), chair), AgentConfig(), np.random.default_rng(0))
     for _ in range(40):
-        learner.move(np.zeros((n, n, 64), np.float32))
-    batch = learner.memory.sample(learner.rng, learner.config)
+        agent.step(np.zeros((n, n, 64), np.float32))
+    batch = agent.buffer.sample(agent.rng, 24, 2)
     assert batch["fails"].shape[1:] == (n, n, 64)
-    expert = Expert(chair, experts.init(np.random.default_rng(0), n, chair.features.shape[1], chair.ways))
-    moves = play(expert, task, 0)
+    expert = ExpertPolicy(chair, network.init(np.random.default_rng(0), n, chair.features.shape[1], chair.branches))
+    moves = run_expert(expert, task, 0)
     assert moves
     assert moves[0].values.shape == (chair.points, chair.points, 64)
     # What the two hands add is added up.
-    joined, free = told(task, task.initial_state(np.random.default_rng(0)).groups)
+    joined, free = encode_state(task, task.initial_state(np.random.default_rng(0)).groups)
     q = expert.values(joined, free)
     u, v = np.argwhere(np.isfinite(q).all(axis=2))[0]
     grid = q[u, v].reshape(8, 8)
@@ -225,9 +225,9 @@ def test_an_expert_plays_with_robots() -> None:
 
 def test_what_belongs_between_two_groups_would_be_locked_out() -> None:
     sled = catalogue.make("sled", 4)
-    rehearsal = Rehearsal(ObjectCentricTask(sled), 0)
+    env = MemoizedEnv(ObjectCentricTask(sled), 0)
     name = {part.name: i for i, part in enumerate(sled.parts)}
-    first = np.searchsorted(rehearsal.part, np.arange(len(sled.parts)))
+    first = np.searchsorted(env.part, np.arange(len(sled.parts)))
 
     def rows(one: str, two: str) -> tuple[int, int]:
         """Of the two points at which parts touch."""
@@ -239,40 +239,40 @@ def test_what_belongs_between_two_groups_would_be_locked_out() -> None:
                     return int(first[a] + k), int(first[b] + l)
         raise AssertionError(f"{one} and {two} do not touch")
 
-    start = rehearsal.start
+    start = env.start
     across = rows("seat_rail_right", "post_right")
     # Nothing is known yet, so that nothing is known to belong anywhere.
-    assert rehearsal.joints.locked_out(start, *across) == 0
+    assert env.geometry.locked_out(start, *across) == 0
     for c in sled.connections:
         row, column = rows(sled.parts[c.part_a].name, sled.parts[c.part_b].name)
-        known = rehearsal.known(start)[row, column]
+        known = env.known(start)[row, column]
         for way in range(6):
             if not (known == MERGES).any():
-                rehearsal.step(start, (row, column, way))
-                known = rehearsal.known(start)[row, column]
+                env.step(start, (row, column, way))
+                known = env.known(start)[row, column]
     row, column = rows("seat_rail_right", "leg_front_right")
     way = next(
-        (a, b, int(np.argmax(rehearsal.known(start)[a, b] == MERGES)))
+        (a, b, int(np.argmax(env.known(start)[a, b] == MERGES)))
         for a, b in ((row, column), (column, row))
-        if (rehearsal.known(start)[a, b] == MERGES).any()
+        if (env.known(start)[a, b] == MERGES).any()
     )
-    state = rehearsal.step(start, way)
+    state = env.step(start, way)
     assert state is not None
     # With rail and leg joined, the post would lock the armrest out, which sits on the leg and butts against the post;
     # not the runner, onto which both stand from above. The runner would lock out the post, which then had to come from
     # behind and from above at once. Nothing belongs between the leg and a rail that goes across.
-    assert rehearsal.joints.locked_out(state, *across) == 1
-    assert rehearsal.joints.locked_out(state, *rows("runner_right", "leg_front_right")) == 1
-    assert rehearsal.joints.locked_out(state, *rows("cross_rail_front", "leg_front_right")) == 0
+    assert env.geometry.locked_out(state, *across) == 1
+    assert env.geometry.locked_out(state, *rows("runner_right", "leg_front_right")) == 1
+    assert env.geometry.locked_out(state, *rows("cross_rail_front", "leg_front_right")) == 0
 
 
 def test_nothing_is_known_before_it_was_tried() -> None:
-    rehearsal = Rehearsal(_task(), 0)
-    assert (rehearsal.known(rehearsal.start) == UNKNOWN).all()
+    env = MemoizedEnv(_task(), 0)
+    assert (env.known(env.start) == UNKNOWN).all()
 
 
 def test_a_rehearsal_restored_goes_on_alike() -> None:
-    first, second = Rehearsal(_task(), 0), Rehearsal(_task(), 0)
+    first, second = MemoizedEnv(_task(), 0), MemoizedEnv(_task(), 0)
     _play_at_random(first, np.random.default_rng(0), 25)
     second.restore(first.to_arrays())
     for one in (first, second):
@@ -284,15 +284,15 @@ def test_a_rehearsal_restored_goes_on_alike() -> None:
 def test_values_by_numpy_and_jax_agree_and_mask_what_does_not_exist() -> None:
     task = _task()
     chair = _chair(task)
-    params = experts.init(np.random.default_rng(0), len(chair.part), chair.features.shape[1])
+    params = network.init(np.random.default_rng(0), len(chair.part), chair.features.shape[1])
     state = task.initial_state(np.random.default_rng(0))
-    joined, free = told(task, state)
-    values = Expert(chair, params).values(joined, free)
+    joined, free = encode_state(task, state)
+    values = ExpertPolicy(chair, params).values(joined, free)
     part = chair.part[: chair.points]
     np.testing.assert_array_equal(np.isfinite(values[..., 0]), part[:, None] != part[None])
     padded = np.zeros((1, len(chair.part)), np.float32)
     padded[0, : chair.points] = free
-    compiled = double_q.values(
+    compiled = losses.values(
         *(jax.tree.map(lambda x: x[None], t) for t in (params, chair.features, chair.part)),
         joined[None].astype(np.float32), padded,
     )  # fmt: skip
@@ -303,31 +303,31 @@ def test_values_by_numpy_and_jax_agree_and_mask_what_does_not_exist() -> None:
 
 def test_best_returns_are_backed_up_through_merges() -> None:
     task = _task()
-    memory = Memory(Rehearsal(task, 0), _chair(task))
-    start = memory.states[0]
+    buffer = ReplayBuffer(MemoizedEnv(task, 0), _chair(task))
+    start = buffer.states[0]
     # Made-up states that differ from real ones in number only: what was joined does not matter here.
-    one, two, whole = (memory.add(start[:n]) for n in (3, 2, 1))
-    memory.merged(one, (0, 1, 0), two)
-    memory.merged(two, (0, 1, 0), whole)
-    memory.merged(0, (0, 1, 0), one)
+    one, two, whole = (buffer.add(start[:n]) for n in (3, 2, 1))
+    buffer.add_merge(one, (0, 1, 0), two)
+    buffer.add_merge(two, (0, 1, 0), whole)
+    buffer.add_merge(0, (0, 1, 0), one)
     best = len(start) + 3.0
-    assert memory.best == pytest.approx([7.0 / best, 6.0 / best, 5.0 / best, 0.0])
-    assert memory.best_path() == [0, one, two]
+    assert buffer.best == pytest.approx([7.0 / best, 6.0 / best, 5.0 / best, 0.0])
+    assert buffer.best_path() == [0, one, two]
 
 
 def test_practice_takes_what_works_and_remembers_what_was_left_over() -> None:
-    rehearsal = Rehearsal(_task(), 0)
-    practice = Practice(rehearsal, np.random.default_rng(0))
-    least, state = len(rehearsal.start), rehearsal.start
+    env = MemoizedEnv(_task(), 0)
+    explorer = PlanExplorer(env, np.random.default_rng(0))
+    least, state = len(env.start), env.start
     for _ in range(4_000):
-        action = practice.choose(state)
-        after = None if action is None else rehearsal.step(state, action)
+        action = explorer.choose(state)
+        after = None if action is None else env.step(state, action)
         if action is not None and after is not None:
-            practice.joined(state, action)
+            explorer.record_merge(state, action)
             state, least = after, min(least, len(after))
         if after is None or len(after) == 1:
-            practice.end(state, action is None)
-            state = rehearsal.start
+            explorer.end_episode(state, action is None)
+            state = env.start
         if least == 1:
             break
     assert least == 1
@@ -346,15 +346,15 @@ def _extractor() -> dict[str, object]:
 
 def test_a_small_chair_is_mastered_and_taught(tmp_path: Path) -> None:
     chair = _folder_pick(tmp_path)
-    Bench([chair], tmp_path / "out", ExpertTraining(steps=4_000, trials=2), 1, _extractor(), {}).run(60.0)
+    ExpertRun([chair], tmp_path / "out", ExpertTraining(steps=4_000, test_episodes=2), 1, _extractor(), {}).run(60.0)
     path = tmp_path / "out" / f"{chair.name}.npz"
-    result = apprentices.read(path)
+    result = results.read(path)
     assert result.mastered
     assert result.success_rate == 1.0
     assert not list((tmp_path / "out").glob("*.partial.npz"))
     task = ObjectCentricTask(chair.furniture())
-    expert = apprentices.load(path, task)
-    course, finished = expert_course(expert, task, chair.name, plays=2)
+    expert = results.load(path, task)
+    course, finished = expert_samples(expert, task, chair.name, episodes=2)
     assert finished >= 1
     assert len(course.samples) == finished * (len(task.furniture.parts) - 1)
     lesson = course.samples[0]
@@ -365,72 +365,70 @@ def test_a_small_chair_is_mastered_and_taught(tmp_path: Path) -> None:
     # Values may overshoot; what is taught does not.
     taught = paper_imitation.examples_of([course], _extractor(), Augmentation(copies=0))[0]
     exist = taught.group[:, None] != taught.group
-    assert taught.most == best
+    assert taught.max_return == best
     targets = paper_imitation.targets(paper_imitation.batch_of([taught], None))[0, : len(exist), : len(exist)]
     assert 0.75 * best <= float(targets[exist].max()) <= best
     course.save(tmp_path / "course.npz")
     other = ObjectCentricTask(catalogue.make("stool", 1))
     with pytest.raises(InputError, match="is an expert for"):
-        apprentices.load(path, other)
+        results.load(path, other)
 
 
 def test_a_chair_of_very_short_plays_is_mastered_too(tmp_path: Path) -> None:
     # Two merges a play: with eight steps between two looks, the looks could always fall into the middle of one.
     chair = _folder_pick(tmp_path, "upholstered", 14)
-    Bench([chair], tmp_path / "out", ExpertTraining(steps=3_000, trials=1), 1, _extractor(), {}).run(60.0)
-    result = apprentices.read(tmp_path / "out" / f"{chair.name}.npz")
+    ExpertRun([chair], tmp_path / "out", ExpertTraining(steps=3_000, test_episodes=1), 1, _extractor(), {}).run(60.0)
+    result = results.read(tmp_path / "out" / f"{chair.name}.npz")
     assert result.mastered
     assert result.steps < 2_000
 
 
 def test_a_stopped_training_goes_on_to_the_same_weights(tmp_path: Path) -> None:
     chair = _folder_pick(tmp_path, "three_legged")
-    training = ExpertTraining(steps=100_000, learner=LearnerConfig(batch=6))
-    whole = Bench([chair], tmp_path / "a", training, 1, _extractor(), {})
+    training = ExpertTraining(steps=100_000, agent=AgentConfig(batch=6))
+    whole = ExpertRun([chair], tmp_path / "a", training, 1, _extractor(), {})
     for _ in range(24):
         whole.advance()
     whole.keep(0)
-    stopped = Bench([chair], tmp_path / "b", training, 1, _extractor(), {})
+    stopped = ExpertRun([chair], tmp_path / "b", training, 1, _extractor(), {})
     for _ in range(11):
         stopped.advance()
     stopped.keep(0)
-    resumed = Bench([chair], tmp_path / "b", training, 1, _extractor(), {})
+    resumed = ExpertRun([chair], tmp_path / "b", training, 1, _extractor(), {})
     for _ in range(13):
         resumed.advance()
     resumed.keep(0)
-    one, other = (checkpoint.load(apprentices.partial_of(tmp_path / n, chair.name), experts.KIND) for n in ("a", "b"))
-    assert one.params["learner"]["counts"].tolist() == other.params["learner"]["counts"].tolist()
-    np.testing.assert_array_equal(
-        one.params["learner"]["memory"]["merges"], other.params["learner"]["memory"]["merges"]
-    )
+    one, other = (checkpoint.load(partial_file(tmp_path / n, chair.name), network.KIND) for n in ("a", "b"))
+    assert one.params["agent"]["counts"].tolist() == other.params["agent"]["counts"].tolist()
+    np.testing.assert_array_equal(one.params["agent"]["buffer"]["merges"], other.params["agent"]["buffer"]["merges"])
     np.testing.assert_allclose(one.params["online"]["slot"], other.params["online"]["slot"], atol=1e-6)
     with pytest.raises(InputError, match="trained otherwise"):
-        Bench([chair], tmp_path / "b", ExpertTraining(steps=5), 1, _extractor(), {})
+        ExpertRun([chair], tmp_path / "b", ExpertTraining(steps=5), 1, _extractor(), {})
 
 
 def test_greedy_plays_choose_by_value_alone() -> None:
     task = _task()
     chair = _chair(task)
-    learner = Learner(Memory(Rehearsal(task, 0), chair), LearnerConfig(greedy_every=1), np.random.default_rng(0))
+    agent = DQNAgent(ReplayBuffer(MemoizedEnv(task, 0), chair), AgentConfig(greedy_every=1), np.random.default_rng(0))
     n = len(chair.part)
     q = np.zeros((n, n, 6), np.float32)
-    rows = np.argwhere(learner.memory.rehearsal.exists(learner.memory.states[0]))
+    rows = np.argwhere(agent.buffer.env.exists(agent.buffer.states[0]))
     row, column = rows[7].tolist()
     q[row, column, 4] = 1.0
-    learner.move(q)  # the first episode explores
-    while not learner._greedy:
-        learner.move(q)
-    known_before = learner.memory.rehearsal.planned
-    learner.move(q)
-    learner.move(q)
+    agent.step(q)  # the first episode explores
+    while not agent.greedy:
+        agent.step(q)
+    known_before = agent.buffer.env.planned
+    agent.step(q)
+    agent.step(q)
     # However often it fails, a play by Q takes what Q says.
-    assert learner.memory.rehearsal.planned <= known_before + 1
+    assert agent.buffer.env.planned <= known_before + 1
 
 
 def test_real_plays_stop_at_the_first_failure() -> None:
     task = _task()
     chair = _chair(task)
-    params = experts.init(np.random.default_rng(0), len(chair.part), chair.features.shape[1])
-    moves = play(Expert(chair, params), task, 0)
-    assert all(m.verdict is ObjectCentricVerdict.MERGED for m in moves[:-1])
-    assert not experts.finished(moves, chair) or moves[-1].verdict is ObjectCentricVerdict.MERGED
+    params = network.init(np.random.default_rng(0), len(chair.part), chair.features.shape[1])
+    moves = run_expert(ExpertPolicy(chair, params), task, 0)
+    assert all(m.merged for m in moves[:-1])
+    assert not network.finished(moves, chair) or moves[-1].merged

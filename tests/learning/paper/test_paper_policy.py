@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from dataclasses import replace
+from dataclasses import asdict, replace
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -28,7 +28,7 @@ from roboassembly.learning.datasets import LabeledState, SampleSet
 from roboassembly.learning.paper import autoencoder, imitation
 from roboassembly.learning.paper import network as paper
 from roboassembly.learning.paper.autoencoder import CLOUD_POINTS
-from roboassembly.learning.paper.imitation import Augmentation, Example, Training
+from roboassembly.learning.paper.imitation import Augmentation, PaperExample, PaperTraining
 from roboassembly.learning.paper.network import PaperConfig, PaperPolicy, PaperState
 from roboassembly.learning.registry import load_policy
 from roboassembly.learning.relational.oracle_dataset import Labeler
@@ -38,7 +38,7 @@ from roboassembly.task.full.task import FullTask
 from roboassembly.task.object_centric.task import ObjectCentricTask
 from roboassembly.task.rules.groups import TaskState
 
-STATE = paper.size(False)
+STATE = paper.state_size(False)
 SMALL = PaperConfig(hidden=24, feature=16, slot=8)
 ENCODER = autoencoder.init(np.random.default_rng(1))
 
@@ -61,7 +61,7 @@ def course(chair: Furniture) -> SampleSet:
 
 
 @pytest.fixture(scope="module")
-def examples(course: SampleSet) -> list[Example]:
+def examples(course: SampleSet) -> list[PaperExample]:
     return imitation.examples_of([course], ENCODER, Augmentation(copies=2, noise=0.003))
 
 
@@ -96,7 +96,7 @@ def test_inputs_are_normalised_by_what_is_there() -> None:
     states = np.zeros((2, STATE), np.float32)
     states[0, 0], states[0, 48], states[1, 0] = 1.0, 3.0, 5.0  # channel 0 of the features of three parts
     states[0, 1] = states[0, 49] = states[1, 1] = 7.0  # a constant channel
-    inputs = paper.standard(states)
+    inputs = paper.normalization(states)
     deviation = (8.0 / 3.0) ** 0.5  # of 1, 3, 5
     for part in (0, 1, 19):
         assert inputs["mean"][48 * part] == pytest.approx(3.0)
@@ -132,16 +132,16 @@ def test_both_losses_on_hand_computed_numbers() -> None:
     assert np.isfinite(jax.grad(lambda x: imitation.imitation_losses(x, target, exists & False)[1].sum())(q)).all()
 
 
-def test_the_loss_is_l1_and_fifty_times_l2(examples: list[Example]) -> None:
+def test_the_loss_is_l1_and_fifty_times_l2(examples: list[PaperExample]) -> None:
     network = paper.init(np.random.default_rng(0), SMALL)
-    inputs = paper.standard(imitation.batch_of(examples, None)["state"])
+    inputs = paper.normalization(imitation.batch_of(examples, None)["state"])
     batch = imitation.batch_of(examples, None)
     loss, terms = imitation.losses(network, inputs, batch)
     assert loss == pytest.approx(float(terms["l1"] + 50.0 * terms["l2"]), rel=1e-5)
     # Nor does what is taught about actions between points that are not there, or joined already.
     nowhere = ~batch["exists"]
     assert nowhere.any()
-    batch["taught"][nowhere] = 99.0
+    batch["branch_targets"][nowhere] = 99.0
     assert imitation.losses(network, inputs, batch)[0] == pytest.approx(float(loss))
 
 
@@ -153,7 +153,7 @@ def test_exact_values_are_returns_to_go() -> None:
     free[[0, 2, 3, 3], [0, 1, 0, 2]] = True
     lesson = LabeledState(np.ones((4, 10, 9), np.float32), connections, free, np.ones((4, 6), np.float32), joints)
     # It can be finished after the first: two merges and the whole. The second works but leads nowhere.
-    assert imitation.worth_of(lesson).tolist() == [[6, 0, 6, 0, 0, 0], [0, 0, 0, 1, 0, 0]]
+    assert imitation.exact_returns(lesson).tolist() == [[6, 0, 6, 0, 0, 0], [0, 0, 0, 1, 0, 0]]
     course = SampleSet("four", np.ones((4, 16, 3), np.float32), (lesson,))
     example = imitation.examples_of([course], ENCODER, Augmentation(copies=0))[0]
     assert [*zip(example.part, example.point, strict=True)] == [(0, 0), (2, 1), (3, 0), (3, 2)]
@@ -201,7 +201,7 @@ def test_with_robots_what_both_grasps_add_is_taught_and_chosen(tmp_path: Path) -
     assert batch["state"].shape[1] == 5280 + 20 * 8 * 6
     assert batch["state"][0, 5280 + 48 + 3] == pytest.approx(hands[1, 0, 3])
     path = tmp_path / "paper.npz"
-    list(imitation.train(examples, ENCODER, path, Training(steps=3, batch=2, warmup=1), SMALL, {}))
+    list(imitation.train(examples, ENCODER, path, PaperTraining(steps=3, batch=2, warmup=1), SMALL, {}))
     policy = load_policy(str(path))
     assert isinstance(policy, PaperPolicy)
     assert policy.settings == ("full",)
@@ -215,10 +215,10 @@ def test_with_robots_what_both_grasps_add_is_taught_and_chosen(tmp_path: Path) -
     plain = replace(course, grasps=None, samples=tuple(replace(x, q_values=None) for x in lessons))
     mixed = examples + imitation.examples_of([plain], ENCODER, Augmentation(copies=0))
     with pytest.raises(InputError, match="both settings"):
-        next(imitation.train(mixed, ENCODER, tmp_path / "mixed.npz", Training(steps=3), SMALL, {}))
+        next(imitation.train(mixed, ENCODER, tmp_path / "mixed.npz", PaperTraining(steps=3), SMALL, {}))
 
 
-def test_a_batch_names_slots_and_what_exists(examples: list[Example]) -> None:
+def test_a_batch_names_slots_and_what_exists(examples: list[PaperExample]) -> None:
     batch = imitation.batch_of(examples, None)
     for row, e in enumerate(examples):
         n = len(e.part)
@@ -250,7 +250,7 @@ def test_groups_lie_elsewhere_and_stay_whole(chair: Furniture) -> None:
     assert np.allclose(turns[0][:, 2], turns[1][:, 2], atol=1e-5)  # what is up stays up
 
 
-def test_noise_is_on_the_clouds_alone(examples: list[Example], course: SampleSet) -> None:
+def test_noise_is_on_the_clouds_alone(examples: list[PaperExample], course: SampleSet) -> None:
     features = examples[0].features
     assert features.shape == (3, 4, 48)
     assert np.allclose(features[0], autoencoder.encode(ENCODER, course.clouds), atol=1e-5)
@@ -278,7 +278,7 @@ def test_q_is_what_its_factors_say_on_numpy_and_jax() -> None:
         whole = layers.gelu(layers.norm(layer["norm"], layers.linear(layer["map"], whole)))
     a, b = np.split(layers.linear(p["slots"], whole).reshape(2, 200, 16), 2, axis=2)
     expected = (
-        (a[0, 57] * b[0, 199]) @ p["heads"]["0"]["ways"]
+        (a[0, 57] * b[0, 199]) @ p["heads"]["0"]["w"]
         + layers.linear(p["heads"]["0"]["u"], a[0, 57])
         + layers.linear(p["heads"]["0"]["v"], b[0, 199])
     )
@@ -288,15 +288,15 @@ def test_q_is_what_its_factors_say_on_numpy_and_jax() -> None:
     assert np.abs(q - on_jax).max() < 1e-3
 
 
-def test_a_small_chair_is_learnt_and_assembled(examples: list[Example], chair: Furniture, tmp_path: Path) -> None:
-    path, training = tmp_path / "paper.npz", Training(steps=150, learning_rate=3e-3, warmup=10, batch=8)
+def test_a_small_chair_is_learnt_and_assembled(examples: list[PaperExample], chair: Furniture, tmp_path: Path) -> None:
+    path, training = tmp_path / "paper.npz", PaperTraining(steps=150, learning_rate=3e-3, warmup=10, batch=8)
     terms = [terms for _, terms in imitation.train(examples, ENCODER, path, training, SMALL, {"set": "one chair"})]
     assert terms[-1]["loss"] < 0.2 * terms[0]["loss"]
     kept = checkpoint.load(path, paper.KIND)
     assert kept.config["set"] == "one chair"
-    assert np.array_equal(kept.params["encoder"]["point"]["0"]["w"], ENCODER["point"]["0"]["w"])
-    assert imitation.share_good(kept.params, examples) == 1.0
-    policy = PaperPolicy.from_checkpoint(kept)
+    assert np.array_equal(kept.params["encoder"]["encoder"]["0"]["w"], ENCODER["encoder"]["0"]["w"])
+    assert imitation.viable_share(kept.params, examples) == 1.0
+    policy = PaperPolicy.from_checkpoint(kept, "paper.npz")
     env = ObjectCentricEnv(chair, cloud_points=policy.cloud_points)
     observation, info = env.reset(seed=5)
     done = False
@@ -310,10 +310,10 @@ def test_a_small_chair_is_learnt_and_assembled(examples: list[Example], chair: F
     assert info["success"]
 
 
-def test_the_policy_agrees_with_training(examples: list[Example], course: SampleSet, chair: Furniture) -> None:
+def test_the_policy_agrees_with_training(examples: list[PaperExample], course: SampleSet, chair: Furniture) -> None:
     params = {"encoder": ENCODER, "network": paper.init(np.random.default_rng(3), SMALL)}
     batch = imitation.batch_of(examples[:1], None)
-    params["inputs"] = paper.standard(batch["state"])
+    params["inputs"] = paper.normalization(batch["state"])
     env = ObjectCentricEnv(chair, cloud_points=CLOUD_POINTS)
     observation, info = env.reset(seed=0)
     mask = info["action_mask"]
@@ -343,8 +343,8 @@ def _until(steps: int, *args: Any) -> None:
     run.close()
 
 
-def test_a_stopped_run_goes_on_as_if_it_had_not_been(examples: list[Example], tmp_path: Path) -> None:
-    training = Training(steps=9, batch=2, warmup=2, keep_every=0.0)
+def test_a_stopped_run_goes_on_as_if_it_had_not_been(examples: list[PaperExample], tmp_path: Path) -> None:
+    training = PaperTraining(steps=9, batch=2, warmup=2, keep_every=0.0)
     straight, stopped = tmp_path / "straight.npz", tmp_path / "stopped.npz"
     list(imitation.train(examples, ENCODER, straight, training, SMALL, {}))
     _until(4, examples, ENCODER, stopped, training, SMALL, {})
@@ -355,22 +355,24 @@ def test_a_stopped_run_goes_on_as_if_it_had_not_been(examples: list[Example], tm
     assert int(kept[1].extra["step"]) == 9
     with pytest.raises(InputError, match="other training"):
         _until(1, examples, ENCODER, stopped, replace(training, seed=1), SMALL, {})
-    with pytest.raises(InputError, match="no lessons"):
+    with pytest.raises(InputError, match="no samples"):
         _until(1, [], ENCODER, tmp_path / "none.npz", training, SMALL, {})
 
 
 def test_checkpoints_of_other_networks_are_refused() -> None:
     with pytest.raises(InputError, match="'relational' network"):
-        PaperPolicy.from_checkpoint(checkpoint.Checkpoint("relational", {}, {}, {}))
-    with pytest.raises(InputError, match="sizes of its network"):
-        PaperPolicy.from_checkpoint(checkpoint.Checkpoint(paper.KIND, {}, {}, {}))
+        PaperPolicy.from_checkpoint(checkpoint.Checkpoint("relational", {}, {}, {}), "a.npz")
+    with pytest.raises(InputError, match=r"'a.npz': config\['network'\] holds None"):
+        PaperPolicy.from_checkpoint(checkpoint.Checkpoint(paper.KIND, {}, {}, {}), "a.npz")
     small, inputs = paper.init(np.random.default_rng(0), SMALL), np.zeros(STATE, np.float32)
     params = {"encoder": ENCODER, "inputs": {"mean": inputs, "scale": inputs}, "network": small}
-    config = {"network": {"hidden": 24, "feature": 16, "slot": 8}}
-    assert PaperPolicy.from_checkpoint(checkpoint.Checkpoint(paper.KIND, params, config, {})).name == "paper"
+    config = {"network": asdict(SMALL)}
+    assert PaperPolicy.from_checkpoint(checkpoint.Checkpoint(paper.KIND, params, config, {}), "a.npz").name == "paper"
     params["inputs"]["mean"] = inputs[:7]
-    with pytest.raises(InputError, match=r"'inputs/mean' has shape \(7,\), this program takes \(5280,\)"):
-        PaperPolicy.from_checkpoint(checkpoint.Checkpoint(paper.KIND, params, config, {}))
+    with pytest.raises(
+        InputError, match=r"'/inputs/mean' is float32 \(7,\); its configuration asks for float32 \(5280,\)"
+    ):
+        PaperPolicy.from_checkpoint(checkpoint.Checkpoint(paper.KIND, params, config, {}), "a.npz")
 
 
 def test_acting_needs_no_jax() -> None:

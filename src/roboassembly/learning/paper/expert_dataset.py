@@ -1,9 +1,9 @@
-"""What an expert teaches the multi-task policy: its plays in the real environment, with its Q-values.
+"""Samples from experts: the states of their episodes, labelled with their Q-values.
 
-The first play takes the action with the highest Q throughout; in later ones any action that is almost as good may be
-drawn, so that lessons show more than one way. With robots the first plays repeat those by which the chair was mastered:
-from other starts the arms often cannot do what an expert, which does not see where things lie, tells them. As in the
-paper only successful plays become lessons.
+The first episode always takes the action with the highest Q; in later ones any action that is almost as good may be
+drawn, so that samples show more than one order. In the full setting the first episodes repeat those that validated the
+expert: from other starts the arms often cannot carry out what an expert, which does not see where things lie, chooses.
+As in the paper only successful episodes become samples.
 """
 
 from __future__ import annotations
@@ -20,104 +20,128 @@ from roboassembly.datasets.sets import FurnitureRef
 from roboassembly.envs.observation import Observer, surface_points
 from roboassembly.furniture.model import MAX_POINTS
 from roboassembly.learning.datasets import CLOUD_POINTS, LabeledState, SampleSet, dataset_file
-from roboassembly.learning.paper.dqn.network import Expert, Move, finished, play, told
-from roboassembly.learning.paper.dqn.train import ExpertTraining, load, read
+from roboassembly.learning.paper.dqn.network import ExpertPolicy, ExpertStep, encode_state, finished, run_expert
+from roboassembly.learning.paper.dqn.results import load, read
+from roboassembly.learning.paper.dqn.train import ExpertTraining
 from roboassembly.parallel.processes import map_unordered
 from roboassembly.task.full.task import FullTask
 from roboassembly.task.object_centric.task import ObjectCentricTask
 
 _MARGIN = 0.06
-"""Of Q, in shares of the best return: one merge is worth 0.05 to 0.25 of it."""
+"""Difference of Q within which actions count as almost as good, as a share of the largest return; one merge counts
+0.05 to 0.25."""
 _SEEDS = 20_000
-"""Seeds of the plays start here, where no other play of an expert is."""
+"""First seed of the episodes; no other episode of an expert has one as large."""
 
 
 @dataclass(frozen=True)
-class Taught:
-    """What one expert gave."""
+class Collected:
+    """Result of one expert."""
 
     name: str
-    plays: int
+    """Name of the chair."""
+    episodes: int
+    """Number of episodes."""
     finished: int
-    lessons: int
+    """Number of episodes that finished the chair."""
+    samples: int
+    """Number of samples."""
 
 
-def expert_course(
-    expert: Expert, task: ObjectCentricTask | FullTask, name: str, plays: int, seed: int = 0, proofs: int = 0
+def expert_samples(
+    expert: ExpertPolicy,
+    task: ObjectCentricTask | FullTask,
+    name: str,
+    episodes: int,
+    seed: int = 0,
+    validation_episodes: int = 0,
 ) -> tuple[SampleSet, int]:
-    """Lessons from an expert's plays, those that finish the chair only; Q-values are undiscounted returns.
+    """Return samples of an expert's episodes, of those that finish the chair only.
+
+    The Q-values of the samples are undiscounted returns.
 
     Args:
-        expert: plays.
-        task: of its chair.
-        name: of the chair.
-        plays: to try.
-        seed: of their starts and draws.
-        proofs: so many of the plays, the first, are those by which the chair was mastered.
+        expert: acts.
+        task: task of its chair.
+        name: name of the chair.
+        episodes: number of episodes.
+        seed: random seed of the starts and draws.
+        validation_episodes: the first so many episodes repeat those that validated the expert.
 
     Returns:
-        The course, and how many plays finished.
+        The samples, and the number of episodes that finished the chair.
     """
     parts = task.furniture.parts
     clouds = np.array([surface_points(p.mesh, CLOUD_POINTS) for p in parts], np.float32)
     observer = Observer(task.furniture, len(parts), MAX_POINTS, 1)
-    lessons: list[LabeledState] = []
+    samples: list[LabeledState] = []
     done = 0
-    for index in range(plays):
-        proof = index < proofs
-        start = index if proof else _SEEDS + 1_000 * seed + index
-        moves = play(expert, task, start, margin=_MARGIN if index and not proof else 0.0)
-        if finished(moves, expert.chair):
+    for index in range(episodes):
+        validates = index < validation_episodes
+        start = index if validates else _SEEDS + 1_000 * seed + index
+        steps = run_expert(expert, task, start, margin=_MARGIN if index and not validates else 0.0)
+        if finished(steps, expert.inputs):
             done += 1
-            lessons += [_lesson(expert, task, observer, move) for move in moves]
-    return SampleSet(name, clouds, tuple(lessons), observer.grasp_poses if isinstance(task, FullTask) else None), done
+            samples += [_sample(expert, task, observer, step) for step in steps]
+    grasps = observer.grasp_poses if isinstance(task, FullTask) else None
+    return SampleSet(name, clouds, tuple(samples), grasps), done
 
 
-def _lesson(expert: Expert, task: ObjectCentricTask | FullTask, observer: Observer, move: Move) -> LabeledState:
-    seen = observer.observe(move.state)
-    free = task.rules.free_points(move.state)[: len(task.furniture.parts)]
+def _sample(
+    expert: ExpertPolicy, task: ObjectCentricTask | FullTask, observer: Observer, step: ExpertStep
+) -> LabeledState:
+    seen = observer.observe(step.state)
+    free = task.rules.free_points(step.state)[: len(task.furniture.parts)]
     return LabeledState(
         seen["connection_points"],
         seen["connections"],
         free,
         seen["poses"],
         np.zeros((0, 11), np.int16),
-        _values(expert, task, move),
+        _q_values(expert, task, step),
     )
 
 
-def _values(expert: Expert, task: ObjectCentricTask | FullTask, move: Move) -> Float16[np.ndarray, "n n w"]:
-    """Q over free points in returns, as in `LabeledState`."""
-    joined, free = told(task, move.state)
+def _q_values(
+    expert: ExpertPolicy, task: ObjectCentricTask | FullTask, step: ExpertStep
+) -> Float16[np.ndarray, "n n w"]:
+    """Return Q over the free points as returns, as in `LabeledState`."""
+    joined, free = encode_state(task, step.state)
     rows = np.flatnonzero(free)
-    some = [x[np.ix_(rows, rows)] for x in expert.added(joined, free)]
-    return (np.concatenate(some, axis=2) * expert.chair.best).astype(np.float16)
+    some = [x[np.ix_(rows, rows)] for x in expert.branch_values(joined, free)]
+    return (np.concatenate(some, axis=2) * expert.inputs.max_return).astype(np.float16)
 
 
-def teach(
-    picks: Sequence[FurnitureRef], experts: Path, folder: Path, training: ExpertTraining, *, plays: int, jobs: int
-) -> Iterator[Taught]:
-    """Write the lessons of all chairs whose experts are done, those that are there already excepted.
+def collect(
+    refs: Sequence[FurnitureRef],
+    experts: Path,
+    folder: Path,
+    training: ExpertTraining,
+    *,
+    episodes: int,
+    jobs: int,
+) -> Iterator[Collected]:
+    """Write the samples of all chairs that have an expert and no samples yet.
 
     Args:
-        picks: the chairs.
+        refs: the chairs.
         experts: folder of the experts' files.
-        folder: gets a file for each chair, without lessons if no play finished.
-        training: of the experts; its seed is that of starts and draws.
-        plays: of each chair.
-        jobs: chairs at a time.
+        folder: gets a file for each chair, without samples if no episode finished.
+        training: settings of the experts; its seed is that of starts and draws.
+        episodes: number of episodes of each chair.
+        jobs: number of chairs at a time.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    left = [p for p in picks if dataset_file(experts, p.name).is_file() and not dataset_file(folder, p.name).is_file()]
-    left = [p for p in left if not read(dataset_file(experts, p.name)).refused]
-    work = partial(_teach, experts=experts, folder=folder, training=training, plays=plays)
+    left = [r for r in refs if dataset_file(experts, r.name).is_file() and not dataset_file(folder, r.name).is_file()]
+    left = [r for r in left if not read(dataset_file(experts, r.name)).refused]
+    work = partial(_collect, experts=experts, folder=folder, training=training, episodes=episodes)
     yield from map_unordered(work, left, jobs)
 
 
-def _teach(pick: FurnitureRef, *, experts: Path, folder: Path, training: ExpertTraining, plays: int) -> Taught:
-    task = training.task_of(pick)
-    proofs = training.proofs if training.setting == "full" else 0
-    expert = load(dataset_file(experts, pick.name), task)
-    course, done = expert_course(expert, task, pick.name, plays, training.seed, proofs)
-    course.save(dataset_file(folder, pick.name))
-    return Taught(pick.name, plays, done, len(course.samples))
+def _collect(ref: FurnitureRef, *, experts: Path, folder: Path, training: ExpertTraining, episodes: int) -> Collected:
+    task = training.task_of(ref)
+    validation_episodes = training.validation_episodes if training.setting == "full" else 0
+    expert = load(dataset_file(experts, ref.name), task)
+    samples, done = expert_samples(expert, task, ref.name, episodes, training.seed, validation_episodes)
+    samples.save(dataset_file(folder, ref.name))
+    return Collected(ref.name, episodes, done, len(samples.samples))

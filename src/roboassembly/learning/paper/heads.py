@@ -1,9 +1,11 @@
-"""What a choice adds to the worth of two points: `w`, or `g_a` and `g_b`, each read off the points' embeddings.
+"""Factored Q-heads: what each action branch adds to the Q-value of a pair of points.
 
-    added(u, v, w) = sum_d a[u, d] b[v, d] W[d, w] + A(u)[w] + B(v)[w]
+After the two points an action chooses `w`, or `g_a` and `g_b`. The value of choice w of one branch is
 
-with A and B affine, so that the best choice depends on the pair. Several choices add up; 64 outputs of their own for
-the grasps of every two points would not be sensible.
+    value(u, v, w) = sum_d a[u, d] b[v, d] W[d, w] + A(u)[w] + B(v)[w]
+
+with A and B affine, so that the best choice depends on the pair. The values of several branches are added: 64 outputs
+of their own for the grasps of each pair of points would be too many.
 """
 
 from __future__ import annotations
@@ -17,57 +19,63 @@ from roboassembly.learning.layers import Array, Params, init_linear, linear
 
 
 def init(
-    rng: np.random.Generator, inputs: int, rank: int, ways: Sequence[int], *, mean: float = 0.0, spread: float = 1.0
+    rng: np.random.Generator,
+    inputs: int,
+    rank: int,
+    branches: Sequence[int],
+    *,
+    mean: float = 0.0,
+    deviation: float = 1.0,
 ) -> Params:
-    """Fresh weights, a head for each choice.
+    """Return fresh weights, a head for each branch.
 
     Args:
-        rng: draws them.
-        inputs: numbers that A and B see of a point.
-        rank: numbers in an embedding.
-        ways: of each choice.
-        mean: of W, in units of 1 / sqrt(rank).
-        spread: its standard deviation, in the same.
+        rng: random numbers.
+        inputs: number of inputs of A and B.
+        rank: size of the embeddings a and b.
+        branches: number of choices of each branch.
+        mean: mean of W, in units of 1 / sqrt(rank).
+        deviation: standard deviation of W, in the same unit.
     """
     unit = rank**-0.5
     return {
         str(i): {
-            "ways": rng.normal(mean * unit, spread * unit, (rank, count)).astype(np.float32),
+            "w": rng.normal(mean * unit, deviation * unit, (rank, count)).astype(np.float32),
             "u": init_linear(rng, inputs, count),
             "v": init_linear(rng, inputs, count),
         }
-        for i, count in enumerate(ways)
+        for i, count in enumerate(branches)
     }
 
 
-def added(p: Params, a: Array, b: Array, of_u: Array, of_v: Array) -> list[Array]:
-    """What each choice adds, (s, n, n, w) each.
+def branch_values(p: Params, a: Array, b: Array, of_u: Array, of_v: Array) -> list[Array]:
+    """Return what each branch adds, (s, n, n, w) each.
 
     Args:
-        p: of `init`.
-        a: (s, n, rank) embeddings of points that move.
-        b: (s, n, rank) embeddings of points that wait.
-        of_u: (s, n, inputs) what A sees.
-        of_v: (s, n, inputs) what B sees.
+        p: weights from `init`.
+        a: (s, n, rank) embeddings of the points that move.
+        b: (s, n, rank) embeddings of the points that wait.
+        of_u: (s, n, inputs) inputs of A.
+        of_v: (s, n, inputs) inputs of B.
     """
-    return [_added(p[str(i)], a, b, of_u, of_v) for i in range(len(p))]
+    return [_branch(p[str(i)], a, b, of_u, of_v) for i in range(len(p))]
 
 
-def _added(p: Params, a: Array, b: Array, of_u: Array, of_v: Array) -> Array:
+def _branch(p: Params, a: Array, b: Array, of_u: Array, of_v: Array) -> Array:
     xp = a.__array_namespace__()
     s, n, rank = a.shape
-    ways = p["ways"].shape[1]
-    moved = xp.reshape(a[:, :, None] * p["ways"].T, (s, n * ways, rank))
-    pairs = xp.reshape(moved @ xp.swapaxes(b, 1, 2), (s, n, ways, n))
+    choices = p["w"].shape[1]
+    moved = xp.reshape(a[:, :, None] * p["w"].T, (s, n * choices, rank))
+    pairs = xp.reshape(moved @ xp.swapaxes(b, 1, 2), (s, n, choices, n))
     return xp.moveaxis(pairs, 2, 3) + linear(p["u"], of_u)[:, :, None] + linear(p["v"], of_v)[:, None]
 
 
-def together(each: Sequence[Array]) -> Array:
-    """(..., w) of all combinations of the choices, numbered through, from (..., w_i) of each."""
-    return reduce(_combined, each)
+def combined(branches: Sequence[Array]) -> Array:
+    """Return (..., w) the sums of all combinations of choices, in C order, from (..., w_i) of each branch."""
+    return reduce(_combined, branches)
 
 
-def _combined(one: Array, other: Array) -> Array:
-    xp = one.__array_namespace__()
-    both = one[..., :, None] + other[..., None, :]
+def _combined(first: Array, second: Array) -> Array:
+    xp = first.__array_namespace__()
+    both = first[..., :, None] + second[..., None, :]
     return xp.reshape(both, (*both.shape[:-2], -1))

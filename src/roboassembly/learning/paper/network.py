@@ -1,24 +1,24 @@
-"""The paper's multi-task policy: its whole state in one padded vector, an MLP, and a Q-value for every action.
+"""The paper's multi-task policy: one padded state vector, an MLP, and a Q-value for every action.
 
-A chair has at most 20 parts and a part at most 10 connection points. The state vector is these, one after another,
-each with zeros where a part or a point is not there:
+A chair has at most 20 parts and a part at most 10 connection points. The state vector concatenates these arrays, with
+zeros where a part or a point does not exist:
 
-| what | shape | unit |
+| content | shape | unit |
 |---|---|---|
-| feature of each part's cloud, by the frozen auto-encoder | (20, 48) | – |
+| feature of each part's cloud, from the frozen auto-encoder | (20, 48) | – |
 | connection points: position, outward normal, tangent, part frame | (20, 10, 9) | m, 1, 1 |
 | world pose of each part: translation, Euler angles | (20, 6) | m, rad |
 | connection matrix: pose of part j in part i's frame if they are joined | (20, 20, 6) | m, rad |
-| with robots: the hand at each grasp, part frame | (20, 8, 6) | m, rad |
+| in the full setting: gripper pose of each grasp, part frame | (20, 8, 6) | m, rad |
 
-An MLP, with layer normalisation, makes a global feature of it. From that, all 200 slots for points are given an
-embedding in the role of the moving point and one in that of the waiting point, and
+An MLP with layer normalisation makes a global feature of it. From this feature each of the 200 slots for points gets
+an embedding in the role of the moving point and one in the role of the waiting point, and
 
     Q(u, k, v, l, w) = sum_d a[u, k, d] b[v, l, d] W[d, w] + A[u, k, w] + B[v, l, w]
 
-with A and B affine in a and b: 240,000 values by way of 200 · 2 · d numbers, where the best `w` depends on the pair.
-With robots it is a sum of two of these, of `g_a` and of `g_b` (`heads`). Weights belong to slots; so, as in the paper,
-the network knows parts by their numbers, too.
+with A and B affine in a and b: 240,000 values from 200 · 2 · d numbers, where the best `w` depends on the pair. In the
+full setting Q is a sum of two such terms, of `g_a` and of `g_b` (`heads`). Weights belong to slots, so that the
+network, as in the paper, knows parts by their numbers.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from jaxtyping import Bool, Float, Float32, Int
 from roboassembly.envs.observation import Observation
 from roboassembly.errors import InputError
 from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS
-from roboassembly.learning.checkpoint import Checkpoint
+from roboassembly.learning.checkpoint import Checkpoint, check_arrays, network_config
 from roboassembly.learning.layers import Array, Params, gelu, init_linear, init_norm, linear, norm
 from roboassembly.learning.paper import autoencoder, heads
 from roboassembly.learning.paper.autoencoder import CLOUD_POINTS, FEATURE
@@ -42,35 +42,35 @@ from roboassembly.task.rules.connections import GRASPS
 from roboassembly.task.setting import SettingName
 
 KIND = "paper"
-"""Of checkpoints."""
+"""Kind of the checkpoints."""
 SLOTS = MAX_PARTS * MAX_POINTS
-"""Slot `MAX_POINTS * part + point`."""
+"""Number of slots for points; point k of part p has slot `MAX_POINTS * p + k`."""
 SECTIONS = {
     "features": (MAX_PARTS, FEATURE),
     "points": (MAX_PARTS, MAX_POINTS, 9),
     "poses": (MAX_PARTS, 6),
     "connections": (MAX_PARTS, MAX_PARTS, 6),
 }
-"""Of the state vector, in order, and their shapes."""
+"""Sections of the state vector, in order, and their shapes."""
 GRASP_SECTION = {"grasps": (MAX_PARTS, GRASPS, 6)}
-"""What the state vector has besides with robots."""
+"""Further section of the full setting."""
 _RETURN = 10.0
-"""About the return of a play: the network's outputs are in this unit inside, so that they start out of order one."""
+"""Typical return of an episode: unit of the network's outputs, so that they start near one."""
 
 
 @dataclass(frozen=True, eq=False)
 class PaperState:
-    """What the state vector is made of, before padding: P parts, K points at most on one."""
+    """Content of the state vector before padding: P parts with at most K points each."""
 
     features: Float[np.ndarray, "P 48"]
     points: Float[np.ndarray, "P K 9"]
     poses: Float[np.ndarray, "P 6"]
     connections: Float[np.ndarray, "P P 6"]
     grasps: Float[np.ndarray, "P 8 6"] | None = None
-    """With robots."""
+    """Gripper poses; None in the object-centric setting."""
 
     def write(self, into: Float32[np.ndarray, "s"]) -> None:
-        """Put it into a vector of zeros."""
+        """Write the state into a vector of zeros."""
         begin = 0
         for name, shape in sections(self.grasps is not None).items():
             end = begin + int(np.prod(shape))
@@ -80,14 +80,14 @@ class PaperState:
             begin = end
 
 
-def sections(hands: bool) -> dict[str, tuple[int, ...]]:
-    """Of the state vector, in order, and their shapes."""
-    return {**SECTIONS, **(GRASP_SECTION if hands else {})}
+def sections(full: bool) -> dict[str, tuple[int, ...]]:
+    """Return the sections of the state vector of a setting, in order, and their shapes."""
+    return {**SECTIONS, **(GRASP_SECTION if full else {})}
 
 
-def size(hands: bool) -> int:
-    """Of the state vector: 5,280, with hands 6,240."""
-    return sum(int(np.prod(shape)) for shape in sections(hands).values())
+def state_size(full: bool) -> int:
+    """Return the length of the state vector: 5,280, in the full setting 6,240."""
+    return sum(int(np.prod(shape)) for shape in sections(full).values())
 
 
 @dataclass(frozen=True)
@@ -95,38 +95,41 @@ class PaperConfig:
     """Sizes of the network."""
 
     hidden: int = 384
+    """Width of the hidden layers."""
     feature: int = 256
-    """Of the global feature."""
+    """Size of the global feature."""
     slot: int = 16
-    """Of an embedding."""
-    hands: bool = False
-    """For the full setting."""
+    """Size of a slot's embedding."""
+    full: bool = False
+    """Whether the network acts in the full setting."""
 
     @property
-    def ways(self) -> tuple[int, ...]:
-        """Choices after the two points."""
-        return FullTask.action_branches if self.hands else ObjectCentricTask.action_branches
+    def branches(self) -> tuple[int, ...]:
+        """Number of choices of each action branch after the two points."""
+        return FullTask.action_branches if self.full else ObjectCentricTask.action_branches
 
 
 def init(rng: np.random.Generator, c: PaperConfig) -> Params:
-    """Fresh weights of the Q-network."""
+    """Return fresh weights of the Q-network."""
     return {
         "state": {
             str(i): {"map": init_linear(rng, a, b), "norm": init_norm(b)}
-            for i, (a, b) in enumerate(pairwise((size(c.hands), c.hidden, c.hidden, c.feature)))
+            for i, (a, b) in enumerate(pairwise((state_size(c.full), c.hidden, c.hidden, c.feature)))
         },
         "slots": init_linear(rng, c.feature, SLOTS * 2 * c.slot),
-        "heads": heads.init(rng, c.slot, c.slot, c.ways, mean=1.0, spread=0.5),
+        "heads": heads.init(rng, c.slot, c.slot, c.branches, mean=1.0, deviation=0.5),
     }
 
 
-def standard(states: Float[np.ndarray, "b s"]) -> dict[str, Float32[np.ndarray, "s"]]:
-    """Mean and reciprocal deviation of each channel (the last axis of a section) over what is there, all slots alike.
+def normalization(states: Float[np.ndarray, "b s"]) -> dict[str, Float32[np.ndarray, "s"]]:
+    """Return mean and reciprocal deviation of each channel (the last axis of a section) over all slots that are used.
 
-    Constant channels are left out by a factor of 0.
+    The factor of a constant channel is 0.
     """
-    means, scales, begin = [], [], 0
-    for shape in sections(states.shape[1] > size(False)).values():
+    means: list[np.ndarray] = []
+    scales: list[np.ndarray] = []
+    begin = 0
+    for shape in sections(states.shape[1] > state_size(False)).values():
         end = begin + int(np.prod(shape))
         rows = states[:, begin:end].reshape(-1, shape[-1])
         rows = rows[(rows != 0).any(axis=1)]
@@ -139,22 +142,23 @@ def standard(states: Float[np.ndarray, "b s"]) -> dict[str, Float32[np.ndarray, 
 
 
 def apply(p: Params, inputs: Params, state: Array, slot: Array) -> Array:
-    """Q of all actions between some slots.
+    """Return Q of all actions between some slots.
 
     Args:
-        p: of `init`.
-        inputs: of `standard`.
-        state: (b, s), s as of `size`.
-        slot: (b, n) points to value, as numbers of slots.
+        p: weights from `init`.
+        inputs: mean and scale from `normalization`.
+        state: (b, s) state vectors, s as in `state_size`.
+        slot: (b, n) numbers of the slots.
 
     Returns:
-        (b, n, n, w) over all ways, undiscounted return: 1 for each merge, 4 more for the whole. Rows move onto columns.
+        (b, n, n, w) undiscounted returns over all combinations of branches: 1 for each merge, 4 more for the whole.
+        Rows move onto columns.
     """
-    return heads.together(choices(p, inputs, state, slot))
+    return heads.combined(branch_values(p, inputs, state, slot))
 
 
-def choices(p: Params, inputs: Params, state: Array, slot: Array) -> list[Array]:
-    """What each choice adds to Q, (b, n, n, w_i); takes what `apply` takes."""
+def branch_values(p: Params, inputs: Params, state: Array, slot: Array) -> list[Array]:
+    """Return what each branch adds to Q, (b, n, n, w_i); see `apply`."""
     xp = state.__array_namespace__()
     b = len(slot)
     whole = (state - inputs["mean"]) * inputs["scale"]
@@ -165,56 +169,55 @@ def choices(p: Params, inputs: Params, state: Array, slot: Array) -> list[Array]
     some = slots[xp.arange(b)[:, None], slot]
     half = some.shape[2] // 2
     u, v = some[..., :half], some[..., half:]
-    return [_RETURN * each for each in heads.added(p["heads"], u, v, u, v)]
+    return [_RETURN * values for values in heads.branch_values(p["heads"], u, v, u, v)]
 
 
 class PaperPolicy:
-    """Acts by the largest Q-value; knows nothing but the observation and which actions exist."""
+    """The paper's policy: takes the action with the largest Q, from the observation and the action mask alone.
+
+    Args:
+        params: `network` from `init`, `inputs` from `normalization`, `encoder` from the auto-encoder.
+        full: whether it acts in the full setting.
+    """
 
     name = "paper"
     cloud_points = CLOUD_POINTS
 
-    def __init__(self, params: Params, hands: bool = False) -> None:
-        """Of a checkpoint: `network` of `init`, `inputs` of `standard`, `encoder` of the auto-encoder."""
-        self._params, self._hands = params, hands
-        self.settings: tuple[SettingName, ...] = ("full",) if hands else ("object-centric",)
-        self._seen: tuple[np.ndarray, np.ndarray] | None = None
+    def __init__(self, params: Params, full: bool = False) -> None:
+        self._params, self._full = params, full
+        self.settings: tuple[SettingName, ...] = ("full",) if full else ("object-centric",)
+        self._encoded: tuple[np.ndarray, np.ndarray] | None = None
+        """Clouds of the parts and their features."""
 
     @classmethod
-    def from_checkpoint(cls, checkpoint: Checkpoint) -> PaperPolicy:
-        """The policy of a checkpoint.
+    def from_checkpoint(cls, loaded: Checkpoint, where: str) -> PaperPolicy:
+        """Return the policy of a checkpoint.
+
+        Args:
+            loaded: the checkpoint.
+            where: its file, for messages.
 
         Raises:
-            InputError: it is of another kind, or of a network of other inputs.
+            InputError: it is of another kind, or its arrays do not fit its configuration.
         """
-        if checkpoint.kind != KIND:
-            raise InputError(f"the checkpoint holds a '{checkpoint.kind}' network where a '{KIND}' one is needed")
-        rng = np.random.default_rng(0)
-        try:
-            network = init(rng, PaperConfig(**checkpoint.config["network"]))
-        except (KeyError, TypeError):
-            raise InputError("the checkpoint does not tell the sizes of its network; train again") from None
-        hands = bool(checkpoint.config["network"].get("hands"))
-        empty = np.zeros(size(hands), np.float32)
-        own = {"network": network, "inputs": {"mean": empty, "scale": empty}, "encoder": autoencoder.init(rng)}
-        found, wanted = _shapes(checkpoint.params), _shapes(own)
-        differing = sorted(k for k in found.keys() | wanted.keys() if found.get(k) != wanted.get(k))
-        if differing:
-            k = differing[0]
-            raise InputError(
-                f"the checkpoint's '{k}' has shape {found.get(k)}, this program takes {wanted.get(k)}; train again"
-            )
-        return cls(checkpoint.params, hands)
+        if loaded.kind != KIND:
+            raise InputError(f"'{where}' holds a '{loaded.kind}' network where a '{KIND}' one is needed")
+        config = network_config(PaperConfig(), loaded.config.get("network"), where)
+        rng, zeros = np.random.default_rng(0), np.zeros(state_size(config.full), np.float32)
+        inputs = {"mean": zeros, "scale": zeros}
+        expected = {"network": init(rng, config), "inputs": inputs, "encoder": autoencoder.init(rng)}
+        check_arrays(loaded.params, expected, where)
+        return cls(loaded.params, config.full)
 
     def values(
         self, observation: Observation, mask: Bool[np.ndarray, "P P K K ..."]
     ) -> Float32[np.ndarray, "P P K K ..."]:
-        """Q of every action; -inf where the mask says that it does not exist."""
+        """Return Q of every action; -inf where the action does not exist."""
         exists = mask.reshape(*mask.shape[:4], -1)
         part, point = np.nonzero(exists.any(axis=(1, 3, 4)) | exists.any(axis=(0, 2, 4)))
         out = np.full(mask.shape, -np.inf, np.float32)
         if len(part):
-            state = np.zeros((1, size(self._hands)), np.float32)
+            state = np.zeros((1, state_size(self._full)), np.float32)
             self._state(observation).write(state[0])
             slot = (MAX_POINTS * part + point)[None]
             q = apply(self._params["network"], self._params["inputs"], state, slot)[0]
@@ -223,7 +226,7 @@ class PaperPolicy:
         return np.where(mask, out, np.float32(-np.inf))
 
     def act(self, observation: Observation, mask: Bool[np.ndarray, "P P K K ..."]) -> Int[np.ndarray, "_"]:
-        """The action that is worth most.
+        """Return the action with the largest Q.
 
         Raises:
             InputError: no action exists.
@@ -238,21 +241,13 @@ class PaperPolicy:
         parts = int(np.flatnonzero(shapes.any(axis=(1, 2)))[-1]) + 1
         if parts > MAX_PARTS:
             raise InputError(f"the furniture has {parts} parts; preset '{KIND}' takes at most {MAX_PARTS}")
-        # Parts stay what they are while they are put together; encoding is most of the work.
-        if self._seen is None or not np.array_equal(self._seen[0], shapes):
-            self._seen = shapes.copy(), autoencoder.encode(self._params["encoder"], shapes[:parts])
+        # The parts stay the same through an episode, and encoding them is most of the work.
+        if self._encoded is None or not np.array_equal(self._encoded[0], shapes):
+            self._encoded = shapes.copy(), autoencoder.encode(self._params["encoder"], shapes[:parts])
         return PaperState(
-            self._seen[1],
+            self._encoded[1],
             observation["connection_points"][:parts],
             observation["poses"][:parts],
             observation["connections"][:parts, :parts],
-            observation["grasp_regions"][:parts].reshape(parts, GRASPS, 6) if self._hands else None,
+            observation["grasp_regions"][:parts].reshape(parts, GRASPS, 6) if self._full else None,
         )
-
-
-def _shapes(params: Params, above: str = "") -> dict[str, tuple[int, ...]]:
-    """Of all arrays, by path."""
-    out: dict[str, tuple[int, ...]] = {}
-    for name, value in params.items():
-        out.update(_shapes(value, f"{above}{name}/") if isinstance(value, dict) else {above + name: value.shape})
-    return out

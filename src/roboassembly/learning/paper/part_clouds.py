@@ -1,4 +1,4 @@
-"""Clouds of parts for the auto-encoder: of the chairs to train on, and of generated ones besides."""
+"""Part clouds for the auto-encoder: from the chairs of the training set and from further generated pieces."""
 
 from __future__ import annotations
 
@@ -16,18 +16,19 @@ from roboassembly.learning.paper.autoencoder import CLOUD_POINTS
 from roboassembly.parallel.processes import map_ordered
 
 
-def gather_clouds(picks: Sequence[FurnitureRef], *, jobs: int, extra: int = 300) -> Float32[np.ndarray, "c n 3"]:
-    """Clouds of the parts of some furniture, and of generated pieces besides, metres.
+def collect_clouds(refs: Sequence[FurnitureRef], *, jobs: int, extra: int = 300) -> Float32[np.ndarray, "c n 3"]:
+    """Return the clouds of the parts of some furniture, and of further generated pieces [m].
 
     Args:
-        picks: the furniture.
-        jobs: pieces at a time.
-        extra: generated pieces, in no data set, of the families that occur among `picks` and some to practise on.
+        refs: the furniture.
+        jobs: number of processes.
+        extra: number of generated pieces that no data set holds, chairs of the families that occur among `refs` and
+            simple frames; none if `refs` has no generated furniture.
     """
-    families = {p.entry.family for p in picks if p.entry is not None}
+    families = {ref.entry.family for ref in refs if ref.entry is not None}
     names = extra_names(extra, [f for f in CHAIRS if f not in families]) if families else []
-    work = [*picks, *names]
-    return np.concatenate(list(map_ordered(_clouds, work, jobs, chunk=8)))
+    pieces = [*refs, *names]
+    return np.concatenate(list(map_ordered(_clouds, pieces, jobs, chunk=8)))
 
 
 def _clouds(piece: FurnitureRef | str) -> Float32[np.ndarray, "p n 3"]:

@@ -1,10 +1,10 @@
-"""From chairs to experts and their lessons: auto-encoder, Double DQN for each chair, plays that become lessons.
+"""The paper's pipeline: auto-encoder, an expert for each chair, the experts' samples, the multi-task policy.
 
-Everything is kept in one folder; whatever is there already is not done again.
+Everything is kept in one folder; what is there already is not done again.
 
-    autoencoder.npz     what parts look like
-    experts/…           one file a chair (`apprentices`)
-    lessons/…           of the experts' plays (`expert_lessons`)
+    autoencoder.npz     encoder of the parts
+    experts/…           one file a chair (`dqn.train`)
+    samples/…           states of the experts' episodes with their Q-values (`expert_dataset`)
 """
 
 from __future__ import annotations
@@ -18,118 +18,128 @@ from roboassembly.datasets.sets import FurnitureRef
 from roboassembly.errors import InputError
 from roboassembly.learning import checkpoint
 from roboassembly.learning.datasets import SampleSet, dataset_file, files_hash
-from roboassembly.learning.paper import autoencoder, imitation
-from roboassembly.learning.paper import expert_dataset as expert_lessons
+from roboassembly.learning.fit import is_trained
+from roboassembly.learning.paper import autoencoder, expert_dataset, imitation
 from roboassembly.learning.paper import network as paper
-from roboassembly.learning.paper.dqn import train as apprentices
-from roboassembly.learning.paper.dqn.train import ExpertTraining, Mastery
-from roboassembly.learning.paper.part_clouds import gather_clouds
+from roboassembly.learning.paper.autoencoder import AutoencoderTraining
+from roboassembly.learning.paper.dqn import train as dqn
+from roboassembly.learning.paper.dqn.results import ExpertResult, read
+from roboassembly.learning.paper.dqn.train import ExpertTraining
+from roboassembly.learning.paper.imitation import PaperTraining
+from roboassembly.learning.paper.part_clouds import collect_clouds
 from roboassembly.learning.progress import Progress
 from roboassembly.parallel.processes import one_thread_each
 from roboassembly.task.setting import SettingName
 
 
 @dataclass(frozen=True)
-class Schooling:
-    """How experts come about."""
+class PipelineConfig:
+    """Settings of the auto-encoder, the experts and their samples."""
 
-    features: autoencoder.Training = field(default_factory=autoencoder.Training)
+    autoencoder: AutoencoderTraining = field(default_factory=AutoencoderTraining)
+    """Settings of the auto-encoder's training."""
     extra_clouds: int = 300
-    """Generated pieces whose parts the auto-encoder sees besides."""
+    """Number of generated pieces whose parts the auto-encoder sees in addition."""
     experts: ExpertTraining = field(default_factory=ExpertTraining)
+    """Settings of the experts' training."""
     side_by_side: int = 4
-    """Experts trained in one call in each process."""
-    plays: int = 6
-    """Of each expert, to become lessons."""
+    """Number of experts that one process trains at the same time."""
+    episodes: int = 6
+    """Number of episodes of each expert that become samples."""
 
     @staticmethod
-    def usual(setting: SettingName) -> Schooling:
-        """In a setting: with robots plays take long."""
-        return Schooling(experts=ExpertTraining(setting=setting), plays=4 if setting == "full" else 6)
+    def default(setting: SettingName) -> PipelineConfig:
+        """Return the settings of a setting; episodes of the full setting take long."""
+        return PipelineConfig(experts=ExpertTraining(setting=setting), episodes=4 if setting == "full" else 6)
 
-    def seeded(self, seed: int) -> Schooling:
-        """The same with another seed."""
-        return replace(self, features=replace(self.features, seed=seed), experts=replace(self.experts, seed=seed))
+    def seeded(self, seed: int) -> PipelineConfig:
+        """Return the same settings with another random seed."""
+        return replace(self, autoencoder=replace(self.autoencoder, seed=seed), experts=replace(self.experts, seed=seed))
 
 
-def extractor_of(folder: Path) -> Path:
-    """Where the auto-encoder of a run lies."""
+def autoencoder_file(folder: Path) -> Path:
+    """Return where a run keeps its auto-encoder."""
     return folder / "autoencoder.npz"
 
 
-def teach_features(
-    picks: Sequence[FurnitureRef], folder: Path, schooling: Schooling, notes: dict[str, Any], jobs: int
+def samples_folder(folder: Path) -> Path:
+    """Return where a run keeps the experts' samples."""
+    return folder / "samples"
+
+
+def train_autoencoder(
+    refs: Sequence[FurnitureRef], folder: Path, config: PipelineConfig, notes: dict[str, Any], jobs: int
 ) -> Iterator[Progress]:
-    """Train the auto-encoder, or go on; nothing if it is done.
+    """Train the auto-encoder, or go on; does nothing if it is trained.
 
     Args:
-        picks: chairs whose parts are taught.
-        folder: of the run.
-        schooling: how.
-        notes: kept in the checkpoint: what it was trained on.
-        jobs: processes.
+        refs: chairs whose parts it learns.
+        folder: folder of the run.
+        config: settings.
+        notes: origin of the chairs, kept in the checkpoint.
+        jobs: number of processes.
 
     Raises:
         InputError: the checkpoint is of other training.
     """
-    path, training = extractor_of(folder), schooling.features
-    if path.is_file() and int(checkpoint.load(path, autoencoder.KIND).extra["step"]) >= training.steps:
+    path, training = autoencoder_file(folder), config.autoencoder
+    if is_trained(path, autoencoder.KIND, training.steps):
         return
-    # Small networks: threads would only get in each other's way.
+    # The networks are small: threads would only get in each other's way.
     with one_thread_each():
-        clouds = gather_clouds(picks, jobs=jobs, extra=schooling.extra_clouds)
+        clouds = collect_clouds(refs, jobs=jobs, extra=config.extra_clouds)
         for step, terms in autoencoder.train(clouds, path, training, notes):
             yield Progress("auto-encoder", step, training.steps, terms)
 
 
-def teach_experts(
-    picks: Sequence[FurnitureRef], folder: Path, schooling: Schooling, notes: dict[str, Any], jobs: int
+def train_experts(
+    refs: Sequence[FurnitureRef], folder: Path, config: PipelineConfig, notes: dict[str, Any], jobs: int
 ) -> Iterator[Progress]:
-    """Train an expert for each chair, then write the lessons of those that finish it, from where the run was left.
+    """Train an expert for each chair, then write the samples of those that finish it; continues a stopped run.
 
     Args:
-        picks: the chairs.
-        folder: of the run, with the auto-encoder in it.
-        schooling: how.
+        refs: the chairs.
+        folder: folder of the run, with the auto-encoder in it.
+        config: settings.
         notes: kept in the experts' files.
-        jobs: processes.
+        jobs: number of processes.
     """
     experts = folder / "experts"
-    training = apprentices.train(
-        picks, experts, schooling.experts, extractor_of(folder), notes, jobs=jobs, side_by_side=schooling.side_by_side
+    training = dqn.train(
+        refs, experts, config.experts, autoencoder_file(folder), notes, jobs=jobs, side_by_side=config.side_by_side
     )
-    mastered = lessons = 0
+    mastered = states = 0
     for done, result in enumerate(training, 1):
         mastered += result.mastered
-        yield Progress("experts", done, len(picks), {"mastered": mastered})
-    teaching = expert_lessons.teach(
-        picks, experts, folder / "lessons", schooling.experts, plays=schooling.plays, jobs=jobs
+        yield Progress("experts", done, len(refs), {"mastered": mastered})
+    collecting = expert_dataset.collect(
+        refs, experts, samples_folder(folder), config.experts, episodes=config.episodes, jobs=jobs
     )
-    for done, taught in enumerate(teaching, 1):
-        lessons += taught.lessons
-        yield Progress("experts' lessons", done, len(picks), {"lessons": lessons})
+    for done, collected in enumerate(collecting, 1):
+        states += collected.samples
+        yield Progress("experts' samples", done, len(refs), {"samples": states})
 
 
-def results(picks: Sequence[FurnitureRef], folder: Path) -> list[Mastery]:
-    """What became of the chairs of a run that is done."""
-    return [apprentices.read(dataset_file(folder / "experts", p.name)) for p in picks]
+def expert_results(refs: Sequence[FurnitureRef], folder: Path) -> list[ExpertResult]:
+    """Return what became of the chairs of a finished run."""
+    return [read(dataset_file(folder / "experts", ref.name)) for ref in refs]
 
 
-def teach_paper(
-    folders: Sequence[Path], extractor: Path, folder: Path, training: imitation.Training
+def train_policy(
+    folders: Sequence[Path], encoder_file: Path, folder: Path, training: PaperTraining
 ) -> Iterator[Progress]:
-    """Train the multi-task policy on all samples of some folders, or go on; `policy.npz` is the result.
+    """Train the multi-task policy on all samples of some folders, or go on; the result is `policy.npz`.
 
     Args:
-        folders: folders of samples, of experts or of the oracle.
-        extractor: checkpoint of the auto-encoder.
+        folders: folders of samples, from experts or from the oracle.
+        encoder_file: checkpoint of the auto-encoder.
         folder: folder of the run.
-        training: settings of the training.
+        training: settings.
 
     Raises:
-        InputError: no samples, a broken file, or the folder holds another run.
+        InputError: there are no samples, a file is broken, or the folder holds another run.
     """
-    encoder = checkpoint.load(extractor, autoencoder.KIND).params
+    encoder = checkpoint.load(encoder_file, autoencoder.KIND).params
     files = sorted(path for f in folders for path in f.glob("*.npz"))
     sets = [loaded for path in files if (loaded := SampleSet.load(path)).samples]
     if not sets:
@@ -137,8 +147,7 @@ def teach_paper(
     notes = {"samples": files_hash(files)}
     examples = imitation.examples_of(sets, encoder, imitation.Augmentation(seed=training.seed))
     path = folder / "paper.npz"
-    steps = imitation.train(examples, encoder, path, training, paper.PaperConfig(), notes)
-    for step, terms in steps:
+    for step, terms in imitation.train(examples, encoder, path, training, paper.PaperConfig(), notes):
         yield Progress("paper", step, training.steps, terms)
     done = checkpoint.load(path, paper.KIND)
     checkpoint.save(folder / "policy.npz", checkpoint.Checkpoint(done.kind, done.params, done.config, {}), half=True)

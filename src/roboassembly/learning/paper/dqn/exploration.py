@@ -1,12 +1,12 @@
-"""Exploration by practice: a play is repeated with one thing changed, and kept if it leads at least as far.
+"""Exploration in place of epsilon-greedy: an episode is repeated with one change, and kept if it leads as far.
 
-Joining right pairs at random nearly always ends with parts that no longer fit in. So a learner holds on to the play
-that left the fewest groups over, and tries one of the groups left over earlier in it (as in "squeaky wheel"
-optimisation, Joslin and Clements 1999; returning to where one was before exploring is Go-Explore's, Ecoffet et al.
-2021). A play is a list of pairs of points in the order in which they are to be joined; which group moves and with which
-`w` is whatever is known to work, else what worked for these points in other groups, else anything.
+Joining right pairs at random nearly always ends with parts that no longer fit in. The agent therefore keeps the episode
+that left the fewest groups over, and tries one of the left groups earlier in it (as in "squeaky wheel" optimisation,
+Joslin and Clements 1999; returning to a state before exploring is from Go-Explore, Ecoffet et al. 2021). A plan is a
+list of pairs of points in the order in which they are to be joined; which group moves and with which choice is what is
+known to work, else what worked for these points in other groups, else anything.
 
-It rests on outcomes of the learner's own steps alone, and only tells which known or untried action to take next.
+It uses the outcomes of the agent's own steps alone, and only says which known or untried action to take next.
 """
 
 from __future__ import annotations
@@ -17,292 +17,291 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from roboassembly.learning.layers import Params
-from roboassembly.learning.paper.dqn.memoized_env import Action, Rehearsal, State
-from roboassembly.learning.paper.dqn.trials import BLOCKED, FAILS, MERGES, UNKNOWN
+from roboassembly.learning.paper.dqn.mate_checks import BLOCKED, FAILS, MERGES, UNKNOWN
+from roboassembly.learning.paper.dqn.memoized_env import Action, MemoizedEnv, State
 
 Pair = tuple[int, int]
 """Rows of two points, the lower first."""
 _PATIENCE = 40
-"""Episodes that one play may take until all its merges are known."""
+"""Largest number of episodes until all merges of a plan are known."""
 _RESTART = 6
-"""Plays without progress after which an altogether new one is begun."""
+"""Number of plans without progress after which a new one starts from nothing."""
 _SHAKE = 0.4
-"""Share of changes that also move some other pair."""
-_DELAYED = (0.4, 0.35, 0.15, 0.1)
-"""Shares of plays in which no part, one, two or three are left out until nothing else can be joined. Where a part ends
-it all if it comes early (a seat across a ring of legs and rungs), and every play so far had it early, nothing else
-would tell."""
+"""Share of changes that also move another pair."""
+_DEFERRED_SHARES = (0.4, 0.35, 0.15, 0.1)
+"""Shares of plans that defer no part, one, two or three until nothing else can be joined. A part may end the episode if
+it comes early (a seat across a ring of legs and rungs); where it came early in every plan, nothing else would show
+that."""
 _WORSE = 0.03
-"""Share of plays that are kept although they led less far."""
+"""Share of plans that are kept although they led less far."""
 _FEW = 3
-"""Groups left with which it is worth it to try more ways."""
+"""Number of groups left with which more choices are tried."""
 _SWAP = 4.0
-"""How much more likely an action is tried whose roles, swapped, had no free goal; and less, if they had no path."""
+"""Factor of the chance of an action if the same with swapped roles had a goal in collision; its inverse if that had no
+path."""
 _ORDERED = 0.6
-"""Share of plays that close all joints along one axis of the furniture before those along the next: frames first, then
-what goes between frames, then what closes them all at once. A frame that is closed one joint at a time ends with a rail
-that no longer goes in."""
+"""Share of plans that close all mates along one axis of the furniture before those along the next: frames first, then
+what goes between frames, then what closes them at once. A frame that is closed one mate at a time ends with a rail that
+no longer goes in."""
 _ORDERS = tuple(itertools.permutations(range(3)))
-_DARE, _LEAST, _FORGET = 2.0, 0.03, 0.995
-"""With nothing familiar left, a strange action is tried as often as such have merged lately, times `_DARE`, and at
-least so often; else the play is over. What is lately forgets so much an episode."""
-_MOSTLY_STRANGE, _RECKLESS = 0.4, 0.1
-"""Where more than this share of it is strange, groups are joined in so few of the cases in which strange ones are."""
+_NOVELTY_FACTOR, _LEAST_NOVELTY, _DECAY = 2.0, 0.03, 0.995
+"""With nothing familiar left, a novel action is tried with the recent success rate of novel actions times the factor,
+and at least with the least probability; else the episode ends. Counts of successes decay with each episode."""
+_MOSTLY_NOVEL, _UNRESTRICTED = 0.4, 0.1
+"""Groups with a larger share of novel relative poses are joined in so few of the cases in which novel ones are."""
 _STRICT = 0.97
-"""Share of plays that first join only groups whose parts then lie to each other as was seen before. Which points fit
-has been found out soon; that the same points are a wrong pair in other groups, because equal parts are in each other's
-places, is what most steps would otherwise go into."""
+"""Share of plans that first join groups only if the relative poses of their parts were seen before. Which points fit is
+found out soon; most steps would otherwise go into pairs that are wrong in other groups because equal parts are in each
+other's places."""
 _CAREFUL = 0.8
-"""Share of plays that first join groups between which nothing else belongs that would no longer go in: a rail goes to
+"""Share of plans that first join groups between which nothing else belongs that would no longer go in: a rail goes to
 one of its posts before the other."""
 _CAUTION = (0.0, 2.0, 5.0, 10.0)
-"""How much a play avoids joining parts after which others were left over in earlier plays; drawn for each play."""
+"""How strongly a plan avoids joining parts after which others were left over in earlier episodes; drawn for each."""
 
 
-class Practice:
-    """Improves one play by small changes."""
+class PlanExplorer:
+    """Improves one plan by small changes."""
 
-    def __init__(self, rehearsal: Rehearsal, rng: np.random.Generator) -> None:
-        self.rehearsal, self.rng = rehearsal, rng
+    def __init__(self, env: MemoizedEnv, rng: np.random.Generator) -> None:
+        self.env, self.rng = env, rng
         self._plan: list[Pair] = []
-        """Pairs in the order in which they are tried in this play."""
+        """Pairs in the order in which they are tried in this episode."""
         self._done: list[Pair] = []
-        """Those joined in this episode."""
+        """Pairs joined in this episode."""
         self._last: Pair | None = None
-        """The one that is being tried."""
+        """Pair that is being tried."""
         self._kept: list[Pair] = []
-        """The play that is being improved, ..."""
-        self._left = len(rehearsal.start) + 1
-        """... and how many groups it leaves over."""
+        """Plan that is being improved."""
+        self._left = len(env.start) + 1
+        """Number of groups that it leaves over."""
         self._episodes = self._idle = 0
         self._caution = float(rng.choice(_CAUTION))
-        self._late: list[int] = []
-        """Parts that are left out until nothing else can be joined, in the order in which they then come."""
-        count = len(rehearsal.like)
+        self._deferred: list[int] = []
+        """Parts that are deferred until nothing else can be joined, in the order in which they come then."""
+        count = len(env.equal_part)
         self._axes: tuple[int, ...] | None = None
-        """The order in which this play closes joints, by their axes."""
+        """Order in which this plan closes mates, by their axes."""
         self._strict = self._careful = True
-        self._daring = False
-        """Whether the action that was told last joins groups in a strange way."""
-        self._dared = np.zeros(2)
-        """How often that failed, and merged, lately."""
+        self._tries_novel = False
+        """Whether the last action joins groups in a novel relative pose."""
+        self._novel_outcomes = np.zeros(2)
+        """Decayed counts of novel actions that failed, and that merged."""
         self._merges: list[tuple[tuple[int, ...], tuple[int, ...]]] = []
         """Groups joined in this episode."""
         self._together = np.zeros((count, count, count), np.int32)
-        """How often two parts were joined before a third was, ..."""
+        """How often two parts were joined before a third was."""
         self._left_over = np.zeros((count, count, count), np.int32)
-        """... and how often that was then left over."""
+        """How often that third part was then left over."""
 
     def choose(self, state: State) -> Action | None:
-        """The next action; None if nothing is left that might work."""
-        known = self.rehearsal.known(state)
-        exists = self.rehearsal.exists(state)
-        if len(state) == len(self.rehearsal.start):
-            pick = self._never_tried(exists)
-            if pick is not None:
-                return pick
+        """Return the next action; None if nothing is left that might work."""
+        known = self.env.known(state)
+        exists = self.env.exists(state)
+        if len(state) == len(self.env.start):
+            action = self._never_tried(exists)
+            if action is not None:
+                return action
         hopeful = self._hopeful(state, known, exists)
-        for first in range(len(self._late) + 1):
-            late = np.isin(self.rehearsal.part, self._late[first:])
-            pick = self._pick(state, hopeful & ~(late[:, None] | late[None]), known)
-            if pick is not None:
-                return pick
+        for first in range(len(self._deferred) + 1):
+            deferred = np.isin(self.env.part, self._deferred[first:])
+            action = self._select(state, hopeful & ~(deferred[:, None] | deferred[None]), known)
+            if action is not None:
+                return action
         return None
 
-    def _pick(self, state: State, hopeful: Bool[np.ndarray, "m m"], known: np.ndarray) -> Action | None:
-        """The next pair of the plan, or any other; None if there is none."""
-        self._daring = False
+    def _select(self, state: State, hopeful: Bool[np.ndarray, "m m"], known: np.ndarray) -> Action | None:
+        """Return an action for the next pair of the plan, or any other pair; None if there is none."""
+        self._tries_novel = False
         if self._strict:
-            hopeful = self._sure(state, hopeful, known)
+            hopeful = self._familiar(state, hopeful, known)
         if self._careful:
-            hopeful = self._unlocked(state, hopeful)
+            hopeful = self._least_locking(state, hopeful)
         if self._axes is not None:
-            hopeful = self._in_order(state, hopeful)
+            hopeful = self._first_axis(state, hopeful)
         for pair in self._plan:
             if hopeful[pair]:
-                return self._way(pair, known)
+                return self._action(pair, known)
         others = np.argwhere(np.triu(hopeful))
         if not len(others):
             return None
-        risk = self._risk(state)[self.rehearsal.part[others[:, 0]], self.rehearsal.part[others[:, 1]]]
+        risk = self._risk(state)[self.env.part[others[:, 0]], self.env.part[others[:, 1]]]
         weight = np.exp(-self._caution * (risk - risk.min()))
         row, column = others[self.rng.choice(len(others), p=weight / weight.sum())].tolist()
-        return self._way((row, column), known)
+        return self._action((row, column), known)
 
-    def _sure(self, state: State, hopeful: Bool[np.ndarray, "m m"], known: np.ndarray) -> Bool[np.ndarray, "m m"]:
-        """Of the pairs those that nothing speaks against; where there are none, sometimes all of them, else none."""
+    def _familiar(self, state: State, hopeful: Bool[np.ndarray, "m m"], known: np.ndarray) -> Bool[np.ndarray, "m m"]:
+        """Return the pairs without novel relative poses; if there are none, sometimes all pairs, else none."""
         share = np.zeros(hopeful.shape)
         for row, column in np.argwhere(np.triu(hopeful)).tolist():
             works = (known[row, column] == MERGES).any() or (known[column, row] == MERGES).any()
-            strangeness = 0.0 if works else self.rehearsal.joints.strange(state, row, column)
-            share[row, column] = share[column, row] = strangeness
-        strange = share > 0.0
-        chance = max(_DARE * (self._dared[1] + 1.0) / (self._dared.sum() + 2.0), _LEAST)
-        if (hopeful & ~strange).any() and (self._axes is None or not strange.any() or self.rng.random() > chance):
-            return hopeful & ~strange
-        self._daring = bool(hopeful.any()) and self.rng.random() < chance
-        if self._daring and self.rng.random() > _RECKLESS:
-            hopeful = hopeful & (share <= _MOSTLY_STRANGE)
-        return hopeful & self._daring
+            novelty = 0.0 if works else self.env.geometry.novelty(state, row, column)
+            share[row, column] = share[column, row] = novelty
+        novel = share > 0.0
+        failed_or_merged = self._novel_outcomes
+        chance = max(_NOVELTY_FACTOR * (failed_or_merged[1] + 1.0) / (failed_or_merged.sum() + 2.0), _LEAST_NOVELTY)
+        if (hopeful & ~novel).any() and (self._axes is None or not novel.any() or self.rng.random() > chance):
+            return hopeful & ~novel
+        self._tries_novel = bool(hopeful.any()) and self.rng.random() < chance
+        if self._tries_novel and self.rng.random() > _UNRESTRICTED:
+            hopeful = hopeful & (share <= _MOSTLY_NOVEL)
+        return hopeful & self._tries_novel
 
-    def _unlocked(self, state: State, hopeful: Bool[np.ndarray, "m m"]) -> Bool[np.ndarray, "m m"]:
-        """Of the pairs those that lock fewest groups out."""
+    def _least_locking(self, state: State, hopeful: Bool[np.ndarray, "m m"]) -> Bool[np.ndarray, "m m"]:
+        """Return the pairs that lock the fewest groups out."""
         pairs = np.argwhere(np.triu(hopeful))
         if not len(pairs):
             return hopeful
         out = np.zeros_like(hopeful)
-        locked = np.array([self.rehearsal.joints.locked_out(state, row, column) for row, column in pairs.tolist()])
+        locked = np.array([self.env.geometry.locked_out(state, row, column) for row, column in pairs.tolist()])
         rows, columns = pairs[locked == locked.min()].T
         out[rows, columns] = out[columns, rows] = True
         return out
 
-    def _in_order(self, state: State, hopeful: Bool[np.ndarray, "m m"]) -> Bool[np.ndarray, "m m"]:
-        """Of the pairs those that join along the axis that is first in the play's order."""
+    def _first_axis(self, state: State, hopeful: Bool[np.ndarray, "m m"]) -> Bool[np.ndarray, "m m"]:
+        """Return the pairs that join along the axis that comes first in the plan's order."""
         pairs = np.argwhere(np.triu(hopeful))
         if not len(pairs):
             return hopeful
         axes = self._axes or ()
-        rank = np.array([axes.index(self.rehearsal.joints.axis(state, row, column)) for row, column in pairs.tolist()])
+        rank = np.array([axes.index(self.env.geometry.axis(state, row, column)) for row, column in pairs.tolist()])
         out = np.zeros_like(hopeful)
         rows, columns = pairs[rank == rank.min()].T
         out[rows, columns] = out[columns, rows] = True
         return out
 
     def _risk(self, state: State) -> Float[np.ndarray, "P P"]:
-        """For two parts, how many third ones are likely to be left over if their groups are joined now."""
-        groups = self.rehearsal.members(state)
-        like, together, left = self.rehearsal.like, self._together, self._left_over
+        """Return for two parts how many third ones are likely to be left over if their groups are joined now."""
+        groups = self.env.members(state)
+        equal, together, left = self.env.equal_part, self._together, self._left_over
         mean = (left.sum() + 1.0) / (together.sum() + 2.0)
-        excess = np.maximum((left + mean) / (together + 1.0) - mean, 0.0)[like][:, like][:, :, like]
-        out = np.zeros((len(like), len(like)))
-        for i, one in enumerate(groups):
-            for two in groups[:i]:
-                rest = np.setdiff1d(np.arange(len(like)), [*one, *two])
-                risk = excess[list(one)][:, list(two)][:, :, rest].max(axis=(0, 1)).sum()
-                out[np.ix_(one, two)] = out.T[np.ix_(one, two)] = risk
+        excess = np.maximum((left + mean) / (together + 1.0) - mean, 0.0)[equal][:, equal][:, :, equal]
+        out = np.zeros((len(equal), len(equal)))
+        for i, u_group in enumerate(groups):
+            for v_group in groups[:i]:
+                rest = np.setdiff1d(np.arange(len(equal)), [*u_group, *v_group])
+                risk = excess[list(u_group)][:, list(v_group)][:, :, rest].max(axis=(0, 1)).sum()
+                out[np.ix_(u_group, v_group)] = out.T[np.ix_(u_group, v_group)] = risk
         return out
 
     def _hopeful(self, state: State, known: np.ndarray, exists: Bool[np.ndarray, "m m"]) -> Bool[np.ndarray, "m m"]:
-        """Pairs that were right before and are not given up here; symmetric."""
+        """Return the pairs that were right before and are not given up here; symmetric."""
         works, blocked = (known == MERGES).any(axis=2), (known == BLOCKED).sum(axis=2)
         open_ = (known == UNKNOWN).any(axis=2)
-        open_ = (
-            works
-            | works.T
-            | ((open_ | open_.T) & (blocked + blocked.T < self.rehearsal.trial.patience[len(state) <= _FEW]))
-        )
-        out = exists & (self.rehearsal.tried[1] > 0) & open_
+        patience = self.env.check.patience[len(state) <= _FEW]
+        open_ = works | works.T | ((open_ | open_.T) & (blocked + blocked.T < patience))
+        out = exists & (self.env.tried[1] > 0) & open_
         if not out.any():
             return out
         # Of the ways to bring two groups together, the one in which most points meet.
-        meets = np.where(out, self.rehearsal.joints.meets(state), 0)
-        owner = self.rehearsal.owners(state)
-        member = np.array([owner == name for name in state])
-        most = np.array([[meets[np.ix_(a, b)].max(initial=0) for b in member] for a in member])
+        coincident = np.where(out, self.env.geometry.coincident(state), 0)
+        owner = self.env.owners(state)
+        member = np.array([owner == group_id for group_id in state])
+        most = np.array([[coincident[np.ix_(a, b)].max(initial=0) for b in member] for a in member])
         at = np.argmax(member, axis=0)
-        return out & (meets == most[at][:, at])
+        return out & (coincident == most[at][:, at])
 
     def _never_tried(self, exists: Bool[np.ndarray, "m m"]) -> Action | None:
-        fresh = np.argwhere(np.triu(exists & (self.rehearsal.tried.sum(axis=0) == 0)))
+        fresh = np.argwhere(np.triu(exists & (self.env.tried.sum(axis=0) == 0)))
         if not len(fresh):
             return None
         row, column = fresh[self.rng.integers(len(fresh))].tolist()
-        return row, column, int(self.rng.integers(self.rehearsal.ways))
+        return row, column, int(self.rng.integers(self.env.choices))
 
-    def _way(self, pair: Pair, known: np.ndarray) -> Action:
-        """Who moves, and with which `w`."""
+    def _action(self, pair: Pair, known: np.ndarray) -> Action:
+        """Return which point of a pair moves, and with which choice."""
         row, column = self._last = pair
-        actions = [(a, b, w) for a, b in ((row, column), (column, row)) for w in range(self.rehearsal.ways)]
+        actions = [(a, b, w) for a, b in ((row, column), (column, row)) for w in range(self.env.choices)]
         works = [a for a in actions if known[a] == MERGES]
         if works:
             return works[self.rng.integers(len(works))]
         untried = [a for a in actions if known[a] == UNKNOWN]
-        failed, merged = np.array([self.rehearsal.went(a, b)[:, w] for a, b, w in untried]).T
+        failed, merged = np.array([self.env.outcome_counts(a, b)[:, w] for a, b, w in untried]).T
         hope = ((merged + 0.5) / (failed + merged + 1.0)) ** 2
-        if self.rehearsal.trial.roles_matter:
-            # Where the goal was in collision, it often was the ground's; then who waits should move.
+        if self.env.check.roles_matter:
+            # A goal in collision is often one with the ground; then the group that waits should move.
             swapped = np.array([known[b, a, w] for a, b, w in untried])
             hope *= np.select([swapped == FAILS, swapped == BLOCKED], [_SWAP, 1.0 / _SWAP], 1.0)
         return untried[self.rng.choice(len(untried), p=hope / hope.sum())]
 
-    def joined(self, state: State, action: Action) -> None:
-        """The action merged, in a state."""
-        self._dared[1] += self._daring
-        groups = self.rehearsal.members(state)
-        one, two = (next(g for g in groups if self.rehearsal.part[row] in g) for row in action[:2])
-        self._merges.append((one, two))
+    def record_merge(self, state: State, action: Action) -> None:
+        """Record that an action merged in a state."""
+        self._novel_outcomes[1] += self._tries_novel
+        groups = self.env.members(state)
+        u_group, v_group = (next(g for g in groups if self.env.part[row] in g) for row in action[:2])
+        self._merges.append((u_group, v_group))
         self._done.append((min(action[:2]), max(action[:2])))
         self._last = None
 
-    def end(self, state: State, stuck: bool) -> None:
-        """The episode ended in a state, because nothing was left to try or because a try failed."""
+    def end_episode(self, state: State, stuck: bool) -> None:
+        """Record that the episode ended in a state, because nothing was left to try or because a try failed."""
         self._episodes += 1
-        self._dared[0] += self._daring and not stuck and len(state) > 1
-        self._dared *= _FORGET
+        self._novel_outcomes[0] += self._tries_novel and not stuck and len(state) > 1
+        self._novel_outcomes *= _DECAY
         if stuck or self._episodes > _PATIENCE:
             self._judge(state)
             self._change(state)
             self._episodes = 0
         else:
-            # The same once more, as far as it went; now with one way less to try.
+            # The same plan again, as far as it went, now with one choice less to try.
             seen = [*self._done, *([] if self._last is None else [self._last])]
             self._plan = seen + [pair for pair in self._plan if pair not in seen]
         self._done, self._last, self._merges = [], None, []
 
     def _judge(self, state: State) -> None:
-        whole = self.rehearsal.members(state)
-        group_of = np.zeros(len(self.rehearsal.like), int)
-        for i, parts in enumerate(whole):
+        group_of = np.zeros(len(self.env.equal_part), int)
+        for i, parts in enumerate(self.env.members(state)):
             group_of[list(parts)] = i
-        like = self.rehearsal.like
-        for one, two in self._merges:
-            rest = np.setdiff1d(np.arange(len(like)), [*one, *two])
-            left = group_of[rest] != group_of[one[0]]
-            for a, b in ((one, two), (two, one)):
-                at = np.ix_(like[list(a)], like[list(b)], like[rest])
+        equal = self.env.equal_part
+        for u_group, v_group in self._merges:
+            rest = np.setdiff1d(np.arange(len(equal)), [*u_group, *v_group])
+            left = group_of[rest] != group_of[u_group[0]]
+            for a, b in ((u_group, v_group), (v_group, u_group)):
+                at = np.ix_(equal[list(a)], equal[list(b)], equal[rest])
                 np.add.at(self._together, at, 1)
                 np.add.at(self._left_over, at, np.broadcast_to(left, (len(a), len(b), len(rest))))
         self._idle = 0 if len(state) < self._left else self._idle + 1
         if len(state) <= self._left or self.rng.random() < _WORSE:
             self._kept, self._left = list(self._done), len(state)
         if self._idle > _RESTART:
-            self._kept, self._left, self._idle = [], len(self.rehearsal.start) + 1, 0
+            self._kept, self._left, self._idle = [], len(self.env.start) + 1, 0
 
     def _change(self, state: State) -> None:
-        """A new play: the kept one with a pair of what was left over earlier in it."""
+        """Make a new plan: the kept one with a pair of what was left over earlier in it."""
         rng, plan = self.rng, list(self._kept)
         self._caution = float(rng.choice(_CAUTION))
         self._strict = bool(rng.random() < _STRICT)
         self._careful = bool(rng.random() < _CAREFUL)
         self._axes = _ORDERS[rng.integers(len(_ORDERS))] if rng.random() < _ORDERED else None
-        several = int(rng.choice(len(_DELAYED), p=_DELAYED))
-        self._late = rng.choice(len(self.rehearsal.like), several, replace=False, p=self._lateness(state)).tolist()
+        several = int(rng.choice(len(_DEFERRED_SHARES), p=_DEFERRED_SHARES))
+        chances = self._deferral_chances(state)
+        self._deferred = rng.choice(len(self.env.equal_part), several, replace=False, p=chances).tolist()
         if not plan:
             self._plan = []
             return
         if rng.random() < _SHAKE:
             plan.insert(int(rng.integers(len(plan))), plan.pop(int(rng.integers(len(plan)))))
-        over = self._over(plan)
-        right = np.argwhere(np.triu(over & (self.rehearsal.tried[1] > 0)))
+        over = self._separated(plan)
+        right = np.argwhere(np.triu(over & (self.env.tried[1] > 0)))
         if len(right):
             row, column = right[rng.integers(len(right))].tolist()
             plan.insert(int(rng.integers(len(plan))), (row, column))
         self._plan = plan
 
-    def _lateness(self, state: State) -> Float[np.ndarray, "P"]:
-        """How likely each part is left out in the next play, after one that left a state over; sums to 1.
+    def _deferral_chances(self, state: State) -> Float[np.ndarray, "P"]:
+        """Return the chance that each part is deferred, after an episode that ended in a state; sums to 1.
 
-        Rather those with many points, or those that can be joined to several of the parts to which a group left over
-        belongs: a seat that holds the legs between which a rung was to go.
+        Parts with many points, or parts that can be joined to several of the parts to which a group left over belongs,
+        are likely: a seat that holds the legs between which a rung was to go.
         """
-        part, like = self.rehearsal.part, self.rehearsal.like
+        part, equal = self.env.part, self.env.equal_part
         first = np.flatnonzero(np.diff(part, prepend=-1))
-        fits = np.logical_or.reduceat(np.logical_or.reduceat(self.rehearsal.tried[1] > 0, first, 0), first, 1)
+        fits = np.logical_or.reduceat(np.logical_or.reduceat(self.env.tried[1] > 0, first, 0), first, 1)
         if self.rng.random() < 0.5:
             counts = np.bincount(part).astype(float) ** 2
             return counts / counts.sum()
-        weight = np.ones(len(like))
-        groups = sorted(self.rehearsal.members(state), key=len)
+        weight = np.ones(len(equal))
+        groups = sorted(self.env.members(state), key=len)
         for group in groups[:-1]:
             mates = np.array(fits[list(group)].any(axis=0))
             mates[list(group)] = False
@@ -310,25 +309,25 @@ class Practice:
             weight = weight + np.where((links >= 2) & ~mates, links, 0) ** 2
         return weight / weight.sum()
 
-    def _over(self, plan: list[Pair]) -> Bool[np.ndarray, "m m"]:
-        """Pairs of points of parts that the plan leaves in different groups."""
-        part = self.rehearsal.part
+    def _separated(self, plan: list[Pair]) -> Bool[np.ndarray, "m m"]:
+        """Return the pairs of points of parts that the plan leaves in different groups."""
+        part = self.env.part
         group = np.arange(part.max() + 1)
         for row, column in plan:
             group[group == group[part[row]]] = group[part[column]]
         return group[part][:, None] != group[part][None]
 
     def to_arrays(self) -> Params:
-        """Where it stands."""
+        """Return all that it takes to go on later."""
         return {
             "plan": np.array(self._plan, np.int32).reshape(-1, 2),
             "done": np.array(self._done, np.int32).reshape(-1, 2),
             "kept": np.array(self._kept, np.int32).reshape(-1, 2),
             "counts": np.array([self._left, self._episodes, self._idle], np.int64),
-            "late": np.array(self._late, np.int64),
+            "deferred": np.array(self._deferred, np.int64),
             "axes": np.array(self._axes or (), np.int64),
-            "flags": np.array([self._strict, self._daring, self._careful]),
-            "dared": self._dared.copy(),
+            "flags": np.array([self._strict, self._tries_novel, self._careful]),
+            "novel_outcomes": self._novel_outcomes.copy(),
             "last": np.array([] if self._last is None else [self._last], np.int32).reshape(-1, 2),
             "together": self._together.copy(),
             "left_over": self._left_over.copy(),
@@ -336,15 +335,15 @@ class Practice:
         }
 
     def restore(self, arrays: Params) -> None:
-        """Take over what `to_arrays` gave."""
+        """Go on from what `to_arrays` returned."""
         self._plan, self._done, self._kept = (
             [(a, b) for a, b in arrays[name].tolist()] for name in ("plan", "done", "kept")
         )
         self._together, self._left_over = arrays["together"].copy(), arrays["left_over"].copy()
         self._last = next(((a, b) for a, b in arrays["last"].tolist()), None)
         self._left, self._episodes, self._idle = arrays["counts"].tolist()
-        self._late = arrays["late"].tolist()
+        self._deferred = arrays["deferred"].tolist()
         self._axes = tuple(arrays["axes"].tolist()) or None
-        self._strict, self._daring, self._careful = (bool(flag) for flag in arrays["flags"])
-        self._dared = arrays["dared"].copy()
+        self._strict, self._tries_novel, self._careful = (bool(flag) for flag in arrays["flags"])
+        self._novel_outcomes = arrays["novel_outcomes"].copy()
         self._caution = float(arrays["caution"])

@@ -1,4 +1,4 @@
-"""Groups as a rehearsal remembers them: by shape, so that what is known of one leg is known of all its like."""
+"""Groups of one chair by shape, so that what is known of one leg is known of all equal legs."""
 
 from __future__ import annotations
 
@@ -15,60 +15,64 @@ from roboassembly.task.rules.groups import Group, TaskState, part_from_points
 from roboassembly.task.setting import Task
 
 _SAME_AXIS = 1e-2
-"""Of unit vectors of two points that count as equal, largest difference."""
+"""Largest difference between unit vectors of equal points."""
+TypeKey = tuple[tuple[int, int], ...]
+"""Slots of a group's parts in ascending order, each with the number of the symmetry that its part is turned by."""
 
 
 @dataclass(frozen=True, eq=False)
-class Kind:
-    """A group that has come about, whichever of equal parts it is made of."""
+class GroupType:
+    """A group that has occurred, whichever of equal parts it consists of."""
 
     slots: tuple[int, ...]
+    """Slots of the parts."""
     poses: tuple[SE3, ...]
-    """Of the parts in the group's frame."""
+    """Poses of the parts in the group's frame."""
     world: SE3
-    """Where it came to rest the first time."""
+    """World pose where the group came to rest the first time."""
     free: Int[np.ndarray, "f"]
-    """Its free points, among the points of its parts in the order of slots."""
+    """Free points, as numbers among the points of the parts in the order of slots."""
 
 
 @dataclass(frozen=True, eq=False)
-class Named:
+class TypedGroup:
     """A group of particular parts."""
 
-    kind: int
+    type_id: int
+    """Number of the group's type."""
     parts: tuple[int, ...]
-    """In the order of the kind's slots."""
+    """Parts in the order of the type's slots."""
     rows: Int[np.ndarray, "r"]
-    """Of all points of its parts, in that order."""
+    """Rows of all points of the parts, in the same order."""
 
 
-class Table:
-    """Rows of integers that are only ever added to."""
+class RowTable:
+    """Rows of integers that are only ever appended."""
 
     def __init__(self, width: int) -> None:
         self._rows = np.zeros((256, width), np.int32)
         self.count = 0
 
     def append(self, *row: int) -> None:
-        """Add a row."""
+        """Append a row."""
         if self.count == len(self._rows):
             self._rows = np.concatenate([self._rows, np.zeros_like(self._rows)])
         self._rows[self.count] = row
         self.count += 1
 
     def since(self, first: int) -> Int[np.ndarray, "k w"]:
-        """Rows from the `first` on; not to be changed."""
+        """Return the rows from the `first` on, as a view."""
         return self._rows[first : self.count]
 
 
 def point_counts(furniture: Furniture) -> Int[np.ndarray, "P"]:
-    """How many points each part may come to have: a joined part has those of the part whose slot it takes."""
+    """Return how many points each part may have: a joined part has those of the part whose slot it takes."""
     own = np.array([len(part.points) for part in furniture.parts])
     return np.array([own[list(furniture.classes[c].members)].max() for c in furniture.class_of])
 
 
-def equals(furniture: Furniture) -> Int[np.ndarray, "P"]:
-    """For each part the first one that equals it, in shape and in connection points."""
+def equal_parts(furniture: Furniture) -> Int[np.ndarray, "P"]:
+    """Return for each part the first part that equals it in shape and in connection points."""
     points = [np.array([[p.position, p.normal, p.tangent] for p in part.points]) for part in furniture.parts]
     out = np.arange(len(points))
     for i, own in enumerate(points):
@@ -90,69 +94,74 @@ def equals(furniture: Furniture) -> Int[np.ndarray, "P"]:
     return out
 
 
-class Registry:
-    """The groups of one chair that have come about, by name, and the kinds that they are of.
+class GroupTable:
+    """The groups of one chair that have occurred, by number, and their types.
 
     Args:
-        task: of the chair.
+        task: task of the chair.
         start: its parts alone, where they begin.
-        turned: whether groups are of different kinds whose parts are turned otherwise in their slots.
+        turned: whether groups whose parts are turned differently in their slots have different types.
     """
 
     def __init__(self, task: Task[Any, Any], start: Sequence[Group], turned: bool) -> None:
         self.furniture, self._rules, self._turned = task.furniture, task.rules, turned
         counts = point_counts(task.furniture)
-        self.part = np.repeat(np.arange(len(counts)), counts)
-        """Part of each row; the chair's points are numbered through."""
-        self.point = np.concatenate([np.arange(n) for n in counts])
+        self.part: Int[np.ndarray, "n"] = np.repeat(np.arange(len(counts)), counts)
+        """Part of each row; a row is the number of a point among all points of the chair."""
+        self.point: Int[np.ndarray, "n"] = np.concatenate([np.arange(n) for n in counts])
+        """Number of each row's point in its part."""
         self._first = np.cumsum([0, *counts])
-        self.like = equals(task.furniture)
-        """The first part that equals each part."""
-        self.row_like = self._first[self.like[self.part]] + self.point
-        """For each row that of the part that its part equals."""
-        self.kinds: list[Kind] = []
-        self.kind_names: dict[tuple[tuple[int, int], ...], int] = {}
-        """After `key`."""
-        self.groups: list[Named] = []
-        self._names: dict[tuple[int, tuple[int, ...]], int] = {}
+        self.equal_part: Int[np.ndarray, "P"] = equal_parts(task.furniture)
+        """First part that equals each part."""
+        self.equal_row: Int[np.ndarray, "n"] = self._first[self.equal_part[self.part]] + self.point
+        """Row of the same point of the first part that equals each row's part."""
+        self.types: list[GroupType] = []
+        """Types by number."""
+        self.type_ids: dict[TypeKey, int] = {}
+        """Numbers of types by `key`."""
+        self.groups: list[TypedGroup] = []
+        """Groups by number."""
+        self._group_ids: dict[tuple[int, tuple[int, ...]], int] = {}
         self._start = {g.parts[0]: g for g in start}
 
     def owner(self, state: Sequence[int], row: int) -> int:
-        """Name of the group that a point belongs to."""
+        """Return the number of the group of a state that a point belongs to."""
         part = self.part[row]
-        return next(name for name in state if part in self.groups[name].parts)
+        return next(group_id for group_id in state if part in self.groups[group_id].parts)
 
-    def group(self, name: int) -> Group:
-        """It, where it came to rest first."""
-        named = self.groups[name]
-        if len(named.parts) == 1:
-            return self._start[named.parts[0]]
-        kind = self.kinds[named.kind]
-        order = np.argsort(named.parts)
+    def group(self, group_id: int) -> Group:
+        """Return a group where its type came to rest first."""
+        typed = self.groups[group_id]
+        if len(typed.parts) == 1:
+            return self._start[typed.parts[0]]
+        kind = self.types[typed.type_id]
+        order = np.argsort(typed.parts)
         return Group(
-            tuple(named.parts[i] for i in order),
+            tuple(typed.parts[i] for i in order),
             tuple(kind.slots[i] for i in order),
             tuple(kind.poses[i] for i in order),
             kind.world,
         )
 
-    def local(self, name: int, row: int) -> int:
-        """A row's number among the points of its group."""
-        return int(np.flatnonzero(self.groups[name].rows == row)[0])
+    def local(self, group_id: int, row: int) -> int:
+        """Return a row's number among the points of its group."""
+        return int(np.flatnonzero(self.groups[group_id].rows == row)[0])
 
-    def free(self, name: int) -> Int[np.ndarray, "f"]:
-        """A group's free points, among the points of its parts."""
-        return self.kinds[self.groups[name].kind].free
+    def free(self, group_id: int) -> Int[np.ndarray, "f"]:
+        """Return a group's free points, as numbers among the points of its parts."""
+        return self.types[self.groups[group_id].type_id].free
 
     def frames(
-        self, name: int, points: Int[np.ndarray, "r"]
+        self, group_id: int, points: Int[np.ndarray, "r"]
     ) -> tuple[Float[np.ndarray, "r 3 3"], Float[np.ndarray, "r 3"], Float[np.ndarray, "r"]]:
-        """Rotation, origin and gap of some points of a group in its frame."""
-        furniture, named = self.furniture, self.groups[name]
-        slots = self.kinds[named.kind].slots if len(named.parts) > 1 else named.parts
-        slot_of = dict(zip(named.parts, slots, strict=True))
-        turns, origins, gaps = [], [], []
-        for row in named.rows[points]:
+        """Return rotation, origin [m] and gap [m] of some points of a group in its frame."""
+        furniture, typed = self.furniture, self.groups[group_id]
+        slots = self.types[typed.type_id].slots if len(typed.parts) > 1 else typed.parts
+        slot_of = dict(zip(typed.parts, slots, strict=True))
+        turns: list[np.ndarray] = []
+        origins: list[np.ndarray] = []
+        gaps: list[float] = []
+        for row in typed.rows[points]:
             slot = slot_of[int(self.part[row])]
             point = furniture.parts[slot].points[int(self.point[row])]
             frame = furniture.assembled[slot] * point.frame
@@ -161,44 +170,46 @@ class Registry:
             gaps.append(point.gap)
         return np.array(turns), np.array(origins), np.array(gaps)
 
-    def loose(self, part: int) -> int:
-        """Name of a part alone."""
+    def single_part(self, part: int) -> int:
+        """Return the number of the group that a part alone is."""
         group = self._start[part]
-        return self.name(self.kind(group, ((-1, int(self.like[part])),)), (part,))
+        return self.group_id(self.type_id(group, ((-1, int(self.equal_part[part])),)), (part,))
 
-    def key(self, merged: Group) -> tuple[tuple[int, int], ...]:
-        """Slots in order. Which equal parts fill them makes no difference: they have the points of their slots then.
+    def key(self, merged: Group) -> TypeKey:
+        """Return the key of a group's type.
 
-        Hands hold a part where its own grasps are, so that to them it matters how it is turned in its slot.
+        Which of equal parts fill the slots makes no difference: they have the points of their slots then. A gripper
+        holds a part at the part's own grasps, so that in the full setting it matters how it is turned in its slot.
         """
-        turns = (self._turn(merged, part) if self._turned else -1 for part in merged.parts)
+        turns = (self._symmetry(merged, part) if self._turned else -1 for part in merged.parts)
         return tuple(sorted(zip(merged.slots, turns, strict=True)))
 
-    def _turn(self, group: Group, part: int) -> int:
-        """By which symmetry of its shape a part is turned in its slot, as a number."""
+    def _symmetry(self, group: Group, part: int) -> int:
+        """Return the number of the symmetry of its shape by which a part is turned in its slot."""
         furniture = self.furniture
         symmetries = furniture.classes[furniture.class_of[part]].symmetries
         return int(np.argmax(np.einsum("nij,ij->n", symmetries, part_from_points(furniture, group, part).rotation)))
 
-    def kind(self, group: Group, key: tuple[tuple[int, int], ...]) -> int:
-        """The kind of a group, after `key`."""
-        if key not in self.kind_names:
-            self.kind_names[key] = len(self.kinds)
+    def type_id(self, group: Group, key: TypeKey) -> int:
+        """Return the number of a group's type, which has a key; adds the type if it is new."""
+        if key not in self.type_ids:
+            self.type_ids[key] = len(self.types)
             order = np.argsort(group.slots)
             free_points = self._rules.free_points(TaskState((group,)))
             parts = [group.parts[i] for i in order]
-            free = np.flatnonzero(np.concatenate([free_points[p, : len(self._points(p))] for p in parts]))
-            slots, poses = (tuple(of[i] for i in order) for of in (group.slots, group.furniture_from_part))
-            self.kinds.append(Kind(slots, poses, group.world_from_furniture, free))  # pyright: ignore[reportArgumentType]
-        return self.kind_names[key]
+            free = np.flatnonzero(np.concatenate([free_points[p, : len(self._rows(p))] for p in parts]))
+            slots = tuple(group.slots[i] for i in order)
+            poses = tuple(group.furniture_from_part[i] for i in order)
+            self.types.append(GroupType(slots, poses, group.world_from_furniture, free))
+        return self.type_ids[key]
 
-    def _points(self, part: int) -> range:
+    def _rows(self, part: int) -> range:
         return range(self._first[part], self._first[part + 1])
 
-    def name(self, kind: int, parts: tuple[int, ...]) -> int:
-        """Of a group of some parts, in the order of the kind's slots."""
-        if (kind, parts) not in self._names:
-            self._names[kind, parts] = len(self.groups)
-            rows = np.concatenate([np.array(self._points(p), dtype=int) for p in parts])
-            self.groups.append(Named(kind, parts, rows))
-        return self._names[kind, parts]
+    def group_id(self, type_id: int, parts: tuple[int, ...]) -> int:
+        """Return the number of the group of some parts, in the order of the type's slots; adds it if it is new."""
+        if (type_id, parts) not in self._group_ids:
+            self._group_ids[type_id, parts] = len(self.groups)
+            rows = np.concatenate([np.array(self._rows(p), dtype=int) for p in parts])
+            self.groups.append(TypedGroup(type_id, parts, rows))
+        return self._group_ids[type_id, parts]

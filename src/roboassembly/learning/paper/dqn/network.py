@@ -1,11 +1,11 @@
-"""An expert: a Q-network for one chair, and how it plays. Acts with NumPy alone; `double_q` trains it with JAX.
+"""The expert: a Q-network for one chair, and how it acts. Needs NumPy only; `losses` and `train` train it with JAX.
 
-As in the paper a state goes in as one vector, and Q-values of all actions come out. What differs: Q of
+As in the paper, a state goes in as one vector and the Q-values of all actions come out. Three things differ. Q of
 `(u, v, k, l, w)` is read off the two points and `w` (a product of embeddings), where the paper decodes a vector for
-each action; with robots it is the sum of what `g_a` and `g_b` add; and of the state that goes in, what is constant for
-one chair (features and points) describes the points, absolute poses are left out (they do not matter to what fits
-what), and of the connections it is told which parts are joined and which points are free (with one chair, this tells
-the relative poses too).
+each action; in the full setting it is the sum of what `g_a` and `g_b` add. What is constant for one chair, the features
+and points of the parts, describes the points. Absolute poses are left out, because they do not matter to what fits
+what; of the connections the network gets which parts are joined and which points are free, which for one chair
+determines the relative poses.
 """
 
 from __future__ import annotations
@@ -21,66 +21,68 @@ from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS
 from roboassembly.learning.layers import Array, Params, gelu, init_linear, init_mlp, linear, mlp
 from roboassembly.learning.paper import heads
 from roboassembly.learning.paper.dqn.group_table import point_counts
-from roboassembly.task.object_centric.task import ObjectCentricTask, ObjectCentricVerdict
+from roboassembly.task.object_centric.task import ObjectCentricTask
 from roboassembly.task.rollout import rollout
 from roboassembly.task.rules.groups import TaskState
 from roboassembly.task.setting import Task
 
 KIND = "expert"
-"""Of checkpoints."""
+"""Kind of the checkpoints."""
 POINT_SIZES = (12, 20, 28, 36, 44, 52, 64, 80, 100, 130, 160, MAX_PARTS * MAX_POINTS)
-"""Points are padded to one of these, so that few shapes are compiled."""
+"""Padded numbers of points, few, so that few shapes are compiled."""
 _WIDTH, _RANK = 64, 32
 _ABOVE = np.triu_indices(MAX_PARTS, 1)
 
 
 @dataclass(frozen=True, eq=False)
-class Chair:
-    """What of a chair never changes, padded to n points."""
+class ChairInputs:
+    """Constant inputs of the network for one chair, padded to n points."""
 
     features: Float32[np.ndarray, "n f"]
-    """Of each point: its position, normal and tangent in the part's frame, and the part's shape."""
+    """Position, normal and tangent of each point in its part's frame, and the part's feature."""
     part: Int[np.ndarray, "n"]
-    """Of each point."""
+    """Part of each point."""
     points: int
-    """That are real."""
+    """Number of points without the padding."""
     parts: int
-    ways: tuple[int, ...]
-    """Choices after the two points: of `w`, or of `g_a` and `g_b`. Together they are numbered through."""
+    """Number of parts."""
+    branches: tuple[int, ...]
+    """Number of choices of each action branch after the two points: of `w`, or of `g_a` and `g_b`. Their combinations
+    are numbered in C order."""
 
     @property
-    def best(self) -> float:
-        """The return of a chair that is finished: a point a merge, four more for the last."""
+    def max_return(self) -> float:
+        """Return of a finished chair: 1 for each merge, 4 more for the last."""
         return self.parts + 3.0
 
 
-def chair_of(task: Task[Any, Any], shapes: Float32[np.ndarray, "P s"]) -> Chair:
-    """What of a chair never changes; `shapes` are the features of its parts."""
+def chair_inputs(task: Task[Any, Any], part_features: Float32[np.ndarray, "P s"]) -> ChairInputs:
+    """Return the constant inputs for the chair of a task."""
     furniture = task.furniture
     parts, counts = furniture.parts, point_counts(furniture)
     part = np.repeat(np.arange(len(parts)), counts)
-    rows = []
-    for c, piece, count in zip(furniture.class_of, parts, counts, strict=True):
-        # Points that only a like of the part has: it gets them in that one's slot.
+    points: list[Any] = []
+    for c, own, count in zip(furniture.class_of, parts, counts, strict=True):
+        # A part gets the points that only an equal part has once it takes that part's slot.
         most = max((parts[m].points for m in furniture.classes[c].members), key=len)
-        rows += [*piece.points, *most[len(piece.points) : count]]
-    own = np.array([[p.position * 2.0, p.normal, p.tangent] for p in rows])
+        points += [*own.points, *most[len(own.points) : count]]
+    frames = np.array([[p.position * 2.0, p.normal, p.tangent] for p in points])
     size = next(s for s in POINT_SIZES if s >= len(part))
-    features = np.zeros((size, 9 + shapes.shape[1]), np.float32)
-    features[: len(part), :9], features[: len(part), 9:] = own.reshape(-1, 9), shapes[part]
-    return Chair(features, np.pad(part, (0, size - len(part))), len(part), len(parts), task.action_branches)
+    features = np.zeros((size, 9 + part_features.shape[1]), np.float32)
+    features[: len(part), :9], features[: len(part), 9:] = frames.reshape(-1, 9), part_features[part]
+    return ChairInputs(features, np.pad(part, (0, size - len(part))), len(part), len(parts), task.action_branches)
 
 
 def init(
-    rng: np.random.Generator, points: int, features: int, ways: tuple[int, ...] = ObjectCentricTask.action_branches
+    rng: np.random.Generator, points: int, features: int, branches: tuple[int, ...] = ObjectCentricTask.action_branches
 ) -> Params:
-    """Fresh weights.
+    """Return fresh weights.
 
     Args:
-        rng: draws them.
-        points: padded.
-        features: numbers that describe a point for good.
-        ways: of the chair.
+        rng: random numbers.
+        points: padded number of points.
+        features: size of the constant feature of a point.
+        branches: number of choices of each action branch.
     """
     return {
         "state": init_mlp(rng, len(_ABOVE[0]) + points, 128, _WIDTH),
@@ -89,28 +91,28 @@ def init(
         "hidden": init_linear(rng, _WIDTH, _WIDTH),
         "u": init_linear(rng, _WIDTH, _RANK),
         "v": init_linear(rng, _WIDTH, _RANK),
-        "heads": heads.init(rng, _WIDTH, _RANK, ways),
+        "heads": heads.init(rng, _WIDTH, _RANK, branches),
     }
 
 
 def apply(p: Params, features: Array, part: Array, joined: Array, free: Array) -> Array:
-    """Q of every action in some states of one chair, in shares of the best return.
+    """Return Q of every action in some states of one chair, as shares of the largest return.
 
     Args:
-        p: of `init`.
-        features: (n, f) of the chair's points.
-        part: (n,) of the chair's points.
+        p: weights from `init`.
+        features: (n, f) constant features of the chair's points.
+        part: (n,) part of each point.
         joined: (b, 20, 20) whether two parts are in one group, 1 or 0.
         free: (b, n) whether a point exists and is free, 1 or 0.
 
     Returns:
-        (b, n, n, w) over all ways.
+        (b, n, n, w) over all combinations of branches.
     """
-    return heads.together(added(p, features, part, joined, free))
+    return heads.combined(branch_values(p, features, part, joined, free))
 
 
-def added(p: Params, features: Array, part: Array, joined: Array, free: Array) -> list[Array]:
-    """What each choice adds to the Q of two points, (b, n, n, w) each; arguments as of `apply`."""
+def branch_values(p: Params, features: Array, part: Array, joined: Array, free: Array) -> list[Array]:
+    """Return what each branch adds to the Q of two points, (b, n, n, w_i) each; see `apply`."""
     xp = joined.__array_namespace__()
     b = len(free)
     whole = mlp(p["state"], xp.concatenate([joined[:, _ABOVE[0], _ABOVE[1]], free], axis=1))
@@ -120,52 +122,57 @@ def added(p: Params, features: Array, part: Array, joined: Array, free: Array) -
     token = gelu(token + whole[:, None] + p["slot"][None])
     token = gelu(linear(p["hidden"], token))
     u, v = linear(p["u"], token), linear(p["v"], token)
-    return heads.added(p["heads"], u, v, token, token)
+    return heads.branch_values(p["heads"], u, v, token, token)
 
 
-def existing(part: Array, joined: Array, free: Array) -> Array:
-    """(b, n, n) which pairs of points exist: both free, their parts in different groups."""
+def existing_pairs(part: Array, joined: Array, free: Array) -> Array:
+    """Return (b, n, n) which pairs of points exist: both free, their parts in different groups."""
     together = joined[:, part][:, :, part] > 0
     return ~together & (free[:, :, None] > 0) & (free[:, None] > 0)
 
 
 @dataclass(frozen=True, eq=False)
-class Expert:
-    """A trained network and its chair."""
+class ExpertPolicy:
+    """A trained Q-network and the chair that it assembles."""
 
-    chair: Chair
+    inputs: ChairInputs
     params: Params
 
     def values(self, joined: Bool[np.ndarray, "20 20"], free: Bool[np.ndarray, "m"]) -> Float32[np.ndarray, "m m w"]:
-        """Q over all points of the chair, in shares of the best return; -inf where the action does not exist."""
-        seen, m = self._seen(joined, free), len(free)
-        q = np.where(existing(*seen[1:])[..., None], apply(self.params, *seen), -np.inf)
+        """Return Q over all points, as shares of the largest return; -inf where the action does not exist."""
+        arrays, m = self._arrays(joined, free), len(free)
+        q = np.where(existing_pairs(*arrays[1:])[..., None], apply(self.params, *arrays), -np.inf)
         return q[0, :m, :m]
 
-    def added(self, joined: Bool[np.ndarray, "20 20"], free: Bool[np.ndarray, "m"]) -> list[np.ndarray]:
-        """What each choice adds to that, (m, m, w) each, whether the action exists or not."""
+    def branch_values(self, joined: Bool[np.ndarray, "20 20"], free: Bool[np.ndarray, "m"]) -> list[np.ndarray]:
+        """Return what each branch adds to Q, (m, m, w_i) each, whether the action exists or not."""
         m = len(free)
-        return [np.asarray(x)[0, :m, :m] for x in added(self.params, *self._seen(joined, free))]
+        return [np.asarray(x)[0, :m, :m] for x in branch_values(self.params, *self._arrays(joined, free))]
 
-    def _seen(self, joined: np.ndarray, free: np.ndarray) -> tuple[np.ndarray, ...]:
-        padded = np.zeros((1, len(self.chair.part)), np.float32)
+    def _arrays(self, joined: np.ndarray, free: np.ndarray) -> tuple[np.ndarray, ...]:
+        padded = np.zeros((1, len(self.inputs.part)), np.float32)
         padded[0, : len(free)] = free
-        return self.chair.features, self.chair.part, joined[None].astype(np.float32), padded
+        return self.inputs.features, self.inputs.part, joined[None].astype(np.float32), padded
 
 
 @dataclass(frozen=True, eq=False)
-class Move:
-    """One step of a play."""
+class ExpertStep:
+    """One step of an expert's episode."""
 
     state: TaskState
+    """Groups before the step."""
     values: Float32[np.ndarray, "m m w"]
+    """Q-values in this state."""
     action: tuple[int, int, int]
-    """Rows of the two points and number of the way."""
-    verdict: str
+    """Rows of the two points and number of the combination of branches."""
+    verdict: str = ""
+    """Verdict of the task."""
+    merged: bool = False
+    """Whether two groups were joined."""
 
 
-def told(task: Task[Any, Any], state: TaskState) -> tuple[Bool[np.ndarray, "20 20"], Bool[np.ndarray, "m"]]:
-    """Of a state, which parts are joined and which points are free: what an expert sees."""
+def encode_state(task: Task[Any, Any], state: TaskState) -> tuple[Bool[np.ndarray, "20 20"], Bool[np.ndarray, "m"]]:
+    """Return what an expert sees of a state: which parts are joined and which points are free."""
     joined = np.zeros((MAX_PARTS, MAX_PARTS), bool)
     for group in state.groups:
         joined[np.ix_(group.parts, group.parts)] = True
@@ -173,46 +180,48 @@ def told(task: Task[Any, Any], state: TaskState) -> tuple[Bool[np.ndarray, "20 2
     return joined, np.concatenate([free[i, :count] for i, count in enumerate(point_counts(task.furniture))])
 
 
-def play(expert: Expert, task: Task[Any, Any], seed: int, margin: float = 0.0) -> list[Move]:
-    """One episode in the real environment, nothing remembered.
+def run_expert(expert: ExpertPolicy, task: Task[Any, Any], seed: int, margin: float = 0.0) -> list[ExpertStep]:
+    """Run one episode in the real environment, without remembered outcomes.
 
     Args:
         expert: takes the action with the highest Q.
-        task: of its chair.
-        seed: of the start, the planner and the draws.
-        margin: any action whose Q is this little below the highest (in shares of the best return) may be drawn.
+        task: task of its chair.
+        seed: random seed of the start, the planner and the draws.
+        margin: an action whose Q is at most this much below the highest may be drawn, a share of the largest return.
     """
     rng = np.random.default_rng(seed)
-    part, point = expert.chair.part, _point(expert.chair)
-    moves: list[Move] = []
+    part, point = expert.inputs.part, _point_numbers(expert.inputs)
+    steps: list[ExpertStep] = []
 
     def propose(state: Any) -> Iterator[tuple[int, ...]]:
-        joined = task.groups_of(state)
-        values = expert.values(*told(task, joined))
-        row, column, way = choose(values, rng, margin)
-        moves.append(Move(joined, values, (row, column, way), ""))
-        ways = (int(i) for i in np.unravel_index(way, task.action_branches))
-        yield int(part[row]), int(part[column]), int(point[row]), int(point[column]), *ways
+        groups = task.groups_of(state)
+        values = expert.values(*encode_state(task, groups))
+        row, column, choice = select_action(values, rng, margin)
+        steps.append(ExpertStep(groups, values, (row, column, choice)))
+        branches = (int(i) for i in np.unravel_index(choice, task.action_branches))
+        yield int(part[row]), int(part[column]), int(point[row]), int(point[column]), *branches
 
     for transition in rollout(task, task.initial_state(rng), propose, rng):
-        moves[-1] = replace(moves[-1], verdict=str(transition.outcome.verdict))
-    return moves
+        steps[-1] = replace(steps[-1], verdict=transition.outcome.verdict, merged=transition.merged)
+    return steps
 
 
-def finished(moves: list[Move], chair: Chair) -> bool:
-    """Whether a play ended with the whole chair."""
-    return len(moves) == chair.parts - 1 and moves[-1].verdict == ObjectCentricVerdict.MERGED
+def finished(steps: list[ExpertStep], inputs: ChairInputs) -> bool:
+    """Return whether an episode ended with the whole chair."""
+    return len(steps) == inputs.parts - 1 and steps[-1].merged
 
 
-def choose(values: Float32[np.ndarray, "m m w"], rng: np.random.Generator, margin: float = 0.0) -> tuple[int, int, int]:
-    """The action with the highest Q, or any that is at most `margin` below."""
+def select_action(
+    values: Float32[np.ndarray, "m m w"], rng: np.random.Generator, margin: float = 0.0
+) -> tuple[int, int, int]:
+    """Return the action with the highest Q, or draw one that is at most `margin` below."""
     best = values.max()
-    pick = int(rng.choice(np.flatnonzero(values.ravel() >= best - margin))) if margin else int(values.argmax())
-    row, column, w = np.unravel_index(pick, values.shape)
-    return int(row), int(column), int(w)
+    flat = int(rng.choice(np.flatnonzero(values.ravel() >= best - margin))) if margin else int(values.argmax())
+    row, column, choice = np.unravel_index(flat, values.shape)
+    return int(row), int(column), int(choice)
 
 
-def _point(chair: Chair) -> Int[np.ndarray, "m"]:
-    """Each point's number within its part."""
-    part = chair.part[: chair.points]
+def _point_numbers(inputs: ChairInputs) -> Int[np.ndarray, "m"]:
+    """Return the number of each point in its part."""
+    part = inputs.part[: inputs.points]
     return np.arange(len(part)) - np.searchsorted(part, part)

@@ -1,8 +1,8 @@
-"""How two parts lie to each other, whichever of their like they are; and which of that has been seen in joined groups.
+"""Signatures of the relative pose of two parts, and which of them occur in joined groups.
 
-A relation is told by distances: between the centres of both parts, and from each one's connection points to the other's
-centre. It does not tell mirror images apart, and needs no frames, so that a part that looks the same when it is turned
-about has the same relations.
+A signature consists of distances: between the centres of both parts, and from the connection points of each to the
+centre of the other. It is the same for all equal parts, does not tell mirror images apart, and needs no frames, so that
+a part that looks the same when it is turned has the same signature.
 """
 
 from __future__ import annotations
@@ -13,58 +13,62 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-_SAME = 0.004
-"""Metres: distances that differ less are the same."""
+_TOLERANCE = 0.004
+"""Difference within which distances are equal [m]."""
 
 
 @dataclass(frozen=True, eq=False)
-class Placed:
+class PlacedPart:
     """A part in its group's frame."""
 
-    like: int
-    """Number of its class: parts of one class are told from each other by nothing."""
+    part_class: int
+    """Number of its class; nothing tells parts of one class apart."""
     center: Float[np.ndarray, "3"]
+    """Origin of the part [m]."""
     points: Float[np.ndarray, "k 3"]
+    """Connection points [m]."""
 
-    def moved(self, turn: Float[np.ndarray, "3 3"], shift: Float[np.ndarray, "3"]) -> Placed:
-        """The part in another frame."""
-        return Placed(self.like, turn @ self.center + shift, self.points @ turn.T + shift)
+    def moved(self, turn: Float[np.ndarray, "3 3"], shift: Float[np.ndarray, "3"]) -> PlacedPart:
+        """Return the part in another frame."""
+        return PlacedPart(self.part_class, turn @ self.center + shift, self.points @ turn.T + shift)
 
 
-class Relations:
-    """Numbers for relations, and which of them have been seen."""
+class RelativePoses:
+    """Numbers of relative poses, and which of them were seen in joined groups."""
 
     def __init__(self) -> None:
-        self._of: dict[tuple[int, int], list[Float[np.ndarray, "d"]]] = {}
+        self._signatures: dict[tuple[int, int], list[Float[np.ndarray, "d"]]] = {}
         self._numbers: dict[tuple[int, int], list[int]] = {}
         self._seen: list[bool] = []
 
-    def see(self, parts: list[Placed]) -> None:
-        """Parts of one group, joined rightly."""
+    def see(self, parts: list[PlacedPart]) -> None:
+        """Record the parts of one joined group."""
         for number in (self.number(a, b) for a, b in itertools.combinations(parts, 2)):
             self._seen[number] = True
 
-    def between(self, one: list[Placed], two: list[Placed]) -> Int[np.ndarray, "n"]:
-        """Numbers of all relations between the parts of two groups."""
-        return np.array([self.number(a, b) for a in one for b in two])
+    def between(self, u_parts: list[PlacedPart], v_parts: list[PlacedPart]) -> Int[np.ndarray, "n"]:
+        """Return the numbers of all relative poses between the parts of two groups."""
+        return np.array([self.number(a, b) for a in u_parts for b in v_parts])
 
-    def strange(self, numbers: Int[np.ndarray, "n"]) -> int:
-        """How many of some relations were never seen."""
+    def novel_count(self, numbers: Int[np.ndarray, "n"]) -> int:
+        """Return how many of some relative poses were never seen."""
         return sum(not self._seen[n] for n in numbers)
 
-    def number(self, a: Placed, b: Placed) -> int:
-        """Of the relation between two parts, the same for all that are the same."""
-        if a.like > b.like:
+    def number(self, a: PlacedPart, b: PlacedPart) -> int:
+        """Return the number of the relative pose of two parts; equal poses have the same number."""
+        if a.part_class > b.part_class:
             a, b = b, a
         ends = [np.linalg.norm(p.points - q.center, axis=1) for p, q in ((a, b), (b, a))]
-        # Of two that are alike neither is the first.
-        ordered = sorted((np.sort(e).tolist() for e in ends), key=sum) if a.like == b.like else map(np.sort, ends)
-        told = np.concatenate([[np.linalg.norm(a.center - b.center)], *ordered])
-        known = self._of.setdefault((a.like, b.like), [])
+        # Two parts of one class have no order.
+        ordered = (
+            sorted((np.sort(e).tolist() for e in ends), key=sum) if a.part_class == b.part_class else map(np.sort, ends)
+        )
+        signature = np.concatenate([[np.linalg.norm(a.center - b.center)], *ordered])
+        known = self._signatures.setdefault((a.part_class, b.part_class), [])
         for index, other in enumerate(known):
-            if len(other) == len(told) and np.abs(other - told).max() < _SAME:
-                return self._numbers[a.like, b.like][index]
-        known.append(told)
-        self._numbers.setdefault((a.like, b.like), []).append(len(self._seen))
+            if len(other) == len(signature) and np.abs(other - signature).max() < _TOLERANCE:
+                return self._numbers[a.part_class, b.part_class][index]
+        known.append(signature)
+        self._numbers.setdefault((a.part_class, b.part_class), []).append(len(self._seen))
         self._seen.append(False)
         return len(self._seen) - 1

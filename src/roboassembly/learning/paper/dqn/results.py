@@ -1,0 +1,79 @@
+"""Trained experts: their files, and what training reached."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from roboassembly.datasets.sets import furniture_hash
+from roboassembly.errors import InputError
+from roboassembly.learning import checkpoint
+from roboassembly.learning.paper.dqn.network import KIND, ExpertPolicy, chair_inputs
+from roboassembly.statistics import success
+from roboassembly.task.full.task import FullTask
+from roboassembly.task.object_centric.task import ObjectCentricTask
+
+
+@dataclass(frozen=True)
+class ExpertResult:
+    """Result of one chair."""
+
+    name: str
+    """Name of the chair."""
+    mastered: bool
+    """Whether the chair was mastered within the steps allowed."""
+    steps: int
+    """Number of environment steps."""
+    planned: int
+    """Number of merges that were planned; all others were remembered."""
+    success_rate: float
+    """Success rate of the test episodes."""
+    seconds: float
+    """Training time, shared with the chairs trained beside it [s]."""
+    refused: str = ""
+    """Reason why the chair does not suit the setting and is not trained; empty if it does."""
+
+
+def read(path: Path) -> ExpertResult:
+    """Read the result of a chair.
+
+    Raises:
+        InputError: the file is not an expert's.
+    """
+    return ExpertResult(**checkpoint.load(path, KIND).config["result"])
+
+
+def summary(results: Sequence[ExpertResult]) -> dict[str, Any]:
+    """Return how many chairs were mastered, with the 95 % Wilson interval, and what it took; without refused chairs."""
+    refused, results = sum(bool(r.refused) for r in results), [r for r in results if not r.refused]
+    if not results:
+        return {**success([]), "mastered": 0, "refused": refused}
+    done = [r for r in results if r.mastered]
+    return {
+        **success([r.mastered for r in results]),
+        "mastered": len(done),
+        "refused": refused,
+        "test_success_rate": sum(r.success_rate for r in results) / len(results),
+        "steps_mean": sum(r.steps for r in results) / len(results),
+        "steps_mean_mastered": sum(r.steps for r in done) / len(done) if done else None,
+        "planned_mean": sum(r.planned for r in results) / len(results),
+        "seconds": sum(r.seconds for r in results),
+    }
+
+
+def load(path: Path, task: ObjectCentricTask | FullTask) -> ExpertPolicy:
+    """Load a trained expert.
+
+    Raises:
+        InputError: the file is not an expert's, or of another chair.
+    """
+    kept = checkpoint.load(path, KIND)
+    if kept.config["furniture_hash"] != furniture_hash(task.furniture):
+        raise InputError(f"'{path}' is an expert for {kept.config['furniture']}, which is not this furniture")
+    part_features = np.zeros((len(task.furniture.parts), kept.extra["features"].shape[1] - 9), np.float32)
+    inputs = replace(chair_inputs(task, part_features), features=kept.extra["features"])
+    return ExpertPolicy(inputs, kept.params)
