@@ -13,22 +13,23 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterable
-from dataclasses import replace
 from pathlib import Path
 
 from roboassembly.datasets import catalogue
 from roboassembly.datasets.sets import furniture_refs
 from roboassembly.evaluation.rollout import run_episode
 from roboassembly.furniture import storage
-from roboassembly.learning.paper import autoencoder, imitation
+from roboassembly.learning.paper.autoencoder import AutoencoderTraining
 from roboassembly.learning.paper.dqn.train import ExpertTraining
+from roboassembly.learning.paper.imitation import PaperTraining
 from roboassembly.learning.paper.pipeline import (
-    Schooling,
-    extractor_of,
-    results,
-    teach_experts,
-    teach_features,
-    teach_paper,
+    PipelineConfig,
+    autoencoder_file,
+    expert_results,
+    samples_folder,
+    train_autoencoder,
+    train_experts,
+    train_policy,
 )
 from roboassembly.learning.progress import Progress
 from roboassembly.learning.registry import load_policy
@@ -56,21 +57,21 @@ def main() -> None:
         storage.save(catalogue.find(name), args.out / "chairs" / name.replace(":", "-"))
     chairs = furniture_refs(f"folder:{args.out / 'chairs'}")
 
-    config = Schooling(
-        features=autoencoder.Training(steps=300),
+    config = PipelineConfig(
+        autoencoder=AutoencoderTraining(steps=300),
         extra_clouds=0,
         experts=ExpertTraining(steps=8_000),
-        plays=6,
+        episodes=6,
     )
     # 1. The auto-encoder: the shape of a part in 44 numbers.
-    follow(teach_features(chairs, args.out, config, {}, jobs=1))
+    follow(train_autoencoder(chairs, args.out, config, {}, jobs=1))
     # 2. and 3. An expert for each chair, and samples from its episodes.
-    follow(teach_experts(chairs, args.out, config, {}, jobs=1))
-    for result in results(chairs, args.out):
+    follow(train_experts(chairs, args.out, config, {}, jobs=1))
+    for result in expert_results(chairs, args.out):
         print(f"{result.name}: solved {result.mastered} after {result.steps} environment steps")
     # 4. One policy for all chairs, by imitation.
-    training = replace(imitation.Training(), steps=args.updates)
-    follow(teach_paper([args.out / "lessons"], extractor_of(args.out), args.out, training))
+    training = PaperTraining(steps=args.updates)
+    follow(train_policy([samples_folder(args.out)], autoencoder_file(args.out), args.out, training))
 
     policy = load_policy(str(args.out / "policy.npz"))
     episodes = [run_episode(policy, chair.furniture(), seed=100) for chair in chairs]

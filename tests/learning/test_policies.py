@@ -121,7 +121,10 @@ def test_a_checkpoint_that_does_not_fit_is_refused_with_the_reason(params: dict,
 
 def test_a_paper_checkpoint(seen, tmp_path: Path) -> None:
     rng, config = np.random.default_rng(0), paper.PaperConfig(hidden=8, feature=8, slot=4)
-    inputs = {"mean": np.zeros(paper.state_size(False), np.float32), "scale": np.ones(paper.state_size(False), np.float32)}
+    inputs = {
+        "mean": np.zeros(paper.state_size(False), np.float32),
+        "scale": np.ones(paper.state_size(False), np.float32),
+    }
     whole = {"network": paper.init(rng, config), "inputs": inputs, "encoder": autoencoder.init(rng)}
     policy = load_policy(str(save(tmp_path / "p.npz", whole, asdict(config), "paper")))
     observation, mask = seen

@@ -12,7 +12,7 @@ from roboassembly.errors import InputError
 from roboassembly.evaluation.rollout import run_episode
 from roboassembly.learning import checkpoint
 from roboassembly.learning.paper import autoencoder
-from roboassembly.learning.paper.imitation import Training
+from roboassembly.learning.paper.imitation import PaperTraining
 from roboassembly.learning.paper.pipeline import train_policy
 from roboassembly.learning.registry import load_policy
 from roboassembly.learning.relational.collect import collect
@@ -23,7 +23,7 @@ def test_the_papers_policy_is_trained_on_folders_of_samples(tmp_path: Path) -> N
     encoder = autoencoder.init(np.random.default_rng(0))
     extractor = tmp_path / "autoencoder.npz"
     checkpoint.save(extractor, checkpoint.Checkpoint(autoencoder.KIND, encoder, {}, {}))
-    training = Training(steps=2, batch=4)
+    training = PaperTraining(steps=2, batch=4)
     progress = list(train_policy([tmp_path / "samples"], extractor, tmp_path / "run", training))
     assert [p.done for p in progress] == [1, 2]
     policy = load_policy(str(tmp_path / "run" / "policy.npz"))

@@ -369,9 +369,7 @@ def test_checkpoints_of_other_networks_are_refused() -> None:
     config = {"network": asdict(SMALL)}
     assert PaperPolicy.from_checkpoint(checkpoint.Checkpoint(paper.KIND, params, config, {}), "a.npz").name == "paper"
     params["inputs"]["mean"] = inputs[:7]
-    with pytest.raises(
-        InputError, match=r"'/inputs/mean' is float32 \(7,\); its configuration asks for float32 \(5280,\)"
-    ):
+    with pytest.raises(InputError, match=r"'/inputs/mean' is float32 \(7,\); its configuration"):
         PaperPolicy.from_checkpoint(checkpoint.Checkpoint(paper.KIND, params, config, {}), "a.npz")
 
 
