@@ -116,9 +116,7 @@ _WHOLE: dict[SettingName, BenchmarkConfig] = {
         relational=RelationalPipelineConfig.full(),
     ),
 }  # fmt: skip
-_QUICK_BASE = BenchmarkConfig(
-    set="chairs-24", train_limit=3, experts=3, shipped=False, paper=PaperTraining(steps=40)
-)
+_QUICK_BASE = BenchmarkConfig(set="chairs-24", train_limit=3, experts=3, shipped=False, paper=PaperTraining(steps=40))
 _QUICK: dict[SettingName, BenchmarkConfig] = {
     "object-centric": replace(
         _QUICK_BASE, sample=3, relational=RelationalPipelineConfig(extra=0, validation=0, steps=40, network=_TINY),
