@@ -35,6 +35,7 @@ from jaxtyping import Bool, Float32, Int
 from roboassembly.envs.observation import Observation, Observer
 from roboassembly.errors import InputError, PolicyError
 from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS, Furniture
+from roboassembly.settings import SETTINGS
 from roboassembly.solvers.guide import Guide, Suggestion
 from roboassembly.task.setting import SettingName, Task
 
@@ -109,7 +110,7 @@ def check_setting(policy: Policy, setting: SettingName, solver: str) -> None:
         InputError: it cannot.
     """
     if setting not in settings_of(policy):
-        lacks = "chooses no grasps" if setting == "full" else "plays with robots only"
+        lacks = "chooses no grasps" if SETTINGS[setting].has_robots else "plays with robots only"
         raise InputError(
             f"'{policy.name}' {lacks}; --setting {setting} takes --policy {solver}, or a policy whose `settings` "
             "name it"

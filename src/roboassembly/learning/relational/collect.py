@@ -20,6 +20,7 @@ from roboassembly.learning.relational import network as relational
 from roboassembly.learning.relational.grasps.dataset import GraspLabeler
 from roboassembly.learning.relational.oracle_dataset import Labeler, TokenPolicy
 from roboassembly.parallel.processes import map_unordered
+from roboassembly.settings import SETTINGS
 from roboassembly.solvers.hand_oracle import HandOracle
 from roboassembly.solvers.oracle import Oracle
 from roboassembly.task.full.task import FullTask
@@ -72,7 +73,7 @@ def collect(
         with_grasps: names of the pieces that get grasp samples as well, of one episode each (full setting). These take
             several times as long.
     """
-    (grasp_folder(folder) if setting == "full" else folder).mkdir(parents=True, exist_ok=True)
+    (grasp_folder(folder) if SETTINGS[setting].has_robots else folder).mkdir(parents=True, exist_ok=True)
     left = [name for name in names if not dataset_file(folder, name).is_file()]
     work = partial(
         _collect, folder=folder, episodes=episodes, seed=seed, policy=policy, setting=setting,
@@ -89,7 +90,7 @@ def _collect(
     start = time.monotonic()
     family, _, number = name.partition(":")
     try:
-        furniture = catalogue.make(family, int(number), with_grasps=setting == "full")
+        furniture = catalogue.make(family, int(number), with_grasps=SETTINGS[setting].has_robots)
         oracle = _oracle(furniture, setting)
     except InputError:
         # A few generated frames are invalid, cannot be grasped, or have too many parts; they give no samples.
@@ -122,7 +123,7 @@ def _oracle(furniture: Furniture, setting: SettingName) -> Oracle:
     Raises:
         InputError: the furniture does not suit the robots, or has too many parts for their oracle.
     """
-    if setting == "object-centric":
+    if not SETTINGS[setting].has_robots:
         return Oracle(ObjectCentricTask(furniture))
     if len(furniture.parts) > _MAX_PARTS:
         raise InputError(

@@ -42,6 +42,7 @@ from roboassembly.learning.relational.grasps.on_policy import collect_on_policy
 from roboassembly.learning.relational.imitation import RelationalTraining, TokenExample
 from roboassembly.learning.relational.network import RelationalConfig
 from roboassembly.learning.relational.policy import FULL_PARAMS, GRASP_PARAMS, RelationalPolicy
+from roboassembly.settings import SETTINGS
 from roboassembly.task.setting import SettingName
 
 _VALIDATION_SEEDS = EXTRA_SEEDS + 1_000_000
@@ -113,7 +114,7 @@ def run_pipeline(config: RelationalPipelineConfig, folder: Path, jobs: int) -> I
     names = [ref.name for ref in refs] + extra_names(config.extra, recipe.unseen_families)
     held_out = extra_names(config.validation, recipe.unseen_families, first=_VALIDATION_SEEDS)
     notes = {"pipeline": asdict(config), "set_hash": set_hash(refs)}
-    full = config.setting == "full"
+    full = SETTINGS[config.setting].has_robots
 
     yield from _collect("validation", held_out, folder / "samples" / "validation", config, jobs, None)
     validation = imitation.load_examples(folder / "samples" / "validation", held_out, jobs)
@@ -148,7 +149,7 @@ def _start_checkpoint(config: RelationalPipelineConfig, folder: Path) -> Path | 
         InputError: there is no such policy, it is of another network, or the full setting names none.
     """
     if not config.start:
-        if config.setting == "full":
+        if SETTINGS[config.setting].has_robots:
             raise InputError("--setting full starts from an object-centric policy: --start relational would do")
         return None
     loaded = load_weights(config.start)
