@@ -43,6 +43,13 @@ def test_double_q_target_by_hand() -> None:
     assert losses.double_q_target(reward, done, online, target, exists) == pytest.approx([1.3, 3.0, 5.0])
 
 
+def test_a_target_is_at_least_the_return_reached_and_within_bounds_by_hand() -> None:
+    # 0.2 is raised to the 0.5 that was reached; 0.7 stays, for what was reached is a lower bound, not a replacement;
+    # an overestimated 1.3 is cut to the largest return, and -0.1 to 0.
+    target, reached = np.array([0.2, 0.7, 1.3, -0.1]), np.array([0.5, 0.5, 0.5, 0.0])
+    assert losses.bounded_target(target, reached) == pytest.approx([0.5, 0.7, 1.0, 0.0])
+
+
 def test_the_best_of_two_choices_that_add_up_is_that_of_all_their_combinations() -> None:
     rng = np.random.default_rng(0)
     online, target = ([rng.normal(size=(5, 4, ways)) for ways in (3, 2)] for _ in range(2))

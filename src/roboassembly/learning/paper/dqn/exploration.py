@@ -45,8 +45,8 @@ what goes between frames, then what closes them at once. A frame that is closed 
 no longer goes in."""
 _ORDERS = tuple(itertools.permutations(range(3)))
 _NOVELTY_FACTOR, _LEAST_NOVELTY, _DECAY = 2.0, 0.03, 0.995
-"""With nothing familiar left, a novel action is tried with the recent success rate of novel actions times the factor,
-and at least with the least probability; else the episode ends. Counts of successes decay with each episode."""
+"""Chance of a novel action where nothing familiar is left: the recent success rate of novel actions times the factor,
+and at least the least value; else the episode ends. The counts of successes decay with each episode."""
 _MOSTLY_NOVEL, _UNRESTRICTED = 0.4, 0.1
 """Groups with a larger share of novel relative poses are joined in so few of the cases in which novel ones are."""
 _STRICT = 0.97
