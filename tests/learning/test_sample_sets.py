@@ -11,6 +11,7 @@ import pytest
 from roboassembly.datasets import catalogue
 from roboassembly.envs.observation import surface_points
 from roboassembly.errors import InputError
+from roboassembly.learning import archive
 from roboassembly.learning.datasets import SampleSet
 from roboassembly.learning.relational.oracle_dataset import Labeler
 
@@ -34,3 +35,10 @@ def test_a_file_keeps_the_samples_and_a_broken_one_is_refused(tmp_path: Path) ->
     file.write_bytes(file.read_bytes()[:200])
     with pytest.raises(InputError, match="not a file of training samples"):
         SampleSet.load(file)
+
+
+def test_a_file_of_another_format_is_refused_with_a_remedy(tmp_path: Path) -> None:
+    path = tmp_path / "old.npz"
+    archive.write(path, {"name": np.array("stool")})
+    with pytest.raises(InputError, match="has format 1, this program reads 2; remove it and build it again"):
+        SampleSet.load(path)
