@@ -6,6 +6,7 @@ import ast
 import re
 import shlex
 import textwrap
+import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
@@ -17,6 +18,9 @@ PAGES = {
     for p in (*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").rglob("*.md")), *sorted(ROOT.glob("examples/*.py")))
 }
 """Pages for people, including the docstrings of examples."""
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
+EXTRAS: dict[str, list[str]] = PROJECT["project"]["optional-dependencies"]
+"""Requirements of each extra of the package."""
 PROGRAMS = ("roboassembly", "make", "python", "pip", "pytest", "bash", "ray", "uv", "git", "export", "cd")
 """Programs that commands begin with, with or without a folder before them."""
 
@@ -126,6 +130,16 @@ def commands_in_prose(page: str) -> list[Command]:
     """Return the commands between back quotes."""
     spans = (" ".join(found.split()) for found in SPAN.findall(prose_of(page)))
     return [_command(page, 0, span) for span in spans if is_command(span)]
+
+
+def extras_needed(command: Command) -> set[str]:
+    """Return the extras that a command needs."""
+    needed = {"rl"} if "examples/05_masked_ppo.py" in command.words else set()
+    needed |= {"learn"} if "examples/04_paper_method_small.py" in command.words else set()
+    words = command.arguments or [""]
+    needed |= {"learn"} if words[0] in ("train", "benchmark") or "--export" in words else set()
+    needed |= {"bench"} if words[0] == "bench" or "--audit" in words else set()
+    return needed | ({"ray"} if "--ray" in words else set())
 
 
 def _command(page: str, line: int, text: str) -> Command:

@@ -14,12 +14,10 @@ import numpy as np
 import pytest
 import trimesh
 
+from command_line import Run
 from roboassembly.datasets import catalogue
 from roboassembly.furniture import storage
 from roboassembly.task.object_centric.task import ObjectCentricVerdict
-
-Run = Callable[..., tuple[int, str, str]]
-"""Of the fixture `run`."""
 
 
 @pytest.fixture(scope="module")

@@ -13,12 +13,11 @@ import pytest
 import trimesh
 
 import shapes
+from command_line import Run
 from roboassembly.datasets import catalogue
 from roboassembly.datasets import sets as datasets
 from roboassembly.furniture import storage
 from roboassembly.importers import pipeline
-
-Run = Callable[..., tuple[int, str, str]]
 
 
 def state(folder: Path) -> dict[str, bytes]:

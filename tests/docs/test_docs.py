@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import inspect
 import re
-import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
@@ -17,7 +16,20 @@ from unittest.mock import MagicMock
 import pytest
 
 import documentation
-from documentation import FENCE, PAGES, ROOT, SPAN, Command, commands, commands_in_prose, prose_of, text_of
+from documentation import (
+    EXTRAS,
+    FENCE,
+    PAGES,
+    PROJECT,
+    ROOT,
+    SPAN,
+    Command,
+    commands,
+    commands_in_prose,
+    extras_needed,
+    prose_of,
+    text_of,
+)
 from roboassembly.cli import parse
 from roboassembly.datasets.sets import RECIPES
 from roboassembly.studio.panel import Panel
@@ -28,8 +40,6 @@ HEADING = re.compile(r"^#+ +(.*)$", re.MULTILINE)
 OPTION = re.compile(r"(?<![\w-])--[a-z][a-z-]*")
 STAND_INS = {"KIND": "folder"}
 """Values for words in capitals that accept only some values."""
-PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
-EXTRAS = PROJECT["project"]["optional-dependencies"]
 
 ALL_COMMANDS = [c for page in PAGES for c in commands(page)]
 OF_OURS = [c for c in ALL_COMMANDS if c.arguments is not None]
@@ -127,16 +137,6 @@ def test_pip_installs_what_there_is(page: str) -> None:
             else:
                 assert requirement in known - {PROJECT["project"]["name"]}, str(command)
     assert f"{PROJECT['project']['name']}[" not in text_of(page)
-
-
-def extras_needed(command: Command) -> set[str]:
-    """Return the extras that a command needs."""
-    needed = {"rl"} if "examples/05_masked_ppo.py" in command.words else set()
-    needed |= {"learn"} if "examples/04_paper_method_small.py" in command.words else set()
-    words = command.arguments or [""]
-    needed |= {"learn"} if words[0] in ("train", "benchmark") or "--export" in words else set()
-    needed |= {"bench"} if words[0] == "bench" or "--audit" in words else set()
-    return needed | ({"ray"} if "--ray" in words else set())
 
 
 UNNAMED = {("docs/furniture.md", "learn"): "the page has no line that installs Minari, for --export"}

@@ -20,12 +20,10 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
-import test_import_folder
-import test_import_ikea_env
 import trimesh
-from test_docs import EXTRAS, extras_needed
 
-from documentation import PAGES, ROOT, Block, Command, examples
+from documentation import EXTRAS, PAGES, ROOT, Block, Command, examples, extras_needed
+from model_files import IKEA_PLATE, IKEA_POST, write_ikea_env, write_table
 from roboassembly.cli import main
 from roboassembly.rendering import gl
 
@@ -149,11 +147,11 @@ def clone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     folder = tmp_path / "clone"
     shutil.copytree(ROOT / "examples", folder / "examples", ignore=shutil.ignore_patterns("*.pt", "__pycache__"))
     monkeypatch.chdir(folder)
-    test_import_folder.write(folder / "my_files", unit=0.001, suffixes=("stl", "stl", "stl"))
+    write_table(folder / "my_files", unit=0.001, suffixes=("stl", "stl", "stl"))
     parts = [trimesh.load_mesh(path) for path in sorted((folder / "my_files").iterdir())]
     trimesh.util.concatenate(parts).export(folder / "my_chair.stl")
     (folder / "chair_agne_0010").mkdir()
-    test_import_ikea_env.write(folder / "chair_agne_0010", test_import_ikea_env.POST, test_import_ikea_env.PLATE)
+    write_ikea_env(folder / "chair_agne_0010", IKEA_POST, IKEA_PLATE)
     with (folder / "my.npz").open("wb") as out:
         out.write((files("roboassembly.learning") / "weights" / "relational.npz").read_bytes())
     return folder

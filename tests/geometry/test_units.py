@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -13,12 +13,11 @@ import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
 
+from command_line import Run
 from roboassembly.errors import FurnitureError, InputError
 from roboassembly.generate import FAMILIES, generate
 from roboassembly.geometry import units
 from roboassembly.importers import folder
-
-Run = Callable[..., tuple[int, str, str]]
 
 
 def write(place: Path, family: str, seed: int, unit: float) -> Path:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +10,7 @@ import pytest
 import trimesh
 
 import shapes
+from command_line import Run
 from roboassembly.datasets import catalogue
 from roboassembly.errors import FurnitureError
 from roboassembly.furniture import storage
@@ -18,7 +18,6 @@ from roboassembly.furniture.triangles import NamedTriangles, Triangles
 from roboassembly.generate import FAMILIES, generate
 from roboassembly.importers import bodies, folder
 
-Run = Callable[..., tuple[int, str, str]]
 UNIT = (1.0, 1.0, 1.0)
 
 

@@ -19,8 +19,8 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-import test_import_folder
 
+from model_files import PART_PAIR, box, export, glb_accessors, write_glb, write_table
 from roboassembly.importers.glb import MAX_NODES
 
 ALLOWED = 600 * 2**20
@@ -100,7 +100,7 @@ def obj_ring(path: Path) -> None:
 
 
 def glb(path: Path, **changes: object) -> None:
-    test_import_folder.glb(path, test_import_folder.PAIR, **changes)
+    write_glb(path, PART_PAIR, **changes)
 
 
 def glb_of_primitives(path: Path) -> None:
@@ -112,7 +112,7 @@ def glb_of_primitives(path: Path) -> None:
         "asset": {"version": "2.0"},
         "scene": 0,
         "scenes": [{"nodes": [0]}],
-        "nodes": test_import_folder.PAIR,
+        "nodes": PART_PAIR,
         "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1}] * 10_000}],
         "accessors": [
             {"bufferView": 0, "componentType": 5126, "count": len(points), "type": "VEC3"},
@@ -139,7 +139,7 @@ def glb_of_nodes(path: Path) -> None:
     """As many nodes as a file may have, each with the same mesh of a thousand cubes."""
     nodes = [{"children": list(range(1, MAX_NODES))}, *({"name": "a", "mesh": 0} for _ in range(MAX_NODES - 1))]
     cube = {"attributes": {"POSITION": 0}, "indices": 1}
-    test_import_folder.glb(path, nodes, meshes=[{"primitives": [cube] * 1000}])
+    write_glb(path, nodes, meshes=[{"primitives": [cube] * 1000}])
 
 
 MESHES: dict[str, tuple[str, Callable[[Path], None], str]] = {
@@ -150,7 +150,7 @@ MESHES: dict[str, tuple[str, Callable[[Path], None], str]] = {
     "PLY of 2^31 corners": ("a.ply", ply_ring, "ends in the middle"),
     "OBJ of vertex 2^40": ("a.obj", obj_far, "but there are 3 vertices"),
     "OBJ of faces with 510,000 corners": ("a.obj", obj_ring, "more than 2000000 faces"),
-    "GLB of 2^60 points": ("a.glb", lambda p: glb(p, accessors=test_import_folder.accessors(count=2**60)), "beyond"),
+    "GLB of 2^60 points": ("a.glb", lambda p: glb(p, accessors=glb_accessors(count=2**60)), "beyond"),
     "GLB of a buffer of 2^60 bytes": (
         "a.glb",
         lambda p: glb(p, bufferViews=[{"buffer": 0, "byteLength": 2**60}] * 2, accessors=[
@@ -170,7 +170,7 @@ def test_meshes_that_claim_too_much(case: str, tmp_path: Path) -> None:
     folder = tmp_path / "piece"
     folder.mkdir()
     write(folder / name)
-    test_import_folder.export(test_import_folder.box((1, 1, 1)), folder / "b.obj")
+    export(box((1, 1, 1)), folder / "b.obj")
     source = folder / name if name.endswith("glb") else folder
     found = opened("folder", source, tmp_path)
     assert words in found.said
@@ -226,7 +226,7 @@ def test_policies_that_unpack_to_much_more(tmp_path: Path) -> None:
 
 def test_the_limit_is_one(tmp_path: Path) -> None:
     """Ordinary files are read within it."""
-    folder = test_import_folder.write(tmp_path / "table")
+    folder = write_table(tmp_path / "table")
     found = opened("folder", folder, tmp_path)
     assert found.said == ""
     assert found.megabytes < 100

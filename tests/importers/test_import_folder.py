@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import struct
-from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
 
+from model_files import GLB_VIEWS, PART_PAIR, box, export, glb_accessors, write_glb, write_table
 from roboassembly.errors import FurnitureError
 from roboassembly.importers import folder
 from roboassembly.importers.mesh_files import read_mesh
@@ -17,34 +16,9 @@ from roboassembly.importers.mesh_files import read_mesh
 HALF = 0.5**0.5
 
 
-def box(extents, centre=(0.0, 0.0, 0.0)) -> trimesh.Trimesh:
-    mesh = trimesh.creation.box(extents)
-    mesh.apply_translation(centre)
-    return mesh
-
-
-def export(mesh: trimesh.Trimesh, path: Path, **options) -> None:
-    data = mesh.export(file_type=path.suffix[1:], **options)
-    path.write_bytes(data if isinstance(data, bytes) else data.encode())
-
-
-def write(root: Path, unit: float = 1.0, suffixes=("obj", "stl", "ply")) -> Path:
-    """A table of 1.0 by 0.6 by 0.5 metres: a top on two panels."""
-    root.mkdir(exist_ok=True)
-    parts = {
-        "top": box((1.0, 0.6, 0.1), (0, 0, 0.45)),
-        "left panel": box((0.1, 0.6, 0.4), (-0.4, 0, 0.2)),
-        "right panel": box((0.1, 0.6, 0.4), (0.4, 0, 0.2)),
-    }
-    for (name, mesh), suffix in zip(parts.items(), suffixes, strict=True):
-        mesh.apply_scale(1.0 / unit)
-        export(mesh, root / f"{name}.{suffix}")
-    return root
-
-
 @pytest.mark.parametrize("suffixes", [("obj", "stl", "ply"), ("glb", "obj", "stl")])
 def test_each_file_is_a_part(tmp_path, suffixes):
-    raw = folder.read(write(tmp_path / "table", suffixes=suffixes))
+    raw = folder.read(write_table(tmp_path / "table", suffixes=suffixes))
     assert [p.name for p in raw.parts] == ["left panel", "right panel", "top"]
     assert np.allclose(raw.parts[2].mesh.bounds, [[-0.5, -0.3, 0.4], [0.5, 0.3, 0.5]], atol=1e-6)
     assert np.allclose(raw.parts[0].mesh.bounds, [[-0.45, -0.3, 0.0], [-0.35, 0.3, 0.4]], atol=1e-6)
@@ -66,7 +40,7 @@ def test_each_file_is_a_part(tmp_path, suffixes):
 )
 def test_units(tmp_path, unit, factor, words):
     """A low table, 1 m long."""
-    raw = folder.read(write(tmp_path / "table", unit))
+    raw = folder.read(write_table(tmp_path / "table", unit))
     assert raw.provenance.scale == pytest.approx(factor, rel=1e-5)
     assert words in raw.provenance.notes[0]
     assert folder.read(tmp_path / "table", scale=unit).provenance.scale == unit
@@ -77,7 +51,7 @@ def test_units(tmp_path, unit, factor, words):
     [("z", (1.0, 0.6, 0.5)), ("y", (1.0, 0.5, 0.6)), ("x", (0.5, 0.6, 1.0)), ("-x", (0.5, 0.6, 1.0))],
 )
 def test_up_axis(tmp_path, up, size):
-    raw = folder.read(write(tmp_path / "table"), up=up)
+    raw = folder.read(write_table(tmp_path / "table"), up=up)
     corners = np.concatenate([p.mesh.bounds for p in raw.parts])
     assert np.allclose(np.ptp(corners, axis=0), size, atol=1e-6)
     assert corners[:, 2].min() == pytest.approx(0.0, abs=1e-6)
@@ -85,39 +59,10 @@ def test_up_axis(tmp_path, up, size):
 
 
 def test_upside_down(tmp_path):
-    raw = folder.read(write(tmp_path / "table"), up="-z")
+    raw = folder.read(write_table(tmp_path / "table"), up="-z")
     assert np.allclose(raw.parts[2].mesh.bounds[:, 2], [0.0, 0.1], atol=1e-6)
     with pytest.raises(FurnitureError, match="up axis 'w' is not known"):
         folder.read(tmp_path / "table", up="w")  # pyright: ignore[reportArgumentType]
-
-
-def glb(path: Path, nodes: list[dict], **changes) -> Path:
-    """A GLB whose mesh 0 is the unit cube from the origin to (1, 1, 1)."""
-    mesh = box((1, 1, 1), (0.5, 0.5, 0.5))
-    points, faces = mesh.vertices.astype("<f4").tobytes(), mesh.faces.astype("<u2").tobytes()
-    document = {
-        "asset": {"version": "2.0"},
-        "scene": 0,
-        "scenes": [{"nodes": [0]}],
-        "nodes": nodes,
-        "meshes": [{"name": "cube", "primitives": [{"attributes": {"POSITION": 0}, "indices": 1}]}],
-        "accessors": [
-            {"bufferView": 0, "componentType": 5126, "count": 8, "type": "VEC3"},
-            {"bufferView": 1, "componentType": 5123, "count": 36, "type": "SCALAR"},
-        ],
-        "bufferViews": [
-            {"buffer": 0, "byteLength": len(points)},
-            {"buffer": 0, "byteLength": len(faces), "byteOffset": len(points)},
-        ],
-        "buffers": [{"byteLength": len(points) + len(faces)}],
-        **changes,
-    }
-    text = json.dumps(document).encode()
-    text += b" " * (-len(text) % 4)
-    binary = points + faces + b"\0" * (-len(points + faces) % 4)
-    body = struct.pack("<II", len(text), 0x4E4F534A) + text + struct.pack("<II", len(binary), 0x004E4942) + binary
-    path.write_bytes(b"glTF" + struct.pack("<II", 2, 12 + len(body)) + body)
-    return path
 
 
 def test_scene_graph_transforms(tmp_path):
@@ -127,7 +72,7 @@ def test_scene_graph_transforms(tmp_path):
         {"name": "seat", "scale": [4, 1, 1], "mesh": 0, "children": [2]},
         {"name": "back", "translation": [0, 1, 0], "rotation": [0, 0, HALF, HALF], "mesh": 0},
     ]
-    raw = folder.read(glb(tmp_path / "chair.glb", nodes), scale=1.0)
+    raw = folder.read(write_glb(tmp_path / "chair.glb", nodes), scale=1.0)
     assert [p.name for p in raw.parts] == ["seat", "back"]
     # glTF frame: seat x 2..6, y 0..1, z 0..1; back: cube turned to x -1..0, stretched to -4..0, so x -2..2, y 1..2.
     # z up: (x, -z, y), centred on x 2 and y -0.5.
@@ -139,7 +84,7 @@ def test_scene_graph_transforms(tmp_path):
 def test_matrices_are_column_major_and_mirrors_stay_solid(tmp_path):
     matrix = [-1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 5, 0, 0, 1]
     nodes = [{"children": [1, 2]}, {"name": "a", "mesh": 0}, {"name": "b", "mesh": 0, "matrix": matrix}]
-    raw = folder.read(glb(tmp_path / "x.glb", nodes), scale=1.0)
+    raw = folder.read(write_glb(tmp_path / "x.glb", nodes), scale=1.0)
     assert np.allclose(raw.parts[1].mesh.bounds[:, 0] - raw.parts[0].mesh.bounds[0, 0], [4, 5], atol=1e-6)
     assert all(p.mesh.is_solid for p in raw.parts)
 
@@ -154,7 +99,7 @@ def test_names(tmp_path):
         {"mesh": 0, "translation": [4, 0, 0]},
         {"mesh": 0, "translation": [6, 0, 0]},
     ]
-    raw = folder.read(glb(tmp_path / "x.glb", nodes))
+    raw = folder.read(write_glb(tmp_path / "x.glb", nodes))
     assert [p.name for p in raw.parts] == ["leg", "leg_2", "cube", "cube_2"]
 
 
@@ -166,19 +111,8 @@ def test_nameless_pieces_of_one_part_are_joined(tmp_path):
         {"mesh": 0, "translation": [0, 1, 0]},
         {"name": "top", "mesh": 0, "translation": [0, 2, 0]},
     ]
-    raw = folder.read(glb(tmp_path / "x.glb", nodes))
+    raw = folder.read(write_glb(tmp_path / "x.glb", nodes))
     assert [(p.name, len(p.mesh.faces)) for p in raw.parts] == [("leg", 24), ("top", 12)]
-
-
-PAIR = [{"children": [1, 2]}, {"name": "a", "mesh": 0}, {"name": "b", "mesh": 0, "translation": [1, 0, 0]}]
-VIEWS = [{"buffer": 0, "byteLength": 96}, {"buffer": 0, "byteLength": 72, "byteOffset": 96}]
-
-
-def accessors(**changes) -> list[dict]:
-    return [
-        {"bufferView": 0, "componentType": 5126, "count": 8, "type": "VEC3", **changes},
-        {"bufferView": 1, "componentType": 5123, "count": 36, "type": "SCALAR"},
-    ]
 
 
 @pytest.mark.parametrize(
@@ -195,24 +129,24 @@ def accessors(**changes) -> list[dict]:
         ([{"mesh": 0, "matrix": [1]}], {}, "matrix of 1 numbers"),
         ([{"mesh": "x"}], {}, "not valid"),
         ([{"children": [k + 1]} for k in range(300)] + [{"mesh": 0}], {}, "nested deeper"),
-        (PAIR, {"scene": 5}, "scene 5"),
-        (PAIR, {"accessors": []}, "accessor 0"),
-        (PAIR, {"accessors": accessors(count=2**60)}, "beyond its buffer"),
-        (PAIR, {"accessors": accessors(count=9)}, "beyond its buffer"),
-        (PAIR, {"accessors": accessors(byteOffset=-4)}, "beyond its buffer"),
-        (PAIR, {"accessors": accessors(bufferView=None)}, "sparse or compressed"),
-        (PAIR, {"accessors": accessors(sparse={"count": 1})}, "sparse or compressed"),
-        (PAIR, {"accessors": accessors(type="VEC4")}, "no list of points"),
-        (PAIR, {"bufferViews": [{**VIEWS[0], "byteStride": 0}, VIEWS[1]]}, "beyond its buffer"),
-        (PAIR, {"bufferViews": [{**VIEWS[0], "buffer": 1}, VIEWS[1]]}, "outside the file"),
-        (PAIR, {"extensionsRequired": ["KHR_draco_mesh_compression"]}, "requires KHR_draco"),
-        (PAIR, {"meshes": [{"primitives": []}]}, "has no faces"),
-        (PAIR, {"meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "mode": 9}]}]}, "mode 9"),
+        (PART_PAIR, {"scene": 5}, "scene 5"),
+        (PART_PAIR, {"accessors": []}, "accessor 0"),
+        (PART_PAIR, {"accessors": glb_accessors(count=2**60)}, "beyond its buffer"),
+        (PART_PAIR, {"accessors": glb_accessors(count=9)}, "beyond its buffer"),
+        (PART_PAIR, {"accessors": glb_accessors(byteOffset=-4)}, "beyond its buffer"),
+        (PART_PAIR, {"accessors": glb_accessors(bufferView=None)}, "sparse or compressed"),
+        (PART_PAIR, {"accessors": glb_accessors(sparse={"count": 1})}, "sparse or compressed"),
+        (PART_PAIR, {"accessors": glb_accessors(type="VEC4")}, "no list of points"),
+        (PART_PAIR, {"bufferViews": [{**GLB_VIEWS[0], "byteStride": 0}, GLB_VIEWS[1]]}, "beyond its buffer"),
+        (PART_PAIR, {"bufferViews": [{**GLB_VIEWS[0], "buffer": 1}, GLB_VIEWS[1]]}, "outside the file"),
+        (PART_PAIR, {"extensionsRequired": ["KHR_draco_mesh_compression"]}, "requires KHR_draco"),
+        (PART_PAIR, {"meshes": [{"primitives": []}]}, "has no faces"),
+        (PART_PAIR, {"meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "mode": 9}]}]}, "mode 9"),
     ],
 )
 def test_broken_scenes(tmp_path, nodes, changes, message):
     with pytest.raises(FurnitureError, match=message) as caught:
-        folder.read(glb(tmp_path / "x.glb", nodes, **changes))
+        folder.read(write_glb(tmp_path / "x.glb", nodes, **changes))
     assert "\n" not in str(caught.value)
     assert "x.glb" in str(caught.value)
 
@@ -222,17 +156,17 @@ def test_amplification_is_refused(tmp_path):
     many = [{"children": list(range(1, 1_001))}, *({"name": "a", "mesh": 0} for _ in range(1_000))]
     primitives = [{"attributes": {"POSITION": 0}, "indices": 1}] * 2000
     with pytest.raises(FurnitureError, match="more than 2000000 faces"):
-        folder.read(glb(tmp_path / "x.glb", many, meshes=[{"primitives": primitives}]))
+        folder.read(write_glb(tmp_path / "x.glb", many, meshes=[{"primitives": primitives}]))
 
 
 def test_find(tmp_path):
     scenes = tmp_path / "set" / "scenes"
     scenes.mkdir(parents=True)
-    table = write(tmp_path / "set" / "table")
-    scene, other = glb(scenes / "a.glb", PAIR), glb(scenes / "b.glb", PAIR)
+    table = write_table(tmp_path / "set" / "table")
+    scene, other = write_glb(scenes / "a.glb", PART_PAIR), write_glb(scenes / "b.glb", PART_PAIR)
     assert folder.find(tmp_path) == sorted([table, scene, other])
     assert folder.find(scene) == [scene]
-    glb(scenes / "c.glb", [{"mesh": 0}])
+    write_glb(scenes / "c.glb", [{"mesh": 0}])
     assert folder.find(scenes) == [scenes], "not all are scenes: then each file is a part"
     assert folder.find(table / "top.obj") == [table / "top.obj"]
     with pytest.raises(FurnitureError, match=r"top\.obj': 1 part; furniture has 2 to 20: give a folder of named parts"):
@@ -245,7 +179,7 @@ def test_find(tmp_path):
 
 
 def test_things_that_are_no_files(tmp_path):
-    table = write(tmp_path / "table")
+    table = write_table(tmp_path / "table")
     (table / "more.obj").mkdir()
     assert len(folder.read(table).parts) == 3
     (table / "loop.obj").symlink_to(table / "loop.obj")
@@ -343,7 +277,7 @@ def test_broken_files(tmp_path, name, text, message):
 
 
 def test_large_files_are_refused(tmp_path):
-    table = write(tmp_path / "table")
+    table = write_table(tmp_path / "table")
     with (table / "top.obj").open("ab") as file:
         file.truncate(2**40)  # sparse: takes no room on disk
     with pytest.raises(FurnitureError, match="larger than 128 MiB"):

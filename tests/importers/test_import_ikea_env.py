@@ -3,49 +3,22 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
 
+from model_files import IKEA_PLATE, IKEA_POST, ikea_body, write_ikea_env
 from roboassembly.errors import FurnitureError
 from roboassembly.furniture import storage
 from roboassembly.importers import ikea_env
 from roboassembly.importers.pipeline import finish
 
-HALF = "0.70710678"
-Sites = Sequence[tuple[str, str, str]]
-
-
-def body(name: str, sites: Sites, *, pose: str = "", scale: str = "1 1 1") -> tuple[str, str]:
-    """Asset and body."""
-    marks = "".join(f'<site name="{n}" pos="{p}" quat="{q}" size="0.01"/>' for n, p, q in sites)
-    return (
-        f'<mesh file="piece/{name}.stl" name="m_{name}" scale="{scale}"/>',
-        f'<body name="{name}" {pose}><geom type="mesh" mesh="m_{name}" pos="0 0 0"/>'
-        f'<geom type="box" euler="1.57 0 0" size="1 1 1" rgba="0 0 0 0"/>{marks}</body>',
-    )
-
-
-def write(folder: Path, *bodies: tuple[str, str], extra: str = "") -> Path:
-    (folder / "piece").mkdir(exist_ok=True)
-    for name, extents in (("post", (0.1, 0.1, 0.4)), ("plate", (0.4, 0.2, 0.02)), ("rail", (0.1, 0.1, 0.1))):
-        trimesh.creation.box(extents).export(folder / "piece" / f"{name}.stl")
-    file = folder / "piece.xml"
-    assets, elements = "".join(a for a, _ in bodies), "".join(b for _, b in bodies)
-    file.write_text(f"<mujoco>{extra}<asset>{assets}</asset><worldbody>{elements}</worldbody></mujoco>")
-    return file
-
-
-POST = body("post", [("post-plate,90,conn_site1", "0 0 0.2", "1 0 0 0")], pose='pos="5 5 5"')
-PLATE = body("plate", [("plate-post,90,conn_site1", "0.1 0 -0.01", "0 1 0 0")], pose=f'quat="{HALF} 0 {HALF} 0"')
-
 
 def test_rotated_sites(tmp_path):
     """By hand: plate from post is T(0, 0, 0.2) Rz(90) [T(0.1, 0, -0.01) Rx(180)]^-1: centre (0, -0.1, 0.19)."""
-    raw = ikea_env.read(write(tmp_path, POST, PLATE))
+    raw = ikea_env.read(write_ikea_env(tmp_path, IKEA_POST, IKEA_PLATE))
     post, plate = (p.mesh.bounds for p in raw.parts)
     # The plate lies upside down, its long side along y; all is centred and set on the ground.
     assert np.allclose(post, [[-0.05, 0.05, 0.0], [0.05, 0.15, 0.4]], atol=1e-6)
@@ -60,41 +33,41 @@ def test_rotated_sites(tmp_path):
 
 
 def test_scale(tmp_path):
-    raw = ikea_env.read(write(tmp_path, POST, PLATE), scale=2.0)
+    raw = ikea_env.read(write_ikea_env(tmp_path, IKEA_POST, IKEA_PLATE), scale=2.0)
     assert np.allclose(raw.parts[1].mesh.bounds, [[-0.2, -0.4, 0.76], [0.2, 0.4, 0.8]], atol=1e-6)
     assert np.allclose(raw.sites[0].frame.translation, [0.0, 0.2, 0.8], atol=1e-6)
 
 
 def test_mirrored_and_stretched_meshes(tmp_path):
-    plate = body("plate", [("plate-post,90,conn_site1", "0.1 0 -0.01", "0 1 0 0")], scale="-1 0.5 1")
-    mesh = ikea_env.read(write(tmp_path, POST, plate)).parts[1].mesh
+    plate = ikea_body("plate", [("plate-post,90,conn_site1", "0.1 0 -0.01", "0 1 0 0")], scale="-1 0.5 1")
+    mesh = ikea_env.read(write_ikea_env(tmp_path, IKEA_POST, plate)).parts[1].mesh
     assert mesh.is_solid
     assert mesh.volume == pytest.approx(0.4 * 0.1 * 0.02, rel=1e-4)
 
 
 def test_the_way_most_bodies_are_drawn_is_up(tmp_path):
     sites = [("a-b,0,conn_site1", "0 0 0.2", "1 0 0 0"), ("a-c,0,conn_site1", "0 0 -0.2", "1 0 0 0")]
-    post = body("post", sites)
-    plate = body("plate", [("b-a,0,conn_site1", "0 0 0", "1 0 0 0")], pose='quat="0 1 0 0"')
-    rail = body("rail", [("c-a,0,conn_site1", "0 0 0", "1 0 0 0")], pose='quat="0 1 0 0"')
-    raw = ikea_env.read(write(tmp_path, post, plate, rail))
+    post = ikea_body("post", sites)
+    plate = ikea_body("plate", [("b-a,0,conn_site1", "0 0 0", "1 0 0 0")], pose='quat="0 1 0 0"')
+    rail = ikea_body("rail", [("c-a,0,conn_site1", "0 0 0", "1 0 0 0")], pose='quat="0 1 0 0"')
+    raw = ikea_env.read(write_ikea_env(tmp_path, post, plate, rail))
     assert raw.parts[1].mesh.bounds[1, 2] < 0.1 < raw.parts[2].mesh.bounds[0, 2]
 
 
 def two_pairs(at: str) -> tuple[tuple[str, str], tuple[str, str]]:
     post = [("a-b,0,90,conn_site1", "0 0 0.2", "1 0 0 0"), ("a-b,0,90,conn_site2", "0.04 0 0.2", "1 0 0 0")]
     plate = [("b-a,0,90,conn_site1", "0 0 0", "1 0 0 0"), ("b-a,0,90,conn_site2", at, "1 0 0 0")]
-    return body("post", post), body("plate", plate)
+    return ikea_body("post", post), ikea_body("plate", plate)
 
 
 def test_the_angle_is_the_one_that_closes(tmp_path):
-    raw = ikea_env.read(write(tmp_path, *two_pairs("0 -0.04 0")))
+    raw = ikea_env.read(write_ikea_env(tmp_path, *two_pairs("0 -0.04 0")))
     assert np.allclose(np.ptp(raw.parts[1].mesh.bounds, axis=0), [0.2, 0.4, 0.02], atol=1e-6)
     assert [site.mate for site in raw.sites] == [1, 0, 3, 2]
 
 
 def test_sites_stay_where_their_parts_are_and_survive_a_file(tmp_path):
-    furniture = finish("piece", ikea_env.read(write(tmp_path, *two_pairs("0 -0.04 0")))).furniture
+    furniture = finish("piece", ikea_env.read(write_ikea_env(tmp_path, *two_pairs("0 -0.04 0")))).furniture
     loaded = storage.load(storage.save(furniture, tmp_path / "out"))
     assert [(s.name, s.part, s.mate) for s in loaded.sites] == [(s.name, s.part, s.mate) for s in furniture.sites]
     assert len(loaded.sites) == 4
@@ -107,8 +80,8 @@ def test_sites_stay_where_their_parts_are_and_survive_a_file(tmp_path):
 
 def test_sites_follow_a_part_that_repair_moves(tmp_path):
     """The plate hangs 6 mm above the post until repair brings it there: then its sites do not meet any more."""
-    plate = body("plate", [("plate-post,90,conn_site1", "0.1 0 0.016", "0 1 0 0")])
-    raw = ikea_env.read(write(tmp_path, POST, plate))
+    plate = ikea_body("plate", [("plate-post,90,conn_site1", "0.1 0 0.016", "0 1 0 0")])
+    raw = ikea_env.read(write_ikea_env(tmp_path, IKEA_POST, plate))
     imported = finish("piece", raw)
     assert sum(repair.displacement for repair in imported.repairs) == pytest.approx(0.0058, abs=1e-4)
     for site, before in zip(imported.furniture.sites, raw.sites, strict=True):
@@ -125,7 +98,9 @@ def test_sites_follow_a_part_that_repair_moves(tmp_path):
 
 def test_scaled_up_sites_still_meet(tmp_path):
     """0.9 mm apart in the file, 1.8 mm at twice the size."""
-    furniture = finish("piece", ikea_env.read(write(tmp_path, *two_pairs("0.0009 -0.04 0")), scale=2.0)).furniture
+    furniture = finish(
+        "piece", ikea_env.read(write_ikea_env(tmp_path, *two_pairs("0.0009 -0.04 0")), scale=2.0)
+    ).furniture
     assert [site.mate for site in furniture.sites] == [1, 0, 3, 2]
     assert not any("connection sites" in note for note in furniture.provenance.notes)
 
@@ -141,7 +116,7 @@ def test_scaled_up_sites_still_meet(tmp_path):
 )
 def test_broken_sites(tmp_path, old, new, message):
     folder = storage.save(
-        finish("piece", ikea_env.read(write(tmp_path, *two_pairs("0 -0.04 0")))).furniture, tmp_path / "o"
+        finish("piece", ikea_env.read(write_ikea_env(tmp_path, *two_pairs("0 -0.04 0")))).furniture, tmp_path / "o"
     )
     text = (folder / "furniture.json").read_text()
     assert text.count(old) == 1
@@ -152,24 +127,24 @@ def test_broken_sites(tmp_path, old, new, message):
 
 
 def test_what_does_not_close_is_refused_with_the_figure(tmp_path):
-    ikea_env.read(write(tmp_path, *two_pairs("0.0409 0 0")))
+    ikea_env.read(write_ikea_env(tmp_path, *two_pairs("0.0409 0 0")))
     with pytest.raises(FurnitureError, match=r"'a-b,0,90,conn_site2'.* stay 2\.50 mm and 0° apart; 1 mm"):
-        ikea_env.read(write(tmp_path, *two_pairs("0.0425 0 0")))
+        ikea_env.read(write_ikea_env(tmp_path, *two_pairs("0.0425 0 0")))
 
 
 def test_tilted_pairs_do_not_close(tmp_path):
     post = [("a-b,0,conn_site1", "0 0 0.2", "1 0 0 0"), ("a-b,0,conn_site2", "0.04 0 0.2", "1 0 0 0")]
-    plate = [("b-a,0,conn_site1", "0 0 0", "1 0 0 0"), ("b-a,0,conn_site2", "0.04 0 0", f"{HALF} {HALF} 0 0")]
+    plate = [("b-a,0,conn_site1", "0 0 0", "1 0 0 0"), ("b-a,0,conn_site2", "0.04 0 0", "0.70710678 0.70710678 0 0")]
     with pytest.raises(FurnitureError, match="90° apart"):
-        ikea_env.read(write(tmp_path, body("post", post), body("plate", plate)))
+        ikea_env.read(write_ikea_env(tmp_path, ikea_body("post", post), ikea_body("plate", plate)))
 
 
 def test_sites_without_their_number_take_what_is_left(tmp_path):
-    post = body("post", [("leg-top,,conn_site0", "0 0 0.2", "1 0 0 0")])
-    plate = body(
+    post = ikea_body("post", [("leg-top,,conn_site0", "0 0 0.2", "1 0 0 0")])
+    plate = ikea_body(
         "plate", [("top-leg,,conn_site4", "0.15 0 0", "1 0 0 0"), ("top-leg,,conn_site5", "-0.15 0 0", "1 0 0 0")]
     )
-    sites = ikea_env.read(write(tmp_path, post, plate)).sites
+    sites = ikea_env.read(write_ikea_env(tmp_path, post, plate)).sites
     assert [(s.name[-5:], s.mate) for s in sites] == [("site0", 1), ("site4", 0), ("site5", None)]
 
 
@@ -181,7 +156,9 @@ def test_a_search_that_leads_nowhere_ends(tmp_path):
     plate += [("b-c,0,conn_site1", "0 0 0", "1 0 0 0"), ("b-c,0,conn_site2", "0.1 0 0", "1 0 0 0")]
     rail = [("c-b,0,conn_site1", "0 0 0", "1 0 0 0"), ("c-b,0,conn_site2", "0.2 0 0", "1 0 0 0")]
     with pytest.raises(FurnitureError, match=r"100\.00 mm .*\(gave up after \d+ placements\)"):
-        ikea_env.read(write(tmp_path, body("post", post), body("plate", plate), body("rail", rail)))
+        ikea_env.read(
+            write_ikea_env(tmp_path, ikea_body("post", post), ikea_body("plate", plate), ikea_body("rail", rail))
+        )
 
 
 @pytest.mark.parametrize(
@@ -199,7 +176,7 @@ def test_a_search_that_leads_nowhere_ends(tmp_path):
     ],
 )
 def test_broken_xml(tmp_path, text, message):
-    file = write(tmp_path, POST, PLATE)
+    file = write_ikea_env(tmp_path, IKEA_POST, IKEA_PLATE)
     file.write_text(text)
     with pytest.raises(FurnitureError, match=message) as caught:
         ikea_env.read(file)
@@ -207,7 +184,7 @@ def test_broken_xml(tmp_path, text, message):
 
 
 def test_entities_in_other_encodings(tmp_path):
-    file = write(tmp_path, POST, PLATE)
+    file = write_ikea_env(tmp_path, IKEA_POST, IKEA_PLATE)
     file.write_bytes(
         '<?xml version="1.0" encoding="UTF-16"?><!DOCTYPE m [<!ENTITY a "b">]><mujoco>&a;</mujoco>'.encode("utf-16")
     )
@@ -242,7 +219,7 @@ def test_entities_in_other_encodings(tmp_path):
 def test_broken_models(tmp_path, old, new, message):
     folder = tmp_path / "in"
     folder.mkdir()
-    file = write(folder, POST, PLATE)
+    file = write_ikea_env(folder, IKEA_POST, IKEA_PLATE)
     trimesh.creation.box().export(tmp_path / "outside.stl")
     (folder / "piece" / "link.stl").symlink_to(tmp_path / "outside.stl")
     file.write_text(file.read_text().replace(old, new))
@@ -252,13 +229,13 @@ def test_broken_models(tmp_path, old, new, message):
 
 
 def test_meshdir(tmp_path):
-    file = write(tmp_path, POST, PLATE, extra='<compiler meshdir="piece"/>')
+    file = write_ikea_env(tmp_path, IKEA_POST, IKEA_PLATE, extra='<compiler meshdir="piece"/>')
     file.write_text(file.read_text().replace("piece/po", "po").replace("piece/pl", "pl"))
     assert len(ikea_env.read(file).parts) == 2
 
 
 def test_find(tmp_path):
-    file = write(tmp_path, POST, PLATE)
+    file = write_ikea_env(tmp_path, IKEA_POST, IKEA_PLATE)
     (tmp_path / "other.xml").write_text("<robot/>")
     assert ikea_env.find(tmp_path) == ikea_env.find(file) == [file]
     with pytest.raises(FurnitureError, match="holds no MJCF"):

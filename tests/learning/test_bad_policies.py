@@ -6,17 +6,16 @@ import io
 import json
 import struct
 import zipfile
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
 
+from command_line import Run
 from roboassembly.datasets import catalogue
 from roboassembly.furniture import storage
 
-Run = Callable[..., tuple[int, str, str]]
 WOULD_DO = "name a checkpoint (.npz) that `roboassembly train` wrote, or a Python file (.py) that defines policy(seed)"
 
 

@@ -13,8 +13,8 @@ from types import ModuleType
 
 import numpy as np
 import pytest
-from test_cli import Run
 
+from command_line import Run
 from roboassembly.datasets.sets import furniture_refs
 from roboassembly.envs.full import FullEnv
 from roboassembly.envs.object_centric import ObjectCentricEnv

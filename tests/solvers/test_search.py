@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 import subprocess
 import sys
@@ -15,6 +14,7 @@ import numpy as np
 import pytest
 
 import shapes
+from plans import plan_digest
 from roboassembly.furniture.model import Furniture
 from roboassembly.generate import FAMILIES
 from roboassembly.geometry.poses import SE3
@@ -24,28 +24,8 @@ from roboassembly.solvers.blocking import BlockingGraphs
 from roboassembly.solvers.guide import Guide, Suggestion
 from roboassembly.solvers.search import SearchLimits, SearchResult, solve, solve_from
 from roboassembly.task.object_centric.task import ObjectCentricTask, ObjectCentricVerdict
-from roboassembly.task.plans.plan import Plan
 from roboassembly.task.rules.groups import Group, TaskState
 from shapes import Checker
-
-
-def digest(plan: Plan) -> str:
-    """All numbers of a plan but its times."""
-    out = hashlib.sha256()
-    for where in plan.initial:
-        out.update(where.homogeneous.tobytes())
-    for step in plan.steps:
-        out.update(
-            repr(
-                (step.action, step.waiting, step.planning_steps, step.planner, sorted(step.moving), sorted(step.still))
-            ).encode()
-        )
-        poses = [*step.path, *step.settling, *step.after, *(step.moving[p] for p in sorted(step.moving))]
-        poses += [step.still[p] for p in sorted(step.still)]
-        for where in poses:
-            out.update(where.homogeneous.tobytes())
-    out.update(repr((plan.success, plan.seed)).encode())
-    return out.hexdigest()
 
 
 def scene_of(furniture: Furniture, moving: dict[int, SE3], still: dict[int, SE3]) -> Scene:
@@ -235,34 +215,34 @@ def test_the_same_seed_gives_the_same_plan(chair) -> None:
     furniture = chair("sled", 1)
     one, two, other = solve(furniture, 4), solve(furniture, 4), solve(furniture, 5)
     assert one.plan.success
-    assert digest(one.plan) == digest(two.plan)
+    assert plan_digest(one.plan) == plan_digest(two.plan)
     assert (one.planning_steps, one.attempts, one.backtracks) == (two.planning_steps, two.attempts, two.backtracks)
-    assert digest(one.plan) != digest(other.plan)
+    assert plan_digest(one.plan) != plan_digest(other.plan)
 
 
 def test_sharing_the_task_changes_nothing(captive_slat: Furniture) -> None:
     task = ObjectCentricTask(captive_slat)
     solve(captive_slat, 1, task=task)
-    assert digest(solve(captive_slat, 2, task=task).plan) == digest(solve(captive_slat, 2).plan)
+    assert plan_digest(solve(captive_slat, 2, task=task).plan) == plan_digest(solve(captive_slat, 2).plan)
 
 
 _SCRIPT = """
 import sys
-sys.path[:0] = [sys.argv[1], sys.argv[1] + "/solvers"]
-from test_search import digest
+sys.path.insert(0, sys.argv[1])
 import shapes
+from plans import plan_digest
 from roboassembly.furniture.annotate import annotate
 from roboassembly.generate import generate
 from roboassembly.furniture.model import Provenance
 from roboassembly.solvers.search import solve
-print(digest(solve(shapes.captive_slat(), 3).plan))
-print(digest(solve(annotate("pedestal", generate("pedestal", 1), Provenance("x")), 3).plan))
+print(plan_digest(solve(shapes.captive_slat(), 3).plan))
+print(plan_digest(solve(annotate("pedestal", generate("pedestal", 1), Provenance("x")), 3).plan))
 """
 
 
 @pytest.mark.slow
 def test_another_process_finds_the_same_plan(captive_slat: Furniture, chair) -> None:
-    here = [digest(solve(captive_slat, 3).plan), digest(solve(chair("pedestal", 1), 3).plan)]
+    here = [plan_digest(solve(captive_slat, 3).plan), plan_digest(solve(chair("pedestal", 1), 3).plan)]
     running = [
         subprocess.Popen(
             [sys.executable, "-c", _SCRIPT, str(Path(__file__).parents[1])],
@@ -284,7 +264,7 @@ def test_global_random_state_is_left_alone(captive_slat: Furniture) -> None:
     one = solve(captive_slat, 0)
     assert np.array_equal(before, np.random.get_state()[1])  # noqa: NPY002
     np.random.seed(7)  # noqa: NPY002
-    assert digest(one.plan) == digest(solve(captive_slat, 0).plan)
+    assert plan_digest(one.plan) == plan_digest(solve(captive_slat, 0).plan)
 
 
 @pytest.mark.parametrize("seed", [0, 1])
@@ -330,7 +310,7 @@ def test_a_perfect_guide_makes_every_merge_itself(chair) -> None:
     check(result, 0.01)
     merges = len(furniture.parts) - 1
     assert (result.guided, result.attempts, result.backtracks, len(seen)) == (merges, merges, 0, merges)
-    assert digest(result.plan) == digest(plain.plan)
+    assert plan_digest(result.plan) == plan_digest(plain.plan)
     # Nothing was thought out, so nothing but the planner's own states counts.
     assert result.planning_steps == sum(step.planning_steps for step in plain.plan.steps) < plain.planning_steps
     assert result.guide_seconds > 0.0
@@ -346,7 +326,7 @@ def test_a_guide_that_is_always_wrong_costs_nothing_but_time(chair) -> None:
     wrong = [a for a in every if task.prepare(state, a) is None][:50]
     guide, seen = counted(scripted(wrong))
     result = solve(furniture, 0, guide=guide)
-    assert digest(result.plan) == digest(plain.plan)
+    assert plan_digest(result.plan) == plan_digest(plain.plan)
     assert (result.guided, len(seen)) == (0, 1)
     assert result.planning_steps == plain.planning_steps
     assert plain.attempts < result.attempts <= plain.attempts + 5
@@ -358,7 +338,7 @@ def test_a_guide_that_names_no_actions_or_is_unsure_is_left_alone(table: Furnitu
     unsure = scripted([step.action for step in plain.plan.steps], score=0.01)
     for guide in (nonsense, unsure, lambda task, state: []):
         result = solve(table, 0, guide=guide)
-        assert digest(result.plan) == digest(plain.plan)
+        assert plan_digest(result.plan) == plan_digest(plain.plan)
         assert result.guided == 0
 
 

@@ -13,10 +13,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_search import digest
 from viser import _messages
 
 import shapes
+from plans import plan_digest
 from roboassembly.audit.object_centric import audit_plan
 from roboassembly.datasets import catalogue
 from roboassembly.errors import InputError
@@ -57,7 +57,7 @@ def test_a_session_found_by_the_search_is_the_plan_of_the_search(stool):
     assert session.search(None, go_on) == ""
     assert session.task_state.complete
     assert session.reward == len(stool.parts) - 1 + 4
-    assert digest(session.plan()) == digest(solve(stool, 3).plan)
+    assert plan_digest(session.plan()) == plan_digest(solve(stool, 3).plan)
 
 
 def test_steps_done_one_by_one_with_the_search_s_actions_give_its_plan(stool):
