@@ -180,7 +180,7 @@ def test_more_than_twenty_parts(run: Run, tmp_path: Path) -> None:
 
 def test_split_is_for_folders(run: Run, tmp_path: Path) -> None:
     status, _, err = run("import", "partnet", tmp_path, "--split")
-    assert (status, "--split is for 'folder'" in err) == (2, True)
+    assert (status, "--split is for the format 'folder'" in err) == (2, True)
 
 
 def test_one_body_is_no_furniture(run: Run, tmp_path: Path) -> None:

@@ -136,7 +136,7 @@ def test_nameless_pieces_of_one_part_are_joined(tmp_path):
         (PART_PAIR, {"accessors": glb_accessors(byteOffset=-4)}, "beyond its buffer"),
         (PART_PAIR, {"accessors": glb_accessors(bufferView=None)}, "sparse or compressed"),
         (PART_PAIR, {"accessors": glb_accessors(sparse={"count": 1})}, "sparse or compressed"),
-        (PART_PAIR, {"accessors": glb_accessors(type="VEC4")}, "no list of points"),
+        (PART_PAIR, {"accessors": glb_accessors(type="VEC4")}, "not a list of points"),
         (PART_PAIR, {"bufferViews": [{**GLB_VIEWS[0], "byteStride": 0}, GLB_VIEWS[1]]}, "beyond its buffer"),
         (PART_PAIR, {"bufferViews": [{**GLB_VIEWS[0], "buffer": 1}, GLB_VIEWS[1]]}, "outside the file"),
         (PART_PAIR, {"extensionsRequired": ["KHR_draco_mesh_compression"]}, "requires KHR_draco"),

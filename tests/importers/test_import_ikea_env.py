@@ -201,7 +201,7 @@ def test_entities_in_other_encodings(tmp_path):
         ("piece/post.stl", "C:\\\\windows", "not inside"),
         ("piece/post.stl", "", "not inside"),
         ("piece/post.stl", "piece/gone.stl", "cannot be read"),
-        ("piece/post.stl", "piece", "no mesh that can be read"),
+        ("piece/post.stl", "piece", "not a mesh file that can be read"),
         ('mesh="m_post"', 'mesh="x"', "not among its assets"),
         ('mesh="m_post"', "", "no mesh; bodies made of primitives"),
         ('name="plate"', 'name="post"', "all different"),
@@ -212,7 +212,7 @@ def test_entities_in_other_encodings(tmp_path):
         ('scale="1 1 1"', 'scale="0 1 1"', "is scaled by"),
         ('scale="1 1 1"', 'scale="1e5 1e5 1e5"', "give another scale"),
         ("plate-post,90,", "plate-seat,90,", "do not join all parts"),
-        ("post-plate,90,", "post-plate,ninety,", "angles that are no numbers"),
+        ("post-plate,90,", "post-plate,ninety,", "angles in its name are not numbers"),
         ("<geom", "<body/><geom", "holds another body"),
     ],
 )

@@ -111,10 +111,10 @@ def test_anything_that_matters_makes_it_anew(
     elif change == "up":
         arguments = ["--up", "z"]
     elif change == "program":
-        monkeypatch.setattr(kept, "_program", lambda: b"another")
+        monkeypatch.setattr(kept, "program_hash", lambda: b"another")
     elif change == "library":
-        monkeypatch.setattr(kept, "_program", kept._program.__wrapped__)
-        monkeypatch.setattr(kept, "_version", lambda name: "0.0.0" if name == "manifold3d" else "1.0.0")
+        monkeypatch.setattr(kept, "program_hash", kept.program_hash.__wrapped__)
+        monkeypatch.setattr(kept, "library_version", lambda name: "0.0.0" if name == "manifold3d" else "1.0.0")
     else:
         arguments = ["--no-cache"]
     assert not run(capsys, source, "--out", tmp_path / "a", *arguments)["cached"]
@@ -122,8 +122,8 @@ def test_anything_that_matters_makes_it_anew(
 
 
 def test_a_library_by_another_name_is_no_error() -> None:
-    assert kept._version("numpy")
-    assert kept._version("no-such-library") is None
+    assert kept.library_version("numpy")
+    assert kept.library_version("no-such-library") is None
 
 
 def test_files_behind_links_count(tmp_path: Path, finished: list[str], capsys, monkeypatch) -> None:
@@ -204,7 +204,7 @@ def test_a_damaged_entry_is_made_anew(damage: str, source: Path, tmp_path: Path,
 
 def test_an_entry_of_another_form_is_made_anew(source: Path, tmp_path: Path, finished: list[str], capsys) -> None:
     run(capsys, source, "--out", tmp_path / "a")
-    entry(tmp_path).write_bytes(kept._checksum(b"\x01") + b"\x01")
+    entry(tmp_path).write_bytes(kept.checksum(b"\x01") + b"\x01")
     assert run(capsys, source, "--out", tmp_path / "b")["error"] is None
     assert len(finished) == 2
 
@@ -267,7 +267,7 @@ def test_what_was_not_used_for_longest_makes_room(tmp_path: Path, monkeypatch: p
         (tmp_path / name).write_bytes(b"x" * 100)
         at = now - (2 * 86_400 if name == ".new-abandoned" else age)
         os.utime(tmp_path / name, (at, at))
-    kept._make_room(tmp_path)
+    kept.evict(tmp_path)
     assert sorted(p.name for p in tmp_path.iterdir()) == [".new-half", "new.import", "older.import"]
 
 

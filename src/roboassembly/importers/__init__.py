@@ -1,4 +1,4 @@
-"""Furniture from elsewhere: one importer a format, all with the same two functions."""
+"""Importers of furniture: one for each file format, all with the functions `find` and `read`."""
 
 from __future__ import annotations
 
@@ -15,28 +15,28 @@ __all__ = ["IMPORTERS", "Importer", "Reader"]
 
 
 class Reader(Protocol):
-    """Reads one piece that `find` found."""
+    """Function that reads one piece of furniture that `find` returned."""
 
     def __call__(self, path: Path, *, scale: float | None = None) -> RawFurniture:
-        """Parts at their assembled poses, z up, metres; `scale` is metres per unit of the files.
+        """Return the parts at their assembled poses, z up, in metres; `scale` is in metres per unit of the files.
 
         Raises:
-            FurnitureError: whatever is wrong with the files.
+            FurnitureError: the files are missing, broken or unsupported.
         """
         ...
 
 
 @dataclass(frozen=True)
 class Importer:
-    """A format that furniture can be read from."""
+    """File format that furniture is read from."""
 
     name: str
     description: str
     find: Callable[[Path], list[Path]]
-    """The pieces at or below a path; raises `FurnitureError` if there are none."""
+    """Function that lists the pieces at or below a path; raises `FurnitureError` if there are none."""
     read: Reader
     reads: Callable[[Path], Path] = lambda piece: piece
-    """The file or folder that holds all that reading a piece may look at."""
+    """Function that returns the file or folder with everything that `read` may open for a piece."""
 
 
 IMPORTERS: Mapping[str, Importer] = MappingProxyType(
@@ -67,4 +67,4 @@ IMPORTERS: Mapping[str, Importer] = MappingProxyType(
         )
     }
 )
-"""By the name that `roboassembly import` takes."""
+"""Importers by the format name that `roboassembly import` accepts."""

@@ -1,7 +1,7 @@
-"""The separate bodies of a mesh: what a file of several parts in one is split into.
+"""Split a mesh into its separate bodies, for files that hold several parts in one mesh.
 
-Faces that share an edge belong to one body. Where two bodies touch along a whole edge, four faces meet there; those
-that enclose the same piece of material belong together.
+Faces that share an edge belong to one body. Where two bodies touch along a whole edge, four faces meet at that edge;
+faces that enclose the same material are linked.
 """
 
 from __future__ import annotations
@@ -17,17 +17,17 @@ from roboassembly.errors import FurnitureError
 from roboassembly.furniture.triangles import NamedTriangles, Triangles
 
 WELD = 1e-6
-"""Vertices nearer to each other than this share of the longest side count as one."""
+"""Distance below which vertices are merged, as a share of the longest side."""
 FRAGMENT = 0.005
-"""A body whose longest side is a smaller share of the piece's longest side (5 mm of 1 m) is a scrap of the export."""
+"""Size below which a body is a scrap of the export: longest side as a share of the piece's (5 mm of 1 m)."""
 MAX_BODIES = 2_000
-"""Of one mesh."""
+"""Largest number of bodies in one mesh."""
 _SAME_ANGLE = 1e-3
-"""Radians: faces whose directions differ by less lie on each other."""
+"""Angle below which two faces around an edge coincide [rad]."""
 
 
 def bodies(surface: Triangles) -> list[Triangles]:
-    """The separate bodies of a surface, in the order of their first faces; a hollow stays with the body around it."""
+    """Return the separate bodies of a surface, in the order of their first faces; a cavity stays with its body."""
     welded = _welded(surface)
     links = _links(surface.points, surface.faces, welded)
     graph = coo_array((np.ones(len(links), dtype=bool), (links[:, 0], links[:, 1])), shape=(len(welded),) * 2)
@@ -42,12 +42,12 @@ def bodies(surface: Triangles) -> list[Triangles]:
         try:
             out.append(Triangles(surface.points, surface.faces[faces]).merged())
         except FurnitureError:
-            continue  # slivers without area enclose nothing
+            continue  # slivers have no area and enclose nothing
     return out
 
 
 def count_closed(surface: Triangles) -> int:
-    """How many separate bodies enclose something; 1 where that cannot be told."""
+    """Count the separate bodies that enclose a volume; 1 if that cannot be determined."""
     try:
         return max(1, sum(_is_closed(body) for body in bodies(surface)))
     except FurnitureError:
@@ -59,9 +59,9 @@ def _is_closed(body: Triangles) -> bool:
 
 
 def split(parts: Sequence[NamedTriangles]) -> tuple[list[NamedTriangles], list[str]]:
-    """Every body as a part of its own, `leg_1`, `leg_2`, ... where a part has several; and remarks.
+    """Make each body a part, named `leg_1`, `leg_2`, ... if a part has several; return the parts and remarks.
 
-    Scraps smaller than `FRAGMENT` are left out, and a remark says how many.
+    Scraps smaller than `FRAGMENT` are left out; a remark counts them.
     """
     found = [(part, bodies(part.triangles)) for part in parts]
     longest = max(_longest(part.triangles) for part in parts)
@@ -88,7 +88,7 @@ def _longest(surface: Triangles) -> float:
 
 
 def _welded(surface: Triangles) -> Int[np.ndarray, "f 3"]:
-    """The faces with one vertex where several nearly coincide."""
+    """Return the faces with nearly coincident vertices merged."""
     size = WELD * _longest(surface)
     _, number = np.unique(np.round(surface.points / size), axis=0, return_inverse=True)
     return number.reshape(-1)[surface.faces]
@@ -97,9 +97,9 @@ def _welded(surface: Triangles) -> Int[np.ndarray, "f 3"]:
 def _links(
     points: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"], welded: Int[np.ndarray, "f 3"]
 ) -> Int[np.ndarray, "n 2"]:
-    """Pairs of faces that bound the same body."""
+    """Return pairs of faces that bound the same body."""
     thin = (welded == welded[:, [1, 2, 0]]).any(axis=1)
-    # A sliver has no edges of its own; it belongs to some face that has one of its corners.
+    # A sliver has no edges of its own; it is linked to a face that shares one of its corners.
     owner = np.full(int(welded.max()) + 1, -1)
     owner[welded[~thin].ravel()] = np.repeat(np.flatnonzero(~thin), 3)
     slivers = np.flatnonzero(thin & (owner[welded[:, 0]] >= 0))
@@ -120,7 +120,7 @@ def _links(
 
 
 def _half_edges(welded: Int[np.ndarray, "f 3"], of: Int[np.ndarray, "g"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of each side of these faces: the face, whether it goes up (1) or down (-1) in vertex numbers, and its edge."""
+    """Return, for each side of these faces, its face, its sign (1: to the higher vertex number) and its edge."""
     tail = welded[of].ravel()
     head = welded[of][:, [1, 2, 0]].ravel()
     ends = np.sort(np.column_stack([tail, head]), axis=1)
@@ -136,13 +136,13 @@ def _crowded(
     sign: Int[np.ndarray, "h"],
     edge: Int[np.ndarray, "h"],
 ) -> Int[np.ndarray, "n 2"]:
-    """Pairs of faces at edges where more than two meet; the sides are sorted by edge.
+    """Return pairs of faces to link at edges where more than two meet; the sides are sorted by edge.
 
-    Seen along the edge, going round by rising angle, a face that goes down the edge has material behind it, up to the
-    next face that goes up.
+    The faces are ordered by angle around the edge. Material lies between a face that runs down the edge (sign -1) and
+    the next face, which runs up.
     """
     tail, head, third = (points[faces[face, (corner + k) % 3]] for k in range(3))
-    # All sides of an edge are seen along the same direction, upwards.
+    # Every side of an edge is viewed in the same direction, towards the higher vertex number.
     along = (head - tail) * sign[:, None]
     along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-300)
     across = third - tail
@@ -160,23 +160,23 @@ def _crowded(
     step[starts] = True
     place = np.empty(len(order), dtype=int)
     place[order] = np.cumsum(step)
-    # Where faces lie on each other, what ends there comes before what begins.
+    # Where faces coincide, the end of a body sorts before the start of the next.
     order = np.lexsort((-sign, place, edge))
     face, sign = face[order], sign[order]
     following = np.arange(len(order)) + 1
     following[starts + counts - 1] = starts
     begins = sign < 0
     proper = np.where(begins, sign[following] > 0, sign[following] < 0)
-    good = np.repeat(np.logical_and.reduceat(proper, starts), counts)
-    # Where faces do not alternate, nothing says which belong together: all do.
-    linked = np.where(good, begins, True)
+    alternates = np.repeat(np.logical_and.reduceat(proper, starts), counts)
+    # If faces do not alternate, the bodies cannot be told apart: all faces of the edge are linked.
+    linked = np.where(alternates, begins, True)
     return np.column_stack([face[linked], face[following[linked]]])
 
 
 def _with_hollows(
     surface: Triangles, welded: Int[np.ndarray, "f 3"], pieces: list[Int[np.ndarray, "_"]]
 ) -> list[Int[np.ndarray, "_"]]:
-    """The pieces, with closed surfaces that face inwards joined to the body that they lie in."""
+    """Join each closed surface that faces inwards to the body around it; return the remaining pieces."""
     volumes = [_enclosed(surface, welded, faces) for faces in pieces]
     solids = [k for k, volume in enumerate(volumes) if volume > 0]
     joined = dict(enumerate(pieces))
@@ -192,7 +192,7 @@ def _with_hollows(
 
 
 def _enclosed(surface: Triangles, welded: Int[np.ndarray, "f 3"], faces: Int[np.ndarray, "_"]) -> float:
-    """Volume that closed faces enclose, negative if they face inwards; 0 where they are open."""
+    """Return the volume that closed faces enclose, negative if they face inwards; 0 if they are open."""
     _, sign, edge = _half_edges(welded, faces)
     if np.bincount(edge, weights=sign).any():
         return 0.0
@@ -204,7 +204,7 @@ def _contains(surface: Triangles, faces: Int[np.ndarray, "_"], point: Float[np.n
     corners = surface.points[surface.faces[faces]].reshape(-1, 3)
     if (point <= corners.min(axis=0)).any() or (point >= corners.max(axis=0)).any():
         return False
-    import trimesh  # takes 0.3 s, and few surfaces have hollows
+    import trimesh  # the import takes 0.3 s, and few surfaces have cavities
 
     solid = trimesh.Trimesh(surface.points, surface.faces[faces], process=False)
     return bool(solid.contains(point[None])[0])

@@ -1,4 +1,4 @@
-"""What this program wrote itself below a source folder: an import does not take it for furniture to import."""
+"""Filter that keeps earlier results of this program out of an import."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from roboassembly.furniture import storage
 
 
 def without_results(found: Sequence[Path], source: Path, out: Path) -> tuple[list[Path], list[Path]]:
-    """The pieces that are no earlier results, and the folders of results that were passed over.
+    """Return the pieces that are not earlier results, and the folders of results that were skipped.
 
     Args:
         found: pieces at or below `source`.
-        source: what is imported.
-        out: the folder that results go to; if it lies inside the source, nothing in it is a piece.
+        source: path that is imported.
+        out: folder that results are written to; nothing inside it is a piece if it lies inside the source.
 
     Raises:
-        FurnitureError: nothing is left.
+        FurnitureError: no piece is left.
     """
     here = source.resolve()
     within = here.parent if here.name == storage.MESHES else here
@@ -38,7 +38,7 @@ def without_results(found: Sequence[Path], source: Path, out: Path) -> tuple[lis
 
 
 def _results(piece: Path, source: Path, out: Path) -> Iterator[Path]:
-    """Folders of results that a piece lies in."""
+    """Yield the result folders that a piece lies in."""
     piece, target = piece.resolve(), out.resolve()
     root = source.resolve() if source.is_dir() else source.resolve().parent
     if target != root and target.is_relative_to(root) and piece.is_relative_to(target):
@@ -46,14 +46,14 @@ def _results(piece: Path, source: Path, out: Path) -> Iterator[Path]:
     for folder in (piece, *piece.parents):
         if not folder.is_relative_to(root):
             return
-        # A hidden one was not finished by an import that was killed, or is hidden on purpose.
+        # A hidden folder is left over from an import that was killed, or is hidden on purpose.
         hidden = folder != root and folder.name.startswith(".")
         if hidden or (folder / storage.FILE_NAME).is_file() or _is_exported(folder, piece):
             yield folder
 
 
 def _is_exported(folder: Path, piece: Path) -> bool:
-    """Whether `roboassembly export` wrote the piece, a file of the folder or the folder's meshes."""
+    """Return whether `roboassembly export` wrote the piece: a file of the folder, or the folder's meshes."""
     if piece.parent != folder:
         return False
     named = [piece] if piece.suffix == ".xml" else [*folder.glob("*.xml"), *folder.glob("*.urdf")]

@@ -1,4 +1,4 @@
-"""Opening files that strangers made: bounded sizes, nothing outside the source folder, no XML entities."""
+"""Safe readers for untrusted files: bounded sizes, nothing outside the source folder, no XML entities."""
 
 from __future__ import annotations
 
@@ -15,62 +15,62 @@ import msgspec
 from roboassembly.errors import FurnitureError
 
 MAX_BYTES = 128 * 2**20
-"""Of one mesh file."""
+"""Largest size of one mesh file [bytes]."""
 MAX_TEXT_BYTES = 16 * 2**20
-"""Of one JSON or XML file."""
+"""Largest size of one JSON or XML file [bytes]."""
 MAX_ENTRIES = 500_000
-"""Files and folders looked at below a source folder."""
+"""Largest number of files and folders below a source folder."""
 MAX_DEPTH = 64
-"""Nesting of XML elements."""
+"""Largest nesting depth of XML elements."""
 
 _T = TypeVar("_T")
 
 
 def read_bytes(path: Path, limit: int = MAX_BYTES) -> bytes:
-    """The whole of a regular file.
+    """Return the contents of a regular file.
 
     Raises:
-        FurnitureError: missing, not a regular file, unreadable, or larger than `limit` bytes.
+        FurnitureError: the file is missing, not regular, unreadable, or larger than `limit` bytes.
     """
     try:
-        # A pipe would block on opening; what is no regular file is not waited for.
+        # Without O_NONBLOCK, opening a pipe would block.
         handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
     except (OSError, ValueError) as problem:
         reason = problem.strerror if isinstance(problem, OSError) else str(problem)
-        raise FurnitureError(f"'{_shown(path)}' cannot be read: {reason}") from None
+        raise FurnitureError(f"'{_display_path(path)}' cannot be read: {reason}") from None
     try:
         with os.fdopen(handle, "rb") as file:
             status = os.fstat(file.fileno())
             if not stat.S_ISREG(status.st_mode):
-                raise FurnitureError(f"'{_shown(path)}' is not a regular file")
+                raise FurnitureError(f"'{_display_path(path)}' is not a regular file")
             data = file.read(limit + 1) if status.st_size <= limit else None
     except OSError as problem:
-        raise FurnitureError(f"'{_shown(path)}' cannot be read: {problem.strerror}") from None
+        raise FurnitureError(f"'{_display_path(path)}' cannot be read: {problem.strerror}") from None
     if data is None or len(data) > limit:
-        raise FurnitureError(f"'{_shown(path)}' is larger than {limit // 2**20} MiB; simplify or split it")
+        raise FurnitureError(f"'{_display_path(path)}' is larger than {limit // 2**20} MiB; simplify or split it")
     return data
 
 
 def read_text(path: Path, what: str, limit: int = MAX_BYTES) -> str:
-    """The whole of a UTF-8 text file.
+    """Return the contents of a UTF-8 text file.
 
     Raises:
-        FurnitureError: as `read_bytes`, or no UTF-8; `what` (`OBJ`, ...) says what was expected.
+        FurnitureError: as `read_bytes`, or the text is not UTF-8; the message names the format `what` (`OBJ`, ...).
     """
     try:
         return read_bytes(path, limit).decode("utf-8")
     except UnicodeDecodeError as problem:
         raise FurnitureError(
-            f"'{_shown(path)}' cannot be read as {what} ({problem.reason} at byte {problem.start}); "
+            f"'{_display_path(path)}' cannot be read as {what} ({problem.reason} at byte {problem.start}); "
             f"export it again as text"
         ) from None
 
 
 def decode_json(data: bytes, kind: type[_T], where: str) -> _T:
-    """JSON of the given type.
+    """Decode JSON of the given type.
 
     Raises:
-        FurnitureError: not JSON, of another shape, or nested too deeply.
+        FurnitureError: the data is not JSON, does not fit the type, or is nested too deeply.
     """
     try:
         return msgspec.json.decode(data, type=kind)
@@ -81,18 +81,19 @@ def decode_json(data: bytes, kind: type[_T], where: str) -> _T:
 
 
 def read_json(path: Path, kind: type[_T]) -> _T:
-    """A JSON file of the given type; raises as `read_bytes` and `decode_json`."""
-    return decode_json(read_bytes(path, MAX_TEXT_BYTES), kind, f"'{_shown(path)}'")
+    """Read a JSON file of the given type; raises as `read_bytes` and `decode_json`."""
+    return decode_json(read_bytes(path, MAX_TEXT_BYTES), kind, f"'{_display_path(path)}'")
 
 
 def read_xml(path: Path) -> ElementTree.Element:
-    """The root of an XML file that declares no document type and no entities.
+    """Return the root of an XML file that declares no document type and no entities.
 
     Raises:
-        FurnitureError: as `read_bytes`; not well formed; a DOCTYPE; elements nested deeper than `MAX_DEPTH`.
+        FurnitureError: as `read_bytes`; the file is not well formed, has a DOCTYPE, or nests elements deeper than
+            `MAX_DEPTH`.
     """
     data = read_bytes(path, MAX_TEXT_BYTES)
-    where = f"'{_shown(path)}'"
+    where = f"'{_display_path(path)}'"
     depth = 0
 
     def refuse(*_: object) -> None:
@@ -121,68 +122,70 @@ def read_xml(path: Path) -> ElementTree.Element:
 
 
 def inside(root: Path, name: str, where: str) -> Path:
-    """The file that a source's own text names, relative to `root`.
+    """Return the path of a file that a source file names relative to `root`.
 
     Raises:
-        FurnitureError: an absolute path, or one that leads out of `root`, by `..` or by a link.
+        FurnitureError: the name is absolute, or leads out of `root` through `..` or a link.
     """
     try:
-        # Windows separators and drives mean a way out elsewhere; no file here needs them.
+        # Windows separators and drives could lead out of the folder on other systems; no format needs them.
         path = (root / name).resolve()
         safe = bool(name) and "\\" not in name and not Path(name).is_absolute()
         safe = safe and path.is_relative_to(root.resolve())
     except (OSError, ValueError, RuntimeError):
         safe, path = False, root
     if not safe:
-        raise FurnitureError(f"{where} names the file {one_line(repr(name))}, which is not inside '{_shown(root)}'")
+        raise FurnitureError(
+            f"{where} names the file {one_line(repr(name))}, which is not inside '{_display_path(root)}'"
+        )
     return path
 
 
-def folder(path: Path, wanted: str) -> Path:
-    """`path` as given, if it is a folder; raises `FurnitureError` saying what is `wanted` if not."""
+def folder(path: Path, expected: str) -> Path:
+    """Return `path` if it is a folder; otherwise raise `FurnitureError` with the `expected` contents."""
     path = Path(path)
     try:
-        there = path.is_dir()
+        exists = path.is_dir()
     except ValueError:
-        there = False
-    if not there:
-        raise FurnitureError(f"'{_shown(path)}' is not a folder; give {wanted}")
+        exists = False
+    if not exists:
+        raise FurnitureError(f"'{_display_path(path)}' is not a folder; give {expected}")
     return path
 
 
 def walk(root: Path) -> Iterator[tuple[Path, list[str]]]:
-    """Every folder at or below `root` with the names of its files, sorted; links to folders are not followed.
+    """Yield every folder at or below `root` with the sorted names of its files; links to folders are not followed.
 
     Raises:
-        FurnitureError: more than `MAX_ENTRIES` files and folders.
+        FurnitureError: there are more than `MAX_ENTRIES` files and folders.
     """
     seen = 0
     for here, folders, files in os.walk(root):
         seen += len(folders) + len(files)
         if seen > MAX_ENTRIES:
-            raise FurnitureError(f"'{_shown(root)}' holds more than {MAX_ENTRIES} files; name a smaller folder")
+            raise FurnitureError(f"'{_display_path(root)}' holds more than {MAX_ENTRIES} files; name a smaller folder")
         folders.sort()
         yield Path(here), sorted(files)
 
 
-def find_folders(root: Path, has: Callable[[Path, list[str]], bool], wanted: str) -> list[Path]:
-    """The folders at or below `root` that `has` accepts (folder, names of its files), sorted.
+def find_folders(root: Path, has: Callable[[Path, list[str]], bool], expected: str) -> list[Path]:
+    """Return the sorted folders at or below `root` that `has` accepts (folder, names of its files).
 
     Raises:
-        FurnitureError: `root` is no folder, or holds none.
+        FurnitureError: `root` is not a folder, or `has` accepts no folder.
     """
-    root = folder(root, wanted)
+    root = folder(root, expected)
     found = sorted(here for here, files in walk(root) if has(here, files))
     if not found:
-        raise FurnitureError(f"'{_shown(root)}' holds nothing to import; give {wanted}")
+        raise FurnitureError(f"'{_display_path(root)}' holds nothing to import; give {expected}")
     return found
 
 
 def one_line(text: str, length: int = 160) -> str:
-    """Text from a stranger, fit for a one-line message."""
+    """Return untrusted text as one printable line of at most `length` characters."""
     text = " ".join("".join(c if c.isprintable() else "?" for c in text).split())
     return text if len(text) <= length else text[: length - 1] + "…"
 
 
-def _shown(path: Path) -> str:
+def _display_path(path: Path) -> str:
     return one_line(str(path), 400)

@@ -1,8 +1,8 @@
-"""A plain folder of mesh files, one a named part in its assembled pose; or one file of several parts.
+"""Importer for a folder of mesh files, one for each named part in its assembled pose, or for a single file.
 
-One file is a GLB scene of named nodes, or a mesh of several separate bodies that is to be split.
+A single file is a GLB scene of named nodes, or a mesh of several separate bodies to be split.
 
-Unit: guessed from typical sizes of furniture, see `units`; the provenance says which. `scale` overrides it.
+Unit: guessed from typical sizes of furniture (see `units`) and recorded in the provenance; `scale` overrides it.
 
 Up axis: z for OBJ, STL and PLY, y for GLB (as its standard says); `up` overrides it.
 """
@@ -30,28 +30,28 @@ from roboassembly.importers.glb import count_parts, read_glb
 from roboassembly.importers.mesh_files import READERS, read_mesh
 
 SUFFIXES = (*READERS, ".glb")
-WANTED = f"a folder of named parts ({', '.join(SUFFIXES)}), one GLB scene, or a folder that holds such"
+EXPECTED = f"a folder of named parts ({', '.join(SUFFIXES)}), one GLB scene, or a folder that holds such"
 
 
 def find(root: Path) -> list[Path]:
-    """The pieces at or below `root`: folders with mesh files directly in them, and GLB scenes.
+    """Return the pieces at or below `root`: folders that directly contain mesh files, and GLB scenes.
 
-    A folder with several files is one piece, a file a part; unless all of them are GLB scenes of two or more named
-    nodes each: then each is a piece.
+    A folder with several files is one piece, and each file is a part. If all files are GLB scenes of two or more
+    named nodes, each file is a piece.
 
     Raises:
-        FurnitureError: no such file or folder, or no mesh file in it.
+        FurnitureError: the path does not exist, or holds no mesh file.
     """
     root = Path(root)
     refuse_cad(root)
     if root.is_file():
         if not _is_mesh(root.name):
-            raise FurnitureError(f"'{root}' is no mesh file; give {WANTED}")
+            raise FurnitureError(f"'{root}' is not a mesh file; give {EXPECTED}")
         return [root]
     if not any(_is_mesh(name) for _, names in files.walk(root) for name in names):
         refuse_cad(root, whole=True)
     pieces: list[Path] = []
-    for here in files.find_folders(root, lambda _, names: any(map(_is_mesh, names)), WANTED):
+    for here in files.find_folders(root, lambda _, names: any(map(_is_mesh, names)), EXPECTED):
         meshes = _meshes(here)
         scenes = [file for file in meshes if file.suffix.lower() == ".glb"]
         if len(scenes) == len(meshes) and (len(scenes) == 1 or all(count_parts(file) > 1 for file in scenes)):
@@ -62,16 +62,16 @@ def find(root: Path) -> list[Path]:
 
 
 def read(path: Path, *, scale: float | None = None, up: Up | None = None, split: bool = False) -> RawFurniture:
-    """The parts of one piece: z up, metres, lowest point at z = 0, centred on the z axis.
+    """Read the parts of one piece: z up, metres, lowest point at z = 0, centred on the z axis.
 
     Args:
-        path: a folder of mesh files, each named as its part, one GLB scene, or one mesh file of several bodies.
-        scale: metres per unit of the files; guessed by default, see above.
-        up: the files' up axis; by default z, or y for GLB.
-        split: make a part of each separate body of each mesh.
+        path: folder of mesh files named after their parts, a GLB scene, or a mesh file of several bodies.
+        scale: metres per unit of the files; guessed by default, see the module.
+        up: up axis of the files; by default z, or y for GLB.
+        split: whether each separate body of a mesh becomes a part.
 
     Raises:
-        FurnitureError: nothing there, a file that cannot be read, an absurd size, or a count of parts outside 2 to 20.
+        FurnitureError: the path is empty, a file cannot be read, the size is absurd, or there are not 2 to 20 parts.
     """
     path = Path(path)
     check_scale(scale)
@@ -102,11 +102,11 @@ def read(path: Path, *, scale: float | None = None, up: Up | None = None, split:
 
 
 def _alone(path: Path, part: NamedTriangles) -> str:
-    """Why a single mesh is no furniture, and what would do."""
+    """Return the message for a single mesh, which is not furniture: the reason and the remedy."""
     count = len(bodies.split([part])[0])
     if count > 1:
         return f"'{path}': one mesh of {count} separate bodies; --split makes a part of each"
-    return f"'{path}': 1 part; furniture has 2 to 20: give {WANTED}"
+    return f"'{path}': 1 part; furniture has 2 to 20: give {EXPECTED}"
 
 
 def _is_mesh(name: str) -> bool:
@@ -118,17 +118,17 @@ def _meshes(folder: Path) -> list[Path]:
 
 
 def _read_folder(path: Path) -> list[NamedTriangles]:
-    path = files.folder(path, WANTED)
+    path = files.folder(path, EXPECTED)
     meshes = _meshes(path)
     if not meshes:
-        raise FurnitureError(f"'{path}' holds no mesh files; give {WANTED}")
+        raise FurnitureError(f"'{path}' holds no mesh files; give {EXPECTED}")
     check_part_count(len(meshes), f"'{path}'", least=1)
     names = unique_names([_part_name(file) for file in meshes])
     return [NamedTriangles(name, _read_part(file).triangles) for name, file in zip(names, meshes, strict=True)]
 
 
 def _read_part(file: Path) -> NamedTriangles:
-    """All of a file as one part."""
+    """Read a whole file as one part."""
     if file.suffix.lower() == ".glb":
         return NamedTriangles(_part_name(file), combine([part.triangles for part in read_glb(file)]))
     return NamedTriangles(_part_name(file), read_mesh(file))

@@ -1,10 +1,10 @@
-"""FurnitureBench: OBJ parts in metres, poses of children in their parents' frames.
+"""Importer for FurnitureBench: OBJ parts in metres, with poses of children in their parents' frames.
 
     assembled_poses.json     {"furniture": {NAME: {"parts": [...], "mesh": [...], "assembled_rel_poses":
                              [{"parent": 0, "child": 1, "alternatives": [4x4, ...]}, ...]}}}
     mesh/NAME/*.obj          paths under "mesh" are relative to the JSON file
 
-Part 0 is the root. Of several alternatives, the first is taken that no other part of the same parent has.
+Part 0 is the root. A part takes its first alternative that no other child of the same parent uses.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from roboassembly.importers.mesh_files import read_mesh
 
 POSES = "assembled_poses.json"
 LICENCE = "MIT"
-WANTED = f"a folder with {POSES} and the meshes that it names"
+EXPECTED = f"a folder with {POSES} and the meshes that it names"
 UP = {"round_table": "-z"}
-"""Up axis of the root part's frame, by name; `-y` for all others."""
+"""Up axis of the root part's frame, by name of the piece; `-y` for all others."""
 MAX_ALTERNATIVES = 64
 
 _Matrix = list[list[float]]
@@ -48,12 +48,12 @@ class _File(msgspec.Struct, frozen=True):
 
 
 def find(root: Path) -> list[Path]:
-    """One path a piece: the folder of its first mesh, named as the piece.
+    """Return one path for each piece: the mesh folder named after it.
 
     Raises:
-        FurnitureError: no poses at or below `root`, or above it, or no piece in them at or below it.
+        FurnitureError: there is no pose file at, below or above `root`, or it lists no piece at or below `root`.
     """
-    root = files.folder(root, WANTED)
+    root = files.folder(root, EXPECTED)
     own = _poses_above(root)
     places = [own] if own else [here for here, names in files.walk(root) if POSES in names]
     found = [
@@ -63,25 +63,25 @@ def find(root: Path) -> list[Path]:
         if (path := files.inside(place, f"mesh/{name}", f"'{place / POSES}'")).is_relative_to(root.resolve())
     ]
     if not found:
-        raise FurnitureError(f"'{root}' holds nothing to import; give {WANTED}")
+        raise FurnitureError(f"'{root}' holds nothing to import; give {EXPECTED}")
     return sorted(found)
 
 
 def read(path: Path, *, scale: float | None = None) -> RawFurniture:
-    """The parts of one piece at their assembled poses: z up, metres, on the ground.
+    """Read the parts of one piece at their assembled poses: z up, metres, on the ground.
 
     Args:
         path: `.../mesh/NAME`, below the folder of `assembled_poses.json`.
         scale: metres per unit of the files; 1 by default.
 
     Raises:
-        FurnitureError: missing or broken files, a pose that is none, parts that no chain of poses reaches or that
-            loop, a mesh outside the folder, or a count of parts outside 2 to 20.
+        FurnitureError: files are missing or broken, a pose is not rigid, poses do not reach a part or form a loop, a
+            mesh lies outside the folder, or there are not 2 to 20 parts.
     """
     path = Path(path).resolve()
     place = _poses_above(path)
     if place is None:
-        raise FurnitureError(f"'{path}' has no {POSES} beside or above it; give {WANTED}")
+        raise FurnitureError(f"'{path}' has no {POSES} beside or above it; give {EXPECTED}")
     where = f"'{place / POSES}'"
     pieces = files.read_json(place / POSES, _File).furniture
     if path.name not in pieces:
@@ -102,37 +102,37 @@ def read(path: Path, *, scale: float | None = None) -> RawFurniture:
 
 
 def reads(path: Path) -> Path:
-    """The folder of the poses, which holds the meshes too; the piece's own if there are no poses."""
+    """Return the folder of the pose file, which also holds the meshes; `path` itself if there is no pose file."""
     return _poses_above(path) or path
 
 
 def _poses_above(path: Path) -> Path | None:
-    """The nearest folder at most two levels up that holds the poses."""
+    """Return the nearest folder, at most two levels up, that holds the pose file."""
     here = path.resolve()
     return next((place for place in (here, *here.parents[:2]) if (place / POSES).is_file()), None)
 
 
 def _poses(piece: _Piece, where: str) -> list[Float[np.ndarray, "4 4"]]:
-    """`root_from_part` for each part."""
+    """Return `root_from_part` for each part."""
     count = len(piece.parts)
     if len(piece.joints) > 4 * MAX_PARTS:
         raise FurnitureError(f"{where} has {len(piece.joints)} poses for {count} parts")
     placed: dict[int, Float[np.ndarray, "4 4"]] = {0: np.eye(4)}
-    taken: list[tuple[int, Float[np.ndarray, "4 4"]]] = []
-    waiting = list(piece.joints)
-    while waiting:
-        ready = [joint for joint in waiting if joint.parent in placed]
+    used: list[tuple[int, Float[np.ndarray, "4 4"]]] = []
+    pending = list(piece.joints)
+    while pending:
+        ready = [joint for joint in pending if joint.parent in placed]
         if not ready:
             break
         joint = ready[0]
-        waiting.remove(joint)
+        pending.remove(joint)
         if joint.child in placed or not 0 <= joint.child < count:
-            raise FurnitureError(f"{where}: part {joint.child} is placed twice, or is not there")
+            raise FurnitureError(f"{where}: part {joint.child} is placed twice, or does not exist")
         options = [_matrix(m, f"{where}: part {joint.child}") for m in joint.alternatives[:MAX_ALTERNATIVES]]
-        free = [m for m in options if not any(p == joint.parent and np.allclose(m, t) for p, t in taken)]
+        free = [m for m in options if not any(p == joint.parent and np.allclose(m, t) for p, t in used)]
         if not free:
-            raise FurnitureError(f"{where}: part {joint.child} has no pose that is not taken by another")
-        taken.append((joint.parent, free[0]))
+            raise FurnitureError(f"{where}: part {joint.child} has no pose that is free; other parts use all of them")
+        used.append((joint.parent, free[0]))
         placed[joint.child] = placed[joint.parent] @ free[0]
     lost = [piece.parts[k] for k in range(count) if k not in placed]
     if lost:
@@ -141,14 +141,14 @@ def _poses(piece: _Piece, where: str) -> list[Float[np.ndarray, "4 4"]]:
 
 
 def _matrix(rows: _Matrix, where: str) -> Float[np.ndarray, "4 4"]:
-    """A rigid 4x4, or `FurnitureError`."""
+    """Return a pose as a rigid 4x4 matrix; raises `FurnitureError` if it is not rigid."""
     if len(rows) != 4 or any(len(row) != 4 for row in rows):
         raise FurnitureError(f"{where}: a pose is 4 rows of 4 numbers")
     matrix = np.array(rows, dtype=float)
     rotation = matrix[:3, :3]
     rigid = np.isfinite(matrix).all() and np.abs(matrix).max() < 1e6
     if not (rigid and np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-4) and np.linalg.det(rotation) > 0):
-        raise FurnitureError(f"{where}: a pose is a rotation and a translation; this matrix is not")
+        raise FurnitureError(f"{where}: a pose is a rotation and a translation; this matrix is not one")
     if not np.allclose(matrix[3], [0, 0, 0, 1]):
         raise FurnitureError(f"{where}: the last row of a pose is 0 0 0 1")
     return matrix

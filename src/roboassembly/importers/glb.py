@@ -1,4 +1,4 @@
-"""Binary glTF 2.0: the nodes of its scene that bear triangles, named, in the scene's frame (y up, metres)."""
+"""Reader of binary glTF 2.0: the named nodes with triangles, in the scene's frame (y up, metres)."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from roboassembly.importers.files import decode_json, one_line, read_bytes
 MAX_NODES = 20_000
 MAX_NODE_DEPTH = 256
 MAX_NUMBERS = 4 * MAX_FACES
-"""Points and corners that the primitives of one mesh name together."""
+"""Largest number of points and corners in all primitives of one mesh."""
 _TOO_MANY = f"a mesh lists more than {MAX_NUMBERS} points and corners; simplify it first"
 
 _JSON, _BIN = 0x4E4F534A, 0x004E4942
 _COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _HARMLESS = ("KHR_materials_", "KHR_texture_", "EXT_texture_", "KHR_lights_", "KHR_mesh_quantization", "KHR_xmp")
-"""Extensions that a reader of triangles may not know, though a file requires them."""
+"""Prefixes of required extensions that do not change the triangles."""
 
 
 class _Node(msgspec.Struct, frozen=True):
@@ -59,7 +59,7 @@ class _Accessor(msgspec.Struct, frozen=True):
     sparse: dict[str, object] | None = None
 
 
-class _View(msgspec.Struct, frozen=True):
+class _BufferView(msgspec.Struct, frozen=True):
     buffer: int
     length: int = msgspec.field(name="byteLength")
     offset: int = msgspec.field(name="byteOffset", default=0)
@@ -74,15 +74,15 @@ class _Document(msgspec.Struct, frozen=True):
     nodes: list[_Node] = []
     meshes: list[_Mesh] = []
     accessors: list[_Accessor] = []
-    views: list[_View] = msgspec.field(name="bufferViews", default=[])
+    buffer_views: list[_BufferView] = msgspec.field(name="bufferViews", default=[])
     scenes: list[_Scene] = []
     scene: int = 0
     required: list[str] = msgspec.field(name="extensionsRequired", default=[])
 
 
 @dataclass(frozen=True, eq=False)
-class _Placed:
-    """A node that bears a mesh, and the part it belongs to."""
+class _MeshNode:
+    """Node with a mesh, and the part that it belongs to."""
 
     part: int
     """Index of the node that names the part."""
@@ -91,10 +91,11 @@ class _Placed:
 
 
 def read_glb(path: Path) -> list[NamedTriangles]:
-    """Each named node that bears triangles as a part; nodes without a name belong to the nearest named one above.
+    """Read each named node with triangles as a part; an unnamed node belongs to its nearest named ancestor.
 
     Raises:
-        FurnitureError: not GLB 2, broken, a hierarchy that loops, compressed meshes, or too large; names the file.
+        FurnitureError: the file is not GLB 2, broken, compressed or too large, or its hierarchy has a loop; the
+            message names the file.
     """
     try:
         return _read(read_bytes(path))
@@ -106,7 +107,7 @@ def read_glb(path: Path) -> list[NamedTriangles]:
 
 
 def count_parts(path: Path) -> int:
-    """How many parts `read_glb` would find; 0 for a file that cannot be read."""
+    """Count the parts that `read_glb` would return; 0 for a file that cannot be read."""
     try:
         document, _ = _chunks(read_bytes(path))
         return len({placed.part for placed in _walk(document)})
@@ -116,9 +117,9 @@ def count_parts(path: Path) -> int:
 
 def _read(data: bytes) -> list[NamedTriangles]:
     document, binary = _chunks(data)
-    strange = [name for name in document.required if not name.startswith(_HARMLESS)]
-    if strange:
-        raise FurnitureError(f"it requires {one_line(strange[0], 60)}; export it without compression or extensions")
+    unsupported = [name for name in document.required if not name.startswith(_HARMLESS)]
+    if unsupported:
+        raise FurnitureError(f"it requires {one_line(unsupported[0], 60)}; export it without compression or extensions")
     meshes: dict[int, Triangles] = {}
     owned: dict[int, list[Triangles]] = {}
     total = 0
@@ -140,7 +141,7 @@ def _name(document: _Document, node: int) -> str:
 
 
 def _chunks(data: bytes) -> tuple[_Document, bytes]:
-    """The JSON chunk, decoded, and the binary one."""
+    """Return the decoded JSON chunk and the binary chunk."""
     if len(data) < 20 or data[:4] != b"glTF":
         raise FurnitureError("it does not begin with 'glTF'")
     version, length = struct.unpack_from("<II", data, 4)
@@ -164,11 +165,11 @@ def _chunks(data: bytes) -> tuple[_Document, bytes]:
     return document, binary
 
 
-def _walk(document: _Document) -> list[_Placed]:
-    """The scene's mesh-bearing nodes, in order, each node met once.
+def _walk(document: _Document) -> list[_MeshNode]:
+    """Return the nodes of the scene that have a mesh, in depth-first order.
 
     Raises:
-        FurnitureError: a node that is reached twice, missing nodes, too many, or too deep.
+        FurnitureError: a node is reached twice or missing, or there are too many nodes or levels.
     """
     if document.scenes:
         if not 0 <= document.scene < len(document.scenes):
@@ -179,33 +180,33 @@ def _walk(document: _Document) -> list[_Placed]:
         roots = [k for k in range(len(document.nodes)) if k not in below]
     if len(document.nodes) > MAX_NODES:
         raise FurnitureError(f"it has {len(document.nodes)} nodes; at most {MAX_NODES} are accepted")
-    out: list[_Placed] = []
-    met: set[int] = set()
+    out: list[_MeshNode] = []
+    visited: set[int] = set()
     stack = [(index, np.eye(4), -1, 0) for index in reversed(roots)]
     while stack:
         index, above, owner, depth = stack.pop()
         if not 0 <= index < len(document.nodes):
             raise FurnitureError(f"node {index} is not there")
-        if index in met:
+        if index in visited:
             raise FurnitureError(f"node {index} is reached twice: the hierarchy loops or shares nodes")
         if depth > MAX_NODE_DEPTH:
             raise FurnitureError(f"its nodes are nested deeper than {MAX_NODE_DEPTH}")
-        met.add(index)
+        visited.add(index)
         node = document.nodes[index]
         here = above @ _local(node, index)
         owner = index if node.name or owner < 0 else owner
         if node.mesh is not None:
             if not 0 <= node.mesh < len(document.meshes):
                 raise FurnitureError(f"mesh {node.mesh} is not there")
-            out.append(_Placed(owner, node.mesh, here))
-        # An unnamed node at the top owns nothing but itself: what hangs below it is named apart.
+            out.append(_MeshNode(owner, node.mesh, here))
+        # An unnamed root owns only itself: its children get names of their own.
         below = owner if document.nodes[owner].name else -1
         stack.extend((child, here, below, depth + 1) for child in reversed(node.children))
     return out
 
 
 def _local(node: _Node, index: int) -> Float[np.ndarray, "4 4"]:
-    """`parent_from_node`."""
+    """Return `parent_from_node`."""
     if node.matrix is not None:
         if len(node.matrix) != 16:
             raise FurnitureError(f"node {index} has a matrix of {len(node.matrix)} numbers; 16 would do")
@@ -231,7 +232,7 @@ def _mesh(document: _Document, binary: bytes, index: int) -> Triangles:
             order = np.arange(len(points))
         else:
             order = _accessor(document, binary, primitive.indices, "SCALAR").reshape(-1).astype(np.int64)
-        # Many small primitives may all name the same large lists.
+        # Many small primitives may refer to the same large lists.
         numbers += len(points) + len(order)
         if numbers > MAX_NUMBERS:
             raise FurnitureError(_TOO_MANY)
@@ -242,7 +243,7 @@ def _mesh(document: _Document, binary: bytes, index: int) -> Triangles:
 def _faces(order: np.ndarray, mode: int) -> np.ndarray:
     if mode == 4:
         if len(order) % 3:
-            raise FurnitureError(f"a mesh has {len(order)} corners, which is no multiple of three")
+            raise FurnitureError(f"a mesh has {len(order)} corners, which is not a multiple of three")
         return order.reshape(-1, 3)
     if mode not in (5, 6):
         raise FurnitureError(f"primitive mode {mode} is not known; triangles would do")
@@ -259,12 +260,12 @@ def _accessor(document: _Document, binary: bytes, index: int, kind: str) -> np.n
     accessor = document.accessors[index]
     width = 3 if kind == "VEC3" else 1
     if accessor.type != kind or accessor.component not in _COMPONENTS or accessor.count < 1:
-        raise FurnitureError(f"accessor {index} is no list of {'points' if width == 3 else 'indices'}")
+        raise FurnitureError(f"accessor {index} is not a list of {'points' if width == 3 else 'indices'}")
     if accessor.sparse is not None or accessor.view is None:
         raise FurnitureError(f"accessor {index} is sparse or compressed; export plain meshes")
-    if not 0 <= accessor.view < len(document.views):
+    if not 0 <= accessor.view < len(document.buffer_views):
         raise FurnitureError(f"buffer view {accessor.view} is not there")
-    view = document.views[accessor.view]
+    view = document.buffer_views[accessor.view]
     if view.buffer != 0:
         raise FurnitureError(f"buffer {view.buffer} lies outside the file; export one self-contained GLB")
     item = np.dtype(_COMPONENTS[accessor.component])

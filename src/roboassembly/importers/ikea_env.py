@@ -1,6 +1,6 @@
-"""IKEA Furniture Assembly Environment: one MJCF file a piece, STL meshes, z up, metres (about 0.6 of real size).
+"""Importer for the IKEA Furniture Assembly Environment: MJCF files, STL meshes, z up, metres (about 0.6 of real size).
 
-The bodies' poses in the files are not the assembled ones: those follow from the connection sites.
+Each file is one piece. The bodies' poses in the files are not assembled; the connection sites give the assembled poses.
 """
 
 from __future__ import annotations
@@ -18,12 +18,11 @@ from roboassembly.furniture.triangles import NamedTriangles, Triangles, bounds, 
 from roboassembly.geometry.meshes import MAX_FACES
 from roboassembly.geometry.poses import SE3, from_quaternion
 from roboassembly.importers import files
-from roboassembly.importers.connection_sites import Site as ConnectionSite
-from roboassembly.importers.connection_sites import solve, upright
+from roboassembly.importers.connection_sites import ConnectionSite, solve, upright
 from roboassembly.importers.mesh_files import read_mesh
 
 LICENCE = "MIT"
-WANTED = "an MJCF file of the IKEA Furniture Assembly Environment, or a folder that holds such files"
+EXPECTED = "an MJCF file of the IKEA Furniture Assembly Environment, or a folder that holds such files"
 MAX_SITES = 400
 _TURNS = ("euler", "axisangle", "xyaxes", "zaxis")
 
@@ -32,22 +31,22 @@ _TURNS = ("euler", "axisangle", "xyaxes", "zaxis")
 class _Body:
     name: str
     pose: SE3
-    """As drawn in the file."""
+    """Pose in the file [m]."""
     surface: Triangles
-    """In the body's frame, metres."""
+    """Triangles in the body's frame [m]."""
     sites: tuple[ConnectionSite, ...]
 
 
 def find(root: Path) -> list[Path]:
-    """The MJCF files at or below `root`, itself included.
+    """Return the MJCF files at or below `root`; a file is returned as it is.
 
     Raises:
-        FurnitureError: no such file or folder, or no MJCF in it.
+        FurnitureError: the path does not exist, or holds no MJCF file.
     """
     root = Path(root)
     if root.is_file():
         return [root]
-    root = files.folder(root, WANTED)
+    root = files.folder(root, EXPECTED)
     found = [
         here / name
         for here, names in files.walk(root)
@@ -55,7 +54,7 @@ def find(root: Path) -> list[Path]:
         if name.lower().endswith(".xml") and b"<mujoco" in _head(here / name)
     ]
     if not found:
-        raise FurnitureError(f"'{root}' holds no MJCF files; give {WANTED}")
+        raise FurnitureError(f"'{root}' holds no MJCF files; give {EXPECTED}")
     return sorted(found)
 
 
@@ -64,18 +63,18 @@ def _head(path: Path) -> bytes:
 
 
 def read(path: Path, *, scale: float | None = None) -> RawFurniture:
-    """The bodies of one piece as parts, at the poses that their connection sites dictate: z up, metres, on the ground.
+    """Read the bodies of one piece as parts, at the poses given by their connection sites: z up, metres, on the ground.
 
-    Which way is up follows most bodies' orientation in the file. Connection sites are kept, those that meet as each
-    other's mates.
+    The up axis follows the orientation of most bodies in the file. All connection sites are kept; sites that meet are
+    each other's mates.
 
     Args:
-        path: the MJCF file.
-        scale: metres per metre of the file; 1 by default (1.6 gives about real size).
+        path: MJCF file.
+        scale: scale factor; 1 by default (1.6 gives about real size).
 
     Raises:
-        FurnitureError: missing, broken or unsupported files, a mesh outside the file's folder, sites that do not
-            close to 1 mm, or a count of bodies outside 2 to 20.
+        FurnitureError: files are missing, broken or unsupported, a mesh lies outside the file's folder, sites do not
+            close to 1 mm, or there are not 2 to 20 bodies.
     """
     path = Path(path)
     bodies = _read_bodies(path)
@@ -90,20 +89,20 @@ def read(path: Path, *, scale: float | None = None) -> RawFurniture:
     factor = 1.0 if scale is None else scale
     rotation = upright(solved.poses, {b.name: b.pose for b in bodies})
     raw = stand(parts, rotation, factor, f"'{path}'")
-    # The same move as `stand`'s, for the sites.
+    # `stand` moved the parts; the sites get the same transform.
     low, high = bounds(parts, rotation)
     middle = np.array([*(0.5 * (low + high))[:2], low[2]])
     index = {body.name: k for k, body in enumerate(bodies)}
 
-    def kept(site: ConnectionSite, mate: int | None) -> Site:
+    def converted(site: ConnectionSite, mate: int | None) -> Site:
         pose = solved.poses[site.body] * site.body_from_site
         place = (rotation @ pose.translation - middle) * factor
         return Site(site.name, index[site.body], SE3(rotation @ pose.rotation, place), mate)
 
     sites: list[Site] = []
     for pair in solved.pairs:
-        sites += [kept(pair.first, len(sites) + 1), kept(pair.second, len(sites))]
-    sites += [kept(site, None) for site in solved.unused]
+        sites += [converted(pair.first, len(sites) + 1), converted(pair.second, len(sites))]
+    sites += [converted(site, None) for site in solved.unused]
     return RawFurniture(raw, Provenance("ikea-env", files.one_line(path.stem), LICENCE, factor), tuple(sites))
 
 
@@ -111,7 +110,7 @@ def _read_bodies(path: Path) -> list[_Body]:
     root = files.read_xml(path)
     where = f"'{path}'"
     if root.tag != "mujoco":
-        raise FurnitureError(f"{where} is no MJCF: its root is <{files.one_line(root.tag, 40)}>, not <mujoco>")
+        raise FurnitureError(f"{where} is not MJCF: its root is <{files.one_line(root.tag, 40)}>, not <mujoco>")
     if next(root.iter("include"), None) is not None:
         raise FurnitureError(f"{where} includes other files; give one self-contained MJCF")
     elements = [element for world in root.findall("worldbody") for element in world.findall("body")]
@@ -138,7 +137,7 @@ def _read_bodies(path: Path) -> list[_Body]:
 
 
 class _Assets:
-    """The file's meshes by name, each read once, scaled."""
+    """Scaled meshes of an MJCF file by name; each is read once."""
 
     def __init__(self, path: Path, root: ElementTree.Element) -> None:
         self.where = f"'{path}'"
@@ -181,7 +180,7 @@ def _surface(body: ElementTree.Element, assets: _Assets, where: str) -> Triangle
 
 
 def _pose(element: ElementTree.Element, where: str) -> SE3:
-    """From `pos` and `quat` (w, x, y, z)."""
+    """Return the pose that `pos` and `quat` (w, x, y, z) of an element give."""
     for turn in _TURNS:
         if turn in element.attrib:
             raise FurnitureError(f"{where}: <{element.tag}> is turned by '{turn}'; 'quat' would do")

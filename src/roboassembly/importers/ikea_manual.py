@@ -1,4 +1,4 @@
-"""IKEA-Manuals-at-Work: pieces given as `NN.obj` parts in their assembled frame, y up, normalised."""
+"""Importer for IKEA-Manuals-at-Work: `NN.obj` parts in the assembled frame, y up, normalised."""
 
 from __future__ import annotations
 
@@ -21,42 +21,42 @@ from roboassembly.importers import files
 from roboassembly.importers.mesh_files import read_mesh
 
 LICENCE = "CC-BY-4.0"
-WANTED = "a folder of NN.obj files, one a part"
+EXPECTED = "a folder of NN.obj files, one for each part"
 
 
 def find(root: Path) -> list[Path]:
-    """The piece folders at or below `root`: a piece, a category, `parts`, or the archive's own folder.
+    """Return the piece folders at or below `root`: a piece, a category, `parts`, or the archive's own folder.
 
     Raises:
-        FurnitureError: no such folder, or no piece in it.
+        FurnitureError: the folder does not exist, or holds no piece.
     """
-    root = files.folder(root, f"{WANTED}, or one that holds such folders")
+    root = files.folder(root, f"{EXPECTED}, or one that holds such folders")
     pieces = sorted(here for here, names in files.walk(root) if any(name.endswith(".obj") for name in names))
     if not pieces:
-        raise FurnitureError(f"'{root}' holds no .obj files; give {WANTED}")
+        raise FurnitureError(f"'{root}' holds no .obj files; give {EXPECTED}")
     return pieces
 
 
 def scale_for(category: str, extents: Float[np.ndarray, "3"]) -> float:
-    """Metres per unit for a piece with these y-up extents, from its category's typical size."""
+    """Return the metres per unit of a piece from its y-up extents and its category's typical size."""
     return typical_scale(category, float(extents[1]), float(extents.max()))
 
 
 def read(path: Path, *, scale: float | None = None) -> RawFurniture:
-    """The parts of one piece: z up, metres, lowest point at z = 0, centred on the z axis.
+    """Read the parts of one piece: z up, metres, lowest point at z = 0, centred on the z axis.
 
     Args:
-        path: the folder that holds the `NN.obj` files, one a part.
-        scale: metres per unit of the files; by default from the typical size for the name of the folder's parent.
+        path: folder of `NN.obj` files, one for each part.
+        scale: metres per unit of the files; by default from the typical size of the category (parent folder).
 
     Raises:
-        FurnitureError: missing folder, no or unreadable OBJ files, a part that is no mesh, an absurd size, or a count
-            of parts outside 2 to 20.
+        FurnitureError: the folder is missing, OBJ files are missing or unreadable, the size is absurd, or there are
+            not 2 to 20 parts.
     """
-    folder = files.folder(path, WANTED)
+    folder = files.folder(path, EXPECTED)
     meshes = sorted(folder.glob("*.obj"))
     if not meshes:
-        raise FurnitureError(f"'{folder}' holds no .obj files; give {WANTED}")
+        raise FurnitureError(f"'{folder}' holds no .obj files; give {EXPECTED}")
     check_part_count(len(meshes), str(folder))
     check_scale(scale)
     parts = [NamedTriangles(files.one_line(file.stem, 80), read_mesh(file)) for file in meshes]

@@ -1,11 +1,10 @@
-"""Imports that were done before: what the same files became, or why they were refused.
+"""Cache of imports: the furniture made from the same files, or the reason for their refusal.
 
-The key is the content of all files that reading could have looked at, the options, the code that reads, repairs and
-annotates, and the versions of the libraries that it computes with: neither changed files nor a changed program can
-bring back an old result. A version number kept by hand would be forgotten one day.
+The key is a hash of all files that the importer may read, the options, the code that reads, repairs and annotates, and
+the versions of the libraries. A change of the files or of the program therefore never returns an old result.
 
-An entry is one file, `imports/*.import`: a checksum, then what was imported. It appears and goes at once, whoever else
-is reading it, and one that is damaged counts as none.
+An entry is one file, `imports/*.import`: a checksum, then the result. Entries appear and disappear atomically; a
+damaged entry is ignored.
 """
 
 from __future__ import annotations
@@ -28,57 +27,57 @@ from roboassembly.furniture.cache import cache_folder
 from roboassembly.geometry.units import Unit
 
 MAX_BYTES = 1_000_000_000
-"""What all kept imports may take; those not used for the longest time go first."""
+"""Largest total size of the cache [bytes]; the least recently used entries are removed first."""
 MAX_FILES, MAX_READ = 5_000, 500_000_000
-"""A source of more files, or more bytes, is not looked up: to read it all would take too long."""
+"""Largest number of files and bytes of a source that is cached; hashing a larger source takes too long."""
 LIBRARIES = ("coal", "embreex", "fast-simplification", "manifold3d", "networkx", "numpy", "pin", "scipy", "trimesh")
-"""Another version of one of these may repair or annotate differently."""
-_CHECKSUM = 16
+"""Libraries whose version may change the result of repair or annotation."""
+_CHECKSUM_BYTES = 16
 _ABANDONED = 86_400.0
-"""Seconds after which a file that nobody finished writing is removed."""
+"""Age after which an unfinished file is removed [s]."""
 
 
 class Summary(msgspec.Struct, frozen=True):
-    """What an import came to."""
+    """Result of an import in figures."""
 
     parts: int = 0
     connections: int = 0
     displacement_max_mm: float = 0.0
     trimmed_max_percent: float = 0.0
     parts_mm: dict[str, float] = {}
-    """Largest change of each part's size, in mm, negative where it became smaller; by name."""
+    """Largest change of size of each part, by name; negative if it became smaller [mm]."""
     changes: tuple[str, ...] = ()
-    """Parts whose size changed, or that sit less deep in a neighbour, by more than 1 mm; a line each."""
+    """Changes of size and losses of depth above 1 mm, one line each."""
     unholdable: tuple[str, ...] = ()
-    """Names of the parts that no Franka hand can hold."""
+    """Names of the parts that no Franka gripper can grasp."""
     unit: Unit | None = None
     size_m: tuple[float, float, float] | None = None
-    """Of the piece as read: along x, y and z (up), in metres."""
+    """Size of the piece as read along x, y and z (up) [m]."""
     remarks: tuple[str, ...] = ()
-    """What a person should know of the reading, one line each."""
+    """Remarks on the reading for the user, one line each."""
     error: str | None = None
-    """Why it was refused."""
+    """Reason for the refusal; None if the import succeeded."""
     refused_at: str | None = None
-    """The source's path, where `error` may name it: it then holds for that path only."""
+    """Path of the source if `error` may name it; the entry then holds for that path only."""
 
 
 class _Entry(msgspec.Struct, frozen=True):
     summary: Summary
     files: dict[str, bytes]
-    """The furniture folder's; none where it was refused."""
+    """Files of the furniture folder by name; empty if the import was refused."""
 
 
 def place_of(source: Path, reads: Path, *options: object) -> Path | None:
-    """Where an import would be kept; None if that cannot be told cheaply.
+    """Return the path of an import's cache entry; None if the source is too large to hash or unreadable.
 
     Args:
-        source: the piece.
-        reads: file or folder that holds all that the importer may read of it.
-        options: whatever else the result depends on.
+        source: path of the piece.
+        reads: file or folder with everything that the importer may read for it.
+        options: all other values that the result depends on.
     """
     own = source.resolve()
-    digest = hashlib.blake2b(_program(), digest_size=16)
-    # Formats take a piece's name from its path's last word, and its category from the one before.
+    digest = hashlib.blake2b(program_hash(), digest_size=16)
+    # Importers take a piece's name from the last component of its path, and its category from the one before.
     digest.update(repr((own.parent.name, own.name, options)).encode())
     content = _content(reads.resolve())
     if content is None:
@@ -88,7 +87,7 @@ def place_of(source: Path, reads: Path, *options: object) -> Path | None:
 
 
 def recall(place: Path, source: Path, target: Path) -> Summary | None:
-    """Write what is kept to `target`; None if nothing is, if it is damaged, or refused under another path.
+    """Write a cached import to `target`; None if there is no valid entry, or it is a refusal of another path.
 
     Raises:
         InputError: `target` cannot be written.
@@ -97,10 +96,10 @@ def recall(place: Path, source: Path, target: Path) -> Summary | None:
         data = place.read_bytes()
     except OSError:
         return None
-    if _checksum(data[_CHECKSUM:]) != data[:_CHECKSUM]:
+    if checksum(data[_CHECKSUM_BYTES:]) != data[:_CHECKSUM_BYTES]:
         return None
     try:
-        entry = msgspec.msgpack.decode(data[_CHECKSUM:], type=_Entry)
+        entry = msgspec.msgpack.decode(data[_CHECKSUM_BYTES:], type=_Entry)
     except msgspec.MsgspecError:
         return None
     if entry.summary.refused_at not in (None, str(source)):
@@ -110,13 +109,13 @@ def recall(place: Path, source: Path, target: Path) -> Summary | None:
     try:
         os.utime(place)
     except OSError:
-        # A cache that may only be read, or another process made room: neither spoils what was found.
+        # The cache is read-only, or another process evicted the entry: the result is valid all the same.
         return entry.summary
     return entry.summary
 
 
 def keep(place: Path, summary: Summary, target: Path) -> None:
-    """Remember an import whose furniture was saved at `target`. A cache that cannot be written is done without."""
+    """Store an import whose furniture was saved at `target`; does nothing if the cache cannot be written."""
     try:
         files = storage.read_files(target) if summary.error is None else {}
         data = msgspec.msgpack.encode(_Entry(summary, files))
@@ -126,38 +125,39 @@ def keep(place: Path, summary: Summary, target: Path) -> None:
         return
     try:
         with os.fdopen(handle, "wb") as file:
-            file.write(_checksum(data) + data)
+            file.write(checksum(data) + data)
         Path(scratch).replace(place)
-        _make_room(place.parent)
+        evict(place.parent)
     except OSError:
-        # A full disk, or another process made room at the same time: the import itself has succeeded.
+        # The disk is full, or another process evicts entries at the same time: the import itself has succeeded.
         return
     finally:
         Path(scratch).unlink(missing_ok=True)
 
 
-def _checksum(data: bytes) -> bytes:
-    return hashlib.blake2b(data, digest_size=_CHECKSUM).digest()
+def checksum(data: bytes) -> bytes:
+    """Return the checksum of an entry's data."""
+    return hashlib.blake2b(data, digest_size=_CHECKSUM_BYTES).digest()
 
 
 @cache
-def _program() -> bytes:
-    """Hash of all code that an import's result may depend on."""
+def program_hash() -> bytes:
+    """Return a hash of all code and library versions that an import's result may depend on."""
     root = Path(__file__).parents[1]
-    digest = hashlib.blake2b(repr([_version(name) for name in LIBRARIES]).encode())
+    digest = hashlib.blake2b(repr([library_version(name) for name in LIBRARIES]).encode())
     files = [root / "robots" / "gripper.py"]
     files += [
         path
-        for room in ("geometry", "furniture", "importers", "repair")
-        for path in sorted((root / room).rglob("*.py"))
+        for package in ("geometry", "furniture", "importers", "repair")
+        for path in sorted((root / package).rglob("*.py"))
     ]
     for path in files:
         digest.update(path.read_bytes())
     return digest.digest()
 
 
-def _version(library: str) -> str | None:
-    """None where another installer gave it another name."""
+def library_version(library: str) -> str | None:
+    """Return the version of an installed library; None if it is installed under another name."""
     try:
         return metadata.version(library)
     except metadata.PackageNotFoundError:
@@ -165,7 +165,7 @@ def _version(library: str) -> str | None:
 
 
 def _content(source: Path) -> bytes | None:
-    """Hash of a file, or of all names and files below a folder; None for too many, or what may not be read."""
+    """Return a hash of a file, or of all names and files below a folder; None if too large or unreadable."""
     digest = hashlib.blake2b()
     total = 0
     try:
@@ -175,7 +175,7 @@ def _content(source: Path) -> bytes | None:
             if count >= MAX_FILES or total > MAX_READ:
                 return None
             digest.update(repr(str(file.relative_to(source))).encode())
-            # Importers wait for no pipe and follow no broken link: that such a thing is there is all there is to know.
+            # Importers read neither pipes nor broken links: only their presence counts.
             digest.update(_file_hash(file, status.st_size, status.st_ctime_ns) if status else b"no file")
     except OSError:
         return None
@@ -183,10 +183,10 @@ def _content(source: Path) -> bytes | None:
 
 
 def _below(source: Path) -> Iterator[Path]:
-    """The file itself, or all folders and files below a folder in a fixed order, through links too."""
+    """Yield the file itself, or all folders and files below a folder in a fixed order; follows links."""
     if source.is_file():
         yield source
-    # Links may run in circles; whoever asks stops after so many.
+    # Links may form a cycle; the caller stops after `MAX_FILES`.
     for here, folders, names in os.walk(source, followlinks=True):
         folders.sort()
         yield Path(here)
@@ -203,11 +203,12 @@ def _status(file: Path) -> os.stat_result | None:
 
 @lru_cache(maxsize=2 * MAX_FILES)
 def _file_hash(file: Path, size: int, changed: int) -> bytes:
-    """Of a file as it was at that size and time: pieces that share a folder have it read once."""
+    """Return the hash of a file; cached by size and change time, so that pieces in one folder share it."""
     return hashlib.blake2b(file.read_bytes()).digest()
 
 
-def _make_room(folder: Path) -> None:
+def evict(folder: Path) -> None:
+    """Remove unfinished files, and the least recently used entries beyond `MAX_BYTES`."""
     for left in folder.glob(".new-*"):
         if time.time() - left.stat().st_mtime > _ABANDONED:
             left.unlink(missing_ok=True)

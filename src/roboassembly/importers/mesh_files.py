@@ -1,4 +1,4 @@
-"""OBJ, STL and PLY files as triangles. Readers of our own, so that every broken file ends in one clear line."""
+"""Readers of OBJ, STL and PLY files as triangles; every broken file gives a one-line error."""
 
 from __future__ import annotations
 
@@ -18,14 +18,15 @@ from roboassembly.importers.files import one_line, read_bytes, read_text
 
 
 def read_mesh(path: Path) -> Triangles:
-    """The triangles of an OBJ, STL or PLY file, in its own frame and units.
+    """Return the triangles of an OBJ, STL or PLY file, in its own frame and units.
 
     Raises:
-        FurnitureError: another kind of file, unreadable, broken, without faces, or too large; names the file.
+        FurnitureError: the file is of another format, unreadable, broken, without faces, or too large; the message
+            names the file.
     """
     reader = READERS.get(path.suffix.lower())
     if reader is None:
-        raise FurnitureError(f"'{path}' is no mesh that can be read; {', '.join(READERS)} would do")
+        raise FurnitureError(f"'{path}' is not a mesh file that can be read; {', '.join(READERS)} would do")
     try:
         return reader(path)
     except FurnitureError as problem:
@@ -34,17 +35,17 @@ def read_mesh(path: Path) -> Triangles:
 
 
 def _read_obj(path: Path) -> Triangles:
-    # Flat arrays of numbers, and one line at a time: lists of Python's objects would take ten times a file's size.
+    # Flat arrays filled line by line: lists of Python objects would take ten times the size of the file.
     coordinates, corners = array("d"), array("q")
     for number, line in enumerate(io.StringIO(read_text(path, "OBJ"), newline=None), start=1):
-        words = line.split()
+        fields = line.split()
         try:
-            if words[:1] == ["v"]:
-                x, y, z = words[1:4]
+            if fields[:1] == ["v"]:
+                x, y, z = fields[1:4]
                 coordinates.extend((float(x), float(y), float(z)))
-            elif words[:1] == ["f"]:
+            elif fields[:1] == ["f"]:
                 count = len(coordinates) // 3
-                ring = [int(word.split("/", 1)[0]) for word in words[1:]]
+                ring = [int(field.split("/", 1)[0]) for field in fields[1:]]
                 ring = [k - 1 if k > 0 else count + k for k in ring]
                 if not all(-1 < k < 2**62 for k in ring):
                     raise ValueError(ring)
@@ -83,13 +84,13 @@ def _read_stl(path: Path) -> Triangles:
 
 
 def _ascii_stl(path: Path, data: bytes) -> np.ndarray:
-    words = data.split()
-    corners = [k for k, word in enumerate(words) if word.lower() == b"vertex"]
+    fields = data.split()
+    corners = [k for k, field in enumerate(fields) if field.lower() == b"vertex"]
     try:
-        points = np.array([[float(w) for w in words[k + 1 : k + 4]] for k in corners], dtype=float).reshape(-1, 3)
+        points = np.array([[float(w) for w in fields[k + 1 : k + 4]] for k in corners], dtype=float).reshape(-1, 3)
     except ValueError:
         raise FurnitureError(f"'{path}' cannot be read as STL: 'vertex' without three numbers") from None
-    if len(points) % 3 or b"endsolid" not in (word.lower() for word in words[-20:]):
+    if len(points) % 3 or b"endsolid" not in (field.lower() for field in fields[-20:]):
         raise FurnitureError(f"'{path}' cannot be read as STL: it ends in the middle")
     return points
 
@@ -107,7 +108,7 @@ class _Property:
     kind: str
     """Numpy type code."""
     length_kind: str | None
-    """Of a list's length; None for a single number."""
+    """Numpy type code of a list's length; None for a single number."""
 
 
 @dataclass(frozen=True)
@@ -136,7 +137,7 @@ def _read_ply(path: Path) -> Triangles:
 
 
 def _ply_header(path: Path, header: bytes) -> tuple[str | None, list[_Element]]:
-    """Byte order (None for text) and elements."""
+    """Return the byte order (None for text) and the elements of a PLY header."""
     orders = {"ascii": None, "binary_little_endian": "<", "binary_big_endian": ">"}
     order: str | None = None
     elements: list[_Element] = []
@@ -166,7 +167,7 @@ def _extend(elements: list[_Element], added: _Property) -> None:
     elements[-1] = _Element(last.name, last.count, (*last.properties, added))
 
 
-def _rings(element: _Element) -> str:
+def _ring_property(element: _Element) -> str:
     for p in element.properties:
         if p.length_kind and p.name in ("vertex_indices", "vertex_index"):
             return p.name
@@ -194,16 +195,16 @@ def _ascii_ply(body: bytes, elements: list[_Element]) -> tuple[np.ndarray, np.nd
             table = np.array([[float(w) for w in line.split()] for line in rows]).reshape(len(rows), len(names))
             points = table[:, [names.index(axis) for axis in "xyz"]]
         elif element.name == "face":
-            wanted, rings = _rings(element), []
+            ring_name, rings = _ring_property(element), []
             for line in rows:
-                words, at = line.split(), 0
+                fields, at = line.split(), 0
                 for p in element.properties:
-                    length = int(words[at]) if p.length_kind else 1
+                    length = int(fields[at]) if p.length_kind else 1
                     at += bool(p.length_kind)
-                    if length < 0 or at + length > len(words):
+                    if length < 0 or at + length > len(fields):
                         raise ValueError("a face ends in the middle")
-                    if p.name == wanted:
-                        rings.append([int(w) for w in words[at : at + length]])
+                    if p.name == ring_name:
+                        rings.append([int(w) for w in fields[at : at + length]])
                     at += length
             faces = _fans(rings)
     return points, faces
@@ -229,8 +230,8 @@ def _binary_ply(body: bytes, elements: list[_Element], order: str) -> tuple[np.n
 
 
 def _binary_faces(body: bytes, at: int, element: _Element, order: str) -> tuple[np.ndarray, int]:
-    """Faces as triangles, and where they end. Rows of one length are read at once."""
-    wanted = _rings(element)
+    """Return the faces as triangles, and the offset of their end; rows of equal length are read at once."""
+    ring_name = _ring_property(element)
     if element.count and len(element.properties) == 1:
         only = element.properties[0]
         head = np.dtype(order + str(only.length_kind))
@@ -256,11 +257,11 @@ def _binary_faces(body: bytes, at: int, element: _Element, order: str) -> tuple[
             kind = np.dtype(order + p.kind)
             if length < 0 or length * kind.itemsize > len(body) - at:
                 raise ValueError("a face ends in the middle")
-            if p.name == wanted:
+            if p.name == ring_name:
                 rings.append(np.frombuffer(body, kind, length, at).astype(np.int64).tolist())
             at += length * kind.itemsize
     return _fans(rings), at
 
 
 READERS: dict[str, Callable[[Path], Triangles]] = {".obj": _read_obj, ".stl": _read_stl, ".ply": _read_ply}
-"""By file suffix."""
+"""Readers by file suffix."""

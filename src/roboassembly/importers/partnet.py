@@ -1,4 +1,4 @@
-"""PartNet v0: a folder a shape, the leaves of its merged hierarchy as parts, y up, normalised.
+"""Importer for PartNet v0: one folder for each shape, leaves of the merged hierarchy as parts, y up, normalised.
 
 result_after_merging.json    the hierarchy; each leaf lists its meshes under `objs`
 objs/*.obj                   the meshes, in the assembled shape's frame
@@ -28,11 +28,11 @@ from roboassembly.importers.mesh_files import read_mesh
 
 HIERARCHY = "result_after_merging.json"
 LICENCE = "PartNet terms of use: research only, no redistribution"
-WANTED = f"a PartNet v0 folder ({HIERARCHY} and objs/), or one that holds such folders"
+EXPECTED = f"a PartNet v0 folder ({HIERARCHY} and objs/), or one that holds such folders"
 MAX_NODES = 2_000
 MAX_DEPTH = 32
 MAX_OBJS = 2_000
-"""Meshes of one leaf."""
+"""Largest number of meshes of one leaf."""
 
 
 class _Node(msgspec.Struct, frozen=True):
@@ -47,38 +47,38 @@ class _Meta(msgspec.Struct, frozen=True):
 
 
 def find(root: Path) -> list[Path]:
-    """The shape folders at or below `root`.
+    """Return the shape folders at or below `root`.
 
     Raises:
-        FurnitureError: no such folder, or no shape in it.
+        FurnitureError: the folder does not exist, or holds no shape.
     """
-    return files.find_folders(root, lambda _, names: HIERARCHY in names, WANTED)
+    return files.find_folders(root, lambda _, names: HIERARCHY in names, EXPECTED)
 
 
 def read(path: Path, *, scale: float | None = None) -> RawFurniture:
-    """The leaves of one shape's merged hierarchy: z up, metres, on the ground.
+    """Read the leaves of one shape's merged hierarchy as parts: z up, metres, on the ground.
 
-    A part's name is its way down from the root (`chair_base/regular_leg_base/leg`), numbered where it comes again;
-    its label is the leaf's own name. A leaf that lists exactly the meshes of an earlier one is that part again: it is
-    left out, and the provenance says so.
+    A part's name is its path from the root (`chair_base/regular_leg_base/leg`), numbered if it repeats; its label is
+    the leaf's own name. A leaf that lists exactly the meshes of an earlier leaf is a duplicate: it is left out, with a
+    note in the provenance.
 
     Args:
-        path: the shape's folder.
+        path: folder of the shape.
         scale: metres per unit of the files; by default from the category's typical size.
 
     Raises:
-        FurnitureError: missing or broken files, a leaf without meshes, a mesh outside `objs`, or a count of leaves
-            outside 2 to 20.
+        FurnitureError: files are missing or broken, a leaf has no meshes, a mesh lies outside `objs`, or there are not
+            2 to 20 leaves.
     """
-    path = files.folder(path, WANTED)
+    path = files.folder(path, EXPECTED)
     check_scale(scale)
     leaves = _leaves(path)
     check_part_count(len(leaves), str(path))
-    names = unique_names(["/".join(way) for way, _ in leaves])
+    names = unique_names(["/".join(node_path) for node_path, _ in leaves])
     parts: list[NamedTriangles] = []
     notes: list[str] = []
     owner: dict[frozenset[str], str] = {}
-    for name, (way, objs) in zip(names, leaves, strict=True):
+    for name, (node_path, objs) in zip(names, leaves, strict=True):
         first = owner.setdefault(frozenset(objs), name)
         if first != name:
             notes.append(f"leaf '{name}' left out: it lists the same meshes as '{first}'")
@@ -87,7 +87,7 @@ def read(path: Path, *, scale: float | None = None) -> RawFurniture:
             surface = combine([read_mesh(files.inside(path / "objs", f"{o}.obj", f"'{path}'")) for o in objs])
         except FurnitureError as problem:
             raise FurnitureError(f"part '{name}': {problem}") from None
-        parts.append(NamedTriangles(name, surface, way[-1]))
+        parts.append(NamedTriangles(name, surface, node_path[-1]))
     check_part_count(len(parts), str(path))
     rotation = UP_ROTATIONS["y"]
     low, high = bounds(parts, rotation)
@@ -101,7 +101,7 @@ def read(path: Path, *, scale: float | None = None) -> RawFurniture:
 
 
 def _leaves(path: Path) -> list[tuple[list[str], list[str]]]:
-    """For every leaf, names from below the root down to it, and its meshes without repeats."""
+    """Return, for every leaf, the names on its path below the root, and its meshes without repeats."""
     roots = files.read_json(path / HIERARCHY, list[_Node])
     if len(roots) != 1:
         raise FurnitureError(f"'{path / HIERARCHY}' has {len(roots)} roots; one shape has one")
@@ -109,18 +109,18 @@ def _leaves(path: Path) -> list[tuple[list[str], list[str]]]:
     stack: list[tuple[_Node, list[str]]] = [(roots[0], [])]
     count = 0
     while stack:
-        node, way = stack.pop()
+        node, node_path = stack.pop()
         count += 1
-        if count > MAX_NODES or len(way) > MAX_DEPTH:
+        if count > MAX_NODES or len(node_path) > MAX_DEPTH:
             raise FurnitureError(
                 f"'{path / HIERARCHY}' has more than {MAX_NODES} nodes, or is deeper than {MAX_DEPTH} levels"
             )
         if node.children:
-            stack.extend((c, [*way, files.one_line(c.name, 60) or "unnamed"]) for c in reversed(node.children))
+            stack.extend((c, [*node_path, files.one_line(c.name, 60) or "unnamed"]) for c in reversed(node.children))
         else:
-            way = way or [files.one_line(node.name, 60) or "unnamed"]
+            node_path = node_path or [files.one_line(node.name, 60) or "unnamed"]
             objs = list(dict.fromkeys(node.objs))
             if not 1 <= len(objs) <= MAX_OBJS:
-                raise FurnitureError(f"'{path}': part '{'/'.join(way)}' lists {len(objs)} meshes under 'objs'")
-            out.append((way, objs))
+                raise FurnitureError(f"'{path}': part '{'/'.join(node_path)}' lists {len(objs)} meshes under 'objs'")
+            out.append((node_path, objs))
     return out

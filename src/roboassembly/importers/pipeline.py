@@ -1,4 +1,4 @@
-"""What every importer does after reading: repair, then annotate."""
+"""Import pipeline after reading: repair, then annotate."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ import numpy as np
 from roboassembly.furniture.annotate import annotate
 from roboassembly.furniture.model import Furniture, RawFurniture, Site
 from roboassembly.geometry.poses import SE3
-from roboassembly.importers.connection_sites import CLOSES
+from roboassembly.importers.connection_sites import MAX_GAP
 from roboassembly.repair import PartRepair, RepairLimits, repair
 
 ROUNDING = 1e-9
-"""Metres: what moving two sites together may change about their distance."""
+"""Rounding error in the distance of two sites that are moved together [m]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Imported:
-    """Furniture from elsewhere, and what had to be done to it."""
+    """Imported furniture, and the repairs made to it."""
 
     furniture: Furniture
     repairs: tuple[PartRepair, ...]
@@ -29,25 +29,25 @@ def finish(name: str, raw: RawFurniture, *, allow_shortening: bool = False) -> I
     """Repair and annotate parts as read.
 
     Args:
-        name: of the piece.
+        name: name of the piece.
         raw: parts as read.
-        allow_shortening: lift the limit on what repair may take off a part's size or a joint's depth.
+        allow_shortening: whether repair may reduce a part's size or a joint's depth without limit.
 
     Raises:
-        FurnitureError: what cannot be repaired within limits, or does not hold together, with the reason.
+        FurnitureError: the parts cannot be repaired within limits, or are not connected.
     """
     limits = replace(RepairLimits(), shortening=float("inf")) if allow_shortening else RepairLimits()
     repaired = repair(raw.parts, limits=limits)
-    sites, opened = _moved(raw.sites, repaired.report)
+    sites, opened = _shifted_sites(raw.sites, repaired.report)
     notes = (*raw.provenance.notes, *(str(r) for r in repaired.report), *opened)
     furniture = annotate(name, repaired.parts, replace(raw.provenance, notes=notes))
-    # Annotation lays the parts' frames anew, but leaves the parts where they are.
+    # Annotation redefines the parts' frames, but does not move the parts.
     framed = tuple(replace(site, frame=furniture.assembled[site.part].actInv(site.frame)) for site in sites)
     return Imported(replace(furniture, sites=framed), repaired.report)
 
 
-def _moved(sites: Sequence[Site], report: Sequence[PartRepair]) -> tuple[list[Site], list[str]]:
-    """The sites where repair moved their parts to, still in the furniture's frame; a note for each pair that it opened.
+def _shifted_sites(sites: Sequence[Site], report: Sequence[PartRepair]) -> tuple[list[Site], list[str]]:
+    """Return the sites moved with their parts, in the furniture's frame, and a note for each pair that came apart.
 
     Sites that no longer meet have no mate.
     """
@@ -57,8 +57,8 @@ def _moved(sites: Sequence[Site], report: Sequence[PartRepair]) -> tuple[list[Si
         if site.mate is None or site.mate < index:
             continue
         mate = out[site.mate]
-        # Scaled up, sites that closed in the source's files may be more than that apart.
-        allowed = max(CLOSES, _gap(sites[index], sites[site.mate]) + ROUNDING)
+        # With a scale above 1, sites that close in the source's files may be farther apart than `MAX_GAP`.
+        allowed = max(MAX_GAP, _gap(sites[index], sites[site.mate]) + ROUNDING)
         gap = _gap(site, mate)
         if gap > allowed:
             out[index], out[site.mate] = replace(site, mate=None), replace(mate, mate=None)

@@ -34,11 +34,11 @@ __all__ = ["GAP", "PartRepair", "RepairLimits", "RepairResult", "repair"]
 
 GAP = 0.0002
 """Metres between mating faces."""
-WORTH_REPORTING = 0.001
+REPORT_THRESHOLD = 0.001
 """Metres of changed size, or of lost depth, above which a part is reported by name."""
-_TIDY = 0.2
+_TIDY_SHARE = 0.2
 """Share of the gap by which surfaces may be moved to have fewer triangles."""
-_ROOM = 0.8
+_SOLID_FACE_SHARE = 0.8
 """Share of the triangles allowed that a part has before it is trimmed: cuts add some."""
 
 
@@ -85,7 +85,7 @@ class PartRepair:
     def changes(self) -> tuple[str, ...]:
         """Changes of size, and losses of depth, above `WORTH_REPORTING`: one line each."""
         lines = []
-        if abs(self.size_change) > WORTH_REPORTING:
+        if abs(self.size_change) > REPORT_THRESHOLD:
             how = "smaller" if self.size_change < 0.0 else "larger"
             lines.append(f"{abs(self.size_change) * 1e3:.1f} mm {how} than delivered")
         lines += [f"sits {loss * 1e3:.1f} mm less deep in '{other}'" for other, loss in self.depth_losses]
@@ -132,7 +132,7 @@ def repair(parts: Sequence[RawPart], *, gap: float = GAP, limits: RepairLimits |
             note = f"made like '{first.name}'"
             solid = replace(first.solid, body=like.placed(first.body), notes=(*first.solid.notes, note))
         else:
-            solid = solidify(part.name, part.mesh, int(_ROOM * limits.faces))
+            solid = solidify(part.name, part.mesh, int(_SOLID_FACE_SHARE * limits.faces))
         if solid.shape_error > limits.shape_error:
             raise FurnitureError(
                 f"part '{part.name}' could only be made solid ({solid.how}) with its surface "
@@ -141,7 +141,7 @@ def repair(parts: Sequence[RawPart], *, gap: float = GAP, limits: RepairLimits |
             )
         pieces.append(Piece.of(part.name, solid))
     separate(pieces, gap, limits, diagonal)
-    tidy = _TIDY * gap
+    tidy = _TIDY_SHARE * gap
     keep_alike(pieces, alike, limits, tidy)
     for piece in pieces:
         if piece.body.num_tri() > limits.faces:
@@ -167,7 +167,7 @@ def repair(parts: Sequence[RawPart], *, gap: float = GAP, limits: RepairLimits |
                 shape_error=piece.solid.shape_error,
                 shape_added=piece.solid.shape_added,
                 size_change=change,
-                depth_losses=piece.depth_losses(bodies, WORTH_REPORTING),
+                depth_losses=piece.depth_losses(bodies, REPORT_THRESHOLD),
                 notes=(*piece.solid.notes, *dict.fromkeys(piece.notes)),
             )
         )

@@ -31,7 +31,7 @@ MAX_TURNED = 12_000
 """Triangles of a part, times its turns: intersecting more of them takes minutes."""
 MAX_SHORTER = 0.001
 """Metres of a part's size, or of a joint's depth, that cuts in other turns, or those of parts like it, may take."""
-WORTH_TURNING = 0.001
+MIN_TURN_GAIN = 0.001
 """Share of a part's volume that another turn must save."""
 MAX_FEATURED_FACES = 60_000
 """Parts of more triangles are not compared."""
@@ -54,7 +54,7 @@ class Likeness:
         shift = self.centre - rotation @ self.master_centre
         return body.transform(np.column_stack([rotation, shift]))
 
-    def taken_back(self, body: m3.Manifold, turn: int = 0) -> m3.Manifold:
+    def placed_back(self, body: m3.Manifold, turn: int = 0) -> m3.Manifold:
         """This part's solid where the master is."""
         rotation = self.turns[turn].T
         return body.transform(np.column_stack([rotation, self.master_centre - rotation @ self.centre]))
@@ -90,9 +90,9 @@ def _middle(mesh: Mesh) -> Float[np.ndarray, "3"]:
     return (weight[:, None] * (a + b + c)).sum(axis=0) / (3.0 * weight.sum())
 
 
-def _comparable(one: Mesh, two: Mesh) -> bool:
-    flat = min(np.linalg.svd(mesh.vertices, compute_uv=False)[2] for mesh in (one, two)) < 1e-4
-    return not flat and abs(len(one.faces) - len(two.faces)) <= 0.2 * len(one.faces) <= 0.2 * MAX_FEATURED_FACES
+def _comparable(first: Mesh, second: Mesh) -> bool:
+    flat = min(np.linalg.svd(mesh.vertices, compute_uv=False)[2] for mesh in (first, second)) < 1e-4
+    return not flat and abs(len(first.faces) - len(second.faces)) <= 0.2 * len(first.faces) <= 0.2 * MAX_FEATURED_FACES
 
 
 def keep_alike(pieces: list[Piece], alike: Sequence[Likeness], limits: RepairLimits, tidy: float) -> None:
@@ -139,7 +139,7 @@ def _share_cuts(
         return True
     if len(turns) > 1 and unmoved[0].num_tri() * len(turns) > MAX_TURNED:
         return False
-    common, chosen = _in_all_turns(unmoved[0], alike[master], turns, tidy), [0]
+    common, chosen = _common_in_all_turns(unmoved[0], alike[master], turns, tidy), [0]
     whole = pieces[master].whole
     extra = min(body.volume() for body in unmoved) - common.volume()
     if extra > MAX_EXTRA * whole or common.is_empty():
@@ -147,12 +147,15 @@ def _share_cuts(
     if len(turns) > 1 and _depth(Shell(to_surface(unmoved[0])), Shell(to_surface(common))) > MAX_DEPTH:
         return False
     for p, body in zip(members[1:], unmoved[1:], strict=True):
-        ways = _ways(alike[p], turns)
-        turned = {way: _in_all_turns(alike[p].taken_back(body, way), alike[master], turns, tidy) for way in ways}
-        tries = {way: common ^ turned[way] for way in ways}
-        best = max(ways, key=lambda way: tries[way].volume())
+        indices = _distinct_turns(alike[p], turns)
+        turned = {
+            index: _common_in_all_turns(alike[p].placed_back(body, index), alike[master], turns, tidy)
+            for index in indices
+        }
+        tries = {index: common ^ turned[index] for index in indices}
+        best = max(indices, key=lambda index: tries[index].volume())
         # The copies were placed by the first turn, so that it fits exactly; the others do within the tolerance.
-        if tries[best].volume() < tries[0].volume() + WORTH_TURNING * pieces[master].whole:
+        if tries[best].volume() < tries[0].volume() + MIN_TURN_GAIN * pieces[master].whole:
             best = 0
         common = _tidied(tries[best], tidy)
         chosen.append(best)
@@ -164,8 +167,8 @@ def _share_cuts(
     if any(len(common.decompose()) > len(body.decompose()) for body in unmoved):
         return False
     fresh = {
-        p: alike[p].placed(common, way).translate(tuple(m.tolist()))
-        for p, way, m in zip(members, chosen, moved, strict=True)
+        p: alike[p].placed(common, index).translate(tuple(m.tolist()))
+        for p, index, m in zip(members, chosen, moved, strict=True)
     }
     if _harmed(pieces, fresh):
         return False
@@ -210,13 +213,13 @@ def _harmed(pieces: list[Piece], fresh: dict[int, m3.Manifold]) -> bool:
     return False
 
 
-def _ways(like: Likeness, turns: Float[np.ndarray, "n 3 3"]) -> list[int]:
+def _distinct_turns(like: Likeness, turns: Float[np.ndarray, "n 3 3"]) -> list[int]:
     """Turns of a part that differ by more than one of the rotations that its master is laid onto itself by."""
     out: list[int] = []
-    for way, turn in enumerate(like.turns[:MAX_TURNS]):
+    for index, turn in enumerate(like.turns[:MAX_TURNS]):
         between = [like.turns[other].T @ turn for other in out]
         if not any(np.abs(turns - rotation).max(axis=(1, 2)).min() < SAME_TURN for rotation in between):
-            out.append(way)
+            out.append(index)
     return out
 
 
@@ -231,12 +234,14 @@ def _depth(before: Shell, after: Shell) -> float:
     return max(before.distance_to(point) for point in points)
 
 
-def _in_all_turns(body: m3.Manifold, master: Likeness, turns: Float[np.ndarray, "n 3 3"], tidy: float) -> m3.Manifold:
+def _common_in_all_turns(
+    body: m3.Manifold, master: Likeness, turns: Float[np.ndarray, "n 3 3"], tidy: float
+) -> m3.Manifold:
     """What the master's solid has in common with itself turned about its centre in all these ways."""
     if len(turns) == 1:
         return body
     about = [np.column_stack([turn, master.centre - turn @ master.centre]) for turn in turns[1:]]
-    common = m3.Manifold.batch_boolean([body, *(body.transform(way) for way in about)], m3.OpType.Intersect)
+    common = m3.Manifold.batch_boolean([body, *(body.transform(pose) for pose in about)], m3.OpType.Intersect)
     return _tidied(common, tidy)
 
 

@@ -20,7 +20,7 @@ from roboassembly.repair.proximity import Shell
 from roboassembly.repair.surface import Surface
 
 Parts = frozenset[int]
-Ways = tuple[tuple[Float[np.ndarray, "3"], bool], ...]
+ContactDirections = tuple[tuple[Float[np.ndarray, "3"], bool], ...]
 STEPS = (0.0015, 0.004, 0.01)
 """Metres that a part is moved to see what it hits: beyond any clearance, and within any depth of a joint."""
 _SAME = 0.99
@@ -74,24 +74,24 @@ Direction = tuple[float, ...]
 
 
 @dataclass(eq=False)
-class Memory:
+class BlockingCache:
     """Answers about pairs of shells, kept from one opening to the next: most shells stay as they are."""
 
-    meetings: dict[tuple[Shell, Shell], tuple[float, Ways]] = field(default_factory=dict)
+    contacts: dict[tuple[Shell, Shell], tuple[float, ContactDirections]] = field(default_factory=dict)
     blocked: dict[tuple[Shell, Shell, Direction], bool] = field(default_factory=dict)
     exits: dict[tuple[Shell, Shell, Direction], bool] = field(default_factory=dict)
 
-    def meeting(self, one: Shell, two: Shell) -> tuple[float, Ways]:
+    def contact(self, shell: Shell, other: Shell) -> tuple[float, ContactDirections]:
         """Metres between two shells, and directions across; whether each stands for the contact as a whole."""
-        if (one, two) not in self.meetings:
-            self.meetings[one, two] = _meeting(one, two)
-        return self.meetings[one, two]
+        if (shell, other) not in self.contacts:
+            self.contacts[shell, other] = _contact(shell, other)
+        return self.contacts[shell, other]
 
-    def blocks(self, one: Shell, two: Shell, way: Float[np.ndarray, "3"]) -> bool:
+    def blocks(self, shell: Shell, other: Shell, direction: Float[np.ndarray, "3"]) -> bool:
         """Whether `one`, moved a little along the direction, hits `two`."""
-        key = (one, two, tuple(way.tolist()))
+        key = (shell, other, tuple(direction.tolist()))
         if key not in self.blocked:
-            self.blocked[key] = any(one.touches(two, step * way) for step in STEPS)
+            self.blocked[key] = any(shell.touches(other, step * direction) for step in STEPS)
         return self.blocked[key]
 
 
@@ -105,75 +105,77 @@ def closure(part: int, arcs: dict[int, set[int]], among: Parts) -> Parts:
     return frozenset(closed)
 
 
-def blocking(shells: Sequence[Shell], memory: Memory | None = None) -> Blocking:
+def blocking(shells: Sequence[Shell], cache: BlockingCache | None = None) -> Blocking:
     """Arcs among all parts nearer than the contact distance, along axes, long sides and contact normals.
 
     Args:
         shells: the parts, assembled.
         memory: of earlier calls, to be added to.
     """
-    memory = memory or Memory()
+    cache = cache or BlockingCache()
     near: list[tuple[int, int]] = []
-    ways: list[tuple[Float[np.ndarray, "3"], tuple[Parts, ...] | None]] = [
-        (way, None) for way in (*np.eye(3), *-np.eye(3))
+    candidates: list[tuple[Float[np.ndarray, "3"], tuple[Parts, ...] | None]] = [
+        (direction, None) for direction in (*np.eye(3), *-np.eye(3))
     ]
     for a, b in combinations(range(len(shells)), 2):
         if shells[a].box_distance(shells[b]) < CONTACT_DISTANCE:
-            distance, across = memory.meeting(shells[a], shells[b])
+            distance, across = cache.contact(shells[a], shells[b])
             if distance < CONTACT_DISTANCE:
                 near.append((a, b))
                 pair = (frozenset((a, b)),)
-                ways += [(sign * way, pair if whole else ()) for way, whole in across for sign in (1.0, -1.0)]
+                candidates += [
+                    (sign * direction, pair if whole else ()) for direction, whole in across for sign in (1.0, -1.0)
+                ]
     for part, shell in enumerate(shells):
         long, *others = main_axes(shell.surface)
-        ways += [(sign * long, (frozenset((part,)),)) for sign in (1.0, -1.0)]
-        ways += [(sign * axis, ()) for axis in others for sign in (1.0, -1.0)]
+        candidates += [(sign * long, (frozenset((part,)),)) for sign in (1.0, -1.0)]
+        candidates += [(sign * axis, ()) for axis in others for sign in (1.0, -1.0)]
     kept: list[tuple[Float[np.ndarray, "3"], tuple[Parts, ...] | None]] = []
-    for way, owner in ways:
-        if np.linalg.norm(way) < 0.5:
+    for direction, owner in candidates:
+        if np.linalg.norm(direction) < 0.5:
             continue
-        alike = [k for k, (other, _) in enumerate(kept) if float(way @ other) > _SAME]
+        alike = [k for k, (other, _) in enumerate(kept) if float(direction @ other) > _SAME]
         if not alike and len(kept) < _MAX_DIRECTIONS:
-            kept.append((way, owner))
+            kept.append((direction, owner))
         for k in alike:
             other, owners = kept[k]
-            if owner is not None and owners is not None and float(way @ other) > _EQUAL:
+            if owner is not None and owners is not None and float(direction @ other) > _EQUAL:
                 kept[k] = (other, (*owners, *owner))
-    directions = np.array([way for way, _ in kept])
+    directions = np.array([direction for direction, _ in kept])
     arcs = tuple({p: set() for p in range(len(shells))} for _ in directions)
     for a, b in near:
-        blocked = [memory.blocks(shells[a], shells[b], way) for way in directions]
-        for index, way in enumerate(directions):
+        blocked = [cache.blocks(shells[a], shells[b], direction) for direction in directions]
+        for index, direction in enumerate(directions):
             if blocked[index]:
                 arcs[index][a].add(b)
             # b along a direction is a along the opposite one, seen from the other side.
-            opposite = int(np.argmin(directions @ way))
-            if float(directions[opposite] @ way) < -_EQUAL:
-                held = blocked[opposite]
+            opposite = int(np.argmin(directions @ direction))
+            if float(directions[opposite] @ direction) < -_EQUAL:
+                hits = blocked[opposite]
             else:
-                held = memory.blocks(shells[b], shells[a], way)
-            if held:
+                hits = cache.blocks(shells[b], shells[a], direction)
+            if hits:
                 arcs[index][b].add(a)
     return Blocking(directions, arcs, frozenset(map(frozenset, near)), tuple(owners for _, owners in kept))
 
 
-def _meeting(one: Shell, two: Shell) -> tuple[float, Ways]:
-    distance, here, there = one.nearest(two)
+def _contact(shell: Shell, other: Shell) -> tuple[float, ContactDirections]:
+    distance, here, there = shell.nearest(other)
     if distance >= CONTACT_DISTANCE:
         return distance, ()
-    across, facing = (there - here) / max(distance, 1e-9), _facing(one, two, distance)
+    across, facing = (there - here) / max(distance, 1e-9), _facing(shell, other, distance)
     return distance, ((across, facing is None), *(() if facing is None else ((facing, True),)))
 
 
-def _facing(one: Shell, two: Shell, distance: float) -> Float[np.ndarray, "3"] | None:
+def _facing(shell: Shell, other: Shell, distance: float) -> Float[np.ndarray, "3"] | None:
     """Mean unit normal of where two shells face each other; None if it cancels out, as all around a dowel.
 
     Between rough surfaces the nearest two points say little about which way the joint looks.
     """
-    pairs = one.pairs_near(two, distance + FACING_MARGIN)
+    pairs = shell.pairs_near(other, distance + FACING_MARGIN)
     normals, areas = [], []
-    for shell, which in ((one, pairs[:, 0]), (two, pairs[:, 1])):
-        a, b, c = np.swapaxes(shell.surface.corners[which], 0, 1)
+    for side, which in ((shell, pairs[:, 0]), (other, pairs[:, 1])):
+        a, b, c = np.swapaxes(side.surface.corners[which], 0, 1)
         normal = np.cross(b - a, c - a)
         areas.append(np.linalg.norm(normal, axis=1))
         normals.append(normal / np.maximum(areas[-1], 1e-30)[:, None])
@@ -191,8 +193,8 @@ def main_axes(surface: Surface) -> list[Float[np.ndarray, "3"]]:
     total = a + b + c
     second = sum(np.einsum("i,ij,ik->jk", weight, x, x) for x in (a, b, c, total)) / 20.0
     first = (weight[:, None] * total).sum(axis=0) / 4.0
-    spread = second - np.outer(first, first) / weight.sum()
-    return list(np.linalg.eigh(spread)[1].T[::-1])
+    covariance = second - np.outer(first, first) / weight.sum()
+    return list(np.linalg.eigh(covariance)[1].T[::-1])
 
 
 STRIDE = 0.004
@@ -202,9 +204,9 @@ STRIDE = 0.004
 class Exits:
     """Ways straight out, along the directions of a blocking graph; remembers what it has tested."""
 
-    def __init__(self, shells: Sequence[Shell], graph: Blocking, memory: Memory | None = None) -> None:
+    def __init__(self, shells: Sequence[Shell], graph: Blocking, cache: BlockingCache | None = None) -> None:
         self._shells, self._graph = shells, graph
-        self._memory = memory or Memory()
+        self._cache = cache or BlockingCache()
 
     def captives(self, among: Parts) -> list[Parts]:
         """Sets of parts, of two or more, out of which nothing can go straight all the way in a natural direction."""
@@ -227,24 +229,24 @@ class Exits:
         """Whether part `a` hits part `b` on its straight way out along the direction of that index."""
         if b in self._graph.arcs[index][a]:
             return True
-        one, two, way = self._shells[a], self._shells[b], self._graph.directions[index]
-        key, known = (one, two, tuple(way.tolist())), self._memory.exits
+        shell, other, direction = self._shells[a], self._shells[b], self._graph.directions[index]
+        key, known = (shell, other, tuple(direction.tolist())), self._cache.exits
         if key not in known:
-            start, stop = overlap_span(one, two, way)
+            start, stop = overlap_span(shell, other, direction)
             steps = np.arange(max(start, 0.0005), stop, STRIDE)
-            known[key] = any(one.touches(two, step * way) for step in steps)
+            known[key] = any(shell.touches(other, step * direction) for step in steps)
         return known[key]
 
 
-def overlap_span(one: Shell, two: Shell, way: Float[np.ndarray, "3"]) -> tuple[float, float]:
+def overlap_span(shell: Shell, other: Shell, direction: Float[np.ndarray, "3"]) -> tuple[float, float]:
     """From where to where, in metres along `way`, the box of the moved `one` overlaps that of `two`; (0, 0): never."""
     start, stop = 0.0, float("inf")
     for axis in range(3):
-        before, after = two.low[axis] - one.high[axis], two.high[axis] - one.low[axis]
-        if abs(way[axis]) < 1e-9:
+        before, after = other.low[axis] - shell.high[axis], other.high[axis] - shell.low[axis]
+        if abs(direction[axis]) < 1e-9:
             if before > 0.0 or after < 0.0:
                 return 0.0, 0.0
             continue
-        ends = sorted((before / way[axis], after / way[axis]))
+        ends = sorted((before / direction[axis], after / direction[axis]))
         start, stop = max(start, ends[0]), min(stop, ends[1])
     return (start, stop) if stop > start else (0.0, 0.0)

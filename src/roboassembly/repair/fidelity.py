@@ -17,7 +17,7 @@ _NEAR = 5e-4
 
 def lost(surface: Surface, body: m3.Manifold) -> float:
     """How far the delivered surface sticks out of the solid, in metres: 99th percentile of evenly spread points."""
-    points = _spread(surface)
+    points = _sample_evenly(surface)
     shell = Shell(to_surface(body))
     distance = np.array([shell.distance_to(point) for point in points])
     deep = np.flatnonzero(distance > _NEAR)
@@ -41,9 +41,9 @@ def added(surface: Surface, body: m3.Manifold) -> float:
     The cap over an open end counts, so that a filled tube has half its width.
     """
     shell = Shell(surface)
-    return float(np.quantile([shell.distance_to(point) for point in _spread(to_surface(body))], QUANTILE))
+    return float(np.quantile([shell.distance_to(point) for point in _sample_evenly(to_surface(body))], QUANTILE))
 
 
-def _spread(surface: Surface) -> np.ndarray:
+def _sample_evenly(surface: Surface) -> np.ndarray:
     points, _ = sample(surface, SPACING, MAX_POINTS)
     return points[np.linspace(0, len(points) - 1, min(len(points), MAX_POINTS)).astype(int)]

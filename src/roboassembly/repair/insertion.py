@@ -36,28 +36,28 @@ def extents(points: Float[np.ndarray, "n 3"], axes: Float[np.ndarray, "3 3"]) ->
     return np.ptp(points @ axes.T, axis=0) if len(points) else np.zeros(3)
 
 
-def engaged(one: m3.Manifold, other: m3.Manifold) -> Float[np.ndarray, "n 3"]:
+def engaged(body: m3.Manifold, other: m3.Manifold) -> Float[np.ndarray, "n 3"]:
     """Corners of the portion of `one` that is inside `other` or within `REACH` of it; none where they are apart."""
-    cropped = near(other, one, 20.0 * REACH)
+    cropped = near(other, body, 20.0 * REACH)
     grown = inflate(cropped, REACH)
     if grown is cropped:
         # Its surface would cross itself. Shifted copies reach as far along the axes, and more than half as far between.
         shifts = [tuple(sign * REACH * axis) for axis in np.eye(3) for sign in (1.0, -1.0)]
         grown = m3.Manifold.batch_boolean([cropped, *(cropped.translate(s) for s in shifts)], m3.OpType.Add)
-    portion = grown ^ one
+    portion = grown ^ body
     return np.empty((0, 3)) if portion.is_empty() else to_surface(portion).vertices
 
 
-def insertion_depth(one: m3.Manifold, other: m3.Manifold, axes: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3"]:
+def insertion_depth(body: m3.Manifold, other: m3.Manifold, axes: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3"]:
     """How deep an end of `one` sits in `other` along each axis, in metres.
 
     The depth of a tenon counts its socket's reach, `REACH`. It is 0 along an axis where no end of `one` is near
     `other`, and where the two merely lie on each other.
     """
-    corners = engaged(one, other)
+    corners = engaged(body, other)
     if not len(corners):
         return np.zeros(3)
-    whole, portion = to_surface(one).vertices @ axes.T, corners @ axes.T
+    whole, portion = to_surface(body).vertices @ axes.T, corners @ axes.T
     size, depth = np.ptp(whole, axis=0), np.ptp(portion, axis=0)
     at_end = np.minimum(portion.min(axis=0) - whole.min(axis=0), whole.max(axis=0) - portion.max(axis=0)) < REACH
     # Of what lies on a face only a skin engages.

@@ -14,17 +14,17 @@ from jaxtyping import Float
 from roboassembly.errors import FurnitureError
 from roboassembly.furniture.model import CONTACT_DISTANCE
 from roboassembly.geometry.poses import align_axis
-from roboassembly.repair.exits import Blocking, Exits, Memory, Parts, blocking, overlap_span
+from roboassembly.repair.exits import Blocking, Exits, BlockingCache, Parts, blocking, overlap_span
 from roboassembly.repair.limits import RepairLimits
 from roboassembly.repair.piece import HARM_LIMIT, Piece, harm
 from roboassembly.repair.proximity import Shell
 from roboassembly.repair.surface import to_surface
 from roboassembly.repair.trim import Cut, cut_with, inflate
 
-MAX_WHOLE = 7
+MAX_FULL_SEARCH = 7
 """Of a captive set of up to this many parts every subset is tried as the one that leaves; of larger ones, single
 parts and pairs."""
-LOOKED_AT, TRIED = 24, 6
+MAX_ESTIMATED, MAX_TRIED = 24, 6
 """Ways out whose cost is estimated, and whose cuts are made to compare them."""
 LOCAL = 0.03
 """Metres of a socket's depth that are opened where a straight way out would cost too much."""
@@ -42,7 +42,7 @@ _HARM_COST = 1.0
 
 
 @dataclass(frozen=True)
-class _Way:
+class _ExitCandidate:
     """A subset of captive parts that is to leave the rest along a direction."""
 
     leaving: Parts
@@ -70,12 +70,12 @@ def open_up(pieces: list[Piece], gap: float, limits: RepairLimits) -> None:
     """
     everything = frozenset(range(len(pieces)))
     given_up: set[Parts] = set()
-    tried: set[_Way] = set()
-    memory = Memory()
+    tried: set[_ExitCandidate] = set()
+    cache = BlockingCache()
     for _ in range(limits.openings):
         shells = [piece.shell for piece in pieces]
-        graph = blocking(shells, memory)
-        exits = Exits(shells, graph, memory)
+        graph = blocking(shells, cache)
+        exits = Exits(shells, graph, cache)
         tight = [core for core in graph.captives(everything) if core not in given_up]
         stuck = tight or [core for core in exits.captives(everything) if core not in given_up]
         if not stuck:
@@ -85,7 +85,7 @@ def open_up(pieces: list[Piece], gap: float, limits: RepairLimits) -> None:
             given_up.add(core)
     else:
         given_up = set()
-    left = blocking([piece.shell for piece in pieces], memory).captives(everything)
+    left = blocking([piece.shell for piece in pieces], cache).captives(everything)
     if left and not limits.captive:
         names = ", ".join(f"'{pieces[p].name}'" for p in sorted(left[0]))
         raise FurnitureError(
@@ -99,22 +99,22 @@ def _open(
     core: Parts,
     graph: Blocking,
     exits: Exits,
-    tried: set[_Way],
+    tried: set[_ExitCandidate],
     gap: float,
     limits: RepairLimits,
 ) -> bool:
     """Make the cheapest of the ways out of a captive set that have not been tried."""
     estimates: dict[tuple[int, int, int], float] = {}
     ranked = sorted(
-        (way for way in _ways(core, graph) if way not in tried),
-        key=lambda way: sum(len(graph.arcs[way.index][p] & way.staying) for p in way.leaving),
+        (candidate for candidate in _candidate_exits(core, graph) if candidate not in tried),
+        key=lambda candidate: sum(len(graph.arcs[candidate.index][p] & candidate.staying) for p in candidate.leaving),
     )
     priced = sorted(
-        ((_estimate(pieces, way, graph, estimates), n) for n, way in enumerate(ranked[:LOOKED_AT])),
+        ((_estimate(pieces, candidate, graph, estimates), n) for n, candidate in enumerate(ranked[:MAX_ESTIMATED])),
     )
-    best: tuple[float, list[_Opening], _Way] | None = None
+    best: tuple[float, list[_Opening], _ExitCandidate] | None = None
     for reach in (float("inf"), LOCAL):
-        for price, n in priced[:TRIED]:
+        for price, n in priced[:MAX_TRIED]:
             if best is not None and price >= best[0]:
                 break
             made = _cuts(pieces, ranked[n], graph, exits, reach, gap, limits)
@@ -135,46 +135,54 @@ def _open(
     return True
 
 
-def _ways(core: Parts, graph: Blocking) -> list[_Way]:
+def _candidate_exits(core: Parts, graph: Blocking) -> list[_ExitCandidate]:
     members = sorted(core)
-    most = len(members) - 1 if len(members) <= MAX_WHOLE else 2
+    most = len(members) - 1 if len(members) <= MAX_FULL_SEARCH else 2
     subsets = [frozenset(s) for size in range(1, most + 1) for s in combinations(members, size)]
-    ways = [tuple(np.round(way, 3).tolist()) for way in graph.directions]
+    directions = [tuple(np.round(direction, 3).tolist()) for direction in graph.directions]
     return [
-        _Way(s, core - s, index, way)
+        _ExitCandidate(s, core - s, index, direction)
         for s in subsets
-        for index, way in enumerate(ways)
+        for index, direction in enumerate(directions)
         if graph.is_natural(index, s, core - s)
     ]
 
 
-def _estimate(pieces: list[Piece], way: _Way, graph: Blocking, known: dict[tuple[int, int, int], float]) -> float:
+def _estimate(
+    pieces: list[Piece], candidate: _ExitCandidate, graph: Blocking, known: dict[tuple[int, int, int], float]
+) -> float:
     """At least this share of some part's volume has to go."""
     total = 0.0
-    for a in sorted(way.leaving):
-        for b in sorted(graph.arcs[way.index][a] & way.staying):
-            key = (a, b, way.index)
+    for a in sorted(candidate.leaving):
+        for b in sorted(graph.arcs[candidate.index][a] & candidate.staying):
+            key = (a, b, candidate.index)
             if key not in known:
-                one, two = pieces[a], pieces[b]
-                moves = [tuple((step * graph.directions[way.index]).tolist()) for step in _STEPS]
-                met = max((one.body.translate(move) ^ two.body).volume() for move in moves)
-                known[key] = met / max(one.whole, two.whole)
+                first, second = pieces[a], pieces[b]
+                moves = [tuple((step * graph.directions[candidate.index]).tolist()) for step in _STEPS]
+                met = max((first.body.translate(move) ^ second.body).volume() for move in moves)
+                known[key] = met / max(first.whole, second.whole)
             total += known[key]
     return total
 
 
 def _cuts(
-    pieces: list[Piece], way: _Way, graph: Blocking, exits: Exits, reach: float, gap: float, limits: RepairLimits
+    pieces: list[Piece],
+    candidate: _ExitCandidate,
+    graph: Blocking,
+    exits: Exits,
+    reach: float,
+    gap: float,
+    limits: RepairLimits,
 ) -> tuple[float, list[_Opening]] | None:
-    """The cuts that open a way, and their cost as a share of volumes; None when a limit forbids them."""
-    direction = graph.directions[way.index]
-    bodies = {p: pieces[p].body for p in way.leaving | way.staying}
+    """The cuts that open a candidate, and their cost as a share of volumes; None when a limit forbids them."""
+    direction = graph.directions[candidate.index]
+    bodies = {p: pieces[p].body for p in candidate.leaving | candidate.staying}
     removed = {p: pieces[p].removed for p in bodies}
     out: list[_Opening] = []
     total = 0.0
-    for a in sorted(way.leaving):
-        for b in sorted(way.staying):
-            if not (exits.hits(a, b, way.index) if reach > LOCAL else b in graph.arcs[way.index][a]):
+    for a in sorted(candidate.leaving):
+        for b in sorted(candidate.staying):
+            if not (exits.hits(a, b, candidate.index) if reach > LOCAL else b in graph.arcs[candidate.index][a]):
                 continue
             length = min(reach, overlap_span(pieces[a].shell, pieces[b].shell, direction)[1])
             choices: list[tuple[float, _Opening]] = []
@@ -184,7 +192,7 @@ def _cuts(
                 share = made.removed / pieces[trimmed].whole
                 if made.body.is_empty() or removed[trimmed] + made.removed > limits.trimmed * pieces[trimmed].whole:
                     continue
-                loose = _apart(made.body, bodies[other])
+                loose = _loses_contact(made.body, bodies[other])
                 lost = harm(pieces[trimmed], pieces[other], made.body, bodies[other])
                 cost = share + _SPLIT_COST * made.splits + _LOOSE_COST * loose + _HARM_COST * (lost > HARM_LIMIT)
                 choices.append((cost, _Opening(trimmed, other, made)))
@@ -198,19 +206,19 @@ def _cuts(
     return total, out
 
 
-def _apart(one: m3.Manifold, two: m3.Manifold) -> bool:
-    return Shell(to_surface(one)).nearest(Shell(to_surface(two)))[0] >= CONTACT_DISTANCE
+def _loses_contact(first: m3.Manifold, second: m3.Manifold) -> bool:
+    return Shell(to_surface(first)).nearest(Shell(to_surface(second)))[0] >= CONTACT_DISTANCE
 
 
 def sweep(
-    body: m3.Manifold, way: Float[np.ndarray, "3"], length: float, target: m3.Manifold, gap: float
+    body: m3.Manifold, direction: Float[np.ndarray, "3"], length: float, target: m3.Manifold, gap: float
 ) -> m3.Manifold:
-    """What `body`, grown by `gap`, covers of the target's surroundings while it moves `length` metres along `way`.
+    """What `body`, grown by `gap`, covers of the target's surroundings while it moves `length` metres along `direction`.
 
     Where the body has many faces that look ahead, it is swept layer by layer.
     """
     low, high = np.reshape(target.bounding_box(), (2, 3))
-    shift = length * way
+    shift = length * direction
     start, stop = low - np.maximum(shift, 0.0) - 20.0 * gap, high - np.minimum(shift, 0.0) + 20.0 * gap
     close = body ^ m3.Manifold.cube(tuple(stop - start)).translate(tuple(start))
     grown = inflate(close.simplify(0.3 * gap), 1.3 * gap)
@@ -218,23 +226,23 @@ def sweep(
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     reach_low = corners.min(axis=1) + np.minimum(shift, 0.0)
     reach_high = corners.max(axis=1) + np.maximum(shift, 0.0)
-    ahead = normal @ way > 1e-9 * np.linalg.norm(normal, axis=1)
+    ahead = normal @ direction > 1e-9 * np.linalg.norm(normal, axis=1)
     ahead &= (reach_low < high).all(axis=1) & (reach_high > low).all(axis=1)
     if ahead.sum() <= MAX_PRISMS:
         prisms = [m3.Manifold.hull_points(np.concatenate([t, t + shift])) for t in corners[ahead]]
         return m3.Manifold.batch_boolean([grown, *prisms], m3.OpType.Add)
-    return _layered(close.simplify(0.3 * gap), way, length, target, 1.3 * gap)
+    return _layered(close.simplify(0.3 * gap), direction, length, target, 1.3 * gap)
 
 
 def _layered(
-    body: m3.Manifold, way: Float[np.ndarray, "3"], length: float, target: m3.Manifold, margin: float
+    body: m3.Manifold, direction: Float[np.ndarray, "3"], length: float, target: m3.Manifold, margin: float
 ) -> m3.Manifold:
-    """What a body of many faces covers while it moves, layer by layer across the way.
+    """What a body of many faces covers while it moves, layer by layer across the direction.
 
     Each layer covers the outlines of all layers behind it, grown by the margin. What the body does not reach stays: the
     core of a screw whose nut is drawn off.
     """
-    up = align_axis(way, np.array([0.0, 0.0, 1.0]))
+    up = align_axis(direction, np.array([0.0, 0.0, 1.0]))
     turned = body.transform(np.column_stack([up, np.zeros(3)]))
     across = target.transform(np.column_stack([up, np.zeros(3)])).bounding_box()
     bottom, top = turned.bounding_box()[2], turned.bounding_box()[5]
@@ -256,7 +264,7 @@ def _layered(
         if slab.is_empty():
             continue
         wider = outline + shadow(slab)
-        # The margin counts along the way too: a layer begins that much earlier. Small growth widens the layer before.
+        # The margin counts along the direction too: a layer begins that much earlier. Small growth widens the layer before.
         if wider.area() > (1.0 + GROWTH) * area:
             if low - margin > begun:
                 layers.append(_slab(outline, begun, low - margin))

@@ -25,8 +25,8 @@ class Shell:
 
     def box_distance(self, other: Shell) -> float:
         """Metres between the axis-aligned boxes: never more than the distance between the meshes."""
-        apart = np.maximum(0.0, np.maximum(self.low - other.high, other.low - self.high))
-        return float(np.linalg.norm(apart))
+        separation = np.maximum(0.0, np.maximum(self.low - other.high, other.low - self.high))
+        return float(np.linalg.norm(separation))
 
     def touches(self, other: Shell, shift: Float[np.ndarray, "3"] | None = None) -> bool:
         """Whether any two triangles meet, with this shell moved by `shift` metres."""

@@ -56,9 +56,9 @@ def separate(pieces: list[Piece], gap: float, limits: RepairLimits, diagonal: fl
     Raises:
         FurnitureError: not possible within the limits.
     """
-    for one, other in permutations(pieces, 2):
-        if one.shell.box_distance(other.shell) <= REACH:
-            one.measure_depth(other)
+    for piece, other in permutations(pieces, 2):
+        if piece.shell.box_distance(other.shell) <= REACH:
+            piece.measure_depth(other)
     start = list(pieces)
     problems: list[FurnitureError] = []
     for careful in (True, False):
@@ -93,7 +93,7 @@ def _separate(
             replace(piece, notes=list(piece.notes), weight=weight) for piece, weight in zip(start, weights, strict=True)
         ]
         try:
-            _try(pieces, gap, limits, diagonal, careful)
+            _attempt(pieces, gap, limits, diagonal, careful)
         except _TooMuchTrimmedError as problem:
             first = first or problem
             weights[pieces.index(problem.piece)] *= HEAVIER
@@ -107,25 +107,25 @@ def _separate(
         raise first
 
 
-def _try(pieces: list[Piece], gap: float, limits: RepairLimits, diagonal: float, careful: bool) -> None:
+def _attempt(pieces: list[Piece], gap: float, limits: RepairLimits, diagonal: float, careful: bool) -> None:
     were_touching = [(a, b) for a, b in combinations(pieces, 2) if _distance(a, b, gap) <= gap]
-    _clear(pieces, gap, limits, careful)
+    _clear_all(pieces, gap, limits, careful)
     for _ in range(MAX_MOVES):
         islands = _islands(pieces)
         if len(islands) == 1:
             break
         _bring_closer(pieces, islands, gap, limits, diagonal)
-        _clear(pieces, gap, limits, careful)
+        _clear_all(pieces, gap, limits, careful)
     else:
         raise FurnitureError(f"parts still hang apart after {MAX_MOVES} moves; check the assembled poses")
     open_up(pieces, gap, limits)
     if len(_islands(pieces)) > 1:
         raise FurnitureError("parts came apart when their sockets were opened; check the assembled poses")
     for a, b in were_touching:
-        apart = _distance(a, b, 2 * CONTACT_DISTANCE)
-        if apart >= CONTACT_DISTANCE:
-            for one, other in ((a, b), (b, a)):
-                one.notes.append(f"no longer within {CONTACT_DISTANCE * 1e3:g} mm of '{other.name}'")
+        distance = _distance(a, b, 2 * CONTACT_DISTANCE)
+        if distance >= CONTACT_DISTANCE:
+            for piece, other in ((a, b), (b, a)):
+                piece.notes.append(f"no longer within {CONTACT_DISTANCE * 1e3:g} mm of '{other.name}'")
 
 
 def check_sizes(pieces: list[Piece], limits: RepairLimits) -> None:
@@ -153,7 +153,7 @@ def _distance(a: Piece, b: Piece, enough: float) -> float:
     return a.shell.nearest(b.shell)[0] if a.shell.box_distance(b.shell) <= enough else float("inf")
 
 
-def _clear(pieces: list[Piece], gap: float, limits: RepairLimits, careful: bool) -> None:
+def _clear_all(pieces: list[Piece], gap: float, limits: RepairLimits, careful: bool) -> None:
     close: list[tuple[Piece, Piece]] = []
     for attempt in range(ROUNDS):
         width = gap * (1.0 + 0.25 * attempt)
@@ -169,7 +169,7 @@ def _clear(pieces: list[Piece], gap: float, limits: RepairLimits, careful: bool)
             return
         close = [(pieces[i], pieces[j]) for _, i, j in sorted(overlaps)]
         for a, b in close:
-            _part(a, b, width, limits, careful)
+            _clear_pair(a, b, width, limits, careful)
     a, b = close[0]
     raise FurnitureError(f"parts '{a.name}' and '{b.name}' still touch after {ROUNDS} rounds of trimming")
 
@@ -189,7 +189,7 @@ class _Choice:
         other = self.cutter.shell if self.tip is None else Shell(to_surface(self.tip.body))
         return Shell(to_surface(self.cut.body)).nearest(other)[0] >= 0.5 * gap
 
-    def take(self) -> None:
+    def apply(self) -> None:
         """Do it."""
         piece, other, made = self.trimmed, self.cutter, self.cut
         if self.tip is not None:
@@ -206,21 +206,23 @@ class _Choice:
             piece.notes.append(f"has a socket for '{other.name}'")
 
 
-def _part(a: Piece, b: Piece, gap: float, limits: RepairLimits, careful: bool) -> None:
+def _clear_pair(a: Piece, b: Piece, gap: float, limits: RepairLimits, careful: bool) -> None:
     """Make two pieces clear each other by trimming the one that suffers less."""
     choices: list[_Choice] = []
     worst: list[tuple[float, Piece]] = []
     for trimmed, cutter in ((a, b), (b, a)):
-        for n, one in enumerate(_cuts(trimmed, cutter, gap)):
-            share = (trimmed.removed + one.removed) / trimmed.whole
-            if one.body.is_empty() or share > limits.trimmed:
+        for n, candidate in enumerate(_cuts(trimmed, cutter, gap)):
+            share = (trimmed.removed + candidate.removed) / trimmed.whole
+            if candidate.body.is_empty() or share > limits.trimmed:
                 worst.append((share, trimmed))
                 continue
-            cost = _cost(trimmed, one, limits)
+            cost = _cost(trimmed, candidate, limits)
             if careful:
                 # The first cut takes what is in the way and no more, but for plugs that come loose.
-                cost += _harm_cost(harm(trimmed, cutter, one.body), n > 0 and _goes_beyond(trimmed, cutter, one))
-            choices.append(_Choice(cost, trimmed, cutter, one))
+                cost += _harm_cost(
+                    harm(trimmed, cutter, candidate.body), n > 0 and _goes_beyond(trimmed, cutter, candidate)
+                )
+            choices.append(_Choice(cost, trimmed, cutter, candidate))
     # To cut both leaves neither as it was meant: only where one of them has proved too dear.
     if max(a.weight, b.weight) > 1.0:
         choices += [choice for pair in ((a, b), (b, a)) for choice in _shared(*pair, gap, limits, careful)]
@@ -235,7 +237,7 @@ def _part(a: Piece, b: Piece, gap: float, limits: RepairLimits, careful: bool) -
     choices.sort(key=lambda choice: choice.cost)
     # A cut can fail to clear where a surface crosses itself: what is inside out there, no cut takes away. Then it is
     # the other one's turn.
-    next((choice for choice in choices if choice.clears(gap)), choices[0]).take()
+    next((choice for choice in choices if choice.clears(gap)), choices[0]).apply()
 
 
 def _cuts(trimmed: Piece, cutter: Piece, gap: float) -> list[Cut]:
@@ -244,8 +246,8 @@ def _cuts(trimmed: Piece, cutter: Piece, gap: float) -> list[Cut]:
     if cuts[0].freedom < 0.3:
         most = min(MAX_PLANE_SHARE * trimmed.whole, MAX_PLANE_RATIO * cuts[0].removed)
         flat = plane_cut(trimmed.body, cutter.body, gap)
-        cuts += [one for one in flat if one.removed <= most and not one.splits]
-    if max(one.freedom for one in cuts) < TRAPPED:
+        cuts += [candidate for candidate in flat if candidate.removed <= most and not candidate.splits]
+    if max(candidate.freedom for candidate in cuts) < TRAPPED:
         flush = flush_cut(trimmed.body, cutter.body, gap)
         cuts += [flush] if flush is not None else []
     return cuts
@@ -257,8 +259,8 @@ def _shared(trimmed: Piece, cutter: Piece, gap: float, limits: RepairLimits, car
     most = limits.trimmed * cutter.whole - cutter.removed
     for shared in shared_cuts(cutter.body, trimmed.body, gap, most):
         shares = [
-            (piece.removed + one.removed) / piece.whole
-            for piece, one in ((cutter, shared.tip), (trimmed, shared.socket))
+            (piece.removed + candidate.removed) / piece.whole
+            for piece, candidate in ((cutter, shared.tip), (trimmed, shared.socket))
         ]
         if max(shares) <= limits.trimmed and not shared.socket.body.is_empty():
             cost = cutter.weight * shares[0] / limits.trimmed + _cost(trimmed, shared.socket, limits)
@@ -279,8 +281,8 @@ def _harm_cost(lost: float, goes_beyond: bool) -> float:
 
 def _goes_beyond(trimmed: Piece, cutter: Piece, made: Cut) -> bool:
     """Whether a cut takes what is not in the neighbour's way: a tenon out of its socket, or the walls of a socket."""
-    taken = trimmed.body - made.body
-    return (taken - inflate(near(cutter.body, taken, 20.0 * KEPT), KEPT)).volume() > BEYOND
+    cut_volume = trimmed.body - made.body
+    return (cut_volume - inflate(near(cutter.body, cut_volume, 20.0 * KEPT), KEPT)).volume() > BEYOND
 
 
 def _islands(pieces: list[Piece]) -> list[list[int]]:

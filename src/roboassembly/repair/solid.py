@@ -36,7 +36,7 @@ PLATE_THICKNESS = 0.001
 NEAR_SOLID = 0.002
 """A sheet this near to a solid piece of the same part, in metres, is its paint."""
 SPACING = 0.004
-GOOD = 0.0015
+ACCEPTED_ERROR = 0.0015
 """With a shape error below this, in metres, no other way is tried."""
 _QUADRICS = ((1.0, 2.0), (0.95, 4.0), (0.9, 1.0), (0.8, 6.0))
 """Shares of the triangles wanted, and how eagerly they are merged: tried until what comes out is closed."""
@@ -44,7 +44,7 @@ _TOLERANCES = (2e-5, 4e-5, 8e-5)
 """Metres by which the surface may move without a look at what that does to the shape."""
 _FINE = 20
 """Times as many triangles as wanted make a body too fine to go gently."""
-_ROOM = (1, 2)
+_FACE_FACTORS = (1, 2)
 """Times as many triangles as asked for, where with fewer the shape would suffer."""
 _UNSOUND = 0.01
 """Share of its volume by which a solid may differ from the two halves of it; more, and it is folded inside out."""
@@ -88,17 +88,17 @@ def solidify(name: str, mesh: Mesh, max_faces: int) -> Solid:
         return _measured(flat, surface, max_faces, notes)
     pieces = components(surface)
     best = _measured(_by_pieces(pieces), surface, max_faces, notes)
-    if best.shape_error <= GOOD:
+    if best.shape_error <= ACCEPTED_ERROR:
         return best
     found = [best]
     finer = [patch for piece in pieces for patch in patches(piece)]
     if len(finer) > len(pieces):
         found.append(_measured(_by_pieces(finer), surface, max_faces, notes))
-    if min(solid.shape_error for solid in found) > GOOD:
+    if min(solid.shape_error for solid in found) > ACCEPTED_ERROR:
         body, step = wrap(surface, _closed(pieces))
         note = f"crosses itself or does not close: wrapped on a grid of {step * 1e3:.1f} mm"
         found.append(_measured(_Build(body, ("wrapped",), (note,)), surface, max_faces, notes))
-    return min(found, key=lambda solid: max(GOOD, solid.shape_error) + _ADDED_WEIGHT * solid.shape_added)
+    return min(found, key=lambda solid: max(ACCEPTED_ERROR, solid.shape_error) + _ADDED_WEIGHT * solid.shape_added)
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,22 +106,22 @@ class _Build:
     """One way to make a part solid, not yet simplified and measured."""
 
     body: m3.Manifold
-    ways: tuple[str, ...]
+    methods: tuple[str, ...]
     notes: tuple[str, ...]
 
 
 def _measured(build: _Build, surface: Surface, max_faces: int, notes: list[str]) -> Solid:
-    how = " + ".join(dict.fromkeys(build.ways))
+    how = " + ".join(dict.fromkeys(build.methods))
     notes = [*notes, *build.notes]
     body, error = build.body, float("inf")
     # Each pass over a fine grid's half a million triangles takes a second: there is one only.
     start = body if body.num_tri() <= _FINE * max_faces else body.simplify(_TOLERANCES[-1])
-    for room in _ROOM:
-        body = simplify(start, max_faces * room)
+    for factor in _FACE_FACTORS:
+        body = simplify(start, max_faces * factor)
         if body.is_empty():
             return Solid(body, how, float("inf"), float("inf"), tuple(notes))
         error = lost(surface, body) if _is_sound(body) else float("inf")
-        if error <= GOOD or start.num_tri() <= max_faces * room:
+        if error <= ACCEPTED_ERROR or start.num_tri() <= max_faces * factor:
             break
     return Solid(body, how, error, added(surface, body), tuple(notes))
 
@@ -135,8 +135,8 @@ def _is_sound(body: m3.Manifold) -> bool:
     whole = body.volume()
     for axis in np.eye(3):
         for share in (0.37, 0.61):
-            one, other = body.split_by_plane(tuple(axis), float(axis @ (low + share * (high - low))))
-            if abs(one.volume() + other.volume() - whole) > _UNSOUND * abs(whole):
+            above, below = body.split_by_plane(tuple(axis), float(axis @ (low + share * (high - low))))
+            if abs(above.volume() + below.volume() - whole) > _UNSOUND * abs(whole):
                 return False
     return True
 
@@ -156,20 +156,20 @@ def _by_pieces(pieces: list[Surface]) -> _Build:
     """The union of the solids that the pieces make, each closed by itself."""
     notes: list[str] = []
     bodies: list[m3.Manifold] = []
-    ways: list[str] = []
+    methods: list[str] = []
     sheets: list[Surface] = []
-    stubborn: list[Surface] = []
+    unclosed: list[Surface] = []
     for piece in pieces:
-        body, way = _close(piece)
+        body, method = _close(piece)
         if body is None and is_flat(piece):
             sheets.append(piece)
         elif body is None:
-            stubborn.append(piece)
+            unclosed.append(piece)
         elif body.volume() < SHEET_THICKNESS * 0.5 * body.surface_area():
             sheets.append(piece)
         else:
             bodies.append(body)
-            ways.append(way)
+            methods.append(method)
     if bodies and sheets:
         solid_points = np.concatenate([sample(to_surface(b), SPACING, 60_000)[0] for b in bodies])
         tree = KDTree(solid_points)
@@ -180,22 +180,22 @@ def _by_pieces(pieces: list[Surface]) -> _Build:
     for sheet in sheets:
         made = _plate(sheet)
         if made is None:
-            stubborn.append(sheet)
+            unclosed.append(sheet)
             continue
         bodies.append(made)
-        ways.append("sheet thickened")
+        methods.append("sheet thickened")
         notes.append(_plate_note(sheet))
-    left = _join(stubborn)
+    left = _join(unclosed)
     if left is not None:
-        body, way = _hull(left), "convex hull"
+        body, method = _hull(left), "convex hull"
         if body is None:
             body, step = wrap(left)
-            way = "wrapped"
+            method = "wrapped"
             notes.append(f"{len(left.faces)} triangles that do not close wrapped on a grid of {step * 1e3:.1f} mm")
         bodies.append(body)
-        ways.append(way)
+        methods.append(method)
     body = bodies[0] if len(bodies) == 1 else m3.Manifold.batch_boolean(bodies, m3.OpType.Add)
-    return _Build(body, tuple(ways), tuple(notes))
+    return _Build(body, tuple(methods), tuple(notes))
 
 
 def _plate(sheet: Surface) -> m3.Manifold | None:
@@ -229,8 +229,8 @@ def _close(piece: Surface) -> tuple[m3.Manifold | None, str]:
 
 def is_flat(piece: Surface) -> bool:
     """Whether all vertices lie in one plane."""
-    spread = piece.vertices - piece.vertices.mean(axis=0)
-    return bool(np.abs(spread @ np.linalg.svd(spread, full_matrices=False)[2][2]).max() < SHEET_THICKNESS)
+    centred = piece.vertices - piece.vertices.mean(axis=0)
+    return bool(np.abs(centred @ np.linalg.svd(centred, full_matrices=False)[2][2]).max() < SHEET_THICKNESS)
 
 
 def _hull(piece: Surface) -> m3.Manifold | None:
@@ -276,7 +276,7 @@ def simplify(body: m3.Manifold, max_faces: int) -> m3.Manifold:
             continue
         if fewer.num_tri() <= max_faces:
             return fewer
-        fewest = min(fewest, fewer, key=lambda one: one.num_tri())
+        fewest = min(fewest, fewer, key=lambda candidate: candidate.num_tri())
     for tolerance in (1.5e-4, 3e-4, 6e-4, 1.2e-3):
         out = fewest.simplify(tolerance)
         if out.num_tri() <= max_faces:

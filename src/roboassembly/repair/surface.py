@@ -121,12 +121,12 @@ def orient(surface: Surface) -> Surface | None:
     edge = edge.reshape(-1)
     order = np.argsort(edge, kind="stable")
     pair = order[(count == 2)[edge[order]]].reshape(-1, 2)
-    one, two = owner[pair[:, 0]], owner[pair[:, 1]]
+    first, second = owner[pair[:, 0]], owner[pair[:, 1]]
     agree = np.where(forward[pair[:, 0]] != forward[pair[:, 1]], 1, -1)
     f = len(faces)
-    graph = coo_matrix((np.ones(len(one)), (one, two)), (f, f)).tocsr()
+    graph = coo_matrix((np.ones(len(first)), (first, second)), (f, f)).tocsr()
     relation = {}
-    for a, b, s in zip(one.tolist(), two.tolist(), agree.tolist(), strict=True):
+    for a, b, s in zip(first.tolist(), second.tolist(), agree.tolist(), strict=True):
         relation[a, b] = relation[b, a] = s
     patches, label = connected_components(graph, False)
     sign = np.ones(f, dtype=np.int64)
@@ -135,7 +135,7 @@ def orient(surface: Surface) -> Surface | None:
         visited, before = breadth_first_order(graph, start, directed=False)
         for face in visited[1:].tolist():
             sign[face] = sign[before[face]] * relation[int(before[face]), face]
-    if len(one) and (sign[one] * sign[two] != agree).any():
+    if len(first) and (sign[first] * sign[second] != agree).any():
         return None
     sign *= _patch_signs(surface, directed, forward, owner, edge, count, label, patches, sign)[label]
     wound = np.where(sign[:, None] > 0, faces, faces[:, ::-1])
@@ -204,7 +204,7 @@ def rims(surface: Surface) -> list[list[int]]:
                 following[b].append(a)
             else:
                 following[a].append(b)
-    loops = []
+    rim_loops = []
     for start in sorted(following):
         while following[start]:
             path, place = [start], {start: 0}
@@ -212,7 +212,7 @@ def rims(surface: Surface) -> list[list[int]]:
                 here = following[path[-1]].pop()
                 if here in place:
                     cut = place[here]
-                    loops.append(path[cut:])
+                    rim_loops.append(path[cut:])
                     for vertex in path[cut + 1 :]:
                         del place[vertex]
                     path = path[: cut + 1]
@@ -223,7 +223,7 @@ def rims(surface: Surface) -> list[list[int]]:
                     path.append(here)
             if len(path) > 1:  # cannot happen on a boundary, which is a cycle: every vertex has as many in as out
                 break
-    return loops
+    return rim_loops
 
 
 def fill_holes(surface: Surface) -> Surface | None:
@@ -272,9 +272,9 @@ def _least_cap(v: Float[np.ndarray, "v 3"], loop: list[int]) -> Int[np.ndarray, 
         i = np.arange(n - reach)
         j = i + reach
         m = i[:, None] + np.arange(1, reach)
-        one, two, three = squared[i[:, None], m], squared[m, j[:, None]], squared[i, j][:, None]
+        side_a, side_b, side_c = squared[i[:, None], m], squared[m, j[:, None]], squared[i, j][:, None]
         # Heron's formula in squared sides.
-        area = 0.25 * np.sqrt(np.maximum(4.0 * one * two - (one + two - three) ** 2, 0.0))
+        area = 0.25 * np.sqrt(np.maximum(4.0 * side_a * side_b - (side_a + side_b - side_c) ** 2, 0.0))
         total = cost[i[:, None], m] + cost[m, j[:, None]] + area
         k = np.argmin(total, axis=1)
         cost[i, j], split[i, j] = total[i, k], m[i, k]
@@ -349,8 +349,8 @@ def plate(sheet: Surface, thickness: float) -> m3.Manifold:
     axes = np.linalg.svd(sheet.vertices - centre, full_matrices=False)[2]
     axes[2] = np.cross(axes[0], axes[1])
     flat = ((sheet.vertices - centre) @ axes[:2].T)[sheet.faces]
-    one, two = flat[:, 1] - flat[:, 0], flat[:, 2] - flat[:, 0]
-    turned = one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0] < 0
+    edge_a, edge_b = flat[:, 1] - flat[:, 0], flat[:, 2] - flat[:, 0]
+    turned = edge_a[:, 0] * edge_b[:, 1] - edge_a[:, 1] * edge_b[:, 0] < 0
     flat[turned] = flat[turned][:, ::-1]
     outline = m3.CrossSection([np.ascontiguousarray(t) for t in flat], m3.FillRule.NonZero).simplify(WELD_DISTANCE)
     body = m3.Manifold.extrude(outline, thickness).translate((0.0, 0.0, -0.5 * thickness))

@@ -45,14 +45,14 @@ def inflate(body: m3.Manifold, amount: float) -> m3.Manifold:
     a, b, c = np.swapaxes(skin.corners, 0, 1)
     normal = np.cross(b - a, c - a)
     size = np.linalg.norm(normal, axis=1)
-    good = size > 1e-12
-    normal = normal[good] / size[good, None]
-    faces, corners = skin.faces[good], skin.corners[good]
+    has_area = size > 1e-12
+    normal = normal[has_area] / size[has_area, None]
+    faces, corners = skin.faces[has_area], skin.corners[has_area]
     n = len(skin.vertices)
     matrix, right = np.zeros((n, 3, 3)), np.zeros((n, 3))
     for k in range(3):
-        one, two = corners[:, (k + 1) % 3] - corners[:, k], corners[:, (k + 2) % 3] - corners[:, k]
-        weight = np.arctan2(np.linalg.norm(np.cross(one, two), axis=1), np.einsum("ij,ij->i", one, two))
+        edge_a, edge_b = corners[:, (k + 1) % 3] - corners[:, k], corners[:, (k + 2) % 3] - corners[:, k]
+        weight = np.arctan2(np.linalg.norm(np.cross(edge_a, edge_b), axis=1), np.einsum("ij,ij->i", edge_a, edge_b))
         np.add.at(matrix, faces[:, k], weight[:, None, None] * normal[:, :, None] * normal[:, None, :])
         np.add.at(right, faces[:, k], weight[:, None] * normal)
     values, axes = np.linalg.eigh(matrix)
@@ -216,7 +216,7 @@ def _freedom(tool: m3.Manifold, body: m3.Manifold) -> float:
     if not areas.sum() > 0:
         return 0.5
     largest = normals[np.argsort(-areas, kind="stable")[:12]]
-    ways = np.concatenate([DIRECTIONS, -largest])
-    blocked = np.maximum(ways @ normals.T, 0.0) @ areas / areas.sum()
+    directions = np.concatenate([DIRECTIONS, -largest])
+    blocked = np.maximum(directions @ normals.T, 0.0) @ areas / areas.sum()
     free = blocked < BLOCKED
     return float(max(free[: len(DIRECTIONS)].mean(), 0.003 * bool(free.any())))

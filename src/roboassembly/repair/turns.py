@@ -24,7 +24,7 @@ def groups(turns: Float[np.ndarray, "n 3 3"]) -> list[Float[np.ndarray, "m 3 3"]
         turns: the symmetries of a shape about its centre, as they were found, with an error.
     """
     found: list[np.ndarray] = []
-    whole = _made_exact(turns) if len(turns) <= MAX_TURNS else None
+    whole = _exact_group(turns) if len(turns) <= MAX_TURNS else None
     if whole is not None:
         found.append(whole)
     for axis, order in _axes(turns):
@@ -55,7 +55,7 @@ def _axes(turns: Float[np.ndarray, "n 3 3"]) -> list[tuple[Float[np.ndarray, "3"
     return out
 
 
-def _made_exact(turns: Float[np.ndarray, "n 3 3"]) -> Float[np.ndarray, "n 3 3"] | None:
+def _exact_group(turns: Float[np.ndarray, "n 3 3"]) -> Float[np.ndarray, "n 3 3"] | None:
     """The rotations, moved a little so that they make a group; None if they are not near one.
 
     Each rotation g is replaced by the mean over h of the products of gh and the inverse of h, made a rotation again: to
@@ -75,13 +75,13 @@ def _made_exact(turns: Float[np.ndarray, "n 3 3"]) -> Float[np.ndarray, "n 3 3"]
 def _products(turns: Float[np.ndarray, "n 3 3"]) -> Int[np.ndarray, "n n"] | None:
     """Which of the rotations the product of each two is; None where it is none, or not one alone."""
     products = np.einsum("aij,bjk->abik", turns, turns)
-    apart = np.abs(products[:, :, None] - turns[None, None]).max(axis=(3, 4))
-    if not ((apart < SAME_TURN).sum(axis=2) == 1).all():
+    difference = np.abs(products[:, :, None] - turns[None, None]).max(axis=(3, 4))
+    if not ((difference < SAME_TURN).sum(axis=2) == 1).all():
         return None
-    return np.argmin(apart, axis=2)
+    return np.argmin(difference, axis=2)
 
 
-def _same_group(one: Float[np.ndarray, "n 3 3"], two: Float[np.ndarray, "m 3 3"]) -> bool:
-    return len(one) == len(two) and bool(
-        (np.abs(one[:, None] - two[None]).max(axis=(2, 3)) < SAME_TURN).any(axis=1).all()
+def _same_group(first: Float[np.ndarray, "n 3 3"], second: Float[np.ndarray, "m 3 3"]) -> bool:
+    return len(first) == len(second) and bool(
+        (np.abs(first[:, None] - second[None]).max(axis=(2, 3)) < SAME_TURN).any(axis=1).all()
     )

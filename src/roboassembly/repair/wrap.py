@@ -136,10 +136,10 @@ def _march(field: Float[np.ndarray, "x y z"]) -> tuple[Float[np.ndarray, "v 3"],
     value = field.reshape(-1)
     code = ((value[tetra] < 0) * np.array([1, 2, 4, 8])).sum(axis=1)
     triangles = []
-    for one in range(4):
-        a, b, c = (k for k in range(4) if k != one)
-        t = tetra[(code == 1 << one) | (code == 15 - (1 << one))]
-        triangles.append(np.stack([t[:, [one, a]], t[:, [one, b]], t[:, [one, c]]], axis=1))
+    for single in range(4):
+        a, b, c = (k for k in range(4) if k != single)
+        t = tetra[(code == 1 << single) | (code == 15 - (1 << single))]
+        triangles.append(np.stack([t[:, [single, a]], t[:, [single, b]], t[:, [single, c]]], axis=1))
     for a, b in ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)):
         c, d = (k for k in range(4) if k not in (a, b))
         t = tetra[code == (1 << a) + (1 << b)]
