@@ -213,9 +213,9 @@ def _loses_contact(first: m3.Manifold, second: m3.Manifold) -> bool:
 def sweep(
     body: m3.Manifold, direction: Float[np.ndarray, "3"], length: float, target: m3.Manifold, gap: float
 ) -> m3.Manifold:
-    """What `body`, grown by `gap`, covers of the target's surroundings while it moves `length` metres along `direction`.
+    """Return the volume that `body`, grown by `gap`, sweeps near the target while it moves `length` metres.
 
-    Where the body has many faces that look ahead, it is swept layer by layer.
+    A body with many faces towards the direction is swept layer by layer.
     """
     low, high = np.reshape(target.bounding_box(), (2, 3))
     shift = length * direction
@@ -264,7 +264,8 @@ def _layered(
         if slab.is_empty():
             continue
         wider = outline + shadow(slab)
-        # The margin counts along the direction too: a layer begins that much earlier. Small growth widens the layer before.
+        # The margin also counts along the direction: a layer begins that much earlier. A small growth is added to the
+        # layer before.
         if wider.area() > (1.0 + GROWTH) * area:
             if low - margin > begun:
                 layers.append(_slab(outline, begun, low - margin))
