@@ -14,7 +14,7 @@ from jaxtyping import Float
 from roboassembly.errors import FurnitureError
 from roboassembly.furniture.model import CONTACT_DISTANCE
 from roboassembly.geometry.poses import align_axis
-from roboassembly.repair.exits import Blocking, Exits, BlockingCache, Parts, blocking, overlap_span
+from roboassembly.repair.exits import Blocking, BlockingCache, Exits, Parts, blocking, overlap_span
 from roboassembly.repair.limits import RepairLimits
 from roboassembly.repair.piece import HARM_LIMIT, Piece, harm
 from roboassembly.repair.proximity import Shell
