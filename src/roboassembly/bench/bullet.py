@@ -1,4 +1,4 @@
-"""One world of Bullet's through PyBullet, without a display (`DIRECT`): what its peers here share."""
+"""Bullet world through PyBullet, without a display (`DIRECT`); both Bullet peers use it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from roboassembly.geometry.poses import SE3
 
 
 class Bullet:
-    """A world, its shapes kept; collision margins are zero.
+    """Bullet world with cached shapes; collision margins are zero.
 
     Raises:
         MissingExtraError: PyBullet is not installed.
@@ -34,11 +34,11 @@ class Bullet:
         self._shapes: dict[tuple[Mesh, bool], int] = {}
 
     def concave(self, mesh: Mesh) -> int:
-        """An exact triangle mesh, for bodies that stay. Between two of these Bullet finds no contacts."""
+        """Return an exact triangle mesh, for static bodies. Bullet finds no contacts between two of these."""
         return self._mesh(mesh, concave=True)
 
     def hull(self, mesh: Mesh) -> int:
-        """The convex hull."""
+        """Return the convex hull of a mesh."""
         return self._mesh(mesh, concave=False)
 
     def _mesh(self, mesh: Mesh, *, concave: bool) -> int:
@@ -50,7 +50,7 @@ class Bullet:
         return self._shapes[mesh, concave]
 
     def add(self, shape: int, pose: SE3, mass: float = 0.0) -> int:
-        """A body at `world_from_shape`."""
+        """Add a body at `world_from_shape`; returns its index."""
         position, orientation = numbers(pose)
         body = self.api.createMultiBody(mass, shape, -1, position, orientation, physicsClientId=self.client)
         self.api.changeDynamics(body, -1, collisionMargin=0.0, physicsClientId=self.client)
@@ -61,7 +61,7 @@ class Bullet:
         self.api.resetBasePositionAndOrientation(body, *numbers(pose), physicsClientId=self.client)
 
     def empty(self) -> None:
-        """Forget all bodies and shapes."""
+        """Remove all bodies and shapes."""
         self.api.resetSimulation(physicsClientId=self.client)
         self._shapes.clear()
 
@@ -72,14 +72,14 @@ class Bullet:
 
 
 def numbers(pose: SE3) -> tuple[list[float], list[float]]:
-    """Position and quaternion `(x, y, z, w)`."""
+    """Return position and quaternion `(x, y, z, w)` of a pose."""
     seven = pin.SE3ToXYZQUAT(pose).tolist()
     return seven[:3], seven[3:]
 
 
 @contextlib.contextmanager
 def quiet() -> Iterator[None]:
-    """Send what native code prints to nowhere: Bullet announces itself past Python's own streams."""
+    """Discard the output of native code: Bullet does not print through Python's streams."""
     library = ctypes.CDLL("msvcrt" if os.name == "nt" else None)
     sys.stdout.flush()
     sys.stderr.flush()

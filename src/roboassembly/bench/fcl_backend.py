@@ -21,11 +21,11 @@ from roboassembly.geometry.poses import transform_points
 from roboassembly.geometry.scene import Scene
 
 _GROUND = (200.0, 200.0, 1.0)
-"""Metres; its top is z = 0."""
+"""Size of the box that stands for the ground, whose top is z = 0 [m]."""
 
 
 class FclPeer:
-    """Exact meshes; nothing is approximate."""
+    """FCL with exact meshes."""
 
     name = "fcl"
     description = (
@@ -47,7 +47,7 @@ class FclPeer:
         return model
 
     def set_up(self, scene: Scene) -> IsFree:
-        """Build the scene in place of the one before."""
+        """Replace the scene."""
         fcl = self._fcl
         moving, still = [], []
         for body in scene.bodies:
@@ -85,5 +85,5 @@ class FclPeer:
         return is_free
 
     def close(self) -> None:
-        """Forget the meshes."""
+        """Drop the cached meshes."""
         self._models.clear()

@@ -1,4 +1,4 @@
-"""On what a benchmark ran."""
+"""Machine that a benchmark ran on."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ class Machine:
 
     cpu: str
     cores: int
-    """That this process may use."""
+    """Number of cores that this process may use."""
     system: str
     python: str
     load: float | None
-    """Mean number of running processes in the last minute, where the system tells: above `cores`, times are noisy."""
+    """Mean number of running processes in the last minute; None if unknown. Times are noisy if it exceeds `cores`."""
     versions: dict[str, str]
-    """Of the packages that are installed."""
+    """Versions of the installed packages."""
 
     @classmethod
     def here(cls) -> Machine:
-        """This one, now."""
+        """Return this machine and its present load."""
         versions: dict[str, str] = {}
         for package in _PACKAGES:
             try:

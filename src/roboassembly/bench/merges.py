@@ -1,4 +1,4 @@
-"""What the benchmark measures on: every merge of a few chairs, set up as the task sets it up."""
+"""Planning problems of the benchmark: every merge of a few chairs, set up as in the task."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from roboassembly.task.object_centric.task import Mating, ObjectCentricTask
 from roboassembly.task.rules.groups import TaskState
 
 _SEEDS_TRIED = 500
-"""Generator seeds after which a family counts as having no chair with that many parts."""
+"""Number of generator seeds that are tried to find a chair with a given number of parts."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,34 +33,34 @@ class BenchChair:
     task: ObjectCentricTask
     result: SearchResult
     wall_seconds: float
-    """Of the whole search, everything that it computes for a furniture it has not seen included."""
+    """Wall time of the whole search, including what is computed once per piece [s]."""
     states: tuple[TaskState, ...]
-    """Before each step of the plan."""
+    """States before each step of the plan."""
 
 
 @dataclass(frozen=True, eq=False)
 class BenchMerge:
-    """One planning problem, in the forms that ours and the peers take."""
+    """One planning problem, in the forms for our planner and for the peers."""
 
     chair: BenchChair
     index: int
-    """Of the step in the chair's plan."""
+    """Index of the step in the chair's plan."""
     mating: Mating
     seed: int
     scene: Scene
-    """What `ObjectCentricTask.plan` makes a `CollisionWorld` of."""
+    """Scene from which `ObjectCentricTask.plan` makes a `CollisionWorld`."""
     box_axes: Float[np.ndarray, "3 3"]
     problem: MatingProblem
     bounds: Float[np.ndarray, "2 3"]
-    """Lowest and highest position of the moving body's origin in a tree search, metres, world."""
+    """Lowest and highest position of the moving body's origin in a tree search [m], world frame."""
 
     def world(self) -> CollisionWorld:
-        """A collision world of the merge; a new one each time."""
+        """Return a new collision world of the merge."""
         return CollisionWorld(self.scene, box_axes=self.box_axes)
 
 
 def find_chairs(family: str, parts: int, chairs: int, seed: int) -> tuple[BenchChair, ...]:
-    """The first `chairs` chairs of the family with that many parts, by generator seed, each solved.
+    """Return the first `chairs` chairs of the family with that many parts, by generator seed, each solved.
 
     Raises:
         InputError: the family has too few of them.
@@ -100,7 +100,7 @@ def _solved(furniture: Furniture, seed: int) -> BenchChair | None:
 
 
 def merges_of(chair: BenchChair, seed: int) -> Iterator[BenchMerge]:
-    """The chair's merges in the order of its plan."""
+    """Yield the chair's merges in the order of its plan."""
     for index, (state, step) in enumerate(zip(chair.states, chair.result.plan.steps, strict=True)):
         mating = chair.task.prepare(state, step.action)
         if mating is not None:
@@ -118,7 +118,7 @@ def _set_up(chair: BenchChair, index: int, mating: Mating, seed: int) -> BenchMe
 
 
 def _bounds(world: CollisionWorld, problem: MatingProblem) -> Float[np.ndarray, "2 3"]:
-    """Where `plan_mating` would let its tree search go."""
+    """Return the bounds of the tree search in `plan_mating`."""
     ends = np.array([problem.start.translation, problem.goal.translation])
     extent = world.radius + 0.1
     low, high = ends.min(axis=0) - extent, ends.max(axis=0) + extent

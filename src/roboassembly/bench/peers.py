@@ -28,18 +28,18 @@ util.setLogLevel(util.LogLevel.LOG_NONE)
 SE3State = Any
 """An OMPL state of SE(3); its Python type knows no coordinates."""
 IsFree = Callable[[SE3State], bool]
-"""Whether the moving body is free of collision at an OMPL state of SE(3)."""
+"""Function that returns whether the moving body is free of collision at an OMPL state of SE(3)."""
 
 
 class Peer(Protocol):
-    """A collision library behind the callback. It keeps the meshes that it has seen."""
+    """Collision library behind the callback. It caches meshes."""
 
     name: str
     description: str
-    """One sentence: how the bodies are represented, and what is approximate about that."""
+    """Sentence on the representation of the bodies and its approximations."""
 
     def set_up(self, scene: Scene) -> IsFree:
-        """Build the scene in place of the one before."""
+        """Replace the scene."""
         ...
 
     def close(self) -> None:
@@ -53,11 +53,11 @@ class Run:
 
     solved: bool
     states: int
-    """Configurations tested for collision."""
+    """Number of configurations tested for collision."""
     seconds: float
-    """Wall time, building the scene included; of a failure, what it spent."""
+    """Wall time, including building the scene and, on a failure, the time spent [s]."""
     capped: bool = False
-    """Cut short by the wall-time cap."""
+    """Whether the limit of wall time stopped it."""
 
 
 def plan_with_peer(
@@ -111,7 +111,7 @@ def plan_with_peer(
 
 
 def state_space(bounds: Float[np.ndarray, "2 3"], ends: tuple[SE3, SE3]) -> base.SE3StateSpace:
-    """SE(3) within the bounds, with edges cut at our resolution."""
+    """Return SE(3) within the bounds, with edges tested at our resolution."""
     space = base.SE3StateSpace()
     box = base.RealVectorBounds(3)
     points = [pose.translation for pose in ends]
@@ -130,12 +130,12 @@ def state_space(bounds: Float[np.ndarray, "2 3"], ends: tuple[SE3, SE3]) -> base
 
 
 def ompl_state(space: base.SE3StateSpace, pose: SE3) -> SE3State:
-    """The pose as a state of the space."""
+    """Return a pose as a state of the space."""
     return configuration_state(space, pin.SE3ToXYZQUAT(pose))
 
 
 def configuration_state(space: base.SE3StateSpace, configuration: Float[np.ndarray, "7"]) -> SE3State:
-    """`(x, y, z, qx, qy, qz, qw)` as a state of the space."""
+    """Return `(x, y, z, qx, qy, qz, qw)` as a state of the space."""
     state: SE3State = space.allocState()
     state.setXYZ(*map(float, configuration[:3]))
     quaternion = configuration[3:] / np.linalg.norm(configuration[3:])

@@ -1,4 +1,4 @@
-"""The price of one configuration, like with like: the same configurations, along edges that RRT-Connect asked for."""
+"""Time of one collision test, on the same configurations for all: along edges that RRT-Connect tests."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ from roboassembly.planning.world import ANGULAR_RESOLUTION, RESOLUTION, Collisio
 
 @dataclass(frozen=True)
 class StateTime:
-    """How long so many configurations took."""
+    """Time for a number of configurations."""
 
     states: int
     seconds: float
 
     @property
     def microseconds(self) -> float:
-        """Per configuration."""
+        """Mean time of a configuration [µs]."""
         return 1e6 * self.seconds / max(1, self.states)
 
 
 class _Recorder(CollisionWorld):
-    """Keeps the edges that it is asked about."""
+    """Collision world that records the tested edges."""
 
     def __init__(self, merge: BenchMerge) -> None:
         super().__init__(merge.scene, merge.box_axes)
@@ -43,7 +43,7 @@ class _Recorder(CollisionWorld):
 
 
 def sampled_edges(merge: BenchMerge, states: int) -> list[Float[np.ndarray, "7 n"]]:
-    """Configurations edge by edge, about `states` in all, each edge up to and with its first one in collision."""
+    """Return the configurations of edges, about `states` in total; an edge ends with its first collision."""
     recorder = _Recorder(merge)
     rrt_connect(
         recorder, merge.problem.start, [merge.problem.goal], merge.bounds, Budget(states=2 * states), merge.seed
@@ -64,7 +64,7 @@ def sampled_edges(merge: BenchMerge, states: int) -> list[Float[np.ndarray, "7 n
 
 
 def time_ours(merge: BenchMerge, edges: Sequence[Float[np.ndarray, "7 n"]]) -> StateTime:
-    """`CollisionWorld.first_collision`, a whole edge at a time."""
+    """Time `CollisionWorld.first_collision`, one call per edge."""
     world = merge.world()
     world.is_free(merge.problem.start)
     before = world.states
@@ -75,7 +75,7 @@ def time_ours(merge: BenchMerge, edges: Sequence[Float[np.ndarray, "7 n"]]) -> S
 
 
 def time_peer(peer: Peer, merge: BenchMerge, edges: Sequence[Float[np.ndarray, "7 n"]]) -> StateTime:
-    """The validity callback, for every configuration."""
+    """Time the validity callback, one call per configuration."""
     is_free = peer.set_up(merge.scene)
     space = state_space(merge.bounds, (merge.problem.start, merge.problem.goal))
     states = [configuration_state(space, column) for edge in edges for column in edge.T]

@@ -1,4 +1,4 @@
-"""The planning benchmark: ours against OMPL over PyBullet and over python-fcl, in one run.
+"""Planning benchmark: ours, and OMPL over PyBullet and over python-fcl, in one run.
 
 On every merge of a few chairs, with one seed and one budget of states for all:
 
@@ -39,66 +39,66 @@ _HULLS = "pybullet_hulls"
 
 @dataclass(frozen=True)
 class PlanningBenchConfig:
-    """What is measured."""
+    """Settings of the benchmark."""
 
     family: str = "ladder"
     parts: int = 15
     chairs: int = 3
-    """The family's first so many variants with exactly `parts` parts."""
+    """Number of chairs: the first variants of the family with exactly `parts` parts."""
     merges: int | None = None
-    """The first so many of each chair; all if None."""
+    """Number of merges of each chair, from the first; all if None."""
     states: int = 20_000
     """Budget of configurations for each merge."""
     cap_seconds: float = 20.0
-    """Wall time after which a peer is stopped on a merge."""
+    """Wall time after which a peer is stopped on a merge [s]."""
     repeats: int = 3
-    """Times that each plan is made; the median time counts."""
+    """Number of runs of each plan; the median time counts."""
     sampled_states: int = 1_000
-    """Configurations for each merge on which single states are timed."""
+    """Number of configurations of each merge on which single states are timed."""
     seed: int = 0
 
     @classmethod
     def quick(cls) -> PlanningBenchConfig:
-        """One chair and its first five merges, once."""
+        """Return settings for the first five merges of one chair, one run each."""
         return cls(chairs=1, merges=5, repeats=1, sampled_states=300)
 
 
 @dataclass(frozen=True, eq=False)
 class MergeRow:
-    """One merge, all planners."""
+    """Results of all planners on one merge."""
 
     chair: str
     step: int
     moving_parts: int
     runs: dict[str, Run]
-    """Whole plans, by backend."""
+    """Runs of whole plans, by backend."""
     same_planner: dict[str, Run]
-    """Our planner over a peer's checks."""
+    """Runs of our planner with a peer's checks."""
     state_times: dict[str, StateTime]
     hull_depth: float | None
-    """Metres that the moving parts' convex hulls stand in the still parts at the mating pose, as Bullet sees it."""
+    """Depth of the moving parts' convex hulls in the still parts at the mating pose, measured by Bullet [m]."""
 
     def ratio(self, backend: str) -> float:
-        """The backend's time over ours."""
+        """Return the backend's time divided by ours."""
         return self.runs[backend].seconds / self.runs["ours"].seconds
 
 
 @dataclass(frozen=True, eq=False)
 class PlanningBenchReport:
-    """What came out."""
+    """Results of the benchmark."""
 
     config: PlanningBenchConfig
     chairs: tuple[BenchChair, ...]
     rows: tuple[MergeRow, ...]
     steps: StepTimes
     skipped: dict[str, str]
-    """Backend to the reason why it did not take part."""
+    """Reasons why backends were left out, by backend."""
     descriptions: dict[str, str]
-    """Backend to how it represents bodies."""
+    """Representations of the bodies, by backend."""
     machine: Machine
 
     def to_json(self) -> dict[str, Any]:
-        """Plain numbers, strings, lists and dictionaries; None where a backend did not take part."""
+        """Return plain numbers, strings, lists and dictionaries; None if a backend was left out."""
         results = [chair.result for chair in self.chairs]
         names = ["ours", "ours_rrt", *PEERS]
         return {
@@ -128,7 +128,7 @@ class PlanningBenchReport:
         }
 
     def to_text(self) -> str:
-        """A table for people."""
+        """Return a table as text."""
         out = self.to_json()
         lines = [
             f"{out['merges']} merges of {len(self.chairs)} chairs with {self.config.parts} parts, "
@@ -208,7 +208,7 @@ class PlanningBenchReport:
 def run_planning_bench(
     config: PlanningBenchConfig | None = None, progress: Callable[[str], None] | None = None
 ) -> PlanningBenchReport:
-    """Measure. `progress` gets a line now and then.
+    """Run the benchmark; `progress` receives a line from time to time.
 
     Raises:
         InputError: no such family, or too few chairs with that many parts.
@@ -290,7 +290,7 @@ def _ours_rrt(merge: BenchMerge, budget: Budget) -> Run:
 
 
 def _repeated(repeats: int, plan: Callable[[], Run]) -> Run:
-    """The run of median time."""
+    """Return the run of median time."""
     runs: Sequence[Run] = [plan() for _ in range(repeats)]
     return sorted(runs, key=lambda run: run.seconds)[(repeats - 1) // 2]
 

@@ -28,7 +28,7 @@ from roboassembly.geometry.poses import SE3, transform_points
 from roboassembly.geometry.scene import Body, Scene
 
 DEPTH = 0.0
-"""Metres that a contact must be deep to count. Exact pieces need no tolerance."""
+"""Depth from which a contact counts [m]. Exact pieces need no tolerance."""
 _DISTANCE = 8
 """Index of the signed distance in a contact that PyBullet reports."""
 _GROUND_SIZE = 100.0
@@ -60,7 +60,7 @@ class PyBulletPeer:
         self._folder = tempfile.TemporaryDirectory(prefix="roboassembly-bench-")
 
     def set_up(self, scene: Scene) -> IsFree:
-        """Build the scene in place of the one before."""
+        """Replace the scene."""
         bullet, client = self._world.api, self._world.client
         self._clear()
         for body in scene.bodies:
@@ -90,7 +90,7 @@ class PyBulletPeer:
         return is_free
 
     def depth(self, pose: SE3) -> float:
-        """Deepest contact of the moving body at `world_from_body` in the scene set up last, metres."""
+        """Return the depth of the moving body's deepest contact at `world_from_body` in the present scene [m]."""
         bullet, client = self._world.api, self._world.client
         mover, others = self._mover, [b for b in self._bodies if b != self._mover]
         self._world.put(mover, pose)
@@ -102,7 +102,7 @@ class PyBulletPeer:
         return max(0.0, -min(distances, default=0.0))
 
     def close(self) -> None:
-        """Disconnect, and remove the files through which pieces were handed over."""
+        """Disconnect, and remove the files of the pieces."""
         self._world.close()
         self._folder.cleanup()
 
@@ -116,7 +116,7 @@ class PyBulletPeer:
         self._bodies.clear()
 
     def _add_mover(self, body: Body) -> int:
-        """One body with all pieces. Bullet takes several convex pieces from a file only, one per object in it."""
+        """Return one body of all pieces. Bullet reads several convex pieces only from a file, one per object in it."""
         path = Path(self._folder.name) / "moving.obj"
         path.write_text(_objects(body, self._pieces))
         # Bullet keeps what it has read by file name, which would hand out the last merge's body.
@@ -128,7 +128,7 @@ class PyBulletPeer:
 
 
 def _objects(body: Body, pieces: Pieces) -> str:
-    """Wavefront text of the body's convex pieces, in the body's frame."""
+    """Return the body's convex pieces as Wavefront text, in the body's frame."""
     lines: list[str] = []
     start = 1
     for shape in body.shapes:

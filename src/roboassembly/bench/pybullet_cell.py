@@ -1,7 +1,8 @@
 """Peer: the workcell in Bullet, one callback for each configuration of the moving robot.
 
-The URDF's Panda on a box, the other one with what it holds, posts and parts as concave meshes. What the moving hand
-holds are convex hulls, because Bullet finds no contacts between two concave meshes: less than exact, and faster.
+Both Pandas come from the URDF, each on a box. The payload of the other robot, the posts and the parts are concave
+meshes. The payload of the moving robot consists of convex hulls, because Bullet finds no contacts between two concave
+meshes; this is less exact, and faster.
 """
 
 from __future__ import annotations
@@ -33,11 +34,11 @@ class BulletCell:
         self._urdf = str(folder / "urdf/panda.urdf")
 
     def close(self) -> None:
-        """End Bullet's world."""
+        """Disconnect from Bullet."""
         self._world.close()
 
     def set_up(self, furniture: Furniture, segment: Segment) -> Callable[[Configuration], bool]:
-        """Build the scene of a segment in place of the one before; whether a configuration of its robot is free."""
+        """Replace the scene by that of a segment; returns the test whether a configuration of its robot is free."""
         world = self._world
         bullet, client = world.api, world.client
         world.empty()
@@ -51,8 +52,8 @@ class BulletCell:
             movers = [self._robot(own.opening), self._robot(other.opening)]
         tips = world_from_tips(other.at)
         still += [world.add(world.concave(s.mesh), tips * s.body_from_mesh) for s in other.payload_shapes(furniture)]
-        held = own.payload_shapes(furniture)
-        load = [world.add(world.hull(s.mesh), SE3.Identity()) for s in held]
+        payload = own.payload_shapes(furniture)
+        load = [world.add(world.hull(s.mesh), SE3.Identity()) for s in payload]
         place, joint = bullet.resetBasePositionAndOrientation, bullet.resetJointState
 
         def put(index: int, q: Configuration) -> None:
@@ -88,7 +89,7 @@ class BulletCell:
                 position, orientation = bullet.getLinkState(
                     arm, tips_link, computeForwardKinematics=True, physicsClientId=client
                 )[4:6]
-                for body, s in zip(load, held, strict=True):
+                for body, s in zip(load, payload, strict=True):
                     where = bullet.multiplyTransforms(position, orientation, *numbers(s.body_from_mesh))
                     place(body, *where, physicsClientId=client)
             if touches(platform, -1) or any(touches(arm, link) for link in links):

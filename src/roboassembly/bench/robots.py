@@ -32,17 +32,17 @@ from roboassembly.task.full.task import FullTask
 from roboassembly.task.plans.full_plan import FullPlan
 
 _STEP = 0.02
-"""Metres and radians between two states of theirs."""
+"""Distance between two states of the peer [m, rad]."""
 _CAP = 20.0
-"""Seconds after which a plan of theirs is stopped."""
+"""Time after which the peer's planner is stopped [s]."""
 _BUDGET = Budget(states=20_000)
 _SEARCHED = frozenset({Stage.DRIVE_TO_GROUP, Stage.DRIVE_TO_MATE, Stage.CARRY, Stage.LEAVE})
-"""Stages whose paths are searched."""
+"""Stages whose paths come from a search."""
 
 
 @dataclass(frozen=True)
 class Path:
-    """One segment, by both."""
+    """One segment, planned by ours and by the peer."""
 
     segment: str
     ours_seconds: float
@@ -55,25 +55,25 @@ class Path:
 
 @dataclass(frozen=True, eq=False)
 class RobotBenchReport:
-    """What came out."""
+    """Results of the robots' benchmark."""
 
     furniture: str
     parts: int
     microseconds: dict[str, float]
-    """Of an exact state."""
+    """Mean time of an exact collision test [µs], by backend."""
     agreement: float | None
-    """Share of states about which Bullet and we agree."""
+    """Share of states for which Bullet and ours give the same result."""
     paths: tuple[Path, ...]
     step_seconds: tuple[float, ...]
-    """Merges of the plan."""
+    """Times of the merges of the plan [s]."""
     hopeless_seconds: tuple[float, ...]
-    """Right pairs that come to nothing."""
+    """Times of right pairs that cannot be joined [s]."""
     skipped: dict[str, str]
     seed: int
     machine: Machine
 
     def to_json(self) -> dict[str, Any]:
-        """Plain numbers, strings, lists and dictionaries."""
+        """Return plain numbers, strings, lists and dictionaries."""
         both = [p for p in self.paths if p.theirs_seconds is not None]
         ratios = [p.theirs_seconds / p.ours_seconds for p in both if p.theirs_seconds is not None]
         return {
@@ -110,7 +110,7 @@ class RobotBenchReport:
         }
 
     def to_text(self) -> str:
-        """A few lines for people."""
+        """Return a few lines of text."""
         out = self.to_json()
         lines = [
             f"{self.furniture}, {self.parts} parts, {len(self.step_seconds)} merges, seed {self.seed}",
@@ -190,7 +190,7 @@ def run_robot_bench(
 def _states(
     furniture: Furniture, segments: list[Segment], count: int, bullet: BulletCell | None, seed: int
 ) -> tuple[dict[str, float], float | None]:
-    """Microseconds a state, on configurations around paths of loaded segments."""
+    """Return the time per state [µs], on configurations around paths of loaded segments."""
     rng = np.random.default_rng(seed)
     loaded = [segment for segment in segments if segment.before.robots[segment.robot].payload is not None] or segments
     share = max(1, count // len(loaded))
@@ -250,7 +250,7 @@ def _path(furniture: Furniture, plan: FullPlan, segment: Segment, bullet: Bullet
 
 
 def _hopeless(furniture: Furniture, plan: FullPlan, seed: int, tries: int = 60) -> tuple[float, ...]:
-    """Right pairs of the first state with grasps drawn at random: those that come to nothing."""
+    """Time right pairs of the first state with random grasps; returns the times of those that fail [s]."""
     task, rng = FullTask(furniture), np.random.default_rng(seed)
     out = []
     for _ in range(tries):

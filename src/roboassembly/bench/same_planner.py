@@ -1,4 +1,4 @@
-"""Our planner over a peer's collision checks, one state at a time: what the engine alone is worth.
+"""Our planner with a peer's collision checks, one state at a time; it measures the effect of the collision engine.
 
 A tree search for a tight joint spends its whole budget, and then a ratio of planning times says as much about the way
 of planning as about the checks. Here the planner is the same, retreats and all, and only the checks differ: no box
@@ -23,7 +23,7 @@ from roboassembly.planning.world import CollisionWorld
 
 
 class PeerWorld(CollisionWorld):
-    """A collision world that asks a peer about every state."""
+    """Collision world that tests every state with a peer."""
 
     def __init__(self, scene: Scene, box_axes: Float[np.ndarray, "3 3"], is_free: IsFree) -> None:
         super().__init__(scene, box_axes)
@@ -31,7 +31,7 @@ class PeerWorld(CollisionWorld):
         self._state: SE3State = base.SE3StateSpace().allocState()
 
     def first_collision(self, configurations: Float[np.ndarray, "7 n"]) -> int | None:
-        """As in the base class, state by state."""
+        """Return the index of the first configuration in collision, testing one state at a time."""
         state, rotation, is_free = self._state, self._state.rotation(), self._is_free
         for index, (x, y, z, qx, qy, qz, qw) in enumerate(configurations.T.tolist()):
             state.setXYZ(x, y, z)
@@ -43,12 +43,12 @@ class PeerWorld(CollisionWorld):
         return None
 
     def _boxes_free(self, start: SE3, end: SE3, cuts: Float[np.ndarray, "k"], angle: float) -> Bool[np.ndarray, "k-1"]:
-        """Box tests are ours: here no stretch passes, and every state of it is asked about."""
+        """Return False for every stretch, so that the peer tests every state."""
         return np.zeros(len(cuts) - 1, dtype=bool)
 
 
 def plan_over_peer(peer: Peer, merge: BenchMerge, budget: Budget) -> Run:
-    """`plan_mating` with the peer's checks, building the scene included."""
+    """Run `plan_mating` with the peer's checks; the time includes building the scene."""
     begun = time.perf_counter()
     world = PeerWorld(merge.scene, merge.box_axes, peer.set_up(merge.scene))
     result = plan_mating(world, merge.problem, budget, merge.seed)

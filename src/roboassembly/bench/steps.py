@@ -1,4 +1,4 @@
-"""How long the environment takes for a reset and for a step, observation and action mask included."""
+"""Times of the environment's reset and step, including observation and action mask."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ from roboassembly.task.object_centric.task import ObjectCentricVerdict
 from roboassembly.task.rules.connections import UP_AXES
 
 _WRONG_PAIRS = 10
-"""Tried in each state of a plan."""
+"""Number of wrong pairs tried in each state of a plan."""
 _RESETS = 10
-"""Timed for each chair, after one that is not: it computes what a furniture needs once."""
+"""Number of timed resets of each chair; an untimed reset before them computes what is cached per piece."""
 
 _T = TypeVar("_T")
 
 
 @dataclass(frozen=True)
 class StepTimes:
-    """Medians, milliseconds."""
+    """Median times [ms]."""
 
     wrong_pair_ms_median: float
-    """Of a step that names two free points which do not belong together."""
+    """Median time of a step that names two free points of no connection."""
     reset_ms_median: float
     right_merge_ms_median: float
-    """Of a step that merges: planned, joined, settled."""
+    """Median time of a step that merges: plan, join and settle."""
 
 
 def time_steps(chairs: Sequence[BenchChair], seed: int) -> StepTimes:
@@ -47,7 +47,7 @@ def time_steps(chairs: Sequence[BenchChair], seed: int) -> StepTimes:
         env.reset(seed=seed)
         done: list[tuple[int, ...]] = []
         for step in chair.result.plan.steps:
-            # Wrong pairs are tried in every state of the plan. Each ends its episode, so another one goes as far again.
+            # Each wrong pair ends its episode, so the plan is replayed up to the same state.
             for _ in range(_WRONG_PAIRS):
                 action = _random_action(chair.furniture, rng)
                 if env.task.exists(env.state, action) and env.task.prepare(env.state, action) is None:
@@ -65,7 +65,7 @@ def time_steps(chairs: Sequence[BenchChair], seed: int) -> StepTimes:
 
 
 def _step(env: ObjectCentricEnv, action: tuple[int, ...]) -> tuple[str, float]:
-    """How the step ended, and its milliseconds."""
+    """Return the verdict of a step and its time [ms]."""
     (_, _, _, _, info), milliseconds = _timed(lambda: env.step(np.array(action)))
     return info["verdict"], milliseconds
 
@@ -77,7 +77,7 @@ def _random_action(furniture: Furniture, rng: np.random.Generator) -> tuple[int,
 
 
 def _timed(call: Callable[[], _T]) -> tuple[_T, float]:
-    """The call's result, and its milliseconds."""
+    """Return the result of a call and its time [ms]."""
     begun = time.perf_counter()
     result = call()
     return result, 1e3 * (time.perf_counter() - begun)

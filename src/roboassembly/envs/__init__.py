@@ -1,4 +1,4 @@
-"""Gymnasium environments. Importing this registers nothing heavy: environments load when they are made."""
+"""Gymnasium environments. Importing this package is cheap: environments load when they are made."""
 
 from gymnasium.envs import registration
 
@@ -11,7 +11,7 @@ _ENTRIES = {
 
 
 def register() -> None:
-    """Tell Gymnasium the environments' names; `import roboassembly` does it."""
+    """Register the environments with Gymnasium; `import roboassembly` calls it."""
     for name, entry in _ENTRIES.items():
         if name not in registration.registry:
             registration.register(name, entry_point=entry)

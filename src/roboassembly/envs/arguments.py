@@ -1,4 +1,4 @@
-"""Checks of what users hand to an environment. Errors are Gymnasium's or Python's own; they say what would do."""
+"""Checks of the arguments of an environment. Errors are Gymnasium's or Python's own and name the valid values."""
 
 from __future__ import annotations
 
@@ -10,27 +10,27 @@ from gymnasium.error import InvalidAction
 
 from roboassembly.errors import ArgumentError
 
-_LONGEST = 80
-"""Characters of a value that an error shows."""
+_MAX_LENGTH = 80
+"""Number of characters of a value that an error shows."""
 
 
 def checked_action(action: object, sizes: Sequence[int], names: Sequence[str]) -> tuple[int, ...]:
-    """The integers of a `MultiDiscrete` action.
+    """Return the integers of a `MultiDiscrete` action.
 
     Args:
-        action: from the user.
+        action: action from the user.
         sizes: number of values of each component.
-        names: of the components.
+        names: names of the components.
 
     Raises:
         gymnasium.error.InvalidAction: a wrong shape, values that are not integers, or one out of range.
     """
-    wanted = f"{len(sizes)} integers ({', '.join(names)}) would do"
-    values = _array(action, wanted)
+    expected = f"{len(sizes)} integers ({', '.join(names)}) would do"
+    values = _array(action, expected)
     if values.shape != (len(sizes),):
-        raise InvalidAction(f"action {shortened(action)} has shape {values.shape}; shape ({len(sizes)},), {wanted}")
+        raise InvalidAction(f"action {shortened(action)} has shape {values.shape}; shape ({len(sizes)},), {expected}")
     if not np.issubdtype(values.dtype, np.integer):
-        raise InvalidAction(f"action {shortened(action)} has dtype {values.dtype}; {wanted}")
+        raise InvalidAction(f"action {shortened(action)} has dtype {values.dtype}; {expected}")
     for name, value, size in zip(names, values.tolist(), sizes, strict=True):
         if not 0 <= value < size:
             raise InvalidAction(f"action {shortened(action)}: {name} is {value}; 0 to {size - 1} would do")
@@ -38,39 +38,39 @@ def checked_action(action: object, sizes: Sequence[int], names: Sequence[str]) -
 
 
 def checked_number(action: object, size: int) -> int:
-    """The number of a `Discrete` action.
+    """Return the number of a `Discrete` action.
 
     Raises:
         gymnasium.error.InvalidAction: not one integer, or out of range.
     """
-    wanted = f"an integer from 0 to {size - 1} would do"
-    value = _array(action, wanted)
+    expected = f"an integer from 0 to {size - 1} would do"
+    value = _array(action, expected)
     if value.shape != ():
-        raise InvalidAction(f"action {shortened(action)} has shape {value.shape}; {wanted}")
+        raise InvalidAction(f"action {shortened(action)} has shape {value.shape}; {expected}")
     if not np.issubdtype(value.dtype, np.integer):
-        raise InvalidAction(f"action {shortened(action)} has dtype {value.dtype}; {wanted}")
+        raise InvalidAction(f"action {shortened(action)} has dtype {value.dtype}; {expected}")
     if not 0 <= int(value) < size:
-        raise InvalidAction(f"action {shortened(action)} is out of range; {wanted}")
+        raise InvalidAction(f"action {shortened(action)} is out of range; {expected}")
     return int(value)
 
 
 def checked_integer(name: str, value: object, low: int, high: int) -> int:
-    """An argument that is an integer within a range.
+    """Return an argument if it is an integer within a range.
 
     Raises:
         TypeError: no integer.
         ArgumentError: out of range.
     """
-    wanted = f"{low} to {high} would do"
+    expected = f"{low} to {high} would do"
     if isinstance(value, bool) or not isinstance(value, int | np.integer):
-        raise TypeError(f"{name} is {shortened(value)}; an integer, {wanted}")
+        raise TypeError(f"{name} is {shortened(value)}; an integer, {expected}")
     if not low <= value <= high:
-        raise ArgumentError(f"{name} is {value}; {wanted}")
+        raise ArgumentError(f"{name} is {value}; {expected}")
     return int(value)
 
 
 def checked_piece(options: object, pieces: int) -> int | None:
-    """Index of the furniture that the options of `reset` ask for; None if they leave it open.
+    """Return the index of the furniture in the options of `reset`; None if they name none.
 
     Raises:
         TypeError: the options are no dictionary.
@@ -92,13 +92,13 @@ def checked_piece(options: object, pieces: int) -> int | None:
 
 
 def shortened(value: object) -> str:
-    """One line that shows a value."""
+    """Return a value as one short line."""
     text = " ".join(repr(value.item() if isinstance(value, np.generic) else value).split())
-    return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 3]}..."
+    return text if len(text) <= _MAX_LENGTH else f"{text[: _MAX_LENGTH - 3]}..."
 
 
-def _array(action: object, wanted: str) -> np.ndarray:
+def _array(action: object, expected: str) -> np.ndarray:
     try:
         return np.asarray(action)
     except (TypeError, ValueError) as error:
-        raise InvalidAction(f"action {shortened(action)} is no array; {wanted}") from error
+        raise InvalidAction(f"action {shortened(action)} is no array; {expected}") from error

@@ -1,4 +1,4 @@
-"""What both environments share: episodes of one or several pieces, rewards, masks, pictures and errors."""
+"""Base of both environments: episodes of one or several pieces, rewards, masks, pictures and errors."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ FurnitureLike = Furniture | str | os.PathLike[str]
 """Furniture, its name as in `roboassembly assemble`, or its folder."""
 MERGE_REWARD = 1.0
 COMPLETION_REWARD = 4.0
-"""On top of the last merge's reward, when all parts are in one group."""
+"""Reward in addition to that of the last merge, when all parts are in one group."""
 LARGEST_CLOUD = 65_536
-"""Points of a part's cloud, at most."""
+"""Largest number of points of a part's cloud."""
 State = TypeVar("State")
 ATask = TypeVar("ATask", bound=Task[Any, Any])
 AnOutcome = TypeVar("AnOutcome", bound=Outcome[Any, Any])
@@ -39,13 +39,13 @@ class AssemblyEnv(gymnasium.Env[Observation, np.ndarray], Generic[ATask, State, 
 
     Args:
         tasks: one for each piece of furniture.
-        ways: number of values of each component of an action after `(u, v, k, l)`.
+        action_branches: number of values of each component of an action after `(u, v, k, l)`.
         max_parts: padding P of spaces.
         max_points: padding K.
         cloud_points: number C of points in each part's cloud.
         render_mode: None, or `"rgb_array"` for pictures.
-        width: of pictures, pixels.
-        height: of pictures, pixels.
+        width: width of pictures [pixels].
+        height: height of pictures [pixels].
 
     Raises:
         ArgumentError: a value that is out of range, or furniture that exceeds the paddings.
@@ -58,8 +58,8 @@ class AssemblyEnv(gymnasium.Env[Observation, np.ndarray], Generic[ATask, State, 
     """Names of an action's components."""
 
     def __init__(
-        self, tasks: Sequence[ATask], ways: tuple[int, ...], max_parts: int, max_points: int, cloud_points: int,
-        render_mode: str | None, width: int, height: int,
+        self, tasks: Sequence[ATask], action_branches: tuple[int, ...], max_parts: int, max_points: int,
+        cloud_points: int, render_mode: str | None, width: int, height: int,
     ) -> None:  # fmt: skip
         max_parts = checked_integer("max_parts", max_parts, 1, MAX_PARTS)
         max_points = checked_integer("max_points", max_points, 1, MAX_POINTS)
@@ -72,7 +72,7 @@ class AssemblyEnv(gymnasium.Env[Observation, np.ndarray], Generic[ATask, State, 
         self.tasks = tuple(tasks)
         self._observers = tuple(Observer(t.furniture, max_parts, max_points, cloud_points) for t in tasks)
         self._padding = (max_parts, max_points)
-        self._sizes = (max_parts, max_parts, max_points, max_points, *ways)
+        self._sizes = (max_parts, max_parts, max_points, max_points, *action_branches)
         self._current = 0
         self._state: State | None = None
         self._outcome: AnOutcome | None = None
@@ -85,12 +85,12 @@ class AssemblyEnv(gymnasium.Env[Observation, np.ndarray], Generic[ATask, State, 
 
     @property
     def task(self) -> ATask:
-        """The rules for the current episode's furniture."""
+        """Task of the current episode's furniture."""
         return self.tasks[self._current]
 
     @property
     def state(self) -> State:
-        """The current state, for planners; policies see the observation.
+        """Current state, for planners; policies see the observation.
 
         Raises:
             gymnasium.error.ResetNeeded: before the first `reset`.
@@ -101,13 +101,13 @@ class AssemblyEnv(gymnasium.Env[Observation, np.ndarray], Generic[ATask, State, 
 
     @property
     def last_outcome(self) -> AnOutcome | None:
-        """What the last step led to, with its paths and planning time; None right after a reset."""
+        """Outcome of the last step, with its paths and planning time; None after a reset."""
         return self._outcome
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Lay the parts out anew. `options={"furniture": index}` picks the piece.
+        """Start an episode with a new layout of the parts; `options={"furniture": index}` selects the piece.
 
         Raises:
             ArgumentError: an unknown option, or no such piece.
@@ -122,7 +122,7 @@ class AssemblyEnv(gymnasium.Env[Observation, np.ndarray], Generic[ATask, State, 
         return self._enter(self.task.initial_state(self.np_random)), self._info("", 0)
 
     def step(self, action: np.ndarray) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Carry out one action. One that is within the action space and does not exist ends the episode.
+        """Carry out one action. An action of the action space that does not exist ends the episode.
 
         Raises:
             gymnasium.error.ResetNeeded: before the first `reset`, or after the end of the episode.
@@ -145,7 +145,7 @@ class AssemblyEnv(gymnasium.Env[Observation, np.ndarray], Generic[ATask, State, 
         return observation, reward, over, False, info
 
     def render(self) -> UInt8[np.ndarray, "height width 3"] | None:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """Draw the present state: what the last action moved is orange, what it moved that to is green.
+        """Draw the present state; the group that the last action moved is orange, the group it moved to is green.
 
         Returns:
             The picture; None if the environment was made without a render mode.
@@ -164,12 +164,12 @@ class AssemblyEnv(gymnasium.Env[Observation, np.ndarray], Generic[ATask, State, 
         return self._pictures.draw(self._items())
 
     def close(self) -> None:
-        """Free what drawing holds."""
+        """Free the renderer."""
         self._pictures.close()
 
     @property
     def action_mask(self) -> Bool[np.ndarray, "P P K K ..."]:
-        """The mask of actions that exist: both parts there and in different groups, both points there and free."""
+        """Mask of the actions that exist: parts in different groups, and free points of these parts."""
         if self._mask is None:
             self._mask = self.task.existing_actions(self.state, *self._padding)
         return self._mask.copy()
@@ -198,7 +198,7 @@ class AssemblyEnv(gymnasium.Env[Observation, np.ndarray], Generic[ATask, State, 
         return self._observers[self._current].observe(self._joined)
 
     def _roles_of(self, action: tuple[int, ...]) -> dict[int, Role]:
-        """Roles of the parts of both groups that an action names, if it names two."""
+        """Return the roles of the parts of both groups that an action names; empty unless it names two."""
         joined = self._joined
         u, v = (joined.group_of.get(part) for part in action[:2])
         if u is None or v is None or u == v:
@@ -207,7 +207,7 @@ class AssemblyEnv(gymnasium.Env[Observation, np.ndarray], Generic[ATask, State, 
         return {part: role for parts, role in groups for part in parts}
 
     def _items(self) -> list[Item]:
-        """What a picture of the present state shows."""
+        """Return the items in a picture of the present state."""
         parts = zip(self.task.furniture.parts, self._joined.part_poses, strict=True)
         return [Item(part.mesh, pose, self._roles.get(p, Role.IDLE)) for p, (part, pose) in enumerate(parts)]
 
@@ -228,7 +228,7 @@ def reward_of(merged: bool, complete: bool) -> float:
 
 
 def pieces_of(furniture: FurnitureLike | Iterable[FurnitureLike]) -> list[Furniture]:
-    """Furniture, or names or folders as in `roboassembly assemble`; one or several.
+    """Return one or several pieces, given as furniture, or as names or folders as in `roboassembly assemble`.
 
     Raises:
         TypeError: something else.

@@ -26,16 +26,16 @@ class FullEnv(AssemblyEnv[FullTask, FullState, FullOutcome]):
     **Observation**: the `Dict` described in `roboassembly.envs.observation`.
 
     **Action** `(u, v, k, l, g_a, g_b)`, `MultiDiscrete([P, P, K, K, 8, 8])`: robot R_a takes part `u` by grasp `g_a`,
-    R_b takes part `v` by grasp `g_b`, and point `k` of `u` is brought onto point `l` of `v`. Grasps 0 to 3 are the
+    R_b takes part `v` by grasp `g_b`, and the robots bring point `k` of `u` to point `l` of `v`. Grasps 0 to 3 are the
     four directions of the part's first grasp region, 4 to 7 those of its second.
 
     **Reward**: 1 for a merge, 4 more for the last one, else 0 and the episode ends.
 
-    **Info**: as of `ObjectCentricEnv`, with `verdict` a value of `FullVerdict`; besides `stage` and `robot`,
-    the stage (a value of `Stage`, "" if none) and the robot (0, 1, or -1) that failed, and `density`, kg/m³, at which a
-    robot can carry the whole.
+    **Info**: the keys of `ObjectCentricEnv`, with `verdict` a value of `FullVerdict`. In addition `stage`, the stage
+    that failed (a value of `Stage`, "" if none); `robot`, the robot that failed (0, 1, or -1 if none); and `density`,
+    the density at which a robot can carry the whole furniture [kg/m³].
 
-    **Errors** and **masks**: as of `ObjectCentricEnv`.
+    **Errors** and **masks**: see `ObjectCentricEnv`.
 
     Args:
         furniture: what to assemble: furniture, or a name or folder as in `roboassembly assemble`. With several, each
@@ -43,10 +43,10 @@ class FullEnv(AssemblyEnv[FullTask, FullState, FullOutcome]):
         max_parts: padding P of spaces, 20 as in the paper by default. Smaller spaces suit small furniture.
         max_points: padding K, 10 as in the paper by default.
         cloud_points: points C of each part's cloud.
-        budget: of each path.
+        budget: budget of each path.
         render_mode: None, or `"rgb_array"`: `render` returns a picture of the present state.
-        width: of pictures, pixels.
-        height: of pictures, pixels.
+        width: width of pictures [pixels].
+        height: height of pictures [pixels].
 
     Raises:
         TypeError: furniture that is None or something else that is no furniture, or a padding that is no integer.
@@ -76,18 +76,18 @@ class FullEnv(AssemblyEnv[FullTask, FullState, FullOutcome]):
         )
 
     def _items(self) -> list[Item]:
-        """Parts, both robots, and the posts that are up."""
+        """Return the parts, both robots, and the raised posts."""
         state, items = self.state.cell_state, super()._items()
         for robot, role in zip(state.robots, (Role.ROBOT_A, Role.ROBOT_B), strict=True):
             items += [Item(link.mesh, pose, role) for link, pose in placed(robot.at, robot.opening)]
-        # As many posts as groups can stand on, so that the renderer need not be made anew whenever one sinks.
+        # The number of posts is constant, so that the renderer is not made anew when a post sinks.
         posts: list[SE3 | None] = [SE3(np.eye(3), stand.top) for stand in state.posts]
         posts += [None] * (len(self.task.furniture.parts) - len(posts))
         return [*items, *(Item(post_mesh(), pose, Role.POST, framed=False) for pose in posts)]
 
     def _info(self, verdict: str, planning_steps: int) -> dict[str, Any]:
-        told = super()._info(verdict, planning_steps)
-        return {**told, **_failed(self._outcome), "density": self.state.cell.density}
+        info = super()._info(verdict, planning_steps)
+        return {**info, **_failed(self._outcome), "density": self.state.cell.density}
 
 
 def _failed(outcome: FullOutcome | None) -> dict[str, Any]:

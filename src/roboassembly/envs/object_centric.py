@@ -17,18 +17,17 @@ class ObjectCentricEnv(AssemblyEnv[ObjectCentricTask, TaskState, ObjectCentricOu
 
     **Observation**: the `Dict` described in `roboassembly.envs.observation`.
 
-    **Action** `(u, v, k, l, w)`, `MultiDiscrete([P, P, K, K, 6])`: point `k` of part `u` is brought onto point `l` of
+    **Action** `(u, v, k, l, w)`, `MultiDiscrete([P, P, K, K, 6])`: point `k` of part `u` moves to point `l` of
     part `v`, whose group waits with axis `w` of the furniture's frame up: 0 +z, 1 -z, 2 +x, 3 -x, 4 +y, 5 -y.
 
     **Reward**: 1 for a merge, 4 more for the last one, else 0 and the episode ends.
 
-    **Info**: `verdict` (a value of `ObjectCentricVerdict`: why the step ended as it did), `success`, `planning_steps`
-    of the step, `groups` (how many are left), `furniture` (its name), and `action_mask`, which tells the actions that
-    exist; it says nothing about which are right. All of it is reproducible; how long the planner took is in
-    `last_outcome`.
+    **Info**: `verdict` (a value of `ObjectCentricVerdict`: the outcome of the step), `success`, `planning_steps`
+    of the step, `groups` (number of groups left), `furniture` (its name), and `action_mask`, the mask of the actions
+    that exist; it does not mark right actions. All values are reproducible; `last_outcome` has the planning time.
 
-    **Errors**: an action of the action space that does not exist is a wrong choice like any other: the episode ends
-    with the verdict `not_an_action`. An action outside of the action space raises `gymnasium.error.InvalidAction`. A
+    **Errors**: an action of the action space that does not exist is a wrong choice: the episode ends with the verdict
+    `not_an_action`. An action outside the action space raises `gymnasium.error.InvalidAction`. A
     step before `reset` or after the end of an episode raises `gymnasium.error.ResetNeeded`.
 
     **Masks**: `info["action_mask"]`. Learners that ask for `action_masks()`, like sb3-contrib's `MaskablePPO`, need
@@ -40,10 +39,10 @@ class ObjectCentricEnv(AssemblyEnv[ObjectCentricTask, TaskState, ObjectCentricOu
         max_parts: padding P of spaces, 20 as in the paper by default. Smaller spaces suit small furniture.
         max_points: padding K, 10 as in the paper by default.
         cloud_points: points C of each part's cloud.
-        budget: of the planner, for each step.
+        budget: budget of the planner for each step.
         render_mode: None, or `"rgb_array"`: `render` returns a picture of the present state.
-        width: of pictures, pixels.
-        height: of pictures, pixels.
+        width: width of pictures [pixels].
+        height: height of pictures [pixels].
 
     Raises:
         TypeError: furniture that is None or something else that is no furniture, or a padding that is no integer.

@@ -8,8 +8,8 @@
 | `poses` | (P, 6) | world pose of each part: translation and Euler angles | m, rad |
 | `connections` | (P, P, 6) | connection tensor: pose of part j in part i's frame in one group, else 0 | m, rad |
 
-P, K and C are `max_parts`, `max_points` and `cloud_points`. Rows of parts and points that are not there are 0, and
-so are those of grasp regions that a part lacks. A hand's frame lies between the finger tips: z along the approach, y
+P, K and C are `max_parts`, `max_points` and `cloud_points`. Rows of missing parts, points and
+grasp regions are 0. A hand's frame lies between the finger tips: z along the approach, y
 along the fingers' closing. Region i and direction j are grasp 4i + j.
 Euler angles are roll, pitch and yaw with `R = Rz(yaw) Ry(pitch) Rx(roll)`.
 """
@@ -31,13 +31,13 @@ from roboassembly.robots.gripper import hand_pose
 from roboassembly.task.rules.groups import TaskState, part_from_points
 
 REACH = 100.0
-"""Metres: bound of every coordinate in the observation space."""
+"""Bound of every coordinate in the observation space [m]."""
 
 Observation = dict[str, Float32[np.ndarray, "..."]]
 
 
 def observation_space(max_parts: int, max_points: int, cloud_points: int) -> spaces.Dict:
-    """The space of the table above."""
+    """Return the observation space of the table above."""
     pose = np.array([REACH] * 3 + [np.pi] * 3)
 
     def box(high: np.ndarray) -> spaces.Box:
@@ -57,7 +57,7 @@ def observation_space(max_parts: int, max_points: int, cloud_points: int) -> spa
 
 
 class Observer:
-    """Makes observations of one piece of furniture; what does not change is computed once."""
+    """Makes observations of one piece of furniture; constant arrays are computed once."""
 
     def __init__(self, furniture: Furniture, max_parts: int, max_points: int, cloud_points: int) -> None:
         self._parts = len(furniture.parts)
@@ -70,16 +70,16 @@ class Observer:
             self._shapes[p] = surface_points(part.mesh, cloud_points)
             self._points[p, : len(part.points)] = _point_rows(part.points, np.eye(3))
             for g, grasp in enumerate(part.grasps[:GRASP_REGIONS]):
-                hands = [hand_pose(grasp.position, grasp.closing, approach) for approach in grasp.approaches]
-                self._grasps[p, g] = [pose_to_euler(hand) for hand in hands]
+                hand_poses = [hand_pose(grasp.position, grasp.closing, approach) for approach in grasp.approaches]
+                self._grasps[p, g] = [pose_to_euler(hand) for hand in hand_poses]
 
     @property
     def grasp_poses(self) -> Float32[np.ndarray, "P 8 6"]:
-        """`grasp_regions`, of each part one grasp after another; 0 in furniture without grasps."""
+        """Grasps of each part in one axis, as in `grasp_regions`; 0 in furniture without grasps."""
         return self._grasps.reshape(self._max_parts, -1, 6).copy()
 
     def observe(self, state: TaskState) -> Observation:
-        """Fresh arrays; changing them changes nothing else."""
+        """Return the observation of a state in new arrays."""
         poses = np.zeros((self._max_parts, 6), np.float32)
         for p, pose in enumerate(state.part_poses):
             poses[p] = pose_to_euler(pose)
@@ -106,12 +106,12 @@ class Observer:
 
 
 def _point_rows(points: Sequence[ConnectionPoint], turn: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "k 9"]:
-    """Position, normal and tangent of each point, turned."""
+    """Return position, normal and tangent of each point, rotated by `turn`."""
     rows = np.array([[p.position, p.normal, p.tangent] for p in points]).reshape(-1, 3, 3)
     return (rows @ turn.T).reshape(-1, 9)
 
 
 def surface_points(mesh: Mesh, count: int) -> Float32[np.ndarray, "count 3"]:
-    """Points spread over the surface by area; the same mesh gives the same points."""
+    """Return points sampled on the surface by area; the same mesh gives the same points."""
     seed = np.random.default_rng(int(mesh.content_hash, 16))
     return np.asarray(trimesh.sample.sample_surface(mesh.trimesh, count, seed=seed)[0], dtype=np.float32)

@@ -1,4 +1,4 @@
-"""Pictures of an episode's states, drawn off screen: what `render` returns."""
+"""Pictures of an episode's states, drawn off screen; `render` returns them."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ class Item:
 
     mesh: Mesh
     pose: SE3 | None
-    """`world_from_mesh`; None hides the mesh."""
+    """Pose `world_from_mesh`; None hides the mesh."""
     role: Role
-    """Decides on the color."""
+    """Role that decides the color."""
     framed: bool = True
     """Whether the camera keeps it in the picture."""
 
@@ -31,13 +31,12 @@ class Item:
 class EpisodePictures:
     """Draws the states of one episode after another.
 
-    The camera looks from the same side in all pictures of an episode. It sees every state so far, so it steps back
-    only if something leaves the picture. The picture of a state depends on the states before it, and not on which of
-    them were drawn.
+    The camera looks from the same side in all pictures of an episode. It shows every state so far, so it moves
+    back only if something leaves the picture. A picture depends on the states before it, not on which were drawn.
 
     Args:
-        width: of the pictures, pixels.
-        height: of the pictures, pixels.
+        width: width of the pictures [pixels].
+        height: height of the pictures [pixels].
 
     Raises:
         ArgumentError: a size that no picture can have.
@@ -56,12 +55,12 @@ class EpisodePictures:
         self._corners = []
 
     def add(self, items: Sequence[Item]) -> None:
-        """Take note of a state of the episode."""
+        """Add a state of the episode."""
         boxes = [box_corners(i.mesh, i.pose) for i in items if i.framed and i.pose is not None]
         self._corners.append(np.concatenate(boxes))
 
     def draw(self, items: Sequence[Item]) -> UInt8[np.ndarray, "height width 3"]:
-        """The picture of the state that was added last.
+        """Return the picture of the state that was added last.
 
         Raises:
             RenderingUnavailableError: this machine cannot draw off screen.
@@ -79,7 +78,7 @@ class EpisodePictures:
         return self._renderer.picture([i.pose for i in items], part_colors([i.role for i in items]), view)
 
     def close(self) -> None:
-        """Free what the graphics driver holds; `draw` takes it again."""
+        """Free the graphics resources; `draw` allocates them again."""
         if self._renderer is not None:
             self._renderer.close()
             self._renderer = None

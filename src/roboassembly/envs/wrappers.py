@@ -1,4 +1,4 @@
-"""A flat view of the actions, for learners that know only `Discrete`."""
+"""Wrapper with flat actions, for learners that support only `Discrete`."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class DiscreteActions(gymnasium.Wrapper[Any, Any, Any, Any]):
         self.action_space = spaces.Discrete(self._size)
 
     def flatten(self, action: Sequence[int] | np.ndarray) -> int:
-        """Number an action.
+        """Return the number of an action.
 
         Raises:
             gymnasium.error.InvalidAction: an action that the wrapped environment does not have.
@@ -42,7 +42,7 @@ class DiscreteActions(gymnasium.Wrapper[Any, Any, Any, Any]):
         return int(np.ravel_multi_index(checked_action(action, self._shape, self._names), self._shape))
 
     def unflatten(self, number: np.ndarray | np.integer | int) -> tuple[int, ...]:
-        """Give the action of a number.
+        """Return the action of a number.
 
         Raises:
             gymnasium.error.InvalidAction: a number that is no integer or out of range.
@@ -65,7 +65,7 @@ class DiscreteActions(gymnasium.Wrapper[Any, Any, Any, Any]):
         return observation, float(reward), terminated, truncated, self._flat(info)
 
     def action_masks(self) -> Bool[np.ndarray, "n"]:
-        """Tell for each number whether it is an action that exists."""
+        """Return for each number whether its action exists."""
         return self.env.get_wrapper_attr("action_mask").ravel()
 
     def _flat(self, info: dict[str, Any]) -> dict[str, Any]:

@@ -110,7 +110,7 @@ class BenchmarkConfig:
 
 _WHOLE: dict[SettingName, BenchmarkConfig] = {
     "object-centric": BenchmarkConfig(),
-    # An update takes several times as long: any two points can be joined in 64 ways in place of six.
+    # An update takes several times as long: two points have 64 grasp pairs in place of six `w`.
     "full": BenchmarkConfig(
         "full", pipeline=PipelineConfig.default("full"), paper=PaperTraining(steps=5_000),
         relational=RelationalPipelineConfig.full(),
@@ -162,7 +162,7 @@ def run(config: BenchmarkConfig, folder: Path, jobs: int) -> Iterator[Progress]:
     if not config.shipped:
         relational = replace(config.relational, set=f"{config.set}:train", limit=config.train_limit, seed=config.seed)
         yield from timed(folder, "relational", run_pipeline(relational, folder / "relational", jobs))
-    measured = chain.from_iterable(measure(one, folder, jobs) for one in measurements(config, folder))
+    measured = chain.from_iterable(measure(measurement, folder, jobs) for measurement in measurements(config, folder))
     yield from timed(folder, "evaluation", measured)
 
 

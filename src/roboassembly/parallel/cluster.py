@@ -1,8 +1,8 @@
-"""Workers on many machines: tasks of a Ray cluster, behind the face of a process pool.
+"""Workers on many machines: tasks of a Ray cluster, with the interface of a process pool.
 
-All machines need this package in the same version, and the same folders under the same paths: results are files of the
-run's folder. Tasks of a machine that is lost are begun again on another; as all long work here goes on from what is
-written, no more than its last minute is lost.
+All machines need the same version of this package, and the same folders under the same paths: results are files in the
+folder of the run. If a machine is lost, its tasks start again on another one. Long tasks continue from their files, so
+they lose no more than a minute.
 """
 
 from __future__ import annotations
@@ -21,33 +21,33 @@ from typing import Any
 from roboassembly.errors import InputError, MissingExtraError, RoboAssemblyError
 
 _RETRIES = 10
-"""Of a task whose machine, or process, was lost."""
-_ANSWERS_WITHIN = 10.0
-"""Seconds."""
+"""Number of retries of a task whose machine or process was lost."""
+_CONNECT_TIMEOUT = 10.0
+"""Time in which a cluster must answer [s]."""
 _started: set[str] = set()
-"""Of a worker process: pools whose `start` it has had."""
+"""Pools whose `start` this worker process has run."""
 
 
 class Cluster(Executor):
-    """A pool whose workers are tasks of the Ray cluster that this process is connected to.
+    """Executor whose workers are tasks of the Ray cluster that this process is connected to.
 
     Args:
-        start: what each process does first, with `arguments`.
-        arguments: of `start`.
+        start: function that each process runs first, with `arguments`.
+        arguments: arguments of `start`.
     """
 
     def __init__(self, start: Callable[..., None] | None = None, arguments: tuple[Any, ...] = ()) -> None:
         self._ray = ray = import_module("ray")
         self._task = ray.remote(num_cpus=1, max_retries=_RETRIES)(_work)
-        # Large arguments are sent once, not with every task.
-        self._told = ray.put((uuid.uuid4().hex, Path.cwd(), start, arguments))
+        # Ray sends these once, not with every task.
+        self._setup = ray.put((uuid.uuid4().hex, Path.cwd(), start, arguments))
         self._running: dict[Future[Any], Any] = {}
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        """As of any executor; errors come back as they were raised."""
+        """Submit a task; the future raises the task's own errors."""
         future: Future[Any] = Future()
         future.set_running_or_notify_cancel()
-        reference = self._task.remote(self._told, fn, args, kwargs)
+        reference = self._task.remote(self._setup, fn, args, kwargs)
         self._running[future] = reference
         reference.future().add_done_callback(lambda done: self._settle(future, done))
         return future
@@ -64,7 +64,7 @@ class Cluster(Executor):
             future.set_exception(BrokenProcessPool(f"the cluster lost a task: {error}"))
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """Wait for all tasks, or stop them."""
+        """Wait for all tasks, or cancel them."""
         for future, reference in list(self._running.items()):
             if cancel_futures:
                 self._running.pop(future, None)
@@ -75,13 +75,13 @@ class Cluster(Executor):
 
 
 def _work(
-    told: tuple[str, Path, Callable[..., None] | None, tuple[Any, ...]],
+    setup: tuple[str, Path, Callable[..., None] | None, tuple[Any, ...]],
     fn: Callable[..., Any],
     args: tuple[Any, ...],
     kwargs: Mapping[str, Any],
 ) -> tuple[Any, RoboAssemblyError | None]:
-    """On a worker. Errors that are raised on purpose are handed over as they are; Ray would wrap them."""
-    pool, folder, start, arguments = told
+    """Run a task on a worker; returns its result, or the package's own error, which Ray would wrap if raised."""
+    pool, folder, start, arguments = setup
     with suppress(OSError):
         os.chdir(folder)
     try:
@@ -95,15 +95,15 @@ def _work(
 
 @contextmanager
 def connected(address: str, environment: Mapping[str, str]) -> Iterator[int]:
-    """Connect to a cluster; yields how many CPUs it has.
+    """Connect to a cluster; yields its number of CPUs.
 
     Args:
-        address: `HOST:PORT` of its head, `auto` for the one that this machine is part of, or `local` for one that is
-            started here and ends with the block.
-        environment: variables for its workers.
+        address: `HOST:PORT` of its head, `auto` for the cluster of this machine, or `local` for a cluster that starts
+            here and ends with the block.
+        environment: environment variables of its workers.
 
     Raises:
-        MissingExtraError: without Ray.
+        MissingExtraError: Ray is not installed.
         InputError: no cluster answers there.
     """
     try:
@@ -113,8 +113,8 @@ def connected(address: str, environment: Mapping[str, str]) -> Iterator[int]:
     try:
         host, colon, port = address.rpartition(":")
         if colon and port.isdigit():
-            # Ray itself would go on trying for minutes.
-            socket.create_connection((host, int(port)), timeout=_ANSWERS_WITHIN).close()
+            # Ray itself tries for minutes.
+            socket.create_connection((host, int(port)), timeout=_CONNECT_TIMEOUT).close()
         ray.init(
             address=address, runtime_env={"env_vars": dict(environment)}, log_to_driver=False, logging_level="ERROR"
         )

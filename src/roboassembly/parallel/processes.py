@@ -1,5 +1,7 @@
-"""Work on many pieces, in processes of their own unless there is to be one only, on this machine or on a cluster; or
-ahead of use, in a thread."""
+"""Maps over items in worker processes, on this machine or on a cluster, and prefetching in a thread.
+
+With one job, maps run in this process.
+"""
 
 from __future__ import annotations
 
@@ -20,23 +22,23 @@ _ONE_THREAD = {
 }
 
 
-_spread: list[str] = []
-"""The cluster that `workers` come from, if any."""
+_clusters: list[str] = []
+"""Addresses of the clusters in use, the innermost last; empty if workers run on this machine."""
 
 
 @contextmanager
 def use_cluster(address: str | None, jobs: int) -> Iterator[int]:
-    """Within the block, workers come from a Ray cluster.
+    """Take workers from a Ray cluster inside the block.
 
     Args:
-        address: as `connected` takes it; None leaves them on this machine.
-        jobs: to use on this machine.
+        address: address of the cluster, see `connected`; None keeps the workers on this machine.
+        jobs: number of workers on this machine.
 
     Yields:
-        How many to use.
+        The number of workers.
 
     Raises:
-        MissingExtraError: without Ray.
+        MissingExtraError: Ray is not installed.
         InputError: no cluster answers there.
     """
     if address is None:
@@ -45,28 +47,27 @@ def use_cluster(address: str | None, jobs: int) -> Iterator[int]:
     ours = ("ROBOASSEMBLY_", "JAX_", "PYTHONPATH")
     kept = {name: value for name, value in os.environ.items() if name.startswith(ours)}
     with connected(address, {**_ONE_THREAD, "XLA_FLAGS": _one_thread_flags(), **kept}) as count:
-        _spread.append(address)
+        _clusters.append(address)
         try:
             yield count
         finally:
-            _spread.pop()
+            _clusters.pop()
 
 
 @contextmanager
 def worker_pool(
     jobs: int, start: Callable[..., None] | None = None, arguments: tuple[Any, ...] = ()
 ) -> Iterator[Executor]:
-    """Processes to work in. When what they are used for ends early, be it by an error, they end too; by itself a pool
-    would first do all that it was given.
+    """Yield a pool of worker processes. If the block ends early, also by an error, running tasks are stopped.
 
-    Spawned: a fork would share threads of the planner, the renderer and BLAS, and can hang.
+    Processes are spawned: a fork would share threads of the planner, the renderer and BLAS, and can hang.
 
     Args:
-        jobs: how many.
-        start: what each does first, with `arguments`.
-        arguments: of `start`.
+        jobs: number of processes.
+        start: function that each process runs first, with `arguments`.
+        arguments: arguments of `start`.
     """
-    if _spread:
+    if _clusters:
         cluster = Cluster(start, arguments)
         try:
             yield cluster
@@ -88,7 +89,7 @@ def worker_pool(
 
 
 def map_ordered(work: Callable[[Item], Result], items: Sequence[Item], jobs: int, chunk: int) -> Iterator[Result]:
-    """What `work` gives for each item, in their order; `chunk` of them go to a process at a time."""
+    """Yield the result of `work` for each item, in order; a process receives `chunk` items at a time."""
     if jobs == 1:
         yield from map(work, items)
         return
@@ -99,7 +100,7 @@ def map_ordered(work: Callable[[Item], Result], items: Sequence[Item], jobs: int
 
 
 def map_unordered(work: Callable[[Item], Result], items: Sequence[Item], jobs: int) -> Iterator[Result]:
-    """What `work` gives for each item, as they are done."""
+    """Yield the result of `work` for each item, in order of completion."""
     if jobs == 1:
         yield from map(work, items)
         return
@@ -111,7 +112,7 @@ def map_unordered(work: Callable[[Item], Result], items: Sequence[Item], jobs: i
 
 
 def prefetch(items: Iterator[Item]) -> Iterator[Item]:
-    """The same items, each made in a thread while the one before it is in use."""
+    """Yield the same items; a thread makes the next one while one is in use."""
     end = object()
     with ThreadPoolExecutor(1) as pool:
         upcoming = pool.submit(next, items, end)
@@ -122,7 +123,7 @@ def prefetch(items: Iterator[Item]) -> Iterator[Item]:
 
 @contextmanager
 def one_thread_each() -> Iterator[None]:
-    """Processes started meanwhile compute with one thread, so that they do not fight for cores."""
+    """Make processes that start inside the block compute with one thread, so that they do not compete for cores."""
     ours = {**_ONE_THREAD, "XLA_FLAGS": _one_thread_flags()}
     before = {name: os.environ.get(name) for name in ours}
     os.environ.update(ours)

@@ -1,8 +1,8 @@
-"""Which part holds which: directional blocking graphs, and the sub-assemblies that can leave along a direction.
+"""Directional blocking graphs: the parts that block each other, and the sub-assemblies that can be removed.
 
 Wilson and Latombe 1994, "Geometric Reasoning about Mechanical Assembly". For a direction d there is an arc from part
 i to part j if i, moved a little along d, would hit j. A set of parts may leave along d (locally) if no arc leads out
-of it. Only neighbours are looked at; the planner judges the rest.
+of it. The graphs test neighbours only; the planner judges the rest.
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ from roboassembly.planning.world import CollisionWorld
 from roboassembly.task.rules.connections import UP_AXES
 
 _SAMPLES = (0.0015, 0.004, 0.01)
-"""Metres: beyond any clearance of a joint, and within any depth of one."""
+"""Test displacements [m]: larger than the clearance of any connection, smaller than its depth."""
 _TOWARD, _AWAY = 0.3, -0.95
-"""Cosines with a contact's normal that need no test: plainly into the mate, plainly away from it."""
+"""Cosines with a contact's normal above and below which no test is needed: into the mate, away from it."""
 _SAME = 0.9998
-"""Cosine above which two directions are one: 1.1°, what a tenon of 20 mm with 0.4 mm of play forgives."""
+"""Cosine above which two directions count as equal: 1.1°, the tolerance of a 20 mm tenon with 0.4 mm of play."""
 
 Parts = frozenset[int]
-"""Slots of the furniture, which is what is reasoned about: equal parts may have swapped theirs."""
+"""Slots of the furniture. Solvers reason about slots, because equal parts may have swapped theirs."""
 
 
 class BlockingGraphs:
-    """Blocking arcs among the parts of one piece of furniture, for a fixed set of directions, found when asked for."""
+    """Blocking arcs among the parts of one piece of furniture, for a fixed set of directions; computed on demand."""
 
     def __init__(self, furniture: Furniture) -> None:
         self._furniture = furniture
@@ -43,7 +43,7 @@ class BlockingGraphs:
 
     @cached_property
     def directions(self) -> Float[np.ndarray, "d 3"]:
-        """Unit vectors in the furniture's frame: its axes, the parts' long axes, and the contacts' normals."""
+        """Unit vectors in the furniture's frame: its axes, the long axes of its parts, and the contact normals."""
         f = self._furniture
         candidates = list(UP_AXES)
         for part, slot in enumerate(f.assembled):
@@ -60,7 +60,7 @@ class BlockingGraphs:
 
     @cached_property
     def arcs(self) -> list[dict[int, set[int]]]:
-        """For each direction: part to the parts that it would hit."""
+        """Mapping of each part to the parts that it would hit, one mapping per direction."""
         out: list[dict[int, set[int]]] = [
             {p: set() for p in range(len(self._furniture.parts))} for _ in self.directions
         ]
@@ -74,14 +74,14 @@ class BlockingGraphs:
             for index, d in enumerate(self.directions):
                 if blocked[index]:
                     out[index][c.part_a].add(c.part_b)
-                # b along d is a along -d, seen from the other side.
+                # Moving b along d is the same as moving a along -d.
                 opposite = int(np.argmin(self.directions @ d))
                 if blocked[opposite]:
                     out[index][c.part_b].add(c.part_a)
         return out
 
     def _blocked(self, a: int, b: int) -> list[bool]:
-        """Whether `a` hits `b`, for each direction."""
+        """Return for each direction whether `a` hits `b`."""
         f = self._furniture
         normals = np.array(
             [
@@ -109,15 +109,15 @@ class BlockingGraphs:
     def removable(
         self, among: frozenset[int], straight: bool, whole: Collection[frozenset[int]] = ()
     ) -> Iterator[frozenset[int]]:
-        """Sub-assemblies of `among` that no neighbour holds back; small ones and upward ones first.
+        """Yield the sub-assemblies of `among` that no neighbour blocks; small ones and upward ones first.
 
-        Both the sub-assembly and the rest hold together. With `straight`, only those that can go all the way out
-        along their direction (no ground, nothing else around).
+        Both the sub-assembly and the rest are connected.
 
         Args:
-            among: parts.
-            straight: as said.
-            whole: groups that are not to be taken apart.
+            among: parts that are joined.
+            straight: yield only sub-assemblies that can move all the way out along their direction, with no ground
+                and no other parts present.
+            whole: groups that must not be split.
         """
         kept = [_mask(group) for group in whole]
         everything = _mask(among)
@@ -131,7 +131,7 @@ class BlockingGraphs:
             yield frozenset(_bits(closed))
 
     def _candidates(self, among: int) -> list[tuple[int, int]]:
-        """Closed sets with a direction's index each: for every part, the smallest that holds it."""
+        """Return for every part and direction the smallest closed set with that part, and the direction's index."""
         if among not in self._known_candidates:
             directions_of: dict[int, list[int]] = {}
             for index, arcs in enumerate(self._arcs):
@@ -150,13 +150,13 @@ class BlockingGraphs:
 
     @cached_property
     def _arcs(self) -> list[list[int]]:
-        """`arcs`, a bit for each part that would be hit."""
+        """`arcs` as bit masks of the parts that would be hit."""
         return [[_mask(arcs[p]) for p in range(len(self._furniture.parts))] for arcs in self.arcs]
 
     def leaves(self, moving: frozenset[int], still: frozenset[int], direction: int) -> bool:
-        """Whether `moving` can go straight out of `still`, all the way, along one of `directions`.
+        """Return whether `moving` can move straight out of `still`, all the way, along one of `directions`.
 
-        A set leaves straight if each of its parts passes each of the others: far fewer tests than sets.
+        A set can leave if each of its parts passes each part of the other set, so the tests are shared among sets.
         """
         return self._leaves(_mask(moving), _mask(still), direction)
 
@@ -166,7 +166,7 @@ class BlockingGraphs:
         if any(blocked[p] & still for p in movers):
             return False
         unknown = [(p, q) for p in movers for q in _bits(still & ~free[p])]
-        # Neighbours first: they are the likeliest to be in the way.
+        # Neighbours come first: they are most likely to block.
         unknown.sort(key=lambda pair: (not self._near[pair[0]] >> pair[1] & 1, pair))
         for p, q in unknown:
             passes = self._try_to_pass(p, q, self.directions[direction])
@@ -177,17 +177,17 @@ class BlockingGraphs:
 
     @cached_property
     def _near(self) -> list[int]:
-        """For each part, a bit for each that touches it."""
+        """Bit masks of the parts that touch each part."""
         return [_mask(parts) for parts in self._furniture.neighbours]
 
     @cached_property
     def _blocks(self) -> list[list[int]]:
-        """For each direction and part, a bit for each part that it is known to run into on its way out."""
+        """Bit masks, per direction and part, of the parts that are known to block its exit."""
         return [[0] * len(self._furniture.parts) for _ in self.directions]
 
     @cached_property
     def _passes(self) -> list[list[int]]:
-        """As `_blocks`, for parts that it is known to pass."""
+        """Bit masks, per direction and part, of the parts that it is known to pass."""
         return [[0] * len(self._furniture.parts) for _ in self.directions]
 
     def _try_to_pass(self, p: int, q: int, d: Float[np.ndarray, "3"]) -> bool:
@@ -206,7 +206,7 @@ class BlockingGraphs:
         return free
 
     def lowest(self, parts: Parts) -> Float[np.ndarray, "6"]:
-        """How far the parts reach down when each of the six axes points up, in the furniture's frame."""
+        """Return the height of the parts' lowest point for each of the six axes as up [m], furniture frame."""
         if parts not in self._lowest:
             f = self._furniture
             points = np.concatenate(
@@ -219,17 +219,17 @@ class BlockingGraphs:
         return self._lowest[parts]
 
     def _whole(self, parts: int) -> bool:
-        """Whether connections hold the parts together."""
+        """Return whether the parts are connected."""
         return _closure(parts & -parts, self._near, parts) == parts
 
 
 def _mask(parts: Iterable[int]) -> int:
-    """A bit for each part."""
+    """Return the bit mask of some parts."""
     return sum(1 << p for p in parts)
 
 
 def _bits(mask: int) -> list[int]:
-    """The parts of a mask, ascending."""
+    """Return the parts of a mask, ascending."""
     out = []
     while mask:
         lowest = mask & -mask
@@ -239,7 +239,7 @@ def _bits(mask: int) -> list[int]:
 
 
 def _closure(parts: int, arcs: Sequence[int], among: int) -> int:
-    """The parts and all of `among` to which arcs lead from them."""
+    """Return the parts and all parts of `among` that arcs reach from them."""
     closed = fresh = parts
     while fresh:
         lowest = fresh & -fresh

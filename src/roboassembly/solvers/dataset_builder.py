@@ -1,4 +1,4 @@
-"""Builds data sets: generate, certify by search, measure how hard, split."""
+"""Builds data sets: generates chairs, certifies them by search, measures their difficulty and splits them."""
 
 from __future__ import annotations
 
@@ -29,16 +29,16 @@ from roboassembly.solvers.search import SearchLimits, solve
 from roboassembly.task.object_centric.task import ObjectCentricTask
 
 PROBES = 5
-"""Random plays by which difficulty is measured."""
+"""Number of random-order episodes that measure the difficulty."""
 PATIENT_PROBES = 3
-"""Random plays that look for a true dead end."""
+"""Number of random-order episodes that look for a dead end."""
 _PROBE_BUDGET = Budget(states=0)
-"""Retreats only: what they do not solve, a sampling planner seldom does, and probing 412 chairs has to be quick."""
+"""Budget for retreats only: a sampling planner seldom solves what they do not, and 412 chairs must be measured."""
 _CERTIFY = SearchLimits(states=50_000, attempts=100)
 
 
 class Candidate(msgspec.Struct, frozen=True):
-    """A chair looked at for a set, as kept in the journal."""
+    """A chair examined for a set, as stored in the journal."""
 
     family: str
     seed: int
@@ -57,10 +57,10 @@ def examine(family: str, seed: int) -> Candidate:
     result = solve(furniture, 0, task=task, limits=_CERTIFY)
     stuck, dead_end = 0.0, False
     if result.plan.success:
-        plays = [
+        episodes = [
             assemble_in_random_order(task, p, best_w=True, patient=False, budget=_PROBE_BUDGET) for p in range(PROBES)
         ]
-        stuck = sum(not p.completed for p in plays) / PROBES
+        stuck = sum(not p.completed for p in episodes) / PROBES
         dead_end = any(
             not assemble_in_random_order(task, p, best_w=True, patient=True, budget=_PROBE_BUDGET).completed
             for p in range(PATIENT_PROBES)
@@ -78,35 +78,35 @@ def examine(family: str, seed: int) -> Candidate:
 
 
 def build_dataset(recipe: Recipe, seed: int, jobs: int) -> Iterator[tuple[int, int]]:
-    """Build a set and write its manifest; yields how many chairs of how many are examined.
+    """Build a set and write its manifest; yields the number of examined chairs and the total.
 
-    A journal beside the manifest keeps what is done, so that a build that was stopped goes on where it was.
+    A journal beside the manifest stores the results, so that an interrupted build continues.
     """
     path = manifest_path(recipe.name)
     path.parent.mkdir(parents=True, exist_ok=True)
     journal = path.with_suffix(f".{seed}.jsonl")
     known = {(c.family, c.seed): c for c in _read_journal(journal)}
     seen = [f for f in CHAIRS if f not in recipe.unseen_families]
-    wanted = [
+    selected = [
         *_draw(seen, recipe.train + recipe.test_seen, seed),
         *_draw(list(recipe.unseen_families), recipe.test_unseen, seed),
     ]
     chosen: list[Candidate] = []
     with journal.open("ab") as log, worker_pool(jobs) as pool:
-        todo = [w for w in wanted if w not in known]
-        done = len(wanted) - len(todo)
-        yield done, len(wanted)
+        todo = [w for w in selected if w not in known]
+        done = len(selected) - len(todo)
+        yield done, len(selected)
         while todo:
             for candidate in pool.map(examine, *zip(*todo, strict=True), chunksize=1):
                 log.write(msgspec.json.encode(candidate) + b"\n")
                 log.flush()
                 known[candidate.family, candidate.seed] = candidate
                 done += candidate.certified
-                yield min(done, len(wanted)), len(wanted)
-            # A chair that search does not solve is replaced by the next of its family.
-            wanted = [w if known[w].certified else _next(w, known) for w in wanted]
-            todo = [w for w in wanted if w not in known]
-    chosen = [known[w] for w in wanted]
+                yield min(done, len(selected)), len(selected)
+            # The next chair of the family replaces a chair that the search does not solve.
+            selected = [w if known[w].certified else _next(w, known) for w in selected]
+            todo = [w for w in selected if w not in known]
+    chosen = [known[w] for w in selected]
     manifest = Manifest(recipe.name, VERSION, seed, tuple(_split(recipe, chosen)))
     scratch = path.with_suffix(f".{os.getpid()}.tmp")
     scratch.write_bytes(msgspec.json.format(msgspec.json.encode(manifest), indent=1) + b"\n")
@@ -114,7 +114,7 @@ def build_dataset(recipe: Recipe, seed: int, jobs: int) -> Iterator[tuple[int, i
 
 
 def _draw(families: list[str], count: int, seed: int) -> list[tuple[str, int]]:
-    """Families in turn, with ever new seeds; seed 0 is a family's catalogue model and left out."""
+    """Return `(family, seed)` pairs, the families in turn. Seed 0 is the catalogue model and is left out."""
     return [(f, seed * 100_000 + 1 + i // len(families)) for i, f in enumerate(islice(cycle(families), count))]
 
 
@@ -127,7 +127,10 @@ def _next(chair: tuple[str, int], known: dict[tuple[str, int], Candidate]) -> tu
 
 
 def _split(recipe: Recipe, chairs: list[Candidate]) -> Iterator[Entry]:
-    """The first `train` go into training: the easier half of them, by stuck plays and then parts, is `easy`."""
+    """Yield the entries. The first `train` chairs are for training; the easier half of them is `easy`.
+
+    Chairs are ranked by difficulty, then by number of parts.
+    """
     train, test = chairs[: recipe.train], chairs[recipe.train :]
     ranked = sorted(train, key=lambda c: (c.difficulty, c.parts, c.family, c.seed))
     for index, c in enumerate(ranked):
@@ -148,5 +151,5 @@ def _read_journal(path: Path) -> Iterator[Candidate]:
         try:
             yield msgspec.json.decode(line, type=Candidate)
         except msgspec.DecodeError:
-            # The last line of a build that was killed while writing it.
+            # A build was killed while it wrote its last line.
             continue

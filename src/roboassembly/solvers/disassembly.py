@@ -1,8 +1,8 @@
-"""In which order furniture can be put together, found by taking it apart in the mind.
+"""Finds an order of merges by disassembly.
 
-A set of parts can be put together if it splits into two that can be separated and each can be put together itself: an
-AND/OR search with memory over splits that blocking graphs offer. No path is planned; whoever does plan strikes out the
-splits that turn out not to work, and asks again.
+A set of parts can be assembled if it splits into two sets that can be separated and that can be assembled themselves:
+a memoized AND/OR search over the splits that blocking graphs offer. It plans no path; a caller that plans rejects the
+splits that fail, and asks again.
 """
 
 from __future__ import annotations
@@ -17,22 +17,22 @@ from roboassembly.solvers.blocking import BlockingGraphs, Parts
 from roboassembly.task.rules.groups import TaskState
 
 Split = tuple[Parts, Parts]
-"""Two sub-assemblies; the first is the one that leaves."""
+"""Two sub-assemblies; the first one leaves."""
 Partition = frozenset[Parts]
-"""What is joined so far."""
+"""Groups that are joined so far, by their slots."""
 
 
 def partition_of(state: TaskState) -> Partition:
-    """The groups of a state, by their slots."""
+    """Return the groups of a state, by their slots."""
     return frozenset(frozenset(g.slots) for g in state.groups)
 
 
 class Disassembly:
-    """Ways to take one piece of furniture apart.
+    """Splits and orders of merges of one piece of furniture.
 
     Args:
         furniture: the piece.
-        over: whether there is no time left to think.
+        over: returns whether the search must stop.
     """
 
     def __init__(self, furniture: Furniture, over: Callable[[], bool]) -> None:
@@ -41,15 +41,15 @@ class Disassembly:
         self._over = over
 
     def order(
-        self, partition: Partition, struck: set[frozenset[Parts]], straight: bool, exhaustive: bool
+        self, partition: Partition, rejected: set[frozenset[Parts]], straight: bool, exhaustive: bool
     ) -> list[Split] | None:
-        """Merges, in an order in which they can be made, that build the whole from the groups of a partition.
+        """Return merges, in a feasible order, that build the furniture from a partition; None if none do.
 
         Args:
-            partition: what is joined already.
-            struck: splits that are out of the question.
-            straight: only splits whose leaving part goes straight out.
-            exhaustive: splits that blocking graphs do not offer, too.
+            partition: groups that are joined already.
+            rejected: splits that must not be used.
+            straight: use only splits whose leaving part moves straight out.
+            exhaustive: also use splits that blocking graphs do not offer.
         """
         memory: dict[Parts, list[Split] | None] = {}
 
@@ -58,14 +58,14 @@ class Disassembly:
                 return []
             if parts not in memory:
                 memory[parts] = None
-                memory[parts] = next(ways(parts), None)
+                memory[parts] = next(orders(parts), None)
             return memory[parts]
 
-        def ways(parts: Parts) -> Iterator[list[Split]]:
+        def orders(parts: Parts) -> Iterator[list[Split]]:
             for leaving, staying in self._splits(parts, partition, straight, exhaustive):
                 if self._over():
                     return
-                if frozenset((leaving, staying)) in struck:
+                if frozenset((leaving, staying)) in rejected:
                     continue
                 first = build(staying)
                 second = build(leaving) if first is not None else None
@@ -75,7 +75,7 @@ class Disassembly:
         return build(frozenset().union(*partition))
 
     def _splits(self, parts: Parts, partition: Partition, straight: bool, exhaustive: bool) -> Iterator[Split]:
-        """Ways to take `parts` in two that break no group: those that blocking graphs offer, then all others."""
+        """Yield the splits of `parts` that break no group: those of the blocking graphs, then all others."""
         groups = [g for g in partition if g <= parts]
         offered: set[frozenset[Parts]] = set()
         for closed in self.graphs.removable(parts, straight, groups):
@@ -86,7 +86,7 @@ class Disassembly:
                 yield half, parts - half
 
     def _connected_halves(self, parts: Parts, groups: list[Parts]) -> Iterator[Parts]:
-        """Connected unions of groups, up to half of them, whose complement is connected too; small ones first."""
+        """Yield connected unions of at most half of the groups whose complement is connected too; small ones first."""
         furniture = self.furniture
         layer = set(groups)
         for size in count(1):
@@ -99,7 +99,7 @@ class Disassembly:
             layer = {h | g for h in layer for g in groups if g & reach[h]}
 
     def exits(self, moving: Parts, waiting: Parts) -> list[np.ndarray]:
-        """Directions along which no part of `moving` is held by a part of `waiting`."""
+        """Return the directions along which no part of `waiting` blocks a part of `moving`."""
         return [
             d
             for d, arcs in zip(self.graphs.directions, self.graphs.arcs, strict=True)

@@ -1,4 +1,4 @@
-"""The forward half of the search, in any setting: merges that reasoning or a guide suggests are carried out in turn."""
+"""Forward half of the search, in any setting: tries the merges that disassembly or a guide suggests, depth first."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from roboassembly.task.setting import Task
 
 Action = tuple[int, ...]
 _GUIDED_STRAYS = 3
-"""Times that a guide may lead to where nothing goes on; then reasoning takes over."""
+"""Number of dead ends that a guide may lead to before disassembly takes over."""
 _GUIDED_SHARE = 4
-"""A guide gets one part in so many of the limits, so that the rounds after it have enough left."""
+"""Divisor of the limits that gives a guide's share; the rest is left for the rounds after it."""
 _GUIDED_WIDTH = 5
-"""Suggestions tried in each state."""
+"""Number of suggestions tried in each state."""
 _GUIDED_SCORE = 0.1
-"""Suggestions below it are left alone."""
+"""Score below which suggestions are ignored."""
 
 
 State = TypeVar("State")
@@ -35,70 +35,74 @@ APlan = TypeVar("APlan")
 
 @dataclass(frozen=True)
 class SearchLimits:
-    """When the search gives up."""
+    """Limits at which the search gives up."""
 
     states: int = 2_000_000
-    """Configurations tested for collision in all."""
+    """Number of configurations tested for collision."""
     attempts: int = 600
-    """Merges handed to the planner."""
+    """Number of merges handed to the planner."""
 
 
 @dataclass(frozen=True, eq=False)
 class SearchResult(Generic[APlan]):
-    """A plan (possibly unfinished), and what it took, failed attempts included."""
+    """A plan (possibly unfinished) and the effort of the search, failed attempts included."""
 
     plan: APlan
     planning_steps: int
-    """Configurations tested for collision by all that the search did."""
+    """Number of configurations tested for collision in the whole search."""
     planning_seconds: float
-    """Time within the planner and in thinking out the order."""
+    """Time spent in the planner and in disassembly [s]."""
     attempts: int
-    """Merges handed to the planner."""
+    """Number of merges handed to the planner."""
     backtracks: int
     reason: str
-    """Why there is no plan; empty if there is one."""
+    """Reason why there is no plan; empty if there is one."""
     guided: int = 0
-    """The plan's first so many merges are the guide's."""
+    """Number of merges, from the first, that the guide suggested."""
     guide_seconds: float = 0.0
-    """Time that the guide took; not part of `planning_seconds`."""
+    """Time spent in the guide [s]; not part of `planning_seconds`."""
     states: tuple[Any, ...] = ()
-    """What each of the plan's steps led to, in the task's own terms."""
+    """State after each step of the plan, as of the task."""
 
 
 @dataclass(frozen=True)
 class Round:
-    """How wide one pass of the search is."""
+    """Width of one pass of the search."""
 
     straight: bool
-    """Only splits whose leaving part goes straight out."""
+    """Use only splits whose leaving part moves straight out."""
     exhaustive: bool
-    """Splits that blocking graphs do not offer, too."""
+    """Also use splits that blocking graphs do not offer."""
     budget: Budget | None
-    """For each merge, the task's own if None; with no states to spend the planner tries retreats only."""
+    """Budget of each merge; the task's own if None. Without states the planner tries retreats only."""
 
 
 Options = Callable[[Disassembly, State, TaskState, Parts, Parts, bool], Iterable[Action]]
-"""Actions that join two sub-assemblies: `(disassembly, state, told, leaving, staying, straight)`, slots of `told`."""
+"""Function that returns the actions that join two sub-assemblies.
+
+Its arguments are `(disassembly, state, assigned, leaving, staying, straight)`; both sub-assemblies are slots of
+`assigned`, the state in which every slot is claimed once.
+"""
 
 
 @dataclass(frozen=True)
 class SearchProgress:
-    """How far a search is."""
+    """Progress of a search."""
 
     merges: int
-    """Taken at present; they may be taken back."""
+    """Number of merges in the present branch."""
     attempts: int
-    """Merges handed to the planner so far."""
+    """Number of merges handed to the planner so far."""
     states: int
     """Configurations tested for collision so far."""
 
 
 Watch = Callable[[SearchProgress], bool]
-"""Asked before each merge that is tried; the search gives up where it says False."""
+"""Callback before each attempted merge; the search stops if it returns False."""
 
 
 def planner_seed(seed: int, action: Action) -> int:
-    """What the planner draws from for an action, wherever in a plan it stands."""
+    """Return the planner's seed for an action; it does not depend on the action's place in the plan."""
     return int(np.random.SeedSequence([seed, zlib.crc32(repr(action).encode())]).generate_state(1)[0])
 
 
@@ -111,16 +115,16 @@ class Search(Generic[State, AStep]):
     limits: SearchLimits
     seed: int
     round: Round
-    """Present one; that by which a guide's suggestions are thought over, at first."""
+    """Present round; at first the one in which a guide's suggestions are tried."""
     refused: set[frozenset[Parts]] = field(default_factory=set)
-    """Splits that the planner would not join, whoever moves and whatever points up."""
+    """Splits for which no action could be planned."""
     watch: Watch | None = None
     dead: set[frozenset[Parts]] = field(default_factory=set)
-    """Partitions from which nothing led on."""
-    taken: list[tuple[AStep, State]] = field(default_factory=list)
-    """The steps taken, and what each led to."""
+    """Partitions from which the search failed."""
+    steps: list[tuple[AStep, State]] = field(default_factory=list)
+    """Steps of the present branch, each with the state after it."""
     stopped: bool = False
-    """By whom watches."""
+    """Whether `watch` stopped the search."""
     planning_steps: int = 0
     planning_seconds: float = 0.0
     attempts: int = 0
@@ -134,15 +138,18 @@ class Search(Generic[State, AStep]):
         self.disassembly = Disassembly(self.task.furniture, self.exhausted)
 
     def states(self) -> int:
-        """Configurations tested for collision so far."""
+        """Return the number of configurations tested for collision so far."""
         return self.planning_steps + self.disassembly.graphs.states
 
     def exhausted(self) -> bool:
-        """Whether the limits are reached, or the search is to give up."""
+        """Return whether the limits are reached or the search was stopped."""
         return self.stopped or self.states() > self.limits.states or self.attempts >= self.limits.attempts
 
     def follow(self, guide: Guide[State], state: State) -> bool:
-        """Depth first from `state` along the guide's suggestions; the steps taken are kept if it succeeds."""
+        """Search depth first from `state` along the guide's suggestions; returns whether the furniture is complete.
+
+        If it is, `steps` holds the plan.
+        """
         if self.task.groups_of(state).complete:
             return True
         begun = time.perf_counter()
@@ -150,7 +157,7 @@ class Search(Generic[State, AStep]):
         self.guide_seconds += time.perf_counter() - begun
         tries = followed = 0
         for suggestion in takewhile(lambda s: s.score >= _GUIDED_SCORE, suggestions):
-            # Led astray once, think before following on.
+            # After a first dead end, disassembly checks every suggestion.
             if self.exhausted() or tries == _GUIDED_WIDTH or self.strays == _GUIDED_STRAYS:
                 break
             if self.strays and self.hopeless(self.task.groups_of(state)):
@@ -166,22 +173,22 @@ class Search(Generic[State, AStep]):
             if self.follow(guide, after):
                 return True
             self.guided -= 1
-            self.taken.pop()
+            self.steps.pop()
             self.backtracks += 1
-        # With nothing taken over from the guide, the rounds will do this themselves.
-        success = bool(self.taken) and self.extend(state)
+        # Without any merge of the guide, the rounds start from the same state anyway.
+        success = bool(self.steps) and self.extend(state)
         self.strays += not success and not followed
         return success
 
     def hopeless(self, state: TaskState | None) -> bool:
-        """Whether reasoning sees no way on from a state, in which equal parts may have swapped places."""
-        told = self.task.rules.pairs.assign_slots(state) if state is not None else None
-        if told is None or (partition := partition_of(told)) in self.dead:
+        """Return whether disassembly finds no order from a state; equal parts may have swapped slots."""
+        assigned = self.task.rules.pairs.assign_slots(state) if state is not None else None
+        if assigned is None or (partition := partition_of(assigned)) in self.dead:
             return True
         return self.reasoned(partition, self.refused) is None
 
     def joined(self, state: TaskState, action: Action) -> TaskState | None:
-        """What would be joined after an action; nothing is planned, nothing moves. None if the pair is wrong."""
+        """Return the groups after an action, without planning it; None if the pair is wrong."""
         u, v, k, l, *_ = action  # noqa: E741
         if not self.task.rules.pair_exists(state, u, v, k, l):
             return None
@@ -193,16 +200,16 @@ class Search(Generic[State, AStep]):
         return TaskState((*others, merge.merged))
 
     def extend(self, state: State, merges: Sequence[Split] = ()) -> bool:
-        """Depth first from `state`; the steps taken are kept in `self.taken` if it succeeds.
+        """Search depth first from `state`; returns whether the furniture is complete, with the plan in `steps`.
 
         Args:
-            state: where to go on.
-            merges: what is left of the order that led here; thought out anew if empty.
+            state: state to continue from.
+            merges: rest of the order that led here; computed anew if empty.
         """
         if self.task.groups_of(state).complete:
             return True
-        told = self.task.rules.pairs.assign_slots(self.task.groups_of(state))
-        if told is None or (partition := partition_of(told)) in self.dead:
+        assigned = self.task.rules.pairs.assign_slots(self.task.groups_of(state))
+        if assigned is None or (partition := partition_of(assigned)) in self.dead:
             return False
         if merges and not partition.issuperset(merges[0]):
             merges = ()
@@ -212,35 +219,35 @@ class Search(Generic[State, AStep]):
             if not merges:
                 break
             (leaving, staying), *rest = merges
-            after = self.merge(state, told, leaving, staying)
+            after = self.merge(state, assigned, leaving, staying)
             if after is None:
                 self.refused.add(frozenset((leaving, staying)))
             elif self.extend(after, rest):
                 return True
             else:
-                self.taken.pop()
+                self.steps.pop()
                 self.backtracks += 1
                 excluded.add(frozenset((leaving, staying)))
             merges = ()
         self.dead.add(partition)
         return False
 
-    def merge(self, state: State, told: TaskState, leaving: Parts, staying: Parts) -> State | None:
-        """Try to join two groups: whoever moves, whatever points up, the most promising first."""
-        for action in self.options(self.disassembly, state, told, leaving, staying, self.round.straight):
+    def merge(self, state: State, assigned: TaskState, leaving: Parts, staying: Parts) -> State | None:
+        """Try the actions that join two groups, the most promising first; returns the state after, None if all fail."""
+        for action in self.options(self.disassembly, state, assigned, leaving, staying, self.round.straight):
             if self.exhausted():
                 return None
             after = self.attempt(state, action, self.round.budget)
             if after is not None:
-                # From where equal parts had swapped places, the pair may have gone into other slots than these.
+                # If equal parts had swapped slots, the pair may have taken other slots than these.
                 if self.task.rules.pairs.assign_slots(self.task.groups_of(after)) is not None:
                     return after
-                self.taken.pop()
+                self.steps.pop()
         return None
 
     def attempt(self, state: State, action: Action, budget: Budget | None) -> State | None:
-        """Hand one merge to the planner; None if it refuses, else its step is appended to `self.taken`."""
-        if self.watch is not None and not self.watch(SearchProgress(len(self.taken), self.attempts, self.states())):
+        """Plan one merge and append its step to `steps`; returns the state after, None if the planner fails."""
+        if self.watch is not None and not self.watch(SearchProgress(len(self.steps), self.attempts, self.states())):
             self.stopped = True
             return None
         self.attempts += 1
@@ -250,18 +257,18 @@ class Search(Generic[State, AStep]):
         self.verdicts[outcome.verdict] = self.verdicts.get(outcome.verdict, 0) + 1
         if outcome.step is None:
             return None
-        self.taken.append((outcome.step, outcome.state))
+        self.steps.append((outcome.step, outcome.state))
         return outcome.state
 
-    def reasoned(self, partition: Partition, struck: set[frozenset[Parts]]) -> list[Split] | None:
-        """An order that goes on from a partition, its time counted as planning."""
+    def reasoned(self, partition: Partition, rejected: set[frozenset[Parts]]) -> list[Split] | None:
+        """Return an order of merges from a partition; its time counts as planning."""
         begun = time.perf_counter()
-        order = self.disassembly.order(partition, struck, self.round.straight, self.round.exhaustive)
+        order = self.disassembly.order(partition, rejected, self.round.straight, self.round.exhaustive)
         self.planning_seconds += time.perf_counter() - begun
         return order
 
     def run(self, state: State, rounds: Sequence[Round], guide: Guide[State] | None) -> bool:
-        """All of it, the guide first; whether `taken` assembles the furniture."""
+        """Run the whole search, the guide first; returns whether `steps` assembles the furniture."""
         if guide is not None:
             whole = self.limits
             self.limits = SearchLimits(whole.states // _GUIDED_SHARE, whole.attempts // _GUIDED_SHARE)
@@ -279,7 +286,7 @@ class Search(Generic[State, AStep]):
         return False
 
     def result(self, plan: APlan, success: bool) -> SearchResult[APlan]:
-        """A plan of `taken`, and what it took."""
+        """Return the result of the search for a plan made of `steps`."""
         reason = ""
         if not success:
             spent = "no order of merges is left"
@@ -289,5 +296,5 @@ class Search(Generic[State, AStep]):
             reason = f"{spent} after {self.attempts} merges tried ({verdicts or 'none'})"
         return SearchResult(
             plan, self.states(), self.planning_seconds, self.attempts, self.backtracks, reason, self.guided,
-            self.guide_seconds, tuple(state for _, state in self.taken),
+            self.guide_seconds, tuple(state for _, state in self.steps),
         )  # fmt: skip

@@ -1,4 +1,4 @@
-"""What the search may be guided by: something that suggests actions. It orders branches; nothing hangs on it."""
+"""Guides of the search: they suggest actions. A guide decides the order of branches, not which plans exist."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ class Suggestion:
     action: tuple[int, ...]
     """`(u, v, k, l, w)`, or `(u, v, k, l, g_a, g_b)` with robots."""
     score: float
-    """How likely the furniture can still be finished after it, 0 to 1."""
+    """Probability that the furniture can still be finished after the action, 0 to 1."""
 
 
 class Guide(Protocol[State_contra]):
-    """Suggests what to do in a state."""
+    """Function that suggests actions in a state."""
 
     def __call__(self, task: Any, state: State_contra) -> Sequence[Suggestion]:
-        """Actions worth trying, the most promising first; any may be wrong, and there may be none."""
+        """Return actions to try, the most promising first; any may be wrong, and there may be none."""
         ...

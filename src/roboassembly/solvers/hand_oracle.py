@@ -1,4 +1,4 @@
-"""The oracle of the full setting: what can still be finished if two hands have to hold all that is joined."""
+"""Oracle of the full setting: it also requires that two grippers can hold the groups that are joined."""
 
 from __future__ import annotations
 
@@ -17,27 +17,27 @@ from roboassembly.task.rules.groups import Group, TaskState
 
 
 class HandOracle(Oracle):
-    """Knows one piece of furniture by heart, and where hands find room. Arms it does not ask.
+    """Memoized oracle of one piece of furniture that checks grippers, but no arms.
 
-    Two sub-assemblies can be joined if they leave each other straight and two hands, one at each, pass the cheap tests
-    of the full setting. As nothing stands on the ground, there are no ways up: either all `w` are possible or none.
+    Two sub-assemblies can be joined if they can be separated along a straight line and if a gripper at each of them
+    passes the cheap tests of the full setting. Nothing stands on the ground, so either all `w` are feasible or none.
     """
 
     def __init__(self, task: FullTask) -> None:
         super().__init__(ObjectCentricTask(task.furniture))
         self.full = task
-        self._held: dict[tuple[Parts, Parts], bool] = {}
-        self._worked: dict[frozenset[End], tuple[int, int]] = {}
-        """Of two points the hands that joined them last, at the part that comes first."""
+        self._joinable: dict[tuple[Parts, Parts], bool] = {}
+        self._last_grasps: dict[frozenset[End], tuple[int, int]] = {}
+        """Grasps that joined two points last, the grasp at the part with the lower index first."""
 
     def feasible_w(self, moving: Parts, waiting: Parts) -> Bool[np.ndarray, "6"]:
-        """Whether R_a can bring `moving` to `waiting`, which R_b holds; six times the same."""
+        """Return whether R_a can bring `moving` to `waiting`, which R_b holds; six equal values."""
         key = (moving, waiting)
-        if key not in self._held:
-            self._held[key] = len(self.exits(moving, waiting)) > 0 and self._hands_join(moving, waiting)
-        return np.full(len(UP_AXES), self._held[key])
+        if key not in self._joinable:
+            self._joinable[key] = len(self.exits(moving, waiting)) > 0 and self._grippers_join(moving, waiting)
+        return np.full(len(UP_AXES), self._joinable[key])
 
-    def _hands_join(self, moving: Parts, waiting: Parts) -> bool:
+    def _grippers_join(self, moving: Parts, waiting: Parts) -> bool:
         pairs = []
         for c in self.furniture.connections:
             a, b = (c.part_a, c.point_a), (c.part_b, c.point_b)
@@ -46,24 +46,26 @@ class HandOracle(Oracle):
             elif c.part_b in moving and c.part_a in waiting:
                 pairs.append((b, a))
         state = TaskState((self._group(moving), self._group(waiting)))
-        if any(self._again(state, one, two) for one, two in pairs):
+        if any(self._same_grasps_join(state, u_end, v_end) for u_end, v_end in pairs):
             return True
-        found = next(fitting(self.full, state, pairs, in_turn=True), None)
+        found = next(fitting(self.full, state, pairs, lazy=True), None)
         if found is not None:
             u, v, k, m, g_a, g_b = found
-            self._worked[frozenset(((u, k), (v, m)))] = (g_a, g_b) if u < v else (g_b, g_a)
+            self._last_grasps[frozenset(((u, k), (v, m)))] = (g_a, g_b) if u < v else (g_b, g_a)
         return found is not None
 
-    def _again(self, state: TaskState, one: End, two: End) -> bool:
-        """Whether the hands that joined two points before do so here: a hand that has room in one group mostly has in
-        its like."""
-        worked = self._worked.get(frozenset((one, two)))
-        if worked is None:
+    def _same_grasps_join(self, state: TaskState, u_end: End, v_end: End) -> bool:
+        """Return whether the grasps that joined two points before join them here too.
+
+        A gripper that has room in a group mostly has room in similar groups.
+        """
+        grasps = self._last_grasps.get(frozenset((u_end, v_end)))
+        if grasps is None:
             return False
-        g_a, g_b = worked if one[0] < two[0] else worked[::-1]
-        return isinstance(self.full.mate_grasp(state, (one[0], two[0], one[1], two[1], g_a, g_b)), MateGrasp)
+        g_a, g_b = grasps if u_end[0] < v_end[0] else grasps[::-1]
+        return isinstance(self.full.mate_grasp(state, (u_end[0], v_end[0], u_end[1], v_end[1], g_a, g_b)), MateGrasp)
 
     def _group(self, slots: Parts) -> Group:
-        """Parts in their own slots."""
+        """Return a group of parts in their own slots."""
         parts = tuple(sorted(slots))
         return Group(parts, parts, tuple(self.furniture.assembled[p] for p in parts), SE3.Identity())

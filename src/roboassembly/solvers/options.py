@@ -1,4 +1,4 @@
-"""Which actions join two sub-assemblies, the most promising first: for the search, once it knows what to join."""
+"""Actions that join two given sub-assemblies, the most promising first; the search tries them in this order."""
 
 from __future__ import annotations
 
@@ -18,85 +18,86 @@ from roboassembly.task.rules.groups import Group, TaskState, point_at_slot
 from roboassembly.task.rules.pairs import Merge
 
 _HOPELESS = -0.5
-"""Score of an option that the first round leaves out: it would end in the ground, or leave the joint downward."""
+"""Score below which the first round skips an action: it would end in the ground or approach from below."""
 _ARMS = 8
-"""Actions tried that pass all tests before arms come in."""
+"""Number of actions tried per pair of groups that pass all tests without arms."""
 Action = tuple[int, ...]
 End = tuple[int, int]
-"""Part and point."""
-_OfOneHand = Callable[[Group, Group, Merge, Grip, int], bool]
+"""Part and its connection point."""
+_GripTest = Callable[[Group, Group, Merge, Grip, int], bool]
+"""Test of one grip: `(u_group, v_group, merge, grip, robot)`."""
 
 
 def ends(
-    furniture: Furniture, state: TaskState, told: TaskState, leaving: Parts, staying: Parts
+    furniture: Furniture, state: TaskState, assigned: TaskState, leaving: Parts, staying: Parts
 ) -> Iterator[tuple[End, End]]:
-    """Parts and points of both groups that touch when the groups are joined: the leaving one's first.
+    """Yield the pairs of connection points that touch when two groups are joined, that of the leaving group first.
 
     Args:
-        furniture: that is assembled.
-        state: in which both are groups.
-        told: the same so that every slot is claimed once.
-        leaving: slots that the one takes in `told`.
-        staying: slots that the other takes there.
+        furniture: furniture that is assembled.
+        state: state in which both are groups.
+        assigned: same state with every slot claimed once.
+        leaving: slots of the leaving group in `assigned`.
+        staying: slots of the staying group in `assigned`.
     """
-    group_in = {slot: index for index, g in enumerate(told.groups) for slot in g.slots}
+    group_in = {slot: index for index, g in enumerate(assigned.groups) for slot in g.slots}
     for c in furniture.connections:
         a, b = (c.part_a, c.point_a), (c.part_b, c.point_b)
         if c.part_a in staying and c.part_b in leaving:
             a, b = b, a
         elif not (c.part_a in leaving and c.part_b in staying):
             continue
-        one, two = (
-            point_at_slot(furniture, state.groups[group_in[end[0]]], told.groups[group_in[end[0]]], end)
+        leaving_end, staying_end = (
+            point_at_slot(furniture, state.groups[group_in[end[0]]], assigned.groups[group_in[end[0]]], end)
             for end in (a, b)
         )
-        if one is not None and two is not None:
-            yield one, two
+        if leaving_end is not None and staying_end is not None:
+            yield leaving_end, staying_end
 
 
 def upright(
-    disassembly: Disassembly, state: TaskState, told: TaskState, leaving: Parts, staying: Parts, straight: bool
+    disassembly: Disassembly, state: TaskState, assigned: TaskState, leaving: Parts, staying: Parts, straight: bool
 ) -> list[Action]:
-    """`(u, v, k, l, w)`. Rising out of the joint is best; ending up in the ground is worst.
+    """Return actions `(u, v, k, l, w)`: exits that rise most come first, those that end in the ground last.
 
     Args:
-        disassembly: of the furniture.
-        state: in which both are groups.
-        told: the same so that every slot is claimed once.
-        leaving: slots that the one takes in `told`.
-        staying: slots that the other takes there.
-        straight: leave out what needs more than a straight way.
+        disassembly: disassembly of the furniture.
+        state: state in which both are groups.
+        assigned: same state with every slot claimed once.
+        leaving: slots of the leaving group in `assigned`.
+        staying: slots of the staying group in `assigned`.
+        straight: leave out actions that need more than a straight exit.
     """
-    pair = next(ends(disassembly.furniture, state, told, leaving, staying), None)
+    pair = next(ends(disassembly.furniture, state, assigned, leaving, staying), None)
     if pair is None:
         return []
-    (one, k), (two, l) = pair  # noqa: E741
-    end = {one: k, two: l}
+    (a, k), (b, l) = pair  # noqa: E741
+    point_of = {a: k, b: l}
     scored: list[tuple[float, Action]] = []
-    for u, v, moving, waiting in ((one, two, leaving, staying), (two, one, staying, leaving)):
+    for u, v, moving, waiting in ((a, b, leaving, staying), (b, a, staying, leaving)):
         directions = disassembly.exits(moving, waiting)
         low_moving, low_waiting = disassembly.graphs.lowest(moving), disassembly.graphs.lowest(waiting)
         for w, up in enumerate(UP_AXES):
             rise = max((float(d @ up) for d in directions), default=0.0)
             sinks = low_moving[w] < low_waiting[w] - 1e-3
             score = rise - 3.0 * sinks - 0.2 * (len(moving) > len(waiting))
-            scored.append((round(score, 3), (u, v, end[u], end[v], w)))
+            scored.append((round(score, 3), (u, v, point_of[u], point_of[v], w)))
     scored.sort(key=lambda item: -item[0])
     return [action for score, action in scored if score > _HOPELESS or not straight]
 
 
-def grasping(task: FullTask, state: FullState, told: TaskState, leaving: Parts, staying: Parts) -> Iterator[Action]:
-    """`(u, v, k, l, g_a, g_b)` that pass all tests before arms come in; R_b holds the heavier group first.
+def grasping(task: FullTask, state: FullState, assigned: TaskState, leaving: Parts, staying: Parts) -> Iterator[Action]:
+    """Yield actions `(u, v, k, l, g_a, g_b)` that pass all tests without arms, the heavier group with R_b first.
 
     Args:
-        task: the rules.
-        state: in which both are groups.
-        told: the same so that every slot is claimed once.
-        leaving: slots that the one takes in `told`.
-        staying: slots that the other takes there.
+        task: task with the rules.
+        state: state in which both are groups.
+        assigned: same state with every slot claimed once.
+        leaving: slots of the leaving group in `assigned`.
+        staying: slots of the staying group in `assigned`.
     """
     furniture = task.furniture
-    pairs = list(ends(furniture, state.groups, told, leaving, staying))
+    pairs = list(ends(furniture, state.groups, assigned, leaving, staying))
     heavy = [sum(furniture.parts[p].mesh.volume for p in slots) for slots in (leaving, staying)]
     if heavy[0] > heavy[1]:
         pairs = [(b, a) for a, b in pairs]
@@ -109,48 +110,49 @@ def grasping(task: FullTask, state: FullState, told: TaskState, leaving: Parts, 
                 return
 
 
-def fitting(
-    task: FullTask, state: TaskState, pairs: list[tuple[End, End]], *, in_turn: bool = False
-) -> Iterator[Action]:
-    """Actions that pass the cheap tests, in an order that tries unlike ones early; what only a pair or only a grasp
-    decides is looked at once for each.
+def fitting(task: FullTask, state: TaskState, pairs: list[tuple[End, End]], *, lazy: bool = False) -> Iterator[Action]:
+    """Yield actions that pass the cheap tests, in a shuffled order that tries different ones early.
+
+    Tests that depend only on a pair or only on a grasp run once for each.
 
     Args:
-        task: the rules.
-        state: of which both groups are part.
-        pairs: points to be joined, those of R_a's group first.
-        in_turn: look at each grasp when its turn comes, in another order: for who needs to know whether there are any.
+        task: task with the rules.
+        state: state that contains both groups.
+        pairs: points to be joined, that of R_a's group first.
+        lazy: test each grasp only when its turn comes; faster for a caller that needs only the first action.
     """
     groups = {part: state.groups[state.group_of[part]] for part in {end[0] for pair in pairs for end in pair}}
 
-    def taken(part: int, grasp: int) -> Grip | None:
+    def grip_of(part: int, grasp: int) -> Grip | None:
         return task.free_grip(groups[part], part, grasp)
 
-    grasps = {part: [g for g in range(GRASPS) if in_turn or taken(part, g) is not None] for part in groups}
-    tries = [(one, two, g_a, g_b) for one, two in pairs for g_a, g_b in product(grasps[one[0]], grasps[two[0]])]
-    merges = {(one, two): task.merge(state, (one[0], two[0], one[1], two[1])) for one, two in pairs}
+    grasps = {part: [g for g in range(GRASPS) if lazy or grip_of(part, g) is not None] for part in groups}
+    tries = [
+        (u_end, v_end, g_a, g_b) for u_end, v_end in pairs for g_a, g_b in product(grasps[u_end[0]], grasps[v_end[0]])
+    ]
+    merges = {(a, b): task.merge(state, (a[0], b[0], a[1], b[1])) for a, b in pairs}
     known: dict[tuple[object, ...], bool] = {}
 
-    def passes(test: _OfOneHand, u: int, v: int, merge: Merge, held: Grip, robot: int) -> bool:
+    def passes(test: _GripTest, u: int, v: int, merge: Merge, grip: Grip, robot: int) -> bool:
         # Most pairs of two groups make the same merge.
-        key = (test, robot, held.part, held.grasp, _told(merge.furniture_from_u), _told(merge.furniture_from_v))
+        key = (test, robot, grip.part, grip.grasp, _rounded(merge.furniture_from_u), _rounded(merge.furniture_from_v))
         if key not in known:
-            known[key] = test(groups[u], groups[v], merge, held, robot)
+            known[key] = test(groups[u], groups[v], merge, grip, robot)
         return known[key]
 
     for index in np.random.default_rng(0).permutation(len(tries)):
-        one, two, g_a, g_b = tries[index]
-        (u, k), (v, m) = one, two
-        merge, grip_a, grip_b = merges[one, two], taken(u, g_a), taken(v, g_b)
+        u_end, v_end, g_a, g_b = tries[index]
+        (u, k), (v, m) = u_end, v_end
+        merge, grip_a, grip_b = merges[u_end, v_end], grip_of(u, g_a), grip_of(v, g_b)
         if merge is None or grip_a is None or grip_b is None:
             continue
-        # Whether either hand has room costs a tenth of whether one of them gets out.
+        # `grip_has_room` takes a tenth of the time of `grip_fits`, so both grips pass it first.
         tests = product((task.grip_has_room, task.grip_fits), ((grip_a, 0), (grip_b, 1)))
-        if not all(passes(test, u, v, merge, held, robot) for test, (held, robot) in tests):
+        if not all(passes(test, u, v, merge, grip, robot) for test, (grip, robot) in tests):
             continue
         if isinstance(task.check_grips(groups[u], groups[v], merge, grip_a, grip_b), MateGrasp):
             yield u, v, k, m, g_a, g_b
 
 
-def _told(pose: SE3) -> bytes:
+def _rounded(pose: SE3) -> bytes:
     return (np.round(pose.homogeneous, 6) + 0.0).tobytes()

@@ -1,8 +1,8 @@
-"""What every action is worth, found by disassembly in the mind: the targets that a policy can be taught with.
+"""Oracle: labels every right pair of a state by disassembly; the labels are training targets of a policy.
 
-The search's own reasoning (blocking graphs, straight exits) without its planner: whether two sub-assemblies can be
-joined and who may move is a matter of the furniture alone, so it is worked out once for each pair of sub-assemblies
-and remembered. It is cautious: a merge that only a winding path can make counts as impossible here.
+It uses blocking graphs and straight exits as the search does, without a planner. Whether two sub-assemblies can be
+joined, and which one can move, depends on the furniture alone, so the result is computed once for each pair of
+sub-assemblies. The oracle is conservative: a merge that needs a curved path counts as infeasible.
 """
 
 from __future__ import annotations
@@ -17,22 +17,23 @@ from jaxtyping import Bool, Float
 
 from roboassembly.furniture.model import SAME_POINT
 from roboassembly.solvers.blocking import BlockingGraphs, Parts
+from roboassembly.solvers.disassembly import partition_of
 from roboassembly.task.object_centric.task import ObjectCentricTask
 from roboassembly.task.rules.connections import UP_AXES
 from roboassembly.task.rules.groups import TaskState
 from roboassembly.task.rules.pairs import Merge
 
 _LEAST_RISE = -0.35
-"""Least sine of the climb at which a group leaves: flatter or downward exits end on the ground."""
-_PLACES = 24
-"""Ways to tell which slots the groups take that are looked at; more differ in equal parts' names only."""
+"""Smallest sine of the angle of climb at which a group leaves; steeper descents end on the ground."""
+_ASSIGNMENTS = 24
+"""Number of slot assignments that are examined; further ones differ only in the names of equal parts."""
 _SINK = 1e-3
-"""Metres: a moving group that would reach further down than the waiting one ends up in the ground."""
+"""Depth by which a moving group may reach below the waiting one [m]; below it, the group ends in the ground."""
 
 
 @dataclass(frozen=True, eq=False)
 class LabeledMate:
-    """A right pair in some state, and what comes of it."""
+    """A right ordered pair of a state with its labels."""
 
     u: int
     k: int
@@ -40,18 +41,18 @@ class LabeledMate:
     l: int  # noqa: E741
     merge: Merge
     feasible_w: Bool[np.ndarray, "6"]
-    """For each `w`, whether u's group can come to v's group along a straight exit above the ground."""
+    """Whether u's group can reach v's group along a straight line above the ground, for each `w`."""
     solvable: bool
     """Whether the furniture can still be finished after this merge."""
 
     @property
     def viable(self) -> bool:
-        """Whether some `w` of this ordered pair leads on."""
+        """Whether the pair can be joined by some `w` and the furniture can still be finished after it."""
         return self.solvable and bool(self.feasible_w.any())
 
 
 class Oracle:
-    """Knows one piece of furniture by heart."""
+    """Memoized oracle of one piece of furniture."""
 
     def __init__(self, task: ObjectCentricTask) -> None:
         self.task = task
@@ -62,43 +63,43 @@ class Oracle:
 
     @cached_property
     def _mating_types(self) -> set[tuple[int, int, int, int]]:
-        """Kinds of points that the furniture's connections join, both ways round."""
+        """Pairs of point types that the furniture's connections join, in both orders."""
         out = set()
         for c in self.furniture.connections:
-            a, b = self._kinds[c.part_a, c.point_a], self._kinds[c.part_b, c.point_b]
+            a, b = self._point_types[c.part_a, c.point_a], self._point_types[c.part_b, c.point_b]
             out.update([(*a, *b), (*b, *a)])
         return out
 
     @cached_property
-    def _kinds(self) -> dict[tuple[int, int], tuple[int, int]]:
-        """Class and orbit of each point: points that a symmetry, or a swap of equal parts, lays on each other."""
+    def _point_types(self) -> dict[tuple[int, int], tuple[int, int]]:
+        """Type `(class, orbit)` of each point: symmetries and swaps of equal parts keep the type."""
         out = {}
         for index, shape_class in enumerate(self.furniture.classes):
             orbits: list[Float[np.ndarray, "s 3"]] = []
             for member in shape_class.members:
                 for k, point in enumerate(self.furniture.parts[member].points):
-                    apart = [np.linalg.norm(o - point.position, axis=1).min() for o in orbits]
-                    if not apart or min(apart) > SAME_POINT:
-                        apart.append(0.0)
+                    distances = [np.linalg.norm(o - point.position, axis=1).min() for o in orbits]
+                    if not distances or min(distances) > SAME_POINT:
+                        distances.append(0.0)
                         orbits.append(shape_class.symmetries @ point.position)
-                    out[member, k] = (index, int(np.argmin(apart)))
+                    out[member, k] = (index, int(np.argmin(distances)))
         return out
 
     def mates(self, state: TaskState) -> list[LabeledMate]:
-        """Every right ordered pair `(u, k, v, l)` of a state."""
-        taken = state.occupied(self.furniture)
+        """Return every right ordered pair `(u, k, v, l)` of a state."""
+        occupied = state.occupied(self.furniture)
         ends = [
-            (part, k, self._kinds[slot, k])
+            (part, k, self._point_types[slot, k])
             for group in state.groups
             for part, slot in zip(group.parts, map(group.slot_of_points, group.parts), strict=True)
             for k in range(len(self.furniture.parts[slot].points))
-            if (part, k) not in taken
+            if (part, k) not in occupied
         ]
         ends.sort()
         out = []
-        for v, l, kind_v in ends:  # noqa: E741
-            for u, k, kind_u in ends:
-                if state.group_of[u] == state.group_of[v] or (*kind_u, *kind_v) not in self._mating_types:
+        for v, l, type_v in ends:  # noqa: E741
+            for u, k, type_u in ends:
+                if state.group_of[u] == state.group_of[v] or (*type_u, *type_v) not in self._mating_types:
                     continue
                 u_group, v_group = state.groups[state.group_of[u]], state.groups[state.group_of[v]]
                 merge = self.task.pairs.judge(u_group, v_group, u, k, v, l)
@@ -108,23 +109,23 @@ class Oracle:
                 moving = frozenset(slot_of[p] for p in u_group.parts)
                 waiting = frozenset(slot_of[p] for p in v_group.parts)
                 after = TaskState((*(g for g in state.groups if g is not u_group and g is not v_group), merge.merged))
-                ways = self.feasible_w(moving, waiting)
-                solvable = bool(ways.any()) and self.state_solvable(after)
-                out.append(LabeledMate(u, k, v, l, merge, ways, solvable))
+                feasible_w = self.feasible_w(moving, waiting)
+                solvable = bool(feasible_w.any()) and self.state_solvable(after)
+                out.append(LabeledMate(u, k, v, l, merge, feasible_w, solvable))
         return out
 
     def state_solvable(self, state: TaskState) -> bool:
-        """Whether straight exits can finish the furniture from here.
+        """Return whether the furniture can be finished from a state with straight exits.
 
-        Told by slots alone. A loose part whose points differ from those of the slots that are left may be stuck all
-        the same; a play that finds out takes its last move back.
+        Only slots are examined. A loose part whose points differ from those of the free slots may still not fit; an
+        episode that finds this out undoes its last merge.
         """
-        places = islice(self.task.pairs.slot_assignments(state), _PLACES)
-        told = {frozenset(frozenset(g.slots) for g in place.groups) for place in places}
-        return any(self.solvable(partition) for partition in sorted(told, key=lambda t: sorted(map(sorted, t))))
+        assignments = islice(self.task.pairs.slot_assignments(state), _ASSIGNMENTS)
+        partitions = {partition_of(assigned) for assigned in assignments}
+        return any(self.solvable(partition) for partition in sorted(partitions, key=lambda t: sorted(map(sorted, t))))
 
     def feasible_w(self, moving: Parts, waiting: Parts) -> Bool[np.ndarray, "6"]:
-        """For which `w` `moving` can come straight to `waiting`, above the ground on which that stands."""
+        """Return for each `w` whether `moving` can reach `waiting` along a straight line above the ground."""
         exits = self.exits(moving, waiting)
         if not len(exits):
             return np.zeros(6, bool)
@@ -133,7 +134,7 @@ class Oracle:
         return (margin > -_SINK) & (rises > _LEAST_RISE) & ((rises > -0.02) | (margin > 0.3))
 
     def exits(self, moving: Parts, waiting: Parts) -> Float[np.ndarray, "n 3"]:
-        """Directions in which `moving` can leave `waiting` straight, all the way out."""
+        """Return the directions in which `moving` can move straight and completely out of `waiting`."""
         key = (moving, waiting)
         if key not in self._exits:
             found = [
@@ -146,19 +147,19 @@ class Oracle:
         return self._exits[key]
 
     def solvable(self, partition: frozenset[Parts]) -> bool:
-        """Whether the groups of a partition of some slots can be joined into one, straight exits only."""
+        """Return whether the groups of a partition can be joined into one with straight exits."""
         if len(partition) == 1:
             return True
         if partition not in self._solvable:
             self._solvable[partition] = any(
-                self.solvable(one) and self.solvable(other) for one, other in self._halves(partition)
+                self.solvable(first) and self.solvable(second) for first, second in self._halves(partition)
             )
         return self._solvable[partition]
 
     def _halves(self, partition: frozenset[Parts]) -> Iterator[tuple[frozenset[Parts], frozenset[Parts]]]:
-        """Ways to take the union of some groups apart in two, as partitions of the halves."""
+        """Yield the splits of the union of some groups into two, as partitions of the halves."""
         whole = frozenset[int]().union(*partition)
         for closed in self.graphs.removable(whole, True, partition):
             if self.feasible_w(closed, whole - closed).any() or self.feasible_w(whole - closed, closed).any():
-                one = frozenset(g for g in partition if g <= closed)
-                yield one, partition - one
+                half = frozenset(g for g in partition if g <= closed)
+                yield half, partition - half

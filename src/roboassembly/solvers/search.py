@@ -1,16 +1,16 @@
-"""Finds a whole action sequence, in either setting: reason backward by disassembly, let the task judge every merge.
+"""Finds a whole action sequence in either setting: disassembly gives an order of merges, the task plans each merge.
 
-Backward: an order of merges by taking the furniture apart in the mind (`solvers.disassembly`). Forward: carry the
-merges out. Where the planner refuses a merge, that split is struck out and the rest thought through again; where
-nothing is left, the last merge is taken back.
+Disassembly (`solvers.disassembly`) works backward and returns an order. The search works forward and plans its merges.
+If the planner fails at a merge, its split is rejected and the order is computed again; if no order is left, the last
+merge is undone.
 
-Three rounds, each wider and dearer than the last: straight exits only and no sampling planner; everything that no
-neighbour holds back; at last every split of a set into two connected halves, so that nothing assemblable is missed
-but what the planner's budget cuts off.
+There are three rounds, each wider and more expensive than the last. The first uses straight exits and no sampling
+planner. The second uses all splits that no neighbour blocks. The third uses every split of a set into two connected
+halves, so that only the planner's budget limits what is found.
 
-A guide (`solvers.guide`) may go first: its suggestions are followed depth first, the planner judging each; where they
-are spent the reasoning takes over, and where that sees no way left the last merge is taken back. What the guide gets
-wrong costs time only: in the end the three rounds start over without it.
+A guide (`solvers.guide`) may come first. The search follows its suggestions depth first and plans each of them. If none
+is left, disassembly continues; if it finds no order, the last merge is undone. Errors of the guide cost time only: at
+the end the three rounds start again without it.
 """
 
 from __future__ import annotations
@@ -42,8 +42,8 @@ _ROUNDS = (
 
 _FULL_ROUNDS = tuple(replace(r, budget=None) for r in _ROUNDS)
 FULL_LIMITS = SearchLimits(states=6_000_000, attempts=200)
-"""Unless told otherwise, with robots."""
-_NO_PLACE = "two groups need the same place in the furniture"
+"""Default limits with robots."""
+_SAME_SLOTS = "two groups need the same place in the furniture"
 
 
 def solve(
@@ -57,9 +57,11 @@ def solve(
     """Search for an assembly from a random start; the same seed gives the same plan.
 
     Args:
-        seed: of the initial placement and of the planner.
-        task: of this furniture, to share what it has computed; a new one if None.
-        guide: suggests merges; plain reasoning if None.
+        furniture: furniture that is assembled.
+        seed: seed of the initial placement and of the planner.
+        task: task of this furniture, whose cached results are reused; a new one if None.
+        limits: limits at which the search gives up.
+        guide: suggests merges; disassembly alone if None.
     """
     task = task or ObjectCentricTask(furniture)
     initial = task.initial_state(np.random.default_rng(seed))
@@ -74,13 +76,13 @@ def solve_from(
     guide: Guide[TaskState] | None = None,
     watch: Watch | None = None,
 ) -> SearchResult[Plan]:
-    """As `solve`, from a state that is given, in which equal parts may have taken each other's places."""
+    """Search from a given state, in which equal parts may have swapped slots; see `solve`."""
     if task.pairs.assign_slots(initial) is None:
         nothing = Plan(task.furniture, initial.part_poses, (), False, seed)
-        return SearchResult(nothing, 0, 0.0, 0, 0, _NO_PLACE)
+        return SearchResult(nothing, 0, 0.0, 0, 0, _SAME_SLOTS)
     search = Search(task, upright, limits, seed, _ROUNDS[0], watch=watch)
     success = search.run(initial, _ROUNDS, guide)
-    steps = tuple(step for step, _ in search.taken)
+    steps = tuple(step for step, _ in search.steps)
     return search.result(Plan(task.furniture, initial.part_poses, steps, success, seed), success)
 
 
@@ -92,14 +94,14 @@ def solve_full(
     limits: SearchLimits | None = None,
     guide: Guide[FullState] | None = None,
 ) -> SearchResult[FullPlan]:
-    """As `solve`, for two robots in the workcell.
+    """Search for an assembly by two robots in the workcell; see `solve`.
 
     Args:
-        furniture: what is assembled.
-        seed: of the cell's layout and of the planner.
-        task: of this furniture, to share what it has computed; a new one if None.
-        limits: when to give up.
-        guide: suggests merges; plain reasoning if None.
+        furniture: furniture that is assembled.
+        seed: seed of the cell's layout and of the planner.
+        task: task of this furniture, whose cached results are reused; a new one if None.
+        limits: limits at which the search gives up.
+        guide: suggests merges; disassembly alone if None.
 
     Raises:
         InputError: the furniture does not suit the cell.
@@ -117,14 +119,20 @@ def solve_full_from(
     guide: Guide[FullState] | None = None,
     watch: Watch | None = None,
 ) -> SearchResult[FullPlan]:
-    """As `solve_full`, from a state that is given."""
+    """Search from a given state; see `solve_full`."""
     search = Search(task, partial(_grasping, task), limits, seed, _FULL_ROUNDS[0], watch=watch)
     success = search.run(initial, _FULL_ROUNDS, guide)
-    steps = tuple(step for step, _ in search.taken)
+    steps = tuple(step for step, _ in search.steps)
     return search.result(FullPlan(task.furniture, initial, steps, success, seed), success)
 
 
 def _grasping(
-    task: FullTask, _: Disassembly, state: FullState, told: TaskState, leaving: Parts, staying: Parts, straight: bool
+    task: FullTask,
+    _: Disassembly,
+    state: FullState,
+    assigned: TaskState,
+    leaving: Parts,
+    staying: Parts,
+    straight: bool,
 ) -> Iterable[Action]:
-    return grasping(task, state, told, leaving, staying)
+    return grasping(task, state, assigned, leaving, staying)
