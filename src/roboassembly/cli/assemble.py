@@ -65,7 +65,9 @@ class AssembleCommand:
         require_at_least(0, seed=self.seed)
         if not self.search and self.policy == NO_POLICY:
             raise InputError("--no-search needs a policy, but --policy is none; use --policy relational")
-        if self.execution == "dynamic" and self.setting != "full":
+        from roboassembly.settings import SETTINGS
+
+        if self.execution == "dynamic" and SETTINGS[self.setting].execute is None:
             raise InputError("--execution dynamic needs robots; add --setting full")
         self._check_out()
         from roboassembly.datasets import catalogue

@@ -89,7 +89,7 @@ class MultitaskCommand:
     def _relational(self, jobs: int) -> Iterable[Progress]:
         from roboassembly.learning.relational.pipeline import RelationalPipelineConfig, run_pipeline
 
-        default = RelationalPipelineConfig.full() if self.setting == "full" else RelationalPipelineConfig()
+        default = RelationalPipelineConfig.default(self.setting)
         config = replace(
             default, set=self.set, limit=self.limit, extra=default.extra if self.extra is None else self.extra,
             episodes=self.episodes or default.episodes, rounds=default.rounds if self.rounds is None else self.rounds,

@@ -113,7 +113,7 @@ _WHOLE: dict[SettingName, BenchmarkConfig] = {
     # An update takes several times as long: two points have 64 grasp pairs in place of six `w`.
     "full": BenchmarkConfig(
         "full", pipeline=PipelineConfig.default("full"), paper=PaperTraining(steps=5_000),
-        relational=RelationalPipelineConfig.full(),
+        relational=RelationalPipelineConfig.default("full"),
     ),
 }  # fmt: skip
 _QUICK_BASE = BenchmarkConfig(set="chairs-24", train_limit=3, experts=3, shipped=False, paper=PaperTraining(steps=40))
@@ -126,7 +126,9 @@ _QUICK: dict[SettingName, BenchmarkConfig] = {
     ),
     "full": replace(
         _QUICK_BASE, setting="full", sample=2,
-        relational=replace(RelationalPipelineConfig.full(), extra=0, validation=0, episodes=1, steps=2, grasp_steps=40),
+        relational=replace(
+            RelationalPipelineConfig.default("full"), extra=0, validation=0, episodes=1, steps=2, grasp_steps=40
+        ),
         pipeline=PipelineConfig(
             AutoencoderTraining(steps=40), 4, ExpertTraining(steps=1_600, least_steps=400, setting="full"), episodes=8
         ),

@@ -169,7 +169,7 @@ class ClientSession:
 
     @property
     def _needs_grasps(self) -> bool:
-        return self.panel.setting.value == "full"
+        return SETTINGS[self.panel.setting.value].has_robots
 
     def _submit_upload(self, file: UploadedFile) -> None:
         """Queue an uploaded file; it is kept only until it has been read."""

@@ -5,17 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Float32
+from jaxtyping import Float
 from viser import ClientHandle, LineSegmentsHandle
 
 from roboassembly.rendering.camera import FIELD_OF_VIEW, box_corners, fit_camera, view_axes
 from roboassembly.rendering.colors import MOVING, WAITING, Color, distinct_colors, part_colors, to_bytes
-from roboassembly.robots.body import tip_positions
 from roboassembly.studio.assembly_session import AssemblySession
 from roboassembly.studio.overlays import ChosenPoints, Overlays
 from roboassembly.studio.picking import PickedItem, Picker, VisibleItems
-from roboassembly.task.plans.full_plan import FullStep
-from roboassembly.task.plans.plan import PlanStep
 from roboassembly.viewer.playback import make_animator
 from roboassembly.viewer.timeline import Frame
 from roboassembly.viewer.viser_scene import ViserScene, set_up_scene
@@ -170,7 +167,7 @@ class SceneView:
         self._remove_path()
         if step is None:
             return
-        points = _path_points(self._session.plan().steps[step])
+        points = make_animator(self._session.plan(), FRAMES_PER_SECOND).path_points(step)
         if len(points) > 1:
             lines = np.stack([points[:-1], points[1:]], axis=1)
             handle = self._client.scene.add_line_segments(
@@ -182,11 +179,3 @@ class SceneView:
         if self._path is not None:
             self._path[1].remove()
             self._path = None
-
-
-def _path_points(step: PlanStep | FullStep) -> Float32[np.ndarray, "n 3"]:
-    """Return the path [m] of the moving group's centre of mass, or of the fingertips of R_a."""
-    if isinstance(step, PlanStep):
-        return np.array([pose.translation for pose in step.path], np.float32)
-    paths = [tip_positions(np.array(segment.path)) for segment in step.segments if segment.robot == 0]
-    return np.concatenate(paths).astype(np.float32)

@@ -76,6 +76,10 @@ class Task(Protocol[State, Step_co]):
         """Number of values of each component of an action after its pair: of `w`, or of `g_a` and `g_b`."""
         ...
 
+    def check_furniture(self) -> None:
+        """Check that the furniture suits the setting; raises `InputError` if it does not."""
+        ...
+
     def initial_state(self, rng: np.random.Generator) -> State:
         """Return a state in which an episode begins."""
         ...

@@ -11,11 +11,11 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Float32
 
 from roboassembly.geometry.poses import SE3
 from roboassembly.rendering.colors import Role
-from roboassembly.robots.body import hand_links, links, placed
+from roboassembly.robots.body import hand_links, links, placed, tip_positions
 from roboassembly.task.full.cell import Post, post_mesh
 from roboassembly.task.full.cell_state import CellState, Segment
 from roboassembly.task.full.failure import Stage
@@ -55,6 +55,12 @@ class FullPlanAnimator:
             SceneObject(f"posts/{i}", post_mesh(float(post.top[2])), framed=False) for i, post in enumerate(self.posts)
         ]
         return (*part_objects(self.plan.furniture), *robots, *posts)
+
+    def path_points(self, index: int) -> Float32[np.ndarray, "n 3"]:
+        """Return the path of the fingertips of R_a in a step [m]."""
+        segments = self.plan.steps[index].segments
+        paths = [tip_positions(np.array(segment.path)) for segment in segments if segment.robot == 0]
+        return np.concatenate(paths).astype(np.float32)
 
     def opening(self) -> Frame:
         """Return the frame before the first step."""

@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Float32
 
 from roboassembly.geometry.poses import SE3, transform_points
 from roboassembly.rendering.colors import Role
@@ -58,6 +58,10 @@ class PlanAnimator:
     def objects(self) -> tuple[SceneObject, ...]:
         """Objects that the frames show: the parts."""
         return part_objects(self.plan.furniture)
+
+    def path_points(self, index: int) -> Float32[np.ndarray, "n 3"]:
+        """Return the path of the moving group's centre of mass in a step [m]."""
+        return np.array([pose.translation for pose in self.plan.steps[index].path], np.float32)
 
     def opening(self) -> Frame:
         """Return the frame before the first step."""

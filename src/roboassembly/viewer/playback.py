@@ -4,19 +4,24 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from typing import Any
 
 from roboassembly.errors import InputError
 from roboassembly.task.plans.full_plan import FullPlan
 from roboassembly.task.plans.plan import Plan
+from roboassembly.task.setting import SettingName
 from roboassembly.viewer.full_animation import FullPlanAnimator
 from roboassembly.viewer.object_centric_animation import PlanAnimator
 from roboassembly.viewer.timeline import Frame, Timeline
 
 AnyPlan = Plan | FullPlan
 """Plan of either setting."""
-SECONDS_PER_STEP, FULL_SECONDS_PER_STEP = 1.8, 6.0
-"""Default duration [s] of a step in the object-centric and in the full setting."""
+_ANIMATORS: dict[SettingName, tuple[Callable[[Any, float, float], PlanAnimator | FullPlanAnimator], float]] = {
+    "object-centric": (PlanAnimator, 1.8),
+    "full": (FullPlanAnimator, 6.0),
+}
+"""Animator and default duration of a step [s] of each setting."""
 OVERTURE_SECONDS, FINALE_SECONDS = 1.0, 2.0
 
 
@@ -42,14 +47,12 @@ def make_animator(
     plan: AnyPlan, frames_per_second: float, seconds_per_step: float | None = None, *, slowdown: float = 1.0
 ) -> PlanAnimator | FullPlanAnimator:
     """Return the object that makes the frames of a plan; arguments and errors as of `make_timeline`."""
-    default = FULL_SECONDS_PER_STEP if isinstance(plan, FullPlan) else SECONDS_PER_STEP
+    make, default = _ANIMATORS[plan.setting]
     seconds = default * slowdown if seconds_per_step is None else seconds_per_step
     for name, value in (("frames_per_second", frames_per_second), ("seconds_per_step", seconds)):
         if not (math.isfinite(value) and value > 0):
             raise InputError(f"{name} is {value}; it must be a positive number")
-    if isinstance(plan, FullPlan):
-        return FullPlanAnimator(plan, frames_per_second, seconds)
-    return PlanAnimator(plan, frames_per_second, seconds)
+    return make(plan, frames_per_second, seconds)
 
 
 def _all_frames(animator: PlanAnimator | FullPlanAnimator) -> Iterator[Frame]:

@@ -24,6 +24,7 @@ from roboassembly.learning.paper.dqn.network import ExpertPolicy, ExpertStep, en
 from roboassembly.learning.paper.dqn.results import load, read
 from roboassembly.learning.paper.dqn.train import ExpertTraining
 from roboassembly.parallel.processes import map_unordered
+from roboassembly.settings import SETTINGS
 from roboassembly.task.full.task import FullTask
 from roboassembly.task.object_centric.task import ObjectCentricTask
 
@@ -83,7 +84,7 @@ def expert_samples(
         if finished(steps, expert.inputs):
             done += 1
             samples += [_sample(expert, task, observer, step) for step in steps]
-    grasps = observer.grasp_poses if isinstance(task, FullTask) else None
+    grasps = observer.grasp_poses if SETTINGS[task.setting].has_robots else None
     return SampleSet(name, clouds, tuple(samples), grasps), done
 
 
@@ -140,7 +141,7 @@ def collect(
 
 def _collect(ref: FurnitureRef, *, experts: Path, folder: Path, training: ExpertTraining, episodes: int) -> Collected:
     task = training.task_of(ref)
-    validation_episodes = training.validation_episodes if training.setting == "full" else 0
+    validation_episodes = training.validation_episodes if SETTINGS[training.setting].has_robots else 0
     expert = load(dataset_file(experts, ref.name), task)
     samples, done = expert_samples(expert, task, ref.name, episodes, training.seed, validation_episodes)
     samples.save(dataset_file(folder, ref.name))

@@ -31,6 +31,9 @@ from roboassembly.learning.progress import Progress
 from roboassembly.parallel.processes import one_thread_each
 from roboassembly.task.setting import SettingName
 
+_EPISODES: dict[SettingName, int] = {"object-centric": 6, "full": 4}
+"""Number of episodes of each expert that become samples; episodes of the full setting take long."""
+
 
 @dataclass(frozen=True)
 class PipelineConfig:
@@ -44,13 +47,13 @@ class PipelineConfig:
     """Settings of the experts' training."""
     side_by_side: int = 4
     """Number of experts that one process trains at the same time."""
-    episodes: int = 6
+    episodes: int = _EPISODES["object-centric"]
     """Number of episodes of each expert that become samples."""
 
     @staticmethod
     def default(setting: SettingName) -> PipelineConfig:
-        """Return the settings of a setting; episodes of the full setting take long."""
-        return PipelineConfig(experts=ExpertTraining(setting=setting), episodes=4 if setting == "full" else 6)
+        """Return the default configuration of a setting."""
+        return PipelineConfig(experts=ExpertTraining(setting=setting), episodes=_EPISODES[setting])
 
     def seeded(self, seed: int) -> PipelineConfig:
         """Return the same settings with another random seed."""

@@ -130,7 +130,7 @@ def _oracle(furniture: Furniture, setting: SettingName) -> Oracle:
             f"{furniture.name} has {len(furniture.parts)} parts; the full oracle takes at most {_MAX_PARTS}"
         )
     task = FullTask(furniture)
-    task.check_graspable()
+    task.check_furniture()
     return HandOracle(task)
 
 

@@ -86,12 +86,18 @@ class RelationalPipelineConfig:
     """Number of gradient steps of the grasp network (full setting)."""
 
     @staticmethod
-    def full() -> RelationalPipelineConfig:
-        """Return the settings that made the shipped policy in the full setting."""
-        return RelationalPipelineConfig(
-            extra=1_500, validation=24, episodes=3, rounds=1, steps=3_000, learning_rate=1e-3, setting="full",
-            start="relational",
-        )  # fmt: skip
+    def default(setting: SettingName) -> RelationalPipelineConfig:
+        """Return the configuration that made the shipped policy in a setting."""
+        return _DEFAULTS[setting]
+
+
+_DEFAULTS: dict[SettingName, RelationalPipelineConfig] = {
+    "object-centric": RelationalPipelineConfig(),
+    "full": RelationalPipelineConfig(
+        extra=1_500, validation=24, episodes=3, rounds=1, steps=3_000, learning_rate=1e-3, setting="full",
+        start="relational",
+    ),
+}  # fmt: skip
 
 
 def run_pipeline(config: RelationalPipelineConfig, folder: Path, jobs: int) -> Iterator[Progress]:

@@ -96,7 +96,7 @@ class FullTask:
         Raises:
             InputError: the furniture does not suit the cell, or hands cannot join a part to any other.
         """
-        self.check_graspable()
+        self.check_furniture()
         cell, groups, posts = initial_layout(self.furniture, rng)
         a, b = (
             Robot(np.array([_FROM_MIDDLE * side, 0.0, rng.uniform(-np.pi, np.pi), *TUCKED]), 0.0)
@@ -105,11 +105,11 @@ class FullTask:
         placed = tuple(PlacedGroup(group, post) for group, post in zip(groups, posts, strict=True))
         return FullState(TaskState(groups), CellState(placed, (a, b)), cell)
 
-    def check_graspable(self) -> None:
-        """Refuse furniture that two robots cannot assemble, whatever else they do.
+    def check_furniture(self) -> None:
+        """Check that two robots can assemble the furniture at all.
 
         Raises:
-            InputError: it is too large for the cell, no hand can hold a part, or hands cannot join it to any other.
+            InputError: the furniture is too large for the cell, or no grippers can join one of its parts to another.
         """
         check_size(self.furniture)
         if self.unjoinable is not None:

@@ -7,10 +7,10 @@ planning steps of merges know nothing of it.
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import pairwise
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -24,6 +24,7 @@ from roboassembly.task.object_centric.stance import LARGEST_LEAN, NOT_ASSEMBLED,
 from roboassembly.task.plans.full_plan import FullPlan
 from roboassembly.task.plans.plan import Plan, UprightMotion, UprightResult
 from roboassembly.task.rules.groups import body, center_of_mass
+from roboassembly.task.setting import SettingName
 
 PLANNER = "lift-turn-lower"
 _CLEARANCE = 0.02
@@ -43,11 +44,20 @@ def set_upright(plan: AnyPlan) -> AnyPlan:
     """
     if not plan.success or plan.upright is not None:
         return plan
-    if isinstance(plan, FullPlan):
-        return replace(plan, upright=plan_upright(plan))
+    return replace(plan, upright=_PLANNERS[plan.setting](plan))
+
+
+def _plan_upright(plan: Plan) -> UprightResult[UprightMotion]:
+    """Plan the motion of a piece that moves by itself."""
     begun = time.perf_counter()
     motion, reason, states = _motion(plan.furniture, plan.final_poses)
-    return replace(plan, upright=UprightResult(not reason, reason, motion, states, time.perf_counter() - begun))
+    return UprightResult(not reason, reason, motion, states, time.perf_counter() - begun)
+
+
+_PLANNERS: dict[SettingName, Callable[[Any], UprightResult[Any]]] = {
+    "object-centric": _plan_upright,
+    "full": plan_upright,
+}
 
 
 def _motion(furniture: Furniture, poses: Sequence[SE3]) -> tuple[UprightMotion | None, str, int]:

@@ -22,6 +22,7 @@ Between two of a segment all ten numbers go linearly. R_a is robot 0, R_b is rob
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -157,6 +158,9 @@ class _File(msgspec.Struct, omit_defaults=True):
     """Density of the parts [kg/m³], full only."""
 
 
+_ACTION_LENGTHS: dict[SettingName, int] = {"object-centric": 5, "full": 6}
+
+
 class _Done(msgspec.Struct):
     action: list[int]
 
@@ -174,34 +178,50 @@ class _ScriptFile(msgspec.Struct):
 
 def encode(plan: Plan | FullPlan) -> bytes:
     """Return the contents of `plan.json`."""
+    return msgspec.json.format(msgspec.json.encode(_DOCUMENTS[plan.setting](plan)), indent=1) + b"\n"
+
+
+def _object_centric_document(plan: Plan) -> _File:
+    document = _document(plan, plan.initial)
+    document.steps = [_step(s) for s in plan.steps]
+    if plan.upright is not None:
+        document.upright = _upright(plan.upright, _motion(plan.upright.motion) if plan.upright.motion else None)
+    return document
+
+
+def _full_document(plan: FullPlan) -> _File:
+    posts = {id(post): i for i, post in enumerate(plan.posts)}
+    document = _document(plan, plan.initial.groups.part_poses)
+    document.steps = [_full_step(s, posts) for s in plan.steps]
+    document.robots = [r.at.tolist() for r in plan.initial.cell_state.robots]
+    document.posts = [post.top.tolist() for post in plan.posts]
+    document.density = plan.initial.cell.density
+    if plan.upright is not None:
+        segments = [_segment(segment, posts) for segment in plan.final_segments]
+        motion = _FullMotion(segments, _where(plan.final_cell_state)) if segments else None
+        document.upright = _upright(plan.upright, motion)
+    return document
+
+
+def _document(plan: Plan | FullPlan, initial: Sequence[SE3]) -> _File:
+    """Return the part of the file that both settings share, without steps."""
     furniture = plan.furniture
-    full = isinstance(plan, FullPlan)
-    document = _File(
+    return _File(
         FORMAT,
         VERSION,
         _Furniture(furniture.name, [p.name for p in furniture.parts], furniture.provenance.source),
-        "full" if full else "object-centric",
+        plan.setting,
         plan.seed,
         plan.success,
-        [pose_to_seven(p) for p in (plan.initial.groups.part_poses if full else plan.initial)],
+        [pose_to_seven(p) for p in initial],
         [],
     )
-    if full:
-        posts = {id(stand): i for i, stand in enumerate(plan.posts)}
-        document.steps = [_full_step(s, posts) for s in plan.steps]
-        document.robots = [r.at.tolist() for r in plan.initial.cell_state.robots]
-        document.posts = [s.top.tolist() for s in plan.posts]
-        document.density = plan.initial.cell.density
-        if plan.upright is not None:
-            segments = [_segment(segment, posts) for segment in plan.final_segments]
-            document.upright = _upright(
-                plan.upright, _FullMotion(segments, _where(plan.final_cell_state)) if segments else None
-            )
-    else:
-        document.steps = [_step(s) for s in plan.steps]
-        if plan.upright is not None:
-            document.upright = _upright(plan.upright, _motion(plan.upright.motion) if plan.upright.motion else None)
-    return msgspec.json.format(msgspec.json.encode(document), indent=1) + b"\n"
+
+
+_DOCUMENTS: dict[SettingName, Callable[[Any], _File]] = {
+    "object-centric": _object_centric_document,
+    "full": _full_document,
+}
 
 
 def write(plan: Plan | FullPlan, path: Path) -> None:
@@ -244,7 +264,7 @@ def decode(content: bytes, where: str) -> Script:
             f"'{where}' has format {header.format!r}, version {header.version}; this program reads {FORMAT!r}, "
             f"versions {known}: `roboassembly assemble` of this version writes the plan anew"
         )
-    length = 6 if header.setting == "full" else 5
+    length = _ACTION_LENGTHS[header.setting]
     for index, step in enumerate(header.steps):
         if len(step.action) != length or not all(-_LARGEST < i < _LARGEST for i in step.action):
             raise InputError(f"'{where}': step {index}: action {step.action}; {length} small whole numbers would do")

@@ -46,6 +46,7 @@ from roboassembly.learning.paper.dqn.network import (
 from roboassembly.learning.paper.dqn.replay_buffer import ReplayBuffer
 from roboassembly.learning.paper.dqn.results import ExpertResult, read
 from roboassembly.parallel.processes import one_thread_each, worker_pool
+from roboassembly.settings import SETTINGS
 from roboassembly.task.full.failure import FullVerdict
 from roboassembly.task.full.task import FullTask
 from roboassembly.task.object_centric.task import ObjectCentricTask, ObjectCentricVerdict
@@ -87,10 +88,9 @@ class ExpertTraining:
         Raises:
             InputError: the chair cannot be made, or no two robots could assemble it.
         """
-        if self.setting == "object-centric":
-            return ObjectCentricTask(ref.furniture(with_grasps=False))
-        task = FullTask(ref.furniture())
-        task.check_graspable()
+        setting = SETTINGS[self.setting]
+        task = setting.make_task(ref.furniture(with_grasps=setting.has_robots))
+        task.check_furniture()
         return task
 
 
@@ -190,7 +190,7 @@ class ExpertRun:
             try:
                 task = self._training.task_of(ref)
             except InputError as error:
-                if self._training.setting == "object-centric":
+                if not SETTINGS[self._training.setting].has_robots:
                     raise
                 self._refuse(ref, str(error))
             else:

@@ -71,7 +71,7 @@ def _collect(name: str, *, folder: Path, policy: Path, episodes: int, seed: int)
     clouds, grasps = np.zeros((0, CLOUD_POINTS, 3), np.float32), np.zeros((0, GRASPS, 6), np.float32)
     try:
         task = FullTask(catalogue.make(family, int(number)))
-        task.check_graspable()
+        task.check_furniture()
     except InputError:
         # Two robots cannot assemble this piece.
         pass
