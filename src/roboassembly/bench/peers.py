@@ -1,9 +1,9 @@
-"""What the peers have in common: OMPL's RRT-Connect, asking about one state at a time through a Python callback.
+"""Common part of the peers: OMPL's RRT-Connect, which tests one state at a time through a Python callback.
 
-This is how OMPL is used with a collision checker that has Python bindings and none for batches. OMPL's own
-`DiscreteMotionValidator` cuts edges into states that are at most `RESOLUTION` of the body's origin and
-`ANGULAR_RESOLUTION` apart. That is coarser than ours, where 2 mm hold for the body's fastest point: the difference is
-in the peers' favour. Neither is their path made shorter afterwards.
+This is the usual way to use OMPL with a collision checker whose Python bindings have no batches. OMPL's
+`DiscreteMotionValidator` divides edges into states at most `RESOLUTION` (of the body's origin) and
+`ANGULAR_RESOLUTION` apart. This is coarser than ours, where 2 mm is the limit for the body's fastest point, so the
+difference favours the peers. Their paths are not shortened.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from roboassembly.planning.world import ANGULAR_RESOLUTION, RESOLUTION
 util.setLogLevel(util.LogLevel.LOG_NONE)
 
 SE3State = Any
-"""An OMPL state of SE(3); its Python type knows no coordinates."""
+"""OMPL state of SE(3); its Python type has no typed coordinates."""
 IsFree = Callable[[SE3State], bool]
 """Function that returns whether the moving body is free of collision at an OMPL state of SE(3)."""
 
@@ -72,13 +72,13 @@ def plan_with_peer(
     """Build the scene with `peer` and plan from the first of `ends` to the second, `world_from_body` each.
 
     Args:
-        peer: answers for single states.
-        scene: what is where.
+        peer: collision library that tests single states.
+        scene: moving and still bodies.
         ends: start and goal.
-        bounds: lowest and highest position of the body's origin, metres.
-        states: budget of configurations tested.
-        cap_seconds: budget of wall time.
-        seed: of OMPL.
+        bounds: lowest and highest position of the body's origin [m].
+        states: largest number of tested configurations.
+        cap_seconds: limit of wall time [s].
+        seed: seed of OMPL.
     """
     begun = time.perf_counter()
     deadline = begun + cap_seconds

@@ -1,15 +1,15 @@
 """Planning benchmark: ours, and OMPL over PyBullet and over python-fcl, in one run.
 
-On every merge of a few chairs, with one seed and one budget of states for all:
+All plan every merge of a few chairs, with the same seed and the same budget of states:
 
 - `ours`: `ObjectCentricTask.plan`, which builds a `CollisionWorld` and calls `plan_mating`;
-- `ours_rrt`: our collision world, and RRT-Connect with its edges in batches, without the retreats before it;
-- `pybullet`, `fcl`: RRT-Connect with one Python callback for each state (`peers`), range, bounds, start and goal as
-  in `ours_rrt`. How bodies are represented is said in either backend's module.
+- `ours_rrt`: our collision world and RRT-Connect with batched edges, without the retreats before it;
+- `pybullet`, `fcl`: RRT-Connect with one Python callback for each state (`peers`), with the range,
+  bounds, start and goal of `ours_rrt`. The module of each backend describes its representation of bodies.
 
-Times are of the whole plan, building the scene included, meshes kept from merge to merge by all. A failure counts
-with the time that it spent: where a tree search finds no way out of a joint within the budget, the ratio is a lower
-bound. `same_planner` holds the other comparison: our planner over the peers' checks.
+Times include building the scene; all cache meshes between merges. A failure counts with the time that it spent: if a
+tree search finds no way out of a connection within the budget, the ratio is a lower bound. `same_planner` compares our
+planner with each peer's checks.
 """
 
 from __future__ import annotations
@@ -214,7 +214,7 @@ def run_planning_bench(
         InputError: no such family, or too few chairs with that many parts.
     """
     config = config or PlanningBenchConfig()
-    tell = progress or (lambda line: None)
+    report = progress or (lambda line: None)
     peers: dict[str, Peer] = {}
     skipped: dict[str, str] = {}
     for name, make in PEERS.items():
@@ -224,13 +224,13 @@ def run_planning_bench(
             skipped[name] = str(error)
     hulls = PyBulletPeer("hulls") if "pybullet" in peers else None
     try:
-        tell("solving the chairs")
+        report("solving the chairs")
         chairs = find_chairs(config.family, config.parts, config.chairs, config.seed)
         steps = time_steps(chairs, config.seed)
         merges = [m for chair in chairs for m in list(merges_of(chair, config.seed))[: config.merges]]
         rows = []
         for count, merge in enumerate(merges):
-            tell(f"merge {count + 1} of {len(merges)}")
+            report(f"merge {count + 1} of {len(merges)}")
             rows.append(_measure(merge, config, peers, hulls))
     finally:
         for peer in (*peers.values(), *([hulls] if hulls else [])):
@@ -244,7 +244,7 @@ def _measure(
 ) -> MergeRow:
     ends = (merge.problem.start, merge.problem.goal)
     budget = Budget(states=config.states)
-    # Before the clock runs, every library sees the merge's meshes once: they are kept from then on.
+    # The untimed calls before the plans fill every library's cache of meshes.
     edges = sampled_edges(merge, config.sampled_states)
     state_times = {"ours": time_ours(merge, edges)}
     runs = {

@@ -1,17 +1,16 @@
 """Peer: Bullet through PyBullet, without a display (`DIRECT`).
 
-How the bodies are represented. Still parts are Bullet's concave triangle meshes: exact. Between two concave meshes
-Bullet finds no contacts at all, so that the moving body must be made of convex pieces. One hull per part, the usual
-thing, does not do for furniture: at the mating pose the hull of a part with tenons stands 4 to 22 mm deep in the part
-that it mates with, and Bullet's V-HACD leaves the same depths, so that no merge could ever be solved. The moving body
-is therefore a compound with one flat convex piece for every triangle of its parts: exact too, and up to twice as slow
-as hulls. `pieces="hulls"` gives the hulls, to time them. Collision margins are zero. A state counts as
-in collision when a contact is deeper than `DEPTH`.
+Representation: still parts are Bullet's concave triangle meshes, which are exact. Bullet finds no contacts between two
+concave meshes, so the moving body consists of convex pieces. One hull per part, the usual choice, fails for furniture:
+at the mating pose the hull of a part with tenons is 4 to 22 mm deep in its mate, and Bullet's V-HACD leaves the same
+depths, so no merge could be solved. The moving body is therefore a compound with one flat convex piece for every
+triangle of its parts. This is exact and up to twice as slow as hulls. `pieces="hulls"` gives the hulls, to time them.
+Collision margins are zero. A state is in collision if a contact is deeper than `DEPTH`.
 
-Which query. `performCollisionDetection` with `getContactPoints` keeps contacts from one state to the next, and answers
-wrongly (one state in a thousand) where a body jumps, as in planning. `getClosestPoints` against every body is right
-and slow. What is used: Bullet's own broad phase (`getOverlappingObjects`), then `getClosestPoints` against those bodies
-only, which is right and as fast as the first.
+Query: `performCollisionDetection` with `getContactPoints` keeps contacts from one state to the next and is wrong for
+one state in a thousand if a body jumps, as in planning. `getClosestPoints` with every body is right and slow. This
+backend calls Bullet's broad phase (`getOverlappingObjects`), then `getClosestPoints` with those bodies only, which is
+right and as fast as the first.
 """
 
 from __future__ import annotations

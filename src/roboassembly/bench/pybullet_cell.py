@@ -21,7 +21,7 @@ from roboassembly.task.full.cell_state import Segment
 
 
 class BulletCell:
-    """The workcell in Bullet: two Pandas from the URDF, platforms, posts, parts.
+    """Workcell in Bullet: two Pandas from the URDF, platforms, posts, parts.
 
     Raises:
         MissingExtraError: PyBullet is not installed.

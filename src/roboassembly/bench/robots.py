@@ -1,9 +1,10 @@
-"""The robots' benchmark: paths of a mobile Panda that holds a group, against OMPL over PyBullet's Pandas, in one run.
+"""Robots' benchmark: paths of a mobile Panda that holds a group, ours and OMPL over PyBullet's Pandas, in one run.
 
 - *States*: the same configurations, exact, by our world and by Bullet (`bench.pybullet_cell`).
-- *Paths*: start and goal of every segment that is not a straight line. Ours: edges certified in a few tests each.
-  Theirs: OMPL's RRT-Connect, one Python callback for each state, every 20 mm and 20 mrad: ten times coarser than ours.
-- *Steps*: merges that succeed and right pairs that are hopeless, whole.
+- *Paths*: start and goal of every segment that is not a straight line. Ours certifies an edge in a
+  few tests. The peer is OMPL's RRT-Connect with one Python callback for each state, every 20 mm and 20 mrad: ten times
+  coarser than ours.
+- *Steps*: whole steps, of merges that succeed and of right pairs that cannot be joined.
 """
 
 from __future__ import annotations
@@ -143,21 +144,21 @@ def run_robot_bench(
     merges: int | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> RobotBenchReport:
-    """Measure.
+    """Run the benchmark.
 
     Args:
-        name: of built-in furniture.
-        seed: of the cell and the planners.
-        states: configurations whose checks are timed.
-        merges: the first so many whose segments are planned; all if None.
-        progress: gets a line now and then.
+        name: name of built-in furniture.
+        seed: seed of the cell and the planners.
+        states: number of configurations whose checks are timed.
+        merges: number of merges, from the first, whose segments are planned; all if None.
+        progress: receives a line from time to time.
 
     Raises:
         InputError: the furniture does not suit the cell, or is not assembled.
     """
-    tell = progress or (lambda line: None)
+    report = progress or (lambda line: None)
     furniture = catalogue.find(name)
-    tell("searching an assembly")
+    report("searching an assembly")
     result = solve_full(furniture, seed)
     if not result.plan.success:
         raise InputError(f"{furniture.name} is not assembled by two robots with seed {seed}: {result.reason}")
@@ -170,16 +171,16 @@ def run_robot_bench(
     try:
         steps = result.plan.steps[:merges]
         segments = [segment for step in steps for segment in step.segments if segment.stage in _SEARCHED]
-        tell("timing states")
+        report("timing states")
         microseconds, agreement = _states(furniture, segments, states, bullet, seed)
         paths = []
         for count, segment in enumerate(segments):
-            tell(f"path {count + 1} of {len(segments)}")
+            report(f"path {count + 1} of {len(segments)}")
             paths.append(_path(furniture, result.plan, segment, bullet, seed))
     finally:
         if bullet is not None:
             bullet.close()
-    tell("hopeless merges")
+    report("hopeless merges")
     hopeless = _hopeless(furniture, result.plan, seed)
     return RobotBenchReport(
         furniture.name, len(furniture.parts), microseconds, agreement, tuple(paths),

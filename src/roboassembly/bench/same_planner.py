@@ -1,8 +1,8 @@
 """Our planner with a peer's collision checks, one state at a time; it measures the effect of the collision engine.
 
-A tree search for a tight joint spends its whole budget, and then a ratio of planning times says as much about the way
-of planning as about the checks. Here the planner is the same, retreats and all, and only the checks differ: no box
-tests over stretches, no batches.
+A tree search in a tight connection spends its whole budget, so a ratio of planning times depends on the planner as much
+as on the checks. Here the planner is the same, including retreats, and only the checks differ: the peers have no box
+tests over stretches and no batches.
 """
 
 from __future__ import annotations

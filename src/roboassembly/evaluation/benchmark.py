@@ -78,7 +78,7 @@ _TINY = RelationalConfig(token=32, pair=16, layers=1, heads=2, conflict_inputs=8
 
 @dataclass(frozen=True)
 class BenchmarkConfig:
-    """What is trained and measured, and for how long."""
+    """Settings of a benchmark: what it trains and measures."""
 
     setting: SettingName = DEFAULT
     set: str = "chairs-412"

@@ -1,4 +1,4 @@
-"""The benchmark's table in Markdown, and the place in a document where it stands."""
+"""Table of the benchmark in Markdown, and its place in a document."""
 
 from __future__ import annotations
 
