@@ -166,8 +166,8 @@ def test_import_says_what_else_it_could_be(run: Run, tmp_path: Path) -> None:
     assert status == 0
     lines = err.splitlines()
     at = next(k for k, line in enumerate(lines) if line.startswith("  unit: guessed inches"))
-    assert lines[at + 1].startswith("  it may be in centimetres as well: 0.41 x 0.20 x 0.46 m")
-    assert lines[at + 1].endswith("--unit cm")
+    assert lines[at + 1].startswith("  the unit may also be centimetres: 0.41 x 0.20 x 0.46 m")
+    assert lines[at + 1].endswith("import it with --unit cm")
     status, out, _ = run("import", "folder", source, "--out", tmp_path / "b", "--unit", "cm", "--json")
     assert json.loads(out)["items"][0]["size_m"] == pytest.approx([0.41, 0.20, 0.46], abs=0.01)
 

@@ -1,4 +1,4 @@
-"""From raw parts to furniture: frames at the centre of mass, parts that are alike, contacts, connection points."""
+"""Annotation of raw parts: frames at the centre of mass, shape classes, contacts, connection points, grasps."""
 
 from __future__ import annotations
 
@@ -31,38 +31,38 @@ from roboassembly.geometry.meshes import Mesh, nearest_points
 from roboassembly.geometry.poses import SE3
 
 _SAME_DIRECTION = 0.3
-"""Radians: like contacts' normals agree to this."""
+"""Largest angle between the normals of corresponding contacts [rad]."""
 _CONSISTENT = 1e-4
-"""Metres and radians: frames that both ends of a connection inherit are one if they agree to this."""
+"""Largest difference at which the frames that both ends of a connection inherit count as equal [m, rad]."""
 
 
 _ROUNDING = 2e-6
-"""Metres."""
+"""Largest difference of coordinates due to rounding to 32-bit floats [m]."""
 _HAND = 0.25
-"""Metres beyond a part's box that a hand which comes to it may reach."""
+"""Distance beyond a part's box that an approaching hand may occupy [m]."""
 _LIKES = 4
-"""Parts of one shape whose surroundings are looked at for grasps."""
-_ROOM = 0.5
-"""Share of the distance from a neighbour that has to stay where a part takes over its like's mesh."""
+"""Number of parts of one shape whose surroundings the search for grasps takes into account."""
+_MIN_GAP_SHARE = 0.5
+"""Share of the distance to a neighbour that has to remain when a part takes the mesh of its class."""
 
 
 def annotate(name: str, raw: Sequence[RawPart], provenance: Provenance, *, with_grasps: bool = True) -> Furniture:
     """Annotate parts given at their places in the assembled furniture.
 
     Contacts follow the paper: parts nearer than 5 mm are connected, and each connection has a point on either part,
-    at the centre of the contact patch, with normal and tangent. Laying the two frames together (origins at the
-    stored gap along the normal, normals opposed, tangents equal) gives back the assembled relative pose.
+    at the centre of the contact patch, with normal and tangent. Mating the two frames (origins at the stored gap
+    along the normal, normals opposed, tangents equal) gives the assembled relative pose.
 
-    Parts of one shape get frames in which their meshes coincide, and the same points: tangents are carried from
-    member to member wherever the furniture allows it, so that four equal legs fit each other's places. They get the
-    same grasps too.
+    Parts of one shape get frames in which their meshes coincide, and the same points: tangents are copied from
+    member to member wherever the furniture allows it, so that four equal legs fit each other's slots. They also get
+    the same grasps.
 
     Args:
-        name: of the furniture.
+        name: name of the furniture.
         raw: the parts.
-        provenance: kept in the furniture.
-        with_grasps: find them, which takes most of the time; without, the furniture is for parts that move by
-            themselves only.
+        provenance: origin of the parts.
+        with_grasps: whether to find grasps, which takes most of the time; only the object-centric setting does
+            without them.
 
     Raises:
         FurnitureError: part count, repeated names, parts that penetrate, parts that do not touch.
@@ -89,18 +89,18 @@ def annotate(name: str, raw: Sequence[RawPart], provenance: Provenance, *, with_
 
 
 def add_grasps(furniture: Furniture) -> Furniture:
-    """The same furniture with the grasps that hands find on its parts; those it has are forgotten."""
+    """Return the furniture with newly computed grasps in place of those it has."""
     meshes = [part.mesh for part in furniture.parts]
     grasps: dict[int, tuple[GraspRegion, ...]] = {}
     for c in furniture.classes:
         around = [_around(member, meshes, furniture.assembled) for member in c.members[:_LIKES]]
-        held = find_grasps(meshes[c.members[0]], [m for m in around if m is not None])
-        grasps.update(dict.fromkeys(c.members, held))
+        regions = find_grasps(meshes[c.members[0]], [m for m in around if m is not None])
+        grasps.update(dict.fromkeys(c.members, regions))
     return replace(furniture, parts=tuple(replace(p, grasps=grasps[i]) for i, p in enumerate(furniture.parts)))
 
 
 def _around(part: int, meshes: Sequence[Mesh], slots: Sequence[SE3]) -> Mesh | None:
-    """All that a hand at a part could meet in the assembled furniture, in the part's frame; None if there is none."""
+    """Return what a hand at a part could touch in the assembled furniture, in the part's frame; None if nothing."""
     low, high = meshes[part].bounds
     near = []
     for other, (mesh, slot) in enumerate(zip(meshes, slots, strict=True)):
@@ -115,7 +115,7 @@ def _around(part: int, meshes: Sequence[Mesh], slots: Sequence[SE3]) -> Mesh | N
 
 
 def _bounded_contacts(contacts: tuple[Contact, ...], names: Sequence[str]) -> tuple[list[Contact], list[str]]:
-    """Leave out the smallest patches of parts with more than `MAX_POINTS`, while all stays connected."""
+    """Drop the smallest patches of parts with more than `MAX_POINTS` points, as long as all parts stay connected."""
     kept, notes = list(contacts), []
     for contact in sorted(contacts, key=lambda c: c.area):
         crowded = [p for p in (contact.a, contact.b) if sum(p in (c.a, c.b) for c in kept) > MAX_POINTS]
@@ -148,7 +148,7 @@ def _reaches(start: int, goal: int, contacts: Sequence[Contact]) -> bool:
 
 
 def _classify(centered: Sequence[Mesh]) -> tuple[tuple[ShapeClass, ...], list[Float[np.ndarray, "3 3"]]]:
-    """Group like parts; also a rotation per part that lays its class's first member onto it."""
+    """Return the shape classes, and per part the rotation that maps its class's first member onto it."""
     members: list[list[int]] = []
     rotations: list[Float[np.ndarray, "3 3"]] = []
     for p, mesh in enumerate(centered):
@@ -172,11 +172,11 @@ class _Spot:
     normal: Float[np.ndarray, "3"]
 
     def onto(self, other: _Spot, rotations: Float[np.ndarray, "s 3 3"]) -> Float[np.ndarray, "m 3 3"]:
-        """Those of the rotations that take this spot to about the other one, and none clearly nearer."""
-        apart = np.linalg.norm(rotations @ self.position - other.position, axis=1)
+        """Return the rotations that map this spot to the other one; only those about as near as the nearest."""
+        distance = np.linalg.norm(rotations @ self.position - other.position, axis=1)
         turned = np.linalg.norm(rotations @ self.normal - other.normal, axis=1)
-        good = (apart < SAME_POINT) & (turned < _SAME_DIRECTION)
-        return rotations[good & (apart < apart[good].min() + 1e-4)] if good.any() else rotations[:0]
+        close = (distance < SAME_POINT) & (turned < _SAME_DIRECTION)
+        return rotations[close & (distance < distance[close].min() + 1e-4)] if close.any() else rotations[:0]
 
 
 def _spot(contact: Contact, part: int, slot: SE3) -> _Spot:
@@ -217,7 +217,7 @@ def _part_meshes(
     raw: Sequence[Mesh], centered: Sequence[Mesh], classes: Sequence[ShapeClass], slots: Sequence[SE3],
     contacts: Sequence[Contact],
 ) -> list[Mesh]:  # fmt: skip
-    """In their parts' frames. Like parts share the first one's mesh, unless a neighbour leaves no room for it."""
+    """Return the meshes in their parts' frames. A class shares its first mesh wherever neighbours leave room for it."""
     meshes = list(centered)
     for shape_class in classes:
         first = centered[shape_class.members[0]]
@@ -227,30 +227,30 @@ def _part_meshes(
     return meshes
 
 
-def _same(one: Mesh, two: Mesh) -> bool:
-    """Whether two meshes are one but for rounding to 32-bit floats."""
-    if one.vertices.shape != two.vertices.shape or not np.array_equal(one.faces, two.faces):
+def _same(a: Mesh, b: Mesh) -> bool:
+    """Return whether two meshes are equal up to rounding to 32-bit floats."""
+    if a.vertices.shape != b.vertices.shape or not np.array_equal(a.faces, b.faces):
         return False
-    return bool(np.abs(one.vertices - two.vertices).max() < _ROUNDING)
+    return bool(np.abs(a.vertices - b.vertices).max() < _ROUNDING)
 
 
 def _has_room(member: int, mesh: Mesh, raw: Sequence[Mesh], slots: Sequence[SE3], contacts: Sequence[Contact]) -> bool:
-    """Whether a mesh in a member's slot keeps most of the distance from all that the member touches."""
+    """Return whether a mesh in a member's slot keeps enough distance from all parts that the member touches."""
     placed = mesh.transformed(slots[member])
     for contact in contacts:
         if member in (contact.a, contact.b):
             other = raw[contact.b if member == contact.a else contact.a]
-            if nearest_points(placed, other).distance < _ROOM * nearest_points(raw[member], other).distance:
+            if nearest_points(placed, other).distance < _MIN_GAP_SHARE * nearest_points(raw[member], other).distance:
                 return False
     return True
 
 
 @dataclass(eq=False)
 class _Orbit:
-    """A connection point of a shape, up to the shape's symmetries; settled while connections are walked."""
+    """Connection point of a shape up to the shape's symmetries; its frame is set when connections are traversed."""
 
     spot: _Spot
-    """Of the contact that brought it up."""
+    """Spot of the contact that introduced it."""
     frame: SE3 | None = None
     """`part_from_point`, as `ConnectionPoint.frame`."""
 
@@ -263,10 +263,10 @@ class _End:
     spot: _Spot
     orbit: _Orbit
     carriers: Float[np.ndarray, "n 3 3"]
-    """Symmetries of the part that take the orbit's spot to this one."""
+    """Symmetries of the part that map the orbit's spot to this one."""
 
     def inherited(self, slot: SE3) -> list[SE3]:
-        """`furniture_from_point` frames that this end could take over from its orbit; none if it is not settled."""
+        """Return the `furniture_from_point` frames that the orbit offers to this end; none if its frame is not set."""
         if self.orbit.frame is None:
             return []
         return [slot * SE3(turn, np.zeros(3)) * self.orbit.frame for turn in self.carriers]
@@ -279,7 +279,7 @@ def _connection_points(
     ends = _ends(contacts, slots, class_of)
     frames: list[SE3] = [SE3.Identity()] * len(contacts)
     for index in _walk(ends, class_of):
-        # The end whose class has more members leads: its points are the ones that must stay alike.
+        # The end whose class has more members leads: its points have to stay equal over the class.
         lead, other = sorted(ends[index], key=lambda e: -len(class_of[e.part].members))
         sign = 1.0 if lead.part == contacts[index].a else -1.0
         frames[index] = _agree(
@@ -311,15 +311,15 @@ def _connection_points(
 def _ends(
     contacts: Sequence[Contact], slots: Sequence[SE3], class_of: dict[int, ShapeClass]
 ) -> list[tuple[_End, _End]]:
-    """Both ends of every contact, each with its orbit. Contacts of one part never share a place on it."""
+    """Return both ends of every contact, each with its orbit. No two contacts of a part share a place on it."""
     orbits: dict[int, list[_Orbit]] = {}
-    taken: dict[int, list[Float[np.ndarray, "3"]]] = {}
+    occupied: dict[int, list[Float[np.ndarray, "3"]]] = {}
 
     def end(contact: Contact, part: int) -> _End:
         spot = _spot(contact, part, slots[part])
         shape_class = class_of[part]
         own = orbits.setdefault(shape_class.members[0], [])
-        there = taken.setdefault(part, [])
+        there = occupied.setdefault(part, [])
         for orbit in own:
             carriers = orbit.spot.onto(spot, shape_class.symmetries)
             if len(carriers) and not any(np.linalg.norm(carriers[0] @ orbit.spot.position - t) < 1e-4 for t in there):
@@ -334,7 +334,7 @@ def _ends(
 
 
 def _own_frame(contact: Contact, sign: float) -> SE3:
-    """`furniture_from_point` of a contact by itself, on the side of `a` (sign 1) or `b` (-1)."""
+    """Return the default `furniture_from_point` of a contact, on the side of `a` (sign 1) or `b` (-1)."""
     normal = sign * contact.normal
     axis = np.array([0.0, 0.0, 1.0]) if abs(normal[2]) < 0.9 else np.array([1.0, 0.0, 0.0])
     tangent = axis - (axis @ normal) * normal
@@ -344,7 +344,7 @@ def _own_frame(contact: Contact, sign: float) -> SE3:
 
 
 def _walk(ends: Sequence[tuple[_End, _End]], class_of: dict[int, ShapeClass]) -> list[int]:
-    """Contacts in breadth-first order over the orbits that they join, so that frames spread without conflict."""
+    """Return the contacts in breadth-first order over the orbits that they join, which avoids conflicting frames."""
     order: list[int] = []
     done: set[int] = set()
     starts = sorted(range(len(ends)), key=lambda i: (-max(len(class_of[e.part].members) for e in ends[i]), i))
@@ -362,7 +362,7 @@ def _walk(ends: Sequence[tuple[_End, _End]], class_of: dict[int, ShapeClass]) ->
 
 
 def _agree(lead: Sequence[SE3], other: Sequence[SE3], own: SE3) -> SE3:
-    """One frame for a connection: one that both ends inherit, else one that either does, else the contact's own."""
+    """Return the frame of a connection: one that both ends inherit, else one that either does, else its own."""
     for a in lead:
         for b in other:
             if np.abs(a.homogeneous - b.homogeneous).max() < _CONSISTENT:
@@ -371,7 +371,7 @@ def _agree(lead: Sequence[SE3], other: Sequence[SE3], own: SE3) -> SE3:
 
 
 def _share_points(points: list[list[ConnectionPoint]], classes: Sequence[ShapeClass]) -> None:
-    """Give every member of a class the points of all members: like parts are annotated alike, as in the paper."""
+    """Give every member of a class the points of all members: parts of one shape have equal points, as in the paper."""
     for shape_class in classes:
         everywhere = [p for member in shape_class.members for p in points[member]]
         for member in shape_class.members:

@@ -1,4 +1,4 @@
-"""Where things are kept that can be made again."""
+"""Folder of cached results."""
 
 from __future__ import annotations
 
@@ -9,6 +9,6 @@ import platformdirs
 
 
 def cache_folder() -> Path:
-    """`$ROBOASSEMBLY_CACHE`, else the system's place for the user's caches."""
+    """Return `$ROBOASSEMBLY_CACHE`, or else the system's folder for the user's caches."""
     own = os.environ.get("ROBOASSEMBLY_CACHE")
     return Path(own) if own else Path(platformdirs.user_cache_dir("roboassembly"))

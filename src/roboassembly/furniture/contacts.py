@@ -1,4 +1,4 @@
-"""Where two parts of assembled furniture meet: the patch over which their surfaces face each other."""
+"""Contacts of parts in assembled furniture: the patches over which their surfaces face each other."""
 
 from __future__ import annotations
 
@@ -13,30 +13,30 @@ from roboassembly.furniture.model import CONTACT_DISTANCE
 from roboassembly.geometry.meshes import Mesh, Witness, nearest_points
 
 PATCH_DEPTH = 0.001
-"""Metres beyond the smallest distance that still belong to the patch: the clearances of one joint differ."""
+"""Distance beyond the smallest one that still belongs to a patch, as the clearances of one joint differ [m]."""
 _OPPOSED = -0.7
-"""Cosine: faces of two parts face each other when their normals are within 45° of opposite."""
+"""Cosine between normals below which faces count as opposed: within 45° of opposite."""
 _CHUNK = 2_000_000
 
 
 @dataclass(frozen=True, eq=False)
 class Contact:
-    """A contact patch of parts `a` and `b`, in the furniture's frame."""
+    """Contact patch of parts `a` and `b`, in the furniture's frame."""
 
     a: int
     b: int
     center: Float[np.ndarray, "3"]
-    """Metres; area centroid of the patch, midway between the two surfaces."""
+    """Area centroid of the patch, midway between the two surfaces [m]."""
     normal: Float[np.ndarray, "3"]
     """Unit vector out of `a` into `b`."""
     gap: float
-    """Metres between the surfaces along the normal."""
+    """Distance between the surfaces along the normal [m]."""
     area: float
-    """Square metres of faces that face each other; 0 where the parts meet at an edge or a corner."""
+    """Area of opposed faces; 0 where the parts meet at an edge or a corner [m²]."""
 
 
 def find_contacts(meshes: Sequence[Mesh], names: Sequence[str]) -> tuple[Contact, ...]:
-    """Contacts of all pairs nearer than `CONTACT_DISTANCE`; meshes in the furniture's frame.
+    """Return the contacts of all pairs nearer than `CONTACT_DISTANCE`; meshes are in the furniture's frame.
 
     Raises:
         FurnitureError: two parts touch or penetrate. Repair them first.
@@ -63,7 +63,7 @@ def find_contacts(meshes: Sequence[Mesh], names: Sequence[str]) -> tuple[Contact
 
 
 def _refuse_nested(a: int, b: int, meshes: Sequence[Mesh], names: Sequence[str]) -> None:
-    """Raise if the surfaces do not meet because one part lies within the other's solid."""
+    """Raise an error if one part lies inside the other's solid, so that their surfaces do not meet."""
     for inner, outer in ((a, b), (b, a)):
         if meshes[outer].contains(meshes[inner].vertices[0]):
             raise FurnitureError(
@@ -153,7 +153,7 @@ def _overlapping_pairs(
     nb: Float[np.ndarray, "m 3"],
     reach: float,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Indices of triangle pairs with opposed normals whose boxes come within `reach` of each other."""
+    """Return the indices of triangle pairs with opposed normals whose boxes come within `reach` of each other."""
     low_b, high_b = tb.min(axis=1) - reach, tb.max(axis=1) + reach
     rows = max(1, _CHUNK // len(tb))
     first: list[np.ndarray] = []
@@ -176,7 +176,7 @@ def _clip(
     origin: Float[np.ndarray, "n 3"],
     inward: Float[np.ndarray, "n 3"],
 ) -> tuple[Float[np.ndarray, "n k1 3"], Bool[np.ndarray, "n k1"]]:
-    """Sutherland–Hodgman against one half-space per polygon. `alive` marks the leading corners that count."""
+    """Clip each polygon by a half-space (Sutherland and Hodgman); `alive` marks the leading corners that count."""
     n, k, _ = polygon.shape
     count = alive.sum(axis=1)
     index = np.arange(k)
@@ -189,7 +189,7 @@ def _clip(
     with np.errstate(invalid="ignore", divide="ignore"):
         fraction = np.where(crossing, depth / (depth - next_depth), 0.0)
     cut = polygon + fraction[:, :, None] * (next_corner - polygon)
-    # Each corner hands on itself if inside, then the cut of the edge that starts there.
+    # Each corner yields itself if inside, then the cut of the edge that starts there.
     corners = np.stack([polygon, cut], axis=2).reshape(n, 2 * k, 3)
     kept = np.stack([inside, crossing], axis=2).reshape(n, 2 * k)
     order = np.argsort(~kept, axis=1, kind="stable")[:, : k + 1]
@@ -199,7 +199,7 @@ def _clip(
 def _area_and_centroid(
     polygon: Float[np.ndarray, "n k 3"], alive: Bool[np.ndarray, "n k"]
 ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n 3"]]:
-    """Areas [m²] and centroids [m] of planar polygons, fanned from their first corner."""
+    """Return areas [m²] and centroids [m] of planar polygons, by fans from their first corner."""
     valid = alive[:, 1:-1] & alive[:, 2:]
     first, second, third = polygon[:, :1], polygon[:, 1:-1], polygon[:, 2:]
     area = 0.5 * np.linalg.norm(np.cross(second - first, third - first), axis=2) * valid

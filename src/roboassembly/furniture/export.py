@@ -1,4 +1,4 @@
-"""Furniture for other programs: MJCF for MuJoCo, URDF for everything that reads it."""
+"""Export of furniture: MJCF for MuJoCo, URDF for other programs."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from roboassembly.geometry.meshes import WOOD_DENSITY
 from roboassembly.geometry.poses import SE3, pose_to_euler, pose_to_seven
 
 _LONGEST_NAME = 60
-"""Characters of a name in files: 240 bytes at most, which file systems take."""
+"""Largest number of characters of a file name: at most 240 bytes, which file systems accept."""
 
 
 def export_mjcf(furniture: Furniture, folder: Path) -> Path:
     """Write `FURNITURE.xml` and its meshes; returns the file, which opens in MuJoCo's viewer.
 
-    Every part is a body at its assembled place, a child of a part that it touches, without a joint between: the
-    furniture is rigid and moves as one, above a floor.
+    Every part is a body at its assembled place, a child of a part that it touches, without a joint between them:
+    the furniture is one rigid body above a floor.
 
     Raises:
         InputError: the folder cannot be written.
@@ -100,24 +100,24 @@ def export_urdf(furniture: Furniture, folder: Path) -> Path:
 
 
 def exported_file(furniture: Furniture, folder: Path, kind: str) -> Path:
-    """The file that `export_mjcf` or `export_urdf` writes; `kind` is `mjcf` or `urdf`."""
+    """Return the file that `export_mjcf` or `export_urdf` writes; `kind` is `mjcf` or `urdf`."""
     return folder / f"{_safe(furniture.name)}.{'xml' if kind == 'mjcf' else kind}"
 
 
 def _with_safe_names(furniture: Furniture) -> Furniture:
-    """The furniture under names that are fit for files inside the folder and for XML."""
+    """Return the furniture with names that are valid as file names and in XML."""
     names = unique_names([_safe(part.name) for part in furniture.parts])
     parts = tuple(replace(part, name=name) for part, name in zip(furniture.parts, names, strict=True))
     return replace(furniture, name=_safe(furniture.name), parts=parts)
 
 
 def _safe(name: str) -> str:
-    """Control characters, and separators of folders, become underscores; a name may not begin with a dot."""
+    """Return a name with control characters, path separators and a leading dot replaced by underscores."""
     return re.sub(r"^\.|[/\\:]", "_", "".join(c if c.isprintable() else "_" for c in name[:_LONGEST_NAME])) or "_"
 
 
 def _write_meshes(furniture: Furniture, folder: Path) -> list[str]:
-    """One STL for each distinct mesh; the name that each part's has."""
+    """Write one STL per distinct mesh; return the file name without suffix of each part's mesh."""
     try:
         (folder / "meshes").mkdir(parents=True, exist_ok=True)
         files: dict[int, str] = {}
@@ -144,7 +144,7 @@ def _text(numbers: object) -> str:
 
 
 def _tree(furniture: Furniture) -> Iterator[tuple[int, int]]:
-    """Parent and child of a spanning tree over the connections, from part 0, breadth first."""
+    """Yield parents and children of a spanning tree over the connections, from part 0, breadth first."""
     seen, queue = {0}, [0]
     while queue:
         parent = queue.pop(0)

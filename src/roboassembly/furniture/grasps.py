@@ -1,7 +1,7 @@
-"""Where a Franka hand can hold a part: two regions, four directions to come to each.
+"""Grasp regions of a part for the Franka hand: two regions with four approach directions each.
 
-Rays through the part find where two sides face each other within the jaw. Of these places the hand must be able to
-take: come to open, close, and touch nothing but what its pads are to touch. The part is alone here.
+Rays through the part find pairs of opposite sides that fit the jaw. At each such place, collision tests check that the
+open hand can approach and close, and that only its pads touch the part. The part is alone in these tests.
 """
 
 from __future__ import annotations
@@ -19,45 +19,45 @@ from roboassembly.geometry.meshes import Mesh
 from roboassembly.robots.gripper import MAX_OPENING, PALM_DEPTH, HandAgainst
 
 APPROACHES = 4
-"""A region, as in the paper."""
+"""Approach directions per region, as in the paper."""
 MIN_WIDTH, MAX_WIDTH = 0.001, MAX_OPENING - 0.004
-"""Metres: the open hand has 2 mm on either side."""
+"""Smallest and largest width of a part between the pads; the open hand has 2 mm on either side [m]."""
 FRICTION = 0.2
-"""Coefficient that must suffice, so sides may lean by 11°. Rubber on wood has 0.5 or more."""
+"""Coefficient of friction that a grasp relies on, so sides may lean by 11°. Rubber on wood has 0.5 or more."""
 CLEARANCE = 2e-4
-"""Metres between pad and part when the closed hand is tested: touching counts as collision."""
+"""Distance between pad and part in tests of the closed hand, where touching counts as collision [m]."""
 PAD = 0.008
-"""Metres from the middle of a pad to nearly its rim (it is 17.5 by 18.5 mm)."""
+"""Distance from the middle of a pad to just within its rim (the pad is 17.5 by 18.5 mm) [m]."""
 _PAD_SLACK = 0.002
-"""Metres: the part covers a place of the pad if it lies within this of it."""
+"""Largest distance at which the part covers a place of the pad [m]."""
 ANGLES = 24
-"""Directions tried around the closing axis: those of a region differ by 15° at least."""
+"""Number of directions tried around the closing axis: those of a region differ by at least 15°."""
 _EASED = (0.0, 0.0006, 0.0013, 0.0022, 0.003)
-"""Metres wider than at its middle that a hand may close on sides that lean or bend and meet a pad's rim first."""
+"""Allowances for sides that lean or bend and touch a pad's rim before its middle [m]."""
 _OPENINGS = (0.25, 0.5, 0.75)
-"""Of the way from closed to open, where the moving fingers are tested: they are thicker than the steps."""
+"""Fractions of the opening at which the moving fingers are tested: fingers are thicker than the steps."""
 _SAMPLES, _AXES = 384, 48
-"""Points on the surface, and axes through the centre of mass, where opposite sides are looked for."""
+"""Numbers of surface points and of axes through the centre of mass at which opposite sides are sought."""
 _BLOCK = 12
-"""Places tested in one batch; mostly the first holds one that will do."""
+"""Number of places tested in one batch; the first batch usually contains a solution."""
 _EVENNESS = 0.75
-"""Power of a face's area that it is sampled by: by area alone a peg on a seat would be missed."""
+"""Exponent of the area by which faces are sampled: with 1, a peg on a seat would be missed."""
 _UNCOVERED = 0.05
-"""Metres farther from the centre of mass that a fully covered pad is worth, against a bare line."""
-_SPREAD = 0.15
-"""Metres: up to this far apart regions are better the farther they are."""
+"""Cost of a pad that touches along a line only, as distance from the centre of mass [m]."""
+_MAX_USEFUL_DISTANCE = 0.15
+"""Distance between the two regions up to which more is better [m]."""
 _CENTRAL = 0.25
-"""Of that, how much a metre nearer to the centre of mass is worth, and one more to the other side of it."""
+"""Weight of nearness to the centre of mass, and of lying beyond it, against distance between the regions."""
 _DISTINCT = 0.02
-"""Metres: regions nearer than this must close along axes 45° apart or more."""
+"""Distance between regions below which their closing axes must differ by at least 45° [m]."""
 _CROSSWISE = 0.2
-"""Metres of all that is above that closing along another axis is worth: a slat among others can only be held by its
-edges from the front, a rail on a board only by its sides."""
+"""Bonus for closing along another axis, as distance: a slat among others can only be held by its edges from the front,
+a rail on a board only by its sides [m]."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Places:
-    """Pairs of opposite sides."""
+    """Places between opposite sides of a part."""
 
     middle: Float[np.ndarray, "n 3"]
     closing: Float[np.ndarray, "n 3"]
@@ -70,16 +70,16 @@ class _Places:
 
 
 def find_grasps(mesh: Mesh, around: Sequence[Mesh] = ()) -> tuple[GraspRegion, ...]:
-    """Two regions where the hand can hold a part, the one nearer to its centre of mass first; fewer if need be.
+    """Return up to two regions where the hand can hold a part, the one nearer to its centre of mass first.
 
-    One is the nearest to the centre of mass where the pads lie well; the other closes along an axis 45° or more away
-    where there is such a place, is up to 150 mm away, and beyond the centre of mass where it can be. Where the
-    assembled furniture leaves no hand at the first, the other one is where it does. Of the directions to come from,
-    those that the furniture leaves come first. The same meshes give the same grasps.
+    The first region is the nearest to the centre of mass with good contact of the pads. The second one preferably
+    closes along an axis at least 45° away, lies up to 150 mm away and beyond the centre of mass. If the assembled
+    furniture blocks the first region, the second one is chosen where the furniture leaves the hand free. Approach
+    directions that the furniture leaves free come first. Equal meshes give equal grasps.
 
     Args:
-        mesh: a part's, in its frame: metres, the origin at the centre of mass.
-        around: what surrounds the part, or each part of its shape, in the assembled furniture; in its frame.
+        mesh: the part, in its own frame [m]; the origin is the centre of mass.
+        around: surroundings of the part, or of each part of its shape, in the assembled furniture; in its frame.
     """
     others = [HandAgainst(m) for m in around]
     rays = Rays(mesh)
@@ -90,27 +90,29 @@ def find_grasps(mesh: Mesh, around: Sequence[Mesh] = ()) -> tuple[GraspRegion, .
     hand = HandAgainst(mesh)
     bare = _UNCOVERED * (1.0 - places.cover)
     off = np.linalg.norm(places.middle, axis=1)
-    one = _first_held(hand, places[np.argsort(off + bare, kind="stable")], others)
-    if one is None:
+    first = _first_holdable(hand, places[np.argsort(off + bare, kind="stable")], others)
+    if first is None:
         return ()
-    locked = [other for other in others if not _left_free(other, one).any()]
-    apart = np.linalg.norm(places.middle - one.position, axis=1)
-    crosswise = np.abs(places.closing @ one.closing) < np.cos(np.pi / 4.0)
-    beyond = apart - off
-    cost = _CENTRAL * (off - beyond) + bare - np.minimum(apart, _SPREAD) - _CROSSWISE * crosswise
+    locked = [other for other in others if not _free_directions(other, first).any()]
+    distance = np.linalg.norm(places.middle - first.position, axis=1)
+    crosswise = np.abs(places.closing @ first.closing) < np.cos(np.pi / 4.0)
+    beyond = distance - off
+    cost = _CENTRAL * (off - beyond) + bare - np.minimum(distance, _MAX_USEFUL_DISTANCE) - _CROSSWISE * crosswise
     order = np.argsort(cost, kind="stable")
-    distinct = places[order[((apart > _DISTINCT) | crosswise)[order]]]
+    distinct = places[order[((distance > _DISTINCT) | crosswise)[order]]]
     if locked:
-        ways = _around(distinct.closing, ANGLES // 2)
-        room = sum((~_touches(other, distinct, ways, MAX_OPENING, coming=True)).any(axis=1) for other in locked)
-        distinct = distinct[np.argsort(-np.asarray(room), kind="stable")]
-    two = _first_held(hand, distinct, others)
-    found = (one,) if two is None else (one, two)
+        directions = _around(distinct.closing, ANGLES // 2)
+        free_count = sum(
+            (~_touches(other, distinct, directions, MAX_OPENING, coming=True)).any(axis=1) for other in locked
+        )
+        distinct = distinct[np.argsort(-np.asarray(free_count), kind="stable")]
+    second = _first_holdable(hand, distinct, others)
+    found = (first,) if second is None else (first, second)
     return tuple(sorted(found, key=lambda region: float(np.linalg.norm(region.position))))[:GRASP_REGIONS]
 
 
 def _opposite_sides(solid: trimesh.Trimesh, rays: Rays) -> _Places:
-    """Places where both pads would lie on the part."""
+    """Return the places where both pads would lie on the part."""
     sampled = trimesh.sample.sample_surface(
         solid, _SAMPLES, face_weight=np.maximum(solid.area_faces, 0.0) ** _EVENNESS, seed=np.random.default_rng(0)
     )
@@ -118,7 +120,7 @@ def _opposite_sides(solid: trimesh.Trimesh, rays: Rays) -> _Places:
     sound = np.linalg.norm(normals, axis=1) > 0.5
     points, normals = points[sound], normals[sound]
     n = len(points)
-    # The far side is where a ray first leaves the part, and where it leaves it for good: across a hollow part.
+    # The far side is where a ray first leaves the part, or where it finally leaves it: across a hollow part.
     inward = np.tile(-normals, (2, 1))
     starts = np.concatenate([points - 1e-5 * normals, points - MAX_WIDTH * normals])
     reach, opposite = rays.first_hits(starts, np.concatenate([-normals, normals]))
@@ -126,9 +128,9 @@ def _opposite_sides(solid: trimesh.Trimesh, rays: Rays) -> _Places:
     out = (np.einsum("ij,ij->i", opposite, inward) > 0) & (depth > 0) & (depth < MAX_WIDTH)
     out[n:] &= np.abs(depth[n:] - depth[:n]) > MIN_WIDTH
     middle = np.tile(points, (2, 1))[out] + 0.5 * depth[out, None] * inward[out]
-    # Between two sides that lean, the fingers close along the mean.
+    # The fingers close along the mean normal of sides that lean.
     closing = opposite[out] + inward[out]
-    # Samples seldom lie right beside the centre of mass.
+    # Axes through the centre of mass are added because samples seldom lie beside it.
     axes = np.unique(np.round(normals, 3) * np.where(normals @ [1.0, 1e-3, 1e-6] < 0, -1.0, 1.0)[:, None], axis=0)
     axes = axes[np.linspace(0, len(axes) - 1, min(_AXES, len(axes))).astype(int)]
     middle, closing = np.concatenate([np.zeros_like(axes), middle]), np.concatenate([axes, closing])
@@ -137,7 +139,7 @@ def _opposite_sides(solid: trimesh.Trimesh, rays: Rays) -> _Places:
 
 
 def _between_fingers(rays: Rays, middle: Float[np.ndarray, "n 3"], closing: Float[np.ndarray, "n 3"]) -> _Places:
-    """What fingers that close about a point along an axis would meet, where that can be held."""
+    """Return the holdable places between fingers that close about given points along given axes."""
     n, half = len(middle), 0.5 * MAX_OPENING
     reach, facing = rays.first_hits(
         np.concatenate([middle + half * closing, middle - half * closing]),
@@ -146,11 +148,11 @@ def _between_fingers(rays: Rays, middle: Float[np.ndarray, "n 3"], closing: Floa
     right, left = half - reach[:n], half - reach[n:]
     lean = np.minimum((facing[:n] * closing).sum(axis=1), -(facing[n:] * closing).sum(axis=1))
     width = right + left
-    held = (lean > np.cos(np.arctan(FRICTION))) & (width > MIN_WIDTH) & (width < MAX_WIDTH)
-    middle = middle[held] + 0.5 * (right[held] - left[held])[:, None] * closing[held]
-    closing, width = closing[held], width[held]
+    holdable = (lean > np.cos(np.arctan(FRICTION))) & (width > MIN_WIDTH) & (width < MAX_WIDTH)
+    middle = middle[holdable] + 0.5 * (right[holdable] - left[holdable])[:, None] * closing[holdable]
+    closing, width = closing[holdable], width[holdable]
     covered = _covered(rays, middle, closing, width)
-    # A rod touches a pad along a line, and less than a line would let it swing.
+    # A rod touches a pad along a line; with less than a line it would swing.
     line = (covered[:, :4] & covered[:, 4:]).any(axis=1)
     return _Places(middle[line], closing[line], width[line], covered[line].mean(axis=1))
 
@@ -161,7 +163,7 @@ def _covered(
     closing: Float[np.ndarray, "n 3"],
     width: Float[np.ndarray, "n"],
 ) -> Bool[np.ndarray, "n 8"]:
-    """Whether the part lies under both pads, at eight places around their rims."""
+    """Return whether the part lies under both pads, for eight places around their rims."""
     n = len(middle)
     around = PAD * _around(closing, 8)
     off = ((0.5 * width + _PAD_SLACK)[:, None] * closing)[:, None]
@@ -172,15 +174,15 @@ def _covered(
 
 
 def _within_reach(rays: Rays, places: _Places) -> Bool[np.ndarray, "n"]:
-    """Whether the part ends before the palm in some direction: a cheap test that spares most of a wide board."""
+    """Return whether the part ends before the palm in some direction: a cheap test that excludes most of a board."""
     n, tried = len(places.width), ANGLES // 2
-    ways = _around(places.closing, tried)
-    reach, _ = rays.first_hits(np.repeat(places.middle, tried, axis=0), ways.reshape(-1, 3))
+    directions = _around(places.closing, tried)
+    reach, _ = rays.first_hits(np.repeat(places.middle, tried, axis=0), directions.reshape(-1, 3))
     return np.asarray((reach.reshape(n, tried) < PALM_DEPTH).any(axis=1))
 
 
 def _around(closing: Float[np.ndarray, "n 3"], count: int) -> Float[np.ndarray, "n count 3"]:
-    """Unit vectors all around each axis; the first as near to an axis of the part's frame as can be."""
+    """Return unit vectors all around each axis; the first is the one nearest to an axis of the part's frame."""
     first = np.eye(3)[np.argmin(np.abs(closing), axis=1)]
     first = first - np.einsum("ni,ni->n", first, closing)[:, None] * closing
     first /= np.linalg.norm(first, axis=1, keepdims=True)
@@ -189,31 +191,31 @@ def _around(closing: Float[np.ndarray, "n 3"], count: int) -> Float[np.ndarray, 
     return np.cos(angles)[None, :, None] * first[:, None] + np.sin(angles)[None, :, None] * second[:, None]
 
 
-def _first_held(hand: HandAgainst, places: _Places, others: Sequence[HandAgainst]) -> GraspRegion | None:
-    """The first of the places that the hand can take from enough directions.
+def _first_holdable(hand: HandAgainst, places: _Places, others: Sequence[HandAgainst]) -> GraspRegion | None:
+    """Return the region at the first place that the hand can hold from enough directions; None if there is none.
 
     Args:
-        hand: against the part.
-        places: in order.
-        others: against what surrounds the part, by which directions are chosen.
+        hand: collisions of the hand with the part.
+        places: candidates in order of preference.
+        others: collisions of the hand with surroundings of the part, which decide between directions.
     """
     for start in range(0, len(places.width), _BLOCK):
         some = places[np.arange(start, min(start + _BLOCK, len(places.width)))]
-        ways = _around(some.closing, ANGLES)
-        free = ~_touches(hand, some, ways, MAX_OPENING, coming=True)
+        directions = _around(some.closing, ANGLES)
+        free = ~_touches(hand, some, directions, MAX_OPENING, coming=True)
         for index in np.flatnonzero(free.sum(axis=1) >= APPROACHES):
-            place, its_ways = some[np.array([index])], ways[[index]]
+            place, its_directions = some[np.array([index])], directions[[index]]
             liked = np.zeros(ANGLES)
             for other in others:
-                liked += free[index] & ~_touches(other, place, its_ways, MAX_OPENING, coming=True)[0]
-            region = _closed_on(hand, place, its_ways, free[index], liked)
+                liked += free[index] & ~_touches(other, place, its_directions, MAX_OPENING, coming=True)[0]
+            region = _closed_on(hand, place, its_directions, free[index], liked)
             if region is not None:
                 return region
     return None
 
 
-def _left_free(other: HandAgainst, region: GraspRegion) -> Bool[np.ndarray, "4"]:
-    """Directions of a region that something beside the part leaves free."""
+def _free_directions(other: HandAgainst, region: GraspRegion) -> Bool[np.ndarray, "4"]:
+    """Return whether each direction of a region is free of collision with some surroundings."""
     n = len(region.approaches)
     middle, closing = np.tile(region.position, (n, 1)), np.tile(region.closing, (n, 1))
     return ~other.touches(middle, closing, region.approaches, MAX_OPENING, coming=True)
@@ -222,41 +224,44 @@ def _left_free(other: HandAgainst, region: GraspRegion) -> Bool[np.ndarray, "4"]
 def _closed_on(
     hand: HandAgainst,
     place: _Places,
-    ways: Float[np.ndarray, "1 a 3"],
+    directions: Float[np.ndarray, "1 a 3"],
     free: Bool[np.ndarray, "a"],
     liked: Float[np.ndarray, "a"],
 ) -> GraspRegion | None:
-    """The region at one place, if the hand can close there in four of the `free` directions; `liked` ones first."""
+    """Return the region at one place if the hand can close there in four `free` directions, `liked` ones first."""
     for eased in _EASED:
         opening = float(place.width[0]) + eased + 2.0 * CLEARANCE
-        held = free & ~_touches(hand, place, ways, opening)[0]
-        for share in _OPENINGS if held.sum() >= APPROACHES else ():
-            held &= ~_touches(hand, place, ways, opening + share * (MAX_OPENING - opening))[0]
-        if held.sum() >= APPROACHES:
-            directions = ways[0][_four_of(held, liked)]
-            return GraspRegion(place.middle[0], place.closing[0], directions, opening - 2.0 * CLEARANCE)
+        closable = free & ~_touches(hand, place, directions, opening)[0]
+        for share in _OPENINGS if closable.sum() >= APPROACHES else ():
+            closable &= ~_touches(hand, place, directions, opening + share * (MAX_OPENING - opening))[0]
+        if closable.sum() >= APPROACHES:
+            chosen = directions[0][_four_of(closable, liked)]
+            return GraspRegion(place.middle[0], place.closing[0], chosen, opening - 2.0 * CLEARANCE)
     return None
 
 
 def _touches(
-    hand: HandAgainst, places: _Places, ways: Float[np.ndarray, "n a 3"], opening: float, *, coming: bool = False
+    hand: HandAgainst, places: _Places, directions: Float[np.ndarray, "n a 3"], opening: float, *, coming: bool = False
 ) -> Bool[np.ndarray, "n a"]:
-    n, a = ways.shape[:2]
+    n, a = directions.shape[:2]
     middle, closing = np.repeat(places.middle, a, axis=0), np.repeat(places.closing, a, axis=0)
-    return hand.touches(middle, closing, ways.reshape(-1, 3), opening, coming=coming).reshape(n, a)
+    return hand.touches(middle, closing, directions.reshape(-1, 3), opening, coming=coming).reshape(n, a)
 
 
 def _four_of(free: Bool[np.ndarray, "a"], liked: Float[np.ndarray, "a"]) -> list[int]:
-    """Four free directions: of the most liked, the middle of the widest free fan; then always the one farthest from
-    those chosen, where being liked by all counts as much as half a turn."""
+    """Return four free directions.
+
+    The first is the middle of the widest free fan among the most liked; each next one is the farthest from those
+    chosen. A direction that all surroundings leave free gains as much as half a turn of distance.
+    """
     n = len(free)
-    apart_of = np.abs((np.arange(n)[:, None] - np.arange(n) + n // 2) % n - n // 2)
+    separations = np.abs((np.arange(n)[:, None] - np.arange(n) + n // 2) % n - n // 2)
     blocked = np.flatnonzero(~free)
-    room = apart_of[:, blocked].min(axis=1) if len(blocked) else np.full(n, n)
+    fan = separations[:, blocked].min(axis=1) if len(blocked) else np.full(n, n)
     most = liked[free].max()
-    worth = 0.5 * n * liked / most if most > 0 else np.zeros(n)
-    chosen = [int(np.argmax(np.where(free, room + 2.0 * worth, -1)))]
+    preference = 0.5 * n * liked / most if most > 0 else np.zeros(n)
+    chosen = [int(np.argmax(np.where(free, fan + 2.0 * preference, -1)))]
     while len(chosen) < APPROACHES:
-        apart = apart_of[:, chosen].min(axis=1)
-        chosen.append(int(np.argmax(np.where(free & (apart > 0), apart + worth, -1))))
+        separation = separations[:, chosen].min(axis=1)
+        chosen.append(int(np.argmax(np.where(free & (separation > 0), separation + preference, -1))))
     return chosen

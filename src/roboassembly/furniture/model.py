@@ -1,4 +1,4 @@
-"""What a piece of furniture is: parts, where they go, what touches what, and which parts are alike."""
+"""Model of a piece of furniture: parts, assembled poses, connections and shape classes."""
 
 from __future__ import annotations
 
@@ -19,40 +19,40 @@ if TYPE_CHECKING:
 
 MIN_PARTS = 2
 MAX_PARTS = 20
-"""The paper's bound, and the padding of the observation and of the action space."""
+"""Largest number of parts in the paper; size to which observations and action spaces are padded."""
 MAX_POINTS = 10
-"""Connection points a part, likewise."""
+"""Largest number of connection points of a part, with the same uses."""
 CONTACT_DISTANCE = 0.005
-"""Parts nearer than this, in metres, are connected (the paper's 5 mm)."""
+"""Distance below which parts are connected, 5 mm in the paper [m]."""
 GRASP_REGIONS = 2
-"""A part, as in the paper."""
+"""Grasp regions per part, as in the paper."""
 SAME_POINT = 0.01
-"""Metres: contacts of like parts that fall this near to each other on their shape get one and the same point."""
+"""Distance on the shape below which contacts of parts of one shape share a connection point [m]."""
 
 
 @dataclass(frozen=True)
 class RawPart:
-    """A part as a generator or importer makes it: nothing annotated yet."""
+    """Part from a generator or importer, without annotations."""
 
     name: str
     mesh: Mesh
-    """In the furniture's frame (metres, z up), at its place in the assembled furniture."""
+    """Mesh at its place in the assembled furniture, in the furniture's frame (z up) [m]."""
     label: str = ""
-    """What it is in PartNet's vocabulary (`leg`, `seat_surface_bar`, ...), where known."""
+    """Label of PartNet's vocabulary (`leg`, `seat_surface_bar`, ...), if known."""
 
 
 @dataclass(frozen=True, eq=False)
 class ConnectionPoint:
-    """Where a part meets another, in the part's frame. Position, normal and tangent are the paper's nine numbers."""
+    """Point at which a part meets another, in the part's frame; nine numbers in the paper besides the gap."""
 
     position: Float[np.ndarray, "3"]
-    """Metres; the centre of the contact patch, on this part's side of the gap."""
+    """Centre of the contact patch, on this part's side of the gap [m]."""
     normal: Float[np.ndarray, "3"]
     """Unit vector out of the part, toward its mate."""
     tangent: Float[np.ndarray, "3"]
     """Unit vector orthogonal to the normal."""
     gap: float
-    """Metres between this point and its mate along the normal in the assembled furniture."""
+    """Distance from this point to its mate along the normal in the assembled furniture [m]."""
 
     @cached_property
     def frame(self) -> SE3:
@@ -62,30 +62,30 @@ class ConnectionPoint:
 
 
 def mate(point_v: ConnectionPoint, point_u: ConnectionPoint) -> SE3:
-    """`v_from_u` that lays the frame of `point_u` onto that of `point_v`.
+    """Return the `v_from_u` at which `point_u` meets `point_v`.
 
-    Normals opposed, tangents equal, origins apart by the stored gap along the normal (the mean of the two).
+    Normals are opposed, tangents equal, and the origins lie the mean of the stored gaps apart along the normal.
     """
     return mating_pose(point_v.frame, point_u.frame, 0.5 * (point_v.gap + point_u.gap))
 
 
 @dataclass(frozen=True, eq=False)
 class GraspRegion:
-    """A place where a parallel jaw can hold the part, in the part's frame, and four ways to come to it."""
+    """Place where a parallel jaw can hold the part, with four approach directions, in the part's frame."""
 
     position: Float[np.ndarray, "3"]
-    """Metres; midpoint between the fingers."""
+    """Midpoint between the fingers [m]."""
     closing: Float[np.ndarray, "3"]
     """Unit vector along which the fingers close."""
     approaches: Float[np.ndarray, "4 3"]
-    """Unit vectors along which the hand may come, each orthogonal to `closing`."""
+    """Unit vectors along which the hand may approach, each orthogonal to `closing`."""
     width: float
-    """Metres between the pads when they are about to touch, 0.2 mm or a little more on either side."""
+    """Distance between the pads just before they touch, with 0.2 mm or a little more on either side [m]."""
 
 
 @dataclass(frozen=True)
 class Part:
-    """One rigid mesh, in a frame at its own centre of mass."""
+    """Rigid mesh in a frame at its own centre of mass, with its annotations."""
 
     name: str
     mesh: Mesh
@@ -96,7 +96,7 @@ class Part:
 
 @dataclass(frozen=True)
 class Connection:
-    """Two connection points that touch in the assembled furniture (indices into parts and their points)."""
+    """Pair of connection points that touch in the assembled furniture, as indices of parts and of their points."""
 
     part_a: int
     point_a: int
@@ -106,20 +106,20 @@ class Connection:
 
 @dataclass(frozen=True, eq=False)
 class ShapeClass:
-    """Parts of the same shape, up to a proper rigid motion: any of them may take any of their slots.
+    """Parts of one shape up to a proper rigid motion: each of them fits each of their slots.
 
-    The members' frames are laid so that their meshes coincide: all that differs is where their slots are.
+    The members' frames are chosen so that their meshes coincide; only their slots differ.
     """
 
     members: tuple[int, ...]
     """Part indices, ascending."""
     symmetries: Float[np.ndarray, "s 3 3"]
-    """Rotations about the centre of mass that map the shape to itself; the identity first."""
+    """Rotations about the centre of mass that map the shape to itself, the identity first."""
 
 
 @dataclass(frozen=True)
 class Provenance:
-    """Where the furniture comes from."""
+    """Origin of the furniture."""
 
     source: str
     """`generated`, `ikea-manual`, `folder`, ..."""
@@ -129,38 +129,40 @@ class Provenance:
     scale: float = 1.0
     """Metres per unit of the source's own files."""
     notes: tuple[str, ...] = ()
-    """What repair did, one line each."""
+    """Actions of repair, one line each."""
 
 
 @dataclass(frozen=True, eq=False)
 class Site:
-    """A connection site that the source's own files mark, whatever the contacts' own points are."""
+    """Connection site that the source's files mark, independent of the connection points found by contact."""
 
     name: str
     part: int
     """Index of its part."""
     frame: SE3
-    """`part_from_site`; a raw furniture's is `furniture_from_site`."""
+    """Frame `part_from_site`; `furniture_from_site` in a `RawFurniture`."""
     mate: int | None
-    """Index, among the furniture's sites, of the one that it meets in the assembled furniture: their origins lie within
-    1 mm (in the source's own scale), their z axes within 5°, and each is the other's mate. None if none does."""
+    """Index, among the furniture's sites, of the site that it meets in the assembled furniture; None if none does.
+
+    The origins of mates lie within 1 mm (in the source's own scale), their z axes within 5°; each is the other's mate.
+    """
 
 
 @dataclass(frozen=True)
 class RawFurniture:
-    """What an importer reads: parts as they are in the source's files, and where they come from."""
+    """Result of an importer: parts as the source's files have them, and their origin."""
 
     parts: tuple[RawPart, ...]
     provenance: Provenance
     sites: tuple[Site, ...] = ()
     unit: Unit | None = None
-    """How the size was found, where the files do not say it and nobody did."""
+    """Guess of the unit of length, if neither the files nor the caller gave it."""
     remarks: tuple[str, ...] = ()
-    """What a person should know of the reading, one line each."""
+    """Remarks for the user on the files, one line each."""
 
     @property
     def size(self) -> tuple[float, float, float]:
-        """Metres along x, y and z (up) of the whole piece."""
+        """Extents of the whole piece along x, y and z (up) [m]."""
         corners = np.concatenate([part.mesh.bounds for part in self.parts])
         x, y, z = np.ptp(corners, axis=0).tolist()
         return x, y, z
@@ -168,7 +170,7 @@ class RawFurniture:
 
 @dataclass(frozen=True, eq=False)
 class Furniture:
-    """Parts, their assembled poses, and everything known about how they fit.
+    """Piece of furniture: parts, their assembled poses and all annotations.
 
     The furniture's frame is z up, in metres.
 
@@ -180,12 +182,12 @@ class Furniture:
     name: str
     parts: tuple[Part, ...]
     assembled: tuple[SE3, ...]
-    """`furniture_from_part` for each part: the slots."""
+    """Slots: `furniture_from_part` of each part."""
     connections: tuple[Connection, ...]
     classes: tuple[ShapeClass, ...]
     provenance: Provenance = field(default_factory=lambda: Provenance("unknown"))
     sites: tuple[Site, ...] = ()
-    """Connection sites of the source's files; no rule of the task looks at them."""
+    """Connection sites of the source's files; no rule of the task uses them."""
 
     def __post_init__(self) -> None:
         n = len(self.parts)
@@ -234,12 +236,12 @@ class Furniture:
 
     @property
     def unholdable(self) -> tuple[str, ...]:
-        """Names of the parts that no hand can hold in two regions: they rule the furniture out of the full setting."""
+        """Names of parts with fewer than two grasp regions, which the full setting does not admit."""
         return tuple(part.name for part in self.parts if len(part.grasps) < GRASP_REGIONS)
 
     @cached_property
     def lowest(self) -> float:
-        """Height of the assembled furniture's lowest point in its own frame, metres."""
+        """Height of the assembled furniture's lowest point in its own frame [m]."""
         return min(
             float((part.mesh.hull_vertices @ slot.rotation[2]).min() + slot.translation[2])
             for part, slot in zip(self.parts, self.assembled, strict=True)
@@ -256,7 +258,7 @@ class Furniture:
 
     @cached_property
     def mate_of(self) -> dict[tuple[int, int], tuple[int, int]]:
-        """`(part, point)` to the `(part, point)` that it touches."""
+        """Map from each connected `(part, point)` to the `(part, point)` that it touches."""
         out: dict[tuple[int, int], tuple[int, int]] = {}
         for c in self.connections:
             out[c.part_a, c.point_a] = (c.part_b, c.point_b)

@@ -1,4 +1,4 @@
-"""Rays against one mesh: which triangle is hit first, and how far away."""
+"""Ray casting against one mesh: the first triangle hit and its distance."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from jaxtyping import Float
 from roboassembly.geometry.meshes import Mesh
 
 _SIZE = 100.0
-"""Embree counts in single precision, and does it best when things are about this large."""
+"""Size to which meshes are scaled, at which Embree's single precision works best."""
 
 
 @cache
 def _device() -> EmbreeDevice:
-    """One for all meshes: a scene that makes its own (as trimesh's do) can crash once some hundreds were made."""
+    """Return the device for all meshes: one per scene (as in trimesh) can crash after some hundreds of scenes."""
     return EmbreeDevice()
 
 
 class Rays:
-    """A mesh to shoot at."""
+    """Mesh prepared for ray casting."""
 
     def __init__(self, mesh: Mesh) -> None:
         self._corners = mesh.vertices[mesh.faces]
@@ -31,7 +31,7 @@ class Rays:
         self._origin = mesh.bounds[0]
         self._scale = _SIZE / float(np.ptp(mesh.bounds, axis=0).max())
         self._scene = EmbreeScene(_device())
-        # The scene refers to these triangles.
+        # The scene keeps no reference of its own to these triangles.
         self._triangles = TriangleMesh(self._scene, self._to_scene(self._corners))
 
     def _to_scene(self, points: Float[np.ndarray, "*n 3"]) -> np.ndarray:
@@ -40,10 +40,10 @@ class Rays:
     def first_hits(
         self, origins: Float[np.ndarray, "n 3"], directions: Float[np.ndarray, "n 3"]
     ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n 3"]]:
-        """Distance along each ray to the surface, and the outward normal there; infinite and zero where there is none.
+        """Return the distance along each ray to the surface and the outward normal there; infinity and 0 without a hit.
 
         Args:
-            origins: metres, in the mesh's frame.
+            origins: in the mesh's frame [m].
             directions: unit vectors.
         """
         reach, normals = np.full(len(origins), np.inf), np.zeros((len(origins), 3))
@@ -52,7 +52,7 @@ class Rays:
         first = self._scene.run(self._to_scene(origins), directions.astype(np.float32))
         hit = np.flatnonzero(first >= 0)
         normals[hit] = self._normals[first[hit]]
-        # In double precision, to the face's plane.
+        # Distances are recomputed in double precision, to the plane of the face.
         ahead = np.einsum("ij,ij->i", normals[hit], directions[hit])
         hit, ahead = hit[np.abs(ahead) > 1e-6], ahead[np.abs(ahead) > 1e-6]
         corner = self._corners[first[hit], 0]

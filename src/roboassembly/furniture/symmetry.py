@@ -1,4 +1,4 @@
-"""Which rotations lay one shape onto another: parts that are alike, and the symmetries of one part.
+"""Rotations that map one shape onto another: congruent parts, and the symmetries of one part.
 
 Only proper rotations count: a mirror image is a different part.
 """
@@ -13,38 +13,36 @@ from scipy.spatial.transform import Rotation
 from roboassembly.geometry.meshes import Mesh, distance_to
 
 TOLERANCE = 1e-4
-"""Metres: shapes whose corners agree to this are alike. Below the smallest gap at a mating face."""
+"""Largest distance between corresponding corners of congruent shapes; below the smallest gap of a joint [m]."""
 MAX_SYMMETRIES = 64
-"""A finer turned part is taken as having this many turns at most; more would only cost time."""
+"""Largest number of symmetries of a shape; finer tessellation of a turned part would only cost time."""
 _BENT = 1e-5
-"""Least spread of the normals at a corner; a bend of 0.3° counts, the rounding of a flat face does not."""
+"""Smallest eigenvalue of the normals' scatter at a corner: a bend of 0.3° counts, rounding does not."""
 _MAX_CANDIDATES, _MAX_FITS = 4096, 400
 _AT_ONCE = 64
-"""Corners whose distances to all others are measured in one go."""
+"""Number of corners whose distances to all others are computed in one batch."""
 _PAIRS = 5
-"""Pairs of corners that candidates come from."""
+"""Number of pairs of corners that yield candidates."""
 _REACH, _SLACK = 1e-3, 3e-4
-"""Metres beyond the tolerance: of corners before the fit, because two corners alone turn a shape by a little too much
-or too little, and of the walls of bores, which files draw in the same place only so well; and of distances between
-corners."""
+"""Allowances beyond the tolerance [m]. The first is for corners before the fit, as two corners alone give an inexact
+rotation, and for walls of bores, whose places in files are inexact. The second is for distances between corners."""
 _CLOSER = 3.0
-"""Times the tolerance: how near corners are to each other that settle a fit."""
+"""Largest distance of corresponding corners in the final fit, in multiples of the tolerance."""
 _SAME_START, _SAME_ROTATION = 0.003, 0.01
-"""Candidates whose matrices differ by less are fitted once. Largest difference of two matrices of one rotation; the
-turns of the finest shape are seven times as far apart."""
+"""Largest difference of entries between candidates that are fitted once, and between matrices of one rotation; the
+symmetries of the finest shape differ by seven times as much."""
 _FEW, _MAX_EDGES = 200, 2000
-"""Corners that are looked at first; edges from odd ones that are looked at."""
+"""Number of corners in the first fit, and of edges tested at unmatched corners."""
 _SAME_CORNER = 1e-6
-"""Metres between a vertex and the corner that it is, which was rounded."""
+"""Largest distance between a vertex and its rounded corner [m]."""
 _MATCHED = 0.5
-"""Least share of the corners that have to lie at corners of the other shape."""
+"""Smallest share of corners that have to coincide with corners of the other shape."""
 
 
 def feature_vertices(mesh: Mesh) -> Float[np.ndarray, "k 3"]:
-    """Corners of the surface: vertices whose adjacent faces point in three independent directions.
+    """Return the corners of the surface: vertices whose adjacent faces have three independent normals.
 
-    Vertices inside a flat face or along a straight edge depend on the triangulation and not on the shape, so they
-    are left out.
+    Vertices inside a flat face or along a straight edge depend on the triangulation, not the shape, and are left out.
     """
     corners, vertex_of = np.unique(np.round(mesh.vertices / 1e-7).astype(np.int64), axis=0, return_inverse=True)
     vertex_of = vertex_of.reshape(-1)[mesh.faces]
@@ -57,16 +55,16 @@ def feature_vertices(mesh: Mesh) -> Float[np.ndarray, "k 3"]:
     outer = normals[:, :, None] * normals[:, None, :]
     for column in range(3):
         np.add.at(scatter, vertex_of[:, column], outer)
-    spread = np.linalg.eigvalsh(scatter)
-    features = corners[spread[:, 0] > _BENT] * 1e-7
+    eigenvalues = np.linalg.eigvalsh(scatter)
+    features = corners[eigenvalues[:, 0] > _BENT] * 1e-7
     return features if len(features) >= 4 else mesh.hull_vertices
 
 
 def rotations_onto(source: Mesh, target: Mesh, tolerance: float = TOLERANCE) -> Float[np.ndarray, "n 3 3"]:
-    """Every rotation about the origin that lays `source` onto `target`, smallest angle first.
+    """Return every rotation about the origin that maps `source` onto `target`, smallest angle first.
 
-    Both meshes have their centre of mass at the origin of their frame. Shapes agree when each corner of one lies
-    within `tolerance` metres of a corner of the other or, as cuts leave some corners that are none, of its surface.
+    Both meshes have their centre of mass at the origin of their frame. Shapes are congruent when each corner of one
+    lies within `tolerance` metres of a corner of the other or of its surface, since cuts leave spurious corners.
     """
     if abs(source.radius - target.radius) > tolerance + 1e-3 * source.radius:
         return np.empty((0, 3, 3))
@@ -82,7 +80,7 @@ def rotations_onto(source: Mesh, target: Mesh, tolerance: float = TOLERANCE) -> 
     reach, _ = tree_b.query(np.einsum("cij,pj->cpi", candidates, probe), distance_upper_bound=most)
     found: list[np.ndarray] = []
     hopeful = np.flatnonzero((reach < most).mean(axis=1) > _MATCHED)
-    # The closest come first, lest one that is a little off stands for one that is not.
+    # The closest candidates come first, so that an inexact one does not replace an exact one.
     off = np.minimum(reach[hopeful], most).mean(axis=1)
     left = candidates[hopeful[np.argsort(np.round(off, 6), kind="stable")]]
     fits = 0
@@ -96,7 +94,7 @@ def rotations_onto(source: Mesh, target: Mesh, tolerance: float = TOLERANCE) -> 
         if matrix is None or _among(matrix, found, probe, tolerance):
             continue
         if len(few) < len(a):
-            # Shapes that were scanned have thousands of corners: most rotations are refused by some of them.
+            # Scanned shapes have thousands of corners; a few of them reject most rotations.
             if not _near(few @ matrix.T, tree_b, target, 2.0 * tolerance):
                 continue
             matrix = _fitted(matrix, a, b, tree_b, tolerance)
@@ -116,19 +114,19 @@ def rotations_onto(source: Mesh, target: Mesh, tolerance: float = TOLERANCE) -> 
 def _among(
     rotation: Float[np.ndarray, "3 3"], found: list[np.ndarray], probe: Float[np.ndarray, "n 3"], tolerance: float
 ) -> bool:
-    """Whether a rotation was found before, but for what a fit may be off by."""
+    """Return whether a rotation was found before, up to the error of a fit."""
     if not found:
         return False
-    apart = rotation - np.array(found)
-    moved = np.linalg.norm(np.einsum("fij,pj->fpi", apart, probe), axis=2).max(axis=1)
-    return bool((np.abs(apart).max(axis=(1, 2)) < _SAME_ROTATION).any() or (moved < _CLOSER * tolerance).any())
+    difference = rotation - np.array(found)
+    moved = np.linalg.norm(np.einsum("fij,pj->fpi", difference, probe), axis=2).max(axis=1)
+    return bool((np.abs(difference).max(axis=(1, 2)) < _SAME_ROTATION).any() or (moved < _CLOSER * tolerance).any())
 
 
 def _fitted(
     rotation: Float[np.ndarray, "3 3"], a: Float[np.ndarray, "n 3"], b: Float[np.ndarray, "m 3"], corners: KDTree,
     tolerance: float,
 ) -> Float[np.ndarray, "3 3"] | None:  # fmt: skip
-    """The rotation that lays corners of `a` best onto those of `b` near them, and then on those that are nearest."""
+    """Return the best rotation of corners of `a` onto near corners of `b`, refined on the nearest; None if too few."""
     for reach in (tolerance + _REACH, min(tolerance + _REACH, _CLOSER * tolerance)):
         distance, mate = corners.query(a @ rotation.T, distance_upper_bound=reach)
         near = np.isfinite(distance)
@@ -139,13 +137,13 @@ def _fitted(
 
 
 def _near(points: Float[np.ndarray, "n 3"], corners: KDTree, mesh: Mesh, tolerance: float) -> bool:
-    """Whether all points lie at corners of a mesh, or on its surface."""
+    """Return whether all points lie at corners of a mesh or on its surface."""
     odd = points[~np.isfinite(corners.query(points, distance_upper_bound=tolerance)[0])]
     return all(distance_to(mesh.bvh, point) <= tolerance for point in odd)
 
 
 def _few(points: Float[np.ndarray, "n 3"], most: int = _FEW) -> Float[np.ndarray, "m 3"]:
-    """So many of them at most, evenly."""
+    """Return at most `most` of the points, evenly spaced."""
     return points if len(points) <= most else points[np.linspace(0, len(points) - 1, most).astype(int)]
 
 
@@ -153,7 +151,7 @@ def _lies_on(
     moved: Mesh, own: Float[np.ndarray, "n 3"], rotation: Float[np.ndarray, "3 3"], corners: KDTree, mesh: Mesh,
     tolerance: float,
 ) -> bool:  # fmt: skip
-    """Whether all corners of a shape, turned, lie at corners of a mesh, or on its surface with their edges."""
+    """Return whether all corners of a rotated shape lie at corners of a mesh, or on its surface with their edges."""
     if not _near(_few(own) @ rotation.T, corners, mesh, tolerance):
         return False
     odd = own[~np.isfinite(corners.query(own @ rotation.T, distance_upper_bound=tolerance)[0])]
@@ -161,15 +159,15 @@ def _lies_on(
         return False
     if any(distance_to(mesh.bvh, point) > tolerance for point in odd @ rotation.T):
         return False
-    # The rims of a bore lie on a plain board's faces: what tells is the wall between them.
+    # The rims of a bore also lie on the faces of a board without it; only the wall between them differs.
     middles = _edges(moved, odd) @ rotation.T
-    # Where triangles are small a vertex is near enough, which is quicker to tell.
+    # A near vertex is a quicker test where triangles are small.
     far = ~np.isfinite(KDTree(mesh.vertices).query(middles, distance_upper_bound=tolerance + _REACH)[0])
     return all(distance_to(mesh.bvh, point) <= tolerance + _REACH for point in middles[far])
 
 
 def _edges(mesh: Mesh, corners: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "m 3"]:
-    """Middles of the edges that some corners of a mesh have, `_MAX_EDGES` at most."""
+    """Return the midpoints of edges at some corners of a mesh, at most `_MAX_EDGES`."""
     if not len(corners):
         return np.empty((0, 3))
     there = KDTree(corners).query(mesh.vertices, distance_upper_bound=_SAME_CORNER)[0] < _SAME_CORNER
@@ -179,7 +177,7 @@ def _edges(mesh: Mesh, corners: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "
 
 
 def symmetries(mesh: Mesh, tolerance: float = TOLERANCE) -> Float[np.ndarray, "n 3 3"]:
-    """Rotations about the centre of mass that map the shape to itself; the identity first, exactly."""
+    """Return the rotations about the centre of mass that map the shape to itself; the first is the exact identity."""
     rotations = rotations_onto(mesh, mesh, tolerance)
     rotations = (
         rotations[[not np.allclose(r, np.eye(3), atol=1e-3) for r in rotations]] if len(rotations) else rotations
@@ -190,14 +188,14 @@ def symmetries(mesh: Mesh, tolerance: float = TOLERANCE) -> Float[np.ndarray, "n
 def _candidate_rotations(
     a: Float[np.ndarray, "n 3"], b: Float[np.ndarray, "m 3"], tolerance: float
 ) -> Float[np.ndarray, "c 3 3"]:
-    """Rotations that take two well-chosen corners of `a` to corners of `b` at the same radii and distance.
+    """Return rotations that map two selected corners of `a` to corners of `b` at the same radii and distance.
 
-    Two of them may be corners that are none, as cuts leave some: a few other pairs have their say as well.
+    Several pairs are used, because cuts leave spurious corners.
     """
     radius_a, radius_b = np.linalg.norm(a, axis=1), np.linalg.norm(b, axis=1)
     slack = tolerance + _SLACK
     likely = np.array([(np.abs(radius_b - r) < slack).sum() for r in radius_a], dtype=float)
-    # A corner without a mate says nothing.
+    # A corner without a counterpart gives no candidates.
     likely[likely == 0] = np.inf
     far = radius_a > 0.5 * radius_a.max()
     firsts = np.lexsort((-radius_a, np.where(far, likely, np.inf)))
@@ -205,23 +203,23 @@ def _candidate_rotations(
     out = []
     for first in firsts[np.unique(np.linspace(0, len(firsts) - 1, _PAIRS).astype(int))]:
         lever = np.linalg.norm(np.cross(a, a[first]), axis=1) / radius_a[first]
-        good = lever > 0.5 * lever.max()
-        seconds = np.lexsort((-lever, np.where(good, likely, np.inf)))
-        second = seconds[0] if not out else seconds[int((good & np.isfinite(likely)).sum()) // 2]
-        out.append(_taking(a[first], a[second], b, radius_b, slack))
+        clear = lever > 0.5 * lever.max()
+        seconds = np.lexsort((-lever, np.where(clear, likely, np.inf)))
+        second = seconds[0] if not out else seconds[int((clear & np.isfinite(likely)).sum()) // 2]
+        out.append(_rotations_of_pair(a[first], a[second], b, radius_b, slack))
     return np.concatenate(out)
 
 
-def _taking(
-    one: Float[np.ndarray, "3"], two: Float[np.ndarray, "3"], b: Float[np.ndarray, "m 3"],
+def _rotations_of_pair(
+    first: Float[np.ndarray, "3"], second: Float[np.ndarray, "3"], b: Float[np.ndarray, "m 3"],
     radius_b: Float[np.ndarray, "m"], slack: float,
 ) -> Float[np.ndarray, "c 3 3"]:  # fmt: skip
-    """Rotations that take two points to corners of `b` at the same radii and distance."""
-    span = np.linalg.norm(one - two)
-    first_mates = np.flatnonzero(np.abs(radius_b - np.linalg.norm(one)) < slack)
-    second_mates = np.flatnonzero(np.abs(radius_b - np.linalg.norm(two)) < slack)
+    """Return rotations that map two points to corners of `b` at the same radii and distance."""
+    span = np.linalg.norm(first - second)
+    first_mates = np.flatnonzero(np.abs(radius_b - np.linalg.norm(first)) < slack)
+    second_mates = np.flatnonzero(np.abs(radius_b - np.linalg.norm(second)) < slack)
     ends = [np.empty((0, 2), int)]
-    # On a ball every corner is a mate: all pairs of them would be gigabytes.
+    # On a ball every corner is a counterpart: all pairs of them would take gigabytes.
     for begin in range(0, len(first_mates), _AT_ONCE):
         some = first_mates[begin : begin + _AT_ONCE]
         distance = np.linalg.norm(b[some][:, None] - b[second_mates][None], axis=2)
@@ -230,14 +228,14 @@ def _taking(
         if sum(map(len, ends)) >= _MAX_CANDIDATES:
             break
     pairs = np.concatenate(ends)[:_MAX_CANDIDATES]
-    frame_a = _frames(one[None], two[None])[0]
+    frame_a = _frames(first[None], second[None])[0]
     frames_b = _frames(b[pairs[:, 0]], b[pairs[:, 1]])
     rotations = frames_b @ frame_a.T
     return rotations[np.isfinite(rotations).all(axis=(1, 2))]
 
 
 def _frames(p: Float[np.ndarray, "n 3"], q: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3 3"]:
-    """Right-handed frames with x along p and z along p × q."""
+    """Return right-handed frames with x along p and z along p × q."""
     with np.errstate(invalid="ignore", divide="ignore"):
         x = p / np.linalg.norm(p, axis=1, keepdims=True)
         z = np.cross(p, q)

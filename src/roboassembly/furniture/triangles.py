@@ -1,4 +1,4 @@
-"""Triangles as a file gives them, and how they become parts at their places: z up, metres, on the ground."""
+"""Triangles as files have them, and their conversion to parts at their places: z up, metres, on the ground."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from roboassembly.furniture.model import RawPart, check_part_count
 from roboassembly.geometry.meshes import MAX_FACES, Mesh
 
 MAX_COORDINATE = 1e9
-"""In a file's own units."""
+"""Largest coordinate, in a file's own units."""
 SMALLEST, LARGEST = 0.02, 10.0
-"""Metres: the longest side of a piece of furniture lies between these."""
+"""Bounds of the longest side of a piece of furniture [m]."""
 TYPICAL_SIZE = {
     "bench": (0.80, 1.60),
     "chair": (0.85, 1.20),
@@ -25,8 +25,8 @@ TYPICAL_SIZE = {
     "shelf": (1.50, 1.90),
     "table": (0.70, 1.50),
 }
-"""Height and longest side, in metres, by category. Normalised files have no unit: a piece is scaled until it reaches
-the first of the two that it meets, so that a tall chair is 0.85 m high and a long bench does not grow to 2 m."""
+"""Height and longest side by category [m]. Normalised files have no unit: a piece gets the largest scale that exceeds
+neither, so that a tall chair is 0.85 m high and a long bench does not grow to 2 m."""
 DEFAULT_SIZE = (0.85, 1.20)
 
 Up = Literal["x", "y", "z", "-x", "-y", "-z"]
@@ -43,7 +43,7 @@ UP_ROTATIONS: dict[str, Float[np.ndarray, "3 3"]] = {
 
 @dataclass(frozen=True, eq=False)
 class Triangles:
-    """A surface in a file's own frame and units.
+    """Surface in a file's own frame and units.
 
     Raises:
         FurnitureError: no faces, too many, no area, indices out of range, coordinates that are not finite or
@@ -75,13 +75,13 @@ class Triangles:
         object.__setattr__(self, "faces", faces)
 
     def merged(self) -> Triangles:
-        """With one vertex where several coincide; vertices that no face uses are gone."""
+        """Return the triangles with coincident vertices merged and unused vertices removed."""
         used, corners = np.unique(self.faces, return_inverse=True)
         unique, inverse = np.unique(self.points[used], axis=0, return_inverse=True)
         return Triangles(unique, inverse.reshape(-1)[corners].reshape(-1, 3))
 
     def moved(self, matrix: Float[np.ndarray, "4 4"]) -> Triangles:
-        """Taken through an affine map; turned inside out where the map mirrors, so that outside stays outside."""
+        """Return the triangles under an affine map; mirroring reverses the faces, so that outside stays outside."""
         linear = matrix[:3, :3]
         faces = self.faces[:, ::-1] if np.linalg.det(linear) < 0 else self.faces
         return Triangles(self.points @ linear.T + matrix[:3, 3], faces)
@@ -89,7 +89,7 @@ class Triangles:
 
 @dataclass(frozen=True, eq=False)
 class NamedTriangles:
-    """A part before it is scaled and turned upright."""
+    """Part before it is scaled and turned upright."""
 
     name: str
     triangles: Triangles
@@ -97,7 +97,7 @@ class NamedTriangles:
 
 
 def combine(pieces: Sequence[Triangles]) -> Triangles:
-    """One surface of several, vertices that coincide merged.
+    """Return several surfaces as one, with coincident vertices merged.
 
     Raises:
         FurnitureError: more than `MAX_FACES` faces together, or none.
@@ -115,13 +115,13 @@ def combine(pieces: Sequence[Triangles]) -> Triangles:
 
 
 def unique_names(names: Sequence[str]) -> list[str]:
-    """The names, each later bearer of one numbered: `leg`, `leg_2`, `leg_3`."""
+    """Return the names with repetitions numbered: `leg`, `leg_2`, `leg_3`."""
     out: list[str] = []
-    taken = set(names)
+    originals = set(names)
     seen: set[str] = set()
     for name in names:
         fresh, number = name, 1
-        while fresh in seen or (number > 1 and fresh in taken):
+        while fresh in seen or (number > 1 and fresh in originals):
             number += 1
             fresh = f"{name}_{number}"
         seen.add(fresh)
@@ -138,13 +138,13 @@ def check_scale(scale: float | None) -> None:
 
 
 def bounds(parts: Sequence[NamedTriangles], rotation: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "2 3"]:
-    """Lowest and highest corner of all parts together, after `rotation`, in the files' units."""
+    """Return the lowest and highest corner of all parts together, after `rotation`, in the files' units."""
     corners = [part.triangles.points @ rotation.T for part in parts]
     return np.array([np.min([c.min(axis=0) for c in corners], 0), np.max([c.max(axis=0) for c in corners], 0)])
 
 
 def typical_scale(category: str, height: float, longest: float) -> float:
-    """Metres per unit that gives a piece of this height and longest side (file units) its category's typical size."""
+    """Return the scale [m per unit] that gives a piece of this height and longest side (file units) a typical size."""
     tall, long = TYPICAL_SIZE.get(category.lower(), DEFAULT_SIZE)
     return min(tall / max(height, 1e-12), long / max(longest, 1e-12))
 
@@ -152,7 +152,7 @@ def typical_scale(category: str, height: float, longest: float) -> float:
 def stand(
     parts: Sequence[NamedTriangles], rotation: Float[np.ndarray, "3 3"], scale: float, where: str
 ) -> tuple[RawPart, ...]:
-    """Parts turned by `rotation` to z up, scaled to metres, lowest point at z = 0, centred on the z axis.
+    """Return parts turned by `rotation` to z up, scaled to metres, lowest point at z = 0, centred on the z axis.
 
     Raises:
         FurnitureError: a count of parts outside 2 to 20, an absurd size, a part without area.
