@@ -1,4 +1,4 @@
-"""One mesh of several parts: separate bodies are found, told, and split."""
+"""Meshes of several parts: separate bodies are found, reported and split."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def box(extents: tuple[float, float, float], centre: tuple[float, float, float])
 
 
 def surface(*meshes: trimesh.Trimesh) -> Triangles:
-    """All in one, as a reader of STL makes it: equal corners are one vertex."""
+    """Return all meshes as one, as an STL reader returns them: equal corners are merged."""
     whole = trimesh.util.concatenate(meshes)
     return Triangles(np.array(whole.vertices), np.array(whole.faces)).merged()
 
@@ -75,7 +75,7 @@ def test_built_in_furniture_falls_into_its_parts(family: str) -> None:
 
 
 def test_cracks_of_rounding_do_not_split(tmp_path: Path) -> None:
-    """STL as text with six digits: corners of neighbouring triangles may differ in the last."""
+    """Text STL with six digits: corners of neighbouring triangles may differ in the last digit."""
     mesh = trimesh.creation.icosphere(subdivisions=3, radius=250.0)
     corners = np.array(mesh.vertices)[mesh.faces].reshape(-1, 3)
     corners += np.random.default_rng(0).uniform(-2e-5, 2e-5, corners.shape)
@@ -93,7 +93,7 @@ def test_names_and_fragments() -> None:
     assert remarks == ["legs: split into 2 bodies", "top: 1 fragment smaller than 0.5% of the piece left out"]
 
 
-def test_shards_by_the_thousand_are_refused() -> None:
+def test_thousands_of_bodies_are_refused() -> None:
     rng = np.random.default_rng(0)
     corners = rng.uniform(size=(3 * 2_500, 3))
     shards = Triangles(corners, np.arange(len(corners)).reshape(-1, 3))
@@ -112,7 +112,7 @@ def as_one(furniture_name: str, path: Path, seed: int = 0) -> Path:
     return path
 
 
-def test_a_stool_in_one_file_is_told_split_and_assembled(run: Run, tmp_path: Path) -> None:
+def test_a_stool_in_one_file_is_recognized_split_and_assembled(run: Run, tmp_path: Path) -> None:
     path = as_one("stool", tmp_path / "my_stool.stl")
     status, out, err = run("import", "folder", path, "--out", tmp_path / "a")
     assert status == 2
@@ -183,7 +183,7 @@ def test_split_is_for_folders(run: Run, tmp_path: Path) -> None:
     assert (status, "--split is for the format 'folder'" in err) == (2, True)
 
 
-def test_one_body_is_no_furniture(run: Run, tmp_path: Path) -> None:
+def test_a_single_body_is_refused(run: Run, tmp_path: Path) -> None:
     box(UNIT, (0, 0, 0)).export(tmp_path / "a.stl")
     for more in ([], ["--split"]):
         status, _, err = run("import", "folder", tmp_path / "a.stl", *more, "--out", tmp_path / "out")
@@ -193,7 +193,7 @@ def test_one_body_is_no_furniture(run: Run, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["chair.step", "chair.STP", "chair.iges", "chair.f3d", "chair.blend", "chair.fbx"])
 @pytest.mark.parametrize("command", ["import", "import a folder", "assemble", "view", "export"])
-def test_cad_files_are_told_what_to_do(run: Run, tmp_path: Path, name: str, command: str) -> None:
+def test_cad_files_are_refused_with_a_remedy(run: Run, tmp_path: Path, name: str, command: str) -> None:
     (tmp_path / "cad").mkdir()
     path = tmp_path / "cad" / name
     path.write_text("ISO-10303-21;")
@@ -212,7 +212,7 @@ def test_cad_files_are_told_what_to_do(run: Run, tmp_path: Path, name: str, comm
     assert "roboassembly import folder" in line
 
 
-def test_mesh_files_are_told_to_be_imported_first(run: Run, tmp_path: Path) -> None:
+def test_mesh_files_are_refused_with_a_hint_to_import_them(run: Run, tmp_path: Path) -> None:
     source = shapes.write_stl(catalogue.make("stool", with_grasps=False), tmp_path / "my_files")
     for path in (source, source / "seat.stl"):
         status, _, err = run("assemble", path, "--out", tmp_path / "a")

@@ -1,4 +1,4 @@
-"""Small files that claim, or unpack to, far more than there is: refused soon, in little memory, in one line.
+"""Small files that claim or unpack to huge data are refused quickly, with little memory and a one-line message.
 
 Each is opened in a process of its own that may take 600 MB more than it has, so that a reader that believes the claim
 fails, and says how much it took and for how long.
@@ -24,7 +24,7 @@ from model_files import PART_PAIR, box, export, glb_accessors, write_glb, write_
 from roboassembly.importers.glb import MAX_NODES
 
 ALLOWED = 600 * 2**20
-"""Bytes of memory, beyond what the program takes before it opens a file."""
+"""Memory limit above the use of the program before it opens a file [bytes]."""
 _OPEN = """
 import json, resource, sys, time
 from pathlib import Path
@@ -81,7 +81,7 @@ def ply_header(path: Path, vertices: int, faces: int, form: str = "binary_little
 
 
 def ply_ring(path: Path) -> None:
-    """One face that says it has 2^31 corners."""
+    """Return a file with one face that claims 2^31 corners."""
     header = (
         b"ply\nformat binary_little_endian 1.0\nelement vertex 0\n"
         b"property float x\nproperty float y\nproperty float z\nelement face 1\n"
@@ -131,7 +131,7 @@ def glb_of_primitives(path: Path) -> None:
 
 
 def glb_lengths(path: Path) -> None:
-    """Chunks that say they have 4 GB."""
+    """Return chunks that claim 4 GB."""
     path.write_bytes(b"glTF" + struct.pack("<II", 2, 2**32 - 1) + struct.pack("<II", 2**32 - 9, 0x4E4F534A) + b"{}")
 
 
@@ -188,7 +188,7 @@ def packed(**files: bytes) -> bytes:
 
 
 def test_archives_that_unpack_to_much_more(tmp_path: Path) -> None:
-    """A thousand times their size; and one that lies about it."""
+    """Archives unpack to a thousand times their size; one declares a false size."""
     zeros = bytes(60 * 2**20)
     bomb = packed(**{f"part{k}_stl": zeros for k in range(4)})
     lying = bomb.replace(struct.pack("<I", len(zeros)), struct.pack("<I", 100))
@@ -206,7 +206,7 @@ def test_archives_that_unpack_to_much_more(tmp_path: Path) -> None:
 
 
 def test_policies_that_unpack_to_much_more(tmp_path: Path) -> None:
-    """Weights of 400 MB in 0.4; and an array that says it has 800 TB."""
+    """One file holds weights of 400 MB in 0.4 MB; another claims an array of 800 TB."""
     path = tmp_path / "policy.npz"
     meta = json.dumps({"format": 1, "version": "0", "kind": "relational", "config": {}}).encode()
     file = io.BytesIO()
@@ -225,7 +225,7 @@ def test_policies_that_unpack_to_much_more(tmp_path: Path) -> None:
 
 
 def test_the_limit_is_one(tmp_path: Path) -> None:
-    """Ordinary files are read within it."""
+    """Ordinary files are read within the limit."""
     folder = write_table(tmp_path / "table")
     found = opened("folder", folder, tmp_path)
     assert found.said == ""

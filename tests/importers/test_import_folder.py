@@ -1,4 +1,4 @@
-"""A plain folder of named parts, or a GLB scene: units, axes, scene graphs, file formats, broken files."""
+"""Importer for a folder of named parts or a GLB scene: units, axes, scene graphs, file formats, broken files."""
 
 from __future__ import annotations
 
@@ -152,7 +152,7 @@ def test_broken_scenes(tmp_path, nodes, changes, message):
 
 
 def test_amplification_is_refused(tmp_path):
-    """Small files that unfold to many millions of triangles."""
+    """Small files that expand to many millions of triangles are refused."""
     many = [{"children": list(range(1, 1_001))}, *({"name": "a", "mesh": 0} for _ in range(1_000))]
     primitives = [{"attributes": {"POSITION": 0}, "indices": 1}] * 2000
     with pytest.raises(FurnitureError, match="more than 2000000 faces"):
@@ -178,7 +178,7 @@ def test_find(tmp_path):
         folder.find(tmp_path / "empty")
 
 
-def test_things_that_are_no_files(tmp_path):
+def test_paths_that_are_not_files_are_refused(tmp_path):
     table = write_table(tmp_path / "table")
     (table / "more.obj").mkdir()
     assert len(folder.read(table).parts) == 3

@@ -1,4 +1,4 @@
-"""FurnitureBench: poses chained from assembled_poses.json, and what is said about broken ones."""
+"""FurnitureBench importer: poses chained from assembled_poses.json, and messages on broken files."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def at(x: float, y: float, z: float, rotation=((1, 0, 0), (0, 1, 0), (0, 0, 1)))
 
 
 QUARTER = ((0, 0, 1), (0, 1, 0), (-1, 0, 0))
-"""About y: z goes to x, x to -z."""
+"""Quarter turn about y: z becomes x, x becomes -z."""
 
 
 def table() -> dict:
@@ -47,7 +47,7 @@ def write(root: Path, furniture: dict) -> Path:
     return folder
 
 
-def test_poses_are_chained_and_alternatives_shared_out(tmp_path):
+def test_poses_are_chained_and_each_alternative_is_used_once(tmp_path):
     raw = furniture_bench.read(write(tmp_path, {"table": table()}))
     assert [p.name for p in raw.parts] == ["top", "leg", "leg_2", "foot"]
     top, left, right, foot = (p.mesh.bounds for p in raw.parts)
@@ -95,7 +95,7 @@ def test_broken_poses(tmp_path, change, message):
     assert "\n" not in str(caught.value)
 
 
-def test_names_that_lead_out(tmp_path):
+def test_mesh_names_outside_the_folder_are_refused(tmp_path):
     write(tmp_path, {"../../etc": table()})
     with pytest.raises(FurnitureError, match="not inside"):
         furniture_bench.find(tmp_path)

@@ -1,4 +1,4 @@
-"""Every importer against broken and hostile sources: a result or one clear `FurnitureError`, soon, nothing written."""
+"""Fuzz test of every importer: a broken source gives a result or a `FurnitureError`, quickly, and writes nothing."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from roboassembly.furniture.model import MAX_PARTS, MIN_PARTS
 from roboassembly.importers import IMPORTERS
 
 SECONDS = 20.0
-"""Far more than any source here takes, even on a loaded machine; a hang takes longer."""
+"""Time limit that only a hang exceeds, even on a loaded machine [s]."""
 BOX = trimesh.creation.box((0.4, 0.3, 0.2))
 
 
@@ -88,7 +88,7 @@ TOKENS = [
     b"a" * 5000,
 ]  # fmt: skip
 KINDS = ["number", "json", "path", "flip", "cut", "number", "json", "path", "insert", "swap", "repeat", "gone", "noise"]
-"""Of damage; what leaves most of the source whole comes more often."""
+"""Kinds of damage; those that leave most of the source intact are more frequent."""
 PATHS = [
     b"../secret.obj",
     b"../../../../etc/passwd",
@@ -102,7 +102,7 @@ PATHS = [
 
 @st.composite
 def damaged(draw: st.DrawFn, kind: str) -> dict[str, bytes]:
-    """A source with one to three things wrong with it."""
+    """Draw a source with one to three kinds of damage."""
     files = dict(draw(st.sampled_from(SOURCES[kind])))
     for _ in range(draw(st.integers(1, 3))):
         name = draw(st.sampled_from(sorted(files)))
@@ -146,7 +146,7 @@ JSON = st.recursive(
 
 @st.composite
 def json_damage(draw: st.DrawFn, data: bytes, is_glb: bool) -> bytes:
-    """One value somewhere in the JSON replaced by another, or by a copy of another place's (loops)."""
+    """Replace one value in the JSON by another, or by a copy from elsewhere in it (loops)."""
     length = struct.unpack_from("<I", data, 12)[0] if is_glb and len(data) >= 20 else 0
     try:
         root = json.loads(data[20 : 20 + length] if is_glb else data)

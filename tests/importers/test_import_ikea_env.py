@@ -1,4 +1,4 @@
-"""IKEA Furniture Assembly Environment: poses from connection sites, and what is said about broken files."""
+"""IKEA Furniture Assembly Environment importer: poses from connection sites, and messages on broken files."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from roboassembly.importers.pipeline import finish
 
 
 def test_rotated_sites(tmp_path):
-    """By hand: plate from post is T(0, 0, 0.2) Rz(90) [T(0.1, 0, -0.01) Rx(180)]^-1: centre (0, -0.1, 0.19)."""
+    """Check by hand: plate from post is T(0, 0, 0.2) Rz(90) [T(0.1, 0, -0.01) Rx(180)]^-1: centre (0, -0.1, 0.19)."""
     raw = ikea_env.read(write_ikea_env(tmp_path, IKEA_POST, IKEA_PLATE))
     post, plate = (p.mesh.bounds for p in raw.parts)
     # The plate lies upside down, its long side along y; all is centred and set on the ground.
@@ -45,7 +45,7 @@ def test_mirrored_and_stretched_meshes(tmp_path):
     assert mesh.volume == pytest.approx(0.4 * 0.1 * 0.02, rel=1e-4)
 
 
-def test_the_way_most_bodies_are_drawn_is_up(tmp_path):
+def test_the_up_axis_is_that_of_most_bodies(tmp_path):
     sites = [("a-b,0,conn_site1", "0 0 0.2", "1 0 0 0"), ("a-c,0,conn_site1", "0 0 -0.2", "1 0 0 0")]
     post = ikea_body("post", sites)
     plate = ikea_body("plate", [("b-a,0,conn_site1", "0 0 0", "1 0 0 0")], pose='quat="0 1 0 0"')
@@ -60,7 +60,7 @@ def two_pairs(at: str) -> tuple[tuple[str, str], tuple[str, str]]:
     return ikea_body("post", post), ikea_body("plate", plate)
 
 
-def test_the_angle_is_the_one_that_closes(tmp_path):
+def test_the_angle_that_closes_all_pairs_is_chosen(tmp_path):
     raw = ikea_env.read(write_ikea_env(tmp_path, *two_pairs("0 -0.04 0")))
     assert np.allclose(np.ptp(raw.parts[1].mesh.bounds, axis=0), [0.2, 0.4, 0.02], atol=1e-6)
     assert [site.mate for site in raw.sites] == [1, 0, 3, 2]
@@ -79,7 +79,7 @@ def test_sites_stay_where_their_parts_are_and_survive_a_file(tmp_path):
 
 
 def test_sites_follow_a_part_that_repair_moves(tmp_path):
-    """The plate hangs 6 mm above the post until repair brings it there: then its sites do not meet any more."""
+    """Repair moves a plate 6 mm down to the post; its sites then no longer meet."""
     plate = ikea_body("plate", [("plate-post,90,conn_site1", "0.1 0 0.016", "0 1 0 0")])
     raw = ikea_env.read(write_ikea_env(tmp_path, IKEA_POST, plate))
     imported = finish("piece", raw)
@@ -126,7 +126,7 @@ def test_broken_sites(tmp_path, old, new, message):
     assert "\n" not in str(caught.value)
 
 
-def test_what_does_not_close_is_refused_with_the_figure(tmp_path):
+def test_open_pairs_are_refused_with_the_distance(tmp_path):
     ikea_env.read(write_ikea_env(tmp_path, *two_pairs("0.0409 0 0")))
     with pytest.raises(FurnitureError, match=r"'a-b,0,90,conn_site2'.* stay 2\.50 mm and 0° apart; 1 mm"):
         ikea_env.read(write_ikea_env(tmp_path, *two_pairs("0.0425 0 0")))
@@ -139,7 +139,7 @@ def test_tilted_pairs_do_not_close(tmp_path):
         ikea_env.read(write_ikea_env(tmp_path, ikea_body("post", post), ikea_body("plate", plate)))
 
 
-def test_sites_without_their_number_take_what_is_left(tmp_path):
+def test_sites_without_a_suffix_join_unmatched_sites(tmp_path):
     post = ikea_body("post", [("leg-top,,conn_site0", "0 0 0.2", "1 0 0 0")])
     plate = ikea_body(
         "plate", [("top-leg,,conn_site4", "0.15 0 0", "1 0 0 0"), ("top-leg,,conn_site5", "-0.15 0 0", "1 0 0 0")]
@@ -148,8 +148,8 @@ def test_sites_without_their_number_take_what_is_left(tmp_path):
     assert [(s.name[-5:], s.mate) for s in sites] == [("site0", 1), ("site4", 0), ("site5", None)]
 
 
-def test_a_search_that_leads_nowhere_ends(tmp_path):
-    """Twenty places on either part, and a third part that closes with none of them: given up, with the figure."""
+def test_the_search_gives_up_after_a_limit(tmp_path):
+    """The search gives up on twenty sites on each of two parts and a third part that fits none of them."""
     spots = [f"0.0{k // 10}{k % 10} 0.01 0" for k in range(20)]
     post = [(f"a-b,,conn_site{k}", spot, "1 0 0 0") for k, spot in enumerate(spots)]
     plate = [(f"b-a,,conn_site{k + 50}", spot, "1 0 0 0") for k, spot in enumerate(spots)]

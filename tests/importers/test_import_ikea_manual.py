@@ -1,4 +1,4 @@
-"""IKEA-Manuals-at-Work: reading pieces, and what is said about broken ones."""
+"""IKEA-Manuals-at-Work importer: reading of pieces, and messages on broken files."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ def test_broken_files(chair, text, message):
     assert "\n" not in str(caught.value)
 
 
-def test_bytes_that_are_no_text(chair):
+def test_non_text_bytes_are_refused(chair):
     (chair / "01.obj").write_bytes(b"\xff\xfe\x00\x80")
     with pytest.raises(FurnitureError, match="cannot be read as OBJ"):
         ikea_manual.read(chair)

@@ -1,4 +1,4 @@
-"""PartNet v0 folders: leaves of the hierarchy, their names and meshes, and what is said about broken ones."""
+"""PartNet v0 importer: leaves of the hierarchy, their names and meshes, and messages on broken files."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""An import done before is not done again, unless anything that matters has changed."""
+"""Cache of imports: an import is repeated only if one of its inputs has changed."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def source(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.fixture
 def finished(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """Names of the pieces that were really repaired."""
+    """Names of the pieces that were repaired and not taken from the cache."""
     done: list[str] = []
     finish = pipeline.finish
 
@@ -59,7 +59,7 @@ def entry(tmp_path: Path) -> Path:
     return only
 
 
-def test_the_second_time_is_a_copy(source: Path, tmp_path: Path, finished: list[str], capsys) -> None:
+def test_the_second_import_comes_from_the_cache(source: Path, tmp_path: Path, finished: list[str], capsys) -> None:
     first = run(capsys, source, "--out", tmp_path / "a")
     second = run(capsys, source, "--out", tmp_path / "b")
     assert finished == ["parts"]
@@ -90,7 +90,7 @@ def test_the_same_files_elsewhere_are_the_same(
 @pytest.mark.parametrize(
     "change", ["content", "new file", "name", "category", "scale", "up", "program", "library", "no cache"]
 )
-def test_anything_that_matters_makes_it_anew(
+def test_a_change_of_any_input_repeats_the_import(
     change: str, source: Path, tmp_path: Path, finished: list[str], capsys, monkeypatch
 ) -> None:
     run(capsys, source, "--out", tmp_path / "a")
@@ -159,7 +159,7 @@ def test_refusals_of_repair_are_remembered_word_for_word(
     assert not (tmp_path / "a").exists()
 
 
-def test_refusals_that_name_the_path_hold_for_it_alone(source: Path, tmp_path: Path, capsys) -> None:
+def test_refusals_that_name_the_path_hold_only_for_that_path(source: Path, tmp_path: Path, capsys) -> None:
     (source / "leg.stl").write_bytes(b"broken")
     first = run(capsys, source, "--out", tmp_path / "a")
     assert str(source) in first["error"]
@@ -172,7 +172,7 @@ def test_refusals_that_name_the_path_hold_for_it_alone(source: Path, tmp_path: P
     assert str(tmp_path / "b") in moved["error"]
 
 
-def test_files_that_change_meanwhile_are_not_kept(source: Path, tmp_path: Path, capsys, monkeypatch) -> None:
+def test_files_that_change_during_the_import_are_not_cached(source: Path, tmp_path: Path, capsys, monkeypatch) -> None:
     finish = pipeline.finish
 
     def slow(name, raw, **options):
@@ -185,7 +185,9 @@ def test_files_that_change_meanwhile_are_not_kept(source: Path, tmp_path: Path, 
 
 
 @pytest.mark.parametrize("damage", ["empty", "cut short", "a bit", "the end", "a folder"])
-def test_a_damaged_entry_is_made_anew(damage: str, source: Path, tmp_path: Path, finished: list[str], capsys) -> None:
+def test_a_damaged_entry_repeats_the_import(
+    damage: str, source: Path, tmp_path: Path, finished: list[str], capsys
+) -> None:
     run(capsys, source, "--out", tmp_path / "a")
     path = entry(tmp_path)
     data = path.read_bytes()
@@ -202,7 +204,9 @@ def test_a_damaged_entry_is_made_anew(damage: str, source: Path, tmp_path: Path,
         assert run(capsys, source, "--out", tmp_path / "b")["cached"]
 
 
-def test_an_entry_of_another_form_is_made_anew(source: Path, tmp_path: Path, finished: list[str], capsys) -> None:
+def test_an_entry_of_another_format_repeats_the_import(
+    source: Path, tmp_path: Path, finished: list[str], capsys
+) -> None:
     run(capsys, source, "--out", tmp_path / "a")
     entry(tmp_path).write_bytes(kept.checksum(b"\x01") + b"\x01")
     assert run(capsys, source, "--out", tmp_path / "b")["error"] is None
@@ -241,7 +245,7 @@ def test_an_output_folder_of_something_else_stays_as_it_is(source: Path, tmp_pat
 
 
 def test_many_at_once(source: Path, tmp_path: Path, capsys, monkeypatch) -> None:
-    """Some keep, some look up, some throw out: each gets the whole or nothing."""
+    """Concurrent writers, readers and evictions each see a whole entry or none."""
     run(capsys, source, "--out", tmp_path / "a")
     path = entry(tmp_path)
     files = storage.read_files(tmp_path / "a")
@@ -260,7 +264,7 @@ def test_many_at_once(source: Path, tmp_path: Path, capsys, monkeypatch) -> None
     assert not list(path.parent.glob(".new-*"))
 
 
-def test_what_was_not_used_for_longest_makes_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_least_recently_used_entries_are_evicted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(kept, "MAX_BYTES", 250)
     now = time.time()
     for age, name in enumerate(["new.import", "older.import", "oldest.import", ".new-half", ".new-abandoned"]):
@@ -271,7 +275,7 @@ def test_what_was_not_used_for_longest_makes_room(tmp_path: Path, monkeypatch: p
     assert sorted(p.name for p in tmp_path.iterdir()) == [".new-half", "new.import", "older.import"]
 
 
-def test_a_source_too_large_to_read_is_not_looked_up(source: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_large_source_is_not_hashed(source: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (source / "loop").symlink_to(source)
     (source / "knot").symlink_to(source)
     started = time.perf_counter()
@@ -288,7 +292,7 @@ def test_a_source_too_large_to_read_is_not_looked_up(source: Path, monkeypatch: 
         assert kept.place_of(source, source) is None
 
 
-def test_pipes_and_broken_links_are_not_waited_for(source: Path) -> None:
+def test_pipes_and_broken_links_do_not_block(source: Path) -> None:
     before = kept.place_of(source, source)
     os.mkfifo(source / "pipe.stl")
     (source / "gone.stl").symlink_to(source / "nowhere")

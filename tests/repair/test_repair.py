@@ -52,7 +52,7 @@ def distance(a, b):
 
 
 def leaves(part, others, direction, length=0.6):
-    """Whether a part can be drawn out along a direction, in steps of 2 mm."""
+    """Return whether a part can move out along a direction, in steps of 2 mm."""
     steps = np.arange(0.0, length, 0.002)[:, None] * np.asarray(direction, dtype=float)
     return not any(collide(part, other, step) for other in others for step in steps)
 
@@ -135,7 +135,7 @@ def turns_of(part: RawPart) -> int:
 
 
 def drilled_board(name: str, centre: Sequence[float]) -> RawPart:
-    """600 x 300 x 20 mm with a hole near each corner: four turns lay it onto itself."""
+    """Return a board of 600 x 300 x 20 mm with a hole near each corner: it has four rotational symmetries."""
     holes = [shapes.block((x - 0.02, y - 0.02, -0.1), (x + 0.02, y + 0.02, 0.1))
              for x in (-0.25, 0.25) for y in (-0.1, 0.1)]  # fmt: skip
     solid = shapes.block((-0.3, -0.15, -0.01), (0.3, 0.15, 0.01))
@@ -157,7 +157,7 @@ def test_board_against_a_rail_is_trimmed_at_both_ends():
     assert "cut alike all round" in result.report[0].notes
 
 
-def test_like_boards_trimmed_at_different_ends_stay_alike_and_symmetric():
+def test_congruent_boards_trimmed_at_different_ends_stay_congruent_and_symmetric():
     boards = [drilled_board("left", (0.3, 0, 0.2)), drilled_board("right", (-0.32, 0, 0.2))]
     rail = box("rail", (0.02, 0.3, 0.02), (-0.01, 0, 0.2))
     result = repair([*boards, rail], gap=GAP)
@@ -183,7 +183,7 @@ def test_groups_of_turns_are_exact(name: str, sizes: list[int]):
         assert np.allclose(group[0], np.eye(3), atol=1e-9)
 
 
-def test_of_many_turns_some_that_are_evenly_spread_are_taken():
+def test_large_cyclic_groups_are_reduced_to_evenly_spaced_rotations():
     fine = Rotation.from_rotvec(2 * np.pi * np.arange(64)[:, None] / 64 * np.array([0.0, 0.0, 1.0])).as_matrix()
     first, last = groups(fine)
     assert len(first) == MAX_TURNS

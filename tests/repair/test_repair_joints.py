@@ -1,4 +1,4 @@
-"""Repair keeps joints: tenons, dowels, housings and wedges come out as deep as they went in."""
+"""Repair preserves joints: tenons, dowels, housings and wedges keep their depth."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from roboassembly.repair import RepairLimits, repair
 from shapes import block, of_solid
 
 SIDE = 0.0015
-"""Metres that a joint's tongue is pushed sideways to see whether the socket still holds it."""
+"""Sideways shift of a tongue that tests whether the socket still holds it [m]."""
 
 
 @dataclass(frozen=True)
 class Joint:
-    """A tongue in a socket, with what is known of it."""
+    """Tongue in a socket, with its known figures."""
 
     parts: tuple[RawPart, ...]
     tongue: int
@@ -31,7 +31,7 @@ class Joint:
     out: Sequence[float]
     """Direction in which the tongue leaves."""
     depth: float
-    """Metres that the tongue sits in the socket."""
+    """Depth of the tongue in the socket [m]."""
     across: Sequence[Sequence[float]]
     """Directions in which the socket holds the tongue."""
 
@@ -112,7 +112,7 @@ def hits(part: RawPart, other: RawPart, shift: np.ndarray) -> bool:
 
 
 def held(made: Joint, parts: Sequence[RawPart], drawn: float) -> bool:
-    """Whether the socket holds the tongue on all sides when it is drawn out by so many metres."""
+    """Return whether the socket holds the tongue on all sides after it moves out by a distance [m]."""
     tongue, socket = parts[made.tongue], parts[made.socket]
     at = drawn * np.array(made.out, dtype=float)
     sides = [sign * SIDE * np.array(way, dtype=float) for way in made.across for sign in (1, -1)]
@@ -158,7 +158,7 @@ def test_a_leg_deep_in_a_solid_seat_gets_a_socket():
 
 
 def stacked(overlap: float) -> list[RawPart]:
-    """Two blocks of one footprint, one above the other: one of them has to become shorter."""
+    """Return two overlapping blocks with the same footprint: one of them must become shorter."""
     low, high = block((0, 0, 0), (0.1, 0.1, 0.3)), block((0, 0, 0.3 - overlap), (0.1, 0.1, 0.5))
     return [RawPart("low", of_solid(low)), RawPart("high", of_solid(high))]
 

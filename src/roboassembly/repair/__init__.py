@@ -1,14 +1,17 @@
-"""Repair: from triangle soup that overlaps to solid parts with a small real gap at every mating face.
+"""Repair: turns overlapping triangle soup into solid parts with a small real gap at every mating face.
 
-Each part is cleaned and made a solid by the gentlest means that works (as delivered, holes filled, convex hull,
-wrapped) and simplified. Then, of any two parts that overlap or touch, one is trimmed by the other grown by the gap:
-the one for which the other can still be pulled away in the most directions, at the least loss of volume. A cut that
-would take more than a few millimetres off a part's size, a tenon out of its socket, or the walls of a socket, is made
-only where nothing else does, and refused above the limit `shortening`. Where one part would lose too much to all its
-neighbours together, all is trimmed anew with that part weighing more, and overlaps may be shared. Parts that hang in
-the air are moved to the rest, joints out of which nothing could go in a direction that a planner would try are cut
-open, and parts that are delivered alike get each other's cuts, so that they stay alike. What cannot be done within
-`RepairLimits` is refused.
+1. Each part is cleaned, made solid by the gentlest method that works (as delivered, holes filled, convex hull,
+   wrapped) and simplified.
+2. If two parts overlap or touch, one is trimmed by the other grown by the gap: the one that loses the least volume and
+   lets the other be pulled away in the most directions. A cut that reduces a part's size by more than a few
+   millimetres, or takes a tenon out of its socket or the walls off a socket, is the last choice, and is refused above
+   the limit `shortening`. If all neighbours together would take too much of one part, trimming restarts with a higher
+   weight for that part, and overlaps may be shared.
+3. Parts without contact are moved to the rest.
+4. Joints that no part can leave in a direction that a planner tries are cut open.
+5. Parts that are delivered alike get each other's cuts, so that they stay alike.
+
+Repair refuses furniture that needs more than `RepairLimits` allows.
 """
 
 from __future__ import annotations
@@ -33,46 +36,46 @@ from roboassembly.repair.surface import clean, to_surface
 __all__ = ["GAP", "PartRepair", "RepairLimits", "RepairResult", "repair"]
 
 GAP = 0.0002
-"""Metres between mating faces."""
+"""Distance between mating faces [m]."""
 REPORT_THRESHOLD = 0.001
-"""Metres of changed size, or of lost depth, above which a part is reported by name."""
+"""Change of size, or loss of depth, above which a part is reported by name [m]."""
 _TIDY_SHARE = 0.2
-"""Share of the gap by which surfaces may be moved to have fewer triangles."""
+"""Distance that surfaces may move to have fewer triangles, as a share of the gap."""
 _SOLID_FACE_SHARE = 0.8
-"""Share of the triangles allowed that a part has before it is trimmed: cuts add some."""
+"""Share of the allowed triangles that a part has before trimming; cuts add triangles."""
 
 
 @dataclass(frozen=True)
 class PartRepair:
-    """What repair did to one part."""
+    """Changes that repair made to one part."""
 
     name: str
     shift: tuple[float, float, float]
-    """Metres that the part was moved, in the furniture's frame."""
+    """Translation of the part in the furniture's frame [m]."""
     trimmed: float
-    """Share of its volume that was trimmed."""
+    """Trimmed share of the part's volume."""
     how: str
-    """How it was made solid: `as delivered`, `holes filled`, `convex hull`, `sheet thickened`, `wrapped`."""
+    """Method that made the part solid: `as delivered`, `holes filled`, `convex hull`, `sheet thickened`, `wrapped`."""
     shape_error: float
-    """Metres that the delivered surface sticks out of the solid made of it (99th percentile), before trimming."""
+    """Distance that the delivered surface sticks out of the untrimmed solid, 99th percentile [m]."""
     shape_added: float
-    """Metres that the solid's skin lies off the delivered surface (99th percentile): caps over open ends."""
+    """Distance of the solid's skin from the delivered surface, as at caps over open ends, 99th percentile [m]."""
     size_change: float = 0.0
-    """Metres by which the part's size differs from the delivered one, along the axis of its smallest box that differs
-    most; negative where the part became smaller."""
+    """Change from the delivered size, along the axis of the smallest box with the largest change; negative if the part
+    became smaller [m]."""
     depth_losses: tuple[tuple[str, float], ...] = ()
-    """Neighbours in which the part sits less deep than before trimming, by name, and metres less; only those above
-    `WORTH_REPORTING`."""
+    """Neighbours in which the part sits less deep than before trimming, with the loss [m] if above
+    `REPORT_THRESHOLD`."""
     notes: tuple[str, ...] = ()
-    """All else that was changed, one line each."""
+    """All other changes, one line each."""
 
     @property
     def displacement(self) -> float:
-        """Metres that the part was moved."""
+        """Distance that the part was moved [m]."""
         return float(np.linalg.norm(self.shift))
 
     def __str__(self) -> str:
-        """One line, for provenance notes."""
+        """Return one line for the provenance notes."""
         text = (
             f"{self.name}: {self.how}, shape error {self.shape_error * 1e3:.2f} mm, "
             f"trimmed {self.trimmed:.2%}, moved {self.displacement * 1e3:.2f} mm"
@@ -83,7 +86,7 @@ class PartRepair:
 
     @property
     def changes(self) -> tuple[str, ...]:
-        """Changes of size, and losses of depth, above `WORTH_REPORTING`: one line each."""
+        """Changes of size and losses of depth above `REPORT_THRESHOLD`, one line each."""
         lines = []
         if abs(self.size_change) > REPORT_THRESHOLD:
             how = "smaller" if self.size_change < 0.0 else "larger"
@@ -94,7 +97,7 @@ class PartRepair:
 
 @dataclass(frozen=True)
 class RepairResult:
-    """Repaired parts, in the order and with the names given, and what was done to each."""
+    """Repaired parts, in the order and with the names given, and a report on each."""
 
     parts: tuple[RawPart, ...]
     report: tuple[PartRepair, ...]
@@ -107,13 +110,13 @@ def repair(parts: Sequence[RawPart], *, gap: float = GAP, limits: RepairLimits |
     every part is within 5 mm of another, all of them connected. The same input gives the same output.
 
     Args:
-        parts: in the furniture's frame, at real size.
-        gap: metres left at mating faces.
-        limits: where to refuse.
+        parts: parts in the furniture's frame, at real size.
+        gap: distance left at mating faces [m].
+        limits: limits above which repair refuses; the defaults if None.
 
     Raises:
-        FurnitureError: fewer than 2 or more than 20 parts, two of one name, a limit exceeded, or parts that hold each
-            other fast; the message names the part, the figure and the limit.
+        FurnitureError: there are not 2 to 20 parts, two have the same name, a limit is exceeded, or parts lock each
+            other in place; the message names the part, the figure and the limit.
     """
     limits = limits or RepairLimits()
     check_part_count(len(parts), "repair")
@@ -175,7 +178,7 @@ def repair(parts: Sequence[RawPart], *, gap: float = GAP, limits: RepairLimits |
 
 
 def _size_change(delivered: Mesh, points: Float[np.ndarray, "n 3"]) -> float:
-    """Metres by which the points' size differs from the mesh's, along the axis that differs most."""
+    """Return the change of size from the mesh to the points, along the axis that changes most [m]."""
     before = clean(delivered.vertices, delivered.faces)[0].vertices
     axes = box_axes(before)
     change = extents(points, axes) - extents(before, axes)

@@ -1,4 +1,4 @@
-"""Parts that are delivered alike are made solid alike, and stay alike when they are trimmed."""
+"""Congruent parts: they are made solid alike, and stay alike when they are trimmed."""
 
 from __future__ import annotations
 
@@ -20,48 +20,50 @@ from roboassembly.repair.trim import without_slivers
 from roboassembly.repair.turns import MAX_TURNS, SAME_TURN, groups
 
 SAME_SHAPE = 1e-3
-"""Metres: parts whose corners agree to this are delivered alike; whoever drew them meant one part."""
+"""Distance between corresponding corners below which parts count as congruent [m]."""
 MAX_EXTRA = 0.03
-"""Share of its volume that a part may lose, beyond what the most trimmed of its like lost, to stay like it."""
+"""Share of its volume that a part may lose to stay congruent, beyond the loss of the most trimmed member."""
 MAX_DEPTH = 0.002
-"""Metres: deeper cuts are pockets and shortened ends, and are not made where no other part asks for them."""
+"""Largest depth of cuts made for symmetry only; deeper cuts are pockets and shortened ends [m]."""
 MAX_GROUPS = 4
-"""Groups of turns that are tried: as many as a board has."""
+"""Number of rotation groups that are tried: as many as a board has."""
 MAX_TURNED = 12_000
-"""Triangles of a part, times its turns: intersecting more of them takes minutes."""
+"""Largest number of triangles times rotations; an intersection of more takes minutes."""
 MAX_SHORTER = 0.001
-"""Metres of a part's size, or of a joint's depth, that cuts in other turns, or those of parts like it, may take."""
+"""Largest loss of a part's size, or of a joint's depth, to cuts that only keep parts congruent [m]."""
 MIN_TURN_GAIN = 0.001
-"""Share of a part's volume that another turn must save."""
+"""Share of a part's volume that another rotation must save to be chosen."""
 MAX_FEATURED_FACES = 60_000
-"""Parts of more triangles are not compared."""
+"""Largest number of triangles of parts that are compared."""
 
 
 @dataclass(frozen=True, eq=False)
 class Likeness:
-    """A part that is a moved copy of another, or of itself."""
+    """Congruence of a part with an earlier part, its master, or with itself."""
 
     master: int
+    """Index of the master."""
     turns: Float[np.ndarray, "n 3 3"]
-    """Every rotation that lays the master, about its centre, onto this part."""
+    """Rotations about the centre that map the master onto this part."""
     master_centre: Float[np.ndarray, "3"]
+    """Centre of the master [m]."""
     centre: Float[np.ndarray, "3"]
-    """Metres; the same point of this part."""
+    """Corresponding point of this part [m]."""
 
     def placed(self, body: m3.Manifold, turn: int = 0) -> m3.Manifold:
-        """The master's solid where this part is."""
+        """Return the master's solid moved to this part's pose."""
         rotation = self.turns[turn]
         shift = self.centre - rotation @ self.master_centre
         return body.transform(np.column_stack([rotation, shift]))
 
     def placed_back(self, body: m3.Manifold, turn: int = 0) -> m3.Manifold:
-        """This part's solid where the master is."""
+        """Return this part's solid moved to the master's pose."""
         rotation = self.turns[turn].T
         return body.transform(np.column_stack([rotation, self.master_centre - rotation @ self.centre]))
 
 
 def likenesses(parts: Sequence[RawPart]) -> list[Likeness]:
-    """For each part the first that it is congruent to, as delivered; mirror images are not."""
+    """Return, for each part, its congruence with the first such part; mirror images are not congruent."""
     centred: list[Mesh] = []
     out: list[Likeness] = []
     for index, part in enumerate(parts):
@@ -84,22 +86,23 @@ def likenesses(parts: Sequence[RawPart]) -> list[Likeness]:
 
 
 def _middle(mesh: Mesh) -> Float[np.ndarray, "3"]:
-    """Centroid of the triangles: it needs no inside, and repeated triangles are few."""
+    """Return the area-weighted centroid of the triangles; the mesh need not be closed."""
     a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
     weight = np.linalg.norm(np.cross(b - a, c - a), axis=1)
     return (weight[:, None] * (a + b + c)).sum(axis=0) / (3.0 * weight.sum())
 
 
 def _comparable(first: Mesh, second: Mesh) -> bool:
+    """Return whether two meshes are not flat, and their face counts are similar and not too large."""
     flat = min(np.linalg.svd(mesh.vertices, compute_uv=False)[2] for mesh in (first, second)) < 1e-4
     return not flat and abs(len(first.faces) - len(second.faces)) <= 0.2 * len(first.faces) <= 0.2 * MAX_FEATURED_FACES
 
 
 def keep_alike(pieces: list[Piece], alike: Sequence[Likeness], limits: RepairLimits, tidy: float) -> None:
-    """Give members of a class the cuts of every member, and each part its cuts in every way that it could be turned.
+    """Give congruent parts each other's cuts, and each part its own cuts in all its symmetric positions.
 
-    In place, where that costs little and parts no contact. Cutting more makes no overlap and holds nothing fast. Faces
-    off one plane by less than `tidy` metres are made one.
+    The pieces change in place, if that costs little and breaks no contact. More cuts cause no overlap and lock no part
+    in place. Faces that lie within `tidy` metres of one plane are merged.
     """
     for master in range(len(pieces)):
         members = [p for p, like in enumerate(alike) if like.master == master]
@@ -112,7 +115,7 @@ def keep_alike(pieces: list[Piece], alike: Sequence[Likeness], limits: RepairLim
 
 
 def _still_alike(bodies: Sequence[m3.Manifold], turns: Float[np.ndarray, "n 3 3"]) -> bool:
-    """Whether the first body can be laid onto each of the others, and onto itself in all these ways."""
+    """Return whether the first body is congruent to all others, and has as many symmetries as there are rotations."""
     centred = []
     for body in bodies:
         skin = to_surface(body)
@@ -131,7 +134,7 @@ def _share_cuts(
     limits: RepairLimits,
     tidy: float,
 ) -> bool:
-    """Whether all members have, now, one shape that looks the same however it is turned by one of the rotations."""
+    """Give all members one shape with the symmetry of the rotations; return whether they have it now."""
     master = members[0]
     moved = [pieces[p].moved for p in members]
     unmoved = [pieces[p].body.translate(tuple((-m).tolist())) for p, m in zip(members, moved, strict=True)]
@@ -154,7 +157,7 @@ def _share_cuts(
         }
         tries = {index: common ^ turned[index] for index in indices}
         best = max(indices, key=lambda index: tries[index].volume())
-        # The copies were placed by the first turn, so that it fits exactly; the others do within the tolerance.
+        # The first rotation placed the copies and fits exactly; the others fit within the tolerance.
         if tries[best].volume() < tries[0].volume() + MIN_TURN_GAIN * pieces[master].whole:
             best = 0
         common = _tidied(tries[best], tidy)
@@ -193,11 +196,11 @@ def _share_cuts(
 
 
 def _harmed(pieces: list[Piece], fresh: dict[int, m3.Manifold]) -> bool:
-    """Whether new solids of some parts take more of a size, or of a joint's depth, than `MAX_SHORTER`.
+    """Return whether new solids of some parts reduce a size, or a joint's depth, by more than `MAX_SHORTER`.
 
     Args:
-        pieces: all parts, as they are.
-        fresh: what some of them would become, by index.
+        pieces: all parts, with their present solids.
+        fresh: new solids of some of them, by index.
     """
     now = {piece.name: piece.body for piece in pieces}
     then = {**now, **{pieces[p].name: body for p, body in fresh.items()}}
@@ -214,7 +217,7 @@ def _harmed(pieces: list[Piece], fresh: dict[int, m3.Manifold]) -> bool:
 
 
 def _distinct_turns(like: Likeness, turns: Float[np.ndarray, "n 3 3"]) -> list[int]:
-    """Turns of a part that differ by more than one of the rotations that its master is laid onto itself by."""
+    """Return indices of a part's rotations that are distinct up to the master's symmetries `turns`."""
     out: list[int] = []
     for index, turn in enumerate(like.turns[:MAX_TURNS]):
         between = [like.turns[other].T @ turn for other in out]
@@ -224,9 +227,10 @@ def _distinct_turns(like: Likeness, turns: Float[np.ndarray, "n 3 3"]) -> list[i
 
 
 def _depth(before: Shell, after: Shell) -> float:
-    """Metres that the deepest cut goes below the old surface.
+    """Return the depth of the deepest cut below the old surface [m].
 
-    At corners, and in the middle of edges and triangles: a hole right through has all its corners on the old surface.
+    The depth is measured at corners and at the centres of edges and triangles, because a through hole has all its
+    corners on the old surface.
     """
     corners = after.surface.corners
     middles = 0.5 * (corners + np.roll(corners, 1, axis=1))
@@ -237,7 +241,7 @@ def _depth(before: Shell, after: Shell) -> float:
 def _common_in_all_turns(
     body: m3.Manifold, master: Likeness, turns: Float[np.ndarray, "n 3 3"], tidy: float
 ) -> m3.Manifold:
-    """What the master's solid has in common with itself turned about its centre in all these ways."""
+    """Return the intersection of the master's solid with its copies rotated about its centre."""
     if len(turns) == 1:
         return body
     about = [np.column_stack([turn, master.centre - turn @ master.centre]) for turn in turns[1:]]
@@ -246,9 +250,9 @@ def _common_in_all_turns(
 
 
 def _tidied(body: m3.Manifold, tidy: float) -> m3.Manifold:
-    """The same solid with what is flat made of few triangles.
+    """Return the same solid with fewer triangles on flat faces.
 
-    Faces that were meant to lie in each other cross again and again, being off by rounding. They are only joined once
-    it is forgotten that they come from different solids.
+    Faces that should coincide intersect many times because of rounding. `as_original` drops the record of the solids
+    that they come from; only then does `simplify` merge them.
     """
     return body.as_original().simplify(tidy)

@@ -1,9 +1,9 @@
-"""Can the parts be taken apart? Directional blocking among neighbours, on the meshes alone.
+"""Directional blocking graphs among neighbouring parts, from the meshes alone: can the parts be disassembled?
 
-Wilson and Latombe 1994, "Geometric Reasoning about Mechanical Assembly": for a direction there is an arc from one part
-to another that it would hit when moved a little; a set of parts may leave when no arc leads out of it. What may
-leave the whole may, as far as it is there, leave any part of the whole too, so that it does not matter which leaves
-first: what is left in one piece at the end is captive.
+For each direction, an arc leads from a part to every part that it hits when it moves a little. A set of parts can leave
+if no arc leads out of it (Wilson and Latombe 1994, "Geometric Reasoning about Mechanical Assembly"). A set that can
+leave the whole can also leave any subset, so the order of removal does not matter: the parts that remain together at
+the end are captive.
 """
 
 from __future__ import annotations
@@ -22,35 +22,36 @@ from roboassembly.repair.surface import Surface
 Parts = frozenset[int]
 ContactDirections = tuple[tuple[Float[np.ndarray, "3"], bool], ...]
 STEPS = (0.0015, 0.004, 0.01)
-"""Metres that a part is moved to see what it hits: beyond any clearance, and within any depth of a joint."""
+"""Distances that a part is moved to find what it hits: above any clearance, below any depth of a joint [m]."""
 _SAME = 0.99
-"""Cosine above which two directions are one."""
+"""Cosine of the angle above which two directions count as one."""
 _EQUAL = 0.9998
-"""Cosine above which a direction also belongs to whom the other one belongs: what a joint with play forgives."""
+"""Cosine of the angle above which two directions also share their owners: the tolerance of a loose joint."""
 _MAX_DIRECTIONS = 60
 FACING = -0.7
-"""Cosine of two triangles' normals: they face each other when they are within 45° of opposite."""
+"""Cosine of the angle between normals below which two triangles face each other: within 45° of opposite."""
 FACING_MARGIN = 0.0005
-"""Metres beyond the nearest distance within which two parts are looked at to see which way they face."""
+"""Distance beyond the nearest one within which triangles count for the contact normal [m]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Blocking:
-    """Which part holds which."""
+    """Blocking graph of an assembly for several directions."""
 
     directions: Float[np.ndarray, "d 3"]
+    """Unit vectors."""
     arcs: tuple[dict[int, set[int]], ...]
-    """For each direction: part to the parts that it would hit."""
+    """Parts that each part hits, by part, for each direction."""
     near: frozenset[Parts]
-    """Pairs of parts nearer than the contact distance."""
+    """Pairs of parts closer than the contact distance."""
     owners: tuple[tuple[Parts, ...] | None, ...]
-    """For each direction the contact, or the part whose long axis it is; None: an axis of the furniture."""
+    """Contacts, or parts whose long axis it is, for each direction; None for an axis of the furniture."""
 
     def is_natural(self, index: int, moving: Parts, still: Parts) -> bool:
-        """Whether a planner would think of this direction to take the one from the other.
+        """Return whether a planner would try this direction to move one set of parts away from the other.
 
-        It would for the furniture's axes, for the normals of the contacts between the two, and for the long axes of
-        the parts that meet there.
+        A planner tries the furniture's axes, the normals of contacts between the two sets, and the long axes of the
+        parts in contact.
         """
         owners = self.owners[index]
         if owners is None:
@@ -59,7 +60,7 @@ class Blocking:
         return any(owner <= pair for owner in owners for pair in across)
 
     def captives(self, among: Parts) -> list[Parts]:
-        """Sets of parts, of two or more, that nothing can leave along any of the directions."""
+        """Return the sets of two or more parts that no subset can leave along any of the directions."""
         if len(among) < 2:
             return []
         for arcs in self.arcs:
@@ -75,20 +76,20 @@ Direction = tuple[float, ...]
 
 @dataclass(eq=False)
 class BlockingCache:
-    """Answers about pairs of shells, kept from one opening to the next: most shells stay as they are."""
+    """Cache of results for pairs of shells, shared by successive openings, which change few shells."""
 
     contacts: dict[tuple[Shell, Shell], tuple[float, ContactDirections]] = field(default_factory=dict)
     blocked: dict[tuple[Shell, Shell, Direction], bool] = field(default_factory=dict)
     exits: dict[tuple[Shell, Shell, Direction], bool] = field(default_factory=dict)
 
     def contact(self, shell: Shell, other: Shell) -> tuple[float, ContactDirections]:
-        """Metres between two shells, and directions across; whether each stands for the contact as a whole."""
+        """Return the distance of two shells [m] and contact normals, each with whether it holds throughout."""
         if (shell, other) not in self.contacts:
             self.contacts[shell, other] = _contact(shell, other)
         return self.contacts[shell, other]
 
     def blocks(self, shell: Shell, other: Shell, direction: Float[np.ndarray, "3"]) -> bool:
-        """Whether `one`, moved a little along the direction, hits `two`."""
+        """Return whether `shell` hits `other` when it moves a little along the direction."""
         key = (shell, other, tuple(direction.tolist()))
         if key not in self.blocked:
             self.blocked[key] = any(shell.touches(other, step * direction) for step in STEPS)
@@ -96,7 +97,7 @@ class BlockingCache:
 
 
 def closure(part: int, arcs: dict[int, set[int]], among: Parts) -> Parts:
-    """The part and all that would have to move with it."""
+    """Return the part and all parts that must move with it."""
     closed, stack = {part}, [part]
     while stack:
         more = arcs[stack.pop()] & among - closed
@@ -106,11 +107,11 @@ def closure(part: int, arcs: dict[int, set[int]], among: Parts) -> Parts:
 
 
 def blocking(shells: Sequence[Shell], cache: BlockingCache | None = None) -> Blocking:
-    """Arcs among all parts nearer than the contact distance, along axes, long sides and contact normals.
+    """Return the blocking graph of all parts in contact, along the axes, the parts' main axes and contact normals.
 
     Args:
-        shells: the parts, assembled.
-        memory: of earlier calls, to be added to.
+        shells: assembled parts.
+        cache: results of earlier calls; new results are added.
     """
     cache = cache or BlockingCache()
     near: list[tuple[int, int]] = []
@@ -148,7 +149,7 @@ def blocking(shells: Sequence[Shell], cache: BlockingCache | None = None) -> Blo
         for index, direction in enumerate(directions):
             if blocked[index]:
                 arcs[index][a].add(b)
-            # b along a direction is a along the opposite one, seen from the other side.
+            # A move of b along a direction is a move of a along the opposite direction.
             opposite = int(np.argmin(directions @ direction))
             if float(directions[opposite] @ direction) < -_EQUAL:
                 hits = blocked[opposite]
@@ -168,9 +169,9 @@ def _contact(shell: Shell, other: Shell) -> tuple[float, ContactDirections]:
 
 
 def _facing(shell: Shell, other: Shell, distance: float) -> Float[np.ndarray, "3"] | None:
-    """Mean unit normal of where two shells face each other; None if it cancels out, as all around a dowel.
+    """Return the mean unit normal of the triangles that face each other; None if they cancel out, as around a dowel.
 
-    Between rough surfaces the nearest two points say little about which way the joint looks.
+    The nearest two points of rough surfaces are a poor estimate of the joint's normal.
     """
     pairs = shell.pairs_near(other, distance + FACING_MARGIN)
     normals, areas = [], []
@@ -187,7 +188,7 @@ def _facing(shell: Shell, other: Shell, distance: float) -> Float[np.ndarray, "3
 
 
 def main_axes(surface: Surface) -> list[Float[np.ndarray, "3"]]:
-    """Unit vectors along the solid's main axes of inertia, the longest side first."""
+    """Return unit vectors along the solid's principal axes of inertia, the longest side first."""
     a, b, c = np.swapaxes(surface.corners - surface.vertices.mean(axis=0), 0, 1)
     weight = np.einsum("ij,ij->i", a, np.cross(b, c))
     total = a + b + c
@@ -198,18 +199,18 @@ def main_axes(surface: Surface) -> list[Float[np.ndarray, "3"]]:
 
 
 STRIDE = 0.004
-"""Metres between the places along a straight way out that are tested."""
+"""Distance between tested positions along a straight exit path [m]."""
 
 
 class Exits:
-    """Ways straight out, along the directions of a blocking graph; remembers what it has tested."""
+    """Straight exit paths along the directions of a blocking graph, with cached tests."""
 
     def __init__(self, shells: Sequence[Shell], graph: Blocking, cache: BlockingCache | None = None) -> None:
         self._shells, self._graph = shells, graph
         self._cache = cache or BlockingCache()
 
     def captives(self, among: Parts) -> list[Parts]:
-        """Sets of parts, of two or more, out of which nothing can go straight all the way in a natural direction."""
+        """Return the sets of two or more parts that no subset can leave straight in a natural direction."""
         if len(among) < 2:
             return []
         for index, arcs in enumerate(self._graph.arcs):
@@ -222,11 +223,11 @@ class Exits:
         return [among]
 
     def free(self, moving: Parts, still: Parts, index: int) -> bool:
-        """Whether `moving` can go straight out of `still` along the direction of that index."""
+        """Return whether `moving` can leave `still` straight along the direction of that index."""
         return not any(self.hits(a, b, index) for a in sorted(moving) for b in sorted(still))
 
     def hits(self, a: int, b: int, index: int) -> bool:
-        """Whether part `a` hits part `b` on its straight way out along the direction of that index."""
+        """Return whether part `a` hits part `b` on its straight path along the direction of that index."""
         if b in self._graph.arcs[index][a]:
             return True
         shell, other, direction = self._shells[a], self._shells[b], self._graph.directions[index]
@@ -239,7 +240,10 @@ class Exits:
 
 
 def overlap_span(shell: Shell, other: Shell, direction: Float[np.ndarray, "3"]) -> tuple[float, float]:
-    """From where to where, in metres along `way`, the box of the moved `one` overlaps that of `two`; (0, 0): never."""
+    """Return the interval along the direction in which the box of the moved shell overlaps the other's [m].
+
+    The interval is (0, 0) if they never overlap.
+    """
     start, stop = 0.0, float("inf")
     for axis in range(3):
         before, after = other.low[axis] - shell.high[axis], other.high[axis] - shell.low[axis]

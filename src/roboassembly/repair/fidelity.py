@@ -1,4 +1,4 @@
-"""How far a solid is from the surface that it was made of, both ways."""
+"""Distances between a solid and the surface that it was made from, in both directions."""
 
 from __future__ import annotations
 
@@ -9,14 +9,15 @@ from roboassembly.repair.proximity import Shell
 from roboassembly.repair.surface import Surface, sample, to_surface
 
 SPACING = 0.016
+"""Distance between sample points [m]."""
 MAX_POINTS = 3_000
 QUANTILE = 0.99
 _NEAR = 5e-4
-"""Metres: nearer points are on the surface, inside or outside."""
+"""Distance below which a point counts as on the surface [m]."""
 
 
 def lost(surface: Surface, body: m3.Manifold) -> float:
-    """How far the delivered surface sticks out of the solid, in metres: 99th percentile of evenly spread points."""
+    """Return how far the delivered surface sticks out of the solid: 99th percentile of evenly sampled points [m]."""
     points = _sample_evenly(surface)
     shell = Shell(to_surface(body))
     distance = np.array([shell.distance_to(point) for point in points])
@@ -36,9 +37,9 @@ def lost(surface: Surface, body: m3.Manifold) -> float:
 
 
 def added(surface: Surface, body: m3.Manifold) -> float:
-    """How far the solid's skin lies from the delivered surface, in metres: 99th percentile, as above.
+    """Return how far the solid's skin lies from the delivered surface: 99th percentile of evenly sampled points [m].
 
-    The cap over an open end counts, so that a filled tube has half its width.
+    Caps over open ends count: a filled tube gives half its width.
     """
     shell = Shell(surface)
     return float(np.quantile([shell.distance_to(point) for point in _sample_evenly(to_surface(body))], QUANTILE))

@@ -1,4 +1,4 @@
-"""What repair may do to a part before it refuses."""
+"""Limits on the changes that repair makes to a part."""
 
 from __future__ import annotations
 
@@ -7,19 +7,19 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class RepairLimits:
-    """Where repair stops and refuses."""
+    """Limits above which repair refuses."""
 
     trimmed: float = 0.2
-    """Share of a part's volume that may be trimmed."""
+    """Largest share of a part's volume to trim."""
     displacement: float = 0.02
-    """How far a part may be moved, as a share of the furniture's diagonal."""
+    """Largest translation of a part, as a share of the furniture's diagonal."""
     shortening: float = 0.005
-    """Metres that a part may become smaller along an axis of its own, or sit less deep in a neighbour."""
+    """Largest reduction of a part's size along its own axes, or of its depth in a neighbour [m]."""
     shape_error: float = 0.005
-    """Metres that the delivered surface may stick out of the solid made of it (99th percentile)."""
+    """Largest distance that the delivered surface sticks out of its solid, 99th percentile [m]."""
     faces: int = 3000
-    """Triangles a part is simplified to; where it is trimmed in many places it may keep a few more."""
+    """Number of triangles of a simplified part; a part with many cuts may keep a few more."""
     openings: int = 24
-    """Sockets cut open before giving up; each may take seconds."""
+    """Largest number of sockets to cut open; each may take seconds."""
     captive: bool = False
-    """Whether parts may be left that hold each other fast, so that none of them can leave in any direction."""
+    """Whether parts may lock each other in place, so that none of them can leave in any direction."""

@@ -1,6 +1,7 @@
-"""Opening: where trimmed parts hold each other fast, sockets are cut open along the cheapest way out.
+"""Opening of sockets: parts that lock each other in place are cut open along the cheapest exit path.
 
-A way out that leans where nobody would look for it is none: only directions natural to the joint count."""
+Only directions that are natural to the joint count as exits.
+"""
 
 from __future__ import annotations
 
@@ -22,40 +23,46 @@ from roboassembly.repair.surface import to_surface
 from roboassembly.repair.trim import Cut, cut_with, inflate
 
 MAX_FULL_SEARCH = 7
-"""Of a captive set of up to this many parts every subset is tried as the one that leaves; of larger ones, single
-parts and pairs."""
-MAX_ESTIMATED, MAX_TRIED = 24, 6
-"""Ways out whose cost is estimated, and whose cuts are made to compare them."""
+"""Largest captive set of which every subset is tried; of a larger set, only single parts and pairs are tried."""
+MAX_ESTIMATED = 24
+"""Number of exits whose cost is estimated."""
+MAX_TRIED = 6
+"""Number of exits whose cuts are made and compared."""
 LOCAL = 0.03
-"""Metres of a socket's depth that are opened where a straight way out would cost too much."""
+"""Depth of a socket that is opened if a straight exit costs too much [m]."""
 MAX_PRISMS = 120
-"""Faces that are swept one by one."""
-LAYER, MAX_LAYERS = 0.0005, 40
-"""Metres between two cuts across a swept body at least, and how many there may be."""
+"""Largest number of faces that are swept one by one."""
+LAYER = 0.0005
+"""Smallest thickness of a layer of a swept body [m]."""
+MAX_LAYERS = 40
+"""Largest number of layers of a swept body."""
 GROWTH = 0.01
-"""Share by which its outline must grow for a layer of its own."""
+"""Growth of the outline, as a share of its area, above which a new layer begins."""
 _STEPS = (0.002, 0.006, 0.015, 0.03, 0.06, 0.12)
+"""Distances along an exit at which the overlap is measured [m]."""
 _SPLIT_COST = 0.5
+"""Cost of a cut through a part, as a share of its volume."""
 _LOOSE_COST = 0.2
+"""Cost of a lost contact, as a share of a part's volume."""
 _HARM_COST = 1.0
-"""Shares of a part's volume that a cut through it, a lost contact, or a lost joint counts as much as."""
+"""Cost of a lost joint, as a share of a part's volume."""
 
 
 @dataclass(frozen=True)
 class _ExitCandidate:
-    """A subset of captive parts that is to leave the rest along a direction."""
+    """Subset of captive parts, and the direction in which it leaves the rest."""
 
     leaving: Parts
     staying: Parts
     index: int = field(compare=False)
-    """Of the direction, in the present graph."""
+    """Index of the direction in the present graph."""
     direction: tuple[float, float, float]
     """Unit vector, rounded."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Opening:
-    """A cut that lets one part pass another: `trimmed` becomes `cut.body`."""
+    """Cut that lets one part pass another; `trimmed` becomes `cut.body`."""
 
     trimmed: int
     other: int
@@ -63,10 +70,10 @@ class _Opening:
 
 
 def open_up(pieces: list[Piece], gap: float, limits: RepairLimits) -> None:
-    """Cut sockets open, in place, until the parts can be taken apart straight, or at least come loose.
+    """Cut sockets open, in place, until the parts can be disassembled along straight lines, or at least come loose.
 
     Raises:
-        FurnitureError: some parts hold each other fast, and what would have to be cut away exceeds the limits.
+        FurnitureError: some parts lock each other in place, and opening them exceeds the limits.
     """
     everything = frozenset(range(len(pieces)))
     given_up: set[Parts] = set()
@@ -89,7 +96,7 @@ def open_up(pieces: list[Piece], gap: float, limits: RepairLimits) -> None:
     if left and not limits.captive:
         names = ", ".join(f"'{pieces[p].name}'" for p in sorted(left[0]))
         raise FurnitureError(
-            f"parts {names} hold each other fast: none can leave in any direction, and to open a way would take more "
+            f"parts {names} lock each other in place: none can leave in any direction, and an opening would take more "
             f"than {limits.trimmed:.1%} of a part's volume (limits `trimmed`, `captive`)"
         )
 
@@ -103,7 +110,7 @@ def _open(
     gap: float,
     limits: RepairLimits,
 ) -> bool:
-    """Make the cheapest of the ways out of a captive set that have not been tried."""
+    """Cut the cheapest untried exit of a captive set; return whether there is one within the limits."""
     estimates: dict[tuple[int, int, int], float] = {}
     ranked = sorted(
         (candidate for candidate in _candidate_exits(core, graph) if candidate not in tried),
@@ -151,7 +158,7 @@ def _candidate_exits(core: Parts, graph: Blocking) -> list[_ExitCandidate]:
 def _estimate(
     pieces: list[Piece], candidate: _ExitCandidate, graph: Blocking, known: dict[tuple[int, int, int], float]
 ) -> float:
-    """At least this share of some part's volume has to go."""
+    """Return a lower bound of the cost of an exit, as a share of volumes."""
     total = 0.0
     for a in sorted(candidate.leaving):
         for b in sorted(graph.arcs[candidate.index][a] & candidate.staying):
@@ -174,7 +181,7 @@ def _cuts(
     gap: float,
     limits: RepairLimits,
 ) -> tuple[float, list[_Opening]] | None:
-    """The cuts that open a candidate, and their cost as a share of volumes; None when a limit forbids them."""
+    """Return the cost of an exit, as a share of volumes, and its cuts; None if a limit forbids them."""
     direction = graph.directions[candidate.index]
     bodies = {p: pieces[p].body for p in candidate.leaving | candidate.staying}
     removed = {p: pieces[p].removed for p in bodies}
@@ -237,10 +244,10 @@ def sweep(
 def _layered(
     body: m3.Manifold, direction: Float[np.ndarray, "3"], length: float, target: m3.Manifold, margin: float
 ) -> m3.Manifold:
-    """What a body of many faces covers while it moves, layer by layer across the direction.
+    """Return the volume that a body of many faces sweeps, in layers across the direction.
 
-    Each layer covers the outlines of all layers behind it, grown by the margin. What the body does not reach stays: the
-    core of a screw whose nut is drawn off.
+    Each layer covers the outlines of all layers behind it, grown by the margin. Space that the body does not reach
+    stays, such as the core of a screw when its nut moves off.
     """
     up = align_axis(direction, np.array([0.0, 0.0, 1.0]))
     turned = body.transform(np.column_stack([up, np.zeros(3)]))

@@ -1,4 +1,4 @@
-"""A part on its way through the repair."""
+"""State of a part during repair."""
 
 from __future__ import annotations
 
@@ -15,45 +15,45 @@ from roboassembly.repair.solid import Solid
 from roboassembly.repair.surface import to_surface
 
 NOTHING = 1e-4
-"""Metres of size that do not count as lost."""
+"""Loss of size that is ignored [m]."""
 HARM_LIMIT = 0.0025
-"""Metres of lost size or depth above which a cut is made only where nothing else does."""
+"""Loss of size or depth above which a cut is the last choice [m]."""
 
 
 @dataclass(eq=False)
 class Piece:
-    """A part while it is being repaired."""
+    """Part during repair."""
 
     name: str
     body: m3.Manifold
     solid: Solid
     whole: float
-    """Cubic metres before any trimming."""
+    """Volume before any trimming [m³]."""
     removed: float = 0.0
-    """Cubic metres trimmed so far."""
+    """Volume trimmed so far [m³]."""
     moved: Float[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))
-    """Metres moved so far."""
+    """Translation so far [m]."""
     notes: list[str] = field(default_factory=list)
     weight: float = 1.0
-    """Factor on the cost of trimming this part, when it is chosen which of two is trimmed."""
+    """Factor on the cost of trimming this part in the choice of the part to trim."""
     axes: Float[np.ndarray, "3 3"] = field(default_factory=lambda: np.eye(3))
-    """Axes of the smallest box around the part: a unit vector a row, the longest side first."""
+    """Axes of the smallest box around the part: unit vectors in rows, the longest side first."""
     size: Float[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))
-    """Metres along these axes before any trimming."""
+    """Size along these axes before any trimming [m]."""
     depths: dict[str, Float[np.ndarray, "3"]] = field(default_factory=dict)
-    """Depth in each neighbour before any trimming, in metres along the axes, by the neighbour's name."""
+    """Depths in neighbours along the axes before any trimming, by the neighbour's name [m]."""
     _shell: Shell | None = None
 
     @classmethod
     def of(cls, name: str, solid: Solid) -> Piece:
-        """A part before any trimming."""
+        """Return a piece before any trimming."""
         points = to_surface(solid.body).vertices
         axes = box_axes(points)
         return cls(name, solid.body, solid, solid.body.volume(), axes=axes, size=extents(points, axes))
 
     @property
     def shell(self) -> Shell:
-        """The present triangles, ready for collision questions."""
+        """Present triangles as a collision model."""
         if self._shell is None:
             self._shell = Shell(to_surface(self.body))
         return self._shell
@@ -63,17 +63,17 @@ class Piece:
         self.body, self._shell = body, None
 
     def shrinkage(self, body: m3.Manifold) -> float:
-        """Metres by which `body` is smaller than the part was before any trimming, along the axis that loses most."""
+        """Return the loss of size of `body` against the untrimmed part, along the axis that loses most [m]."""
         return float((self.size - extents(to_surface(body).vertices, self.axes)).max())
 
     def measure_depth(self, other: Piece) -> None:
-        """Note how deep this part sits in another one; to be called before any trimming."""
+        """Record how deep this part sits in another; call this before any trimming."""
         depth = insertion_depth(self.body, other.body, self.axes)
         if depth.any():
             self.depths[other.name] = depth
 
     def depth_loss(self, body: m3.Manifold, neighbor: str, other: m3.Manifold) -> float:
-        """Metres by which `body` sits less deep in a neighbour, now `other`, than before any trimming."""
+        """Return the loss of depth of `body` in a neighbour, now `other`, against the untrimmed parts [m]."""
         before = self.depths.get(neighbor)
         if before is None:
             return 0.0
@@ -82,15 +82,15 @@ class Piece:
     def depth_losses(
         self, bodies: Mapping[str, m3.Manifold], least: float, body: m3.Manifold | None = None
     ) -> tuple[tuple[str, float], ...]:
-        """Neighbours in which this part sits less deep than before any trimming.
+        """Return the neighbours in which this part sits less deep than before any trimming.
 
         Args:
             bodies: present solid of every part, by name.
-            least: losses up to so many metres are left out.
-            body: this part's solid; its present one if None.
+            least: loss above which a neighbour is returned [m].
+            body: solid of this part; the present one if None.
 
         Returns:
-            Name of the neighbour and metres lost, of each.
+            Name of each neighbour and loss of depth [m].
         """
         own = self.body if body is None else body
         losses = ((other, self.depth_loss(own, other, bodies[other])) for other in self.depths)
@@ -98,11 +98,11 @@ class Piece:
 
 
 def harm(trimmed: Piece, cutter: Piece, body: m3.Manifold, other: m3.Manifold | None = None) -> float:
-    """Metres of size, or of the depth of the joint between two parts, that a cut takes.
+    """Return the loss of size, or of the depth of the joint between two parts, that a cut causes [m].
 
     Args:
-        trimmed: becomes `body`.
-        cutter: becomes `other`, or stays as it is if None.
+        trimmed: part whose solid becomes `body`.
+        cutter: part whose solid becomes `other`, or stays as it is if None.
     """
     other = cutter.body if other is None else other
     smaller = trimmed.shrinkage(body)

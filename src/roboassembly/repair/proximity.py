@@ -1,4 +1,4 @@
-"""Exact questions about two triangle meshes: do they touch, and how far apart are they?"""
+"""Exact contact and distance queries between two triangle meshes."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _STILL = coal.Transform3s.Identity()
 
 
 class Shell:
-    """A part's triangles in a bounding-volume tree, rounded to 32-bit floats as they will be stored."""
+    """Triangles of a part in a bounding-volume tree, rounded to 32-bit floats as in storage."""
 
     def __init__(self, surface: Surface) -> None:
         vertices = surface.vertices.astype(np.float32).astype(float)
@@ -24,18 +24,18 @@ class Shell:
         self.low, self.high = vertices.min(axis=0), vertices.max(axis=0)
 
     def box_distance(self, other: Shell) -> float:
-        """Metres between the axis-aligned boxes: never more than the distance between the meshes."""
+        """Return the distance of the axis-aligned boxes, a lower bound of the distance of the meshes [m]."""
         separation = np.maximum(0.0, np.maximum(self.low - other.high, other.low - self.high))
         return float(np.linalg.norm(separation))
 
     def touches(self, other: Shell, shift: Float[np.ndarray, "3"] | None = None) -> bool:
-        """Whether any two triangles meet, with this shell moved by `shift` metres."""
+        """Return whether any two triangles intersect, with this shell moved by `shift` [m]."""
         moved = _STILL if shift is None else coal.Transform3s(np.eye(3), np.asarray(shift, dtype=float))
         request, result = coal.CollisionRequest(), coal.CollisionResult()
         return bool(coal.collide(self.model, moved, other.model, _STILL, request, result))
 
     def nearest(self, other: Shell) -> tuple[float, Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
-        """Metres between the surfaces (zero when they touch), and the nearest points on this one and the other."""
+        """Return the distance of the surfaces (0 if they touch), and the nearest points on this and the other [m]."""
         if self.touches(other):
             return 0.0, np.zeros(3), np.zeros(3)
         request, result = coal.DistanceRequest(True), coal.DistanceResult()
@@ -43,16 +43,16 @@ class Shell:
         return max(distance, 0.0), np.array(result.getNearestPoint1()), np.array(result.getNearestPoint2())
 
     def pairs_near(self, other: Shell, margin: float) -> Int[np.ndarray, "n 2"]:
-        """A triangle of this shell and one of the other's, for each two that are nearer than `margin` metres."""
+        """Return all pairs of a triangle of this shell and one of the other that are closer than `margin` [m]."""
         request, result = coal.CollisionRequest(), coal.CollisionResult()
         request.num_max_contacts, request.security_margin = 1_000_000, margin
         coal.collide(self.model, _STILL, other.model, _STILL, request, result)
         return np.array([(c.b1, c.b2) for c in result.getContacts()], dtype=np.int64).reshape(-1, 2)
 
     def triangles_near(self, other: Shell, margin: float) -> Int[np.ndarray, "n"]:
-        """Indices of this shell's triangles that come nearer than `margin` metres to the other's surface."""
+        """Return the indices of this shell's triangles that are closer than `margin` to the other's surface [m]."""
         return np.unique(self.pairs_near(other, margin)[:, 0])
 
     def distance_to(self, point: Float[np.ndarray, "3"]) -> float:
-        """Metres from a point to the nearest triangle."""
+        """Return the distance from a point to the nearest triangle [m]."""
         return distance_to(self._with_area, point)

@@ -1,4 +1,4 @@
-"""From overlapping solids to solids with a small real gap between them."""
+"""Separation of overlapping solids, with a small real gap between them."""
 
 from __future__ import annotations
 
@@ -19,24 +19,31 @@ from roboassembly.repair.surface import to_surface
 from roboassembly.repair.trim import Cut, cut, flush_cut, inflate, near, plane_cut
 
 ROUNDS = 8
+"""Largest number of rounds of trimming."""
 MAX_MOVES = 40
+"""Largest number of moves of parts without contact."""
 RESTARTS = 2
+"""Largest number of restarts with other weights."""
 HEAVIER = 4.0
-"""Factor on the weight of a part that would have lost too much."""
+"""Factor on the weight of a part that would lose too much."""
 TRAPPED = 0.1
-"""A cut that lets the cutter leave in fewer than this share of all directions is a socket."""
+"""Share of directions in which the cutter can leave, below which a cut is a socket."""
 MAX_PLANE_SHARE = 0.01
-"""A flat cut may take this share of a part..."""
+"""Largest volume of a flat cut, as a share of the part."""
 MAX_PLANE_RATIO = 3.0
-"""...and this many times what a cut along the neighbour's surface would take."""
-KEPT, BEYOND = 0.001, 1e-8
-"""Metres around a neighbour, and cubic metres outside them, that a cut may take without harm."""
-HARM_COST, HARMFUL = 1.0, 10.0
-"""Cost of `HARM_LIMIT` metres of lost size or depth; a cut that takes more costs `HARMFUL`."""
+"""Largest volume of a flat cut, as a multiple of a cut along the neighbour's surface."""
+KEPT = 0.001
+"""Margin around a neighbour in which a cut is harmless [m]."""
+BEYOND = 1e-8
+"""Volume outside that margin up to which a cut is harmless [m³]."""
+HARM_COST = 1.0
+"""Cost of a loss of size or depth of `HARM_LIMIT`."""
+HARMFUL = 10.0
+"""Cost of a cut with a larger loss."""
 
 
 class _TooMuchTrimmedError(FurnitureError):
-    """A part would lose more than is allowed."""
+    """Error for a part that would lose more volume than allowed."""
 
     def __init__(self, piece: Piece, message: str) -> None:
         super().__init__(message)
@@ -44,17 +51,17 @@ class _TooMuchTrimmedError(FurnitureError):
 
 
 class _ShortenedError(FurnitureError):
-    """A part would become too small, or a joint too shallow."""
+    """Error for a part that would become too small, or a joint too shallow."""
 
 
 def separate(pieces: list[Piece], gap: float, limits: RepairLimits, diagonal: float) -> None:
-    """Trim and move the pieces, in place, until none touch and all hang together.
+    """Trim and move the pieces, in place, until no two touch and all are connected.
 
-    A part that would lose too much to all its neighbours together becomes dearer, and everything is trimmed anew:
-    then those of its neighbours give way that can.
+    If all neighbours together take too much of a part, its weight rises and trimming restarts: then neighbours are
+    trimmed instead.
 
     Raises:
-        FurnitureError: not possible within the limits.
+        FurnitureError: separation is not possible within the limits.
     """
     for piece, other in permutations(pieces, 2):
         if piece.shell.box_distance(other.shell) <= REACH:
@@ -69,22 +76,22 @@ def separate(pieces: list[Piece], gap: float, limits: RepairLimits, diagonal: fl
             problems.append(problem)
         else:
             return
-    # What is only too short can be allowed; the other failure cannot be helped.
+    # The user can lift the limit `shortening`, so that failure is reported first.
     raise next((p for p in problems if isinstance(p, _ShortenedError)), problems[0])
 
 
 def _separate(
     pieces: list[Piece], start: list[Piece], gap: float, limits: RepairLimits, diagonal: float, careful: bool
 ) -> None:
-    """Separate the pieces, as they are at the start, once more for each part that would lose too much.
+    """Separate the pieces, with a restart for each part that would lose too much.
 
     Args:
-        pieces: become what comes of it.
-        start: before any trimming.
-        gap: metres left at mating faces.
-        limits: where to refuse.
-        diagonal: of the furniture, in metres.
-        careful: rather open sockets than take size from parts or depth from joints.
+        pieces: pieces to replace by the result.
+        start: pieces before any trimming.
+        gap: distance left at mating faces [m].
+        limits: limits above which to refuse.
+        diagonal: diagonal of the furniture [m].
+        careful: whether to prefer sockets to loss of size or of depth in joints.
     """
     weights = [1.0] * len(start)
     first: _TooMuchTrimmedError | None = None
@@ -117,7 +124,7 @@ def _attempt(pieces: list[Piece], gap: float, limits: RepairLimits, diagonal: fl
         _bring_closer(pieces, islands, gap, limits, diagonal)
         _clear_all(pieces, gap, limits, careful)
     else:
-        raise FurnitureError(f"parts still hang apart after {MAX_MOVES} moves; check the assembled poses")
+        raise FurnitureError(f"parts are still not connected after {MAX_MOVES} moves; check the assembled poses")
     open_up(pieces, gap, limits)
     if len(_islands(pieces)) > 1:
         raise FurnitureError("parts came apart when their sockets were opened; check the assembled poses")
@@ -129,10 +136,10 @@ def _attempt(pieces: list[Piece], gap: float, limits: RepairLimits, diagonal: fl
 
 
 def check_sizes(pieces: list[Piece], limits: RepairLimits) -> None:
-    """Refuse what makes a part too small, or a joint too shallow.
+    """Check that no part became too small and no joint too shallow.
 
     Raises:
-        _ShortenedError: it does; the message names the part.
+        FurnitureError: a part or joint exceeds the limit `shortening`; the message names the part.
     """
     bodies = {piece.name: piece.body for piece in pieces}
     worst: list[tuple[float, str]] = []
@@ -149,7 +156,7 @@ def check_sizes(pieces: list[Piece], limits: RepairLimits) -> None:
 
 
 def _distance(a: Piece, b: Piece, enough: float) -> float:
-    """Metres between two pieces' surfaces, zero if they touch; `inf` when their boxes are `enough` apart."""
+    """Return the distance of two pieces, 0 if they touch; `inf` if their boxes are more than `enough` apart [m]."""
     return a.shell.nearest(b.shell)[0] if a.shell.box_distance(b.shell) <= enough else float("inf")
 
 
@@ -176,21 +183,22 @@ def _clear_all(pieces: list[Piece], gap: float, limits: RepairLimits, careful: b
 
 @dataclass(frozen=True, eq=False)
 class _Choice:
-    """One way to make two pieces clear each other."""
+    """Candidate cut that makes two pieces clear each other."""
 
     cost: float
     trimmed: Piece
     cutter: Piece
     cut: Cut
     tip: Cut | None = None
-    """What the cutter becomes first, where the two share the loss."""
+    """Cut of the cutter that comes first, if the two share the loss."""
 
     def clears(self, gap: float) -> bool:
+        """Return whether the cut leaves at least half of `gap`."""
         other = self.cutter.shell if self.tip is None else Shell(to_surface(self.tip.body))
         return Shell(to_surface(self.cut.body)).nearest(other)[0] >= 0.5 * gap
 
     def apply(self) -> None:
-        """Do it."""
+        """Apply the cut to the pieces."""
         piece, other, made = self.trimmed, self.cutter, self.cut
         if self.tip is not None:
             other.removed += self.tip.removed
@@ -207,7 +215,7 @@ class _Choice:
 
 
 def _clear_pair(a: Piece, b: Piece, gap: float, limits: RepairLimits, careful: bool) -> None:
-    """Make two pieces clear each other by trimming the one that suffers less."""
+    """Make two pieces clear each other with the cheapest cut of either."""
     choices: list[_Choice] = []
     worst: list[tuple[float, Piece]] = []
     for trimmed, cutter in ((a, b), (b, a)):
@@ -218,12 +226,12 @@ def _clear_pair(a: Piece, b: Piece, gap: float, limits: RepairLimits, careful: b
                 continue
             cost = _cost(trimmed, candidate, limits)
             if careful:
-                # The first cut takes what is in the way and no more, but for plugs that come loose.
+                # The first cut takes only what is in the way, apart from plugs that come loose.
                 cost += _harm_cost(
                     harm(trimmed, cutter, candidate.body), n > 0 and _goes_beyond(trimmed, cutter, candidate)
                 )
             choices.append(_Choice(cost, trimmed, cutter, candidate))
-    # To cut both leaves neither as it was meant: only where one of them has proved too dear.
+    # A shared cut changes both parts: it is tried only after a restart raised the weight of one.
     if max(a.weight, b.weight) > 1.0:
         choices += [choice for pair in ((a, b), (b, a)) for choice in _shared(*pair, gap, limits, careful)]
     if not choices:
@@ -235,13 +243,13 @@ def _clear_pair(a: Piece, b: Piece, gap: float, limits: RepairLimits, careful: b
             f"at most {limits.trimmed:.1%} is allowed (limit `trimmed`)",
         )
     choices.sort(key=lambda choice: choice.cost)
-    # A cut can fail to clear where a surface crosses itself: what is inside out there, no cut takes away. Then it is
-    # the other one's turn.
+    # A cut can fail to clear if a surface crosses itself, because no cut removes an inside-out region. Then the next
+    # candidate is tried.
     next((choice for choice in choices if choice.clears(gap)), choices[0]).apply()
 
 
 def _cuts(trimmed: Piece, cutter: Piece, gap: float) -> list[Cut]:
-    """Ways in which one piece alone gives way."""
+    """Return candidate cuts of one piece alone."""
     cuts = [cut(trimmed.body, cutter.body, gap)]
     if cuts[0].freedom < 0.3:
         most = min(MAX_PLANE_SHARE * trimmed.whole, MAX_PLANE_RATIO * cuts[0].removed)
@@ -254,7 +262,7 @@ def _cuts(trimmed: Piece, cutter: Piece, gap: float) -> list[Cut]:
 
 
 def _shared(trimmed: Piece, cutter: Piece, gap: float, limits: RepairLimits, careful: bool) -> list[_Choice]:
-    """Ways in which the cutter is cut short before it cuts."""
+    """Return candidates in which the cutter is shortened before it cuts."""
     out: list[_Choice] = []
     most = limits.trimmed * cutter.whole - cutter.removed
     for shared in shared_cuts(cutter.body, trimmed.body, gap, most):
@@ -280,7 +288,7 @@ def _harm_cost(lost: float, goes_beyond: bool) -> float:
 
 
 def _goes_beyond(trimmed: Piece, cutter: Piece, made: Cut) -> bool:
-    """Whether a cut takes what is not in the neighbour's way: a tenon out of its socket, or the walls of a socket."""
+    """Return whether a cut takes more than the overlap: a tenon out of its socket, or the walls of a socket."""
     cut_volume = trimmed.body - made.body
     return (cut_volume - inflate(near(cutter.body, cut_volume, 20.0 * KEPT), KEPT)).volume() > BEYOND
 
@@ -303,7 +311,7 @@ def _islands(pieces: list[Piece]) -> list[list[int]]:
 def _bring_closer(
     pieces: list[Piece], islands: list[list[int]], gap: float, limits: RepairLimits, diagonal: float
 ) -> None:
-    """Move the smallest island along the shortest way to the rest, until it is at the gap."""
+    """Move the smallest island along the shortest line to the rest, up to the gap."""
     loose = min(islands, key=lambda island: (sum(pieces[p].whole for p in island), island))
     best: tuple[float, np.ndarray, int, int] | None = None
     for p in loose:

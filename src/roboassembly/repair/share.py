@@ -1,4 +1,4 @@
-"""Sharing an overlap: the tip of one solid goes, and the other gets a socket for what is left of it."""
+"""Shared overlaps: one solid loses its tip, and the other gets a socket for the rest of it."""
 
 from __future__ import annotations
 
@@ -12,27 +12,29 @@ from roboassembly.repair.surface import to_surface
 from roboassembly.repair.trim import Cut, cut, cut_off, inflate, near
 
 TIP_SHARES = (0.25, 0.5, 0.75)
-"""How much of the depth to which it sits in the other one the tip loses."""
+"""Removed lengths of a tip, as shares of its depth in the other solid."""
 MAX_TRIED = 4
-"""Tips for which the socket is made, those that are the cheapest to cut off."""
+"""Largest number of tips for which the socket is cut."""
 
 
 @dataclass(frozen=True, eq=False)
 class SharedCut:
-    """What the two become: `tip` of the one that is cut short, `socket` of the one that takes it in."""
+    """Cuts of two solids that share an overlap."""
 
     tip: Cut
+    """Cut of the solid that is shortened."""
     socket: Cut
+    """Cut of the solid that receives it."""
 
 
 def shared_cuts(body: m3.Manifold, other: m3.Manifold, gap: float, most: float) -> list[SharedCut]:
-    """Ways to cut `body` short, across one of its main axes, where it sits in `other`, and to recess the other.
+    """Return cuts that shorten `body` across a main axis in its overlap with `other`, and recess the other.
 
     Args:
-        body: loses its tip, or a side of it.
-        other: gets the socket.
-        gap: metres left between the two.
-        most: cubic metres that `body` may lose.
+        body: solid that loses its tip, or a side of it.
+        other: solid that gets the socket.
+        gap: distance left between the two [m].
+        most: largest volume that `body` may lose [m³].
     """
     tool = inflate(near(other, body, 20.0 * gap), gap)
     overlap = (tool ^ body).simplify(0.1 * gap)
@@ -53,5 +55,5 @@ def shared_cuts(body: m3.Manifold, other: m3.Manifold, gap: float, most: float) 
 
 
 def _spread_by_cost(tips: list[Cut]) -> list[Cut]:
-    """A few of them, from the cheapest to the dearest."""
+    """Return a few tips, from the smallest loss to the largest."""
     return [tips[k] for k in np.unique(np.linspace(0, len(tips) - 1, min(MAX_TRIED, len(tips))).astype(int))]

@@ -1,4 +1,4 @@
-"""One solid for each part, by the gentlest means that works."""
+"""One solid for each part, by the gentlest method that works."""
 
 from __future__ import annotations
 
@@ -28,49 +28,51 @@ from roboassembly.repair.surface import (
 from roboassembly.repair.wrap import wrap
 
 SHEET_THICKNESS = 1e-4
-"""A closed piece whose volume over half its area is under this, in metres, is a sheet."""
+"""Mean thickness (volume over half the area) below which a closed piece is a sheet [m]."""
 HULL_TOLERANCE = 0.0015
-"""The convex hull may stand in for a piece when 99 % of the hull is this near to the piece, in metres."""
+"""Distance from the piece of 99 % of its convex hull, below which the hull replaces it [m]."""
 PLATE_THICKNESS = 0.001
-"""What a sheet that lies on nothing is made, in metres."""
+"""Thickness given to a sheet that does not lie on a solid [m]."""
 NEAR_SOLID = 0.002
-"""A sheet this near to a solid piece of the same part, in metres, is its paint."""
+"""Distance to a solid piece of the same part below which a sheet is its coating [m]."""
 SPACING = 0.004
+"""Distance between sample points [m]."""
 ACCEPTED_ERROR = 0.0015
-"""With a shape error below this, in metres, no other way is tried."""
+"""Shape error below which no other method is tried [m]."""
 _QUADRICS = ((1.0, 2.0), (0.95, 4.0), (0.9, 1.0), (0.8, 6.0))
-"""Shares of the triangles wanted, and how eagerly they are merged: tried until what comes out is closed."""
+"""Target share of the allowed triangles and aggressiveness, tried in order until the result is closed."""
 _TOLERANCES = (2e-5, 4e-5, 8e-5)
-"""Metres by which the surface may move without a look at what that does to the shape."""
+"""Tolerances of simplification that need no check of the shape [m]."""
 _FINE = 20
-"""Times as many triangles as wanted make a body too fine to go gently."""
+"""Multiple of the allowed triangles above which a body is simplified at once."""
 _FACE_FACTORS = (1, 2)
-"""Times as many triangles as asked for, where with fewer the shape would suffer."""
+"""Multiples of the allowed triangles; the larger one is used if the shape suffers."""
 _UNSOUND = 0.01
-"""Share of its volume by which a solid may differ from the two halves of it; more, and it is folded inside out."""
+"""Difference in volume from its two halves above which a solid is folded inside out, as a share."""
 _ADDED_WEIGHT = 0.1
-"""What a metre of the solid's skin off the delivered surface counts beside a metre of surface lost."""
+"""Weight of the added shape against the shape error."""
 
 
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """A part as a closed manifold."""
+    """Part as a closed manifold."""
 
     body: m3.Manifold
     how: str
-    """`as delivered`, `holes filled`, `convex hull`, `sheet thickened`, `wrapped`, or several joined by ` + `."""
+    """Method: `as delivered`, `holes filled`, `convex hull`, `sheet thickened`, `wrapped`, or several with ` + `."""
     shape_error: float
-    """Metres: 99th percentile of the distance from the delivered surface to the solid, where it lies outside."""
+    """Distance that the delivered surface sticks out of the solid, 99th percentile [m]."""
     shape_added: float
-    """Metres: 99th percentile of the distance from the solid's skin to the delivered surface (caps over openings)."""
+    """Distance from the solid's skin to the delivered surface, as at caps, 99th percentile [m]."""
     notes: tuple[str, ...]
 
 
 def solidify(name: str, mesh: Mesh, max_faces: int) -> Solid:
     """Clean a part's mesh and make it one solid of at most about `max_faces` triangles.
 
-    Piece by piece first. Where that loses some of the shape (surfaces that cross themselves, or many plates that
-    meet at common edges), patch by patch, then by wrapping the whole; the best of them is taken.
+    The pieces are closed one by one first. If that loses some of the shape (surfaces that cross themselves, or many
+    plates that meet at common edges), patches are closed one by one, and then the whole is wrapped; the best result
+    is returned.
 
     Raises:
         FurnitureError: the part has no area.
@@ -103,7 +105,7 @@ def solidify(name: str, mesh: Mesh, max_faces: int) -> Solid:
 
 @dataclass(frozen=True, eq=False)
 class _Build:
-    """One way to make a part solid, not yet simplified and measured."""
+    """Candidate solid of a part, before simplification and measurement."""
 
     body: m3.Manifold
     methods: tuple[str, ...]
@@ -114,7 +116,7 @@ def _measured(build: _Build, surface: Surface, max_faces: int, notes: list[str])
     how = " + ".join(dict.fromkeys(build.methods))
     notes = [*notes, *build.notes]
     body, error = build.body, float("inf")
-    # Each pass over a fine grid's half a million triangles takes a second: there is one only.
+    # A pass over the half million triangles of a fine grid takes a second: such a body gets only one.
     start = body if body.num_tri() <= _FINE * max_faces else body.simplify(_TOLERANCES[-1])
     for factor in _FACE_FACTORS:
         body = simplify(start, max_faces * factor)
@@ -127,9 +129,9 @@ def _measured(build: _Build, surface: Surface, max_faces: int, notes: list[str])
 
 
 def _is_sound(body: m3.Manifold) -> bool:
-    """Whether cutting the solid in two keeps its volume: where a closed surface is folded inside out it does not.
+    """Return whether a cut in two preserves the volume, which fails if the surface is folded inside out.
 
-    What is inside out counts as a hole to every later cut, and could never be made to clear its neighbours.
+    Later cuts treat an inside-out region as a hole, so that it could never clear its neighbours.
     """
     low, high = np.reshape(body.bounding_box(), (2, 3))
     whole = body.volume()
@@ -142,7 +144,7 @@ def _is_sound(body: m3.Manifold) -> bool:
 
 
 def _closed(pieces: list[Surface]) -> Surface | None:
-    """All pieces wound and with their holes filled where that can be done; None if some cannot be wound."""
+    """Return all pieces oriented, with holes filled where possible; None if a piece cannot be oriented."""
     out = []
     for piece in pieces:
         wound = orient(piece)
@@ -153,7 +155,7 @@ def _closed(pieces: list[Surface]) -> Surface | None:
 
 
 def _by_pieces(pieces: list[Surface]) -> _Build:
-    """The union of the solids that the pieces make, each closed by itself."""
+    """Return the union of the pieces, each closed by itself."""
     notes: list[str] = []
     bodies: list[m3.Manifold] = []
     methods: list[str] = []
@@ -228,13 +230,13 @@ def _close(piece: Surface) -> tuple[m3.Manifold | None, str]:
 
 
 def is_flat(piece: Surface) -> bool:
-    """Whether all vertices lie in one plane."""
+    """Return whether all vertices lie in one plane."""
     centred = piece.vertices - piece.vertices.mean(axis=0)
     return bool(np.abs(centred @ np.linalg.svd(centred, full_matrices=False)[2][2]).max() < SHEET_THICKNESS)
 
 
 def _hull(piece: Surface) -> m3.Manifold | None:
-    """The convex hull, if the piece fills it."""
+    """Return the convex hull if the piece fills it; None otherwise."""
     try:
         ConvexHull(piece.vertices)
     except QhullError:
@@ -255,10 +257,10 @@ def _join(pieces: list[Surface]) -> Surface | None:
 
 
 def simplify(body: m3.Manifold, max_faces: int) -> m3.Manifold:
-    """At most about `max_faces` triangles, where that leaves the volume and keeps the solid closed.
+    """Reduce a solid to about `max_faces` triangles, if that preserves the volume and keeps it closed.
 
-    First those go that change little (20 to 80 µm), then, where there are still too many, by quadrics, and last by
-    larger tolerances (0.15 to 1.2 mm).
+    Small tolerances (20 to 80 µm) are tried first, then quadric error decimation, then larger tolerances (0.15 to
+    1.2 mm).
     """
     out = body
     for tolerance in _TOLERANCES:

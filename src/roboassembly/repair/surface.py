@@ -1,4 +1,4 @@
-"""Triangle soup to consistently wound, closed surfaces: welding, duplicates, winding, holes."""
+"""Triangle surfaces: welding, removal of duplicates, consistent winding, filling of holes."""
 
 from __future__ import annotations
 
@@ -13,12 +13,13 @@ from scipy.sparse.csgraph import breadth_first_order, connected_components
 from scipy.spatial import KDTree
 
 WELD_DISTANCE = 2e-5
-"""Vertices nearer than this, in metres, are one vertex."""
+"""Distance below which vertices are merged [m]."""
 MAX_HOLE_BULGE = 0.002
-"""A rim that leaves its own plane by no more than this, in metres, gets a flat cap."""
+"""Largest distance of a rim from its plane for a flat cap [m]."""
 MAX_BENT_RIM = 520
-"""A hole whose rim bends is filled when the rim has no more edges than this."""
+"""Largest number of edges of a bent rim that is filled."""
 MAX_PATCHES = 400
+"""Largest number of patches that are flipped against one another."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,43 +31,43 @@ class Surface:
 
     @property
     def corners(self) -> Float[np.ndarray, "f 3 3"]:
-        """The three corners of each triangle."""
+        """Corners of each triangle [m]."""
         return self.vertices[self.faces]
 
     @property
     def area(self) -> float:
-        """Square metres."""
+        """Area [m²]."""
         a, b, c = np.swapaxes(self.corners, 0, 1)
         return float(0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum())
 
     @property
     def volume(self) -> float:
-        """Signed cubic metres enclosed: a meaningful number only when the surface is closed and wound one way."""
+        """Signed enclosed volume, valid only for a closed surface with consistent winding [m³]."""
         if not len(self.faces):
             return 0.0
         a, b, c = np.swapaxes(self.corners - self.vertices[self.faces[0, 0]], 0, 1)
         return float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6.0)
 
     def flipped(self) -> Surface:
-        """The same triangles, wound the other way."""
+        """Return the same triangles with the opposite winding."""
         return Surface(self.vertices, self.faces[:, ::-1])
 
     def compact(self) -> Surface:
-        """Without the vertices that no face uses."""
+        """Return the surface without unused vertices."""
         used, faces = np.unique(self.faces, return_inverse=True)
         return Surface(self.vertices[used], faces.reshape(-1, 3))
 
 
 @dataclass(frozen=True)
 class CleaningCount:
-    """How many triangles cleaning took away."""
+    """Numbers of triangles that cleaning removed."""
 
     duplicates: int
     degenerate: int
 
 
 def clean(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> tuple[Surface, CleaningCount]:
-    """Weld vertices, drop degenerate triangles and all but one of those on the same three vertices."""
+    """Merge vertices, and drop degenerate triangles and duplicates on the same three vertices."""
     pairs = KDTree(vertices).query_pairs(WELD_DISTANCE, output_type="ndarray")
     n = len(vertices)
     _, label = connected_components(coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), (n, n)), False)
@@ -80,23 +81,23 @@ def clean(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> 
 
 
 def patches(surface: Surface) -> list[Surface]:
-    """Pieces that stay together when the surface is cut along edges where more than two faces meet."""
+    """Return the connected pieces after cuts along edges where more than two faces meet."""
     return _pieces(surface, most=2)
 
 
 def _half_edges(faces: Int[np.ndarray, "f 3"]) -> tuple[Int[np.ndarray, "e 2"], Int[np.ndarray, "e"]]:
-    """Directed edges of all faces and the face that each belongs to."""
+    """Return the directed edges of all faces, and the face of each."""
     directed = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     return directed, np.tile(np.arange(len(faces)), 3)
 
 
 def components(surface: Surface) -> list[Surface]:
-    """Pieces that share no edge with one another, largest area first."""
+    """Return the pieces that share no edge with one another, largest area first."""
     return _pieces(surface, most=len(surface.faces))
 
 
 def _pieces(surface: Surface, most: int) -> list[Surface]:
-    """Faces that hang together by edges that at most `most` of them share; largest area first."""
+    """Return the pieces connected by edges with at most `most` faces, largest area first."""
     directed, owner = _half_edges(surface.faces)
     _, edge, count = np.unique(np.sort(directed, axis=1), axis=0, return_inverse=True, return_counts=True)
     edge = edge.reshape(-1)
@@ -109,10 +110,10 @@ def _pieces(surface: Surface, most: int) -> list[Surface]:
 
 
 def orient(surface: Surface) -> Surface | None:
-    """Wind all faces one way, so that the rim of what is left open is as short as possible.
+    """Orient all faces consistently, with as short an open rim as possible; None for a one-sided patch.
 
-    Faces are followed across edges that exactly two share; the patches so found are then flipped against one
-    another where more than two faces meet. None when a patch is one-sided (a Möbius strip).
+    The orientation spreads across edges with exactly two faces. The resulting patches are then flipped against one
+    another where more than two faces meet. A one-sided patch is, for example, a Möbius strip.
     """
     faces = surface.faces
     directed, owner = _half_edges(faces)
@@ -153,7 +154,7 @@ def _patch_signs(
     patches: int,
     sign: Int[np.ndarray, "f"],
 ) -> Int[np.ndarray, "p"]:
-    """Greedy flips of whole patches, largest first, that shorten the rim left open at edges of 3 and more faces."""
+    """Flip whole patches greedily, largest first, to shorten the open rim at edges of 3 and more faces."""
     out = np.ones(patches, dtype=np.int64)
     if patches == 1 or patches > MAX_PATCHES:
         return out
@@ -189,7 +190,7 @@ def _patch_signs(
 
 
 def rims(surface: Surface) -> list[list[int]]:
-    """Closed loops of vertices along which an oriented surface is open, wound so that a filling face continues it."""
+    """Return the closed vertex loops of the open rims of an oriented surface, wound as filling faces must be."""
     directed, _ = _half_edges(surface.faces)
     balance: dict[tuple[int, int], int] = defaultdict(int)
     for a, b in directed.tolist():
@@ -221,16 +222,16 @@ def rims(surface: Surface) -> list[list[int]]:
                 else:
                     place[here] = len(path)
                     path.append(here)
-            if len(path) > 1:  # cannot happen on a boundary, which is a cycle: every vertex has as many in as out
+            if len(path) > 1:  # unreachable on a boundary: every vertex has as many edges in as out
                 break
     return rim_loops
 
 
 def fill_holes(surface: Surface) -> Surface | None:
-    """Close an oriented surface; None where a rim is too long and too bent to be trusted.
+    """Close an oriented surface; None if a rim is too long and too bent for a reliable cap.
 
-    Rims in one plane are filled together, so that the end of a tube gets a ring. Bent rims of up to
-    `MAX_BENT_RIM` edges get the cap of least area.
+    Rims in one plane are filled together, so that the end of a tube gets a ring. Bent rims of up to `MAX_BENT_RIM`
+    edges get the cap of least area.
     """
     v = surface.vertices
     groups: list[tuple[np.ndarray, float, list[list[int]]]] = []
@@ -263,7 +264,7 @@ def fill_holes(surface: Surface) -> Surface | None:
 
 
 def _least_cap(v: Float[np.ndarray, "v 3"], loop: list[int]) -> Int[np.ndarray, "f 3"]:
-    """Triangles that span a bent loop with the least area (dynamic programming over its chords)."""
+    """Return triangles that span a bent loop with the least area (dynamic programming over its chords)."""
     p, n = v[loop], len(loop)
     squared = ((p[:, None] - p[None]) ** 2).sum(axis=2)
     cost = np.zeros((n, n))
@@ -291,7 +292,7 @@ def _least_cap(v: Float[np.ndarray, "v 3"], loop: list[int]) -> Int[np.ndarray, 
 def _cap(
     v: Float[np.ndarray, "v 3"], normal: Float[np.ndarray, "3"], members: list[list[int]]
 ) -> Int[np.ndarray, "f 3"]:
-    """Triangles that span loops lying in one plane; outer loops and holes are told apart by their winding."""
+    """Return triangles that span loops in one plane; the winding distinguishes outer loops from holes."""
     x = np.cross(normal, np.eye(3)[int(np.argmin(np.abs(normal)))])
     x /= np.linalg.norm(x)
     y = np.cross(normal, x)
@@ -304,7 +305,7 @@ def _cap(
 
 
 def thicken(sheet: Surface, thickness: float) -> Surface:
-    """An oriented sheet made a plate: half of `thickness`, in metres, to either side."""
+    """Return an oriented sheet as a plate, with half of `thickness` on either side [m]."""
     a, b, c = np.swapaxes(sheet.corners, 0, 1)
     weighted = np.cross(b - a, c - a)
     normal = np.zeros_like(sheet.vertices)
@@ -321,12 +322,12 @@ def thicken(sheet: Surface, thickness: float) -> Surface:
 
 
 def sample(surface: Surface, spacing: float, limit: int = 200_000) -> tuple[np.ndarray, np.ndarray]:
-    """The vertices, and points spread evenly over the triangles, about `spacing` apart; and the face of each.
+    """Return the vertices and evenly distributed points on the triangles, and the face of each.
 
     Args:
-        surface: what to sample.
-        spacing: metres.
-        limit: points on the triangles; they lie farther apart where there would be more.
+        surface: surface to sample.
+        spacing: approximate distance between points [m].
+        limit: largest number of points on the triangles; a large surface has wider spacing.
     """
     a, b, c = np.swapaxes(surface.corners, 0, 1)
     area = np.cumsum(0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1))
@@ -344,7 +345,7 @@ def sample(surface: Surface, spacing: float, limit: int = 200_000) -> tuple[np.n
 
 
 def plate(sheet: Surface, thickness: float) -> m3.Manifold:
-    """A flat sheet made a plate: its outline, half of `thickness` in metres to either side."""
+    """Return a flat sheet as a plate: its outline, with half of `thickness` on either side [m]."""
     centre = sheet.vertices.mean(axis=0)
     axes = np.linalg.svd(sheet.vertices - centre, full_matrices=False)[2]
     axes[2] = np.cross(axes[0], axes[1])
@@ -358,7 +359,7 @@ def plate(sheet: Surface, thickness: float) -> m3.Manifold:
 
 
 def to_manifold(surface: Surface) -> m3.Manifold | None:
-    """The solid that a closed surface bounds, or None if it is not closed and wound one way."""
+    """Return the solid that a surface bounds; None if it is not closed and consistently oriented."""
     if surface.volume < 0:
         surface = surface.flipped()
     surface = _without_opposed(surface).compact()
@@ -374,7 +375,7 @@ def to_manifold(surface: Surface) -> m3.Manifold | None:
 
 
 def _without_opposed(surface: Surface) -> Surface:
-    """Without the triangles that lie back to back on the same three vertices, and what lies there twice."""
+    """Return the surface without triangles back to back on the same three vertices, and without duplicates."""
     faces = surface.faces
     _, triple = np.unique(np.sort(faces, axis=1), axis=0, return_inverse=True)
     triple = triple.reshape(-1)
@@ -388,6 +389,6 @@ def _without_opposed(surface: Surface) -> Surface:
 
 
 def to_surface(body: m3.Manifold) -> Surface:
-    """The triangles of a solid."""
+    """Return the triangles of a solid."""
     mesh = body.to_mesh64()
     return Surface(np.array(mesh.vert_properties[:, :3]), np.array(mesh.tri_verts).astype(np.int64))

@@ -1,4 +1,4 @@
-"""Trimming: take from one solid what a neighbour, grown by the gap, covers; and judge which of two to trim."""
+"""Trimming: remove from a solid what a neighbour, grown by the gap, covers, and measure the harm."""
 
 from __future__ import annotations
 
@@ -12,19 +12,21 @@ from roboassembly.repair.proximity import Shell
 from roboassembly.repair.surface import Surface, to_manifold, to_surface
 
 SLIVER = 0.002
-"""A piece cut off that holds less than this share of the part's volume is dropped."""
+"""Share of the part's volume below which a piece that is cut off is dropped."""
 OUTLYING = 0.001
-"""A small piece that sticks out of the box around the others by this much, in metres, is an end of the part."""
+"""Distance that a small piece sticks out of the box around the others, above which it is an end of the part [m]."""
 BLOCKED = 0.01
-"""A direction is free when the walls that stand in the cutter's way, seen along it, make less than this share of the
-meeting surface: what the gap itself adds around a flat face does not count, a pocket a millimetre deep does."""
+"""Share of blocking walls in the contact surface, projected along a direction, below which the direction is free.
+
+The rim that the gap adds around a flat face stays below it; a pocket 1 mm deep exceeds it.
+"""
 TIDY = 1e-5
-"""Triangles are merged after a cut where that moves the surface by less than this, in metres."""
+"""Tolerance to which triangles are merged after a cut [m]."""
 
 RECESS_MARGIN = 0.004
-"""How much of the cutter around the meeting place, in metres, decides what its recess is."""
+"""Margin around the contact in which the cutter's recess is found [m]."""
 RECESS_CONTACT = 0.003
-"""After a flush cut the two may be this far apart, in metres: they must still count as connected."""
+"""Largest distance of the two after a flush cut; they still count as connected [m]."""
 
 
 def _directions(count: int) -> Float[np.ndarray, "d 3"]:
@@ -36,11 +38,12 @@ def _directions(count: int) -> Float[np.ndarray, "d 3"]:
 
 
 DIRECTIONS = _directions(300)
+"""Unit vectors, evenly distributed on the sphere."""
 _CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=float)
 
 
 def inflate(body: m3.Manifold, amount: float) -> m3.Manifold:
-    """The solid with every face moved outward by `amount` metres; edges and corners stay sharp."""
+    """Return the solid with every face moved outward by `amount` metres; edges and corners stay sharp."""
     skin = to_surface(body)
     a, b, c = np.swapaxes(skin.corners, 0, 1)
     normal = np.cross(b - a, c - a)
@@ -70,7 +73,7 @@ def inflate(body: m3.Manifold, amount: float) -> m3.Manifold:
 
 
 def near(body: m3.Manifold, other: m3.Manifold, margin: float) -> m3.Manifold:
-    """The part of `body` inside the other's box, widened by `margin` metres."""
+    """Return the part of `body` inside the other's box, widened by `margin` metres."""
     low, high = np.reshape(other.bounding_box(), (2, 3))
     size = high - low + 2.0 * margin
     return body ^ m3.Manifold.cube(tuple(size)).translate(tuple(low - margin))
@@ -78,26 +81,27 @@ def near(body: m3.Manifold, other: m3.Manifold, margin: float) -> m3.Manifold:
 
 @dataclass(frozen=True, eq=False)
 class Cut:
-    """One way to make two solids clear each other: `body` is what the trimmed one becomes."""
+    """Cut that makes two solids clear each other."""
 
     body: m3.Manifold
+    """Solid that is left of the trimmed one."""
     removed: float
-    """Cubic metres."""
+    """Removed volume [m³]."""
     freedom: float
-    """Share of all directions in which the cutter can leave the cut at once: 0.5 from a flat face, 0 when trapped."""
+    """Share of all directions in which the cutter can leave the cut: 0.5 at a flat face, 0 if it is trapped."""
     dropped: int
-    """Slivers that the cut left behind."""
+    """Number of slivers that were dropped."""
     splits: bool
-    """Whether the cut leaves more than one sizeable piece where there was one."""
+    """Whether the cut splits the solid into several sizeable pieces."""
 
 
 def cut(body: m3.Manifold, cutter: m3.Manifold, gap: float) -> Cut:
-    """Take from `body` what `cutter`, grown by `gap` metres, covers."""
+    """Remove from `body` what `cutter`, grown by `gap` metres, covers."""
     return cut_with(body, inflate(near(cutter, body, 20.0 * gap), gap), cutter, gap)
 
 
 def cut_with(body: m3.Manifold, tool: m3.Manifold, other: m3.Manifold, gap: float) -> Cut:
-    """Take from `body` what `tool` covers, and what else is nearer to `other` than the gap, in metres."""
+    """Remove from `body` what `tool` covers, and what is closer to `other` than `gap` [m]."""
     tool = tool.as_original()
     freedom = _freedom(tool, body)
     before = len(_sizeable(body)[0])
@@ -106,12 +110,12 @@ def cut_with(body: m3.Manifold, tool: m3.Manifold, other: m3.Manifold, gap: floa
 
 
 def cut_off(body: m3.Manifold, tool: m3.Manifold) -> Cut:
-    """Take from `body` exactly what `tool` covers; nothing is said about its freedom."""
+    """Remove from `body` exactly what `tool` covers; the freedom is not measured and is 0.5."""
     return _finish(body, (body - tool).simplify(TIDY), 0.5, len(_sizeable(body)[0]))
 
 
 def without_slivers(body: m3.Manifold) -> m3.Manifold:
-    """The solid without loose pieces too small to count."""
+    """Return the solid without slivers."""
     pieces, slivers = _sizeable(body)
     return m3.Manifold.compose(pieces) if slivers and pieces else body
 
@@ -124,7 +128,7 @@ def _finish(body: m3.Manifold, rest: m3.Manifold, freedom: float, before: int) -
 
 
 def _widen(rest: m3.Manifold, cutter: m3.Manifold, gap: float) -> m3.Manifold:
-    """Cut again, triangle by triangle, where something is still nearer to the cutter than the gap."""
+    """Cut again, triangle by triangle, where the rest is still closer to the cutter than the gap."""
     skin = to_surface(cutter)
     shell = Shell(skin)
     for grow in (1.0, 1.15):
@@ -140,9 +144,9 @@ def _widen(rest: m3.Manifold, cutter: m3.Manifold, gap: float) -> m3.Manifold:
 
 
 def flush_cut(body: m3.Manifold, cutter: m3.Manifold, gap: float) -> Cut | None:
-    """Cut as if the cutter's own recess for the body were filled: for a pin whose hole is already there.
+    """Cut as if the cutter's own recess for the body were filled, for a pin with an existing hole.
 
-    None when the two would no longer be in contact.
+    Returns None if the two would lose contact.
     """
     meeting = inflate(near(cutter, body, 20.0 * gap), gap) ^ body
     if meeting.is_empty():
@@ -155,7 +159,7 @@ def flush_cut(body: m3.Manifold, cutter: m3.Manifold, gap: float) -> Cut | None:
 
 
 def plane_cut(body: m3.Manifold, other: m3.Manifold, gap: float) -> list[Cut]:
-    """Cuts by a plane that clears all of the other solid near the overlap, for overlaps that are shallow."""
+    """Return cuts by planes that clear the other solid near the overlap, for shallow overlaps."""
     tool = inflate(near(other, body, 20.0 * gap), gap).as_original()
     normals, areas = _facing(tool, body)
     mean = (normals * areas[:, None]).sum(axis=0)
@@ -167,7 +171,7 @@ def plane_cut(body: m3.Manifold, other: m3.Manifold, gap: float) -> list[Cut]:
     before = len(_sizeable(body)[0])
     for direction in candidates:
         direction = direction / np.linalg.norm(direction)
-        # All of the tool that lies in the overlap's box, seen along the direction, must stay below the plane.
+        # The tool inside the box of the overlap must stay below the plane along the direction.
         box = m3.Manifold.cube(tuple(high - low + 4 * gap)).translate(tuple(low - 2 * gap))
         inside = to_surface(tool ^ box).vertices
         if not len(inside):
@@ -180,11 +184,11 @@ def plane_cut(body: m3.Manifold, other: m3.Manifold, gap: float) -> list[Cut]:
 
 
 def _sizeable(body: m3.Manifold, whole: float | None = None) -> tuple[list[m3.Manifold], int]:
-    """Pieces that count, and how many are slivers: small ones inside the box around the others.
+    """Return the sizeable pieces, and the number of slivers: small pieces inside the box around the others.
 
     Args:
-        body: of one or several pieces.
-        whole: cubic metres of the part; those of `body` if None.
+        body: solid of one or several pieces.
+        whole: volume of the part; that of `body` if None [m³].
     """
     pieces = body.decompose()
     least = SLIVER * (body.volume() if whole is None else whole)
@@ -198,7 +202,7 @@ def _sizeable(body: m3.Manifold, whole: float | None = None) -> tuple[list[m3.Ma
 
 
 def _facing(tool: m3.Manifold, body: m3.Manifold) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n"]]:
-    """Outward unit normals and areas, in m², of the tool's faces inside the body."""
+    """Return the outward unit normals and the areas of the tool's faces inside the body [m²]."""
     mesh = (tool ^ body).to_mesh64()
     faces, vertices = np.array(mesh.tri_verts).astype(np.int64), np.array(mesh.vert_properties[:, :3])
     runs, ids = np.array(mesh.run_index).astype(np.int64) // 3, mesh.run_original_id

@@ -1,4 +1,4 @@
-"""Groups of rotations that lay a delivered shape onto itself, made exact: files draw symmetric parts about so."""
+"""Exact groups of the rotations that map a delivered shape onto itself, which is symmetric only approximately."""
 
 from __future__ import annotations
 
@@ -7,28 +7,28 @@ from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
 MAX_TURNS = 16
-"""Rotations of a group that are looked at. What is turned on a lathe has more; fewer of them, evenly spread, do."""
+"""Largest order of a group; a part turned on a lathe is limited to evenly spaced rotations."""
 SAME_TURN = 0.05
-"""Largest entry of the difference of two matrices that are meant to be one rotation."""
+"""Largest entry of the difference of two matrices that count as one rotation."""
 _STEPS = 4
-"""Averages until a group is exact; the error is squared by each."""
+"""Number of averaging steps; each squares the error of the group."""
 
 
 def groups(turns: Float[np.ndarray, "n 3 3"]) -> list[Float[np.ndarray, "m 3 3"]]:
-    """Groups of exact rotations near some of those given, the largest first; always the identity alone, last.
+    """Return exact groups near the given rotations, the largest first and the trivial group last.
 
-    They are all of the rotations, if those make a group of at most `MAX_TURNS`, and for every axis among them the turns
-    about that axis. The identity comes first in each.
+    The groups are all the rotations, if they form a group of at most `MAX_TURNS`, and the rotations about each axis.
+    The identity comes first in each group.
 
     Args:
-        turns: the symmetries of a shape about its centre, as they were found, with an error.
+        turns: approximate symmetries of a shape about its centre.
     """
     found: list[np.ndarray] = []
     whole = _exact_group(turns) if len(turns) <= MAX_TURNS else None
     if whole is not None:
         found.append(whole)
     for axis, order in _axes(turns):
-        # Of more turns than are looked at every second one, or every third, is a group as well.
+        # Every second or third rotation of a cyclic group that is too large also forms a group.
         order = next(n for n in range(min(order, MAX_TURNS), 0, -1) if order % n == 0)
         angles = 2.0 * np.pi * np.arange(order) / order
         found.append(Rotation.from_rotvec(angles[:, None] * axis).as_matrix())
@@ -37,7 +37,7 @@ def groups(turns: Float[np.ndarray, "n 3 3"]) -> list[Float[np.ndarray, "m 3 3"]
 
 
 def _axes(turns: Float[np.ndarray, "n 3 3"]) -> list[tuple[Float[np.ndarray, "3"], int]]:
-    """Axes that the rotations turn about, and the order of the largest cyclic group about each that is all there."""
+    """Return the rotation axes, and the order of the largest complete cyclic group about each."""
     vectors = Rotation.from_matrix(turns).as_rotvec()
     sizes = np.linalg.norm(vectors, axis=1)
     axes = vectors[sizes > SAME_TURN] / sizes[sizes > SAME_TURN, None]
@@ -56,10 +56,10 @@ def _axes(turns: Float[np.ndarray, "n 3 3"]) -> list[tuple[Float[np.ndarray, "3"
 
 
 def _exact_group(turns: Float[np.ndarray, "n 3 3"]) -> Float[np.ndarray, "n 3 3"] | None:
-    """The rotations, moved a little so that they make a group; None if they are not near one.
+    """Return the exact group near the rotations; None if there is none.
 
-    Each rotation g is replaced by the mean over h of the products of gh and the inverse of h, made a rotation again: to
-    first order that leaves of the errors a turn of the whole group, which does no harm (K. Grove, H. Karcher and
+    Each rotation g is replaced by the mean over h of the product of gh and the inverse of h, projected to a rotation.
+    To first order, the remaining error is a rotation of the whole group, which is harmless (K. Grove, H. Karcher and
     E. A. Ruh, "Group actions and curvature", 1974).
     """
     table = _products(turns)
@@ -73,7 +73,7 @@ def _exact_group(turns: Float[np.ndarray, "n 3 3"]) -> Float[np.ndarray, "n 3 3"
 
 
 def _products(turns: Float[np.ndarray, "n 3 3"]) -> Int[np.ndarray, "n n"] | None:
-    """Which of the rotations the product of each two is; None where it is none, or not one alone."""
+    """Return the index of the product of each two rotations; None if a product is missing or ambiguous."""
     products = np.einsum("aij,bjk->abik", turns, turns)
     difference = np.abs(products[:, :, None] - turns[None, None]).max(axis=(3, 4))
     if not ((difference < SAME_TURN).sum(axis=2) == 1).all():

@@ -1,4 +1,4 @@
-"""Wrap: a solid around triangles that do not close, from a distance field on a grid."""
+"""Wrapping: a solid around triangles that do not close, from a distance field on a grid."""
 
 from __future__ import annotations
 
@@ -12,30 +12,31 @@ from scipy.spatial import KDTree
 from roboassembly.repair.surface import Surface, sample
 
 MAX_NODES = 6_000_000
+"""Largest number of grid nodes."""
 MAX_NEAR = 300_000
-"""Grid nodes near the surface, for which distances are computed."""
+"""Largest number of grid nodes near the surface, where distances are computed."""
 FINEST = 0.0015
-"""Smallest grid spacing, in metres."""
+"""Smallest grid spacing [m]."""
 _LAYERS = 7
-"""Nodes across the band around the surface."""
+"""Number of nodes across the band around the surface."""
 _PROBES = 24
-"""Nodes of a closed-off region that are asked for their winding number."""
+"""Largest number of nodes of an enclosed region whose winding number is computed."""
 
-# Six tetrahedra fill a cube, all around its main diagonal, so that neighbouring cubes agree on their common faces.
+# Six tetrahedra fill a cube, around its main diagonal, so that neighbouring cubes agree on their common faces.
 _CORNERS = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]])
 _TETRAHEDRA = np.array([[0, 1, 2, 6], [0, 2, 3, 6], [0, 3, 7, 6], [0, 7, 4, 6], [0, 4, 5, 6], [0, 5, 1, 6]])
 
 
 def wrap(surface: Surface, closed: Surface | None = None) -> tuple[m3.Manifold, float]:
-    """A solid whose skin follows the outer side of `surface`, and the grid spacing used, in metres.
+    """Return a solid whose skin follows the outer side of `surface`, and the grid spacing used [m].
 
-    Space that cannot be reached from outside through openings wider than two grid steps counts as inside. Where
-    the surface is a single sheet, with no inside, the result is a plate two grid steps thick around it.
+    Space that cannot be reached from outside through openings wider than two grid steps counts as inside. A single
+    sheet without an inside becomes a plate two grid steps thick.
 
     Args:
-        surface: what to wrap.
-        closed: the same with its holes filled, wound one way, if that could be had: it may cross itself. Then
-            a region that it closes off is inside when the surface winds around it, and outside otherwise.
+        surface: surface to wrap.
+        closed: the same surface oriented and with its holes filled, if available; it may cross itself. An enclosed
+            region is then inside if this surface winds around it, and outside otherwise.
     """
     skin = surface if closed is None else closed
     low, high = skin.vertices.min(axis=0), skin.vertices.max(axis=0)
@@ -60,7 +61,7 @@ def wrap(surface: Surface, closed: Surface | None = None) -> tuple[m3.Manifold, 
 def _distance(
     surface: Surface, origin: Float[np.ndarray, "3"], step: float, shape: Int[np.ndarray, "3"]
 ) -> tuple[Float[np.ndarray, "x y z"], Int[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
-    """Distance from each grid node to the surface, capped at three steps; the nodes near it; their nearest points."""
+    """Return the distance of each grid node to the surface, at most three steps, the nodes near it and their feet."""
     points, owner = sample(surface, step)
     near = np.zeros(shape, dtype=bool)
     near[tuple(np.rint((points - origin) / step).astype(int).T)] = True
@@ -82,9 +83,9 @@ def _distance(
 def _signed(
     surface: Surface, origin: Float[np.ndarray, "3"], step: float, shape: Int[np.ndarray, "3"], *, wound: bool
 ) -> Float[np.ndarray, "x y z"]:
-    """Distance, negative inside: where a ball of one grid step, rolling in from the border, cannot get.
+    """Return the signed distance, negative inside: where a ball of one grid step from outside cannot reach.
 
-    With `wound`, the surface must wind around such a place too.
+    With `wound`, the surface must also wind around an inside region.
     """
     distance, where, nearest = _distance(surface, origin, step, shape)
     label = np.zeros(shape, dtype=np.int32)
@@ -98,7 +99,7 @@ def _signed(
             nodes = origin + (nodes + [part.start for part in box]) * step
             outer[region] = np.median(np.abs(_winding(surface, nodes))) < 0.5
     outside = outer[label]
-    # A node too near the surface for the ball is outside when the ball is met a little further along the normal.
+    # A node too close to the surface for the ball is outside if the ball reaches a point further along the normal.
     shy = ~outside[tuple(where.T)]
     node, foot = origin + where[shy] * step, nearest[shy]
     along = node - foot
@@ -110,7 +111,7 @@ def _signed(
 
 
 def _winding(surface: Surface, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n"]:
-    """How many times the surface winds around each point (van Oosterom and Strackee's solid angles)."""
+    """Return the winding number of the surface around each point (solid angles of van Oosterom and Strackee)."""
     out = np.zeros(len(points))
     for k, point in enumerate(points):
         a, b, c = np.swapaxes(surface.corners - point, 0, 1)
@@ -122,7 +123,7 @@ def _winding(surface: Surface, points: Float[np.ndarray, "n 3"]) -> Float[np.nda
 
 
 def _march(field: Float[np.ndarray, "x y z"]) -> tuple[Float[np.ndarray, "v 3"], np.ndarray]:
-    """The zero surface of `field` by marching tetrahedra, in grid coordinates: closed and manifold by construction."""
+    """Return the zero surface of `field` by marching tetrahedra, in grid coordinates; it is closed and manifold."""
     field = np.where(np.abs(field) < 1e-9, 1e-9, field)
     inside = field < 0
     a, b, c = (n - 1 for n in inside.shape)
@@ -153,7 +154,7 @@ def _march(field: Float[np.ndarray, "x y z"]) -> tuple[Float[np.ndarray, "v 3"],
     u, v = value[unique[:, 0]], value[unique[:, 1]]
     share = np.clip(u / (u - v), 0.02, 0.98)
     vertices: np.ndarray = p + (q - p) * share[:, None]
-    # A face points out of the solid when the field grows along its normal.
+    # A face points out of the solid if the field grows along its normal.
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     normal = np.cross(b - a, c - a)
     grow = np.where((u < 0)[:, None], q - p, p - q)[faces].sum(axis=1)

@@ -1,4 +1,4 @@
-"""Repair keeps furniture assemblable: sockets are opened, like parts stay alike, odd surfaces become solid."""
+"""Repair keeps furniture assemblable: sockets are opened, congruent parts stay congruent, odd surfaces become solid."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def box_with_a_keyhole():
     return RawPart("shell", Mesh(skin.vertices, skin.faces))
 
 
-def test_what_is_shut_in_gets_an_opening():
+def test_an_enclosed_part_gets_an_opening():
     shell, core = box_with_a_keyhole(), part("core", block((0.0994, 0.0994, 0.0994), (0, 0, 0)))
     assert captives([shell, core]) == ([frozenset({0, 1})], [frozenset({0, 1})])
     result = repair([shell, core])
@@ -87,9 +87,9 @@ def test_what_is_shut_in_gets_an_opening():
     assert any("opened so that 'core' can leave" in note for r in result.report for note in r.notes)
 
 
-def test_what_cannot_be_opened_is_refused_by_name():
+def test_parts_that_cannot_be_opened_are_named_in_the_refusal():
     shell, core = box_with_a_keyhole(), part("core", block((0.0994, 0.0994, 0.0994), (0, 0, 0)))
-    with pytest.raises(FurnitureError, match=r"'shell', 'core' hold each other fast: .*`captive`"):
+    with pytest.raises(FurnitureError, match=r"'shell', 'core' lock each other in place: .*`captive`"):
         repair([shell, core], limits=RepairLimits(trimmed=0.05))
     assert_clear(repair([shell, core], limits=RepairLimits(trimmed=0.05, captive=True)))
 
@@ -104,7 +104,7 @@ def test_seat_between_two_frames_can_be_put_in():
     assert captives(result.parts) == ([], [])
 
 
-def test_equal_legs_stay_equal():
+def test_congruent_legs_stay_congruent():
     corners = [(x, y) for x in (-0.15, 0.15) for y in (-0.15, 0.15)]
     legs = [part(f"leg {k}", block((0.04, 0.04, 0.403), (x, y, 0.2015))) for k, (x, y) in enumerate(corners)]
     seat = part("seat", block((0.4, 0.4, 0.04), (0, 0, 0.42)))
@@ -137,7 +137,7 @@ def test_sheet_with_a_hole_keeps_its_hole():
     assert solid.body.genus() == 1
 
 
-def test_filled_tube_says_how_much_was_added():
+def test_a_filled_tube_reports_the_added_shape():
     tube = trimesh.creation.cylinder(0.03, height=0.2, sections=48)
     side = Mesh(tube.vertices, tube.faces[np.abs(tube.face_normals[:, 2]) < 0.5])
     solid = solidify("tube", side, 3000)
@@ -147,7 +147,7 @@ def test_filled_tube_says_how_much_was_added():
     assert solid.body.volume() == pytest.approx(tube.volume, rel=1e-6)
 
 
-def test_plates_that_meet_at_a_common_edge_are_told_apart():
+def test_plates_with_a_common_edge_are_separated():
     one, two = block((0.1, 0.1, 0.1), (0, 0, 0)), block((0.1, 0.1, 0.1), (0.1, 0, 0.1))
     both = trimesh.util.concatenate([one, two])
     both.merge_vertices()
@@ -157,7 +157,7 @@ def test_plates_that_meet_at_a_common_edge_are_told_apart():
     assert solidify("two", Mesh(surface.vertices, surface.faces), 3000).body.volume() == pytest.approx(2e-3, rel=1e-6)
 
 
-def test_wrap_leaves_out_what_is_shut_off_but_not_inside():
+def test_wrap_excludes_enclosed_space_that_is_not_inside():
     shell = hollow(0.02, 0.008)
     surface = Surface(np.array(shell.vertices), np.array(shell.faces))
     wound, _ = wrap(surface, surface)
@@ -172,7 +172,7 @@ def test_triangles_are_bounded():
 
 
 def tilted_prong(grow=0.0):
-    """A slanted pin, 20 degrees off the upright, that comes out of the origin."""
+    """Return a slanted pin from the origin, 20 degrees off the vertical."""
     pin = m3.Manifold.cylinder(0.06, 0.008 + grow).translate((0.0, 0.0, -0.02)).rotate((0.0, 20.0, 0.0))
     return pin.trim_by_plane((0.0, 0.0, 1.0), -0.001)
 
@@ -200,7 +200,7 @@ def slanted_joint():
     ]
 
 
-def test_a_direction_belongs_to_the_parts_that_it_comes_from():
+def test_directions_are_natural_only_to_the_parts_that_define_them():
     parts = slanted_joint()
     graph = blocking([Shell(Surface(p.mesh.vertices, p.mesh.faces)) for p in parts])
     along = np.array([-np.sin(np.radians(20.0)), 0.0, -np.cos(np.radians(20.0))])
@@ -212,7 +212,7 @@ def test_a_direction_belongs_to_the_parts_that_it_comes_from():
     assert all(graph.is_natural(index, leg, seat) for index in range(6))
 
 
-def test_a_joint_opens_toward_where_a_planner_would_look():
+def test_a_joint_opens_in_a_natural_direction():
     parts = slanted_joint()
     ways = [(0, 0, -1), (-np.sin(np.radians(20.0)), 0, -np.cos(np.radians(20.0)))]
 
@@ -229,7 +229,7 @@ def test_a_joint_opens_toward_where_a_planner_would_look():
     assert max(r.trimmed for r in result.report) < 0.01
 
 
-def test_legs_and_seat_share_what_neither_could_lose_alone():
+def test_legs_and_seat_share_an_overlap_too_large_for_either():
     # Every leg would lose 22 % if cut flush, and the seat 22 % to the four sockets; 20 % is allowed.
     seat = part("seat", block((0.24, 0.24, 0.1), (0, 0, 0.362)))
     corners = [(x, y) for x in (-0.07, 0.07) for y in (-0.07, 0.07)]
@@ -245,13 +245,13 @@ def test_legs_and_seat_share_what_neither_could_lose_alone():
         assert report.displacement == 0.0
 
 
-def test_the_first_refusal_is_the_one_told():
+def test_the_first_refusal_is_reported():
     one, two = part("one", block((0.1, 0.1, 0.1), (0, 0, 0))), part("two", block((0.1, 0.1, 0.1), (0.03, 0, 0)))
     with pytest.raises(FurnitureError, match=r"would lose 7\d\.\d% of its volume to clear"):
         repair([one, two])
 
 
-def test_fine_solids_are_thinned():
+def test_fine_solids_are_simplified():
     ball = trimesh.creation.icosphere(6, 0.2)
     dented = ball.vertices * (1.0 + 0.004 * np.sin(40.0 * ball.vertices[:, :1]))
     solid = solidify("ball", Mesh(dented, ball.faces), 2400)
