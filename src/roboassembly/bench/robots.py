@@ -24,7 +24,7 @@ from roboassembly.datasets import catalogue
 from roboassembly.errors import InputError, MissingExtraError
 from roboassembly.furniture.model import Furniture
 from roboassembly.planning.problem import Budget
-from roboassembly.planning.robot_path import Configuration, Floor, connect, number_space
+from roboassembly.planning.robot_path import Configuration, Floor, configuration_space, connect
 from roboassembly.planning.rrt import exhaustion, run_rrt_connect
 from roboassembly.solvers.search import solve_full
 from roboassembly.task.full.cell_state import Segment
@@ -240,7 +240,7 @@ def _path(furniture: Furniture, plan: FullPlan, segment: Segment, bullet: Bullet
         steps = max(1, int(np.ceil(np.abs(b - a).max() / _STEP)))
         return all(counted(a + (b - a) * i / steps) for i in range(1, steps + 1))
 
-    space, state, read = number_space(start, goal, floor)
+    space, state, read = configuration_space(start, goal, floor)
     solved = run_rrt_connect(
         space, state(start), [state(goal)], lambda a, b: edge(read(a), read(b)), lambda s: counted(read(s)),
         exhaustion(lambda: count, Budget(1_000_000, _CAP), begun), seed, None,

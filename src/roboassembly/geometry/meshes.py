@@ -1,4 +1,4 @@
-"""A triangle mesh that has been looked at: finite, indexed, with area."""
+"""Validated triangle meshes: finite, indexed, with area."""
 
 from __future__ import annotations
 
@@ -21,25 +21,24 @@ if TYPE_CHECKING:
 
 MAX_FACES = 2_000_000
 _GRAINS = (0.0, 1e-5, 1e-4)
-"""Metres that corners of a hull are rounded to, the next where tumbling it comes to nothing: of hundreds of corners
-that all but lie in a plane trimesh makes triangles that do not close."""
+"""Grids to which corners of a hull are rounded; the next one is used when no stable pose is found, since trimesh does
+not close hulls with hundreds of nearly coplanar corners [m]."""
 WOOD_DENSITY = 600.0
-"""kg/m³: beech and oak are 600 to 750, pine 500."""
+"""Density; beech and oak have 600 to 750, pine 500 [kg/m³]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """Triangles in metres. Vertices that no face uses are left out, and the others rounded to 32-bit floats, so that a
-    saved mesh loads back identical.
+    """Triangle mesh in metres, compared and hashed by identity.
 
-    Compared and hashed by identity: two parts share a mesh when they share the object.
+    Unused vertices are removed and the others rounded to 32-bit floats, so that a saved mesh loads back identical.
 
     Raises:
         FurnitureError: wrong shapes, non-finite vertices, face indices out of range, no faces, or no area.
     """
 
     vertices: Float[np.ndarray, "v 3"]
-    """Metres, in whatever frame the owner says (a part's: its centre of mass)."""
+    """Vertices in the frame of the owner (for a part: at its centre of mass) [m]."""
     faces: Int[np.ndarray, "f 3"]
     """Vertex indices, counter-clockwise seen from outside."""
 
@@ -79,14 +78,14 @@ class Mesh:
 
     @cached_property
     def trimesh(self) -> trimesh.Trimesh:
-        """The same triangles as a `trimesh.Trimesh`, unprocessed: do not change it."""
-        import trimesh  # takes 0.3 s, and an import that was done before needs none
+        """The same triangles as a `trimesh.Trimesh`, unprocessed; not to be changed."""
+        import trimesh  # takes 0.3 s, which cached imports do not need
 
         return trimesh.Trimesh(self.vertices, self.faces, process=False)
 
     @cached_property
     def is_solid(self) -> bool:
-        """Closed, consistently wound, facing outward: its volume integrals mean something."""
+        """Whether the mesh is closed, consistently wound and facing outward, so that volume integrals are valid."""
         return bool(self.trimesh.is_volume and self.trimesh.volume > 0)
 
     @cached_property
@@ -110,7 +109,7 @@ class Mesh:
 
     @cached_property
     def hull_vertices(self) -> Float[np.ndarray, "h 3"]:
-        """Corners of the convex hull: enough to find the lowest point in any orientation."""
+        """Corners of the convex hull, which include the lowest point in any orientation."""
         return np.array(self.hull.vertices)
 
     @cached_property
@@ -119,17 +118,17 @@ class Mesh:
 
     @cached_property
     def volume(self) -> float:
-        """Cubic metres; of the convex hull where the mesh is not solid."""
+        """Volume, of the convex hull if the mesh is not solid [m³]."""
         return float(self._mass_source.volume)
 
     @cached_property
     def center_of_mass(self) -> Float[np.ndarray, "3"]:
-        """Uniform density; of the convex hull where the mesh is not solid."""
+        """Centre of mass at uniform density, of the convex hull if the mesh is not solid [m]."""
         return np.array(self._mass_source.center_mass)
 
     @cached_property
     def inertia(self) -> Float[np.ndarray, "3 3"]:
-        """About the centre of mass, m⁵ (times density: kg·m²); of the convex hull where the mesh is not solid."""
+        """Inertia about the centre of mass at unit density, of the convex hull if the mesh is not solid [m⁵]."""
         return np.array(self._mass_source.moment_inertia)
 
     @cached_property
@@ -139,7 +138,7 @@ class Mesh:
 
     @cached_property
     def thickness(self) -> float:
-        """Metres between the nearest two parallel planes that hold the mesh, one of them along a face of its hull."""
+        """Distance between the two nearest parallel planes that enclose the mesh, one along a face of its hull [m]."""
         # Slivers of the hull have no normal.
         normals = self.hull.face_normals[np.linalg.norm(self.hull.face_normals, axis=1) > 0.5]
         heights = self.hull_vertices @ normals.T
@@ -147,7 +146,7 @@ class Mesh:
 
     @cached_property
     def resting_rotations(self) -> tuple[Float[np.ndarray, "n 3 3"], Float[np.ndarray, "n"]]:
-        """Orientations in which it rests on the ground, and how likely each is when it is dropped anyhow.
+        """Orientations in which the mesh rests on the ground, and their probabilities after a random drop.
 
         Quasi-static tumbling of the convex hull (Goldberg et al. 1999, "Part Pose Statistics: Estimators and
         Experiments"), as trimesh computes it.
@@ -171,12 +170,12 @@ class Mesh:
 
     @cached_property
     def bounds(self) -> Float[np.ndarray, "2 3"]:
-        """Axis-aligned box: lowest and highest corner."""
+        """Axis-aligned bounding box: lowest and highest corner [m]."""
         return np.array([self.vertices.min(axis=0), self.vertices.max(axis=0)])
 
     @cached_property
     def radius(self) -> float:
-        """Distance of the farthest vertex from the origin of the mesh's frame."""
+        """Distance of the farthest vertex from the origin of the mesh's frame [m]."""
         return float(np.linalg.norm(self.vertices, axis=1).max())
 
     @cached_property
@@ -188,21 +187,21 @@ class Mesh:
 
     @cached_property
     def bvh(self) -> coal.BVHModelOBBRSS:
-        """The exact triangles as a bounding-volume hierarchy: a surface, without an inside."""
+        """Bounding-volume hierarchy of the exact triangles: a surface without an inside."""
         return hierarchy(self.vertices, self.faces[have_area(self.vertices, self.faces)])
 
     @cached_property
     def convex(self) -> coal.ConvexBase:
-        """The convex hull as a solid."""
+        """Convex hull as a solid."""
         model = Mesh.from_trimesh(self.hull).bvh
         model.buildConvexHull(True, "Qt")
         return model.convex
 
     def contains(self, point: Float[np.ndarray, "3"]) -> bool:
-        """Whether a point of the mesh's frame, not on the surface, lies inside.
+        """Return whether a point of the mesh's frame, not on the surface, lies inside.
 
-        By the solid angle that the surface fills as seen from the point (Van Oosterom and Strackee 1983); an open
-        surface counts as closed where it fills more than half.
+        The criterion is the solid angle of the surface as seen from the point (Van Oosterom and Strackee 1983); an
+        open surface counts as closed where it fills more than half.
         """
         if (point < self.bounds[0]).any() or (point > self.bounds[1]).any():
             return False
@@ -214,34 +213,34 @@ class Mesh:
         return bool(abs(angle.sum()) > 2.0 * np.pi)
 
     def transformed(self, pose: SE3) -> Mesh:
-        """The mesh with every vertex moved by `pose`."""
+        """Return the mesh with every vertex moved by `pose`."""
         return Mesh(transform_points(pose, self.vertices), self.faces)
 
 
 @dataclass(frozen=True, eq=False)
 class Witness:
-    """The nearest points of two meshes."""
+    """Nearest points of two meshes."""
 
     distance: float
-    """Metres; 0 when they touch or penetrate."""
+    """Distance; 0 when they touch or penetrate [m]."""
     point_a: Float[np.ndarray, "3"]
     point_b: Float[np.ndarray, "3"]
 
 
 _POINT = coal.Sphere(1e-9)
 _LINE = 1e-9
-"""Height over longest edge of triangles that are taken as lines."""
+"""Ratio of height to longest edge below which a triangle counts as a line."""
 
 
 def have_area(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> Bool[np.ndarray, "f"]:
-    """Which triangles are more than a line: cuts and rounding leave some that are none, between longer neighbours."""
+    """Return which triangles have area; cuts and rounding leave some degenerate ones between longer neighbours."""
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     longest = np.max([((b - a) ** 2).sum(axis=1), ((c - b) ** 2).sum(axis=1), ((a - c) ** 2).sum(axis=1)], axis=0)
     return np.linalg.norm(np.cross(b - a, c - a), axis=1) > _LINE * longest
 
 
 def hierarchy(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> coal.BVHModelOBBRSS:
-    """Triangles as a bounding-volume hierarchy."""
+    """Return triangles as a bounding-volume hierarchy."""
     model = coal.BVHModelOBBRSS()
     model.beginModel(len(faces), len(vertices))
     model.addVertices(vertices)
@@ -251,9 +250,9 @@ def hierarchy(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"])
 
 
 def distance_to(model: coal.BVHModelOBBRSS, point: Float[np.ndarray, "3"]) -> float:
-    """Metres from a point to the nearest triangle, inside as outside.
+    """Return the unsigned distance from a point to the nearest triangle [m].
 
-    All triangles must have area: of one that has none coal 3.0.3 says that it touches every sphere.
+    All triangles must have area: coal 3.0.3 reports a triangle without area as touching every sphere.
     """
     place = coal.Transform3s(np.eye(3), np.asarray(point, dtype=float))
     request, result = coal.DistanceRequest(), coal.DistanceResult()
@@ -261,7 +260,7 @@ def distance_to(model: coal.BVHModelOBBRSS, point: Float[np.ndarray, "3"]) -> fl
 
 
 def nearest_points(a: Mesh, b: Mesh) -> Witness:
-    """Exact distance between two surfaces given in the same frame, and where it is attained."""
+    """Return the exact distance between two surfaces in one frame, and the points that attain it."""
     here = coal.Transform3s.Identity()
     request, hit = coal.CollisionRequest(), coal.CollisionResult()
     if coal.collide(a.bvh, here, b.bvh, here, request, hit):

@@ -1,4 +1,4 @@
-"""Poses: one convention for each place that needs one.
+"""Poses and their representations in files, observations and networks.
 
 Inside the package a pose is a `pinocchio.SE3`. In files it is seven numbers `(x, y, z, qw, qx, qy, qz)`.
 In observations it is `(x, y, z, roll, pitch, yaw)` with `R = Rz(yaw) @ Ry(pitch) @ Rx(roll)`. For networks the
@@ -40,7 +40,7 @@ __all__ = [
 
 
 def rotation_from_quaternion(wxyz: Sequence[float] | Float[np.ndarray, "4"]) -> Float[np.ndarray, "3 3"]:
-    """Rotation matrix of the quaternion `(w, x, y, z)`, which is normalised first."""
+    """Return the rotation matrix of the quaternion `(w, x, y, z)`, normalised first."""
     w, x, y, z = (float(c) for c in wxyz)
     quaternion = pin.Quaternion(w, x, y, z)
     norm = quaternion.norm()
@@ -53,19 +53,19 @@ def rotation_from_quaternion(wxyz: Sequence[float] | Float[np.ndarray, "4"]) -> 
 def from_quaternion(
     position: Sequence[float] | Float[np.ndarray, "3"], wxyz: Sequence[float] | Float[np.ndarray, "4"]
 ) -> SE3:
-    """Pose from a position in metres and a quaternion `(w, x, y, z)`."""
+    """Return the pose of a position [m] and a quaternion `(w, x, y, z)`."""
     return SE3(rotation_from_quaternion(wxyz), np.asarray(position, dtype=float))
 
 
 def pose_to_seven(pose: SE3) -> list[float]:
-    """`[x, y, z, qw, qx, qy, qz]` with `qw >= 0`."""
+    """Return `[x, y, z, qw, qx, qy, qz]` with `qw >= 0`."""
     q = pin.Quaternion(pose.rotation)
     sign = -1.0 if q.w < 0 else 1.0
     return [*map(float, pose.translation), sign * q.w, sign * q.x, sign * q.y, sign * q.z]
 
 
 def pose_from_seven(numbers: Sequence[float]) -> SE3:
-    """Pose from `[x, y, z, qw, qx, qy, qz]`.
+    """Return the pose of `[x, y, z, qw, qx, qy, qz]`.
 
     Raises:
         InputError: not seven finite numbers, or a zero quaternion.
@@ -77,48 +77,48 @@ def pose_from_seven(numbers: Sequence[float]) -> SE3:
 
 
 def pose_to_euler(pose: SE3) -> Float[np.ndarray, "6"]:
-    """`(x, y, z, roll, pitch, yaw)`, metres and radians, `R = Rz(yaw) Ry(pitch) Rx(roll)`."""
+    """Return `(x, y, z, roll, pitch, yaw)` [m, rad]; `R = Rz(yaw) Ry(pitch) Rx(roll)`."""
     return np.concatenate([pose.translation, pin.rpy.matrixToRpy(pose.rotation)])
 
 
 def rotations_from_euler(angles: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3 3"]:
-    """Rotations from roll, pitch and yaw, many at once: `R = Rz(yaw) Ry(pitch) Rx(roll)`, as in `pose_to_euler`."""
+    """Return rotations of many roll, pitch and yaw angles: `R = Rz(yaw) Ry(pitch) Rx(roll)`, as in `pose_to_euler`."""
     return Rotation.from_euler("ZYX", angles[..., ::-1]).as_matrix()
 
 
 def euler_from_rotations(rotations: Float[np.ndarray, "n 3 3"]) -> Float[np.ndarray, "n 3"]:
-    """The inverse of `rotations_from_euler`."""
-    # SciPy would warn at every pitch of 90 degrees, and furniture is full of them.
+    """Return roll, pitch and yaw of many rotations: the inverse of `rotations_from_euler`."""
+    # SciPy would warn at every pitch of 90 degrees, which is frequent in furniture.
     return np.array([pin.rpy.matrixToRpy(r) for r in rotations]).reshape(-1, 3)
 
 
 def pose_to_rotation_6d(pose: SE3) -> Float[np.ndarray, "9"]:
-    """Translation and the first two columns of the rotation matrix."""
+    """Return the translation and the first two columns of the rotation matrix."""
     return np.concatenate([pose.translation, pose.rotation[:, 0], pose.rotation[:, 1]])
 
 
 def transform_points(pose: SE3, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
-    """Points given in the pose's own frame, expressed in its parent frame."""
+    """Return points of the pose's own frame in its parent frame."""
     return points @ pose.rotation.T + pose.translation
 
 
 def orthonormal(pose: SE3) -> SE3:
-    """The pose with its rotation made exact again: products of many rotations drift, and the drift doubles."""
+    """Return the pose with an orthonormal rotation again: products of many rotations drift."""
     quaternion = pin.Quaternion(pose.rotation)
     quaternion.normalize()
     return SE3(quaternion.toRotationMatrix(), pose.translation)
 
 
 def rotation_angle(rotation: Float[np.ndarray, "3 3"]) -> float:
-    """Angle of a rotation matrix in `[0, pi]` radians."""
+    """Return the angle of a rotation matrix, in `[0, pi]` [rad]."""
     return float(np.linalg.norm(pin.log3(rotation)))
 
 
 def interpolate(start: SE3, end: SE3, fractions: Float[np.ndarray, "n"]) -> Float[np.ndarray, "7 n"]:
-    """Configurations `(x, y, z, qx, qy, qz, qw)` along an edge, one per column.
+    """Return configurations `(x, y, z, qx, qy, qz, qw)` along an edge, one per column.
 
-    Translation is linear and rotation is spherical-linear, separately: this is the meaning of an edge in every
-    path of this package (and OMPL's meaning for SE(3)). The quaternion order is Pinocchio's.
+    Translation is interpolated linearly and rotation spherical-linearly, as in every path of this package and in
+    OMPL's SE(3). The order of the quaternion is Pinocchio's.
     """
     fractions = np.asarray(fractions, dtype=float)
     a = pin.Quaternion(start.rotation).coeffs()
@@ -138,7 +138,7 @@ def interpolate(start: SE3, end: SE3, fractions: Float[np.ndarray, "n"]) -> Floa
 
 
 def poses_to_configurations(poses: Sequence[SE3]) -> Float[np.ndarray, "7 n"]:
-    """Free-flyer configurations `(x, y, z, qx, qy, qz, qw)`, one per column, Fortran order."""
+    """Return free-flyer configurations `(x, y, z, qx, qy, qz, qw)`, one per column, Fortran order."""
     out = np.empty((7, len(poses)), order="F")
     for column, pose in enumerate(poses):
         out[:, column] = pin.SE3ToXYZQUAT(pose)
@@ -146,14 +146,14 @@ def poses_to_configurations(poses: Sequence[SE3]) -> Float[np.ndarray, "7 n"]:
 
 
 def turn_about_vertical(angle: float) -> Float[np.ndarray, "3 3"]:
-    """Rotation by an angle, radians, about z."""
+    """Return the rotation by an angle about z [rad]."""
     cosine, sine = np.cos(angle), np.sin(angle)
     return np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
 
 
 def align_axis(source: Float[np.ndarray, "3"], target: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
-    """The smallest rotation that takes the unit vector `source` to the unit vector `target`."""
+    """Return the smallest rotation that maps the unit vector `source` to the unit vector `target`."""
     quaternion = pin.Quaternion.FromTwoVectors(np.asarray(source, float), np.asarray(target, float))
-    # Off unit length by up to 1e-3 where the two are nearly opposite.
+    # Its length is off by up to 1e-3 where the two vectors are nearly opposite.
     quaternion.normalize()
     return quaternion.toRotationMatrix()

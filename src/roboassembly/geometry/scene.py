@@ -1,4 +1,4 @@
-"""The one description of what is where, from which the planning model and the physics model are both built."""
+"""Scenes: rigid bodies and the ground, from which the planning model and the physics model are built."""
 
 from __future__ import annotations
 
@@ -12,27 +12,27 @@ from roboassembly.geometry.poses import SE3
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """A mesh fixed in a body."""
+    """Mesh fixed in a body."""
 
     mesh: Mesh
     body_from_mesh: SE3
     convex: bool = False
-    """It is known to be convex, so its inside counts too."""
+    """Whether the mesh is known to be convex, so that its inside counts as solid."""
 
     @property
     def geometry(self) -> coal.CollisionGeometry:
-        """What collision checks take."""
+        """Geometry for collision checks."""
         return self.mesh.convex if self.convex else self.mesh.bvh
 
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """Shapes that move as one, or do not move at all."""
+    """Rigid body of one or several shapes, moving or still."""
 
     name: str
     shapes: tuple[Shape, ...]
     pose: SE3
-    """`world_from_body`; where it starts if it moves."""
+    """Pose `world_from_body`; the initial one of a moving body."""
     moves: bool = False
 
 

@@ -1,8 +1,8 @@
-"""The unit of length that someone else's files are in: named, or guessed from typical sizes of furniture.
+"""Unit of length of imported files: given, or guessed from typical sizes of furniture.
 
-Plain mesh files do not say their unit. For each unit, the piece would have a height, a width and a depth in metres. The
-guess is the unit whose size is the most likely for furniture, as `TYPICAL` has it; where another unit is nearly as
-likely, the guess says so.
+Plain mesh files do not state their unit. Each unit implies a height, width and depth of the piece in metres. The guess
+is the unit whose size is the most likely for furniture according to `TYPICAL`; it lists other units that are nearly as
+likely.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from types import MappingProxyType
 from roboassembly.errors import FurnitureError, InputError
 
 METRES = MappingProxyType({"mm": 0.001, "cm": 0.01, "m": 1.0, "in": 0.0254, "ft": 0.3048})
-"""Metres per unit."""
+"""Length of each unit [m]."""
 NAMES = MappingProxyType({"mm": "millimetres", "cm": "centimetres", "m": "metres", "in": "inches", "ft": "feet"})
 
 Range = tuple[float, float]
@@ -34,45 +34,45 @@ TYPICAL: MappingProxyType[str, tuple[Range, Range, Range]] = MappingProxyType(
         "anything": ((0.25, 2.20), (0.25, 2.20), (0.10, 1.50)),
     }
 )
-"""Height, width (the longer side of the floor plan) and depth in metres: the range that nine of ten pieces lie in.
+"""Ranges of height, width (the longer side of the floor plan) and depth that contain nine of ten pieces [m].
 
-From the usual figures of the trade: a side chair 18 by 18 inches with its seat at 18, a dining table 28 to 30 high, 36
+The figures are usual in the trade: a side chair 18 by 18 inches with its seat at 18, a dining table 28 to 30 high, 36
 to 40 wide and 48 to 78 long, a low table 18 to 20 high, 24 by 24 to 30 by 48, a bookcase 9 to 14 deep and 48 to 84
 high, a sofa 33 to 38 by 72 to 90, beds 75 to 84 long.
 """
 _NINE_OF_TEN = 2 * 1.645
-"""Width in standard deviations of the range that holds nine of ten."""
+"""Width of the range that contains nine of ten, in standard deviations."""
 CLOSE = 0.05
-"""A unit whose share of the likelihood is at least this is told as another possibility."""
+"""Share of the likelihood from which a unit is listed as another possibility."""
 SMALLEST, LARGEST = 0.1, 4.0
-"""Metres: a longest side outside these is believed in no unit."""
+"""Bounds of a plausible longest side [m]."""
 TYPICAL_LONGEST = 1.0
-"""Metres: the longest side of a piece whose size fits no unit."""
+"""Longest side given to a piece whose size fits no unit [m]."""
 
 
 @dataclass(frozen=True)
 class Unit:
-    """How a piece got its size."""
+    """Scale of a piece's files and its origin."""
 
     scale: float
-    """Metres per unit of the files."""
+    """Length of the files' unit [m]."""
     text: str
-    """For people: `guessed inches`, `given: 0.5 m`, ..."""
+    """Description for the user: `guessed inches`, `metres, as given`, ..."""
     name: str | None = None
-    """Of `METRES`; None where the scale is that of no unit."""
+    """Name of the unit in `METRES`; None if the scale is that of no unit."""
     guessed: bool = False
     others: tuple[str, ...] = ()
-    """Units that are nearly as likely, of `METRES`."""
+    """Names of units in `METRES` that are nearly as likely."""
 
 
 def given(scale: float) -> Unit:
-    """The unit with a scale that someone named."""
+    """Return the unit of a scale given by the user."""
     name = next((n for n, metres in METRES.items() if math.isclose(scale, metres, rel_tol=1e-9)), None)
     return Unit(scale, f"{NAMES[name]}, as given" if name else f"{scale:.6g} m, as given", name)
 
 
 def of_format(scale: float, asked: float | None) -> Unit:
-    """The unit of files whose format has one, or is scaled to a typical size."""
+    """Return the unit of files whose format states it or which are scaled to a typical size."""
     if asked is not None:
         return given(asked)
     if scale == 1.0:
@@ -81,7 +81,7 @@ def of_format(scale: float, asked: float | None) -> Unit:
 
 
 def scale_of(unit: str | None, scale: float | None) -> float | None:
-    """Metres per unit, by its name or by its size; None if neither is given.
+    """Return the length of a unit given by name or by size [m]; None if neither is given.
 
     Raises:
         InputError: both are given, or there is no such unit.
@@ -96,7 +96,7 @@ def scale_of(unit: str | None, scale: float | None) -> float | None:
 
 
 def guess(extents: Sequence[float]) -> Unit:
-    """The most likely unit of a piece with these extents (x, y, z; z up) in its own unit.
+    """Return the most likely unit of a piece with these extents (x, y, z; z up) in its own unit.
 
     Raises:
         FurnitureError: the piece has no extent.
@@ -117,7 +117,7 @@ def guess(extents: Sequence[float]) -> Unit:
 
 
 def _log_likelihood(extents: Sequence[float]) -> float:
-    """Of a size in metres (x, y, z; z up), for furniture of any kind that is as frequent as any other."""
+    """Return the log-likelihood of a size (x, y, z; z up) [m], with all kinds of furniture equally frequent."""
     sides = (extents[2], max(extents[0], extents[1]), min(extents[0], extents[1]))
     logs = [sum(map(_log_density, sides, ranges)) for ranges in TYPICAL.values()]
     top = max(logs)
@@ -125,7 +125,7 @@ def _log_likelihood(extents: Sequence[float]) -> float:
 
 
 def _log_density(side: float, usual: Range) -> float:
-    """Log-normal."""
+    """Return the log-normal log-density of a side [m] with a usual range."""
     low, high = math.log(usual[0]), math.log(usual[1])
     deviation = (high - low) / _NINE_OF_TEN
     return -0.5 * ((math.log(max(side, 1e-9)) - 0.5 * (low + high)) / deviation) ** 2 - math.log(deviation)

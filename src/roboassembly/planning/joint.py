@@ -1,4 +1,4 @@
-"""All bodies at once: RRT-Connect in the 6·M-dimensional space of M free bodies, the paper's baseline."""
+"""Joint planning of all bodies: RRT-Connect in the 6·M-dimensional space of M free bodies, the paper's baseline."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from roboassembly.planning.world import ANGULAR_RESOLUTION, RESOLUTION, collisio
 
 
 class JointWorld:
-    """Exact collision checks of a scene in which every body moves by itself."""
+    """Exact collision checks of a scene in which bodies move independently."""
 
     def __init__(self, scene: Scene) -> None:
         self._pool = collision_pool(scene)
@@ -28,26 +28,26 @@ class JointWorld:
             if body.moves
         ]
         self.states = 0
-        """Configurations of all bodies tested so far."""
+        """Number of configurations of all bodies tested so far."""
 
     def first_collision(self, configurations: Float[np.ndarray, "q n"]) -> int | None:
-        """Index of the first configuration in collision, in order; None if all are free."""
+        """Return the index of the first configuration in collision; None if all are free."""
         first = first_hit(self._pool, configurations)
         self.states += configurations.shape[1] if first is None else first + 1
         return first
 
     def is_free(self, poses: Sequence[SE3]) -> bool:
-        """Exact test of one configuration."""
+        """Return whether one configuration is free, by an exact test."""
         return self.first_collision(poses_to_configurations(poses).reshape(-1, 1, order="F")) is None
 
     def edge_is_free(self, start: Sequence[SE3], end: Sequence[SE3]) -> bool:
-        """Whether all states between are free; from one to the next no point of any body moves more than 2 mm."""
+        """Return whether all states of an edge are free; between successive ones no point moves more than 2 mm."""
         steps = 1
         for a, b, radius in zip(start, end, self._radii, strict=True):
             angle = rotation_angle(a.rotation.T @ b.rotation)
             travel = float(np.linalg.norm(b.translation - a.translation)) + angle * radius
             steps = max(steps, int(np.ceil(max(travel / RESOLUTION, angle / ANGULAR_RESOLUTION))))
-        # In slices, so that an edge that collides early costs little.
+        # Slices limit the cost of an edge that collides early.
         for first in range(1, steps + 1, 64):
             fractions = np.arange(first, min(first + 64, steps + 1)) / steps
             columns = np.concatenate([interpolate(a, b, fractions) for a, b in zip(start, end, strict=True)])
@@ -64,13 +64,18 @@ def joint_rrt_connect(
     budget: Budget,
     seed: int,
 ) -> tuple[PlanningStatus, tuple[tuple[SE3, ...], ...], float]:
-    """Move all bodies from `start` to `goal` at once.
+    """Plan motions of all bodies from `start` to `goal` at once.
 
     Args:
-        bounds: lowest and highest position of every body's origin, metres.
+        world: collision checks, which also count states.
+        start: initial poses.
+        goal: final poses.
+        bounds: lowest and highest position of every body's origin [m].
+        budget: limits of the search.
+        seed: seed of the search.
 
     Returns:
-        Status, way-points (poses of all bodies each), and seconds.
+        Status, way-points (poses of all bodies each), and duration [s].
     """
     begun = time.perf_counter()
     if not world.is_free(goal):

@@ -1,8 +1,8 @@
-"""A path for a body from where it lies to where it mates with another.
+"""Path planning for a body from its resting pose to the pose at which it mates with another.
 
-Planned backward, from the mating pose, and first by what is nearly free: a straight retreat, perhaps a second one
-across it, until the body can rise; then up to where nothing stands, across, and down to the start. Only where no such
-retreat is found does RRT-Connect search.
+The planner works backward from the mating pose and tries cheap motions first: a straight retreat, perhaps a second one
+across it, until the body can rise; then up above all obstacles, across, and down to the start. RRT-Connect searches
+only if no such retreat exists.
 """
 
 from __future__ import annotations
@@ -23,32 +23,33 @@ from roboassembly.planning.world import CollisionWorld
 
 UP = np.array([0.0, 0.0, 1.0])
 SKY_CLEARANCE = 0.01
-"""Metres between the highest still point and the lowest moving one while the body crosses."""
+"""Distance between the highest still point and the lowest moving one while the body crosses [m]."""
 _PARTIAL_RETREATS = (0.04, 0.12, 0.3)
-"""Metres gone along a direction before turning to a second one, where the way out of the joint is not the way up."""
+"""Lengths of a first retreat before a second one, when the body cannot rise directly after leaving the joint [m]."""
 _PROBE = 0.004
-"""Metres of the smallest motion that counts as leaving the mating pose."""
+"""Smallest motion that counts as leaving the mating pose [m]."""
 _WIGGLES = 60
+"""Number of random small motions in the test whether a body can leave the mating pose."""
 _SHORTCUTS = 40
-"""Pairs of way-points that are tried."""
+"""Number of pairs of way-points that shortcutting tries."""
 
 
 @dataclass(frozen=True, eq=False)
 class MatingProblem:
-    """What the mating planner needs to know besides the scene."""
+    """Start, goal and retreat directions of a mating motion."""
 
     start: SE3
-    """`world_from_body` where the body lies."""
+    """Resting pose `world_from_body`."""
     goal: SE3
-    """`world_from_body` where it mates."""
+    """Mating pose `world_from_body`."""
     partner: str
-    """Name of the still body that it mates with."""
+    """Name of the still body to mate with."""
     retreats: tuple[Float[np.ndarray, "3"], ...]
-    """Unit vectors of the world along which the contacts at the goal let go, best first."""
+    """Unit vectors of the world along which the contacts at the goal separate, best first."""
 
 
 def plan_mating(world: CollisionWorld, problem: MatingProblem, budget: Budget, seed: int) -> PathResult:
-    """Plan the whole way. The path's edges are free at the world's resolution."""
+    """Plan the whole path, whose edges are free at the world's resolution."""
     begun, first_state = time.perf_counter(), world.states
 
     def result(status: PlanningStatus, path: Sequence[SE3] = (), planner: str = "retreat") -> PathResult:
@@ -78,8 +79,8 @@ def plan_mating(world: CollisionWorld, problem: MatingProblem, budget: Budget, s
     if found is None:
         return result(PlanningStatus.BUDGET_EXHAUSTED, planner="rrt-connect")
     found = shortcut(found, world.edge_is_free, seed, _SHORTCUTS)
-    hold = min(footholds, key=lambda f: float(np.linalg.norm(pin.log6(f[-1].actInv(found[-1])).vector)))
-    return result(PlanningStatus.SOLVED, [*begin[:-1], *found[:-1], *reversed(hold)], "rrt-connect")
+    arrival = min(footholds, key=lambda f: float(np.linalg.norm(pin.log6(f[-1].actInv(found[-1])).vector)))
+    return result(PlanningStatus.SOLVED, [*begin[:-1], *found[:-1], *reversed(arrival)], "rrt-connect")
 
 
 def _shifted(pose: SE3, offset: Float[np.ndarray, "3"]) -> SE3:
@@ -87,14 +88,14 @@ def _shifted(pose: SE3, offset: Float[np.ndarray, "3"]) -> SE3:
 
 
 def _around() -> list[Float[np.ndarray, "3"]]:
-    """Eight level directions."""
+    """Return eight horizontal unit vectors."""
     return [np.array([np.cos(a), np.sin(a), 0.0]) for a in np.arange(8) * np.pi / 4]
 
 
 def _rise(
     world: CollisionWorld, pose: SE3, sky: float, directions: Sequence[Float[np.ndarray, "3"]], partner: str
 ) -> list[SE3] | None:
-    """Way-points from `pose` to the sky: straight up, or along one direction and up, or along two and up."""
+    """Return way-points from `pose` to the height `sky`: up, or along one or two directions and up; None if blocked."""
     blocked: list[tuple[Float[np.ndarray, "3"], float]] = []
     for d in directions:
         if d[2] > 1.0 - 1e-9:
@@ -102,7 +103,7 @@ def _rise(
             if world.edge_is_free(pose, top):
                 return [pose, top]
             continue
-        # Never below the ground: no farther than the body can sink.
+        # The ground limits how far the body can sink.
         farthest = max(0.0, (world.lowest_point(pose) - 1e-4) / -d[2]) if d[2] < 0 else np.inf
         distance = min(world.distance_to_clear(pose, d, partner) + 0.005, farthest)
         if distance <= _PROBE:
@@ -116,7 +117,7 @@ def _rise(
         top = _at_sky(aside, sky)
         if world.edge_is_free(aside, top):
             return [pose, aside, top]
-        # Out of the joint need not be out from under everything.
+        # A body that has left the joint may still be below an obstacle.
         outside = _shifted(pose, min(world.distance_to_clear(pose, d, partner, UP) + 0.005, farthest) * d)
         top = _at_sky(outside, sky)
         if world.edge_is_free(aside, outside) and world.edge_is_free(outside, top):
@@ -125,15 +126,16 @@ def _rise(
     for d, reached in blocked:
         for part in (*(p for p in _PARTIAL_RETREATS if p < reached), reached):
             aside = _shifted(pose, part * d)
-            for way in _second_legs(world, aside, d, sky, partner):
-                if all(world.edge_is_free(a, b) for a, b in zip([aside, *way[:-1]], way, strict=True)):
-                    return [pose, aside, *way]
+            for rest in _second_segments(world, aside, d, sky, partner):
+                if all(world.edge_is_free(a, b) for a, b in zip([aside, *rest[:-1]], rest, strict=True)):
+                    return [pose, aside, *rest]
     return None
 
 
-def _second_legs(
+def _second_segments(
     world: CollisionWorld, pose: SE3, first: Float[np.ndarray, "3"], sky: float, partner: str
 ) -> Iterator[list[SE3]]:
+    """Yield ways to the height `sky` after a first retreat: up, or across and up."""
     yield [_at_sky(pose, sky)]
     for d in _around():
         if abs(float(d @ first)) > 0.9:
@@ -148,21 +150,21 @@ def _at_sky(pose: SE3, sky: float) -> SE3:
 
 
 def _footholds(world: CollisionWorld, goal: SE3, retreats: Sequence[Float[np.ndarray, "3"]]) -> list[list[SE3]]:
-    """Goals for the search: the mating pose, and how far one comes straight out of it along each retreat."""
+    """Return paths from the mating pose to the goals of the search: itself and the free end of each retreat."""
     out = [[goal]]
     for d in retreats:
         end = _shifted(goal, 0.3 * d)
         reached = world.free_fraction(goal, end)
         foothold = _shifted(goal, (reached * 0.3 - _PROBE / 2) * d)
-        # Equal goals would make OMPL's nearest-neighbour tree split for ever.
-        apart = min(float(np.linalg.norm(foothold.translation - f[-1].translation)) for f in out)
-        if reached * 0.3 > 2 * _PROBE and apart > _PROBE:
+        # Equal goals would make OMPL's nearest-neighbour tree split without end.
+        nearest = min(float(np.linalg.norm(foothold.translation - f[-1].translation)) for f in out)
+        if reached * 0.3 > 2 * _PROBE and nearest > _PROBE:
             out.append([goal, foothold])
     return out
 
 
 def _can_move(world: CollisionWorld, goal: SE3, retreats: Sequence[Float[np.ndarray, "3"]], seed: int) -> bool:
-    """Whether any of many small motions leads away from the goal; if none does, a tree could not grow there either."""
+    """Return whether any of many small motions leads away from the goal; otherwise no tree can grow there."""
     rng = np.random.default_rng(seed)
     for d in retreats:
         if world.edge_is_free(goal, _shifted(goal, _PROBE * d)):

@@ -1,4 +1,4 @@
-"""What is asked of a planner, and what it answers."""
+"""Budget and result of motion planning."""
 
 from __future__ import annotations
 
@@ -9,39 +9,41 @@ from roboassembly.geometry.poses import SE3
 
 
 class PlanningStatus(StrEnum):
-    """Why a plan ended as it did."""
+    """Outcome of motion planning."""
 
     SOLVED = "solved"
     START_IN_COLLISION = "start_in_collision"
     GOAL_IN_COLLISION = "goal_in_collision"
     UNREACHABLE = "unreachable"
-    """The goal is locked in: none of many small motions away from it is free."""
+    """Locked goal: none of many small motions away from it is free."""
     BUDGET_EXHAUSTED = "budget_exhausted"
 
 
 @dataclass(frozen=True)
 class Budget:
-    """When to give up. A limit in seconds makes results depend on the machine, so there is none by default."""
+    """Limits of a search. A limit in seconds makes results depend on the machine, so the default is none."""
 
     states: int = 20_000
-    """Configurations tested for collision."""
+    """Number of configurations tested for collision."""
     seconds: float | None = None
+    """Duration [s]; unlimited if None."""
 
 
 @dataclass(frozen=True, eq=False)
 class PathResult:
-    """The outcome of one planning problem."""
+    """Result of one planning problem."""
 
     status: PlanningStatus
     path: tuple[SE3, ...]
-    """`world_from_body` way-points from start to goal; empty unless solved. Edges as in `poses.interpolate`."""
+    """Way-points `world_from_body` from start to goal, with edges as in `poses.interpolate`; empty unless solved."""
     states: int
-    """Configurations tested for collision, interpolated ones and failed attempts included."""
+    """Number of configurations tested for collision, including interpolated ones and failed attempts."""
     seconds: float
+    """Duration of planning [s]."""
     planner: str
-    """`retreat` or `rrt-connect`."""
+    """Name of the method: `retreat` or `rrt-connect`."""
 
     @property
     def solved(self) -> bool:
-        """Whether there is a path."""
+        """Whether a path was found."""
         return self.status is PlanningStatus.SOLVED

@@ -1,4 +1,4 @@
-"""Paths for a mobile Franka: straight in joint space where that is free, else RRT-Connect; lines of the hand."""
+"""Paths for a mobile Franka: straight in joint space if free, else RRT-Connect; straight lines of the hand."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from roboassembly.robots.kinematics import arm
 from roboassembly.robots.reach import in_mount
 
 _LONGEST = 1.5
-"""Of an extension of a tree; metres and radians together."""
+"""Largest extension of a tree, in the norm of configurations [m, rad]."""
 _LINE_STEP = 0.02
-"""Metres of a hand's straight line between two way-points, in joint space a little bent: by 0.1 mm at most."""
+"""Distance between way-points of a straight line of the hand, which deviates from it by at most 0.1 mm [m]."""
 _LEAP = 0.5
-"""Radians between two way-points of a line: more is another branch of solutions."""
+"""Largest joint motion between way-points of a line; more indicates another branch of solutions [rad]."""
 _SHORTCUTS = 30
-"""Pairs of way-points that are tried."""
+"""Number of pairs of way-points that shortcutting tries."""
 Configuration = Float[np.ndarray, "10"]
 """`(x, y, angle)` of the platform and the seven joint angles of the arm [m, rad]."""
 Path = tuple[Configuration, ...]
@@ -35,29 +35,29 @@ Path = tuple[Configuration, ...]
 
 @dataclass(frozen=True)
 class Floor:
-    """Where platforms may drive: a square around the middle of the world."""
+    """Square around the world's origin in which platforms may drive."""
 
     half: float
-    """Metres."""
+    """Half the side [m]."""
 
 
 def connect(
     world: RobotWorld, start: Configuration, goal: Configuration, floor: Floor, budget: Budget, seed: int
 ) -> Path | None:
-    """Way-points from `start` to `goal`; None if either is not free or the budget ran out.
+    """Return way-points from `start` to `goal`; None if either is not free or the budget is exhausted.
 
-    `CLEARANCE` is kept all the way if both have it. The platform turns the short way round.
+    `CLEARANCE` is kept along the path if both ends have it. The platform turns by less than half a turn.
     """
     begun = time.perf_counter()
     goal = nearest_turn(goal, start)
-    # OMPL would wait for another goal for ever.
+    # OMPL would wait without end for another goal.
     ends = np.array([start, goal])
     if not world.free(ends).all():
         return None
     clear = bool(world.clear(ends).all())
     if world.edge_is_free(start, goal, clear=clear):
         return start, goal
-    space, state, read = number_space(start, goal, floor)
+    space, state, read = configuration_space(start, goal, floor)
     found = run_rrt_connect(
         space,
         state(start),
@@ -75,10 +75,10 @@ def connect(
     )  # fmt: skip
 
 
-def number_space(
+def configuration_space(
     start: Configuration, goal: Configuration, floor: Floor
 ) -> tuple[Any, Callable[[Configuration], Any], Callable[[Any], Configuration]]:
-    """OMPL's space of configurations, and how one becomes a state of it and comes back."""
+    """Return OMPL's space of configurations and conversions from configurations to states and back."""
     space = base.RealVectorStateSpace(DOF)
     low = np.concatenate([[-floor.half, -floor.half, min(start[2], goal[2]) - np.pi], arm().low])
     high = np.concatenate([[floor.half, floor.half, max(start[2], goal[2]) + np.pi], arm().high])
@@ -97,30 +97,30 @@ def number_space(
 
 
 def nearest_turn(q: Configuration, to: Configuration) -> Configuration:
-    """The same, with the platform's angle less than half a turn from another's."""
+    """Return a configuration with the platform's angle shifted to within half a turn of another's."""
     out = np.array(q)
     out[2] = to[2] + (q[2] - to[2] + np.pi) % (2.0 * np.pi) - np.pi
     return out
 
 
 def turned_on(path: Sequence[Configuration], before: Configuration) -> Path:
-    """The same path with the platform's angle counted on from a configuration where it begins.
+    """Return a path with the platform's angle continuous from a configuration before it.
 
-    All of it is shifted by the same whole turns: an edge of more than half a turn was planned the long way round.
+    The whole path is shifted by the same number of turns, since an edge may have more than half a turn.
     """
     shift = nearest_turn(path[0], before) - path[0]
     return tuple(q + shift for q in path)
 
 
 def line(start: Configuration, offset: Float[np.ndarray, "3"], *, drive: bool = True) -> Path | None:
-    """Way-points along which the hand goes straight, without turning; None if the arm cannot.
+    """Return way-points of a straight motion of the hand without rotation; None if out of the arm's reach.
 
-    The platform drives what is level of it, and the arm does the rest.
+    The platform drives the horizontal part and the arm moves the rest.
 
     Args:
-        start: configuration at the beginning.
-        offset: metres, world.
-        drive: if not, the platform stands still.
+        start: initial configuration.
+        offset: displacement in the world's axes [m].
+        drive: whether the platform drives.
     """
     length = float(np.linalg.norm(offset))
     if length < 1e-9:
@@ -130,17 +130,17 @@ def line(start: Configuration, offset: Float[np.ndarray, "3"], *, drive: bool = 
         return start, start + np.concatenate([offset[:2], np.zeros(DOF - 2)])
     tips = world_from_tips(start)
     count = max(1, int(np.ceil(length / _LINE_STEP)))
-    way = [start]
+    path = [start]
     for i in range(1, count + 1):
         target = SE3(tips.rotation, tips.translation + offset * (i / count))
         place = start[:3] + level * [1.0, 1.0, 0.0] * (i / count)
-        q, found = arm().solve(in_mount(place[None], target), way[-1][None, 3:])
-        if not found[0] or np.abs(q[0] - way[-1][3:]).max() > _LEAP:
+        q, found = arm().solve(in_mount(place[None], target), path[-1][None, 3:])
+        if not found[0] or np.abs(q[0] - path[-1][3:]).max() > _LEAP:
             return None
-        way.append(np.concatenate([place, q[0]]))
-    return tuple(way)
+        path.append(np.concatenate([place, q[0]]))
+    return tuple(path)
 
 
 def path_is_free(world: RobotWorld, path: Sequence[Configuration]) -> bool:
-    """Whether all edges are."""
+    """Return whether all edges of a path are free."""
     return all(world.edge_is_free(a, b) for a, b in pairwise(path))

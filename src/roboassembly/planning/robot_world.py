@@ -1,9 +1,9 @@
-"""One mobile Franka, perhaps with something in its hand, among still things: collision checks of whole edges.
+"""Collision checks of a mobile Franka, with or without a load in its hand, among still bodies, for whole edges.
 
-An edge is certified coarsely first. A configuration that keeps everything at least `m` away from everything certifies
-all configurations in which no point of the robot has moved farther than `m`; so stretches of `2 m` of motion take one
-test. Where something is nearer, the stretch is cut up and looked at with less `m`, and at last by exact tests every
-`RESOLUTION`. What the robot does to itself is looked at in the same way, but only the arm's own motion counts there.
+Edges are certified coarsely first. A configuration with all distances at least `m` certifies every configuration in
+which no point of the robot has moved farther than `m`, so one test covers a stretch of `2 m` of motion. Stretches with
+smaller distances are subdivided and tested with smaller `m`, finally by exact tests every `RESOLUTION`. Self-collision
+is tested in the same way, where only the arm's own motion counts.
 """
 
 from __future__ import annotations
@@ -26,23 +26,27 @@ from roboassembly.robots.kinematics import JOINTS, arm
 from roboassembly.robots.platform import PLATFORM_FROM_MOUNT
 
 _OUTER_MARGINS = (0.06, 0.015)
+"""Margins of tests against the surroundings [m]."""
 _OWN_MARGINS = (0.02, 0.005)
-"""Metres."""
+"""Margins of tests of self-collision [m]."""
 CLEARANCE = 0.004
-"""Metres from everything else that a robot keeps where it is not on its way to something: it strays a little."""
+"""Clearance from everything else on transfer motions, as physical robots deviate a little from their paths [m]."""
 _GROUND = (200.0, 200.0, 1.0)
+"""Dimensions of the box that models the ground [m]."""
 _SAMPLES = 2_000
-_SPREAD_SAMPLES, _SPREAD_SLACK = 100_000, 1.02
+"""Number of random configurations that determine which links always overlap."""
+_SPAN_SAMPLES, _SPAN_SLACK = 100_000, 1.02
+"""Number of random configurations, and safety factor, of the largest distances from axes to links."""
 _ALWAYS = 0.5
-"""Share of random configurations from which on two links that overlap are taken to be made so."""
+"""Share of random configurations from which an overlap of two links is taken to be built in."""
 _CHUNK = 8
-"""Configurations looked at first, where the first hit ends it."""
+"""Size of the first batch of tests that end at the first hit."""
 Configurations = Float[np.ndarray, "n 10"]
 
 
 @dataclass(eq=False)
 class _Test:
-    """Pairs of shapes, nearer to each other than a margin or not; their convex hulls are looked at first."""
+    """Test whether any pair of shapes is nearer than a margin, first by convex hulls, then exactly."""
 
     model: pin.Model
     geometry: pin.GeometryModel
@@ -66,7 +70,7 @@ class _Test:
         return pool
 
     def hits(self, q: Configurations, *, first_only: bool = False) -> Bool[np.ndarray, "n"]:
-        """Whether any pair is nearer, in each configuration; none after the first that is, with `first_only`."""
+        """Return whether any pair is nearer in each configuration; with `first_only`, tests end at the first hit."""
         out = np.zeros(len(q), bool)
         sizes = _growing(len(q)) if first_only else [len(q)]
         for begin, end in pairwise(np.cumsum([0, *sizes]).tolist()):
@@ -83,7 +87,7 @@ def _collisions(pool: Pool, q: Configurations, first_only: bool = False) -> Bool
 
 
 def _growing(count: int) -> list[int]:
-    """Lengths that add up to a count, each twice the one before."""
+    """Return sizes of batches that add up to a count, each twice the one before."""
     out: list[int] = []
     while (rest := count - sum(out)) > 0:
         out.append(min(rest, _CHUNK << len(out)))
@@ -92,28 +96,28 @@ def _growing(count: int) -> list[int]:
 
 @dataclass
 class Tally:
-    """Outlives the world whose states it counts: tests that are set up hold megabytes, to be used for the next."""
+    """Count of tested configurations, which outlives the world that it counts for, as worlds occupy megabytes."""
 
     states: int = 0
 
 
 class RobotWorld:
-    """The planning model of one robot among still things.
+    """Planning model of one robot among still bodies.
 
     Args:
-        still: bodies that do not move, the other robot's included.
-        opening: metres between the finger pads.
-        held: what the hand holds, `body_from_mesh` being `tips_from_mesh`; its pads are meant to touch it and are not
-            tested against it.
-        lands: whether what is held may touch the ground.
-        tally: counts the tested configurations; a new one if None.
+        still: bodies that do not move, including those of the other robot.
+        opening: distance between the finger pads [m].
+        load: shapes in the hand, with `tips_from_mesh` as their `body_from_mesh`; not tested against the hand, whose
+            pads touch it.
+        lands: whether the load may touch the ground.
+        tally: count of tested configurations; a new one if None.
     """
 
     def __init__(
         self,
         still: Sequence[Body],
         opening: float,
-        held: Sequence[Shape] = (),
+        load: Sequence[Shape] = (),
         lands: bool = False,
         tally: Tally | None = None,
     ) -> None:
@@ -127,7 +131,7 @@ class RobotWorld:
 
         own = [add(link.name, carriers[link.carrier], SE3.Identity(), link.mesh.convex) for link in links()]
         hand = [add(link.name, carriers[HAND], pose, link.mesh.convex) for link, pose in hand_links(opening)]
-        load = [add(f"held{i}", carriers[HAND], tips * s.body_from_mesh, s.geometry) for i, s in enumerate(held)]
+        loads = [add(f"load{i}", carriers[HAND], tips * s.body_from_mesh, s.geometry) for i, s in enumerate(load)]
         others = [
             add(f"{b.name}/{i}", 0, b.pose * s.body_from_mesh, s.geometry)
             for b in still
@@ -135,21 +139,21 @@ class RobotWorld:
         ]
         ground = add("ground", 0, SE3(np.eye(3), np.array([0.0, 0.0, -0.5 * _GROUND[2]])), coal.Box(*_GROUND))
         outer, inner = geometry, geometry.copy()
-        for a in [*own, *hand, *load]:
+        for a in [*own, *hand, *loads]:
             for b in others:
                 outer.addCollisionPair(pin.CollisionPair(a, b))
-            if a != own[0] and not (lands and a in load):
+            if a != own[0] and not (lands and a in loads):
                 outer.addCollisionPair(pin.CollisionPair(a, ground))
         both = outer.copy()
-        # What the last joint carries does not move against the load: looked at once.
+        # Links carried by the last joint do not move relative to the load: one test suffices.
         still_links = [a for a, link in zip(own, links(), strict=True) if link.carrier == HAND]
-        self._hopeless = any(_meet(geometry, a, b) for a in still_links for b in load)
-        loaded = [(a, b) for a in own if a not in still_links for b in load]
+        self._hopeless = any(_touch(geometry, a, b) for a in still_links for b in loads)
+        loaded = [(a, b) for a in own if a not in still_links for b in loads]
         for a, b in (*_own_pairs(), *loaded):
             inner.addCollisionPair(pin.CollisionPair(a, b))
             both.addCollisionPair(pin.CollisionPair(a, b))
-        meshes = [*held, *(s for b in still for s in b.shapes)]
-        hulls = {i: s.mesh.convex for i, s in zip([*load, *others], meshes, strict=True) if not s.convex}
+        meshes = [*load, *(s for b in still for s in b.shapes)]
+        hulls = {i: s.mesh.convex for i, s in zip([*loads, *others], meshes, strict=True) if not s.convex}
 
         def tests(pairs: pin.GeometryModel, margins: Sequence[float]) -> list[_Test]:
             hulled = pairs.copy()
@@ -157,32 +161,32 @@ class RobotWorld:
                 hulled.geometryObjects[index].geometry = hull
             return [_Test(model, pairs, hulled, margin) for margin in margins]
 
-        # A test takes a millisecond to set up: the exact one is shared.
+        # Setting up a test takes a millisecond, so the exact one is shared.
         (self._all,) = tests(both, (0.0,))
         *around, clear = tests(outer, (*_OUTER_MARGINS, CLEARANCE))
         self._outer, self._clear = (*around, self._all), (*around, clear)
         self._inner = (*tests(inner, _OWN_MARGINS), self._all)
         near = [transform_points(pose, link.mesh.hull_vertices) for link, pose in hand_links(opening)]
-        near += [transform_points(tips * s.body_from_mesh, s.mesh.hull_vertices) for s in held]
+        near += [transform_points(tips * s.body_from_mesh, s.mesh.hull_vertices) for s in load]
         self._reach = _reach(np.concatenate(near))
 
     @property
     def states(self) -> int:
-        """Configurations tested so far."""
+        """Number of configurations tested so far."""
         return self.tally.states
 
     def free(self, q: Configurations) -> Bool[np.ndarray, "n"]:
-        """Exact test of each configuration."""
+        """Return whether each configuration is free, by exact tests."""
         self.tally.states += len(q)
         return ~self._all.hits(q) & (not self._hopeless)
 
     def clear(self, q: Configurations) -> Bool[np.ndarray, "n"]:
-        """Whether each configuration is free, and at least `CLEARANCE` from all around."""
+        """Return whether each configuration is free with at least `CLEARANCE` from the surroundings."""
         self.tally.states += len(q)
         return self.free(q) & ~self._clear[-1].hits(q)
 
     def clearance(self, q: Configurations) -> Float[np.ndarray, "n"]:
-        """The largest of a few margins that each configuration keeps from all around; zero of those that touch."""
+        """Return the largest of a few margins that each configuration keeps from the surroundings; 0 if none [m]."""
         out = np.zeros(len(q))
         for test in self._outer[:-1]:
             self.tally.states += len(q)
@@ -190,12 +194,12 @@ class RobotWorld:
         return out
 
     def edge_is_free(self, a: Float[np.ndarray, "10"], b: Float[np.ndarray, "10"], *, clear: bool = False) -> bool:
-        """Whether every configuration from `a` (taken as tested) to `b` is free; joints and platform move evenly.
+        """Return whether every configuration from `a` (assumed free) to `b` is free; the edge is linear.
 
         Args:
-            a: where it begins.
-            b: where it ends.
-            clear: whether `CLEARANCE` is kept besides.
+            a: first configuration.
+            b: last configuration.
+            clear: whether `CLEARANCE` is required too.
         """
         step = np.abs(b - a)
         moved = float(np.linalg.norm((b - a)[:2]) + step[2:] @ self._reach)
@@ -204,7 +208,7 @@ class RobotWorld:
         )
 
     def _ladder_free(self, ladder: Sequence[_Test], a: np.ndarray, b: np.ndarray, moved: float) -> bool:
-        """Whether an edge passes the last test of a ladder all along; the others, of falling margins, save work."""
+        """Return whether an edge passes the last test of a ladder; earlier tests with larger margins save work."""
         if moved < 1e-9:
             return True
         stretches = np.array([[0.0, 1.0]])
@@ -217,8 +221,8 @@ class RobotWorld:
             if last:
                 return not self._any_hit(test, a + np.outer(high, b - a))
             middle = a + np.outer(0.5 * (low + high), b - a)
-            # A coarse look for what is plainly in the way comes before certifying.
-            if test is ladder[0] and self._any_hit(ladder[-1], _spread(np.concatenate([middle, b[None]]))):
+            # Coarse exact tests for obvious collisions come before certification.
+            if test is ladder[0] and self._any_hit(ladder[-1], _middle_first(np.concatenate([middle, b[None]]))):
                 return False
             self.tally.states += len(middle)
             near = test.hits(middle)
@@ -233,19 +237,19 @@ class RobotWorld:
         return bool(hits.any())
 
 
-def _spread(q: Configurations) -> Configurations:
-    """The same, the middle first, so that a collision is found early."""
+def _middle_first(q: Configurations) -> Configurations:
+    """Return configurations with the middle first, so that a collision is found early."""
     n = len(q)
     order = sorted(range(n), key=lambda i: (-(i & -i).bit_length() if i else 0, i))
     return q[order]
 
 
-def _meet(geometry: pin.GeometryModel, a: int, b: int) -> bool:
-    """Whether two shapes of one carrier touch."""
-    one, other = geometry.geometryObjects[a], geometry.geometryObjects[b]
+def _touch(geometry: pin.GeometryModel, a: int, b: int) -> bool:
+    """Return whether two shapes of one carrier touch."""
+    first, second = geometry.geometryObjects[a], geometry.geometryObjects[b]
     return bool(
         coal.collide(
-            one.geometry, _transform(one.placement), other.geometry, _transform(other.placement),
+            first.geometry, _transform(first.placement), second.geometry, _transform(second.placement),
             coal.CollisionRequest(), coal.CollisionResult(),
         )
     )  # fmt: skip
@@ -257,7 +261,7 @@ def _transform(pose: SE3) -> coal.Transform3s:
 
 @cache
 def _model() -> tuple[pin.Model, tuple[int, ...]]:
-    """A platform that drives, and seven joints; which joint carries what."""
+    """Return the model of platform and arm, and the joint of each carrier."""
     model = pin.Model()
     drive = pin.JointModelComposite()
     for joint in (pin.JointModelPX(), pin.JointModelPY(), pin.JointModelRZ()):
@@ -273,7 +277,7 @@ def _model() -> tuple[pin.Model, tuple[int, ...]]:
 
 @cache
 def _own_pairs() -> tuple[tuple[int, int], ...]:
-    """Links of the robot that can collide: neighbours left out, and pairs whose hulls always overlap."""
+    """Return the pairs of links that can collide, without neighbours and pairs whose hulls always overlap."""
     model, carriers = _model()
     geometry = pin.GeometryModel()
     placed = [(link, SE3.Identity()) for link in links()] + list(hand_links(0.0))
@@ -298,10 +302,10 @@ def _own_pairs() -> tuple[tuple[int, int], ...]:
 
 
 def _reach(load: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "8"]:
-    """Metres from the axis of the platform's turn, and of each joint, to the farthest point that it moves.
+    """Return the distance from the platform's axis, and from each joint's, to the farthest point that it moves [m].
 
     Args:
-        load: points of the hand and of what it holds, in the last joint's frame.
+        load: points of the hand and of its load, in the last joint's frame.
     """
     points: list[list[np.ndarray]] = [[] for _ in range(1 + JOINTS)]
     for link in links():
@@ -318,10 +322,10 @@ def _reach(load: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "8"]:
 
 @cache
 def _spans() -> Float[np.ndarray, "8 8"]:
-    """Metres from each axis to the origins of the carriers after it, at most; from many random configurations."""
+    """Return the largest distance from each axis to the origins of later carriers, by random configurations [m]."""
     rng = np.random.default_rng(0)
-    q = rng.uniform(arm().low, arm().high, (_SPREAD_SAMPLES, JOINTS))
-    # An axis does not move when its own joint turns, so the extreme of each span is among these more than once.
+    q = rng.uniform(arm().low, arm().high, (_SPAN_SAMPLES, JOINTS))
+    # A joint's own angle does not change its spans, so the samples cover the extreme of each span well.
     frames, origins = arm().frames(q)
     axes = frames[..., 2]
     mount = PLATFORM_FROM_MOUNT.translation
@@ -331,4 +335,4 @@ def _spans() -> Float[np.ndarray, "8 8"]:
     for i in range(1 + JOINTS):
         off = origins[:, i + 1 :] - origins[:, i, None]
         out[i, i + 1 :] = np.linalg.norm(np.cross(off, axes[:, i, None]), axis=2).max(axis=0, initial=0.0)
-    return _SPREAD_SLACK * out
+    return _SPAN_SLACK * out

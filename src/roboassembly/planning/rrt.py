@@ -1,4 +1,4 @@
-"""RRT-Connect in SE(3) through OMPL; every edge goes to the collision world as one batch.
+"""RRT-Connect through OMPL; every edge is tested as one batch.
 
 Kuffner and LaValle 2000, "RRT-Connect: An Efficient Approach to Single-Query Path Planning".
 """
@@ -23,7 +23,7 @@ util.setLogLevel(util.LogLevel.LOG_NONE)
 Exhausted = Callable[[], bool]
 Waypoint = TypeVar("Waypoint")
 RANGE = 0.25
-"""Longest extension of a tree, in OMPL's SE(3) metric (metres plus radians)."""
+"""Longest extension of a tree in OMPL's SE(3) metric [m + rad]."""
 
 
 class _EdgeValidator(base.MotionValidator):
@@ -46,10 +46,17 @@ def run_rrt_connect(
     seed: int,
     longest: float | None,
 ) -> list[Any] | None:
-    """OMPL's RRT-Connect on states of any space; None if it was `exhausted` first.
+    """Return a path found by OMPL's RRT-Connect in any space; None if the budget was exhausted first.
 
     Args:
-        longest: extension of a tree in the space's metric; OMPL's own choice if None.
+        space: OMPL's state space.
+        start: first state.
+        goals: possible last states.
+        edge_is_free: test of the edge between two states.
+        is_free: test of one state.
+        exhausted: test whether the budget is exhausted.
+        seed: seed of OMPL's random numbers.
+        longest: longest extension of a tree in the space's metric; OMPL's default if None.
     """
     util.RNG.setSeed(int(seed) % (2**31 - 1) + 1)
     information = base.SpaceInformation(space)
@@ -82,7 +89,7 @@ def run_rrt_connect(
 
 
 def box_around(bounds: Float[np.ndarray, "2 n"], points: Sequence[Float[np.ndarray, "n"]]) -> base.RealVectorBounds:
-    """OMPL's bounds: lowest and highest values, widened so that some points lie within."""
+    """Return OMPL's bounds: lowest and highest values, widened to include some points."""
     box = base.RealVectorBounds(bounds.shape[1])
     for axis, values in enumerate(np.vstack([bounds, *points]).T.tolist()):
         box.setLow(axis, min(values))
@@ -91,7 +98,7 @@ def box_around(bounds: Float[np.ndarray, "2 n"], points: Sequence[Float[np.ndarr
 
 
 def exhaustion(states: Callable[[], int], budget: Budget, begun: float) -> Exhausted:
-    """Tells when the budget is spent: states from the counter's value now, seconds from `begun`."""
+    """Return a test whether the budget is exhausted, in states from now on and in seconds since `begun`."""
     limit = states() + budget.states
     deadline = None if budget.seconds is None else begun + budget.seconds
     return lambda: states() >= limit or (deadline is not None and time.perf_counter() > deadline)
@@ -105,15 +112,15 @@ def rrt_connect(
     budget: Budget,
     seed: int,
 ) -> tuple[SE3, ...] | None:
-    """Way-points from `start` to one of `goals`, all of which are known to be free; None if the budget ran out.
+    """Return way-points from `start` to one of `goals`, which are known to be free; None if the budget is exhausted.
 
     Args:
-        world: counts the states; the budget in states is spent from its counter onward.
-        start: where the body is.
-        goals: where it may end.
-        bounds: lowest and highest position of the body's origin, metres.
-        budget: what this search may spend.
-        seed: the same seed gives the same path.
+        world: collision checks; its counter of states also measures the budget.
+        start: initial pose.
+        goals: possible final poses.
+        bounds: lowest and highest position of the body's origin [m].
+        budget: limits of this search.
+        seed: seed of the search; equal seeds give equal paths.
     """
     space = base.SE3StateSpace()
     space.setBounds(box_around(bounds, [start.translation, *(g.translation for g in goals)]))
@@ -139,13 +146,13 @@ def rrt_connect(
 def shortcut(
     path: Sequence[Waypoint], edge_is_free: Callable[[Waypoint, Waypoint], bool], seed: int, attempts: int
 ) -> tuple[Waypoint, ...]:
-    """Return a path without the way-points that a free straight edge makes needless.
+    """Return a path without way-points that a free straight edge makes redundant.
 
     Args:
         path: way-points.
         edge_is_free: whether the straight edge between two way-points is free.
-        seed: of the pairs that are tried.
-        attempts: number of pairs that are tried.
+        seed: seed of the choice of pairs.
+        attempts: number of pairs of way-points to try.
     """
     rng = np.random.default_rng(seed)
     kept = list(path)
@@ -159,17 +166,17 @@ def shortcut(
 
 
 def set_pose(state: Any, pose: SE3) -> None:
-    """Write a pose into an OMPL SE(3) state. (OMPL's stubs know only the base class of states; hence Any.)"""
+    """Write a pose into an OMPL SE(3) state; `Any`, as OMPL's stubs know only the base class of states."""
     state.setXYZ(*map(float, pose.translation))
     quaternion = pin.Quaternion(pose.rotation)
-    # OMPL waits for ever for a goal whose quaternion is off unit length by more than 1e-9.
+    # OMPL waits without end for a goal whose quaternion is off unit length by more than 1e-9.
     quaternion.normalize()
     rotation = state.rotation()
     rotation.x, rotation.y, rotation.z, rotation.w = quaternion.x, quaternion.y, quaternion.z, quaternion.w
 
 
 def pose_of(state: Any) -> SE3:
-    """The pose of an OMPL SE(3) state."""
+    """Return the pose of an OMPL SE(3) state."""
     q = state.rotation()
     position = np.array([state.getX(), state.getY(), state.getZ()])
     return SE3(pin.Quaternion(q.w, q.x, q.y, q.z).toRotationMatrix(), position)

@@ -1,9 +1,9 @@
-"""One rigid body moving in SE(3) among still ones: exact collision checks, whole edges at a time.
+"""Exact collision checks of one rigid body moving in SE(3) among still ones, for whole edges.
 
-Two tests decide. A *box test* looks at a stretch of an edge at once: if the volume swept by the boxes around the
-moving shapes meets no box of a still shape, every configuration of the stretch is free, in between samples too.
-Where boxes meet, *exact tests* follow: Coal on the triangle meshes, one configuration every `RESOLUTION`. Both count
-as states, one each.
+There are two tests. The *box test* covers a stretch of an edge: if the volume swept by the boxes around the moving
+shapes meets no box of a still shape, every configuration of the stretch is free, also between samples. Where boxes
+meet, *exact tests* follow: Coal on the triangle meshes, one configuration every `RESOLUTION`. Each test counts as one
+state.
 """
 
 from __future__ import annotations
@@ -20,20 +20,20 @@ from roboassembly.geometry.poses import SE3, interpolate, poses_to_configuration
 from roboassembly.geometry.scene import Scene
 
 RESOLUTION = 0.002
-"""Metres that the fastest point of the moving body travels between two exact tests, at most."""
+"""Largest travel of the body's fastest point between two exact tests [m]."""
 ANGULAR_RESOLUTION = np.deg2rad(1.0)
-"""Radians that the body turns between two exact tests, at most."""
+"""Largest rotation of the body between two exact tests [rad]."""
 _STRETCH = 0.03
-"""Metres: an edge is handed to the box test in stretches of about this length, once the whole has failed it."""
-_GROUND_THICKNESS = 1.0
-_GROUND_SIZE = 200.0
+"""Approximate length of the stretches for box tests, after the test of the whole edge has failed [m]."""
+_GROUND_SIZE, _GROUND_THICKNESS = 200.0, 1.0
+"""Side and thickness of the slab that models the ground [m]."""
 
 
 Pool = pin.TreeBroadPhaseManagerPool_DynamicAABBTreeCollisionManager
 
 
 def collision_pool(scene: Scene) -> Pool:
-    """Exact geometry of a scene for batches of configurations.
+    """Return the exact geometry of a scene for batches of configurations.
 
     Each moving body has a free joint, in the scene's order: seven numbers `(x, y, z, qx, qy, qz, qw)`. Moving bodies
     are tested against still ones, the ground and each other.
@@ -60,25 +60,25 @@ def collision_pool(scene: Scene) -> Pool:
     pool = Pool(model, geometry, 1)
     for data in pool.getGeometryDatas():
         for request in data.collisionRequests:
-            # By default Coal goes on to find how near two meshes are once they are within 1 mm, and in a joint they
-            # always are. Only hit or no hit is asked for.
+            # By default Coal computes distances of meshes within 1 mm, as in every joint. Only hit or no hit is
+            # needed here.
             request.break_distance = 0.0
     return pool
 
 
 def first_hit(pool: Pool, configurations: Float[np.ndarray, "q n"]) -> int | None:
-    """Index of the first column in collision, tested in order and no farther; None if all are free."""
+    """Return the index of the first column in collision, where testing stops; None if all are free."""
     hits = pin.computeCollisionsInParallel(1, pool, np.asfortranarray(configurations), True, True)
     return int(np.argmax(hits)) if hits.any() else None
 
 
 class CollisionWorld:
-    """The planning model of a scene in which exactly one body moves.
+    """Planning model of a scene in which exactly one body moves.
 
     Args:
-        scene: what is where.
-        box_axes: rotation of the frame in which boxes are laid around shapes; the world's if None. Boxes are tight
-            when it follows the furniture.
+        scene: bodies and ground.
+        box_axes: axes of the boxes around shapes, as a rotation; the world's if None. Boxes are tight when the axes
+            follow the furniture.
 
     Raises:
         InputError: not exactly one body moves.
@@ -93,7 +93,7 @@ class CollisionWorld:
         self._axes = np.eye(3) if box_axes is None else np.asarray(box_axes, dtype=float)
         self._ground = scene.ground
         self.states = 0
-        """Configurations tested so far."""
+        """Number of configurations tested so far."""
         placed, owners = [], []
         for body in scene.bodies:
             if not body.moves:
@@ -106,34 +106,36 @@ class CollisionWorld:
         self._still_low = np.array([p.min(axis=0) for p in turned]).reshape(-1, 3)
         self._still_high = np.array([p.max(axis=0) for p in turned]).reshape(-1, 3)
         self.top = max([0.0, *(float(points[:, 2].max()) for points in corners)])
-        """Height of the highest still point, metres."""
+        """Height of the highest still point [m]."""
         self._hulls = [shape.mesh.hull_vertices @ shape.body_from_mesh.rotation.T + shape.body_from_mesh.translation
                        for shape in self._mover.shapes]  # fmt: skip
         self._points = np.concatenate(self._hulls)
         self._starts = np.cumsum([0, *(len(h) for h in self._hulls[:-1])])
         self.radius = float(np.linalg.norm(self._points, axis=1).max())
-        """Distance of the farthest moving point from the origin of the moving body's frame, metres."""
+        """Distance of the farthest moving point from the origin of the moving body's frame [m]."""
         meshes = [shape.mesh for shape in self._mover.shapes] + [mesh for _, mesh in placed]
         self.resolution = min(RESOLUTION, 0.9 * min(mesh.thickness for mesh in meshes))
-        """Metres between exact tests: no part is thin enough to slip into another from one to the next."""
+        """Distance between exact tests, less than the thickness of every part, so that none slips into another [m]."""
 
     @cached_property
     def _pool(self) -> Pool:
         return collision_pool(self._scene)
 
     def first_collision(self, configurations: Float[np.ndarray, "7 n"]) -> int | None:
-        """Index of the first configuration in collision, by exact test in order; None if all are free."""
+        """Return the index of the first configuration in collision by exact tests; None if all are free."""
         first = first_hit(self._pool, configurations)
         self.states += configurations.shape[1] if first is None else first + 1
         return first
 
     def is_free(self, pose: SE3) -> bool:
-        """Exact test of one pose of the moving body, also for parts wholly inside others."""
+        """Return whether one pose of the moving body is free, by an exact test that also finds parts inside others."""
         return self.first_collision(poses_to_configurations([pose])) is None and not self._nested(pose)
 
     def _nested(self, pose: SE3) -> bool:
-        """Whether one of two shapes whose surfaces do not meet lies inside the other. Edges need not ask: what gets
-        in has to pass the surface."""
+        """Return whether a shape lies inside another whose surface it does not meet.
+
+        Edges need no such test, since a shape has to pass the surface to get in.
+        """
         for shape in self._mover.shapes:
             world_from_shape = pose * shape.body_from_mesh
             for world_from_still, still in self._still:
@@ -145,11 +147,11 @@ class CollisionWorld:
         return False
 
     def edge_is_free(self, start: SE3, end: SE3) -> bool:
-        """Whether every configuration from `start` (taken as tested) to `end` is free."""
+        """Return whether every configuration from `start` (assumed free) to `end` is free."""
         return self.free_fraction(start, end) == 1.0
 
     def free_fraction(self, start: SE3, end: SE3) -> float:
-        """How far one can go from `start` toward `end`: 1 if all the way, else the last free tested fraction."""
+        """Return the free fraction of the edge from `start` to `end`: 1, or the last free fraction tested."""
         travel = float(np.linalg.norm(end.translation - start.translation))
         angle = rotation_angle(start.rotation.T @ end.rotation)
         length = travel + angle * self.radius
@@ -170,11 +172,11 @@ class CollisionWorld:
         return 1.0
 
     def lowest_point(self, pose: SE3) -> float:
-        """Height of the lowest moving point at `pose`, metres."""
+        """Return the height of the lowest moving point at `pose` [m]."""
         return float((self._points @ pose.rotation[2]).min() + pose.translation[2])
 
     def _boxes_free(self, start: SE3, end: SE3, cuts: Float[np.ndarray, "k"], angle: float) -> Bool[np.ndarray, "k-1"]:
-        """Box test of the stretches between successive fractions."""
+        """Return whether each stretch between successive fractions passes the box test."""
         self.states += len(cuts) - 1
         origin = np.outer(1.0 - cuts, start.translation) + np.outer(cuts, end.translation)
         if angle < 1e-9:
@@ -200,16 +202,16 @@ class CollisionWorld:
     def distance_to_clear(
         self, pose: SE3, direction: Float[np.ndarray, "3"], body: str, up: Float[np.ndarray, "3"] | None = None
     ) -> float:
-        """Metres of straight travel along the unit vector until no moving box meets a box of the named still body.
+        """Return the straight travel until no moving box meets a box of the named still body [m].
 
-        From there on, going farther along `direction` meets nothing of that body any more.
+        Farther motion along `direction` does not meet that body again.
 
         Args:
             pose: `world_from_body` at the start.
             direction: unit vector of the world.
-            body: the still one.
-            up: unit vector of the world along which the body is to go on, freely, from where it has come; that of
-                the boxes' axes which comes nearest to it counts.
+            body: name of the still body.
+            up: unit vector of the world along which the body has to be free to continue from there, rounded to the
+                nearest axis of the boxes; not required if None.
         """
         own = self._owners == body
         if not own.any():
@@ -222,20 +224,20 @@ class CollisionWorld:
         with np.errstate(divide="ignore", invalid="ignore"):
             forward, backward = (still_high - low) / d, (still_low - high) / d
         leave = np.where(d > 1e-9, forward, np.where(d < -1e-9, backward, np.inf))
-        apart = ((low > still_high) | (high < still_low)) & (np.abs(d) <= 1e-9)
+        separate = ((low > still_high) | (high < still_low)) & (np.abs(d) <= 1e-9)
         if up is not None:
             axis = int(np.argmax(np.abs(up @ self._axes)))
             rises = float(np.sign((up @ self._axes)[axis]))
-            # Going under a box does not help any more, and one that is below is out of the way for good.
+            # Passing under a box does not help, and a box below is permanently out of the way.
             if rises * d[axis] <= 1e-9:
                 leave[..., axis] = np.inf
             below = still_high < low if rises > 0 else still_low > high
-            apart[..., axis] = below[..., axis] & (rises * d[axis] >= -1e-9)
-        distance = np.where(apart.any(axis=2), 0.0, leave.min(axis=2))
+            separate[..., axis] = below[..., axis] & (rises * d[axis] >= -1e-9)
+        distance = np.where(separate.any(axis=2), 0.0, leave.min(axis=2))
         return float(np.maximum(distance, 0.0).max())
 
 
 def _runs(flags: Bool[np.ndarray, "n"]) -> list[tuple[int, int]]:
-    """First and last index of each run of True."""
+    """Return first and last index of each run of True."""
     edges = np.diff(np.concatenate([[0], flags.astype(np.int8), [0]]))
     return list(zip(np.flatnonzero(edges == 1).tolist(), (np.flatnonzero(edges == -1) - 1).tolist(), strict=True))

@@ -1,4 +1,4 @@
-"""The shapes of a mobile Franka and what carries them: read once, for planning, physics and pictures alike."""
+"""Shapes of a mobile Franka and the links that carry them, for planning, physics and rendering."""
 
 from __future__ import annotations
 
@@ -17,24 +17,24 @@ from roboassembly.robots.kinematics import JOINTS, arm
 from roboassembly.robots.platform import CLEARANCE, HEIGHT, LENGTH, PLATFORM_FROM_MOUNT, WIDTH
 
 PLATFORM, HAND = 0, JOINTS
-"""Carriers: the platform, joints 1 to 7; the hand is fixed to the last."""
+"""Indices of carriers: 0 is the platform, 1 to 7 are the joints; the hand is fixed to the last joint."""
 DOF = 3 + JOINTS
 
 
 @dataclass(frozen=True, eq=False)
 class Link:
-    """A convex shape."""
+    """Convex shape and its carrier."""
 
     name: str
     carrier: int
-    """0 for the platform, 1 to 7 for what a joint turns."""
+    """Index of the carrier: 0 for the platform, 1 to 7 for the joint that turns the link."""
     mesh: Mesh
-    """In the carrier's frame."""
+    """Mesh in the carrier's frame."""
 
 
 @cache
 def links() -> tuple[Link, ...]:
-    """Platform and arm, without the hand; convex hulls of the URDF's collision meshes."""
+    """Return platform and arm, without the hand, as convex hulls of the URDF's collision meshes."""
     box = trimesh.creation.box((LENGTH, WIDTH, HEIGHT - CLEARANCE))
     box.apply_translation([0.0, 0.0, 0.5 * (HEIGHT + CLEARANCE)])
     out = [Link("platform", PLATFORM, Mesh.from_trimesh(box))]
@@ -55,7 +55,7 @@ def links() -> tuple[Link, ...]:
 
 
 def hand_links(opening: float) -> tuple[tuple[Link, SE3], ...]:
-    """Palm and fingers, each with its `last_joint_from_mesh`, the pads `opening` metres apart."""
+    """Return palm and fingers, each with its `last_joint_from_mesh`, the pads `opening` metres apart."""
     tips = SE3(*arm().tips)
     return tuple(
         (Link(name, HAND, mesh), tips * pose)
@@ -64,7 +64,7 @@ def hand_links(opening: float) -> tuple[tuple[Link, SE3], ...]:
 
 
 def placed(configuration: Float[np.ndarray, "10"], opening: float) -> list[tuple[Link, SE3]]:
-    """Every link with its `world_from_mesh`."""
+    """Return every link with its `world_from_mesh`."""
     rotations, origins = arm().frames(configuration[None, 3:])
     platform = world_from_platform(configuration)
     carriers = [platform]
@@ -74,13 +74,13 @@ def placed(configuration: Float[np.ndarray, "10"], opening: float) -> list[tuple
 
 
 def world_from_platform(configuration: Float[np.ndarray, "10"]) -> SE3:
-    """Where the platform is."""
+    """Return the pose `world_from_platform` of a configuration."""
     x, y, angle = configuration[:3]
     return SE3(turn_about_vertical(angle), np.array([x, y, 0.0]))
 
 
 def tip_positions(configurations: Float[np.ndarray, "n 10"]) -> Float[np.ndarray, "n 3"]:
-    """Where the finger tips are, of many."""
+    """Return the positions of the finger tips in many configurations [m]."""
     local = arm().poses(configurations[:, 3:]).translation + PLATFORM_FROM_MOUNT.translation
     cosine, sine = np.cos(configurations[:, 2]), np.sin(configurations[:, 2])
     x, y, z = local.T
@@ -90,7 +90,7 @@ def tip_positions(configurations: Float[np.ndarray, "n 10"]) -> Float[np.ndarray
 
 
 def world_from_tips(configuration: Float[np.ndarray, "10"]) -> SE3:
-    """Where the finger tips are."""
+    """Return the pose `world_from_tips` of a configuration."""
     tips = arm().poses(configuration[None, 3:])
     mount = world_from_platform(configuration) * PLATFORM_FROM_MOUNT
     return mount * SE3(tips.rotation[0], tips.translation[0])

@@ -1,4 +1,4 @@
-"""The Franka hand as a thing that collides: a palm and two fingers, each convex, in the frame between the finger tips.
+"""Collision model of the Franka hand: a palm and two fingers, each convex, in the frame between the finger tips.
 
 In that frame (`panda_hand_tcp`) z points out of the palm, along the approach, and the fingers close along y. Shapes,
 joint axes and frames are read from the Panda's URDF in the `example-robot-data` wheel.
@@ -23,11 +23,11 @@ from roboassembly.geometry.meshes import Mesh
 from roboassembly.geometry.poses import SE3, transform_points
 
 MAX_OPENING = 0.08
-"""Metres between the finger pads when the hand is open: 40 mm a finger."""
+"""Distance between the finger pads of the open hand, 40 mm per finger [m]."""
 PALM_DEPTH = 0.0374
-"""Metres from the finger tips' frame back to the palm: nothing deeper can be between the fingers."""
+"""Distance from the frame of the finger tips back to the palm, which limits what fits between the fingers [m]."""
 RETREAT = 0.10
-"""Metres that the open hand comes from, straight along its approach."""
+"""Length of the straight approach of the open hand [m]."""
 
 _WHEEL = "example-robot-data"
 _ROBOT = "cmeel.prefix/share/example-robot-data/robots/panda_description"
@@ -38,7 +38,7 @@ _SLIDES = ("panda_finger_joint1", "panda_finger_joint2")
 
 @dataclass(frozen=True, eq=False)
 class _Hand:
-    """Convex bodies of the closed hand in the tips' frame; and the unit vectors along which the fingers open."""
+    """Convex bodies of the closed hand and unit vectors along which the fingers open, in the frame of the tips."""
 
     palm: Mesh
     fingers: tuple[Mesh, Mesh]
@@ -46,7 +46,7 @@ class _Hand:
 
 
 def panda_folder() -> Path:
-    """Where the wheel keeps the Panda: `urdf/panda.urdf` and `meshes/`.
+    """Return the wheel's folder of the Panda, which contains `urdf/panda.urdf` and `meshes/`.
 
     Raises:
         MissingRobotError: the wheel is not installed, or holds no Panda where it should.
@@ -61,7 +61,7 @@ def panda_folder() -> Path:
 
 
 def hand_bodies(opening: float) -> tuple[tuple[Mesh, SE3], ...]:
-    """Convex palm, left and right finger, each with its `tips_from_body`, the pads `opening` metres apart.
+    """Return the convex palm, left and right finger, each with `tips_from_body`, the pads `opening` metres apart.
 
     The meshes are the same objects at every call.
     """
@@ -75,19 +75,19 @@ def hand_bodies(opening: float) -> tuple[tuple[Mesh, SE3], ...]:
 def hand_pose(
     position: Float[np.ndarray, "3"], closing: Float[np.ndarray, "3"], approach: Float[np.ndarray, "3"]
 ) -> SE3:
-    """`part_from_tips` of the hand that holds at a position, closes along one unit vector and comes along another."""
+    """Return `part_from_tips` of a hand at a position, given the unit vectors of closing and approach."""
     return SE3(np.column_stack([np.cross(closing, approach), closing, approach]), position)
 
 
 class HandAgainst:
-    """Collisions of the hand with one fixed mesh, many poses at a time. Touching counts.
+    """Batched collision tests of the hand against one fixed mesh; touching counts.
 
     Args:
         mesh: the exact triangles; poses are given in its frame.
     """
 
     def __init__(self, mesh: Mesh) -> None:
-        # A convex body that moves along a line sweeps the hull of its two ends: one test for the whole way.
+        # A convex body that moves along a line sweeps the hull of its two ends: one test covers the whole approach.
         self._still = _Pool(mesh, _convex_shapes(0.0))
         self._coming = _Pool(mesh, _convex_shapes(RETREAT))
 
@@ -100,14 +100,14 @@ class HandAgainst:
         *,
         coming: bool = False,
     ) -> Bool[np.ndarray, "n"]:
-        """Whether the hand touches the mesh anywhere.
+        """Return whether the hand touches the mesh anywhere.
 
         Args:
-            positions: midway between the pads, metres.
+            positions: points midway between the pads [m].
             closing: unit vectors.
             approach: unit vectors orthogonal to `closing`, from the palm to the finger tips.
-            opening: metres between the pads.
-            coming: the hand is looked at not only there but all along the last `RETREAT` metres of its way there.
+            opening: distance between the pads [m].
+            coming: whether to include the last `RETREAT` metres of the straight approach.
         """
         n = len(positions)
         turns = np.stack([np.cross(closing, approach), closing, approach], axis=-1)
@@ -119,7 +119,7 @@ class HandAgainst:
 
 
 class _Pool:
-    """Pinocchio's batch of collision tests of a free hand with a mesh."""
+    """Batch of Pinocchio's collision tests of a free hand with a mesh."""
 
     def __init__(self, mesh: Mesh, shapes: tuple[coal.ConvexBase, ...]) -> None:
         model = pin.Model()
@@ -135,7 +135,7 @@ class _Pool:
         self._pool = pin.GeometryPool(model, geometry, 1)
         for data in self._pool.getGeometryDatas():
             for request in data.collisionRequests:
-                # Else Coal keeps looking at what is near and not touching.
+                # By default Coal also computes distances of nearby shapes.
                 request.break_distance = 0.0
 
     def collides(self, configurations: Float[np.ndarray, "9 n"]) -> Bool[np.ndarray, "n"]:
@@ -144,7 +144,7 @@ class _Pool:
 
 @cache
 def _convex_shapes(back: float) -> tuple[coal.ConvexBase, ...]:
-    """Coal's convex bodies of the closed hand, swept from `back` metres behind."""
+    """Return the convex bodies of the closed hand, swept from `back` metres behind."""
     hand = _hand()
     shapes: list[coal.ConvexBase] = []
     for mesh in (hand.palm, *hand.fingers):
@@ -158,7 +158,7 @@ def _hand() -> _Hand:
     folder = panda_folder()
     urdf = str(folder / "urdf/panda.urdf")
     model = pin.buildModelFromUrdf(urdf)
-    # Its `package://` paths begin above the folder of the wheel's own name.
+    # The `package://` paths begin above the folder with the wheel's own name.
     geometry = pin.buildGeomFromUrdf(
         model, urdf, pin.GeometryType.COLLISION, package_dirs=[str(folder.parent.parent.parent)]
     )
@@ -181,8 +181,8 @@ def _hand() -> _Hand:
         pose = in_tips(link, closed)
         corners = []
         if axis is not None:
-            # The URDF has each finger as four boxes, and the file beside it as one shape, up to 3 mm apart. The file
-            # is of the finger that opens along y; the other one is it turned about.
+            # The URDF models each finger by four boxes and the mesh file by one shape; they differ by up to 3 mm. The
+            # file describes the finger that opens along y; the other finger is the same shape rotated.
             turn = np.diag([np.sign(axis[1]), np.sign(axis[1]), 1.0])
             corners.append(transform_points(pose, finger @ turn))
         for shape in geometry.geometryObjects:
@@ -208,5 +208,5 @@ def _hull(points: Float[np.ndarray, "n 3"]) -> trimesh.Trimesh:
 
 
 def _quaternions(turns: Float[np.ndarray, "n 3 3"]) -> Float[np.ndarray, "n 4"]:
-    """x, y, z, w, as Pinocchio's configurations have it."""
+    """Return quaternions `(x, y, z, w)`, in the order of Pinocchio's configurations."""
     return Rotation.from_matrix(turns).as_quat()

@@ -1,4 +1,4 @@
-"""Where the Panda's hand is for many configurations at once, and which configurations bring it somewhere.
+"""Batched forward and inverse kinematics of the Panda.
 
 Poses are those of the frame between the finger tips (`gripper.hand_pose`), in the frame of the arm's mount.
 """
@@ -16,19 +16,20 @@ from roboassembly.robots.gripper import TIPS, panda_folder
 
 JOINTS = 7
 _STEPS = 12
-"""Of Newton's method, at most; from a near guess three or four do."""
+"""Largest number of Newton steps; three or four suffice from a near guess."""
 _LONGEST = 0.35
-"""Radians that a joint turns in one of them."""
+"""Largest rotation of a joint in one step [rad]."""
 _DAMPING = 1e-4
+"""Damping of the least-squares step."""
 POSITION_TOLERANCE = 1e-7
-"""Metres: far below the clearance of a joint between parts."""
+"""Largest error of position, far below the clearance of a joint between parts [m]."""
 ROTATION_TOLERANCE = 1e-7
-"""Radians."""
+"""Largest error of rotation [rad]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Poses:
-    """Many poses."""
+    """Batch of poses."""
 
     rotation: Float[np.ndarray, "n 3 3"]
     translation: Float[np.ndarray, "n 3"]
@@ -36,18 +37,19 @@ class Poses:
 
 @dataclass(frozen=True, eq=False)
 class Arm:
-    """The Panda's seven joints, one after the other: each turns about the z axis of its own frame."""
+    """Chain of the Panda's seven joints, each of which turns about the z axis of its own frame."""
 
     placements: Poses
-    """`before_from_joint` at zero."""
+    """Pose of each joint's frame in the previous one at angle zero."""
     tips: tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]
-    """`last_joint_from_tips`."""
+    """Rotation and translation of `last_joint_from_tips`."""
     low: Float[np.ndarray, "7"]
+    """Lower limits of the joints [rad]."""
     high: Float[np.ndarray, "7"]
-    """Radians."""
+    """Upper limits of the joints [rad]."""
 
     def frames(self, q: Float[np.ndarray, "n 7"]) -> tuple[Float[np.ndarray, "n 7 3 3"], Float[np.ndarray, "n 7 3"]]:
-        """Rotation and origin of each joint's frame, turned with it, in the mount's frame."""
+        """Return rotation and origin of each joint's moving frame, in the mount's frame."""
         n = len(q)
         rotations, origins = np.empty((n, JOINTS, 3, 3)), np.empty((n, JOINTS, 3))
         rotation, translation = np.broadcast_to(np.eye(3), (n, 3, 3)), np.zeros((n, 3))
@@ -62,11 +64,11 @@ class Arm:
         return rotations, origins
 
     def poses(self, q: Float[np.ndarray, "n 7"]) -> Poses:
-        """`mount_from_tips`."""
+        """Return `mount_from_tips`."""
         return self._tips(*self.frames(q))
 
     def jacobians(self, q: Float[np.ndarray, "n 7"]) -> tuple[Poses, Float[np.ndarray, "n 6 7"]]:
-        """`mount_from_tips`, and the geometric Jacobians: linear rows first, in the mount's axes, at the tips."""
+        """Return `mount_from_tips` and the geometric Jacobians: linear rows first, in the mount's axes, at the tips."""
         rotations, origins = self.frames(q)
         tips, axes = self._tips(rotations, origins), rotations[..., 2]
         linear = np.cross(axes, tips.translation[:, None] - origins)
@@ -77,14 +79,14 @@ class Arm:
         return Poses(last @ self.tips[0], origins[:, -1] + last @ self.tips[1])
 
     def solve(
-        self, wanted: Poses, guess: Float[np.ndarray, "n 7"]
+        self, targets: Poses, guess: Float[np.ndarray, "n 7"]
     ) -> tuple[Float[np.ndarray, "n 7"], Bool[np.ndarray, "n"]]:
-        """Configurations within the joints' limits that bring the tips to the wanted poses, and where that was found.
+        """Return configurations that bring the tips to target poses, and which are solutions within the joint limits.
 
-        Newton's method with a little damping, on all at once.
+        The method is a damped Newton iteration on the whole batch.
 
         Args:
-            wanted: `mount_from_tips`.
+            targets: poses `mount_from_tips`.
             guess: configurations to start from.
         """
         q = np.array(guess, dtype=float)
@@ -92,8 +94,8 @@ class Arm:
         active = np.arange(len(q))
         for _ in range(_STEPS):
             tips, jacobian = self.jacobians(q[active])
-            off = wanted.translation[active] - tips.translation
-            turn = rotation_vectors(wanted.rotation[active] @ tips.rotation.transpose(0, 2, 1))
+            off = targets.translation[active] - tips.translation
+            turn = rotation_vectors(targets.rotation[active] @ tips.rotation.transpose(0, 2, 1))
             near = (np.linalg.norm(off, axis=1) < POSITION_TOLERANCE) & (
                 np.linalg.norm(turn, axis=1) < ROTATION_TOLERANCE
             )
@@ -110,18 +112,18 @@ class Arm:
         return q, done & self.within(q)
 
     def within(self, q: Float[np.ndarray, "n 7"]) -> Bool[np.ndarray, "n"]:
-        """Whether the joints' limits are kept."""
+        """Return whether configurations keep the joint limits."""
         return np.asarray(((q >= self.low) & (q <= self.high)).all(axis=1))
 
     def manipulability(self, q: Float[np.ndarray, "n 7"]) -> Float[np.ndarray, "n"]:
-        """Yoshikawa's measure (1985, "Manipulability of Robotic Mechanisms"): the volume of the velocity ellipsoid."""
+        """Return the volume of the velocity ellipsoid (Yoshikawa 1985, "Manipulability of Robotic Mechanisms")."""
         _, jacobian = self.jacobians(q)
         return np.sqrt(np.maximum(np.linalg.det(jacobian @ jacobian.transpose(0, 2, 1)), 0.0))
 
 
 @cache
 def arm() -> Arm:
-    """The Panda's, from its URDF."""
+    """Return the Panda's arm, from its URDF."""
     model = pin.buildModelFromUrdf(str(panda_folder() / "urdf/panda.urdf"))
     placements = [model.jointPlacements[i] for i in range(1, JOINTS + 1)]
     tips = model.frames[model.getFrameId(TIPS)].placement
@@ -134,7 +136,7 @@ def arm() -> Arm:
 
 
 def rotation_vectors(rotation: Float[np.ndarray, "n 3 3"]) -> Float[np.ndarray, "n 3"]:
-    """Axis times angle; near half a turn only roughly, which Newton's method does not mind."""
+    """Return rotation vectors; only approximate near half a turn, which Newton's method tolerates."""
     skew = 0.5 * np.stack(
         [
             rotation[:, 2, 1] - rotation[:, 1, 2],

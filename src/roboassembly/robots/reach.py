@@ -1,8 +1,8 @@
-"""Where a platform may stand so that its hand comes to a pose, with the arm's configuration for each such place.
+"""Inverse reachability: placements of the platform, with arm configurations, that bring the hand to a pose.
 
-What the arm can reach does not change when the platform drives or turns. So one table of random configurations serves
-every wanted pose: it is looked up by what driving and turning leave as it is, the height of the finger tips and how
-they are tilted. Each row found tells where the platform has to stand; Newton's method takes the rest of the way.
+The arm's workspace does not change when the platform drives or turns. One table of random configurations therefore
+serves every target pose; its keys are invariant to driving and turning: height and tilt of the finger tips. Each row
+found gives a placement of the platform, and Newton's method refines the arm's configuration.
 """
 
 from __future__ import annotations
@@ -19,22 +19,23 @@ from roboassembly.robots.kinematics import JOINTS, Poses, arm
 from roboassembly.robots.platform import PLATFORM_FROM_MOUNT
 
 _ROWS = 60_000
+"""Number of configurations in the table."""
 _MARGIN = 0.1
-"""Radians that the table's configurations stay away from the joints' limits."""
+"""Distance of the table's configurations from the joint limits [rad]."""
 _LIMBER = 0.02
-"""Yoshikawa's measure that they have at least; the Panda's best is about 0.14."""
+"""Smallest manipulability (Yoshikawa) of the table's configurations; the Panda's best is about 0.14."""
 _METRES_A_RADIAN = 0.3
-"""How much farther away, for the look-up, is a row of another tilt."""
+"""Weight of tilt against height in the look-up [m/rad]."""
 _GUIDE_ROW = 64
-"""The so many-th nearest row tells how many are near."""
+"""Rank of the neighbour whose distance measures the density of rows."""
 
 
 @dataclass(frozen=True, eq=False)
 class Reach:
-    """Ways for one robot to have its finger tips at one pose."""
+    """Configurations of one robot with its finger tips at one pose."""
 
     configurations: Float[np.ndarray, "n 10"]
-    """`(x, y, angle)` of the platform, then the arm's seven; metres and radians."""
+    """Placements `(x, y, angle)` of the platform, then the arm's seven joint angles [m, rad]."""
     manipulability: Float[np.ndarray, "n"]
 
 
@@ -43,7 +44,7 @@ class _Table:
     tree: KDTree
     q: Float[np.ndarray, "n 7"]
     tips: Poses
-    """`platform_from_tips`."""
+    """Poses `platform_from_tips`."""
 
 
 @cache
@@ -59,24 +60,24 @@ def _table() -> _Table:
 
 
 def _keys(tips: Poses) -> Float[np.ndarray, "n 4"]:
-    """What driving and turning leave as it is: height, and the vertical as the tips see it."""
+    """Return the keys, invariant to driving and turning: height, and the vertical in the frame of the tips."""
     return np.concatenate([tips.translation[:, 2:], _METRES_A_RADIAN * tips.rotation[:, 2]], axis=1)
 
 
 def reach(world_from_tips: SE3, count: int, rng: np.random.Generator) -> Reach:
-    """Ways to have the finger tips there; nothing around is looked at.
+    """Return configurations with the finger tips at a pose; collisions are not checked.
 
     Args:
-        world_from_tips: wanted.
-        count: of guesses; a little fewer ways are found, and none if the arm cannot be so.
-        rng: draws which of the rows near enough are tried.
+        world_from_tips: target pose.
+        count: number of guesses; somewhat fewer solutions are found, and none for a pose out of reach.
+        rng: source of the choice among near rows.
     """
     table = _table()
-    wanted = Poses(world_from_tips.rotation[None], world_from_tips.translation[None])
-    _, rows = table.tree.query(_keys(wanted)[0], k=4 * count)
+    target = Poses(world_from_tips.rotation[None], world_from_tips.translation[None])
+    _, rows = table.tree.query(_keys(target)[0], k=4 * count)
     rows = rng.choice(rows, count, replace=False)
     tips = table.tips.rotation[rows]
-    # The turn about the vertical that brings the row's tips nearest to the wanted ones.
+    # Rotation about the vertical that brings the row's tips nearest to the target.
     between = world_from_tips.rotation[None] @ tips.transpose(0, 2, 1)
     angle = np.arctan2(between[:, 1, 0] - between[:, 0, 1], between[:, 0, 0] + between[:, 1, 1])
     cosine, sine = np.cos(angle), np.sin(angle)
@@ -90,16 +91,16 @@ def reach(world_from_tips: SE3, count: int, rng: np.random.Generator) -> Reach:
 
 
 def nearness(world_from_tips: Poses) -> Float[np.ndarray, "n"]:
-    """How far the table's rows are from each pose, metres and tilt together: the less, the more ways there are."""
+    """Return the distance of the table's rows from each pose [m, with weighted tilt]: less means more solutions."""
     far, _ = _table().tree.query(_keys(world_from_tips), k=[_GUIDE_ROW])
     return far[:, 0]
 
 
 def in_mount(place: Float[np.ndarray, "n 3"], world_from_tips: SE3) -> Poses:
-    """`mount_from_tips` for platforms at several places."""
-    cosine, sine, zero, one = np.cos(place[:, 2]), np.sin(place[:, 2]), np.zeros(len(place)), np.ones(len(place))
-    back = np.stack([cosine, sine, zero, -sine, cosine, zero, zero, zero, one], axis=1).reshape(-1, 3, 3)
-    off = world_from_tips.translation - np.concatenate([place[:, :2], zero[:, None]], axis=1)
+    """Return `mount_from_tips` for platforms at several placements."""
+    cosine, sine, zeros, ones = np.cos(place[:, 2]), np.sin(place[:, 2]), np.zeros(len(place)), np.ones(len(place))
+    back = np.stack([cosine, sine, zeros, -sine, cosine, zeros, zeros, zeros, ones], axis=1).reshape(-1, 3, 3)
+    off = world_from_tips.translation - np.concatenate([place[:, :2], zeros[:, None]], axis=1)
     turn = PLATFORM_FROM_MOUNT.rotation.T @ back
     rotation = turn @ world_from_tips.rotation
     translation = (turn @ off[..., None])[..., 0] - PLATFORM_FROM_MOUNT.rotation.T @ PLATFORM_FROM_MOUNT.translation
