@@ -108,7 +108,7 @@ def test_a_failed_replacement_leaves_the_old_one(
         def full(*_: object) -> None:
             raise OSError(28, "No space left on device")
 
-        monkeypatch.setattr(storage, "_write", full)
+        monkeypatch.setattr(storage, "to_document", full)
     else:
         rename = Path.rename
 
