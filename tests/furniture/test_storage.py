@@ -255,7 +255,7 @@ def point(document: dict[str, Any], index: int = 1) -> dict[str, Any]:
         (lambda d: d.update(classes=d["classes"][1:]), ["shape classes", "each of 0..4"]),
         (lambda d: d["classes"][0]["symmetries"].append([0, 0, 0, 0]), ["classes", "no direction"]),
         (lambda d: part(d, 1)["points"].extend([point(d)] * 10), ["'leg0' has 11 connection points", "10"]),
-        pytest.param(lambda d: part(d, 1)["assembled_pose"].__setitem__(2, 0.205), ["leg0", "laid together"]),
+        pytest.param(lambda d: part(d, 1)["assembled_pose"].__setitem__(2, 0.205), ["leg0", "mated"]),
     ],
 )  # fmt: skip
 def test_broken_documents_say_where(broken: Path, change: Callable[[dict[str, Any]], object], words: list[str]) -> None:

@@ -80,7 +80,7 @@ def _contact(a: int, b: int, mesh_a: Mesh, mesh_b: Mesh, witness: Witness) -> Co
         mean = (area[:, None] * normal).sum(axis=0) / total
         strength = float(np.linalg.norm(mean))
         middle = (area[:, None] * center).sum(axis=0) / total
-        # All around a dowel the normals cancel out; then the nearest points have to say where the joint points to.
+        # All around a dowel the normals cancel out; then the nearest points determine the joint's direction.
         if strength > 0.05:
             n = mean / strength
             along = normal @ n > 0.7

@@ -225,7 +225,7 @@ def _check_consistency(furniture: Furniture, folder: Path) -> None:
         offset = dictated.actInv(furniture.assembled[c.part_b].actInv(furniture.assembled[c.part_a]))
         if np.linalg.norm(offset.translation) > _ALIKE or rotation_angle(offset.rotation) > _ALIGNED:
             raise FurnitureError(
-                f"{folder}: point {c.point_a} of '{a.name}' and point {c.point_b} of '{b.name}', laid together, do not "
+                f"{folder}: point {c.point_a} of '{a.name}' and point {c.point_b} of '{b.name}', mated, do not "
                 f"give the assembled poses (off by {np.linalg.norm(offset.translation) * 1e3:.3g} mm, "
                 f"{math.degrees(rotation_angle(offset.rotation)):.3g}°)"
             )

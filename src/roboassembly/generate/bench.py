@@ -96,7 +96,7 @@ class SlattedBench(Design):
             side -= tenon.pocket(joint_frame(knee + up * along + inner * X, -X, along))
 
     def sawn_side(self, leg_top: Vector, front: float, rear: float, knee: Vector, along: Vector, reach: float) -> Solid:
-        """The left side in one piece: front leg, seat rail and the rear leg that bends back."""
+        """Return the left side in one piece: front leg, seat rail and the rear leg that bends back."""
         s, x, half = self, leg_top[0], self.stile / 2
         rail_z = s.seat_height - 0.5 * s.stile - 0.004
         foot, middle = vector(x, front + half, 0), vector(x, leg_top[1], rail_z)
@@ -113,7 +113,7 @@ class SlattedBench(Design):
         return leg + seat_rail + post.trim_by_plane((0.0, 0.0, 1.0), 0.0)
 
     def armrest(self, leg_top: Vector, knee: Vector, along: Vector, across: Vector) -> Solid:
-        """The left armrest on its front leg, to the leaning post's front edge."""
+        """Return the left armrest on its front leg, to the leaning post's front edge."""
         x, front, z = leg_top + 0.012 * Z
         end = knee + (z - knee[2]) / along[2] * along + (self.stile / 2 + 0.0012) * across
         y = np.array([front - 0.050, front - 0.044, front - 0.01, 0.5 * (front + end[1]), end[1] + 0.04])

@@ -81,7 +81,7 @@ class CantileverChair(Design):
         a.pair("frame", "leg", strip, first="left")
 
     def panel(self, at: Vector, up: Vector, long: float, thick: float, tongue: Tenon, bow: float) -> Blank:
-        """A panel between the strips, its length along `up`, hollowed by `bow`, with a tongue at either side."""
+        """Return a panel between the strips, its length along `up`, hollowed by `bow`, with a tongue at either side."""
         inner, normal = self.width / 2 - self.strip, np.cross(X, up)
         end = inner - CLEARANCE
         x = end * np.array([-1, -0.97, -0.7, -0.35, 0, 0.35, 0.7, 0.97, 1])

@@ -90,7 +90,7 @@ class Assembly:
         return self._alike.setdefault(key, Blank(solid))
 
     def lean(self, rotation: Float[np.ndarray, "3 3"]) -> None:
-        """Turn the whole about the origin."""
+        """Rotate the whole about the origin."""
         pose = SE3(rotation, np.zeros(3))
         self.parts = [replace(part, pose=pose * part.pose) for part in self.parts]
 
@@ -182,7 +182,7 @@ def chance(default: bool, share: float = 0.5) -> bool:
 
 
 def one_of(*choices: T, default: T | None = None) -> T:
-    """Declare a value drawn from a list; one listed twice is twice as frequent, the first is the default."""
+    """Declare a value drawn from a list; a repeated value is more frequent, the first is the default."""
     return drawn(choices[0] if default is None else default, lambda rng, _: choices[rng.integers(len(choices))])
 
 
@@ -258,7 +258,7 @@ def family(name: str, description: str, kind: Kind = "chair") -> Callable[[type[
 
 
 def as_parts(parts: Sequence[PartDesign]) -> tuple[RawPart, ...]:
-    """Mesh every blank once and put the parts where they go, feet at z = 0, centred in x and y."""
+    """Mesh every blank once and place the parts, feet at z = 0, centred in x and y."""
     meshes = {
         (p.blank, p.mirrored): triangles(mirrored_x(p.blank.solid) if p.mirrored else p.blank.solid) for p in parts
     }

@@ -89,7 +89,7 @@ class FoldingChair(Design):
         a.part("seat", "seat_single_surface", seat)
 
     def leg(self, line: list[Vector], x: float) -> Blank:
-        """A flat leg along a line in the y-z plane, its foot cut level at the floor."""
+        """Return a flat leg along a line in the y-z plane, its foot cut level at the floor."""
         first, last = unit(line[1] - line[0]), unit(line[-1] - line[-2])
         points = np.array([line[0] - 0.05 * first, *line[1:-1], line[-1] - 0.012 * last, line[-1]]) + x * X
         tangents = [first, *[unit(last + first)] * (len(line) - 2), last, last]
@@ -98,7 +98,7 @@ class FoldingChair(Design):
         return Blank(body.trim_by_plane((0.0, 0.0, 1.0), 0.0))
 
     def slat(self, at: Vector, along: Vector, face: float, height: float, tenon: Tenon) -> Blank:
-        """A slat between the outer legs, bent around the sitter."""
+        """Return a slat between the outer legs, bent around the sitter."""
         end, across = face - CLEARANCE, np.cross(X, along)
         x = end * np.linspace(-1, 1, 9)
         path = polyline(at, (x, X), (-(0.022 * (1 - (x / end) ** 2)), across))

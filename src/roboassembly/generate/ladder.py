@@ -65,7 +65,7 @@ class LadderChair(Design):
         return (0.145, 0.235) if self.side_stretchers == 2 else (0.165,)
 
     def on_post(self, up: float) -> Vector:
-        """The middle of the leaning post, `up` metres above its knee, at x = 0."""
+        """Return the middle of the leaning post, `up` metres above its knee, at x = 0."""
         along, _ = leaning(self.rake)
         return vector(0, -self.front_y, self.seat_height + 0.01) + up * along
 
@@ -139,13 +139,13 @@ class LadderChair(Design):
         a.part("seat", "seat_single_surface", self.seat())
 
     def side_rail(self, x: float, z: float, section: tuple[float, float], tenon: Tenon) -> Blank:
-        """A rail of a height and a thickness from a front leg to a post."""
+        """Return a rail of a height and a thickness from a front leg to a post."""
         start, end = vector(x, self.front_y + self.post / 2, z), vector(x, -self.front_y - self.post / 2, z)
         body = sweep([start + CLEARANCE * Y, end - CLEARANCE * Y], X, Z, rectangle(section[1], section[0], 0.003))
         return Blank(body + tenon.tongue(joint_frame(start, Y, Z)) + tenon.tongue(joint_frame(end, -Y, Z)))
 
     def post_blank(self, reach: float) -> Solid:
-        """The right-hand post without mortises: square below, leaning and growing slimmer above."""
+        """Return the right-hand post without mortises: square below, leaning and growing slimmer above."""
         y, t = -self.front_y, self.post
         along, _ = leaning(self.rake)
         straight = self.lower[0] - 0.02  # up to the knee, vertical faces, so that rails meet them squarely
@@ -159,14 +159,14 @@ class LadderChair(Design):
         return sweep(path, X, Y, rectangles(wide * t, deep * t, 0.004)).translate((-self.post_x, 0, 0))
 
     def leg_blank(self, top: float) -> Solid:
-        """The right-hand front leg without mortises: square at the apron, slimmer toward the foot."""
+        """Return the right-hand front leg without mortises: square at the apron, slimmer toward the foot."""
         t, jointed = self.post, self.side_stretchers or self.front_stretcher
         low = self.lower[0] - 0.02 if jointed else top - self.apron - 0.02
         stations = [(0.0, 0.68), (0.004, 0.74), (0.5 * low, 0.90), (low, 1.0), (top, 1.0)]
         return column([(z, t * k, t * k) for z, k in stations], 0.004).translate((-self.post_x, self.front_y, 0))
 
     def seat(self) -> Solid:
-        """A board wider than its frame, notched around the posts; it comes from above."""
+        """Return a board wider than its frame, notched around the posts and mounted from above."""
         s, under = self, self.seat_height - self.seat_thickness
         front, rear = s.front_y - s.post / 2 - 0.016, -s.front_y + 0.25 * s.post
         width, edge = s.width + 0.024, min(0.012, 0.4 * s.seat_thickness)

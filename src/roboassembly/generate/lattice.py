@@ -107,7 +107,7 @@ class Lattice(Design):
         return connected and abs(self.width - self.depth) > 0.02 and 4 <= len(self.parts()) <= min(18, MAX_PARTS)
 
     def at(self, post: Post) -> Vector:
-        """The foot of a post's axis."""
+        """Return the foot of a post's axis."""
         return vector(post[0] * self.width, post[1] * self.depth, 0.0)
 
     def build(self, a: Assembly) -> None:
@@ -155,7 +155,7 @@ class Lattice(Design):
             self.fill_between(a, run, length, bottom, height_of(row.high) - height_of(row.low) - s.rail, row)
 
     def shortened(self, solid: Solid, run: Vector, length: float, by: float) -> Solid:
-        """A rail whose shoulders, which stand off a round post's rim, end `by` metres before its tenons begin."""
+        """Return a rail whose shoulders end `by` metres before its tenons begin, off the rim of a round post."""
         across = np.abs(np.cross(run, Z))
         for start in (0.0, length - by):
             ends = np.array([start * run, (start + by) * run])
@@ -165,7 +165,7 @@ class Lattice(Design):
         return solid
 
     def filling(self, fill: str, length: float) -> list[tuple[float, Tenon | RoundTenon]]:
-        """Where between the ends of two rails their spindles or their panel stand, and the joints at their ends."""
+        """Return the places of spindles or a panel between the ends of two rails, and the joints at their ends."""
         if fill == "panel":
             return [(0.5 * length, Tenon(0.7 * length, 0.007, 0.008))]
         return [(length * (k + 1) / (self.fill + 1), PEG) for k in range(self.fill)]

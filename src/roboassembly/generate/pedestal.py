@@ -98,7 +98,7 @@ class PedestalChair(Design):
         a.part("seat", "seat_single_surface", seat)
 
     def foot(self, mouth: Vector, tip: Vector) -> Blank:
-        """A foot along +x from the hub's flat to its tip."""
+        """Return a foot along +x from the hub's flat to its tip."""
         (flat, _, z), (end, _, low) = mouth, tip
         x = [flat + CLEARANCE, flat + 0.06, 0.6 * end, end - 0.010, end + 0.012, end + 0.018]
         height = [z, z - 0.001, 0.62 * z + 0.38 * low, low, low - 0.001, low - 0.002]
@@ -111,7 +111,7 @@ class PedestalChair(Design):
         return Blank(body + glide.translate((under[0], 0.0, 0.0)))
 
     def caster(self, top: float) -> Blank:
-        """A ball caster about the z axis from the floor to a foot's underside at `top`, its pin included."""
+        """Return a ball caster about the z axis from the floor to a foot's underside at `top`, its pin included."""
         high = top - CLEARANCE
         r = (high - 0.006) / 2
         angle = np.radians([-64, -35, 0, 35, 64])
@@ -120,7 +120,7 @@ class PedestalChair(Design):
         return Blank(turned(profile, 12) + CASTER_PIN.tongue(joint_frame(top * Z, -Z, X)))
 
     def bar(self, start: Vector, bend: Vector, mouth: Vector) -> Blank:
-        """A flat bar backward from the plate and up to the back, with tongues at both ends."""
+        """Return a flat bar backward from the plate and up to the back, with tongues at both ends."""
         along, _ = leaning(self.rake)
         begin, finish = bend - 0.07 * Y, bend + 0.07 * along
         shares = np.linspace(0, 1, 6)
@@ -132,7 +132,7 @@ class PedestalChair(Design):
         return Blank(body + BACK_TENON.tongue(joint_frame(mouth, -along, X)))
 
     def back(self, mouth: Vector) -> Blank:
-        """An upholstered back, gently bent around the sitter, with a socket in its lower edge."""
+        """Return an upholstered back, gently bent around the sitter, with a socket in its lower edge."""
         along, across = leaning(self.rake)
         x = self.back_width / 2 * np.array([-1, -0.97, -0.85, -0.5, 0, 0.5, 0.85, 0.97, 1])
         high = self.back_height * np.array([0.62, 0.78, 0.93, 1, 1, 1, 0.93, 0.78, 0.62])

@@ -74,14 +74,14 @@ class PlankChair(Design):
         a.part("seat", "seat_single_surface", seat)
 
     def leg_board(self, top: float) -> Solid:
-        """A board square to x at x = 0, narrow above and with two feet below."""
+        """Return a board square to x at x = 0, narrow above and with two feet below."""
         half = 0.46 * self.depth
         edge = smooth([(half, 0.035), (0.30 * self.depth, 0.40 * top), (0.36 * self.depth, top)], 9)
         right = [(0.0, 0.055), (0.28 * half, 0.045), (0.45 * half, 0.0), (half, 0.0), *edge]
         return cut_out(symmetric(right), vector(0, 0, 0), Y, Z, self.board)
 
     def key(self) -> tuple[Blank, Solid]:
-        """A key about x = 0 through the stretcher's end, thicker above, and its hole in the stretcher."""
+        """Return a key about x = 0 through the stretcher's end, thicker above, and its hole in the stretcher."""
         wide, thick = KEY
         low, mouth, high = self.stretcher - 0.036, self.stretcher + 0.018 + CLEARANCE, self.stretcher + 0.044
         shaft = column([(low, wide - 0.003, thick), (low + 0.006, wide, thick), (mouth, wide, thick)], 0.001)
@@ -91,7 +91,7 @@ class PlankChair(Design):
         return Blank(shaft + head), column([(low, *grown), (high, *grown)], 0.0)
 
     def back_outline(self, span: float) -> np.ndarray:
-        """The outline of the back, with room below for cutting it off level."""
+        """Return the outline of the back, with room below for cutting it off level."""
         wide = self.width - 0.05
         if self.back == HEART:
             half = [(0.16, 0.0), (0.15, 0.12), (0.24, 0.35), (0.46, 0.72), (0.47, 0.84), (0.36, 0.95), (0.22, 0.985)]

@@ -81,7 +81,7 @@ class ShellChair(Design):
         a.part("seat", "seat_single_surface", seat)
 
     def surface(self) -> tuple[Points, Points, np.ndarray, np.ndarray]:
-        """The shell's middle line from the front edge, turned down, to the top edge, and its shape along that line.
+        """Return the shell's middle line from the turned-down front edge to the top edge, and its shape along that line.
 
         Returns points, unit tangents, how far the shell is dished there, and half its width.
         """
@@ -111,7 +111,7 @@ class ShellChair(Design):
         return np.array(path), np.array(heading), dish, wide
 
     def shell_of(self, path: Points, heading: Points, dish: np.ndarray, wide: np.ndarray) -> Solid:
-        """The shell, its lower and its upper side."""
+        """Return the shell, its lower and its upper side."""
         across = np.linspace(-1, 1, 7)
         rings = []
         for at, tangent, w, d in zip(path, heading, wide, dish, strict=True):

@@ -134,7 +134,7 @@ class SledChair(Design):
         post -= crest_tenon.pocket(joint_frame(middle - inner * X, X, along))
 
     def runner(self, x: float, front: float, back: float, floor: float) -> tuple[Blank, Solid]:
-        """The right-hand runner, and what fits uprights to its curved top."""
+        """Return the right-hand runner, and what fits uprights to its curved top."""
         t = self.post
         if not self.bow:
             y, low = [front - 0.075, front - 0.06, back + 0.09, back + 0.105], np.array([0.014, 0.0, 0.0, 0.014])
@@ -150,7 +150,7 @@ class SledChair(Design):
         return Blank(solids[0]), solids[1] + sweep(below, X, Z, rectangle(t + 0.02, 0.05))
 
     def armrest(self, mouth: Vector, front: float, leg_x: float, across: Vector) -> Blank:
-        """The right armrest, from in front of the leg to the leaning face of the post, flared outward in the middle."""
+        """Return the right armrest, from in front of the leg to the leaning face of the post, flared in the middle."""
         rear = mouth[1]
         y = np.array([front - 0.06, front - 0.053, front - 0.02, front + 0.06, 0.5 * (front + rear), rear + 0.03])
         x = leg_x - np.array([0.006, 0.006, 0.008, 0.008, 0.006, leg_x - mouth[0]])
@@ -160,7 +160,7 @@ class SledChair(Design):
         return Blank(arm.trim_by_plane(across, float((mouth + CLEARANCE * across) @ across)))
 
     def seat(self, front: float, rear: float, inner: float) -> Solid:
-        """A cushion or board between the frames, on the rails."""
+        """Return a cushion or board between the frames, on the rails."""
         # Without armrests nothing stands in the way of a seat as wide as the frame.
         half = inner - 0.010 if self.arms else self.width / 2 + 0.006
         edge = min(0.014, 0.35 * self.seat_thickness)

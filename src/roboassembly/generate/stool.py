@@ -58,7 +58,7 @@ class Stool(Design):
         a.part("seat", "seat_single_surface", seat)
 
     def leg(self, top: float) -> Solid:
-        """A turned leg about the z axis, of even thickness where stretchers come in."""
+        """Return a turned leg about the z axis, of even thickness where stretchers come in."""
         r = self.leg_radius
         profile = [(0.0, 0.60 * r), (0.004, 0.68 * r), (0.072, r), (0.31, r)]
         profile += [(0.325, 0.72 * r), (0.335, 1.02 * r), (0.345, 0.78 * r), (top - 0.02, 0.92 * r), (top, 0.86 * r)]

@@ -71,7 +71,7 @@ class ThreeLeggedChair(Design):
         a.part("seat", "seat_single_surface", seat)
 
     def bent_leg(self, under: float, reach: float) -> Blank:
-        """A leg at distance `reach` along +x, upright from the stretcher up, its foot outward."""
+        """Return a leg at distance `reach` along +x, upright from the stretcher up, its foot outward."""
         top, star = under - CLEARANCE, self.star_height
         z = np.array([0.0, 0.004, 0.05, star - 0.06, star - 0.03, top - 0.03, top])
         out = np.array([0.062, 0.060, 0.040, 0.010, 0.0, 0.0, 0.0])
@@ -106,7 +106,7 @@ class ThreeLeggedChair(Design):
         thick = np.interp(np.abs(share), [0, 0.95, 1], [0.027, 0.027, 0.017])
 
         def row(x: np.ndarray, z: float) -> Points:
-            """Points of the bent row of posts at x."""
+            """Return points of the bent row of posts at x."""
             return np.stack(np.broadcast_arrays(x, rear - 0.05 * ((x / span) ** 2 - 1) * 0.5, z), axis=-1)
 
         path = row((span + 0.055) * share, self.seat_height) + length * along + (high / 2)[:, None] * along

@@ -91,14 +91,14 @@ class Throne(Design):
         a.part("seat", "seat_single_surface", seat)
 
     def side_board(self, inner: float, heel: Vector, along: Vector, reach: float) -> Solid:
-        """The left side: a board with feet, an armrest's level edge, and a stile that leans to the crest."""
+        """Return the left side: a board with feet, an armrest's level edge, and a stile that leans to the crest."""
         arm, stile = self.seat_height + self.arm, 0.038
         slope, normal, base = along[1:], np.array([along[2], -along[1]]), heel[1:]
         top = base + reach * slope
         front, rear = -self.depth / 2, self.depth / 2
 
         def edge(offset: float, z: float) -> float:
-            """The stile's edge at `offset` in front of (+) or behind (-) its middle, at the height z."""
+            """Return the stile's edge at `offset` in front of (+) or behind (-) its middle, at the height z."""
             y, height = base - offset * normal
             return float(y + (z - height) * slope[0] / slope[1])
 

@@ -67,7 +67,7 @@ class UpholsteredChair(Design):
         a.part("seat", "seat_soft_surface", seat)
 
     def back(self, rear: float, deep: float) -> Solid:
-        """The back, `deep` from front to rear where it stands on the seat at y = `rear`."""
+        """Return the back, `deep` from front to rear where it stands on the seat at y = `rear`."""
         half, rise = self.width / 2 - CLEARANCE, self.height - self.seat_height - CLEARANCE
         x = half * np.array([-1, -0.96, -0.85, 0, 0.85, 0.96, 1])
         high = rise * np.array([0.93, 0.97, 1, 1, 1, 0.97, 0.93])

@@ -44,7 +44,7 @@ class WindsorChair(Design):
     turnings: int = count(1, 0, 2)  # 0 plain tapered legs, 1 a vase, 2 two rings
 
     def seat_outline(self, corners: int) -> Outline:
-        """The seat's shield: round at the back, squarer in front."""
+        """Return the seat's shield: round at the back, squarer in front."""
         angle = 2 * np.pi * np.arange(corners) / corners
         c, s = np.cos(angle), np.sin(angle)
         power = np.where(s < 0, 2 / 3.2, 2 / 2.3)
@@ -53,7 +53,7 @@ class WindsorChair(Design):
         return np.column_stack([x * (1.0 - 0.06 * s), y])
 
     def on_back(self, x: Float[np.ndarray, "k"], z: float) -> Points:
-        """Points of the row of spindles at x, moved up along the back to the height z."""
+        """Return points of the row of spindles at x, moved up along the back to the height z."""
         along, _ = leaning(self.rake)
         span, base = SPAN * self.seat_width, self.seat_height
         # Every hole keeps clear of the seat's rounded edge.
@@ -101,7 +101,7 @@ class WindsorChair(Design):
         a.part("seat", "seat_single_surface", seat)
 
     def leg_profile(self) -> list[tuple[float, float]]:
-        """Radius of a leg at shares of its length below the seat."""
+        """Return radii [m] of a leg at shares of its length below the seat."""
         r = self.leg_radius
         if self.turnings == 0:
             return [(0.45, r), (0.62, 0.97 * r), (1.05, 0.62 * r)]
@@ -111,14 +111,14 @@ class WindsorChair(Design):
         return [(share, k * r) for share, k in [*(vase if self.turnings == 1 else rings), *foot]]
 
     def spindle(self, length: float, along: Vector) -> Solid:
-        """A spindle from hole to hole, `length` between the mouths, its lower mouth at the origin."""
+        """Return a spindle from hole to hole, `length` between the mouths, its lower mouth at the origin."""
         foot, tip = SPINDLE_FOOT, SPINDLE_TIP
         profile = [(-foot.length, foot.radius), (MOUTH, foot.radius), (0.35 * length, 1.3 * foot.radius)]
         profile += [(length - MOUTH, tip.radius), (length + tip.length, tip.radius)]
         return turned_along(0 * X, along, X, profile, 8)
 
     def rail(self, z: float, height: float, tapered: bool) -> Solid:
-        """A bent rail over the row of spindles, level below at z; tapered, its ends are lower and rounded."""
+        """Return a bent rail over the row of spindles, level below at z; tapered, its ends are lower and rounded."""
         along, _ = leaning(self.rake)
         share = np.array([-1, -0.95, -0.8, -0.55, -0.28, 0.0, 0.28, 0.55, 0.8, 0.95, 1])
         x = (SPAN * self.seat_width + 0.030) * share
