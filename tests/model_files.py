@@ -24,7 +24,7 @@ def box(extents: Vector, centre: Vector = (0.0, 0.0, 0.0)) -> trimesh.Trimesh:
 def export(mesh: trimesh.Trimesh, path: Path, **options: Any) -> None:
     """Write a mesh in the format of the file's suffix."""
     data = mesh.export(file_type=path.suffix[1:], **options)
-    path.write_bytes(data if isinstance(data, bytes) else data.encode())
+    path.write_bytes(data if isinstance(data, bytes) else str(data).encode())
 
 
 def write_table(root: Path, unit: float = 1.0, suffixes: Sequence[str] = ("obj", "stl", "ply")) -> Path:

@@ -31,7 +31,7 @@ class Rays:
         self._origin = mesh.bounds[0]
         self._scale = _SIZE / float(np.ptp(mesh.bounds, axis=0).max())
         self._scene = EmbreeScene(_device())
-        # The scene keeps no reference of its own to these triangles.
+        # The scene refers to these triangles, which have to live as long as it does.
         self._triangles = TriangleMesh(self._scene, self._to_scene(self._corners))
 
     def _to_scene(self, points: Float[np.ndarray, "*n 3"]) -> np.ndarray:

@@ -81,7 +81,7 @@ class ShellChair(Design):
         a.part("seat", "seat_single_surface", seat)
 
     def surface(self) -> tuple[Points, Points, np.ndarray, np.ndarray]:
-        """Return the shell's middle line from the turned-down front edge to the top edge, and its shape along that line.
+        """Return the shell's middle line from the turned-down front edge to the top edge, and its shape along it.
 
         Returns points, unit tangents, how far the shell is dished there, and half its width.
         """

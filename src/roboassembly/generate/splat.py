@@ -99,7 +99,7 @@ class SplatChair(Design):
         a.part("seat", "seat_single_surface", seat)
 
     def front_leg(self, top: float) -> Blank:
-        """Return a leg about the z axis, symmetric about its diagonal: a quarter turn gives the leg of the other side."""
+        """Return a leg about the z axis, symmetric about its diagonal: a quarter turn gives the other side's leg."""
         z = np.array([0.0, 0.006, 0.02, 0.10, 0.45 * top, 0.78 * top, 0.92 * top, top])
         wide = self.leg * np.array([0.62, 0.72, 0.68, 0.52, 0.66, 0.94, 1.0, 1.0])
         out = self.knee * np.array([-1.3, -1.3, -1.0, 0.35, 0.25, -0.75, -0.4, 0.0])
