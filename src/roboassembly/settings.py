@@ -18,7 +18,7 @@ from roboassembly.task.object_centric.task import ObjectCentricTask
 from roboassembly.task.plans.full_plan import FullPlan
 from roboassembly.task.plans.plan import Plan
 from roboassembly.task.rules.groups import TaskState
-from roboassembly.task.setting import SettingName, Task
+from roboassembly.task.setting import SettingName
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class Setting:
     """Names of an action's components after `(u, v, k, l)`."""
     has_robots: bool
     """Robots move the parts: furniture needs grasps, and plans can be carried out in physics."""
-    make_task: Callable[[Furniture], Task[Any, Any]]
+    make_task: Callable[[Furniture], ObjectCentricTask | FullTask]
     solve: Callable[..., SearchResult[Any]]
     """Search from a random start, as `solvers.search.solve`."""
     solve_from: Callable[..., SearchResult[Any]]
