@@ -1,4 +1,4 @@
-"""The planning benchmark on its quick configuration: what it reports, and that all checkers see the same world."""
+"""Tests of the planning benchmark: its report, and that all collision checkers agree."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def quick_report() -> PlanningBenchReport:
 
 @cache
 def merge() -> BenchMerge:
-    """Of a slat into a post that other slats are in already."""
+    """Return the merge of a slat with a post that already has other slats."""
     (chair,) = find_chairs("ladder", 15, 1, 0)
     return list(merges_of(chair, 0))[3]
 
@@ -155,7 +155,7 @@ def test_fcl_agrees_with_ours_on_random_configurations() -> None:
 
 
 def test_pybullet_agrees_with_ours_on_random_configurations() -> None:
-    """On all but those that hang on less than Bullet's single precision."""
+    """The results agree except where Bullet's single precision decides."""
     poses, world, peer = random_poses(200), merge().world(), PyBulletPeer()
     ours = np.array([world.is_free(pose) for pose in poses])
     theirs = answers(peer.set_up(merge().scene), poses)
@@ -184,8 +184,8 @@ def test_pybullet_agrees_on_clear_cases() -> None:
     peer.close()
 
 
-def test_hulls_would_be_in_collision_at_the_mating_pose() -> None:
-    """The reason why the moving parts are not given to Bullet as hulls."""
+def test_hulls_collide_at_the_mating_pose() -> None:
+    """Moving parts are not hulls in Bullet, because hulls collide at the mating pose."""
     for pieces, least, most in (("hulls", 0.002, 0.1), ("triangles", 0.0, 0.0)):
         peer = PyBulletPeer("hulls" if pieces == "hulls" else "triangles")
         peer.set_up(merge().scene)
@@ -193,8 +193,8 @@ def test_hulls_would_be_in_collision_at_the_mating_pose() -> None:
         peer.close()
 
 
-def test_a_peer_finds_its_way_where_there_is_room() -> None:
-    """From the ground to above the chair: a tree search has no joint to get out of."""
+def test_peer_finds_a_path_in_free_space() -> None:
+    """The path leads from the ground to above the chair, out of no connection."""
     goal = SE3(merge().problem.goal.rotation, merge().problem.goal.translation + np.array([0.0, 0.0, 1.0]))
     for peer in (FclPeer(), PyBulletPeer()):
         runs = [
@@ -213,7 +213,7 @@ def test_the_wall_time_cap_is_reported() -> None:
     assert not run.solved
 
 
-def test_peers_test_states_as_near_to_each_other_as_ours() -> None:
+def test_resolution_of_peers() -> None:
     ends = (merge().problem.start, merge().problem.goal)
     space = state_space(merge().bounds, ends)
     space.setup()
@@ -243,7 +243,7 @@ def test_standard_output_stays_clean() -> None:
     assert done.stderr == ""
 
 
-def test_quiet_silences_native_writes_and_gives_the_streams_back(capfd: pytest.CaptureFixture[str]) -> None:
+def test_quiet_silences_native_output_and_restores_the_streams(capfd: pytest.CaptureFixture[str]) -> None:
     with quiet():
         os.write(1, b"noise")
     os.write(1, b"signal")

@@ -1,4 +1,4 @@
-"""One contract for every environment, over furniture of every source."""
+"""Contract of every environment, on furniture of every source."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ trimesh = pytest.importorskip("trimesh")
 
 
 def _imported() -> Furniture:
-    """A table of boxes that touch, through repair: what an importer hands on."""
+    """Return a repaired table of touching boxes, as an importer makes it."""
     from roboassembly.importers.pipeline import finish
 
     top = trimesh.creation.box((0.6, 0.4, 0.03))
@@ -48,12 +48,12 @@ def _imported() -> Furniture:
 
 
 SAMPLE = ("ladder", "windsor", "pedestal", "stool")
-"""Families with swapped, mirrored, turned and captive parts between them."""
+"""Families that include swapped, mirrored, turned and captive parts."""
 FEW = "cantilever"
-"""A family of few parts: two robots take their time."""
+"""Family of few parts, because two robots are slow."""
 SOURCES = {**{name: (lambda name=name: catalogue.make(name, 1)) for name in (*SAMPLE, FEW)}, "imported": _imported}
 CASES = [(ObjectCentricEnv, name) for name in (*SAMPLE, "imported")] + [(FullEnv, name) for name in (FEW, "imported")]
-"""Every environment, and what it assembles."""
+"""Environments with their furniture."""
 AnEnv = AssemblyEnv[Any, Any, Any]
 
 
@@ -83,22 +83,22 @@ def reasoning(furniture: Furniture) -> Disassembly:
 
 
 def right_action(env: AnEnv) -> tuple[int, ...]:
-    """One that merges, now, and leaves the furniture completable."""
+    """Return an action that merges and keeps the furniture completable."""
     seed = int(deepcopy(env.np_random).integers(2**31 - 1))
-    told = next(env.task.rules.pairs.slot_assignments(env.task.groups_of(env.state)))
+    assigned = next(env.task.rules.pairs.slot_assignments(env.task.groups_of(env.state)))
     disassembly = reasoning(env.task.furniture)
-    struck: set[frozenset[frozenset[int]]] = set()
+    rejected: set[frozenset[frozenset[int]]] = set()
     while True:
-        order = disassembly.order(partition_of(told), struck, straight=True, exhaustive=False)
+        order = disassembly.order(partition_of(assigned), rejected, straight=True, exhaustive=False)
         assert order, "nothing merges"
         if isinstance(env, FullEnv):
-            options = grasping(env.task, env.state, told, *order[0])
+            options = grasping(env.task, env.state, assigned, *order[0])
         else:
-            options = upright(disassembly, env.state, told, *order[0], straight=True)
+            options = upright(disassembly, env.state, assigned, *order[0], straight=True)
         for action in options:
             if env.task.step(env.state, action, seed).step is not None:
                 return action
-        struck.add(frozenset(order[0]))
+        rejected.add(frozenset(order[0]))
 
 
 def test_gymnasium_checker(env: AnEnv) -> None:
@@ -113,7 +113,7 @@ def test_discrete_view_passes_the_checker(env: AnEnv) -> None:
 
 
 def test_episode_of_right_actions(env: AnEnv, furniture: Furniture) -> None:
-    """Right actions earn one a merge and four at the end."""
+    """Each merge gives a reward of 1 and the last one 4 more."""
     observation, info = env.reset(seed=11)
     assert info["groups"] == len(furniture.parts)
     assert not info["success"]
@@ -158,9 +158,9 @@ def test_observation_is_the_papers_state(env: AnEnv, furniture: Furniture) -> No
         for g in range(4 * len(part.grasps)):
             held = grip_of(furniture, alone, p, g)
             assert held is not None
-            told, tips = observation["grasp_regions"][p].reshape(8, 6)[g].astype(float), held.furniture_from_tips
-            np.testing.assert_allclose(told[:3], tips.translation, atol=1e-6)
-            np.testing.assert_allclose(rotations_from_euler(told[3:]), tips.rotation, atol=1e-5)
+            grasp, tips = observation["grasp_regions"][p].reshape(8, 6)[g].astype(float), held.furniture_from_tips
+            np.testing.assert_allclose(grasp[:3], tips.translation, atol=1e-6)
+            np.testing.assert_allclose(rotations_from_euler(grasp[3:]), tips.rotation, atol=1e-5)
         assert not observation["grasp_regions"][p, len(part.grasps) :].any()
 
     action = right_action(env)
@@ -180,7 +180,7 @@ def test_observations_are_fresh_arrays(env: AnEnv) -> None:
     assert not any((array == 7.0).all() for array in second.values())
 
 
-def test_mask_by_the_book(env: AnEnv, furniture: Furniture) -> None:
+def test_mask_follows_its_definition(env: AnEnv, furniture: Furniture) -> None:
     _, info = env.reset(seed=0)
     mask = info["action_mask"]
     assert mask.shape == tuple(env.action_space.nvec)
@@ -193,7 +193,7 @@ def test_mask_by_the_book(env: AnEnv, furniture: Furniture) -> None:
 
 
 def test_mask_does_not_leak_the_answer(env: AnEnv, furniture: Furniture) -> None:
-    """Nothing but existence: every pair of points of different groups is allowed, right or wrong."""
+    """The mask allows every pair of points of different groups, right or wrong."""
     _, info = env.reset(seed=0)
     for _ in range(2 if isinstance(env, FullEnv) else len(furniture.parts) // 2):
         *_, info = env.step(np.array(right_action(env)))
@@ -313,7 +313,7 @@ def test_smaller_spaces_for_small_furniture() -> None:
         ObjectCentricEnv(stool, max_parts=21)
 
 
-def test_bad_furniture_is_said_when_made(tmp_path: Path) -> None:
+def test_invalid_furniture_raises_at_construction(tmp_path: Path) -> None:
     with pytest.raises(UnknownNameError, match="did you mean stool"):
         gymnasium.make(OBJECT_CENTRIC, furniture="stol")
     with pytest.raises(InputError, match="no furniture given"):

@@ -1,4 +1,4 @@
-"""Gymnasium's conventions: both environments, as their class makes them and as `gymnasium.make` does."""
+"""Tests of Gymnasium's conventions: both environments, made by their class and by `gymnasium.make`."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ Make = Callable[..., gymnasium.Env[Any, Any]]
 
 @cache
 def stool() -> Furniture:
-    """Five parts: two robots take a second for a merge."""
+    """Return a piece of five parts, because two robots take a second for a merge."""
     return catalogue.make("three_legged", 3)
 
 
 @cache
 def assembly(name: str) -> tuple[tuple[int, ...], ...]:
-    """Actions that assemble the stool from the start of seed 0, as the policy in the package picks them."""
+    """Return the actions with which the shipped policy assembles the stool from the start of seed 0."""
     policy = load_policy("relational")
     env = CLASSES[name](stool(), cloud_points=policy.cloud_points)
     observation, info = env.reset(seed=0)
@@ -74,15 +74,15 @@ def one_line(error: pytest.ExceptionInfo[BaseException]) -> str:
 
 
 @pytest.mark.usefixtures("drawing")
-def test_the_checker_has_nothing_to_say(name: str) -> None:
-    """Spaces, determinism, render modes: no error and no warning."""
+def test_gymnasium_checker_gives_no_warnings(name: str) -> None:
+    """Gymnasium's checker finds no error in spaces, determinism and render modes, and warns of nothing."""
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         check_env(gymnasium.make(name, furniture=stool()).unwrapped)
 
 
 def bad_actions(names: tuple[str, ...]) -> list[tuple[Any, str]]:
-    """Actions that are none, and what their error names."""
+    """Return invalid actions, each with the text that its error contains."""
     n, last = len(names), len(names) - 1
     largest = {"u": 19, "k": 9, "w": 5, "g_b": 7}
     return [
@@ -105,7 +105,7 @@ def bad_actions(names: tuple[str, ...]) -> list[tuple[Any, str]]:
 
 
 def test_actions_outside_of_the_space(make: Make, name: str) -> None:
-    """They raise with the bad value, and the episode goes on as if they had not been tried."""
+    """Invalid actions raise with their value and leave the episode unchanged."""
     env, undisturbed = make(), make()
     for each in (env, undisturbed):
         each.reset(seed=0)
@@ -169,7 +169,7 @@ def test_steps_before_and_after_an_episode(make: Make, name: str) -> None:
     assert env.step(assembly(name)[0])[1] == 1.0
 
 
-def test_the_end_of_a_whole_assembly_is_an_end() -> None:
+def test_complete_assembly_ends_the_episode() -> None:
     env = ObjectCentricEnv(stool())
     env.reset(seed=0)
     for action in assembly(OBJECT_CENTRIC):
@@ -194,7 +194,7 @@ def test_the_end_of_a_whole_assembly_is_an_end() -> None:
     ],
 )
 def test_reset_options(make: Make, name: str, options: Any, kind: type[Exception], message: str) -> None:
-    """Bad ones raise, and the episode that runs is not disturbed."""
+    """Invalid options raise and leave the running episode unchanged."""
     env = make()
     env.reset(seed=0, options={"furniture": 0})
     with pytest.raises(kind, match=message) as error:
@@ -231,7 +231,7 @@ def test_arguments(make: Make, arguments: dict[str, Any], kind: type[Exception],
         make(**arguments)
 
 
-def test_learners_that_ask_for_masks_are_told_about_the_wrapper(make: Make) -> None:
+def test_action_masks_error_names_the_wrapper(make: Make) -> None:
     env = make()
     env.reset(seed=0)
     with pytest.raises(gymnasium.error.Error, match=r"roboassembly\.envs\.wrappers\.DiscreteActions\(env\)") as error:
@@ -243,7 +243,7 @@ def test_learners_that_ask_for_masks_are_told_about_the_wrapper(make: Make) -> N
 
 
 @pytest.mark.slow
-def test_maskable_ppo_is_told_about_the_wrapper() -> None:
+def test_maskable_ppo_error_names_the_wrapper() -> None:
     learner = pytest.importorskip("sb3_contrib")
     env = gymnasium.make(OBJECT_CENTRIC, furniture=stool(), cloud_points=8)
     model = learner.MaskablePPO("MultiInputPolicy", env, n_steps=8, batch_size=8, n_epochs=1, seed=0)
@@ -252,20 +252,20 @@ def test_maskable_ppo_is_told_about_the_wrapper() -> None:
 
 
 def corners_of(env: Any, parts: tuple[int, ...]) -> np.ndarray:
-    """Of the boxes of parts, where they are now."""
+    """Return the corners of the boxes of parts at their present poses."""
     poses = env.task.groups_of(env.state).part_poses
     return np.concatenate([box_corners(env.task.furniture.parts[p].mesh, poses[p]) for p in parts])
 
 
 def robots_of(env: Any) -> np.ndarray:
-    """Corners of the boxes of all links; none where there is no robot."""
+    """Return the corners of the boxes of all links; none without robots."""
     robots = env.state.cell_state.robots if isinstance(env, FullEnv) else ()
     boxes = [box_corners(link.mesh, pose) for robot in robots for link, pose in placed(robot.at, robot.opening)]
     return np.concatenate([np.zeros((0, 3)), *boxes])
 
 
 def colored(picture: np.ndarray, color: str) -> np.ndarray:
-    """Which pixels have a colour that nothing else in pictures has."""
+    """Return the mask of the pixels with the colour of a role."""
     red, green, blue = np.moveaxis(picture.astype(int), -1, 0)
     return {
         "orange": (red > green + 60) & (red > blue + 60) & (green < 0.62 * red),
@@ -314,7 +314,7 @@ def test_pictures_show_the_state(make: Make, name: str) -> None:
 
 @pytest.mark.usefixtures("drawing")
 def test_drawing_changes_nothing() -> None:
-    """Neither the episode nor later pictures: of two environments one is drawn in every state, one in the last."""
+    """Rendering changes neither the episode nor later pictures."""
     always, once = (gymnasium.make(OBJECT_CENTRIC, furniture=stool(), render_mode="rgb_array") for _ in range(2))
     plain = gymnasium.make(OBJECT_CENTRIC, furniture=stool())
     for env in (always, once, plain):
@@ -338,7 +338,7 @@ def test_drawing_changes_nothing() -> None:
 
 @pytest.mark.usefixtures("drawing")
 def test_record_video(name: str, tmp_path: Any) -> None:
-    """A film of as many frames as states, each of them the picture of that state."""
+    """The film has one frame per state, the picture of that state."""
     env = gymnasium.make(name, furniture=stool(), render_mode="rgb_array", width=320, height=240)
     env = gymnasium.wrappers.RecordVideo(env, str(tmp_path / "films"))
     env.reset(seed=0)
@@ -378,7 +378,7 @@ def test_drawing_without_a_state_or_a_mode(make: Make) -> None:
         assert env.render() is None
 
 
-def test_drawing_without_opengl_says_what_to_install(make: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_drawing_without_opengl_names_the_missing_package(make: Make, monkeypatch: pytest.MonkeyPatch) -> None:
     env = make(render_mode="rgb_array")
     env.reset(seed=0)
     monkeypatch.delenv("MUJOCO_GL", raising=False)
@@ -392,7 +392,7 @@ def test_drawing_without_opengl_says_what_to_install(make: Make, monkeypatch: py
         gl.context_module.cache_clear()
 
 
-def test_windows_are_gymnasiums_own(name: str) -> None:
+def test_human_render_mode_of_gymnasium(name: str) -> None:
     with pytest.raises(UnsupportedMode, match="'human'; 'rgb_array' or None"):
         CLASSES[name](stool(), render_mode="human")
     with pytest.warns(UserWarning, match="HumanRendering wrapper"):

@@ -1,4 +1,4 @@
-"""`roboassembly benchmark --quick`: every stage of the paper's table, tiny; resumed, and written into a document."""
+"""Tests of `roboassembly benchmark --quick`: all stages in a tiny size, resumed, and written into a document."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from roboassembly.learning.progress import Progress
 
 
 def told(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, Any]:
-    """What the command prints as JSON."""
+    """Run the command and return its JSON."""
     with pytest.raises(SystemExit) as end:
         main(["benchmark", "--quick", "--json", *arguments])
     printed = capsys.readouterr()
@@ -101,7 +101,7 @@ def test_the_whole_table_with_robots(tmp_path: Path, capsys: pytest.CaptureFixtu
 
 
 def without_times(figures: dict[str, Any]) -> list[Any]:
-    """The rows, without what the clock said."""
+    """Return the rows without times."""
     rows = json.loads(json.dumps(figures["rows"]))
     for row in rows:
         figures = row["figures"]
@@ -112,7 +112,7 @@ def without_times(figures: dict[str, Any]) -> list[Any]:
     return rows
 
 
-def test_a_document_without_marks_is_refused_before_anything_is_done(tmp_path: Path, capsys) -> None:
+def test_document_without_marks_is_refused_first(tmp_path: Path, capsys) -> None:
     document = tmp_path / "results.md"
     document.write_text("nothing\n")
     with pytest.raises(SystemExit) as end:
@@ -123,12 +123,12 @@ def test_a_document_without_marks_is_refused_before_anything_is_done(tmp_path: P
     assert document.read_text() == "nothing\n"
 
 
-def test_what_is_no_generated_set_is_refused(tmp_path: Path) -> None:
+def test_sets_that_are_not_generated_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="one of chairs-412"):
         next(benchmark.run(benchmark.BenchmarkConfig(set="folder"), tmp_path, 1))
 
 
-def test_the_time_of_a_run_that_is_killed_counts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_time_of_a_killed_run_counts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     now = [100.0]
     monkeypatch.setattr(benchmark.time, "monotonic", lambda: now[0])
 

@@ -1,4 +1,4 @@
-"""Evaluation: intervals by hand, the same figures whatever else is played and by however many, Minari's round trip."""
+"""Tests of the evaluation: intervals, reproducible episodes, and the round trip through Minari."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def test_the_printed_summary() -> None:
     assert failed.split() == ["failed:", "2", "wrong_pair"]
 
 
-def test_what_ended_episodes_with_robots() -> None:
+def test_failure_stages_of_full_episodes() -> None:
     ends = [
         ("grasp_blocked", Stage.GRASP), ("cannot_release", Stage.RELEASE), ("no_arm_solution", Stage.MATE),
         ("joint_blocked", Stage.MATE), ("no_path", Stage.DRIVE_TO_MATE), ("no_path", Stage.LEAVE),
@@ -104,7 +104,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> str:
 
 
 class Replay:
-    """Plays the search's plan of the piece that it sees; knows pieces by the number of their parts."""
+    """Policy that repeats the plans of the search; it recognizes pieces by their number of parts."""
 
     name = "replay"
     cloud_points = 1
@@ -119,7 +119,7 @@ class Replay:
         return np.array(self.plans[parts][parts - groups])
 
 
-def test_a_policy_of_ones_own_that_plays_the_searchs_plan() -> None:
+def test_custom_policy_that_repeats_the_plan_of_the_search() -> None:
     furniture = catalogue.make("stool", 2)
     plan = solve(furniture, 4).plan
     actions = [step.action for step in plan.steps]
@@ -151,7 +151,7 @@ def timeless(episodes: list[Episode]) -> list[Episode]:
     return [replace(e, planning_seconds=0.0, policy_seconds=0.0) for e in episodes]
 
 
-def test_neither_jobs_nor_limits_nor_order_change_an_episode(folder: str) -> None:
+def test_episodes_do_not_depend_on_jobs_limits_or_order(folder: str) -> None:
     picks = furniture_refs(folder)
     alone = timeless(list(evaluate(RolloutConfig("random"), picks, 7, 1, episodes=2)))
     assert len(alone) == 6
@@ -164,13 +164,13 @@ def test_neither_jobs_nor_limits_nor_order_change_an_episode(folder: str) -> Non
     assert timeless(list(evaluate(RolloutConfig("random"), picks[:1], 8, 1))) != alone[:1]
 
 
-def test_seeds_are_what_they_were() -> None:
-    """Anyone who has a figure can have it again."""
+def test_episode_seeds_are_stable() -> None:
+    """Published figures can be reproduced."""
     words = np.random.SeedSequence([5, 0xCBF43926, 2]).generate_state(1)
     assert episode_seed(5, "123456789", 2) == int(words[0]) // 2  # CRC-32's check value
 
 
-def test_solvers_play(folder: str) -> None:
+def test_solvers_run_episodes(folder: str) -> None:
     picks = [p for p in furniture_refs(folder) if p.name == "shell"]
     ends = {name: next(iter(evaluate(RolloutConfig(name), picks, 0, 1))) for name in SOLVERS}
     parts = len(catalogue.make("shell").parts)
@@ -182,7 +182,7 @@ def test_solvers_play(folder: str) -> None:
     assert all(e.success == (e.verdict == "merged") for e in ends.values())
 
 
-def test_families_are_told_by_the_set() -> None:
+def test_set_marks_unseen_families() -> None:
     made = catalogue.make("cantilever", 2)
     entry = Entry("cantilever", 2, "test", True, len(made.parts), 0.5, False, 100, furniture_hash(made))
     known = next(iter(evaluate(RolloutConfig("search"), [FurnitureRef(entry.name, entry, None)], 0, 1)))
@@ -195,7 +195,7 @@ def _other(entry: Entry) -> Entry:
     return Entry(**{**{f: getattr(entry, f) for f in entry.__struct_fields__}, "hash": "0" * 16})
 
 
-def test_names_are_checked_before_anything_is_played() -> None:
+def test_names_are_checked_before_any_episode() -> None:
     with pytest.raises(UnknownNameError, match="did you mean joint-rrt"):
         evaluate(RolloutConfig("joint-rtt"), [], 0, 4)
     with pytest.raises(InputError, match="'joint-rrt' cannot guide the search"):
@@ -205,7 +205,7 @@ def test_names_are_checked_before_anything_is_played() -> None:
 
 
 class Dies:
-    """Takes its process with it."""
+    """Policy that ends its process."""
 
     name = "dies"
     cloud_points = 1
@@ -214,7 +214,7 @@ class Dies:
         os._exit(7)
 
 
-def test_a_worker_that_dies_is_told(folder: str) -> None:
+def test_dead_worker_raises_a_clear_error(folder: str) -> None:
     with pytest.raises(RoboAssemblyError, match=r"a worker process died .* 0 of 1 pieces.*cantilever"):
         list(evaluate(RolloutConfig(Dies()), furniture_refs(folder)[:1], 0, 2))
 
@@ -223,7 +223,7 @@ def test_a_policy_guides_the_search(folder: str) -> None:
     picks = [p for p in furniture_refs(folder) if p.name in ("stool", "cantilever")]
 
     class Shy(Replay):
-        """Finds everything equally bad."""
+        """Policy with equal low values for all actions."""
 
         def values(self, observation, mask) -> np.ndarray:
             return np.where(mask, np.float32(0.0), np.float32(-np.inf))
@@ -233,7 +233,7 @@ def test_a_policy_guides_the_search(folder: str) -> None:
         assert done.policy_seconds > 0.0
 
 
-def test_the_full_setting_audited_and_carried_out(armchair: Furniture) -> None:
+def test_full_setting_with_audit_and_execution(armchair: Furniture) -> None:
     pytest.importorskip("fcl")
     done = make_agent(RolloutConfig(setting="full", execution="dynamic", audit=True))(armchair, 0)
     assert (done.success, done.verdict, done.merges, done.violations, done.reason) == (True, "merged", 2, 0, "")
@@ -254,7 +254,7 @@ def test_the_full_setting_audited_and_carried_out(armchair: Furniture) -> None:
     assert report["merge_seconds_median"] == pytest.approx(sum(done.step_seconds) / 2)
 
 
-def test_what_the_full_setting_refuses() -> None:
+def test_refusals_of_the_full_setting() -> None:
     with pytest.raises(InputError, match="'joint-rrt' chooses no grasps; --setting full takes --policy search"):
         make_agent(RolloutConfig("joint-rrt", setting="full"))
     with pytest.raises(InputError, match="'replay' chooses no grasps"):
@@ -318,7 +318,7 @@ def test_a_minari_data_set_is_read_again_and_replayed(
         assert info["success"]
 
 
-def test_what_cannot_be_exported_is_said(played: list[tuple[FurnitureRef, Episode]], tmp_path: Path) -> None:
+def test_export_errors(played: list[tuple[FurnitureRef, Episode]], tmp_path: Path) -> None:
     pytest.importorskip("minari")
     with pytest.raises(InputError, match="'chairs' is no name of a Minari data set; like 'chairs-v0' would do"):
         check_target(tmp_path / "chairs")
@@ -333,7 +333,7 @@ def test_what_cannot_be_exported_is_said(played: list[tuple[FurnitureRef, Episod
     assert [p.name for p in tmp_path.iterdir()] == ["there-v0"]
 
 
-def test_errors_survive_the_way_from_a_worker() -> None:
+def test_errors_of_workers_keep_their_type() -> None:
     for error in (
         UnknownNameError("policy", "serch", ["search"]),
         MissingExtraError("jax", "learn"),

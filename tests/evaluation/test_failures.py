@@ -1,4 +1,4 @@
-"""The pictures of failed episodes show what was joined, what with, and where it belongs."""
+"""Tests of the pictures of failed episodes: the groups that were joined, and where they belong."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ failures = script("tools/failures.py")
 
 @pytest.fixture
 def episodes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Path:
-    """Two pieces that a random policy has failed at."""
+    """Evaluate a random policy that fails on two pieces."""
     for family in ("stool", "plank"):
         with pytest.raises(SystemExit):
             main(["generate", family, "--out", str(tmp_path / "set" / family)])
@@ -30,17 +30,17 @@ def episodes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Path:
 
 
 def share(picture: np.ndarray, color: tuple[float, float, float]) -> float:
-    """Of pixels that have about the hue of a colour."""
+    """Return the share of pixels with about the hue of a colour."""
     unit = picture / np.maximum(np.linalg.norm(picture.astype(float), axis=2, keepdims=True), 1.0)
     return float((unit @ (np.array(color) / np.linalg.norm(color)) > 0.985).mean())
 
 
-def test_a_row_an_episode(episodes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_one_row_per_failed_episode(episodes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     names = [e["furniture"] for e in json.loads(episodes.read_text())["per_furniture"]]
     failures.main(episodes, tmp_path / "picture.png", names)
-    told = capsys.readouterr().out.splitlines()
-    assert [line.partition(":")[0] for line in told] == names
-    assert "merge 1 of " in told[0]
+    printed = capsys.readouterr().out.splitlines()
+    assert [line.partition(":")[0] for line in printed] == names
+    assert "merge 1 of " in printed[0]
     picture = iio.imread(tmp_path / "picture.png")
     assert picture.shape == (2 * failures.HEIGHT, 3 * failures.WIDTH, 3)
     for row in np.split(picture, 2):
@@ -49,6 +49,6 @@ def test_a_row_an_episode(episodes: Path, tmp_path: Path, capsys: pytest.Capture
             assert share(panel, failures.WAITING) > 1e-4
 
 
-def test_names_that_did_not_fail_are_told(episodes: Path, tmp_path: Path) -> None:
+def test_names_without_a_failure_are_refused(episodes: Path, tmp_path: Path) -> None:
     with pytest.raises(SystemExit, match="failed are: "):
         failures.main(episodes, tmp_path / "picture.png", ["nothing"])

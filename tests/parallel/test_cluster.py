@@ -1,4 +1,4 @@
-"""Work spread over a Ray cluster: two nodes on this machine, one of which dies."""
+"""Tests of work on a Ray cluster: two nodes on this machine, one of which dies."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture
 def two_nodes(monkeypatch) -> Iterator[Any]:
-    """A head without CPUs, and two nodes of two."""
+    """Start a head without CPUs and two nodes with two CPUs each."""
     monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[1]))
     cluster = ray_cluster.Cluster(initialize_head=True, head_node_args={"num_cpus": 0})
     for _ in range(2):
@@ -35,7 +35,7 @@ def two_nodes(monkeypatch) -> Iterator[Any]:
 
 
 def where(seconds: float) -> str:
-    """The node that this runs on, after some time."""
+    """Return the node that runs this, after some time."""
     import ray
 
     time.sleep(seconds)
@@ -43,7 +43,7 @@ def where(seconds: float) -> str:
 
 
 def counted(item: int, folder: Path) -> int:
-    """Leaves a trace of each time that it is begun."""
+    """Record each start in a file."""
     with (folder / str(item)).open("a") as file:
         file.write("begun\n")
     time.sleep(3.0)
@@ -90,7 +90,7 @@ def test_a_node_that_dies_loses_nothing(two_nodes, tmp_path):
     assert max(begun) > 1, "nothing ran on the node that died"
 
 
-def test_an_evaluation_says_the_same(two_nodes, tmp_path):
+def test_evaluation_on_a_cluster_gives_the_same_episodes(two_nodes, tmp_path):
     for family in ("stool", "shell"):
         storage.save(catalogue.make(family, 1, with_grasps=False), tmp_path / family)
     here = furniture_refs(f"folder:{tmp_path}")
@@ -100,7 +100,7 @@ def test_an_evaluation_says_the_same(two_nodes, tmp_path):
         assert [e.planning_steps for e in evaluate(way, here, 0, jobs)] == alone
 
 
-def test_a_cluster_that_is_not_there_is_one_clear_line():
+def test_missing_cluster_gives_a_one_line_error():
     with (
         pytest.raises(InputError, match=r"^--ray 127.0.0.1:1: no cluster answers there"),
         use_cluster("127.0.0.1:1", 1),
@@ -108,7 +108,7 @@ def test_a_cluster_that_is_not_there_is_one_clear_line():
         raise AssertionError
 
 
-def test_without_ray_one_is_told_what_to_install(monkeypatch):
+def test_error_without_ray_names_the_extra(monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "ray", None)
     with pytest.raises(MissingExtraError, match=r"roboassembly\[ray\]"), use_cluster("auto", 1):
         raise AssertionError

@@ -1,4 +1,4 @@
-"""The oracle of the full setting, against the task's own tests."""
+"""Tests of the oracle of the full setting against the checks of the task."""
 
 from __future__ import annotations
 

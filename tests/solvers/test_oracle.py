@@ -1,4 +1,4 @@
-"""The oracle against the task itself: what it calls good, the planner must be able to do, and lead to the end."""
+"""Tests of the oracle against the task: viable mates can be planned and lead to complete furniture."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def after(state: TaskState, joint) -> TaskState:
 
 
 @pytest.mark.parametrize("name", ["ladder:3", "garden:1", "throne:2", "panel:1"])
-def test_every_play_by_good_joints_reaches_the_end(name: str) -> None:
+def test_every_episode_of_viable_mates_completes(name: str) -> None:
     family, seed = name.split(":")
     task = ObjectCentricTask(catalogue.make(family, int(seed)))
     oracle = Oracle(task)
@@ -48,8 +48,8 @@ def test_right_pairs_are_those_that_the_task_accepts() -> None:
 
 
 @pytest.mark.parametrize("name", ["windsor:1", "bench:1", "cantilever:1", "folding:2"])
-def test_good_ways_are_planned_without_search(name: str) -> None:
-    """Of the actions called good along a play, the planner does at least 19 of 20 by a straight retreat."""
+def test_feasible_w_are_planned_by_retreats(name: str) -> None:
+    """The planner plans at least 19 of 20 feasible actions of an episode by a straight retreat."""
     family, seed = name.split(":")
     task = ObjectCentricTask(catalogue.make(family, int(seed)))
     oracle = Oracle(task)
@@ -66,8 +66,8 @@ def test_good_ways_are_planned_without_search(name: str) -> None:
     assert sum(v is ObjectCentricVerdict.MERGED for v in verdicts) >= 0.95 * len(verdicts), verdicts
 
 
-def test_a_dead_end_is_seen_before_it_is_entered() -> None:
-    """Two sides joined by the seat leave no way in for rungs that sit in blind holes of both."""
+def test_mates_into_a_dead_end_are_not_viable() -> None:
+    """Rungs in blind holes of both sides cannot be inserted once the seat joins the sides."""
     task = ObjectCentricTask(catalogue.make("ladder", 1))
     oracle = Oracle(task)
     state = task.initial_state(np.random.default_rng(0))

@@ -1,4 +1,4 @@
-"""The search: it finds its way around dead ends, gives up honestly, and repeats itself to the last bit."""
+"""Tests of the search: dead ends, limits, guides and reproducible plans."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def scene_of(furniture: Furniture, moving: dict[int, SE3], still: dict[int, SE3]
 
 
 def check(result: SearchResult, step: float = 0.002) -> None:
-    """The plan holds together: steps follow on one another, paths are free, the end is the furniture."""
+    """Check that a plan is consistent: steps follow each other, paths are free, and the end is the furniture."""
     plan = result.plan
     furniture = plan.furniture
     assert plan.success
@@ -66,7 +66,7 @@ def check(result: SearchResult, step: float = 0.002) -> None:
 
 
 def fits(furniture: Furniture, poses: tuple[SE3, ...]) -> bool:
-    """Each part in a slot of its class, turned by a symmetry of its shape at most, and no slot taken twice."""
+    """Check that each part is in its own slot of its class, up to a symmetry of its shape."""
     taken = []
     for part, where in enumerate(poses):
         own = furniture.classes[furniture.class_of[part]]
@@ -81,7 +81,7 @@ def fits(furniture: Furniture, poses: tuple[SE3, ...]) -> bool:
 
 
 def placements(furniture: Furniture, now: tuple[SE3, ...]) -> list[SE3]:
-    """`world_from_furniture` that put the first part into a slot of its class."""
+    """Return `world_from_furniture` for each slot that the first part may be in."""
     own = furniture.classes[furniture.class_of[0]]
     return [
         now[0] * (furniture.assembled[s] * SE3(t, np.zeros(3))).inverse() for s in own.members for t in own.symmetries
@@ -95,7 +95,7 @@ def test_hand_made_furniture_is_solved(name: str, request: pytest.FixtureRequest
 
 
 def test_a_dead_end_is_avoided(captive_slat: Furniture) -> None:
-    """The slat has to be in its place before the second post is in the board (see the task's own tests)."""
+    """The slat must be joined before the second post is in the board."""
     for seed in range(4):
         result = solve(captive_slat, seed)
         check(result)
@@ -106,7 +106,7 @@ def test_a_dead_end_is_avoided(captive_slat: Furniture) -> None:
             groups.append(merged)
 
 
-def test_from_within_a_dead_end_there_is_no_way(captive_slat: Furniture) -> None:
+def test_search_from_a_dead_end_fails(captive_slat: Furniture) -> None:
     task = ObjectCentricTask(captive_slat)
     state = task.initial_state(np.random.default_rng(0))
     ends = {(c.part_a, c.part_b): (c.point_a, c.point_b) for c in captive_slat.connections}
@@ -123,7 +123,7 @@ def test_from_within_a_dead_end_there_is_no_way(captive_slat: Furniture) -> None
     assert result.reason
 
 
-def test_from_the_middle_of_an_assembly(table: Furniture) -> None:
+def test_search_from_a_partial_assembly(table: Furniture) -> None:
     task = ObjectCentricTask(table)
     whole = solve(table, 0, task=task)
     state = task.initial_state(np.random.default_rng(0))
@@ -134,14 +134,14 @@ def test_from_the_middle_of_an_assembly(table: Furniture) -> None:
     assert len(rest.plan.steps) == 2
 
 
-def test_from_the_end_there_is_nothing_to_do(table: Furniture) -> None:
+def test_search_from_a_complete_assembly_takes_no_steps(table: Furniture) -> None:
     done = Group(tuple(range(5)), tuple(range(5)), table.assembled, SE3.Identity())
     result = solve_from(ObjectCentricTask(table), TaskState((done,)), 0, SearchLimits())
     assert result.plan.success
     assert result.plan.steps == ()
 
 
-def test_from_the_middle_with_legs_in_each_others_places(table: Furniture) -> None:
+def test_search_with_swapped_legs(table: Furniture) -> None:
     task = ObjectCentricTask(table)
     state = task.initial_state(np.random.default_rng(0))
     outcome = task.step(state, (3, 0, 0, 0, 1), 0)  # leg 2 into the place of leg 0
@@ -150,8 +150,8 @@ def test_from_the_middle_with_legs_in_each_others_places(table: Furniture) -> No
     assert result.plan.success
 
 
-def test_from_the_middle_with_equal_parts_whose_points_differ(chair) -> None:
-    """Spindles in each other's places: a pair may go into other slots than reasoning asked for, and that is noticed."""
+def test_search_with_equal_parts_whose_points_differ(chair) -> None:
+    """Spindles have swapped slots, so a pair may take other slots than disassembly chose; the search notices it."""
     furniture = chair("rocker", 4)
     task = ObjectCentricTask(furniture)
     state = task.initial_state(np.random.default_rng(7))
@@ -168,7 +168,7 @@ def test_from_the_middle_with_equal_parts_whose_points_differ(chair) -> None:
     assert result.attempts <= 40
 
 
-def test_what_cannot_be_assembled_ends_with_a_reason() -> None:
+def test_infeasible_furniture_gives_a_reason() -> None:
     begun = time.perf_counter()
     result = solve(shapes.interlocked(), 0)
     assert not result.plan.success
@@ -180,7 +180,7 @@ def test_what_cannot_be_assembled_ends_with_a_reason() -> None:
 
 
 def captive_bar() -> Furniture:
-    """A bar with thick ends through two closed frames that a rail holds together: every pair touches, none goes in."""
+    """A bar with thick ends passes two closed frames that a rail joins: all pairs touch, and none can be assembled."""
     c = shapes.GAP
     bar = shapes.block((-0.2, -0.02, -0.02), (0.2, 0.02, 0.02))
     for low, high in ((-0.2, -0.1), (-0.05, 0.05), (0.1, 0.2)):
@@ -193,7 +193,7 @@ def captive_bar() -> Furniture:
     return shapes.furniture("captive", parts)
 
 
-def test_a_captive_bar_ends_with_a_reason() -> None:
+def test_captive_bar_gives_a_reason() -> None:
     result = solve(captive_bar(), 0)
     assert not result.plan.success
     assert "unreachable" in result.reason
@@ -258,7 +258,7 @@ def test_another_process_finds_the_same_plan(captive_slat: Furniture, chair) -> 
         assert out.split() == here
 
 
-def test_global_random_state_is_left_alone(captive_slat: Furniture) -> None:
+def test_global_random_state_is_unchanged(captive_slat: Furniture) -> None:
     np.random.seed(0)  # noqa: NPY002
     before = np.random.get_state()[1].copy()  # noqa: NPY002
     one = solve(captive_slat, 0)
@@ -284,7 +284,7 @@ def test_many_chairs_are_solved(chair, family: str, seed: int) -> None:
 
 
 def scripted(actions: list[tuple[int, ...]], score: float = 0.9) -> Guide:
-    """Suggests, of some actions, those whose parts are not joined yet, in their order."""
+    """Return a guide that suggests the given actions whose parts are not joined yet, in order."""
 
     def guide(task: ObjectCentricTask, state: TaskState) -> list[Suggestion]:
         return [Suggestion(a, score) for a in actions if state.group_of[a[0]] != state.group_of[a[1]]]
@@ -316,7 +316,7 @@ def test_a_perfect_guide_makes_every_merge_itself(chair) -> None:
     assert result.guide_seconds > 0.0
 
 
-def test_a_guide_that_is_always_wrong_costs_nothing_but_time(chair) -> None:
+def test_wrong_guide_does_not_prevent_a_plan(chair) -> None:
     furniture = chair("stool", 1)
     plain = solve(furniture, 0)
     task = ObjectCentricTask(furniture)
@@ -332,7 +332,7 @@ def test_a_guide_that_is_always_wrong_costs_nothing_but_time(chair) -> None:
     assert plain.attempts < result.attempts <= plain.attempts + 5
 
 
-def test_a_guide_that_names_no_actions_or_is_unsure_is_left_alone(table: Furniture) -> None:
+def test_invalid_or_low_scored_suggestions_are_ignored(table: Furniture) -> None:
     plain = solve(table, 0)
     nonsense = scripted([(0, 1, 99, -7, 0), (0, 1, 0, 0, 6)])
     unsure = scripted([step.action for step in plain.plan.steps], score=0.01)
@@ -342,8 +342,8 @@ def test_a_guide_that_names_no_actions_or_is_unsure_is_left_alone(table: Furnitu
         assert result.guided == 0
 
 
-def test_a_guide_into_a_dead_end_is_backed_out_of(captive_slat: Furniture) -> None:
-    """Both posts into the board: then the slat cannot get between them (see the task's own tests)."""
+def test_search_backtracks_from_a_guides_dead_end(captive_slat: Furniture) -> None:
+    """Both posts are in the board, so that the slat cannot get between them."""
     ends = {(c.part_a, c.part_b): (c.point_a, c.point_b) for c in captive_slat.connections}
     posts = [(post, 0, ends[0, post][1], ends[0, post][0], w) for post in (1, 2) for w in range(6)]
     task = ObjectCentricTask(captive_slat)
@@ -356,7 +356,7 @@ def test_a_guide_into_a_dead_end_is_backed_out_of(captive_slat: Furniture) -> No
     assert result.attempts < 60
 
 
-def test_where_the_guide_falls_silent_reasoning_goes_on(chair) -> None:
+def test_disassembly_continues_after_the_guide(chair) -> None:
     furniture = chair("stool", 1)
     plain = solve(furniture, 0)
     actions = [step.action for step in plain.plan.steps]
@@ -371,8 +371,8 @@ def test_where_the_guide_falls_silent_reasoning_goes_on(chair) -> None:
     assert result.backtracks == 0
 
 
-def test_legs_in_each_others_places_by_a_guide(table: Furniture) -> None:
-    """Leg 2 into the place of leg 0 is right; reasoning, which knows slots only, has to go on from there."""
+def test_guide_may_swap_legs(table: Furniture) -> None:
+    """Leg 2 may take the slot of leg 0; disassembly, which knows only slots, must continue from there."""
     guide, seen = counted(lambda task, state: [Suggestion((3, 0, 0, 0, 1), 1.0)] if len(state.groups) == 5 else [])
     result = solve(table, 0, guide=guide)
     check(result, 0.001)
@@ -381,8 +381,8 @@ def test_legs_in_each_others_places_by_a_guide(table: Furniture) -> None:
 
 
 @pytest.mark.parametrize(("family", "seed"), [("stool", 20), ("sled", 1)])
-def test_right_pairs_in_random_order_lead_astray_but_not_into_failure(chair, family: str, seed: int) -> None:
-    """Equal parts swap places, dead ends are everywhere."""
+def test_guide_of_right_pairs_in_random_order(chair, family: str, seed: int) -> None:
+    """The guide leads to swapped parts and dead ends; the search still finds a plan."""
     furniture = chair(family, seed)
     rng = np.random.default_rng(seed)
 
@@ -402,7 +402,7 @@ def test_right_pairs_in_random_order_lead_astray_but_not_into_failure(chair, fam
     check(result, 0.01)
 
 
-def test_a_guide_gets_a_share_of_the_limits_only() -> None:
+def test_guide_gets_only_a_share_of_the_limits() -> None:
     furniture = shapes.interlocked()
     task = ObjectCentricTask(furniture)
     state = task.initial_state(np.random.default_rng(0))
@@ -447,7 +447,7 @@ def test_removable_sets_of_the_captive_slat(captive_slat: Furniture) -> None:
     assert rest
 
 
-def test_removable_sets_take_no_group_apart(captive_slat: Furniture) -> None:
+def test_removable_sets_split_no_group(captive_slat: Furniture) -> None:
     graphs, everything = BlockingGraphs(captive_slat), frozenset(range(4))
     every = set(graphs.removable(everything, straight=True))
     for pair in combinations(range(4), 2):
