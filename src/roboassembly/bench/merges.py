@@ -81,7 +81,7 @@ def find_chairs(family: str, parts: int, chairs: int, seed: int) -> tuple[BenchC
         chair = _solved(furniture, seed)
         if chair is not None:
             found.append(chair)
-    raise AssertionError("count() ends never")
+    raise AssertionError("unreachable: count() is endless")
 
 
 def _solved(furniture: Furniture, seed: int) -> BenchChair | None:
