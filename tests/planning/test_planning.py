@@ -168,7 +168,7 @@ def test_the_box_test_alone_is_never_wrong() -> None:
             end = SE3(turn, start.translation + rng.normal(scale=0.3, size=3))
             angle = float(Rotation.from_matrix(start.rotation.T @ end.rotation).magnitude())
             cuts = np.linspace(0, 1, 9)
-            flags = world._boxes_free(start, end, cuts, angle)
+            flags = world.boxes_free(start, end, cuts, angle)
             for k in np.flatnonzero(flags):
                 states = interpolate(start, end, np.linspace(cuts[k], cuts[k + 1], 60))
                 checked += 1
@@ -210,7 +210,7 @@ def test_resolution_of_exact_tests() -> None:
     start, end = HERE, pose(0.1, 0.05, 0.0, shapes.turn((0, 1, 1), 1.5))
     assert world.edge_is_free(start, end)  # inside the hollow surface nothing is touched, and every box overlaps
     states = np.concatenate([poses_to_configurations([start]), *seen], axis=1)
-    points = np.array([s.reshape(1, 3) for s in world._points])[:, 0]
+    points = np.array([s.reshape(1, 3) for s in world.points])[:, 0]
     turns = Rotation.from_quat(states[3:].T)
     placed = np.einsum("nij,pj->npi", turns.as_matrix(), points) + states[:3].T[:, None]
     assert np.linalg.norm(np.diff(placed, axis=0), axis=2).max() <= RESOLUTION + 1e-9

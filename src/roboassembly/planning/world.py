@@ -109,9 +109,10 @@ class CollisionWorld:
         """Height of the highest still point [m]."""
         self._hulls = [shape.mesh.hull_vertices @ shape.body_from_mesh.rotation.T + shape.body_from_mesh.translation
                        for shape in self._mover.shapes]  # fmt: skip
-        self._points = np.concatenate(self._hulls)
+        self.points = np.concatenate(self._hulls)
+        """Hull vertices of the moving shapes in the moving body's frame [m]."""
         self._starts = np.cumsum([0, *(len(h) for h in self._hulls[:-1])])
-        self.radius = float(np.linalg.norm(self._points, axis=1).max())
+        self.radius = float(np.linalg.norm(self.points, axis=1).max())
         """Distance of the farthest moving point from the origin of the moving body's frame [m]."""
         meshes = [shape.mesh for shape in self._mover.shapes] + [mesh for _, mesh in placed]
         self.resolution = min(RESOLUTION, 0.9 * min(mesh.thickness for mesh in meshes))
@@ -158,10 +159,10 @@ class CollisionWorld:
         if length < 1e-9:
             return 1.0
         whole = np.array([0.0, 1.0])
-        if self._boxes_free(start, end, whole, angle)[0]:
+        if self.boxes_free(start, end, whole, angle)[0]:
             return 1.0
         cuts = np.linspace(0.0, 1.0, max(2, int(np.ceil(length / _STRETCH)) + 1))
-        free = self._boxes_free(start, end, cuts, angle)
+        free = self.boxes_free(start, end, cuts, angle)
         steps = max(1, int(np.ceil(max(length / self.resolution, angle / ANGULAR_RESOLUTION))))
         for first, last in _runs(~free):
             low, high = int(np.floor(cuts[first] * steps)), int(np.ceil(cuts[last + 1] * steps))
@@ -173,17 +174,17 @@ class CollisionWorld:
 
     def lowest_point(self, pose: SE3) -> float:
         """Return the height of the lowest moving point at `pose` [m]."""
-        return float((self._points @ pose.rotation[2]).min() + pose.translation[2])
+        return float((self.points @ pose.rotation[2]).min() + pose.translation[2])
 
-    def _boxes_free(self, start: SE3, end: SE3, cuts: Float[np.ndarray, "k"], angle: float) -> Bool[np.ndarray, "k-1"]:
+    def boxes_free(self, start: SE3, end: SE3, cuts: Float[np.ndarray, "k"], angle: float) -> Bool[np.ndarray, "k-1"]:
         """Return whether each stretch between successive fractions passes the box test."""
         self.states += len(cuts) - 1
         origin = np.outer(1.0 - cuts, start.translation) + np.outer(cuts, end.translation)
         if angle < 1e-9:
-            turned = self._points @ (self._axes.T @ start.rotation).T
+            turned = self.points @ (self._axes.T @ start.rotation).T
             low = np.minimum.reduceat(turned, self._starts, axis=0)
             high = np.maximum.reduceat(turned, self._starts, axis=0)
-            floor = float((self._points @ start.rotation[2]).min())
+            floor = float((self.points @ start.rotation[2]).min())
         else:
             low, high = np.full((1, 3), -self.radius), np.full((1, 3), self.radius)
             floor = -self.radius
@@ -216,7 +217,7 @@ class CollisionWorld:
         own = self._owners == body
         if not own.any():
             return 0.0
-        turned = self._points @ (self._axes.T @ pose.rotation).T + pose.translation @ self._axes
+        turned = self.points @ (self._axes.T @ pose.rotation).T + pose.translation @ self._axes
         low = np.minimum.reduceat(turned, self._starts, axis=0)[:, None]
         high = np.maximum.reduceat(turned, self._starts, axis=0)[:, None]
         still_low, still_high = self._still_low[own], self._still_high[own]
