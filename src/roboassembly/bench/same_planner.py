@@ -42,7 +42,7 @@ class PeerWorld(CollisionWorld):
         self.states += configurations.shape[1]
         return None
 
-    def _boxes_free(self, start: SE3, end: SE3, cuts: Float[np.ndarray, "k"], angle: float) -> Bool[np.ndarray, "k-1"]:
+    def boxes_free(self, start: SE3, end: SE3, cuts: Float[np.ndarray, "k"], angle: float) -> Bool[np.ndarray, "k-1"]:
         """Return False for every stretch, so that the peer tests every state."""
         return np.zeros(len(cuts) - 1, dtype=bool)
 
