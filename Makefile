@@ -11,7 +11,7 @@ demo: $(VENV)/.run
 	$(BIN)/roboassembly assemble $(ARGS)
 
 test: $(VENV)/.dev
-	$(BIN)/pytest -n 2 $(ARGS)
+	$(BIN)/pytest -n 2 --dist worksteal $(ARGS)
 
 test-all: $(VENV)/.dev $(VENV)/.rl $(VENV)/.browser
 	$(BIN)/pytest -n 2 -m "slow or not slow" $(ARGS)
@@ -21,6 +21,7 @@ lint: $(VENV)/.dev
 	$(BIN)/ruff check .
 	$(BIN)/pyright
 	$(BIN)/lint-imports
+	$(BIN)/python tools/check_names.py
 
 # Not --quiet: MkDocs would then count no warnings, and --strict would have nothing to go by.
 docs: $(VENV)/.dev

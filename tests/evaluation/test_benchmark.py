@@ -25,6 +25,7 @@ def told(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, Any]:
     return json.loads(printed.out)
 
 
+@pytest.mark.slow
 def test_the_whole_table(as_built, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     as_built(
         easy=[("cantilever", 1), ("cantilever", 5)], hard=[("cantilever", 2)],
