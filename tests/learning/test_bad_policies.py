@@ -45,7 +45,7 @@ def archive(flags: int = 0, method: int = zipfile.ZIP_STORED, **files: bytes) ->
     return bytes(data)
 
 
-META = json.dumps({"format": 1, "version": "0", "kind": "relational", "config": {}}).encode()
+META = json.dumps({"format": 2, "version": "0", "kind": "relational", "config": {}}).encode()
 HUGE = npy("{'descr': '<f8', 'fortran_order': False, 'shape': (100000000000000,)}")
 WHOLE = npz(**{"meta.json": np.frombuffer(META, np.uint8), "params/w": np.zeros(3, np.float32)})
 FILES: dict[str, tuple[str, bytes | None, str]] = {
