@@ -257,6 +257,7 @@ def test_loose_part_is_moved_to_the_rest():
     assert distance(*result.parts) == pytest.approx(GAP, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_curved_neighbours_and_many_faces():
     ball = trimesh.creation.icosphere(5, 0.1)
     result = repair([RawPart("ball", Mesh(ball.vertices, ball.faces)), box("floor", (0.3, 0.3, 0.1), (0, 0, -0.145))])

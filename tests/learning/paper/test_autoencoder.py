@@ -46,6 +46,7 @@ def test_numpy_and_jax_agree() -> None:
     )
 
 
+@pytest.mark.slow
 def test_learns_and_resumes_to_the_same_weights(tmp_path: Path) -> None:
     pytest.importorskip("jax")
     clouds, training = _clouds(12), AutoencoderTraining(steps=30, batch=4, keep_every=0.0)

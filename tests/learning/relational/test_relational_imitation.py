@@ -33,6 +33,7 @@ def test_an_epoch_shows_every_state_and_resumes_anywhere(cantilever: SampleSet) 
     assert len(shown) >= len(examples)
 
 
+@pytest.mark.slow
 def test_dead_ends_teach_that_no_action_is_viable() -> None:
     furniture = catalogue.make("windsor", 0)
     clouds = np.array([surface_points(p.mesh, 64) for p in furniture.parts], np.float32)
@@ -62,6 +63,7 @@ def test_the_viable_share_counts_states_whose_best_action_is_viable(tmp_path: Pa
     assert imitation.viable_share(params, examples) == pytest.approx(np.mean(viable))
 
 
+@pytest.mark.slow
 def test_a_gradient_is_the_same_in_pieces(cantilever: SampleSet) -> None:
     examples = imitation.examples_of([cantilever])[:4]
     params = relational.init(np.random.default_rng(0), TINY)
@@ -73,6 +75,7 @@ def test_a_gradient_is_the_same_in_pieces(cantilever: SampleSet) -> None:
     assert terms["loss"] == pytest.approx(float(loss), rel=1e-5)
 
 
+@pytest.mark.slow
 def test_training_fits_one_chair_and_continues_where_it_was_killed(cantilever: SampleSet, tmp_path: Path) -> None:
     examples = imitation.examples_of([cantilever])
     training = imitation.RelationalTraining(steps=40, learning_rate=1e-2, warmup=5, batch=2, keep_every=0.0)
