@@ -20,7 +20,7 @@ class BenchCommand:
     """Measure the speed of planning, beside OMPL with PyBullet and with python-fcl as collision checkers."""
 
     what: Annotated[Literal["planning", "robots"], tyro.conf.Positional] = "planning"
-    """What to measure. planning: motions of parts. robots: motions of two mobile Franka robots."""
+    """Subject of the measurement. planning: motions of parts. robots: motions of two mobile Franka robots."""
     furniture: str = "stool"
     """Piece that the robots assemble; for `robots` only."""
     chairs: int = 3

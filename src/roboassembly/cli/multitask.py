@@ -47,7 +47,7 @@ class MultitaskCommand:
     """Number of rounds with corrected episodes of the policy; for the preset relational. Without it: 0, or 1 with
     --setting full."""
     setting: Setting = "object-centric"
-    """What moves the parts; for the preset relational. object-centric: parts move by themselves. full: two mobile
+    """Setting of the task; for the preset relational. object-centric: parts move by themselves. full: two mobile
     Franka robots move them."""
     start: str | None = None
     """Policy to start from, `relational` or a checkpoint; for the preset relational. Without it: none, or `relational`

@@ -51,7 +51,7 @@ class FoldingChair(Design):
         lean = unit(seat_front - rear_foot)
         inner = self.leg([rear_foot, seat_front + 0.012 * lean], inner_x)
 
-        # Where they cross, a pin of the inner leg goes into the outer one.
+        # A pin of the inner leg goes into the outer leg at the crossing.
         lines = np.array([rise[1:], -lean[1:]]).T
         cross = front_foot + np.linalg.solve(lines, (rear_foot - front_foot)[1:])[0] * rise
         pin, collar = joint_frame(cross + outer_face * X, -X, Z), [inner_x + 0.3 * t, outer_face - c]

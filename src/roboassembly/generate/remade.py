@@ -125,7 +125,7 @@ def sunk(parts: Sequence[RawPart], rng: np.random.Generator) -> list[PartDesign]
     whole = list(solids)
     chosen: dict[tuple[int, int], bool] = {}
     for c in contacts:
-        # Of contacts between parts of the same sizes, all are chosen or none.
+        # Contacts between parts of the same sizes are all chosen, or none is.
         sizes = sorted(round(float(np.log(parts[i].mesh.volume)) / VOLUME_TOLERANCE) for i in (c.a, c.b))
         if not chosen.setdefault((sizes[0], sizes[1]), bool(rng.random() < share)):
             continue

@@ -160,7 +160,7 @@ def _crowded(
     step[starts] = True
     place = np.empty(len(order), dtype=int)
     place[order] = np.cumsum(step)
-    # Where faces coincide, the end of a body sorts before the start of the next.
+    # The end of a body sorts before the start of the next where their faces coincide.
     order = np.lexsort((-sign, place, edge))
     face, sign = face[order], sign[order]
     following = np.arange(len(order)) + 1

@@ -48,7 +48,8 @@ _SUGGESTIONS = 32
 """Largest number of suggestions of a guide in a state."""
 
 Mask = Bool[np.ndarray, "P P K K ..."]
-"""Which actions `(u, v, k, l, w)` exist, or `(u, v, k, l, g_a, g_b)` in the full setting; `info["action_mask"]`."""
+"""Mask of the existing actions, `(u, v, k, l, w)` or in the full setting `(u, v, k, l, g_a, g_b)`:
+`info["action_mask"]`."""
 Values = Float32[np.ndarray, "P P K K ..."]
 """A value for each action."""
 

@@ -16,7 +16,7 @@ from roboassembly.studio.viser_internals import forget_upload
 NONE = "—"
 """Value of a dropdown without a choice."""
 PICKS = ("the moving part", "the waiting part")
-"""What the next click in the scene chooses."""
+"""Target of the next click in the scene."""
 SETTINGS = ("object-centric", "full")
 
 

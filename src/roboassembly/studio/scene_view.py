@@ -19,7 +19,7 @@ from roboassembly.viewer.viser_scene import ViserScene, set_up_scene
 
 FRAMES_PER_SECOND = 24.0
 BY_ROLE, BY_SHAPE, BY_GROUP = COLORS = ("role", "equal parts", "groups")
-"""What colours show."""
+"""Meanings of the colours."""
 _NARROW = 700
 """Width of a window [pixels] up to which the panel lies below the scene, not beside it."""
 _BESIDE_PANEL = 0.72
@@ -30,7 +30,7 @@ _ABOVE_PANEL = 0.15
 
 @dataclass(frozen=True)
 class ViewOptions:
-    """What the scene shows besides the parts."""
+    """Switches of what the scene shows besides the parts."""
 
     color: str = BY_ROLE
     points: bool = True

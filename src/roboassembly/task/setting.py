@@ -37,7 +37,7 @@ class Outcome(Protocol[State_co, Step_co]):
 
     @property
     def verdict(self) -> str:
-        """How the step ended."""
+        """Verdict on the step."""
         ...
 
     @property

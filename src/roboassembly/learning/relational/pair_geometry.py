@@ -60,7 +60,7 @@ def _count_matches(
     rotation: Float[np.ndarray, "k l 3 3"], translation: Float[np.ndarray, "k l 3"], moving: GroupGeometry,
     waiting: GroupGeometry,
 ) -> UInt8[np.ndarray, "k l 4"]:  # fmt: skip
-    """How many other pairs of points mate, mate with equal tangents, nearly meet, and come close."""
+    """Numbers of other pairs of points that mate, mate with equal tangents, nearly meet, and come close."""
     # (k, l, k, 3): all points of the moving group at each mate, and (k, l, k, l): their distances to the waiting ones.
     back = rotation.transpose(0, 1, 3, 2)
     mated = moving.position @ back + translation[:, :, None]

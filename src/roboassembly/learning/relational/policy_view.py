@@ -1,4 +1,4 @@
-"""What a policy sees of a state, and the state that it expects after a merge."""
+"""The view that a policy has of a state, and of the state that it expects after a merge."""
 
 from __future__ import annotations
 

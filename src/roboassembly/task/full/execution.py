@@ -42,7 +42,7 @@ _TEST_INTERVAL = 10
 
 
 class ExecutionVerdict(StrEnum):
-    """How an execution ended."""
+    """Verdict on an execution."""
 
     DONE = "done"
     NOT_GRASPED = "not_grasped"

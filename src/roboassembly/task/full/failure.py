@@ -10,7 +10,7 @@ ROBOT_NAMES = ("R_a", "R_b")
 
 
 class FullVerdict(StrEnum):
-    """How a full step ended. Everything but `MERGED` ends the episode."""
+    """Verdict on a full step. Everything but `MERGED` ends the episode."""
 
     MERGED = "merged"
     NOT_AN_ACTION = "not_an_action"

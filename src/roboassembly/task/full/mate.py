@@ -45,7 +45,7 @@ _FAR = np.array([1e3, 0.0, 0.0, *TUCKED])
 
 @dataclass(frozen=True, eq=False)
 class MateStance:
-    """Where both robots stand when they mate two groups."""
+    """Configurations of both robots in which they mate two groups."""
 
     world_from_furniture: SE3
     """Pose of the merged group."""

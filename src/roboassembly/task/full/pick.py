@@ -35,7 +35,7 @@ _AWAY = np.array([1e3, *[0.0] * (DOF - 1)])
 
 @dataclass(frozen=True, eq=False)
 class PickRequest:
-    """What a robot is to pick."""
+    """Group that a robot is to pick, and the grip for it."""
 
     group: Group
     """Group on a post."""

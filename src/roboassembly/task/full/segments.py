@@ -42,7 +42,7 @@ _PARKING_SPOTS = 12
 
 @dataclass(frozen=True, eq=False)
 class StepContext:
-    """What stays the same during a step."""
+    """Constants of a step."""
 
     furniture: Furniture
     cell: Cell

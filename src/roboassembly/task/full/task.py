@@ -68,7 +68,7 @@ class FullOutcome:
 
     @property
     def verdict(self) -> FullVerdict:
-        """How the step ended."""
+        """Verdict on the step."""
         return FullVerdict.MERGED if self.failure is None else self.failure.kind
 
     @property

@@ -37,7 +37,7 @@ from roboassembly.task.setting import SettingName
 
 
 class ObjectCentricVerdict(StrEnum):
-    """How an object-centric step ended. Everything but `MERGED` ends the episode."""
+    """Verdict on an object-centric step. Everything but `MERGED` ends the episode."""
 
     MERGED = "merged"
     NOT_AN_ACTION = "not_an_action"

@@ -23,7 +23,7 @@ from roboassembly.learning.paper.dqn.replay_buffer import RECENT, ReplayBuffer
 
 @dataclass(frozen=True)
 class AgentConfig:
-    """How an agent explores, and what it replays."""
+    """Settings of exploration and replay."""
 
     batch: int = 24
     """States in an update."""

@@ -57,7 +57,7 @@ _CAREFUL = 0.8
 """Share of plans that first join groups between which nothing else belongs that would no longer go in: a rail goes to
 one of its posts before the other."""
 _CAUTION = (0.0, 2.0, 5.0, 10.0)
-"""How strongly a plan avoids joining parts after which others were left over in earlier episodes; drawn for each."""
+"""Weights against joining parts after which others were left over in earlier episodes; drawn for each plan."""
 
 
 class PlanExplorer:
@@ -90,9 +90,9 @@ class PlanExplorer:
         self._merges: list[tuple[tuple[int, ...], tuple[int, ...]]] = []
         """Groups joined in this episode."""
         self._together = np.zeros((count, count, count), np.int32)
-        """How often two parts were joined before a third was."""
+        """Number of times that two parts were joined before a third."""
         self._left_over = np.zeros((count, count, count), np.int32)
-        """How often that third part was then left over."""
+        """Number of times that the third part was then left over."""
 
     def choose(self, state: State) -> Action | None:
         """Return the next action; None if nothing is left that might work."""
@@ -193,7 +193,7 @@ class PlanExplorer:
         out = exists & (self.env.tried[1] > 0) & open_
         if not out.any():
             return out
-        # Of the ways to bring two groups together, the one in which most points meet.
+        # Takes the way to bring two groups together in which most points meet.
         coincident = np.where(out, self.env.geometry.coincident(state), 0)
         owner = self.env.owners(state)
         member = np.array([owner == group_id for group_id in state])

@@ -20,7 +20,7 @@ BUDGET = Budget(states=0)
 
 
 class Knowledge(IntEnum):
-    """What is known of an action; it fails from `FAILS` on."""
+    """Knowledge of an action; the action fails from `FAILS` on."""
 
     UNKNOWN = 0
     MERGES = 1

@@ -1,4 +1,4 @@
-"""What joining two groups at two points would mean, from the frames of their points and from what is known to fit.
+"""Predicts a mate of two groups at two points, from the frames of their points and from mates that are known to fit.
 
 No knowledge of the furniture is used: the frames of points are part of what an agent sees, and which points fit it has
 found out itself.

@@ -69,7 +69,7 @@ class MemoizedEnv:
 
     @property
     def tried(self) -> Int[np.ndarray, "2 n n"]:
-        """How often two points were found to be a wrong pair, and a right pair, in any groups; symmetric."""
+        """Number of times that two points were found to be a wrong pair, and a right pair, in any groups; symmetric."""
         return self._tried[:, self.table.equal_row][:, :, self.table.equal_row]
 
     def outcome_counts(self, row: int | np.ndarray, column: int | np.ndarray) -> Int[np.ndarray, "2 *k w"]:

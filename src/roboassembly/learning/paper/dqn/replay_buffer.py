@@ -31,9 +31,9 @@ class ReplayBuffer:
         self.index: dict[State, int] = {}
         """Numbers of states."""
         self.joined: list[Bool[np.ndarray, "20 20"]] = []
-        """Which parts are joined in each state."""
+        """Joined parts of each state."""
         self.free: list[Bool[np.ndarray, "n"]] = []
-        """Which points are free in each state; padded."""
+        """Free points of each state; padded."""
         self.merges: list[dict[Action, int]] = []
         """Actions of each state that are known to work, and the states that they lead to."""
         self.best: list[float] = []

@@ -78,7 +78,7 @@ class ExpertTraining:
     seed: int = 0
     """Random seed."""
     setting: SettingName = "object-centric"
-    """What moves the parts: themselves, or two robots."""
+    """Setting of the task."""
     agent: AgentConfig = field(default_factory=AgentConfig)
     """Settings of exploration and replay."""
 
