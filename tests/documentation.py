@@ -12,6 +12,8 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
+from roboassembly.rendering import gl
+
 ROOT = Path(__file__).parents[1]
 PAGES = {
     str(p.relative_to(ROOT)): p
@@ -156,3 +158,12 @@ def _joined(block: str) -> str:
 
 def _one(lines: str) -> str:
     return lines.replace("\\\n", " ")
+
+
+def can_draw() -> bool:
+    """Return whether this machine can render pictures off screen."""
+    try:
+        gl.context_module()
+    except gl.RenderingUnavailableError:
+        return False
+    return True

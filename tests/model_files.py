@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import struct
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -103,3 +103,11 @@ IKEA_POST = ikea_body("post", [("post-plate,90,conn_site1", "0 0 0.2", "1 0 0 0"
 IKEA_PLATE = ikea_body(
     "plate", [("plate-post,90,conn_site1", "0.1 0 -0.01", "0 1 0 0")], pose='quat="0.70710678 0 0.70710678 0"'
 )
+
+
+def edit_furniture(folder: Path, change: Callable[[dict[str, Any]], object]) -> None:
+    """Change the `furniture.json` of a furniture folder."""
+    path = folder / "furniture.json"
+    document = json.loads(path.read_text())
+    change(document)
+    path.write_text(json.dumps(document))

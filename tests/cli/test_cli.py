@@ -15,6 +15,7 @@ import pytest
 import trimesh
 
 from command_line import Run
+from model_files import edit_furniture
 from roboassembly.datasets import catalogue
 from roboassembly.furniture import storage
 from roboassembly.task.object_centric.task import ObjectCentricVerdict
@@ -213,13 +214,6 @@ def _broken(stool: Path, tmp_path: Path, change: Callable[[Path], None]) -> Path
     return folder
 
 
-def _edit(folder: Path, change: Callable[[dict], None]) -> None:
-    path = folder / "furniture.json"
-    document = json.loads(path.read_text())
-    change(document)
-    path.write_text(json.dumps(document))
-
-
 def _mesh(folder: Path, vertices: np.ndarray, faces: np.ndarray) -> None:
     trimesh.Trimesh(vertices, faces, process=False).export(folder / "meshes" / "00.ply")
 
@@ -247,9 +241,9 @@ BROKEN = {
     "no faces": (lambda f: _mesh(f, BOX.vertices, np.empty((0, 3), int)), "no faces"),
     "no mesh": (lambda f: (f / "meshes" / "00.ply").unlink(), "missing"),
     "garbage mesh": (lambda f: (f / "meshes" / "00.ply").write_bytes(b"ply\nformat wrong\x00\xff"), "00.ply"),
-    "one part": (lambda f: _edit(f, _keep_one_part), "1 part;"),
-    "21 parts": (lambda f: _edit(f, _many_parts), "21 parts"),
-    "apart": (lambda f: _edit(f, _part_away), "do not touch"),
+    "one part": (lambda f: edit_furniture(f, _keep_one_part), "1 part;"),
+    "21 parts": (lambda f: edit_furniture(f, _many_parts), "21 parts"),
+    "apart": (lambda f: edit_furniture(f, _part_away), "do not touch"),
 }
 
 

@@ -22,10 +22,9 @@ from pathlib import Path
 import pytest
 import trimesh
 
-from documentation import EXTRAS, PAGES, ROOT, Block, Command, examples, extras_needed
+from documentation import EXTRAS, PAGES, ROOT, Block, Command, can_draw, examples, extras_needed
 from model_files import IKEA_PLATE, IKEA_POST, write_ikea_env, write_table
 from roboassembly.cli import main
-from roboassembly.rendering import gl
 
 ALWAYS = [
     (r"make .*", "makes a virtual environment; `test_release.py` installs the package into an empty one"),
@@ -84,7 +83,7 @@ class Reader:
     def _execute(self, block: Block) -> None:
         if block.saved:
             Path(block.saved).write_text(block.text)
-        if "render_mode" in block.text and not _draws():
+        if "render_mode" in block.text and not can_draw():
             return
         exec(compile(block.text, str(block), "exec"), self.namespace)
 
@@ -130,14 +129,6 @@ def visit(words: list[str]) -> None:
                 assert b"<html" in page.read().lower()
         finally:
             server.terminate()
-
-
-def _draws() -> bool:
-    try:
-        gl.context_module()
-    except gl.RenderingUnavailableError:
-        return False
-    return True
 
 
 @pytest.fixture

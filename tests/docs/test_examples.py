@@ -10,9 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from documentation import ROOT
+from documentation import ROOT, can_draw
 from roboassembly.furniture import storage
-from roboassembly.rendering import gl
 
 EXAMPLES = ROOT / "examples"
 
@@ -28,14 +27,6 @@ def _folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
 
 
-def can_render() -> bool:
-    try:
-        gl.context_module()
-    except gl.RenderingUnavailableError:
-        return False
-    return True
-
-
 def test_plan_and_view(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     run_script("01_plan_and_view.py", "--furniture", "three_legged:3", "--out", "seen", monkeypatch=monkeypatch)
     out = capsys.readouterr().out
@@ -43,7 +34,7 @@ def test_plan_and_view(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: 
     assert "4. " in out
     assert len(json.loads((tmp_path / "seen" / "plan.json").read_text())["steps"]) == 4
     assert (tmp_path / "seen" / "assembly.html").stat().st_size > 10_000
-    assert (tmp_path / "seen" / "steps.png").exists() == can_render()
+    assert (tmp_path / "seen" / "steps.png").exists() == can_draw()
 
 
 def test_your_own_furniture(
@@ -86,7 +77,7 @@ def test_notebook_is_kept_without_outputs() -> None:
         assert cell.get("execution_count") is None
 
 
-@pytest.mark.skipif(not can_render(), reason="the notebook shows pictures; nothing can draw them here")
+@pytest.mark.skipif(not can_draw(), reason="the notebook shows pictures; nothing can draw them here")
 def test_notebook_runs(capsys: pytest.CaptureFixture[str]) -> None:
     namespace: dict[str, object] = {"__name__": "__main__"}
     for number, source in enumerate(cells()):

@@ -15,6 +15,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import shapes
+from model_files import edit_furniture
 from roboassembly.errors import FurnitureError, InputError
 from roboassembly.furniture.model import Furniture, GraspRegion, Part, Provenance
 from roboassembly.furniture.storage import load, save
@@ -175,13 +176,6 @@ def refusal(folder: Path) -> str:
     return message
 
 
-def edit(folder: Path, change: Callable[[dict[str, Any]], object]) -> None:
-    path = folder / "furniture.json"
-    document = json.loads(path.read_text())
-    change(document)
-    path.write_text(json.dumps(document))
-
-
 def test_missing_folder(tmp_path: Path) -> None:
     assert "no furniture folder at" in refusal(tmp_path / "nowhere")
 
@@ -260,7 +254,7 @@ def point(document: dict[str, Any], index: int = 1) -> dict[str, Any]:
 )  # fmt: skip
 def test_broken_documents_say_where(broken: Path, change: Callable[[dict[str, Any]], object], words: list[str]) -> None:
     (broken.parent.parent / "secret.ply").write_bytes((broken / "meshes" / "01.ply").read_bytes())
-    edit(broken, change)
+    edit_furniture(broken, change)
     message = refusal(broken)
     assert "table" in message
     for word in words:
@@ -283,7 +277,7 @@ def test_broken_documents_say_where(broken: Path, change: Callable[[dict[str, An
     ],
 )  # fmt: skip
 def test_nonsense_that_parses_is_refused_too(broken: Path, change: Callable[[dict[str, Any]], object]) -> None:
-    edit(broken, change)
+    edit_furniture(broken, change)
     refusal(broken)
 
 

@@ -11,6 +11,7 @@ import trimesh
 
 import shapes
 from command_line import Run
+from model_files import box
 from roboassembly.datasets import catalogue
 from roboassembly.errors import FurnitureError
 from roboassembly.furniture import storage
@@ -19,12 +20,6 @@ from roboassembly.generate import FAMILIES, generate
 from roboassembly.importers import bodies, folder
 
 UNIT = (1.0, 1.0, 1.0)
-
-
-def box(extents: tuple[float, float, float], centre: tuple[float, float, float]) -> trimesh.Trimesh:
-    mesh = trimesh.creation.box(extents)
-    mesh.apply_translation(centre)
-    return mesh
 
 
 def surface(*meshes: trimesh.Trimesh) -> Triangles:

@@ -40,13 +40,6 @@ def save(path: Path, params: dict, network: object = None, kind: str = "relation
     return path
 
 
-@pytest.fixture(scope="module")
-def seen() -> tuple[dict[str, np.ndarray], np.ndarray]:
-    env = ObjectCentricEnv("cantilever:1", cloud_points=512)
-    observation, info = env.reset(seed=0)
-    return observation, info["action_mask"]
-
-
 def test_the_surest_is_the_first_of_those_within_rounding() -> None:
     values = np.full((2, 2, 1, 1, 6), -np.inf, np.float32)
     values[0, 1, 0, 0] = [1.0, 2.9999, 0.0, 3.0, 2.99, 0.0]
@@ -119,7 +112,7 @@ def test_a_checkpoint_that_does_not_fit_is_refused_with_the_reason(params: dict,
         load_policy(str(save(tmp_path / "bad.npz", change(params), network)))
 
 
-def test_a_paper_checkpoint(seen, tmp_path: Path) -> None:
+def test_a_paper_checkpoint(first_state, tmp_path: Path) -> None:
     rng, config = np.random.default_rng(0), paper.PaperConfig(hidden=8, feature=8, slot=4)
     inputs = {
         "mean": np.zeros(paper.state_size(False), np.float32),
@@ -127,7 +120,7 @@ def test_a_paper_checkpoint(seen, tmp_path: Path) -> None:
     }
     whole = {"network": paper.init(rng, config), "inputs": inputs, "encoder": autoencoder.init(rng)}
     policy = load_policy(str(save(tmp_path / "p.npz", whole, asdict(config), "paper")))
-    observation, mask = seen
+    observation, mask = first_state
     assert mask[tuple(policy.act(observation, mask))]
     assert guide_of(policy) is not None
     with pytest.raises(InputError, match=r"'/network/state/0/.*w' is float32 \(5280, 8\); .* \(5280, 16\)"):

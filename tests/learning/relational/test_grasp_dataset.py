@@ -9,22 +9,17 @@ import pytest
 
 import shapes
 from roboassembly.errors import InputError
-from roboassembly.learning.relational.grasps.dataset import NO, UNKNOWN, YES, GraspLabeler, GraspSamples
+from roboassembly.learning.relational.grasps.dataset import NO, UNKNOWN, YES, GraspSamples
 from roboassembly.task.full.failure import PICKING, FullVerdict
 from roboassembly.task.full.grips import MateGrasp
 from roboassembly.task.full.task import FullTask
 
 
-@pytest.fixture(scope="module")
-def stand() -> GraspSamples:
-    return GraspLabeler(FullTask(shapes.stand()), tries=1).collect(np.random.default_rng(0), episodes=1)
-
-
-def test_labels_are_those_of_fresh_tests(stand: GraspSamples) -> None:
+def test_labels_are_those_of_fresh_tests(stand_grasps: GraspSamples) -> None:
     task = FullTask(shapes.stand())
     first = task.initial_state(np.random.default_rng(0))
-    assert len(stand.samples) >= len(task.furniture.parts) - 1
-    sample = stand.samples[0]
+    assert len(stand_grasps.samples) >= len(task.furniture.parts) - 1
+    sample = stand_grasps.samples[0]
     u, k, v, l = sample.pair  # noqa: E741
     for g_a, g_b in np.argwhere(sample.fit != UNKNOWN).tolist():
         fresh = task.mate_grasp(first.groups, (u, v, k, l, g_a, g_b))
@@ -42,12 +37,12 @@ def test_labels_are_those_of_fresh_tests(stand: GraspSamples) -> None:
             assert sample.reach[g_a, g_b] == YES
 
 
-def test_a_file_keeps_the_samples_and_a_broken_one_is_refused(stand: GraspSamples, tmp_path: Path) -> None:
-    stand.save(tmp_path / "a.npz")
+def test_a_file_keeps_the_samples_and_a_broken_one_is_refused(stand_grasps: GraspSamples, tmp_path: Path) -> None:
+    stand_grasps.save(tmp_path / "a.npz")
     loaded = GraspSamples.load(tmp_path / "a.npz")
-    assert loaded.name == stand.name
-    assert np.array_equal(loaded.grasps, stand.grasps)
-    for a, b in zip(loaded.samples, stand.samples, strict=True):
+    assert loaded.name == stand_grasps.name
+    assert np.array_equal(loaded.grasps, stand_grasps.grasps)
+    for a, b in zip(loaded.samples, stand_grasps.samples, strict=True):
         assert a.pair == b.pair
         assert all(np.array_equal(getattr(a, n), getattr(b, n)) for n in ("pick", "fit", "reach", "finish"))
         assert np.array_equal(a.connections, b.connections)
@@ -56,8 +51,8 @@ def test_a_file_keeps_the_samples_and_a_broken_one_is_refused(stand: GraspSample
         GraspSamples.load(tmp_path / "a.npz")
 
 
-def test_a_sample_is_seen_as_the_state_that_it_came_from(stand: GraspSamples) -> None:
-    view = stand.view(stand.samples[0])
-    assert view.group.tolist() == list(range(len(stand.clouds)))
-    assert np.array_equal(view.grasps, stand.grasps.astype(float))
-    assert stand.view(stand.samples[-1]).group.tolist() != view.group.tolist()
+def test_a_sample_is_seen_as_the_state_that_it_came_from(stand_grasps: GraspSamples) -> None:
+    view = stand_grasps.view(stand_grasps.samples[0])
+    assert view.group.tolist() == list(range(len(stand_grasps.clouds)))
+    assert np.array_equal(view.grasps, stand_grasps.grasps.astype(float))
+    assert stand_grasps.view(stand_grasps.samples[-1]).group.tolist() != view.group.tolist()

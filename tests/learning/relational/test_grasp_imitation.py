@@ -5,23 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import pytest
 
-import shapes
 from roboassembly.learning import checkpoint
 from roboassembly.learning.relational.grasps import imitation as grasp_imitation
 from roboassembly.learning.relational.grasps import network as grasping
-from roboassembly.learning.relational.grasps.dataset import NO, UNKNOWN, YES, GraspLabeler, GraspSamples
-from roboassembly.task.full.task import FullTask
+from roboassembly.learning.relational.grasps.dataset import NO, UNKNOWN, YES, GraspSamples
 
 
-@pytest.fixture(scope="module")
-def stand() -> GraspSamples:
-    return GraspLabeler(FullTask(shapes.stand()), tries=1).collect(np.random.default_rng(0), episodes=1)
-
-
-def test_the_network_fits_the_grasps_of_one_piece(stand: GraspSamples, tmp_path: Path) -> None:
-    stand.save(tmp_path / "a.npz")
+def test_the_network_fits_the_grasps_of_one_piece(stand_grasps: GraspSamples, tmp_path: Path) -> None:
+    stand_grasps.save(tmp_path / "a.npz")
     examples = grasp_imitation.examples_of([tmp_path / "a.npz"], 1)
     training = grasp_imitation.GraspTraining(steps=1_200, batch=8)
     steps = list(grasp_imitation.train(examples, tmp_path / "net.npz", training, {}))

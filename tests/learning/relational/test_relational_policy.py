@@ -32,13 +32,6 @@ def params() -> Params:
     return relational.init(np.random.default_rng(0), TINY)
 
 
-@pytest.fixture(scope="module")
-def first() -> tuple[dict[str, np.ndarray], np.ndarray]:
-    env = ObjectCentricEnv("cantilever:1", cloud_points=512)
-    observation, info = env.reset(seed=0)
-    return observation, info["action_mask"]
-
-
 def test_rounding_does_not_choose_between_equal_parts(monkeypatch: pytest.MonkeyPatch) -> None:
     """The last bits of a product may depend on where in memory its factors lie."""
     env = ObjectCentricEnv("stool:1", cloud_points=CLOUD_POINTS)
@@ -59,9 +52,9 @@ def test_rounding_does_not_choose_between_equal_parts(monkeypatch: pytest.Monkey
 
 
 def test_values_are_those_of_the_network_at_the_right_places(
-    params: Params, first: tuple[dict[str, np.ndarray], np.ndarray]
+    params: Params, first_state: tuple[dict[str, np.ndarray], np.ndarray]
 ) -> None:
-    observation, mask = first
+    observation, mask = first_state
     policy = RelationalPolicy(params)
     values = policy.values(observation, mask)
     assert values.dtype == np.float32

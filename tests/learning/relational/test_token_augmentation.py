@@ -2,32 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
-from roboassembly.datasets import catalogue
-from roboassembly.envs.observation import Observer, surface_points
-from roboassembly.furniture.model import MAX_POINTS
 from roboassembly.learning.augmentation import AUGMENTATIONS, FrameChange, augmented, up_axis_permutation
 from roboassembly.learning.datasets import SampleSet
 from roboassembly.learning.relational.augmentation import augment_tokens
 from roboassembly.learning.relational.features import up_axis_features
-from roboassembly.learning.relational.oracle_dataset import Labeler, targets_of
+from roboassembly.learning.relational.oracle_dataset import targets_of
 from roboassembly.learning.relational.tokens import Tokens, pad, tokens_of_sample
 from roboassembly.task.rules.connections import UP_AXES
-
-
-@pytest.fixture(scope="module")
-def samples() -> SampleSet:
-    furniture = catalogue.make("three_legged", 1, with_grasps=True)
-    clouds = np.array([surface_points(p.mesh, 96) for p in furniture.parts], np.float32)
-    grasps = Observer(furniture, len(furniture.parts), MAX_POINTS, 1).grasp_poses
-    states = Labeler(furniture, clouds).rollout(np.random.default_rng(0)).states
-    n = int(states[1].free.sum())
-    valued = replace(states[1], q_values=np.random.default_rng(1).normal(size=(n, n, 6)).astype(np.float16))
-    return SampleSet(furniture.name, clouds, (states[0], valued, *states[2:]), grasps)
 
 
 def axis_features(tokens: Tokens) -> np.ndarray:
@@ -36,12 +20,12 @@ def axis_features(tokens: Tokens) -> np.ndarray:
 
 @pytest.mark.parametrize("turns", [0, 1, 2, 3])
 @pytest.mark.parametrize("mirrored", [False, True])
-def test_features_stay_and_up_axes_follow_the_change(samples: SampleSet, turns: int, mirrored: bool) -> None:
+def test_features_stay_and_up_axes_follow_the_change(chair_samples: SampleSet, turns: int, mirrored: bool) -> None:
     change = FrameChange(turns, mirrored)
-    other = augmented(samples, change)
+    other = augmented(chair_samples, change)
     order = [int(np.argmax(UP_AXES @ (change.matrix @ axis))) for axis in UP_AXES]
-    for before, after in zip(samples.samples, other.samples, strict=True):
-        a, b = tokens_of_sample(samples, before), tokens_of_sample(other, after)
+    for before, after in zip(chair_samples.samples, other.samples, strict=True):
+        a, b = tokens_of_sample(chair_samples, before), tokens_of_sample(other, after)
         # How other points would meet, and how high the groups would stand with each axis up.
         for name in ("matches", "cycles_3", "cycles_4"):
             assert np.array_equal(getattr(a, name), getattr(b, name)), name
@@ -55,30 +39,38 @@ def test_features_stay_and_up_axes_follow_the_change(samples: SampleSet, turns: 
 
 
 @pytest.mark.parametrize("change", AUGMENTATIONS)
-def test_tokens_change_as_the_clouds_do(samples: SampleSet, change: FrameChange) -> None:
-    other = augmented(samples, change)
-    for before, after in zip(samples.samples, other.samples, strict=True):
-        changed, expected = augment_tokens(tokens_of_sample(samples, before), change), tokens_of_sample(other, after)
+def test_tokens_change_as_the_clouds_do(chair_samples: SampleSet, change: FrameChange) -> None:
+    other = augmented(chair_samples, change)
+    for before, after in zip(chair_samples.samples, other.samples, strict=True):
+        changed, expected = (
+            augment_tokens(tokens_of_sample(chair_samples, before), change),
+            tokens_of_sample(other, after),
+        )
         assert np.abs(changed.patch.astype(int) - expected.patch).max() <= 1
         for name in set(Tokens.__dataclass_fields__) - {"patch", "grasps", "clearance"}:
             assert np.allclose(getattr(changed, name), getattr(expected, name), atol=1e-5), name
-        _, viable = targets_of(tokens_of_sample(samples, before), before)
+        _, viable = targets_of(tokens_of_sample(chair_samples, before), before)
         assert np.array_equal(targets_of(expected, after)[1][:, :, up_axis_permutation(change)], viable)
     with pytest.raises(ValueError, match="clouds"):
         augment_tokens(changed, FrameChange(scale=2.0))
 
 
 @pytest.mark.parametrize("change", AUGMENTATIONS)
-def test_grasps_change_with_the_parts(samples: SampleSet, change: FrameChange) -> None:
-    other = augmented(samples, change)
-    assert samples.grasps is not None
+def test_grasps_change_with_the_parts(chair_samples: SampleSet, change: FrameChange) -> None:
+    other = augmented(chair_samples, change)
+    assert chair_samples.grasps is not None
     assert other.grasps is not None
-    exists = samples.grasps.any(axis=2)
+    exists = chair_samples.grasps.any(axis=2)
     assert exists.any()
     assert np.array_equal(other.grasps.any(axis=2), exists)
-    np.testing.assert_allclose(other.grasps[exists][:, :3], samples.grasps[exists][:, :3] @ change.matrix.T, atol=1e-6)
-    for before, after in zip(samples.samples, other.samples, strict=True):
-        changed, expected = augment_tokens(tokens_of_sample(samples, before), change), tokens_of_sample(other, after)
+    np.testing.assert_allclose(
+        other.grasps[exists][:, :3], chair_samples.grasps[exists][:, :3] @ change.matrix.T, atol=1e-6
+    )
+    for before, after in zip(chair_samples.samples, other.samples, strict=True):
+        changed, expected = (
+            augment_tokens(tokens_of_sample(chair_samples, before), change),
+            tokens_of_sample(other, after),
+        )
         for a, b in ((changed.grasps, expected.grasps), (changed.clearance, expected.clearance)):
             assert a is not None
             assert b is not None
