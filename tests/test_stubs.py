@@ -9,10 +9,16 @@ from pathlib import Path
 from typing import Any
 
 import coal
+import fast_simplification
+import manifold3d as m3
 import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
+import trimesh
+from embreex.mesh_construction import TriangleMesh
+from embreex.rtcore import EmbreeDevice
+from embreex.rtcore_scene import EmbreeScene
 
 SE3 = pin.SE3
 TYPINGS = Path(__file__).parents[1] / "typings"
@@ -89,6 +95,17 @@ ARRAYS: dict[str, Any] = {
     "mujoco.MjModel.body_mass": lambda: ball().body_mass,
     "mujoco.MjData.qpos": lambda: mujoco.MjData(ball()).qpos,
     "mujoco.MjsBody.ipos": lambda: mujoco.MjSpec().worldbody.ipos,
+    "manifold3d.Mesh64.vert_properties": lambda: m3.Manifold.cube().to_mesh64().vert_properties,
+    "fast_simplification.simplify": lambda: fast_simplification.simplify(*triangles(), target_count=8, agg=1.0)[0],
+    "trimesh.Trimesh.vertices": lambda: trimesh.creation.box().vertices,
+    "trimesh.Trimesh.face_normals": lambda: trimesh.creation.box().face_normals,
+    "trimesh.Trimesh.area_faces": lambda: trimesh.creation.box().area_faces,
+    "trimesh.Trimesh.center_mass": lambda: trimesh.creation.box().center_mass,
+    "trimesh.Trimesh.moment_inertia": lambda: trimesh.creation.box().moment_inertia,
+    "trimesh.bounds.oriented_bounds": lambda: trimesh.bounds.oriented_bounds(triangles()[0])[0],
+    "trimesh.poses.compute_stable_poses": lambda: trimesh.poses.compute_stable_poses(trimesh.creation.box())[1],
+    "trimesh.sample.sample_surface": lambda: trimesh.sample.sample_surface(trimesh.creation.box(), 3, seed=0)[0],
+    "trimesh.triangles.closest_point": lambda: trimesh.triangles.closest_point(np.eye(3)[None], np.zeros((1, 3))),
 }
 """Calls whose result the stubs call an array of 64-bit floats."""
 
@@ -100,6 +117,11 @@ def hull() -> coal.BVHModelOBBRSS:
     model.addTriangles(np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]))
     model.endModel()
     return model
+
+
+def triangles() -> tuple[np.ndarray, np.ndarray]:
+    box = trimesh.creation.box()
+    return np.array(box.vertices), np.array(box.faces)
 
 
 def free_flyer() -> pin.Model:
@@ -154,3 +176,45 @@ def test_batches_of_collision_tests_return_one_flag_a_configuration() -> None:
     data, geometry_data = model.createData(), pin.GeometryData(geometry)
     assert pin.computeCollisions(model, data, geometry, geometry_data, q[:, 0], False)
     assert geometry_data.collisionResults[0].isCollision()
+
+
+def test_solids_take_sequences_and_arrays_and_return_what_the_stubs_say() -> None:
+    cube = m3.Manifold.cube([1.0, 1.0, 1.0]).translate(np.array([1.0, 0.0, 0.0]))
+    assert cube.bounding_box() == (1.0, 0.0, 0.0, 2.0, 1.0, 1.0)
+    assert all(type(number) is float for number in (*cube.bounding_box(), cube.volume(), cube.surface_area()))
+    below, above = cube.split_by_plane((0.0, 0.0, 1.0), 0.25)
+    assert {round(below.volume(), 6), round(above.volume(), 6)} == {0.25, 0.75}
+    mesh = cube.to_mesh64()
+    assert mesh.tri_verts.dtype == np.uint64
+    assert all(type(number) is int for number in (*mesh.run_index, *mesh.run_original_id, cube.num_tri()))
+    assert m3.Manifold(m3.Mesh64(np.array(mesh.vert_properties), np.array(mesh.tri_verts))).status() is m3.Error.NoError
+    assert m3.Manifold().is_empty()
+    hits = cube.ray_cast(np.array([1.5, 0.5, -1.0]), (1.5, 0.5, 2.0))
+    assert [type(hit) for hit in hits] == [m3.RayHit, m3.RayHit]
+    outline = m3.CrossSection([np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])])
+    assert (m3.CrossSection() + outline).extrude(2.0).volume() == pytest.approx(1.0)
+    assert m3.triangulate([np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])]).dtype == np.int32
+
+
+def test_triangles_rays_and_samples_are_what_the_stubs_say(tmp_path: Path) -> None:
+    vertices, faces = triangles()
+    assert fast_simplification.simplify(vertices, faces, target_count=8, agg=1.0)[1].dtype == np.int32
+    box = trimesh.Trimesh(vertices, faces, process=False)
+    assert (box.faces.dtype, box.is_volume, isinstance(box.volume, float)) == (np.int64, True, True)
+    assert box.contains(np.zeros((1, 3))).dtype == np.bool_
+    assert trimesh.sample.sample_surface(box, 3, seed=np.random.default_rng(0))[1].dtype == np.int64
+    assert isinstance(box.export(tmp_path / "box.ply", encoding="binary", vertex_normal=False), bytes)
+    moved = trimesh.load_mesh(tmp_path / "box.ply", file_type="ply", process=False).apply_translation([0.5, 0.0, 0.0])
+    assert trimesh.boolean.intersection([box, moved], engine="manifold").volume == pytest.approx(0.5)
+    scene = EmbreeScene(EmbreeDevice())
+    kept = TriangleMesh(scene, vertices[faces].astype(np.float32))
+    first = scene.run(np.array([[0.1, 0.2, 5.0]], np.float32), np.array([[0.0, 0.0, -1.0]], np.float32))
+    assert (first.dtype, kept is not None) == (np.int32, True)
+    assert vertices[faces[first[0]]][:, 2].tolist() == [0.5, 0.5, 0.5]
+
+
+def test_a_file_without_faces_is_a_mesh_without_faces(tmp_path: Path) -> None:
+    header = "ply\nformat ascii 1.0\nelement vertex 1\n" + "".join(f"property float {axis}\n" for axis in "xyz")
+    (tmp_path / "point.ply").write_text(f"{header}end_header\n0 0 0\n")
+    loaded = trimesh.load_mesh(tmp_path / "point.ply", file_type="ply", process=False)
+    assert (type(loaded), len(loaded.faces)) == (trimesh.Trimesh, 0)
