@@ -26,7 +26,12 @@ from roboassembly.task.plans.full_plan import FullPlan
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """What JAX compiles is kept from run to run, and shared by the processes of one."""
+    """Keep what JAX compiles from run to run, shared by the processes of one; give each process one thread of BLAS.
+
+    Threads of BLAS wait for each other busily where other processes run on the same cores.
+    """
+    for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(variable, "1")
     if (kept := getattr(config, "cache", None)) is not None:
         os.environ["JAX_COMPILATION_CACHE_DIR"] = str(kept.mkdir("jax"))
         os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.5"

@@ -316,60 +316,40 @@ def try_command_lines(count: int, seed: int, capsys, monkeypatch, folder: Path) 
     assert not [p for p in folder.iterdir() if p.suffix != ".npz"], "bad input left something behind"
 
 
-def test_broken_plans(stool):
-    try_plans(150, 0, stool)
+def slow(*values: Any) -> Any:
+    return pytest.param(*values, marks=pytest.mark.slow)
 
 
-def test_broken_furniture_folders(stool, tmp_path):
-    try_folders(60, 0, stool, tmp_path / "f")
+@pytest.mark.parametrize(("count", "seed"), [(150, 0), *(slow(2_500, seed) for seed in range(1, 5))])
+def test_broken_plans(count, seed, stool):
+    try_plans(count, seed, stool)
 
 
-def test_broken_checkpoints(stool, tmp_path):
-    try_checkpoints(60, 0, stool, tmp_path)
+@pytest.mark.parametrize(("count", "seed"), [(60, 0), *(slow(1_000, seed) for seed in range(1, 5))])
+def test_broken_furniture_folders(count, seed, stool, tmp_path):
+    try_folders(count, seed, stool, tmp_path / "f")
 
 
+@pytest.mark.parametrize(("count", "seed"), [(60, 0), *(slow(1_000, seed) for seed in range(1, 3))])
+def test_broken_checkpoints(count, seed, stool, tmp_path):
+    try_checkpoints(count, seed, stool, tmp_path)
+
+
+@pytest.mark.parametrize("count", [100, slow(1_000)])
 @pytest.mark.parametrize("kind", [ObjectCentricEnv, FullEnv])
-def test_actions_of_every_kind(kind, small_stool):
-    try_all_actions(100, kind, small_stool)
+def test_actions_of_every_kind(kind, count, small_stool):
+    try_all_actions(count, kind, small_stool)
 
 
+@pytest.mark.parametrize(("count", "seed"), [(60, 0), slow(1_000, 1)])
 @pytest.mark.parametrize("kind", [ObjectCentricEnv, FullEnv])
-def test_arguments_of_every_kind(kind, small_stool):
-    try_arguments(60, 0, kind, small_stool)
+def test_arguments_of_every_kind(kind, count, seed, small_stool):
+    try_arguments(count, seed, kind, small_stool)
 
 
-def test_wrong_command_lines(tmp_path, capsys, monkeypatch):
-    try_command_lines(60, 0, capsys, monkeypatch, tmp_path)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(1, 5))
-def test_many_broken_plans(seed, stool):
-    try_plans(2_500, seed, stool)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(1, 5))
-def test_many_broken_furniture_folders(seed, stool, tmp_path):
-    try_folders(1_000, seed, stool, tmp_path / "f")
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(1, 3))
-def test_many_broken_checkpoints(seed, stool, tmp_path):
-    try_checkpoints(1_000, seed, stool, tmp_path)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", [ObjectCentricEnv, FullEnv])
-def test_many_actions_of_every_kind(kind, small_stool):
-    try_all_actions(1_000, kind, small_stool)
-    try_arguments(1_000, 1, kind, small_stool)
-
-
-@pytest.mark.slow
-def test_many_wrong_command_lines(tmp_path, capsys, monkeypatch):
-    try_command_lines(1_000, 1, capsys, monkeypatch, tmp_path)
+@pytest.mark.parametrize(("count", "seed"), [(60, 0), slow(1_000, 1)])
+def test_wrong_command_lines(count, seed, tmp_path, capsys, monkeypatch):
+    try_command_lines(count, seed, capsys, monkeypatch, tmp_path)
 
 
 def test_every_verdict_is_one_the_page_knows():

@@ -227,16 +227,12 @@ def test_undamaged_sources_are_read(kind, tmp_path):
         assert len(IMPORTERS[kind].read(piece).parts) >= 2
 
 
+@pytest.mark.parametrize("count", [100, pytest.param(2000, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("kind", sorted(IMPORTERS))
-@given(data=st.data())
-@settings(max_examples=100, deadline=None, suppress_health_check=list(HealthCheck))
-def test_damaged_sources(kind, data):
-    check(kind, data.draw(damaged(kind)), data.draw(scales))
+def test_damaged_sources(kind, count):
+    @given(files=damaged(kind), scale=scales)
+    @settings(max_examples=count, deadline=None, suppress_health_check=list(HealthCheck))
+    def read(files, scale):
+        check(kind, files, scale)
 
-
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", sorted(IMPORTERS))
-@given(data=st.data())
-@settings(max_examples=2000, deadline=None, suppress_health_check=list(HealthCheck))
-def test_damaged_sources_many(kind, data):
-    check(kind, data.draw(damaged(kind)), data.draw(scales))
+    read()
