@@ -12,8 +12,8 @@ import argparse
 from pathlib import Path
 
 from roboassembly.datasets import catalogue
+from roboassembly.settings import set_upright
 from roboassembly.solvers.search import solve
-from roboassembly.task.object_centric.upright import set_upright
 from roboassembly.task.plans import plan_file
 from roboassembly.viewer.film import RenderingUnavailableError, write_storyboard
 from roboassembly.viewer.html import write_html

@@ -21,11 +21,10 @@ from drawing import Piece, drawn, hand
 from roboassembly.datasets.sets import FurnitureRef, furniture_refs
 from roboassembly.envs.full import FullEnv
 from roboassembly.envs.object_centric import ObjectCentricEnv
-from roboassembly.evaluation.episodes import Episode
-from roboassembly.evaluation.evaluate import failure_of
 from roboassembly.furniture.model import Furniture
 from roboassembly.geometry.poses import SE3
 from roboassembly.rendering.colors import Color
+from roboassembly.task.full.failure import coarse_kind
 from roboassembly.task.full.grips import grip_of
 from roboassembly.task.rules.groups import Group, TaskState
 
@@ -81,7 +80,7 @@ def main(source: Path, picture: Path, names: Sequence[str]) -> None:
     report = json.loads(source.read_text())
     full = report["setting"] == "full"
     failed = [e for e in report["per_furniture"] if not e["success"] and len(e["actions"]) > e["merges"]]
-    first = {failure_of(Episode(**e)) if full else e["verdict"]: e for e in reversed(failed)}
+    first = {coarse_kind(e["verdict"], e["stage"]) if full else e["verdict"]: e for e in reversed(failed)}
     chosen = [e for e in failed if e["furniture"] in names] if names else list(first.values())
     if not chosen:
         sys.exit(f"{source} has no such failed episode; failed are: {', '.join(e['furniture'] for e in failed)}")

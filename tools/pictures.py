@@ -24,10 +24,10 @@ from roboassembly.learning.registry import load_policy
 from roboassembly.rendering.colors import WOOD, part_colors
 from roboassembly.rendering.offscreen import STILL, OffscreenRenderer
 from roboassembly.robots.gripper import hand_pose
+from roboassembly.settings import set_upright
 from roboassembly.solvers.oracle import Oracle
 from roboassembly.solvers.search import solve, solve_full
 from roboassembly.task.object_centric.task import ObjectCentricTask
-from roboassembly.task.object_centric.upright import set_upright
 from roboassembly.task.rules.groups import TaskState
 from roboassembly.viewer.camera_path import follow
 from roboassembly.viewer.film import render_contact_sheet, render_meshes, write_storyboard

@@ -17,6 +17,7 @@ from roboassembly.furniture.model import Furniture
 from roboassembly.geometry.poses import SE3, pose_from_seven, transform_points
 from roboassembly.learning.policy import guide_of
 from roboassembly.learning.registry import load_policy
+from roboassembly.settings import set_upright
 from roboassembly.solvers.search import solve
 from roboassembly.studio.assembly_session import AssemblySession
 from roboassembly.studio.messages import upright_message
@@ -27,7 +28,6 @@ from roboassembly.task.full.failure import Stage
 from roboassembly.task.full.segments import TUCKED
 from roboassembly.task.object_centric.settling import settle_group
 from roboassembly.task.object_centric.stance import stance_of, standing_at
-from roboassembly.task.object_centric.upright import set_upright
 from roboassembly.task.plans import plan_file
 from roboassembly.task.plans.full_plan import FullPlan, FullState, FullUprightMotion
 from roboassembly.task.plans.plan import Plan, UprightMotion

@@ -65,13 +65,11 @@ class AssembleCommand:
         require_at_least(0, seed=self.seed)
         if not self.search and self.policy == NO_POLICY:
             raise InputError("--no-search needs a policy, but --policy is none; use --policy relational")
-        from roboassembly.settings import SETTINGS
+        from roboassembly.settings import SETTINGS, set_upright
 
-        if self.execution == "dynamic" and SETTINGS[self.setting].execute is None:
-            raise InputError("--execution dynamic needs robots; add --setting full")
+        SETTINGS[self.setting].check_option(f"--execution {self.execution}")
         self._check_out()
         from roboassembly.datasets import catalogue
-        from roboassembly.task.object_centric.upright import set_upright
 
         started = time.perf_counter()
         solve = self._solver()

@@ -47,9 +47,9 @@ class BenchmarkCommand:
         require_packages(*PACKAGES)
         from roboassembly.datasets.sets import furniture_refs
         from roboassembly.evaluation import benchmark, report
-        from roboassembly.settings import DEFAULT
+        from roboassembly.settings import SETTINGS
 
-        default = "runs/benchmark" + f"-{self.setting}" * (self.setting != DEFAULT) + "-quick" * self.quick
+        default = "runs/benchmark" + SETTINGS[self.setting].suffix + "-quick" * self.quick
         out = self.out or Path(default)
         writable_folder(out)
         for real in self.real:

@@ -78,9 +78,7 @@ class EvaluateCommand:
         if self.export is not None:
             from roboassembly.evaluation.export import check_target
 
-            if SETTINGS[self.setting].has_robots:
-                raise InputError("--export does not support --setting full; use --setting object-centric")
-
+            SETTINGS[self.setting].check_option("--export")
             if self.policy in SOLVERS and not SOLVERS[self.policy].has_actions:
                 raise InputError(
                     f"--export does not support '{self.policy}', which has no actions; use a policy or 'search'"

@@ -127,5 +127,5 @@ class ViewCommand:
             AssemblySession(furniture, script.setting, script.seed).check(script)
         else:
             # The result is cached for the first client.
-            furniture = open_path(self.furniture, self.scale, with_grasps=SETTINGS[self.setting].has_robots)
+            furniture = open_path(self.furniture, self.scale, with_grasps=SETTINGS[self.setting].needs_grasps)
             AssemblySession(furniture, self.setting, self.seed)

@@ -26,7 +26,7 @@ from roboassembly.errors import InputError
 from roboassembly.evaluation.episodes import Episode, read_episodes, record_episodes
 from roboassembly.evaluation.evaluate import Evaluation, evaluate
 from roboassembly.evaluation.report import UNSEEN, Row
-from roboassembly.evaluation.rollout import REFUSED, ExecutionName, RolloutConfig
+from roboassembly.evaluation.rollout import REFUSED, RolloutConfig
 from roboassembly.learning.paper.autoencoder import AutoencoderTraining
 from roboassembly.learning.paper.dqn.results import summary
 from roboassembly.learning.paper.dqn.train import ExpertTraining
@@ -44,33 +44,10 @@ from roboassembly.learning.policy_weights import weights_hash
 from roboassembly.learning.progress import Progress
 from roboassembly.learning.relational.network import RelationalConfig
 from roboassembly.learning.relational.pipeline import RelationalPipelineConfig, run_pipeline
-from roboassembly.settings import DEFAULT, SETTINGS
+from roboassembly.settings import DEFAULT, SETTINGS, ExecutionName
 from roboassembly.solvers.dataset_builder import build_dataset
 from roboassembly.task.setting import SettingName
 
-
-@dataclass(frozen=True)
-class PaperFigures:
-    """Results of the paper in one setting; success in per cent."""
-
-    easy: float
-    """Success of experts on easy training chairs."""
-    hard: float
-    """Success of experts on hard training chairs."""
-    test: float
-    """Success of the policy on unseen chairs."""
-    steps: str = ""
-    """Planning steps of the policy."""
-    rrt_connect: float | None = None
-    """Success of the RRT-Connect baseline in 6M dimensions; None if the setting has none."""
-    rrt_connect_steps: str = ""
-    """Planning steps of that baseline."""
-
-
-PAPER: dict[SettingName, PaperFigures] = {
-    "object-centric": PaperFigures(79.4, 66.4, 74.5, "37.8k", rrt_connect=18.8, rrt_connect_steps="91.7k"),
-    "full": PaperFigures(59.3, 25.8, 50.0),
-}
 _WRITE_INTERVAL = 5.0
 """Time between two writes of a stage's duration [s]."""
 _TINY = RelationalConfig(token=32, pair=16, layers=1, heads=2, conflict_inputs=8, conflicts=2)
@@ -108,23 +85,27 @@ class BenchmarkConfig:
         return replace(_QUICK[setting], seed=seed)
 
 
-_WHOLE: dict[SettingName, BenchmarkConfig] = {
-    "object-centric": BenchmarkConfig(),
+def _by_setting(*configs: BenchmarkConfig) -> dict[SettingName, BenchmarkConfig]:
+    return {config.setting: config for config in configs}
+
+
+_WHOLE = _by_setting(
+    BenchmarkConfig(),
     # An update takes several times as long: two points have 64 grasp pairs in place of six `w`.
-    "full": BenchmarkConfig(
+    BenchmarkConfig(
         "full", pipeline=PipelineConfig.default("full"), paper=PaperTraining(steps=5_000),
         relational=RelationalPipelineConfig.default("full"),
     ),
-}  # fmt: skip
+)  # fmt: skip
 _QUICK_BASE = BenchmarkConfig(set="chairs-24", train_limit=3, experts=3, shipped=False, paper=PaperTraining(steps=40))
-_QUICK: dict[SettingName, BenchmarkConfig] = {
-    "object-centric": replace(
+_QUICK = _by_setting(
+    replace(
         _QUICK_BASE, sample=3, relational=RelationalPipelineConfig(extra=0, validation=0, steps=40, network=_TINY),
         pipeline=PipelineConfig(
             AutoencoderTraining(steps=40), 4, ExpertTraining(steps=1_600, least_steps=400), episodes=2
         ),
     ),
-    "full": replace(
+    replace(
         _QUICK_BASE, setting="full", sample=2,
         relational=replace(
             RelationalPipelineConfig.default("full"), extra=0, validation=0, episodes=1, steps=2, grasp_steps=40
@@ -133,7 +114,7 @@ _QUICK: dict[SettingName, BenchmarkConfig] = {
             AutoencoderTraining(steps=40), 4, ExpertTraining(steps=1_600, least_steps=400, setting="full"), episodes=8
         ),
     ),
-}  # fmt: skip
+)  # fmt: skip
 
 
 def run(config: BenchmarkConfig, folder: Path, jobs: int) -> Iterator[Progress]:
@@ -234,10 +215,10 @@ class Measurement:
 
 def measurements(config: BenchmarkConfig, folder: Path) -> list[Measurement]:
     """Return all that is measured once the training is done, in the table's order."""
-    test, figures = f"{config.set}:test", PAPER[config.setting]
+    test, figures = f"{config.set}:test", SETTINGS[config.setting].paper
     relational = "relational" if config.shipped else str(folder / "relational" / "policy.npz")
     paper = str(folder / "paper" / "policy.npz")
-    execution: ExecutionName = "kinematic" if SETTINGS[config.setting].execute is None else "dynamic"
+    execution = SETTINGS[config.setting].execution
     measurement = partial(Measurement, config.setting, sample=config.sample, seed=config.seed)
     in_paper = partial(measurement, paper=figures.test, paper_steps=figures.steps)
     rows = [
@@ -273,7 +254,7 @@ def measure(measurement: Measurement, folder: Path, jobs: int) -> Iterator[Progr
 def rows(config: BenchmarkConfig, folder: Path) -> list[Row]:
     """Return the table's rows of a finished run."""
     out: list[Row] = []
-    chairs, figures_of = expert_chairs(config), asdict(PAPER[config.setting])
+    chairs, figures_of = expert_chairs(config), asdict(SETTINGS[config.setting].paper)
     split_of = {ref.name: ref.entry.split for ref in chairs if ref.entry is not None}
     trained = expert_results(chairs, folder)
     option = SETTINGS[config.setting].option

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import zlib
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
@@ -20,14 +19,6 @@ from roboassembly.evaluation.rollout import Agent, RolloutConfig, make_agent
 from roboassembly.parallel.processes import one_thread_each, worker_pool
 from roboassembly.settings import SETTINGS
 from roboassembly.statistics import success
-from roboassembly.task.full.failure import AFTER_MATING, FullVerdict
-
-FAILURES = {
-    FullVerdict.WRONG_PAIR: "wrong pair", FullVerdict.GRASP_BLOCKED: "grasp blocked",
-    FullVerdict.CANNOT_RELEASE: "grasp blocked", FullVerdict.NO_ARM_SOLUTION: "no arm solution",
-    FullVerdict.JOINT_BLOCKED: "mating path", FullVerdict.NO_PLACEMENT: "placing",
-}  # fmt: skip
-"""Coarse kind of failure of each verdict with robots."""
 
 
 @dataclass(frozen=True)
@@ -54,8 +45,7 @@ class Evaluation:
         more: dict[str, Any] = {}
         if config.execution == "dynamic":
             more["planned"] = success([e.executed is not None for e in self.episodes])
-        if SETTINGS[config.setting].has_robots:
-            more["failures"] = dict(Counter(failure_of(e) for e in self.episodes if not e.success).most_common())
+        more |= SETTINGS[config.setting].failures((e.verdict, e.stage) for e in self.episodes if not e.success)
         if config.audit:
             more["violations"] = sum(e.violations or 0 for e in self.episodes)
         return {
@@ -75,14 +65,6 @@ class Evaluation:
             "unseen": None if all(e.unseen is None for e in self.episodes) else success([e.success for e in unseen]),
             "per_furniture": [vars(e) for e in self.episodes],
         }
-
-
-def failure_of(episode: Episode) -> str:
-    """Return the kind of failure of an episode with robots: one of `FAILURES`, `path`, or its verdict."""
-    verdict = episode.verdict
-    if verdict == FullVerdict.NO_PATH:
-        return "placing" if episode.stage in AFTER_MATING else "path"
-    return next((kind for known, kind in FAILURES.items() if verdict == known), verdict.replace("_", " "))
 
 
 def _mean(values: Sequence[float]) -> float | None:

@@ -62,10 +62,10 @@ def table(report: dict[str, Any]) -> list[str]:
         lines += ["", "Left out because no two grippers can hold and join all their parts: "
                   + ", ".join(f"{count} of {on}" for on, count in counts.items()) + "."]  # fmt: skip
     fresh = {r["on"]: f["test_success_rate"] for r in report["rows"] if "test_success_rate" in (f := r["figures"])}
-    if SETTINGS[report["setting"]].has_robots and fresh:
-        lines += ["", "Experts count as in the paper, where found paths are kept: by episodes from starts of their "
-                  "training. From other starts they finish "
-                  + ", ".join(f"{100 * rate:.1f} % of {on}" for on, rate in fresh.items()) + "."]  # fmt: skip
+    note = SETTINGS[report["setting"]].experts_note
+    if note and fresh:
+        shares = ", ".join(f"{100 * rate:.1f} % of {on}" for on, rate in fresh.items())
+        lines += ["", f"{note} From other starts they finish {shares}."]
     ended = [(row["name"], row["on"], row["figures"].get("failures")) for row in report["rows"]]
     if any(failures for _, _, failures in ended):
         lines += ["", "What ended those that failed:", ""]

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass, replace
 from functools import partial
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from roboassembly.learning.policy import Policy, check_setting, chosen, guide_of
 from roboassembly.learning.policy_weights import FILES, NAMES
 from roboassembly.learning.registry import PolicyFactory, policy_factory
 from roboassembly.planning.problem import Budget, PlanningStatus
-from roboassembly.settings import DEFAULT, SETTINGS, Setting
+from roboassembly.settings import DEFAULT, SETTINGS, ExecutionName, Setting
 from roboassembly.solvers.guide import Guide
 from roboassembly.solvers.joint_rrt import solve_jointly
 from roboassembly.solvers.random_order import assemble_in_random_order
@@ -29,7 +29,6 @@ from roboassembly.task.object_centric.task import ObjectCentricTask
 from roboassembly.task.rollout import Action, rollout
 from roboassembly.task.setting import SettingName, Task
 
-ExecutionName = Literal["kinematic", "dynamic"]
 SEARCH = "search"
 REFUSED = "refused"
 """Verdict on furniture that does not suit the cell."""
@@ -96,8 +95,7 @@ def make_agent(config: RolloutConfig) -> Agent:
         MissingExtraError: an audit without python-fcl.
     """
     setting = SETTINGS[config.setting]
-    if config.execution == "dynamic" and setting.execute is None:
-        raise InputError("--execution dynamic takes --setting full: there are no robots in the other one")
+    setting.check_option(f"--execution {config.execution}")
     if config.audit:
         from roboassembly.audit.object_centric import fcl_module
 
@@ -170,7 +168,7 @@ def _episode(config: RolloutConfig, run: _Run, furniture: Furniture, seed: int) 
     episode = replace(episode, step_seconds=tuple(round(s.planning_seconds, 5) for s in plan.steps))
     if config.audit:
         episode = replace(episode, violations=sum(setting.audit(plan).counts.values()))
-    if config.execution == "dynamic" and setting.execute is not None and plan.success:
+    if config.execution == "dynamic" and plan.success:
         done = summarize_execution(plan, setting.execute(plan))
         verdict = episode.verdict if done.success else done.ending
         episode = replace(episode, success=done.success, verdict=verdict, reason=done.reason, executed=asdict(done))

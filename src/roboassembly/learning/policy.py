@@ -111,10 +111,9 @@ def check_setting(policy: Policy, setting: SettingName, solver: str) -> None:
         InputError: it cannot.
     """
     if setting not in settings_of(policy):
-        lacks = "chooses no grasps" if SETTINGS[setting].has_robots else "plays with robots only"
         raise InputError(
-            f"'{policy.name}' {lacks}; --setting {setting} takes --policy {solver}, or a policy whose `settings` "
-            "name it"
+            f"'{policy.name}' {SETTINGS[setting].lacking}; --setting {setting} takes --policy {solver}, or a policy "
+            "whose `settings` name it"
         )
 
 

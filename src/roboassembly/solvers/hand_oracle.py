@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Bool
 
+from roboassembly.errors import InputError
+from roboassembly.furniture.model import Furniture
 from roboassembly.geometry.poses import SE3
 from roboassembly.solvers.blocking import Parts
 from roboassembly.solvers.options import End, fitting
@@ -14,6 +16,9 @@ from roboassembly.task.full.task import FullTask
 from roboassembly.task.object_centric.task import ObjectCentricTask
 from roboassembly.task.rules.connections import UP_AXES
 from roboassembly.task.rules.groups import Group, TaskState
+
+_MAX_PARTS = 16
+"""Largest number of parts: the grasp tests grow exponentially with it."""
 
 
 class HandOracle(Oracle):
@@ -69,3 +74,18 @@ class HandOracle(Oracle):
         """Return a group of parts in their own slots."""
         parts = tuple(sorted(slots))
         return Group(parts, parts, tuple(self.furniture.assembled[p] for p in parts), SE3.Identity())
+
+
+def hand_oracle(furniture: Furniture) -> HandOracle:
+    """Return the oracle of a piece of furniture.
+
+    Raises:
+        InputError: the furniture does not suit the robots, or has too many parts.
+    """
+    if len(furniture.parts) > _MAX_PARTS:
+        raise InputError(
+            f"{furniture.name} has {len(furniture.parts)} parts; the full oracle takes at most {_MAX_PARTS}"
+        )
+    task = FullTask(furniture)
+    task.check_furniture()
+    return HandOracle(task)

@@ -15,11 +15,10 @@ from roboassembly.envs.observation import Observer
 from roboassembly.errors import InputError
 from roboassembly.furniture.annotate import add_grasps
 from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS, Furniture
-from roboassembly.settings import SETTINGS
+from roboassembly.settings import SETTINGS, set_upright
 from roboassembly.solvers.forward import SearchProgress, Watch, planner_seed
 from roboassembly.solvers.guide import Guide
 from roboassembly.task.full.failure import Failure
-from roboassembly.task.object_centric.upright import set_upright
 from roboassembly.task.plans.full_plan import FullPlan
 from roboassembly.task.plans.plan import Plan, UprightResult
 from roboassembly.task.plans.plan_file import Script
@@ -86,6 +85,10 @@ class AssemblySession:
         """The furniture with grasps; they are computed if it has none."""
         return self.furniture if any(p.grasps for p in self.furniture.parts) else add_grasps(self.furniture)
 
+    def furniture_with(self, *, grasps: bool) -> Furniture:
+        """Return the furniture, with grasps if they are asked for."""
+        return self.furniture_with_grasps if grasps else self.furniture
+
     @property
     def state(self) -> Any:
         """Current state of the task: `TaskState`, or `FullState` in the full setting."""
@@ -129,7 +132,7 @@ class AssemblySession:
             self._set_upright()
         else:
             self.failures += 1
-        failure: Failure | None = getattr(outcome, "failure", None)
+        failure: Failure | None = outcome.failure
         stage = "" if failure is None else failure.stage_text
         return Attempt(action, str(outcome.verdict), stage, outcome.planning_steps, outcome.planning_seconds)
 

@@ -43,7 +43,7 @@ def open_first(config: StudioConfig) -> None:
         InputError: see `open_path`.
     """
     if not config.furniture.endswith(_PLAN):
-        open_path(config.furniture, config.scale, with_grasps=SETTINGS[config.setting].has_robots)
+        open_path(config.furniture, config.scale, with_grasps=SETTINGS[config.setting].needs_grasps)
 
 
 class ClientSession:
@@ -169,7 +169,7 @@ class ClientSession:
 
     @property
     def _needs_grasps(self) -> bool:
-        return SETTINGS[self.panel.setting.value].has_robots
+        return SETTINGS[self.panel.setting.value].needs_grasps
 
     def _submit_upload(self, file: UploadedFile) -> None:
         """Queue an uploaded file; it is kept only until it has been read."""
@@ -194,7 +194,7 @@ class ClientSession:
             script = plan_file.decode(file.content, Path(file.name).name)
             session = self._open_session
             self._open(
-                lambda: session.furniture_with_grasps if SETTINGS[script.setting].has_robots else session.furniture,
+                lambda: session.furniture_with(grasps=SETTINGS[script.setting].needs_grasps),
                 script,
             )
             self._repeat(script)

@@ -16,9 +16,9 @@ from roboassembly.learning import checkpoint
 from roboassembly.learning.paper import autoencoder
 from roboassembly.learning.paper.dqn import network
 from roboassembly.learning.paper.dqn.exploration import PlanExplorer
-from roboassembly.learning.paper.dqn.mate_checks import BLOCKED, FAILS, MERGES, UNKNOWN
 from roboassembly.learning.paper.dqn.memoized_env import MemoizedEnv
 from roboassembly.learning.paper.dqn.network import ChairInputs, ExpertPolicy, chair_inputs, encode_state, run_expert
+from roboassembly.solvers.mate_checks import BLOCKED, FAILS, MERGES, UNKNOWN
 from roboassembly.task.full.failure import Failure
 from roboassembly.task.full.task import FullTask
 from roboassembly.task.object_centric.task import ObjectCentricTask, ObjectCentricVerdict

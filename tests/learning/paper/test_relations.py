@@ -7,9 +7,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from roboassembly.datasets import catalogue
-from roboassembly.learning.paper.dqn.mate_checks import FAILS, MERGES
 from roboassembly.learning.paper.dqn.memoized_env import MemoizedEnv
 from roboassembly.learning.paper.dqn.relative_poses import PlacedPart, RelativePoses
+from roboassembly.solvers.mate_checks import FAILS, MERGES
 from roboassembly.task.object_centric.task import ObjectCentricTask
 
 

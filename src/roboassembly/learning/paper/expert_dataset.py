@@ -84,7 +84,7 @@ def expert_samples(
         if finished(steps, expert.inputs):
             done += 1
             samples += [_sample(expert, task, observer, step) for step in steps]
-    grasps = observer.grasp_poses if SETTINGS[task.setting].has_robots else None
+    grasps = SETTINGS[task.setting].grasp_inputs(observer)
     return SampleSet(name, clouds, tuple(samples), grasps), done
 
 
@@ -141,7 +141,7 @@ def collect(
 
 def _collect(ref: FurnitureRef, *, experts: Path, folder: Path, training: ExpertTraining, episodes: int) -> Collected:
     task = training.task_of(ref)
-    validation_episodes = training.validation_episodes if SETTINGS[training.setting].has_robots else 0
+    validation_episodes = min(training.validation_episodes, SETTINGS[training.setting].repeated_starts)
     expert = load(dataset_file(experts, ref.name), task)
     samples, done = expert_samples(expert, task, ref.name, episodes, training.seed, validation_episodes)
     samples.save(dataset_file(folder, ref.name))

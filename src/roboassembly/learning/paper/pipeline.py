@@ -31,9 +31,6 @@ from roboassembly.learning.progress import Progress
 from roboassembly.parallel.processes import one_thread_each
 from roboassembly.task.setting import SettingName
 
-_EPISODES: dict[SettingName, int] = {"object-centric": 6, "full": 4}
-"""Number of episodes of each expert that become samples; episodes of the full setting take long."""
-
 
 @dataclass(frozen=True)
 class PipelineConfig:
@@ -47,17 +44,27 @@ class PipelineConfig:
     """Settings of the experts' training."""
     side_by_side: int = 4
     """Number of experts that one process trains at the same time."""
-    episodes: int = _EPISODES["object-centric"]
+    episodes: int = 6
     """Number of episodes of each expert that become samples."""
 
     @staticmethod
     def default(setting: SettingName) -> PipelineConfig:
         """Return the default configuration of a setting."""
-        return PipelineConfig(experts=ExpertTraining(setting=setting), episodes=_EPISODES[setting])
+        return _DEFAULTS[setting]
 
     def seeded(self, seed: int) -> PipelineConfig:
         """Return the same settings with another random seed."""
         return replace(self, autoencoder=replace(self.autoencoder, seed=seed), experts=replace(self.experts, seed=seed))
+
+
+_DEFAULTS: dict[SettingName, PipelineConfig] = {
+    config.experts.setting: config
+    for config in (
+        PipelineConfig(),
+        # Episodes of this setting take long.
+        PipelineConfig(experts=ExpertTraining(setting="full"), episodes=4),
+    )
+}
 
 
 def autoencoder_file(folder: Path) -> Path:

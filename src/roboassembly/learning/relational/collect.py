@@ -13,7 +13,6 @@ import numpy as np
 from roboassembly.datasets import catalogue
 from roboassembly.envs.observation import surface_points
 from roboassembly.errors import InputError
-from roboassembly.furniture.model import Furniture
 from roboassembly.learning import checkpoint
 from roboassembly.learning.datasets import CLOUD_POINTS, LabeledState, SampleSet, dataset_file
 from roboassembly.learning.relational import network as relational
@@ -22,15 +21,10 @@ from roboassembly.learning.relational.oracle_dataset import Labeler, TokenPolicy
 from roboassembly.parallel.processes import map_unordered
 from roboassembly.settings import SETTINGS
 from roboassembly.solvers.hand_oracle import HandOracle
-from roboassembly.solvers.oracle import Oracle
-from roboassembly.task.full.task import FullTask
-from roboassembly.task.object_centric.task import ObjectCentricTask
 from roboassembly.task.setting import SettingName
 
 _GRASP_TRIES = 3
 """Number of grasp pairs that are carried out for a pair of points, until one works."""
-_MAX_PARTS = 16
-"""Largest number of parts in the full setting: the oracle's grasp tests grow exponentially with it."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +67,7 @@ def collect(
         with_grasps: names of the pieces that get grasp samples as well, of one episode each (full setting). These take
             several times as long.
     """
-    (grasp_folder(folder) if SETTINGS[setting].has_robots else folder).mkdir(parents=True, exist_ok=True)
+    (grasp_folder(folder) if with_grasps else folder).mkdir(parents=True, exist_ok=True)
     left = [name for name in names if not dataset_file(folder, name).is_file()]
     work = partial(
         _collect, folder=folder, episodes=episodes, seed=seed, policy=policy, setting=setting,
@@ -90,8 +84,8 @@ def _collect(
     start = time.monotonic()
     family, _, number = name.partition(":")
     try:
-        furniture = catalogue.make(family, int(number), with_grasps=SETTINGS[setting].has_robots)
-        oracle = _oracle(furniture, setting)
+        furniture = catalogue.make(family, int(number), with_grasps=SETTINGS[setting].needs_grasps)
+        oracle = SETTINGS[setting].make_oracle(furniture)
     except InputError:
         # A few generated frames are invalid, cannot be grasped, or have too many parts; they give no samples.
         SampleSet(name, np.zeros((0, CLOUD_POINTS, 3), np.float32), ()).save(dataset_file(folder, name))
@@ -115,23 +109,6 @@ def _collect(
         grasp_samples.save(dataset_file(grasp_folder(folder), name))
     labeler.sample_set(tuple(samples.values()), name).save(dataset_file(folder, name))
     return CollectResult(name, len(samples), mistakes, choices, time.monotonic() - start)
-
-
-def _oracle(furniture: Furniture, setting: SettingName) -> Oracle:
-    """Oracle of a setting.
-
-    Raises:
-        InputError: the furniture does not suit the robots, or has too many parts for their oracle.
-    """
-    if not SETTINGS[setting].has_robots:
-        return Oracle(ObjectCentricTask(furniture))
-    if len(furniture.parts) > _MAX_PARTS:
-        raise InputError(
-            f"{furniture.name} has {len(furniture.parts)} parts; the full oracle takes at most {_MAX_PARTS}"
-        )
-    task = FullTask(furniture)
-    task.check_furniture()
-    return HandOracle(task)
 
 
 @lru_cache(maxsize=1)

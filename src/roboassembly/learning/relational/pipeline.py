@@ -42,7 +42,6 @@ from roboassembly.learning.relational.grasps.on_policy import collect_on_policy
 from roboassembly.learning.relational.imitation import RelationalTraining, TokenExample
 from roboassembly.learning.relational.network import RelationalConfig
 from roboassembly.learning.relational.policy import FULL_PARAMS, GRASP_PARAMS, RelationalPolicy
-from roboassembly.settings import SETTINGS
 from roboassembly.task.setting import SettingName
 
 _VALIDATION_SEEDS = EXTRA_SEEDS + 1_000_000
@@ -64,7 +63,7 @@ class RelationalPipelineConfig:
     episodes: int = 1
     """Number of episodes of each piece in each round; the policy acts in the first of them."""
     rounds: int = 0
-    """Number of rounds after the first; in the full setting, rounds of the grasp network."""
+    """Number of rounds after the first; of the grasp network if one is trained."""
     steps: int = 16_000
     """Number of gradient steps in the first round."""
     round_steps: int = 8_000
@@ -82,8 +81,8 @@ class RelationalPipelineConfig:
     start: str = ""
     """Policy whose weights come first, by name or path. The full setting needs one, and keeps its weights for the
     object-centric setting."""
-    grasp_steps: int = 12_000
-    """Number of gradient steps of the grasp network (full setting)."""
+    grasp_steps: int = 0
+    """Number of gradient steps of the grasp network, which the full setting needs; 0 trains none."""
 
     @staticmethod
     def default(setting: SettingName) -> RelationalPipelineConfig:
@@ -92,11 +91,14 @@ class RelationalPipelineConfig:
 
 
 _DEFAULTS: dict[SettingName, RelationalPipelineConfig] = {
-    "object-centric": RelationalPipelineConfig(),
-    "full": RelationalPipelineConfig(
-        extra=1_500, validation=24, episodes=3, rounds=1, steps=3_000, learning_rate=1e-3, setting="full",
-        start="relational",
-    ),
+    config.setting: config
+    for config in (
+        RelationalPipelineConfig(),
+        RelationalPipelineConfig(
+            extra=1_500, validation=24, episodes=3, rounds=1, steps=3_000, learning_rate=1e-3, setting="full",
+            start="relational", grasp_steps=12_000,
+        ),
+    )
 }  # fmt: skip
 
 
@@ -120,15 +122,15 @@ def run_pipeline(config: RelationalPipelineConfig, folder: Path, jobs: int) -> I
     names = [ref.name for ref in refs] + extra_names(config.extra, recipe.unseen_families)
     held_out = extra_names(config.validation, recipe.unseen_families, first=_VALIDATION_SEEDS)
     notes = {"pipeline": asdict(config), "set_hash": set_hash(refs)}
-    full = SETTINGS[config.setting].has_robots
+    grasps = config.grasp_steps > 0
 
     yield from _collect("validation", held_out, folder / "samples" / "validation", config, jobs, None)
     validation = imitation.load_examples(folder / "samples" / "validation", held_out, jobs)
     examples: list[TokenExample] = []
     last = start
-    for index in range(1 if full else config.rounds + 1):
+    for index in range(1 if grasps else config.rounds + 1):
         samples, path = folder / "samples" / str(index), folder / f"policy-{index}.npz"
-        with_grasps = [ref.name for ref in refs] if full else []
+        with_grasps = [ref.name for ref in refs] if grasps else []
         yield from _collect(f"samples {index}", names, samples, config, jobs, last, with_grasps)
         examples += imitation.load_examples(samples, names, jobs)
         steps, rate = (
@@ -141,7 +143,7 @@ def run_pipeline(config: RelationalPipelineConfig, folder: Path, jobs: int) -> I
         last = path
     assert last is not None
     final = checkpoint.load(last, relational.KIND)
-    if start is not None and full:
+    if start is not None and grasps:
         both = {**checkpoint.load(start, relational.KIND).params, FULL_PARAMS: final.params}
         yield from _grasp_rounds(both, final.config, names, folder, config, notes, jobs)
     else:
@@ -155,7 +157,7 @@ def _start_checkpoint(config: RelationalPipelineConfig, folder: Path) -> Path | 
         InputError: there is no such policy, it is of another network, or the full setting names none.
     """
     if not config.start:
-        if SETTINGS[config.setting].has_robots:
+        if config.grasp_steps:
             raise InputError("--setting full starts from an object-centric policy: --start relational would do")
         return None
     loaded = load_weights(config.start)

@@ -64,6 +64,26 @@ STRAIGHT = frozenset({Stage.APPROACH, Stage.LIFT, Stage.MATE, Stage.RELEASE, Sta
 """Stages in which the hand moves along a straight line close to other things."""
 
 
+_COARSE_KINDS = {
+    FullVerdict.WRONG_PAIR: "wrong pair", FullVerdict.GRASP_BLOCKED: "grasp blocked",
+    FullVerdict.CANNOT_RELEASE: "grasp blocked", FullVerdict.NO_ARM_SOLUTION: "no arm solution",
+    FullVerdict.JOINT_BLOCKED: "mating path", FullVerdict.NO_PLACEMENT: "placing",
+}  # fmt: skip
+"""Coarse kind of failure of each verdict."""
+
+
+def coarse_kind(verdict: str, stage: str) -> str:
+    """Return the coarse kind of a failure, for reports: the verdict itself, in words, if it is of no known kind.
+
+    Args:
+        verdict: how the step ended, or the execution.
+        stage: stage that failed; empty if none did.
+    """
+    if verdict == FullVerdict.NO_PATH:
+        return "placing" if stage in AFTER_MATING else "path"
+    return next((kind for known, kind in _COARSE_KINDS.items() if verdict == known), verdict.replace("_", " "))
+
+
 def stage_text(stage: Stage, robot: int | None = None) -> str:
     """Return a stage in words, such as `R_a: drive to group`.
 

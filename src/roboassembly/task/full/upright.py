@@ -43,7 +43,7 @@ _LEVER = 0.05
 """Weight of a grip's distance from the centre of mass against its distance from easy reach."""
 
 
-def plan_upright(plan: FullPlan) -> UprightResult[FullUprightMotion]:
+def plan_full_upright(plan: FullPlan) -> UprightResult[FullUprightMotion]:
     """Plan how a robot sets the assembled piece on its feet on the floor. The draws depend on the plan's seed only.
 
     Args:

@@ -1,4 +1,4 @@
-"""Last motion of a plan: after the last merge the finished piece is set upright on its feet.
+"""Last motion of an object-centric plan: after the last merge the finished piece is set upright on its feet.
 
 It is planned and checked like any other motion. It is made when a plan is to be shown: environments, rewards and the
 planning steps of merges know nothing of it.
@@ -7,10 +7,8 @@ planning steps of merges know nothing of it.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
 from itertools import pairwise
-from typing import Any, TypeVar
 
 import numpy as np
 
@@ -18,46 +16,21 @@ from roboassembly.furniture.model import Furniture
 from roboassembly.geometry.poses import SE3, from_quaternion, interpolate, rotation_angle
 from roboassembly.geometry.scene import Scene
 from roboassembly.planning.world import CollisionWorld
-from roboassembly.task.full.upright import plan_upright
 from roboassembly.task.object_centric.settling import settle_group
 from roboassembly.task.object_centric.stance import LARGEST_LEAN, NOT_ASSEMBLED, stance_of, standing_at, tilt
-from roboassembly.task.plans.full_plan import FullPlan
 from roboassembly.task.plans.plan import Plan, UprightMotion, UprightResult
 from roboassembly.task.rules.groups import body, center_of_mass
-from roboassembly.task.setting import SettingName
 
 PLANNER = "lift-turn-lower"
 _CLEARANCE = 0.02
 """Distance between the ground and the lowest point of the piece while it turns [m]."""
-AnyPlan = TypeVar("AnyPlan", bound=Plan | FullPlan)
 
 
-def set_upright(plan: AnyPlan) -> AnyPlan:
-    """Return the plan with its last motion, which sets the piece on its feet, or with the reason why there is none.
-
-    In the object-centric setting the piece moves by itself; in the full setting a robot takes it from its post and sets
-    it on the floor. A plan that did not succeed, or that has been set upright already, comes back as it is. The same
-    plan gives the same motion.
-
-    Args:
-        plan: of a whole assembly.
-    """
-    if not plan.success or plan.upright is not None:
-        return plan
-    return replace(plan, upright=_PLANNERS[plan.setting](plan))
-
-
-def _plan_upright(plan: Plan) -> UprightResult[UprightMotion]:
-    """Plan the motion of a piece that moves by itself."""
+def plan_upright(plan: Plan) -> UprightResult[UprightMotion]:
+    """Plan the last motion of a plan in which parts move by themselves."""
     begun = time.perf_counter()
     motion, reason, states = _motion(plan.furniture, plan.final_poses)
     return UprightResult(not reason, reason, motion, states, time.perf_counter() - begun)
-
-
-_PLANNERS: dict[SettingName, Callable[[Any], UprightResult[Any]]] = {
-    "object-centric": _plan_upright,
-    "full": plan_upright,
-}
 
 
 def _motion(furniture: Furniture, poses: Sequence[SE3]) -> tuple[UprightMotion | None, str, int]:

@@ -16,9 +16,9 @@ from jaxtyping import Bool, Float32
 
 from roboassembly.learning.layers import Params
 from roboassembly.learning.paper.dqn.exploration import PlanExplorer
-from roboassembly.learning.paper.dqn.mate_checks import MERGES, UNKNOWN
 from roboassembly.learning.paper.dqn.memoized_env import Action, State
 from roboassembly.learning.paper.dqn.replay_buffer import RECENT, ReplayBuffer
+from roboassembly.solvers.mate_checks import MERGES, UNKNOWN
 
 
 @dataclass(frozen=True)

@@ -17,8 +17,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from roboassembly.learning.layers import Params
-from roboassembly.learning.paper.dqn.mate_checks import BLOCKED, FAILS, MERGES, UNKNOWN
 from roboassembly.learning.paper.dqn.memoized_env import Action, MemoizedEnv, State
+from roboassembly.solvers.mate_checks import BLOCKED, FAILS, MERGES, UNKNOWN
 
 Pair = tuple[int, int]
 """Rows of two points, the lower first."""

@@ -22,8 +22,9 @@ from roboassembly.furniture.model import MAX_PARTS
 from roboassembly.geometry.poses import SE3
 from roboassembly.learning.layers import Params
 from roboassembly.learning.paper.dqn.group_table import GroupTable, GroupType, RowTable, TypedGroup
-from roboassembly.learning.paper.dqn.mate_checks import FAILS, MERGES, UNKNOWN, mate_check
 from roboassembly.learning.paper.dqn.mate_geometry import MateGeometry
+from roboassembly.settings import SETTINGS
+from roboassembly.solvers.mate_checks import FAILS, MERGES, UNKNOWN
 from roboassembly.task.full.task import FullTask
 from roboassembly.task.layout import free_spot
 from roboassembly.task.object_centric.task import ObjectCentricTask
@@ -49,7 +50,7 @@ class MemoizedEnv:
         self.task, self._seed = task, seed
         self.choices = int(np.prod(task.action_branches))
         """Number of choices of each pair of points, over all action branches."""
-        self.check = mate_check(task)
+        self.check = SETTINGS[task.setting].make_mate_check(task)
         rng = np.random.default_rng(seed)
         initial = task.groups_of(task.initial_state(rng))  # pyright: ignore[reportArgumentType]
         self.table = GroupTable(task, initial.groups, self.check.by_part)

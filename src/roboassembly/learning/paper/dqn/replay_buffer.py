@@ -8,9 +8,9 @@ import numpy as np
 from jaxtyping import Bool, Float32
 
 from roboassembly.learning.layers import Params
-from roboassembly.learning.paper.dqn.mate_checks import FAILS, MERGES
 from roboassembly.learning.paper.dqn.memoized_env import Action, MemoizedEnv, State
 from roboassembly.learning.paper.dqn.network import ChairInputs
+from roboassembly.solvers.mate_checks import FAILS, MERGES
 
 RECENT = 4_000
 """Number of visits that the recent part of the buffer reaches back."""

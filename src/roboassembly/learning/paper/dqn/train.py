@@ -89,7 +89,7 @@ class ExpertTraining:
             InputError: the chair cannot be made, or no two robots could assemble it.
         """
         setting = SETTINGS[self.setting]
-        task = setting.make_task(ref.furniture(with_grasps=setting.has_robots))
+        task = setting.make_task(ref.furniture(with_grasps=setting.needs_grasps))
         task.check_furniture()
         return task
 
@@ -189,9 +189,7 @@ class ExpertRun:
             ref = self._waiting.pop(0)
             try:
                 task = self._training.task_of(ref)
-            except InputError as error:
-                if not SETTINGS[self._training.setting].has_robots:
-                    raise
+            except SETTINGS[self._training.setting].refusals as error:
                 self._refuse(ref, str(error))
             else:
                 self._enter(ref, task)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any, Protocol
+from typing import Protocol
 
 from roboassembly.planning.problem import Budget
 from roboassembly.task.full.failure import Failure, FullVerdict
@@ -13,7 +13,6 @@ from roboassembly.task.full.task import FullTask
 from roboassembly.task.object_centric.task import ObjectCentricTask, ObjectCentricVerdict
 from roboassembly.task.rules.connections import GRASPS
 from roboassembly.task.rules.groups import Group, TaskState
-from roboassembly.task.setting import SettingName
 
 BUDGET = Budget(states=0)
 """Budget of the planner: straight retreats only. A sampling planner seldom solves what they do not."""
@@ -161,14 +160,3 @@ class FullMateCheck:
 def _sharing(g_a: int, g_b: int, a: bool, b: bool) -> list[int]:
     """Return the choices with `g_a` if `a`, whatever the other gripper does, and those with `g_b` if `b`."""
     return [x * GRASPS + y for x in range(GRASPS) for y in range(GRASPS) if (a and x == g_a) or (b and y == g_b)]
-
-
-_CHECKS: dict[SettingName, Callable[[Any], MateCheck]] = {
-    "object-centric": ObjectCentricMateCheck,
-    "full": FullMateCheck,
-}
-
-
-def mate_check(task: ObjectCentricTask | FullTask) -> MateCheck:
-    """Return the check of a task's setting."""
-    return _CHECKS[task.setting](task)
