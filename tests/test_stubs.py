@@ -10,6 +10,8 @@ from typing import Any
 
 import coal
 import fast_simplification
+import imageio.v3 as iio
+import imageio_ffmpeg
 import manifold3d as m3
 import mujoco
 import numpy as np
@@ -218,3 +220,16 @@ def test_a_file_without_faces_is_a_mesh_without_faces(tmp_path: Path) -> None:
     (tmp_path / "point.ply").write_text(f"{header}end_header\n0 0 0\n")
     loaded = trimesh.load_mesh(tmp_path / "point.ply", file_type="ply", process=False)
     assert (type(loaded), len(loaded.faces)) == (trimesh.Trimesh, 0)
+
+
+def test_films_and_pictures_are_written_as_the_stubs_say(tmp_path: Path) -> None:
+    picture = np.zeros((32, 32, 3), np.uint8)
+    iio.imwrite(tmp_path / "a.png", picture, extension=".png")
+    assert iio.imread(tmp_path / "a.png").dtype == np.uint8
+    writer = imageio_ffmpeg.write_frames(
+        str(tmp_path / "a.mp4"), (32, 32), "rgb24", "yuv420p", 5.0, None, codec="libx264", macro_block_size=2,
+        ffmpeg_log_level="error", output_params=["-crf", "23"],
+    )  # fmt: skip
+    assert writer.send(None) is writer.send(picture) is None
+    writer.close()
+    assert (tmp_path / "a.mp4").stat().st_size > 0

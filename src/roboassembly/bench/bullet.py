@@ -7,7 +7,7 @@ import ctypes
 import importlib
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Generator
 from typing import Any
 
 import pinocchio as pin
@@ -78,7 +78,7 @@ def numbers(pose: SE3) -> tuple[list[float], list[float]]:
 
 
 @contextlib.contextmanager
-def quiet() -> Iterator[None]:
+def quiet() -> Generator[None]:
     """Discard the output of native code: Bullet does not print through Python's streams."""
     library = ctypes.CDLL("msvcrt" if os.name == "nt" else None)
     sys.stdout.flush()

@@ -49,7 +49,8 @@ class FclPeer:
     def set_up(self, scene: Scene) -> IsFree:
         """Replace the scene."""
         fcl = self._fcl
-        moving, still = [], []
+        moving: list[Any] = []
+        still: list[Any] = []
         for body in scene.bodies:
             for shape in body.shapes:
                 mesh = shape.mesh

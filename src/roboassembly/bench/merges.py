@@ -19,6 +19,7 @@ from roboassembly.planning.mating import SKY_CLEARANCE, MatingProblem
 from roboassembly.planning.world import CollisionWorld
 from roboassembly.solvers.search import SearchResult, solve
 from roboassembly.task.object_centric.task import Mating, ObjectCentricTask
+from roboassembly.task.plans.plan import Plan
 from roboassembly.task.rules.groups import TaskState
 
 _SEEDS_TRIED = 500
@@ -31,7 +32,7 @@ class BenchChair:
 
     furniture: Furniture
     task: ObjectCentricTask
-    result: SearchResult
+    result: SearchResult[Plan]
     wall_seconds: float
     """Wall time of the whole search, including what is computed once per piece [s]."""
     states: tuple[TaskState, ...]
@@ -92,7 +93,7 @@ def _solved(furniture: Furniture, seed: int) -> BenchChair | None:
     if not result.plan.success:
         return None
     state = task.initial_state(np.random.default_rng(seed))
-    states = []
+    states: list[TaskState] = []
     for index, step in enumerate(result.plan.steps):
         states.append(state)
         state = task.step(state, step.action, _seed(seed, index)).state

@@ -214,7 +214,7 @@ def run_planning_bench(
         InputError: no such family, or too few chairs with that many parts.
     """
     config = config or PlanningBenchConfig()
-    report = progress or (lambda line: None)
+    report: Callable[[str], None] = progress or (lambda line: None)
     peers: dict[str, Peer] = {}
     skipped: dict[str, str] = {}
     for name, make in PEERS.items():
@@ -228,7 +228,7 @@ def run_planning_bench(
         chairs = find_chairs(config.family, config.parts, config.chairs, config.seed)
         steps = time_steps(chairs, config.seed)
         merges = [m for chair in chairs for m in list(merges_of(chair, config.seed))[: config.merges]]
-        rows = []
+        rows: list[MergeRow] = []
         for count, merge in enumerate(merges):
             report(f"merge {count + 1} of {len(merges)}")
             rows.append(_measure(merge, config, peers, hulls))
@@ -251,7 +251,7 @@ def _measure(
         "ours": _repeated(config.repeats, lambda: _ours(merge, budget)),
         "ours_rrt": _repeated(config.repeats, lambda: _ours_rrt(merge, budget)),
     }
-    same_planner = {}
+    same_planner: dict[str, Run] = {}
     for name, peer in peers.items():
         state_times[name] = time_peer(peer, merge, edges)
         runs[name] = _repeated(

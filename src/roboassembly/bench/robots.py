@@ -31,6 +31,7 @@ from roboassembly.task.full.cell_state import Segment
 from roboassembly.task.full.failure import FullVerdict, Stage
 from roboassembly.task.full.task import FullTask
 from roboassembly.task.plans.full_plan import FullPlan
+from roboassembly.task.rollout import draw_seed
 
 _STEP = 0.02
 """Distance between two states of the peer [m, rad]."""
@@ -156,7 +157,7 @@ def run_robot_bench(
     Raises:
         InputError: the furniture does not suit the cell, or is not assembled.
     """
-    report = progress or (lambda line: None)
+    report: Callable[[str], None] = progress or (lambda line: None)
     furniture = catalogue.find(name)
     report("searching an assembly")
     result = solve_full(furniture, seed)
@@ -173,7 +174,7 @@ def run_robot_bench(
         segments = [segment for step in steps for segment in step.segments if segment.stage in _SEARCHED]
         report("timing states")
         microseconds, agreement = _states(furniture, segments, states, bullet, seed)
-        paths = []
+        paths: list[Path] = []
         for count, segment in enumerate(segments):
             report(f"path {count + 1} of {len(segments)}")
             paths.append(_path(furniture, result.plan, segment, bullet, seed))
@@ -253,12 +254,13 @@ def _path(furniture: Furniture, plan: FullPlan, segment: Segment, bullet: Bullet
 def _hopeless(furniture: Furniture, plan: FullPlan, seed: int, tries: int = 60) -> tuple[float, ...]:
     """Time right pairs of the first state with random grasps; returns the times of those that fail [s]."""
     task, rng = FullTask(furniture), np.random.default_rng(seed)
-    out = []
+    out: list[float] = []
     for _ in range(tries):
         c = furniture.connections[int(rng.integers(len(furniture.connections)))]
         pair = (c.part_a, c.part_b, c.point_a, c.point_b)
-        action = (*(pair if rng.random() < 0.5 else (pair[1], pair[0], pair[3], pair[2])), *rng.integers(8, size=2))
-        outcome = task.step(plan.initial, tuple(int(i) for i in action), int(rng.integers(2**31 - 1)))
+        ordered = pair if rng.random() < 0.5 else (pair[1], pair[0], pair[3], pair[2])
+        grasps: list[int] = rng.integers(8, size=2).tolist()
+        outcome = task.step(plan.initial, (*ordered, *grasps), draw_seed(rng))
         if outcome.verdict not in (FullVerdict.MERGED, FullVerdict.NOT_AN_ACTION):
             out.append(outcome.planning_seconds)
     return tuple(out)

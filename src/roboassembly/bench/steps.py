@@ -71,8 +71,9 @@ def _step(env: ObjectCentricEnv, action: tuple[int, ...]) -> tuple[str, float]:
 
 
 def _random_action(furniture: Furniture, rng: np.random.Generator) -> tuple[int, ...]:
-    u, v = rng.choice(len(furniture.parts), size=2, replace=False).tolist()
-    k, l = (int(rng.integers(len(furniture.parts[p].points))) for p in (u, v))  # noqa: E741
+    pair: list[int] = rng.choice(len(furniture.parts), size=2, replace=False).tolist()
+    u, v = pair
+    k, l = (int(rng.integers(len(furniture.parts[p].points))) for p in pair)  # noqa: E741
     return u, v, k, l, int(rng.integers(len(UP_AXES)))
 
 

@@ -13,7 +13,7 @@ import inspect
 import textwrap
 from functools import cache
 from pathlib import Path
-from typing import Annotated, Any, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, cast, get_args, get_origin, get_type_hints
 
 import tyro
 from tyro.constructors import ConstructorRegistry, StructConstructorSpec, StructFieldSpec, StructTypeInfo
@@ -34,7 +34,7 @@ def command_registry() -> ConstructorRegistry:
 
 def _command(info: StructTypeInfo) -> StructConstructorSpec | None:
     """Return the flags of a command with their help texts; None for another type."""
-    kind: Any = info.type
+    kind = cast("object", info.type)  # pyright: ignore[reportUnknownMemberType]
     if not (isinstance(kind, type) and dataclasses.is_dataclass(kind) and kind.__module__.startswith(PACKAGE)):
         return None
     hints = get_type_hints(kind, include_extras=True)

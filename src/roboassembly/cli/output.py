@@ -105,9 +105,10 @@ class _PlainLog(logging.Formatter):
 
 def guard_terminal() -> None:
     """Escape control characters in the output of Python itself: tracebacks, warnings and log messages of libraries."""
-    if isinstance(sys.stdout, io.TextIOWrapper):
+    stdout = sys.stdout
+    if isinstance(stdout, io.TextIOWrapper):
         # Characters that the encoding of the terminal lacks are escaped, as Python does on stderr.
-        sys.stdout.reconfigure(errors="backslashreplace")
+        stdout.reconfigure(errors="backslashreplace")
     sys.excepthook = _print_traceback
     if threading.excepthook is threading.__excepthook__:
         threading.excepthook = _print_thread_traceback

@@ -14,4 +14,4 @@ def register() -> None:
     """Register the environments with Gymnasium; `import roboassembly` calls it."""
     for name, entry in _ENTRIES.items():
         if name not in registration.registry:
-            registration.register(name, entry_point=entry)
+            registration.register(name, entry_point=entry)  # pyright: ignore[reportUnknownMemberType]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, TypeGuard, cast
 
 import numpy as np
 from gymnasium.error import InvalidAction
@@ -62,7 +62,7 @@ def checked_integer(name: str, value: object, low: int, high: int) -> int:
         ArgumentError: out of range.
     """
     expected = f"{low} to {high} would do"
-    if isinstance(value, bool) or not isinstance(value, int | np.integer):
+    if not _is_integer(value):
         raise TypeError(f"{name} is {shortened(value)}; an integer, {expected}")
     if not low <= value <= high:
         raise ArgumentError(f"{name} is {value}; {expected}")
@@ -80,21 +80,28 @@ def checked_piece(options: object, pieces: int) -> int | None:
         return None
     if not isinstance(options, Mapping):
         raise TypeError(f"options is {shortened(options)}; a dictionary such as {{'furniture': 0}} would do")
-    for name, value in options.items():
+    named = cast("Mapping[object, object]", options)
+    for name, value in named.items():
         if name != "furniture":
             raise ArgumentError(f"unknown reset option {name!r} (its value is {shortened(value)}); known: 'furniture'")
-    index: Any = options.get("furniture")
+    index = named.get("furniture")
     if index is None:
         return None
-    if isinstance(index, bool) or not isinstance(index, int | np.integer) or not 0 <= index < pieces:
+    if not _is_integer(index) or not 0 <= index < pieces:
         raise ArgumentError(f"options['furniture'] is {shortened(index)}; an index from 0 to {pieces - 1} would do")
     return int(index)
 
 
 def shortened(value: object) -> str:
     """Return a value as one short line."""
-    text = " ".join(repr(value.item() if isinstance(value, np.generic) else value).split())
+    if isinstance(value, np.generic):
+        value = cast("np.generic[Any]", value).item()
+    text = " ".join(repr(value).split())
     return text if len(text) <= _MAX_LENGTH else f"{text[: _MAX_LENGTH - 3]}..."
+
+
+def _is_integer(value: object) -> TypeGuard[int | np.integer[Any]]:
+    return not isinstance(value, bool) and isinstance(value, int | np.integer)
 
 
 def _array(action: object, expected: str) -> np.ndarray:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Sequence
-from typing import Any, ClassVar, Generic, NoReturn, TypeVar
+from typing import Any, ClassVar, Generic, NoReturn, TypeVar, cast
 
 import gymnasium
 import numpy as np
@@ -235,13 +235,14 @@ def pieces_of(furniture: FurnitureLike | Iterable[FurnitureLike]) -> list[Furnit
         ArgumentError: none.
         InputError: a name or folder that is not there, or a folder without valid furniture.
     """
-    several = [furniture] if isinstance(furniture, Furniture | str | os.PathLike) else furniture
+    one = isinstance(furniture, Furniture | str | os.PathLike)
+    several: object = cast("object", [furniture] if one else furniture)
     if not isinstance(several, Iterable):
         raise TypeError(
             f"furniture is {shortened(furniture)}; a name, a folder, a Furniture, or a list of them would do"
         )
-    pieces = []
-    for piece in several:
+    pieces: list[Furniture] = []
+    for piece in cast("Iterable[object]", several):
         if not isinstance(piece, Furniture | str | os.PathLike):
             raise TypeError(f"furniture contains {shortened(piece)}; names, folders and objects of Furniture would do")
         pieces.append(piece if isinstance(piece, Furniture) else catalogue.find(os.fspath(piece)))

@@ -28,7 +28,7 @@ class DiscreteActions(gymnasium.Wrapper[Any, Any, Any, Any]):
         space = env.action_space
         if not isinstance(space, spaces.MultiDiscrete):
             raise InputError(f"DiscreteActions wraps MultiDiscrete actions; got {space}")
-        self._shape = tuple(int(n) for n in space.nvec)
+        self._shape = tuple(int(n) for n in space.nvec)  # pyright: ignore[reportUnknownMemberType]
         self._names = getattr(env.unwrapped, "components", tuple(f"component {i}" for i in range(len(self._shape))))
         self._size = int(np.prod(self._shape))
         self.action_space = spaces.Discrete(self._size)

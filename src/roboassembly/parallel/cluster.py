@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 import socket
 import uuid
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Generator, Mapping
 from concurrent.futures import Executor, Future
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
@@ -49,7 +49,8 @@ class Cluster(Executor):
         future.set_running_or_notify_cancel()
         reference = self._task.remote(self._setup, fn, args, kwargs)
         self._running[future] = reference
-        reference.future().add_done_callback(lambda done: self._settle(future, done))
+        sent: Future[Any] = reference.future()
+        sent.add_done_callback(lambda done: self._settle(future, done))
         return future
 
     def _settle(self, future: Future[Any], done: Future[Any]) -> None:
@@ -94,7 +95,7 @@ def _work(
 
 
 @contextmanager
-def connected(address: str, environment: Mapping[str, str]) -> Iterator[int]:
+def connected(address: str, environment: Mapping[str, str]) -> Generator[int]:
     """Connect to a cluster; yields its number of CPUs.
 
     Args:

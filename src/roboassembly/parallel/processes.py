@@ -6,7 +6,7 @@ With one job, maps run in this process.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
 from multiprocessing import active_children, get_context
@@ -27,7 +27,7 @@ _clusters: list[str] = []
 
 
 @contextmanager
-def use_cluster(address: str | None, jobs: int) -> Iterator[int]:
+def use_cluster(address: str | None, jobs: int) -> Generator[int]:
     """Take workers from a Ray cluster inside the block.
 
     Args:
@@ -57,7 +57,7 @@ def use_cluster(address: str | None, jobs: int) -> Iterator[int]:
 @contextmanager
 def worker_pool(
     jobs: int, start: Callable[..., None] | None = None, arguments: tuple[Any, ...] = ()
-) -> Iterator[Executor]:
+) -> Generator[Executor]:
     """Yield a pool of worker processes. If the block ends early, also by an error, running tasks are stopped.
 
     Processes are spawned: a fork would share threads of the planner, the renderer and BLAS, and can hang.
@@ -122,7 +122,7 @@ def prefetch(items: Iterator[Item]) -> Iterator[Item]:
 
 
 @contextmanager
-def one_thread_each() -> Iterator[None]:
+def one_thread_each() -> Generator[None]:
     """Make processes that start inside the block compute with one thread, so that they do not compete for cores."""
     ours = {**_ONE_THREAD, "XLA_FLAGS": _one_thread_flags()}
     before = {name: os.environ.get(name) for name in ours}

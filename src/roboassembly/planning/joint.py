@@ -11,30 +11,18 @@ from jaxtyping import Float
 from ompl import base
 
 from roboassembly.geometry.poses import SE3, interpolate, poses_to_configurations, rotation_angle
-from roboassembly.geometry.scene import Scene
+from roboassembly.geometry.scene import Scene, Shape
 from roboassembly.planning.problem import Budget, PlanningStatus
 from roboassembly.planning.rrt import box_around, exhaustion, pose_of, run_rrt_connect, set_pose
-from roboassembly.planning.world import ANGULAR_RESOLUTION, RESOLUTION, collision_pool, first_hit
+from roboassembly.planning.world import ANGULAR_RESOLUTION, RESOLUTION, ExactChecks
 
 
-class JointWorld:
+class JointWorld(ExactChecks):
     """Exact collision checks of a scene in which bodies move independently."""
 
     def __init__(self, scene: Scene) -> None:
-        self._pool = collision_pool(scene)
-        self._radii = [
-            max(float(np.linalg.norm(s.body_from_mesh.act(v))) for s in body.shapes for v in s.mesh.hull_vertices)
-            for body in scene.bodies
-            if body.moves
-        ]
-        self.states = 0
-        """Number of configurations of all bodies tested so far."""
-
-    def first_collision(self, configurations: Float[np.ndarray, "q n"]) -> int | None:
-        """Return the index of the first configuration in collision; None if all are free."""
-        first = first_hit(self._pool, configurations)
-        self.states += configurations.shape[1] if first is None else first + 1
-        return first
+        super().__init__(scene)
+        self._radii = [max(map(_radius, body.shapes)) for body in scene.bodies if body.moves]
 
     def is_free(self, poses: Sequence[SE3]) -> bool:
         """Return whether one configuration is free, by an exact test."""
@@ -54,6 +42,12 @@ class JointWorld:
             if self.first_collision(columns) is not None:
                 return False
         return True
+
+
+def _radius(shape: Shape) -> float:
+    """Return the distance of a shape's farthest vertex from the origin of its body's frame [m]."""
+    vertices: list[np.ndarray] = list(shape.mesh.hull_vertices)
+    return max(float(np.linalg.norm(shape.body_from_mesh.act(v))) for v in vertices)
 
 
 def joint_rrt_connect(
@@ -83,7 +77,7 @@ def joint_rrt_connect(
     if not world.is_free(start):
         return PlanningStatus.START_IN_COLLISION, (), time.perf_counter() - begun
     space = base.CompoundStateSpace()
-    parts = []
+    parts: list[base.SE3StateSpace] = []
     for a, b in zip(start, goal, strict=True):
         part = base.SE3StateSpace()
         part.setBounds(box_around(bounds, [a.translation, b.translation]))

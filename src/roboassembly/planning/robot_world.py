@@ -211,12 +211,14 @@ class RobotWorld:
         """Return whether an edge passes the last test of a ladder; earlier tests with larger margins save work."""
         if moved < 1e-9:
             return True
-        stretches = np.array([[0.0, 1.0]])
+        stretches: Float[np.ndarray, "s 2"] = np.array([[0.0, 1.0]])
         for test in ladder:
             last = test is ladder[-1]
             spacing = RESOLUTION if last else 2.0 * test.margin
             counts = np.maximum(1, np.ceil((stretches[:, 1] - stretches[:, 0]) * moved / spacing)).astype(int)
-            cuts = [np.linspace(low, high, n + 1) for (low, high), n in zip(stretches, counts, strict=True)]
+            cuts: list[np.ndarray] = [
+                np.linspace(low, high, n + 1) for (low, high), n in zip(stretches, counts, strict=True)
+            ]
             low, high = np.concatenate([c[:-1] for c in cuts]), np.concatenate([c[1:] for c in cuts])
             if last:
                 return not self._any_hit(test, a + np.outer(high, b - a))

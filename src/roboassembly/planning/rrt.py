@@ -80,7 +80,7 @@ def run_rrt_connect(
     if not definition.hasExactSolution():
         return None
     path: Any = definition.getSolutionPath()
-    copies = []
+    copies: list[Any] = []
     for index in range(path.getStateCount()):
         copy = space.allocState()
         space.copyState(copy, path.getState(index))
@@ -159,7 +159,8 @@ def shortcut(
     for _ in range(attempts):
         if len(kept) < 3:
             break
-        i, j = sorted(rng.choice(len(kept), size=2, replace=False).tolist())
+        pair: list[int] = rng.choice(len(kept), size=2, replace=False).tolist()
+        i, j = sorted(pair)
         if j - i > 1 and edge_is_free(kept[i], kept[j]):
             del kept[i + 1 : j]
     return tuple(kept)

@@ -16,6 +16,7 @@ import pinocchio as pin
 from jaxtyping import Bool, Float
 
 from roboassembly.errors import InputError
+from roboassembly.geometry.meshes import Mesh
 from roboassembly.geometry.poses import SE3, interpolate, poses_to_configurations, rotation_angle
 from roboassembly.geometry.scene import Scene
 
@@ -43,7 +44,7 @@ def collision_pool(scene: Scene) -> Pool:
     still: list[int] = []
     for b, body in enumerate(scene.bodies):
         joint = model.addJoint(0, pin.JointModelFreeFlyer(), SE3.Identity(), f"b{b}") if body.moves else 0
-        own = []
+        own: list[int] = []
         for s, shape in enumerate(body.shapes):
             placement = shape.body_from_mesh if body.moves else body.pose * shape.body_from_mesh
             own.append(geometry.addGeometryObject(pin.GeometryObject(f"b{b}/{s}", joint, placement, shape.geometry)))
@@ -66,13 +67,27 @@ def collision_pool(scene: Scene) -> Pool:
     return pool
 
 
-def first_hit(pool: Pool, configurations: Float[np.ndarray, "q n"]) -> int | None:
-    """Return the index of the first column in collision, where testing stops; None if all are free."""
-    hits = pin.computeCollisionsInParallel(1, pool, np.asfortranarray(configurations), True, True)
-    return int(np.argmax(hits)) if hits.any() else None
+class ExactChecks:
+    """Exact collision checks of a scene, which count the configurations tested."""
+
+    def __init__(self, scene: Scene) -> None:
+        self._scene = scene
+        self.states: int = 0
+        """Number of configurations tested so far."""
+
+    @cached_property
+    def _pool(self) -> Pool:
+        return collision_pool(self._scene)
+
+    def first_collision(self, configurations: Float[np.ndarray, "q n"]) -> int | None:
+        """Return the index of the first configuration in collision by exact tests; None if all are free."""
+        hits = pin.computeCollisionsInParallel(1, self._pool, np.asfortranarray(configurations), True, True)
+        first = int(np.argmax(hits)) if hits.any() else None
+        self.states += configurations.shape[1] if first is None else first + 1
+        return first
 
 
-class CollisionWorld:
+class CollisionWorld(ExactChecks):
     """Planning model of a scene in which exactly one body moves.
 
     Args:
@@ -88,13 +103,12 @@ class CollisionWorld:
         movers = [body for body in scene.bodies if body.moves]
         if len(movers) != 1:
             raise InputError(f"the scene has {len(movers)} moving bodies; planning takes exactly one")
-        self._scene = scene
+        super().__init__(scene)
         self._mover = movers[0]
         self._axes = np.eye(3) if box_axes is None else np.asarray(box_axes, dtype=float)
         self._ground = scene.ground
-        self.states = 0
-        """Number of configurations tested so far."""
-        placed, owners = [], []
+        placed: list[tuple[SE3, Mesh]] = []
+        owners: list[str] = []
         for body in scene.bodies:
             if not body.moves:
                 placed.extend((body.pose * shape.body_from_mesh, shape.mesh) for shape in body.shapes)
@@ -118,16 +132,6 @@ class CollisionWorld:
         self.resolution = min(RESOLUTION, 0.9 * min(mesh.thickness for mesh in meshes))
         """Distance between exact tests, less than the thickness of every part, so that none slips into another [m]."""
 
-    @cached_property
-    def _pool(self) -> Pool:
-        return collision_pool(self._scene)
-
-    def first_collision(self, configurations: Float[np.ndarray, "7 n"]) -> int | None:
-        """Return the index of the first configuration in collision by exact tests; None if all are free."""
-        first = first_hit(self._pool, configurations)
-        self.states += configurations.shape[1] if first is None else first + 1
-        return first
-
     def is_free(self, pose: SE3) -> bool:
         """Return whether one pose of the moving body is free, by an exact test that also finds parts inside others."""
         return self.first_collision(poses_to_configurations([pose])) is None and not self._nested(pose)
@@ -138,12 +142,14 @@ class CollisionWorld:
         Edges need no such test, since a shape has to pass the surface to get in.
         """
         for shape in self._mover.shapes:
+            own_vertex: Float[np.ndarray, "3"] = shape.mesh.vertices[0]
             world_from_shape = pose * shape.body_from_mesh
             for world_from_still, still in self._still:
                 still_from_shape = world_from_still.actInv(world_from_shape)
-                if still.contains(still_from_shape.act(shape.mesh.vertices[0])):
+                still_vertex: Float[np.ndarray, "3"] = still.vertices[0]
+                if still.contains(still_from_shape.act(own_vertex)):
                     return True
-                if shape.mesh.contains(still_from_shape.actInv(still.vertices[0])):
+                if shape.mesh.contains(still_from_shape.actInv(still_vertex)):
                     return True
         return False
 

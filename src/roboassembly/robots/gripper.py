@@ -169,17 +169,17 @@ def _hand() -> _Hand:
         return data.oMf[tips].actInv(data.oMf[model.getFrameId(link)])
 
     closed = pin.neutral(model)
-    opens = []
+    opens: list[Float[np.ndarray, "3"]] = []
     for link, slide in zip(_FINGERS, _SLIDES, strict=True):
         moved = pin.neutral(model)
         moved[model.joints[model.getJointId(slide)].idx_q] = 0.5 * MAX_OPENING
         way = in_tips(link, moved).translation - in_tips(link, closed).translation
         opens.append(way / np.linalg.norm(way))
     finger = np.array(trimesh.load_mesh(folder / "meshes/collision/finger.stl", process=False).vertices)
-    bodies = []
+    bodies: list[Mesh] = []
     for link, axis in zip((_PALM, *_FINGERS), (None, *opens), strict=True):
         pose = in_tips(link, closed)
-        corners = []
+        corners: list[Float[np.ndarray, "n 3"]] = []
         if axis is not None:
             # The URDF models each finger by four boxes and the mesh file by one shape; they differ by up to 3 mm. The
             # file describes the finger that opens along y; the other finger is the same shape rotated.

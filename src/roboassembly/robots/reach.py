@@ -93,7 +93,7 @@ def reach(world_from_tips: SE3, count: int, rng: np.random.Generator) -> Reach:
 def nearness(world_from_tips: Poses) -> Float[np.ndarray, "n"]:
     """Return the distance of the table's rows from each pose [m, with weighted tilt]: less means more solutions."""
     far, _ = _table().tree.query(_keys(world_from_tips), k=[_GUIDE_ROW])
-    return far[:, 0]
+    return np.asarray(far)[:, 0]
 
 
 def in_mount(place: Float[np.ndarray, "n 3"], world_from_tips: SE3) -> Poses:

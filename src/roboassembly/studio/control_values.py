@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import cast
 
 from viser import (
     GuiButtonHandle,
@@ -22,7 +22,7 @@ class RefusedError(Exception):
     """A message is dropped. Its text is for the user; it is empty if the studio's page cannot have sent the message."""
 
 
-def check_value(control: Any, value: bool | int | float | str) -> None:
+def check_value(control: object, value: bool | int | float | str) -> None:
     """Check that a control offers a value.
 
     Raises:
@@ -35,14 +35,14 @@ def check_value(control: Any, value: bool | int | float | str) -> None:
         case GuiCheckboxHandle():
             allowed = isinstance(value, bool)
         case GuiDropdownHandle():
-            options: tuple[str, ...] = control.options
-            allowed = isinstance(value, str) and value in options
+            allowed = isinstance(value, str) and value in control.options
             if not allowed:
                 raise RefusedError(f"{named} does not offer {_shortened(value)}.")
         case GuiSliderHandle() | GuiNumberHandle():
-            allowed = _in_range(value, control)
+            number = cast("GuiSliderHandle[float] | GuiNumberHandle[float]", control)
+            allowed = _in_range(value, number)
             if not allowed:
-                raise RefusedError(f"{named} accepts {control.min} to {control.max}, not {_shortened(value)}.")
+                raise RefusedError(f"{named} accepts {number.min} to {number.max}, not {_shortened(value)}.")
         case GuiTextHandle():
             allowed = isinstance(value, str)
             if allowed:
@@ -53,7 +53,7 @@ def check_value(control: Any, value: bool | int | float | str) -> None:
         raise RefusedError(f"{named} does not accept {_shortened(value)}.")
 
 
-def _in_range(value: object, control: GuiSliderHandle[Any] | GuiNumberHandle[Any]) -> bool:
+def _in_range(value: object, control: GuiSliderHandle[float] | GuiNumberHandle[float]) -> bool:
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
         return False
     if isinstance(control.value, int) and value != int(value):

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from viser import GuiApi, GuiDropdownHandle, GuiTextHandle, Icon, UploadedFile
+from viser import GuiApi, GuiDropdownHandle, GuiEvent, GuiTextHandle, Icon, UploadedFile
 
 from roboassembly.studio.scene_view import COLORS, ViewOptions
 from roboassembly.studio.sources import BUILT_IN
@@ -196,4 +196,9 @@ def _dropdown(
 
 def _on_user_change(control: Any, call: Callable[[], None]) -> None:
     """Call `call` when a client changes the control, not when the program does."""
-    control.on_update(lambda event: call() if event.client is not None else None)
+
+    def on_update(event: GuiEvent[Any]) -> None:
+        if event.client is not None:
+            call()
+
+    control.on_update(on_update)

@@ -73,7 +73,7 @@ def uploads_in_progress(client: ClientHandle) -> dict[str, Any]:
 
 def forget_upload(button: GuiUploadButtonHandle) -> None:
     """Release the memory of the last uploaded file."""
-    button._impl.value = UploadedFile("", b"")
+    button._impl.value = UploadedFile("", b"")  # pyright: ignore[reportUnknownMemberType]
 
 
 def unsent_file_bytes(client: ClientHandle) -> int:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import imageio.v3 as iio
 import imageio_ffmpeg
@@ -71,14 +70,14 @@ def write_film(
         raise RenderingUnavailableError("ffmpeg is missing; install it with: pip install imageio-ffmpeg") from error
     path = Path(path)
     with _renderer(timeline, width, height, quality) as renderer, atomic_write(path) as unfinished:
-        writer: Generator[None, Any, None] = imageio_ffmpeg.write_frames(
+        writer = imageio_ffmpeg.write_frames(
             str(unfinished),
             (width, height),
             fps=fps,
             codec="libx264",
             pix_fmt_in="rgb24",
             pix_fmt_out="yuv420p",
-            quality=None,  # pyright: ignore[reportArgumentType]  # optional by its documentation
+            quality=None,
             macro_block_size=2,
             ffmpeg_log_level="error",
             output_params=["-preset", "superfast", "-crf", "23", "-movflags", "+faststart"],

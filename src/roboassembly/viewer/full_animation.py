@@ -156,7 +156,7 @@ def _configuration_at(segment: Segment, share: float) -> Float[np.ndarray, "10"]
     reached = np.concatenate([[0.0], np.cumsum(_edge_lengths(segment))])
     if reached[-1] == 0.0:
         return segment.path[-1]
-    at = share * reached[-1]
+    at = float(share * reached[-1])
     k = min(int(np.searchsorted(reached, at, side="right")) - 1, len(segment.path) - 2)
     inner = float(at - reached[k]) / max(reached[k + 1] - reached[k], 1e-12)
     return segment.path[k] + inner * (segment.path[k + 1] - segment.path[k])

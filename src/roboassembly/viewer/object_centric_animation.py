@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Float32
+from jaxtyping import Float32
 
 from roboassembly.geometry.poses import SE3, transform_points
 from roboassembly.rendering.colors import Role
@@ -194,7 +194,7 @@ class PlanAnimator:
             if lengths[index] == 0.0:
                 continue
             count = self._count(times[index + 1] - times[index])
-            inner: Float[np.ndarray, "k"] = np.linspace(times[index], times[index + 1], count + 1)[1:-1]
+            inner = np.linspace(float(times[index]), float(times[index + 1]), count + 1)[1:-1]
             fractions = np.clip((distance_at(inner) - reached[index]) / lengths[index], 0.0, 1.0)
             yield from interpolated(a, b, fractions)
             yield b

@@ -76,9 +76,10 @@ def set_up_scene(scene: SceneApi, points: Float[np.ndarray, "n 3"]) -> None:
     """Add lights and a ruled floor that extends beyond all of these world points [m]."""
     scene.set_up_direction("+z")
     scene.configure_default_lights(enabled=True, cast_shadow=True)
-    low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
+    low: Float[np.ndarray, "2"] = points[:, :2].min(axis=0)
+    high: Float[np.ndarray, "2"] = points[:, :2].max(axis=0)
     reach = float((high - low).max())
-    middle: Float[np.ndarray, "2"] = np.round(low + high) / 2.0
+    middle = np.round(low + high) / 2.0
     scene.add_grid(
         "/floor",
         infinite_grid=True,
