@@ -1,5 +1,5 @@
-# The part of imageio-ffmpeg that this project uses; the library's own types are incomplete. tests/test_stubs.py compares it
-# with the library.
+# The part of imageio-ffmpeg that this project uses; the library's own types are incomplete. tests/test_stubs.py
+# compares it with the library.
 from collections.abc import Generator, Sequence
 
 import numpy as np
