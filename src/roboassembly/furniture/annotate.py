@@ -92,7 +92,7 @@ def add_grasps(furniture: Furniture) -> Furniture:
 def _around(part: int, meshes: Sequence[Mesh], slots: Sequence[SE3]) -> Mesh | None:
     """Return what a hand at a part could touch in the assembled furniture, in the part's frame; None if nothing."""
     low, high = meshes[part].bounds
-    near = []
+    near: list[Mesh] = []
     for other, (mesh, slot) in enumerate(zip(meshes, slots, strict=True)):
         moved = mesh.transformed(slots[part].actInv(slot))
         if other != part and (moved.bounds[0] < high + _HAND).all() and (moved.bounds[1] > low - _HAND).all():
@@ -106,7 +106,8 @@ def _around(part: int, meshes: Sequence[Mesh], slots: Sequence[SE3]) -> Mesh | N
 
 def _bounded_contacts(contacts: tuple[Contact, ...], names: Sequence[str]) -> tuple[list[Contact], list[str]]:
     """Drop the smallest patches of parts with more than `MAX_POINTS` points, as long as all parts stay connected."""
-    kept, notes = list(contacts), []
+    kept = list(contacts)
+    notes: list[str] = []
     for contact in sorted(contacts, key=lambda c: c.area):
         crowded = [p for p in (contact.a, contact.b) if sum(p in (c.a, c.b) for c in kept) > MAX_POINTS]
         if not crowded:

@@ -102,14 +102,14 @@ def connection_points(
     points: list[list[ConnectionPoint]] = [[] for _ in slots]
     connections: list[Connection] = []
     for contact, frame in zip(contacts, frames, strict=True):
-        corners = []
+        numbers: list[int] = []
         for part, placed in ((contact.a, frame), (contact.b, mated_frame(frame, contact.gap))):
             local = slots[part].actInv(placed)
-            corners.extend([part, len(points[part])])
+            numbers += [part, len(points[part])]
             points[part].append(
                 ConnectionPoint(local.translation, local.rotation[:, 2], local.rotation[:, 0], contact.gap)
             )
-        connections.append(Connection(*corners))
+        connections.append(Connection(*numbers))
     _share_points(points, classes)
     return points, tuple(connections)
 

@@ -177,7 +177,7 @@ def _clip(
     inward: Float[np.ndarray, "n 3"],
 ) -> tuple[Float[np.ndarray, "n k1 3"], Bool[np.ndarray, "n k1"]]:
     """Clip each polygon by a half-space (Sutherland and Hodgman); `alive` marks the leading corners that count."""
-    n, k, _ = polygon.shape
+    n, k = len(polygon), int(polygon.shape[1])
     count = alive.sum(axis=1)
     index = np.arange(k)
     following = np.where(index[None, :] + 1 < count[:, None], index[None, :] + 1, 0)

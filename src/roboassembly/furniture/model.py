@@ -267,9 +267,11 @@ class Furniture:
 
     def connected_components(self, among: range | frozenset[int]) -> list[frozenset[int]]:
         """Split `among` into sets of parts that connections hold together, by lowest part index."""
-        left, out = set(among), []
+        left = set(among)
+        out: list[frozenset[int]] = []
         while left:
-            stack, island = [min(left)], set()
+            stack = [min(left)]
+            island: set[int] = set()
             while stack:
                 p = stack.pop()
                 if p in island:

@@ -179,8 +179,6 @@ def _read_mesh(folder: Path, name: str, where: str) -> Mesh:
     except (ValueError, IndexError, KeyError, TypeError, OSError, EOFError, AttributeError, NameError) as error:
         # trimesh's reader fails on broken headers in many ways, unbound names among them.
         raise FurnitureError(f"{where}: mesh {path} cannot be read as PLY: {error}") from None
-    if not isinstance(loaded, trimesh.Trimesh):
-        raise FurnitureError(f"{where}: mesh {path} has no faces")
     try:
         mesh = Mesh.from_trimesh(loaded)
         _ = mesh.hull

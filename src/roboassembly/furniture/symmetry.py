@@ -77,12 +77,12 @@ def rotations_onto(source: Mesh, target: Mesh, tolerance: float = TOLERANCE) -> 
     tree_a, tree_b = KDTree(a), KDTree(b)
     few, probe = _few(a), a[np.linspace(0, len(a) - 1, min(len(a), 12)).astype(int)]
     most = tolerance + _REACH
-    reach, _ = tree_b.query(np.einsum("cij,pj->cpi", candidates, probe), distance_upper_bound=most)
+    reach = np.asarray(tree_b.query(np.einsum("cij,pj->cpi", candidates, probe), distance_upper_bound=most)[0])
     found: list[np.ndarray] = []
     hopeful = np.flatnonzero((reach < most).mean(axis=1) > _MATCHED)
     # The closest candidates come first, so that an inexact one does not replace an exact one.
     off = np.minimum(reach[hopeful], most).mean(axis=1)
-    left = candidates[hopeful[np.argsort(np.round(off, 6), kind="stable")]]
+    left = candidates[hopeful[np.argsort(off.round(6), kind="stable")]]
     fits = 0
     while len(left) and fits < _MAX_FITS:
         rotation = left[0]
@@ -107,7 +107,7 @@ def rotations_onto(source: Mesh, target: Mesh, tolerance: float = TOLERANCE) -> 
     if not found:
         return np.empty((0, 3, 3))
     angles = np.linalg.norm(Rotation.from_matrix(np.array(found)).as_rotvec(), axis=1)
-    order = np.argsort(np.round(angles, 6), kind="stable")[:MAX_SYMMETRIES]
+    order = np.argsort(angles.round(6), kind="stable")[:MAX_SYMMETRIES]
     return np.array(found)[order]
 
 
@@ -170,7 +170,7 @@ def _edges(mesh: Mesh, corners: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "
     """Return the midpoints of edges at some corners of a mesh, at most `_MAX_EDGES`."""
     if not len(corners):
         return np.empty((0, 3))
-    there = KDTree(corners).query(mesh.vertices, distance_upper_bound=_SAME_CORNER)[0] < _SAME_CORNER
+    there = np.asarray(KDTree(corners).query(mesh.vertices, distance_upper_bound=_SAME_CORNER)[0]) < _SAME_CORNER
     edges = np.concatenate([mesh.faces[:, [k, k - 1]] for k in range(3)])
     edges = np.unique(np.sort(edges[there[edges].any(axis=1)], axis=1), axis=0)
     return _few(mesh.vertices[edges].mean(axis=1), _MAX_EDGES)
@@ -200,7 +200,7 @@ def _candidate_rotations(
     far = radius_a > 0.5 * radius_a.max()
     firsts = np.lexsort((-radius_a, np.where(far, likely, np.inf)))
     firsts = firsts[: max(1, int((far & np.isfinite(likely)).sum()))]
-    out = []
+    out: list[Float[np.ndarray, "c 3 3"]] = []
     for first in firsts[np.unique(np.linspace(0, len(firsts) - 1, _PAIRS).astype(int))]:
         lever = np.linalg.norm(np.cross(a, a[first]), axis=1) / radius_a[first]
         clear = lever > 0.5 * lever.max()

@@ -167,7 +167,7 @@ def stand(
             f"{LARGEST:g} m, give another scale"
         )
     middle = np.array([*(0.5 * (low + high))[:2], low[2]])
-    out = []
+    out: list[RawPart] = []
     for part in parts:
         vertices = (part.triangles.points @ rotation.T - middle) * scale
         try:

@@ -45,7 +45,7 @@ def rounded_trapezoid(bottom: float, top: float, height: float, radius: float, s
         here = corners[k]
         back, forth = corners[k - 1] - here, corners[(k + 1) % 4] - here
         back, forth = back / np.linalg.norm(back), forth / np.linalg.norm(forth)
-        half = np.arccos(np.clip(back @ forth, -1, 1)) / 2
+        half = float(np.arccos(np.clip(back @ forth, -1, 1)) / 2)
         centre = here + (back + forth) / np.linalg.norm(back + forth) * radius / np.sin(half)
         start = centre + (here + back * radius / np.tan(half) - centre)
         for t in np.linspace(0.0, np.pi - 2 * half, steps + 1):
@@ -75,7 +75,7 @@ def symmetric(half: Sequence[tuple[float, float]]) -> Outline:
 def smooth(points: Sequence[tuple[float, float]], count: int) -> list[tuple[float, float]]:
     """Return `count` points on a smooth curve x(y) through `(x, y)` points in rising y, the ends among them."""
     x, y = np.array(points).T
-    levels = np.linspace(y[0], y[-1], count)
+    levels = np.linspace(float(y[0]), float(y[-1]), count)
     low = np.clip(np.searchsorted(y, levels, side="right") - 1, 0, len(y) - 2)
     t = (levels - y[low]) / (y[low + 1] - y[low])
     ease = t * t * (3 - 2 * t)

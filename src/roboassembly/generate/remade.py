@@ -120,7 +120,7 @@ def sunk(parts: Sequence[RawPart], rng: np.random.Generator) -> list[PartDesign]
     contacts = find_contacts([p.mesh for p in parts], [p.name for p in parts])
     share = rng.choice([0.3, 0.7, 1.0])
     # Shallow is as frequent as deep.
-    depth = float(np.exp(rng.uniform(np.log(SHALLOWEST), np.log(DEEPEST))))
+    depth = float(np.exp(rng.uniform(float(np.log(SHALLOWEST)), float(np.log(DEEPEST)))))
     solids = [from_triangles(p.mesh.vertices, p.mesh.faces) for p in parts]
     whole = list(solids)
     chosen: dict[tuple[int, int], bool] = {}

@@ -103,7 +103,7 @@ class ShellChair(Design):
             path += [start + stop * (end - start) for stop in stops]
             heading += [tangent if len(stops) == 1 else (end - start) / far] * len(stops)
         length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
-        share = length / length[-1]
+        share: np.ndarray = length / length[-1]
         dish = self.hollow * np.clip(np.minimum(share, 1 - share) / 0.22, 0, 1)
         wide = self.width / 2 * np.interp(share, [0, 0.04, 0.12, 0.5, 0.9], [0.90, 0.97, 1, 1, self.back_width])
         into_round = np.clip(1 - (length[-1] - length) / ROUND, 0, 1)
@@ -113,7 +113,7 @@ class ShellChair(Design):
     def shell_of(self, path: Points, heading: Points, dish: np.ndarray, wide: np.ndarray) -> Solid:
         """Return the shell, its lower and its upper side."""
         across = np.linspace(-1, 1, 7)
-        rings = []
+        rings: list[Points] = []
         for at, tangent, w, d in zip(path, heading, wide, dish, strict=True):
             normal = np.cross(X, tangent)
             middle = at + (w * across)[:, None] * X - (d * (1 - across**2))[:, None] * normal

@@ -142,7 +142,7 @@ class SledChair(Design):
         angle = np.linspace((front - 0.13) / self.bow, (back + 0.22) / self.bow, 13)
         radial = np.column_stack([0 * angle, np.sin(angle), -np.cos(angle)])
         points = vector(x, 0, self.bow) + (self.bow - RUNNER / 2) * radial
-        solids = []
+        solids: list[Solid] = []
         for outline in (rectangle(t, RUNNER, 0.004), rectangle(t + 20 * CLEARANCE, RUNNER + 2 * CLEARANCE)):
             rings = [at + outline[:, :1] * X - outline[:, 1:] * out for at, out in zip(points, radial, strict=True)]
             solids.append(loft(np.array(rings)))

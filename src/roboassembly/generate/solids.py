@@ -47,7 +47,7 @@ def triangles(solid: Solid) -> tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "
 
 def loft(rings: Float[np.ndarray, "k n 3"]) -> Solid:
     """Return the skin over a row of rings with equally many points; the first and the last are plane and convex."""
-    k, n, _ = rings.shape
+    k, n = len(rings), int(rings.shape[1])
     here = np.arange(n)
     there = (here + 1) % n
     faces: list[Int[np.ndarray, "f 3"]] = []

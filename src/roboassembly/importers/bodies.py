@@ -30,14 +30,14 @@ def bodies(surface: Triangles) -> list[Triangles]:
     """Return the separate bodies of a surface, in the order of their first faces; a cavity stays with its body."""
     welded = _welded(surface)
     links = _links(surface.points, surface.faces, welded)
-    graph = coo_array((np.ones(len(links), dtype=bool), (links[:, 0], links[:, 1])), shape=(len(welded),) * 2)
+    graph = coo_array((np.ones(len(links), dtype=bool), (links[:, 0], links[:, 1])), shape=(len(welded), len(welded)))
     count, number = connected_components(graph, directed=False)
     if count == 1:
         return [surface]
     if count > MAX_BODIES:
         raise FurnitureError(f"it falls into {count} separate bodies; at most {MAX_BODIES} are looked at")
     pieces = np.split(np.argsort(number, kind="stable"), np.cumsum(np.bincount(number))[:-1])
-    out = []
+    out: list[Triangles] = []
     for faces in _with_hollows(surface, welded, pieces):
         try:
             out.append(Triangles(surface.points, surface.faces[faces]).merged())

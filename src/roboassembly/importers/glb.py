@@ -222,7 +222,7 @@ def _local(node: _Node, index: int) -> Float[np.ndarray, "4 4"]:
 
 
 def _mesh(document: _Document, binary: bytes, index: int) -> Triangles:
-    pieces = []
+    pieces: list[Triangles] = []
     numbers = 0
     for primitive in document.meshes[index].primitives:
         if "POSITION" not in primitive.attributes or primitive.mode < 4:

@@ -82,7 +82,7 @@ def read(path: Path, *, scale: float | None = None) -> RawFurniture:
         solved = solve([b.name for b in bodies], [site for b in bodies for site in b.sites])
     except FurnitureError as problem:
         raise FurnitureError(f"'{path}': {problem}") from None
-    parts = []
+    parts: list[NamedTriangles] = []
     for body in bodies:
         label = next((site.label[0] for site in body.sites), "")
         parts.append(NamedTriangles(body.name, body.surface.moved(solved.poses[body.name].homogeneous), label))
@@ -119,7 +119,7 @@ def _read_bodies(path: Path) -> list[_Body]:
     if "" in names or len(set(names)) < len(names):
         raise FurnitureError(f"{where}: bodies have names, all different; got {files.one_line(str(names))}")
     assets = _Assets(path, root)
-    bodies = []
+    bodies: list[_Body] = []
     for name, element in zip(names, elements, strict=True):
         here = f"{where}: body '{name}'"
         if element.find("body") is not None:

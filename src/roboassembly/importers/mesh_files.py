@@ -195,7 +195,8 @@ def _ascii_ply(body: bytes, elements: list[_Element]) -> tuple[np.ndarray, np.nd
             table = np.array([[float(w) for w in line.split()] for line in rows]).reshape(len(rows), len(names))
             points = table[:, [names.index(axis) for axis in "xyz"]]
         elif element.name == "face":
-            ring_name, rings = _ring_property(element), []
+            ring_name = _ring_property(element)
+            rings: list[list[int]] = []
             for line in rows:
                 fields, at = line.split(), 0
                 for p in element.properties:

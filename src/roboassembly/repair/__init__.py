@@ -87,7 +87,7 @@ class PartRepair:
     @property
     def changes(self) -> tuple[str, ...]:
         """Changes of size and losses of depth above `REPORT_THRESHOLD`, one line each."""
-        lines = []
+        lines: list[str] = []
         if abs(self.size_change) > REPORT_THRESHOLD:
             how = "smaller" if self.size_change < 0.0 else "larger"
             lines.append(f"{abs(self.size_change) * 1e3:.1f} mm {how} than delivered")
@@ -151,7 +151,8 @@ def repair(parts: Sequence[RawPart], *, gap: float = GAP, limits: RepairLimits |
             piece.become(piece.body.simplify(tidy))
     check_sizes(pieces, limits)
     bodies = {piece.name: piece.body for piece in pieces}
-    out, report = [], []
+    out: list[RawPart] = []
+    report: list[PartRepair] = []
     for part, piece in zip(parts, pieces, strict=True):
         skin = to_surface(piece.body)
         change = _size_change(part.mesh, skin.vertices)

@@ -116,7 +116,7 @@ def keep_alike(pieces: list[Piece], alike: Sequence[Likeness], limits: RepairLim
 
 def _still_alike(bodies: Sequence[m3.Manifold], turns: Float[np.ndarray, "n 3 3"]) -> bool:
     """Return whether the first body is congruent to all others, and has as many symmetries as there are rotations."""
-    centred = []
+    centred: list[Mesh] = []
     for body in bodies:
         skin = to_surface(body)
         mesh = Mesh(skin.vertices, skin.faces)

@@ -71,16 +71,19 @@ class Blocking:
         return [among]
 
 
-Direction = tuple[float, ...]
+Move = tuple[Shell, Shell, tuple[float, ...]]
+"""Shell that moves, shell that stays, and the direction."""
 
 
 @dataclass(eq=False)
 class BlockingCache:
     """Cache of results for pairs of shells, shared by successive openings, which change few shells."""
 
-    contacts: dict[tuple[Shell, Shell], tuple[float, ContactDirections]] = field(default_factory=dict)
-    blocked: dict[tuple[Shell, Shell, Direction], bool] = field(default_factory=dict)
-    exits: dict[tuple[Shell, Shell, Direction], bool] = field(default_factory=dict)
+    contacts: dict[tuple[Shell, Shell], tuple[float, ContactDirections]] = field(
+        default_factory=dict[tuple[Shell, Shell], tuple[float, ContactDirections]]
+    )
+    blocked: dict[Move, bool] = field(default_factory=dict[Move, bool])
+    exits: dict[Move, bool] = field(default_factory=dict[Move, bool])
 
     def contact(self, shell: Shell, other: Shell) -> tuple[float, ContactDirections]:
         """Return the distance of two shells [m] and contact normals, each with whether it holds throughout."""
@@ -143,7 +146,7 @@ def blocking(shells: Sequence[Shell], cache: BlockingCache | None = None) -> Blo
             if owner is not None and owners is not None and float(direction @ other) > _EQUAL:
                 kept[k] = (other, (*owners, *owner))
     directions = np.array([direction for direction, _ in kept])
-    arcs = tuple({p: set() for p in range(len(shells))} for _ in directions)
+    arcs: tuple[dict[int, set[int]], ...] = tuple({p: set() for p in range(len(shells))} for _ in directions)
     for a, b in near:
         blocked = [cache.blocks(shells[a], shells[b], direction) for direction in directions]
         for index, direction in enumerate(directions):
@@ -174,7 +177,8 @@ def _facing(shell: Shell, other: Shell, distance: float) -> Float[np.ndarray, "3
     The nearest two points of rough surfaces are a poor estimate of the joint's normal.
     """
     pairs = shell.pairs_near(other, distance + FACING_MARGIN)
-    normals, areas = [], []
+    normals: list[Float[np.ndarray, "n 3"]] = []
+    areas: list[Float[np.ndarray, "n"]] = []
     for side, which in ((shell, pairs[:, 0]), (other, pairs[:, 1])):
         a, b, c = np.swapaxes(side.surface.corners[which], 0, 1)
         normal = np.cross(b - a, c - a)

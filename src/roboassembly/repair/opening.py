@@ -146,7 +146,7 @@ def _candidate_exits(core: Parts, graph: Blocking) -> list[_ExitCandidate]:
     members = sorted(core)
     most = len(members) - 1 if len(members) <= MAX_FULL_SEARCH else 2
     subsets = [frozenset(s) for size in range(1, most + 1) for s in combinations(members, size)]
-    directions = [tuple(np.round(direction, 3).tolist()) for direction in graph.directions]
+    directions = [(x, y, z) for x, y, z in graph.directions.round(3).tolist()]
     return [
         _ExitCandidate(s, core - s, index, direction)
         for s in subsets

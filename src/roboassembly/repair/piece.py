@@ -33,14 +33,14 @@ class Piece:
     """Volume trimmed so far [m³]."""
     moved: Float[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))
     """Translation so far [m]."""
-    notes: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list[str])
     weight: float = 1.0
     """Factor on the cost of trimming this part in the choice of the part to trim."""
     axes: Float[np.ndarray, "3 3"] = field(default_factory=lambda: np.eye(3))
     """Axes of the smallest box around the part: unit vectors in rows, the longest side first."""
     size: Float[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))
     """Size along these axes before any trimming [m]."""
-    depths: dict[str, Float[np.ndarray, "3"]] = field(default_factory=dict)
+    depths: dict[str, Float[np.ndarray, "3"]] = field(default_factory=dict[str, Float[np.ndarray, "3"]])
     """Depths in neighbours along the axes before any trimming, by the neighbour's name [m]."""
     _shell: Shell | None = None
 

@@ -164,7 +164,7 @@ def _clear_all(pieces: list[Piece], gap: float, limits: RepairLimits, careful: b
     close: list[tuple[Piece, Piece]] = []
     for attempt in range(ROUNDS):
         width = gap * (1.0 + 0.25 * attempt)
-        overlaps = []
+        overlaps: list[tuple[float, int, int]] = []
         for i, j in combinations(range(len(pieces)), 2):
             a, b = pieces[i], pieces[j]
             if a.shell.box_distance(b.shell) > gap:
@@ -294,9 +294,11 @@ def _goes_beyond(trimmed: Piece, cutter: Piece, made: Cut) -> bool:
 
 
 def _islands(pieces: list[Piece]) -> list[list[int]]:
-    left, out = set(range(len(pieces))), []
+    left = set(range(len(pieces)))
+    out: list[list[int]] = []
     while left:
-        stack, island = [min(left)], []
+        stack = [min(left)]
+        island: list[int] = []
         left.discard(stack[0])
         while stack:
             p = stack.pop()

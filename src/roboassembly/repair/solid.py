@@ -78,7 +78,7 @@ def solidify(name: str, mesh: Mesh, max_faces: int) -> Solid:
         FurnitureError: the part has no area.
     """
     surface, removed = clean(mesh.vertices, mesh.faces)
-    notes = []
+    notes: list[str] = []
     if removed.duplicates:
         notes.append(f"{removed.duplicates} duplicate triangles removed")
     if removed.degenerate:
@@ -145,7 +145,7 @@ def _is_sound(body: m3.Manifold) -> bool:
 
 def _closed(pieces: list[Surface]) -> Surface | None:
     """Return all pieces oriented, with holes filled where possible; None if a piece cannot be oriented."""
-    out = []
+    out: list[Surface] = []
     for piece in pieces:
         wound = orient(piece)
         if wound is None:
@@ -175,7 +175,7 @@ def _by_pieces(pieces: list[Surface]) -> _Build:
     if bodies and sheets:
         solid_points = np.concatenate([sample(to_surface(b), SPACING, 60_000)[0] for b in bodies])
         tree = KDTree(solid_points)
-        paint = [tree.query(sample(s, SPACING, 20_000)[0])[0].max() < NEAR_SOLID + SPACING for s in sheets]
+        paint = [np.max(tree.query(sample(s, SPACING, 20_000)[0])[0]) < NEAR_SOLID + SPACING for s in sheets]
         if any(paint):
             notes.append(f"{sum(paint)} sheets without thickness, lying on the solid, dropped")
         sheets = [s for s, is_paint in zip(sheets, paint, strict=True) if not is_paint]
@@ -244,7 +244,7 @@ def _hull(piece: Surface) -> m3.Manifold | None:
     hull = m3.Manifold.hull_points(piece.vertices)
     points, _ = sample(to_surface(hull), SPACING, 40_000)
     own, _ = sample(piece, 0.5 * SPACING, 80_000)
-    far = KDTree(own).query(points)[0] > HULL_TOLERANCE + 0.5 * SPACING
+    far = np.asarray(KDTree(own).query(points)[0]) > HULL_TOLERANCE + 0.5 * SPACING
     return hull if far.mean() < 0.01 else None
 
 

@@ -163,7 +163,7 @@ def _patch_signs(
     flow = np.zeros(len(count))
     size = np.bincount(label, minlength=patches)
     value = np.where(forward, 1, -1) * sign[owner]
-    mine = defaultdict(list)
+    mine: defaultdict[int, list[int]] = defaultdict(list)
     for h in busy.tolist():
         mine[int(label[owner[h]])].append(h)
     for sweep in range(4):
@@ -205,7 +205,7 @@ def rims(surface: Surface) -> list[list[int]]:
                 following[b].append(a)
             else:
                 following[a].append(b)
-    rim_loops = []
+    rim_loops: list[list[int]] = []
     for start in sorted(following):
         while following[start]:
             path, place = [start], {start: 0}
@@ -279,7 +279,8 @@ def _least_cap(v: Float[np.ndarray, "v 3"], loop: list[int]) -> Int[np.ndarray, 
         total = cost[i[:, None], m] + cost[m, j[:, None]] + area
         k = np.argmin(total, axis=1)
         cost[i, j], split[i, j] = total[i, k], m[i, k]
-    out, stack = [], [(0, n - 1)]
+    out: list[tuple[int, int, int]] = []
+    stack = [(0, n - 1)]
     while stack:
         i, j = stack.pop()
         if j - i >= 2:
@@ -313,7 +314,7 @@ def thicken(sheet: Surface, thickness: float) -> Surface:
         np.add.at(normal, sheet.faces[:, k], weighted)
     normal *= 0.5 * thickness / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
     n = len(sheet.vertices)
-    walls = []
+    walls: list[tuple[int, int, int]] = []
     for loop in rims(sheet):
         for p, q in zip(loop, [*loop[1:], loop[0]], strict=True):
             walls += [(p, q, q + n), (p, q + n, p + n)]
@@ -333,7 +334,8 @@ def sample(surface: Surface, spacing: float, limit: int = 200_000) -> tuple[np.n
     area = np.cumsum(0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1))
     count = int(min(limit, np.ceil(2.0 * area[-1] / spacing**2) + 1))
     k = np.arange(count)
-    owner = np.minimum(np.searchsorted(area, (k + 0.5) / count * area[-1]), len(area) - 1)
+    place: Float[np.ndarray, "n"] = (k + 0.5) / count * area[-1]
+    owner = np.minimum(np.searchsorted(area, place), len(area) - 1)
     # The R2 sequence of low discrepancy (plastic number), folded into the triangle.
     u, v = (0.5 + k * 0.7548776662466927) % 1.0, (0.5 + k * 0.5698402909980532) % 1.0
     fold = u + v > 1.0

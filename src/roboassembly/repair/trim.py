@@ -165,7 +165,7 @@ def plane_cut(body: m3.Manifold, other: m3.Manifold, gap: float) -> list[Cut]:
     mean = (normals * areas[:, None]).sum(axis=0)
     candidates = [mean] if np.linalg.norm(mean) > 1e-12 else []
     candidates += [np.eye(3)[int(np.argmax(np.abs(mean)))] * np.sign(mean[int(np.argmax(np.abs(mean)))] or 1.0)]
-    out = []
+    out: list[Cut] = []
     overlap = (tool ^ body).bounding_box()
     low, high = np.reshape(overlap, (2, 3))
     before = len(_sizeable(body)[0])

@@ -26,6 +26,9 @@ _PROBES = 24
 _CORNERS = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]])
 _TETRAHEDRA = np.array([[0, 1, 2, 6], [0, 2, 3, 6], [0, 3, 7, 6], [0, 7, 4, 6], [0, 4, 5, 6], [0, 5, 1, 6]])
 
+_BLOCK = np.ones((3, 3, 3), dtype=bool)
+"""Node and its 26 neighbours."""
+
 
 def wrap(surface: Surface, closed: Surface | None = None) -> tuple[m3.Manifold, float]:
     """Return a solid whose skin follows the outer side of `surface`, and the grid spacing used [m].
@@ -48,7 +51,7 @@ def wrap(surface: Surface, closed: Surface | None = None) -> tuple[m3.Manifold, 
     origin = low - 4 * step + 0.5 * (size - np.ceil(size / step) * step)
     field = _signed(skin, origin, step, shape, wound=closed is not None)
     points, owner = sample(surface, step)
-    solid = np.asarray(ndimage.binary_dilation(field < 0, np.ones((3, 3, 3)), iterations=2), dtype=bool)
+    solid = np.asarray(ndimage.binary_dilation(field < 0, _BLOCK, iterations=2), dtype=bool)
     lost = ~solid[tuple(np.rint((points - origin) / step).astype(int).T)]
     if lost.any():
         sheet = Surface(surface.vertices, surface.faces[np.unique(owner[lost])]).compact()
@@ -65,7 +68,7 @@ def _distance(
     points, owner = sample(surface, step)
     near = np.zeros(shape, dtype=bool)
     near[tuple(np.rint((points - origin) / step).astype(int).T)] = True
-    near = np.asarray(ndimage.binary_dilation(near, np.ones((3, 3, 3)), iterations=3), dtype=bool)
+    near = np.asarray(ndimage.binary_dilation(near, _BLOCK, iterations=3), dtype=bool)
     where = np.argwhere(near)
     nodes = origin + where * step
     _, found = KDTree(points).query(nodes, k=3)
@@ -136,7 +139,7 @@ def _march(field: Float[np.ndarray, "x y z"]) -> tuple[Float[np.ndarray, "v 3"],
     tetra = flat[:, _TETRAHEDRA].reshape(-1, 4)
     value = field.reshape(-1)
     code = ((value[tetra] < 0) * np.array([1, 2, 4, 8])).sum(axis=1)
-    triangles = []
+    triangles: list[Int[np.ndarray, "n 3 2"]] = []
     for single in range(4):
         a, b, c = (k for k in range(4) if k != single)
         t = tetra[(code == 1 << single) | (code == 15 - (1 << single))]
