@@ -12,9 +12,12 @@ import coal
 import fast_simplification
 import imageio.v3 as iio
 import imageio_ffmpeg
+import jax
+import jax.numpy as jnp
 import manifold3d as m3
 import mujoco
 import numpy as np
+import optax
 import pinocchio as pin
 import pytest
 import trimesh
@@ -233,3 +236,22 @@ def test_films_and_pictures_are_written_as_the_stubs_say(tmp_path: Path) -> None
     assert writer.send(None) is writer.send(picture) is None
     writer.close()
     assert (tmp_path / "a.mp4").stat().st_size > 0
+
+
+def test_transformations_of_jax_take_and_return_what_the_stubs_say() -> None:
+    def loss(x: jax.Array, y: float) -> tuple[jax.Array, dict[str, jax.Array]]:
+        return (x * y).sum(), {"largest": x.max()}
+
+    x = jnp.arange(3)[:, None] * jnp.zeros((3, 1))
+    (value, terms), gradient = jax.value_and_grad(loss, has_aux=True)(x, 2.0)
+    assert [type(v).__name__ for v in (value, terms["largest"], gradient)] == ["ArrayImpl"] * 3
+    assert jax.jit(loss, static_argnums=1)(x, 2.0)[1].keys() == terms.keys()
+    total, rows = jax.lax.scan(lambda a, b: (a + b, b), jnp.zeros((1,)), x)
+    assert (total.shape, rows.shape) == ((1,), (3, 1))
+    optimiser = optax.chain(optax.clip_by_global_norm(1.0), optax.adamw(optax.cosine_decay_schedule(0.1, 9)))
+    params = {"a": {"w": x}}
+    state = optimiser.init(params)
+    structure, leaves = jax.tree.structure(state), jax.tree.leaves(state)
+    assert structure.num_leaves == len(leaves)
+    change, state = optimiser.update(params, jax.tree.unflatten(structure, leaves), params)
+    assert jax.tree.structure(optax.apply_updates(params, change)) == jax.tree.structure(params)

@@ -321,7 +321,7 @@ def _check_same_run(config: BenchmarkConfig, folder: Path) -> None:
 def timed(folder: Path, stage: str, steps: Iterable[Progress]) -> Iterator[Progress]:
     """Add up the seconds of a stage over all its runs; a run that is killed loses the last few."""
     path = folder / "seconds.json"
-    seconds = json.loads(path.read_text()) if path.is_file() else {}
+    seconds: dict[str, float] = json.loads(path.read_text()) if path.is_file() else {}
     begun = written = time.monotonic()
     before = seconds.get(stage, 0.0)
 

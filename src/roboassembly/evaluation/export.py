@@ -11,6 +11,7 @@ and each episode's metadata has its `seed` and `options`, so that every episode 
 
 from __future__ import annotations
 
+import importlib
 import re
 import shutil
 import tempfile
@@ -61,8 +62,8 @@ def check_target(path: Path) -> None:
         InputError: the name suits no data set, or the path exists.
     """
     try:
-        import h5py  # noqa: F401
-        import minari  # noqa: F401
+        for needed in ("h5py", "minari"):
+            importlib.import_module(needed)
     except ModuleNotFoundError as error:
         raise MissingExtraError(str(error.name), "learn") from None
     if not _ID.fullmatch(path.name):
@@ -153,7 +154,7 @@ def _replay(
         seed=episode.seed,
         options={"furniture": index},
         observations={key: np.array([o[key] for o in seen]) for key in seen[0]},
-        actions=np.array([t.action for t in tried], np.int64),  # pyright: ignore[reportArgumentType] (arrays are stored as they are)
+        actions=np.array([t.action for t in tried], np.int64),
         rewards=[reward_of(t.merged, t.outcome.state.complete) for t in tried],
         terminations=[False] * (n - 1) + [True],
         truncations=[False] * n,

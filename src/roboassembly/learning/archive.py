@@ -7,7 +7,7 @@ import os
 import struct
 import zipfile
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Generator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -38,7 +38,7 @@ def write(path: Path, arrays: Mapping[str, Any]) -> None:
 
 
 @contextmanager
-def reading(path: Path, what: str, remedy: str, largest: int | None = None) -> Iterator[Arrays]:
+def reading(path: Path, what: str, remedy: str, largest: int | None = None) -> Generator[Arrays]:
     """Open the arrays that `write` wrote; errors inside the block count as errors of the file.
 
     Args:

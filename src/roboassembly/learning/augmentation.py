@@ -28,7 +28,8 @@ class FrameChange:
     @staticmethod
     def draw(rng: np.random.Generator) -> FrameChange:
         """Draw a change; scales are uniform in their logarithm."""
-        scale = float(np.exp(rng.uniform(*np.log(_SCALES))))
+        smallest, largest = (float(x) for x in np.log(_SCALES))
+        scale = float(np.exp(rng.uniform(smallest, largest)))
         return FrameChange(int(rng.integers(4)), bool(rng.integers(2)), scale)
 
     @property

@@ -153,7 +153,7 @@ class RandomPolicy:
         choices = np.flatnonzero(mask)
         if not len(choices):
             raise InputError("the mask has no action; the episode is over")
-        return np.array(np.unravel_index(self.rng.choice(choices), mask.shape))
+        return np.array(np.unravel_index(int(self.rng.choice(choices)), mask.shape))
 
 
 def surest(values: Values) -> Int[np.ndarray, "_"]:
@@ -192,7 +192,7 @@ class _PolicyGuide:
         flat = np.where(mask, scores, 0.0).ravel()
         top = np.argpartition(-flat, _SUGGESTIONS)[:_SUGGESTIONS]
         # Rounded, then by number: rounding errors must not choose between equal parts.
-        order = top[np.lexsort((top, -np.round(flat[top] / _TIE)))]
+        order: list[int] = top[np.lexsort((top, -np.round(flat[top] / _TIE)))].tolist()
         return [
             Suggestion(tuple(int(i) for i in np.unravel_index(index, mask.shape)), float(flat[index]))
             for index in order
@@ -214,7 +214,7 @@ def _checked_values(policy: Policy, what: str, values: Values, mask: Mask) -> Va
     return values
 
 
-def guide_of(policy: Policy) -> Guide:
+def guide_of(policy: Policy) -> Guide[Any]:
     """Return a guide for the search (`solvers.search.solve(..., guide=...)`) from a policy.
 
     Raises:

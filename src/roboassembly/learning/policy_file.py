@@ -6,10 +6,10 @@ import hashlib
 import importlib.util
 import sys
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from types import ModuleType
-from typing import Any, TypeVar, get_args
+from typing import Any, TypeVar, cast, get_args
 
 import numpy as np
 
@@ -105,7 +105,11 @@ def _checked(policy: Any, path: Path) -> Policy:
         raise bad(f"a {kind} whose `name` is {policy.name!r}; {expected['name']} would do")
     if not whole or points < 1:
         raise bad(f"a {kind} whose `cloud_points` is {points!r}; {expected['cloud_points']} would do")
-    if not isinstance(settings, tuple | list) or not settings or any(s not in _SETTINGS for s in settings):
+    if (
+        not isinstance(settings, tuple | list)
+        or not settings
+        or any(s not in _SETTINGS for s in cast("Iterable[object]", settings))
+    ):
         raise bad(f"a {kind} whose `settings` is {settings!r}; like {_SETTINGS!r} would do")
     if not callable(policy.act):
         raise bad(f"a {kind} whose `act` is {policy.act!r}; {expected['act']} would do")

@@ -93,7 +93,7 @@ class BlockingGraphs:
         mover = Body("a", (Shape(f.parts[a].mesh, SE3.Identity()),), f.assembled[a], moves=True)
         mate = Body("b", (Shape(f.parts[b].mesh, SE3.Identity()),), f.assembled[b])
         world = CollisionWorld(Scene((mover, mate), ground=False))
-        out = []
+        out: list[bool] = []
         for d in self.directions:
             toward = normals @ d
             if toward.max() > _TOWARD:
@@ -230,7 +230,7 @@ def _mask(parts: Iterable[int]) -> int:
 
 def _bits(mask: int) -> list[int]:
     """Return the parts of a mask, ascending."""
-    out = []
+    out: list[int] = []
     while mask:
         lowest = mask & -mask
         out.append(lowest.bit_length() - 1)

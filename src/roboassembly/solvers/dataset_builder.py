@@ -97,7 +97,8 @@ def build_dataset(recipe: Recipe, seed: int, jobs: int) -> Iterator[tuple[int, i
         done = len(selected) - len(todo)
         yield done, len(selected)
         while todo:
-            for candidate in pool.map(examine, *zip(*todo, strict=True), chunksize=1):
+            families, seeds = [name for name, _ in todo], [number for _, number in todo]
+            for candidate in pool.map(examine, families, seeds, chunksize=1):
                 log.write(msgspec.json.encode(candidate) + b"\n")
                 log.flush()
                 known[candidate.family, candidate.seed] = candidate

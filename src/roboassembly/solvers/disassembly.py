@@ -72,7 +72,7 @@ class Disassembly:
                 if first is not None and second is not None:
                     yield [*first, *second, (leaving, staying)]
 
-        return build(frozenset().union(*partition))
+        return build(frozenset[int]().union(*partition))
 
     def _splits(self, parts: Parts, partition: Partition, straight: bool, exhaustive: bool) -> Iterator[Split]:
         """Yield the splits of `parts` that break no group: those of the blocking graphs, then all others."""
@@ -95,7 +95,7 @@ class Disassembly:
             for half in sorted(layer, key=sorted):
                 if len(furniture.connected_components(parts - half)) == 1:
                     yield half
-            reach = {h: frozenset().union(*(furniture.neighbours[p] for p in h)) & parts - h for h in layer}
+            reach = {h: frozenset[int]().union(*(furniture.neighbours[p] for p in h)) & parts - h for h in layer}
             layer = {h | g for h in layer for g in groups if g & reach[h]}
 
     def exits(self, moving: Parts, waiting: Parts) -> list[np.ndarray]:

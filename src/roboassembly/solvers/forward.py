@@ -116,12 +116,12 @@ class Search(Generic[State, AStep]):
     seed: int
     round: Round
     """Present round; at first the one in which a guide's suggestions are tried."""
-    refused: set[frozenset[Parts]] = field(default_factory=set)
+    refused: set[frozenset[Parts]] = field(default_factory=set[frozenset[Parts]])
     """Splits for which no action could be planned."""
     watch: Watch | None = None
-    dead: set[frozenset[Parts]] = field(default_factory=set)
+    dead: set[frozenset[Parts]] = field(default_factory=set[frozenset[Parts]])
     """Partitions from which the search failed."""
-    steps: list[tuple[AStep, State]] = field(default_factory=list)
+    steps: list[tuple[AStep, State]] = field(default_factory=list[tuple[AStep, State]])
     """Steps of the present branch, each with the state after it."""
     stopped: bool = False
     """Whether `watch` stopped the search."""
@@ -132,7 +132,7 @@ class Search(Generic[State, AStep]):
     guided: int = 0
     guide_seconds: float = 0.0
     strays: int = 0
-    verdicts: dict[str, int] = field(default_factory=dict)
+    verdicts: dict[str, int] = field(default_factory=dict[str, int])
 
     def __post_init__(self) -> None:
         self.disassembly = Disassembly(self.task.furniture, self.exhausted)

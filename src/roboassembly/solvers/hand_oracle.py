@@ -43,7 +43,7 @@ class HandOracle(Oracle):
         return np.full(len(UP_AXES), self._joinable[key])
 
     def _grippers_join(self, moving: Parts, waiting: Parts) -> bool:
-        pairs = []
+        pairs: list[tuple[End, End]] = []
         for c in self.furniture.connections:
             a, b = (c.part_a, c.point_a), (c.part_b, c.point_b)
             if c.part_a in moving and c.part_b in waiting:

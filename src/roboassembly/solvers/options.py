@@ -141,7 +141,7 @@ def fitting(task: FullTask, state: TaskState, pairs: list[tuple[End, End]], *, l
         return known[key]
 
     for index in np.random.default_rng(0).permutation(len(tries)):
-        u_end, v_end, g_a, g_b = tries[index]
+        u_end, v_end, g_a, g_b = tries[int(index)]
         (u, k), (v, m) = u_end, v_end
         merge, grip_a, grip_b = merges[u_end, v_end], grip_of(u, g_a), grip_of(v, g_b)
         if merge is None or grip_a is None or grip_b is None:

@@ -64,7 +64,7 @@ class Oracle:
     @cached_property
     def _mating_types(self) -> set[tuple[int, int, int, int]]:
         """Pairs of point types that the furniture's connections join, in both orders."""
-        out = set()
+        out: set[tuple[int, int, int, int]] = set()
         for c in self.furniture.connections:
             a, b = self._point_types[c.part_a, c.point_a], self._point_types[c.part_b, c.point_b]
             out.update([(*a, *b), (*b, *a)])
@@ -73,7 +73,7 @@ class Oracle:
     @cached_property
     def _point_types(self) -> dict[tuple[int, int], tuple[int, int]]:
         """Type `(class, orbit)` of each point: symmetries and swaps of equal parts keep the type."""
-        out = {}
+        out: dict[tuple[int, int], tuple[int, int]] = {}
         for index, shape_class in enumerate(self.furniture.classes):
             orbits: list[Float[np.ndarray, "s 3"]] = []
             for member in shape_class.members:
@@ -96,7 +96,7 @@ class Oracle:
             if (part, k) not in occupied
         ]
         ends.sort()
-        out = []
+        out: list[LabeledMate] = []
         for v, l, type_v in ends:  # noqa: E741
             for u, k, type_u in ends:
                 if state.group_of[u] == state.group_of[v] or (*type_u, *type_v) not in self._mating_types:

@@ -48,7 +48,7 @@ def assemble_in_random_order(
     def propose(state: TaskState) -> Iterator[Action]:
         pairs = _open_pairs(task, state)
         for index in rng.permutation(len(pairs))[: None if patient else 1]:
-            yield from _actions(pairs[index], rng, best_w)
+            yield from _actions(pairs[int(index)], rng, best_w)
 
     tried = list(rollout(task, task.initial_state(rng), propose, rng, budget))
     return RandomOrderResult(

@@ -129,4 +129,4 @@ def train(
     def init_params() -> Params:
         return init(np.random.default_rng(training.seed))
 
-    yield from Fit(path, KIND, training, notes).run(init_params, optimiser.init, update, batches)  # pyright: ignore[reportArgumentType]
+    yield from Fit(path, KIND, training, notes).run(init_params, optimiser.init, update, batches)

@@ -361,7 +361,7 @@ def _batches(examples: Sequence[PaperExample], training: PaperTraining, first: i
             pass_ = number // per_pass
             order = _order(examples, training.batch, np.random.default_rng([training.seed, 0, pass_]))
         rng = np.random.default_rng([training.seed, 1, number])
-        yield batch_of([examples[i] for i in order[number % per_pass]], rng, scatter=training.scatter)
+        yield batch_of([examples[int(i)] for i in order[number % per_pass]], rng, scatter=training.scatter)
 
 
 def _order(examples: Sequence[PaperExample], batch: int, rng: np.random.Generator) -> np.ndarray:
@@ -378,5 +378,5 @@ def _inputs(examples: Sequence[PaperExample], seed: int) -> Params:
     some = np.random.default_rng([seed, 2]).permutation(len(examples))[:_NORMALISED_BY]
     states = np.zeros((len(some), paper.state_size(examples[0].grasps is not None)), np.float32)
     for row, i in zip(states, some, strict=True):
-        examples[i].state(0).write(row)
+        examples[int(i)].state(0).write(row)
     return dict(paper.normalization(states))

@@ -163,6 +163,6 @@ def _patches(
     out: list[Float[np.ndarray, "k 125"]] = []
     for step in PATCH_STEPS:
         queries = position[:, None] + np.einsum("nij,qj->nqi", frame, PATCH_GRID * step)
-        distance: Float[np.ndarray, "q"] = tree.query(queries.reshape(-1, 3), distance_upper_bound=1.5 * step)[0]
+        distance = np.asarray(tree.query(queries.reshape(-1, 3), distance_upper_bound=1.5 * step)[0])
         out.append(np.minimum(distance / (1.5 * step), 1.0).reshape(len(position), -1))
     return (255.0 * np.concatenate(out, axis=1)).astype(np.uint8)

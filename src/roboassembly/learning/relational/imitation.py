@@ -218,7 +218,7 @@ def cross_entropy(logit: jax.Array, truth: jax.Array) -> jax.Array:
 
 
 @jax.jit
-def gradient_of(params: Any, batch: dict[str, Any]) -> tuple[Any, dict[str, jax.Array]]:
+def gradient_of(params: Any, batch: Batch) -> tuple[Any, dict[str, jax.Array]]:
     """Return the gradient of `losses` and the means of its terms.
 
     It is compiled once for each size of batch, whatever the training. On a CPU a batch is taken in pieces.

@@ -312,7 +312,7 @@ class PlanExplorer:
     def _separated(self, plan: list[Pair]) -> Bool[np.ndarray, "m m"]:
         """Return the pairs of points of parts that the plan leaves in different groups."""
         part = self.env.part
-        group = np.arange(part.max() + 1)
+        group = np.arange(int(part.max()) + 1)
         for row, column in plan:
             group[group == group[part[row]]] = group[part[column]]
         return group[part][:, None] != group[part][None]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, Int32
 
 from roboassembly.furniture.model import SAME_POINT, Furniture
 from roboassembly.geometry.poses import SE3
@@ -50,7 +50,7 @@ class RowTable:
     """Rows of integers that are only ever appended."""
 
     def __init__(self, width: int) -> None:
-        self._rows = np.zeros((256, width), np.int32)
+        self._rows: Int32[np.ndarray, "k w"] = np.zeros((256, width), np.int32)
         self.count = 0
 
     def append(self, *row: int) -> None:
@@ -108,7 +108,7 @@ class GroupTable:
         counts = point_counts(task.furniture)
         self.part: Int[np.ndarray, "n"] = np.repeat(np.arange(len(counts)), counts)
         """Part of each row; a row is the number of a point among all points of the chair."""
-        self.point: Int[np.ndarray, "n"] = np.concatenate([np.arange(n) for n in counts])
+        self.point: Int[np.ndarray, "n"] = np.concatenate([np.arange(int(n)) for n in counts])
         """Number of each row's point in its part."""
         self._first = np.cumsum([0, *counts])
         self.equal_part: Int[np.ndarray, "P"] = equal_parts(task.furniture)
@@ -135,7 +135,7 @@ class GroupTable:
         if len(typed.parts) == 1:
             return self._start[typed.parts[0]]
         kind = self.types[typed.type_id]
-        order = np.argsort(typed.parts)
+        order: list[int] = np.argsort(typed.parts).tolist()
         return Group(
             tuple(typed.parts[i] for i in order),
             tuple(kind.slots[i] for i in order),
@@ -194,7 +194,7 @@ class GroupTable:
         """Return the number of a group's type, which has a key; adds the type if it is new."""
         if key not in self.type_ids:
             self.type_ids[key] = len(self.types)
-            order = np.argsort(group.slots)
+            order: list[int] = np.argsort(group.slots).tolist()
             free_points = self._rules.free_points(TaskState((group,)))
             parts = [group.parts[i] for i in order]
             free = np.flatnonzero(np.concatenate([free_points[p, : len(self._rows(p))] for p in parts]))
@@ -204,7 +204,7 @@ class GroupTable:
         return self.type_ids[key]
 
     def _rows(self, part: int) -> range:
-        return range(self._first[part], self._first[part + 1])
+        return range(int(self._first[part]), int(self._first[part + 1]))
 
     def group_id(self, type_id: int, parts: tuple[int, ...]) -> int:
         """Return the number of the group of some parts, in the order of the type's slots; adds it if it is new."""

@@ -191,7 +191,11 @@ _update = jax.jit(_updated, static_argnums=0)
 @jax.jit
 def values(params: Any, features: Any, part: Any, joined: Any, free: Any) -> Any:
     """Return Q of one state for each of several experts."""
-    return jax.vmap(lambda p, f, o, j, x: apply(p, f, o, j[None], x[None])[0])(params, features, part, joined, free)
+
+    def of_one(p: Params, features: Array, part: Array, joined: Array, free: Array) -> Array:
+        return apply(p, features, part, joined[None], free[None])[0]
+
+    return jax.vmap(of_one)(params, features, part, joined, free)
 
 
 def slice_of(tree: Any, i: int) -> Any:

@@ -14,6 +14,8 @@ No knowledge of the chair is used, but rules that hold for all furniture and tha
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from jaxtyping import Bool, Int, Int8
 
@@ -29,6 +31,7 @@ from roboassembly.task.full.task import FullTask
 from roboassembly.task.layout import free_spot
 from roboassembly.task.object_centric.task import ObjectCentricTask
 from roboassembly.task.rules.groups import Circle, Group, TaskState, group_footprint
+from roboassembly.task.setting import Task
 
 _CACHED = 150e6
 """Largest size of the cached tables of knowledge, one a state [bytes]."""
@@ -52,7 +55,7 @@ class MemoizedEnv:
         """Number of choices of each pair of points, over all action branches."""
         self.check = SETTINGS[task.setting].make_mate_check(task)
         rng = np.random.default_rng(seed)
-        initial = task.groups_of(task.initial_state(rng))  # pyright: ignore[reportArgumentType]
+        initial = _initial_groups(task, rng)
         self.table = GroupTable(task, initial.groups, self.check.by_part)
         self.part, self.point, self.equal_part = self.table.part, self.table.point, self.table.equal_part
         self.geometry = MateGeometry(self.table, lambda: self.tried[1] > 0)
@@ -273,3 +276,8 @@ class MemoizedEnv:
         self._tried, self._outcome_counts = arrays["tried"].copy(), arrays["outcome_counts"].copy()
         self.planned = int(arrays["planned"])
         self._cache.clear()
+
+
+def _initial_groups(task: Task[Any, Any], rng: np.random.Generator) -> TaskState:
+    """Groups of a state in which an episode begins, in either setting."""
+    return task.groups_of(task.initial_state(rng))

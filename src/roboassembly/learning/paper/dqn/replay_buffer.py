@@ -134,7 +134,8 @@ class ReplayBuffer:
         after = np.zeros((batch, backups), int)
         real = np.zeros((batch, backups), np.float32)
         whole = np.zeros((batch, n, n, choices), bool)
-        for row, i in enumerate(chosen.tolist()):
+        numbers: list[int] = chosen.tolist()
+        for row, i in enumerate(numbers):
             state = self.states[i]
             fails[row, :m, :m] = (self.env.known(state) >= FAILS) & self.env.exists(state)[..., None]
             known = list(self.merges[i].items())
@@ -144,17 +145,17 @@ class ReplayBuffer:
                 if slot == 0:
                     action, follower = max(known, key=lambda merge: self.reached(merge[1]))
                 else:
-                    action, follower = known[rng.integers(len(known))]
+                    action, follower = known[int(rng.integers(len(known)))]
                 actions[row, slot], after[row, slot], real[row, slot] = action, follower, 1.0
-        flat = after.ravel().tolist()
+        flat: list[int] = after.ravel().tolist()
         rewards = np.array([self.reward(i) for i in flat], np.float32)
         ahead = np.array([self.best[i] for i in flat], np.float32)
         shape = after.shape
         return {
             "features": self.inputs.features,
             "part": self.inputs.part,
-            "joined": np.array([self.joined[i] for i in chosen], np.float32),
-            "free": np.array([self.free[i] for i in chosen], np.float32),
+            "joined": np.array([self.joined[i] for i in numbers], np.float32),
+            "free": np.array([self.free[i] for i in numbers], np.float32),
             "fails": fails,
             "actions": actions,
             "rewards": rewards.reshape(shape),

@@ -133,7 +133,7 @@ def train(
         return grasping.init(np.random.default_rng(training.seed))
 
     fit = Fit(path, grasping.KIND, training, notes)
-    yield from fit.run(init_params, optimiser(training).init, partial(_update, training), batches)  # pyright: ignore[reportArgumentType]
+    yield from fit.run(init_params, optimiser(training).init, partial(_update, training), batches)
 
 
 def accuracy(params: Params, examples: GraspExamples) -> dict[str, float]:
