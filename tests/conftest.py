@@ -15,9 +15,7 @@ import shapes
 from roboassembly.cli import main
 from roboassembly.datasets import catalogue
 from roboassembly.datasets import sets as datasets
-from roboassembly.furniture.annotate import annotate
-from roboassembly.furniture.model import Furniture, Provenance
-from roboassembly.generate import generate
+from roboassembly.furniture.model import Furniture
 from roboassembly.rendering import gl
 from roboassembly.solvers.disassembly import Disassembly, partition_of
 from roboassembly.solvers.options import grasping
@@ -45,15 +43,23 @@ def _own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         yield
 
 
-@cache
-def _chair(family: str, seed: int) -> Furniture:
-    return annotate(f"{family}-{seed}", generate(family, seed), Provenance("generated", f"{family}-{seed}"))
+@pytest.fixture(scope="session", autouse=True)
+def _furniture_made_once() -> Iterator[None]:
+    """Built-in furniture is made once a session: it never changes, and annotation takes long."""
+    made = cache(catalogue.make)
+
+    def make(family: str, seed: int = 0, *, with_grasps: bool = True) -> Furniture:
+        return made(family, seed, with_grasps=with_grasps)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(catalogue, "make", make)
+        yield
 
 
 @pytest.fixture(scope="session")
 def chair():
-    """`chair(family, seed)`: annotated generated furniture, made once a session."""
-    return _chair
+    """`chair(family, seed)`: built-in furniture, made once a session."""
+    return lambda family, seed: catalogue.make(family, seed)
 
 
 @pytest.fixture

@@ -28,6 +28,14 @@ pytest.importorskip("fcl")
 pytest.importorskip("pybullet")
 
 
+_chairs = cache(find_chairs)
+
+
+@pytest.fixture(autouse=True)
+def _chairs_found_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("roboassembly.bench.planning.find_chairs", _chairs)
+
+
 @cache
 def quick_report() -> PlanningBenchReport:
     return run_planning_bench(PlanningBenchConfig.quick())
@@ -36,7 +44,7 @@ def quick_report() -> PlanningBenchReport:
 @cache
 def merge() -> BenchMerge:
     """Return the merge of a slat with a post that already has other slats."""
-    (chair,) = find_chairs("ladder", 15, 1, 0)
+    (chair,) = _chairs("ladder", 15, 1, 0)
     return list(merges_of(chair, 0))[3]
 
 

@@ -23,14 +23,14 @@ from roboassembly.task.object_centric.task import ObjectCentricVerdict
 
 @pytest.fixture(scope="module")
 def stool(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return storage.save(catalogue.make("stool"), tmp_path_factory.mktemp("saved") / "stool")
+    return storage.save(catalogue.make("three_legged", 3), tmp_path_factory.mktemp("saved") / "stool")
 
 
 def test_assemble_writes_what_it_says(run: Run, stool: Path, tmp_path: Path) -> None:
     status, out, err = run("assemble", stool, "--no-film", "--json", "--out", tmp_path / "a", "--seed", "3")
     assert status == 0
     report = json.loads(out)
-    assert (report["success"], report["furniture"], report["parts"], report["merges"]) == (True, "stool-0", 9, 8)
+    assert (report["success"], report["furniture"], report["parts"], report["merges"]) == (True, "three_legged-3", 5, 4)
     assert report["planning_steps"] > 0
     assert report["planning_seconds"] >= 0
     assert set(report["outputs"]) == {"plan", "timings", "furniture", "html"}
@@ -43,7 +43,7 @@ def test_assemble_writes_what_it_says(run: Run, stool: Path, tmp_path: Path) -> 
     assert (report["upright"], report["upright_reason"]) == (True, "")
     assert plan["upright"]["success"]
     assert "upright" in err
-    assert len(plan["steps"]) == 8
+    assert len(plan["steps"]) == 4
     assert all(len(s["action"]) == 5 and len(s["path"]) >= 2 and s["planning_steps"] > 0 for s in plan["steps"])
     assert "seconds" not in (tmp_path / "a" / "plan.json").read_text()
     copy = storage.load(tmp_path / "a" / "furniture")
@@ -93,8 +93,8 @@ def test_a_policy_guides_or_plays_alone(run: Run, stool: Path, tmp_path: Path, u
     arguments = ("assemble", stool, "--no-film", "--json", "--policy", untrained)
     status, out, err = run(*arguments, "--out", tmp_path / "a")
     report = json.loads(out)
-    assert (status, report["success"], report["policy"], report["merges"]) == (0, True, str(untrained), 8)
-    assert 0 <= report["guided_merges"] <= 8
+    assert (status, report["success"], report["policy"], report["merges"]) == (0, True, str(untrained), 4)
+    assert 0 <= report["guided_merges"] <= 4
     assert f"{report['guided_merges']} of them chosen by {untrained}" in err
     status, out, _ = run(*arguments, "--no-search", "--out", tmp_path / "b")
     report = json.loads(out)
@@ -114,7 +114,7 @@ def test_evaluate_reports_and_exports(run: Run, stool: Path, tmp_path: Path, unt
     report = json.loads(out)
     assert (status, report["policy"], report["n"], report["success_rate"]) == (0, "search", 2, 1.0)
     assert (report["seed"], report["unseen"]) == (3, None)
-    assert report["exported"] == {"path": str(tmp_path / "stool-v0"), "episodes": 2, "steps": 16, "refused": 0}
+    assert report["exported"] == {"path": str(tmp_path / "stool-v0"), "episodes": 2, "steps": 8, "refused": 0}
     assert (tmp_path / "stool-v0" / "data" / "metadata.json").is_file()
     status, out, _ = run(*arguments, "--policy", untrained)
     report = json.loads(out)
@@ -311,7 +311,7 @@ def test_output_that_cannot_be_written(run: Run, stool: Path, tmp_path: Path) ->
 
 
 def test_generate_then_assemble(run: Run, tmp_path: Path) -> None:
-    status, out, _ = run("generate", "stool", "--seed", "4", "--out", tmp_path / "s", "--json")
+    status, out, _ = run("generate", "three_legged", "--seed", "3", "--out", tmp_path / "s", "--json")
     assert status == 0
     assert json.loads(out)["outputs"] == {"furniture": str(tmp_path / "s")}
     assert run("assemble", tmp_path / "s", "--no-film", "--out", tmp_path / "a")[0] == 0

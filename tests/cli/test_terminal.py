@@ -16,6 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import roboassembly
+from command_line import Run
 from roboassembly.cli import output
 from roboassembly.datasets import catalogue
 from roboassembly.furniture import storage
@@ -73,7 +74,7 @@ def test_names_of_files_and_parts_in_import(tmp_path: Path) -> None:
 
 
 def test_names_in_furniture_files(tmp_path: Path) -> None:
-    folder = storage.save(catalogue.make("stool", with_grasps=False), tmp_path / "stool")
+    folder = storage.save(catalogue.make("three_legged", 3, with_grasps=False), tmp_path / "stool")
     described = folder / "furniture.json"
     document = json.loads(described.read_text())
     document["name"] = f"stool{NASTY}\nerror: all is lost"
@@ -83,7 +84,7 @@ def test_names_in_furniture_files(tmp_path: Path) -> None:
     assert steering(out + err) == []
     first = err.decode().splitlines()[0]
     assert first.startswith(r"stool\x1b]0;owned\x07")
-    assert r"\nerror: all is lost: 9 parts" in first, "a name cannot make a line of its own"
+    assert r"\nerror: all is lost: 5 parts" in first, "a name cannot make a line of its own"
     document["parts"][0]["name"] = document["parts"][1]["name"] = TITLE
     described.write_text(json.dumps(document))
     status, out, err = command("assemble", folder, "--out", tmp_path / "b")
@@ -95,7 +96,6 @@ def test_names_in_furniture_files(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "arguments",
     [
-        ("assemble", f"no/such/{NASTY}"),
         ("assemble", f"laddr{NASTY}"),
         ("import", "folder", f"gone{NASTY}"),
         ("evaluate", "--policy", f"{NASTY}.npz", "--set", "folder:gone"),
@@ -103,10 +103,26 @@ def test_names_in_furniture_files(tmp_path: Path) -> None:
         ("assemble", f"--{NASTY}"),
         ("assemble", "--seed", NASTY),
         ("train", "expert", "--set", f"chairs{NASTY}"),
+    ],
+)
+def test_words_of_the_command_line_in_errors(
+    run: Run, arguments: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    status, out, err = run(*arguments)
+    assert (status, out) == (2, "")
+    assert err
+    assert steering(err.encode()) == []
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("assemble", f"no/such/{NASTY}"),
         ("import", "folder", b"gone\xff\x1b".decode(errors="surrogateescape")),
     ],
 )
-def test_words_of_the_command_line_in_errors(arguments: tuple[str, ...], tmp_path: Path) -> None:
+def test_words_of_the_command_line_in_errors_of_a_process(arguments: tuple[str, ...], tmp_path: Path) -> None:
     code = f"import os; os.chdir({str(tmp_path)!r}); from roboassembly.cli import main; main()"
     status, out, err = command(*arguments, code=code)
     assert status == 2

@@ -57,6 +57,10 @@ CASES = [(ObjectCentricEnv, name) for name in (*SAMPLE, "imported")] + [(FullEnv
 AnEnv = AssemblyEnv[Any, Any, Any]
 
 
+_RIGHT: dict[tuple[object, ...], tuple[int, ...]] = {}
+"""Right actions found so far, by environment, furniture, seed of the step and poses of the parts."""
+
+
 @cache
 def piece(name: str) -> Furniture:
     return SOURCES[name]()
@@ -83,8 +87,16 @@ def reasoning(furniture: Furniture) -> Disassembly:
 
 
 def right_action(env: AnEnv) -> tuple[int, ...]:
-    """Return an action that merges and keeps the furniture completable."""
+    """Return an action that merges and keeps the furniture completable, found once for each state."""
     seed = int(deepcopy(env.np_random).integers(2**31 - 1))
+    poses = env.task.groups_of(env.state).part_poses
+    state = (type(env), env.task.furniture.name, seed, *(pose.homogeneous.tobytes() for pose in poses))
+    if state not in _RIGHT:
+        _RIGHT[state] = _right_action(env, seed)
+    return _RIGHT[state]
+
+
+def _right_action(env: AnEnv, seed: int) -> tuple[int, ...]:
     assigned = next(env.task.rules.pairs.slot_assignments(env.task.groups_of(env.state)))
     disassembly = reasoning(env.task.furniture)
     rejected: set[frozenset[frozenset[int]]] = set()
@@ -114,7 +126,7 @@ def test_discrete_view_passes_the_checker(env: AnEnv) -> None:
 
 def test_episode_of_right_actions(env: AnEnv, furniture: Furniture) -> None:
     """Each merge gives a reward of 1 and the last one 4 more."""
-    observation, info = env.reset(seed=11)
+    observation, info = env.reset(seed=0)
     assert info["groups"] == len(furniture.parts)
     assert not info["success"]
     rewards, terminated = [], False
@@ -133,7 +145,7 @@ def test_episode_of_right_actions(env: AnEnv, furniture: Furniture) -> None:
 
 
 def test_observation_is_the_papers_state(env: AnEnv, furniture: Furniture) -> None:
-    observation, _ = env.reset(seed=2)
+    observation, _ = env.reset(seed=0)
     n = len(furniture.parts)
     assert {k: v.shape for k, v in observation.items()} == {
         "shapes": (20, 128, 3),
@@ -231,8 +243,11 @@ def test_wrong_pairs_end_the_episode_and_change_nothing(env: AnEnv) -> None:
     choices = np.argwhere(env.action_mask)
     wrong = 0
     for action in choices[rng.permutation(len(choices))[:40]]:
-        if isinstance(env, FullEnv) and _is_right(env, action):
-            continue  # two robots would take their time to join it
+        if isinstance(env, FullEnv):
+            if wrong > 5:
+                break
+            if _is_right(env, action):
+                continue  # two robots would take their time to join it
         before, _ = env.reset(seed=0)
         after, reward, terminated, _, info = env.step(action)
         if info["verdict"] != "wrong_pair":
@@ -253,11 +268,13 @@ def test_seeds_reproduce_episodes(env: AnEnv) -> None:
             observation, *_ = env.step(np.array(right_action(env)))
             seen.append(observation["poses"])
         choices = np.argwhere(env.action_mask)
-        observation, *_ = env.step(choices[rng.integers(len(choices))])
+        drawn = (choices[k] for k in rng.permutation(len(choices)))
+        # Two robots would take their time to join a right pair.
+        observation, *_ = env.step(next(c for c in drawn if not (isinstance(env, FullEnv) and _is_right(env, c))))
         return [*seen, observation["poses"]]
 
-    first = play(4)
-    for one, two in zip(first, play(4), strict=True):
+    first = play(0)
+    for one, two in zip(first, play(0), strict=True):
         np.testing.assert_array_equal(one, two)
     assert not np.array_equal(first[0], env.reset(seed=5)[0]["poses"])
 

@@ -22,7 +22,7 @@ from roboassembly.generate.solids import Solid, block, pad, sweep, triangles, tu
 from roboassembly.generate.vectors import X, Y, Z, vector
 from roboassembly.geometry.meshes import Mesh, nearest_points
 
-FEW, MANY = range(3), range(3, 16)
+FEW, MANY = range(2), range(2, 16)
 FURNITURE = [*CHAIRS, *OTHERS]
 MADE = [(family, seed) for family in FAMILIES for seed in FEW]
 MADE += [pytest.param(family, seed, marks=pytest.mark.slow) for family in FAMILIES for seed in MANY]
