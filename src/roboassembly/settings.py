@@ -98,6 +98,8 @@ class Setting:
     """Check of right pairs in the experts' memoized environment, of a task."""
     grasp_inputs: Callable[[Observer], Float32[np.ndarray, "P 8 6"] | None]
     """Grasps that a policy sees; None if actions have none."""
+    rounds_of_networks: Callable[[int], tuple[int, int]]
+    """Rounds of the relational policy's networks, on pairs and on grasps, from the number of rounds after the first."""
     refusals: tuple[type[InputError], ...]
     """Errors which mean that a training chair does not suit the setting. Any others stop the training."""
     repeated_starts: int
@@ -170,6 +172,14 @@ def _grasps(observer: Observer) -> Float32[np.ndarray, "P 8 6"]:
     return observer.grasp_poses
 
 
+def _on_pairs(later: int) -> tuple[int, int]:
+    return later + 1, 0
+
+
+def _on_grasps(later: int) -> tuple[int, int]:
+    return 1, later + 1
+
+
 def _not_counted(_: Iterable[tuple[str, str]]) -> dict[str, Any]:
     return {}
 
@@ -198,6 +208,7 @@ SETTINGS: Mapping[SettingName, Setting] = {
         make_oracle=_oracle,
         make_mate_check=ObjectCentricMateCheck,
         grasp_inputs=_no_grasps,
+        rounds_of_networks=_on_pairs,
         refusals=(),
         repeated_starts=0,
         lacking="plays with robots only",
@@ -223,6 +234,7 @@ SETTINGS: Mapping[SettingName, Setting] = {
         make_oracle=hand_oracle,
         make_mate_check=FullMateCheck,
         grasp_inputs=_grasps,
+        rounds_of_networks=_on_grasps,
         refusals=(InputError,),
         # From other starts the arms often cannot carry out what an expert chooses.
         repeated_starts=3,

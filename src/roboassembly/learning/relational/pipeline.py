@@ -42,6 +42,7 @@ from roboassembly.learning.relational.grasps.on_policy import collect_on_policy
 from roboassembly.learning.relational.imitation import RelationalTraining, TokenExample
 from roboassembly.learning.relational.network import RelationalConfig
 from roboassembly.learning.relational.policy import FULL_PARAMS, GRASP_PARAMS, RelationalPolicy
+from roboassembly.settings import SETTINGS
 from roboassembly.task.setting import SettingName
 
 _VALIDATION_SEEDS = EXTRA_SEEDS + 1_000_000
@@ -63,7 +64,7 @@ class RelationalPipelineConfig:
     episodes: int = 1
     """Number of episodes of each piece in each round; the policy acts in the first of them."""
     rounds: int = 0
-    """Number of rounds after the first; of the grasp network if one is trained."""
+    """Number of rounds after the first; in the full setting, rounds of the grasp network."""
     steps: int = 16_000
     """Number of gradient steps in the first round."""
     round_steps: int = 8_000
@@ -81,8 +82,13 @@ class RelationalPipelineConfig:
     start: str = ""
     """Policy whose weights come first, by name or path. The full setting needs one, and keeps its weights for the
     object-centric setting."""
-    grasp_steps: int = 0
-    """Number of gradient steps of the grasp network, which the full setting needs; 0 trains none."""
+    grasp_steps: int = 12_000
+    """Number of gradient steps of the grasp network (full setting)."""
+
+    @property
+    def rounds_of_networks(self) -> tuple[int, int]:
+        """Number of rounds of the network that values pairs, and of the grasp network."""
+        return SETTINGS[self.setting].rounds_of_networks(self.rounds)
 
     @staticmethod
     def default(setting: SettingName) -> RelationalPipelineConfig:
@@ -96,7 +102,7 @@ _DEFAULTS: dict[SettingName, RelationalPipelineConfig] = {
         RelationalPipelineConfig(),
         RelationalPipelineConfig(
             extra=1_500, validation=24, episodes=3, rounds=1, steps=3_000, learning_rate=1e-3, setting="full",
-            start="relational", grasp_steps=12_000,
+            start="relational",
         ),
     )
 }  # fmt: skip
@@ -122,15 +128,15 @@ def run_pipeline(config: RelationalPipelineConfig, folder: Path, jobs: int) -> I
     names = [ref.name for ref in refs] + extra_names(config.extra, recipe.unseen_families)
     held_out = extra_names(config.validation, recipe.unseen_families, first=_VALIDATION_SEEDS)
     notes = {"pipeline": asdict(config), "set_hash": set_hash(refs)}
-    grasps = config.grasp_steps > 0
+    pair_rounds, grasp_rounds = config.rounds_of_networks
 
     yield from _collect("validation", held_out, folder / "samples" / "validation", config, jobs, None)
     validation = imitation.load_examples(folder / "samples" / "validation", held_out, jobs)
     examples: list[TokenExample] = []
     last = start
-    for index in range(1 if grasps else config.rounds + 1):
+    for index in range(pair_rounds):
         samples, path = folder / "samples" / str(index), folder / f"policy-{index}.npz"
-        with_grasps = [ref.name for ref in refs] if grasps else []
+        with_grasps = [ref.name for ref in refs] if grasp_rounds else []
         yield from _collect(f"samples {index}", names, samples, config, jobs, last, with_grasps)
         examples += imitation.load_examples(samples, names, jobs)
         steps, rate = (
@@ -143,7 +149,7 @@ def run_pipeline(config: RelationalPipelineConfig, folder: Path, jobs: int) -> I
         last = path
     assert last is not None
     final = checkpoint.load(last, relational.KIND)
-    if start is not None and grasps:
+    if start is not None and grasp_rounds:
         both = {**checkpoint.load(start, relational.KIND).params, FULL_PARAMS: final.params}
         yield from _grasp_rounds(both, final.config, names, folder, config, notes, jobs)
     else:
@@ -157,7 +163,8 @@ def _start_checkpoint(config: RelationalPipelineConfig, folder: Path) -> Path | 
         InputError: there is no such policy, it is of another network, or the full setting names none.
     """
     if not config.start:
-        if config.grasp_steps:
+        _, grasp_rounds = config.rounds_of_networks
+        if grasp_rounds:
             raise InputError("--setting full starts from an object-centric policy: --start relational would do")
         return None
     loaded = load_weights(config.start)
@@ -212,7 +219,8 @@ def _grasp_rounds(
 ) -> Iterator[Progress]:  # fmt: skip
     """Train the grasp network, and again after each round of its own episodes; writes `policy.npz`."""
     folders = [grasp_folder(folder / "samples" / "0")]
-    for index in range(config.rounds + 1):
+    _, rounds = config.rounds_of_networks
+    for index in range(rounds):
         if index:
             folders.append(folder / "on_policy" / str(index))
             acting = folder / f"acting-{index}.npz"
@@ -227,7 +235,7 @@ def _grasp_rounds(
             for step, terms in grasp_imitation.train(examples, path, training, notes):
                 yield Progress("grasps", step, training.steps, terms)
         both = {**params, GRASP_PARAMS: checkpoint.load(path, grasping.KIND).params}
-        last = index == config.rounds
+        last = index == rounds - 1
         _save_policy(folder / ("policy.npz" if last else f"acting-{index + 1}.npz"), both, network)
 
 
