@@ -113,10 +113,7 @@ def to_document(furniture: Furniture, files: Mapping[int, str]) -> Document:
     parts: list[_Part] = []
     for index, (part, slot) in enumerate(zip(furniture.parts, furniture.assembled, strict=True)):
         points = [_Point(_three(p.position), _three(p.normal), _three(p.tangent), p.gap) for p in part.points]
-        grasps = [
-            _Grasp(_three(g.position), _three(g.closing), tuple(_three(a) for a in g.approaches), g.width)  # pyright: ignore[reportArgumentType]
-            for g in part.grasps
-        ]
+        grasps = [_to_grasp(region) for region in part.grasps]
         parts.append(_Part(part.name, files[index], _seven(slot), points, part.label, grasps))
     classes = [
         _Class(
@@ -137,8 +134,14 @@ def to_document(furniture: Furniture, files: Mapping[int, str]) -> Document:
     )
 
 
+def _to_grasp(region: GraspRegion) -> _Grasp:
+    a, b, c, d = (_three(approach) for approach in region.approaches)
+    return _Grasp(_three(region.position), _three(region.closing), (a, b, c, d), region.width)
+
+
 def _seven(pose: SE3) -> _Seven:
-    return tuple(pose_to_seven(pose))  # pyright: ignore[reportReturnType]
+    x, y, z, qw, qx, qy, qz = pose_to_seven(pose)
+    return x, y, z, qw, qx, qy, qz
 
 
 def _three(vector: np.ndarray) -> _Triple:

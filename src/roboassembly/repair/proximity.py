@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import coal  # pyright: ignore[reportMissingImports]
+import coal
 import numpy as np
 from jaxtyping import Float, Int
 
