@@ -30,10 +30,15 @@ class HandOracle(Oracle):
 
     def __init__(self, task: FullTask) -> None:
         super().__init__(ObjectCentricTask(task.furniture))
-        self.full = task
+        self._grasp_task = task
         self._joinable: dict[tuple[Parts, Parts], bool] = {}
         self._last_grasps: dict[frozenset[End], tuple[int, int]] = {}
         """Grasps that joined two points last, the grasp at the part with the lower index first."""
+
+    @property
+    def grasp_task(self) -> FullTask:
+        """Task whose grasps the oracle tests."""
+        return self._grasp_task
 
     def feasible_w(self, moving: Parts, waiting: Parts) -> Bool[np.ndarray, "6"]:
         """Return whether R_a can bring `moving` to `waiting`, which R_b holds; six equal values."""
@@ -53,7 +58,7 @@ class HandOracle(Oracle):
         state = TaskState((self._group(moving), self._group(waiting)))
         if any(self._same_grasps_join(state, u_end, v_end) for u_end, v_end in pairs):
             return True
-        found = next(fitting(self.full, state, pairs, lazy=True), None)
+        found = next(fitting(self._grasp_task, state, pairs, lazy=True), None)
         if found is not None:
             u, v, k, m, g_a, g_b = found
             self._last_grasps[frozenset(((u, k), (v, m)))] = (g_a, g_b) if u < v else (g_b, g_a)
@@ -68,7 +73,9 @@ class HandOracle(Oracle):
         if grasps is None:
             return False
         g_a, g_b = grasps if u_end[0] < v_end[0] else grasps[::-1]
-        return isinstance(self.full.mate_grasp(state, (u_end[0], v_end[0], u_end[1], v_end[1], g_a, g_b)), MateGrasp)
+        return isinstance(
+            self._grasp_task.mate_grasp(state, (u_end[0], v_end[0], u_end[1], v_end[1], g_a, g_b)), MateGrasp
+        )
 
     def _group(self, slots: Parts) -> Group:
         """Return a group of parts in their own slots."""

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import islice
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -22,6 +23,9 @@ from roboassembly.task.object_centric.task import ObjectCentricTask
 from roboassembly.task.rules.connections import UP_AXES
 from roboassembly.task.rules.groups import TaskState
 from roboassembly.task.rules.pairs import Merge
+
+if TYPE_CHECKING:
+    from roboassembly.task.full.task import FullTask
 
 _LEAST_RISE = -0.35
 """Smallest sine of the angle of climb at which a group leaves; steeper descents end on the ground."""
@@ -60,6 +64,11 @@ class Oracle:
         self.graphs = BlockingGraphs(task.furniture)
         self._exits: dict[tuple[Parts, Parts], Float[np.ndarray, "n 3"]] = {}
         self._solvable: dict[frozenset[Parts], bool] = {}
+
+    @property
+    def grasp_task(self) -> FullTask | None:
+        """Task whose grasps the oracle tests; None if it tests none."""
+        return None
 
     @cached_property
     def _mating_types(self) -> set[tuple[int, int, int, int]]:

@@ -20,7 +20,6 @@ from roboassembly.learning.relational.grasps.dataset import GraspLabeler
 from roboassembly.learning.relational.oracle_dataset import Labeler, TokenPolicy
 from roboassembly.parallel.processes import map_unordered
 from roboassembly.settings import SETTINGS
-from roboassembly.solvers.hand_oracle import HandOracle
 from roboassembly.task.setting import SettingName
 
 _GRASP_TRIES = 3
@@ -103,8 +102,8 @@ def _collect(
             mistakes, choices = episode.mistakes, len(episode.states)
         for sample in (*episode.states, *episode.dead_ends):
             samples.setdefault(sample.group.tobytes(), sample)
-    if isinstance(oracle, HandOracle) and name in with_grasps:
-        grasp_labeler = GraspLabeler(oracle.full, _GRASP_TRIES, oracle)
+    if oracle.grasp_task is not None and name in with_grasps:
+        grasp_labeler = GraspLabeler(oracle.grasp_task, _GRASP_TRIES, oracle)
         grasp_samples = grasp_labeler.collect(np.random.default_rng([seed, int(number)]), 1)
         grasp_samples.save(dataset_file(grasp_folder(folder), name))
     labeler.sample_set(tuple(samples.values()), name).save(dataset_file(folder, name))

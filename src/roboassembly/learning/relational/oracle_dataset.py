@@ -20,7 +20,6 @@ from roboassembly.envs.observation import Observer
 from roboassembly.furniture.model import MAX_POINTS, Furniture
 from roboassembly.learning.datasets import LabeledState, SampleSet
 from roboassembly.learning.relational.tokens import Tokens, tokens_of_sample
-from roboassembly.solvers.hand_oracle import HandOracle
 from roboassembly.solvers.oracle import LabeledMate, Oracle
 from roboassembly.task.object_centric.task import ObjectCentricTask
 from roboassembly.task.rules.connections import UP_AXES
@@ -61,7 +60,7 @@ class Labeler:
         self.oracle = oracle or Oracle(ObjectCentricTask(furniture))
         self._unique_parts = {c.members[0] for c in furniture.classes if len(c.members) == 1}
         self._observer = Observer(furniture, len(furniture.parts), MAX_POINTS, 1)
-        grasps = self._observer.grasp_poses if isinstance(oracle, HandOracle) else None
+        grasps = None if self.oracle.grasp_task is None else self._observer.grasp_poses
         self._empty = SampleSet(furniture.name, clouds, (), grasps)
 
     def sample_set(self, samples: Sequence[LabeledState], name: str = "") -> SampleSet:

@@ -20,7 +20,7 @@ from roboassembly.learning import archive
 from roboassembly.learning.datasets import CLOUD_POINTS, check_format, group_labels
 from roboassembly.learning.relational.policy_view import PolicyView
 from roboassembly.solvers.hand_oracle import HandOracle
-from roboassembly.solvers.oracle import LabeledMate
+from roboassembly.solvers.oracle import LabeledMate, Oracle
 from roboassembly.task.full.grips import Grip, MateGrasp
 from roboassembly.task.full.task import FullTask
 from roboassembly.task.plans.full_plan import FullState
@@ -147,7 +147,7 @@ class GraspLabeler:
         oracle: oracle of the task; a new one if None.
     """
 
-    def __init__(self, task: FullTask, tries: int, oracle: HandOracle | None = None) -> None:
+    def __init__(self, task: FullTask, tries: int, oracle: Oracle | None = None) -> None:
         self.task, self.tries = task, tries
         self._oracle = oracle or HandOracle(task)
         self._observer = Observer(task.furniture, len(task.furniture.parts), MAX_POINTS, 1)
