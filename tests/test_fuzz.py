@@ -352,7 +352,7 @@ def test_wrong_command_lines(count, seed, tmp_path, capsys, monkeypatch):
     try_command_lines(count, seed, capsys, monkeypatch, tmp_path)
 
 
-def test_every_verdict_is_one_the_page_knows():
+def test_the_settings_share_three_verdicts():
     assert {str(v) for v in ObjectCentricVerdict} & {str(v) for v in FullVerdict} == {
         "merged",
         "not_an_action",

@@ -37,7 +37,7 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-def test_index_would_take_it(built: Path) -> None:
+def test_package_index_accepts_the_wheel(built: Path) -> None:
     files = sorted(built.iterdir())
     assert [f.name for f in files] == [
         f"roboassembly-{__version__}-py3-none-any.whl",

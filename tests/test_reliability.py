@@ -287,7 +287,7 @@ def lines_of(arguments: list[str], cache: Path, largest: int | None = None) -> t
 
 @pytest.mark.slow
 @pytest.mark.parametrize("largest", [100, 20_000])
-def test_a_full_disk_is_one_clear_line(largest, tmp_path):
+def test_full_disk_prints_one_line(largest, tmp_path):
     as_files(open_path("stool"), tmp_path / "files")
     for arguments in (
         ["assemble", "stool", "--no-film", "--out", str(tmp_path / "a")],
@@ -306,7 +306,7 @@ def test_a_full_disk_is_one_clear_line(largest, tmp_path):
         assert not lines or lines[0].startswith("error: "), (arguments, lines)
 
 
-def test_folders_that_cannot_be_written_are_one_clear_line(tmp_path):
+def test_unwritable_folders_give_one_line(tmp_path):
     for command in (["assemble", "stool", "--no-film"], ["generate", "stool"], ["export", "mjcf", "stool"]):
         begun = time.monotonic()
         status, lines = lines_of([*command, "--out", "/proc/no/such"], tmp_path)

@@ -145,7 +145,7 @@ def test_a_step_that_forgets_a_part_is_caught() -> None:
     assert report.counts[ViolationKind.MISSING_PART] == 1
 
 
-def test_the_audit_knows_nothing_of_the_planner() -> None:
+def test_audit_imports_no_planner() -> None:
     code = (
         "import sys, roboassembly.audit.object_centric; "
         "print([m for m in sys.modules if m.startswith('roboassembly.planning') or m == 'ompl'])"

@@ -76,7 +76,7 @@ def test_an_arm_through_itself_through_the_ground_and_past_its_limit(two_merges:
         assert kind in kinds(audit_full_plan(bad, COARSE))
 
 
-def test_what_is_held_through_another_part(two_merges: FullPlan) -> None:
+def test_mating_hand_through_another_part_is_caught(two_merges: FullPlan) -> None:
     """Without the way that avoids it, the mating hand comes out of v's group sideways."""
     segments = two_merges.steps[0].segments
     mate = next(segment for segment in segments if segment.stage is Stage.MATE)
@@ -127,6 +127,6 @@ def test_jumps(two_merges: FullPlan) -> None:
     assert any(v.what.startswith("part ") for v in report.first)
 
 
-def test_what_is_not_assembled(two_merges: FullPlan) -> None:
+def test_incomplete_plan_is_caught(two_merges: FullPlan) -> None:
     report = audit_full_plan(replace(two_merges, success=True), 1.0)
     assert report.counts == {RobotViolationKind.NOT_ASSEMBLED: 1}

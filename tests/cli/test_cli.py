@@ -26,7 +26,7 @@ def stool(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return storage.save(catalogue.make("three_legged", 3), tmp_path_factory.mktemp("saved") / "stool")
 
 
-def test_assemble_writes_what_it_says(run: Run, stool: Path, tmp_path: Path) -> None:
+def test_assemble_writes_the_files_of_its_report(run: Run, stool: Path, tmp_path: Path) -> None:
     status, out, err = run("assemble", stool, "--no-film", "--json", "--out", tmp_path / "a", "--seed", "3")
     assert status == 0
     report = json.loads(out)
@@ -82,14 +82,14 @@ def untrained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_a_policy_that_knows_no_hands_is_refused_with_robots(run: Run, tmp_path: Path, untrained: Path) -> None:
+def test_policy_without_grasps_is_refused_in_the_full_setting(run: Run, tmp_path: Path, untrained: Path) -> None:
     status, out, err = run("assemble", "stool", "--setting", "full", "--policy", untrained, "--out", tmp_path / "a")
     assert (status, out) == (2, "")
     assert err.strip().splitlines() == [line for line in err.splitlines() if "chooses no grasps" in line]
     assert not (tmp_path / "a").exists()
 
 
-def test_a_policy_guides_or_plays_alone(run: Run, stool: Path, tmp_path: Path, untrained: Path) -> None:
+def test_assemble_with_a_policy_with_and_without_search(run: Run, stool: Path, tmp_path: Path, untrained: Path) -> None:
     arguments = ("assemble", stool, "--no-film", "--json", "--policy", untrained)
     status, out, err = run(*arguments, "--out", tmp_path / "a")
     report = json.loads(out)
@@ -127,7 +127,7 @@ def test_evaluate_reports_and_exports(run: Run, stool: Path, tmp_path: Path, unt
     assert "did you mean relational?" in err
 
 
-def test_an_evaluation_goes_on_where_it_was_stopped(run: Run, stool: Path, tmp_path: Path) -> None:
+def test_evaluation_resumes_from_its_file(run: Run, stool: Path, tmp_path: Path) -> None:
     kept = tmp_path / "new" / "episodes.jsonl"
     arguments = ("evaluate", "--policy", "random", "--set", f"folder:{stool}", "--jobs", "1", "--json", "--out", kept)
     first = json.loads(run(*arguments, "--episodes", "3")[1])
@@ -180,7 +180,7 @@ def test_another_seed_gives_another_plan(run: Run, stool: Path, tmp_path: Path) 
     assert (tmp_path / "1" / "plan.json").read_bytes() != (tmp_path / "2" / "plan.json").read_bytes()
 
 
-def test_what_cannot_be_assembled_is_an_honest_1(run: Run, tmp_path: Path, captive: Path) -> None:
+def test_furniture_that_cannot_be_assembled_exits_with_1(run: Run, tmp_path: Path, captive: Path) -> None:
     status, out, err = run("assemble", captive, "--no-film", "--json", "--out", tmp_path / "a")
     report = json.loads(out)
     assert (status, report["success"]) == (1, False)
@@ -248,7 +248,7 @@ BROKEN = {
 
 
 @pytest.mark.parametrize("case", BROKEN)
-def test_bad_furniture_is_one_line_and_2(run: Run, stool: Path, tmp_path: Path, case: str) -> None:
+def test_bad_furniture_prints_one_line_and_exits_with_2(run: Run, stool: Path, tmp_path: Path, case: str) -> None:
     change, words = BROKEN[case]
     folder = _broken(stool, tmp_path, change)
     status, out, err = run("assemble", folder, "--json", "--out", tmp_path / "out")
@@ -291,7 +291,7 @@ def test_bad_furniture_is_one_line_and_2(run: Run, stool: Path, tmp_path: Path, 
         (["assemble", "stool", "--policy", "random"], "'random' does not value actions"),
     ],
 )
-def test_bad_arguments_are_one_line_and_2(
+def test_bad_arguments_print_one_line_and_exit_with_2(
     run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: list[str], words: str
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -357,7 +357,7 @@ def test_import_then_assemble(run: Run, tmp_path: Path) -> None:
     assert run("assemble", out_folder / "plain", "--no-film", "--out", tmp_path / "a")[0] == 0
 
 
-def test_import_of_one_bad_piece_is_2(run: Run, tmp_path: Path) -> None:
+def test_import_of_one_bad_piece_exits_with_2(run: Run, tmp_path: Path) -> None:
     (tmp_path / "piece").mkdir()
     for i in range(2):
         (tmp_path / "piece" / f"0{i}.obj").write_text("v 0 0 0\nv 1 0 nan\nv 0 1 0\nf 1 2 3\n")

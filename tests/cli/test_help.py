@@ -88,7 +88,7 @@ def test_all_commands_are_found() -> None:
 
 
 @pytest.mark.parametrize("command", COMMANDS, ids=" ".join)
-def test_every_flag_has_a_text_that_reads_right(command: tuple[str, ...]) -> None:
+def test_help_text_of_every_flag(command: tuple[str, ...]) -> None:
     for flag, text in flags(command).items():
         if flag == "--help":
             continue
@@ -104,13 +104,13 @@ def test_every_flag_has_a_text_that_reads_right(command: tuple[str, ...]) -> Non
         assert "(default: False)" not in text, where
 
 
-def test_switches_say_what_they_do() -> None:
+def test_switches_have_help_texts() -> None:
     said = {flag: text for command in COMMANDS for flag, text in flags(command).items() if flag.startswith("--no-")}
     assert said == SWITCHES
 
 
 @pytest.mark.parametrize("command", COMMANDS, ids=" ".join)
-def test_every_command_says_what_it_is(command: tuple[str, ...]) -> None:
+def test_every_command_has_a_description(command: tuple[str, ...]) -> None:
     text = raw_help(command)
     assert "STR]" not in text.split("options")[0], "a positional argument is named by what it is"
     assert re.search(r"\n\n[A-Z][^\n]{20,98}\.\n", text), "one sentence in one line"
@@ -127,7 +127,7 @@ class Example:
     """How large it is. Without it: as large as can be."""
 
 
-def test_a_new_switch_gets_the_right_text(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_help_text_of_a_new_switch(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setattr("roboassembly.cli.flags.PACKAGE", __name__)
     monkeypatch.setenv("NO_COLOR", "1")
     with command_registry():

@@ -17,7 +17,7 @@ from roboassembly.furniture import storage
 from roboassembly.importers import IMPORTERS
 
 
-def test_the_command_knows_every_importer():
+def test_import_command_has_every_importer():
     assert set(get_args(Kind)) == set(IMPORTERS)
     assert all(name == importer.name and importer.description for name, importer in IMPORTERS.items())
 

@@ -91,7 +91,7 @@ def test_many_pieces_of_which_some_exist(run: Run, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("how", ["refused by repair", "disk full while writing", "swap fails"])
-def test_a_failed_replacement_leaves_the_old_one(
+def test_failed_replacement_keeps_the_old_folder(
     how: str, run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     source, out = table(tmp_path / "table"), tmp_path / "all" / "out"
@@ -124,7 +124,7 @@ def test_a_failed_replacement_leaves_the_old_one(
     assert [p.name for p in (tmp_path / "all").iterdir()] == ["out"]
 
 
-def test_replacing_keeps_what_else_lies_there(run: Run, tmp_path: Path) -> None:
+def test_replacing_keeps_other_files(run: Run, tmp_path: Path) -> None:
     out = tmp_path / "out"
     assert run("import", "folder", table(tmp_path / "a" / "table"), "--out", out)[0] == 0
     (out / "notes.txt").write_text("mine")
@@ -251,7 +251,7 @@ def test_assemble_replaces_its_own_results_and_nothing_else(run: Run, tmp_path: 
         assert run(*command, tmp_path / "results")[0] == 0
 
 
-def test_a_set_is_not_built_anew_with_another_seed(
+def test_built_set_is_not_rebuilt_with_another_seed(
     run: Run, as_built: Callable[..., list[str]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     as_built(easy=[("stool", 1)], hard=[("stool", 2)], test=[("stool", 3)])

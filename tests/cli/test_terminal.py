@@ -164,7 +164,7 @@ def test_crashes_warnings_and_log_messages() -> None:
     assert "RuntimeError" in told
 
 
-def test_letters_that_the_terminal_lacks(tmp_path: Path) -> None:
+def test_output_in_an_ascii_terminal(tmp_path: Path) -> None:
     code = "from roboassembly.cli import main; main()"
     done = subprocess.run(
         [sys.executable, "-c", code, "generate", "stool", "--out", str(tmp_path / "Stühlchen")],
@@ -174,13 +174,13 @@ def test_letters_that_the_terminal_lacks(tmp_path: Path) -> None:
     assert rb"St\xfchlchen" in done.stdout
 
 
-def test_a_reader_that_leaves_early_is_no_error() -> None:
+def test_closed_stdout_is_no_error() -> None:
     shell = f"{sys.executable} -m roboassembly.cli dataset list | true; {sys.executable} -m roboassembly.cli -h | true"
     done = subprocess.run(["bash", "-c", shell], capture_output=True, timeout=60)
     assert done.stderr == b""
 
 
-def test_nothing_prints_past_it() -> None:
+def test_only_the_output_module_prints() -> None:
     """All prints of the package are in `cli/output.py`; others would need a reason."""
     root = Path(roboassembly.__file__).parent
     found = [

@@ -46,7 +46,7 @@ OF_OURS = [c for c in ALL_COMMANDS if c.arguments is not None]
 
 
 @pytest.mark.parametrize("page", PAGES)
-def test_no_example_is_overlooked(page: str) -> None:
+def test_every_example_is_parsed(page: str) -> None:
     """All fences are found, and a block holds only commands or none."""
     text = text_of(page)
     assert len(re.findall(r"^ *```", text, re.MULTILINE)) == 2 * len(FENCE.findall(text))
@@ -100,7 +100,7 @@ def options() -> set[str]:
 
 
 @pytest.mark.parametrize("page", [p for p in PAGES if p != "CHANGELOG.md"])  # it names old options, too
-def test_options_exist_wherever_they_are_named(page: str) -> None:
+def test_named_options_exist(page: str) -> None:
     named = set(OPTION.findall(text_of(page)))
     assert named <= options() | FOREIGN.keys()
 
@@ -125,7 +125,7 @@ def extras_of(requirement: str) -> list[str]:
 
 
 @pytest.mark.parametrize("page", PAGES)
-def test_pip_installs_what_there_is(page: str) -> None:
+def test_pip_commands_name_existing_packages(page: str) -> None:
     """The package comes from its folder, because it is in no index; everything else is a dependency of the project."""
     groups = [*EXTRAS.values(), PROJECT["project"]["dependencies"], *PROJECT["dependency-groups"].values()]
     known = {re.split(r"[\s\[<>=;]", r)[0] for group in groups for r in group if isinstance(r, str)}
@@ -144,7 +144,7 @@ UNNAMED = {("docs/furniture.md", "learn"): "the page has no line that installs M
 
 
 @pytest.mark.parametrize("page", PAGES)
-def test_extras_are_named_before_they_are_needed(page: str) -> None:
+def test_extras_are_installed_before_they_are_needed(page: str) -> None:
     named: set[str] = set()
     unnamed: set[tuple[str, str]] = set()
     for command in commands(page):
@@ -180,7 +180,7 @@ OWN = {e.saved for page in PAGES for e in documentation.examples(page) if isinst
 
 
 @pytest.mark.parametrize("page", [p for p in PAGES if p != "CHANGELOG.md"])
-def test_files_exist_wherever_they_are_named(page: str) -> None:
+def test_named_files_exist(page: str) -> None:
     """Files are named by their path or its end: `learning/relational/tokens.py`, or `tokens.py`."""
     for span in SPAN.findall(prose_of(page)):
         for name in re.findall(r"(?<![\w/.<-])[\w./-]*[a-z_]\.(?:py|toml)(?!\w)", span):
@@ -192,7 +192,7 @@ def test_files_exist_wherever_they_are_named(page: str) -> None:
 
 
 @pytest.mark.parametrize("page", PAGES)
-def test_tests_exist_wherever_they_are_named(page: str) -> None:
+def test_named_tests_exist(page: str) -> None:
     for command in (*commands(page), *commands_in_prose(page)):
         words = command.words
         if words[0] == "pytest":
@@ -254,7 +254,7 @@ def quoted(text: str) -> list[str]:
     return [" ".join(found.split()) for found in QUOTED.findall(text)]
 
 
-def test_the_panel_is_read() -> None:
+def test_tabs_of_controls_are_parsed() -> None:
     assert {"Join", "Run"} <= set(controls().tabs)
     assert controls().tab_of["Policy and search"] == "Run"
     assert controls().tab_of["Time"] is None
@@ -278,7 +278,7 @@ def test_controls_of_the_studio_have_these_names_and_are_in_these_tabs(page: str
 
 
 @pytest.mark.parametrize("page", PAGES)
-def test_links_lead_somewhere(page: str) -> None:
+def test_links_have_targets(page: str) -> None:
     """Links work on a code host, where pages are the files themselves; `make docs` checks those of the site."""
     for target in LINK.findall(prose_of(page)):
         if re.match(r"\w+:", target):

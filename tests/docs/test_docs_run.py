@@ -217,7 +217,7 @@ def test_commands_run_on_the_package_alone(clone: Path, as_built) -> None:
     )
 
 
-def test_nothing_is_left_out_that_is_not_there() -> None:
+def test_tables_of_exceptions_match_commands() -> None:
     """Every row of the tables matches a command, and every command runs in some form."""
     commands = [e for page in PAGES for e in examples(page) if isinstance(e, Command)]
     for table in (ALWAYS, WHEN_QUICK, SMALLER):

@@ -33,7 +33,7 @@ def test_equations_are_drawn_and_code_is_left_alone() -> None:
     assert 'aria-label="x&#95;1 &lt; y"' in drawn
 
 
-def test_links_of_the_root_lead_on_from_the_site() -> None:
+def test_links_to_the_root_work_on_the_site() -> None:
     moved = site.moved("[a](docs/task.md) ![b](docs/images/sixty.png) [c](CONTRIBUTING.md#release) [d](README.md)")
     assert moved == "[a](task.md) ![b](images/sixty.png) [c](contributing.md#release) [d](index.md)"
     moved = site.moved("[a](../CONTRIBUTING.md) [b](../examples/05_masked_ppo.py) [c](task.md)")

@@ -44,7 +44,7 @@ def test_three_pieces(tmp_path: Path, capsys) -> None:
         assert int(row[8].replace(",", "")) > 0
 
 
-def test_nothing_solved_and_nothing_timed() -> None:
+def test_tables_without_solved_pieces_or_times() -> None:
     item = {"name": "a", "parts": 2, "connections": 1, "displacement_max_mm": 0.0, "trimmed_max_percent": 0.0,
             "size_change_mm": {"x": 1.0, "y": -3.24}, "seconds": 0.01,
             "unholdable": ["x", "y"], "error": None, "cached": True}  # fmt: skip

@@ -81,7 +81,7 @@ def check_structure(furniture: Furniture) -> None:
 
 
 @pytest.mark.parametrize(("family", "seed"), CHAIRS)
-def test_aligning_the_frames_gives_back_the_assembled_chair(chair, family: str, seed: int) -> None:
+def test_aligned_frames_give_the_assembled_poses(chair, family: str, seed: int) -> None:
     furniture = chair(family, seed)
     check_structure(furniture)
     assert relative_error(furniture) < 1e-6
@@ -90,7 +90,7 @@ def test_aligning_the_frames_gives_back_the_assembled_chair(chair, family: str, 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(2, 12))
 @pytest.mark.parametrize("family", FAMILIES)
-def test_aligning_the_frames_gives_back_many_chairs(chair, family: str, seed: int) -> None:
+def test_aligned_frames_give_the_assembled_poses_of_many_chairs(chair, family: str, seed: int) -> None:
     furniture = chair(family, seed)
     check_structure(furniture)
     assert relative_error(furniture) < 1e-6
@@ -98,7 +98,7 @@ def test_aligning_the_frames_gives_back_many_chairs(chair, family: str, seed: in
 
 
 @pytest.mark.parametrize("family", FAMILIES)
-def test_the_furniture_is_the_one_that_was_handed_in(chair, family: str) -> None:
+def test_furniture_has_the_names_and_solids_of_the_raw_parts(chair, family: str) -> None:
     furniture = chair(family, 1)
     for part, slot, raw in zip(furniture.parts, furniture.assembled, generate(family, 1), strict=True):
         assert part.name == raw.name
@@ -204,7 +204,7 @@ def test_twenty_parts_are_fine() -> None:
         ([*row(2), RawPart("in", shapes.box((0, 0, 0.05), (0.1, 0.1, 0.2)))], "'p0' and 'in' touch or penetrate"),
     ],
 )
-def test_what_is_refused(raw: list[RawPart], message: str) -> None:
+def test_invalid_raw_parts_are_refused(raw: list[RawPart], message: str) -> None:
     with pytest.raises(FurnitureError, match=message):
         annotate("thing", raw, ORIGIN)
 
@@ -314,14 +314,14 @@ def test_a_mirror_image_is_another_shape() -> None:
         ),
     ],
 )
-def test_nearly_alike_is_not_alike(other: Mesh) -> None:
+def test_nearly_equal_parts_are_different(other: Mesh) -> None:
     box = shapes.brick(0.1, 0.2, 0.3)
     assert len(rotations_onto(box, other)) == 0
     assert len(rotations_onto(other, box)) == 0
 
 
 @pytest.mark.parametrize(("off", "alike"), [(0.00005, True), (0.0003, False)])
-def test_a_corner_that_a_cut_left_on_an_edge_does_not_count(off: float, alike: bool) -> None:
+def test_corners_on_an_edge_are_ignored_within_tolerance(off: float, alike: bool) -> None:
     box = shapes.brick(0.1, 0.2, 0.3)
     cut = box.trimesh.subdivide()
     vertices = np.array(cut.vertices)
@@ -332,14 +332,14 @@ def test_a_corner_that_a_cut_left_on_an_edge_does_not_count(off: float, alike: b
 
 
 @pytest.mark.parametrize(("deep", "turns"), [(0.00005, 4), (0.0002, 1)])
-def test_corners_that_are_none_hide_no_symmetry(deep: float, turns: int) -> None:
+def test_shallow_nicks_hide_no_symmetry(deep: float, turns: int) -> None:
     # A nick in one edge: its corners are the only ones at their distance from the centre.
     edge = shapes.block((0.05 - deep, 0.1 - deep, 0.1), (0.06, 0.11, 0.101))
     nicked = shapes.of_solid(shapes.block((-0.05, -0.1, -0.15), (0.05, 0.1, 0.15)) - edge)
     assert len(symmetries(nicked)) == turns
 
 
-def test_a_triangle_that_is_a_line_lets_no_shape_pass_for_another() -> None:
+def test_degenerate_triangles_make_no_shapes_equal() -> None:
     # A thin board with rebated ends. Turned by half a degree its corners are 2 mm off.
     ends = shapes.block((-0.1, -0.001, -0.145), (0.1, 0.001, 0.145))
     board = shapes.of_solid(ends + shapes.block((-0.1, -0.00125, -0.14), (0.1, 0.00125, 0.14)))

@@ -205,7 +205,7 @@ def left_free(around: Mesh, region: GraspRegion) -> np.ndarray:
     return ~HandAgainst(around).touches(*places, MAX_OPENING, coming=True)
 
 
-def test_a_region_is_where_the_furniture_leaves_a_hand() -> None:
+def test_regions_are_where_the_furniture_has_room_for_a_hand() -> None:
     rod = shapes.brick(0.02, 0.7, 0.02)
     collar = shapes.of_solid(
         shapes.block((-0.04, -0.22, -0.04), (0.04, 0.22, 0.04))
@@ -218,7 +218,7 @@ def test_a_region_is_where_the_furniture_leaves_a_hand() -> None:
     assert abs(two.position[1]) > 0.22
 
 
-def test_directions_that_the_furniture_leaves_come_first() -> None:
+def test_directions_free_in_the_furniture_come_first() -> None:
     rod, wall = shapes.brick(0.02, 0.3, 0.02), shapes.box((-0.3, -0.3, 0.011), (0.3, 0.3, 0.05))
     for region in find_grasps(rod, [wall]):
         if abs(region.closing[0]) > 0.9:
@@ -316,7 +316,7 @@ def test_hand_has_the_size_of_the_real_one() -> None:
         assert palm[1, 1] - palm[0, 1] == pytest.approx(0.204, abs=2e-3)
 
 
-def test_way_there_is_looked_at_as_a_whole() -> None:
+def test_whole_approach_is_tested() -> None:
     # A thin plate 70 mm behind the finger tips: free where the hand ends, in the way of its coming only for a slit.
     plate = shapes.box((-0.2, -0.2, 0.05), (0.2, 0.2, 0.0501))
     hand = HandAgainst(plate)

@@ -68,7 +68,7 @@ def assert_same(a: Furniture, b: Furniture, tolerance: float = 1e-14) -> None:
 
 
 @pytest.mark.parametrize("which", ["table", "captive_slat", "armchair", "ladder", "stool"])
-def test_what_is_saved_comes_back(which: str, request: pytest.FixtureRequest, chair, tmp_path: Path) -> None:
+def test_saved_furniture_loads_equal(which: str, request: pytest.FixtureRequest, chair, tmp_path: Path) -> None:
     furniture = chair(which, 1) if which in ("ladder", "stool") else request.getfixturevalue(which)
     furniture = with_extras(furniture)
     folder = save(furniture, tmp_path / "deep" / "er" / "thing")
@@ -121,7 +121,7 @@ def test_other_things_are_never_overwritten(table: Furniture, tmp_path: Path) ->
     assert listing(tmp_path) == before
 
 
-def test_what_else_lies_in_the_folder_survives(table: Furniture, tmp_path: Path) -> None:
+def test_save_keeps_other_files(table: Furniture, tmp_path: Path) -> None:
     folder = save(table, tmp_path / "table")
     (folder / "plan.json").write_text("{}")
     save(table, folder)
@@ -136,7 +136,7 @@ def test_saving_through_a_link_works_or_is_refused(table: Furniture, tmp_path: P
     assert_same(load(tmp_path / "real"), table)
 
 
-def test_nothing_is_left_of_a_failed_save(table: Furniture, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_failed_save_leaves_no_files(table: Furniture, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = save(table, tmp_path / "table")
     before = listing(tmp_path)
 

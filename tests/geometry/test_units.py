@@ -100,7 +100,7 @@ def test_common_pieces_in_inches_and_centimetres(piece: str) -> None:
     assert "cm" in (centimetres.name, *centimetres.others)
 
 
-def test_a_close_call_is_told() -> None:
+def test_ambiguous_unit_gives_a_note() -> None:
     """40 by 24 by 40 is a small cabinet in centimetres, a large one in inches."""
     low = units.guess((40.0, 24.0, 40.0))
     assert {low.name, *low.others} == {"cm", "in"}
@@ -139,7 +139,7 @@ def test_names_and_sizes() -> None:
     assert units.given(0.3).text == "0.3 m, as given"
 
 
-def test_import_says_what_it_guessed(run: Run, tmp_path: Path) -> None:
+def test_import_names_the_guessed_unit(run: Run, tmp_path: Path) -> None:
     source = write(tmp_path / "chair", "plank", 1, units.METRES["in"])
     status, _, err = run("import", "folder", source, "--out", tmp_path / "a")
     assert status == 0
@@ -160,7 +160,7 @@ def test_import_says_what_it_guessed(run: Run, tmp_path: Path) -> None:
     assert not (tmp_path / "e").exists()
 
 
-def test_import_says_what_else_it_could_be(run: Run, tmp_path: Path) -> None:
+def test_import_names_other_possible_units(run: Run, tmp_path: Path) -> None:
     source = write(tmp_path / "screen", "lattice", 2, units.METRES["cm"])
     status, _, err = run("import", "folder", source, "--out", tmp_path / "a")
     assert status == 0
@@ -172,7 +172,7 @@ def test_import_says_what_else_it_could_be(run: Run, tmp_path: Path) -> None:
     assert json.loads(out)["items"][0]["size_m"] == pytest.approx([0.41, 0.20, 0.46], abs=0.01)
 
 
-def test_a_refused_piece_has_its_size_said(run: Run, tmp_path: Path) -> None:
+def test_refusal_names_the_size(run: Run, tmp_path: Path) -> None:
     """A wrong unit is often why repair refuses."""
     source = write(tmp_path / "chair", "plank", 1, 1.0)
     far = trimesh.creation.box((0.1, 0.1, 0.1))

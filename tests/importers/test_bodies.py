@@ -146,7 +146,7 @@ def test_a_folder_with_all_legs_in_one_file(run: Run, tmp_path: Path) -> None:
     assert [p.name for p in storage.load(tmp_path / "a").parts] == ["legs_1", "legs_2", "legs_3", "legs_4", "top"]
 
 
-def test_a_whole_table_that_touches_itself_everywhere(run: Run, tmp_path: Path) -> None:
+def test_table_whose_parts_touch(run: Run, tmp_path: Path) -> None:
     """Legs flush with the corners of the top, in one file: they share corners and lie in each other's faces."""
     top = box((0.6, 0.6, 0.03), (0, 0, 0.515))
     legs = [box((0.05, 0.05, 0.5), (x, y, 0.25)) for x in (-0.275, 0.275) for y in (-0.275, 0.275)]

@@ -9,11 +9,12 @@ from __future__ import annotations
 import io
 import json
 import resource
+import select
 import struct
 import subprocess
 import sys
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -26,30 +27,45 @@ from roboassembly.importers.glb import MAX_NODES
 ALLOWED = 600 * 2**20
 """Memory limit above the use of the program before it opens a file [bytes]."""
 _OPEN = """
-import json, resource, sys, time
+import json, os, resource, sys, time, traceback
 from pathlib import Path
 from roboassembly.errors import InputError
 from roboassembly.importers import folder
 from roboassembly.learning import checkpoint
 from roboassembly.learning import registry as loading
 from roboassembly.studio.uploads import unpack
-opened = {
-    "folder": lambda path: folder.read(path),
-    "policy": lambda path: loading.load_policy(str(path)),
-    "archive": lambda path: unpack(path.name, path.read_bytes(), Path(sys.argv[3])),
-}[sys.argv[1]]
-allowed = int(sys.argv[4])
-status = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
-taken = int(status["VmSize"].split()[0]) << 10
-resource.setrlimit(resource.RLIMIT_AS, (taken + allowed, taken + allowed))
-before, begun = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, time.monotonic()
-try:
-    opened(Path(sys.argv[2]))
-    said = ""
-except InputError as error:
-    said = str(error)
-print(json.dumps([said, time.monotonic() - begun, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before]))
+
+def opened(how, path, place, allowed):
+    read = {
+        "folder": lambda: folder.read(path),
+        "policy": lambda: loading.load_policy(str(path)),
+        "archive": lambda: unpack(path.name, path.read_bytes(), place),
+    }[how]
+    status = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
+    taken = int(status["VmSize"].split()[0]) << 10
+    resource.setrlimit(resource.RLIMIT_AS, (taken + allowed, taken + allowed))
+    before, begun = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, time.monotonic()
+    try:
+        read()
+        said = ""
+    except InputError as error:
+        said = str(error)
+    return said, time.monotonic() - begun, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
+
+for line in sys.stdin:
+    how, path, place, allowed = json.loads(line)
+    child = os.fork()
+    if not child:
+        try:
+            print(json.dumps(opened(how, Path(path), Path(place), allowed)), flush=True)
+            os._exit(0)
+        except BaseException:
+            traceback.print_exc()
+            os._exit(1)
+    if os.waitpid(child, 0)[1]:
+        print("null", flush=True)
 """
+"""Reads lines of what to open and forks a process for each, so that the package is imported once."""
 
 
 class Opened(NamedTuple):
@@ -58,15 +74,32 @@ class Opened(NamedTuple):
     megabytes: float
 
 
-def opened(how: str, path: Path, place: Path) -> Opened:
-    """Open a file in a process whose memory is limited."""
-    done = subprocess.run(
-        [sys.executable, "-c", _OPEN, how, str(path), str(place), str(ALLOWED)],
-        capture_output=True, text=True, timeout=60,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr[-2000:]
-    said, seconds, kilobytes = json.loads(done.stdout)
-    return Opened(said, seconds, kilobytes / 1024)
+Open = Callable[[str, Path, Path], Opened]
+
+
+@pytest.fixture(scope="module")
+def opened() -> Iterator[Open]:
+    """`opened(how, path, place)`: opens a file in a process whose memory is limited."""
+    with subprocess.Popen(
+        [sys.executable, "-c", _OPEN], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as server:
+        assert server.stdin is not None
+        assert server.stdout is not None
+        into, out = server.stdin, server.stdout
+
+        def ask(how: str, path: Path, place: Path) -> Opened:
+            into.write(json.dumps([how, str(path), str(place), ALLOWED]) + "\n")
+            into.flush()
+            assert select.select([out], [], [], 60.0)[0], "no answer after a minute"
+            answer = json.loads(out.readline())
+            assert answer is not None, "the process that opens the file ended"
+            said, seconds, kilobytes = answer
+            return Opened(said, seconds, kilobytes / 1024)
+
+        try:
+            yield ask
+        finally:
+            server.kill()
 
 
 def stl_header(path: Path) -> None:
@@ -165,7 +198,7 @@ MESHES: dict[str, tuple[str, Callable[[Path], None], str]] = {
 
 
 @pytest.mark.parametrize("case", MESHES)
-def test_meshes_that_claim_too_much(case: str, tmp_path: Path) -> None:
+def test_meshes_that_claim_too_much(opened: Open, case: str, tmp_path: Path) -> None:
     name, write, words = MESHES[case]
     folder = tmp_path / "piece"
     folder.mkdir()
@@ -187,7 +220,7 @@ def packed(**files: bytes) -> bytes:
     return file.getvalue()
 
 
-def test_archives_that_unpack_to_much_more(tmp_path: Path) -> None:
+def test_archives_that_unpack_to_much_more(opened: Open, tmp_path: Path) -> None:
     """Archives unpack to a thousand times their size; one declares a false size."""
     zeros = bytes(60 * 2**20)
     bomb = packed(**{f"part{k}_stl": zeros for k in range(4)})
@@ -205,7 +238,7 @@ def test_archives_that_unpack_to_much_more(tmp_path: Path) -> None:
         assert sum(p.stat().st_size for p in place.rglob("*") if p.is_file()) <= 50_000_000
 
 
-def test_policies_that_unpack_to_much_more(tmp_path: Path) -> None:
+def test_policies_that_unpack_to_much_more(opened: Open, tmp_path: Path) -> None:
     """One file holds weights of 400 MB in 0.4 MB; another claims an array of 800 TB."""
     path = tmp_path / "policy.npz"
     meta = json.dumps({"format": 1, "version": "0", "kind": "relational", "config": {}}).encode()
@@ -224,7 +257,7 @@ def test_policies_that_unpack_to_much_more(tmp_path: Path) -> None:
         assert found.megabytes < 100
 
 
-def test_the_limit_is_one(tmp_path: Path) -> None:
+def test_ordinary_files_open_within_the_limit(opened: Open, tmp_path: Path) -> None:
     """Ordinary files are read within the limit."""
     folder = write_table(tmp_path / "table")
     found = opened("folder", folder, tmp_path)

@@ -56,7 +56,7 @@ def chair(tmp_path):
     return write(tmp_path / "data" / "7", [{"name": "chair", "children": [SEAT, BASE]}])
 
 
-def test_leaves_become_parts(chair):
+def test_leaf_nodes_become_parts(chair):
     raw = partnet.read(chair)
     assert [p.name for p in raw.parts] == ["chair_seat/seat_surface", "chair_base/leg", "chair_base/leg_2"]
     assert [p.label for p in raw.parts] == ["seat_surface", "leg", "leg"]

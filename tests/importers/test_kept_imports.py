@@ -121,7 +121,7 @@ def test_a_change_of_any_input_repeats_the_import(
     assert len(finished) == 2
 
 
-def test_a_library_by_another_name_is_no_error() -> None:
+def test_version_of_a_missing_library_is_none() -> None:
     assert kept.library_version("numpy")
     assert kept.library_version("no-such-library") is None
 
@@ -144,7 +144,7 @@ def test_files_behind_links_count(tmp_path: Path, finished: list[str], capsys, m
     assert run(capsys, shape, "--out", tmp_path / "a", kind="partnet")["cached"]
 
 
-def test_refusals_of_repair_are_remembered_word_for_word(
+def test_refusals_of_repair_are_cached_with_their_text(
     source: Path, tmp_path: Path, finished: list[str], capsys
 ) -> None:
     box(source / "far.stl", (0.05, 0.05, 0.5), (3.0, 0, 0.25))

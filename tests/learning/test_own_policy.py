@@ -221,7 +221,7 @@ def test_a_policys_seed_follows_from_the_episodes_and_is_another(tmp_path: Path)
     assert not set(draws) & {np.random.default_rng(seed).random() for seed in (0, 1, 2)}
 
 
-def test_a_file_is_executed_once_whatever_its_name(tmp_path: Path) -> None:
+def test_policy_file_is_executed_once(tmp_path: Path) -> None:
     count = "from pathlib import Path\nwith Path(__file__).with_suffix('.log').open('a') as f:\n    f.write('x')\n"
     file = write(tmp_path / "random.py", RANDOM + count)
     import random
@@ -272,7 +272,9 @@ BAD = {
 
 
 @pytest.mark.parametrize("case", BAD)
-def test_a_file_that_is_no_policy_is_one_line_and_2(run: Run, tmp_path: Path, folder: Path, case: str) -> None:
+def test_invalid_policy_file_prints_one_line_and_exits_with_2(
+    run: Run, tmp_path: Path, folder: Path, case: str
+) -> None:
     text, words = BAD[case]
     file = write(tmp_path / "bad.py", text)
     modules = set(sys.modules)
@@ -300,7 +302,7 @@ def test_no_file(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fold
     assert [p.name for p in tmp_path.iterdir()] == ["folder.py"]
 
 
-def test_what_values_nothing_guides_nothing(run: Run, tmp_path: Path, folder: Path) -> None:
+def test_policy_without_values_cannot_guide(run: Run, tmp_path: Path, folder: Path) -> None:
     file = write(tmp_path / "drawn.py", RANDOM)
     for command in (("evaluate", "--search", "--set", f"folder:{folder}"), ("assemble", folder)):
         status, _, err = run(*command, "--policy", file)
@@ -320,7 +322,7 @@ ANSWERS = {
 
 
 @pytest.mark.parametrize("case", ANSWERS)
-def test_what_is_no_action_ends_all(run: Run, tmp_path: Path, folder: Path, case: str) -> None:
+def test_invalid_action_ends_the_run(run: Run, tmp_path: Path, folder: Path, case: str) -> None:
     answer, words = ANSWERS[case]
     file = write(tmp_path / "bad.py", RANDOM.replace("return self.picked[-1]", f"return {answer}"))
     status, out, err = run("evaluate", "--policy", file, "--set", f"folder:{folder}", "--jobs", "1")
@@ -330,7 +332,7 @@ def test_what_is_no_action_ends_all(run: Run, tmp_path: Path, folder: Path, case
     assert re.search(words, line), line
 
 
-def test_a_robots_policys_fault_is_not_the_furnitures(tmp_path: Path, armchair: Furniture) -> None:
+def test_policy_errors_in_the_full_setting_are_not_refusals(tmp_path: Path, armchair: Furniture) -> None:
     file = write(tmp_path / "bad.py", RANDOM.replace("return self.picked[-1]", "return [0, 1, 0, 0, 0]"))
     with pytest.raises(PolicyError, match="6 whole numbers would do"):
         make_agent(RolloutConfig(str(file), setting="full"))(armchair, 0)
@@ -341,7 +343,7 @@ def test_a_robots_policys_fault_is_not_the_furnitures(tmp_path: Path, armchair: 
         make_agent(RolloutConfig(str(file), setting="full", search=True))(armchair, 0)
 
 
-def test_values_that_say_nothing_are_refused(tmp_path: Path, stool: Furniture) -> None:
+def test_non_finite_values_are_refused(tmp_path: Path, stool: Furniture) -> None:
     file = write(tmp_path / "bad.py", PLAN.format(plan=[]).replace("-9.0", "np.nan"))
     with pytest.raises(PolicyError, match="is not a number for some action that exists"):
         make_agent(RolloutConfig(str(file), search=True))(stool, 0)
@@ -352,7 +354,7 @@ def test_values_that_say_nothing_are_refused(tmp_path: Path, stool: Furniture) -
     assert list(done.actions) == actions_of(stool, 0)
 
 
-def test_an_error_while_playing_is_the_authors_own(tmp_path: Path, stool: Furniture) -> None:
+def test_error_in_a_policy_keeps_its_traceback(tmp_path: Path, stool: Furniture) -> None:
     """With all that Python tells of it."""
     file = write(tmp_path / "bad.py", RANDOM.replace("return self.picked[-1]", "return self.pikced"))
     with pytest.raises(AttributeError, match="pikced") as caught:

@@ -40,7 +40,7 @@ def save(path: Path, params: dict, network: object = None, kind: str = "relation
     return path
 
 
-def test_the_surest_is_the_first_of_those_within_rounding() -> None:
+def test_ties_within_rounding_choose_the_first() -> None:
     values = np.full((2, 2, 1, 1, 6), -np.inf, np.float32)
     values[0, 1, 0, 0] = [1.0, 2.9999, 0.0, 3.0, 2.99, 0.0]
     assert surest(values).tolist() == [0, 1, 0, 0, 1]
@@ -183,7 +183,7 @@ def test_a_policy_guides_the_search() -> None:
         guide_of(load_policy("random"))
 
 
-def test_a_guide_suggests_what_exists_the_best_first(params: dict) -> None:
+def test_guide_suggests_existing_actions_best_first(params: dict) -> None:
     env = ObjectCentricEnv("cantilever:1")
     env.reset(seed=0)
     mask = env.action_mask

@@ -71,7 +71,7 @@ def test_touching_the_ground_is_a_collision() -> None:
     assert CollisionWorld(Scene(scene.bodies, ground=False)).is_free(pose(z=-0.3))
 
 
-def test_nothing_still_and_no_ground_is_free_everywhere() -> None:
+def test_empty_scene_is_free_everywhere() -> None:
     world = CollisionWorld(Scene((mover(shapes.brick(0.1, 0.1, 0.1)),), ground=False))
     assert world.edge_is_free(pose(z=5), pose(z=-5, rotation=shapes.turn(X, 2.0)))
 
@@ -155,7 +155,7 @@ def test_a_free_edge_is_free_at_a_quarter_millimetre(seed: int) -> None:
             assert abs(fraction - first) * length < 2 * RESOLUTION or fraction < first
 
 
-def test_the_box_test_alone_is_never_wrong() -> None:
+def test_box_test_never_misses_a_collision() -> None:
     """Stretches that no exact test looked at are free at 0.25 mm, without exception."""
     checked = 0
     for seed in range(12):
@@ -359,7 +359,7 @@ def cage() -> Scene:
 IN_CAGE = pose(0, 0, 0.15)
 
 
-def test_where_no_straight_retreat_leads_out_rrt_connect_does() -> None:
+def test_rrt_connect_solves_without_a_straight_retreat() -> None:
     result = mating(cage(), IN_CAGE, Budget(states=60_000))
     assert result.solved
     assert result.planner == "rrt-connect"
@@ -415,7 +415,7 @@ def test_budget_in_seconds_is_kept() -> None:
     assert result.seconds < 3.0
 
 
-def test_nothing_to_do() -> None:
+def test_start_equals_goal() -> None:
     """Start and goal are one, with and without a straight way out."""
     free = Scene((still("partner", socket()), mover(shapes.brick(*PEG), IN_SOCKET)))
     assert mating(free, IN_SOCKET).solved
@@ -478,7 +478,7 @@ def test_rrt_ends_at_one_of_its_goals() -> None:
     assert not checker.path_hits(short, 0.001)
 
 
-def test_shortcut_leaves_out_what_is_not_needed() -> None:
+def test_shortcut_removes_needless_waypoints() -> None:
     world = CollisionWorld(Scene((still("far", shapes.box((5, 5, 5), (6, 6, 6))), mover(shapes.brick(0.1, 0.1, 0.1)))))
     zigzag = [pose(x, (-1) ** i * 0.2, 0.5) for i, x in enumerate(np.linspace(0, 1, 8))]
     assert len(shortcut(zigzag, world.edge_is_free, 0, 40)) == 2

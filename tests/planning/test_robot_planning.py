@@ -43,7 +43,7 @@ def drawn(rng: np.random.Generator, n: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("held", [(), RACKET], ids=["empty", "loaded"])
-def test_free_means_what_fcl_finds_free(around: list[Body], held: tuple[Shape, ...]) -> None:
+def test_free_configurations_agree_with_fcl(around: list[Body], held: tuple[Shape, ...]) -> None:
     rng = np.random.default_rng(0)
     q = drawn(rng, 150)
     world, empty = RobotWorld(around, OPENING, held), RobotWorld([], OPENING, held)
@@ -57,7 +57,7 @@ def test_free_means_what_fcl_finds_free(around: list[Body], held: tuple[Shape, .
     assert 5 < (hits & alone).sum() < 145
 
 
-def test_a_path_counts_on_from_where_the_robot_is_and_keeps_its_long_turns() -> None:
+def test_path_angles_continue_from_the_robot() -> None:
     angles = np.array([0.2, 3.6, 7.0, 4.0])
     path = [np.eye(10)[2] * a for a in angles]
     for turns in (-3, 0, 2):
@@ -126,7 +126,7 @@ def test_clearance_is_a_margin_that_is_kept() -> None:
     ]  # fmt: skip
 
 
-def test_a_path_leads_around_and_is_free(around: list[Body]) -> None:
+def test_path_around_an_obstacle_is_free(around: list[Body]) -> None:
     held = RACKET
     start, goal = np.array([-1.5, -1.5, 0.0, *FOLDED]), np.array([3.5, 3.5, 2.0, *FOLDED])
     ways = []
@@ -179,7 +179,7 @@ def test_the_hand_goes_straight_and_does_not_turn(drive: bool) -> None:
     assert moved == pytest.approx(np.hypot(0.06, 0.04) if drive else 0.0)
 
 
-def test_level_lines_are_driven_and_what_the_arm_cannot_is_refused() -> None:
+def test_level_lines_are_driven_and_unreachable_ones_refused() -> None:
     start = np.array([0.0, 0.0, 0.0, *FOLDED])
     driven = line(start, np.array([1.0, -2.0, 0.0]))
     assert driven is not None

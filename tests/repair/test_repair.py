@@ -283,7 +283,7 @@ def test_too_much_overlap_is_refused():
     assert_clear(repair([a, b], limits=RepairLimits(trimmed=0.6, shortening=0.06)))
 
 
-def test_too_far_off_is_refused():
+def test_parts_too_far_apart_are_refused():
     a, b = box("a", (0.1, 0.1, 0.1), (0, 0, 0)), box("b", (0.1, 0.1, 0.1), (0.15, 0, 0))
     with pytest.raises(FurnitureError, match=r"hangs 50\.0 mm off .*`displacement`"):
         repair([a, b])

@@ -118,7 +118,7 @@ def test_congruent_legs_stay_congruent():
     assert max(len(c.members) for c in furniture.classes) == 4
 
 
-def test_mirror_images_are_not_made_alike():
+def test_mirror_images_stay_different():
     left = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.06, 0], [0, 0, 0.03]])
     faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
     right = left * [-1, 1, 1] - [0.0001, 0, 0]

@@ -53,7 +53,7 @@ def test_inverse_kinematics_comes_back_to_the_pose_within_limits(rng: np.random.
     assert (found[ok] <= arm().high).all()
 
 
-def test_what_the_arm_cannot_reach_is_not_found(rng: np.random.Generator) -> None:
+def test_unreachable_pose_has_no_solution(rng: np.random.Generator) -> None:
     q = uniform(rng, 50)
     near = arm().poses(q)
     far = Poses(near.rotation, near.translation + np.array([0.0, 0.0, 3.0]))
@@ -68,7 +68,7 @@ def test_rotation_vectors_by_hand() -> None:
     )
 
 
-def test_every_way_to_stand_has_the_tips_where_they_are_wanted(rng: np.random.Generator) -> None:
+def test_every_solution_reaches_the_tip_pose(rng: np.random.Generator) -> None:
     for height in (0.5, 0.9, 1.3):
         turn = pin.Quaternion(rng.normal(size=4))
         turn.normalize()
@@ -85,7 +85,7 @@ def test_every_way_to_stand_has_the_tips_where_they_are_wanted(rng: np.random.Ge
     assert not len(reach(SE3(np.eye(3), np.array([0.0, 0.0, 3.0])), 64, rng).configurations)
 
 
-def test_the_same_generator_gives_the_same_ways() -> None:
+def test_same_generator_gives_the_same_solutions() -> None:
     wanted = SE3(np.eye(3), np.array([0.3, 0.2, 0.9]))
     one, two = (reach(wanted, 32, np.random.default_rng(5)).configurations for _ in range(2))
     assert np.array_equal(one, two)
@@ -104,7 +104,7 @@ def test_the_platform_carries_the_arm(rng: np.random.Generator) -> None:
     )
 
 
-def test_the_pads_are_as_far_apart_as_told_and_the_tips_between_them(rng: np.random.Generator) -> None:
+def test_pads_have_the_given_opening_around_the_tips(rng: np.random.Generator) -> None:
     for opening in (0.0, 0.03, 0.08):
         q = np.array([0.5, -0.5, 0.7, *uniform(rng, 1)[0]])
         tips = world_from_tips(q)

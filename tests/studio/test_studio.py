@@ -93,7 +93,7 @@ def test_a_failure_changes_nothing_but_the_counts(stool):
     assert "do not belong together" in attempt_message(stool, tried)
 
 
-def test_what_is_half_done_by_hand_is_finished_by_the_search_and_audited(stool):
+def test_search_finishes_a_manual_start_and_passes_the_audit(stool):
     session = AssemblySession(stool, seed=5)
     guide = guide_of(load_policy("relational"))
     for _ in range(3):
@@ -107,7 +107,7 @@ def test_what_is_half_done_by_hand_is_finished_by_the_search_and_audited(stool):
     assert sum(audit_plan(session.plan()).counts.values()) == 0
 
 
-def test_a_search_that_is_stopped_says_so_and_leaves_all_as_it_was(stool):
+def test_stopped_search_reports_and_keeps_the_state(stool):
     session = AssemblySession(stool, seed=1)
     seen = []
 
@@ -122,7 +122,7 @@ def test_a_search_that_is_stopped_says_so_and_leaves_all_as_it_was(stool):
     assert session.search(None, go_on) == ""
 
 
-def test_a_plan_that_was_saved_is_done_again_to_the_last_bit(stool, tmp_path):
+def test_saved_plan_is_repeated_bit_for_bit(stool, tmp_path):
     session = AssemblySession(stool, seed=9)
     session.search(None, go_on)
     plan_file.write(session.plan(), tmp_path / "plan.json")
@@ -156,7 +156,7 @@ def test_robots_are_asked_for_grasps_and_furniture_they_cannot_hold_is_refused(s
         AssemblySession(catalogue.make("upholstered", 23), "full")
 
 
-def test_every_verdict_has_words(stool):
+def test_every_verdict_has_a_text(stool):
     session = AssemblySession(stool, seed=1)
     base = session.attempt((0, 1, 0, 0, 0))
     for verdict in {*map(str, ObjectCentricVerdict), *map(str, FullVerdict)} - {"merged"}:
@@ -235,7 +235,7 @@ def test_links_in_archives_are_refused(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["", ".", "..", "a/..", "x\0.glb"])
-def test_names_that_are_none_are_refused(name, tmp_path):
+def test_invalid_names_are_refused(name, tmp_path):
     with pytest.raises(InputError, match="not a valid file name"):
         unpack(name, b"", tmp_path)
 
@@ -249,12 +249,12 @@ def test_only_the_last_component_of_a_name_counts(tmp_path):
 @pytest.mark.parametrize(
     "content", [b"", b"PK\x03\x04nonsense", b"\0" * 100, zipped({"a.stl": b"solid"})[:-30]], ids=range(4)
 )
-def test_broken_archives_are_one_clear_line(content, tmp_path):
+def test_broken_archives_give_one_line(content, tmp_path):
     with pytest.raises(InputError, match="not a readable ZIP archive"):
         unpack("a.zip", content, tmp_path)
 
 
-def test_what_unpacks_to_too_much_is_refused(monkeypatch, tmp_path):
+def test_archives_that_unpack_to_too_much_are_refused(monkeypatch, tmp_path):
     bomb = zipped({"a.stl": bytes(2_000_000)})
     assert len(bomb) < 10_000
     monkeypatch.setattr(uploads, "LARGEST_UPLOAD", 1_000_000)
@@ -267,7 +267,7 @@ def test_what_unpacks_to_too_much_is_refused(monkeypatch, tmp_path):
         unpack("b.zip", zipped({f"{i}.stl": b"" for i in range(4)}), tmp_path)
 
 
-def test_brought_files_that_are_no_furniture_leave_nothing_behind(tmp_path, monkeypatch):
+def test_uploads_without_furniture_leave_no_files(tmp_path, monkeypatch):
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     for name, content in (("a.zip", zipped({"readme.txt": b"hello"})), ("a.glb", b"nonsense"), ("a.stl", b"solid")):
         with pytest.raises(InputError) as error:
@@ -317,7 +317,7 @@ def test_a_whole_assembly_by_buttons_then_undo(clients, stool):
         assert not panel.undo.disabled
 
 
-def test_a_plan_of_robots_is_brought_to_furniture_that_was_opened_without_grasps(clients, stool):
+def test_full_plan_loads_on_furniture_without_grasps(clients, stool):
     content = plan_file.encode(AssemblySession(stool, "full", seed=3).plan())
     with served() as server:
         browser = Browser(server)
@@ -350,7 +350,7 @@ def test_a_step_is_shown_soon(clients, stool):
     assert np.median(seconds) < 1.0
 
 
-def test_a_plan_that_is_brought_is_done_again_on_the_furniture_shown(clients, stool):
+def test_uploaded_plan_is_repeated_on_the_furniture_shown(clients, stool):
     other = AssemblySession(stool, seed=4)
     other.search(None, go_on)
     content = plan_file.encode(other.plan())
@@ -408,7 +408,7 @@ def test_uploads_are_opened_and_those_too_large_are_forgotten(clients, stool, tm
         assert not kept
 
 
-def test_nothing_is_served_but_the_page_and_nobody_opens_a_tunnel(clients):
+def test_only_the_page_is_served_and_no_tunnel_opened(clients):
     with served() as server:
         for path in (
             "/../../../../etc/passwd",
@@ -438,7 +438,7 @@ def test_folders_are_opened_by_name_only_where_a_root_was_given(clients, tmp_pat
             browser.connection.close()
 
 
-def test_addresses_that_cannot_be_listened_on_are_one_clear_line():
+def test_unusable_addresses_print_one_line():
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()

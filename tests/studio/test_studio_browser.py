@@ -111,7 +111,7 @@ def until(true, seconds: float = 30.0):
     return value
 
 
-def test_a_whole_stool_is_put_together_by_clicking(page):
+def test_stool_is_assembled_by_clicking(page):
     until(lambda: warm(picture(page, "start")) > 2_000)
     seconds = []
     for merge in range(MERGES):
@@ -320,7 +320,7 @@ def test_the_search_runs_and_the_time_line_goes_back(page):
     assert page.get_by_text(f"{MERGES} of {MERGES} merges").is_visible()
 
 
-def test_own_stl_files_are_brought_and_assembled(page, tmp_path):
+def test_uploaded_stl_files_are_assembled(page, tmp_path):
     from roboassembly.datasets import catalogue
 
     stool = catalogue.make("stool", 2)
@@ -339,7 +339,7 @@ def test_own_stl_files_are_brought_and_assembled(page, tmp_path):
     picture(page, "mine")
 
 
-def test_it_fits_a_telephone(browser, served):
+def test_page_fits_a_phone(browser, served):
     page = browser.new_page(
         viewport={"width": 390, "height": 844}, device_scale_factor=1, has_touch=True, is_mobile=True
     )

@@ -99,7 +99,7 @@ def test_each_visible_point_and_part_is_chosen_and_the_floor_is_not(opened, answ
     assert tried["floor"] >= 12, tried
 
 
-def test_the_first_click_picks_what_moves_and_the_second_what_waits(opened):
+def test_first_click_picks_the_moving_part_second_the_waiting_one(opened):
     browser, client, seen = opened
     eye, panel = EYES[1], client.panel
     balls = seen.visible(eye)
@@ -114,7 +114,7 @@ def test_the_first_click_picks_what_moves_and_the_second_what_waits(opened):
     assert ends == [seen.owners[one], seen.owners[other]]
 
 
-def test_what_viser_says_was_clicked_on_chooses_nothing(opened):
+def test_click_target_sent_by_viser_is_ignored(opened):
     """It says ball 0 of some part, or none, for clicks on the floor."""
     browser, client, _ = opened
     for node in client.handle.scene._handle_from_node_name:
@@ -128,7 +128,7 @@ def test_what_viser_says_was_clicked_on_chooses_nothing(opened):
     assert (client.panel.u.value, client.panel.v.value) == (NONE, NONE)
 
 
-def test_hidden_balls_are_not_chosen(opened, answers):
+def test_hidden_points_in_reach_are_not_chosen(opened, answers):
     browser, client, seen = opened
     browser.set(client.panel.points, False)
     until(lambda: not client.editor.view.options.points)
@@ -156,7 +156,7 @@ def test_clicks_while_something_runs_and_on_joined_parts(opened):
     assert (panel.u.value, panel.v.value) == (NONE, NONE)
 
 
-def test_what_stands_in_front_hides_what_is_behind():
+def test_parts_in_front_hide_parts_behind():
     box, picker = shapes.brick(0.2, 0.2, 0.2), Picker()
     here = [shapes.pose(0, 0, 0), shapes.pose(0, 0, 1)]
     balls, none = np.zeros((1, 1, 3)), np.zeros((1, 1))

@@ -168,7 +168,7 @@ def test_further_origins_are_let_in_where_they_were_named():
 @pytest.mark.parametrize(
     "wrong", ["*", "studio.example.org", "https://", "ftp://a", "https://a/b", "http://a:99999", ""]
 )
-def test_origins_that_are_none_are_one_clear_line(wrong):
+def test_invalid_origins_print_one_line(wrong):
     with pytest.raises(InputError, match="--allow-origin"):
         Access("127.0.0.1", origins=(wrong,))
 
@@ -204,7 +204,7 @@ def test_the_token_in_the_address_opens_the_page_and_its_cookie_the_websocket(gu
     assert not refused(port, query=f"?token={access.token}")
 
 
-def test_tokens_are_drawn_anew_and_needed_wherever_others_can_reach():
+def test_tokens_are_random_and_needed_on_public_addresses():
     assert Access("127.0.0.1").token == Access("localhost").token == Access("::1").token == ""
     drawn = {Access(host).token for host in ("0.0.0.0", "0.0.0.0", "::", "192.0.2.1", "studio.lan", "")}
     assert len(drawn) == 6
@@ -272,7 +272,7 @@ WRONG: tuple[object, ...] = (
 )  # fmt: skip
 
 
-def test_no_control_takes_what_it_does_not_offer(visit):
+def test_controls_refuse_values_outside_their_options(visit):
     browser, client = visit
     controls = controls_of(client.handle)
     assert len(controls) > 25
@@ -292,7 +292,7 @@ def test_no_control_takes_what_it_does_not_offer(visit):
     assert all(request[1:] == ("view",) for request in asked)
 
 
-def test_what_a_control_offers_is_taken(visit):
+def test_controls_take_their_options(visit):
     browser, client = visit
     panel = client.panel
     for control, value in (
@@ -316,7 +316,7 @@ def test_only_the_value_of_a_control_can_be_set(visit):
     assert vars(control._impl) == before
 
 
-def test_controls_that_are_off_or_of_someone_else_do_nothing(clients):
+def test_disabled_or_foreign_controls_are_ignored(clients):
     with served() as server:
         browsers = [Browser(server) for _ in range(2)]
         until(lambda: len(clients) == 2 and all(merges(v) == 0 for v in clients))
@@ -335,7 +335,7 @@ def test_controls_that_are_off_or_of_someone_else_do_nothing(clients):
         until(lambda: merges(one) > 0)
 
 
-def test_a_refused_choice_is_shown_again_as_it_is(visit):
+def test_refused_choice_is_reset_in_the_panel(visit):
     browser, client = visit
     browser.set(client.panel.piece, "sofa")
     uuid, value = identifier_of(client.panel.piece), client.panel.piece.value
@@ -344,7 +344,7 @@ def test_a_refused_choice_is_shown_again_as_it_is(visit):
 
 
 @pytest.mark.parametrize("field", ["wxyz", "position", "look_at", "up_direction", "fov", "near", "far", "image_width"])
-def test_cameras_that_are_none_are_ignored(visit, field):
+def test_invalid_cameras_are_ignored(visit, field):
     browser, client = visit
     camera, names = client.handle.camera, ("wxyz", "position", "look_at", "up_direction", "fov", "near", "far")
     before = [np.array(getattr(camera, name)) for name in names]
@@ -364,7 +364,7 @@ def test_cameras_that_are_none_are_ignored(visit, field):
     until(lambda: camera.fov == 0.7)
 
 
-def test_whoever_sends_no_camera_is_no_visitor(clients):
+def test_clients_without_a_camera_are_no_visitors(clients):
     with served() as server:
         for wrong in (math.nan, math.inf, 1e300):
             Browser(server, replace(CAMERA, position=(wrong, 0.0, 0.0)))
@@ -374,7 +374,7 @@ def test_whoever_sends_no_camera_is_no_visitor(clients):
         assert len(server.get_clients()) == len(clients) == 1
 
 
-def test_messages_that_the_page_does_not_need_reach_nobody(visit, monkeypatch):
+def test_unneeded_messages_are_dropped(visit, monkeypatch):
     browser, client = visit
     reached: list[str] = []
     gui, scene = type(client.handle.gui), type(client.handle.scene)
@@ -416,7 +416,7 @@ def test_messages_that_the_page_does_not_need_reach_nobody(visit, monkeypatch):
     assert server._share_tunnel is None
 
 
-def test_clicks_that_are_none_are_ignored(visit):
+def test_invalid_clicks_are_ignored(visit):
     browser, client = visit
     asked = []
     client.handle.scene.remove_click_callback()
@@ -480,7 +480,7 @@ def test_nothing_is_opened_outside_of_the_folders_that_were_given(offered, name)
     assert client.session.furniture.name == "stool-0"
 
 
-def test_what_lies_in_them_is_opened(offered):
+def test_furniture_in_named_folders_opens(offered):
     browser, client, root = offered
     for name in ("stool", f"{root}/mine/stool", "stool/../stool"):
         opened = client.session
@@ -553,7 +553,7 @@ def test_requests_that_wait_are_limited_and_those_that_say_the_same_are_one(visi
     until(lambda: merges(client) > 0)
 
 
-def test_seventy_browsers_sixty_four_places(clients, monkeypatch):
+def test_at_most_64_of_70_browsers_connect(clients, monkeypatch):
     monkeypatch.setattr(ClientSession, "open_path", lambda *_: None)  # the stool 64 times would take long
     with served() as server:
         browsers = [Browser(server) for _ in range(70)]
@@ -695,7 +695,7 @@ def test_a_file_that_is_not_read_yet_is_not_followed_by_another(visit):
 # The guard itself
 
 
-def test_servers_that_only_write_a_page_let_nobody_in():
+def test_page_writers_accept_no_connections():
     with quiet_server("127.0.0.1", 0) as server:
         assert ask(server.get_port())[0] == 403
         assert refused(server.get_port())

@@ -65,7 +65,7 @@ def test_every_part_waits_on_a_post_of_its_own(stool: Furniture, seed: int) -> N
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_long_parts_keep_apart_whoever_their_neighbours_are(seed: int) -> None:
+def test_long_parts_are_spaced_apart(seed: int) -> None:
     """Four boards of a metre and four sticks: half as far as two boards need is what a board and a stick need."""
     sizes = {f"board{i}": (1.0, 0.1, 0.02) for i in range(4)} | {f"stick{i}": (0.1, 0.02, 0.02) for i in range(4)}
     high, solids = 0.0, {}

@@ -58,7 +58,7 @@ def test_a_robot_stops_where_its_path_bends() -> None:
     assert not list(time_parametrize([A, A]))
 
 
-def test_fingers_hold_what_is_between_them_and_only_that() -> None:
+def test_fingers_hold_only_parts_between_them() -> None:
     cell = StepPhysics([A, B], [0.05, 0.0], [held_bar(), far_bar()])
     assert cell.grasp(0, 0)
     left, right = cell.pad_forces(0, 0)
@@ -73,7 +73,7 @@ def test_fingers_hold_what_is_between_them_and_only_that() -> None:
     assert not empty.grasp(0, 0)
 
 
-def test_what_nobody_holds_falls() -> None:
+def test_unheld_parts_fall() -> None:
     cell = StepPhysics([A, B], [0.05, 0.0], [held_bar(), far_bar()])
     assert cell.grasp(0, 0)
     before = cell.pose(0).translation[2]

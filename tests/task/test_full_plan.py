@@ -24,7 +24,7 @@ def timeline(two_merges: FullPlan) -> Timeline:
     return make_timeline(two_merges, 20.0, 20.0)
 
 
-def test_the_file_alone_tells_where_everything_is(two_merges: FullPlan) -> None:
+def test_plan_file_gives_all_poses(two_merges: FullPlan) -> None:
     text = plan_file.encode(two_merges)
     assert text == plan_file.encode(two_merges)
     told = json.loads(text)
@@ -48,7 +48,7 @@ def test_the_file_alone_tells_where_everything_is(two_merges: FullPlan) -> None:
     assert len(told["steps"]) == len(two_merges.steps)
 
 
-def test_what_no_hand_holds_hangs_above_a_post(two_merges: FullPlan) -> None:
+def test_parts_between_steps_hang_above_a_post(two_merges: FullPlan) -> None:
     parts = two_merges.furniture.parts
     for step in two_merges.steps:
         for standing in step.segments[-1].after.placed:

@@ -79,11 +79,11 @@ def step(furniture: Furniture, state: TaskState, action: tuple[int, ...], **opti
         (19, 18, 9, 9, 5),
     ],
 )
-def test_what_is_not_there_is_no_action(table: Furniture, action: tuple[int, ...]) -> None:
+def test_missing_parts_and_points_are_no_action(table: Furniture, action: tuple[int, ...]) -> None:
     assert step(table, apart(table), action).verdict is ObjectCentricVerdict.NOT_AN_ACTION
 
 
-def test_what_is_taken_or_joined_is_no_action(table: Furniture) -> None:
+def test_occupied_points_and_joined_parts_are_no_action(table: Furniture) -> None:
     state = step(table, apart(table), (1, 0, 0, 0, DOWN)).state
     assert step(table, state, (1, 0, 0, 0, DOWN)).verdict is ObjectCentricVerdict.NOT_AN_ACTION  # one group already
     assert step(table, state, (0, 1, 1, 0, DOWN)).verdict is ObjectCentricVerdict.NOT_AN_ACTION
@@ -203,7 +203,7 @@ def test_the_tasks_own_budget_is_used() -> None:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_what_a_merge_leaves_behind(chair, seed: int) -> None:
+def test_state_after_a_merge(chair, seed: int) -> None:
     furniture = chair("stool", 0)
     task = ObjectCentricTask(furniture)
     state = task.initial_state(np.random.default_rng(seed))

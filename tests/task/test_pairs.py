@@ -223,7 +223,7 @@ def test_one_merge_can_make_several_contacts(stand: Furniture) -> None:
 
 
 @pytest.mark.parametrize("family", [*CHAIRS, *OTHERS])
-def test_wherever_equal_parts_went_open_joints_are_right_pairs(chair, family: str) -> None:
+def test_open_joints_are_right_pairs_after_swaps(chair, family: str) -> None:
     """Random right merges, parts turned about and in each other's slots; whatever the furniture still has to join can
     be joined by the points that `ends` names. A stretcher that was put in end for end is no worse than another."""
     furniture = chair(family, 0)
@@ -285,7 +285,7 @@ def test_groups_that_would_share_a_slot_are_refused(table: Furniture) -> None:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_a_judgement_does_not_depend_on_where_things_lie(chair, seed: int) -> None:
+def test_judgement_is_independent_of_poses(chair, seed: int) -> None:
     furniture = chair("windsor", 0)
     rng = np.random.default_rng(seed)
     rule = PairRule(furniture)
@@ -343,7 +343,7 @@ def growth(furniture: Furniture, rng: np.random.Generator) -> tuple[Group, set[i
 
 
 @pytest.mark.parametrize("family", FAMILIES)
-def test_what_is_right_can_be_completed(chair, family: str) -> None:
+def test_right_pairs_can_be_completed(chair, family: str) -> None:
     """A right sub-assembly lacks parts that fit somewhere: as far as pairs go, there always is a next right one."""
     furniture = chair(family, 0)
     rng = np.random.default_rng(5)
@@ -354,7 +354,7 @@ def test_what_is_right_can_be_completed(chair, family: str) -> None:
 
 
 @pytest.mark.parametrize(("off", "others"), [(0.0, 1), (1e-3, 0)])
-def test_what_is_joined_is_not_bent_into_slots_that_are_equal_within_tolerance_only(off: float, others: int) -> None:
+def test_joined_parts_keep_their_slots_within_tolerance(off: float, others: int) -> None:
     """A top with a leg could be turned over and the leg be told in the slot across; a millimetre off it is not."""
     top = shapes.box((-0.3, -0.1, 0.4 + shapes.GAP), (0.3, 0.1, 0.43 + shapes.GAP))
     legs = [shapes.box((x - 0.02, -0.02, 0.0), (x + 0.02, 0.02, 0.4)) for x in (-0.2, 0.2 + off)]

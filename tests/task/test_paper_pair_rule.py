@@ -24,7 +24,7 @@ def all_loose(furniture: Furniture) -> TaskState:
     )  # fmt: skip
 
 
-def test_any_leg_meets_any_corner_but_the_top_only_its_own_leg() -> None:
+def test_paper_rule_on_a_table_is_not_symmetric() -> None:
     """`Set(P_u)` stands for u alone, so the rule is not the same with u and v swapped."""
     table = shapes.table()
     for leg, corner in product(range(1, 5), range(4)):
@@ -36,7 +36,7 @@ def test_any_leg_meets_any_corner_but_the_top_only_its_own_leg() -> None:
         assert rules.pairs.judge(state.groups[0], state.groups[leg], 0, corner, leg, 0) is not None
 
 
-def test_what_is_not_connected_is_wrong() -> None:
+def test_unconnected_pair_is_wrong() -> None:
     table = shapes.table()
     assert not paper_pair_rule(table, 1, 2, 0, 0)
     assert not paper_pair_rule(table, 1, 0, 0, 9)
@@ -86,7 +86,7 @@ def test_the_rules_differ_in_both_directions_on_a_stool(chair) -> None:
 
 
 @pytest.mark.slow
-def test_how_often_the_rules_differ_on_the_test_chairs(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_share_of_test_chairs_on_which_the_rules_differ(monkeypatch: pytest.MonkeyPatch) -> None:
     """The figures of `docs/departures.md`; the data set is looked for in the user's own cache."""
     monkeypatch.delenv("ROBOASSEMBLY_CACHE")
     try:

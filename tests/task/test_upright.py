@@ -71,7 +71,7 @@ def motion_of(plan: Plan) -> UprightMotion:
 @pytest.mark.parametrize(
     "family", ["ladder", "stool", "bench", "windsor", "pedestal", "table_apron", "shelf_open", "three_legged"]
 )
-def test_a_piece_that_lies_any_way_ends_on_its_feet(chair, family: str) -> None:
+def test_any_resting_piece_ends_on_its_feet(chair, family: str) -> None:
     furniture = chair(family, 0)
     moved = 0
     for seed in range(4):
@@ -127,7 +127,7 @@ def balancing() -> Furniture:
     )
 
 
-def test_a_piece_that_would_tip_over_is_left_as_it_lies_and_the_plan_says_why() -> None:
+def test_piece_that_would_tip_over_stays_and_the_plan_names_the_reason() -> None:
     plan = set_upright(finished(overhanging(), ON_ITS_SIDE))
     assert plan.upright is not None
     assert (plan.upright.success, plan.upright.motion) == (False, None)
@@ -186,7 +186,7 @@ def test_the_audit_catches_a_path_through_the_ground(chair) -> None:
     assert below.counts[ViolationKind.PATH_GROUND] > 0
 
 
-def test_the_audit_catches_what_does_not_begin_where_it_lay_or_is_not_rigid(chair) -> None:
+def test_audit_finds_wrong_starts_and_non_rigid_motions(chair) -> None:
     plan = _stool_set_upright(chair("stool", 0))
     path = motion_of(plan).path
     jump = audit_plan(with_motion(plan, path=(shifted(path[0], 0.1), *path[1:])))
@@ -347,7 +347,7 @@ def test_the_audit_catches_a_piece_that_a_robot_put_through_the_floor_or_left_ha
     )
 
 
-def test_a_robot_says_why_it_leaves_a_piece_on_its_post(chair) -> None:
+def test_robot_reports_why_a_piece_stays_on_its_post(chair) -> None:
     """It would tip over, or no hand can hold it."""
     tipping = _full(overhanging(), False).upright
     assert tipping is not None

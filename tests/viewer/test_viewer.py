@@ -244,7 +244,7 @@ def test_shading_is_crisp_on_boxes_and_smooth_on_turned_legs():
     assert len(shade(loose).vertices) == len(shaded.vertices)
 
 
-def test_views_hold_what_they_should():
+def test_camera_fits_the_points_it_should_hold():
     rng = np.random.default_rng(0)
     points = rng.normal(size=(200, 3))
     for width, height in ((1280, 720), (390, 844)):
@@ -282,7 +282,7 @@ def recording_in(page: str) -> dict:
     return msgspec.msgpack.decode(inner[8 : 8 + int.from_bytes(inner[:8], "little")])
 
 
-def test_the_page_is_whole_quiet_and_leaves_nothing_running(tmp_path, capfd):
+def test_page_is_complete_and_leaves_no_server(tmp_path, capfd):
     plan, path = table_plan(), tmp_path / "assembly.html"
     write_html(plan, path)  # what Python opens once and keeps is open after this
     threads, sockets = set(threading.enumerate()), open_sockets()
@@ -344,7 +344,7 @@ def fresh_choice():
 
 
 @pytest.mark.parametrize(("value", "message"), [("disable", "switches"), ("nonsense", "unknown")])
-def test_drawing_switched_off_is_one_line(monkeypatch, fresh_choice, tmp_path, value, message):
+def test_disabled_drawing_prints_one_line(monkeypatch, fresh_choice, tmp_path, value, message):
     if not sys.platform.startswith("linux") and value == "nonsense":
         pytest.skip("only Linux has a choice")
     monkeypatch.setenv("MUJOCO_GL", value)
@@ -354,7 +354,7 @@ def test_drawing_switched_off_is_one_line(monkeypatch, fresh_choice, tmp_path, v
     assert not os.listdir(tmp_path)
 
 
-def test_no_opengl_is_one_line(monkeypatch, fresh_choice):
+def test_missing_opengl_prints_one_line(monkeypatch, fresh_choice):
     tried = []
     monkeypatch.delenv("MUJOCO_GL", raising=False)
     monkeypatch.setattr(gl, "can_render", lambda name: tried.append(name))

@@ -16,7 +16,7 @@ def test_a_change_by_hand() -> None:
     assert np.allclose(change.matrix @ [0.0, 0.0, 1.0], [0.0, 0.0, 1.0])
 
 
-def test_sizes_scale_and_nothing_turns(chair_samples: SampleSet) -> None:
+def test_augmentation_scales_without_turning(chair_samples: SampleSet) -> None:
     other = augmented(chair_samples, FrameChange(scale=1.25))
     assert np.allclose(other.clouds, 1.25 * chair_samples.clouds, atol=1e-6)
     before, after = chair_samples.samples[1], other.samples[1]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -50,7 +52,7 @@ def test_a_target_is_at_least_the_return_reached_and_within_bounds_by_hand() -> 
     assert losses.bounded_target(target, reached) == pytest.approx([0.5, 0.7, 1.0, 0.0])
 
 
-def test_the_best_of_two_choices_that_add_up_is_that_of_all_their_combinations() -> None:
+def test_best_sum_of_two_choices_is_the_best_combination() -> None:
     rng = np.random.default_rng(0)
     online, target = ([rng.normal(size=(5, 4, ways)) for ways in (3, 2)] for _ in range(2))
     highest, there = losses.best_branches(online, target)
@@ -69,7 +71,7 @@ def test_margin_loss_by_hand() -> None:
     assert losses.margin_loss([q], exists, whole) == pytest.approx([0.3, 0.0, 0.0])
 
 
-def test_what_led_to_the_whole_chair_is_told_apart() -> None:
+def test_transitions_on_a_complete_path_are_marked() -> None:
     task = _task()
     chair = _chair(task)
     agent = DQNAgent(ReplayBuffer(MemoizedEnv(task, 3), chair), AgentConfig(), np.random.default_rng(0))
@@ -137,7 +139,7 @@ def test_equal_parts_with_other_points_can_be_learnt() -> None:
 
 
 @pytest.mark.parametrize("family", ["cantilever", "three_legged"])
-def test_remembered_outcomes_are_those_of_fresh_steps(family: str) -> None:
+def test_cached_outcomes_equal_fresh_steps(family: str) -> None:
     task = ObjectCentricTask(catalogue.make(family, 1))
     env, rng = MemoizedEnv(task, 3), np.random.default_rng(0)
     _play_at_random(env, rng, 60)
@@ -166,7 +168,7 @@ def test_remembered_outcomes_are_those_of_fresh_steps(family: str) -> None:
     assert differing <= 0.03 * checked
 
 
-def test_what_is_remembered_of_hands_is_what_fresh_tests_say() -> None:
+def test_cached_grasp_outcomes_equal_fresh_tests() -> None:
     """250 outcomes: all tests but the arms' depend on the groups alone, so that nothing may differ."""
     task = FullTask(catalogue.make("three_legged", 24))
     env, rng = MemoizedEnv(task, 3), np.random.default_rng(0)
@@ -190,7 +192,7 @@ def test_what_is_remembered_of_hands_is_what_fresh_tests_say() -> None:
     assert checked == asked
 
 
-def test_how_a_part_is_turned_in_its_slot_matters_to_hands_only() -> None:
+def test_rotation_in_a_slot_matters_only_with_robots() -> None:
     furniture = catalogue.make("three_legged", 24)
     part = next(p for p, c in enumerate(furniture.class_of) if len(furniture.classes[c].symmetries) > 1)
     other = next(
@@ -230,7 +232,7 @@ def test_an_expert_plays_with_robots() -> None:
     np.testing.assert_allclose(grid - grid[:1] - grid[:, :1] + grid[0, 0], 0.0, atol=1e-5)
 
 
-def test_what_belongs_between_two_groups_would_be_locked_out() -> None:
+def test_groups_with_a_part_missing_between_are_locked_out() -> None:
     sled = catalogue.make("sled", 4)
     env = MemoizedEnv(ObjectCentricTask(sled), 0)
     name = {part.name: i for i, part in enumerate(sled.parts)}
@@ -273,12 +275,12 @@ def test_what_belongs_between_two_groups_would_be_locked_out() -> None:
     assert env.geometry.locked_out(state, *rows("cross_rail_front", "leg_front_right")) == 0
 
 
-def test_nothing_is_known_before_it_was_tried() -> None:
+def test_outcomes_are_unknown_before_a_try() -> None:
     env = MemoizedEnv(_task(), 0)
     assert (env.known(env.start) == UNKNOWN).all()
 
 
-def test_a_rehearsal_restored_goes_on_alike() -> None:
+def test_restored_exploration_continues_equally() -> None:
     first, second = MemoizedEnv(_task(), 0), MemoizedEnv(_task(), 0)
     _play_at_random(first, np.random.default_rng(0), 25)
     second.restore(first.to_arrays())
@@ -322,7 +324,7 @@ def test_best_returns_are_backed_up_through_merges() -> None:
     assert buffer.best_path() == [0, one, two]
 
 
-def test_practice_takes_what_works_and_remembers_what_was_left_over() -> None:
+def test_explorer_takes_working_actions_and_keeps_unused_ones() -> None:
     env = MemoizedEnv(_task(), 0)
     explorer = PlanExplorer(env, np.random.default_rng(0))
     least, state = len(env.start), env.start
@@ -351,14 +353,33 @@ def _extractor() -> dict[str, object]:
     return autoencoder.init(np.random.default_rng(0))
 
 
-def test_a_small_chair_is_mastered_and_taught(tmp_path: Path) -> None:
-    chair = _folder_pick(tmp_path)
-    ExpertRun([chair], tmp_path / "out", ExpertTraining(steps=4_000, test_episodes=2), 1, _extractor(), {}).run(60.0)
-    path = tmp_path / "out" / f"{chair.name}.npz"
+Trained = Callable[[str, int], tuple[FurnitureRef, Path]]
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> Trained:
+    """`trained(family, seed)`: furniture and the file of an expert trained on it, once a module."""
+
+    @cache
+    def train(family: str, seed: int) -> tuple[FurnitureRef, Path]:
+        folder = tmp_path_factory.mktemp("expert")
+        chair = _folder_pick(folder, family, seed)
+        training = ExpertTraining(steps=4_000, test_episodes=2)
+        ExpertRun([chair], folder / "out", training, 1, _extractor(), {}).run(60.0)
+        return chair, folder / "out" / f"{chair.name}.npz"
+
+    return train
+
+
+@pytest.mark.parametrize(
+    ("family", "seed"), [("upholstered", 14), pytest.param("cantilever", 1, marks=pytest.mark.slow)]
+)
+def test_an_expert_masters_a_chair_and_teaches_it(trained: Trained, family: str, seed: int, tmp_path: Path) -> None:
+    chair, path = trained(family, seed)
     result = results.read(path)
     assert result.mastered
     assert result.success_rate == 1.0
-    assert not list((tmp_path / "out").glob("*.partial.npz"))
+    assert not list(path.parent.glob("*.partial.npz"))
     task = ObjectCentricTask(chair.furniture())
     expert = results.load(path, task)
     course, finished = expert_samples(expert, task, chair.name, episodes=2)
@@ -381,17 +402,16 @@ def test_a_small_chair_is_mastered_and_taught(tmp_path: Path) -> None:
         results.load(path, other)
 
 
-def test_a_chair_of_very_short_plays_is_mastered_too(tmp_path: Path) -> None:
-    # Two merges a play: with eight steps between two looks, the looks could always fall into the middle of one.
-    chair = _folder_pick(tmp_path, "upholstered", 14)
-    ExpertRun([chair], tmp_path / "out", ExpertTraining(steps=3_000, test_episodes=1), 1, _extractor(), {}).run(60.0)
-    result = results.read(tmp_path / "out" / f"{chair.name}.npz")
+def test_an_expert_masters_a_chair_of_two_merges_soon(trained: Trained) -> None:
+    # With eight steps between two looks, the looks could always fall into the middle of an episode.
+    _, path = trained("upholstered", 14)
+    result = results.read(path)
     assert result.mastered
     assert result.steps < 2_000
 
 
-def test_a_stopped_training_goes_on_to_the_same_weights(tmp_path: Path) -> None:
-    chair = _folder_pick(tmp_path, "three_legged")
+def test_resumed_training_gives_the_same_weights(tmp_path: Path) -> None:
+    chair = _folder_pick(tmp_path, "upholstered", 14)
     training = ExpertTraining(steps=100_000, agent=AgentConfig(batch=6))
     whole = ExpertRun([chair], tmp_path / "a", training, 1, _extractor(), {})
     for _ in range(24):

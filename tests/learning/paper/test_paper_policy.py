@@ -92,7 +92,7 @@ def test_the_state_vector_is_padded_section_by_section() -> None:
     assert not fewer[960 + 4 * 9 : 2760].any()
 
 
-def test_inputs_are_normalised_by_what_is_there() -> None:
+def test_inputs_are_normalised_by_existing_parts() -> None:
     states = np.zeros((2, STATE), np.float32)
     states[0, 0], states[0, 48], states[1, 0] = 1.0, 3.0, 5.0  # channel 0 of the features of three parts
     states[0, 1] = states[0, 49] = states[1, 1] = 7.0  # a constant channel
@@ -171,7 +171,7 @@ def test_exact_values_are_returns_to_go() -> None:
     assert not target[0, 4:].any()
 
 
-def test_with_robots_what_both_grasps_add_is_taught_and_chosen(tmp_path: Path) -> None:
+def test_grasp_values_are_learnt_and_chosen_in_the_full_setting(tmp_path: Path) -> None:
     stand = shapes.stand()
     task = FullTask(stand)
     clouds = np.array([surface_points(p.mesh, CLOUD_POINTS) for p in stand.parts], np.float32)
@@ -218,7 +218,7 @@ def test_with_robots_what_both_grasps_add_is_taught_and_chosen(tmp_path: Path) -
         next(imitation.train(mixed, ENCODER, tmp_path / "mixed.npz", PaperTraining(steps=3), SMALL, {}))
 
 
-def test_a_batch_names_slots_and_what_exists(examples: list[PaperExample]) -> None:
+def test_batch_holds_slots_and_masks(examples: list[PaperExample]) -> None:
     batch = imitation.batch_of(examples, None)
     for row, e in enumerate(examples):
         n = len(e.part)
@@ -230,7 +230,7 @@ def test_a_batch_names_slots_and_what_exists(examples: list[PaperExample]) -> No
         assert e.exact().max() >= groups - 1 + 4
 
 
-def test_groups_lie_elsewhere_and_stay_whole(chair: Furniture) -> None:
+def test_augmentation_moves_groups_as_wholes(chair: Furniture) -> None:
     task = ObjectCentricTask(chair)
     state = task.initial_state(np.random.default_rng(0))
     joint = next(j for j in Oracle(task).mates(state) if j.viable)
@@ -265,7 +265,7 @@ def test_noise_is_on_the_clouds_alone(examples: list[PaperExample], course: Samp
     assert len(more) == 3 * len(examples)
 
 
-def test_q_is_what_its_factors_say_on_numpy_and_jax() -> None:
+def test_q_values_follow_from_factors_in_numpy_and_jax() -> None:
     rng = np.random.default_rng(0)
     p, state = paper.init(rng, SMALL), rng.normal(size=(2, STATE)).astype(np.float32)
     p["heads"]["0"]["u"]["b"] += np.arange(6, dtype=np.float32)
@@ -343,7 +343,7 @@ def _until(steps: int, *args: Any) -> None:
     run.close()
 
 
-def test_a_stopped_run_goes_on_as_if_it_had_not_been(examples: list[PaperExample], tmp_path: Path) -> None:
+def test_resumed_run_equals_an_uninterrupted_one(examples: list[PaperExample], tmp_path: Path) -> None:
     training = PaperTraining(steps=9, batch=2, warmup=2, keep_every=0.0)
     straight, stopped = tmp_path / "straight.npz", tmp_path / "stopped.npz"
     list(imitation.train(examples, ENCODER, straight, training, SMALL, {}))

@@ -21,7 +21,7 @@ def square(part_class: int, at: tuple[float, float, float]) -> PlacedPart:
     )
 
 
-def test_moving_both_changes_nothing_and_moving_one_does():
+def test_relations_depend_on_relative_poses_only():
     relative = RelativePoses()
     a, b = square(0, (0, 0, 0)), square(3, (0.5, 0, 0.2))
     number = relative.number(a, b)
@@ -41,7 +41,7 @@ def test_a_part_that_looks_the_same_turned_about_has_the_same_relations():
     assert relative.number(turned, b) == relative.number(a, b)
 
 
-def test_only_what_was_seen_is_not_strange():
+def test_only_seen_relations_are_known():
     relative = RelativePoses()
     a, b, c = square(0, (0, 0, 0)), square(1, (0.5, 0, 0)), square(2, (0, 0.7, 0))
     relative.see([a, b])
@@ -52,7 +52,7 @@ def test_only_what_was_seen_is_not_strange():
 
 
 @pytest.mark.parametrize("family", ["stool", "plank"])
-def test_in_rehearsal_the_first_right_pair_makes_its_like_familiar(family: str):
+def test_first_right_pair_makes_equal_pairs_known(family: str):
     """A rung that was joined to one leg is not strange to another; as wrong a pair as before stays strange."""
     env = MemoizedEnv(ObjectCentricTask(catalogue.make(family)), 0)
     start = env.start
