@@ -105,9 +105,9 @@ def test_first_click_picks_the_moving_part_second_the_waiting_one(opened):
     balls = seen.visible(eye)
     one = balls[0]
     other = next(b for b in balls if seen.owners[b][0] != seen.owners[one][0])
-    for ball in (one, other):
+    for ball, point in ((one, panel.k), (other, panel.l)):
         browser.click(eye, seen.centers[ball] - eye)
-    until(lambda: panel.l.value != NONE)
+        until(lambda point=point: point.value != NONE)
     ends = [
         (int(part.value.split(":")[0]), int(point.value)) for part, point in ((panel.u, panel.k), (panel.v, panel.l))
     ]
