@@ -274,7 +274,7 @@ def test_bad_furniture_prints_one_line_and_exits_with_2(run: Run, stool: Path, t
         (["import", "ikea-manual", ".", "--jobs", "0"], "--jobs 0"),
         (["bench", "planning", "--chairs", "0"], "--chairs 0"),
         (["bench", "robots", "--furniture", "stol"], "did you mean stool"),
-        (["assemble", "stool", "--execution", "dynamic"], "add --setting full"),
+        (["assemble", "stool", "--execution", "dynamic"], "takes --setting full"),
         (["export", "mjcf", "rokcer"], "did you mean rocker"),
         (["dataset", "show", "chairs-413"], "did you mean chairs-412"),
         (["evaluate", "--set", "folder:nowhere"], "holds no furniture folders"),

@@ -86,7 +86,7 @@ def bad_actions(names: tuple[str, ...]) -> list[tuple[Any, str]]:
     n, last = len(names), len(names) - 1
     largest = {"u": 19, "k": 9, "w": 5, "g_b": 7}
     return [
-        (np.zeros(n - 1, int), rf"shape \({n - 1},\); shape \({n},\), {n} integers \(u, v, k, l, "),
+        (np.zeros(n - 1, int), rf"shape \({n - 1},\); expected {n} integers \(u, v, k, l, "),
         (np.zeros((1, n), int), rf"shape \(1, {n}\)"),
         (np.zeros(20_000, int), r"shape \(20000,\)"),
         (3, r"action 3 has shape \(\)"),
@@ -96,9 +96,9 @@ def bad_actions(names: tuple[str, ...]) -> list[tuple[Any, str]]:
         (np.ones(n, bool), "dtype bool"),
         (["0"] * n, "dtype <U1"),
         ([[0], [0, 1], *[[0]] * (n - 2)], "no array"),
-        ([20, *[0] * last], f"u is 20; 0 to {largest['u']}"),
-        ([0, 1, -1, *[0] * (n - 3)], f"k is -1; 0 to {largest['k']}"),
-        ([0, 1, *[0] * (n - 3), 99], f"{names[-1]} is 99; 0 to {largest[names[-1]]}"),
+        ([20, *[0] * last], f"u is 20; expected 0 to {largest['u']}"),
+        ([0, 1, -1, *[0] * (n - 3)], f"k is -1; expected 0 to {largest['k']}"),
+        ([0, 1, *[0] * (n - 3), 99], f"{names[-1]} is 99; expected 0 to {largest[names[-1]]}"),
         ([2**40] * n, f"u is {2**40}"),
         ([2**70] * n, "dtype object"),
     ]
@@ -126,7 +126,7 @@ def test_numbers_outside_of_the_space(make: Make) -> None:
     env.reset(seed=0)
     size = env.action_space.n
     for number, message in (
-        (size, f"action {size} is out of range; an integer from 0 to {size - 1}"),
+        (size, f"action {size} is out of range; expected an integer from 0 to {size - 1}"),
         (-1, "action -1 is out of range"),
         (3.7, "dtype float64"),
         (np.array([3]), r"shape \(1,\)"),
@@ -136,7 +136,7 @@ def test_numbers_outside_of_the_space(make: Make) -> None:
         with pytest.raises(InvalidAction, match=message) as error:
             env.step(number)
         one_line(error)
-    with pytest.raises(InvalidAction, match="u is 20; 0 to 19"):
+    with pytest.raises(InvalidAction, match="u is 20; expected 0 to 19"):
         env.flatten((20, *[0] * (len(env.env.action_space.nvec) - 1)))
     *_, info = env.step(np.int64(0))
     assert info["verdict"] == "not_an_action"
@@ -182,12 +182,12 @@ def test_complete_assembly_ends_the_episode() -> None:
 BAD_OPTIONS: tuple[tuple[Any, type[Exception], str], ...] = (
     ({"furnitur": 3}, ValueError, "unknown reset option 'furnitur' .*3.*known: 'furniture'"),
     ({"furniture": 0, "w": "x"}, ValueError, "unknown reset option 'w' .*'x'"),
-    ({"furniture": 1}, ValueError, r"options\['furniture'\] is 1; an index from 0 to 0"),
+    ({"furniture": 1}, ValueError, r"options\['furniture'\] is 1; expected an index from 0 to 0"),
     ({"furniture": -1}, ValueError, "is -1"),
     ({"furniture": True}, ValueError, "is True"),
     ({"furniture": "stool"}, ValueError, "is 'stool'"),
     ({"furniture": 0.0}, ValueError, "is 0.0"),
-    ("furniture", TypeError, "options is 'furniture'; a dictionary"),
+    ("furniture", TypeError, "options is 'furniture'; expected a dictionary"),
     ([("furniture", 0)], TypeError, "a dictionary"),
 )
 
@@ -206,23 +206,23 @@ def test_reset_options(make: Make, name: str) -> None:
 @pytest.mark.parametrize(
     ("arguments", "kind", "message"),
     [
-        ({"cloud_points": -1}, ValueError, "cloud_points is -1; 1 to"),
-        ({"cloud_points": 0}, ValueError, "cloud_points is 0; 1 to"),
-        ({"cloud_points": 2**40}, ValueError, "cloud_points is 1099511627776; 1 to 65536"),
-        ({"cloud_points": 12.5}, TypeError, "cloud_points is 12.5; an integer"),
-        ({"cloud_points": "128"}, TypeError, "cloud_points is '128'; an integer"),
-        ({"cloud_points": None}, TypeError, "cloud_points is None; an integer"),
-        ({"max_parts": 21}, ValueError, "max_parts is 21; 1 to 20"),
-        ({"max_points": 0}, ValueError, "max_points is 0; 1 to 10"),
-        ({"max_parts": True}, TypeError, "max_parts is True; an integer"),
+        ({"cloud_points": -1}, ValueError, "cloud_points is -1; expected an integer from 1 to"),
+        ({"cloud_points": 0}, ValueError, "cloud_points is 0; expected an integer from 1 to"),
+        ({"cloud_points": 2**40}, ValueError, "cloud_points is 1099511627776; expected an integer from 1 to 65536"),
+        ({"cloud_points": 12.5}, TypeError, "cloud_points is 12.5; expected an integer"),
+        ({"cloud_points": "128"}, TypeError, "cloud_points is '128'; expected an integer"),
+        ({"cloud_points": None}, TypeError, "cloud_points is None; expected an integer"),
+        ({"max_parts": 21}, ValueError, "max_parts is 21; expected an integer from 1 to 20"),
+        ({"max_points": 0}, ValueError, "max_points is 0; expected an integer from 1 to 10"),
+        ({"max_parts": True}, TypeError, "max_parts is True; expected an integer"),
         ({"max_parts": 4}, ValueError, "'three_legged-3' has 5 parts .* max_parts=4"),
-        ({"furniture": None}, TypeError, "furniture is None; a name, a folder, a Furniture, or a list"),
-        ({"furniture": 5}, TypeError, "furniture is 5; a name"),
+        ({"furniture": None}, TypeError, "furniture is None; expected a name, a folder, a Furniture, or a list"),
+        ({"furniture": 5}, TypeError, "furniture is 5; expected a name"),
         ({"furniture": ["stool", None]}, TypeError, "furniture contains None"),
         ({"furniture": []}, ValueError, "no furniture given"),
         ({"furniture": "stol"}, InputError, "'stol'; did you mean stool"),
         ({"width": 0}, ValueError, "0 x 480"),
-        ({"render_mode": "ansi"}, UnsupportedMode, "render_mode is 'ansi'; 'rgb_array' or None"),
+        ({"render_mode": "ansi"}, UnsupportedMode, "render_mode is 'ansi'; expected 'rgb_array' or None"),
     ],
 )
 @pytest.mark.filterwarnings("ignore:.*not in the possible render_modes")
@@ -393,7 +393,7 @@ def test_drawing_without_opengl_names_the_missing_package(make: Make, monkeypatc
 
 
 def test_human_render_mode_of_gymnasium(name: str) -> None:
-    with pytest.raises(UnsupportedMode, match="'human'; 'rgb_array' or None"):
+    with pytest.raises(UnsupportedMode, match="'human'; expected 'rgb_array' or None"):
         CLASSES[name](stool(), render_mode="human")
     with pytest.warns(UserWarning, match="HumanRendering wrapper"):
         env = gymnasium.make(name, furniture=stool(), render_mode="human")

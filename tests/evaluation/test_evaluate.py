@@ -320,7 +320,9 @@ def test_a_minari_data_set_is_read_again_and_replayed(
 
 def test_export_errors(played: list[tuple[FurnitureRef, Episode]], tmp_path: Path) -> None:
     pytest.importorskip("minari")
-    with pytest.raises(InputError, match="'chairs' is no name of a Minari data set; like 'chairs-v0' would do"):
+    with pytest.raises(
+        InputError, match="'chairs' is not the name of a Minari data set; expected one like 'chairs-v0'"
+    ):
         check_target(tmp_path / "chairs")
     (tmp_path / "there-v0").mkdir()
     with pytest.raises(InputError, match="something already"):

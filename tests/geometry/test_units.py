@@ -133,7 +133,7 @@ def test_names_and_sizes() -> None:
     assert units.scale_of(None, 0.5) == 0.5
     with pytest.raises(InputError, match=r"--unit in and --scale 0\.5 both"):
         units.scale_of("in", 0.5)
-    with pytest.raises(InputError, match="unit 'yd' is not known; mm, cm, m, in, ft would do"):
+    with pytest.raises(InputError, match="unit 'yd' is not known; expected one of mm, cm, m, in, ft"):
         units.scale_of("yd", None)
     assert units.given(0.01).text == "centimetres, as given"
     assert units.given(0.3).text == "0.3 m, as given"

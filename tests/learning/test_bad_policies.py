@@ -1,4 +1,4 @@
-"""`--policy` on a file that is no policy: one line of ours that names the file and what would do, and exit status 2."""
+"""`--policy` on a file that is no policy: one line that names the file and what is expected, and exit status 2."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ FILES: dict[str, tuple[str, bytes | None, str]] = {
     "packed otherwise": ("packed.npz", archive(0, 99, meta_json=META), WOULD_DO),
     "an array of 800 TB": ("huge.npz", archive(meta_json=HUGE), WOULD_DO),
     "arrays that do not fit": ("unfit.npz", WHOLE, "config['network']"),
-    "Python without a policy": ("mine.py", b"x = 1\n", "a function policy(seed) that returns a policy would do"),
+    "Python without a policy": ("mine.py", b"x = 1\n", "expected a function policy(seed) that returns a policy"),
     "Python that fails": ("fails.py", b"import sys\n\nraise ValueError('no weights here')\n", "line 3: ValueError"),
     "Python that exits": ("exits.py", b"raise SystemExit(0)\n", "line 1: SystemExit"),
     "Python that is none": ("broken.py", b"def policy(:\n", "line 1: SyntaxError"),

@@ -248,7 +248,7 @@ BAD = {
     "lacks a library": ("import no_such_library\n", r"line 1: ModuleNotFoundError: No module named 'no_such_library'"),
     "ends": ("import sys\nsys.exit()\n", r"line 2: SystemExit"),
     "several lines": ("raise ValueError('one\\ntwo')\n", r"line 1: ValueError: one two"),
-    "nothing": ("", r"defines no policy; a function policy\(seed\) that returns a policy would do"),
+    "nothing": ("", r"defines no policy; expected a function policy\(seed\) that returns a policy"),
     "a number": ("policy = 3\n", "has a int as its policy"),
     "takes nothing": ("def policy(): ...\n", r"TypeError: policy\(\) takes 0 positional arguments but 1 was given"),
     "fails when made": ("def policy(seed):\n    return 1 / 0\n", "line 2: ZeroDivisionError: division by zero"),
@@ -260,14 +260,20 @@ BAD = {
     ),
     "no act": (WHOLE.replace("act", "play") + "def policy(seed): return P()\n", "lacks `act`, a method"),
     "act is data": (WHOLE + "def policy(seed):\n    p = P()\n    p.act = 3\n    return p\n", "whose `act` is 3"),
-    "nameless": (WHOLE.replace("'p'", "5") + "def policy(seed): return P()\n", "whose `name` is 5; a text would do"),
-    "no points": (WHOLE.replace(" 1,", " 0,") + "def policy(seed): return P()\n", "whose `cloud_points` is 0; a whole"),
+    "nameless": (WHOLE.replace("'p'", "5") + "def policy(seed): return P()\n", "whose `name` is 5; expected a text"),
+    "no points": (
+        WHOLE.replace(" 1,", " 0,") + "def policy(seed): return P()\n",
+        "whose `cloud_points` is 0; expected a whole",
+    ),
     "half points": (WHOLE.replace(" 1,", " 1.5,") + "def policy(seed): return P()\n", "whose `cloud_points` is 1.5"),
     "settings": (
         WHOLE.replace("centric", "full") + "def policy(seed): return P()\n",
         r"whose `settings` is \('object-fu",
     ),
-    "a setting": (WHOLE.replace("('object-centric',)", "'full'") + "def policy(seed): return P()\n", "is 'full'; like"),
+    "a setting": (
+        WHOLE.replace("('object-centric',)", "'full'") + "def policy(seed): return P()\n",
+        "is 'full'; expected some of",
+    ),
 }
 
 
@@ -311,10 +317,10 @@ def test_policy_without_values_cannot_guide(run: Run, tmp_path: Path, folder: Pa
 
 
 ANSWERS = {
-    "none": ("None", "picked None; 5 whole numbers would do"),
-    "too few": ("[0, 1, 0, 0]", r"picked \[0, 1, 0, 0\]; 5 whole"),
-    "too many": ("(0, 1, 0, 0, 0, 0)", "5 whole"),
-    "a table": ("np.argwhere(mask)[:1]", r"picked array\(\[\[.*; 5 whole"),
+    "none": ("None", "picked None; expected 5 integers"),
+    "too few": ("[0, 1, 0, 0]", r"picked \[0, 1, 0, 0\]; expected 5 integers"),
+    "too many": ("(0, 1, 0, 0, 0, 0)", "expected 5 integers"),
+    "a table": ("np.argwhere(mask)[:1]", r"picked array\(\[\[.*; expected 5 integers"),
     "floats": ("np.zeros(5)", "picked array"),
     "ragged": ("[[0, 1], 0, 0, 0, 0]", "picked"),
     "truths": ("[True] * 5", "picked"),
@@ -334,7 +340,7 @@ def test_invalid_action_ends_the_run(run: Run, tmp_path: Path, folder: Path, cas
 
 def test_policy_errors_in_the_full_setting_are_not_refusals(tmp_path: Path, armchair: Furniture) -> None:
     file = write(tmp_path / "bad.py", RANDOM.replace("return self.picked[-1]", "return [0, 1, 0, 0, 0]"))
-    with pytest.raises(PolicyError, match="6 whole numbers would do"):
+    with pytest.raises(PolicyError, match="expected 6 integers"):
         make_agent(RolloutConfig(str(file), setting="full"))(armchair, 0)
     write(file, PLAN.format(plan=[]).replace("return out", "return out[0]"))
     with pytest.raises(

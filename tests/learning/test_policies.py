@@ -91,9 +91,9 @@ NETWORK = asdict(CONFIG)
 BAD: dict[str, tuple[Callable[[dict], dict], object, str]] = {
     "no sizes": (dict, {"token": 16}, "should hold token, pair"),
     "not sizes": (dict, [1, 2], "should hold token, pair"),
-    "negative": (dict, {**NETWORK, "pair": -8}, r"\['pair'\] is -8; 1 to 4096"),
+    "negative": (dict, {**NETWORK, "pair": -8}, r"\['pair'\] is -8; expected 1 to 4096"),
     "huge": (dict, {**NETWORK, "token": 10**9}, "is 1000000000"),
-    "text": (dict, {**NETWORK, "layers": "many"}, "is 'many'; like 3 would do"),
+    "text": (dict, {**NETWORK, "layers": "many"}, "is 'many'; expected one like 3"),
     "heads": (dict, {**NETWORK, "heads": 3}, "3 heads do not divide tokens of 16"),
     "other sizes": (dict, {**NETWORK, "token": 32}, r"'/patch/1/w' is float32 \(128, 16\); .* \(128, 32\)"),
     "more layers": (dict, {**NETWORK, "layers": 2}, r"at '/blocks' it lacks \['1'\]"),

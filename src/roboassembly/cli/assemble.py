@@ -41,10 +41,7 @@ class AssembleCommand:
     furniture: Annotated[str, tyro.conf.Positional] = "ladder"
     """A built-in piece (`FAMILY` or `FAMILY:SEED`, such as `windsor:3`) or a furniture folder."""
     setting: Setting = "object-centric"
-    """Setting of the task. object-centric: parts move by themselves. full: two mobile Franka robots move them."""
     execution: Execution = "kinematic"
-    """Execution by the robots of --setting full. kinematic: their paths are planned and checked for collisions.
-    dynamic: actuated robots also execute the plan in a physics simulation."""
     seed: int = 0
     """Random seed of the initial placement and of the planner."""
     out: Path = Path("assembly")

@@ -17,7 +17,6 @@ class BenchmarkCommand:
     """Reproduce the paper's table; run the same command again to resume an interrupted run."""
 
     setting: Setting = "object-centric"
-    """Setting of the task. object-centric: parts move by themselves. full: two mobile Franka robots move them."""
     quick: bool = False
     """Run everything on a tiny scale, in about three minutes, as a test of the installation."""
     retrain: bool = False

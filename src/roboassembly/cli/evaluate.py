@@ -34,11 +34,8 @@ class EvaluateCommand:
     search: bool = False
     """Let the policy guide the search. Without it, the policy acts alone."""
     setting: Setting = "object-centric"
-    """Setting of the task. object-centric: parts move by themselves. full: two mobile Franka robots move
-    them, which needs the solver `search` or a policy that chooses grasps."""
+    """Robots need the solver `search` or a policy that chooses grasps."""
     execution: Execution = "kinematic"
-    """Execution by the robots of --setting full. kinematic: their paths are planned and checked for collisions.
-    dynamic: actuated robots also execute the plan in a physics simulation."""
     audit: bool = False
     """Check each plan for collisions again with python-fcl, a library that the planner does not use."""
     set: Annotated[str, tyro.conf.arg(name="set")] = "chairs-412:test"

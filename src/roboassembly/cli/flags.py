@@ -1,8 +1,8 @@
 """Flags and help texts of commands, made from the fields of their data classes.
 
-The help of a flag is the docstring below its field. A boolean field that is true by default (`film: bool = True`)
-becomes the flag `--no-film`. Its docstring says what the command does without the flag ("Render assembly.mp4."), so the
-help of the flag is the negation: "Do not render assembly.mp4."
+The help of a flag is the docstring below its field; if the field's type has a `SharedHelp`, that comes first. A boolean
+field that is true by default (`film: bool = True`) becomes the flag `--no-film`. Its docstring says what the command
+does without the flag ("Render assembly.mp4."), so the help of the flag is the negation: "Do not render assembly.mp4."
 """
 
 from __future__ import annotations
@@ -25,6 +25,13 @@ PACKAGE = __name__.rpartition(".")[0]
 """Package whose data classes are commands."""
 
 
+@dataclasses.dataclass(frozen=True)
+class SharedHelp:
+    """Help of an option that several commands have, as metadata of its type (`Annotated[str, SharedHelp("...")]`)."""
+
+    text: str
+
+
 def command_registry() -> ConstructorRegistry:
     """Return the tyro registry that makes flags from the fields of commands."""
     out = ConstructorRegistry()
@@ -43,11 +50,12 @@ def _command(info: StructTypeInfo) -> StructConstructorSpec | None:
 
 def _field(field: dataclasses.Field[Any], hint: Any, kind: type) -> StructFieldSpec:
     default = tyro.MISSING if field.default is dataclasses.MISSING else field.default
-    text = _texts(kind).get(field.name, "")
-    if default is True:
-        text = f"Do not {text[:1].lower()}{text[1:]}"
     metadata = get_args(hint)[1:] if get_origin(hint) is Annotated else ()
     plain = get_args(hint)[0] if metadata else hint
+    shared = [m.text for m in metadata if isinstance(m, SharedHelp)]
+    text = " ".join([*shared, _texts(kind).get(field.name, "")]).strip()
+    if default is True:
+        text = f"Do not {text[:1].lower()}{text[1:]}"
     hide_default = default is None or isinstance(default, bool) or default == ()
     # Settings of the field itself come last and take precedence.
     common = tyro.conf.arg(metavar=_metavar(field, plain, metadata), help_behavior_hint="" if hide_default else None)

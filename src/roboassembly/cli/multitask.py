@@ -47,8 +47,7 @@ class MultitaskCommand:
     """Number of rounds with corrected episodes of the policy; for the preset relational. Without it: 0, or 1 with
     --setting full."""
     setting: Setting = "object-centric"
-    """Setting of the task; for the preset relational. object-centric: parts move by themselves. full: two mobile
-    Franka robots move them."""
+    """For the preset relational."""
     start: str | None = None
     """Policy to start from, `relational` or a checkpoint; for the preset relational. Without it: none, or `relational`
     with --setting full."""

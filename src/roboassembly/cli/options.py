@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
+from roboassembly.cli.flags import SharedHelp
 from roboassembly.errors import InputError
 
 if TYPE_CHECKING:
@@ -24,9 +25,20 @@ Ray = Annotated[
     ),
 ]
 """Address of a Ray cluster; None to use this machine only."""
-Setting = Literal["object-centric", "full"]
+Setting = Annotated[
+    Literal["object-centric", "full"],
+    SharedHelp(
+        "Setting of the task. object-centric: parts move by themselves. full: two mobile Franka robots move them."
+    ),
+]
 """Setting, like `task.setting.SettingName`, which is slow to import."""
-Execution = Literal["kinematic", "dynamic"]
+Execution = Annotated[
+    Literal["kinematic", "dynamic"],
+    SharedHelp(
+        "Execution by the robots of --setting full. kinematic: their paths are planned and checked for collisions. "
+        "dynamic: actuated robots also execute the plan in a physics simulation."
+    ),
+]
 """Execution of a full plan."""
 
 

@@ -85,7 +85,6 @@ class ExpertCommand(AutoencoderCommand):
     steps: int | None = None
     """Largest number of environment steps per piece. Without it: 40,000."""
     setting: Setting = "object-centric"
-    """Setting of the task. object-centric: parts move by themselves. full: two mobile Franka robots move them."""
     episodes: int | None = None
     """Number of episodes of each expert that become training samples. Without it: 6, or 4 with --setting full."""
     side_by_side: int = 4

@@ -28,8 +28,7 @@ class ViewCommand:
     """Furniture to open: a built-in piece (`FAMILY` or `FAMILY:SEED`), a furniture folder, a GLB scene, or a folder
     with one STL, OBJ, PLY or GLB file per part; or a plan.json, which is planned and checked again."""
     setting: Setting = "object-centric"
-    """Setting at first. object-centric: parts move by themselves. full: two mobile Franka robots move
-    them."""
+    """The page can change it."""
     seed: int = 0
     """Random seed of the initial placement and of the planner, at first."""
     scale: float | None = None

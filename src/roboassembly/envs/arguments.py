@@ -25,15 +25,15 @@ def checked_action(action: object, sizes: Sequence[int], names: Sequence[str]) -
     Raises:
         gymnasium.error.InvalidAction: a wrong shape, values that are not integers, or one out of range.
     """
-    expected = f"{len(sizes)} integers ({', '.join(names)}) would do"
+    expected = f"{len(sizes)} integers ({', '.join(names)})"
     values = _array(action, expected)
     if values.shape != (len(sizes),):
-        raise InvalidAction(f"action {shortened(action)} has shape {values.shape}; shape ({len(sizes)},), {expected}")
+        raise InvalidAction(f"action {shortened(action)} has shape {values.shape}; expected {expected}")
     if not np.issubdtype(values.dtype, np.integer):
-        raise InvalidAction(f"action {shortened(action)} has dtype {values.dtype}; {expected}")
+        raise InvalidAction(f"action {shortened(action)} has dtype {values.dtype}; expected {expected}")
     for name, value, size in zip(names, values.tolist(), sizes, strict=True):
         if not 0 <= value < size:
-            raise InvalidAction(f"action {shortened(action)}: {name} is {value}; 0 to {size - 1} would do")
+            raise InvalidAction(f"action {shortened(action)}: {name} is {value}; expected 0 to {size - 1}")
     return tuple(values.tolist())
 
 
@@ -43,14 +43,14 @@ def checked_number(action: object, size: int) -> int:
     Raises:
         gymnasium.error.InvalidAction: not one integer, or out of range.
     """
-    expected = f"an integer from 0 to {size - 1} would do"
+    expected = f"an integer from 0 to {size - 1}"
     value = _array(action, expected)
     if value.shape != ():
-        raise InvalidAction(f"action {shortened(action)} has shape {value.shape}; {expected}")
+        raise InvalidAction(f"action {shortened(action)} has shape {value.shape}; expected {expected}")
     if not np.issubdtype(value.dtype, np.integer):
-        raise InvalidAction(f"action {shortened(action)} has dtype {value.dtype}; {expected}")
+        raise InvalidAction(f"action {shortened(action)} has dtype {value.dtype}; expected {expected}")
     if not 0 <= int(value) < size:
-        raise InvalidAction(f"action {shortened(action)} is out of range; {expected}")
+        raise InvalidAction(f"action {shortened(action)} is out of range; expected {expected}")
     return int(value)
 
 
@@ -61,11 +61,11 @@ def checked_integer(name: str, value: object, low: int, high: int) -> int:
         TypeError: no integer.
         ArgumentError: out of range.
     """
-    expected = f"{low} to {high} would do"
+    expected = f"an integer from {low} to {high}"
     if not _is_integer(value):
-        raise TypeError(f"{name} is {shortened(value)}; an integer, {expected}")
+        raise TypeError(f"{name} is {shortened(value)}; expected {expected}")
     if not low <= value <= high:
-        raise ArgumentError(f"{name} is {value}; {expected}")
+        raise ArgumentError(f"{name} is {value}; expected {expected}")
     return int(value)
 
 
@@ -79,7 +79,7 @@ def checked_piece(options: object, pieces: int) -> int | None:
     if options is None:
         return None
     if not isinstance(options, Mapping):
-        raise TypeError(f"options is {shortened(options)}; a dictionary such as {{'furniture': 0}} would do")
+        raise TypeError(f"options is {shortened(options)}; expected a dictionary such as {{'furniture': 0}}")
     named = cast("Mapping[object, object]", options)
     for name, value in named.items():
         if name != "furniture":
@@ -88,7 +88,7 @@ def checked_piece(options: object, pieces: int) -> int | None:
     if index is None:
         return None
     if not _is_integer(index) or not 0 <= index < pieces:
-        raise ArgumentError(f"options['furniture'] is {shortened(index)}; an index from 0 to {pieces - 1} would do")
+        raise ArgumentError(f"options['furniture'] is {shortened(index)}; expected an index from 0 to {pieces - 1}")
     return int(index)
 
 
@@ -108,4 +108,4 @@ def _array(action: object, expected: str) -> np.ndarray:
     try:
         return np.asarray(action)
     except (TypeError, ValueError) as error:
-        raise InvalidAction(f"action {shortened(action)} is no array; {expected}") from error
+        raise InvalidAction(f"action {shortened(action)} is no array; expected {expected}") from error

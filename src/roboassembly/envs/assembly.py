@@ -65,7 +65,7 @@ class AssemblyEnv(gymnasium.Env[Observation, np.ndarray], Generic[ATask, State, 
         max_points = checked_integer("max_points", max_points, 1, MAX_POINTS)
         cloud_points = checked_integer("cloud_points", cloud_points, 1, LARGEST_CLOUD)
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
-            raise UnsupportedMode(f"render_mode is {render_mode!r}; 'rgb_array' or None would do")
+            raise UnsupportedMode(f"render_mode is {render_mode!r}; expected 'rgb_array' or None")
         for task in tasks:
             _check_padding(task.furniture, max_parts, max_points)
         self.render_mode = render_mode
@@ -239,12 +239,12 @@ def pieces_of(furniture: FurnitureLike | Iterable[FurnitureLike]) -> list[Furnit
     several: object = cast("object", [furniture] if one else furniture)
     if not isinstance(several, Iterable):
         raise TypeError(
-            f"furniture is {shortened(furniture)}; a name, a folder, a Furniture, or a list of them would do"
+            f"furniture is {shortened(furniture)}; expected a name, a folder, a Furniture, or a list of them"
         )
     pieces: list[Furniture] = []
     for piece in cast("Iterable[object]", several):
         if not isinstance(piece, Furniture | str | os.PathLike):
-            raise TypeError(f"furniture contains {shortened(piece)}; names, folders and objects of Furniture would do")
+            raise TypeError(f"furniture contains {shortened(piece)}; expected names, folders and objects of Furniture")
         pieces.append(piece if isinstance(piece, Furniture) else catalogue.find(os.fspath(piece)))
     if not pieces:
         raise ArgumentError("no furniture given; name at least one piece")

@@ -67,7 +67,9 @@ def check_target(path: Path) -> None:
     except ModuleNotFoundError as error:
         raise MissingExtraError(str(error.name), "learn") from None
     if not _ID.fullmatch(path.name):
-        raise InputError(f"--export {path}: '{path.name}' is no name of a Minari data set; like 'chairs-v0' would do")
+        raise InputError(
+            f"--export {path}: '{path.name}' is not the name of a Minari data set; expected one like 'chairs-v0'"
+        )
     if path.exists():
         raise InputError(f"--export {path}: there is something already; name a new folder")
 

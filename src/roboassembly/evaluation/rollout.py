@@ -183,7 +183,7 @@ def _runner(config: RolloutConfig) -> _Run:
         if policy not in known:
             raise InputError(f"'{policy}' chooses no grasps; --setting {config.setting} takes --policy {SEARCH}")
         if config.search:
-            raise InputError(f"'{policy}' cannot guide the search; a policy that values actions would do")
+            raise InputError(f"'{policy}' cannot guide the search; expected a policy that values actions")
         return SOLVERS[policy].run
     make = _factory(policy, known)
     # Only to check it; each episode makes its own.

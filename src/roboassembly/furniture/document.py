@@ -208,7 +208,7 @@ def from_document(document: Document, read_mesh: Callable[[str, str], Mesh], fol
 def _check_consistency(furniture: Furniture, folder: Path) -> None:
     """Raise an error unless parts, classes, points and connections are consistent with each other."""
     if not 0.0 < furniture.provenance.scale < math.inf:
-        raise FurnitureError(f"{folder}: provenance: scale {furniture.provenance.scale}; a positive number would do")
+        raise FurnitureError(f"{folder}: provenance: scale {furniture.provenance.scale}; expected a positive number")
     for index, shape_class in enumerate(furniture.classes):
         where = f"{folder}: class {index}"
         if not len(shape_class.symmetries) or not np.allclose(shape_class.symmetries[0], np.eye(3), atol=1e-6):
@@ -259,13 +259,13 @@ def _point(point: _Point, where: str) -> ConnectionPoint:
     if abs(float(normal @ tangent)) > 1e-3:
         raise FurnitureError(f"{where}: tangent is not orthogonal to the normal (cosine {float(normal @ tangent):.4g})")
     if not 0.0 <= point.gap < 0.1:
-        raise FurnitureError(f"{where}: gap {point.gap} m; 0 to 0.1 would do")
+        raise FurnitureError(f"{where}: gap {point.gap} m; expected a number between 0 and 0.1 m")
     return ConnectionPoint(_finite(point.position, f"{where} position"), normal, tangent, point.gap)
 
 
 def _grasp(grasp: _Grasp, where: str) -> GraspRegion:
     if not 0.0 < grasp.width < 1.0:
-        raise FurnitureError(f"{where}: width {grasp.width} m; more than 0 and less than 1 would do")
+        raise FurnitureError(f"{where}: width {grasp.width} m; expected more than 0 and less than 1 m")
     approaches = np.array([_unit(a, f"{where} approach") for a in grasp.approaches])
     return GraspRegion(
         _finite(grasp.position, where), _unit(grasp.closing, f"{where} closing"), approaches, grasp.width

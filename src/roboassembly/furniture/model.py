@@ -216,7 +216,7 @@ class Furniture:
                 )
         members = sorted(m for c in self.classes for m in c.members)
         if members != list(range(n)):
-            raise FurnitureError(f"{self.name}: shape classes name parts {members}; each of 0..{n - 1} once would do")
+            raise FurnitureError(f"{self.name}: shape classes name parts {members}; expected each of 0..{n - 1} once")
         islands = self.connected_components(range(n))
         if len(islands) > 1:
             loose = min(islands, key=len)

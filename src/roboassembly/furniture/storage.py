@@ -144,7 +144,7 @@ def load(folder: Path | str) -> Furniture:
 
 def _read_document(folder: Path) -> Document:
     if not folder.is_dir():
-        raise FurnitureError(f"no furniture folder at {folder}; a folder with {FILE_NAME} would do")
+        raise FurnitureError(f"no furniture folder at {folder}; expected a folder with {FILE_NAME}")
     path = folder / FILE_NAME
     if not path.is_file():
         raise FurnitureError(f"{folder} has no {FILE_NAME}; save or import furniture there first")

@@ -49,7 +49,7 @@ class Mesh:
             raise FurnitureError("mesh has no faces; a part needs at least four triangles")
         if vertices.ndim != 2 or vertices.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3:
             raise FurnitureError(
-                f"mesh arrays have shapes {vertices.shape} and {faces.shape}; (v, 3) and (f, 3) would do"
+                f"mesh arrays have shapes {vertices.shape} and {faces.shape}; expected (v, 3) and (f, 3)"
             )
         if len(faces) > MAX_FACES:
             raise FurnitureError(f"mesh has {len(faces)} faces; at most {MAX_FACES} are accepted, simplify it first")

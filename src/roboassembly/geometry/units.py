@@ -91,7 +91,7 @@ def scale_of(unit: str | None, scale: float | None) -> float | None:
     if scale is not None:
         raise InputError(f"--unit {unit} and --scale {scale:g} both say how large the files are; give one of them")
     if unit not in METRES:
-        raise InputError(f"unit '{unit}' is not known; {', '.join(METRES)} would do")
+        raise InputError(f"unit '{unit}' is not known; expected one of {', '.join(METRES)}")
     return METRES[unit]
 
 

@@ -76,7 +76,8 @@ def read(path: Path, *, scale: float | None = None, up: Up | None = None, split:
     path = Path(path)
     check_scale(scale)
     if up is not None and up not in UP_ROTATIONS:
-        raise FurnitureError(f"up axis {files.one_line(repr(up), 40)} is not known; {', '.join(UP_ROTATIONS)} would do")
+        known = ", ".join(UP_ROTATIONS)
+        raise FurnitureError(f"up axis {files.one_line(repr(up), 40)} is not known; expected one of {known}")
     single = path.is_file()
     glb = single and path.suffix.lower() == ".glb"
     parts = read_glb(path) if glb else [_read_part(path)] if single else _read_folder(path)

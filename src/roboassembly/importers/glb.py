@@ -146,7 +146,7 @@ def _chunks(data: bytes) -> tuple[_Document, bytes]:
         raise FurnitureError("it does not begin with 'glTF'")
     version, length = struct.unpack_from("<II", data, 4)
     if version != 2:
-        raise FurnitureError(f"it is version {version}; 2 would do")
+        raise FurnitureError(f"it has version {version}; expected version 2")
     if length > len(data):
         raise FurnitureError(f"it ends after {len(data)} of {length} bytes")
     at, document, binary = 12, None, b""
@@ -209,7 +209,7 @@ def _local(node: _Node, index: int) -> Float[np.ndarray, "4 4"]:
     """Return `parent_from_node`."""
     if node.matrix is not None:
         if len(node.matrix) != 16:
-            raise FurnitureError(f"node {index} has a matrix of {len(node.matrix)} numbers; 16 would do")
+            raise FurnitureError(f"node {index} has a matrix of {len(node.matrix)} numbers; expected 16")
         return np.array(node.matrix, dtype=float).reshape(4, 4).T
     x, y, z, w = node.rotation
     out = np.eye(4)
@@ -246,7 +246,7 @@ def _faces(order: np.ndarray, mode: int) -> np.ndarray:
             raise FurnitureError(f"a mesh has {len(order)} corners, which is not a multiple of three")
         return order.reshape(-1, 3)
     if mode not in (5, 6):
-        raise FurnitureError(f"primitive mode {mode} is not known; triangles would do")
+        raise FurnitureError(f"primitive mode {mode} is not supported; expected triangles")
     if mode == 6:
         return np.column_stack([np.full(max(len(order) - 2, 0), order[0]), order[1:-1], order[2:]])
     faces = np.column_stack([order[:-2], order[1:-1], order[2:]])

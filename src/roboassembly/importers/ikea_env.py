@@ -183,7 +183,7 @@ def _pose(element: ElementTree.Element, where: str) -> SE3:
     """Return the pose that `pos` and `quat` (w, x, y, z) of an element give."""
     for turn in _TURNS:
         if turn in element.attrib:
-            raise FurnitureError(f"{where}: <{element.tag}> is turned by '{turn}'; 'quat' would do")
+            raise FurnitureError(f"{where}: <{element.tag}> is turned by '{turn}'; expected 'quat'")
     position = _floats(element.get("pos", "0 0 0"), 3, f"{where}: pos")
     quaternion = _floats(element.get("quat", "1 0 0 0"), 4, f"{where}: quat")
     try:

@@ -26,7 +26,7 @@ def read_mesh(path: Path) -> Triangles:
     """
     reader = READERS.get(path.suffix.lower())
     if reader is None:
-        raise FurnitureError(f"'{path}' is not a mesh file that can be read; {', '.join(READERS)} would do")
+        raise FurnitureError(f"'{path}' is not a mesh file that can be read; expected one of {', '.join(READERS)}")
     try:
         return reader(path)
     except FurnitureError as problem:
@@ -53,7 +53,7 @@ def _read_obj(path: Path) -> Triangles:
                     corners.extend((ring[0], ring[k], ring[k + 1]))
         except ValueError:
             raise FurnitureError(
-                f"'{path}' line {number} cannot be read as OBJ: {one_line(line, 60)!r}; 'v x y z' or 'f a b c' would do"
+                f"'{path}' line {number} cannot be read as OBJ: {one_line(line, 60)!r}; expected 'v x y z' or 'f a b c'"
             ) from None
         if len(corners) > 3 * MAX_FACES:
             raise FurnitureError(f"'{path}' has more than {MAX_FACES} faces; simplify it first")

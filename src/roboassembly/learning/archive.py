@@ -62,7 +62,7 @@ def reading(path: Path, what: str, remedy: str, largest: int | None = None) -> G
                 # A member cannot unpack to more than the archive says of it: reading ends there.
                 size = sum(member.file_size for member in packed.infolist())
             if size > largest:
-                raise InputError(f"'{path}' unpacks to {size:,} bytes; at most {largest:,} would do; {remedy}")
+                raise InputError(f"'{path}' unpacks to {size:,} bytes; expected at most {largest:,}; {remedy}")
         with np.load(path, allow_pickle=False) as z:
             yield z
     except _BROKEN as error:

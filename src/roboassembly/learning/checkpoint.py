@@ -121,10 +121,10 @@ def network_config(default: Config, found: Any, where: str) -> Config:
     sizes = cast("dict[str, Any]", found)
     for name, value in sizes.items():
         if type(value) is not type(known[name]):
-            raise InputError(f"'{where}': config['network']['{name}'] is {value!r}; like {known[name]!r} would do")
+            raise InputError(f"'{where}': config['network']['{name}'] is {value!r}; expected one like {known[name]!r}")
         most = _MAX_LAYERS if name == "layers" else _MAX_SIZE
         if isinstance(value, int) and not isinstance(value, bool) and not 1 <= value <= most:
-            raise InputError(f"'{where}': config['network']['{name}'] is {value}; 1 to {most} would do")
+            raise InputError(f"'{where}': config['network']['{name}'] is {value}; expected 1 to {most}")
     return replace(default, **sizes)
 
 

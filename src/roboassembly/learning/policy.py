@@ -95,7 +95,7 @@ def chosen(policy: Policy, observation: Observation, mask: Mask) -> tuple[int, .
         action = np.empty(0)
     if action.shape != (mask.ndim,) or action.dtype.kind not in "iu":
         found = " ".join(repr(picked).split())
-        raise PolicyError(f"the policy '{policy.name}' picked {found:.200}; {mask.ndim} whole numbers would do")
+        raise PolicyError(f"the policy '{policy.name}' picked {found:.200}; expected {mask.ndim} integers")
     return tuple(int(a) for a in action)
 
 

@@ -38,7 +38,7 @@ def load(path: Path) -> Callable[[int], Policy]:
     make = getattr(module, MAKER, None)
     if not callable(make):
         found = "defines no" if make is None else f"has a {type(make).__name__} as its"
-        raise InputError(f"'{path}' {found} {MAKER}; a function {MAKER}(seed) that returns a policy would do")
+        raise InputError(f"'{path}' {found} {MAKER}; expected a function {MAKER}(seed) that returns a policy")
 
     def made(seed: int) -> Policy:
         state = np.random.SeedSequence([seed, 1]).generate_state(1)
@@ -102,15 +102,15 @@ def _checked(policy: Any, path: Path) -> Policy:
     points, settings = policy.cloud_points, getattr(policy, "settings", _SETTINGS[:1])
     whole = isinstance(points, int | np.integer) and not isinstance(points, bool)
     if not isinstance(policy.name, str) or not policy.name:
-        raise bad(f"a {kind} whose `name` is {policy.name!r}; {expected['name']} would do")
+        raise bad(f"a {kind} whose `name` is {policy.name!r}; expected {expected['name']}")
     if not whole or points < 1:
-        raise bad(f"a {kind} whose `cloud_points` is {points!r}; {expected['cloud_points']} would do")
+        raise bad(f"a {kind} whose `cloud_points` is {points!r}; expected {expected['cloud_points']}")
     if (
         not isinstance(settings, tuple | list)
         or not settings
         or any(s not in _SETTINGS for s in cast("Iterable[object]", settings))
     ):
-        raise bad(f"a {kind} whose `settings` is {settings!r}; like {_SETTINGS!r} would do")
+        raise bad(f"a {kind} whose `settings` is {settings!r}; expected some of {_SETTINGS!r}")
     if not callable(policy.act):
-        raise bad(f"a {kind} whose `act` is {policy.act!r}; {expected['act']} would do")
+        raise bad(f"a {kind} whose `act` is {policy.act!r}; expected {expected['act']}")
     return policy

@@ -61,4 +61,4 @@ def _from_checkpoint(loaded: Checkpoint, where: str) -> Policy:
         return RelationalPolicy.from_checkpoint(loaded, where)
     if loaded.kind == paper.KIND:
         return PaperPolicy.from_checkpoint(loaded, where)
-    raise InputError(f"'{where}' holds a '{loaded.kind}' network, which is no policy; '{relational.KIND}' would do")
+    raise InputError(f"'{where}' holds a '{loaded.kind}' network, which is no policy; expected '{relational.KIND}'")

@@ -121,7 +121,7 @@ def repair(parts: Sequence[RawPart], *, gap: float = GAP, limits: RepairLimits |
     limits = limits or RepairLimits()
     check_part_count(len(parts), "repair")
     if not 1e-5 <= gap <= 1e-3:
-        raise FurnitureError(f"gap {gap!r} is not between 0.00001 and 0.001 m; 0.0002 would do")
+        raise FurnitureError(f"gap {gap!r} m; expected a number between 0.00001 and 0.001 m")
     names = [part.name for part in parts]
     if len(set(names)) < len(names):
         raise FurnitureError(f"part names {names} are not all different; rename the parts")

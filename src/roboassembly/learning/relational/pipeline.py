@@ -165,12 +165,12 @@ def _start_checkpoint(config: RelationalPipelineConfig, folder: Path) -> Path | 
     if not config.start:
         _, grasp_rounds = config.rounds_of_networks
         if grasp_rounds:
-            raise InputError("--setting full starts from an object-centric policy: --start relational would do")
+            raise InputError("--setting full starts from an object-centric policy; use --start relational")
         return None
     loaded = load_weights(config.start)
     policy = RelationalPolicy.from_checkpoint(loaded, config.start) if loaded.kind == relational.KIND else None
     if policy is None or loaded.config.get("network") != asdict(config.network):
-        raise InputError(f"--start {config.start}: its network has other sizes or kind; --start relational would do")
+        raise InputError(f"--start {config.start}: its network has other sizes or kind; use --start relational")
     path = folder / "start.npz"
     checkpoint.save(path, checkpoint.Checkpoint(loaded.kind, policy.params, loaded.config, {}))
     return path

@@ -119,7 +119,7 @@ class RelationalPolicy:
         if mask.ndim != _FULL_MASK_AXES:
             return self.pair_values(view)
         if self.grasp_params is None:
-            raise InputError(f"the policy '{self.name}' has no grasp network; --setting object-centric would do")
+            raise InputError(f"the policy '{self.name}' has no grasp network; use --setting object-centric")
         policy = self if self.full_params is None else replace(self, params=self.full_params)
         return policy._grasp_values(view, self.grasp_params, mask)
 

@@ -267,9 +267,9 @@ def decode(content: bytes, where: str) -> Script:
     length = _ACTION_LENGTHS[header.setting]
     for index, step in enumerate(header.steps):
         if len(step.action) != length or not all(-_LARGEST < i < _LARGEST for i in step.action):
-            raise InputError(f"'{where}': step {index}: action {step.action}; {length} small whole numbers would do")
+            raise InputError(f"'{where}': step {index}: action {step.action}; expected {length} small integers")
     if not 0 <= header.seed < _LARGEST:
-        raise InputError(f"'{where}': seed {header.seed}; 0 to {_LARGEST - 1} would do")
+        raise InputError(f"'{where}': seed {header.seed}; expected 0 to {_LARGEST - 1}")
     actions = tuple(tuple(step.action) for step in header.steps)
     return Script(header.furniture.name, tuple(header.furniture.parts), header.setting, header.seed, actions)
 
