@@ -47,7 +47,7 @@ class MultitaskCommand:
     """Number of rounds with corrected episodes of the policy; for the preset relational. Without it: 0, or 1 with
     --setting full."""
     setting: Setting = "object-centric"
-    """For the preset relational."""
+    """Only the preset relational has a choice."""
     start: str | None = None
     """Policy to start from, `relational` or a checkpoint; for the preset relational. Without it: none, or `relational`
     with --setting full."""

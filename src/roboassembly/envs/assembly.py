@@ -235,8 +235,8 @@ def pieces_of(furniture: FurnitureLike | Iterable[FurnitureLike]) -> list[Furnit
         ArgumentError: none.
         InputError: a name or folder that is not there, or a folder without valid furniture.
     """
-    one = isinstance(furniture, Furniture | str | os.PathLike)
-    several: object = cast("object", [furniture] if one else furniture)
+    single = isinstance(furniture, Furniture | str | os.PathLike)
+    several: object = cast("object", [furniture] if single else furniture)
     if not isinstance(several, Iterable):
         raise TypeError(
             f"furniture is {shortened(furniture)}; expected a name, a folder, a Furniture, or a list of them"
