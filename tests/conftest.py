@@ -48,8 +48,8 @@ def _furniture_made_once() -> Iterator[None]:
     """Built-in furniture is made once a session: it never changes, and annotation takes long."""
     made = cache(catalogue.make)
 
-    def make(family: str, seed: int = 0, *, with_grasps: bool = True) -> Furniture:
-        return made(family, seed, with_grasps=with_grasps)
+    def make(family: str, seed: int = 0, version: int = 0, *, with_grasps: bool = True) -> Furniture:
+        return made(family, seed, version, with_grasps=with_grasps)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(catalogue, "make", make)
@@ -77,7 +77,9 @@ def as_built(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
                 made = catalogue.make(family, seed)
                 unseen = family in datasets.RECIPES[name].unseen_families
                 hash_ = datasets.furniture_hash(made)
-                entries.append(datasets.Entry(family, seed, split, unseen, len(made.parts), 0.0, False, 0, hash_))
+                entries.append(
+                    datasets.Entry(family, seed, 0, split, None, unseen, len(made.parts), 0.0, False, 0, hash_)
+                )
         path = datasets.manifest_path(name)
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(msgspec.json.encode(datasets.Manifest(name, datasets.VERSION, 0, tuple(entries))))

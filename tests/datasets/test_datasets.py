@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import shutil
+from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +26,7 @@ from roboassembly.solvers.joint_rrt import solve_jointly
 from roboassembly.solvers.random_order import assemble_in_random_order
 from roboassembly.task.object_centric.task import ObjectCentricTask
 
-TINY = Recipe("tiny", "for tests", 4, 2, 1, ("upholstered",))
+TINY = Recipe("tiny", "for tests", 4, 2, 1, 1, ("upholstered",))
 
 
 def into(patch: pytest.MonkeyPatch, folder: Path) -> None:
@@ -66,7 +68,7 @@ def test_build_resumes_and_reproduces(tiny: Recipe, built: tuple[Path, list[tupl
     assert max(easy) <= min(hard)
 
     # Killed while writing a line: all whole lines count, the broken one is done again.
-    journal = manifest_path("tiny").with_suffix(".0.jsonl")
+    journal = manifest_path("tiny").with_suffix(f".{datasets.VERSION}.0.jsonl")
     lines = journal.read_bytes().splitlines(keepends=True)
     journal.write_bytes(b"".join(lines[:5]) + lines[5][:20] + b"\n")
     before = manifest_path("tiny").read_bytes()
@@ -97,8 +99,62 @@ def test_picks(tmp_path: Path) -> None:
         furniture_refs(f"folder:{tmp_path}")
     with pytest.raises(UnknownNameError, match="did you mean chairs-412"):
         furniture_refs("chair-412:test")
-    with pytest.raises(UnknownNameError, match="known: all, easy, hard, test, train"):
+    with pytest.raises(
+        UnknownNameError, match="known: all, easy, hard, test, test-by-version, train, train-by-version"
+    ):
         furniture_refs("chairs-412:validation")
+
+
+def test_sets_have_no_piece_in_common() -> None:
+    """No seed of one set is within reach of another's, replacements included."""
+    reach = sorted(
+        (first, first + 5_000)
+        for recipe in datasets.RECIPES.values()
+        for first in (recipe.first_seed, recipe.first_seed + 50_000)
+    )
+    assert all(before[1] < after[0] for before, after in pairwise(reach))
+
+
+def test_versions_stay_on_one_side_of_the_split(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two versions each of four chairs: divided by source chair, and beside that version by version."""
+    into(monkeypatch, tmp_path)
+    recipe = Recipe("tiny", "for tests", 3, 1, 0, 1, versions=2)
+    monkeypatch.setitem(datasets.RECIPES, "tiny", recipe)
+    monkeypatch.setattr(dataset_builder, "CHAIRS", {name: CHAIRS[name] for name in ("shell", "throne")})
+    list(dataset_builder.build_dataset(recipe, 0, jobs=1))
+    entries = load_manifest("tiny").entries
+    assert len(entries) == len({e.hash for e in entries}) == 8
+    sources = {split: {(e.family, e.seed) for e in entries if (e.split == "test") == split} for split in (True, False)}
+    assert len(sources[True]) == 1
+    assert len(sources[False]) == 3
+    assert not sources[True] & sources[False]
+    assert [len(furniture_refs(f"tiny:{split}")) for split in ("easy", "hard", "test")] == [3, 3, 2]
+    assert [len(furniture_refs(f"tiny:{split}-by-version")) for split in ("train", "test")] == [6, 2]
+    relative = next(e for e in entries if e.version == 1)
+    assert make_entry(relative).name == f"{relative.family}-{relative.seed}.1"
+    assert catalogue.find(relative.name).parts[0].mesh.content_hash == make_entry(relative).parts[0].mesh.content_hash
+
+
+def test_a_version_that_search_does_not_solve_is_replaced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    into(monkeypatch, tmp_path)
+    recipe = Recipe("tiny", "for tests", 1, 1, 0, 1, versions=2)
+    monkeypatch.setitem(datasets.RECIPES, "tiny", recipe)
+    monkeypatch.setattr(dataset_builder, "CHAIRS", {"shell": CHAIRS["shell"]})
+    unsolved = {(1, 1), (2, 0), (50_002, 2)}
+
+    def examine(family: str, seed: int, version: int) -> dataset_builder.Candidate:
+        solved = (seed, version) not in unsolved
+        return dataset_builder.Candidate(family, seed, version, 5, solved, 0.0, False, 10, f"{seed}.{version}")
+
+    monkeypatch.setattr(dataset_builder, "examine", examine)
+    monkeypatch.setattr(dataset_builder, "worker_pool", lambda _: ThreadPoolExecutor(1))
+    list(dataset_builder.build_dataset(recipe, 0, jobs=1))
+    assert {(e.seed, e.version) for e in load_manifest("tiny").entries} == {(1, 0), (1, 2), (50_002, 0), (50_002, 1)}
+
+
+def test_sets_without_versions_cannot_be_divided_by_version(tiny: Recipe) -> None:
+    with pytest.raises(InputError, match="has no versions of its pieces to divide"):
+        furniture_refs(f"{tiny.name}:test-by-version")
 
 
 def test_patient_play_gets_stuck_only_in_true_dead_ends() -> None:

@@ -184,7 +184,7 @@ def test_solvers_run_episodes(folder: str) -> None:
 
 def test_set_marks_unseen_families() -> None:
     made = catalogue.make("cantilever", 2)
-    entry = Entry("cantilever", 2, "test", True, len(made.parts), 0.5, False, 100, furniture_hash(made))
+    entry = Entry("cantilever", 2, 0, "test", None, True, len(made.parts), 0.5, False, 100, furniture_hash(made))
     known = next(iter(evaluate(RolloutConfig("search"), [FurnitureRef(entry.name, entry, None)], 0, 1)))
     assert (known.family, known.unseen, known.success) == ("cantilever", True, True)
     with pytest.raises(InputError, match="no longer what its data set"):

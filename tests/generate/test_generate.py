@@ -11,7 +11,7 @@ import pytest
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
-from roboassembly.errors import UnknownNameError
+from roboassembly.errors import InputError, UnknownNameError
 from roboassembly.furniture.annotate import annotate
 from roboassembly.furniture.model import CONTACT_DISTANCE, MAX_PARTS, MAX_POINTS, Provenance, RawPart
 from roboassembly.generate import ABSTRACT, CHAIRS, CLEARANCE, FAMILIES, OTHERS, generate
@@ -508,3 +508,48 @@ def test_solids_have_the_volumes_of_the_formulas() -> None:
     low, high = mesh_of(pad(circle(0.2, 24), 0.40, 0.44, 0.01, crown=0.02)).bounds
     assert low[2] == pytest.approx(0.40, abs=1e-7)
     assert high[2] == pytest.approx(0.46, abs=1e-7)
+
+
+# ------------------------------------------------------------------------------------------------------- versions
+
+
+VERSIONED = [
+    pytest.param(name, marks=() if name in ("ladder", "panel", "stool", "shell") else pytest.mark.slow)
+    for name in CHAIRS
+]
+
+
+@pytest.mark.parametrize("family", VERSIONED)
+def test_versions_are_near_relatives(family: str) -> None:
+    """The same parts with the same neighbours, other sizes, left on the left whether mirrored or not."""
+    source = generate(family, 5)
+    size = np.ptp(np.concatenate([p.mesh.vertices for p in source]), axis=0)
+    shared = annotate("source", source, Provenance("test"), with_grasps=False)
+    for number in (1, 2, 3, 4):
+        parts = generate(family, 5, number)
+        assert {p.name: p.label for p in parts} == {p.name: p.label for p in source}
+        assert all(p.mesh.is_solid for p in parts)
+        extents = np.ptp(np.concatenate([p.mesh.vertices for p in parts]), axis=0)
+        assert (np.abs(extents / size - 1.0) < 0.25).all(), extents / size
+        assert (np.abs(extents - size) > 1e-4).any()
+        for part in parts:
+            side = part.mesh.bounds.mean(axis=0)[0]
+            if "left" in part.name:
+                assert side > 0.0, part.name
+            if "right" in part.name:
+                assert side < 0.0, part.name
+        made = annotate("version", parts, Provenance("test"), with_grasps=False)  # refuses parts that touch
+        assert abs(len(made.connections) - len(shared.connections)) <= 2
+    again = generate(family, 5, 4)
+    assert [p.mesh.content_hash for p in again] == [p.mesh.content_hash for p in parts]
+
+
+def test_some_versions_are_mirrored() -> None:
+    """The post of a ladder chair that is designed first is the right one; in a mirrored chair it stands on the left."""
+    sides = {next(p.name for p in generate("ladder", 5, number) if "post" in p.name) for number in range(1, 7)}
+    assert sides == {"post_left", "post_right"}
+
+
+def test_families_made_of_others_have_no_versions() -> None:
+    with pytest.raises(InputError, match="'fused' has no versions"):
+        generate("fused", 1, 1)

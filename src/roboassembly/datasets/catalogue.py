@@ -16,26 +16,33 @@ DEFAULT = "ladder"
 """Default furniture: a chair of 15 parts with mortise-and-tenon joints."""
 
 
-def make(family: str, seed: int = 0, *, with_grasps: bool = True) -> Furniture:
+def make(family: str, seed: int = 0, version: int = 0, *, with_grasps: bool = True) -> Furniture:
     """Generate and annotate one piece.
 
     Args:
         family: one of `FAMILIES`.
         seed: 0 or more.
+        version: 0 for the piece itself, else the number of a near relative; see `generate`.
         with_grasps: see `annotate`.
 
     Raises:
         UnknownNameError: the family does not exist.
         InputError: the seed is negative.
     """
-    if seed < 0:
-        raise InputError(f"seed {seed} is negative; it must be 0 or more")
-    provenance = Provenance("generated", f"{family}:{seed}", "MIT")
-    return annotate(f"{family}-{seed}", generate(family, seed), provenance, with_grasps=with_grasps)
+    if seed < 0 or version < 0:
+        raise InputError(f"seed {seed} and version {version} must be 0 or more")
+    provenance = Provenance("generated", piece_name(family, seed, version), "MIT")
+    name = piece_name(family, seed, version).replace(":", "-")
+    return annotate(name, generate(family, seed, version), provenance, with_grasps=with_grasps)
+
+
+def piece_name(family: str, seed: int, version: int = 0) -> str:
+    """Return the name by which `find` makes a piece: `FAMILY:SEED`, or `FAMILY:SEED.VERSION`."""
+    return f"{family}:{seed}.{version}" if version else f"{family}:{seed}"
 
 
 def find(name: str, *, with_grasps: bool = True) -> Furniture:
-    """Return furniture by `FAMILY`, `FAMILY:SEED`, or the path of a furniture folder.
+    """Return furniture by `FAMILY`, `FAMILY:SEED`, `FAMILY:SEED.VERSION`, or the path of a furniture folder.
 
     Args:
         name: name or path of the furniture.
@@ -45,12 +52,13 @@ def find(name: str, *, with_grasps: bool = True) -> Furniture:
         UnknownNameError: the name is neither a family nor a path.
         FurnitureError: the folder does not contain valid furniture.
     """
-    family, _, seed = name.partition(":")
-    if family in FAMILIES and (seed.isdigit() or not seed):
-        return make(family, int(seed or 0), with_grasps=with_grasps)
+    family, _, numbers = name.partition(":")
+    seed, _, version = numbers.partition(".")
+    if family in FAMILIES and all(number.isdigit() or not number for number in (seed, version)):
+        return make(family, int(seed or 0), int(version or 0), with_grasps=with_grasps)
     if os.path.exists(name) or "/" in name:  # unlike `Path.exists`, this accepts names of any length
         refuse_sources(Path(name))
         return storage.load(name)
     if family in FAMILIES:
-        raise InputError(f"seed '{seed}' of '{name}' is not a whole number; use a name such as {family}:3")
+        raise InputError(f"seed '{numbers}' of '{name}' is not a whole number; use a name such as {family}:3")
     raise UnknownNameError("furniture (a built-in family or a folder)", name, FAMILIES)

@@ -1,5 +1,7 @@
 """Data sets: named lists of furniture with splits, reproducible from the family and the seed of each piece.
 
+Seeds of different sets are far apart, so that the test pieces of one are in the training of none.
+
 The manifest of a set is a JSON file in the cache folder (`$ROBOASSEMBLY_CACHE`, or the default of the system). The
 furniture is generated when it is used, and checked against the hash in the manifest.
 """
@@ -7,7 +9,7 @@ furniture is generated when it is used, and checked against the hash in the mani
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,10 +22,19 @@ from roboassembly.furniture import storage
 from roboassembly.furniture.cache import cache_folder
 from roboassembly.furniture.model import Furniture
 
-VERSION = 5
+VERSION = 6
 EASY, HARD, TEST = "easy", "hard", "test"
-SPLITS = {"train": (EASY, HARD), EASY: (EASY,), HARD: (HARD,), TEST: (TEST,), "all": (EASY, HARD, TEST)}
-"""Names of splits, and the parts of a set that they include."""
+SPLITS: dict[str, Callable[[Entry], bool]] = {
+    "train": lambda entry: entry.split in (EASY, HARD),
+    EASY: lambda entry: entry.split == EASY,
+    HARD: lambda entry: entry.split == HARD,
+    TEST: lambda entry: entry.split == TEST,
+    "all": lambda _: True,
+    "train-by-version": lambda entry: entry.trains_by_version is True,
+    "test-by-version": lambda entry: entry.trains_by_version is False,
+}
+"""Splits by name, and whether a piece belongs to them. The last two exist for sets with versions only: they divide the
+versions, so that most test pieces have near relatives in training."""
 
 
 class Entry(msgspec.Struct, frozen=True):
@@ -31,8 +42,12 @@ class Entry(msgspec.Struct, frozen=True):
 
     family: str
     seed: int
+    version: int
+    """0 for the source piece itself, else the number of a near relative of it; see `generate`."""
     split: str
-    """`easy`, `hard` or `test`."""
+    """`easy`, `hard` or `test`; all versions of a source piece are in training, or all in `test`."""
+    trains_by_version: bool | None
+    """Whether the piece is for training if the versions are divided instead; None in sets without versions."""
     unseen: bool
     """Whether training has no piece of this family."""
     parts: int
@@ -48,7 +63,7 @@ class Entry(msgspec.Struct, frozen=True):
     @property
     def name(self) -> str:
         """Name of the piece for `roboassembly assemble`."""
-        return f"{self.family}:{self.seed}"
+        return catalogue.piece_name(self.family, self.seed, self.version)
 
 
 class Manifest(msgspec.Struct, frozen=True):
@@ -67,12 +82,16 @@ class Recipe:
     name: str
     description: str
     train: int
-    """Number of training pieces; the easier half is `easy`, the other half `hard`."""
+    """Number of source pieces for training; the easier half of the training pieces is `easy`, the other half `hard`."""
     test_seen: int
-    """Number of test pieces of families that occur in training."""
+    """Number of source pieces for testing, of families that occur in training."""
     test_unseen: int
-    """Number of test pieces of the other families."""
-    unseen_families: tuple[str, ...]
+    """Number of source pieces for testing, of the other families."""
+    first_seed: int
+    """Least seed of the pieces; those of two sets are at least 10,000 apart, so that they have no piece in common."""
+    unseen_families: tuple[str, ...] = ()
+    versions: int = 1
+    """Number of versions of each source piece, itself included. With more than one, sources are divided at random."""
 
 
 _UNSEEN = ("rocker", "splat", "garden", "folding")
@@ -81,14 +100,30 @@ RECIPES = {
     for recipe in (
         Recipe(
             "chairs-412",
-            "generated chairs in the paper's numbers: 220 to train on, 192 to test on",
+            "generated chairs in the paper's numbers, 220 to train on; 60 of the 192 to test on are of other families",
             220,
             132,
             60,
+            1,
             _UNSEEN,
         ),
         Recipe(
-            "chairs-24", "a few of the same kind, to try things with: 12 to train on, 12 to test on", 12, 8, 4, _UNSEEN
+            "chairs-880",
+            "four versions each of 220 generated chairs, divided as in the paper: 688 to train on, 192 to test on",
+            172,
+            48,
+            0,
+            20_001,
+            versions=4,
+        ),
+        Recipe(
+            "chairs-24",
+            "a few of the kind of chairs-412, to try things with: 12 to train on, 12 to test on",
+            12,
+            8,
+            4,
+            10_001,
+            _UNSEEN,
         ),
     )
 }
@@ -134,7 +169,7 @@ def make_entry(entry: Entry, *, with_grasps: bool = True) -> Furniture:
     Raises:
         InputError: the furniture differs from the one of the data set.
     """
-    furniture = catalogue.make(entry.family, entry.seed, with_grasps=with_grasps)
+    furniture = catalogue.make(entry.family, entry.seed, entry.version, with_grasps=with_grasps)
     if furniture_hash(furniture) != entry.hash:
         raise InputError(f"{entry.name} is no longer what its data set was built from; build the set again")
     return furniture
@@ -180,7 +215,7 @@ def furniture_refs(spec: str) -> list[FurnitureRef]:
 
     Raises:
         UnknownNameError: the set or the split does not exist.
-        InputError: the set is not built, or the folder contains no furniture.
+        InputError: the set is not built, has no such pieces, or the folder contains no furniture.
     """
     name, _, rest = spec.partition(":")
     if name == "folder":
@@ -196,7 +231,10 @@ def furniture_refs(spec: str) -> list[FurnitureRef]:
     split = rest or "all"
     if split not in SPLITS:
         raise UnknownNameError(f"split of {name}", split, SPLITS)
-    return [FurnitureRef(e.name, e, None) for e in load_manifest(name).entries if e.split in SPLITS[split]]
+    refs = [FurnitureRef(e.name, e, None) for e in load_manifest(name).entries if SPLITS[split](e)]
+    if not refs:
+        raise InputError(f"data set '{name}' has no versions of its pieces to divide; use {name}:train and {name}:test")
+    return refs
 
 
 def sample_refs(refs: Sequence[FurnitureRef], count: int | None, seed: int) -> list[FurnitureRef]:

@@ -11,7 +11,7 @@ from functools import partial
 
 import numpy as np
 
-from roboassembly.errors import UnknownNameError
+from roboassembly.errors import InputError, UnknownNameError
 from roboassembly.furniture.model import RawPart
 from roboassembly.generate.bench import GardenChair, SlattedBench
 from roboassembly.generate.cantilever import CantileverChair
@@ -35,6 +35,7 @@ from roboassembly.generate.three_legged import ThreeLeggedChair
 from roboassembly.generate.throne import Throne
 from roboassembly.generate.upholstered import UpholsteredChair
 from roboassembly.generate.windsor import WindsorChair
+from roboassembly.geometry.meshes import Mesh
 
 __all__ = ["ABSTRACT", "CHAIRS", "CLEARANCE", "FAMILIES", "OTHERS", "Family", "Kind", "generate"]
 
@@ -75,13 +76,35 @@ ABSTRACT: dict[str, Family] = {name: family for name, family in FAMILIES.items()
 """Structures to learn from that are no furniture."""
 
 
-def generate(family: str, seed: int) -> tuple[RawPart, ...]:
-    """Make one piece of furniture; a family and a seed give the same one everywhere, seed 0 the catalogue model.
+def generate(family: str, seed: int, version: int = 0) -> tuple[RawPart, ...]:
+    """Make one piece of furniture; family, seed and version give the same one everywhere, seed 0 the catalogue model.
+
+    Args:
+        family: one of `FAMILIES`.
+        seed: 0 or more.
+        version: 0 for the piece itself; each other number gives a near relative of it, with sizes within ± 10 % and,
+            for every other one on average, left and right exchanged.
 
     Raises:
         UnknownNameError: no such family.
+        InputError: the family has no versions.
     """
     if family not in FAMILIES:
         raise UnknownNameError("furniture family", family, FAMILIES)
-    rng = None if seed == 0 else np.random.default_rng([zlib.crc32(family.encode()), seed])
-    return as_parts(FAMILIES[family].build(rng))
+    key = zlib.crc32(family.encode())
+    rng = None if seed == 0 else np.random.default_rng([key, seed])
+    if version == 0:
+        return as_parts(FAMILIES[family].build(rng))
+    design = FAMILIES[family].design
+    if design is None:
+        raise InputError(f"the family '{family}' has no versions of its pieces; give a seed alone")
+    varying = np.random.default_rng([key, seed, version])
+    parts = as_parts((design() if rng is None else design.sample(rng)).varied(varying).parts())
+    return tuple(_mirrored(part) for part in parts) if varying.random() < 0.5 else parts
+
+
+def _mirrored(part: RawPart) -> RawPart:
+    """Return a part's mirror image across x = 0."""
+    other = {"left": "right", "right": "left"}
+    name = "_".join(other.get(word, word) for word in part.name.split("_"))
+    return RawPart(name, Mesh(part.mesh.vertices * (-1.0, 1.0, 1.0), part.mesh.faces[:, ::-1]), part.label)

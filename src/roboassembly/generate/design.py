@@ -215,6 +215,21 @@ class Design:
             if design.fits():
                 return design
 
+    def varied(self, rng: np.random.Generator, share: float = 0.1) -> Self:
+        """Return a design of the same structure whose sizes differ by up to a share each.
+
+        Counts, features and choices stay. The share is halved whenever many designs in a row do not fit together.
+        """
+        sizes = {f.name: getattr(self, f.name) for f in fields(self) if "draw" in f.metadata}
+        sizes = {name: value for name, value in sizes.items() if isinstance(value, float)}
+        while True:
+            for _ in range(_VARIATIONS):
+                factors = rng.uniform(1.0 - share, 1.0 + share, len(sizes))
+                design = replace(self, **{n: v * f for (n, v), f in zip(sizes.items(), factors.tolist(), strict=True)})
+                if design.fits():
+                    return design
+            share /= 2.0
+
     def fits(self) -> bool:
         """Return whether the sizes go together; another design is drawn if not."""
         return True
@@ -232,6 +247,8 @@ class Design:
 
 Build = Callable[[np.random.Generator | None], Sequence[PartDesign]]
 """Function that designs parts; without a generator, those of the catalogue model."""
+_VARIATIONS = 20
+"""Number of variations of a design that are drawn before they have to be smaller."""
 
 
 @dataclass(frozen=True)
@@ -242,6 +259,8 @@ class Family:
     description: str
     build: Build
     kind: Kind = "chair"
+    design: type[Design] | None = None
+    """Declaration of the family; None if its pieces are made from those of others."""
 
 
 def family(name: str, description: str, kind: Kind = "chair") -> Callable[[type[D]], type[D]]:
@@ -251,7 +270,7 @@ def family(name: str, description: str, kind: Kind = "chair") -> Callable[[type[
         def build(rng: np.random.Generator | None) -> Sequence[PartDesign]:
             return (design() if rng is None else design.sample(rng)).parts()
 
-        design.family = Family(name, description, build, kind)
+        design.family = Family(name, description, build, kind, design)
         return design
 
     return declare

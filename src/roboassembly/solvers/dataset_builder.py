@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import cycle, islice
 from pathlib import Path
 
 import msgspec
+import numpy as np
 
 from roboassembly.datasets import catalogue
 from roboassembly.datasets.sets import (
@@ -21,6 +22,7 @@ from roboassembly.datasets.sets import (
     furniture_hash,
     manifest_path,
 )
+from roboassembly.errors import FurnitureError
 from roboassembly.generate import CHAIRS
 from roboassembly.parallel.processes import worker_pool
 from roboassembly.planning.problem import Budget
@@ -34,7 +36,13 @@ PATIENT_PROBES = 3
 """Number of random-order episodes that look for a dead end."""
 _PROBE_BUDGET = Budget(states=0)
 """Budget for retreats only: a sampling planner seldom solves what they do not, and 412 chairs must be measured."""
+_SEEDS, _REPLACEMENTS = 100_000, 50_000
+"""Distance between the seeds of two draws of a set, and from a piece's seed to that of its replacement."""
 _CERTIFY = SearchLimits(states=50_000, attempts=100)
+
+
+Piece = tuple[str, int, int]
+"""Family, seed and version of a chair."""
 
 
 class Candidate(msgspec.Struct, frozen=True):
@@ -42,6 +50,7 @@ class Candidate(msgspec.Struct, frozen=True):
 
     family: str
     seed: int
+    version: int
     parts: int
     certified: bool
     difficulty: float
@@ -50,9 +59,12 @@ class Candidate(msgspec.Struct, frozen=True):
     hash: str
 
 
-def examine(family: str, seed: int) -> Candidate:
+def examine(family: str, seed: int, version: int = 0) -> Candidate:
     """Generate one chair, certify it by search, and measure its difficulty."""
-    furniture = catalogue.make(family, seed, with_grasps=False)
+    try:
+        furniture = catalogue.make(family, seed, version, with_grasps=False)
+    except FurnitureError:
+        return Candidate(family, seed, version, 0, False, 0.0, False, 0, "")
     task = ObjectCentricTask(furniture)
     result = solve(furniture, 0, task=task, limits=_CERTIFY)
     stuck, dead_end = 0.0, False
@@ -68,6 +80,7 @@ def examine(family: str, seed: int) -> Candidate:
     return Candidate(
         family,
         seed,
+        version,
         len(furniture.parts),
         result.plan.success,
         stuck,
@@ -84,65 +97,109 @@ def build_dataset(recipe: Recipe, seed: int, jobs: int) -> Iterator[tuple[int, i
     """
     path = manifest_path(recipe.name)
     path.parent.mkdir(parents=True, exist_ok=True)
-    journal = path.with_suffix(f".{seed}.jsonl")
-    known = {(c.family, c.seed): c for c in _read_journal(journal)}
+    journal = path.with_suffix(f".{VERSION}.{seed}.jsonl")
+    known: dict[Piece, Candidate] = {(c.family, c.seed, c.version): c for c in _read_journal(journal)}
     seen = [f for f in CHAIRS if f not in recipe.unseen_families]
-    selected = [
-        *_draw(seen, recipe.train + recipe.test_seen, seed),
-        *_draw(list(recipe.unseen_families), recipe.test_unseen, seed),
+    first = recipe.first_seed + seed * _SEEDS
+    sources = [
+        *_draw(seen, recipe.train + recipe.test_seen, first),
+        *_draw(list(recipe.unseen_families), recipe.test_unseen, first),
     ]
-    chosen: list[Candidate] = []
+    selected: list[Piece] = [(*source, version) for source in sources for version in range(recipe.versions)]
     with journal.open("ab") as log, worker_pool(jobs) as pool:
         todo = [w for w in selected if w not in known]
         done = len(selected) - len(todo)
         yield done, len(selected)
         while todo:
-            families, seeds = [name for name, _ in todo], [number for _, number in todo]
-            for candidate in pool.map(examine, families, seeds, chunksize=1):
+            families, seeds, versions = [p[0] for p in todo], [p[1] for p in todo], [p[2] for p in todo]
+            for candidate in pool.map(examine, families, seeds, versions, chunksize=1):
                 log.write(msgspec.json.encode(candidate) + b"\n")
                 log.flush()
-                known[candidate.family, candidate.seed] = candidate
+                known[candidate.family, candidate.seed, candidate.version] = candidate
                 done += candidate.certified
                 yield min(done, len(selected)), len(selected)
-            # The next chair of the family replaces a chair that the search does not solve.
-            selected = [w if known[w].certified else _next(w, known) for w in selected]
+            selected = _replaced(selected, known, recipe.versions)
             todo = [w for w in selected if w not in known]
-    chosen = [known[w] for w in selected]
-    manifest = Manifest(recipe.name, VERSION, seed, tuple(_split(recipe, chosen)))
+    entries = _split(recipe, [known[w] for w in selected], np.random.default_rng(seed))
+    manifest = Manifest(recipe.name, VERSION, seed, tuple(entries))
     scratch = path.with_suffix(f".{os.getpid()}.tmp")
     scratch.write_bytes(msgspec.json.format(msgspec.json.encode(manifest), indent=1) + b"\n")
     scratch.replace(path)
 
 
-def _draw(families: list[str], count: int, seed: int) -> list[tuple[str, int]]:
+def _draw(families: list[str], count: int, first: int) -> list[tuple[str, int]]:
     """Return `(family, seed)` pairs, the families in turn. Seed 0 is the catalogue model and is left out."""
-    return [(f, seed * 100_000 + 1 + i // len(families)) for i, f in enumerate(islice(cycle(families), count))]
+    return [(f, first + i // len(families)) for i, f in enumerate(islice(cycle(families), count))]
 
 
-def _next(chair: tuple[str, int], known: dict[tuple[str, int], Candidate]) -> tuple[str, int]:
-    family, seed = chair
-    seed += 50_000
-    while (family, seed) in known and not known[family, seed].certified:
-        seed += 1
-    return family, seed
+def _replaced(selected: Sequence[Piece], known: Mapping[Piece, Candidate], versions: int) -> list[Piece]:
+    """Return the pieces with a replacement for each that the search does not solve.
 
-
-def _split(recipe: Recipe, chairs: list[Candidate]) -> Iterator[Entry]:
-    """Yield the entries. The first `train` chairs are for training; the easier half of them is `easy`.
-
-    Chairs are ranked by difficulty, then by number of parts.
+    The next chair of its family replaces a source, all versions included, and the next version a version.
     """
-    train, test = chairs[: recipe.train], chairs[recipe.train :]
-    ranked = sorted(train, key=lambda c: (c.difficulty, c.parts, c.family, c.seed))
+    sources = [selected[i] for i in range(0, len(selected), versions)]
+    taken = set(sources)
+    out: list[Piece] = []
+    for index, source in enumerate(sources):
+        family, seed, _ = source
+        if not known[source].certified:
+            seed += 0 if seed % _SEEDS >= _REPLACEMENTS else _REPLACEMENTS
+            while (family, seed, 0) in taken or ((family, seed, 0) in known and not known[family, seed, 0].certified):
+                seed += 1
+            taken.add((family, seed, 0))
+            out += [(family, seed, version) for version in range(versions)]
+            continue
+        pieces = list(selected[index * versions : (index + 1) * versions])
+        for place, piece in enumerate(pieces):
+            while piece in known and not known[piece].certified:
+                piece = (family, seed, max(p[2] for p in pieces) + 1)
+                pieces[place] = piece
+        out += pieces
+    return out
+
+
+def _split(recipe: Recipe, chairs: Sequence[Candidate], rng: np.random.Generator) -> Iterator[Entry]:
+    """Yield the entries. The first `train` sources are for training; the easier half of their chairs is `easy`.
+
+    Chairs are ranked by difficulty, then by number of parts. Sources with versions are put in random order first, so
+    that the division is random.
+    """
+    sources: list[Sequence[Candidate]] = [
+        chairs[i : i + recipe.versions] for i in range(0, len(chairs), recipe.versions)
+    ]
+    by_version: dict[Piece, bool] = {}
+    if recipe.versions > 1:
+        sources = [sources[int(i)] for i in rng.permutation(len(sources))]
+        train_count = recipe.train * recipe.versions
+        for place, i in enumerate(rng.permutation(len(chairs))):
+            by_version[_piece(chairs[int(i)])] = place < train_count
+    train = [c for source in sources[: recipe.train] for c in source]
+    ranked = sorted(train, key=lambda c: (c.difficulty, c.parts, *_piece(c)))
     for index, c in enumerate(ranked):
-        yield _entry(recipe, c, EASY if index < len(ranked) // 2 else HARD)
-    for c in test:
-        yield _entry(recipe, c, TEST)
+        yield _entry(recipe, c, EASY if index < len(ranked) // 2 else HARD, by_version)
+    for source in sources[recipe.train :]:
+        for c in source:
+            yield _entry(recipe, c, TEST, by_version)
 
 
-def _entry(recipe: Recipe, c: Candidate, split: str) -> Entry:
-    unseen = c.family in recipe.unseen_families
-    return Entry(c.family, c.seed, split, unseen, c.parts, c.difficulty, c.dead_end, c.planning_steps, c.hash)
+def _piece(c: Candidate) -> Piece:
+    return c.family, c.seed, c.version
+
+
+def _entry(recipe: Recipe, c: Candidate, split: str, by_version: Mapping[Piece, bool]) -> Entry:
+    return Entry(
+        c.family,
+        c.seed,
+        c.version,
+        split,
+        by_version.get(_piece(c)),
+        c.family in recipe.unseen_families,
+        c.parts,
+        c.difficulty,
+        c.dead_end,
+        c.planning_steps,
+        c.hash,
+    )
 
 
 def _read_journal(path: Path) -> Iterator[Candidate]:
