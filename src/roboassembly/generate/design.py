@@ -216,17 +216,19 @@ class Design:
                 return design
 
     def varied(self, rng: np.random.Generator, share: float = 0.1) -> Self:
-        """Return a design of the same structure whose sizes differ by up to a share each.
+        """Return a design of the same parts whose sizes differ by up to a share each.
 
-        Counts, features and choices stay. The share is halved whenever many designs in a row do not fit together.
+        Counts, features and choices stay. The share is halved whenever many designs in a row do not fit together, or
+        have other parts because a number of parts follows from a size.
         """
+        names = [part.name for part in self.parts()]
         sizes = {f.name: getattr(self, f.name) for f in fields(self) if "draw" in f.metadata}
         sizes = {name: value for name, value in sizes.items() if isinstance(value, float)}
         while True:
             for _ in range(_VARIATIONS):
                 factors = rng.uniform(1.0 - share, 1.0 + share, len(sizes))
                 design = replace(self, **{n: v * f for (n, v), f in zip(sizes.items(), factors.tolist(), strict=True)})
-                if design.fits():
+                if design.fits() and [part.name for part in design.parts()] == names:
                     return design
             share /= 2.0
 
