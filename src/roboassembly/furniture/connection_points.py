@@ -111,7 +111,7 @@ def connection_points(
             )
         connections.append(Connection(*numbers))
     _share_points(points, classes)
-    return points, tuple(connections)
+    return points, _number_points_alike(points, connections, classes)
 
 
 def _ends(
@@ -185,6 +185,50 @@ def _share_points(points: list[list[ConnectionPoint]], classes: Sequence[ShapeCl
                 there = any(len(_spot_of(p).onto(_spot_of(point), shape_class.symmetries)) for p in points[member])
                 if not there and len(points[member]) < MAX_POINTS:
                     points[member].append(point)
+
+
+def _number_points_alike(
+    points: list[list[ConnectionPoint]], connections: Sequence[Connection], classes: Sequence[ShapeClass]
+) -> tuple[Connection, ...]:
+    """Sort the points of each part as those of its class's first member; returns the connections, renumbered.
+
+    The first member's points are in the order of its neighbours' numbers.
+    """
+    number: dict[tuple[int, int], int] = {}
+    for shape_class in classes:
+        reference: list[Spot] = []
+        for member in shape_class.members:
+            place = _places(points[member], reference, shape_class.symmetries)
+            order = sorted(range(len(place)), key=place.__getitem__)
+            number.update({(member, old): new for new, old in enumerate(order)})
+            points[member] = [points[member][old] for old in order]
+    return tuple(
+        Connection(c.part_a, number[c.part_a, c.point_a], c.part_b, number[c.part_b, c.point_b]) for c in connections
+    )
+
+
+def _places(
+    points: Sequence[ConnectionPoint], reference: list[Spot], symmetries: Float[np.ndarray, "s 3 3"]
+) -> list[int]:
+    """Return the index in `reference` of each point's spot, which gets the spots that it lacks.
+
+    A point takes the spot where it is, else one where a symmetry of the shape takes it.
+    """
+    place = [-1] * len(points)
+    for rotations in (symmetries[:1], symmetries):
+        for index, point in enumerate(points):
+            if place[index] < 0:
+                matching = (
+                    i
+                    for i, spot in enumerate(reference)
+                    if i not in place and len(_spot_of(point).onto(spot, rotations))
+                )
+                place[index] = next(matching, -1)
+    for index, point in enumerate(points):
+        if place[index] < 0:
+            place[index] = len(reference)
+            reference.append(_spot_of(point))
+    return place
 
 
 def _spot_of(point: ConnectionPoint) -> Spot:
