@@ -138,15 +138,15 @@ def _replaced(selected: Sequence[Piece], known: Mapping[Piece, Candidate], versi
     The next chair of its family replaces a source, all versions included, and the next version a version.
     """
     sources = [selected[i] for i in range(0, len(selected), versions)]
-    taken = set(sources)
+    used = set(sources)
     out: list[Piece] = []
     for index, source in enumerate(sources):
         family, seed, _ = source
         if not known[source].certified:
             seed += 0 if seed % _SEEDS >= _REPLACEMENTS else _REPLACEMENTS
-            while (family, seed, 0) in taken or ((family, seed, 0) in known and not known[family, seed, 0].certified):
+            while (family, seed, 0) in used or ((family, seed, 0) in known and not known[family, seed, 0].certified):
                 seed += 1
-            taken.add((family, seed, 0))
+            used.add((family, seed, 0))
             out += [(family, seed, version) for version in range(versions)]
             continue
         pieces = list(selected[index * versions : (index + 1) * versions])
