@@ -27,13 +27,13 @@ def make(family: str, seed: int = 0, version: int = 0, *, with_grasps: bool = Tr
 
     Raises:
         UnknownNameError: the family does not exist.
-        InputError: the seed is negative.
+        InputError: the seed or the version is negative, or the family has no versions.
     """
     if seed < 0 or version < 0:
         raise InputError(f"seed {seed} and version {version} must be 0 or more")
-    provenance = Provenance("generated", piece_name(family, seed, version), "MIT")
-    name = piece_name(family, seed, version).replace(":", "-")
-    return annotate(name, generate(family, seed, version), provenance, with_grasps=with_grasps)
+    name = piece_name(family, seed, version)
+    provenance = Provenance("generated", name, "MIT")
+    return annotate(name.replace(":", "-"), generate(family, seed, version), provenance, with_grasps=with_grasps)
 
 
 def piece_name(family: str, seed: int, version: int = 0) -> str:

@@ -58,6 +58,11 @@ class Candidate(msgspec.Struct, frozen=True):
     planning_steps: int
     hash: str
 
+    @property
+    def piece(self) -> Piece:
+        """Family, seed and version."""
+        return self.family, self.seed, self.version
+
 
 def examine(family: str, seed: int, version: int = 0) -> Candidate:
     """Generate one chair, certify it by search, and measure its difficulty."""
@@ -98,7 +103,7 @@ def build_dataset(recipe: Recipe, seed: int, jobs: int) -> Iterator[tuple[int, i
     path = manifest_path(recipe.name)
     path.parent.mkdir(parents=True, exist_ok=True)
     journal = path.with_suffix(f".{VERSION}.{seed}.jsonl")
-    known: dict[Piece, Candidate] = {(c.family, c.seed, c.version): c for c in _read_journal(journal)}
+    known: dict[Piece, Candidate] = {c.piece: c for c in _read_journal(journal)}
     seen = [f for f in CHAIRS if f not in recipe.unseen_families]
     first = recipe.first_seed + seed * _SEEDS
     sources = [
@@ -115,7 +120,7 @@ def build_dataset(recipe: Recipe, seed: int, jobs: int) -> Iterator[tuple[int, i
             for candidate in pool.map(examine, families, seeds, versions, chunksize=1):
                 log.write(msgspec.json.encode(candidate) + b"\n")
                 log.flush()
-                known[candidate.family, candidate.seed, candidate.version] = candidate
+                known[candidate.piece] = candidate
                 done += candidate.certified
                 yield min(done, len(selected)), len(selected)
             selected = _replaced(selected, known, recipe.versions)
@@ -172,9 +177,9 @@ def _split(recipe: Recipe, chairs: Sequence[Candidate], rng: np.random.Generator
         sources = [sources[int(i)] for i in rng.permutation(len(sources))]
         train_count = recipe.train * recipe.versions
         for place, i in enumerate(rng.permutation(len(chairs))):
-            by_version[_piece(chairs[int(i)])] = place < train_count
+            by_version[chairs[int(i)].piece] = place < train_count
     train = [c for source in sources[: recipe.train] for c in source]
-    ranked = sorted(train, key=lambda c: (c.difficulty, c.parts, *_piece(c)))
+    ranked = sorted(train, key=lambda c: (c.difficulty, c.parts, *c.piece))
     for index, c in enumerate(ranked):
         yield _entry(recipe, c, EASY if index < len(ranked) // 2 else HARD, by_version)
     for source in sources[recipe.train :]:
@@ -182,17 +187,11 @@ def _split(recipe: Recipe, chairs: Sequence[Candidate], rng: np.random.Generator
             yield _entry(recipe, c, TEST, by_version)
 
 
-def _piece(c: Candidate) -> Piece:
-    return c.family, c.seed, c.version
-
-
 def _entry(recipe: Recipe, c: Candidate, split: str, by_version: Mapping[Piece, bool]) -> Entry:
     return Entry(
-        c.family,
-        c.seed,
-        c.version,
+        *c.piece,
         split,
-        by_version.get(_piece(c)),
+        by_version.get(c.piece),
         c.family in recipe.unseen_families,
         c.parts,
         c.difficulty,
