@@ -164,3 +164,31 @@ def test_triangulation_does_not_matter() -> None:
     one, two = contact(a, b), contact(Mesh.from_trimesh(fine), b)
     assert two.area == pytest.approx(one.area, rel=1e-4)
     assert np.allclose(two.center, one.center, atol=1e-6)
+
+
+def _tenon_in_bent_board(tilt: float) -> tuple[Mesh, Mesh]:
+    """A tenon deep in a board whose mouth is cut at an angle, so that its two walls have different areas."""
+    tongue = shapes.block((-0.02, -0.006, -0.05), (0.02, 0.006, 0.06))
+    board = shapes.block((-0.1, -0.03, 0.0), (0.1, 0.03, 0.2)) - shapes.block(
+        (-0.0204, -0.0064, -0.1), (0.0204, 0.0064, 0.0604)
+    )
+    board = board - shapes.block((-0.2, -0.2, -0.2), (0.2, 0.2, 0.0)).rotate((tilt, 0, 0)).translate((0, 0, 0.01))
+    return shapes.of_solid(tongue), shapes.of_solid(board)
+
+
+@pytest.mark.parametrize("tilt", [0.0, 5.0, 12.0])
+def test_a_deep_tenon_points_along_its_walls(tilt: float) -> None:
+    found = contact(*_tenon_in_bent_board(tilt))
+    assert np.allclose(found.normal, [0, 0, 1], atol=1e-6)
+
+
+def test_a_contact_does_not_depend_on_which_part_comes_first() -> None:
+    for a, b in (
+        _tenon_in_bent_board(15.0),
+        (shapes.prism(9, 0.05, 0.2), shapes.box((0.0, 0.0, 0.1005), (0.3, 0.2, 0.3))),
+    ):
+        one, other = contact(a, b), contact(b, a)
+        assert np.allclose(one.center, other.center, atol=1e-12)
+        assert np.allclose(one.normal, -other.normal, atol=1e-12)
+        assert one.gap == pytest.approx(other.gap, abs=1e-12)
+        assert one.area == pytest.approx(other.area, rel=1e-12)

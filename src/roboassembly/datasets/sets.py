@@ -22,7 +22,7 @@ from roboassembly.furniture import storage
 from roboassembly.furniture.cache import cache_folder
 from roboassembly.furniture.model import Furniture
 
-VERSION = 6
+VERSION = 7
 EASY, HARD, TEST = "easy", "hard", "test"
 SPLITS: dict[str, Callable[[Entry], bool]] = {
     "train": lambda entry: entry.split in (EASY, HARD),
@@ -200,6 +200,13 @@ class FurnitureRef:
             return make_entry(self.entry, with_grasps=with_grasps)
         assert self.folder is not None
         return storage.load(self.folder)
+
+    @property
+    def source(self) -> str | None:
+        """Name of the piece that this one is a version of; None if it is no version."""
+        if self.entry is None or self.entry.version == 0:
+            return None
+        return catalogue.piece_name(self.entry.family, self.entry.seed)
 
     @property
     def hash(self) -> str:

@@ -102,7 +102,7 @@ _QUICK = _by_setting(
     replace(
         _QUICK_BASE, sample=3, relational=RelationalPipelineConfig(extra=0, validation=0, steps=40, network=_TINY),
         pipeline=PipelineConfig(
-            AutoencoderTraining(steps=40), 4, ExpertTraining(steps=1_600, least_steps=400), episodes=2
+            AutoencoderTraining(steps=40), 4, ExpertTraining(steps=1_600), episodes=2
         ),
     ),
     replace(
@@ -111,7 +111,7 @@ _QUICK = _by_setting(
             RelationalPipelineConfig.default("full"), extra=0, validation=0, episodes=1, steps=2, grasp_steps=40
         ),
         pipeline=PipelineConfig(
-            AutoencoderTraining(steps=40), 4, ExpertTraining(steps=1_600, least_steps=400, setting="full"), episodes=8
+            AutoencoderTraining(steps=40), 4, ExpertTraining(steps=1_600, setting="full"), episodes=8
         ),
     ),
 )  # fmt: skip

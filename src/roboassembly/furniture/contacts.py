@@ -16,6 +16,12 @@ PATCH_DEPTH = 0.001
 """Distance beyond the smallest one that still belongs to a patch, as the clearances of one joint differ [m]."""
 _OPPOSED = -0.7
 """Cosine between normals below which faces count as opposed: within 45° of opposite."""
+_WALL = 0.3
+"""Cosine with the mean normal below which a face is a wall of the joint: less than 17° off."""
+_WALL_SHARE = 0.02
+"""Share of the area, weighted by the squared cosine, above which walls bar a direction."""
+_LEAST_ALONG = 0.9
+"""Least cosine between the mean normal and the direction along all walls."""
 _CHUNK = 2_000_000
 
 
@@ -73,7 +79,7 @@ def _refuse_nested(a: int, b: int, meshes: Sequence[Mesh], names: Sequence[str])
 
 def _contact(a: int, b: int, mesh_a: Mesh, mesh_b: Mesh, witness: Witness) -> Contact:
     reach = min(CONTACT_DISTANCE, witness.distance + PATCH_DEPTH)
-    pieces = _facing_pieces(mesh_a, mesh_b, reach)
+    pieces = _facing_pieces_both_ways(mesh_a, mesh_b, reach)
     if pieces is not None:
         area, center, normal, height = pieces
         total = area.sum()
@@ -82,7 +88,7 @@ def _contact(a: int, b: int, mesh_a: Mesh, mesh_b: Mesh, witness: Witness) -> Co
         middle = (area[:, None] * center).sum(axis=0) / total
         # All around a dowel the normals cancel out; then the nearest points determine the joint's direction.
         if strength > 0.05:
-            n = mean / strength
+            n = _along_walls(area, normal, mean / strength)
             along = normal @ n > 0.7
             weight = area[along].sum()
             gap = float((area[along] * height[along]).sum() / weight) if weight > 0 else witness.distance
@@ -90,6 +96,27 @@ def _contact(a: int, b: int, mesh_a: Mesh, mesh_b: Mesh, witness: Witness) -> Co
         return Contact(a, b, middle, _witness_normal(mesh_a, mesh_b, witness), witness.distance, float(total))
     middle = 0.5 * (witness.point_a + witness.point_b)
     return Contact(a, b, middle, _witness_normal(mesh_a, mesh_b, witness), witness.distance, 0.0)
+
+
+def _along_walls(
+    area: Float[np.ndarray, "n"], normal: Float[np.ndarray, "n 3"], mean: Float[np.ndarray, "3"]
+) -> Float[np.ndarray, "3"]:
+    """Return the direction nearest to a mean normal along which the walls of a joint slide past each other.
+
+    The walls of a deep tenon have many times the area of its shoulder. Where they do not cancel exactly, they tilt the
+    mean by a fraction of a degree, and the tenon would bind.
+
+    Args:
+        area: area of each piece [m²].
+        normal: unit normal of each piece.
+        mean: unit vector, their mean.
+    """
+    wall = np.abs(normal @ mean) < _WALL
+    share, axes = np.linalg.eigh((area[wall, None] * normal[wall]).T @ normal[wall] / area.sum())
+    across = axes[:, share > _WALL_SHARE]
+    along = mean - across @ (across.T @ mean)
+    length = float(np.linalg.norm(along))
+    return along / length if length > _LEAST_ALONG else mean
 
 
 def _witness_normal(mesh_a: Mesh, mesh_b: Mesh, witness: Witness) -> Float[np.ndarray, "3"]:
@@ -100,14 +127,33 @@ def _witness_normal(mesh_a: Mesh, mesh_b: Mesh, witness: Witness) -> Float[np.nd
     return between / max(float(np.linalg.norm(between)), 1e-12)
 
 
-def _facing_pieces(
-    mesh_a: Mesh, mesh_b: Mesh, reach: float
-) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"], Float[np.ndarray, "n"]] | None:
+_Pieces = tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"], Float[np.ndarray, "n"]]
+"""Area [m²], centroid midway between the surfaces [m], unit normal from a to b, and height [m] of each piece."""
+
+
+def _facing_pieces_both_ways(mesh_a: Mesh, mesh_b: Mesh, reach: float) -> _Pieces | None:
+    """Return the pieces of `a` over `b` and of `b` over `a`, each with half its area; None where no faces are opposed.
+
+    On bent surfaces the two differ a little. Both together do not depend on which part is `a`.
+    """
+    one, other = _facing_pieces(mesh_a, mesh_b, reach), _facing_pieces(mesh_b, mesh_a, reach)
+    if one is None or other is None:
+        if other is not None:
+            area, center, normal, height = other
+            return area, center, -normal, height
+        return one
+    return (
+        0.5 * np.concatenate([one[0], other[0]]),
+        np.concatenate([one[1], other[1]]),
+        np.concatenate([one[2], -other[2]]),
+        np.concatenate([one[3], other[3]]),
+    )
+
+
+def _facing_pieces(mesh_a: Mesh, mesh_b: Mesh, reach: float) -> _Pieces | None:
     """Clip every triangle of `a` to the prism that each opposed triangle of `b` sweeps outward by `reach`.
 
-    Returns:
-        Per piece: area [m²], centroid midway between the surfaces [m], unit normal from a to b, height [m]; or None
-        where no faces are opposed.
+    Returns None where no faces are opposed.
     """
     ta, na = _triangles_near(mesh_a, mesh_b.bounds, reach)
     tb, nb = _triangles_near(mesh_b, mesh_a.bounds, reach)

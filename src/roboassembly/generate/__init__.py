@@ -7,12 +7,15 @@ left hand.
 from __future__ import annotations
 
 import zlib
+from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
 from roboassembly.errors import InputError, UnknownNameError
 from roboassembly.furniture.model import RawPart
+from roboassembly.furniture.part_order import in_partnet_order, label_path
 from roboassembly.generate.bench import GardenChair, SlattedBench
 from roboassembly.generate.cantilever import CantileverChair
 from roboassembly.generate.carcass import Carcass
@@ -79,6 +82,8 @@ ABSTRACT: dict[str, Family] = {name: family for name, family in FAMILIES.items()
 def generate(family: str, seed: int, version: int = 0) -> tuple[RawPart, ...]:
     """Make one piece of furniture; family, seed and version give the same one everywhere, seed 0 the catalogue model.
 
+    Parts are in PartNet's order; see `furniture.part_order`.
+
     Args:
         family: one of `FAMILIES`.
         seed: 0 or more.
@@ -94,13 +99,18 @@ def generate(family: str, seed: int, version: int = 0) -> tuple[RawPart, ...]:
     key = zlib.crc32(family.encode())
     rng = None if seed == 0 else np.random.default_rng([key, seed])
     if version == 0:
-        return as_parts(FAMILIES[family].build(rng))
+        return _labeled(as_parts(FAMILIES[family].build(rng)))
     design = FAMILIES[family].design
     if design is None:
         raise InputError(f"the family '{family}' has no versions of its pieces; give a seed alone")
     varying = np.random.default_rng([key, seed, version])
     parts = as_parts((design() if rng is None else design.sample(rng)).varied(varying).parts())
-    return tuple(_mirrored(part) for part in parts) if varying.random() < 0.5 else parts
+    return _labeled([_mirrored(part) for part in parts] if varying.random() < 0.5 else parts)
+
+
+def _labeled(parts: Sequence[RawPart]) -> tuple[RawPart, ...]:
+    """Return the parts in PartNet's order, labelled with their paths in its hierarchy."""
+    return in_partnet_order([replace(part, label=label_path(part.label)) for part in parts])
 
 
 def _mirrored(part: RawPart) -> RawPart:

@@ -15,10 +15,12 @@ import numpy as np
 from jaxtyping import Bool, Float, Float16, Float32, Int, Int16
 
 from roboassembly.errors import InputError
+from roboassembly.furniture.model import Furniture
+from roboassembly.furniture.part_order import is_optional
 from roboassembly.learning import archive
 from roboassembly.task.rules.connections import GRASPS
 
-FORMAT = 2
+FORMAT = 3
 """Version of the files."""
 CLOUD_POINTS = 2048
 """Points of each part's cloud: enough to show tenons and holes."""
@@ -51,6 +53,28 @@ class LabeledState:
 
 
 @dataclass(frozen=True, eq=False)
+class Structure:
+    """Which parts touch, which are equal, and which such furniture may lack."""
+
+    connections: Int[np.ndarray, "c 4"]
+    """Part and point of one end of each connection, part and point of the other."""
+    classes: Int[np.ndarray, "P"]
+    """Number of each part's shape class."""
+    labels: tuple[str, ...]
+    """Label of each part."""
+    optional: Bool[np.ndarray, "P"]
+    """Whether furniture of this kind may lack the part."""
+
+
+def structure_of(furniture: Furniture) -> Structure:
+    """Return the structure of a piece of furniture."""
+    connections = [(c.part_a, c.point_a, c.part_b, c.point_b) for c in furniture.connections]
+    labels = tuple(part.label for part in furniture.parts)
+    optional = np.array([is_optional(label) for label in labels], bool)
+    return Structure(np.array(connections, int).reshape(-1, 4), np.array(furniture.class_of, int), labels, optional)
+
+
+@dataclass(frozen=True, eq=False)
 class SampleSet:
     """The labelled states of one piece of furniture."""
 
@@ -61,6 +85,8 @@ class SampleSet:
     samples: tuple[LabeledState, ...]
     grasps: Float32[np.ndarray, "P 8 6"] | None = None
     """Gripper pose of each grasp in the part's frame, as in the observation; None in the object-centric setting."""
+    structure: Structure | None = None
+    """Structure of the furniture; None if it is not known."""
 
     def save(self, path: Path) -> None:
         """Write as npz, whole or not at all; clouds are stored as 16-bit floats, half a millimetre exact."""
@@ -72,6 +98,7 @@ class SampleSet:
             "name": np.array(self.name),
             "clouds": self.clouds.astype(np.float16),
             "grasps": np.zeros((0, GRASPS, 6), np.float32) if self.grasps is None else self.grasps,
+            **self._structure_arrays(),
             "points": np.array([sample.points for sample in samples]),
             "connections": np.array([sample.connections for sample in samples]),
             "free": np.array([sample.free for sample in samples]),
@@ -83,6 +110,16 @@ class SampleSet:
             "sample_of_mate": np.repeat(np.arange(len(samples)), [len(m) for m in mates]),
         }
         archive.write(path, arrays)
+
+    def _structure_arrays(self) -> dict[str, np.ndarray]:
+        if self.structure is None:
+            return {}
+        return {
+            "structure_connections": self.structure.connections,
+            "structure_classes": self.structure.classes,
+            "structure_labels": np.array(self.structure.labels),
+            "structure_optional": self.structure.optional,
+        }
 
     @staticmethod
     def load(path: Path) -> SampleSet:
@@ -107,7 +144,12 @@ class SampleSet:
                 for i in range(len(points))
             )  # fmt: skip
             grasps = z["grasps"] if len(z["grasps"]) else None
-            return SampleSet(str(z["name"]), z["clouds"].astype(np.float32), samples, grasps)
+            structure = None
+            if "structure_labels" in z:
+                labels = tuple(str(label) for label in z["structure_labels"])
+                connections, classes = z["structure_connections"], z["structure_classes"]
+                structure = Structure(connections, classes, labels, z["structure_optional"])
+            return SampleSet(str(z["name"]), z["clouds"].astype(np.float32), samples, grasps, structure)
 
 
 def check_format(path: Path, arrays: archive.Arrays, expected: int) -> None:

@@ -18,7 +18,7 @@ from roboassembly.learning import checkpoint
 from roboassembly.learning.paper import autoencoder
 from roboassembly.learning.paper.dqn import network
 from roboassembly.learning.paper.dqn.exploration import PlanExplorer
-from roboassembly.learning.paper.dqn.memoized_env import MemoizedEnv
+from roboassembly.learning.paper.dqn.memoized_env import MemoizedEnv, State
 from roboassembly.learning.paper.dqn.network import ChairInputs, ExpertPolicy, chair_inputs, encode_state, run_expert
 from roboassembly.solvers.mate_checks import BLOCKED, FAILS, MERGES, UNKNOWN
 from roboassembly.task.full.failure import Failure
@@ -78,7 +78,7 @@ def test_transitions_on_a_complete_path_are_marked() -> None:
     buffer, m, n = agent.buffer, chair.points, len(chair.part)
     while not agent.finished_once:
         assert len(buffer.states) == 1 or not buffer.sample(agent.rng, 24, 2)["whole"].any()
-        agent.step(np.zeros((n, n, 6), np.float32))
+        agent.step(lambda: np.zeros((n, n, 6), np.float32))
     batch, path = buffer.sample(agent.rng, 300, 2), buffer.best_path()
     start = (batch["joined"] == buffer.joined[0]).all(axis=(1, 2))
     assert start.any()
@@ -132,7 +132,7 @@ def test_equal_parts_with_other_points_can_be_learnt() -> None:
     agent = DQNAgent(ReplayBuffer(env, chair), AgentConfig(), np.random.default_rng(0))
     n = len(chair.part)
     for _ in range(300):
-        agent.step(np.zeros((n, n, 6), np.float32))
+        agent.step(lambda: np.zeros((n, n, 6), np.float32))
     assert agent.buffer.sample(agent.rng, 24, 2)["fails"].any()
     expert = ExpertPolicy(chair, network.init(np.random.default_rng(0), n, chair.features.shape[1]))
     assert run_expert(expert, task, 0)
@@ -217,7 +217,7 @@ def test_an_expert_plays_with_robots() -> None:
     n = len(chair.part)
     agent = DQNAgent(ReplayBuffer(MemoizedEnv(task, 0), chair), AgentConfig(), np.random.default_rng(0))
     for _ in range(40):
-        agent.step(np.zeros((n, n, 64), np.float32))
+        agent.step(lambda: np.zeros((n, n, 64), np.float32))
     batch = agent.buffer.sample(agent.rng, 24, 2)
     assert batch["fails"].shape[1:] == (n, n, 64)
     expert = ExpertPolicy(chair, network.init(np.random.default_rng(0), n, chair.features.shape[1], chair.branches))
@@ -248,10 +248,13 @@ def test_groups_with_a_part_missing_between_are_locked_out() -> None:
                     return int(first[a] + k), int(first[b] + l)
         raise AssertionError(f"{one} and {two} do not touch")
 
+    def locked_out(state: State, pair: tuple[int, int]) -> int:
+        return int(env.geometry.locked_out(state, np.array([pair]))[0])
+
     start = env.start
     across = rows("seat_rail_right", "post_right")
     # Nothing is known yet, so that nothing is known to belong anywhere.
-    assert env.geometry.locked_out(start, *across) == 0
+    assert locked_out(start, across) == 0
     for c in sled.connections:
         row, column = rows(sled.parts[c.part_a].name, sled.parts[c.part_b].name)
         known = env.known(start)[row, column]
@@ -270,9 +273,9 @@ def test_groups_with_a_part_missing_between_are_locked_out() -> None:
     # With rail and leg joined, the post would lock the armrest out, which sits on the leg and butts against the post;
     # not the runner, onto which both stand from above. The runner would lock out the post, which then had to come from
     # behind and from above at once. Nothing belongs between the leg and a rail that goes across.
-    assert env.geometry.locked_out(state, *across) == 1
-    assert env.geometry.locked_out(state, *rows("runner_right", "leg_front_right")) == 1
-    assert env.geometry.locked_out(state, *rows("cross_rail_front", "leg_front_right")) == 0
+    assert locked_out(state, across) == 1
+    assert locked_out(state, rows("runner_right", "leg_front_right")) == 1
+    assert locked_out(state, rows("cross_rail_front", "leg_front_right")) == 0
 
 
 def test_outcomes_are_unknown_before_a_try() -> None:
@@ -381,17 +384,24 @@ def test_an_expert_masters_a_chair_and_teaches_it(trained: Trained, family: str,
     assert result.success_rate == 1.0
     assert not list(path.parent.glob("*.partial.npz"))
     task = ObjectCentricTask(chair.furniture())
-    expert = results.load(path, task)
-    course, finished = expert_samples(expert, task, chair.name, episodes=2)
+    expert, buffer = results.load(path, task)
+    course, finished = expert_samples(expert, buffer, task, chair.name, episodes=2, memories=3)
     assert finished >= 1
-    assert len(course.samples) == finished * (len(task.furniture.parts) - 1)
+    of_episodes = finished * (len(task.furniture.parts) - 1)
+    assert of_episodes < len(course.samples) <= of_episodes + 3
+    # Both episodes take the same actions, and so does who imitates the expert in states that it met while it explored.
+    taught = paper_imitation.examples_of([course], _extractor(), Augmentation(copies=0, reductions=0))
+    assert len(taught) == len(course.samples)
+    merges = len(task.furniture.parts) - 1
+    assert [e.first_best() for e in taught[:merges]] == [e.first_best() for e in taught[merges : 2 * merges]]
+    assert all(e.first_best()[0] >= 0 for e in taught)
     lesson = course.samples[0]
     n = int(lesson.free.sum())
     assert lesson.q_values is not None
     assert lesson.q_values.shape == (n, n, 6)
     best = len(task.furniture.parts) + 3.0
     # Values may overshoot; what is taught does not.
-    taught = paper_imitation.examples_of([course], _extractor(), Augmentation(copies=0))[0]
+    taught = taught[0]
     exist = taught.group[:, None] != taught.group
     assert taught.max_return == best
     targets = paper_imitation.targets(paper_imitation.batch_of([taught], None))[0, : len(exist), : len(exist)]
@@ -442,12 +452,12 @@ def test_greedy_plays_choose_by_value_alone() -> None:
     rows = np.argwhere(agent.buffer.env.exists(agent.buffer.states[0]))
     row, column = rows[7].tolist()
     q[row, column, 4] = 1.0
-    agent.step(q)  # the first episode explores
+    agent.step(lambda: q)  # the first episode explores
     while not agent.greedy:
-        agent.step(q)
+        agent.step(lambda: q)
     known_before = agent.buffer.env.planned
-    agent.step(q)
-    agent.step(q)
+    agent.step(lambda: q)
+    agent.step(lambda: q)
     # However often it fails, a play by Q takes what Q says.
     assert agent.buffer.env.planned <= known_before + 1
 

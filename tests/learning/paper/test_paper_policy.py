@@ -62,7 +62,7 @@ def course(chair: Furniture) -> SampleSet:
 
 @pytest.fixture(scope="module")
 def examples(course: SampleSet) -> list[PaperExample]:
-    return imitation.examples_of([course], ENCODER, Augmentation(copies=2, noise=0.003))
+    return imitation.examples_of([course], ENCODER, Augmentation(copies=2, noise=0.003, reductions=0))
 
 
 def test_the_state_vector_is_padded_section_by_section() -> None:
@@ -72,22 +72,25 @@ def test_the_state_vector_is_padded_section_by_section() -> None:
     poses, connections = rng.normal(size=(3, 6)), np.zeros((3, 3, 6))
     connections[0, 2], connections[2, 0] = rng.normal(size=(2, 6))
     vector = np.zeros(STATE, np.float32)
-    PaperState(features, points, poses, connections).write(vector)
-    assert STATE == 20 * 48 + 20 * 10 * 9 + 20 * 6 + 20 * 20 * 6 == 5280
+    free = np.zeros((3, 10, 1))
+    free[2, 7] = 1.0
+    PaperState(features, points, free, poses, connections).write(vector)
+    assert STATE == 20 * 48 + 20 * 10 * 9 + 20 * 10 + 20 * 6 + 20 * 20 * 6 == 5480
     assert vector[48 + 5] == np.float32(features[1, 5])
     assert not vector[3 * 48 : 20 * 48].any()
     assert vector[960 + 90 + 3 * 9 + 8] == np.float32(points[1, 3, 8])
     assert not vector[960 + 90 + 4 * 9 : 960 + 2 * 90].any()
     assert vector[960 + 2 * 90] == np.float32(points[2, 0, 0])
     assert not vector[960 + 3 * 90 : 2760].any()
-    assert vector[2760 + 2 * 6 + 1] == np.float32(poses[2, 1])
-    assert not vector[2760 + 3 * 6 : 2880].any()
-    assert vector[2880 + (0 * 20 + 2) * 6 + 4] == np.float32(connections[0, 2, 4])
-    assert vector[2880 + (2 * 20 + 0) * 6 + 4] == np.float32(connections[2, 0, 4])
-    assert np.count_nonzero(vector[2880:]) == 12
+    assert np.flatnonzero(vector[2760:2960]).tolist() == [27]
+    assert vector[2960 + 2 * 6 + 1] == np.float32(poses[2, 1])
+    assert not vector[2960 + 3 * 6 : 3080].any()
+    assert vector[3080 + (0 * 20 + 2) * 6 + 4] == np.float32(connections[0, 2, 4])
+    assert vector[3080 + (2 * 20 + 0) * 6 + 4] == np.float32(connections[2, 0, 4])
+    assert np.count_nonzero(vector[3080:]) == 12
     # Fewer points than ten on every part: the same vector.
     fewer = np.zeros(STATE, np.float32)
-    PaperState(features[1:2], points[1:2, :4], poses[1:2], connections[1:2, 1:2]).write(fewer)
+    PaperState(features[1:2], points[1:2, :4], free[1:2, :4], poses[1:2], connections[1:2, 1:2]).write(fewer)
     assert fewer[960 + 3 * 9 + 8] == vector[960 + 90 + 3 * 9 + 8]
     assert not fewer[960 + 4 * 9 : 2760].any()
 
@@ -110,26 +113,50 @@ def test_both_losses_on_hand_computed_numbers() -> None:
     q = jnp.array([[1.0, 4.0, 2.0, 9.0], [3.0, 1.0, 2.5, 9.0]])
     target = jnp.array([[0.0, 1.0, 5.0, 7.0], [6.0, 0.0, 6.0, 7.0]])
     exists = jnp.array([[True, True, True, False]] * 2)
-    l1, l2 = imitation.imitation_losses(q, target, exists)
-    # 1 + 9 + 9, and the student's best has 4 where the teacher's has 2
-    # 9 + 1 + 12.25; the first and third are equally good, and the student prefers the first of all
-    assert l1 == pytest.approx([19.0, 22.25])
+    best = jnp.array([2, 0])
+    l1, l2 = imitation.imitation_losses(q, target, exists, best)
+    # 1 + 9 + 9, and the student's best has 4 where the expert's has 2
+    # 9 + 1 + 12.25; the first and third are equally good, the first of them is to be taken, and is
+    assert l1 == pytest.approx([19.0**0.5, 22.25**0.5])
     assert l2 == pytest.approx([2.0, 0.0])
-    _, l2 = imitation.imitation_losses(q.at[1, 1].set(3.4), target, exists)
-    assert l2[1] == pytest.approx(0.4)  # from the better valued of the two
-    # What does not exist has no influence, whatever it says; no action at all costs nothing.
-    again = imitation.imitation_losses(q.at[:, 3].set(-1e6), target.at[:, 3].set(1e6), exists)
+    _, l2 = imitation.imitation_losses(q.at[1, 2].set(3.4), target, exists, best)
+    assert l2[1] == pytest.approx(0.4)  # the third would be as good, but is not the one to imitate
+    # What does not exist has no influence, whatever it says; a state without a best action has no second loss.
+    again = imitation.imitation_losses(q.at[:, 3].set(-1e6), target.at[:, 3].set(1e6), exists, best)
     assert again[0] == pytest.approx(l1)
     assert again[1] == pytest.approx([2.0, 0.0])
-    assert not np.any(imitation.imitation_losses(q, target, jnp.zeros_like(exists)))
+    nowhere = jnp.array([-1, -1])
+    assert not imitation.imitation_losses(q, target, exists, nowhere)[1].any()
+    none = imitation.imitation_losses(q, target, jnp.zeros_like(exists), nowhere)
+    assert none[0] == pytest.approx([1e-3, 1e-3])
+    assert not none[1].any()
 
     def total(x: jax.Array) -> jax.Array:
-        a, b = imitation.imitation_losses(x, target, exists)
+        a, b = imitation.imitation_losses(x, target, exists, best)
         return (a + 50.0 * b).sum()
 
     gradient = jax.grad(total)(q)
-    assert gradient[0] == pytest.approx([2.0, 6.0 + 50.0, -6.0 - 50.0, 0.0])
-    assert np.isfinite(jax.grad(lambda x: imitation.imitation_losses(x, target, exists & False)[1].sum())(q)).all()
+    assert gradient[0] == pytest.approx([1.0 / 19.0**0.5, 3.0 / 19.0**0.5 + 50.0, -3.0 / 19.0**0.5 - 50.0, 0.0])
+    for x in (q, target):  # where both agree, too
+        assert np.isfinite(jax.grad(lambda y: imitation.imitation_losses(y, target, exists, best)[0].sum())(x)).all()
+
+
+def test_the_first_of_equally_good_actions_is_imitated(examples: list[PaperExample]) -> None:
+    example = next(e for e in examples if (e.exact() >= e.exact().max()).sum() > 1)
+    row, column, choice = example.first_best()
+    flat = np.flatnonzero(example.exact() >= example.exact().max())[0]
+    assert np.ravel_multi_index((row, column, choice), example.exact().shape) == flat
+    # An expert's values are equal if they are within its tie: 5 % of 4 merges and the bonus.
+    n = len(example.part)
+    values = np.zeros((n, n, 6), np.float16)
+    u, v = np.argwhere(example.group[:, None] != example.group[None])[[2, 5]]
+    values[(*u, 3)], values[(*v, 1)] = 6.8, 7.0
+    told = replace(example, q_values=values, tie=0.35)
+    assert told.first_best() == (*u, 3)
+    assert replace(told, tie=0.1).first_best() == (*v, 1)
+    assert imitation.batch_of([told], None)["best"].tolist() == [[*u, 3]]
+    # Nothing is to be imitated where nothing leads to the whole.
+    assert replace(told, q_values=np.minimum(values, 3.0).astype(np.float16)).first_best() == (-1, -1, -1)
 
 
 def test_the_loss_is_l1_and_fifty_times_l2(examples: list[PaperExample]) -> None:
@@ -155,7 +182,7 @@ def test_exact_values_are_returns_to_go() -> None:
     # It can be finished after the first: two merges and the whole. The second works but leads nowhere.
     assert imitation.exact_returns(lesson).tolist() == [[6, 0, 6, 0, 0, 0], [0, 0, 0, 1, 0, 0]]
     course = SampleSet("four", np.ones((4, 16, 3), np.float32), (lesson,))
-    example = imitation.examples_of([course], ENCODER, Augmentation(copies=0))[0]
+    example = imitation.examples_of([course], ENCODER, Augmentation(copies=0, reductions=0))[0]
     assert [*zip(example.part, example.point, strict=True)] == [(0, 0), (2, 1), (3, 0), (3, 2)]
     exact = example.exact()
     assert exact[0, 1].tolist() == [6, 0, 6, 0, 0, 0]
@@ -164,7 +191,7 @@ def test_exact_values_are_returns_to_go() -> None:
     # An expert is believed before the oracle.
     values = np.arange(96, dtype=np.float16).reshape(4, 4, 6) / 10.0
     by_expert = replace(course, samples=(replace(lesson, q_values=values),))
-    taught = imitation.batch_of(imitation.examples_of([by_expert], ENCODER, Augmentation(copies=0)), None)
+    taught = imitation.batch_of(imitation.examples_of([by_expert], ENCODER, Augmentation(copies=0, reductions=0)), None)
     # But more than two merges and the whole are not to be had.
     target = imitation.targets(taught)
     assert np.array_equal(target[0, :4, :4], np.minimum(values, 6.0))
@@ -187,7 +214,7 @@ def test_grasp_values_are_learnt_and_chosen_in_the_full_setting(tmp_path: Path) 
     again = SampleSet.load(tmp_path / "stand.npz")
     assert again.grasps is not None
     assert np.array_equal(again.grasps, hands)
-    examples = imitation.examples_of([again], ENCODER, Augmentation(copies=0))
+    examples = imitation.examples_of([again], ENCODER, Augmentation(copies=0, reductions=0))
     batch = imitation.batch_of(examples[:1], None)
     first = lessons[0].q_values
     assert first is not None
@@ -198,8 +225,8 @@ def test_grasp_values_are_learnt_and_chosen_in_the_full_setting(tmp_path: Path) 
     both = float(first[0, 1, 2]) + float(first[0, 1, 8 + 5])
     assert target[0, 0, 1, 21] == pytest.approx(min(both, 7.0), abs=1e-3)
     assert target.max() == 7.0
-    assert batch["state"].shape[1] == 5280 + 20 * 8 * 6
-    assert batch["state"][0, 5280 + 48 + 3] == pytest.approx(hands[1, 0, 3])
+    assert batch["state"].shape[1] == 5480 + 20 * 8 * 6
+    assert batch["state"][0, 5480 + 48 + 3] == pytest.approx(hands[1, 0, 3])
     path = tmp_path / "paper.npz"
     list(imitation.train(examples, ENCODER, path, PaperTraining(steps=3, batch=2, warmup=1), SMALL, {}))
     policy = load_policy(str(path))
@@ -213,7 +240,7 @@ def test_grasp_values_are_learnt_and_chosen_in_the_full_setting(tmp_path: Path) 
     u, v, k, l, g_a, g_b = policy.act(observation, mask)  # noqa: E741
     assert values[u, v, k, l, g_a, g_b] == values.max()
     plain = replace(course, grasps=None, samples=tuple(replace(x, q_values=None) for x in lessons))
-    mixed = examples + imitation.examples_of([plain], ENCODER, Augmentation(copies=0))
+    mixed = examples + imitation.examples_of([plain], ENCODER, Augmentation(copies=0, reductions=0))
     with pytest.raises(InputError, match="both settings"):
         next(imitation.train(mixed, ENCODER, tmp_path / "mixed.npz", PaperTraining(steps=3), SMALL, {}))
 
@@ -239,7 +266,6 @@ def test_augmentation_moves_groups_as_wholes(chair: Furniture) -> None:
     seen = observer.observe(TaskState((*rest, joint.merge.merged)))
     moved = imitation.scattered(seen["poses"], seen["connections"], np.random.default_rng(0))
     assert not np.allclose(moved, seen["poses"], atol=0.05)
-    assert np.allclose(moved[:, 2], seen["poses"][:, 2])
     turns = [rotations_from_euler(p[:, 3:].astype(float)) for p in (seen["poses"], moved)]
     u, v = joint.u, joint.v
     relative = [
@@ -247,7 +273,7 @@ def test_augmentation_moves_groups_as_wholes(chair: Furniture) -> None:
         for p, r in zip((seen["poses"], moved), turns, strict=True)
     ]
     assert np.allclose(relative[0], relative[1], atol=1e-5)
-    assert np.allclose(turns[0][:, 2], turns[1][:, 2], atol=1e-5)  # what is up stays up
+    assert not np.allclose(turns[0][:, 2], turns[1][:, 2], atol=0.3)  # groups may lie on any side
 
 
 def test_noise_is_on_the_clouds_alone(examples: list[PaperExample], course: SampleSet) -> None:
@@ -261,7 +287,7 @@ def test_noise_is_on_the_clouds_alone(examples: list[PaperExample], course: Samp
     assert len({d[:960].tobytes() for d in drawn}) == 3
     assert len({d[960:].tobytes() for d in drawn}) == 1
     # Chairs mirrored, turned and of other sizes come besides.
-    more = imitation.examples_of([course], ENCODER, Augmentation(copies=0, changes=2))
+    more = imitation.examples_of([course], ENCODER, Augmentation(copies=0, changes=2, reductions=0))
     assert len(more) == 3 * len(examples)
 
 

@@ -1,9 +1,12 @@
-"""Samples from experts: the states of their episodes, labelled with their Q-values.
+"""Samples from experts: states of their episodes and of their replay memories, labelled with their Q-values.
 
-The first episode always takes the action with the highest Q; in later ones any action that is almost as good may be
-drawn, so that samples show more than one order. In the full setting the first episodes repeat those that validated the
-expert: from other starts the arms often cannot carry out what an expert, which does not see where things lie, chooses.
-As in the paper only successful episodes become samples.
+An expert's own episodes all take the same actions. A policy that imitates it will err now and then, and has to know how
+to go on; so states that the expert met while it explored become samples, too, wherever it knows how to finish the chair
+from there.
+
+In the full setting the first episodes repeat those that validated the expert: from other starts the arms often cannot
+carry out what an expert, which does not see where things lie, chooses. As in the paper only experts that finish their
+chair give samples.
 """
 
 from __future__ import annotations
@@ -19,18 +22,18 @@ from jaxtyping import Float16
 from roboassembly.datasets.sets import FurnitureRef
 from roboassembly.envs.observation import Observer, surface_points
 from roboassembly.furniture.model import MAX_POINTS
-from roboassembly.learning.datasets import CLOUD_POINTS, LabeledState, SampleSet, dataset_file
-from roboassembly.learning.paper.dqn.network import ExpertPolicy, ExpertStep, encode_state, finished, run_expert
+from roboassembly.learning.datasets import CLOUD_POINTS, LabeledState, SampleSet, dataset_file, structure_of
+from roboassembly.learning.paper.dqn.memoized_env import State
+from roboassembly.learning.paper.dqn.network import ExpertPolicy, encode_state, finished, first_best, run_expert
+from roboassembly.learning.paper.dqn.replay_buffer import ReplayBuffer
 from roboassembly.learning.paper.dqn.results import load, read
 from roboassembly.learning.paper.dqn.train import ExpertTraining
 from roboassembly.parallel.processes import map_unordered
 from roboassembly.settings import SETTINGS
 from roboassembly.task.full.task import FullTask
 from roboassembly.task.object_centric.task import ObjectCentricTask
+from roboassembly.task.rules.groups import TaskState
 
-_MARGIN = 0.06
-"""Difference of Q within which actions count as almost as good, as a share of the largest return; one merge counts
-0.05 to 0.25."""
 _SEEDS = 20_000
 """First seed of the episodes; no other episode of an expert has one as large."""
 
@@ -51,21 +54,25 @@ class Collected:
 
 def expert_samples(
     expert: ExpertPolicy,
+    buffer: ReplayBuffer,
     task: ObjectCentricTask | FullTask,
     name: str,
     episodes: int,
+    memories: int,
     seed: int = 0,
     validation_episodes: int = 0,
 ) -> tuple[SampleSet, int]:
-    """Return samples of an expert's episodes, of those that finish the chair only.
+    """Return samples of an expert, if any of its episodes finishes the chair.
 
     The Q-values of the samples are undiscounted returns.
 
     Args:
         expert: acts.
+        buffer: its replay buffer.
         task: task of its chair.
         name: name of the chair.
         episodes: number of episodes.
+        memories: largest number of states from the replay buffer.
         seed: random seed of the starts and draws.
         validation_episodes: the first so many episodes repeat those that validated the expert.
 
@@ -75,39 +82,72 @@ def expert_samples(
     parts = task.furniture.parts
     clouds = np.array([surface_points(p.mesh, CLOUD_POINTS) for p in parts], np.float32)
     observer = Observer(task.furniture, len(parts), MAX_POINTS, 1)
-    samples: list[LabeledState] = []
+    states: list[TaskState] = []
     done = 0
     for index in range(episodes):
-        validates = index < validation_episodes
-        start = index if validates else _SEEDS + 1_000 * seed + index
-        steps = run_expert(expert, task, start, margin=_MARGIN if index and not validates else 0.0)
+        start = index if index < validation_episodes else _SEEDS + 1_000 * seed + index
+        steps = run_expert(expert, task, start)
         if finished(steps, expert.inputs):
             done += 1
-            samples += [_sample(expert, task, observer, step) for step in steps]
+            states += [step.state for step in steps]
+    if done:
+        rng = np.random.default_rng([_SEEDS, seed])
+        states += [buffer.env.laid_out(state) for state in known_states(expert, buffer, task, memories, rng)]
+    samples = tuple(_sample(expert, task, observer, state) for state in states)
     grasps = SETTINGS[task.setting].grasp_inputs(observer)
-    return SampleSet(name, clouds, tuple(samples), grasps), done
+    return SampleSet(name, clouds, samples, grasps, structure_of(task.furniture)), done
+
+
+def known_states(
+    expert: ExpertPolicy,
+    buffer: ReplayBuffer,
+    task: ObjectCentricTask | FullTask,
+    count: int,
+    rng: np.random.Generator,
+) -> list[State]:
+    """Return random states of the replay buffer in which the expert takes an action that has led to the whole chair.
+
+    Args:
+        expert: takes the action.
+        buffer: its replay buffer.
+        task: task of its chair.
+        count: largest number of states.
+        rng: random numbers.
+    """
+    out: list[State] = []
+    order: list[int] = rng.permutation(len(buffer.states)).tolist()
+    for i in order:
+        state = buffer.states[i]
+        if len(out) == count:
+            break
+        if buffer.finishing_action(state) is None:
+            continue
+        values = expert.values(buffer.joined[i], buffer.free[i][: expert.inputs.points])
+        if buffer.finishes(state, first_best(values)):
+            out.append(state)
+    return out
 
 
 def _sample(
-    expert: ExpertPolicy, task: ObjectCentricTask | FullTask, observer: Observer, step: ExpertStep
+    expert: ExpertPolicy, task: ObjectCentricTask | FullTask, observer: Observer, state: TaskState
 ) -> LabeledState:
-    seen = observer.observe(step.state)
-    free = task.rules.free_points(step.state)[: len(task.furniture.parts)]
+    seen = observer.observe(state)
+    free = task.rules.free_points(state)[: len(task.furniture.parts)]
     return LabeledState(
         seen["connection_points"],
         seen["connections"],
         free,
         seen["poses"],
         np.zeros((0, 11), np.int16),
-        _q_values(expert, task, step),
+        _q_values(expert, task, state),
     )
 
 
 def _q_values(
-    expert: ExpertPolicy, task: ObjectCentricTask | FullTask, step: ExpertStep
+    expert: ExpertPolicy, task: ObjectCentricTask | FullTask, state: TaskState
 ) -> Float16[np.ndarray, "n n w"]:
     """Return Q over the free points as returns, as in `LabeledState`."""
-    joined, free = encode_state(task, step.state)
+    joined, free = encode_state(task, state)
     rows = np.flatnonzero(free)
     some = [x[np.ix_(rows, rows)] for x in expert.branch_values(joined, free)]
     return (np.concatenate(some, axis=2) * expert.inputs.max_return).astype(np.float16)
@@ -120,6 +160,7 @@ def collect(
     training: ExpertTraining,
     *,
     episodes: int,
+    memories: int,
     jobs: int,
 ) -> Iterator[Collected]:
     """Write the samples of all chairs that have an expert and no samples yet.
@@ -130,19 +171,26 @@ def collect(
         folder: gets a file for each chair, without samples if no episode finished.
         training: settings of the experts; its seed is that of starts and draws.
         episodes: number of episodes of each chair.
+        memories: largest number of states of each chair from the replay buffer.
         jobs: number of chairs at a time.
     """
     folder.mkdir(parents=True, exist_ok=True)
     left = [r for r in refs if dataset_file(experts, r.name).is_file() and not dataset_file(folder, r.name).is_file()]
     left = [r for r in left if not read(dataset_file(experts, r.name)).refused]
-    work = partial(_collect, experts=experts, folder=folder, training=training, episodes=episodes)
+    work = partial(
+        _collect, experts=experts, folder=folder, training=training, episodes=episodes, memories=memories
+    )  # fmt: skip
     yield from map_unordered(work, left, jobs)
 
 
-def _collect(ref: FurnitureRef, *, experts: Path, folder: Path, training: ExpertTraining, episodes: int) -> Collected:
+def _collect(
+    ref: FurnitureRef, *, experts: Path, folder: Path, training: ExpertTraining, episodes: int, memories: int
+) -> Collected:
     task = training.task_of(ref)
     validation_episodes = min(training.validation_episodes, SETTINGS[training.setting].repeated_starts)
-    expert = load(dataset_file(experts, ref.name), task)
-    samples, done = expert_samples(expert, task, ref.name, episodes, training.seed, validation_episodes)
+    expert, buffer = load(dataset_file(experts, ref.name), task)
+    samples, done = expert_samples(
+        expert, buffer, task, ref.name, episodes, memories, training.seed, validation_episodes
+    )
     samples.save(dataset_file(folder, ref.name))
     return Collected(ref.name, episodes, done, len(samples.samples))

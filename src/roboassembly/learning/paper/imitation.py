@@ -2,6 +2,9 @@
 
 The label of a state is an expert's Q-values if it has some, else the oracle's answers, which give the best
 undiscounted return-to-go exactly. Both are returns: 1 for each merge, 4 more for the whole.
+
+Many actions of a state are equally good. The one to imitate is the first of them, in the order of parts, points and
+choices, as for experts (`dqn.network.first_best`). A policy that may take any of them meets groups that no sample has.
 """
 
 from __future__ import annotations
@@ -16,18 +19,22 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
-from jaxtyping import Bool, Float, Float16, Float32, Int16
+from jaxtyping import Bool, Float, Float16, Float32, Int, Int16
+from scipy.spatial.transform import Rotation
 
 from roboassembly.errors import InputError
 from roboassembly.furniture.model import MAX_POINTS
+from roboassembly.geometry.poses import euler_from_rotations, rotations_from_euler
 from roboassembly.learning.augmentation import FrameChange, augmented
 from roboassembly.learning.batches import padded_length
 from roboassembly.learning.datasets import LabeledState, SampleSet, group_labels
 from roboassembly.learning.fit import AdamWConfig, Batch, Fit
 from roboassembly.learning.layers import Array, Params
+from roboassembly.learning.missing_parts import reduced, without_some
 from roboassembly.learning.paper import autoencoder, heads
 from roboassembly.learning.paper import network as paper
 from roboassembly.learning.paper.autoencoder import CLOUD_POINTS
+from roboassembly.learning.paper.dqn.network import TIE, first_best
 from roboassembly.learning.paper.network import PaperConfig, PaperState
 from roboassembly.task.rules.connections import UP_AXES
 
@@ -39,6 +46,8 @@ _ENCODED = 32
 """Clouds that are encoded at a time."""
 _SORTED = 8
 """Number of batches among which examples of like size are grouped: padding costs time."""
+_LEAST_L1 = 1e-3
+"""Least norm of the difference of Q-values, where its gradient is still finite."""
 _NORMALISED_BY = 4096
 """Largest number of states that give the mean and deviation of the inputs."""
 
@@ -69,6 +78,8 @@ class Augmentation:
     """Standard deviation of the noise along each axis [m]."""
     changes: int = 0
     """Versions of each chair in addition to itself: mirrored, turned, scaled (not in the paper)."""
+    reductions: int = 3
+    """Copies of each state, without some parts of the chair (not in the paper; see `missing_parts`)."""
     seed: int = 0
     """Random seed."""
 
@@ -82,6 +93,7 @@ class PaperExample:
     features: Float32[np.ndarray, "c P 48"]
     """Features of the parts' clouds: clean, then noisy copies. Shared by the states of a chair."""
     points: Float16[np.ndarray, "P K 9"]
+    free: Bool[np.ndarray, "P K"]
     poses: Float16[np.ndarray, "P 6"]
     connections: Float16[np.ndarray, "P P 6"]
     part: Int16[np.ndarray, "n"]
@@ -98,10 +110,13 @@ class PaperExample:
     """Expert's Q-values as in `LabeledState`; imitated in place of `returns` if there are any."""
     grasps: Float32[np.ndarray, "P 8 6"] | None
     """Gripper pose of each grasp; None in the object-centric setting."""
+    tie: float
+    """Difference of Q-values below which two actions are equally good."""
 
     def state(self, copy: int) -> PaperState:
         """Return the state with one of the copies of the features."""
-        return PaperState(self.features[copy], self.points, self.poses, self.connections, self.grasps)
+        free = self.free[..., None].astype(np.float32)
+        return PaperState(self.features[copy], self.points, free, self.poses, self.connections, self.grasps)
 
     def branch_targets(self) -> Float[np.ndarray, "n n h"]:
         """Return what each branch adds to the Q-values to imitate, one branch after another."""
@@ -114,12 +129,35 @@ class PaperExample:
             return np.inf
         return len(np.unique(group_labels(self.connections))) - 1 + COMPLETION_REWARD
 
+    def first_best(self) -> tuple[int, int, int]:
+        """Return row, column and choice of the action to imitate; -1 each if none leads to the whole furniture."""
+        values = np.minimum(self._values(), np.float32(self.max_return))
+        if not values.size or values.max() < COMPLETION_REWARD:
+            return -1, -1, -1
+        return first_best(values, self.tie)
+
+    def highest(self) -> float:
+        """Return the highest value of an action that exists."""
+        return float(self._values().max(initial=-np.inf))
+
+    def _values(self) -> Float32[np.ndarray, "n n w"]:
+        """Return the Q-values to imitate, without their bound; -inf where the action does not exist."""
+        branches = np.split(self.branch_targets().astype(np.float32), _ends(self.grasps is not None), axis=2)
+        values = heads.combined(branches)
+        values[self.group[:, None] == self.group[None]] = -np.inf
+        return values
+
     def exact(self) -> Float32[np.ndarray, "n n 6"]:
         """Return the exact Q-values."""
         n = len(self.part)
         out = np.zeros((n, n, len(UP_AXES)), np.float32)
         out[self.mates[:, 0], self.mates[:, 1]] = self.returns
         return out
+
+
+def _ends(full: bool) -> list[int]:
+    """Return where the values of each action branch end, but for the last."""
+    return np.cumsum(PaperConfig(full=full).branches)[:-1].tolist()
 
 
 def exact_returns(sample: LabeledState) -> Float32[np.ndarray, "j 6"]:
@@ -148,7 +186,33 @@ def _examples(samples: SampleSet, index: int, encoder: Params, a: Augmentation) 
         noisy = [clouds + rng.normal(0.0, a.noise, clouds.shape).astype(np.float32) for _ in range(a.copies)]
         features = _features(encoder, np.concatenate([clouds, *noisy])).reshape(1 + a.copies, len(clouds), -1)
         for sample in version.samples:
-            yield _example(sample, index, features, version.grasps)
+            example = _example(sample, index, features, version.grasps)
+            yield example
+            for _ in range(a.reductions if version.structure is not None else 0):
+                smaller = _without_parts(example, sample, version, features, rng)
+                if smaller is not None:
+                    yield smaller
+
+
+def _without_parts(
+    example: PaperExample,
+    sample: LabeledState,
+    samples: SampleSet,
+    features: Float32[np.ndarray, "c P 48"],
+    rng: np.random.Generator,
+) -> PaperExample | None:
+    """Return a state without some parts; None if there is none, or if all that leads to the whole is gone."""
+    assert samples.structure is not None
+    left = without_some(samples.structure, rng)
+    smaller = None if left is None else reduced(sample, left, samples.structure)
+    if left is None or smaller is None:
+        return None
+    grasps = None if samples.grasps is None else samples.grasps[left.parts]
+    out = replace(_example(smaller, example.furniture, features[:, left.parts], grasps), tie=example.tie)
+    # What locks a missing part out is no dead end any more, but the labels do not say so.
+    if sample.q_values is None:
+        return out if out.first_best()[0] >= 0 else None
+    return out if out.highest() >= example.highest() - example.tie else None
 
 
 def _features(encoder: Params, clouds: Float32[np.ndarray, "b n 3"]) -> Float32[np.ndarray, "b 48"]:
@@ -176,6 +240,7 @@ def _example(
         furniture=index,
         features=features,
         points=sample.points.astype(np.float16),
+        free=sample.free,
         poses=sample.poses.astype(np.float16),
         connections=sample.connections.astype(np.float16),
         part=part.astype(np.int16),
@@ -185,23 +250,24 @@ def _example(
         returns=exact_returns(sample),
         q_values=sample.q_values,
         grasps=grasps,
+        tie=0.0 if sample.q_values is None else TIE * (len(sample.poses) - 1 + COMPLETION_REWARD),
     )
 
 
 def scattered(
     poses: Float[np.ndarray, "P 6"], connections: Float[np.ndarray, "P P 6"], rng: np.random.Generator
 ) -> Float[np.ndarray, "P 6"]:
-    """Return world poses with each group turned about the vertical and moved up to 0.5 m; Q depends on neither."""
+    """Return world poses with each group turned at random and moved up to 0.5 m; Q depends on neither.
+
+    Groups rest in any of their stable poses, and merged groups in others than their parts, so any turn may occur.
+    """
     group = group_labels(connections)
-    angle = rng.uniform(-np.pi, np.pi, len(poses))[group]
-    shift = rng.uniform(-0.5, 0.5, (len(poses), 2))[group]
-    center = poses[group, :2]
-    cosine, sine = np.cos(angle), np.sin(angle)
-    x, y = (poses[:, :2] - center).T
-    out = poses.astype(np.float32)
-    out[:, :2] = center + shift + np.stack([cosine * x - sine * y, sine * x + cosine * y], axis=1)
-    out[:, 5] = (poses[:, 5] + angle + np.pi) % (2.0 * np.pi) - np.pi  # yaw is turned last
-    return out
+    turns = Rotation.random(len(poses), rng).as_matrix()[group]
+    shift = rng.uniform(-0.5, 0.5, (len(poses), 3))[group]
+    center = poses[group, :3].astype(float)
+    moved = np.einsum("pij,pj->pi", turns, poses[:, :3] - center) + center + shift
+    rotations = turns @ rotations_from_euler(poses[:, 3:].astype(float))
+    return np.concatenate([moved, euler_from_rotations(rotations)], axis=1).astype(np.float32)
 
 
 def batch_of(
@@ -215,7 +281,8 @@ def batch_of(
         scatter: whether groups are placed anew.
 
     Returns:
-        `state` (b, s), `slot` (b, n), `exists` (b, n, n), and what `targets` takes.
+        `state` (b, s), `slot` (b, n), `exists` (b, n, n); `best` (b, 3), row, column and choice of the action to
+        imitate, -1 if there is none; and what `targets` takes.
     """
     full = examples[0].grasps is not None
     b, n = len(examples), padded_length(max(len(e.part) for e in examples))
@@ -226,6 +293,7 @@ def batch_of(
         # All combinations of branches would be four times as much in the full setting, and half precision suffices.
         "branch_targets": np.zeros((b, n, n, sum(PaperConfig(full=full).branches)), np.float16),
         "max_return": np.array([e.max_return for e in examples], np.float32),
+        "best": np.array([e.first_best() for e in examples], np.int32),
     }
     for row, e in enumerate(examples):
         state = e.state(int(rng.integers(len(e.features))) if rng is not None else 0)
@@ -250,38 +318,56 @@ def targets(batch: Batch) -> Array:
 
 
 def imitation_losses(
-    q: Float[jax.Array, "b a"], target: Float[jax.Array, "b a"], exists: Bool[jax.Array, "b a"]
+    q: Float[jax.Array, "b a"],
+    target: Float[jax.Array, "b a"],
+    exists: Bool[jax.Array, "b a"],
+    best: Int[jax.Array, "b"],
 ) -> tuple[Float[jax.Array, "b"], Float[jax.Array, "b"]]:
     """Return the paper's two losses of each state, over the actions that exist.
 
-    L1 is the squared norm of `Q - Q_expert`, a sum over actions. (The paper writes the norm and calls it a mean square
-    loss. With the mean over actions 50 L2 dominates, and that is least where all values are equal.)
+    L1 is the norm of `Q - Q_expert`, as the paper's formula has it. (The text calls it a mean square loss. With the
+    square, thousands of actions outweigh 50 L2; with the mean, 50 L2 dominates, and that is least where all values are
+    equal.)
 
-    L2 is `max_a Q(a) - Q(argmax_a Q_expert(a))`, 0 where the network and the expert choose the same action. If several
-    actions are equally best for the expert, the one among them that the network values most counts: any is right, and
-    naming one would push equal parts and equal choices against each other.
+    L2 is `max_a Q(a) - Q(argmax_a Q_expert(a))`, 0 where the network and the expert choose the same action.
+
+    Args:
+        q: values of the network.
+        target: values of the expert.
+        exists: which actions exist.
+        best: number of the expert's action; negative if there is none.
     """
-    l1 = (jnp.where(exists, q - target, 0.0) ** 2).sum(1)
-    best = exists & (target >= jnp.where(exists, target, -jnp.inf).max(1, keepdims=True))
-    highest, chosen = (jnp.where(some, q, -jnp.inf).max(1) for some in (exists, best))
-    return l1, jnp.where(exists.any(1), highest - chosen, 0.0)
+    l1 = ((jnp.where(exists, q - target, 0.0) ** 2).sum(1) + _LEAST_L1**2) ** 0.5
+    chosen = jnp.take_along_axis(q, jnp.maximum(best, 0)[:, None], axis=1)[:, 0]
+    highest = jnp.where(exists, q, -jnp.inf).max(1)
+    return l1, jnp.where(best >= 0, highest - chosen, 0.0)
 
 
 def losses(network: Any, inputs: Any, batch: Batch) -> tuple[jax.Array, dict[str, jax.Array]]:
     """Return `L1 + 50 L2` and its terms, averaged; `chosen` is the share of states with a best action."""
     each = paper.branch_values(network, inputs, batch["state"], batch["slot"])
-    labels = {name: batch[name] for name in ("exists", "branch_targets", "max_return")}
-    # State by state: in the full setting all actions of a whole batch would take hundreds of megabytes, several times.
-    l1, l2 = jax.lax.map(jax.checkpoint(_losses_of_state), (each, labels))
+    labels = {name: batch[name] for name in ("exists", "branch_targets", "max_return", "best")}
+    if len(each) > 1:
+        # State by state: all combinations of grasps of a whole batch would take hundreds of megabytes, several times.
+        l1, l2 = jax.lax.map(jax.checkpoint(_losses_of_state), (each, labels))
+    else:
+        l1, l2 = _losses_of_states(each, labels)
     terms = {"l1": l1.mean(), "l2": l2.mean(), "chosen": (l2 <= 0.0).mean()}
     return (l1 + LAMBDA * l2).mean(), terms
 
 
+def _losses_of_states(each: list[jax.Array], labels: Any) -> tuple[jax.Array, jax.Array]:
+    q = heads.combined(each)
+    b, n, _, choices = q.shape
+    exists = jnp.broadcast_to(labels["exists"][..., None], q.shape)
+    row, column, choice = labels["best"].T
+    best = jnp.where(row < 0, -1, (row * n + column) * choices + choice)
+    return imitation_losses(q.reshape(b, -1), targets(labels).reshape(b, -1), exists.reshape(b, -1), best)
+
+
 def _losses_of_state(state: tuple[list[jax.Array], dict[str, jax.Array]]) -> tuple[jax.Array, jax.Array]:
     each, labels = jax.tree.map(lambda x: x[None], state)
-    q = heads.combined(each)
-    exists = jnp.broadcast_to(labels["exists"][..., None], q.shape)
-    l1, l2 = imitation_losses(*(x.reshape(1, -1) for x in (q, targets(labels), exists)))
+    l1, l2 = _losses_of_states(each, labels)
     return l1[0], l2[0]
 
 

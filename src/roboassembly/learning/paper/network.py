@@ -7,9 +7,13 @@ zeros where a part or a point does not exist:
 |---|---|---|
 | feature of each part's cloud, from the frozen auto-encoder | (20, 48) | – |
 | connection points: position, outward normal, tangent, part frame | (20, 10, 9) | m, 1, 1 |
+| whether a point exists and is free, as the action mask says | (20, 10, 1) | – |
 | world pose of each part: translation, Euler angles | (20, 6) | m, rad |
 | connection matrix: pose of part j in part i's frame if they are joined | (20, 20, 6) | m, rad |
 | in the full setting: gripper pose of each grasp, part frame | (20, 8, 6) | m, rad |
+
+The network standardises each channel over the rows that are not padding, leaves padding at zero, and gets one number
+more for each row: whether it is there. For the connection matrix these numbers say which parts are joined.
 
 An MLP with layer normalisation makes a global feature of it. From this feature each of the 200 slots for points gets
 an embedding in the role of the moving point and one in the role of the waiting point, and
@@ -48,6 +52,7 @@ SLOTS = MAX_PARTS * MAX_POINTS
 SECTIONS = {
     "features": (MAX_PARTS, FEATURE),
     "points": (MAX_PARTS, MAX_POINTS, 9),
+    "free": (MAX_PARTS, MAX_POINTS, 1),
     "poses": (MAX_PARTS, 6),
     "connections": (MAX_PARTS, MAX_PARTS, 6),
 }
@@ -64,6 +69,8 @@ class PaperState:
 
     features: Float[np.ndarray, "P 48"]
     points: Float[np.ndarray, "P K 9"]
+    free: Float[np.ndarray, "P K 1"]
+    """1 where a point exists and is free, else 0."""
     poses: Float[np.ndarray, "P 6"]
     connections: Float[np.ndarray, "P P 6"]
     grasps: Float[np.ndarray, "P 8 6"] | None = None
@@ -86,19 +93,24 @@ def sections(full: bool) -> dict[str, tuple[int, ...]]:
 
 
 def state_size(full: bool) -> int:
-    """Return the length of the state vector: 5,280, in the full setting 6,240."""
+    """Return the length of the state vector: 5,480, in the full setting 6,440."""
     return sum(int(np.prod(shape)) for shape in sections(full).values())
+
+
+def _row_count(full: bool) -> int:
+    """Return the number of rows of all sections; the last axis of a section counts channels."""
+    return sum(int(np.prod(shape[:-1])) for shape in sections(full).values())
 
 
 @dataclass(frozen=True)
 class PaperConfig:
     """Sizes of the network."""
 
-    hidden: int = 384
-    """Width of the hidden layers."""
-    feature: int = 256
+    hidden: int = 512
+    """Width of the hidden layer."""
+    feature: int = 512
     """Size of the global feature."""
-    slot: int = 16
+    slot: int = 24
     """Size of a slot's embedding."""
     full: bool = False
     """Whether the network acts in the full setting."""
@@ -114,7 +126,7 @@ def init(rng: np.random.Generator, c: PaperConfig) -> Params:
     return {
         "state": {
             str(i): {"map": init_linear(rng, a, b), "norm": init_norm(b)}
-            for i, (a, b) in enumerate(pairwise((state_size(c.full), c.hidden, c.hidden, c.feature)))
+            for i, (a, b) in enumerate(pairwise((state_size(c.full) + _row_count(c.full), c.hidden, c.feature)))
         },
         "slots": init_linear(rng, c.feature, SLOTS * 2 * c.slot),
         "heads": heads.init(rng, c.slot, c.slot, c.branches, mean=1.0, deviation=0.5),
@@ -161,7 +173,7 @@ def branch_values(p: Params, inputs: Params, state: Array, slot: Array) -> list[
     """Return what each branch adds to Q, (b, n, n, w_i); see `apply`."""
     xp = state.__array_namespace__()
     b = len(slot)
-    whole = (state - inputs["mean"]) * inputs["scale"]
+    whole = _masked(inputs, state)
     for i in range(len(p["state"])):
         layer = p["state"][str(i)]
         whole = gelu(norm(layer["norm"], linear(layer["map"], whole)))
@@ -170,6 +182,23 @@ def branch_values(p: Params, inputs: Params, state: Array, slot: Array) -> list[
     half = some.shape[2] // 2
     u, v = some[..., :half], some[..., half:]
     return [_RETURN * values for values in heads.branch_values(p["heads"], u, v, u, v)]
+
+
+def _masked(inputs: Params, state: Array) -> Array:
+    """Return (b, s + r) the standardised states, with padding left at zero, and which of the r rows are there."""
+    xp = state.__array_namespace__()
+    values: list[Array] = []
+    there: list[Array] = []
+    begin = 0
+    for shape in sections(state.shape[1] > state_size(False)).values():
+        end = begin + int(np.prod(shape))
+        rows = xp.reshape(state[:, begin:end], (len(state), -1, shape[-1]))
+        present = xp.astype(xp.any(rows != 0, axis=2, keepdims=True), state.dtype)
+        mean, scale = (xp.reshape(inputs[name][begin:end], rows.shape[1:]) for name in ("mean", "scale"))
+        values.append(xp.reshape((rows - mean) * scale * present, (len(state), -1)))
+        there.append(present[:, :, 0])
+        begin = end
+    return xp.concatenate([*values, *there], axis=1)
 
 
 class PaperPolicy:
@@ -218,7 +247,9 @@ class PaperPolicy:
         out = np.full(mask.shape, -np.inf, np.float32)
         if len(part):
             state = np.zeros((1, state_size(self._full)), np.float32)
-            self._state(observation).write(state[0])
+            free = np.zeros((mask.shape[0], mask.shape[2], 1), np.float32)
+            free[part, point] = 1.0
+            self._state(observation, free).write(state[0])
             slot = (MAX_POINTS * part + point)[None]
             q = apply(self._params["network"], self._params["inputs"], state, slot)[0]
             u, v = part[:, None], part[None]
@@ -236,7 +267,7 @@ class PaperPolicy:
         q = self.values(observation, mask)
         return np.array(np.unravel_index(int(np.argmax(q)), q.shape))
 
-    def _state(self, observation: Observation) -> PaperState:
+    def _state(self, observation: Observation, free: Float32[np.ndarray, "P K 1"]) -> PaperState:
         shapes = observation["shapes"]
         parts = int(np.flatnonzero(shapes.any(axis=(1, 2)))[-1]) + 1
         if parts > MAX_PARTS:
@@ -247,6 +278,7 @@ class PaperPolicy:
         return PaperState(
             self._encoded[1],
             observation["connection_points"][:parts],
+            free[:parts],
             observation["poses"][:parts],
             observation["connections"][:parts, :parts],
             observation["grasp_regions"][:parts].reshape(parts, GRASPS, 6) if self._full else None,

@@ -44,8 +44,10 @@ class PipelineConfig:
     """Settings of the experts' training."""
     side_by_side: int = 4
     """Number of experts that one process trains at the same time."""
-    episodes: int = 6
-    """Number of episodes of each expert that become samples."""
+    episodes: int = 2
+    """Number of episodes of each expert that become samples. From each start it takes the same actions."""
+    memories: int = 30
+    """Largest number of states from an expert's replay buffer that become samples."""
 
     @staticmethod
     def default(setting: SettingName) -> PipelineConfig:
@@ -123,8 +125,9 @@ def train_experts(
         mastered += result.mastered
         yield Progress("experts", done, len(refs), {"mastered": mastered})
     collecting = expert_dataset.collect(
-        refs, experts, samples_folder(folder), config.experts, episodes=config.episodes, jobs=jobs
-    )
+        refs, experts, samples_folder(folder), config.experts, episodes=config.episodes, memories=config.memories,
+        jobs=jobs,
+    )  # fmt: skip
     for done, collected in enumerate(collecting, 1):
         states += collected.samples
         yield Progress("experts' samples", done, len(refs), {"samples": states})

@@ -18,7 +18,7 @@ from jaxtyping import Float32, UInt8
 
 from roboassembly.envs.observation import Observer
 from roboassembly.furniture.model import MAX_POINTS, Furniture
-from roboassembly.learning.datasets import LabeledState, SampleSet
+from roboassembly.learning.datasets import LabeledState, SampleSet, structure_of
 from roboassembly.learning.relational.tokens import Tokens, tokens_of_sample
 from roboassembly.solvers.oracle import LabeledMate, Oracle
 from roboassembly.task.object_centric.task import ObjectCentricTask
@@ -61,7 +61,7 @@ class Labeler:
         self._unique_parts = {c.members[0] for c in furniture.classes if len(c.members) == 1}
         self._observer = Observer(furniture, len(furniture.parts), MAX_POINTS, 1)
         grasps = None if self.oracle.grasp_task is None else self._observer.grasp_poses
-        self._empty = SampleSet(furniture.name, clouds, (), grasps)
+        self._empty = SampleSet(furniture.name, clouds, (), grasps, structure_of(furniture))
 
     def sample_set(self, samples: Sequence[LabeledState], name: str = "") -> SampleSet:
         """Return labelled states as a data set, under the furniture's name or another one."""

@@ -9,6 +9,7 @@ choose by Q alone.
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +18,9 @@ from jaxtyping import Bool, Float32
 from roboassembly.learning.layers import Params
 from roboassembly.learning.paper.dqn.exploration import PlanExplorer
 from roboassembly.learning.paper.dqn.memoized_env import Action, State
+from roboassembly.learning.paper.dqn.network import first_best
 from roboassembly.learning.paper.dqn.replay_buffer import RECENT, ReplayBuffer
+from roboassembly.learning.paper.dqn.tie_breaking import TieBreaker
 from roboassembly.solvers.mate_checks import MERGES, UNKNOWN
 
 
@@ -59,6 +62,8 @@ class DQNAgent:
         """Whether the current episode chooses by Q alone."""
         self._explores = False
         self._explorer = PlanExplorer(buffer.env, rng)
+        self._breaks_ties = False
+        self._tie_breaker = TieBreaker(buffer, self._explorer)
         self.mastered = False
         """Whether the last greedy episode finished the chair."""
         self.depths: list[tuple[int, int]] = []
@@ -69,16 +74,26 @@ class DQNAgent:
         """Whether any episode finished the chair."""
         return self.buffer.best[0] > 1.0 - 1e-6
 
-    def step(self, q: Float32[np.ndarray, "n n w"]) -> None:
+    @property
+    def settled(self) -> bool:
+        """Whether the first episode that finishes the chair is known; see `tie_breaking`."""
+        return self._tie_breaker.done
+
+    def step(self, values: Callable[[], Float32[np.ndarray, "n n w"]]) -> bool:
         """Make one step of the environment; starts a new episode where one ends.
 
         Args:
-            q: Q-values of the current state, padded.
+            values: computes the Q-values of the current state, padded; only called where they matter.
+
+        Returns:
+            Whether there is something to learn from the step: its outcome is new and more than a wrong pair at the
+            start, of which one update takes in all, or it shows how well the network does.
         """
         buffer, env = self.buffer, self.buffer.env
         state = buffer.states[self.at]
-        action = self._choose(state, q)
+        action = self._choose(state, values)
         buffer.recent.append(self.at)
+        new = bool(env.known(state)[action] == UNKNOWN)
         after = env.step(state, action)
         self.steps += 1
         if after is not None:
@@ -87,8 +102,10 @@ class DQNAgent:
             self.at = follower
             if self._explores:
                 self._explorer.record_merge(state, action)
+        learnable = self.greedy or (new and (after is not None or self.at != 0))
         if after is None or len(after) == 1:
             self._end_episode(after is not None)
+        return learnable
 
     def _end_episode(self, finished: bool) -> None:
         depth = len(self.buffer.states[0]) - len(self.buffer.states[self.at])
@@ -97,6 +114,8 @@ class DQNAgent:
             self.depths.append((self.steps, depth))
         if self._explores:
             self._explorer.end_episode(self.buffer.states[self.at], self._stuck)
+        if self._breaks_ties:
+            self._tie_breaker.end_episode(finished, self._stuck, depth)
         self._deepest = max(self._deepest, depth)
         self._frontier = int(self.rng.integers(self._deepest + 1))
         self.episodes += 1
@@ -104,21 +123,25 @@ class DQNAgent:
         self.greedy = self.episodes % distance == 0
         draw = self.rng.random()
         self._explores = not self.greedy and not self.finished_once and draw < self.config.explorer_share
+        self._breaks_ties = not self.greedy and self.finished_once and not self.settled
         self._stuck = False
         self.at = 0
         del self.buffer.recent[: -2 * RECENT]
 
-    def _choose(self, state: State, q: Float32[np.ndarray, "n n w"]) -> Action:
+    def _choose(self, state: State, values: Callable[[], Float32[np.ndarray, "n n w"]]) -> Action:
         c, rng, env = self.config, self.rng, self.buffer.env
         m = self.buffer.inputs.points
-        exists = np.broadcast_to(env.exists(state)[..., None], (m, m, env.choices))
-        q = np.where(exists, q[:m, :m], -np.inf)
-        if self.greedy:
-            return _unravel(int(np.argmax(q)), q.shape)
-        if self._explores:
-            action = self._explorer.choose(state)
+        if self._explores or self._breaks_ties:
+            action = (self._explorer if self._explores else self._tie_breaker).choose(state)
             self._stuck = action is None
-            return action or _unravel(int(np.argmax(q)), q.shape)
+            if action is not None:
+                return action
+        exists = np.broadcast_to(env.exists(state)[..., None], (m, m, env.choices))
+        q = np.where(exists, values()[:m, :m], -np.inf)
+        if self.greedy:
+            return first_best(q)
+        if self._stuck:
+            return _unravel(int(np.argmax(q)), q.shape)
         known = env.known(state)
         works = np.flatnonzero((known == MERGES).ravel())
         deep = len(env.start) - len(state) >= self._frontier
@@ -154,7 +177,17 @@ class DQNAgent:
         """Take over that an action failed in the real environment."""
         self.buffer.env.mark_failed(state, action)
         self.buffer.rebuild()
+        self._tie_breaker.restart()
         self.mastered = False
+
+    def start_from(self, relative: Params) -> None:
+        """Take over what the agent of a near relative, with the same parts and points, has found out.
+
+        Args:
+            relative: its `to_arrays`.
+        """
+        self._explorer.start_from([(a, b) for a, b in relative["best_pairs"].tolist()])
+        self._tie_breaker.restore_tries(relative["tie_breaker"])
 
     def to_arrays(self) -> Params:
         """Return all that it takes to go on later."""
@@ -162,8 +195,10 @@ class DQNAgent:
         return {
             "env": self.buffer.env.to_arrays(),
             "buffer": self.buffer.to_arrays(),
-            "counts": np.array([*counts, self.mastered, self._explores, self._stuck], np.int64),
+            "counts": np.array([*counts, self.mastered, self._explores, self._breaks_ties, self._stuck], np.int64),
             "explorer": self._explorer.to_arrays(),
+            "tie_breaker": self._tie_breaker.to_arrays(),
+            "best_pairs": np.array(self.buffer.best_pairs(), np.int32).reshape(-1, 2),
             "depths": np.array(self.depths, np.int32).reshape(-1, 2),
             "generator": np.frombuffer(json.dumps(self.rng.bit_generator.state).encode(), np.uint8),
         }
@@ -174,8 +209,9 @@ class DQNAgent:
         self.buffer.restore(arrays["buffer"])
         counts: list[int] = arrays["counts"].tolist()
         self.steps, self.episodes, self.updates, self.at, self._deepest, self._frontier = counts[:6]
-        self.greedy, self.mastered, self._explores, self._stuck = (bool(c) for c in counts[6:])
+        self.greedy, self.mastered, self._explores, self._breaks_ties, self._stuck = (bool(c) for c in counts[6:])
         self._explorer.restore(arrays["explorer"])
+        self._tie_breaker.restore(arrays["tie_breaker"])
         self.depths = [(step, depth) for step, depth in arrays["depths"].tolist()]
         self.rng.bit_generator.state = json.loads(arrays["generator"].tobytes())
 

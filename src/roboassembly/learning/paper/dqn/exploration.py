@@ -102,7 +102,7 @@ class PlanExplorer:
             action = self._never_tried(exists)
             if action is not None:
                 return action
-        hopeful = self._hopeful(state, known, exists)
+        hopeful = self.hopeful(state, known, exists)
         for first in range(len(self._deferred) + 1):
             deferred = np.isin(self.env.part, self._deferred[first:])
             action = self._select(state, hopeful & ~(deferred[:, None] | deferred[None]), known)
@@ -116,19 +116,21 @@ class PlanExplorer:
         if self._strict:
             hopeful = self._familiar(state, hopeful, known)
         if self._careful:
-            hopeful = self._least_locking(state, hopeful)
+            hopeful = self.least_locking(state, hopeful)
         if self._axes is not None:
             hopeful = self._first_axis(state, hopeful)
         for pair in self._plan:
             if hopeful[pair]:
-                return self._action(pair, known)
+                self._last = pair
+                return self.action(pair, known)
         others = np.argwhere(np.triu(hopeful))
         if not len(others):
             return None
         risk = self._risk(state)[self.env.part[others[:, 0]], self.env.part[others[:, 1]]]
         weight = np.exp(-self._caution * (risk - risk.min()))
         row, column = others[self.rng.choice(len(others), p=weight / weight.sum())].tolist()
-        return self._action((row, column), known)
+        self._last = (row, column)
+        return self.action(self._last, known)
 
     def _familiar(self, state: State, hopeful: Bool[np.ndarray, "m m"], known: np.ndarray) -> Bool[np.ndarray, "m m"]:
         """Return the pairs without novel relative poses; if there are none, sometimes all pairs, else none."""
@@ -147,13 +149,13 @@ class PlanExplorer:
             hopeful = hopeful & (share <= _MOSTLY_NOVEL)
         return hopeful & self._tries_novel
 
-    def _least_locking(self, state: State, hopeful: Bool[np.ndarray, "m m"]) -> Bool[np.ndarray, "m m"]:
+    def least_locking(self, state: State, hopeful: Bool[np.ndarray, "m m"]) -> Bool[np.ndarray, "m m"]:
         """Return the pairs that lock the fewest groups out."""
         pairs = np.argwhere(np.triu(hopeful))
         if not len(pairs):
             return hopeful
         out = np.zeros_like(hopeful)
-        locked = np.array([self.env.geometry.locked_out(state, row, column) for row, column in pairs.tolist()])
+        locked = self.env.geometry.locked_out(state, pairs)
         rows, columns = pairs[locked == locked.min()].T
         out[rows, columns] = out[columns, rows] = True
         return out
@@ -184,7 +186,7 @@ class PlanExplorer:
                 out[np.ix_(u_group, v_group)] = out.T[np.ix_(u_group, v_group)] = risk
         return out
 
-    def _hopeful(self, state: State, known: np.ndarray, exists: Bool[np.ndarray, "m m"]) -> Bool[np.ndarray, "m m"]:
+    def hopeful(self, state: State, known: np.ndarray, exists: Bool[np.ndarray, "m m"]) -> Bool[np.ndarray, "m m"]:
         """Return the pairs that were right before and are not given up here; symmetric."""
         works, blocked = (known == MERGES).any(axis=2), (known == BLOCKED).sum(axis=2)
         open_ = (known == UNKNOWN).any(axis=2)
@@ -196,10 +198,12 @@ class PlanExplorer:
         # Takes the way to bring two groups together in which most points meet.
         coincident = np.where(out, self.env.geometry.coincident(state), 0)
         owner = self.env.owners(state)
-        member = np.array([owner == group_id for group_id in state])
-        most = np.array([[coincident[np.ix_(a, b)].max(initial=0) for b in member] for a in member])
-        at = np.argmax(member, axis=0)
-        return out & (coincident == most[at][:, at])
+        order = np.argsort(owner, kind="stable")
+        starts = np.flatnonzero(np.diff(owner[order], prepend=-2))
+        most = np.maximum.reduceat(np.maximum.reduceat(coincident[order[:, None], order], starts, 0), starts, 1)
+        at = np.empty(len(order), int)
+        at[order] = np.cumsum(np.isin(np.arange(len(order)), starts)) - 1
+        return out & (coincident == most[at[:, None], at])
 
     def _never_tried(self, exists: Bool[np.ndarray, "m m"]) -> Action | None:
         fresh = np.argwhere(np.triu(exists & (self.env.tried.sum(axis=0) == 0)))
@@ -208,9 +212,9 @@ class PlanExplorer:
         row, column = fresh[self.rng.integers(len(fresh))].tolist()
         return row, column, int(self.rng.integers(self.env.choices))
 
-    def _action(self, pair: Pair, known: np.ndarray) -> Action:
-        """Return which point of a pair moves, and with which choice."""
-        row, column = self._last = pair
+    def action(self, pair: Pair, known: np.ndarray) -> Action:
+        """Return which point of a pair moves, and with which choice; `known` is the state's `MemoizedEnv.known`."""
+        row, column = pair
         actions = [(a, b, w) for a, b in ((row, column), (column, row)) for w in range(self.env.choices)]
         works = [a for a in actions if known[a] == MERGES]
         if works:
@@ -223,6 +227,10 @@ class PlanExplorer:
             swapped = np.array([known[b, a, w] for a, b, w in untried])
             hope *= np.select([swapped == FAILS, swapped == BLOCKED], [_SWAP, 1.0 / _SWAP], 1.0)
         return untried[self.rng.choice(len(untried), p=hope / hope.sum())]
+
+    def start_from(self, plan: list[Pair]) -> None:
+        """Try a plan first, such as that of a near relative of the chair."""
+        self._plan, self._kept = list(plan), list(plan)
 
     def record_merge(self, state: State, action: Action) -> None:
         """Record that an action merged in a state."""

@@ -18,6 +18,10 @@ from roboassembly.learning.paper.dqn.group_table import GroupTable
 from roboassembly.learning.paper.dqn.relative_poses import PlacedPart, RelativePoses
 from roboassembly.task.rules.pairs import ANGLE_TOLERANCE, POSITION_TOLERANCE
 
+_KEPT = 4_000
+"""Largest number of pairs of groups whose motions are kept."""
+_KEPT_STATES = 500
+"""Largest number of states whose coincident points are kept."""
 _SAME_WAY = 0.7
 """Cosine: mates whose normals are within 45° can be closed in one straight move."""
 
@@ -54,8 +58,11 @@ class MateGeometry:
         self._coincident: dict[tuple[int, int], Int[np.ndarray, "k l"]] = {}
         self._axes: dict[tuple[int, int], int] = {}
         self._relative_poses = RelativePoses()
+        self._coincident_in: dict[tuple[int, ...], Int[np.ndarray, "m m"]] = {}
         self._fits: dict[tuple[int, int], _Fits] = {}
-        self._locked: dict[tuple[int, int, int, int, int], bool] = {}
+        self._known_motions: dict[tuple[int, int], Float[np.ndarray, "k l 12"]] = {}
+        self._locked: dict[tuple[int, int, int, int], dict[int, bool]] = {}
+        """Whether a pair of points locks a group out, by the types of the groups."""
         self._seen_types: set[int] = set()
         """Types of groups whose relative poses were recorded."""
         self._between: dict[tuple[int, int, int, int], Int[np.ndarray, "n"]] = {}
@@ -86,7 +93,20 @@ class MateGeometry:
         return np.concatenate([[[k, l]], np.stack([u[found[:, 0]], v[found[:, 1]]], axis=1)]).astype(int)
 
     def _motions(self, u_id: int, v_id: int) -> Float[np.ndarray, "k l 12"]:
-        """Return the pose of u's group in v's for each pair of free points: translation and rotation, in tolerances."""
+        """Return the pose of u's group in v's for each pair of free points: translation and rotation, in tolerances.
+
+        The results of the latest pairs of groups are kept.
+        """
+        key = (u_id, v_id)
+        found = self._known_motions.pop(key, None)
+        if found is None:
+            found = self._compute_motions(u_id, v_id)
+            if len(self._known_motions) >= _KEPT:
+                del self._known_motions[next(iter(self._known_motions))]
+        self._known_motions[key] = found
+        return found
+
+    def _compute_motions(self, u_id: int, v_id: int) -> Float[np.ndarray, "k l 12"]:
         u_frames, u_origins, u_gaps = self._table.frames(u_id, self._table.free(u_id))
         v_frames, v_origins, v_gaps = self._table.frames(v_id, self._table.free(v_id))
         gaps = 0.5 * (u_gaps[:, None] + v_gaps[None])
@@ -102,7 +122,20 @@ class MateGeometry:
         return _unscaled(self._motions(u_id, v_id)[at])
 
     def coincident(self, state: Sequence[int]) -> Int[np.ndarray, "m m"]:
-        """Return for each pair of free points of different groups how many pairs meet if it does; symmetric."""
+        """Return for each pair of free points of different groups how many pairs meet if it does; symmetric.
+
+        The results of the latest states are kept; do not write.
+        """
+        key = tuple(state)
+        out = self._coincident_in.pop(key, None)
+        if out is None:
+            out = self._count_coincident(key)
+            if len(self._coincident_in) >= _KEPT_STATES:
+                del self._coincident_in[next(iter(self._coincident_in))]
+        self._coincident_in[key] = out
+        return out
+
+    def _count_coincident(self, state: Sequence[int]) -> Int[np.ndarray, "m m"]:
         out = np.zeros((len(self._table.part), len(self._table.part)), np.int32)
         for i, u_id in enumerate(state):
             u = self._table.groups[u_id]
@@ -114,9 +147,9 @@ class MateGeometry:
                     tree = KDTree(motions.reshape(-1, 12))
                     counts = tree.query_ball_point(tree.data, 1.0, return_length=True)
                     self._coincident[key] = np.asarray(counts, np.int32).reshape(motions.shape[:2])
-                rows, columns = u.rows[self._table.free(u_id)], v.rows[self._table.free(v_id)]
-                out[np.ix_(rows, columns)] = self._coincident[key]
-                out[np.ix_(columns, rows)] = self._coincident[key].T
+                rows, columns = u.rows[self._table.free(u_id)][:, None], v.rows[self._table.free(v_id)]
+                out[rows, columns] = self._coincident[key]
+                out[columns, rows] = self._coincident[key]
         return out
 
     def novelty(self, state: Sequence[int], row: int, column: int) -> float:
@@ -132,30 +165,37 @@ class MateGeometry:
         numbers = self._between[key]
         return self._relative_poses.novel_count(numbers) / len(numbers)
 
-    def locked_out(self, state: Sequence[int], row: int, column: int) -> int:
-        """Return how many other groups would no longer go in if two points were joined.
+    def locked_out(self, state: Sequence[int], pairs: Int[np.ndarray, "p 2"]) -> Int[np.ndarray, "p"]:
+        """Return for each pair of points how many other groups would no longer go in if it were joined.
 
         Those belong between the two groups, as far as it is known which points fit, and their mates face different
         ways.
         """
-        u_id, v_id = self._table.owner(state, row), self._table.owner(state, column)
-        u, v = self._table.groups[u_id], self._table.groups[v_id]
-        k, l = self._table.local(u_id, row), self._table.local(v_id, column)  # noqa: E741
-        count = 0
-        for other in state:
-            if other in (u_id, v_id):
-                continue
-            key = (u.type_id, v.type_id, k, l, self._table.groups[other].type_id)
-            if key not in self._locked:
-                self._locked[key] = self._locks(u_id, v_id, k, l, other)
-            count += self._locked[key]
-        return count
+        type_of = {group_id: self._table.groups[group_id].type_id for group_id in state}
+        place = {
+            row: (group_id, local)
+            for group_id in state
+            for local, row in enumerate(self._table.groups[group_id].rows.tolist())
+        }
+        out: list[int] = []
+        for row, column in pairs.tolist():
+            (u_id, k), (v_id, l) = place[row], place[column]  # noqa: E741
+            known = self._locked.setdefault((type_of[u_id], type_of[v_id], k, l), {})
+            count = 0
+            for other, type_id in type_of.items():
+                if other in (u_id, v_id):
+                    continue
+                if type_id not in known:
+                    known[type_id] = self._locks(u_id, v_id, k, l, other)
+                count += known[type_id]
+            out.append(count)
+        return np.array(out, int)
 
     def _locks(self, u_id: int, v_id: int, k: int, l: int, other: int) -> bool:  # noqa: E741
-        turn, shift = self._motion(u_id, v_id, k, l)
         on_u, on_v = self._known_fits(other, u_id), self._known_fits(other, v_id)
         if not len(on_u.rows) or not len(on_v.rows):
             return False
+        turn, shift = self._motion(u_id, v_id, k, l)
         turns, shifts = turn @ on_u.turns, on_u.shifts @ turn.T + shift
         near = np.linalg.norm(shifts[:, None] - on_v.shifts[None], axis=2) < 2.0 * POSITION_TOLERANCE
         parallel = np.einsum("aij,bij->ab", turns, on_v.turns) > 1.0 + 2.0 * np.cos(2.0 * ANGLE_TOLERANCE)

@@ -30,6 +30,9 @@ KIND = "expert"
 """Kind of the checkpoints."""
 POINT_SIZES = (12, 20, 28, 36, 44, 52, 64, 80, 100, 130, 160, MAX_PARTS * MAX_POINTS)
 """Padded numbers of points, few, so that few shapes are compiled."""
+TIE = 0.05
+"""Difference of Q below which two actions count as equally good, as a share of the largest return: half the margin
+between actions that lead to the whole chair and all others (`losses.margin_loss`)."""
 _WIDTH, _RANK = 64, 32
 _ABOVE = np.triu_indices(MAX_PARTS, 1)
 
@@ -180,14 +183,13 @@ def encode_state(task: Task[Any, Any], state: TaskState) -> tuple[Bool[np.ndarra
     return joined, np.concatenate([free[i, :count] for i, count in enumerate(point_counts(task.furniture))])
 
 
-def run_expert(expert: ExpertPolicy, task: Task[Any, Any], seed: int, margin: float = 0.0) -> list[ExpertStep]:
+def run_expert(expert: ExpertPolicy, task: Task[Any, Any], seed: int) -> list[ExpertStep]:
     """Run one episode in the real environment, without remembered outcomes.
 
     Args:
-        expert: takes the action with the highest Q.
+        expert: takes the first of the actions with the highest Q.
         task: task of its chair.
-        seed: random seed of the start, the planner and the draws.
-        margin: an action whose Q is at most this much below the highest may be drawn, a share of the largest return.
+        seed: random seed of the start and of the planner.
     """
     rng = np.random.default_rng(seed)
     part, point = expert.inputs.part, _point_numbers(expert.inputs)
@@ -196,7 +198,7 @@ def run_expert(expert: ExpertPolicy, task: Task[Any, Any], seed: int, margin: fl
     def propose(state: Any) -> Iterator[tuple[int, ...]]:
         groups = task.groups_of(state)
         values = expert.values(*encode_state(task, groups))
-        row, column, choice = select_action(values, rng, margin)
+        row, column, choice = first_best(values)
         steps.append(ExpertStep(groups, values, (row, column, choice)))
         branches = (int(i) for i in np.unravel_index(choice, task.action_branches))
         yield int(part[row]), int(part[column]), int(point[row]), int(point[column]), *branches
@@ -211,12 +213,9 @@ def finished(steps: list[ExpertStep], inputs: ChairInputs) -> bool:
     return len(steps) == inputs.parts - 1 and steps[-1].merged
 
 
-def select_action(
-    values: Float32[np.ndarray, "m m w"], rng: np.random.Generator, margin: float = 0.0
-) -> tuple[int, int, int]:
-    """Return the action with the highest Q, or draw one that is at most `margin` below."""
-    best = values.max()
-    flat = int(rng.choice(np.flatnonzero(values.ravel() >= best - margin))) if margin else int(values.argmax())
+def first_best(values: Float32[np.ndarray, "m m w"], tie: float = TIE) -> tuple[int, int, int]:
+    """Return the first action, in number order, whose value is within a tie of the highest."""
+    flat = int(np.argmax(values >= values.max() - tie))
     row, column, choice = np.unravel_index(flat, values.shape)
     return int(row), int(column), int(choice)
 

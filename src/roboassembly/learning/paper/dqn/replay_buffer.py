@@ -109,6 +109,26 @@ class ReplayBuffer:
             at = max(self.merges[at].values(), key=self.reached)
         return out
 
+    def best_pairs(self) -> list[tuple[int, int]]:
+        """Return the pairs of points that the best episode so far joins, in their order."""
+        out: list[tuple[int, int]] = []
+        at = 0
+        while self.merges[at]:
+            (row, column, _), at = max(self.merges[at].items(), key=lambda merge: self.reached(merge[1]))
+            out.append((row, column))
+        return out
+
+    def finishes(self, state: State, action: Action) -> bool:
+        """Return whether an action of a state has led to the whole chair."""
+        at = self.index.get(state)
+        return at is not None and action in self.merges[at] and self._finishes(at, self.merges[at][action])
+
+    def finishing_action(self, state: State) -> Action | None:
+        """Return the first action of a state, in number order, that has led to the whole chair; None if none has."""
+        at = self.index.get(state)
+        merges = {} if at is None else self.merges[at]
+        return min((action for action in merges if self.finishes(state, action)), default=None)
+
     def _finishes(self, before: int, after: int) -> bool:
         """Return whether a merge has led to the whole chair."""
         left = len(self.states[before]) - 1 + 4.0

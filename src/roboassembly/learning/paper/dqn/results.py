@@ -12,7 +12,10 @@ import numpy as np
 from roboassembly.datasets.sets import furniture_hash
 from roboassembly.errors import InputError
 from roboassembly.learning import checkpoint
+from roboassembly.learning.layers import Params
+from roboassembly.learning.paper.dqn.memoized_env import MemoizedEnv
 from roboassembly.learning.paper.dqn.network import KIND, ExpertPolicy, chair_inputs
+from roboassembly.learning.paper.dqn.replay_buffer import ReplayBuffer
 from roboassembly.statistics import success
 from roboassembly.task.full.task import FullTask
 from roboassembly.task.object_centric.task import ObjectCentricTask
@@ -65,8 +68,8 @@ def summary(results: Sequence[ExpertResult]) -> dict[str, Any]:
     }
 
 
-def load(path: Path, task: ObjectCentricTask | FullTask) -> ExpertPolicy:
-    """Load a trained expert.
+def load(path: Path, task: ObjectCentricTask | FullTask) -> tuple[ExpertPolicy, ReplayBuffer]:
+    """Load a trained expert, and the states and merges that it met.
 
     Raises:
         InputError: the file is not an expert's, or of another chair.
@@ -76,4 +79,24 @@ def load(path: Path, task: ObjectCentricTask | FullTask) -> ExpertPolicy:
         raise InputError(f"'{path}' is an expert for {kept.config['furniture']}, which is not this furniture")
     part_features = np.zeros((len(task.furniture.parts), kept.extra["features"].shape[1] - 9), np.float32)
     inputs = replace(chair_inputs(task, part_features), features=kept.extra["features"])
-    return ExpertPolicy(inputs, kept.params)
+    buffer = ReplayBuffer(MemoizedEnv(task, int(kept.extra["env_seed"])), inputs)
+    buffer.env.restore(kept.params["agent"]["env"])
+    buffer.restore(kept.params["agent"]["buffer"])
+    return ExpertPolicy(inputs, kept.params["network"]), buffer
+
+
+def load_relative(path: Path, params: Params) -> tuple[Params, Params] | None:
+    """Return the weights and the agent of a near relative's expert.
+
+    None if there is none, or if its chair has other parts or points.
+
+    Args:
+        path: file of the relative.
+        params: weights of the expert to start, for their shapes.
+    """
+    if not path.is_file():
+        return None
+    kept = checkpoint.load(path, KIND)
+    if not kept.params or kept.params["network"]["slot"].shape != params["slot"].shape:
+        return None
+    return kept.params["network"], kept.params["agent"]

@@ -11,10 +11,11 @@ processes.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import wait
 from dataclasses import asdict, dataclass, field
 from functools import partial
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -44,7 +45,7 @@ from roboassembly.learning.paper.dqn.network import (
     run_expert,
 )
 from roboassembly.learning.paper.dqn.replay_buffer import ReplayBuffer
-from roboassembly.learning.paper.dqn.results import ExpertResult, read
+from roboassembly.learning.paper.dqn.results import ExpertResult, load_relative, read
 from roboassembly.parallel.processes import one_thread_each, worker_pool
 from roboassembly.settings import SETTINGS
 from roboassembly.task.full.failure import FullVerdict
@@ -54,6 +55,8 @@ from roboassembly.task.setting import SettingName
 
 _TEST_SEEDS = 10_000
 """First seed of the test episodes of a trained expert."""
+_SURVEY = 20
+"""Largest number of environment steps between updates, as a multiple of `ExpertTraining.update_every`."""
 _WRONG_PAIR = (ObjectCentricVerdict.WRONG_PAIR, FullVerdict.WRONG_PAIR)
 
 
@@ -63,10 +66,8 @@ class ExpertTraining:
 
     steps: int = 40_000
     """Largest number of environment steps, as in the paper; a chair that is mastered earlier stops earlier."""
-    least_steps: int = 1_600
-    """Least number of environment steps: the Q-values become labels, and must have settled."""
     update_every: int = 8
-    """Environment steps between updates."""
+    """Environment steps between updates; first steps of episodes that only find a wrong pair are not counted."""
     target_every: int = 50
     """Updates between copies to the target network."""
     learning_rate: float = 1.5e-3
@@ -102,6 +103,8 @@ class ExpertTrainer:
     task: ObjectCentricTask | FullTask
     inputs: ChairInputs
     agent: DQNAgent
+    env_seed: int
+    """Random seed of the agent's environment."""
     seconds: float = 0.0
     """Training time so far [s]."""
     validated_at: int = 0
@@ -162,14 +165,12 @@ class ExpertRun:
                 saved = time.monotonic()
 
     def advance(self) -> None:
-        """Make `update_every` steps of every chair, then one update."""
+        """Make steps of every chair until there is enough to learn, then one update."""
         t, agents = self._training, [x.agent for x in self._trainers]
-        for _ in range(t.update_every):
-            joined = np.array([x.buffer.joined[x.at] for x in agents], np.float32)
-            free = np.array([x.buffer.free[x.at] for x in agents], np.float32)
-            q = np.asarray(losses.values(self._params, self._features, self._part, joined, free))
-            for agent, values in zip(agents, q, strict=True):
-                agent.step(values)
+        # A network of one state is too small for JAX: the call takes longer than the network.
+        params = jax.tree.map(np.asarray, self._params)
+        for i, trainer in enumerate(self._trainers):
+            self._step(trainer, ExpertPolicy(trainer.inputs, jax.tree.map(itemgetter(i), params)))
         batches = [x.buffer.sample(x.rng, t.agent.batch, t.agent.backups) for x in agents]
         batch = {k: np.array([b[k] for b in batches]) for k in batches[0]}
         self._params, self._opt_state, _ = losses.update(
@@ -182,6 +183,15 @@ class ExpertRun:
             self._target = jax.tree.map(
                 lambda new, old: jnp.where(due.reshape(-1, *[1] * (new.ndim - 1)), new, old), self._params, self._target
             )
+
+    def _step(self, trainer: ExpertTrainer, policy: ExpertPolicy) -> None:
+        """Step until there is as much to learn as one update takes in."""
+        agent, t = trainer.agent, self._training
+        learnable = 0
+        for _ in range(_SURVEY * t.update_every):
+            learnable += agent.step(lambda: policy.values(agent.buffer.joined[agent.at], agent.buffer.free[agent.at]))
+            if learnable == t.update_every or agent.steps >= t.steps:
+                return
 
     def _fill(self, count: int) -> None:
         """Let waiting chairs in until there are so many."""
@@ -205,9 +215,14 @@ class ExpertRun:
         clouds = np.array([surface_points(p.mesh, CLOUD_POINTS) for p in task.furniture.parts], np.float32)
         inputs = chair_inputs(task, autoencoder.encode(self._encoder, clouds))
         rng = np.random.default_rng([t.seed, *ref.name.encode()])
-        buffer = ReplayBuffer(MemoizedEnv(task, int(rng.integers(2**31))), inputs)
-        trainer = ExpertTrainer(ref, task, inputs, DQNAgent(buffer, t.agent, rng))
+        env_seed = int(rng.integers(2**31))
+        buffer = ReplayBuffer(MemoizedEnv(task, env_seed), inputs)
+        trainer = ExpertTrainer(ref, task, inputs, DQNAgent(buffer, t.agent, rng), env_seed)
         params: Any = network.init(rng, len(inputs.part), inputs.features.shape[1], inputs.branches)
+        source = None if ref.source is None else load_relative(dataset_file(self._folder, ref.source), params)
+        if source is not None and len(source[1]["env"]["tried"][0]) == inputs.points:
+            params = source[0]
+            trainer.agent.start_from(source[1])
         target, opt_state = params, losses.optimiser(t.learning_rate).init(params)
         path = partial_file(self._folder, ref.name)
         if path.exists():
@@ -246,7 +261,7 @@ class ExpertRun:
         """Return whether a chair is mastered or has had its steps; writes its file if so."""
         agent, t = trainer.agent, self._training
         mastered = False
-        if agent.mastered and agent.steps >= t.least_steps and trainer.validated_at < agent.steps:
+        if agent.mastered and agent.settled and trainer.validated_at < agent.steps:
             mastered = self._validates(trainer, ExpertPolicy(trainer.inputs, self._slice(i)[0]))
         if not mastered and agent.steps < t.steps:
             return False
@@ -257,10 +272,15 @@ class ExpertRun:
         rate = sum(finished(steps, trainer.inputs) for steps in tests) / count
         planned = agent.buffer.env.planned
         result = ExpertResult(trainer.ref.name, mastered, agent.steps, planned, rate, trainer.seconds)
-        extra = {"features": trainer.inputs.features, "depths": np.array(agent.depths, np.int32).reshape(-1, 2)}
+        extra = {
+            "features": trainer.inputs.features,
+            "depths": np.array(agent.depths, np.int32).reshape(-1, 2),
+            "env_seed": np.array(trainer.env_seed),
+        }
+        arrays = {"network": params, "agent": agent.to_arrays()}
         config = {**self._config(trainer), "result": asdict(result)}
         checkpoint.save(
-            dataset_file(self._folder, trainer.ref.name), checkpoint.Checkpoint(KIND, params, config, extra)
+            dataset_file(self._folder, trainer.ref.name), checkpoint.Checkpoint(KIND, arrays, config, extra)
         )
         partial_file(self._folder, trainer.ref.name).unlink(missing_ok=True)
         return True
@@ -327,20 +347,29 @@ def train(
     there = [r for r in refs if dataset_file(folder, r.name).is_file()]
     yield from (read(dataset_file(folder, r.name)) for r in there)
     left = [r for r in refs if r not in there]
-    by_size: dict[int, list[FurnitureRef]] = {}
-    for r in left:
-        counts = point_counts(r.furniture(with_grasps=False))
-        by_size.setdefault(padded_points(int(counts.sum())), []).append(r)
-    lots = [lot for size in sorted(by_size) for lot in _lots(by_size[size], jobs, side_by_side)]
     work = partial(
         _train_lot, folder=folder, training=training, encoder_file=encoder_file, notes=notes, side_by_side=side_by_side,
         keep_every=keep_every,
     )  # fmt: skip
+    # Versions of a chair start from what its own expert has learned.
+    for some in ([r for r in left if r.source is None], [r for r in left if r.source is not None]):
+        yield from _train_all(some, folder, work, jobs, side_by_side)
+
+
+def _train_all(
+    refs: list[FurnitureRef], folder: Path, work: Callable[[list[FurnitureRef]], None], jobs: int, side_by_side: int
+) -> Iterator[ExpertResult]:
+    by_size: dict[int, list[FurnitureRef]] = {}
+    for r in refs:
+        counts = point_counts(r.furniture(with_grasps=False))
+        by_size.setdefault(padded_points(int(counts.sum())), []).append(r)
+    lots = [lot for size in sorted(by_size) for lot in _lots(by_size[size], jobs, side_by_side)]
     if jobs == 1:
         for lot in lots:
             work(lot)
             yield from (read(dataset_file(folder, r.name)) for r in lot)
         return
+    left = list(refs)
     with worker_pool(jobs) as pool:
         with one_thread_each():
             running = {pool.submit(work, lot) for lot in lots}
