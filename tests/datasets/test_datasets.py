@@ -195,4 +195,5 @@ def test_all_parts_at_once_finds_an_easy_assembly() -> None:
 def test_the_baseline_counts_to_its_budget() -> None:
     result = solve_jointly(catalogue.make("cantilever"), 0, Budget(states=3_000))
     assert result.status is PlanningStatus.BUDGET_EXHAUSTED
-    assert 3_000 <= result.planning_steps <= 3_200
+    # The last edge is tested to its end.
+    assert 3_000 <= result.planning_steps <= 3_300

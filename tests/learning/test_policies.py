@@ -123,7 +123,7 @@ def test_a_paper_checkpoint(first_state, tmp_path: Path) -> None:
     observation, mask = first_state
     assert mask[tuple(policy.act(observation, mask))]
     assert guide_of(policy) is not None
-    with pytest.raises(InputError, match=r"'/network/state/0/.*w' is float32 \(5280, 8\); .* \(5280, 16\)"):
+    with pytest.raises(InputError, match=r"'/network/state/0/.*w' is float32 \(6320, 8\); .* \(6320, 16\)"):
         load_policy(str(save(tmp_path / "p.npz", whole, {**asdict(config), "hidden": 16}, "paper")))
     with pytest.raises(InputError, match=r"lacks \['inputs'\]"):
         load_policy(str(save(tmp_path / "p.npz", _without(whole, "inputs"), asdict(config), "paper")))

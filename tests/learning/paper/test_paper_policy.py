@@ -156,7 +156,7 @@ def test_the_first_of_equally_good_actions_is_imitated(examples: list[PaperExamp
     assert replace(told, tie=0.1).first_best() == (*v, 1)
     assert imitation.batch_of([told], None)["best"].tolist() == [[*u, 3]]
     # Nothing is to be imitated where nothing leads to the whole.
-    assert replace(told, q_values=np.minimum(values, 3.0).astype(np.float16)).first_best() == (-1, -1, -1)
+    assert replace(example, returns=np.minimum(example.returns, 1.0)).first_best() == (-1, -1, -1)
 
 
 def test_the_loss_is_l1_and_fifty_times_l2(examples: list[PaperExample]) -> None:
@@ -294,12 +294,19 @@ def test_noise_is_on_the_clouds_alone(examples: list[PaperExample], course: Samp
 def test_q_values_follow_from_factors_in_numpy_and_jax() -> None:
     rng = np.random.default_rng(0)
     p, state = paper.init(rng, SMALL), rng.normal(size=(2, STATE)).astype(np.float32)
+    state[0, 2960 + 6 : 3080] = 0.0  # one part
+    state[1, 2760:2960] = 0.0  # no free point
     p["heads"]["0"]["u"]["b"] += np.arange(6, dtype=np.float32)
     inputs = {"mean": np.full(STATE, 0.1, np.float32), "scale": np.full(STATE, 2.0, np.float32)}
     slot = np.array([[0, 57, 199], [3, 3, 8]], np.int32)
     q = paper.apply(p, inputs, state, slot)
     assert q.shape == (2, 3, 3, 6)
+    # Padding stays 0 where it would become -0.2, and a number for each row says whether it is there.
     whole = (state - 0.1) * 2.0
+    whole[0, 2960 + 6 : 3080] = whole[1, 2760:2960] = 0.0
+    there = np.ones((2, 20 + 200 + 200 + 20 + 400), np.float32)
+    there[0, 20 + 200 + 200 + 1 : 20 + 200 + 200 + 20] = there[1, 220:420] = 0.0
+    whole = np.concatenate([whole, there], axis=1)
     for layer in p["state"].values():
         whole = layers.gelu(layers.norm(layer["norm"], layers.linear(layer["map"], whole)))
     a, b = np.split(layers.linear(p["slots"], whole).reshape(2, 200, 16), 2, axis=2)
@@ -348,9 +355,11 @@ def test_the_policy_agrees_with_training(examples: list[PaperExample], course: S
     part, point = np.nonzero(mask.any(axis=(1, 3, 4)))
     state = np.zeros((1, STATE), np.float32)
     n = len(chair.parts)
+    free = np.zeros((n, 10, 1))
+    free[part, point] = 1.0
     PaperState(
-        autoencoder.encode(ENCODER, course.clouds), observation["connection_points"][:n], observation["poses"][:n],
-        observation["connections"][:n, :n],
+        autoencoder.encode(ENCODER, course.clouds), observation["connection_points"][:n], free,
+        observation["poses"][:n], observation["connections"][:n, :n],
     ).write(state[0])  # fmt: skip
     q = paper.apply(params["network"], params["inputs"], state, (10 * part + point)[None])[0]
     i, j = 0, len(part) - 1

@@ -71,8 +71,8 @@ def test_pairs_without_clearance_cannot_mate() -> None:
     task = FullTask(catalogue.make("panel", 13))
     clouds = np.array([surface_points(p.mesh, 2048) for p in task.furniture.parts], np.float32)
     labeler = Labeler(task.furniture, clouds, HandOracle(task))
-    cache, episode = TokenCache(), labeler.rollout(np.random.default_rng(2))
-    samples = labeler.sample_set((*episode.states, *episode.dead_ends))
+    cache, episodes = TokenCache(), [labeler.rollout(np.random.default_rng(seed)) for seed in (2, 3, 4)]
+    samples = labeler.sample_set([s for e in episodes for s in (*e.states, *e.dead_ends)])
     mating, tight = 0, 0
     for sample in samples.samples:
         tokens = tokens_of_sample(samples, sample, cache)

@@ -132,7 +132,8 @@ class PaperExample:
     def first_best(self) -> tuple[int, int, int]:
         """Return row, column and choice of the action to imitate; -1 each if none leads to the whole furniture."""
         values = np.minimum(self._values(), np.float32(self.max_return))
-        if not values.size or values.max() < COMPLETION_REWARD:
+        # An expert's samples all lead to the whole; its values are estimates, and may say less.
+        if not values.size or (self.q_values is None and values.max() < COMPLETION_REWARD):
             return -1, -1, -1
         return first_best(values, self.tie)
 

@@ -87,7 +87,7 @@ class DQNAgent:
 
         Returns:
             Whether there is something to learn from the step: its outcome is new and more than a wrong pair at the
-            start, of which one update takes in all, or it shows how well the network does.
+            start, of which one update takes in all; or exploration is over.
         """
         buffer, env = self.buffer, self.buffer.env
         state = buffer.states[self.at]
@@ -102,7 +102,7 @@ class DQNAgent:
             self.at = follower
             if self._explores:
                 self._explorer.record_merge(state, action)
-        learnable = self.greedy or (new and (after is not None or self.at != 0))
+        learnable = self.greedy or self.settled or (new and (after is not None or self.at != 0))
         if after is None or len(after) == 1:
             self._end_episode(after is not None)
         return learnable

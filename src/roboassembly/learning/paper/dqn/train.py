@@ -66,6 +66,8 @@ class ExpertTraining:
 
     steps: int = 40_000
     """Largest number of environment steps, as in the paper; a chair that is mastered earlier stops earlier."""
+    least_updates: int = 150
+    """Least number of updates: the Q-values become labels, and must have settled."""
     update_every: int = 8
     """Environment steps between updates; first steps of episodes that only find a wrong pair are not counted."""
     target_every: int = 50
@@ -261,7 +263,8 @@ class ExpertRun:
         """Return whether a chair is mastered or has had its steps; writes its file if so."""
         agent, t = trainer.agent, self._training
         mastered = False
-        if agent.mastered and agent.settled and trainer.validated_at < agent.steps:
+        ready = agent.mastered and agent.settled and agent.updates >= t.least_updates
+        if ready and trainer.validated_at < agent.steps:
             mastered = self._validates(trainer, ExpertPolicy(trainer.inputs, self._slice(i)[0]))
         if not mastered and agent.steps < t.steps:
             return False
