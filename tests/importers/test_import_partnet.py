@@ -59,7 +59,7 @@ def chair(tmp_path):
 def test_leaf_nodes_become_parts(chair):
     raw = partnet.read(chair)
     assert [p.name for p in raw.parts] == ["chair_seat/seat_surface", "chair_base/leg", "chair_base/leg_2"]
-    assert [p.label for p in raw.parts] == ["seat_surface", "leg", "leg"]
+    assert [p.label for p in raw.parts] == ["chair_seat/seat_surface", *["chair_base/leg"] * 2]
     assert [len(p.mesh.faces) for p in raw.parts] == [24, 12, 12]
     assert raw.provenance.source == "partnet"
     assert raw.provenance.identifier == "7"

@@ -38,7 +38,7 @@ class RawPart:
     mesh: Mesh
     """Mesh at its place in the assembled furniture, in the furniture's frame (z up) [m]."""
     label: str = ""
-    """Label of PartNet's vocabulary (`leg`, `seat_surface_bar`, ...), if known."""
+    """Path in PartNet's hierarchy (`chair_base/regular_leg_base/leg`), if known."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,6 +91,7 @@ class Part:
     mesh: Mesh
     points: tuple[ConnectionPoint, ...]
     label: str = ""
+    """Path in PartNet's hierarchy, as `RawPart.label`."""
     grasps: tuple[GraspRegion, ...] = ()
 
 

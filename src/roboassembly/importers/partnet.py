@@ -58,8 +58,8 @@ def find(root: Path) -> list[Path]:
 def read(path: Path, *, scale: float | None = None) -> RawFurniture:
     """Read the leaves of one shape's merged hierarchy as parts: z up, metres, on the ground.
 
-    A part's name is its path from the root (`chair_base/regular_leg_base/leg`), numbered if it repeats; its label is
-    the leaf's own name. A leaf that lists exactly the meshes of an earlier leaf is a duplicate: it is left out, with a
+    Parts are in PartNet's order, depth first. A part's label is its path from the root
+    (`chair_base/regular_leg_base/leg`); its name is the same, numbered if it repeats. A leaf that lists exactly the meshes of an earlier leaf is a duplicate: it is left out, with a
     note in the provenance.
 
     Args:
@@ -87,7 +87,7 @@ def read(path: Path, *, scale: float | None = None) -> RawFurniture:
             surface = combine([read_mesh(files.inside(path / "objs", f"{o}.obj", f"'{path}'")) for o in objs])
         except FurnitureError as problem:
             raise FurnitureError(f"part '{name}': {problem}") from None
-        parts.append(NamedTriangles(name, surface, node_path[-1]))
+        parts.append(NamedTriangles(name, surface, "/".join(node_path)))
     check_part_count(len(parts), str(path))
     rotation = UP_ROTATIONS["y"]
     low, high = bounds(parts, rotation)
