@@ -148,7 +148,7 @@ def test_evaluated_over_a_set(folder: str) -> None:
 
 
 def timeless(episodes: list[Episode]) -> list[Episode]:
-    return [replace(e, planning_seconds=0.0, policy_seconds=0.0) for e in episodes]
+    return [replace(e, planning_seconds=0.0, policy_seconds=0.0, step_seconds=()) for e in episodes]
 
 
 def test_episodes_do_not_depend_on_jobs_limits_or_order(folder: str) -> None:

@@ -22,6 +22,7 @@ from roboassembly.geometry.poses import (
     poses_to_configurations,
     rotation_angle,
     rotation_from_quaternion,
+    storable,
     transform_points,
 )
 
@@ -181,3 +182,15 @@ def test_orthonormal_takes_rounding_away() -> None:
     assert np.abs(pose.rotation.T @ pose.rotation - np.eye(3)).max() < 1e-14
     assert np.allclose(pose.rotation, QUARTER_ABOUT_Z, atol=1e-5)
     assert np.array_equal(pose.translation, [1, 2, 3])
+
+
+def test_a_storable_pose_survives_any_number_of_round_trips() -> None:
+    rng = np.random.default_rng(0)
+    rotations = [*Rotation.random(300, rng).as_matrix(), *Rotation.create_group("O").as_matrix()]
+    # Nearly exact rotations, as found by matching shapes.
+    rotations += [r + rng.normal(0.0, 1e-15, (3, 3)) for r in Rotation.create_group("O").as_matrix() for _ in range(20)]
+    for rotation in rotations:
+        pose = storable(SE3(rotation, np.array([0.1, 0.2, 0.3])))
+        assert np.abs(pose.rotation - rotation).max() < 5e-14
+        again = pose_from_seven(pose_to_seven(pose))
+        assert np.array_equal(again.homogeneous, pose.homogeneous)

@@ -155,13 +155,13 @@ def test_search_with_equal_parts_whose_points_differ(chair) -> None:
     furniture = chair("rocker", 4)
     task = ObjectCentricTask(furniture)
     state = task.initial_state(np.random.default_rng(7))
-    spindles, rail = (4, 5, 6), 8
+    rail, spindles = 0, (1, 2, 3)
     for spindle, hole in zip(spindles, (2, 3, 1), strict=True):
         outcome = task.step(state, (spindle, rail, 0, hole, 0), 0)
         assert outcome.verdict is ObjectCentricVerdict.MERGED
         state = outcome.state
     joined = next(g for g in state.groups if rail in g.parts)
-    assert joined.parts == (*spindles, rail)
+    assert joined.parts == (rail, *spindles)
     assert set(joined.slots) != set(joined.parts)
     result = solve_from(task, state, 0, SearchLimits(attempts=40))
     assert result.plan.success or "limits reached" in result.reason

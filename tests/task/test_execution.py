@@ -97,8 +97,8 @@ def merge(chair) -> tuple[FullTask, float, FullStep]:
     task = FullTask(chair("stool", 0))
     state = task.initial_state(np.random.default_rng(0))
     names = [p.name for p in task.furniture.parts]
-    c = next(c for c in task.furniture.connections if "stretcher" in names[c.part_a] and "leg" in names[c.part_b])
-    for action in grasping(task, state, state.groups, frozenset({c.part_a}), frozenset({c.part_b})):
+    c = next(c for c in task.furniture.connections if "leg" in names[c.part_a] and "stretcher" in names[c.part_b])
+    for action in grasping(task, state, state.groups, frozenset({c.part_b}), frozenset({c.part_a})):
         step = task.step(state, action, 0).step
         if step is not None:
             return task, state.cell.density, step

@@ -24,7 +24,7 @@ from roboassembly.furniture.model import (
 )
 from roboassembly.furniture.symmetry import rotations_onto, symmetries
 from roboassembly.geometry.meshes import Mesh, nearest_points
-from roboassembly.geometry.poses import SE3
+from roboassembly.geometry.poses import SE3, storable
 
 _ROUNDING = 2e-6
 """Largest difference of coordinates due to rounding to 32-bit floats [m]."""
@@ -67,7 +67,7 @@ def annotate(name: str, raw: Sequence[RawPart], provenance: Provenance, *, with_
     contacts, notes = _bounded_contacts(find_contacts([p.mesh for p in raw], names), names)
     classes, rotations = _classify(centered)
     rotations = _turn_to_match_points(classes, rotations, centers, contacts)
-    slots = tuple(SE3(r, c) for r, c in zip(rotations, centers, strict=True))
+    slots = tuple(storable(SE3(r, c)) for r, c in zip(rotations, centers, strict=True))
     meshes = _part_meshes([p.mesh for p in raw], centered, classes, slots, contacts)
     points, connections = connection_points(contacts, slots, classes)
     parts = tuple(

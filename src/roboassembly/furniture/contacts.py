@@ -136,18 +136,14 @@ def _facing_pieces_both_ways(mesh_a: Mesh, mesh_b: Mesh, reach: float) -> _Piece
 
     On bent surfaces the two differ a little. Both together do not depend on which part is `a`.
     """
-    one, other = _facing_pieces(mesh_a, mesh_b, reach), _facing_pieces(mesh_b, mesh_a, reach)
-    if one is None or other is None:
-        if other is not None:
-            area, center, normal, height = other
-            return area, center, -normal, height
-        return one
-    return (
-        0.5 * np.concatenate([one[0], other[0]]),
-        np.concatenate([one[1], other[1]]),
-        np.concatenate([one[2], -other[2]]),
-        np.concatenate([one[3], other[3]]),
-    )
+    forward, backward = _facing_pieces(mesh_a, mesh_b, reach), _facing_pieces(mesh_b, mesh_a, reach)
+    if backward is not None:
+        area, center, normal, height = backward
+        backward = area, center, -normal, height
+    if forward is None or backward is None:
+        return forward or backward
+    area, center, normal, height = (np.concatenate(both) for both in zip(forward, backward, strict=True))
+    return 0.5 * area, center, normal, height
 
 
 def _facing_pieces(mesh_a: Mesh, mesh_b: Mesh, reach: float) -> _Pieces | None:

@@ -64,7 +64,7 @@ _ARM = {leaf for leaf, path in _PATHS.items() if path.startswith("chair_arm/")}
 """Leaves below an arm."""
 _MIDDLE = 0.02
 """Largest distance from the plane x = 0 at which a part is in the middle [m]."""
-_APART = 0.25
+_ROW_GAP = 0.25
 """Gap between parts in two rows, as a share of the extent of all parts of their label."""
 
 
@@ -117,9 +117,9 @@ def _geometric_order(parts: Sequence[RawPart]) -> list[int]:
     """Return the indices of parts of one label in geometric order."""
     centers = _centers(parts)
     extent = np.ptp(centers, axis=0)
-    rows = [_rows(centers[:, axis], _APART * float(extent.max())) for axis in (1, 2)]
-    spread = centers[:, int(np.argmax(extent))].round(4)
-    return np.lexsort((centers[:, 2], centers[:, 1], centers[:, 0], spread, *rows[::-1], _sides(centers))).tolist()
+    rows = [_rows(centers[:, axis], _ROW_GAP * float(extent.max())) for axis in (1, 2)]
+    longest = centers[:, int(np.argmax(extent))].round(4)
+    return np.lexsort((centers[:, 2], centers[:, 1], centers[:, 0], longest, *rows[::-1], _sides(centers))).tolist()
 
 
 def _rows(values: Float[np.ndarray, "n"], gap: float) -> Float[np.ndarray, "n"]:

@@ -35,8 +35,14 @@ __all__ = [
     "rotation_angle",
     "rotation_from_quaternion",
     "rotations_from_euler",
+    "storable",
     "transform_points",
 ]
+
+_ROUND_TRIPS = 4
+"""Number of round trips after which a pose no longer changes."""
+_DECIMALS = 14
+"""Decimals of quaternions in files: fewer than a conversion from and to a matrix changes."""
 
 
 def rotation_from_quaternion(wxyz: Sequence[float] | Float[np.ndarray, "4"]) -> Float[np.ndarray, "3 3"]:
@@ -58,10 +64,10 @@ def from_quaternion(
 
 
 def pose_to_seven(pose: SE3) -> list[float]:
-    """Return `[x, y, z, qw, qx, qy, qz]` with `qw >= 0`."""
+    """Return `[x, y, z, qw, qx, qy, qz]` with `qw >= 0`, the quaternion rounded to 14 decimals."""
     q = pin.Quaternion(pose.rotation)
     sign = -1.0 if q.w < 0 else 1.0
-    return [*map(float, pose.translation), sign * q.w, sign * q.x, sign * q.y, sign * q.z]
+    return [*map(float, pose.translation), *(round(sign * c, _DECIMALS) + 0.0 for c in (q.w, q.x, q.y, q.z))]
 
 
 def pose_from_seven(numbers: Sequence[float]) -> SE3:
@@ -74,6 +80,14 @@ def pose_from_seven(numbers: Sequence[float]) -> SE3:
     if values.shape != (7,) or not np.isfinite(values).all():
         raise InputError(f"a pose is seven finite numbers x, y, z, qw, qx, qy, qz; got {list(numbers)!r}")
     return from_quaternion(values[:3].tolist(), values[3:].tolist())
+
+
+def storable(pose: SE3) -> SE3:
+    """Return the pose, rounded so that writing it as seven numbers and reading it again changes no bit."""
+    # Reading normalises the rounded quaternion, which may change its last digit; two rounds were enough in all tests.
+    for _ in range(_ROUND_TRIPS):
+        pose = pose_from_seven(pose_to_seven(pose))
+    return pose
 
 
 def pose_to_euler(pose: SE3) -> Float[np.ndarray, "6"]:

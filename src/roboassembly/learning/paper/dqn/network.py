@@ -59,6 +59,11 @@ class ChairInputs:
         return self.parts + 3.0
 
 
+def padded_points(points: int) -> int:
+    """Return the least padded number of points that holds so many."""
+    return next(s for s in POINT_SIZES if s >= points)
+
+
 def chair_inputs(task: Task[Any, Any], part_features: Float32[np.ndarray, "P s"]) -> ChairInputs:
     """Return the constant inputs for the chair of a task."""
     furniture = task.furniture
@@ -70,7 +75,7 @@ def chair_inputs(task: Task[Any, Any], part_features: Float32[np.ndarray, "P s"]
         most = max((parts[m].points for m in furniture.classes[c].members), key=len)
         points += [*own.points, *most[len(own.points) : count]]
     frames = np.array([[p.position * 2.0, p.normal, p.tangent] for p in points])
-    size = next(s for s in POINT_SIZES if s >= len(part))
+    size = padded_points(len(part))
     features = np.zeros((size, 9 + part_features.shape[1]), np.float32)
     features[: len(part), :9], features[: len(part), 9:] = frames.reshape(-1, 9), part_features[part]
     return ChairInputs(features, np.pad(part, (0, size - len(part))), len(part), len(parts), task.action_branches)

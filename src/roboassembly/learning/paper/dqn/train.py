@@ -113,11 +113,6 @@ class ExpertTrainer:
     """Number of steps at the last validation episode."""
 
 
-def padded_points(points: int) -> int:
-    """Return the least padded number of points that holds so many."""
-    return next(s for s in POINT_SIZES if s >= points)
-
-
 def partial_file(folder: Path, name: str) -> Path:
     """Return where a folder keeps a chair in training."""
     return dataset_file(folder, name).with_suffix(".partial.npz")
