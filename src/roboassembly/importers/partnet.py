@@ -59,8 +59,8 @@ def read(path: Path, *, scale: float | None = None) -> RawFurniture:
     """Read the leaves of one shape's merged hierarchy as parts: z up, metres, on the ground.
 
     Parts are in PartNet's order, depth first. A part's label is its path from the root
-    (`chair_base/regular_leg_base/leg`); its name is the same, numbered if it repeats. A leaf that lists exactly the meshes of an earlier leaf is a duplicate: it is left out, with a
-    note in the provenance.
+    (`chair_base/regular_leg_base/leg`); its name is the same, numbered if it repeats. A leaf that lists exactly the
+    meshes of an earlier leaf is a duplicate: it is left out, with a note in the provenance.
 
     Args:
         path: folder of the shape.

@@ -32,8 +32,8 @@ from roboassembly.learning.paper.dqn import losses, results  # noqa: E402
 from roboassembly.learning.paper.dqn.agent import AgentConfig, DQNAgent  # noqa: E402
 from roboassembly.learning.paper.dqn.replay_buffer import ReplayBuffer  # noqa: E402
 from roboassembly.learning.paper.dqn.train import ExpertRun, ExpertTraining, partial_file  # noqa: E402
+from roboassembly.learning.paper.examples import Augmentation, examples_of  # noqa: E402
 from roboassembly.learning.paper.expert_dataset import expert_samples  # noqa: E402
-from roboassembly.learning.paper.imitation import Augmentation  # noqa: E402
 
 
 def test_double_q_target_by_hand() -> None:
@@ -391,7 +391,7 @@ def test_an_expert_masters_a_chair_and_teaches_it(trained: Trained, family: str,
     of_episodes = finished * (len(task.furniture.parts) - 1)
     assert of_episodes < len(course.samples) <= of_episodes + 3
     # Both episodes take the same actions, and so does who imitates the expert in states that it met while it explored.
-    taught = paper_imitation.examples_of([course], _extractor(), Augmentation(copies=0, reductions=0))
+    taught = examples_of([course], _extractor(), Augmentation(copies=0, reductions=0))
     assert len(taught) == len(course.samples)
     merges = len(task.furniture.parts) - 1
     assert [e.first_best() for e in taught[:merges]] == [e.first_best() for e in taught[merges : 2 * merges]]

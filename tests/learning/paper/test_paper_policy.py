@@ -28,7 +28,8 @@ from roboassembly.learning.datasets import LabeledState, SampleSet
 from roboassembly.learning.paper import autoencoder, imitation
 from roboassembly.learning.paper import network as paper
 from roboassembly.learning.paper.autoencoder import CLOUD_POINTS
-from roboassembly.learning.paper.imitation import Augmentation, PaperExample, PaperTraining
+from roboassembly.learning.paper.examples import Augmentation, PaperExample, exact_returns, examples_of, scattered
+from roboassembly.learning.paper.imitation import PaperTraining
 from roboassembly.learning.paper.network import PaperConfig, PaperPolicy, PaperState
 from roboassembly.learning.registry import load_policy
 from roboassembly.learning.relational.oracle_dataset import Labeler
@@ -62,7 +63,7 @@ def course(chair: Furniture) -> SampleSet:
 
 @pytest.fixture(scope="module")
 def examples(course: SampleSet) -> list[PaperExample]:
-    return imitation.examples_of([course], ENCODER, Augmentation(copies=2, noise=0.003, reductions=0))
+    return examples_of([course], ENCODER, Augmentation(copies=2, noise=0.003, reductions=0))
 
 
 def test_the_state_vector_is_padded_section_by_section() -> None:
@@ -180,9 +181,9 @@ def test_exact_values_are_returns_to_go() -> None:
     free[[0, 2, 3, 3], [0, 1, 0, 2]] = True
     lesson = LabeledState(np.ones((4, 10, 9), np.float32), connections, free, np.ones((4, 6), np.float32), joints)
     # It can be finished after the first: two merges and the whole. The second works but leads nowhere.
-    assert imitation.exact_returns(lesson).tolist() == [[6, 0, 6, 0, 0, 0], [0, 0, 0, 1, 0, 0]]
+    assert exact_returns(lesson).tolist() == [[6, 0, 6, 0, 0, 0], [0, 0, 0, 1, 0, 0]]
     course = SampleSet("four", np.ones((4, 16, 3), np.float32), (lesson,))
-    example = imitation.examples_of([course], ENCODER, Augmentation(copies=0, reductions=0))[0]
+    example = examples_of([course], ENCODER, Augmentation(copies=0, reductions=0))[0]
     assert [*zip(example.part, example.point, strict=True)] == [(0, 0), (2, 1), (3, 0), (3, 2)]
     exact = example.exact()
     assert exact[0, 1].tolist() == [6, 0, 6, 0, 0, 0]
@@ -191,7 +192,7 @@ def test_exact_values_are_returns_to_go() -> None:
     # An expert is believed before the oracle.
     values = np.arange(96, dtype=np.float16).reshape(4, 4, 6) / 10.0
     by_expert = replace(course, samples=(replace(lesson, q_values=values),))
-    taught = imitation.batch_of(imitation.examples_of([by_expert], ENCODER, Augmentation(copies=0, reductions=0)), None)
+    taught = imitation.batch_of(examples_of([by_expert], ENCODER, Augmentation(copies=0, reductions=0)), None)
     # But more than two merges and the whole are not to be had.
     target = imitation.targets(taught)
     assert np.array_equal(target[0, :4, :4], np.minimum(values, 6.0))
@@ -214,7 +215,7 @@ def test_grasp_values_are_learnt_and_chosen_in_the_full_setting(tmp_path: Path) 
     again = SampleSet.load(tmp_path / "stand.npz")
     assert again.grasps is not None
     assert np.array_equal(again.grasps, hands)
-    examples = imitation.examples_of([again], ENCODER, Augmentation(copies=0, reductions=0))
+    examples = examples_of([again], ENCODER, Augmentation(copies=0, reductions=0))
     batch = imitation.batch_of(examples[:1], None)
     first = lessons[0].q_values
     assert first is not None
@@ -240,7 +241,7 @@ def test_grasp_values_are_learnt_and_chosen_in_the_full_setting(tmp_path: Path) 
     u, v, k, l, g_a, g_b = policy.act(observation, mask)  # noqa: E741
     assert values[u, v, k, l, g_a, g_b] == values.max()
     plain = replace(course, grasps=None, samples=tuple(replace(x, q_values=None) for x in lessons))
-    mixed = examples + imitation.examples_of([plain], ENCODER, Augmentation(copies=0, reductions=0))
+    mixed = examples + examples_of([plain], ENCODER, Augmentation(copies=0, reductions=0))
     with pytest.raises(InputError, match="both settings"):
         next(imitation.train(mixed, ENCODER, tmp_path / "mixed.npz", PaperTraining(steps=3), SMALL, {}))
 
@@ -264,7 +265,7 @@ def test_augmentation_moves_groups_as_wholes(chair: Furniture) -> None:
     rest = (g for g in state.groups if joint.u not in g.parts and joint.v not in g.parts)
     observer = Observer(chair, len(chair.parts), 10, 1)
     seen = observer.observe(TaskState((*rest, joint.merge.merged)))
-    moved = imitation.scattered(seen["poses"], seen["connections"], np.random.default_rng(0))
+    moved = scattered(seen["poses"], seen["connections"], np.random.default_rng(0))
     assert not np.allclose(moved, seen["poses"], atol=0.05)
     turns = [rotations_from_euler(p[:, 3:].astype(float)) for p in (seen["poses"], moved)]
     u, v = joint.u, joint.v
@@ -287,7 +288,7 @@ def test_noise_is_on_the_clouds_alone(examples: list[PaperExample], course: Samp
     assert len({d[:960].tobytes() for d in drawn}) == 3
     assert len({d[960:].tobytes() for d in drawn}) == 1
     # Chairs mirrored, turned and of other sizes come besides.
-    more = imitation.examples_of([course], ENCODER, Augmentation(copies=0, changes=2, reductions=0))
+    more = examples_of([course], ENCODER, Augmentation(copies=0, changes=2, reductions=0))
     assert len(more) == 3 * len(examples)
 
 

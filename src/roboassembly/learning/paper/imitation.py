@@ -1,11 +1,4 @@
-"""Imitation learning of the paper's policy: the experts' Q-values with the loss `L1 + 50 L2`.
-
-The label of a state is an expert's Q-values if it has some, else the oracle's answers, which give the best
-undiscounted return-to-go exactly. Both are returns: 1 for each merge, 4 more for the whole.
-
-Many actions of a state are equally good. The one to imitate is the first of them, in the order of parts, points and
-choices, as for experts (`dqn.network.first_best`). A policy that may take any of them meets groups that no sample has.
-"""
+"""Imitation learning of the paper's policy: the experts' Q-values with the loss `L1 + 50 L2`."""
 
 from __future__ import annotations
 
@@ -19,31 +12,20 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
-from jaxtyping import Bool, Float, Float16, Float32, Int, Int16
-from scipy.spatial.transform import Rotation
+from jaxtyping import Bool, Float, Int
 
 from roboassembly.errors import InputError
 from roboassembly.furniture.model import MAX_POINTS
-from roboassembly.geometry.poses import euler_from_rotations, rotations_from_euler
-from roboassembly.learning.augmentation import FrameChange, augmented
 from roboassembly.learning.batches import padded_length
-from roboassembly.learning.datasets import LabeledState, SampleSet, group_labels
 from roboassembly.learning.fit import AdamWConfig, Batch, Fit
 from roboassembly.learning.layers import Array, Params
-from roboassembly.learning.missing_parts import reduced, without_some
-from roboassembly.learning.paper import autoencoder, heads
+from roboassembly.learning.paper import heads
 from roboassembly.learning.paper import network as paper
-from roboassembly.learning.paper.autoencoder import CLOUD_POINTS
-from roboassembly.learning.paper.dqn.network import TIE, first_best
-from roboassembly.learning.paper.network import PaperConfig, PaperState
-from roboassembly.task.rules.connections import UP_AXES
+from roboassembly.learning.paper.examples import COMPLETION_REWARD, PaperExample, scattered
+from roboassembly.learning.paper.network import PaperConfig
 
 LAMBDA = 50.0
 """The paper's weight of L2."""
-COMPLETION_REWARD = 4.0
-"""Reward for the whole furniture, in addition to 1 for the last merge."""
-_ENCODED = 32
-"""Clouds that are encoded at a time."""
 _SORTED = 8
 """Number of batches among which examples of like size are grouped: padding costs time."""
 _LEAST_L1 = 1e-3
@@ -66,209 +48,6 @@ class PaperTraining(AdamWConfig):
     """Largest norm of the gradient."""
     scatter: bool = True
     """Whether the groups of each state are placed at random anew (not in the paper)."""
-
-
-@dataclass(frozen=True)
-class Augmentation:
-    """Copies that are made of each sample set before training."""
-
-    copies: int = 4
-    """Noisy clouds of each part, in addition to the clean one."""
-    noise: float = 0.003
-    """Standard deviation of the noise along each axis [m]."""
-    changes: int = 0
-    """Versions of each chair in addition to itself: mirrored, turned, scaled (not in the paper)."""
-    reductions: int = 3
-    """Copies of each state, without some parts of the chair (not in the paper; see `missing_parts`)."""
-    seed: int = 0
-    """Random seed."""
-
-
-@dataclass(frozen=True, eq=False)
-class PaperExample:
-    """A state ready for the network, small enough to keep a hundred thousand."""
-
-    furniture: int
-    """Number of the sample set that the state belongs to."""
-    features: Float32[np.ndarray, "c P 48"]
-    """Features of the parts' clouds: clean, then noisy copies. Shared by the states of a chair."""
-    points: Float16[np.ndarray, "P K 9"]
-    free: Bool[np.ndarray, "P K"]
-    poses: Float16[np.ndarray, "P 6"]
-    connections: Float16[np.ndarray, "P P 6"]
-    part: Int16[np.ndarray, "n"]
-    """Part of each free point."""
-    point: Int16[np.ndarray, "n"]
-    """Number of each free point in its part."""
-    group: Int16[np.ndarray, "n"]
-    """Group of each free point."""
-    mates: Int16[np.ndarray, "j 2"]
-    """Rows and columns of the pairs that fit."""
-    returns: Float32[np.ndarray, "j 6"]
-    """Exact Q-values of the pairs that fit; those of all others are 0."""
-    q_values: Float16[np.ndarray, "n n h"] | None
-    """Expert's Q-values as in `LabeledState`; imitated in place of `returns` if there are any."""
-    grasps: Float32[np.ndarray, "P 8 6"] | None
-    """Gripper pose of each grasp; None in the object-centric setting."""
-    tie: float
-    """Difference of Q-values below which two actions are equally good."""
-
-    def state(self, copy: int) -> PaperState:
-        """Return the state with one of the copies of the features."""
-        free = self.free[..., None].astype(np.float32)
-        return PaperState(self.features[copy], self.points, free, self.poses, self.connections, self.grasps)
-
-    def branch_targets(self) -> Float[np.ndarray, "n n h"]:
-        """Return what each branch adds to the Q-values to imitate, one branch after another."""
-        return self.exact() if self.q_values is None else self.q_values
-
-    @property
-    def max_return(self) -> float:
-        """Bound of the targets: the largest return that is left, which experts overestimate."""
-        if self.q_values is None:
-            return np.inf
-        return len(np.unique(group_labels(self.connections))) - 1 + COMPLETION_REWARD
-
-    def first_best(self) -> tuple[int, int, int]:
-        """Return row, column and choice of the action to imitate; -1 each if none leads to the whole furniture."""
-        values = np.minimum(self._values(), np.float32(self.max_return))
-        # An expert's samples all lead to the whole; its values are estimates, and may say less.
-        if not values.size or (self.q_values is None and values.max() < COMPLETION_REWARD):
-            return -1, -1, -1
-        return first_best(values, self.tie)
-
-    def highest(self) -> float:
-        """Return the highest value of an action that exists."""
-        return float(self._values().max(initial=-np.inf))
-
-    def _values(self) -> Float32[np.ndarray, "n n w"]:
-        """Return the Q-values to imitate, without their bound; -inf where the action does not exist."""
-        branches = np.split(self.branch_targets().astype(np.float32), _ends(self.grasps is not None), axis=2)
-        values = heads.combined(branches)
-        values[self.group[:, None] == self.group[None]] = -np.inf
-        return values
-
-    def exact(self) -> Float32[np.ndarray, "n n 6"]:
-        """Return the exact Q-values."""
-        n = len(self.part)
-        out = np.zeros((n, n, len(UP_AXES)), np.float32)
-        out[self.mates[:, 0], self.mates[:, 1]] = self.returns
-        return out
-
-
-def _ends(full: bool) -> list[int]:
-    """Return where the values of each action branch end, but for the last."""
-    return np.cumsum(PaperConfig(full=full).branches)[:-1].tolist()
-
-
-def exact_returns(sample: LabeledState) -> Float32[np.ndarray, "j 6"]:
-    """Return the exact Q of the pairs in `sample.mates`: the best undiscounted return from the action on.
-
-    If the furniture can be finished after the action, that is 1 for this and each later merge, and 4. A merge into a
-    dead end counts 1, a lower bound, because the oracle does not say what else could be joined. An action that cannot
-    be carried out has 0, and so has every pair that does not fit.
-    """
-    merges = len(np.unique(sample.group)) - 1
-    solvable, works = sample.mates[:, 4:5], sample.mates[:, 5:]
-    return (works * np.where(solvable, merges + COMPLETION_REWARD, 1.0)).astype(np.float32)
-
-
-def examples_of(sets: Sequence[SampleSet], encoder: Params, augmentation: Augmentation) -> list[PaperExample]:
-    """Return the examples of some sample sets, augmented; the random numbers of a set do not depend on the others."""
-    return [
-        example for index, samples in enumerate(sets) for example in _examples(samples, index, encoder, augmentation)
-    ]
-
-
-def _examples(samples: SampleSet, index: int, encoder: Params, a: Augmentation) -> Iterator[PaperExample]:
-    rng = np.random.default_rng([a.seed, index])
-    for version in [samples, *(augmented(samples, FrameChange.draw(rng)) for _ in range(a.changes))]:
-        clouds = version.clouds[:, :CLOUD_POINTS]
-        noisy = [clouds + rng.normal(0.0, a.noise, clouds.shape).astype(np.float32) for _ in range(a.copies)]
-        features = _features(encoder, np.concatenate([clouds, *noisy])).reshape(1 + a.copies, len(clouds), -1)
-        for sample in version.samples:
-            example = _example(sample, index, features, version.grasps)
-            yield example
-            for _ in range(a.reductions if version.structure is not None else 0):
-                smaller = _without_parts(example, sample, version, features, rng)
-                if smaller is not None:
-                    yield smaller
-
-
-def _without_parts(
-    example: PaperExample,
-    sample: LabeledState,
-    samples: SampleSet,
-    features: Float32[np.ndarray, "c P 48"],
-    rng: np.random.Generator,
-) -> PaperExample | None:
-    """Return a state without some parts; None if there is none, or if all that leads to the whole is gone."""
-    assert samples.structure is not None
-    left = without_some(samples.structure, rng)
-    smaller = None if left is None else reduced(sample, left, samples.structure)
-    if left is None or smaller is None:
-        return None
-    grasps = None if samples.grasps is None else samples.grasps[left.parts]
-    out = replace(_example(smaller, example.furniture, features[:, left.parts], grasps), tie=example.tie)
-    # What locks a missing part out is no dead end any more, but the labels do not say so.
-    if sample.q_values is None:
-        return out if out.first_best()[0] >= 0 else None
-    return out if out.highest() >= example.highest() - example.tie else None
-
-
-def _features(encoder: Params, clouds: Float32[np.ndarray, "b n 3"]) -> Float32[np.ndarray, "b 48"]:
-    """Encode many clouds, some at a time, so that one shape is compiled."""
-    padded = np.zeros((-(-len(clouds) // _ENCODED) * _ENCODED, *clouds.shape[1:]), np.float32)
-    padded[: len(clouds)] = clouds
-    chunks = np.split(padded, len(padded) // _ENCODED)
-    return np.concatenate([np.asarray(_encode(encoder, chunk)) for chunk in chunks])[: len(clouds)]
-
-
-_encode = jax.jit(autoencoder.encode)
-
-
-def _example(
-    sample: LabeledState,
-    index: int,
-    features: Float32[np.ndarray, "c P 48"],
-    grasps: Float32[np.ndarray, "P 8 6"] | None,
-) -> PaperExample:
-    part, point = np.nonzero(sample.free)
-    number = np.full(sample.free.shape, -1)
-    number[part, point] = np.arange(len(part))
-    u, k, v, l = sample.mates[:, :4].T  # noqa: E741
-    return PaperExample(
-        furniture=index,
-        features=features,
-        points=sample.points.astype(np.float16),
-        free=sample.free,
-        poses=sample.poses.astype(np.float16),
-        connections=sample.connections.astype(np.float16),
-        part=part.astype(np.int16),
-        point=point.astype(np.int16),
-        group=sample.group[part].astype(np.int16),
-        mates=np.stack([number[u, k], number[v, l]], axis=1).astype(np.int16),
-        returns=exact_returns(sample),
-        q_values=sample.q_values,
-        grasps=grasps,
-        tie=0.0 if sample.q_values is None else TIE * (len(sample.poses) - 1 + COMPLETION_REWARD),
-    )
-
-
-def scattered(
-    poses: Float[np.ndarray, "P 6"], connections: Float[np.ndarray, "P P 6"], rng: np.random.Generator
-) -> Float[np.ndarray, "P 6"]:
-    """Return world poses with each group turned at random and moved up to 0.5 m; Q depends on neither.
-
-    Groups rest in any of their stable poses, and merged groups in others than their parts, so any turn may occur.
-    """
-    group = group_labels(connections)
-    turns = Rotation.random(len(poses), rng).as_matrix()[group]
-    shift = rng.uniform(-0.5, 0.5, (len(poses), 3))[group]
-    center = poses[group, :3].astype(float)
-    moved = np.einsum("pij,pj->pi", turns, poses[:, :3] - center) + center + shift
-    rotations = turns @ rotations_from_euler(poses[:, 3:].astype(float))
-    return np.concatenate([moved, euler_from_rotations(rotations)], axis=1).astype(np.float32)
 
 
 def batch_of(

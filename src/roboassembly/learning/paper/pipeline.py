@@ -25,6 +25,7 @@ from roboassembly.learning.paper.autoencoder import AutoencoderTraining
 from roboassembly.learning.paper.dqn import train as dqn
 from roboassembly.learning.paper.dqn.results import ExpertResult, read
 from roboassembly.learning.paper.dqn.train import ExpertTraining
+from roboassembly.learning.paper.examples import Augmentation, examples_of
 from roboassembly.learning.paper.imitation import PaperTraining
 from roboassembly.learning.paper.part_clouds import collect_clouds
 from roboassembly.learning.progress import Progress
@@ -158,7 +159,7 @@ def train_policy(
     if not sets:
         raise InputError(f"no samples in {', '.join(map(str, folders))}; `roboassembly train expert` makes some")
     notes = {"samples": files_hash(files)}
-    examples = imitation.examples_of(sets, encoder, imitation.Augmentation(seed=training.seed))
+    examples = examples_of(sets, encoder, Augmentation(seed=training.seed))
     path = folder / "paper.npz"
     for step, terms in imitation.train(examples, encoder, path, training, paper.PaperConfig(), notes):
         yield Progress("paper", step, training.steps, terms)

@@ -37,11 +37,11 @@ from roboassembly.learning.paper.dqn.group_table import point_counts
 from roboassembly.learning.paper.dqn.memoized_env import MemoizedEnv, State
 from roboassembly.learning.paper.dqn.network import (
     KIND,
-    POINT_SIZES,
     ChairInputs,
     ExpertPolicy,
     chair_inputs,
     finished,
+    padded_points,
     run_expert,
 )
 from roboassembly.learning.paper.dqn.replay_buffer import ReplayBuffer
