@@ -12,6 +12,7 @@ from roboassembly.errors import InputError
 from roboassembly.geometry.poses import (
     SE3,
     align_axis,
+    euler_from_rotations,
     from_quaternion,
     interpolate,
     orthonormal,
@@ -194,3 +195,15 @@ def test_a_storable_pose_survives_any_number_of_round_trips() -> None:
         assert np.abs(pose.rotation - rotation).max() < 5e-14
         again = pose_from_seven(pose_to_seven(pose))
         assert np.array_equal(again.homogeneous, pose.homogeneous)
+
+
+def test_rounding_errors_do_not_change_euler_angles() -> None:
+    rng = np.random.default_rng(1)
+    for rotation in Rotation.create_group("O").as_matrix():
+        exact = np.round(rotation)
+        expected = pose_to_euler(SE3(exact, np.zeros(3)))
+        assert (expected > -np.pi + 1e-6).all()
+        for _ in range(20):
+            noisy = exact + rng.normal(0.0, 1e-13, (3, 3))
+            assert np.allclose(pose_to_euler(SE3(noisy, np.zeros(3))), expected, atol=1e-9)
+            assert np.allclose(euler_from_rotations(noisy[None])[0], expected[3:], atol=1e-9)

@@ -41,6 +41,10 @@ __all__ = [
 
 _ROUND_TRIPS = 4
 """Number of round trips after which a pose no longer changes."""
+_EXACT = 9
+"""Decimals of a rotation matrix from which angles are computed."""
+_LEAST_ANGLE = -3.14159265
+"""Angle below which a half turn counts as pi [rad]."""
 _DECIMALS = 14
 """Decimals of quaternions in files: fewer than a conversion from and to a matrix changes."""
 
@@ -91,8 +95,17 @@ def storable(pose: SE3) -> SE3:
 
 
 def pose_to_euler(pose: SE3) -> Float[np.ndarray, "6"]:
-    """Return `(x, y, z, roll, pitch, yaw)` [m, rad]; `R = Rz(yaw) Ry(pitch) Rx(roll)`."""
-    return np.concatenate([pose.translation, pin.rpy.matrixToRpy(pose.rotation)])
+    """Return `(x, y, z, roll, pitch, yaw)` [m, rad]; `R = Rz(yaw) Ry(pitch) Rx(roll)`.
+
+    Rounding errors of the rotation do not change the angles: a half turn is always pi, never -pi.
+    """
+    return np.concatenate([pose.translation, _roll_pitch_yaw(pose.rotation)])
+
+
+def _roll_pitch_yaw(rotation: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3"]:
+    # Adding 0 makes 0 of -0, which atan2 would tell apart.
+    angles = np.asarray(pin.rpy.matrixToRpy(np.asarray(np.round(rotation, _EXACT) + 0.0, np.float64)))
+    return np.where(angles < _LEAST_ANGLE, np.pi, angles)
 
 
 def rotations_from_euler(angles: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3 3"]:
@@ -103,7 +116,7 @@ def rotations_from_euler(angles: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray,
 def euler_from_rotations(rotations: Float[np.ndarray, "n 3 3"]) -> Float[np.ndarray, "n 3"]:
     """Return roll, pitch and yaw of many rotations: the inverse of `rotations_from_euler`."""
     # SciPy would warn at every pitch of 90 degrees, which is frequent in furniture.
-    return np.array([pin.rpy.matrixToRpy(r) for r in rotations]).reshape(-1, 3)
+    return np.array([_roll_pitch_yaw(r) for r in rotations]).reshape(-1, 3)
 
 
 def pose_to_rotation_6d(pose: SE3) -> Float[np.ndarray, "9"]:
