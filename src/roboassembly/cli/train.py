@@ -86,7 +86,7 @@ class ExpertCommand(AutoencoderCommand):
     """Largest number of environment steps per piece. Without it: 40,000."""
     setting: Setting = "object-centric"
     episodes: int | None = None
-    """Number of episodes of each expert that become training samples. Without it: 6, or 4 with --setting full."""
+    """Number of episodes of each expert that become training samples. Without it: 2, or 4 with --setting full."""
     side_by_side: int = 4
     """Number of experts that each process trains at the same time; a GPU can train many more."""
 

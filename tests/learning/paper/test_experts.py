@@ -305,10 +305,8 @@ def test_values_by_numpy_and_jax_agree_and_mask_what_does_not_exist() -> None:
     np.testing.assert_array_equal(np.isfinite(values[..., 0]), part[:, None] != part[None])
     padded = np.zeros((1, len(chair.part)), np.float32)
     padded[0, : chair.points] = free
-    compiled = losses.values(
-        *(jax.tree.map(lambda x: x[None], t) for t in (params, chair.features, chair.part)),
-        joined[None].astype(np.float32), padded,
-    )  # fmt: skip
+    arrays = chair.features, chair.part, joined[None].astype(np.float32), padded
+    compiled = jax.jit(network.apply)(params, *arrays)
     m = chair.points
     there = np.isfinite(values)
     np.testing.assert_allclose(np.asarray(compiled)[0, :m, :m][there], values[there], atol=1e-5)
@@ -394,8 +392,8 @@ def test_an_expert_masters_a_chair_and_teaches_it(trained: Trained, family: str,
     taught = examples_of([course], _extractor(), Augmentation(copies=0, reductions=0))
     assert len(taught) == len(course.samples)
     merges = len(task.furniture.parts) - 1
-    assert [e.first_best() for e in taught[:merges]] == [e.first_best() for e in taught[merges : 2 * merges]]
-    assert all(e.first_best()[0] >= 0 for e in taught)
+    assert [e.best for e in taught[:merges]] == [e.best for e in taught[merges : 2 * merges]]
+    assert all(e.best[0] >= 0 for e in taught)
     lesson = course.samples[0]
     n = int(lesson.free.sum())
     assert lesson.q_values is not None

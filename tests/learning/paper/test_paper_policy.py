@@ -144,7 +144,7 @@ def test_both_losses_on_hand_computed_numbers() -> None:
 
 def test_the_first_of_equally_good_actions_is_imitated(examples: list[PaperExample]) -> None:
     example = next(e for e in examples if (e.exact() >= e.exact().max()).sum() > 1)
-    row, column, choice = example.first_best()
+    row, column, choice = example.best
     flat = np.flatnonzero(example.exact() >= example.exact().max())[0]
     assert np.ravel_multi_index((row, column, choice), example.exact().shape) == flat
     # An expert's values are equal if they are within its tie: 5 % of 4 merges and the bonus.
@@ -153,11 +153,11 @@ def test_the_first_of_equally_good_actions_is_imitated(examples: list[PaperExamp
     u, v = np.argwhere(example.group[:, None] != example.group[None])[[2, 5]]
     values[(*u, 3)], values[(*v, 1)] = 6.8, 7.0
     told = replace(example, q_values=values, tie=0.35)
-    assert told.first_best() == (*u, 3)
-    assert replace(told, tie=0.1).first_best() == (*v, 1)
+    assert told.best == (*u, 3)
+    assert replace(told, tie=0.1).best == (*v, 1)
     assert imitation.batch_of([told], None)["best"].tolist() == [[*u, 3]]
     # Nothing is to be imitated where nothing leads to the whole.
-    assert replace(example, returns=np.minimum(example.returns, 1.0)).first_best() == (-1, -1, -1)
+    assert replace(example, returns=np.minimum(example.returns, 1.0)).best == (-1, -1, -1)
 
 
 def test_the_loss_is_l1_and_fifty_times_l2(examples: list[PaperExample]) -> None:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import jax
 import numpy as np
@@ -95,22 +96,24 @@ class PaperExample:
             return np.inf
         return len(np.unique(group_labels(self.connections))) - 1 + COMPLETION_REWARD
 
-    def first_best(self) -> tuple[int, int, int]:
-        """Return row, column and choice of the action to imitate; -1 each if none leads to the whole furniture."""
+    @cached_property
+    def best(self) -> tuple[int, int, int]:
+        """Row, column and choice of the action to imitate; -1 each if none leads to the whole furniture."""
         values = np.minimum(self._values(), np.float32(self.max_return))
         # An expert's samples all lead to the whole; its values are estimates, and may say less.
         if not values.size or (self.q_values is None and values.max() < COMPLETION_REWARD):
             return -1, -1, -1
         return first_best(values, self.tie)
 
+    @cached_property
     def highest(self) -> float:
-        """Return the highest value of an action that exists."""
+        """Highest value of an action that exists."""
         return float(self._values().max(initial=-np.inf))
 
     def _values(self) -> Float32[np.ndarray, "n n w"]:
         """Return the Q-values to imitate, without their bound; -inf where the action does not exist."""
-        branches = np.split(self.branch_targets().astype(np.float32), _ends(self.grasps is not None), axis=2)
-        values = heads.combined(branches)
+        branches = PaperConfig(full=self.grasps is not None).branches
+        values = heads.combined(heads.split(self.branch_targets().astype(np.float32), branches))
         values[self.group[:, None] == self.group[None]] = -np.inf
         return values
 
@@ -120,11 +123,6 @@ class PaperExample:
         out = np.zeros((n, n, len(UP_AXES)), np.float32)
         out[self.mates[:, 0], self.mates[:, 1]] = self.returns
         return out
-
-
-def _ends(full: bool) -> list[int]:
-    """Return where the values of each action branch end, but for the last."""
-    return np.cumsum(PaperConfig(full=full).branches)[:-1].tolist()
 
 
 def exact_returns(sample: LabeledState) -> Float32[np.ndarray, "j 6"]:
@@ -176,10 +174,10 @@ def _without_parts(
         return None
     grasps = None if samples.grasps is None else samples.grasps[left.parts]
     out = replace(_example(smaller, example.furniture, features[:, left.parts], grasps), tie=example.tie)
-    # What locks a missing part out is no dead end any more, but the labels do not say so.
+    # The labels still call a merge that locks a missing part out a dead end.
     if sample.q_values is None:
-        return out if out.first_best()[0] >= 0 else None
-    return out if out.highest() >= example.highest() - example.tie else None
+        return out if out.best[0] >= 0 else None
+    return out if out.highest >= example.highest - example.tie else None
 
 
 def _features(encoder: Params, clouds: Float32[np.ndarray, "b n 3"]) -> Float32[np.ndarray, "b 48"]:

@@ -92,7 +92,7 @@ def expert_samples(
             states += [step.state for step in steps]
     if done:
         rng = np.random.default_rng([_SEEDS, seed])
-        states += [buffer.env.laid_out(state) for state in known_states(expert, buffer, task, memories, rng)]
+        states += [buffer.env.laid_out(state) for state in known_states(expert, buffer, memories, rng)]
     samples = tuple(_sample(expert, task, observer, state) for state in states)
     grasps = SETTINGS[task.setting].grasp_inputs(observer)
     return SampleSet(name, clouds, samples, grasps, structure_of(task.furniture)), done
@@ -101,7 +101,6 @@ def expert_samples(
 def known_states(
     expert: ExpertPolicy,
     buffer: ReplayBuffer,
-    task: ObjectCentricTask | FullTask,
     count: int,
     rng: np.random.Generator,
 ) -> list[State]:
@@ -110,7 +109,6 @@ def known_states(
     Args:
         expert: takes the action.
         buffer: its replay buffer.
-        task: task of its chair.
         count: largest number of states.
         rng: random numbers.
     """

@@ -70,6 +70,12 @@ def _branch(p: Params, a: Array, b: Array, of_u: Array, of_v: Array) -> Array:
     return xp.moveaxis(pairs, 2, 3) + linear(p["u"], of_u)[:, :, None] + linear(p["v"], of_v)[:, None]
 
 
+def split(values: Array, branches: Sequence[int]) -> list[Array]:
+    """Return what each branch adds, (..., w_i), from (..., w) one branch after another."""
+    ends = np.cumsum(branches).tolist()
+    return [values[..., end - count : end] for count, end in zip(branches, ends, strict=True)]
+
+
 def combined(branches: Sequence[Array]) -> Array:
     """Return (..., w) the sums of all combinations of choices, in C order, from (..., w_i) of each branch."""
     return reduce(_combined, branches)

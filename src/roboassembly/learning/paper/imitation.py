@@ -73,7 +73,7 @@ def batch_of(
         # All combinations of branches would be four times as much in the full setting, and half precision suffices.
         "branch_targets": np.zeros((b, n, n, sum(PaperConfig(full=full).branches)), np.float16),
         "max_return": np.array([e.max_return for e in examples], np.float32),
-        "best": np.array([e.first_best() for e in examples], np.int32),
+        "best": np.array([e.best for e in examples], np.int32),
     }
     for row, e in enumerate(examples):
         state = e.state(int(rng.integers(len(e.features))) if rng is not None else 0)
@@ -92,8 +92,7 @@ def targets(batch: Batch) -> Array:
     each, bound = batch["branch_targets"], batch["max_return"]
     xp = each.__array_namespace__()
     branches = next(c.branches for c in (PaperConfig(), PaperConfig(full=True)) if sum(c.branches) == each.shape[3])
-    ends = np.cumsum(branches).tolist()
-    values = [xp.astype(each[..., end - n : end], xp.float32) for n, end in zip(branches, ends, strict=True)]
+    values = heads.split(xp.astype(each, xp.float32), branches)
     return xp.minimum(heads.combined(values), bound[:, None, None, None])
 
 

@@ -23,7 +23,7 @@ import optax
 
 from roboassembly.learning.layers import Array, Params
 from roboassembly.learning.paper import heads
-from roboassembly.learning.paper.dqn.network import apply, branch_values, existing_pairs
+from roboassembly.learning.paper.dqn.network import branch_values, existing_pairs
 
 _CLIP = 5.0
 """Largest norm of the gradient."""
@@ -186,16 +186,6 @@ def _update_all(rate: float, params: Any, target: Any, opt_state: Any, batch: An
 
 
 _update = jax.jit(_updated, static_argnums=0)
-
-
-@jax.jit
-def values(params: Any, features: Any, part: Any, joined: Any, free: Any) -> Any:
-    """Return Q of one state for each of several experts."""
-
-    def of_one(p: Params, features: Array, part: Array, joined: Array, free: Array) -> Array:
-        return apply(p, features, part, joined[None], free[None])[0]
-
-    return jax.vmap(of_one)(params, features, part, joined, free)
 
 
 def slice_of(tree: Any, i: int) -> Any:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -58,9 +59,9 @@ class MateGeometry:
         self._coincident: dict[tuple[int, int], Int[np.ndarray, "k l"]] = {}
         self._axes: dict[tuple[int, int], int] = {}
         self._relative_poses = RelativePoses()
-        self._coincident_in: dict[tuple[int, ...], Int[np.ndarray, "m m"]] = {}
         self._fits: dict[tuple[int, int], _Fits] = {}
-        self._known_motions: dict[tuple[int, int], Float[np.ndarray, "k l 12"]] = {}
+        self._kept_motions = lru_cache(_KEPT)(self._compute_motions)
+        self._kept_coincident = lru_cache(_KEPT_STATES)(self._count_coincident)
         self._locked: dict[tuple[int, int, int, int], dict[int, bool]] = {}
         """Whether a pair of points locks a group out, by the types of the groups."""
         self._seen_types: set[int] = set()
@@ -95,16 +96,9 @@ class MateGeometry:
     def _motions(self, u_id: int, v_id: int) -> Float[np.ndarray, "k l 12"]:
         """Return the pose of u's group in v's for each pair of free points: translation and rotation, in tolerances.
 
-        The results of the latest pairs of groups are kept.
+        The results of the latest pairs of groups are kept; do not write.
         """
-        key = (u_id, v_id)
-        found = self._known_motions.pop(key, None)
-        if found is None:
-            found = self._compute_motions(u_id, v_id)
-            if len(self._known_motions) >= _KEPT:
-                del self._known_motions[next(iter(self._known_motions))]
-        self._known_motions[key] = found
-        return found
+        return self._kept_motions(u_id, v_id)
 
     def _compute_motions(self, u_id: int, v_id: int) -> Float[np.ndarray, "k l 12"]:
         u_frames, u_origins, u_gaps = self._table.frames(u_id, self._table.free(u_id))
@@ -126,14 +120,7 @@ class MateGeometry:
 
         The results of the latest states are kept; do not write.
         """
-        key = tuple(state)
-        out = self._coincident_in.pop(key, None)
-        if out is None:
-            out = self._count_coincident(key)
-            if len(self._coincident_in) >= _KEPT_STATES:
-                del self._coincident_in[next(iter(self._coincident_in))]
-        self._coincident_in[key] = out
-        return out
+        return self._kept_coincident(tuple(state))
 
     def _count_coincident(self, state: Sequence[int]) -> Int[np.ndarray, "m m"]:
         out = np.zeros((len(self._table.part), len(self._table.part)), np.int32)

@@ -50,7 +50,7 @@ class MemoizedEnv:
     """
 
     def __init__(self, task: ObjectCentricTask | FullTask, seed: int) -> None:
-        self.task, self._seed = task, seed
+        self.task, self.seed = task, seed
         self.choices = int(np.prod(task.action_branches))
         """Number of choices of each pair of points, over all action branches."""
         self.check = SETTINGS[task.setting].make_mate_check(task)
@@ -114,7 +114,7 @@ class MemoizedEnv:
         if not merges or type_key not in self.table.type_ids:
             self.planned += 1
             types = self.table.groups[u_id].type_id, self.table.groups[v_id].type_id
-            seed = int(np.random.SeedSequence([self._seed, *types, *key[2:], choice]).generate_state(1)[0])
+            seed = int(np.random.SeedSequence([self.seed, *types, *key[2:], choice]).generate_state(1)[0])
             shape_known = type_key in self.table.type_ids
             result = self.check(groups, lambda: self.laid_out(state), names, seed, shape_known)
             if result.merged is not None and type_key not in self.table.type_ids:

@@ -102,20 +102,20 @@ class ReplayBuffer:
 
     def best_path(self) -> list[int]:
         """Return the states of the best episode so far, except the last."""
-        out: list[int] = []
-        at = 0
-        while self.merges[at]:
-            out.append(at)
-            at = max(self.merges[at].values(), key=self.reached)
-        return out
+        return [at for at, _ in self._best_merges()]
 
     def best_pairs(self) -> list[tuple[int, int]]:
         """Return the pairs of points that the best episode so far joins, in their order."""
-        out: list[tuple[int, int]] = []
+        return [(row, column) for _, (row, column, _) in self._best_merges()]
+
+    def _best_merges(self) -> list[tuple[int, Action]]:
+        """Return the states and actions of the best episode so far."""
+        out: list[tuple[int, Action]] = []
         at = 0
         while self.merges[at]:
-            (row, column, _), at = max(self.merges[at].items(), key=lambda merge: self.reached(merge[1]))
-            out.append((row, column))
+            action, follower = max(self.merges[at].items(), key=lambda merge: self.reached(merge[1]))
+            out.append((at, action))
+            at = follower
         return out
 
     def finishes(self, state: State, action: Action) -> bool:

@@ -14,7 +14,7 @@ from roboassembly.errors import InputError
 from roboassembly.learning import checkpoint
 from roboassembly.learning.layers import Params
 from roboassembly.learning.paper.dqn.memoized_env import MemoizedEnv
-from roboassembly.learning.paper.dqn.network import KIND, ExpertPolicy, chair_inputs
+from roboassembly.learning.paper.dqn.network import KIND, ChairInputs, ExpertPolicy, chair_inputs
 from roboassembly.learning.paper.dqn.replay_buffer import ReplayBuffer
 from roboassembly.statistics import success
 from roboassembly.task.full.task import FullTask
@@ -85,18 +85,19 @@ def load(path: Path, task: ObjectCentricTask | FullTask) -> tuple[ExpertPolicy, 
     return ExpertPolicy(inputs, kept.params["network"]), buffer
 
 
-def load_relative(path: Path, params: Params) -> tuple[Params, Params] | None:
+def load_relative(path: Path, inputs: ChairInputs) -> tuple[Params, Params] | None:
     """Return the weights and the agent of a near relative's expert.
 
     None if there is none, or if its chair has other parts or points.
 
     Args:
         path: file of the relative.
-        params: weights of the expert to start, for their shapes.
+        inputs: inputs of the expert to start.
     """
     if not path.is_file():
         return None
     kept = checkpoint.load(path, KIND)
-    if not kept.params or kept.params["network"]["slot"].shape != params["slot"].shape:
+    # Files of refused chairs have no expert.
+    if not kept.params or len(kept.params["agent"]["env"]["tried"][0]) != inputs.points:
         return None
     return kept.params["network"], kept.params["agent"]

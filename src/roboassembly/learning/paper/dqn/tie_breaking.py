@@ -74,10 +74,11 @@ class TieBreaker:
         known = env.known(state)[pair]
         if (known == BLOCKED).sum() >= env.check.patience[1] and not (known == MERGES).any():
             return None, False
-        for choice in np.flatnonzero((known == MERGES) | (known == UNKNOWN)).tolist():
-            action = (*pair, choice)
-            return action, known[choice] == MERGES and self._buffer.finishes(state, action)
-        return None, False
+        open_ = np.flatnonzero((known == MERGES) | (known == UNKNOWN)).tolist()
+        if not open_:
+            return None, False
+        action = (*pair, open_[0])
+        return action, self._buffer.finishes(state, action)
 
     def _finishing(self, state: State) -> Action | None:
         """Return an action toward the whole chair: one that is known to finish, else the next of the plan."""
@@ -110,11 +111,8 @@ class TieBreaker:
         self.done, self._trial = False, None
 
     def _groups(self, state: State) -> Groups:
-        out = [0] * len(self._buffer.env.start)
-        for parts in self._buffer.env.members(state):
-            for part in parts:
-                out[part] = min(parts)
-        return tuple(out)
+        count = len(self._buffer.env.start)
+        return tuple(np.argmax(self._buffer.env.joined(state)[:count], axis=1).tolist())
 
     def to_arrays(self) -> Params:
         """Return all that it takes to go on later."""

@@ -105,8 +105,6 @@ class ExpertTrainer:
     task: ObjectCentricTask | FullTask
     inputs: ChairInputs
     agent: DQNAgent
-    env_seed: int
-    """Random seed of the agent's environment."""
     seconds: float = 0.0
     """Training time so far [s]."""
     validated_at: int = 0
@@ -212,12 +210,11 @@ class ExpertRun:
         clouds = np.array([surface_points(p.mesh, CLOUD_POINTS) for p in task.furniture.parts], np.float32)
         inputs = chair_inputs(task, autoencoder.encode(self._encoder, clouds))
         rng = np.random.default_rng([t.seed, *ref.name.encode()])
-        env_seed = int(rng.integers(2**31))
-        buffer = ReplayBuffer(MemoizedEnv(task, env_seed), inputs)
-        trainer = ExpertTrainer(ref, task, inputs, DQNAgent(buffer, t.agent, rng), env_seed)
+        buffer = ReplayBuffer(MemoizedEnv(task, int(rng.integers(2**31))), inputs)
+        trainer = ExpertTrainer(ref, task, inputs, DQNAgent(buffer, t.agent, rng))
         params: Any = network.init(rng, len(inputs.part), inputs.features.shape[1], inputs.branches)
-        source = None if ref.source is None else load_relative(dataset_file(self._folder, ref.source), params)
-        if source is not None and len(source[1]["env"]["tried"][0]) == inputs.points:
+        source = None if ref.source is None else load_relative(dataset_file(self._folder, ref.source), inputs)
+        if source is not None:
             params = source[0]
             trainer.agent.start_from(source[1])
         target, opt_state = params, losses.optimiser(t.learning_rate).init(params)
@@ -241,8 +238,6 @@ class ExpertRun:
             self._params, self._target, self._opt_state = (
                 jax.tree.map(lambda *leaves: jnp.stack(leaves), *trees) for trees in zip(*self._weights, strict=True)
             )
-            self._features = np.array([t.inputs.features for t in self._trainers])
-            self._part = np.array([t.inputs.part for t in self._trainers])
 
     def _slice(self, i: int) -> tuple[Any, Any, Any]:
         """Return weights, target weights and optimiser state of one chair."""
@@ -273,7 +268,7 @@ class ExpertRun:
         extra = {
             "features": trainer.inputs.features,
             "depths": np.array(agent.depths, np.int32).reshape(-1, 2),
-            "env_seed": np.array(trainer.env_seed),
+            "env_seed": np.array(agent.buffer.env.seed),
         }
         arrays = {"network": params, "agent": agent.to_arrays()}
         config = {**self._config(trainer), "result": asdict(result)}
