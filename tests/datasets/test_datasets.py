@@ -128,7 +128,9 @@ def test_versions_stay_on_one_side_of_the_split(tmp_path: Path, monkeypatch: pyt
     assert len(sources[True]) == 1
     assert len(sources[False]) == 3
     assert not sources[True] & sources[False]
-    assert [len(furniture_refs(f"tiny:{split}")) for split in ("easy", "hard", "test")] == [3, 3, 2]
+    # The easier one of three sources, with both versions.
+    assert [len(furniture_refs(f"tiny:{split}")) for split in ("easy", "hard", "test")] == [2, 4, 2]
+    assert len({(e.family, e.seed, e.split, e.difficulty) for e in entries}) == 4
     assert [len(furniture_refs(f"tiny:{split}-by-version")) for split in ("train", "test")] == [6, 2]
     relative = next(e for e in entries if e.version == 1)
     assert make_entry(relative).name == f"{relative.family}-{relative.seed}.1"

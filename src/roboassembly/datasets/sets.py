@@ -22,7 +22,7 @@ from roboassembly.furniture import storage
 from roboassembly.furniture.cache import cache_folder
 from roboassembly.furniture.model import Furniture
 
-VERSION = 7
+VERSION = 8
 EASY, HARD, TEST = "easy", "hard", "test"
 SPLITS: dict[str, Callable[[Entry], bool]] = {
     "train": lambda entry: entry.split in (EASY, HARD),
@@ -52,9 +52,10 @@ class Entry(msgspec.Struct, frozen=True):
     """Whether training has no piece of this family."""
     parts: int
     difficulty: float
-    """Share of random orders of correct merges, each with its best `w`, that fail."""
+    """Share of random orders of correct merges, each with its best `w`, that fail; of the source piece."""
     dead_end: bool
-    """Whether a random order of feasible correct merges ended in a state without a feasible correct merge."""
+    """Whether a random order of feasible correct merges ended in a state without a feasible correct merge; of the
+    source piece."""
     planning_steps: int
     """Planning steps of the search that certified the piece as solvable."""
     hash: str

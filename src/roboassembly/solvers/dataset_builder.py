@@ -54,6 +54,7 @@ class Candidate(msgspec.Struct, frozen=True):
     parts: int
     certified: bool
     difficulty: float
+    """See `Entry`; 0 for versions, which have that of their source."""
     dead_end: bool
     planning_steps: int
     hash: str
@@ -65,7 +66,7 @@ class Candidate(msgspec.Struct, frozen=True):
 
 
 def examine(family: str, seed: int, version: int = 0) -> Candidate:
-    """Generate one chair, certify it by search, and measure its difficulty."""
+    """Generate one chair, certify it by search, and measure its difficulty if it is a source."""
     try:
         furniture = catalogue.make(family, seed, version, with_grasps=False)
     except FurnitureError:
@@ -73,7 +74,7 @@ def examine(family: str, seed: int, version: int = 0) -> Candidate:
     task = ObjectCentricTask(furniture)
     result = solve(furniture, 0, task=task, limits=_CERTIFY)
     stuck, dead_end = 0.0, False
-    if result.plan.success:
+    if result.plan.success and version == 0:
         episodes = [
             assemble_in_random_order(task, p, best_w=True, patient=False, budget=_PROBE_BUDGET) for p in range(PROBES)
         ]
@@ -164,10 +165,10 @@ def _replaced(selected: Sequence[Piece], known: Mapping[Piece, Candidate], versi
 
 
 def _split(recipe: Recipe, chairs: Sequence[Candidate], rng: np.random.Generator) -> Iterator[Entry]:
-    """Yield the entries. The first `train` sources are for training; the easier half of their chairs is `easy`.
+    """Yield the entries. The first `train` sources are for training; the easier half of them is `easy`.
 
-    Chairs are ranked by difficulty, then by number of parts. Sources with versions are put in random order first, so
-    that the division is random.
+    Sources are ranked by difficulty, then by number of parts; versions go where their source goes. Sources with
+    versions are put in random order first, so that the division is random.
     """
     sources: list[Sequence[Candidate]] = [
         chairs[i : i + recipe.versions] for i in range(0, len(chairs), recipe.versions)
@@ -178,24 +179,23 @@ def _split(recipe: Recipe, chairs: Sequence[Candidate], rng: np.random.Generator
         train_count = recipe.train * recipe.versions
         for place, i in enumerate(rng.permutation(len(chairs))):
             by_version[chairs[int(i)].piece] = place < train_count
-    train = [c for source in sources[: recipe.train] for c in source]
-    ranked = sorted(train, key=lambda c: (c.difficulty, c.parts, *c.piece))
-    for index, c in enumerate(ranked):
-        yield _entry(recipe, c, EASY if index < len(ranked) // 2 else HARD, by_version)
-    for source in sources[recipe.train :]:
+    ranked = sorted(sources[: recipe.train], key=lambda s: (s[0].difficulty, s[0].parts, *s[0].piece))
+    easy = len(ranked) // 2
+    for index, source in enumerate([*ranked, *sources[recipe.train :]]):
+        split = EASY if index < easy else HARD if index < recipe.train else TEST
         for c in source:
-            yield _entry(recipe, c, TEST, by_version)
+            yield _entry(recipe, c, source[0], split, by_version)
 
 
-def _entry(recipe: Recipe, c: Candidate, split: str, by_version: Mapping[Piece, bool]) -> Entry:
+def _entry(recipe: Recipe, c: Candidate, source: Candidate, split: str, by_version: Mapping[Piece, bool]) -> Entry:
     return Entry(
         *c.piece,
         split,
         by_version.get(c.piece),
         c.family in recipe.unseen_families,
         c.parts,
-        c.difficulty,
-        c.dead_end,
+        source.difficulty,
+        source.dead_end,
         c.planning_steps,
         c.hash,
     )

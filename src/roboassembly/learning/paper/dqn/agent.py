@@ -46,6 +46,8 @@ class AgentConfig:
     """Distance between greedy episodes, before the chair has been finished ..."""
     greedy_every_finished: int = 3
     """... and afterwards."""
+    tie_breaking_steps: int = 15_000
+    """Largest number of steps spent on finding the first of the best actions; the best known ones count then."""
 
 
 class DQNAgent:
@@ -63,6 +65,7 @@ class DQNAgent:
         self._explores = False
         self._explorer = PlanExplorer(buffer.env, rng)
         self._breaks_ties = False
+        self._tie_breaking_steps = 0
         self._tie_breaker = TieBreaker(buffer, self._explorer)
         self.mastered = False
         """Whether the last greedy episode finished the chair."""
@@ -76,8 +79,8 @@ class DQNAgent:
 
     @property
     def settled(self) -> bool:
-        """Whether the first episode that finishes the chair is known; see `tie_breaking`."""
-        return self._tie_breaker.done
+        """Whether the first episode that finishes the chair is known, or sought for long enough; see `tie_breaking`."""
+        return self._tie_breaker.done or self._tie_breaking_steps >= self.config.tie_breaking_steps
 
     def step(self, values: Callable[[], Float32[np.ndarray, "n n w"]]) -> bool:
         """Make one step of the environment; starts a new episode where one ends.
@@ -96,6 +99,7 @@ class DQNAgent:
         new = bool(env.known(state)[action] == UNKNOWN)
         after = env.step(state, action)
         self.steps += 1
+        self._tie_breaking_steps += self._breaks_ties
         if after is not None:
             follower = buffer.add(after)
             buffer.add_merge(self.at, action, follower)
@@ -191,11 +195,12 @@ class DQNAgent:
 
     def to_arrays(self) -> Params:
         """Return all that it takes to go on later."""
-        counts = [self.steps, self.episodes, self.updates, self.at, self._deepest, self._frontier, self.greedy]
+        counts = [self.steps, self.episodes, self.updates, self.at, self._deepest, self._frontier]
+        flags = [self.greedy, self.mastered, self._explores, self._breaks_ties, self._stuck]
         return {
             "env": self.buffer.env.to_arrays(),
             "buffer": self.buffer.to_arrays(),
-            "counts": np.array([*counts, self.mastered, self._explores, self._breaks_ties, self._stuck], np.int64),
+            "counts": np.array([*counts, self._tie_breaking_steps, *flags], np.int64),
             "explorer": self._explorer.to_arrays(),
             "tie_breaker": self._tie_breaker.to_arrays(),
             "best_pairs": np.array(self.buffer.best_pairs(), np.int32).reshape(-1, 2),
@@ -209,7 +214,8 @@ class DQNAgent:
         self.buffer.restore(arrays["buffer"])
         counts: list[int] = arrays["counts"].tolist()
         self.steps, self.episodes, self.updates, self.at, self._deepest, self._frontier = counts[:6]
-        self.greedy, self.mastered, self._explores, self._breaks_ties, self._stuck = (bool(c) for c in counts[6:])
+        self._tie_breaking_steps = counts[6]
+        self.greedy, self.mastered, self._explores, self._breaks_ties, self._stuck = (bool(c) for c in counts[7:])
         self._explorer.restore(arrays["explorer"])
         self._tie_breaker.restore(arrays["tie_breaker"])
         self.depths = [(step, depth) for step, depth in arrays["depths"].tolist()]
