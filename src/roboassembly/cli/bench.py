@@ -7,26 +7,39 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from roboassembly.cli.options import require_at_least
+from roboassembly.cli.options import CORES, Jobs, require_at_least, selected_furniture
 from roboassembly.cli.output import DONE, print_json, say, show
+from roboassembly.errors import InputError
 
 if TYPE_CHECKING:
+    from roboassembly.bench.baseline import BaselineBenchReport
     from roboassembly.bench.planning import PlanningBenchReport
     from roboassembly.bench.robots import RobotBenchReport
 
 
 @dataclass(frozen=True)
 class BenchCommand:
-    """Measure the speed of planning, beside OMPL with PyBullet and with python-fcl as collision checkers."""
+    """Measure planning beside OMPL with PyBullet and python-fcl as collision checkers, and the paper's baseline."""
 
-    what: Annotated[Literal["planning", "robots"], tyro.conf.Positional] = "planning"
-    """Subject of the measurement. planning: motions of parts. robots: motions of two mobile Franka robots."""
+    what: Annotated[Literal["planning", "robots", "baseline"], tyro.conf.Positional] = "planning"
+    """Subject of the measurement. planning: motions of parts. robots: motions of two mobile Franka robots. baseline:
+    the paper's RRT-Connect over all parts at once, by number of parts and by clearance between them."""
     furniture: str = "stool"
     """Piece that the robots assemble; for `robots` only."""
     chairs: int = 3
     """Number of chairs of 15 parts; for `planning` only."""
+    set: Annotated[str, tyro.conf.arg(name="set")] = "chairs-880:test"
+    """Furniture, as in `roboassembly evaluate`; for `baseline` only."""
+    sample: int | None = None
+    """Use SAMPLE random pieces of the set only; for `baseline` only."""
+    clearances: tuple[float, ...] = (0.0, 1.0, 5.0, 20.0)
+    """Clearances between parts [mm], 0 for the parts as they are; for `baseline` only."""
+    states: int = 100_000
+    """Planning steps for each piece; for `baseline` only."""
     seed: int = 0
     """Random seed of the planners."""
+    jobs: Jobs = CORES
+    """Number of processes; for `baseline` only."""
     quick: bool = False
     """Plan a few merges only, as a test of the installation."""
     json: bool = False
@@ -36,8 +49,11 @@ class BenchCommand:
         """Run the command; returns the exit status."""
         require_at_least(1, chairs=self.chairs)
         require_at_least(0, seed=self.seed)
+        require_at_least(1, states=self.states, jobs=self.jobs)
         if self.what == "robots":
             return self._robots()
+        if self.what == "baseline":
+            return self._baseline()
         from roboassembly.bench.planning import PlanningBenchConfig, run_planning_bench
 
         config = PlanningBenchConfig.quick() if self.quick else PlanningBenchConfig(chairs=self.chairs)
@@ -51,7 +67,22 @@ class BenchCommand:
             run_robot_bench(self.furniture, seed=self.seed, states=states, merges=merges, progress=say)
         )
 
-    def _print_report(self, report: PlanningBenchReport | RobotBenchReport) -> int:
+    def _baseline(self) -> int:
+        for clearance in self.clearances:
+            if not 0.0 <= clearance <= 1_000.0:
+                raise InputError(f"--clearances {clearance:g} must be from 0 to 1000 mm")
+        refs = selected_furniture(self.set, None, self.sample, self.seed)
+        from roboassembly.bench.baseline import run_baseline_bench
+
+        states = 1_000 if self.quick else self.states
+        return self._print_report(
+            run_baseline_bench(
+                refs[:2] if self.quick else refs, self.set, clearances=self.clearances, states=states, seed=self.seed,
+                jobs=self.jobs, progress=say,
+            )
+        )  # fmt: skip
+
+    def _print_report(self, report: PlanningBenchReport | RobotBenchReport | BaselineBenchReport) -> int:
         if self.json:
             print_json(report.to_json())
         else:

@@ -46,7 +46,7 @@ from roboassembly.learning.paper.dqn.network import (
 )
 from roboassembly.learning.paper.dqn.replay_buffer import ReplayBuffer
 from roboassembly.learning.paper.dqn.results import ExpertResult, load_relative, read
-from roboassembly.parallel.processes import one_thread_each, worker_pool
+from roboassembly.parallel.processes import map_ordered, one_thread_each, worker_pool
 from roboassembly.settings import SETTINGS
 from roboassembly.task.full.failure import FullVerdict
 from roboassembly.task.full.task import FullTask
@@ -353,9 +353,8 @@ def _train_all(
     refs: list[FurnitureRef], folder: Path, work: Callable[[list[FurnitureRef]], None], jobs: int, side_by_side: int
 ) -> Iterator[ExpertResult]:
     by_size: dict[int, list[FurnitureRef]] = {}
-    for r in refs:
-        counts = point_counts(r.furniture(with_grasps=False))
-        by_size.setdefault(padded_points(int(counts.sum())), []).append(r)
+    for r, size in zip(refs, map_ordered(_padded_size, refs, jobs, chunk=8), strict=True):
+        by_size.setdefault(size, []).append(r)
     lots = [lot for size in sorted(by_size) for lot in _lots(by_size[size], jobs, side_by_side)]
     if jobs == 1:
         for lot in lots:
@@ -373,6 +372,10 @@ def _train_all(
             ready = [r for r in left if dataset_file(folder, r.name).is_file()]
             yield from (read(dataset_file(folder, r.name)) for r in ready)
             left = [r for r in left if r not in ready]
+
+
+def _padded_size(ref: FurnitureRef) -> int:
+    return padded_points(int(point_counts(ref.furniture(with_grasps=False)).sum()))
 
 
 def _lots(refs: list[FurnitureRef], jobs: int, side_by_side: int) -> list[list[FurnitureRef]]:
