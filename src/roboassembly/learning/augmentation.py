@@ -8,9 +8,11 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from roboassembly.geometry.poses import euler_from_rotations, rotations_from_euler
-from roboassembly.learning.datasets import LabeledState, SampleSet
+from roboassembly.learning.datasets import LabeledState, SampleSet, group_labels
 from roboassembly.task.rules.connections import UP_AXES
 
+_SAME_AXIS = 0.02
+"""Largest part of one axis along another where a turn keeps both."""
 _SCALES = (0.7, 1.4)
 """Range of random scales."""
 
@@ -69,6 +71,50 @@ def augmented(samples: SampleSet, change: FrameChange) -> SampleSet:
     return replace(
         samples, clouds=clouds, grasps=grasps, samples=tuple(_sample(sample, change) for sample in samples.samples)
     )
+
+
+def stretched(
+    points: Float[np.ndarray, "P K 9"],
+    poses: Float[np.ndarray, "P 6"],
+    connections: Float[np.ndarray, "P P 6"],
+    factors: Float[np.ndarray, "3"],
+) -> tuple[Float[np.ndarray, "P K 9"], Float[np.ndarray, "P 6"], Float[np.ndarray, "P P 6"]]:
+    """Return a state of furniture that is stretched along the axes of its frame.
+
+    Args:
+        points: connection points, as in the observation.
+        poses: world pose of each part; groups keep the place of their first part.
+        connections: relative poses of joined parts.
+        factors: factor along each axis; equal for axes that `stretch_axes` does not tell apart.
+    """
+    position, normal, tangent = (points[..., i : i + 3] for i in (0, 3, 6))
+    out_points = np.concatenate([position * factors, _unit(normal / factors), _unit(tangent * factors)], axis=-1)
+    out_connections = np.concatenate([connections[..., :3] * factors, connections[..., 3:]], axis=-1)
+    first = group_labels(connections)
+    turns = rotations_from_euler(poses[first, 3:].astype(float))
+    local = np.einsum("pji,pj->pi", turns, poses[:, :3] - poses[first, :3])
+    moved = poses[first, :3] + np.einsum("pij,pj->pi", turns, local * factors)
+    return out_points, np.concatenate([moved, poses[:, 3:]], axis=-1), out_connections
+
+
+def stretch_axes(samples: SampleSet) -> Int[np.ndarray, "3"]:
+    """Return for each axis of the furniture's frame the first axis that it must be stretched as much as.
+
+    Part frames are parallel to the furniture's, but equal parts may be turned in their places, like the legs of a round
+    stool. Axes that such a turn mixes belong together.
+    """
+    first = np.arange(3)
+    for sample in samples.samples:
+        joined = sample.connections[(sample.connections != 0).any(axis=-1)]
+        mixed = (np.abs(rotations_from_euler(joined[:, 3:].astype(float))) > _SAME_AXIS).any(axis=0)
+        for a, b in np.argwhere(np.triu(mixed, 1) | np.triu(mixed.T, 1)).tolist():
+            first[first == first[b]] = first[a]
+    return first
+
+
+def _unit(vectors: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
+    """Return vectors of length one; zeros stay zeros."""
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12)
 
 
 def _sample(sample: LabeledState, change: FrameChange) -> LabeledState:

@@ -63,7 +63,7 @@ def course(chair: Furniture) -> SampleSet:
 
 @pytest.fixture(scope="module")
 def examples(course: SampleSet) -> list[PaperExample]:
-    return examples_of([course], ENCODER, Augmentation(copies=2, noise=0.003, reductions=0))
+    return examples_of([course], ENCODER, Augmentation(copies=2, noise=0.003, stretch=0.0, reductions=0))
 
 
 def test_the_state_vector_is_padded_section_by_section() -> None:

@@ -19,7 +19,7 @@ from jaxtyping import Bool, Float, Float16, Float32, Int16
 from scipy.spatial.transform import Rotation
 
 from roboassembly.geometry.poses import euler_from_rotations, rotations_from_euler
-from roboassembly.learning.augmentation import FrameChange, augmented
+from roboassembly.learning.augmentation import FrameChange, augmented, stretch_axes, stretched
 from roboassembly.learning.datasets import LabeledState, SampleSet, group_labels
 from roboassembly.learning.layers import Params
 from roboassembly.learning.missing_parts import reduced, without_some
@@ -40,9 +40,12 @@ class Augmentation:
     """Copies that are made of each sample set before training."""
 
     copies: int = 4
-    """Noisy clouds of each part, in addition to the clean one."""
+    """Noisy and stretched clouds of each part, in addition to the clean one."""
     noise: float = 0.003
     """Standard deviation of the noise along each axis [m]."""
+    stretch: float = 0.15
+    """Largest change of the furniture's size along each axis in a copy, as a logarithm (not in the paper, whose copies
+    of chairs differ in size as well)."""
     changes: int = 0
     """Versions of each chair in addition to itself: mirrored, turned, scaled (not in the paper)."""
     reductions: int = 3
@@ -58,7 +61,9 @@ class PaperExample:
     furniture: int
     """Number of the sample set that the state belongs to."""
     features: Float32[np.ndarray, "c P 48"]
-    """Features of the parts' clouds: clean, then noisy copies. Shared by the states of a chair."""
+    """Features of the parts' clouds: clean, then noisy and stretched copies. Shared by the states of a chair."""
+    stretches: Float32[np.ndarray, "c 3"]
+    """Factors by which each copy is stretched along the axes of the furniture's frame."""
     points: Float16[np.ndarray, "P K 9"]
     free: Bool[np.ndarray, "P K"]
     poses: Float16[np.ndarray, "P 6"]
@@ -81,9 +86,15 @@ class PaperExample:
     """Difference of Q-values below which two actions are equally good."""
 
     def state(self, copy: int) -> PaperState:
-        """Return the state with one of the copies of the features."""
+        """Return the state in one of its copies."""
         free = self.free[..., None].astype(np.float32)
-        return PaperState(self.features[copy], self.points, free, self.poses, self.connections, self.grasps)
+        factors, grasps = self.stretches[copy], self.grasps
+        if grasps is not None:
+            grasps = np.concatenate([grasps[..., :3] * factors, grasps[..., 3:]], axis=-1)
+        points, poses, connections = stretched(
+            self.points.astype(np.float32), self.poses.astype(np.float32), self.connections.astype(np.float32), factors
+        )
+        return PaperState(self.features[copy], points, free, poses, connections, grasps)
 
     def branch_targets(self) -> Float[np.ndarray, "n n h"]:
         """Return what each branch adds to the Q-values to imitate, one branch after another."""
@@ -148,10 +159,15 @@ def _examples(samples: SampleSet, index: int, encoder: Params, a: Augmentation) 
     rng = np.random.default_rng([a.seed, index])
     for version in [samples, *(augmented(samples, FrameChange.draw(rng)) for _ in range(a.changes))]:
         clouds = version.clouds[:, :CLOUD_POINTS]
-        noisy = [clouds + rng.normal(0.0, a.noise, clouds.shape).astype(np.float32) for _ in range(a.copies)]
-        features = _features(encoder, np.concatenate([clouds, *noisy])).reshape(1 + a.copies, len(clouds), -1)
+        stretches = np.exp(rng.uniform(-a.stretch, a.stretch, (1 + a.copies, 3))).astype(np.float32)
+        stretches = stretches[:, stretch_axes(version)]
+        stretches[0] = 1.0
+        noise = rng.normal(0.0, a.noise, (1 + a.copies, *clouds.shape)).astype(np.float32)
+        noise[0] = 0.0
+        copies = clouds * stretches[:, None, None] + noise
+        features = _features(encoder, copies.reshape(-1, *clouds.shape[1:])).reshape(1 + a.copies, len(clouds), -1)
         for sample in version.samples:
-            example = _example(sample, index, features, version.grasps)
+            example = _example(sample, index, features, stretches, version.grasps)
             yield example
             for _ in range(a.reductions if version.structure is not None else 0):
                 smaller = _without_parts(example, sample, version, features, rng)
@@ -173,7 +189,8 @@ def _without_parts(
     if left is None or smaller is None:
         return None
     grasps = None if samples.grasps is None else samples.grasps[left.parts]
-    out = replace(_example(smaller, example.furniture, features[:, left.parts], grasps), tie=example.tie)
+    out = _example(smaller, example.furniture, features[:, left.parts], example.stretches, grasps)
+    out = replace(out, tie=example.tie)
     # The labels still call a merge that locks a missing part out a dead end.
     if sample.q_values is None:
         return out if out.best[0] >= 0 else None
@@ -195,6 +212,7 @@ def _example(
     sample: LabeledState,
     index: int,
     features: Float32[np.ndarray, "c P 48"],
+    stretches: Float32[np.ndarray, "c 3"],
     grasps: Float32[np.ndarray, "P 8 6"] | None,
 ) -> PaperExample:
     part, point = np.nonzero(sample.free)
@@ -204,6 +222,7 @@ def _example(
     return PaperExample(
         furniture=index,
         features=features,
+        stretches=stretches,
         points=sample.points.astype(np.float16),
         free=sample.free,
         poses=sample.poses.astype(np.float16),

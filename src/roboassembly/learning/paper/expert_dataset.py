@@ -104,7 +104,7 @@ def known_states(
     count: int,
     rng: np.random.Generator,
 ) -> list[State]:
-    """Return random states of the replay buffer in which the expert takes an action that has led to the whole chair.
+    """Return random states of the replay buffer in which the expert takes the preferred action; see `dqn.recovery`.
 
     Args:
         expert: takes the action.
@@ -113,16 +113,15 @@ def known_states(
         rng: random numbers.
     """
     out: list[State] = []
-    order: list[int] = rng.permutation(len(buffer.states)).tolist()
+    numbers = list(buffer.preferred)
+    order: list[int] = rng.permutation(len(numbers)).tolist()
     for i in order:
-        state = buffer.states[i]
         if len(out) == count:
             break
-        if buffer.finishing_action(state) is None:
-            continue
-        values = expert.values(buffer.joined[i], buffer.free[i][: expert.inputs.points])
-        if buffer.finishes(state, first_best(values)):
-            out.append(state)
+        at = numbers[i]
+        values = expert.values(buffer.joined[at], buffer.free[at][: expert.inputs.points])
+        if first_best(values) == buffer.preferred[at]:
+            out.append(buffer.states[at])
     return out
 
 

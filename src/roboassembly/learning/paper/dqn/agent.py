@@ -19,6 +19,7 @@ from roboassembly.learning.layers import Params
 from roboassembly.learning.paper.dqn.exploration import PlanExplorer
 from roboassembly.learning.paper.dqn.memoized_env import Action, State
 from roboassembly.learning.paper.dqn.network import first_best
+from roboassembly.learning.paper.dqn.recovery import RecoveryExplorer
 from roboassembly.learning.paper.dqn.replay_buffer import RECENT, ReplayBuffer
 from roboassembly.learning.paper.dqn.tie_breaking import TieBreaker
 from roboassembly.solvers.mate_checks import MERGES, UNKNOWN
@@ -48,6 +49,8 @@ class AgentConfig:
     """... and afterwards."""
     tie_breaking_steps: int = 15_000
     """Largest number of steps spent on finding the first of the best actions; the best known ones count then."""
+    recoveries: int = 40
+    """Number of episodes that finish the chair after random merges."""
 
 
 class DQNAgent:
@@ -67,6 +70,8 @@ class DQNAgent:
         self._breaks_ties = False
         self._tie_breaking_steps = 0
         self._tie_breaker = TieBreaker(buffer, self._explorer)
+        self._recovers = False
+        self._recovery = RecoveryExplorer(buffer, self._explorer, rng)
         self.mastered = False
         """Whether the last greedy episode finished the chair."""
         self.depths: list[tuple[int, int]] = []
@@ -81,6 +86,20 @@ class DQNAgent:
     def settled(self) -> bool:
         """Whether the first episode that finishes the chair is known, or sought for long enough; see `tie_breaking`."""
         return self._tie_breaker.done or self._tie_breaking_steps >= self.config.tie_breaking_steps
+
+    @property
+    def recovers(self) -> bool:
+        """Whether the agent learns, or has learnt, what to do beside the first episode."""
+        return self._recovery.active
+
+    @property
+    def recovery_known(self) -> bool:
+        """Whether it is known what to do beside the first episode; see `recovery`."""
+        return self._recovery.active and self._recovery.done(self.config.recoveries)
+
+    def begin_recovery(self) -> None:
+        """Learn what to do beside the first episode from now on."""
+        self._recovery.begin()
 
     def step(self, values: Callable[[], Float32[np.ndarray, "n n w"]]) -> bool:
         """Make one step of the environment; starts a new episode where one ends.
@@ -106,6 +125,10 @@ class DQNAgent:
             self.at = follower
             if self._explores:
                 self._explorer.record_merge(state, action)
+            if self._recovers:
+                self._recovery.record_merge()
+        elif self._recovers:
+            self._recovery.record_failure()
         learnable = self.greedy or self.settled or (new and (after is not None or self.at != 0))
         if after is None or len(after) == 1:
             self._end_episode(after is not None)
@@ -120,6 +143,8 @@ class DQNAgent:
             self._explorer.end_episode(self.buffer.states[self.at], self._stuck)
         if self._breaks_ties:
             self._tie_breaker.end_episode(finished, self._stuck, depth)
+        if self._recovers:
+            self._recovery.end_episode(finished, self._stuck)
         self._deepest = max(self._deepest, depth)
         self._frontier = int(self.rng.integers(self._deepest + 1))
         self.episodes += 1
@@ -128,15 +153,17 @@ class DQNAgent:
         draw = self.rng.random()
         self._explores = not self.greedy and not self.finished_once and draw < self.config.explorer_share
         self._breaks_ties = not self.greedy and self.finished_once and not self.settled
+        self._recovers = not self.greedy and self.settled and self._recovery.active and not self.recovery_known
         self._stuck = False
-        self.at = 0
+        self.at = self.buffer.index[self._recovery.start()] if self._recovers else 0
         del self.buffer.recent[: -2 * RECENT]
 
     def _choose(self, state: State, values: Callable[[], Float32[np.ndarray, "n n w"]]) -> Action:
         c, rng, env = self.config, self.rng, self.buffer.env
         m = self.buffer.inputs.points
-        if self._explores or self._breaks_ties:
-            action = (self._explorer if self._explores else self._tie_breaker).choose(state)
+        if self._explores or self._breaks_ties or self._recovers:
+            explorer = self._explorer if self._explores else self._tie_breaker if self._breaks_ties else self._recovery
+            action = explorer.choose(state)
             self._stuck = action is None
             if action is not None:
                 return action
@@ -182,7 +209,8 @@ class DQNAgent:
         self.buffer.env.mark_failed(state, action)
         self.buffer.rebuild()
         self._tie_breaker.restart()
-        self.mastered = False
+        self._recovery.reset()
+        self._recovers = self.mastered = False
 
     def start_from(self, relative: Params) -> None:
         """Take over what the agent of a near relative, with the same parts and points, has found out.
@@ -196,13 +224,14 @@ class DQNAgent:
     def to_arrays(self) -> Params:
         """Return all that it takes to go on later."""
         counts = [self.steps, self.episodes, self.updates, self.at, self._deepest, self._frontier]
-        flags = [self.greedy, self.mastered, self._explores, self._breaks_ties, self._stuck]
+        flags = [self.greedy, self.mastered, self._explores, self._breaks_ties, self._recovers, self._stuck]
         return {
             "env": self.buffer.env.to_arrays(),
             "buffer": self.buffer.to_arrays(),
             "counts": np.array([*counts, self._tie_breaking_steps, *flags], np.int64),
             "explorer": self._explorer.to_arrays(),
             "tie_breaker": self._tie_breaker.to_arrays(),
+            "recovery": self._recovery.to_arrays(),
             "best_pairs": np.array(self.buffer.best_pairs(), np.int32).reshape(-1, 2),
             "depths": np.array(self.depths, np.int32).reshape(-1, 2),
             "generator": np.frombuffer(json.dumps(self.rng.bit_generator.state).encode(), np.uint8),
@@ -215,9 +244,11 @@ class DQNAgent:
         counts: list[int] = arrays["counts"].tolist()
         self.steps, self.episodes, self.updates, self.at, self._deepest, self._frontier = counts[:6]
         self._tie_breaking_steps = counts[6]
-        self.greedy, self.mastered, self._explores, self._breaks_ties, self._stuck = (bool(c) for c in counts[7:])
+        self.greedy, self.mastered, self._explores, self._breaks_ties = (bool(c) for c in counts[7:11])
+        self._recovers, self._stuck = (bool(c) for c in counts[11:])
         self._explorer.restore(arrays["explorer"])
         self._tie_breaker.restore(arrays["tie_breaker"])
+        self._recovery.restore(arrays["recovery"])
         self.depths = [(step, depth) for step, depth in arrays["depths"].tolist()]
         self.rng.bit_generator.state = json.loads(arrays["generator"].tobytes())
 

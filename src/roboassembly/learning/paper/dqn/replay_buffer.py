@@ -40,6 +40,8 @@ class ReplayBuffer:
         """Highest return reached from each state, as a share of the largest return."""
         self.recent: list[int] = []
         """States of the last visits."""
+        self.preferred: dict[int, Action] = {}
+        """Of all actions that finish the chair from a state the one that counts, where it is known."""
         self._parents: list[set[int]] = []
         self._left: list[int] = []
         """States with merges, ascending."""
@@ -99,6 +101,7 @@ class ReplayBuffer:
         for i, merges in enumerate(self.merges):
             for j in merges.values():
                 self._raise(i, j)
+        self.preferred = {i: a for i, a in self.preferred.items() if self.finishes(self.states[i], a)}
 
     def best_path(self) -> list[int]:
         """Return the states of the best episode so far, except the last."""
@@ -137,13 +140,15 @@ class ReplayBuffer:
     def sample(self, rng: np.random.Generator, batch: int, backups: int) -> dict[str, Float32[np.ndarray, "..."]]:
         """Return a batch for `losses.loss`: a third recent states, a third of the best episode, a third any.
 
+        Once preferred actions are known, the last third is drawn from their states.
+
         Args:
             rng: random numbers.
             batch: number of states.
             backups: number of known merges of each state that are backed up: the best so far, and random others.
         """
         third = batch // 3
-        left = self._left or [0]
+        left = list(self.preferred) or self._left or [0]
         path = self.best_path() or [0]
         chosen = np.concatenate(
             [rng.choice(self.recent[-RECENT:], third), rng.choice(path, third), rng.choice(left, batch - 2 * third)]
@@ -159,13 +164,18 @@ class ReplayBuffer:
             state = self.states[i]
             fails[row, :m, :m] = (self.env.known(state) >= FAILS) & self.env.exists(state)[..., None]
             known = list(self.merges[i].items())
-            for action, follower in known:
-                whole[row][action] = self._finishes(i, follower)
+            if i in self.preferred:
+                first = self.preferred[i]
+                best = first, self.merges[i][first]
+                whole[row][first] = True
+                # The others that finish are worth as much, but come after it: the margin alone says how much they are.
+                known = [(action, j) for action, j in known if action == first or not self._finishes(i, j)]
+            else:
+                best = max(known, key=lambda merge: self.reached(merge[1]), default=None)
+                for action, follower in known:
+                    whole[row][action] = self._finishes(i, follower)
             for slot in range(min(backups, len(known))):
-                if slot == 0:
-                    action, follower = max(known, key=lambda merge: self.reached(merge[1]))
-                else:
-                    action, follower = known[int(rng.integers(len(known)))]
+                action, follower = best if slot == 0 and best else known[int(rng.integers(len(known)))]
                 actions[row, slot], after[row, slot], real[row, slot] = action, follower, 1.0
         flat: list[int] = after.ravel().tolist()
         rewards = np.array([self.reward(i) for i in flat], np.float32)
@@ -195,6 +205,7 @@ class ReplayBuffer:
             "states": np.array([(*s, *[-1] * (width - len(s))) for s in self.states], np.int32),
             "merges": np.array(merges, np.int32).reshape(-1, 5),
             "recent": np.array(self.recent[-RECENT:], np.int32),
+            "preferred": np.array([(i, *a) for i, a in self.preferred.items()], np.int32).reshape(-1, 4),
         }
 
     def restore(self, arrays: Params) -> None:
@@ -204,3 +215,4 @@ class ReplayBuffer:
         for i, row, column, choice, j in arrays["merges"].tolist():
             self.add_merge(i, (row, column, choice), j)
         self.recent = arrays["recent"].tolist()
+        self.preferred = {i: (row, column, choice) for i, row, column, choice in arrays["preferred"].tolist()}

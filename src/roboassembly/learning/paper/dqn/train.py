@@ -41,6 +41,7 @@ from roboassembly.learning.paper.dqn.network import (
     ExpertPolicy,
     chair_inputs,
     finished,
+    first_best,
     padded_points,
     run_expert,
 )
@@ -57,6 +58,10 @@ _TEST_SEEDS = 10_000
 """First seed of the test episodes of a trained expert."""
 _SURVEY = 20
 """Largest number of environment steps between updates, as a multiple of `ExpertTraining.update_every`."""
+_AGREEMENT = 0.95
+"""Share of the states with a preferred action in which a network must choose it ..."""
+_AGREEMENT_EVERY, _AGREEMENT_UPDATES = 20, 200
+"""... which is looked at after so many updates, and not waited for longer than so many."""
 _WRONG_PAIR = (ObjectCentricVerdict.WRONG_PAIR, FullVerdict.WRONG_PAIR)
 
 
@@ -109,6 +114,8 @@ class ExpertTrainer:
     """Training time so far [s]."""
     validated_at: int = 0
     """Number of steps at the last validation episode."""
+    recovered_at: int = 0
+    """Number of updates when all recoveries were known; 0 before."""
 
 
 def partial_file(folder: Path, name: str) -> Path:
@@ -230,6 +237,7 @@ class ExpertRun:
             opt_state = jax.tree.unflatten(structure, leaves)
             trainer.agent.restore(kept.params["agent"])
             trainer.seconds, trainer.validated_at = float(kept.extra["seconds"]), int(kept.extra["validated_at"])
+            trainer.recovered_at = int(kept.extra["recovered_at"])
         self._trainers.append(trainer)
         self._weights.append((params, target, opt_state))
 
@@ -252,11 +260,17 @@ class ExpertRun:
     def _finish(self, trainer: ExpertTrainer, i: int) -> bool:
         """Return whether a chair is mastered or has had its steps; writes its file if so."""
         agent, t = trainer.agent, self._training
-        mastered = False
+        mastered, over = False, agent.steps >= t.steps
         ready = agent.mastered and agent.settled and agent.updates >= t.least_updates
-        if ready and trainer.validated_at < agent.steps:
+        if ready and trainer.validated_at < agent.steps and (not agent.recovers or self._has_fitted(trainer, i)):
+            valid = self._validates(trainer, ExpertPolicy(trainer.inputs, self._slice(i)[0]))
+            if valid and not agent.recovers and not over:
+                agent.begin_recovery()
+            else:
+                mastered = valid
+        elif over and agent.mastered:
             mastered = self._validates(trainer, ExpertPolicy(trainer.inputs, self._slice(i)[0]))
-        if not mastered and agent.steps < t.steps:
+        if not mastered and not over:
             return False
         params = self._slice(i)[0]
         expert = ExpertPolicy(trainer.inputs, params)
@@ -277,6 +291,26 @@ class ExpertRun:
         )
         partial_file(self._folder, trainer.ref.name).unlink(missing_ok=True)
         return True
+
+    def _has_fitted(self, trainer: ExpertTrainer, i: int) -> bool:
+        """Return whether all recoveries are known, and the network chooses the preferred actions, or had its time."""
+        agent, buffer = trainer.agent, trainer.agent.buffer
+        if not agent.recovery_known:
+            trainer.recovered_at = 0
+            return False
+        trainer.recovered_at = trainer.recovered_at or agent.updates
+        since = agent.updates - trainer.recovered_at
+        if since >= _AGREEMENT_UPDATES:
+            return True
+        if since == 0 or since % _AGREEMENT_EVERY:
+            return False
+        expert = ExpertPolicy(trainer.inputs, self._slice(i)[0])
+        points = trainer.inputs.points
+        agreeing = [
+            first_best(expert.values(buffer.joined[j], buffer.free[j][:points])) == action
+            for j, action in buffer.preferred.items()
+        ]
+        return sum(agreeing) >= _AGREEMENT * len(agreeing)
 
     def _validates(self, trainer: ExpertTrainer, expert: ExpertPolicy) -> bool:
         """Return whether the expert succeeds in the real environment; its agent learns what fails there."""
@@ -308,7 +342,10 @@ class ExpertRun:
         params, target, opt_state = self._slice(i)
         leaves = {f"optimiser{k}": np.asarray(leaf) for k, leaf in enumerate(jax.tree.leaves(opt_state))}
         arrays = {"online": params, "target": target, "agent": trainer.agent.to_arrays()}
-        extra = {**leaves, "seconds": np.array(trainer.seconds), "validated_at": np.array(trainer.validated_at)}
+        extra = {
+            **leaves, "seconds": np.array(trainer.seconds), "validated_at": np.array(trainer.validated_at),
+            "recovered_at": np.array(trainer.recovered_at),
+        }  # fmt: skip
         path = partial_file(self._folder, trainer.ref.name)
         checkpoint.save(path, checkpoint.Checkpoint(KIND, arrays, self._config(trainer), extra))
 
