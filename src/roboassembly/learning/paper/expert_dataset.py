@@ -17,19 +17,27 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float16
+from jaxtyping import Bool, Float16
 
 from roboassembly.datasets.sets import FurnitureRef
 from roboassembly.envs.observation import Observer, surface_points
 from roboassembly.furniture.model import MAX_POINTS
 from roboassembly.learning.datasets import CLOUD_POINTS, LabeledState, SampleSet, dataset_file, structure_of
 from roboassembly.learning.paper.dqn.memoized_env import State
-from roboassembly.learning.paper.dqn.network import ExpertPolicy, encode_state, finished, first_best, run_expert
+from roboassembly.learning.paper.dqn.network import (
+    ExpertPolicy,
+    ExpertStep,
+    encode_state,
+    finished,
+    first_best,
+    run_expert,
+)
 from roboassembly.learning.paper.dqn.replay_buffer import ReplayBuffer
 from roboassembly.learning.paper.dqn.results import load, read
 from roboassembly.learning.paper.dqn.train import ExpertTraining
 from roboassembly.parallel.processes import map_unordered
 from roboassembly.settings import SETTINGS
+from roboassembly.solvers.mate_checks import UNKNOWN
 from roboassembly.task.full.task import FullTask
 from roboassembly.task.object_centric.task import ObjectCentricTask
 from roboassembly.task.rules.groups import TaskState
@@ -82,20 +90,33 @@ def expert_samples(
     parts = task.furniture.parts
     clouds = np.array([surface_points(p.mesh, CLOUD_POINTS) for p in parts], np.float32)
     observer = Observer(task.furniture, len(parts), MAX_POINTS, 1)
-    states: list[TaskState] = []
+    states: list[tuple[TaskState, State | None]] = []
     done = 0
     for index in range(episodes):
         start = index if index < validation_episodes else _SEEDS + 1_000 * seed + index
         steps = run_expert(expert, task, start)
         if finished(steps, expert.inputs):
             done += 1
-            states += [step.state for step in steps]
+            states += zip([step.state for step in steps], _remembered(buffer, steps), strict=True)
     if done:
         rng = np.random.default_rng([_SEEDS, seed])
-        states += [buffer.env.laid_out(state) for state in known_states(expert, buffer, memories, rng)]
-    samples = tuple(_sample(expert, task, observer, state) for state in states)
+        states += [(buffer.env.laid_out(state), state) for state in known_states(expert, buffer, memories, rng)]
+    samples = tuple(
+        _sample(expert, task, observer, state, None if memory is None else buffer.env.known(memory) != UNKNOWN)
+        for state, memory in states
+    )
     grasps = SETTINGS[task.setting].grasp_inputs(observer)
     return SampleSet(name, clouds, samples, grasps, structure_of(task.furniture)), done
+
+
+def _remembered(buffer: ReplayBuffer, steps: Sequence[ExpertStep]) -> list[State | None]:
+    """Return the states of an episode as the replay buffer has them; None from where it was never."""
+    out: list[State | None] = []
+    at: int | None = 0
+    for step in steps:
+        out.append(None if at is None else buffer.states[at])
+        at = None if at is None else buffer.merges[at].get(step.action)
+    return out
 
 
 def known_states(
@@ -126,7 +147,11 @@ def known_states(
 
 
 def _sample(
-    expert: ExpertPolicy, task: ObjectCentricTask | FullTask, observer: Observer, state: TaskState
+    expert: ExpertPolicy,
+    task: ObjectCentricTask | FullTask,
+    observer: Observer,
+    state: TaskState,
+    tried: Bool[np.ndarray, "m m w"] | None,
 ) -> LabeledState:
     seen = observer.observe(state)
     free = task.rules.free_points(state)[: len(task.furniture.parts)]
@@ -136,18 +161,30 @@ def _sample(
         free,
         seen["poses"],
         np.zeros((0, 11), np.int16),
-        _q_values(expert, task, state),
+        _q_values(expert, task, state, tried),
     )
 
 
 def _q_values(
-    expert: ExpertPolicy, task: ObjectCentricTask | FullTask, state: TaskState
-) -> Float16[np.ndarray, "n n w"]:
-    """Return Q over the free points as returns, as in `LabeledState`."""
+    expert: ExpertPolicy,
+    task: ObjectCentricTask | FullTask,
+    state: TaskState,
+    tried: Bool[np.ndarray, "m m w"] | None,
+) -> Float16[np.ndarray, "n n h"]:
+    """Return Q over the free points as returns, as in `LabeledState`; 0 for actions that the expert never tried.
+
+    What a network says of actions that it had no samples of differs from expert to expert. With robots a value is a sum
+    over two grasps, and each counts as tried if it was tried with any other.
+    """
     joined, free = encode_state(task, state)
     rows = np.flatnonzero(free)
-    some = [x[np.ix_(rows, rows)] for x in expert.branch_values(joined, free)]
-    return (np.concatenate(some, axis=2) * expert.inputs.max_return).astype(np.float16)
+    some = np.ix_(rows, rows)
+    values = [x[some] for x in expert.branch_values(joined, free)]
+    if tried is not None:
+        by_branch = tried[some].reshape(len(rows), len(rows), *task.action_branches)
+        axes = range(len(values))
+        values = [x * by_branch.any(axis=tuple(2 + j for j in axes if j != i)) for i, x in enumerate(values)]
+    return (np.concatenate(values, axis=2) * expert.inputs.max_return).astype(np.float16)
 
 
 def collect(
