@@ -344,13 +344,16 @@ def test_a_table_that_cannot_be_written_is_found_before_the_benchmark(
     from roboassembly.evaluation import benchmark, report
 
     document = tmp_path / "results.md"
-    document.write_text(f"{report.begin('object-centric')} -->\n{report.END}\n")
+    text = f"{report.begin('object-centric', 'chairs-24')}\n{report.END}\n"
+    document.write_text(text)
     monkeypatch.setattr(benchmark, "run", lambda *_: pytest.fail("begun"))
 
     def refuse(path: Path, mode: str = "r", *rest: object) -> object:
         raise OSError(30, "Read-only file system", str(path))
 
     monkeypatch.setattr(Path, "open", refuse)
-    monkeypatch.setattr(Path, "read_text", lambda path: f"{report.begin('object-centric')} -->\n{report.END}\n")
+    monkeypatch.setattr(
+        Path, "read_text", lambda path: f"{report.begin('object-centric', 'chairs-24')}\n{report.END}\n"
+    )
     status, _, err = run("benchmark", "--quick", "--out", tmp_path / "run", "--write", document)
     assert (status, f"cannot write {document}: Read-only file system" in err) == (2, True)

@@ -32,7 +32,7 @@ def test_the_whole_table(as_built, tmp_path: Path, capsys: pytest.CaptureFixture
         test=[("cantilever", 3), ("three_legged", 4), ("splat", 1)],
     )  # fmt: skip
     out, document = tmp_path / "run", tmp_path / "results.md"
-    document.write_text(f"# Figures\n\n{report.begin('object-centric')} -->\nold\n{report.END}\n\nThe rest.\n")
+    document.write_text(f"# Figures\n\n{report.begin('object-centric', 'chairs-24')}\nold\n{report.END}\n\nThe rest.\n")
     # Together with pytest's workers more processes would only start for longer than they work.
     first = told(capsys, "--out", str(out), "--jobs", "1", "--write", str(document))
 

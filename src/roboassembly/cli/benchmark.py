@@ -5,6 +5,9 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Annotated
+
+import tyro
 
 from roboassembly.cli.multitask import PACKAGES, follow, require_packages
 from roboassembly.cli.options import CORES, Jobs, Ray, Setting, require_at_least
@@ -17,6 +20,8 @@ class BenchmarkCommand:
     """Reproduce the paper's table; run the same command again to resume an interrupted run."""
 
     setting: Setting = "object-centric"
+    set: Annotated[str | None, tyro.conf.arg(name="set")] = None
+    """Data set to train and to evaluate on. Without it: chairs-412, or chairs-24 with --quick."""
     quick: bool = False
     """Run everything on a tiny scale, in about three minutes, as a test of the installation."""
     retrain: bool = False
@@ -28,7 +33,8 @@ class BenchmarkCommand:
     experts: int | None = None
     """Train experts for EXPERTS random training pieces only."""
     out: Path | None = None
-    """Folder of the run. Without it: runs/benchmark, with the suffix -full or -quick if these are set."""
+    """Folder of the run. Without it: runs/benchmark, with the suffix -full, -quick or -NAME of the set if these are
+    given."""
     write: Path | None = None
     """Document, such as docs/results.md, in which the table between the markers is replaced."""
     seed: int = 0
@@ -48,19 +54,20 @@ class BenchmarkCommand:
         from roboassembly.evaluation import benchmark, report
         from roboassembly.settings import SETTINGS
 
-        default = "runs/benchmark" + SETTINGS[self.setting].suffix + "-quick" * self.quick
+        suffix = "" if self.set is None else f"-{self.set}"
+        default = "runs/benchmark" + SETTINGS[self.setting].suffix + "-quick" * self.quick + suffix
         out = self.out or Path(default)
         writable_folder(out)
         for real in self.real:
             furniture_refs(real)
-        if self.write is not None:
-            report.check_marks(self.write, self.setting)
-            check_writable_file(self.write)
         make = benchmark.BenchmarkConfig.quick if self.quick else benchmark.BenchmarkConfig.whole
         plan = make(self.setting, self.seed)
+        if self.write is not None:
+            report.check_marks(self.write, self.setting, self.set or plan.set)
+            check_writable_file(self.write)
         plan = replace(
-            plan, real=self.real, shipped=plan.shipped and not self.retrain, sample=self.sample or plan.sample,
-            experts=self.experts or plan.experts,
+            plan, set=self.set or plan.set, real=self.real, shipped=plan.shipped and not self.retrain,
+            sample=self.sample or plan.sample, experts=self.experts or plan.experts,
         )  # fmt: skip
         with use_cluster(self.ray, self.jobs) as jobs:
             follow(benchmark.run(plan, out, jobs), out)
@@ -69,7 +76,7 @@ class BenchmarkCommand:
         (out / "benchmark.json").write_text(json.dumps(results, indent=1) + "\n")
         (out / "table.md").write_text("\n".join(lines) + "\n")
         if self.write is not None:
-            report.put_into(self.write, lines, self.setting)
+            report.put_into(self.write, lines, self.setting, plan.set)
         if self.json:
             print_json(results)
         else:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from roboassembly.errors import InputError
-from roboassembly.settings import DEFAULT, SETTINGS
+from roboassembly.settings import SETTINGS
 from roboassembly.task.setting import SettingName
 
 END = "<!-- end of the benchmark -->"
@@ -16,9 +16,9 @@ UNSEEN = ", families in no training"
 """End of the name of a row's furniture if none of its families occurs in training."""
 
 
-def begin(setting: SettingName) -> str:
-    """Return how the mark begins after which, up to `END`, `put_into` writes the table of a setting."""
-    return f"<!-- roboassembly benchmark --setting {setting}"
+def begin(setting: SettingName, name: str) -> str:
+    """Return the mark after which, up to `END`, `put_into` writes the table of a setting and a data set."""
+    return f"<!-- roboassembly benchmark --setting {setting} --set {name} -->"
 
 
 @dataclass(frozen=True)
@@ -85,8 +85,8 @@ def _count(value: float | None) -> str:
     return "" if value is None else f"{value:,.0f}"
 
 
-def check_marks(document: Path, setting: SettingName = DEFAULT) -> tuple[str, str, str]:
-    """Return a document up to the table of a setting, the first mark, and the rest from the end of the table.
+def check_marks(document: Path, setting: SettingName, name: str) -> tuple[str, str, str]:
+    """Return a document up to the table of a setting and a data set, the first mark, and the rest from the end of it.
 
     Raises:
         InputError: the document cannot be read, or has no marks.
@@ -95,20 +95,20 @@ def check_marks(document: Path, setting: SettingName = DEFAULT) -> tuple[str, st
         text = document.read_text()
     except OSError as error:
         raise InputError(f"cannot read {document}: {error.strerror or error}") from None
-    before, mark, rest = text.partition(begin(setting))
-    inside, end, after = rest.partition(END)
+    before, mark, rest = text.partition(begin(setting, name))
+    _, end, after = rest.partition(END)
     if not mark or not end:
-        raise InputError(f"{document} has no lines '{begin(setting)} -->' and '{END}' to write between")
-    return before, mark + inside.partition("\n")[0], end + after
+        raise InputError(f"{document} has no lines '{begin(setting, name)}' and '{END}' to write between")
+    return before, mark, end + after
 
 
-def put_into(document: Path, lines: Sequence[str], setting: SettingName = DEFAULT) -> None:
-    """Replace the text between the marks of a setting in a document.
+def put_into(document: Path, lines: Sequence[str], setting: SettingName, name: str) -> None:
+    """Replace the text between the marks of a setting and a data set in a document.
 
     Raises:
         InputError: the document cannot be read, or has no marks.
     """
-    before, mark, after = check_marks(document, setting)
+    before, mark, after = check_marks(document, setting, name)
     scratch = document.with_name(f".{document.name}.part")
     scratch.write_text(f"{before}{mark}\n\n" + "\n".join(lines) + f"\n\n{after}")
     scratch.replace(document)

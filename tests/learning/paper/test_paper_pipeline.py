@@ -8,21 +8,40 @@ import numpy as np
 import pytest
 
 from roboassembly.datasets import catalogue
+from roboassembly.datasets.sets import furniture_refs
 from roboassembly.errors import InputError
 from roboassembly.evaluation.rollout import run_episode
+from roboassembly.furniture import storage
 from roboassembly.learning import checkpoint
 from roboassembly.learning.paper import autoencoder
 from roboassembly.learning.paper.imitation import PaperTraining
-from roboassembly.learning.paper.pipeline import train_policy
+from roboassembly.learning.paper.pipeline import PipelineConfig, samples_folder, train_experts, train_policy
 from roboassembly.learning.registry import load_policy
 from roboassembly.learning.relational.collect import collect
 
 
+def _random_extractor(path: Path) -> Path:
+    checkpoint.save(path, checkpoint.Checkpoint(autoencoder.KIND, autoencoder.init(np.random.default_rng(0)), {}, {}))
+    return path
+
+
+@pytest.mark.slow
+def test_a_chair_taught_by_its_expert_is_finished_from_new_starts(tmp_path: Path) -> None:
+    """The expert, its samples and the policy, as the commands make them; no start is one of those in the samples."""
+    furniture = catalogue.make("cantilever", 1, with_grasps=False)
+    storage.save(furniture, tmp_path / "chair")
+    refs = furniture_refs(f"folder:{tmp_path / 'chair'}")
+    extractor = _random_extractor(tmp_path / "autoencoder.npz")
+    list(train_experts(refs, tmp_path, PipelineConfig(side_by_side=1), {}, jobs=1))
+    training = PaperTraining(steps=400, batch=32)
+    list(train_policy([samples_folder(tmp_path)], extractor, tmp_path / "paper", training))
+    policy = load_policy(str(tmp_path / "paper" / "policy.npz"))
+    assert [run_episode(policy, furniture, seed).success for seed in range(500, 510)].count(True) >= 9
+
+
 def test_the_papers_policy_is_trained_on_folders_of_samples(tmp_path: Path) -> None:
     list(collect(["cantilever:1"], tmp_path / "samples", episodes=1, seed=0, jobs=1))
-    encoder = autoencoder.init(np.random.default_rng(0))
-    extractor = tmp_path / "autoencoder.npz"
-    checkpoint.save(extractor, checkpoint.Checkpoint(autoencoder.KIND, encoder, {}, {}))
+    extractor = _random_extractor(tmp_path / "autoencoder.npz")
     training = PaperTraining(steps=2, batch=4)
     progress = list(train_policy([tmp_path / "samples"], extractor, tmp_path / "run", training))
     assert [p.done for p in progress] == [1, 2]

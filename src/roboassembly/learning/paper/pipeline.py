@@ -47,7 +47,7 @@ class PipelineConfig:
     """Number of experts that one process trains at the same time."""
     episodes: int = 2
     """Number of episodes of each expert that become samples. From each start it takes the same actions."""
-    memories: int = 30
+    memories: int = 100
     """Largest number of states from an expert's replay buffer that become samples."""
 
     @staticmethod
