@@ -22,7 +22,7 @@ from roboassembly.learning.fit import is_trained
 from roboassembly.learning.paper import autoencoder, expert_dataset, imitation
 from roboassembly.learning.paper import network as paper
 from roboassembly.learning.paper.autoencoder import AutoencoderTraining
-from roboassembly.learning.paper.dqn import train as dqn
+from roboassembly.learning.paper.dqn import train_all
 from roboassembly.learning.paper.dqn.results import ExpertResult, read
 from roboassembly.learning.paper.dqn.train import ExpertTraining
 from roboassembly.learning.paper.examples import Augmentation, examples_of
@@ -118,7 +118,7 @@ def train_experts(
         jobs: number of processes.
     """
     experts = folder / "experts"
-    training = dqn.train(
+    training = train_all.train(
         refs, experts, config.experts, autoencoder_file(folder), notes, jobs=jobs, side_by_side=config.side_by_side
     )
     mastered = states = 0

@@ -52,7 +52,7 @@ class RecoveryExplorer:
         """Merges after which nothing was left that might work."""
         self._random = 0
         """Number of random merges that are left in this episode."""
-        self._taken: list[tuple[State, Action]] = []
+        self._merges: list[tuple[State, Action]] = []
         """Merges of this episode after the random ones."""
         self._origin: State | None = None
         """State after the random merges; None before."""
@@ -77,7 +77,7 @@ class RecoveryExplorer:
     def reset(self) -> None:
         """Forget everything, because the first episode has changed."""
         self._buffer.preferred.clear()
-        self._order, self._taken, self._origin = [], [], None
+        self._order, self._merges, self._origin = [], [], None
         self._dead.clear()
         self._random = self._attempts = self.episodes = self.recoveries = 0
         self.active = False
@@ -88,7 +88,7 @@ class RecoveryExplorer:
 
     def start(self) -> State:
         """Return the state in which the next episode begins."""
-        self._taken = []
+        self._merges = []
         if self._origin is not None:
             return self._origin
         buffer, at = self._buffer, 0
@@ -116,7 +116,7 @@ class RecoveryExplorer:
             self._origin = state
         action = next(self._candidates(state, known, hopeful), None)
         if action is not None:
-            self._taken.append((state, action))
+            self._merges.append((state, action))
         return action
 
     def _candidates(
@@ -148,8 +148,8 @@ class RecoveryExplorer:
 
     def record_failure(self) -> None:
         """Record that the last action failed."""
-        if not self._random and self._taken:
-            self._taken.pop()
+        if not self._random and self._merges:
+            self._merges.pop()
 
     def record_merge(self) -> None:
         """Record that the last action merged."""
@@ -164,13 +164,13 @@ class RecoveryExplorer:
         """
         self.episodes += 1
         if finished:
-            for state, action in self._taken:
+            for state, action in self._merges:
                 self._buffer.preferred[self._buffer.index[state]] = action
             self.recoveries += 1
-        elif stuck and self._taken:
-            self._dead.add(self._taken[-1])
+        elif stuck and self._merges:
+            self._dead.add(self._merges[-1])
         self._attempts += 1
-        hopeless = stuck and not self._taken
+        hopeless = stuck and not self._merges
         if finished or hopeless or self._origin is None or self._attempts >= _ATTEMPTS:
             self._origin, self._attempts = None, 0
         self._random = 0
@@ -185,7 +185,7 @@ class RecoveryExplorer:
         return {
             "order": np.array(self._order, np.int32).reshape(-1, 3),
             "dead": np.array([(*a, *padded(s)) for s, a in sorted(self._dead)], np.int32).reshape(-1, 3 + width),
-            "taken": np.array([(*a, *padded(s)) for s, a in self._taken], np.int32).reshape(-1, 3 + width),
+            "merges": np.array([(*a, *padded(s)) for s, a in self._merges], np.int32).reshape(-1, 3 + width),
             "origin": np.array([] if self._origin is None else [padded(self._origin)], np.int32).reshape(-1, width),
             "counts": np.array([self._random, self._attempts, self.episodes, self.recoveries, self.active], np.int64),
         }
@@ -196,11 +196,11 @@ class RecoveryExplorer:
         def state_of(row: list[int]) -> State:
             return tuple(g for g in row if g >= 0)
 
-        def merges(name: str) -> list[tuple[State, Action]]:
+        def kept(name: str) -> list[tuple[State, Action]]:
             return [(state_of(row[3:]), (row[0], row[1], row[2])) for row in arrays[name].tolist()]
 
         self._order = [(a, b, w) for a, b, w in arrays["order"].tolist()]
-        self._dead, self._taken = set(merges("dead")), merges("taken")
+        self._dead, self._merges = set(kept("dead")), kept("merges")
         self._origin = next((state_of(row) for row in arrays["origin"].tolist()), None)
         self._random, self._attempts, self.episodes, self.recoveries, active = arrays["counts"].tolist()
         self.active = bool(active)

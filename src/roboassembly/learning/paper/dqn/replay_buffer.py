@@ -41,7 +41,7 @@ class ReplayBuffer:
         self.recent: list[int] = []
         """States of the last visits."""
         self.preferred: dict[int, Action] = {}
-        """Of all actions that finish the chair from a state the one that counts, where it is known."""
+        """Action that counts among those that finish the chair from a state, where it is known."""
         self._parents: list[set[int]] = []
         self._left: list[int] = []
         """States with merges, ascending."""

@@ -1,4 +1,4 @@
-"""Training of experts: several chairs side by side in one compiled call, lots of them in processes of their own.
+"""Training of experts: several chairs side by side in one compiled call.
 
 Each chair is independent: it has its own replay buffer, weights, random numbers and file. A run may therefore be killed
 at any moment; started again, it continues from what each chair wrote last (at most a minute ago), with any number of
@@ -11,10 +11,8 @@ processes.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import wait
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
-from functools import partial
 from operator import itemgetter
 from pathlib import Path
 from typing import Any
@@ -33,7 +31,6 @@ from roboassembly.learning.paper import autoencoder
 from roboassembly.learning.paper.autoencoder import CLOUD_POINTS
 from roboassembly.learning.paper.dqn import losses, network
 from roboassembly.learning.paper.dqn.agent import AgentConfig, DQNAgent
-from roboassembly.learning.paper.dqn.group_table import point_counts
 from roboassembly.learning.paper.dqn.memoized_env import MemoizedEnv, State
 from roboassembly.learning.paper.dqn.network import (
     KIND,
@@ -42,12 +39,10 @@ from roboassembly.learning.paper.dqn.network import (
     chair_inputs,
     finished,
     first_best,
-    padded_points,
     run_expert,
 )
 from roboassembly.learning.paper.dqn.replay_buffer import ReplayBuffer
-from roboassembly.learning.paper.dqn.results import ExpertResult, load_relative, read
-from roboassembly.parallel.processes import map_ordered, one_thread_each, worker_pool
+from roboassembly.learning.paper.dqn.results import ExpertResult, load_relative
 from roboassembly.settings import SETTINGS
 from roboassembly.task.full.failure import FullVerdict
 from roboassembly.task.full.task import FullTask
@@ -348,88 +343,3 @@ class ExpertRun:
         }  # fmt: skip
         path = partial_file(self._folder, trainer.ref.name)
         checkpoint.save(path, checkpoint.Checkpoint(KIND, arrays, self._config(trainer), extra))
-
-
-def train(
-    refs: Sequence[FurnitureRef],
-    folder: Path,
-    training: ExpertTraining,
-    encoder_file: Path,
-    notes: dict[str, Any],
-    *,
-    jobs: int,
-    side_by_side: int,
-    keep_every: float = 50.0,
-) -> Iterator[ExpertResult]:
-    """Train an expert for each chair that has none yet; yields all results as they come, those at hand first.
-
-    Args:
-        refs: the chairs.
-        folder: gets a file for each.
-        training: settings.
-        encoder_file: checkpoint of the auto-encoder.
-        notes: origin of the chairs, kept in the files.
-        jobs: number of processes.
-        side_by_side: number of chairs trained in one call in each process.
-        keep_every: time between writes of the chairs in training [s].
-    """
-    folder.mkdir(parents=True, exist_ok=True)
-    there = [r for r in refs if dataset_file(folder, r.name).is_file()]
-    yield from (read(dataset_file(folder, r.name)) for r in there)
-    left = [r for r in refs if r not in there]
-    work = partial(
-        _train_lot, folder=folder, training=training, encoder_file=encoder_file, notes=notes, side_by_side=side_by_side,
-        keep_every=keep_every,
-    )  # fmt: skip
-    # Versions of a chair start from what its own expert has learned.
-    for some in ([r for r in left if r.source is None], [r for r in left if r.source is not None]):
-        yield from _train_all(some, folder, work, jobs, side_by_side)
-
-
-def _train_all(
-    refs: list[FurnitureRef], folder: Path, work: Callable[[list[FurnitureRef]], None], jobs: int, side_by_side: int
-) -> Iterator[ExpertResult]:
-    by_size: dict[int, list[FurnitureRef]] = {}
-    for r, size in zip(refs, map_ordered(_padded_size, refs, jobs, chunk=8), strict=True):
-        by_size.setdefault(size, []).append(r)
-    lots = [lot for size in sorted(by_size) for lot in _lots(by_size[size], jobs, side_by_side)]
-    if jobs == 1:
-        for lot in lots:
-            work(lot)
-            yield from (read(dataset_file(folder, r.name)) for r in lot)
-        return
-    left = list(refs)
-    with worker_pool(jobs) as pool:
-        with one_thread_each():
-            running = {pool.submit(work, lot) for lot in lots}
-        while left:
-            done, running = wait(running, timeout=2.0)
-            for future in done:
-                future.result()
-            ready = [r for r in left if dataset_file(folder, r.name).is_file()]
-            yield from (read(dataset_file(folder, r.name)) for r in ready)
-            left = [r for r in left if r not in ready]
-
-
-def _padded_size(ref: FurnitureRef) -> int:
-    return padded_points(int(point_counts(ref.furniture(with_grasps=False)).sum()))
-
-
-def _lots(refs: list[FurnitureRef], jobs: int, side_by_side: int) -> list[list[FurnitureRef]]:
-    """Divide chairs of one size into as many lots as keep all processes busy."""
-    count = min(len(refs), max(jobs, -(-len(refs) // (4 * side_by_side))))
-    return [refs[i::count] for i in range(count)]
-
-
-def _train_lot(
-    refs: list[FurnitureRef],
-    *,
-    folder: Path,
-    training: ExpertTraining,
-    encoder_file: Path,
-    notes: dict[str, Any],
-    side_by_side: int,
-    keep_every: float,
-) -> None:
-    encoder = checkpoint.load(encoder_file, autoencoder.KIND).params
-    ExpertRun(refs, folder, training, side_by_side, encoder, notes).run(keep_every)
