@@ -156,6 +156,10 @@ def test_the_first_of_equally_good_actions_is_imitated(examples: list[PaperExamp
     assert told.best == (*u, 3)
     assert replace(told, tie=0.1).best == (*v, 1)
     assert imitation.batch_of([told], None)["best"].tolist() == [[*u, 3]]
+    # Values above the bound of the targets are still told apart.
+    values[(*u, 3)], values[(*v, 1)] = 20.0, 22.0
+    assert max(20.0, told.max_return) == 20.0
+    assert replace(example, q_values=values, tie=0.35).best == (*v, 1)
     # Nothing is to be imitated where nothing leads to the whole.
     assert replace(example, returns=np.minimum(example.returns, 1.0)).best == (-1, -1, -1)
 

@@ -110,7 +110,8 @@ class PaperExample:
     @cached_property
     def best(self) -> tuple[int, int, int]:
         """Row, column and choice of the action to imitate; -1 each if none leads to the whole furniture."""
-        values = np.minimum(self._values(), np.float32(self.max_return))
+        # Without the bound of the targets, which would make all values above it equal.
+        values = self._values()
         # An expert's samples all lead to the whole; its values are estimates, and may say less.
         if not values.size or (self.q_values is None and values.max() < COMPLETION_REWARD):
             return -1, -1, -1
