@@ -163,7 +163,7 @@ def test_data_sets_are_built_before_they_are_used(page: str) -> None:
         if command.arguments[:2] == ["dataset", "build"]:
             built.add(parsed.name)
             continue
-        used = getattr(getattr(parsed, "what", None), "set", None) or getattr(parsed, "set", "")
+        used = getattr(getattr(parsed, "what", None), "set", None) or getattr(parsed, "set", None) or ""
         name = parsed.name if command.arguments[:2] == ["dataset", "show"] else used.partition(":")[0]
         assert name not in RECIPES.keys() - built, f"{command}: no `dataset build {name}` before it"
 
