@@ -17,9 +17,13 @@ if TYPE_CHECKING:
     from roboassembly.bench.robots import RobotBenchReport
 
 
+_BASELINE_SET = "chairs-880:test"
+"""Furniture of `baseline` if none is named."""
+
+
 @dataclass(frozen=True)
 class BenchCommand:
-    """Measure planning beside OMPL with PyBullet and python-fcl as collision checkers, and the paper's baseline."""
+    """Measure planning beside other collision checkers, and the paper's baseline."""
 
     what: Annotated[Literal["planning", "robots", "baseline"], tyro.conf.Positional] = "planning"
     """Subject of the measurement. planning: motions of parts. robots: motions of two mobile Franka robots. baseline:
@@ -28,8 +32,8 @@ class BenchCommand:
     """Piece that the robots assemble; for `robots` only."""
     chairs: int = 3
     """Number of chairs of 15 parts; for `planning` only."""
-    set: Annotated[str, tyro.conf.arg(name="set")] = "chairs-880:test"
-    """Furniture, as in `roboassembly evaluate`; for `baseline` only."""
+    set: Annotated[str | None, tyro.conf.arg(name="set")] = None
+    """Furniture, as in `roboassembly evaluate`; for `baseline` only. Without it: chairs-880:test."""
     sample: int | None = None
     """Use SAMPLE random pieces of the set only; for `baseline` only."""
     clearances: tuple[float, ...] = (0.0, 1.0, 5.0, 20.0)
@@ -71,13 +75,14 @@ class BenchCommand:
         for clearance in self.clearances:
             if not 0.0 <= clearance <= 1_000.0:
                 raise InputError(f"--clearances {clearance:g} must be from 0 to 1000 mm")
-        refs = selected_furniture(self.set, None, self.sample, self.seed)
+        name = self.set or _BASELINE_SET
+        refs = selected_furniture(name, None, self.sample, self.seed)
         from roboassembly.bench.baseline import run_baseline_bench
 
         states = 1_000 if self.quick else self.states
         return self._print_report(
             run_baseline_bench(
-                refs[:2] if self.quick else refs, self.set, clearances=self.clearances, states=states, seed=self.seed,
+                refs[:2] if self.quick else refs, name, clearances=self.clearances, states=states, seed=self.seed,
                 jobs=self.jobs, progress=say,
             )
         )  # fmt: skip
