@@ -19,6 +19,10 @@ Result = TypeVar("Result")
 _ONE_THREAD = {
     **dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"), "1"),
     "XLA_PYTHON_CLIENT_PREALLOCATE": "false",
+    # Else glibc gives large buffers back after each use and gets them again page by page, which takes a third of an
+    # expert's update.
+    "MALLOC_MMAP_MAX_": "0",
+    "MALLOC_TRIM_THRESHOLD_": str(2**30),
 }
 
 

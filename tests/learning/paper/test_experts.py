@@ -31,18 +31,48 @@ from roboassembly.learning.paper import imitation as paper_imitation  # noqa: E4
 from roboassembly.learning.paper.dqn import losses, results  # noqa: E402
 from roboassembly.learning.paper.dqn.agent import AgentConfig, DQNAgent  # noqa: E402
 from roboassembly.learning.paper.dqn.replay_buffer import ReplayBuffer  # noqa: E402
-from roboassembly.learning.paper.dqn.train import ExpertRun, ExpertTraining, partial_file  # noqa: E402
+from roboassembly.learning.paper.dqn.train import ExpertRun, ExpertTraining, demonstration, partial_file  # noqa: E402
 from roboassembly.learning.paper.examples import Augmentation, examples_of  # noqa: E402
 from roboassembly.learning.paper.expert_dataset import expert_samples  # noqa: E402
 
 
-def test_double_q_target_by_hand() -> None:
-    reward, done = np.array([1.0, 1.0, 5.0]), np.array([False, False, True])
-    online = np.array([[0.1, 0.9, 0.5], [0.1, 0.9, 0.5], [9.0, 9.0, 9.0]])
-    target = np.array([[7.0, 0.3, 2.0], [7.0, 0.3, 2.0], [9.0, 9.0, 9.0]])
-    exists = np.array([[True, True, True], [True, False, True], [True, True, True]])
-    # The online network chooses (not the target's 7), only among what exists; the target network tells the worth.
-    assert losses.double_q_target(reward, done, online, target, exists) == pytest.approx([1.3, 3.0, 5.0])
+@pytest.mark.parametrize("branches", [(6,), (3, 2)])
+def test_bootstrap_of_double_q(branches: tuple[int, ...]) -> None:
+    """The online network chooses the next action among those that exist, and the target network tells its worth."""
+    rng, n = np.random.default_rng(0), 12
+    online, target = (network.init(rng, n, 5, branches) for _ in range(2))
+    features, part = rng.normal(size=(n, 5)).astype(np.float32), np.repeat(np.arange(4), 3)
+    joined = np.tile(np.eye(20, dtype=np.float32), (3, 1, 1))
+    joined[1, 0, 1] = joined[1, 1, 0] = 1
+    free = (rng.random((3, n)) < 0.8).astype(np.float32)
+    actions = np.array([[[0, 3, 1]], [[4, 9, 5]], [[8, 2, 0]]])
+    reward, done = np.array([[0.1], [0.1], [0.5]], np.float32), np.array([[False], [False], [True]])
+    none = np.zeros((3, n, n, 6), bool)
+    batch = {
+        "features": features, "part": part, "joined": joined, "free": free, "fails": none, "whole": none,
+        "actions": actions, "rewards": reward, "done": done, "bound": np.zeros((3, 1), np.float32),
+        "real": np.ones((3, 1), np.float32), "next_joined": joined[::-1], "next_free": free[::-1],
+    }  # fmt: skip
+    after = features, part, batch["next_joined"], batch["next_free"]
+    exists = network.existing_pairs(part, *after[2:])[..., None] & np.ones(6, bool)
+    chosen = np.where(exists, network.apply(online, *after), -np.inf).reshape(3, -1).argmax(1)
+    worth = network.apply(target, *after).reshape(3, -1)[np.arange(3), chosen]
+    aim = np.clip(reward[:, 0] + np.where(done[:, 0], 0, worth), 0, 1)
+    q = network.apply(online, features, part, joined, free)[np.arange(3), *actions[:, 0].T]
+    assert float(losses.loss(online, target, batch)) == pytest.approx(2 * np.mean((q - aim) ** 2), rel=1e-4)
+
+
+@pytest.mark.parametrize("branches", [(6,), (3, 2)])
+def test_value_of_one_action_is_that_among_all(branches: tuple[int, ...]) -> None:
+    rng, n = np.random.default_rng(1), 12
+    params = network.init(rng, n, 5, branches)
+    state = (
+        rng.normal(size=(n, 5)).astype(np.float32), np.repeat(np.arange(4), 3),
+        np.tile(np.eye(20, dtype=np.float32), (4, 1, 1)), np.ones((4, n), np.float32),
+    )  # fmt: skip
+    actions = rng.integers([0, 0, 0], [n, n, 6], (4, 3))
+    all_values = network.apply(params, *state)
+    assert network.values_of(params, *state, actions) == pytest.approx(all_values[np.arange(4), *actions.T], abs=1e-5)
 
 
 def test_a_target_is_at_least_the_return_reached_and_within_bounds_by_hand() -> None:
@@ -52,13 +82,13 @@ def test_a_target_is_at_least_the_return_reached_and_within_bounds_by_hand() -> 
     assert losses.bounded_target(target, reached) == pytest.approx([0.5, 0.7, 1.0, 0.0])
 
 
-def test_best_sum_of_two_choices_is_the_best_combination() -> None:
+def test_best_action_is_the_best_combination_of_choices() -> None:
     rng = np.random.default_rng(0)
-    online, target = ([rng.normal(size=(5, 4, ways)) for ways in (3, 2)] for _ in range(2))
-    highest, there = losses.best_branches(online, target)
-    whole = [(x[..., :, None] + y[..., None, :]).reshape(5, 4, 6) for x, y in (online, target)]
-    assert highest == pytest.approx(whole[0].max(-1))
-    assert there == pytest.approx(np.take_along_axis(whole[1], whole[0].argmax(-1)[..., None], -1)[..., 0])
+    each = [rng.normal(size=(5, 4, 4, ways)) for ways in (3, 2)]
+    exists = rng.random((5, 4, 4)) < 0.5
+    q = np.where(exists[..., None], (each[0][..., :, None] + each[1][..., None, :]).reshape(5, 4, 4, 6), -np.inf)
+    best = np.stack(np.unravel_index(q.reshape(5, -1).argmax(1), (4, 4, 6)), axis=1)
+    assert np.array_equal(losses.best_actions(each, exists), best)
 
 
 def test_margin_loss_by_hand() -> None:
@@ -94,6 +124,45 @@ def test_transitions_on_a_complete_path_are_marked() -> None:
             assert len(states) == chair.parts
     assert len(path) == chair.parts - 1
     assert not batch["whole"][:, m:].any()
+
+
+def test_an_agent_that_is_shown_an_assembly_has_finished_once() -> None:
+    task = ObjectCentricTask(catalogue.make("plank", 1, with_grasps=False))
+    chair = _chair(task)
+    n = len(chair.part)
+    buffer = ReplayBuffer(MemoizedEnv(task, 3), chair)
+    shown = demonstration(task, buffer.env.table)
+    config = AgentConfig(demonstrate_after=50)
+    agent = DQNAgent(buffer, config, np.random.default_rng(0), lambda: shown)
+    for _ in range(50):
+        assert not agent.demonstrated
+        agent.step(lambda: np.zeros((n, n, 6), np.float32))
+    for _ in range(50):
+        agent.step(lambda: np.zeros((n, n, 6), np.float32))
+    assert agent.demonstrated
+    assert agent.finished_once
+    at = 0
+    for action in shown:
+        assert buffer.finishes(buffer.states[at], action)
+        at = buffer.merges[at][action]
+
+
+def test_what_fails_of_a_demonstration_is_tried_in_other_ways() -> None:
+    task = ObjectCentricTask(catalogue.make("plank", 1, with_grasps=False))
+    chair = _chair(task)
+    n = len(chair.part)
+    buffer = ReplayBuffer(MemoizedEnv(task, 3), chair)
+    shown = demonstration(task, buffer.env.table)
+    buffer.env.step(buffer.states[0], shown[0])
+    buffer.env.mark_failed(buffer.states[0], shown[0])
+    agent = DQNAgent(buffer, AgentConfig(demonstrate_after=50), np.random.default_rng(0), lambda: shown)
+    for _ in range(100):
+        agent.step(lambda: np.zeros((n, n, 6), np.float32))
+    assert agent.demonstrated
+    assert not agent.finished_once
+    while not agent.finished_once and agent.steps < 4_000:
+        agent.step(lambda: np.zeros((n, n, 6), np.float32))
+    assert agent.finished_once
 
 
 def _task() -> ObjectCentricTask:
@@ -231,6 +300,27 @@ def test_an_expert_plays_with_robots() -> None:
     u, v = np.argwhere(np.isfinite(q).all(axis=2))[0]
     grid = q[u, v].reshape(8, 8)
     np.testing.assert_allclose(grid - grid[:1] - grid[:, :1] + grid[0, 0], 0.0, atol=1e-5)
+
+
+def test_what_locks_out_is_the_same_for_equal_parts() -> None:
+    """Each part alone has the frame of its own slot; results that are kept for one leg must hold for the others."""
+    task = ObjectCentricTask(catalogue.make("sled", 4, with_grasps=False))
+    env = MemoizedEnv(task, 0)
+    agent = DQNAgent(ReplayBuffer(env, _chair(task)), AgentConfig(), np.random.default_rng(0))
+    n, locked = env.choices, 0
+    for step in range(1_200):
+        agent.step(lambda: np.zeros((env.part.size, env.part.size, n), np.float32))
+        state = agent.buffer.states[agent.at]
+        pairs = np.argwhere(np.triu(env.exists(state) & (env.tried[1] > 0)))
+        if step % 40 == 0 and len(pairs):
+            kept = env.geometry.locked_out(state, pairs)
+            env.geometry.forget_fits()
+            # One pair at a time and in another order: other equal parts come first.
+            for pair, count in list(zip(pairs, kept, strict=True))[::-1]:
+                assert env.geometry.locked_out(state, pair[None]) == [count]
+                env.geometry.forget_fits()
+            locked += kept.sum()
+    assert locked
 
 
 def test_groups_with_a_part_missing_between_are_locked_out() -> None:

@@ -58,16 +58,16 @@ def test_first_right_pair_makes_equal_pairs_known(family: str):
     start = env.start
     right = None
     for row, column in np.argwhere(np.triu(env.exists(start))).tolist():
-        assert env.geometry.novelty(start, row, column) == 1, "nothing was seen yet"
+        assert env.geometry.novelty(start, np.array([[row, column]])) == [1], "nothing was seen yet"
         for w in range(6):
             env.step(start, (row, column, w))
         if (env.known(start)[row, column] == MERGES).any():
             right = row, column
             break
     assert right is not None
-    assert env.geometry.novelty(start, *right) == 0
+    assert env.geometry.novelty(start, np.array([right])) == [0]
     for row, column in np.argwhere((env.known(start) == FAILS).all(axis=2)).tolist():
-        assert env.geometry.novelty(start, row, column) == 1
+        assert env.geometry.novelty(start, np.array([[row, column]])) == [1]
 
 
 def test_an_axis_is_that_of_the_larger_group_s_point():

@@ -10,6 +10,7 @@ of their own for the grasps of each pair of points would be too many.
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Sequence
 from functools import reduce
 
@@ -68,6 +69,29 @@ def _branch(p: Params, a: Array, b: Array, of_u: Array, of_v: Array) -> Array:
     moved = xp.reshape(a[:, :, None] * p["w"].T, (s, n * choices, rank))
     pairs = xp.reshape(moved @ xp.swapaxes(b, 1, 2), (s, n, choices, n))
     return xp.moveaxis(pairs, 2, 3) + linear(p["u"], of_u)[:, :, None] + linear(p["v"], of_v)[:, None]
+
+
+def values_of(p: Params, a: Array, b: Array, of_u: Array, of_v: Array, actions: Array) -> Array:
+    """Return (s,) the value of one action in each state: the sum over all branches.
+
+    Args:
+        p: see `branch_values`, as the next four.
+        a: see there.
+        b: see there.
+        of_u: see there.
+        of_v: see there.
+        actions: (s, 3) numbers of the two points and of the combination of choices, in C order.
+    """
+    xp = a.__array_namespace__()
+    state, (row, column, choice) = xp.arange(len(actions)), actions.T
+    both = a[state, row] * b[state, column]
+    branches = [p[str(i)] for i in range(len(p))]
+    choices = xp.unravel_index(choice, tuple(head["w"].shape[1] for head in branches))
+    each = [
+        (both @ head["w"] + linear(head["u"], of_u[state, row]) + linear(head["v"], of_v[state, column]))[state, w]
+        for head, w in zip(branches, choices, strict=True)
+    ]
+    return reduce(operator.add, each)
 
 
 def split(values: Array, branches: Sequence[int]) -> list[Array]:

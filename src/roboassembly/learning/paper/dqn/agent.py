@@ -49,15 +49,35 @@ class AgentConfig:
     """... and afterwards."""
     tie_breaking_steps: int = 15_000
     """Largest number of steps spent on finding the first of the best actions; the best known ones count then."""
+    demonstrate_after: int = 5_000
+    """Number of steps after which an agent that has not finished the chair once is shown how to, as in Hester et al.
+    2018 ("Deep Q-learning from Demonstrations")."""
     recoveries: int = 40
     """Number of episodes that finish the chair after random merges."""
 
 
 class DQNAgent:
-    """Acts in one chair and fills the replay buffer; its network is trained elsewhere."""
+    """Acts in one chair and fills the replay buffer; its network is trained elsewhere.
 
-    def __init__(self, buffer: ReplayBuffer, config: AgentConfig, rng: np.random.Generator) -> None:
+    Args:
+        buffer: an empty replay buffer.
+        config: settings.
+        rng: random numbers.
+        demonstration: returns actions that assemble the chair, or none; see `AgentConfig.demonstrate_after`. None: the
+            agent is not shown anything.
+    """
+
+    def __init__(
+        self,
+        buffer: ReplayBuffer,
+        config: AgentConfig,
+        rng: np.random.Generator,
+        demonstration: Callable[[], list[Action]] | None = None,
+    ) -> None:
         self.buffer, self.config, self.rng = buffer, config, rng
+        self._demonstration = demonstration
+        self.demonstrated = False
+        """Whether the agent was shown how to assemble the chair."""
         self.steps = self.episodes = self.updates = 0
         self.at = 0
         """Number of the current state."""
@@ -145,6 +165,8 @@ class DQNAgent:
             self._tie_breaker.end_episode(finished, self._stuck, depth)
         if self._recovers:
             self._recovery.end_episode(finished, self._stuck)
+        if not self.demonstrated and not self.finished_once and self.steps >= self.config.demonstrate_after:
+            self._see_demonstration()
         self._deepest = max(self._deepest, depth)
         self._frontier = int(self.rng.integers(self._deepest + 1))
         self.episodes += 1
@@ -157,6 +179,21 @@ class DQNAgent:
         self._stuck = False
         self.at = self.buffer.index[self._recovery.start()] if self._recovers else 0
         del self.buffer.recent[: -2 * RECENT]
+
+    def _see_demonstration(self) -> None:
+        """Take an episode from the demonstration; what fails in it the explorer tries in other ways."""
+        buffer, env, at = self.buffer, self.buffer.env, 0
+        actions = self._demonstration() if self._demonstration is not None else []
+        for action in actions:
+            after = env.step(buffer.states[at], action)
+            self.steps += 1
+            if after is None:
+                self._explorer.start_from([(min(a, b), max(a, b)) for a, b, _ in actions])
+                break
+            follower = buffer.add(after)
+            buffer.add_merge(at, action, follower)
+            at = follower
+        self.demonstrated = bool(actions)
 
     def _choose(self, state: State, values: Callable[[], Float32[np.ndarray, "n n w"]]) -> Action:
         c, rng, env = self.config, self.rng, self.buffer.env
@@ -225,6 +262,7 @@ class DQNAgent:
         """Return all that it takes to go on later."""
         counts = [self.steps, self.episodes, self.updates, self.at, self._deepest, self._frontier]
         flags = [self.greedy, self.mastered, self._explores, self._breaks_ties, self._recovers, self._stuck]
+        flags.append(self.demonstrated)
         return {
             "env": self.buffer.env.to_arrays(),
             "buffer": self.buffer.to_arrays(),
@@ -245,7 +283,7 @@ class DQNAgent:
         self.steps, self.episodes, self.updates, self.at, self._deepest, self._frontier = counts[:6]
         self._tie_breaking_steps = counts[6]
         self.greedy, self.mastered, self._explores, self._breaks_ties = (bool(c) for c in counts[7:11])
-        self._recovers, self._stuck = (bool(c) for c in counts[11:])
+        self._recovers, self._stuck, self.demonstrated = (bool(c) for c in counts[11:])
         self._explorer.restore(arrays["explorer"])
         self._tie_breaker.restore(arrays["tie_breaker"])
         self._recovery.restore(arrays["recovery"])

@@ -135,10 +135,10 @@ class PlanExplorer:
     def _familiar(self, state: State, hopeful: Bool[np.ndarray, "m m"], known: np.ndarray) -> Bool[np.ndarray, "m m"]:
         """Return the pairs without novel relative poses; if there are none, sometimes all pairs, else none."""
         share = np.zeros(hopeful.shape)
-        for row, column in np.argwhere(np.triu(hopeful)).tolist():
-            works = (known[row, column] == MERGES).any() or (known[column, row] == MERGES).any()
-            novelty = 0.0 if works else self.env.geometry.novelty(state, row, column)
-            share[row, column] = share[column, row] = novelty
+        works = (known == MERGES).any(axis=2)
+        pairs = np.argwhere(np.triu(hopeful & ~(works | works.T)))
+        rows, columns = pairs.T
+        share[rows, columns] = share[columns, rows] = self.env.geometry.novelty(state, pairs)
         novel = share > 0.0
         failed_or_merged = self._novel_outcomes
         chance = max(_NOVELTY_FACTOR * (failed_or_merged[1] + 1.0) / (failed_or_merged.sum() + 2.0), _LEAST_NOVELTY)
@@ -229,8 +229,11 @@ class PlanExplorer:
         return untried[self.rng.choice(len(untried), p=hope / hope.sum())]
 
     def start_from(self, plan: list[Pair]) -> None:
-        """Try a plan first, such as that of a near relative of the chair."""
+        """Try a plan next, such as that of a near relative of the chair; its order comes before all caution."""
         self._plan, self._kept = list(plan), list(plan)
+        self._strict = self._careful = False
+        self._axes, self._deferred = None, []
+        self._left, self._episodes, self._idle = len(self.env.start) + 1, 0, 0
 
     def record_merge(self, state: State, action: Action) -> None:
         """Record that an action merged in a state."""

@@ -124,6 +124,10 @@ class GroupTable:
         self._group_ids: dict[tuple[int, tuple[int, ...]], int] = {}
         self._start = {g.parts[0]: g for g in start}
 
+    def row(self, part: int, point: int) -> int:
+        """Return the row of a part's point."""
+        return int(self._first[part]) + point
+
     def owner(self, state: Sequence[int], row: int) -> int:
         """Return the number of the group of a state that a point belongs to."""
         part = self.part[row]

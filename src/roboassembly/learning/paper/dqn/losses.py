@@ -23,31 +23,12 @@ import optax
 
 from roboassembly.learning.layers import Array, Params
 from roboassembly.learning.paper import heads
-from roboassembly.learning.paper.dqn.network import branch_values, existing_pairs
+from roboassembly.learning.paper.dqn.network import branch_values, existing_pairs, values_of
 
 _CLIP = 5.0
 """Largest norm of the gradient."""
 _MARGIN = 0.1
 """Margin of `margin_loss`, as a share of the largest return."""
-
-
-def double_q_target(reward: Array, done: Array, next_online: Array, next_target: Array, exists: Array) -> Array:
-    """Return the Double DQN target `r + Q_target(s', argmax_a' Q_online(s', a'))`; `r` at the end of an episode.
-
-    The online network selects the action and the target network evaluates it (van Hasselt et al. 2016, eq. 4). Returns
-    are not discounted, because an episode has as many merges as the chair has parts but one.
-
-    Args:
-        reward: (...,) rewards.
-        done: (...,) whether the episode ended.
-        next_online: (..., a) Q of the network in training.
-        next_target: (..., a) Q of the target network.
-        exists: (..., a) which actions exist in the next state.
-    """
-    xp = reward.__array_namespace__()
-    best = xp.argmax(xp.where(exists, next_online, -xp.inf), axis=-1)
-    ahead = xp.take_along_axis(next_target, best[..., None], axis=-1)[..., 0]
-    return reward + xp.where(done, 0.0, ahead)
 
 
 def bounded_target(target: Array, reached: Array) -> Array:
@@ -74,22 +55,20 @@ def loss(p: Params, target: Params, batch: Mapping[str, Array]) -> Array:
     """
     fixed = batch["features"], batch["part"]
     each = branch_values(p, *fixed, batch["joined"], batch["free"])
-    n, fails = each[0].shape[1], batch["fails"]
+    fails = batch["fails"]
+    q = heads.combined(each)
     # Most known actions fail. What matters is that none of them ranks first, so the highest of them counts most.
-    wrong = jnp.where(fails, failure_loss(heads.combined(each)), 0.0).sum((1, 2, 3))
-    wrong = wrong / jnp.maximum(fails.sum((1, 2, 3)), 1.0)
-    worst = _highest(failure_loss(heads.combined(jax.lax.stop_gradient(each))), fails)
+    wrong = jnp.where(fails, failure_loss(q), 0.0).sum((1, 2, 3)) / jnp.maximum(fails.sum((1, 2, 3)), 1.0)
+    worst = _highest(jax.lax.stop_gradient(q), fails)
     wrong = wrong + 0.2 * failure_loss(_q_of(each, worst)) * fails.any((1, 2, 3))
     chosen = _q_of(each, batch["actions"])
     after = batch["next_joined"], batch["next_free"]
-    online, evaluated = best_branches(
-        jax.lax.stop_gradient(branch_values(p, *fixed, *after)), branch_values(target, *fixed, *after)
-    )
-    exists_after = existing_pairs(batch["part"], *after)
-    ahead = double_q_target(
-        batch["rewards"].ravel(), batch["done"].ravel(),
-        *(x.reshape(-1, n * n) for x in (online, evaluated, exists_after)),
-    ).reshape(chosen.shape)  # fmt: skip
+    online = jax.lax.stop_gradient(branch_values(p, *fixed, *after))
+    best = best_actions(online, existing_pairs(batch["part"], *after))
+    # The online network selects the action and the target network evaluates it (van Hasselt et al. 2016, eq. 4).
+    ahead = values_of(target, *fixed, *after, best).reshape(chosen.shape)
+    # Returns are not discounted, because an episode has as many merges as the chair has parts but one.
+    ahead = batch["rewards"] + jnp.where(batch["done"], 0.0, ahead)
     right = (chosen - bounded_target(ahead, batch["bound"])) ** 2 * batch["real"]
     exists = existing_pairs(batch["part"], batch["joined"], batch["free"])
     short = margin_loss(each, exists[..., None], batch["whole"])
@@ -138,24 +117,22 @@ def margin_loss(each: Sequence[Array], exists: Array, whole: Array) -> Array:
     return jnp.where(both & (others > best), others - best, 0.0)
 
 
-def best_branches(online: Sequence[Array], target: Sequence[Array]) -> tuple[Array, Array]:
-    """Return the highest Q of each pair of points over all choices, and the target network's Q of that choice.
+def best_actions(each: Sequence[Array], exists: Array) -> Array:
+    """Return (b, 3) the action with the highest Q in each state: rows of the two points, and number of the choice.
 
-    The values of branches are added, so that each branch has its best choice by itself; no array over all combinations
-    is needed.
+    Branches are added, so that each has its best choice by itself, and no array over all combinations is needed.
 
     Args:
-        online: (..., w_i) what each branch adds, by the network in training.
-        target: (..., w_i) the same by the target network.
-
-    Returns:
-        (...) both.
+        each: (b, n, n, w_i) what each branch adds to Q.
+        exists: (b, n, n) which pairs of points exist.
     """
-    xp = online[0].__array_namespace__()
-    best = [xp.argmax(x, axis=-1, keepdims=True) for x in online]
-    highest = [xp.take_along_axis(x, i, axis=-1)[..., 0] for x, i in zip(online, best, strict=True)]
-    evaluated = [xp.take_along_axis(x, i, axis=-1)[..., 0] for x, i in zip(target, best, strict=True)]
-    return reduce(xp.add, highest), reduce(xp.add, evaluated)
+    b, n = exists.shape[:2]
+    highest = reduce(jnp.add, (x.max(-1) for x in each))
+    pair = jnp.where(exists, highest, -jnp.inf).reshape(b, n * n).argmax(-1)
+    row, column = pair // n, pair % n
+    there = [x[jnp.arange(b), row, column].argmax(-1) for x in each]
+    choice = jnp.ravel_multi_index(tuple(there), tuple(x.shape[-1] for x in each), mode="clip")
+    return jnp.stack([row, column, choice], axis=-1)
 
 
 def optimiser(rate: float) -> optax.GradientTransformation:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, Int8
 from scipy.spatial import KDTree
 
 from roboassembly.geometry.mating import mating_poses
@@ -23,6 +23,7 @@ _KEPT = 4_000
 """Largest number of pairs of groups whose motions are kept."""
 _KEPT_STATES = 500
 """Largest number of states whose coincident points are kept."""
+_UNKNOWN = -1
 _SAME_WAY = 0.7
 """Cosine: mates whose normals are within 45° can be closed in one straight move."""
 
@@ -60,13 +61,14 @@ class MateGeometry:
         self._axes: dict[tuple[int, int], int] = {}
         self._relative_poses = RelativePoses()
         self._fits: dict[tuple[int, int], _Fits] = {}
+        """Fits by groups, not by their types: a part alone has the frame of its own slot."""
         self._kept_motions = lru_cache(_KEPT)(self._compute_motions)
         self._kept_coincident = lru_cache(_KEPT_STATES)(self._count_coincident)
-        self._locked: dict[tuple[int, int, int, int], dict[int, bool]] = {}
-        """Whether a pair of points locks a group out, by the types of the groups."""
+        self._locked: dict[tuple[int, int, int], Int8[np.ndarray, "k l"]] = {}
+        """Whether each pair of points of two groups locks a third out, or `_UNKNOWN`, by the types of the groups."""
         self._seen_types: set[int] = set()
         """Types of groups whose relative poses were recorded."""
-        self._between: dict[tuple[int, int, int, int], Int[np.ndarray, "n"]] = {}
+        self._between: dict[tuple[int, int, int, int], list[int]] = {}
 
     def see(self, group_id: int) -> None:
         """Record that a group has occurred."""
@@ -139,18 +141,21 @@ class MateGeometry:
                 out[columns, rows] = self._coincident[key]
         return out
 
-    def novelty(self, state: Sequence[int], row: int, column: int) -> float:
-        """Return the share of relative poses never seen before, of all between the groups of two joined points."""
-        u_id, v_id = self._table.owner(state, row), self._table.owner(state, column)
-        u, v = self._table.groups[u_id], self._table.groups[v_id]
-        k, l = self._table.local(u_id, row), self._table.local(v_id, column)  # noqa: E741
-        key = (u.type_id, v.type_id, k, l)
-        if key not in self._between:
-            turn, shift = self._motion(u_id, v_id, k, l)
-            moved = [p.moved(turn, shift) for p in self._placed(u_id)]
-            self._between[key] = self._relative_poses.between(moved, self._placed(v_id))
-        numbers = self._between[key]
-        return self._relative_poses.novel_count(numbers) / len(numbers)
+    def novelty(self, state: Sequence[int], pairs: Int[np.ndarray, "p 2"]) -> Float[np.ndarray, "p"]:
+        """Return for pairs of points the share of relative poses never seen before, of all between their groups."""
+        owner, local = self._places(state)
+        out = np.zeros(len(pairs))
+        for i, ((u_id, v_id), (k, l)) in enumerate(  # noqa: E741
+            zip(owner[pairs].tolist(), local[pairs].tolist(), strict=True)
+        ):
+            key = (self._table.groups[u_id].type_id, self._table.groups[v_id].type_id, k, l)
+            if key not in self._between:
+                turn, shift = self._motion(u_id, v_id, k, l)
+                moved = [p.moved(turn, shift) for p in self._placed(u_id)]
+                self._between[key] = self._relative_poses.between(moved, self._placed(v_id))
+            numbers = self._between[key]
+            out[i] = self._relative_poses.novel_count(numbers) / len(numbers)
+        return out
 
     def locked_out(self, state: Sequence[int], pairs: Int[np.ndarray, "p 2"]) -> Int[np.ndarray, "p"]:
         """Return for each pair of points how many other groups would no longer go in if it were joined.
@@ -158,41 +163,62 @@ class MateGeometry:
         Those belong between the two groups, as far as it is known which points fit, and their mates face different
         ways.
         """
-        type_of = {group_id: self._table.groups[group_id].type_id for group_id in state}
-        place = {
-            row: (group_id, local)
-            for group_id in state
-            for local, row in enumerate(self._table.groups[group_id].rows.tolist())
-        }
-        out: list[int] = []
-        for row, column in pairs.tolist():
-            (u_id, k), (v_id, l) = place[row], place[column]  # noqa: E741
-            known = self._locked.setdefault((type_of[u_id], type_of[v_id], k, l), {})
-            count = 0
-            for other, type_id in type_of.items():
-                if other in (u_id, v_id):
-                    continue
-                if type_id not in known:
-                    known[type_id] = self._locks(u_id, v_id, k, l, other)
-                count += known[type_id]
-            out.append(count)
-        return np.array(out, int)
+        owner, local = self._places(state)
+        ends: dict[tuple[int, int], list[int]] = {}
+        for i, (u_id, v_id) in enumerate(owner[pairs].tolist()):
+            ends.setdefault((u_id, v_id), []).append(i)
+        out = np.zeros(len(pairs), int)
+        for (u_id, v_id), some in ends.items():
+            k, l = local[pairs[some]].T  # noqa: E741
+            for other in state:
+                if other not in (u_id, v_id):
+                    out[some] += self._locks(u_id, v_id, k, l, other)
+        return out
 
-    def _locks(self, u_id: int, v_id: int, k: int, l: int, other: int) -> bool:  # noqa: E741
+    def _places(self, state: Sequence[int]) -> tuple[Int[np.ndarray, "n"], Int[np.ndarray, "n"]]:
+        """Return the group of each point, and the point's number among the points of its group."""
+        owner, local = np.zeros_like(self._table.part), np.zeros_like(self._table.part)
+        for group_id in state:
+            rows = self._table.groups[group_id].rows
+            owner[rows], local[rows] = group_id, np.arange(len(rows))
+        return owner, local
+
+    def _locks(
+        self, u_id: int, v_id: int, k: Int[np.ndarray, "p"], l: Int[np.ndarray, "p"], other: int  # noqa: E741
+    ) -> Bool[np.ndarray, "p"]:  # fmt: skip
+        """Return for each pair of points of two groups whether it locks another group out."""
+        groups = self._table.groups
+        key = (groups[u_id].type_id, groups[v_id].type_id, groups[other].type_id)
+        if key not in self._locked:
+            fit = len(self._known_fits(other, u_id).rows) and len(self._known_fits(other, v_id).rows)
+            shape = len(groups[u_id].rows), len(groups[v_id].rows)
+            self._locked[key] = np.full(shape, _UNKNOWN if fit else False, np.int8)
+        known = self._locked[key]
+        unknown = np.flatnonzero(known[k, l] == _UNKNOWN)
+        if len(unknown):
+            some = k[unknown], l[unknown]
+            known[some] = self._compute_locks(u_id, v_id, *some, other)
+        return known[k, l] > 0
+
+    def _compute_locks(
+        self, u_id: int, v_id: int, k: Int[np.ndarray, "p"], l: Int[np.ndarray, "p"], other: int  # noqa: E741
+    ) -> Bool[np.ndarray, "p"]:  # fmt: skip
         on_u, on_v = self._known_fits(other, u_id), self._known_fits(other, v_id)
-        if not len(on_u.rows) or not len(on_v.rows):
-            return False
-        turn, shift = self._motion(u_id, v_id, k, l)
-        turns, shifts = turn @ on_u.turns, on_u.shifts @ turn.T + shift
-        near = np.linalg.norm(shifts[:, None] - on_v.shifts[None], axis=2) < 2.0 * POSITION_TOLERANCE
-        parallel = np.einsum("aij,bij->ab", turns, on_v.turns) > 1.0 + 2.0 * np.cos(2.0 * ANGLE_TOLERANCE)
+        at = np.searchsorted(self._table.free(u_id), k), np.searchsorted(self._table.free(v_id), l)
+        turn, shift = _unscaled(self._motions(u_id, v_id)[at])
+        shifts = on_u.shifts @ np.swapaxes(turn, 1, 2) + shift[:, None]
+        near = np.linalg.norm(shifts[:, :, None] - on_v.shifts, axis=3) < 2.0 * POSITION_TOLERANCE
         facing = on_u.normals @ on_v.normals.T > _SAME_WAY
-        return bool((near & parallel & ~facing & (on_u.rows[:, None] != on_v.rows[None])).any())
+        pair, a, b = np.nonzero(near & ~facing & (on_u.rows[:, None] != on_v.rows))
+        traces = np.einsum("pij,pij->p", turn[pair] @ on_u.turns[a], on_v.turns[b])
+        out = np.zeros(len(k), bool)
+        out[pair[traces > 1.0 + 2.0 * np.cos(2.0 * ANGLE_TOLERANCE)]] = True
+        return out
 
     def _known_fits(self, u_id: int, v_id: int) -> _Fits:
         """Return the ways in which u's free points are known to fit v's."""
         u, v = self._table.groups[u_id], self._table.groups[v_id]
-        key = (u.type_id, v.type_id)
+        key = (u_id, v_id)
         if key not in self._fits:
             free_u, free_v = self._table.free(u_id), self._table.free(v_id)
             right = self._right()[np.ix_(u.rows[free_u], v.rows[free_v])]

@@ -109,8 +109,11 @@ class MemoizedEnv:
         type_key = self.table.key(merge.merged)
         merges = bool(self.known(state)[action] == MERGES)
         if not merges:
+            fitting = np.count_nonzero(self._tried[1])
             self._count(self._tried[1], u_id, v_id, mates)
             self._count(self._tried[1].T, u_id, v_id, mates)
+            if np.count_nonzero(self._tried[1]) > fitting:
+                self.geometry.forget_fits()
         if not merges or type_key not in self.table.type_ids:
             self.planned += 1
             types = self.table.groups[u_id].type_id, self.table.groups[v_id].type_id
@@ -140,8 +143,6 @@ class MemoizedEnv:
     def _count(self, counts: np.ndarray, u_id: int, v_id: int, mates: Int[np.ndarray, "a 2"]) -> None:
         groups = enumerate((u_id, v_id))
         rows, columns = (self.table.equal_row[self.table.groups[g].rows[mates[:, i]]] for i, g in groups)
-        if (counts[rows, columns] == 0).any():
-            self.geometry.forget_fits()
         counts[rows, columns] += 1
 
     def _record(self, u_id: int, v_id: int, mates: Int[np.ndarray, "a 2"], choice: int, knowledge: int) -> None:

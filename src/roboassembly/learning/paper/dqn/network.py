@@ -121,6 +121,16 @@ def apply(p: Params, features: Array, part: Array, joined: Array, free: Array) -
 
 def branch_values(p: Params, features: Array, part: Array, joined: Array, free: Array) -> list[Array]:
     """Return what each branch adds to the Q of two points, (b, n, n, w_i) each; see `apply`."""
+    return heads.branch_values(p["heads"], *_embeddings(p, features, part, joined, free))
+
+
+def values_of(p: Params, features: Array, part: Array, joined: Array, free: Array, actions: Array) -> Array:
+    """Return (b,) Q of one action (b, 3) in each state, without that of the others; see `apply`."""
+    return heads.values_of(p["heads"], *_embeddings(p, features, part, joined, free), actions)
+
+
+def _embeddings(p: Params, features: Array, part: Array, joined: Array, free: Array) -> tuple[Array, ...]:
+    """Return the embeddings of each point as one that moves and as one that waits, and the inputs of its biases."""
     xp = joined.__array_namespace__()
     b = len(free)
     whole = mlp(p["state"], xp.concatenate([joined[:, _ABOVE[0], _ABOVE[1]], free], axis=1))
@@ -129,14 +139,14 @@ def branch_values(p: Params, features: Array, part: Array, joined: Array, free: 
     token = linear(p["token"], xp.concatenate([fixed, joined[:, part], size, free[..., None]], axis=2))
     token = gelu(token + whole[:, None] + p["slot"][None])
     token = gelu(linear(p["hidden"], token))
-    u, v = linear(p["u"], token), linear(p["v"], token)
-    return heads.branch_values(p["heads"], u, v, token, token)
+    return linear(p["u"], token), linear(p["v"], token), token, token
 
 
 def existing_pairs(part: Array, joined: Array, free: Array) -> Array:
     """Return (b, n, n) which pairs of points exist: both free, their parts in different groups."""
-    together = joined[:, part][:, :, part] > 0
-    return ~together & (free[:, :, None] > 0) & (free[:, None] > 0)
+    xp = joined.__array_namespace__()
+    group = xp.argmax(joined, axis=2)[:, part]
+    return (group[:, :, None] != group[:, None]) & (free[:, :, None] > 0) & (free[:, None] > 0)
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,7 @@ import itertools
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 _TOLERANCE = 0.004
 """Difference within which distances are equal [m]."""
@@ -46,11 +46,11 @@ class RelativePoses:
         for number in (self.number(a, b) for a, b in itertools.combinations(parts, 2)):
             self._seen[number] = True
 
-    def between(self, u_parts: list[PlacedPart], v_parts: list[PlacedPart]) -> Int[np.ndarray, "n"]:
+    def between(self, u_parts: list[PlacedPart], v_parts: list[PlacedPart]) -> list[int]:
         """Return the numbers of all relative poses between the parts of two groups."""
-        return np.array([self.number(a, b) for a in u_parts for b in v_parts])
+        return [self.number(a, b) for a in u_parts for b in v_parts]
 
-    def novel_count(self, numbers: Int[np.ndarray, "n"]) -> int:
+    def novel_count(self, numbers: list[int]) -> int:
         """Return how many of some relative poses were never seen."""
         return sum(not self._seen[n] for n in numbers)
 

@@ -37,6 +37,8 @@ class ExpertResult:
     """Success rate of the test episodes."""
     seconds: float
     """Training time, shared with the chairs trained beside it [s]."""
+    demonstrated: bool = False
+    """Whether the agent was shown how to assemble the chair; see `AgentConfig.demonstrate_after`."""
     refused: str = ""
     """Reason why the chair does not suit the setting and is not trained; empty if it does."""
 
@@ -54,11 +56,12 @@ def summary(results: Sequence[ExpertResult]) -> dict[str, Any]:
     """Return how many chairs were mastered, with the 95 % Wilson interval, and what it took; without refused chairs."""
     refused, results = sum(bool(r.refused) for r in results), [r for r in results if not r.refused]
     if not results:
-        return {**success([]), "mastered": 0, "refused": refused}
+        return {**success([]), "mastered": 0, "demonstrated": 0, "refused": refused}
     done = [r for r in results if r.mastered]
     return {
         **success([r.mastered for r in results]),
         "mastered": len(done),
+        "demonstrated": sum(r.demonstrated for r in results),
         "refused": refused,
         "test_success_rate": sum(r.success_rate for r in results) / len(results),
         "steps_mean": sum(r.steps for r in results) / len(results),

@@ -13,6 +13,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from operator import itemgetter
 from pathlib import Path
 from typing import Any
@@ -31,7 +32,8 @@ from roboassembly.learning.paper import autoencoder
 from roboassembly.learning.paper.autoencoder import CLOUD_POINTS
 from roboassembly.learning.paper.dqn import losses, network
 from roboassembly.learning.paper.dqn.agent import AgentConfig, DQNAgent
-from roboassembly.learning.paper.dqn.memoized_env import MemoizedEnv, State
+from roboassembly.learning.paper.dqn.group_table import GroupTable
+from roboassembly.learning.paper.dqn.memoized_env import Action, MemoizedEnv, State
 from roboassembly.learning.paper.dqn.network import (
     KIND,
     ChairInputs,
@@ -116,6 +118,17 @@ class ExpertTrainer:
 def partial_file(folder: Path, name: str) -> Path:
     """Return where a folder keeps a chair in training."""
     return dataset_file(folder, name).with_suffix(".partial.npz")
+
+
+def demonstration(task: ObjectCentricTask | FullTask, table: GroupTable) -> list[Action]:
+    """Return the actions of the search; none if it does not finish the chair."""
+    plan = SETTINGS[task.setting].solve(task.furniture, 0, task=task).plan
+    if not plan.success:
+        return []
+    return [
+        (table.row(u, k), table.row(v, l), int(np.ravel_multi_index(choice, task.action_branches)))
+        for u, v, k, l, *choice in (step.action for step in plan.steps)  # noqa: E741
+    ]
 
 
 class ExpertRun:
@@ -203,7 +216,7 @@ class ExpertRun:
         self._stack()
 
     def _refuse(self, ref: FurnitureRef, why: str) -> None:
-        result = ExpertResult(ref.name, False, 0, 0, 0.0, 0.0, why)
+        result = ExpertResult(ref.name, False, 0, 0, 0.0, 0.0, refused=why)
         config = {**self._notes, "furniture": ref.name, "training": asdict(self._training), "result": asdict(result)}
         checkpoint.save(dataset_file(self._folder, ref.name), checkpoint.Checkpoint(KIND, {}, config, {}))
 
@@ -213,7 +226,8 @@ class ExpertRun:
         inputs = chair_inputs(task, autoencoder.encode(self._encoder, clouds))
         rng = np.random.default_rng([t.seed, *ref.name.encode()])
         buffer = ReplayBuffer(MemoizedEnv(task, int(rng.integers(2**31))), inputs)
-        trainer = ExpertTrainer(ref, task, inputs, DQNAgent(buffer, t.agent, rng))
+        agent = DQNAgent(buffer, t.agent, rng, partial(demonstration, task, buffer.env.table))
+        trainer = ExpertTrainer(ref, task, inputs, agent)
         params: Any = network.init(rng, len(inputs.part), inputs.features.shape[1], inputs.branches)
         source = None if ref.source is None else load_relative(dataset_file(self._folder, ref.source), inputs)
         if source is not None:
@@ -273,7 +287,9 @@ class ExpertRun:
         tests = [run_expert(expert, trainer.task, _TEST_SEEDS + k) for k in range(count)]
         rate = sum(finished(steps, trainer.inputs) for steps in tests) / count
         planned = agent.buffer.env.planned
-        result = ExpertResult(trainer.ref.name, mastered, agent.steps, planned, rate, trainer.seconds)
+        result = ExpertResult(
+            trainer.ref.name, mastered, agent.steps, planned, rate, trainer.seconds, agent.demonstrated
+        )
         extra = {
             "features": trainer.inputs.features,
             "depths": np.array(agent.depths, np.int32).reshape(-1, 2),

@@ -61,7 +61,8 @@ def _train_all(
     by_size: dict[int, list[FurnitureRef]] = {}
     for r, size in zip(refs, map_ordered(_padded_size, refs, jobs, chunk=8), strict=True):
         by_size.setdefault(size, []).append(r)
-    lots = [lot for size in sorted(by_size) for lot in _lots(by_size[size], jobs, side_by_side)]
+    # Large chairs take longest: begun last, they would keep one process busy alone.
+    lots = [lot for size in sorted(by_size, reverse=True) for lot in _lots(by_size[size], jobs, side_by_side)]
     if jobs == 1:
         for lot in lots:
             work(lot)
