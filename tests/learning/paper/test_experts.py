@@ -41,11 +41,11 @@ def test_bootstrap_of_double_q(branches: tuple[int, ...]) -> None:
     """The online network chooses the next action among those that exist, and the target network tells its worth."""
     rng, n = np.random.default_rng(0), 12
     online, target = (network.init(rng, n, 5, branches) for _ in range(2))
-    features, part = rng.normal(size=(n, 5)).astype(np.float32), np.repeat(np.arange(4), 3)
+    features, part = rng.normal(size=(n, 5)).astype(np.float32), np.repeat(np.arange(4, dtype=np.int32), 3)
     joined = np.tile(np.eye(20, dtype=np.float32), (3, 1, 1))
     joined[1, 0, 1] = joined[1, 1, 0] = 1
     free = (rng.random((3, n)) < 0.8).astype(np.float32)
-    actions = np.array([[[0, 3, 1]], [[4, 9, 5]], [[8, 2, 0]]])
+    actions = np.array([[[0, 3, 1]], [[4, 9, 5]], [[8, 2, 0]]], np.int32)
     reward, done = np.array([[0.1], [0.1], [0.5]], np.float32), np.array([[False], [False], [True]])
     none = np.zeros((3, n, n, 6), bool)
     batch = {
@@ -67,7 +67,7 @@ def test_value_of_one_action_is_that_among_all(branches: tuple[int, ...]) -> Non
     rng, n = np.random.default_rng(1), 12
     params = network.init(rng, n, 5, branches)
     state = (
-        rng.normal(size=(n, 5)).astype(np.float32), np.repeat(np.arange(4), 3),
+        rng.normal(size=(n, 5)).astype(np.float32), np.repeat(np.arange(4, dtype=np.int32), 3),
         np.tile(np.eye(20, dtype=np.float32), (4, 1, 1)), np.ones((4, n), np.float32),
     )  # fmt: skip
     actions = rng.integers([0, 0, 0], [n, n, 6], (4, 3))

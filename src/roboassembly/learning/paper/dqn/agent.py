@@ -44,9 +44,9 @@ class AgentConfig:
     explorer_share: float = 0.85
     """Share of episodes in which the explorer improves a plan, until the chair has been finished."""
     greedy_every: int = 10
-    """Distance between greedy episodes, before the chair has been finished ..."""
+    """Distance between greedy episodes, before the chair has been finished and while recoveries are sought ..."""
     greedy_every_finished: int = 3
-    """... and afterwards."""
+    """... and otherwise."""
     tie_breaking_steps: int = 15_000
     """Largest number of steps spent on finding the first of the best actions; the best known ones count then."""
     demonstrate_after: int = 5_000
@@ -117,6 +117,10 @@ class DQNAgent:
         """Whether it is known what to do beside the first episode; see `recovery`."""
         return self._recovery.active and self._recovery.done(self.config.recoveries)
 
+    @property
+    def _seeks_recoveries(self) -> bool:
+        return self._recovery.active and not self.recovery_known
+
     def begin_recovery(self) -> None:
         """Learn what to do beside the first episode from now on."""
         self._recovery.begin()
@@ -149,7 +153,9 @@ class DQNAgent:
                 self._recovery.record_merge()
         elif self._recovers:
             self._recovery.record_failure()
-        learnable = self.greedy or self.settled or (new and (after is not None or self.at != 0))
+        # While recoveries are sought there is a network to start from, and much to find out before it is to fit all.
+        fits = (self.greedy or self.settled) and not self._seeks_recoveries
+        learnable = fits or (new and (after is not None or self.at != 0))
         if after is None or len(after) == 1:
             self._end_episode(after is not None)
         return learnable
@@ -170,12 +176,13 @@ class DQNAgent:
         self._deepest = max(self._deepest, depth)
         self._frontier = int(self.rng.integers(self._deepest + 1))
         self.episodes += 1
-        distance = self.config.greedy_every_finished if self.finished_once else self.config.greedy_every
+        often = self.finished_once and not self._seeks_recoveries
+        distance = self.config.greedy_every_finished if often else self.config.greedy_every
         self.greedy = self.episodes % distance == 0
         draw = self.rng.random()
         self._explores = not self.greedy and not self.finished_once and draw < self.config.explorer_share
         self._breaks_ties = not self.greedy and self.finished_once and not self.settled
-        self._recovers = not self.greedy and self.settled and self._recovery.active and not self.recovery_known
+        self._recovers = not self.greedy and self.settled and self._seeks_recoveries
         self._stuck = False
         self.at = self.buffer.index[self._recovery.start()] if self._recovers else 0
         del self.buffer.recent[: -2 * RECENT]
