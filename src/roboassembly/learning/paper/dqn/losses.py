@@ -131,7 +131,9 @@ def best_actions(each: Sequence[Array], exists: Array) -> Array:
     pair = jnp.where(exists, highest, -jnp.inf).reshape(b, n * n).argmax(-1)
     row, column = pair // n, pair % n
     there = [x[jnp.arange(b), row, column].argmax(-1) for x in each]
-    choice = jnp.ravel_multi_index(tuple(there), tuple(x.shape[-1] for x in each), mode="clip")
+    choice = there[0]
+    for x, more in zip(each[1:], there[1:], strict=True):
+        choice = choice * x.shape[-1] + more
     return jnp.stack([row, column, choice], axis=-1)
 
 

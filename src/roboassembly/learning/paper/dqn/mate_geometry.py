@@ -145,9 +145,8 @@ class MateGeometry:
         """Return for pairs of points the share of relative poses never seen before, of all between their groups."""
         owner, local = self._places(state)
         out = np.zeros(len(pairs))
-        for i, ((u_id, v_id), (k, l)) in enumerate(  # noqa: E741
-            zip(owner[pairs].tolist(), local[pairs].tolist(), strict=True)
-        ):
+        ends: list[list[int]] = np.concatenate([owner[pairs], local[pairs]], axis=1).tolist()
+        for i, (u_id, v_id, k, l) in enumerate(ends):  # noqa: E741
             key = (self._table.groups[u_id].type_id, self._table.groups[v_id].type_id, k, l)
             if key not in self._between:
                 turn, shift = self._motion(u_id, v_id, k, l)

@@ -129,7 +129,9 @@ def values_of(p: Params, features: Array, part: Array, joined: Array, free: Arra
     return heads.values_of(p["heads"], *_embeddings(p, features, part, joined, free), actions)
 
 
-def _embeddings(p: Params, features: Array, part: Array, joined: Array, free: Array) -> tuple[Array, ...]:
+def _embeddings(
+    p: Params, features: Array, part: Array, joined: Array, free: Array
+) -> tuple[Array, Array, Array, Array]:
     """Return the embeddings of each point as one that moves and as one that waits, and the inputs of its biases."""
     xp = joined.__array_namespace__()
     b = len(free)
