@@ -78,7 +78,8 @@ class MultitaskCommand:
         with use_cluster(self.ray, self.jobs) as jobs:
             last = follow(self._relational(jobs) if self.preset == "relational" else self._paper(), self.out)
         path = self.out / "policy.npz"
-        report = {"preset": self.preset, "policy": str(path), "set": self.set, "seed": self.seed, "last": last}
+        source = {"set": self.set} if self.preset == "relational" else {"samples": [str(s) for s in self.samples]}
+        report = {"preset": self.preset, "policy": str(path), **source, "seed": self.seed, "last": last}
         if self.json:
             print_json(report)
         else:

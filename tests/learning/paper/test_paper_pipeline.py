@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from command_line import Run
 from roboassembly.datasets import catalogue
 from roboassembly.datasets.sets import furniture_refs
 from roboassembly.errors import InputError
@@ -39,7 +41,7 @@ def test_a_chair_taught_by_its_expert_is_finished_from_new_starts(tmp_path: Path
     assert [run_episode(policy, furniture, seed).success for seed in range(500, 510)].count(True) >= 9
 
 
-def test_the_papers_policy_is_trained_on_folders_of_samples(tmp_path: Path) -> None:
+def test_the_papers_policy_is_trained_on_folders_of_samples(tmp_path: Path, run: Run) -> None:
     list(collect(["cantilever:1"], tmp_path / "samples", episodes=1, seed=0, jobs=1))
     extractor = _random_extractor(tmp_path / "autoencoder.npz")
     training = PaperTraining(steps=2, batch=4)
@@ -47,6 +49,12 @@ def test_the_papers_policy_is_trained_on_folders_of_samples(tmp_path: Path) -> N
     assert [p.done for p in progress] == [1, 2]
     policy = load_policy(str(tmp_path / "run" / "policy.npz"))
     assert run_episode(policy, catalogue.make("cantilever", 1), 0).merges in range(4)
+    # The report of the command names the samples, and no set: none was used.
+    command = ("train", "multitask", "--preset", "paper", "--samples", tmp_path / "samples", "--extractor", extractor)
+    status, out, _ = run(*map(str, command), "--steps", "1", "--out", str(tmp_path / "command"), "--json")
+    assert status == 0
+    assert json.loads(out)["samples"] == [str(tmp_path / "samples")]
+    assert "set" not in json.loads(out)
     # Other samples are another run.
     list(collect(["cantilever:5"], tmp_path / "samples", episodes=1, seed=0, jobs=1))
     with pytest.raises(InputError, match="other samples"):
