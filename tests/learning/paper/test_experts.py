@@ -18,7 +18,7 @@ from roboassembly.learning import checkpoint
 from roboassembly.learning.paper import autoencoder
 from roboassembly.learning.paper.dqn import network
 from roboassembly.learning.paper.dqn.exploration import PlanExplorer
-from roboassembly.learning.paper.dqn.memoized_env import MemoizedEnv, State
+from roboassembly.learning.paper.dqn.memoized_env import Action, MemoizedEnv, State
 from roboassembly.learning.paper.dqn.network import ChairInputs, ExpertPolicy, chair_inputs, encode_state, run_expert
 from roboassembly.solvers.mate_checks import BLOCKED, FAILS, MERGES, UNKNOWN
 from roboassembly.task.full.failure import Failure
@@ -126,14 +126,32 @@ def test_transitions_on_a_complete_path_are_marked() -> None:
     assert not batch["whole"][:, m:].any()
 
 
-def test_an_agent_that_is_shown_an_assembly_has_finished_once() -> None:
+def _buffer_and_demonstration() -> tuple[ReplayBuffer, list[Action]]:
     task = ObjectCentricTask(catalogue.make("plank", 1, with_grasps=False))
-    chair = _chair(task)
-    n = len(chair.part)
-    buffer = ReplayBuffer(MemoizedEnv(task, 3), chair)
-    shown = demonstration(task, buffer.env.table)
-    config = AgentConfig(demonstrate_after=50)
-    agent = DQNAgent(buffer, config, np.random.default_rng(0), lambda: shown)
+    buffer = ReplayBuffer(MemoizedEnv(task, 3), _chair(task))
+    return buffer, demonstration(task, buffer.env.table)
+
+
+def test_a_demonstration_is_asked_for_once() -> None:
+    """A search that finds nothing is not repeated after each episode."""
+    buffer, _ = _buffer_and_demonstration()
+    n, asked = len(buffer.inputs.part), [0]
+
+    def nothing() -> list[Action]:
+        asked[0] += 1
+        return []
+
+    agent = DQNAgent(buffer, AgentConfig(demonstrate_after=50), np.random.default_rng(0), nothing)
+    for _ in range(150):
+        agent.step(lambda: np.zeros((n, n, 6), np.float32))
+    assert not agent.demonstrated
+    assert asked == [1]
+
+
+def test_an_agent_that_is_shown_an_assembly_has_finished_once() -> None:
+    buffer, shown = _buffer_and_demonstration()
+    n = len(buffer.inputs.part)
+    agent = DQNAgent(buffer, AgentConfig(demonstrate_after=50), np.random.default_rng(0), lambda: shown)
     for _ in range(50):
         assert not agent.demonstrated
         agent.step(lambda: np.zeros((n, n, 6), np.float32))
@@ -148,11 +166,8 @@ def test_an_agent_that_is_shown_an_assembly_has_finished_once() -> None:
 
 
 def test_what_fails_of_a_demonstration_is_tried_in_other_ways() -> None:
-    task = ObjectCentricTask(catalogue.make("plank", 1, with_grasps=False))
-    chair = _chair(task)
-    n = len(chair.part)
-    buffer = ReplayBuffer(MemoizedEnv(task, 3), chair)
-    shown = demonstration(task, buffer.env.table)
+    buffer, shown = _buffer_and_demonstration()
+    n = len(buffer.inputs.part)
     buffer.env.step(buffer.states[0], shown[0])
     buffer.env.mark_failed(buffer.states[0], shown[0])
     agent = DQNAgent(buffer, AgentConfig(demonstrate_after=50), np.random.default_rng(0), lambda: shown)

@@ -171,7 +171,7 @@ class DQNAgent:
             self._tie_breaker.end_episode(finished, self._stuck, depth)
         if self._recovers:
             self._recovery.end_episode(finished, self._stuck)
-        if not self.demonstrated and not self.finished_once and self.steps >= self.config.demonstrate_after:
+        if not self.finished_once and self.steps >= self.config.demonstrate_after:
             self._see_demonstration()
         self._deepest = max(self._deepest, depth)
         self._frontier = int(self.rng.integers(self._deepest + 1))
@@ -189,8 +189,11 @@ class DQNAgent:
 
     def _see_demonstration(self) -> None:
         """Take an episode from the demonstration; what fails in it the explorer tries in other ways."""
+        if self.demonstrated or self._demonstration is None:
+            return
         buffer, env, at = self.buffer, self.buffer.env, 0
-        actions = self._demonstration() if self._demonstration is not None else []
+        # Asked for once: a search that finds nothing takes long.
+        actions, self._demonstration = self._demonstration(), None
         for action in actions:
             after = env.step(buffer.states[at], action)
             self.steps += 1
@@ -269,11 +272,10 @@ class DQNAgent:
         """Return all that it takes to go on later."""
         counts = [self.steps, self.episodes, self.updates, self.at, self._deepest, self._frontier]
         flags = [self.greedy, self.mastered, self._explores, self._breaks_ties, self._recovers, self._stuck]
-        flags.append(self.demonstrated)
         return {
             "env": self.buffer.env.to_arrays(),
             "buffer": self.buffer.to_arrays(),
-            "counts": np.array([*counts, self._tie_breaking_steps, *flags], np.int64),
+            "counts": np.array([*counts, self._tie_breaking_steps, *flags, self.demonstrated], np.int64),
             "explorer": self._explorer.to_arrays(),
             "tie_breaker": self._tie_breaker.to_arrays(),
             "recovery": self._recovery.to_arrays(),
