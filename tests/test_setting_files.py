@@ -16,7 +16,7 @@ from roboassembly.task.setting import SettingName
 
 PACKAGE = Path(roboassembly.__file__).parent
 NAMES = get_args(SettingName)
-ASKING = {"settings.py", "task/plans/plan_file.py", "viewer/playback.py"}
+ASKING = {"settings/__init__.py", "task/plans/plan_file.py", "viewer/playback.py"}
 NETWORKS = {"learning/paper/imitation.py", "learning/paper/network.py", "learning/relational/policy.py"}
 """Files that ask whether weights, samples or a mask have grasps: a policy plays what it is shown."""
 PREFIXES = ("Full", "ObjectCentric")

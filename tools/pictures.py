@@ -25,8 +25,9 @@ from roboassembly.rendering.colors import WOOD, part_colors
 from roboassembly.rendering.offscreen import STILL, OffscreenRenderer
 from roboassembly.robots.gripper import hand_pose
 from roboassembly.settings import set_upright
+from roboassembly.solvers.full_search import solve_full
 from roboassembly.solvers.oracle import Oracle
-from roboassembly.solvers.search import solve, solve_full
+from roboassembly.solvers.search import solve
 from roboassembly.task.object_centric.task import ObjectCentricTask
 from roboassembly.task.rules.groups import TaskState
 from roboassembly.viewer.camera_path import follow
@@ -132,6 +133,7 @@ ROOMS = {
     "viewer": "films, pages, playback",
     "evaluation": "rollouts, benchmark table",
     "learning": "policies, paper/ and relational/",
+    "settings": "what differs between the settings",
     "audit": "plans checked by python-fcl",
     "envs": "Gymnasium environments",
     "solvers": "search, oracle, baselines",

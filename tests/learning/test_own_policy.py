@@ -26,7 +26,8 @@ from roboassembly.furniture import storage
 from roboassembly.furniture.model import Furniture
 from roboassembly.learning.policy import guide_of
 from roboassembly.learning.registry import load_policy, policy_factory
-from roboassembly.solvers.search import solve, solve_full
+from roboassembly.solvers.full_search import solve_full
+from roboassembly.solvers.search import solve
 from scripts import script
 
 ROOT = Path(__file__).parents[2]

@@ -20,8 +20,9 @@ from roboassembly.planning.robot_world import RobotWorld, Tally
 from roboassembly.robots.body import world_from_tips
 from roboassembly.robots.reach import reach
 from roboassembly.solvers.disassembly import partition_of
+from roboassembly.solvers.full_search import solve_full
 from roboassembly.solvers.options import grasping
-from roboassembly.solvers.search import SearchLimits, solve_full
+from roboassembly.solvers.search import SearchLimits
 from roboassembly.task.full.cell import Post
 from roboassembly.task.full.cell_state import Segment
 from roboassembly.task.full.failure import AFTER_MATING, PICKING, STRAIGHT, Failure, FullVerdict, Stage

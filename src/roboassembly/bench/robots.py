@@ -26,7 +26,7 @@ from roboassembly.furniture.model import Furniture
 from roboassembly.planning.problem import Budget
 from roboassembly.planning.robot_path import Configuration, Floor, configuration_space, connect
 from roboassembly.planning.rrt import exhaustion, run_rrt_connect
-from roboassembly.solvers.search import solve_full
+from roboassembly.solvers.full_search import solve_full
 from roboassembly.task.full.cell_state import Segment
 from roboassembly.task.full.failure import FullVerdict, Stage
 from roboassembly.task.full.task import FullTask

@@ -185,9 +185,7 @@ class AssembleCommand:
 
     def _write(self, result: SearchResult[Any], solved: float) -> dict[str, str]:
         from roboassembly.furniture import storage
-        from roboassembly.rendering.gl import RenderingUnavailableError
         from roboassembly.task.plans import plan_file
-        from roboassembly.viewer.film import write_film
         from roboassembly.viewer.html import write_html
 
         folder = writable_folder(self.out)
@@ -215,6 +213,9 @@ class AssembleCommand:
         write_html(plan, folder / "assembly.html")
         add_output("html", folder / "assembly.html")
         if self.film:
+            from roboassembly.rendering.gl import RenderingUnavailableError
+            from roboassembly.viewer.film import write_film
+
             say("rendering the film ...")
             try:
                 write_film(plan, folder / "assembly.mp4")

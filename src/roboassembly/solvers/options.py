@@ -4,18 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from itertools import product
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from roboassembly.furniture.model import Furniture
 from roboassembly.geometry.poses import SE3
 from roboassembly.solvers.disassembly import Disassembly, Parts
-from roboassembly.task.full.grips import Grip, MateGrasp
-from roboassembly.task.full.task import FullTask
-from roboassembly.task.plans.full_plan import FullState
+from roboassembly.task.full.failure import Failure
 from roboassembly.task.rules.connections import GRASPS, UP_AXES
 from roboassembly.task.rules.groups import Group, TaskState, point_at_slot
 from roboassembly.task.rules.pairs import Merge
+
+if TYPE_CHECKING:
+    # Actions without robots are found without their libraries.
+    from roboassembly.task.full.grips import Grip
+    from roboassembly.task.full.task import FullTask
+    from roboassembly.task.plans.full_plan import FullState
 
 _HOPELESS = -0.5
 """Score below which the first round skips an action: it would end in the ground or approach from below."""
@@ -24,7 +29,7 @@ _ARMS = 8
 Action = tuple[int, ...]
 End = tuple[int, int]
 """Part and its connection point."""
-_GripTest = Callable[[Group, Group, Merge, Grip, int], bool]
+_GripTest = Callable[[Group, Group, Merge, "Grip", int], bool]
 """Test of one grip: `(u_group, v_group, merge, grip, robot)`."""
 
 
@@ -150,7 +155,7 @@ def fitting(task: FullTask, state: TaskState, pairs: list[tuple[End, End]], *, l
         tests = product((task.grip_has_room, task.grip_fits), ((grip_a, 0), (grip_b, 1)))
         if not all(passes(test, u, v, merge, grip, robot) for test, (grip, robot) in tests):
             continue
-        if isinstance(task.check_grips(groups[u], groups[v], merge, grip_a, grip_b), MateGrasp):
+        if not isinstance(task.check_grips(groups[u], groups[v], merge, grip_a, grip_b), Failure):
             yield u, v, k, m, g_a, g_b
 
 

@@ -1,4 +1,4 @@
-"""Finds a whole action sequence in either setting: disassembly gives an order of merges, the task plans each merge.
+"""Finds a whole action sequence: disassembly gives an order of merges, the task plans each merge.
 
 Disassembly (`solvers.disassembly`) works backward and returns an order. The search works forward and plans its merges.
 If the planner fails at a merge, its split is rejected and the order is computed again; if no order is left, the last
@@ -15,34 +15,22 @@ the end the three rounds start again without it.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import replace
-from functools import partial
-
 import numpy as np
 
 from roboassembly.furniture.model import Furniture
 from roboassembly.planning.problem import Budget
-from roboassembly.solvers.disassembly import Disassembly, Parts
-from roboassembly.solvers.forward import Action, Round, Search, SearchLimits, SearchResult, Watch
+from roboassembly.solvers.forward import Round, Search, SearchLimits, SearchResult, Watch
 from roboassembly.solvers.guide import Guide
-from roboassembly.solvers.options import grasping, upright
-from roboassembly.task.full.task import FullTask
+from roboassembly.solvers.options import upright
 from roboassembly.task.object_centric.task import ObjectCentricTask
-from roboassembly.task.plans.full_plan import FullPlan, FullState
 from roboassembly.task.plans.plan import Plan
 from roboassembly.task.rules.groups import TaskState
 
-_ROUNDS = (
+ROUNDS = (
     Round(True, False, Budget(states=0)),
     Round(False, False, Budget(states=4_000)),
     Round(False, True, Budget(states=20_000)),
 )
-
-
-_FULL_ROUNDS = tuple(replace(r, budget=None) for r in _ROUNDS)
-FULL_LIMITS = SearchLimits(states=6_000_000, attempts=200)
-"""Default limits with robots."""
 _SAME_SLOTS = "two groups need the same place in the furniture"
 
 
@@ -80,59 +68,7 @@ def solve_from(
     if task.pairs.assign_slots(initial) is None:
         nothing = Plan(task.furniture, initial.part_poses, (), False, seed)
         return SearchResult(nothing, 0, 0.0, 0, 0, _SAME_SLOTS)
-    search = Search(task, upright, limits, seed, _ROUNDS[0], watch=watch)
-    success = search.run(initial, _ROUNDS, guide)
+    search = Search(task, upright, limits, seed, ROUNDS[0], watch=watch)
+    success = search.run(initial, ROUNDS, guide)
     steps = tuple(step for step, _ in search.steps)
     return search.result(Plan(task.furniture, initial.part_poses, steps, success, seed), success)
-
-
-def solve_full(
-    furniture: Furniture,
-    seed: int,
-    *,
-    task: FullTask | None = None,
-    limits: SearchLimits | None = None,
-    guide: Guide[FullState] | None = None,
-) -> SearchResult[FullPlan]:
-    """Search for an assembly by two robots in the workcell; see `solve`.
-
-    Args:
-        furniture: furniture that is assembled.
-        seed: seed of the cell's layout and of the planner.
-        task: task of this furniture, whose cached results are reused; a new one if None.
-        limits: limits at which the search gives up.
-        guide: suggests merges; disassembly alone if None.
-
-    Raises:
-        InputError: the furniture does not suit the cell.
-    """
-    task = task or FullTask(furniture)
-    initial = task.initial_state(np.random.default_rng(seed))
-    return solve_full_from(task, initial, seed, limits or FULL_LIMITS, guide)
-
-
-def solve_full_from(
-    task: FullTask,
-    initial: FullState,
-    seed: int,
-    limits: SearchLimits,
-    guide: Guide[FullState] | None = None,
-    watch: Watch | None = None,
-) -> SearchResult[FullPlan]:
-    """Search from a given state; see `solve_full`."""
-    search = Search(task, partial(_grasping, task), limits, seed, _FULL_ROUNDS[0], watch=watch)
-    success = search.run(initial, _FULL_ROUNDS, guide)
-    steps = tuple(step for step, _ in search.steps)
-    return search.result(FullPlan(task.furniture, initial, steps, success, seed), success)
-
-
-def _grasping(
-    task: FullTask,
-    _: Disassembly,
-    state: FullState,
-    assigned: TaskState,
-    leaving: Parts,
-    staying: Parts,
-    straight: bool,
-) -> Iterable[Action]:
-    return grasping(task, state, assigned, leaving, staying)

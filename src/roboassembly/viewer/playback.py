@@ -5,21 +5,37 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Iterator
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from roboassembly.errors import InputError
-from roboassembly.task.plans.full_plan import FullPlan
-from roboassembly.task.plans.plan import Plan
 from roboassembly.task.setting import SettingName
-from roboassembly.viewer.full_animation import FullPlanAnimator
-from roboassembly.viewer.object_centric_animation import PlanAnimator
 from roboassembly.viewer.timeline import Frame, Timeline
 
-AnyPlan = Plan | FullPlan
+if TYPE_CHECKING:
+    from roboassembly.task.plans.full_plan import FullPlan
+    from roboassembly.task.plans.plan import Plan
+    from roboassembly.viewer.full_animation import FullPlanAnimator
+    from roboassembly.viewer.object_centric_animation import PlanAnimator
+
+AnyPlan: TypeAlias = "Plan | FullPlan"
 """Plan of either setting."""
+
+
+def _object_centric(plan: Plan, frames_per_second: float, seconds_per_step: float) -> PlanAnimator:
+    from roboassembly.viewer.object_centric_animation import PlanAnimator
+
+    return PlanAnimator(plan, frames_per_second, seconds_per_step)
+
+
+def _full(plan: FullPlan, frames_per_second: float, seconds_per_step: float) -> FullPlanAnimator:
+    from roboassembly.viewer.full_animation import FullPlanAnimator
+
+    return FullPlanAnimator(plan, frames_per_second, seconds_per_step)
+
+
 _ANIMATORS: dict[SettingName, tuple[Callable[[Any, float, float], PlanAnimator | FullPlanAnimator], float]] = {
-    "object-centric": (PlanAnimator, 1.8),
-    "full": (FullPlanAnimator, 6.0),
+    "object-centric": (_object_centric, 1.8),
+    "full": (_full, 6.0),
 }
 """Animator and default duration of a step [s] of each setting."""
 OVERTURE_SECONDS, FINALE_SECONDS = 1.0, 2.0

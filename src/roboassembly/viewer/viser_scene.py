@@ -29,6 +29,7 @@ class ViserScene:
         self.meshes: list[MeshHandle] = []
         """Meshes in the order of the objects."""
         self._shown: list[SE3 | None] = []
+        self._colors: list[Color] = []
 
     def add(self, objects: Sequence[SceneObject], poses: Sequence[SE3 | None], colors: Sequence[Color]) -> None:
         """Add objects at their `world_from_mesh`; an object without a pose is hidden."""
@@ -48,14 +49,16 @@ class ViserScene:
                 )
             )
             self._shown.append(pose)
+            self._colors.append(color)
 
     def show(self, poses: Sequence[SE3 | None], colors: Sequence[Color]) -> None:
         """Move and colour all objects; objects beyond the last pose are hidden."""
         missing = len(self.meshes) - len(poses)
         for index, pose in enumerate([*poses, *[None] * missing]):
             handle, before = self.meshes[index], self._shown[index]
-            if index < len(colors):
-                handle.color = exposed(colors[index])  # viser sends it only if it changes
+            if index < len(colors) and colors[index] != self._colors[index]:
+                handle.color = exposed(colors[index])
+                self._colors[index] = colors[index]
             if pose is before:
                 continue
             if (pose is None) != (before is None):
@@ -69,7 +72,7 @@ class ViserScene:
         """Remove all objects, and whatever is attached to them."""
         for handle in self.meshes:
             handle.remove()
-        self.meshes, self._shown = [], []
+        self.meshes, self._shown, self._colors = [], [], []
 
 
 def set_up_scene(scene: SceneApi, points: Float[np.ndarray, "n 3"]) -> None:

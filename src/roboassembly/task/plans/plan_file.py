@@ -25,17 +25,20 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 
 from roboassembly.errors import InputError
 from roboassembly.geometry.poses import SE3, pose_to_seven
-from roboassembly.task.full.cell_state import CellState, Segment
-from roboassembly.task.plans.full_plan import FullPlan, FullStep
 from roboassembly.task.plans.plan import Plan, PlanStep, UprightMotion, UprightResult
 from roboassembly.task.rules.groups import TaskState
 from roboassembly.task.setting import SettingName
+
+if TYPE_CHECKING:
+    # A record without robots is written without their libraries.
+    from roboassembly.task.full.cell_state import CellState, Segment
+    from roboassembly.task.plans.full_plan import FullPlan, FullStep
 
 FORMAT = "roboassembly.plan"
 VERSION = 3

@@ -1,43 +1,40 @@
 """The two settings as a table. Whoever needs what differs between them looks it up here.
 
+Each setting has a module of its own, `settings.object_centric` and `settings.full`, which is loaded when it is first
+looked up: what concerns no robots starts without the libraries for robots.
+
 No other module asks which setting it is in, but for two that the table cannot reach: `task.plans.plan_file`, which
 writes the records of both, and `viewer.playback`, which shows them.
 """
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Literal, NoReturn, TypeVar
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, Literal, TypeVar, get_args
 
-import numpy as np
-from jaxtyping import Float32
-
-from roboassembly.audit.full import audit_full_plan
-from roboassembly.audit.object_centric import audit_plan
-from roboassembly.envs import FULL, OBJECT_CENTRIC
-from roboassembly.envs.observation import Observer
 from roboassembly.errors import InputError
-from roboassembly.furniture.model import Furniture
-from roboassembly.solvers.forward import SearchLimits, SearchResult
-from roboassembly.solvers.hand_oracle import hand_oracle
-from roboassembly.solvers.mate_checks import FullMateCheck, MateCheck, ObjectCentricMateCheck
-from roboassembly.solvers.oracle import Oracle
-from roboassembly.solvers.search import FULL_LIMITS, solve, solve_from, solve_full, solve_full_from
-from roboassembly.task.full.execution import execute_plan
-from roboassembly.task.full.failure import coarse_kind
-from roboassembly.task.full.task import FullTask
-from roboassembly.task.full.upright import plan_full_upright
-from roboassembly.task.object_centric.task import ObjectCentricTask
-from roboassembly.task.object_centric.upright import plan_upright
-from roboassembly.task.plans.full_plan import FullPlan
-from roboassembly.task.plans.plan import Plan, UprightResult
-from roboassembly.task.rules.groups import TaskState
 from roboassembly.task.setting import SettingName
 
+if TYPE_CHECKING:
+    import numpy as np
+    from jaxtyping import Float32
+
+    from roboassembly.envs.observation import Observer
+    from roboassembly.furniture.model import Furniture
+    from roboassembly.solvers.forward import SearchLimits, SearchResult
+    from roboassembly.solvers.mate_checks import MateCheck
+    from roboassembly.solvers.oracle import Oracle
+    from roboassembly.task.full.task import FullTask
+    from roboassembly.task.object_centric.task import ObjectCentricTask
+    from roboassembly.task.plans.full_plan import FullPlan
+    from roboassembly.task.plans.plan import Plan, UprightResult
+
 ExecutionName = Literal["kinematic", "dynamic"]
-AnyPlan = TypeVar("AnyPlan", bound=Plan | FullPlan)
+AnyPlan = TypeVar("AnyPlan", bound="Plan | FullPlan")
+DEFAULT: SettingName = "object-centric"
+"""Setting of commands that name none."""
 
 
 @dataclass(frozen=True)
@@ -149,99 +146,20 @@ def set_upright(plan: AnyPlan) -> AnyPlan:
     return replace(plan, upright=SETTINGS[plan.setting].plan_upright(plan))
 
 
-_NO_ROBOTS = "--execution dynamic takes --setting full: there are no robots in the other one"
+class _Settings(Mapping[SettingName, Setting]):
+    """Settings by their names. The module of a setting is imported when it is asked for."""
+
+    def __getitem__(self, name: SettingName) -> Setting:
+        if name not in get_args(SettingName):
+            raise KeyError(name)
+        return import_module(f"{__name__}.{name.replace('-', '_')}").SETTING
+
+    def __iter__(self) -> Iterator[SettingName]:
+        return iter(get_args(SettingName))
+
+    def __len__(self) -> int:
+        return len(get_args(SettingName))
 
 
-def _object_centric_plan(furniture: Furniture, initial: TaskState, *rest: Any, **named: Any) -> Plan:
-    return Plan(furniture, initial.part_poses, *rest, **named)
-
-
-def _not_executed(_: Plan) -> NoReturn:
-    raise InputError(_NO_ROBOTS)
-
-
-def _oracle(furniture: Furniture) -> Oracle:
-    return Oracle(ObjectCentricTask(furniture))
-
-
-def _no_grasps(_: Observer) -> None:
-    return None
-
-
-def _grasps(observer: Observer) -> Float32[np.ndarray, "P 8 6"]:
-    return observer.grasp_poses
-
-
-def _on_pairs(later: int) -> tuple[int, int]:
-    return later + 1, 0
-
-
-def _on_grasps(later: int) -> tuple[int, int]:
-    return 1, later + 1
-
-
-def _not_counted(_: Iterable[tuple[str, str]]) -> dict[str, Any]:
-    return {}
-
-
-def _counted(ends: Iterable[tuple[str, str]]) -> dict[str, Any]:
-    return {"failures": dict(Counter(coarse_kind(*end) for end in ends).most_common())}
-
-
-DEFAULT: SettingName = "object-centric"
-SETTINGS: Mapping[SettingName, Setting] = {
-    "object-centric": Setting(
-        name="object-centric",
-        environment=OBJECT_CENTRIC,
-        choices=("w",),
-        needs_grasps=False,
-        make_task=ObjectCentricTask,
-        solve=solve,
-        solve_from=solve_from,
-        limits=SearchLimits(),
-        make_plan=_object_centric_plan,
-        plan_upright=plan_upright,
-        audit=audit_plan,
-        execute=_not_executed,
-        execution="kinematic",
-        refused_options={"--execution dynamic": _NO_ROBOTS},
-        make_oracle=_oracle,
-        make_mate_check=ObjectCentricMateCheck,
-        grasp_inputs=_no_grasps,
-        rounds_of_networks=_on_pairs,
-        refusals=(),
-        repeated_starts=0,
-        lacking="plays with robots only",
-        failures=_not_counted,
-        experts_note="",
-        paper=PaperFigures(79.4, 66.4, 74.5, "37.8k", rrt_connect=18.8, rrt_connect_steps="91.7k"),
-    ),
-    "full": Setting(
-        name="full",
-        environment=FULL,
-        choices=("g_a", "g_b"),
-        needs_grasps=True,
-        make_task=FullTask,
-        solve=solve_full,
-        solve_from=solve_full_from,
-        limits=FULL_LIMITS,
-        make_plan=FullPlan,
-        plan_upright=plan_full_upright,
-        audit=audit_full_plan,
-        execute=execute_plan,
-        execution="dynamic",
-        refused_options={"--export": "--export does not support --setting full; use --setting object-centric"},
-        make_oracle=hand_oracle,
-        make_mate_check=FullMateCheck,
-        grasp_inputs=_grasps,
-        rounds_of_networks=_on_grasps,
-        refusals=(InputError,),
-        # From other starts the arms often cannot carry out what an expert chooses.
-        repeated_starts=3,
-        lacking="chooses no grasps",
-        failures=_counted,
-        experts_note="Experts count as in the paper, where found paths are kept: by episodes from starts of their "
-        "training.",
-        paper=PaperFigures(59.3, 25.8, 50.0),
-    ),
-}
+SETTINGS: Mapping[SettingName, Setting] = _Settings()
+"""The settings by their names."""
