@@ -21,9 +21,9 @@ from roboassembly.learning.layers import Params
 from roboassembly.learning.registry import load_policy
 from roboassembly.learning.relational import network as relational
 from roboassembly.learning.relational.grasps import network as grasping
-from roboassembly.learning.relational.policy import RelationalPolicy
+from roboassembly.learning.relational.policy import RelationalPolicy, _Sequence
 from roboassembly.learning.relational.policy_view import PolicyView
-from roboassembly.learning.relational.tokens import tokens_of
+from roboassembly.learning.relational.tokens import TokenCache, group_keys, tokens_of
 from roboassembly.task.full.failure import FullVerdict
 
 
@@ -112,6 +112,39 @@ def test_beam_search_gives_up_the_best_action_if_it_leads_nowhere() -> None:
     assert tuple(replace(policy, beam_depth=2).act(observation, mask)) == b
     ScriptedPolicy.value_after[frozenset({c})] = 2.5
     assert tuple(replace(policy, beam_depth=2).act(observation, mask)) == c
+
+
+def test_a_beam_leaves_out_only_what_cannot_win() -> None:
+    policy = load_policy("relational")
+    assert isinstance(policy, RelationalPolicy)
+    for piece in ("splat:3", "stool:2"):
+        env = ObjectCentricEnv(piece, cloud_points=CLOUD_POINTS)
+        observation, info = env.reset(seed=1)
+        over = False
+        while not over:
+            view = PolicyView.from_observation(observation, info["action_mask"])
+            steps = policy._next_steps([_Sequence(view, policy.pair_values(view))])
+            # Each state by itself: nothing is left out, and nothing is known from a state with the same groups.
+            totals = [step.log_probability + policy._log_finish(step.view_after, {}) for step in steps]
+            action = policy.act(observation, info["action_mask"])
+            assert tuple(action) == steps[int(np.argmax(totals))].action
+            observation, _, terminated, truncated, info = env.step(action)
+            over = terminated or truncated
+
+
+def test_merges_of_equal_parts_lead_to_states_with_the_same_groups() -> None:
+    env = ObjectCentricEnv("stool", cloud_points=CLOUD_POINTS)
+    observation, info = env.reset(seed=0)
+    view = PolicyView.from_observation(observation, info["action_mask"])
+    policy = load_policy("relational")
+    assert isinstance(policy, RelationalPolicy)
+    values, after = policy.pair_values(view), {}
+    for step in policy._next_steps([_Sequence(view, values)]):
+        u, v, k, l, _ = step.action  # noqa: E741
+        kind = frozenset(((view.clouds[u].tobytes(), k), (view.clouds[v].tobytes(), l)))
+        after.setdefault(kind, set()).add(group_keys(step.view_after, TokenCache()))
+    assert all(len(keys) == 1 for keys in after.values())
+    assert len({keys for found in after.values() for keys in found}) == len(after)
 
 
 def test_a_policy_with_a_grasp_network_acts_in_the_full_setting() -> None:

@@ -19,7 +19,7 @@ from roboassembly.learning.relational import network as relational
 from roboassembly.learning.relational.grasps import network as grasping
 from roboassembly.learning.relational.grasps.features import grasp_features
 from roboassembly.learning.relational.policy_view import PolicyView
-from roboassembly.learning.relational.tokens import TokenCache, tokens_of
+from roboassembly.learning.relational.tokens import TokenCache, group_keys, tokens_of
 from roboassembly.task.setting import SettingName
 
 GRASP_PARAMS, FULL_PARAMS = "grasps", "full"
@@ -143,30 +143,51 @@ class RelationalPolicy:
     def _beam_search(self, start: _Sequence) -> Int[np.ndarray, "5"]:
         """First action of the best of `beam_width` sequences of `beam_depth` merges."""
         beam = [start]
-        for _ in range(self.beam_depth):
-            longer: dict[frozenset[_Mate], tuple[_Sequence, tuple[int, ...], float]] = {}
-            for sequence in beam:
-                for action in _candidates(sequence.values, sequence.view.group, self.beam_width):
-                    u, v, k, l, _ = action  # noqa: E741
-                    log_probability = sequence.log_probability + _log_sigmoid(float(sequence.values[action]))
-                    # The same merges in another order are the same sequence.
-                    mates = sequence.mates | {frozenset(((u, k), (v, l)))}
-                    if mates not in longer or log_probability > longer[mates][2]:
-                        longer[mates] = sequence, action, log_probability
-            if not longer:
+        for _ in range(self.beam_depth - 1):
+            beam = [self._extended(step) for step in self._next_steps(beam)] or beam
+        chosen, best = None, -np.inf
+        finish: dict[tuple[bytes, ...], float] = {}
+        for step in self._next_steps(beam):
+            # No sequence is more probable than its merges, so the rest cannot be better.
+            if chosen is not None and step.log_probability <= best:
                 break
-            best = sorted(longer.items(), key=lambda item: -item[1][2])[: self.beam_width]
-            beam = [self._extended(*item, mates) for mates, item in best]
-        chosen = max(beam, key=lambda sequence: sequence.log_probability + sequence.log_finish)
-        return surest(start.values) if chosen.first is None else np.array(chosen.first)
+            log_total = step.log_probability + self._log_finish(step.view_after, finish)
+            if chosen is None or log_total > best:
+                chosen, best = step.first, log_total
+        # Nothing is left to merge only where the beam is already longer than the assembly.
+        chosen = chosen or max(beam, key=lambda s: s.log_probability + self._log_finish(s.view, finish)).first
+        return surest(start.values) if chosen is None else np.array(chosen)
 
-    def _extended(
-        self, sequence: _Sequence, action: tuple[int, ...], log_probability: float, mates: frozenset[_Mate]
-    ) -> _Sequence:
-        """Sequence with one more action."""
-        u, v, k, l, _ = action  # noqa: E741
-        after = sequence.view.after_merge(u, k, v, l)
-        return _Sequence(after, self.pair_values(after), sequence.first or action, log_probability, mates)
+    def _next_steps(self, beam: list[_Sequence]) -> list[_Step]:
+        """Return the most probable actions after some sequences, `beam_width` at most, the most probable first."""
+        steps: dict[frozenset[_Mate], _Step] = {}
+        for sequence in beam:
+            for action in _candidates(sequence.values, sequence.view.group, self.beam_width):
+                log_probability = sequence.log_probability + _log_sigmoid(float(sequence.values[action]))
+                step = _Step(sequence, action, log_probability)
+                # The same merges in another order are the same sequence.
+                if step.mates not in steps or log_probability > steps[step.mates].log_probability:
+                    steps[step.mates] = step
+        return sorted(steps.values(), key=lambda step: -step.log_probability)[: self.beam_width]
+
+    def _extended(self, step: _Step) -> _Sequence:
+        """Return the sequence with one more action."""
+        after = step.view_after
+        return _Sequence(after, self.pair_values(after), step.first, step.log_probability, step.mates)
+
+    def _log_finish(self, view: PolicyView, known: dict[tuple[bytes, ...], float]) -> float:
+        """Return the log-probability that the furniture can be finished from a state; 0 where it is finished.
+
+        Args:
+            view: the state.
+            known: results by the state's groups, extended here. It spares the same merge of another of some equal
+                parts; a caller keeps it for one decision only, because states are equal but for rounding.
+        """
+        key = group_keys(view, self.cache, grasps="grasp" in self.params)
+        if key not in known:
+            best = float(self.pair_values(view).max(initial=-np.inf))
+            known[key] = _log_sigmoid(best) if best > -np.inf else (0.0 if view.complete else -np.inf)
+        return known[key]
 
     def _grasp_values(self, view: PolicyView, grasp_params: Params, mask: Mask) -> Values:
         """Log-probabilities of actions with grasps.
@@ -198,10 +219,11 @@ class RelationalPolicy:
         """Log-probabilities of pairs, plus that of finishing after the best merge of their two groups."""
         group = view.group
         log_finish: dict[tuple[int, int], float] = {}
+        known: dict[tuple[bytes, ...], float] = {}
         for action in _candidates(values, group, self.beam_width):
-            after = self._extended(_Sequence(view, values), action, 0.0, frozenset())
+            after = _Step(_Sequence(view, values), action, 0.0).view_after
             u_group, v_group = sorted((int(group[action[0]]), int(group[action[1]])))
-            log_finish[u_group, v_group] = max(after.log_finish, _HOPELESS)
+            log_finish[u_group, v_group] = max(self._log_finish(after, known), _HOPELESS)
         # All other groups are worse, so nothing is computed for them.
         out = pairs + min(log_finish.values(), default=0.0)
         for (u_group, v_group), finish in log_finish.items():
@@ -227,13 +249,32 @@ class _Sequence:
     """Log-probability that all merges are viable."""
     mates: frozenset[_Mate] = frozenset()
 
+
+@dataclass(frozen=True, eq=False)
+class _Step:
+    """One more action after a sequence."""
+
+    before: _Sequence
+    action: tuple[int, ...]
+    log_probability: float
+    """Log-probability that all merges are viable, this one included."""
+
     @property
-    def log_finish(self) -> float:
-        """Log-probability that the furniture can be finished from here; 0 where it is finished."""
-        best = float(self.values.max(initial=-np.inf))
-        if best == -np.inf:
-            return 0.0 if self.view.complete else -np.inf
-        return _log_sigmoid(best)
+    def first(self) -> tuple[int, ...]:
+        """First action of the longer sequence."""
+        return self.before.first or self.action
+
+    @property
+    def mates(self) -> frozenset[_Mate]:
+        """Mates of the longer sequence."""
+        u, v, k, l, _ = self.action  # noqa: E741
+        return self.before.mates | {frozenset(((u, k), (v, l)))}
+
+    @property
+    def view_after(self) -> PolicyView:
+        """Expected state after the action."""
+        u, v, k, l, _ = self.action  # noqa: E741
+        return self.before.view.after_merge(u, k, v, l)
 
 
 def _candidates(values: Values, group: Int[np.ndarray, "P"], count: int) -> list[tuple[int, ...]]:

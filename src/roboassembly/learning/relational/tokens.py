@@ -131,25 +131,11 @@ def tokens_of(view: PolicyView, cache: TokenCache | None = None, *, grasps: bool
         grasps: whether to compute grasp features and clearances.
     """
     cache = cache or TokenCache()
-    part, point = np.nonzero(view.free)
-    points = view.points[part, point]
-    digests = [digest_of(cloud) for cloud in view.clouds]
-    shapes = cache.get(b"".join(digests), partial(PartShapes.of_clouds, view.clouds, digests))
-    frames = GroupFrames.of_groups(shapes, view.connections, view.group)
-    frame = frames.rotation[part] @ point_frames(points)
-    position = np.einsum("nij,nj->ni", frames.rotation[part], points[:, :3]) + frames.translation[part]
-    labels, group = np.unique(view.group[part], return_inverse=True)
-    rows = [np.flatnonzero(group == index) for index in range(len(labels))]
-
+    p = _PointsInGroups.of_view(view, cache)
+    part, points, group, rows, shapes, frames = p.part, p.points, p.group, p.rows, p.shapes, p.frames
+    frame, position = p.frame, p.position
     geometry: list[GroupGeometry] = []
-    for label, tokens in zip(labels, rows, strict=True):
-        members = np.flatnonzero(view.group == label)
-        arrays = [frames.rotation[members], frames.translation[members], position[tokens], frame[tokens]]
-        if grasps:
-            arrays += [np.searchsorted(members, part[tokens]), view.grasps[members]]
-        key = hashlib.blake2b(
-            b"".join([*(shapes.digests[i] for i in members), *(a.tobytes() for a in arrays)])
-        ).digest()
+    for key, members, arrays in p.of_groups(view, grasps=grasps):
         geometry.append(cache.get(key, partial(GroupGeometry.build, key, view.clouds[members], *arrays)))
 
     patch, extent = np.zeros((len(part), PATCH_SIZE), np.uint8), np.zeros((len(part), 3), np.float32)
@@ -162,9 +148,62 @@ def tokens_of(view: PolicyView, cache: TokenCache | None = None, *, grasps: bool
     cycles_4 = np.minimum(closed_4_cycles(rows, position, frame, plausible), 255).astype(np.uint8)
     of_grasps = _grasp_arrays(geometry, rows, cache) if grasps else (None, None)
     return Tokens(
-        part, point, group, patch, _point_features(view, part, points, group, shapes, frames),
+        part, p.point, group, patch, _point_features(view, part, points, group, shapes, frames),
         frame.astype(np.float32), position.astype(np.float32), extent, matches, bounds, cycles_3, cycles_4, *of_grasps,
     )  # fmt: skip
+
+
+def group_keys(view: PolicyView, cache: TokenCache, *, grasps: bool = False) -> tuple[bytes, ...]:
+    """Return the sorted keys of all groups with free points; states with the same keys have the same tokens.
+
+    The tokens are in another order, and equal but for rounding. Arguments as of `tokens_of`.
+    """
+    points = _PointsInGroups.of_view(view, cache)
+    return tuple(sorted(key for key, _, _ in points.of_groups(view, grasps=grasps)))
+
+
+@dataclass(frozen=True, eq=False)
+class _PointsInGroups:
+    """The n free points of a state in the frames of their groups; see `Tokens`."""
+
+    part: Int[np.ndarray, "n"]
+    point: Int[np.ndarray, "n"]
+    points: Float[np.ndarray, "n 9"]
+    """Position, normal and tangent in the part's frame."""
+    group: Int[np.ndarray, "n"]
+    labels: Int[np.ndarray, "g"]
+    """Number of each group's first part."""
+    rows: list[Int[np.ndarray, "_"]]
+    """Points of each group, as numbers in 0..n."""
+    shapes: PartShapes
+    frames: GroupFrames
+    frame: Float[np.ndarray, "n 3 3"]
+    position: Float[np.ndarray, "n 3"]
+
+    @staticmethod
+    def of_view(view: PolicyView, cache: TokenCache) -> _PointsInGroups:
+        """Return the free points of a state."""
+        part, point = np.nonzero(view.free)
+        points = view.points[part, point]
+        digests = [digest_of(cloud) for cloud in view.clouds]
+        shapes = cache.get(b"".join(digests), partial(PartShapes.of_clouds, view.clouds, digests))
+        frames = GroupFrames.of_groups(shapes, view.connections, view.group)
+        frame = frames.rotation[part] @ point_frames(points)
+        position = np.einsum("nij,nj->ni", frames.rotation[part], points[:, :3]) + frames.translation[part]
+        labels, group = np.unique(view.group[part], return_inverse=True)
+        rows = [np.flatnonzero(group == index) for index in range(len(labels))]
+        return _PointsInGroups(part, point, points, group, labels, rows, shapes, frames, frame, position)
+
+    def of_groups(self, view: PolicyView, *, grasps: bool) -> Iterator[tuple[bytes, Int[np.ndarray, "m"], list[Any]]]:
+        """Yield the key and members of each group, and the arrays that `GroupGeometry.build` takes after the clouds."""
+        for label, tokens in zip(self.labels, self.rows, strict=True):
+            members = np.flatnonzero(view.group == label)
+            arrays = [self.frames.rotation[members], self.frames.translation[members]]
+            arrays += [self.position[tokens], self.frame[tokens]]
+            if grasps:
+                arrays += [np.searchsorted(members, self.part[tokens]), view.grasps[members]]
+            digests = [self.shapes.digests[i] for i in members]
+            yield hashlib.blake2b(b"".join([*digests, *(a.tobytes() for a in arrays)])).digest(), members, arrays
 
 
 def _point_features(
