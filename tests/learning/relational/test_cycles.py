@@ -3,8 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
+from roboassembly.envs.object_centric import ObjectCentricEnv
+from roboassembly.geometry.mating import mating_rotations
 from roboassembly.learning.relational.cycles import closed_3_cycles, closed_4_cycles
+from roboassembly.learning.relational.features import frames_parallel, plausible_pairs
+from roboassembly.learning.relational.policy_view import PolicyView
+from roboassembly.learning.relational.tokens import GroupedPoints, TokenCache
 
 
 def test_3_cycles_close_where_a_third_group_fits_both() -> None:
@@ -48,3 +54,21 @@ def test_4_cycles_close_where_two_groups_reach_equally_far() -> None:
     assert found[0, 4] == found[1, 4] == found[2, 5] == found[3, 5] == found[1, 6] == 2
     assert not found[:, 8:].any()
     assert not found[~plausible].any()
+
+
+@pytest.mark.parametrize("piece", ["stool:1", "ladder:2", "bench:3"])
+def test_equal_groups_have_the_same_cycles(piece: str) -> None:
+    env = ObjectCentricEnv(piece, cloud_points=64)
+    observation, info = env.reset(seed=0)
+    points = GroupedPoints.of_view(PolicyView.from_observation(observation, info["action_mask"]), TokenCache())
+    frame, group = points.frame, points.group
+    plausible = plausible_pairs(
+        frames_parallel(mating_rotations(frame, frame)), points.frames.upright[points.part], group[:, None] != group
+    )
+    kinds = [points.keys.index(key) for key in points.keys]
+    assert len(set(kinds)) < len(kinds)
+    for closed in (closed_3_cycles, closed_4_cycles):
+        each = closed(points.rows, points.position, frame, plausible)
+        once = closed(points.rows, points.position, frame, plausible, kinds)
+        assert np.array_equal(each, once)
+    assert each.any()

@@ -23,7 +23,7 @@ from roboassembly.learning.relational import network as relational
 from roboassembly.learning.relational.grasps import network as grasping
 from roboassembly.learning.relational.policy import RelationalPolicy, _Sequence
 from roboassembly.learning.relational.policy_view import PolicyView
-from roboassembly.learning.relational.tokens import TokenCache, group_keys, tokens_of
+from roboassembly.learning.relational.tokens import GroupedPoints, TokenCache, tokens_of
 from roboassembly.task.full.failure import FullVerdict
 
 
@@ -82,7 +82,7 @@ class ScriptedPolicy(RelationalPolicy):
     value_after: ClassVar[dict[frozenset, float]] = {}
     first: ClassVar[list[tuple[int, ...]]] = []
 
-    def pair_values(self, view: PolicyView) -> np.ndarray:
+    def pair_values(self, view: PolicyView, grouped: GroupedPoints | None = None) -> np.ndarray:
         values = np.full(view.action_shape, -np.inf, np.float32)
         exist = [a for a in self.first if view.group[a[0]] != view.group[a[1]]]
         joined = frozenset(a for a in self.first if a not in exist)
@@ -142,7 +142,7 @@ def test_merges_of_equal_parts_lead_to_states_with_the_same_groups() -> None:
     for step in policy._next_steps([_Sequence(view, values)]):
         u, v, k, l, _ = step.action  # noqa: E741
         kind = frozenset(((view.clouds[u].tobytes(), k), (view.clouds[v].tobytes(), l)))
-        after.setdefault(kind, set()).add(group_keys(step.view_after, TokenCache()))
+        after.setdefault(kind, set()).add(tuple(sorted(GroupedPoints.of_view(step.view_after, TokenCache()).keys)))
     assert all(len(keys) == 1 for keys in after.values())
     assert len({keys for found in after.values() for keys in found}) == len(after)
 

@@ -39,7 +39,7 @@ _ENCODED = 32
 class Augmentation:
     """Copies that are made of each sample set before training."""
 
-    copies: int = 4
+    copies: int = 16
     """Noisy and stretched clouds of each part, in addition to the clean one."""
     noise: float = 0.003
     """Standard deviation of the noise along each axis [m]."""

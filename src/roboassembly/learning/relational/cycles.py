@@ -10,11 +10,14 @@ same two fixes the same, the four mates close a 4-cycle, and each speaks for the
 
 Both functions take the n free points of a state in their groups' frames and the pairs that may mate; all other pairs
 neither count nor close a cycle. Their results are symmetric.
+
+Equal groups, such as four legs, may change places without a change of the state. So cycles are looked for between one
+pair of groups of each two kinds; other pairs of these kinds have the same ones.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -37,6 +40,7 @@ def closed_3_cycles(
     position: Float[np.ndarray, "n 3"],
     frame: Float[np.ndarray, "n 3 3"],
     plausible: Bool[np.ndarray, "n n"],
+    kinds: Sequence[int] | None = None,
 ) -> Int[np.ndarray, "n n"]:
     """Count for each pair of points the third groups that close a 3-cycle with it.
 
@@ -45,13 +49,15 @@ def closed_3_cycles(
         position: position of each point in its group's frame [m].
         frame: `group_from_point` rotation of each point.
         plausible: pairs that may mate; symmetric.
+        kinds: kind of each group; groups of one kind have the same points in the same order. All differ if None.
     """
     count = np.zeros(plausible.shape, int)
     # Two points of the third group, in the frame of the first: they have to fit a free point of A and one of B.
     ends = [np.array([(m, o) for m in group for o in group if m != o], int).reshape(-1, 2) for group in groups]
     end = np.concatenate(ends) if ends else np.zeros((0, 2), int)
     owner = np.repeat(np.arange(len(groups)), [len(e) for e in ends])
-    places = [_places(a, b, position, frame, plausible) for i, a in enumerate(groups) for b in groups[:i]]
+    alike = list(_pairs_by_kind(len(groups), kinds))
+    places = [_places(groups[a], groups[b], position, frame, plausible) for (a, b), _ in alike]
     place_points = np.concatenate([g[0] for g in places]) if places else np.zeros((0, 4), int)
     if not len(place_points) or not len(end):
         return count
@@ -66,7 +72,22 @@ def closed_3_cycles(
     fits = plausible[other_k, m] & plausible[other_l, other_m]
     closed = np.unique(np.stack([k, l, owner[found["j"]]], axis=1)[fits], axis=0)
     np.add.at(count, (closed[:, 0], closed[:, 1]), 1)
+    for (a, b), others in alike:
+        for other_a, other_b in others:
+            count[np.ix_(groups[other_a], groups[other_b])] = count[np.ix_(groups[a], groups[b])]
     return count + count.T
+
+
+def _pairs_by_kind(groups: int, kinds: Sequence[int] | None) -> Iterator[tuple[tuple[int, int], list[tuple[int, int]]]]:
+    """Yield the first pair of groups of each two kinds, and the other pairs of these kinds, each in the same order."""
+    kind = list(range(groups)) if kinds is None else kinds
+    pairs: dict[tuple[int, int], list[tuple[int, int]]] = {}
+    for a in range(groups):
+        for b in range(a):
+            first, second = (a, b) if kind[a] >= kind[b] else (b, a)
+            pairs.setdefault((kind[first], kind[second]), []).append((first, second))
+    for alike in pairs.values():
+        yield alike[0], alike[1:]
 
 
 def _places(
@@ -101,15 +122,9 @@ def closed_4_cycles(
     position: Float[np.ndarray, "n 3"],
     frame: Float[np.ndarray, "n 3 3"],
     plausible: Bool[np.ndarray, "n n"],
+    kinds: Sequence[int] | None = None,
 ) -> Int[np.ndarray, "n n"]:
-    """Count for each pair of points the other groups that close a 4-cycle with it.
-
-    Args:
-        groups: points of each group, as numbers in 0..n.
-        position: position of each point in its group's frame [m].
-        frame: `group_from_point` rotation of each point.
-        plausible: pairs that may mate; symmetric.
-    """
+    """Count for each pair of points the other groups that close a 4-cycle with it; for arguments see above."""
     count = np.zeros(plausible.shape, int)
     owner = np.zeros(len(position), int)
     for group, points in enumerate(groups):
@@ -119,27 +134,47 @@ def closed_4_cycles(
     rotation, translation = rotations[columns, rows], translations[columns, rows]
     by_row = [np.flatnonzero(owner[rows] == group) for group in range(len(groups))]
     by_column = [np.flatnonzero(owner[columns] == group) for group in range(len(groups))]
-    for a in range(len(groups)):
-        for b in range(a):
-            # A chain: a point of A with one of a group between, another point of that group with one of B.
-            first, second = _chains(by_row[a], by_column[b], rows, columns, owner)
-            if len(first) < 2:
-                continue
-            end = (rotation[first] @ translation[second][:, :, None])[..., 0] + translation[first]
-            near: Int[np.ndarray, "q 2"] = KDTree(end).query_pairs(_POSITION_TOLERANCE, output_type="ndarray")
-            i, j = near.T
-            differ = (owner[columns[first[i]]] != owner[columns[first[j]]]) & (rows[first[i]] != rows[first[j]])
-            differ &= columns[second[i]] != columns[second[j]]
-            i, j = i[differ], j[differ]
-            turn = (rotation[first] @ rotation[second])[:, :, ::2]
-            same = np.abs(turn[i] - turn[j]).max(axis=(1, 2)) < _DIRECTION_TOLERANCE
-            i, j = i[same], j[same]
-            for mate in (first, second):
-                for here, there in ((i, j), (j, i)):
-                    # Each group that closes a cycle counts once for a pair.
-                    support = np.unique(mate[here] * len(groups) + owner[columns[first[there]]]) // len(groups)
-                    np.add.at(count, (rows[support], columns[support]), 1)
+    for (a, b), others in _pairs_by_kind(len(groups), kinds):
+        # A chain: a point of A with one of a group between, another point of that group with one of B.
+        first, second = _chains(by_row[a], by_column[b], rows, columns, owner)
+        if len(first) < 2:
+            continue
+        end = (rotation[first] @ translation[second][:, :, None])[..., 0] + translation[first]
+        near: Int[np.ndarray, "q 2"] = KDTree(end).query_pairs(_POSITION_TOLERANCE, output_type="ndarray")
+        i, j = near.T
+        differ = (owner[columns[first[i]]] != owner[columns[first[j]]]) & (rows[first[i]] != rows[first[j]])
+        differ &= columns[second[i]] != columns[second[j]]
+        i, j = i[differ], j[differ]
+        if not len(i):
+            continue
+        turn = (rotation[first] @ rotation[second])[:, :, ::2]
+        same = np.abs(turn[i] - turn[j]).max(axis=(1, 2)) < _DIRECTION_TOLERANCE
+        i, j = i[same], j[same]
+        support: list[Int[np.ndarray, "_"]] = []
+        for mate in (first, second):
+            for here, there in ((i, j), (j, i)):
+                # Each group that closes a cycle counts once for a pair.
+                support.append(np.unique(mate[here] * len(groups) + owner[columns[first[there]]]) // len(groups))
+        supported = np.concatenate(support)
+        np.add.at(count, (rows[supported], columns[supported]), 1)
+        for other in others:
+            moved = _exchanged(groups, (a, b), other)
+            np.add.at(count, (moved[rows[supported]], moved[columns[supported]]), 1)
     return count + count.T
+
+
+def _exchanged(
+    groups: Sequence[Int[np.ndarray, "_"]], pair: tuple[int, int], other: tuple[int, int]
+) -> Int[np.ndarray, "n"]:
+    """Return where each point goes when two groups change places with two others of their kinds."""
+    place = list(range(len(groups)))
+    for one, wanted in zip(pair, other, strict=True):
+        at = place.index(wanted)
+        place[one], place[at] = place[at], place[one]
+    moved = np.zeros(sum(map(len, groups)), int)
+    for group, to in enumerate(place):
+        moved[groups[group]] = groups[to]
+    return moved
 
 
 def _chains(

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,7 +27,7 @@ _EXTENT_POINTS = 160
 class PartShapes:
     """The shapes of P parts."""
 
-    digests: list[bytes]
+    digests: Sequence[bytes]
     """Hash of each part's cloud."""
     sides: Float[np.ndarray, "P 3"]
     """Extent of each part along its axes [m]."""
@@ -35,7 +35,7 @@ class PartShapes:
     """Number of parts with the same cloud, the part itself included."""
 
     @staticmethod
-    def of_clouds(clouds: Float[np.ndarray, "P c 3"], digests: list[bytes]) -> PartShapes:
+    def of_clouds(clouds: Float[np.ndarray, "P c 3"], digests: Sequence[bytes]) -> PartShapes:
         """Return the shapes of some clouds.
 
         Args:
@@ -47,11 +47,6 @@ class PartShapes:
         return PartShapes(
             digests, np.array([sides[digest] for digest in digests]), np.array([count[digest] for digest in digests])
         )
-
-
-def digest_of(cloud: Float[np.ndarray, "c 3"]) -> bytes:
-    """Return a hash of a cloud."""
-    return hashlib.blake2b(cloud.tobytes(), digest_size=16).digest()
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,13 +71,16 @@ class GroupFrames:
         upright = np.zeros(len(group), bool)
         rotation, translation = np.tile(np.eye(3), (len(group), 1, 1)), np.zeros((len(group), 3))
         extent = shapes.sides.max(axis=1)
+        reference = np.arange(len(group))
         for label in np.unique(group):
             members = np.flatnonzero(group == label)
-            reference = members[np.lexsort((members, -extent[members], shapes.copies[members]))[0]]
-            rest = members[members != reference]
-            rotation[rest] = rotations_from_euler(connections[reference, rest, 3:])
-            translation[rest] = connections[reference, rest, :3]
-            upright[members] = shapes.copies[reference] == 1
+            first = members[np.lexsort((members, -extent[members], shapes.copies[members]))[0]]
+            reference[members] = first
+            upright[members] = shapes.copies[first] == 1
+        rest = np.flatnonzero(reference != np.arange(len(group)))
+        if len(rest):
+            poses = connections[reference[rest], rest]
+            rotation[rest], translation[rest] = rotations_from_euler(poses[:, 3:]), poses[:, :3]
         return GroupFrames(rotation, translation, upright)
 
 

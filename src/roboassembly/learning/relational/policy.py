@@ -19,7 +19,8 @@ from roboassembly.learning.relational import network as relational
 from roboassembly.learning.relational.grasps import network as grasping
 from roboassembly.learning.relational.grasps.features import grasp_features
 from roboassembly.learning.relational.policy_view import PolicyView
-from roboassembly.learning.relational.tokens import TokenCache, group_keys, tokens_of
+from roboassembly.learning.relational.tokens import GroupedPoints, TokenCache, tokens_of
+from roboassembly.parallel.threads import one_blas_thread
 from roboassembly.task.setting import SettingName
 
 GRASP_PARAMS, FULL_PARAMS = "grasps", "full"
@@ -103,9 +104,10 @@ class RelationalPolicy:
         """
         if mask.ndim == _FULL_MASK_AXES:
             return surest(self.values(observation, mask))
-        view = PolicyView.from_observation(observation, mask)
-        values = self.pair_values(view)
-        return surest(values) if self.beam_width < 2 else self._beam_search(_Sequence(view, values))
+        with one_blas_thread():
+            view = PolicyView.from_observation(observation, mask)
+            values = self.pair_values(view)
+            return surest(values) if self.beam_width < 2 else self._beam_search(_Sequence(view, values))
 
     def values(self, observation: Observation, mask: Mask) -> Values:
         """Return logits of the probabilities of actions, in the full setting their logarithms.
@@ -115,23 +117,30 @@ class RelationalPolicy:
         Raises:
             InputError: the mask has grasps and the policy has no grasp network.
         """
-        view = PolicyView.from_observation(observation, mask)
-        if mask.ndim != _FULL_MASK_AXES:
-            return self.pair_values(view)
-        if self.grasp_params is None:
+        with_grasps = mask.ndim == _FULL_MASK_AXES
+        if with_grasps and self.grasp_params is None:
             raise InputError(f"the policy '{self.name}' has no grasp network; use --setting object-centric")
-        policy = self if self.full_params is None else replace(self, params=self.full_params)
-        return policy._grasp_values(view, self.grasp_params, mask)
+        with one_blas_thread():
+            view = PolicyView.from_observation(observation, mask)
+            if not with_grasps or self.grasp_params is None:
+                return self.pair_values(view)
+            policy = self if self.full_params is None else replace(self, params=self.full_params)
+            return policy._grasp_values(view, self.grasp_params, mask)
 
     def probabilities(self, observation: Observation, mask: Mask) -> Values:
         """Return for each action the probability that the furniture can be finished after it."""
         values = self.values(observation, mask)
         return np.exp(values) if mask.ndim == _FULL_MASK_AXES else sigmoid(values)
 
-    def pair_values(self, view: PolicyView) -> Values:
-        """Return the logits of all object-centric actions; -inf where an action does not exist."""
+    def pair_values(self, view: PolicyView, grouped: GroupedPoints | None = None) -> Values:
+        """Return the logits of all object-centric actions; -inf where an action does not exist.
+
+        Args:
+            view: the state.
+            grouped: free points of the state, if they are known.
+        """
         out = np.full(view.action_shape, -np.inf, np.float32)
-        tokens = tokens_of(view, self.cache, grasps="grasp" in self.params)
+        tokens = tokens_of(view, self.cache, grasps="grasp" in self.params, grouped=grouped)
         if len(tokens.part):
             u, k = tokens.part[:, None], tokens.point[:, None]
             v, l = tokens.part[None], tokens.point[None]  # noqa: E741
@@ -183,9 +192,10 @@ class RelationalPolicy:
             known: results by the state's groups, extended here. It spares the same merge of another of some equal
                 parts; a caller keeps it for one decision only, because states are equal but for rounding.
         """
-        key = group_keys(view, self.cache, grasps="grasp" in self.params)
+        grouped = GroupedPoints.of_view(view, self.cache, grasps="grasp" in self.params)
+        key = tuple(sorted(grouped.keys))
         if key not in known:
-            best = float(self.pair_values(view).max(initial=-np.inf))
+            best = float(self.pair_values(view, grouped).max(initial=-np.inf))
             known[key] = _log_sigmoid(best) if best > -np.inf else (0.0 if view.complete else -np.inf)
         return known[key]
 

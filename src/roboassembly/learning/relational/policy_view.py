@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -36,32 +38,37 @@ class PolicyView:
     """`part_from_tips` of each grasp; zeros where there is none or where grasps do not matter."""
     poses: Float[np.ndarray, "P 6"]
     """`world_from_part` of each part, translation [m] and Euler angles."""
+    digests: Sequence[bytes]
+    """Hash of each part's cloud."""
 
     @staticmethod
     def from_observation(observation: dict[str, np.ndarray], mask: Bool[np.ndarray, "P P K K ..."]) -> PolicyView:
         """Return the view of an observation, with the mask of the actions that exist."""
-        connections = observation["connections"].astype(float)
+        connections, clouds = observation["connections"].astype(float), observation["shapes"].astype(float)
         return PolicyView(
-            observation["shapes"].astype(float),
+            clouds,
             observation["connection_points"].astype(float),
             connections,
             np.asarray(mask.reshape(*mask.shape[:4], -1).any(axis=(1, 3, 4))),  # of u and k; the mask is symmetric
             group_labels(connections),
             observation["grasp_regions"].reshape(len(connections), -1, 6).astype(float),
             observation["poses"].astype(float),
+            digests_of(clouds),
         )
 
     @staticmethod
     def from_sample(samples: SampleSet, sample: LabeledState) -> PolicyView:
         """Return the view of a training sample, one of `samples`."""
+        clouds = samples.clouds.astype(float)
         return PolicyView(
-            samples.clouds.astype(float),
+            clouds,
             sample.points.astype(float),
             sample.connections.astype(float),
             sample.free,
             sample.group,
             np.zeros((len(samples.clouds), GRASPS, 6)) if samples.grasps is None else samples.grasps.astype(float),
             sample.poses.astype(float),
+            digests_of(clouds),
         )
 
     @property
@@ -116,6 +123,11 @@ class PolicyView:
         """Return the poses of some members of a part's group in the part's frame; the part itself may be one."""
         poses = self.connections[part, members]
         return rotations_from_euler(poses[:, 3:]), poses[:, :3]
+
+
+def digests_of(clouds: Float[np.ndarray, "P C 3"]) -> list[bytes]:
+    """Return a hash of each cloud."""
+    return [hashlib.blake2b(cloud.tobytes(), digest_size=16).digest() for cloud in clouds]
 
 
 def _relative_poses(

@@ -29,7 +29,6 @@ from roboassembly.learning.relational.group_geometry import (
     GroupFrames,
     GroupGeometry,
     PartShapes,
-    digest_of,
 )
 from roboassembly.learning.relational.pair_geometry import PairGeometry, grasp_clearance
 from roboassembly.learning.relational.policy_view import PolicyView
@@ -117,93 +116,94 @@ class TokenCache:
         return self._entries[key]
 
 
-def tokens_of_sample(samples: SampleSet, sample: LabeledState, cache: TokenCache | None = None) -> Tokens:
-    """Return the tokens of a training sample, one of `samples`; with grasps if the samples have some."""
-    return tokens_of(PolicyView.from_sample(samples, sample), cache, grasps=samples.grasps is not None)
-
-
-def tokens_of(view: PolicyView, cache: TokenCache | None = None, *, grasps: bool = False) -> Tokens:
-    """Return the tokens of a state.
-
-    Args:
-        view: the state.
-        cache: geometry of earlier states of the same furniture.
-        grasps: whether to compute grasp features and clearances.
-    """
-    cache = cache or TokenCache()
-    p = _PointsInGroups.of_view(view, cache)
-    part, points, group, rows, shapes, frames = p.part, p.points, p.group, p.rows, p.shapes, p.frames
-    frame, position = p.frame, p.position
-    geometry: list[GroupGeometry] = []
-    for key, members, arrays in p.of_groups(view, grasps=grasps):
-        geometry.append(cache.get(key, partial(GroupGeometry.build, key, view.clouds[members], *arrays)))
-
-    patch, extent = np.zeros((len(part), PATCH_SIZE), np.uint8), np.zeros((len(part), 3), np.float32)
-    for g, tokens in zip(geometry, rows, strict=True):
-        patch[tokens], extent[tokens] = g.patch, np.ptp(g.cloud, axis=0)
-    matches, bounds = _pair_arrays(geometry, rows, cache)
-    different = group[:, None] != group
-    plausible = plausible_pairs(frames_parallel(mating_rotations(frame, frame)), frames.upright[part], different)
-    cycles_3 = np.minimum(closed_3_cycles(rows, position, frame, plausible), 255).astype(np.uint8)
-    cycles_4 = np.minimum(closed_4_cycles(rows, position, frame, plausible), 255).astype(np.uint8)
-    of_grasps = _grasp_arrays(geometry, rows, cache) if grasps else (None, None)
-    return Tokens(
-        part, p.point, group, patch, _point_features(view, part, points, group, shapes, frames),
-        frame.astype(np.float32), position.astype(np.float32), extent, matches, bounds, cycles_3, cycles_4, *of_grasps,
-    )  # fmt: skip
-
-
-def group_keys(view: PolicyView, cache: TokenCache, *, grasps: bool = False) -> tuple[bytes, ...]:
-    """Return the sorted keys of all groups with free points; states with the same keys have the same tokens.
-
-    The tokens are in another order, and equal but for rounding. Arguments as of `tokens_of`.
-    """
-    points = _PointsInGroups.of_view(view, cache)
-    return tuple(sorted(key for key, _, _ in points.of_groups(view, grasps=grasps)))
-
-
 @dataclass(frozen=True, eq=False)
-class _PointsInGroups:
-    """The n free points of a state in the frames of their groups; see `Tokens`."""
+class GroupedPoints:
+    """The n free points of a state in the frames of their groups; for the arrays see `Tokens`."""
 
     part: Int[np.ndarray, "n"]
     point: Int[np.ndarray, "n"]
     points: Float[np.ndarray, "n 9"]
     """Position, normal and tangent in the part's frame."""
     group: Int[np.ndarray, "n"]
-    labels: Int[np.ndarray, "g"]
-    """Number of each group's first part."""
     rows: list[Int[np.ndarray, "_"]]
     """Points of each group, as numbers in 0..n."""
+    members: list[Int[np.ndarray, "_"]]
+    """Parts of each group."""
+    keys: list[bytes]
+    """Hash of each group's parts, points and grasps. States with the same keys have the same tokens, in another order
+    and equal but for rounding."""
     shapes: PartShapes
     frames: GroupFrames
     frame: Float[np.ndarray, "n 3 3"]
     position: Float[np.ndarray, "n 3"]
+    arrays: list[list[Any]]
+    """Arrays of each group that `GroupGeometry.build` takes after the clouds."""
 
     @staticmethod
-    def of_view(view: PolicyView, cache: TokenCache) -> _PointsInGroups:
-        """Return the free points of a state."""
+    def of_view(view: PolicyView, cache: TokenCache, *, grasps: bool = False) -> GroupedPoints:
+        """Return the free points of a state; arguments as of `tokens_of`."""
         part, point = np.nonzero(view.free)
         points = view.points[part, point]
-        digests = [digest_of(cloud) for cloud in view.clouds]
-        shapes = cache.get(b"".join(digests), partial(PartShapes.of_clouds, view.clouds, digests))
+        shapes = cache.get(b"".join(view.digests), partial(PartShapes.of_clouds, view.clouds, view.digests))
         frames = GroupFrames.of_groups(shapes, view.connections, view.group)
         frame = frames.rotation[part] @ point_frames(points)
         position = np.einsum("nij,nj->ni", frames.rotation[part], points[:, :3]) + frames.translation[part]
         labels, group = np.unique(view.group[part], return_inverse=True)
         rows = [np.flatnonzero(group == index) for index in range(len(labels))]
-        return _PointsInGroups(part, point, points, group, labels, rows, shapes, frames, frame, position)
-
-    def of_groups(self, view: PolicyView, *, grasps: bool) -> Iterator[tuple[bytes, Int[np.ndarray, "m"], list[Any]]]:
-        """Yield the key and members of each group, and the arrays that `GroupGeometry.build` takes after the clouds."""
-        for label, tokens in zip(self.labels, self.rows, strict=True):
-            members = np.flatnonzero(view.group == label)
-            arrays = [self.frames.rotation[members], self.frames.translation[members]]
-            arrays += [self.position[tokens], self.frame[tokens]]
+        members = [np.flatnonzero(view.group == label) for label in labels]
+        keys: list[bytes] = []
+        arrays: list[list[Any]] = []
+        for m, tokens in zip(members, rows, strict=True):
+            own = [frames.rotation[m], frames.translation[m], position[tokens], frame[tokens]]
             if grasps:
-                arrays += [np.searchsorted(members, self.part[tokens]), view.grasps[members]]
-            digests = [self.shapes.digests[i] for i in members]
-            yield hashlib.blake2b(b"".join([*digests, *(a.tobytes() for a in arrays)])).digest(), members, arrays
+                own += [np.searchsorted(m, part[tokens]), view.grasps[m]]
+            arrays.append(own)
+            hashed = b"".join([*(shapes.digests[int(i)] for i in m), *(a.tobytes() for a in own)])
+            keys.append(hashlib.blake2b(hashed).digest())
+        return GroupedPoints(part, point, points, group, rows, members, keys, shapes, frames, frame, position, arrays)
+
+    def geometry(self, view: PolicyView, cache: TokenCache) -> list[GroupGeometry]:
+        """Return the geometry of each group."""
+        return [
+            cache.get(key, partial(GroupGeometry.build, key, view.clouds[members], *arrays))
+            for key, members, arrays in zip(self.keys, self.members, self.arrays, strict=True)
+        ]
+
+
+def tokens_of_sample(samples: SampleSet, sample: LabeledState, cache: TokenCache | None = None) -> Tokens:
+    """Return the tokens of a training sample, one of `samples`; with grasps if the samples have some."""
+    return tokens_of(PolicyView.from_sample(samples, sample), cache, grasps=samples.grasps is not None)
+
+
+def tokens_of(
+    view: PolicyView, cache: TokenCache | None = None, *, grasps: bool = False, grouped: GroupedPoints | None = None
+) -> Tokens:
+    """Return the tokens of a state.
+
+    Args:
+        view: the state.
+        cache: geometry of earlier states of the same furniture.
+        grasps: whether to compute grasp features and clearances.
+        grouped: free points of the state, if they are known; of the same cache and `grasps`.
+    """
+    cache = cache or TokenCache()
+    p = grouped or GroupedPoints.of_view(view, cache, grasps=grasps)
+    part, group, rows, frame, position, frames = p.part, p.group, p.rows, p.frame, p.position, p.frames
+    geometry = p.geometry(view, cache)
+    patch, extent = np.zeros((len(part), PATCH_SIZE), np.uint8), np.zeros((len(part), 3), np.float32)
+    for g, tokens in zip(geometry, rows, strict=True):
+        patch[tokens], extent[tokens] = g.patch, np.ptp(g.cloud, axis=0)
+    matches, bounds = _pair_arrays(geometry, rows, cache)
+    different = group[:, None] != group
+    plausible = plausible_pairs(frames_parallel(mating_rotations(frame, frame)), frames.upright[part], different)
+    of_groups = (rows, position, frame, plausible, [p.keys.index(key) for key in p.keys])
+    cycles_3 = np.minimum(closed_3_cycles(*of_groups), 255).astype(np.uint8)
+    cycles_4 = np.minimum(closed_4_cycles(*of_groups), 255).astype(np.uint8)
+    of_grasps = _grasp_arrays(geometry, rows, cache) if grasps else (None, None)
+    return Tokens(
+        part, p.point, group, patch, _point_features(view, part, p.points, group, p.shapes, frames),
+        frame.astype(np.float32), position.astype(np.float32), extent, matches, bounds, cycles_3, cycles_4, *of_grasps,
+    )  # fmt: skip
 
 
 def _point_features(

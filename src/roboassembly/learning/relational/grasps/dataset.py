@@ -18,7 +18,7 @@ from roboassembly.envs.observation import Observer, surface_points
 from roboassembly.furniture.model import MAX_POINTS
 from roboassembly.learning import archive
 from roboassembly.learning.datasets import CLOUD_POINTS, check_format, group_labels
-from roboassembly.learning.relational.policy_view import PolicyView
+from roboassembly.learning.relational.policy_view import PolicyView, digests_of
 from roboassembly.solvers.hand_oracle import HandOracle
 from roboassembly.solvers.oracle import LabeledMate, Oracle
 from roboassembly.task.full.grips import Grip, MateGrasp
@@ -97,10 +97,10 @@ class GraspSamples:
 
     def view(self, sample: LabeledGrasps) -> PolicyView:
         """Return what a policy sees of the state of a sample."""
-        connections = sample.connections.astype(float)
+        connections, clouds = sample.connections.astype(float), self.clouds.astype(float)
         return PolicyView(
-            self.clouds.astype(float), sample.points.astype(float), connections, sample.free, group_labels(connections),
-            self.grasps.astype(float), sample.poses.astype(float),
+            clouds, sample.points.astype(float), connections, sample.free, group_labels(connections),
+            self.grasps.astype(float), sample.poses.astype(float), digests_of(clouds),
         )  # fmt: skip
 
     def save(self, path: Path) -> None:
