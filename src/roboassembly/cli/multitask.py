@@ -52,7 +52,7 @@ class MultitaskCommand:
     """Policy to start from, `relational` or a checkpoint; for the preset relational. Without it: none, or `relational`
     with --setting full."""
     steps: int | None = None
-    """Number of gradient steps. Without it: 20,000 for the preset paper; 16,000, or 3,000 with --setting full, for the
+    """Number of gradient steps. Without it: 30,000 for the preset paper; 16,000, or 3,000 with --setting full, for the
     first round of the preset relational."""
     round_steps: int = 8_000
     """Number of gradient steps in each later round; for the preset relational."""

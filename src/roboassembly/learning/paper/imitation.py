@@ -38,6 +38,8 @@ _NORMALISED_BY = 4096
 class PaperTraining(AdamWConfig):
     """Settings of the training of the paper's policy."""
 
+    steps: int = 30_000
+    """Number of gradient steps."""
     learning_rate: float = 1.5e-3
     """Largest learning rate."""
     weight_decay: float = 5e-2
