@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import ast
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from dataclasses import fields
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import get_args
 
 import pytest
@@ -151,3 +154,17 @@ def test_questions_are_found(line: str) -> None:
 )
 def test_looking_up_is_no_question(line: str) -> None:
     assert not any(asks(node, {"needs_grasps"}) for node in ast.walk(ast.parse(line)))
+
+
+def test_a_plan_without_robots_loads_no_robots() -> None:
+    code = (
+        "import sys\n"
+        "from roboassembly.cli import main\n"
+        "try: main(['assemble', 'cantilever', '--no-film', '--json', '--out', sys.argv[1]])\n"
+        "except SystemExit as stop: assert not stop.code\n"
+        "loaded = [m for m in sys.modules if m.startswith(('roboassembly.settings.full', 'roboassembly.task.full.task',"
+        " 'roboassembly.robots.kinematics', 'roboassembly.repair', 'roboassembly.audit', 'jax.', 'tqdm', 'imageio'))]\n"
+        "assert not loaded, loaded\n"
+    )
+    with TemporaryDirectory() as folder:
+        subprocess.run([sys.executable, "-c", code, folder], check=True, stdout=subprocess.DEVNULL)

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
-from tqdm import tqdm
 
 from roboassembly.cli.options import CORES, Jobs, Ray, Setting, require_at_least
 from roboassembly.cli.output import DONE, print_json, progress_bar, say, show, writable_folder
@@ -17,6 +16,8 @@ from roboassembly.parallel.processes import use_cluster
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
+
+    from tqdm import tqdm
 
     from roboassembly.learning.progress import Progress
 

@@ -16,11 +16,12 @@ from collections.abc import Generator, Iterable, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
-from typing import Any, TextIO
-
-from tqdm import tqdm
+from typing import TYPE_CHECKING, Any, TextIO
 
 from roboassembly.errors import InputError
+
+if TYPE_CHECKING:
+    from tqdm import tqdm
 
 _LOG_INTERVAL = 30.0
 """Time between two lines of a progress bar in a log file [s]."""
@@ -90,6 +91,8 @@ def progress_bar(iterable: Iterable[Any] | None = None, desc: str | None = None,
         desc: label of the bar; its control characters are escaped.
         options: options of `tqdm`.
     """
+    from tqdm import tqdm
+
     # A resumed run begins with many items at once; tqdm would expect as many again before the next update.
     interval = 0.1 if sys.stderr.isatty() else _LOG_INTERVAL
     label = None if desc is None else plain(desc)

@@ -23,7 +23,6 @@ from roboassembly.furniture.model import RawPart
 from roboassembly.generate.design import Blank, Build, PartDesign, as_parts
 from roboassembly.generate.solids import Solid, from_triangles, triangles
 from roboassembly.geometry.meshes import Mesh
-from roboassembly.repair import RepairLimits, repair
 
 TRIES = 20
 FEWEST_PARTS = 3
@@ -32,7 +31,7 @@ MIRROR_TOLERANCE = 0.01
 """Distance [m] between a part's place and its mirror image's, and share of the volume by which they may differ."""
 SHALLOWEST, DEEPEST = 0.0003, 0.012  # bounds of the depth to which a part is driven into another [m]
 VOLUME_TOLERANCE = 0.02  # share of the volume that two parts may differ by to be driven in alike
-LIMITS = RepairLimits(openings=8)  # effort of the repair; furniture that needs more takes minutes
+OPENINGS = 8  # effort of the repair; furniture that needs more takes minutes
 
 Change = Callable[[Sequence[RawPart], np.random.Generator], list[PartDesign]]
 
@@ -117,6 +116,8 @@ def sunk(parts: Sequence[RawPart], rng: np.random.Generator) -> list[PartDesign]
     Raises:
         FurnitureError: repair refuses the overlaps.
     """
+    from roboassembly.repair import RepairLimits, repair  # which no other family needs
+
     contacts = find_contacts([p.mesh for p in parts], [p.name for p in parts])
     share = rng.choice([0.3, 0.7, 1.0])
     # Shallow is as frequent as deep.
@@ -133,5 +134,5 @@ def sunk(parts: Sequence[RawPart], rng: np.random.Generator) -> list[PartDesign]
         lesser, inward = (c.a, c.normal) if parts[c.a].mesh.volume <= parts[c.b].mesh.volume else (c.b, -c.normal)
         whole[lesser] += solids[lesser].translate(tuple((c.gap + depth) * inward))
     lengthened = [replace(p, mesh=Mesh(*triangles(s))) for p, s in zip(parts, whole, strict=True)]
-    repaired = repair(lengthened, limits=LIMITS).parts
+    repaired = repair(lengthened, limits=RepairLimits(openings=OPENINGS)).parts
     return [PartDesign(p.name, p.label, Blank(from_triangles(p.mesh.vertices, p.mesh.faces))) for p in repaired]

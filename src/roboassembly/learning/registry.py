@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -10,15 +11,16 @@ import numpy as np
 from roboassembly.errors import InputError
 from roboassembly.learning import policy_file
 from roboassembly.learning.checkpoint import Checkpoint
-from roboassembly.learning.paper import network as paper
-from roboassembly.learning.paper.network import PaperPolicy
 from roboassembly.learning.policy import RANDOM, Policy, RandomPolicy
 from roboassembly.learning.policy_weights import load_weights
-from roboassembly.learning.relational import network as relational
-from roboassembly.learning.relational.policy import RelationalPolicy
 
 PolicyFactory = Callable[[int], Policy]
 """Makes a policy for the episode with a seed."""
+_CLASSES = {
+    "relational": ("roboassembly.learning.relational.policy", "RelationalPolicy"),
+    "paper": ("roboassembly.learning.paper.network", "PaperPolicy"),
+}
+"""Module and class of the policy of each kind of checkpoint. Only the one that is needed is imported."""
 
 
 def load_policy(name: str, seed: int = 0) -> Policy:
@@ -57,8 +59,8 @@ def policy_factory(name: str) -> PolicyFactory:
 
 
 def _from_checkpoint(loaded: Checkpoint, where: str) -> Policy:
-    if loaded.kind == relational.KIND:
-        return RelationalPolicy.from_checkpoint(loaded, where)
-    if loaded.kind == paper.KIND:
-        return PaperPolicy.from_checkpoint(loaded, where)
-    raise InputError(f"'{where}' holds a '{loaded.kind}' network, which is no policy; expected '{relational.KIND}'")
+    if loaded.kind not in _CLASSES:
+        expected = "' or '".join(_CLASSES)
+        raise InputError(f"'{where}' holds a '{loaded.kind}' network, which is no policy; expected '{expected}'")
+    module, name = _CLASSES[loaded.kind]
+    return getattr(import_module(module), name).from_checkpoint(loaded, where)

@@ -40,9 +40,7 @@ from roboassembly.learning.checkpoint import Checkpoint, check_arrays, network_c
 from roboassembly.learning.layers import Array, Params, gelu, init_linear, init_norm, linear, norm
 from roboassembly.learning.paper import autoencoder, heads
 from roboassembly.learning.paper.autoencoder import CLOUD_POINTS, FEATURE
-from roboassembly.task.full.task import FullTask
-from roboassembly.task.object_centric.task import ObjectCentricTask
-from roboassembly.task.rules.connections import GRASPS
+from roboassembly.task.rules.connections import FULL_BRANCHES, GRASPS, OBJECT_CENTRIC_BRANCHES
 from roboassembly.task.setting import SettingName
 
 KIND = "paper"
@@ -118,7 +116,7 @@ class PaperConfig:
     @property
     def branches(self) -> tuple[int, ...]:
         """Number of choices of each action branch after the two points."""
-        return FullTask.action_branches if self.full else ObjectCentricTask.action_branches
+        return FULL_BRANCHES if self.full else OBJECT_CENTRIC_BRANCHES
 
 
 def init(rng: np.random.Generator, c: PaperConfig) -> Params:

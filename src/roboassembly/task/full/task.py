@@ -38,7 +38,7 @@ from roboassembly.task.full.pick import PickRequest, can_pick
 from roboassembly.task.full.segments import TUCKED, Planned, StepContext
 from roboassembly.task.full.step import plan_step
 from roboassembly.task.plans.full_plan import FullState, FullStep
-from roboassembly.task.rules.connections import GRASPS, Rules
+from roboassembly.task.rules.connections import FULL_BRANCHES, GRASPS, Rules
 from roboassembly.task.rules.groups import Group, TaskState
 from roboassembly.task.rules.pairs import Merge
 from roboassembly.task.setting import SettingName
@@ -81,7 +81,7 @@ class FullTask:
     """The rules of the full setting for one piece of furniture."""
 
     setting: ClassVar[SettingName] = "full"
-    action_branches = (GRASPS, GRASPS)
+    action_branches = FULL_BRANCHES
     """Choices that an action has after its pair: `g_a` and `g_b`."""
 
     def __init__(self, furniture: Furniture, budget: Budget | None = None) -> None:

@@ -21,7 +21,7 @@ from roboassembly.planning.world import CollisionWorld
 from roboassembly.task.layout import GROUND_CLEARANCE, free_spot, scatter_parts
 from roboassembly.task.object_centric.settling import settle_group
 from roboassembly.task.plans.plan import PlanStep
-from roboassembly.task.rules.connections import UP_AXES, Rules
+from roboassembly.task.rules.connections import OBJECT_CENTRIC_BRANCHES, UP_AXES, Rules
 from roboassembly.task.rules.groups import (
     Circle,
     Group,
@@ -84,7 +84,7 @@ class ObjectCentricTask:
     """Task of the object-centric setting for one piece of furniture."""
 
     setting: ClassVar[SettingName] = "object-centric"
-    action_branches = (len(UP_AXES),)
+    action_branches = OBJECT_CENTRIC_BRANCHES
     """Number of values of `w`, the component of an action after its pair."""
 
     def __init__(self, furniture: Furniture, budget: Budget | None = None) -> None:

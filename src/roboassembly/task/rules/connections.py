@@ -16,8 +16,12 @@ UP_AXES: Float[np.ndarray, "6 3"] = np.array(
     [[0, 0, 1], [0, 0, -1], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]], dtype=float
 )
 """Axis of the furniture's frame that points up while v's group waits, for each `w`."""
+OBJECT_CENTRIC_BRANCHES = (len(UP_AXES),)
+"""Number of values of each component of an action after its pair, without robots: of `w`."""
 GRASPS = 8
 """Number of grasps of a part: two regions, each from four directions."""
+FULL_BRANCHES = (GRASPS, GRASPS)
+"""The same with robots: of `g_a` and `g_b`."""
 _AGAINST = -0.2
 """Cosine between a retreat and a contact's normal at least. It is negative because a patch's normal is only a mean."""
 
