@@ -184,12 +184,28 @@ def on_post(furniture: Furniture, group: Group, place: Float[np.ndarray, "2"]) -
     if not len(covered):
         return None
     tops = np.concatenate([center[:2] + offsets[covered], height[covered].min(axis=1)[:, None] - CUP_GAP], axis=1)
-    free = _open_shares(furniture, group, tops)
-    top = tops[int(np.argmax(np.round(free, 6) - _OFF_CENTER * np.linalg.norm(offsets[covered], axis=1)))]
+    top = tops[_best_top(_Hands(furniture, group), tops, _OFF_CENTER * np.linalg.norm(offsets[covered], axis=1))]
     # A round underside may bulge between few rays.
     top[2] = _undersides(furniture, group, top[:2] + _disc(_FINE), lowest - 0.1).min() - CUP_GAP
     shift = np.array([*(place - top[:2]), LOWEST - lowest])
     return group.moved_to(SE3(turn, shift)), Post(top + shift)
+
+
+def _best_top(hands: _Hands, tops: Float[np.ndarray, "n 3"], costs: Float[np.ndarray, "n"]) -> int:
+    """Return the first of the tops with the largest share of open grasps less its cost; costs ascend."""
+    best, best_score = 0, -np.inf
+    begin = 0
+    for size in (1, 4, 16, len(tops)):
+        # The rest cannot be better.
+        if begin >= len(tops) or round(hands.largest_share, 6) - costs[begin] <= best_score:
+            break
+        some = slice(begin, begin + size)
+        scores = np.round(hands.open_shares(tops[some]), 6) - costs[some]
+        here = int(np.argmax(scores))
+        if scores[here] > best_score:
+            best, best_score = begin + here, float(scores[here])
+        begin += size
+    return best
 
 
 def _disc(step: float) -> Float[np.ndarray, "n 2"]:
@@ -217,31 +233,46 @@ def _undersides(
 
 def open_grasps(furniture: Furniture, group: Group, post: Post) -> float:
     """Return the share of a group's grasps to which a hand can come past its post, and not from below."""
-    return float(_open_shares(furniture, group, post.top[None])[0])
+    return float(_Hands(furniture, group).open_shares(post.top[None])[0])
 
 
-def _open_shares(furniture: Furniture, group: Group, tops: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n"]:
-    """Return, for each post, the share of grasps whose hand does not touch the post and does not come from below."""
-    positions: list[Float[np.ndarray, "3"]] = []
-    closing: list[Float[np.ndarray, "3"]] = []
-    approach: list[Float[np.ndarray, "3"]] = []
-    widths: list[float] = []
-    for part, pose in zip(group.parts, group.part_poses(), strict=True):
-        for region in furniture.parts[part].grasps:
-            for direction in region.approaches:
-                positions.append(pose.act(region.position))
-                closing.append(pose.rotation @ region.closing)
-                approach.append(pose.rotation @ direction)
-                widths.append(region.width)
-    count, several = len(positions), len(tops)
-    from_post = (np.array(positions)[None] - tops[:, None]).reshape(-1, 3)
-    frames = from_post, np.tile(closing, (several, 1)), np.tile(approach, (several, 1))
-    opening, closed = np.minimum(MAX_OPENING, np.array(widths) + WIDER), np.array(widths)
-    hits = _against_post().touches(*frames, np.tile(opening, several), coming=True)
-    # A post between the open fingers would stop them as they close.
-    hits |= _against_post().touches(*frames, np.tile(closed, several))
-    below = np.array(approach)[:, 2] > _FROM_BELOW
-    return 1.0 - (hits.reshape(several, count) | below).mean(axis=1)
+class _Hands:
+    """Hands at all grasps of a group, to be tested against posts beneath it."""
+
+    def __init__(self, furniture: Furniture, group: Group) -> None:
+        positions: list[Float[np.ndarray, "3"]] = []
+        closing: list[Float[np.ndarray, "3"]] = []
+        approach: list[Float[np.ndarray, "3"]] = []
+        widths: list[float] = []
+        count = 0
+        for part, pose in zip(group.parts, group.part_poses(), strict=True):
+            for region in furniture.parts[part].grasps:
+                for direction in region.approaches:
+                    count += 1
+                    to_grasp = pose.rotation @ direction
+                    if to_grasp[2] > _FROM_BELOW:
+                        continue
+                    positions.append(pose.act(region.position))
+                    closing.append(pose.rotation @ region.closing)
+                    approach.append(to_grasp)
+                    widths.append(region.width)
+        self._frames = tuple(np.array(x).reshape(-1, 3) for x in (positions, closing, approach))
+        self._widths, self._count = np.array(widths), count
+        self.largest_share = len(widths) / count
+        """Share of grasps from which a hand does not come from below."""
+
+    def open_shares(self, tops: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n"]:
+        """Return, for each post, the share of grasps whose hand neither touches it nor comes from below."""
+        grasps = len(self._widths)
+        post, grasp = np.divmod(np.arange(len(tops) * grasps), max(1, grasps))
+        positions, closing, approach = self._frames
+        from_post = positions[grasp] - tops[post]
+        opening = np.minimum(MAX_OPENING, self._widths + WIDER)[grasp]
+        free = ~_against_post().touches(from_post, closing[grasp], approach[grasp], opening, coming=True)
+        post, grasp, from_post = post[free], grasp[free], from_post[free]
+        # A post between the open fingers would stop them as they close.
+        free = ~_against_post().touches(from_post, closing[grasp], approach[grasp], self._widths[grasp])
+        return np.bincount(post[free], minlength=len(tops)) / self._count
 
 
 @cache
