@@ -11,8 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from importlib import import_module
-from typing import TYPE_CHECKING, Any, Literal, TypeVar, get_args
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 from roboassembly.errors import InputError
 from roboassembly.task.setting import SettingName
@@ -146,19 +145,32 @@ def set_upright(plan: AnyPlan) -> AnyPlan:
     return replace(plan, upright=SETTINGS[plan.setting].plan_upright(plan))
 
 
+def _object_centric() -> Setting:
+    from roboassembly.settings.object_centric import SETTING
+
+    return SETTING
+
+
+def _full() -> Setting:
+    from roboassembly.settings.full import SETTING
+
+    return SETTING
+
+
+_LOADERS: dict[SettingName, Callable[[], Setting]] = {"object-centric": _object_centric, "full": _full}
+
+
 class _Settings(Mapping[SettingName, Setting]):
     """Settings by their names. The module of a setting is imported when it is asked for."""
 
     def __getitem__(self, name: SettingName) -> Setting:
-        if name not in get_args(SettingName):
-            raise KeyError(name)
-        return import_module(f"{__name__}.{name.replace('-', '_')}").SETTING
+        return _LOADERS[name]()
 
     def __iter__(self) -> Iterator[SettingName]:
-        return iter(get_args(SettingName))
+        return iter(_LOADERS)
 
     def __len__(self) -> int:
-        return len(get_args(SettingName))
+        return len(_LOADERS)
 
 
 SETTINGS: Mapping[SettingName, Setting] = _Settings()

@@ -12,7 +12,7 @@ Both functions take the n free points of a state in their groups' frames and the
 neither count nor close a cycle. Their results are symmetric.
 
 Equal groups, such as four legs, may change places without a change of the state. So cycles are looked for between one
-pair of groups of each two kinds; other pairs of these kinds have the same ones.
+pair of groups of each two types; other pairs of these types have the same ones.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ def closed_3_cycles(
     position: Float[np.ndarray, "n 3"],
     frame: Float[np.ndarray, "n 3 3"],
     plausible: Bool[np.ndarray, "n n"],
-    kinds: Sequence[int] | None = None,
+    group_types: Sequence[int] | None = None,
 ) -> Int[np.ndarray, "n n"]:
     """Count for each pair of points the third groups that close a 3-cycle with it.
 
@@ -49,14 +49,14 @@ def closed_3_cycles(
         position: position of each point in its group's frame [m].
         frame: `group_from_point` rotation of each point.
         plausible: pairs that may mate; symmetric.
-        kinds: kind of each group; groups of one kind have the same points in the same order. All differ if None.
+        group_types: type of each group; groups of one type have the same points in the same order. All differ if None.
     """
     count = np.zeros(plausible.shape, int)
     # Two points of the third group, in the frame of the first: they have to fit a free point of A and one of B.
     ends = [np.array([(m, o) for m in group for o in group if m != o], int).reshape(-1, 2) for group in groups]
     end = np.concatenate(ends) if ends else np.zeros((0, 2), int)
     owner = np.repeat(np.arange(len(groups)), [len(e) for e in ends])
-    alike = list(_pairs_by_kind(len(groups), kinds))
+    alike = list(_pairs_by_type(len(groups), group_types))
     places = [_places(groups[a], groups[b], position, frame, plausible) for (a, b), _ in alike]
     place_points = np.concatenate([g[0] for g in places]) if places else np.zeros((0, 4), int)
     if not len(place_points) or not len(end):
@@ -78,14 +78,16 @@ def closed_3_cycles(
     return count + count.T
 
 
-def _pairs_by_kind(groups: int, kinds: Sequence[int] | None) -> Iterator[tuple[tuple[int, int], list[tuple[int, int]]]]:
-    """Yield the first pair of groups of each two kinds, and the other pairs of these kinds, each in the same order."""
-    kind = list(range(groups)) if kinds is None else kinds
+def _pairs_by_type(
+    groups: int, group_types: Sequence[int] | None
+) -> Iterator[tuple[tuple[int, int], list[tuple[int, int]]]]:
+    """Yield the first pair of groups of each two types, and the other pairs of these types, each in the same order."""
+    of_type = list(range(groups)) if group_types is None else group_types
     pairs: dict[tuple[int, int], list[tuple[int, int]]] = {}
     for a in range(groups):
         for b in range(a):
-            first, second = (a, b) if kind[a] >= kind[b] else (b, a)
-            pairs.setdefault((kind[first], kind[second]), []).append((first, second))
+            first, second = (a, b) if of_type[a] >= of_type[b] else (b, a)
+            pairs.setdefault((of_type[first], of_type[second]), []).append((first, second))
     for alike in pairs.values():
         yield alike[0], alike[1:]
 
@@ -122,7 +124,7 @@ def closed_4_cycles(
     position: Float[np.ndarray, "n 3"],
     frame: Float[np.ndarray, "n 3 3"],
     plausible: Bool[np.ndarray, "n n"],
-    kinds: Sequence[int] | None = None,
+    group_types: Sequence[int] | None = None,
 ) -> Int[np.ndarray, "n n"]:
     """Count for each pair of points the other groups that close a 4-cycle with it; for arguments see above."""
     count = np.zeros(plausible.shape, int)
@@ -134,7 +136,7 @@ def closed_4_cycles(
     rotation, translation = rotations[columns, rows], translations[columns, rows]
     by_row = [np.flatnonzero(owner[rows] == group) for group in range(len(groups))]
     by_column = [np.flatnonzero(owner[columns] == group) for group in range(len(groups))]
-    for (a, b), others in _pairs_by_kind(len(groups), kinds):
+    for (a, b), others in _pairs_by_type(len(groups), group_types):
         # A chain: a point of A with one of a group between, another point of that group with one of B.
         first, second = _chains(by_row[a], by_column[b], rows, columns, owner)
         if len(first) < 2:
@@ -166,11 +168,11 @@ def closed_4_cycles(
 def _exchanged(
     groups: Sequence[Int[np.ndarray, "_"]], pair: tuple[int, int], other: tuple[int, int]
 ) -> Int[np.ndarray, "n"]:
-    """Return where each point goes when two groups change places with two others of their kinds."""
+    """Return where each point goes when two groups change places with two others of their types."""
     place = list(range(len(groups)))
-    for one, wanted in zip(pair, other, strict=True):
-        at = place.index(wanted)
-        place[one], place[at] = place[at], place[one]
+    for index, target in zip(pair, other, strict=True):
+        at = place.index(target)
+        place[index], place[at] = place[at], place[index]
     moved = np.zeros(sum(map(len, groups)), int)
     for group, to in enumerate(place):
         moved[groups[group]] = groups[to]

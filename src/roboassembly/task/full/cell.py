@@ -184,23 +184,23 @@ def on_post(furniture: Furniture, group: Group, place: Float[np.ndarray, "2"]) -
     if not len(covered):
         return None
     tops = np.concatenate([center[:2] + offsets[covered], height[covered].min(axis=1)[:, None] - CUP_GAP], axis=1)
-    top = tops[_best_top(_Hands(furniture, group), tops, _OFF_CENTER * np.linalg.norm(offsets[covered], axis=1))]
+    top = tops[_best_top(_Grippers(furniture, group), tops, _OFF_CENTER * np.linalg.norm(offsets[covered], axis=1))]
     # A round underside may bulge between few rays.
     top[2] = _undersides(furniture, group, top[:2] + _disc(_FINE), lowest - 0.1).min() - CUP_GAP
     shift = np.array([*(place - top[:2]), LOWEST - lowest])
     return group.moved_to(SE3(turn, shift)), Post(top + shift)
 
 
-def _best_top(hands: _Hands, tops: Float[np.ndarray, "n 3"], costs: Float[np.ndarray, "n"]) -> int:
+def _best_top(grippers: _Grippers, tops: Float[np.ndarray, "n 3"], costs: Float[np.ndarray, "n"]) -> int:
     """Return the first of the tops with the largest share of open grasps less its cost; costs ascend."""
     best, best_score = 0, -np.inf
     begin = 0
     for size in (1, 4, 16, len(tops)):
         # The rest cannot be better.
-        if begin >= len(tops) or round(hands.largest_share, 6) - costs[begin] <= best_score:
+        if begin >= len(tops) or round(grippers.largest_share, 6) - costs[begin] <= best_score:
             break
         some = slice(begin, begin + size)
-        scores = np.round(hands.open_shares(tops[some]), 6) - costs[some]
+        scores = np.round(grippers.open_shares(tops[some]), 6) - costs[some]
         here = int(np.argmax(scores))
         if scores[here] > best_score:
             best, best_score = begin + here, float(scores[here])
@@ -233,11 +233,11 @@ def _undersides(
 
 def open_grasps(furniture: Furniture, group: Group, post: Post) -> float:
     """Return the share of a group's grasps to which a hand can come past its post, and not from below."""
-    return float(_Hands(furniture, group).open_shares(post.top[None])[0])
+    return float(_Grippers(furniture, group).open_shares(post.top[None])[0])
 
 
-class _Hands:
-    """Hands at all grasps of a group, to be tested against posts beneath it."""
+class _Grippers:
+    """Grippers at all grasps of a group, to be tested against posts beneath it."""
 
     def __init__(self, furniture: Furniture, group: Group) -> None:
         positions: list[Float[np.ndarray, "3"]] = []
