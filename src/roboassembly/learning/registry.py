@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -16,11 +15,6 @@ from roboassembly.learning.policy_weights import load_weights
 
 PolicyFactory = Callable[[int], Policy]
 """Makes a policy for the episode with a seed."""
-_CLASSES = {
-    "relational": ("roboassembly.learning.relational.policy", "RelationalPolicy"),
-    "paper": ("roboassembly.learning.paper.network", "PaperPolicy"),
-}
-"""Module and class of the policy of each kind of checkpoint. Only the one that is needed is imported."""
 
 
 def load_policy(name: str, seed: int = 0) -> Policy:
@@ -59,8 +53,17 @@ def policy_factory(name: str) -> PolicyFactory:
 
 
 def _from_checkpoint(loaded: Checkpoint, where: str) -> Policy:
-    if loaded.kind not in _CLASSES:
-        expected = "' or '".join(_CLASSES)
-        raise InputError(f"'{where}' holds a '{loaded.kind}' network, which is no policy; expected '{expected}'")
-    module, name = _CLASSES[loaded.kind]
-    return getattr(import_module(module), name).from_checkpoint(loaded, where)
+    # Only the network that is needed is imported.
+    match loaded.kind:
+        case "relational":
+            from roboassembly.learning.relational.policy import RelationalPolicy
+
+            return RelationalPolicy.from_checkpoint(loaded, where)
+        case "paper":
+            from roboassembly.learning.paper.network import PaperPolicy
+
+            return PaperPolicy.from_checkpoint(loaded, where)
+        case _:
+            raise InputError(
+                f"'{where}' holds a '{loaded.kind}' network, which is no policy; expected 'relational' or 'paper'"
+            )

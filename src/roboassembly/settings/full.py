@@ -13,6 +13,8 @@ from roboassembly.envs import FULL
 from roboassembly.errors import InputError
 from roboassembly.settings import PaperFigures, Setting
 from roboassembly.solvers.full_search import FULL_LIMITS, solve_full, solve_full_from
+from roboassembly.solvers.hand_oracle import hand_oracle
+from roboassembly.solvers.mate_checks import FullMateCheck
 from roboassembly.task.full.failure import coarse_kind
 from roboassembly.task.full.task import FullTask
 from roboassembly.task.full.upright import plan_full_upright
@@ -21,9 +23,6 @@ from roboassembly.task.plans.full_plan import FullPlan
 if TYPE_CHECKING:
     from roboassembly.audit.full import RobotAuditReport
     from roboassembly.envs.observation import Observer
-    from roboassembly.furniture.model import Furniture
-    from roboassembly.solvers.mate_checks import FullMateCheck
-    from roboassembly.solvers.oracle import Oracle
     from roboassembly.task.full.execution import StepExecution
 
 
@@ -37,18 +36,6 @@ def _execute(plan: FullPlan) -> list[StepExecution]:
     from roboassembly.task.full.execution import execute_plan
 
     return execute_plan(plan)
-
-
-def _oracle(furniture: Furniture) -> Oracle:
-    from roboassembly.solvers.hand_oracle import hand_oracle
-
-    return hand_oracle(furniture)
-
-
-def _mate_check(task: FullTask) -> FullMateCheck:
-    from roboassembly.solvers.mate_checks import FullMateCheck
-
-    return FullMateCheck(task)
 
 
 def _grasps(observer: Observer) -> Float32[np.ndarray, "P 8 6"]:
@@ -78,8 +65,8 @@ SETTING = Setting(
     execute=_execute,
     execution="dynamic",
     refused_options={"--export": "--export does not support --setting full; use --setting object-centric"},
-    make_oracle=_oracle,
-    make_mate_check=_mate_check,
+    make_oracle=hand_oracle,
+    make_mate_check=FullMateCheck,
     grasp_inputs=_grasps,
     rounds_of_networks=_on_grasps,
     refusals=(InputError,),

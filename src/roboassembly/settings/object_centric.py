@@ -1,4 +1,4 @@
-"""The object-centric setting. What a plan does not need, such as audits and oracles, is imported when it is called."""
+"""The object-centric setting. What a plan does not need, such as the audit, is imported when it is called."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ from roboassembly.envs import OBJECT_CENTRIC
 from roboassembly.errors import InputError
 from roboassembly.settings import PaperFigures, Setting
 from roboassembly.solvers.forward import SearchLimits
+from roboassembly.solvers.mate_checks import ObjectCentricMateCheck
+from roboassembly.solvers.oracle import Oracle
 from roboassembly.solvers.search import solve, solve_from
 from roboassembly.task.object_centric.task import ObjectCentricTask
 from roboassembly.task.object_centric.upright import plan_upright
@@ -18,8 +20,6 @@ if TYPE_CHECKING:
     from roboassembly.audit.object_centric import AuditReport
     from roboassembly.envs.observation import Observer
     from roboassembly.furniture.model import Furniture
-    from roboassembly.solvers.mate_checks import ObjectCentricMateCheck
-    from roboassembly.solvers.oracle import Oracle
     from roboassembly.task.rules.groups import TaskState
 
 _NO_ROBOTS = "--execution dynamic takes --setting full: there are no robots in the other one"
@@ -40,15 +40,7 @@ def _not_executed(_: Plan) -> NoReturn:
 
 
 def _oracle(furniture: Furniture) -> Oracle:
-    from roboassembly.solvers.oracle import Oracle
-
     return Oracle(ObjectCentricTask(furniture))
-
-
-def _mate_check(task: ObjectCentricTask) -> ObjectCentricMateCheck:
-    from roboassembly.solvers.mate_checks import ObjectCentricMateCheck
-
-    return ObjectCentricMateCheck(task)
 
 
 def _no_grasps(_: Observer) -> None:
@@ -79,7 +71,7 @@ SETTING = Setting(
     execution="kinematic",
     refused_options={"--execution dynamic": _NO_ROBOTS},
     make_oracle=_oracle,
-    make_mate_check=_mate_check,
+    make_mate_check=ObjectCentricMateCheck,
     grasp_inputs=_no_grasps,
     rounds_of_networks=_on_pairs,
     refusals=(),

@@ -5,14 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 from roboassembly.planning.problem import Budget
 from roboassembly.task.full.failure import Failure, FullVerdict
-from roboassembly.task.full.task import FullTask
 from roboassembly.task.object_centric.task import ObjectCentricTask, ObjectCentricVerdict
 from roboassembly.task.rules.connections import GRASPS
 from roboassembly.task.rules.groups import Group, TaskState
+
+if TYPE_CHECKING:
+    # The check without robots loads nothing of them.
+    from roboassembly.task.full.task import FullTask
 
 BUDGET = Budget(states=0)
 """Budget of the planner: straight retreats only. A sampling planner seldom solves what they do not."""

@@ -65,7 +65,7 @@ def test_equal_groups_have_the_same_cycles(piece: str) -> None:
     plausible = plausible_pairs(
         frames_parallel(mating_rotations(frame, frame)), points.frames.upright[points.part], group[:, None] != group
     )
-    kinds = [points.keys.index(key) for key in points.keys]
+    kinds = points.group_types
     assert len(set(kinds)) < len(kinds)
     for closed in (closed_3_cycles, closed_4_cycles):
         each = closed(points.rows, points.position, frame, plausible)

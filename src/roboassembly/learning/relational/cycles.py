@@ -126,7 +126,7 @@ def closed_4_cycles(
     plausible: Bool[np.ndarray, "n n"],
     group_types: Sequence[int] | None = None,
 ) -> Int[np.ndarray, "n n"]:
-    """Count for each pair of points the other groups that close a 4-cycle with it; for arguments see above."""
+    """Count for each pair of points the other groups that close a 4-cycle with it; see `closed_3_cycles`."""
     count = np.zeros(plausible.shape, int)
     owner = np.zeros(len(position), int)
     for group, points in enumerate(groups):
@@ -173,9 +173,10 @@ def _exchanged(
     for index, target in zip(pair, other, strict=True):
         at = place.index(target)
         place[index], place[at] = place[at], place[index]
-    moved = np.zeros(sum(map(len, groups)), int)
+    moved = np.arange(sum(map(len, groups)))
     for group, to in enumerate(place):
-        moved[groups[group]] = groups[to]
+        if to != group:
+            moved[groups[group]] = groups[to]
     return moved
 
 

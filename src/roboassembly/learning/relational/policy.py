@@ -117,15 +117,16 @@ class RelationalPolicy:
         Raises:
             InputError: the mask has grasps and the policy has no grasp network.
         """
-        with_grasps = mask.ndim == _FULL_MASK_AXES
-        if with_grasps and self.grasp_params is None:
+        full = mask.ndim == _FULL_MASK_AXES
+        grasp_params = self.grasp_params if full else None
+        if full and grasp_params is None:
             raise InputError(f"the policy '{self.name}' has no grasp network; use --setting object-centric")
         with one_blas_thread():
             view = PolicyView.from_observation(observation, mask)
-            if not with_grasps or self.grasp_params is None:
+            if grasp_params is None:
                 return self.pair_values(view)
             policy = self if self.full_params is None else replace(self, params=self.full_params)
-            return policy._grasp_values(view, self.grasp_params, mask)
+            return policy._grasp_values(view, grasp_params, mask)
 
     def probabilities(self, observation: Observation, mask: Mask) -> Values:
         """Return for each action the probability that the furniture can be finished after it."""
@@ -193,7 +194,7 @@ class RelationalPolicy:
                 parts; a caller keeps it for one decision only, because states are equal but for rounding.
         """
         grouped = GroupedPoints.of_view(view, self.cache, grasps="grasp" in self.params)
-        key = tuple(sorted(grouped.keys))
+        key = grouped.state_key
         if key not in known:
             best = float(self.pair_values(view, grouped).max(initial=-np.inf))
             known[key] = _log_sigmoid(best) if best > -np.inf else (0.0 if view.complete else -np.inf)

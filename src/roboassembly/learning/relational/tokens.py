@@ -130,8 +130,7 @@ class GroupedPoints:
     members: list[Int[np.ndarray, "_"]]
     """Parts of each group."""
     keys: list[bytes]
-    """Hash of each group's parts, points and grasps. States with the same keys have the same tokens, in another order
-    and equal but for rounding."""
+    """Hash of each group's parts, points and grasps."""
     shapes: PartShapes
     frames: GroupFrames
     frame: Float[np.ndarray, "n 3 3"]
@@ -161,6 +160,17 @@ class GroupedPoints:
             hashed = b"".join([*(shapes.digests[int(i)] for i in m), *(a.tobytes() for a in own)])
             keys.append(hashlib.blake2b(hashed).digest())
         return GroupedPoints(part, point, points, group, rows, members, keys, shapes, frames, frame, position, arrays)
+
+    @property
+    def group_types(self) -> list[int]:
+        """Type of each group: number of the first group with the same key."""
+        return [self.keys.index(key) for key in self.keys]
+
+    @property
+    def state_key(self) -> tuple[bytes, ...]:
+        """Keys of all groups, sorted. States of one key have the same tokens, in another order, equal but for
+        rounding."""
+        return tuple(sorted(self.keys))
 
     def geometry(self, view: PolicyView, cache: TokenCache) -> list[GroupGeometry]:
         """Return the geometry of each group."""
@@ -196,7 +206,7 @@ def tokens_of(
     matches, bounds = _pair_arrays(geometry, rows, cache)
     different = group[:, None] != group
     plausible = plausible_pairs(frames_parallel(mating_rotations(frame, frame)), frames.upright[part], different)
-    of_groups = (rows, position, frame, plausible, [p.keys.index(key) for key in p.keys])
+    of_groups = (rows, position, frame, plausible, p.group_types)
     cycles_3 = np.minimum(closed_3_cycles(*of_groups), 255).astype(np.uint8)
     cycles_4 = np.minimum(closed_4_cycles(*of_groups), 255).astype(np.uint8)
     of_grasps = _grasp_arrays(geometry, rows, cache) if grasps else (None, None)
