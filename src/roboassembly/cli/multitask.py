@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from roboassembly.cli.options import CORES, Jobs, Ray, Setting, require_at_least
+from roboassembly.cli.options import CORES, Jobs, Ray, Setting, require_at_least, selected_furniture
 from roboassembly.cli.output import DONE, print_json, progress_bar, say, show, writable_folder
 from roboassembly.errors import InputError, MissingExtraError
 from roboassembly.parallel.processes import use_cluster
@@ -31,10 +31,10 @@ class MultitaskCommand:
     """Train one policy for all pieces by imitation; run it again to resume an interrupted run."""
 
     preset: Literal["relational", "paper"] = "relational"
-    """relational: imitate an oracle; in later --rounds, imitate its corrections of the policy's own episodes. paper:
-    imitate the Q-values of the experts, from their samples in --samples."""
+    """relational: imitate an oracle. paper: imitate the Q-values of the experts, from their samples in --samples. In
+    later --rounds, both learn from the policy's own episodes, with the same teacher."""
     set: Annotated[str, tyro.conf.arg(name="set")] = "chairs-412:train"
-    """Generated furniture to train on, `NAME:SPLIT`; for the preset relational."""
+    """Generated furniture to train on, `NAME:SPLIT`; for the preset relational, and --rounds of the preset paper."""
     out: Path = Path("runs/multitask")
     """Folder of the run; the result is policy.npz."""
     limit: int | None = None
@@ -43,10 +43,10 @@ class MultitaskCommand:
     """Number of additional generated pieces to train on; for the preset relational. Without it: 6,000, or 1,500 with
     --setting full."""
     episodes: int | None = None
-    """Number of episodes per piece and round; for the preset relational. Without it: 1, or 3 with --setting full."""
+    """Number of episodes per piece and round. Without it: 1, or 3 with --setting full; 4 for the preset paper."""
     rounds: int | None = None
-    """Number of rounds with corrected episodes of the policy; for the preset relational. Without it: 0, or 1 with
-    --setting full."""
+    """Number of rounds with corrected episodes of the policy. Without it: 0, or 1 with --setting full. For the preset
+    paper they need --experts."""
     setting: Setting = "object-centric"
     """Only the preset relational has a choice."""
     start: str | None = None
@@ -56,11 +56,13 @@ class MultitaskCommand:
     """Number of gradient steps. Without it: 30,000 for the preset paper; 16,000, or 3,000 with --setting full, for the
     first round of the preset relational."""
     round_steps: int = 8_000
-    """Number of gradient steps in each later round; for the preset relational."""
+    """Number of gradient steps in each later round."""
     samples: tuple[Path, ...] = ()
     """Folders of training samples from `train expert` or from a run of the preset relational; for the preset paper."""
     extractor: Path | None = None
     """Checkpoint autoencoder.npz of the auto-encoder; for the preset paper."""
+    experts: Path | None = None
+    """Folder of the experts of the pieces in --set, from `train expert`; for --rounds of the preset paper."""
     seed: int = 0
     """Random seed of the weights, of the initial placements and of the order of samples."""
     jobs: Jobs = CORES
@@ -77,7 +79,7 @@ class MultitaskCommand:
         require_packages(*PACKAGES)
         writable_folder(self.out)
         with use_cluster(self.ray, self.jobs) as jobs:
-            last = follow(self._relational(jobs) if self.preset == "relational" else self._paper(), self.out)
+            last = follow(self._relational(jobs) if self.preset == "relational" else self._paper(jobs), self.out)
         path = self.out / "policy.npz"
         source = {"set": self.set} if self.preset == "relational" else {"samples": [str(s) for s in self.samples]}
         report = {"preset": self.preset, "policy": str(path), **source, "seed": self.seed, "last": last}
@@ -99,16 +101,27 @@ class MultitaskCommand:
         )  # fmt: skip
         return run_pipeline(config, self.out, jobs)
 
-    def _paper(self) -> Iterable[Progress]:
+    def _paper(self, jobs: int) -> Iterable[Progress]:
         if not self.samples or self.extractor is None:
             raise InputError(
                 "--preset paper needs --samples FOLDER and --extractor CHECKPOINT, both from `train expert`"
             )
         from roboassembly.learning.paper.imitation import PaperTraining
-        from roboassembly.learning.paper.pipeline import train_policy
+        from roboassembly.learning.paper.pipeline import AggregationConfig, train_policy
 
+        aggregation = None
+        if self.rounds:
+            if self.experts is None or not self.experts.is_dir():
+                raise InputError(
+                    f"--rounds {self.rounds} of --preset paper needs --experts FOLDER, the folder `experts` that "
+                    f"`train expert` made; got {self.experts}"
+                )
+            refs = selected_furniture(self.set, self.limit, None, self.seed)
+            aggregation = AggregationConfig(
+                refs, self.experts, self.rounds, self.round_steps, self.episodes or AggregationConfig.episodes
+            )
         training = PaperTraining(steps=self.steps or PaperTraining.steps, seed=self.seed)
-        return train_policy(self.samples, self.extractor, self.out, training)
+        return train_policy(self.samples, self.extractor, self.out, training, aggregation, jobs)
 
 
 def require_packages(*packages: str) -> None:

@@ -11,6 +11,7 @@ import pytest
 
 from roboassembly.datasets import catalogue
 from roboassembly.datasets.sets import FurnitureRef, furniture_refs
+from roboassembly.envs.observation import Observation
 from roboassembly.errors import InputError
 from roboassembly.furniture import storage
 from roboassembly.geometry.poses import SE3
@@ -28,6 +29,7 @@ from roboassembly.task.rules.groups import Group
 
 jax = pytest.importorskip("jax")
 from roboassembly.learning.paper import imitation as paper_imitation  # noqa: E402
+from roboassembly.learning.paper.aggregation import policy_samples  # noqa: E402
 from roboassembly.learning.paper.dqn import losses, results  # noqa: E402
 from roboassembly.learning.paper.dqn.agent import AgentConfig, DQNAgent  # noqa: E402
 from roboassembly.learning.paper.dqn.replay_buffer import ReplayBuffer  # noqa: E402
@@ -514,6 +516,56 @@ def test_an_expert_masters_a_chair_and_teaches_it(trained: Trained, family: str,
     other = ObjectCentricTask(catalogue.make("stool", 1))
     with pytest.raises(InputError, match="is an expert for"):
         results.load(path, other)
+
+
+class _Student:
+    """Policy that takes the expert's action, or always the same."""
+
+    name, cloud_points = "student", 1
+
+    def __init__(self, expert: ExpertPolicy, always: Action | None = None) -> None:
+        self.expert, self.always = expert, always
+        self.poses: list[np.ndarray] = []
+
+    def act(self, observation: Observation, mask: np.ndarray) -> np.ndarray:
+        self.poses.append(observation["poses"])
+        part = self.expert.inputs.part[: self.expert.inputs.points]
+        point = np.arange(len(part)) - np.searchsorted(part, part)
+        joined = (observation["connections"] != 0).any(axis=2) | np.eye(20, dtype=bool)
+        values = self.expert.values(joined, mask.any(axis=(1, 3, 4))[part, point])
+        row, column, choice = self.always or network.first_best(values)
+        return np.array([part[row], part[column], point[row], point[column], choice])
+
+
+def test_episodes_of_the_policy_become_samples_labelled_by_the_expert(trained: Trained) -> None:
+    chair, path = trained("upholstered", 14)
+    task = ObjectCentricTask(chair.furniture())
+    merges = len(task.furniture.parts) - 1
+    expert, buffer = results.load(path, task)
+    # One that does as the expert does finishes, and meets one state for each merge; groups lie elsewhere each time.
+    able = _Student(expert)
+    samples, finished = policy_samples(able, expert, buffer, task, chair.name, 2, np.random.default_rng(0))
+    assert finished == 2
+    assert len(samples.samples) == 2 * merges
+    assert not np.allclose(able.poses[0], able.poses[merges])
+    # One that errs at once learns how to go on from there: the way of the expert.
+    start = buffer.env.start
+    fails = (buffer.env.known(start) >= FAILS) & buffer.env.exists(start)[..., None]
+    row, column, choice = np.argwhere(fails)[0].tolist()
+    errs = _Student(expert, always=(row, column, choice))
+    samples, finished = policy_samples(errs, expert, buffer, task, chair.name, 1, np.random.default_rng(0))
+    assert finished == 0
+    assert len(errs.poses) == 1
+    taught = examples_of([samples], _extractor(), Augmentation(copies=0, reductions=0))
+    assert len(taught) == merges
+    state = start
+    for example in taught:
+        row, column, choice = example.best
+        rows = np.flatnonzero(buffer.env.owners(state) >= 0)
+        after = buffer.env.step(state, (int(rows[row]), int(rows[column]), choice))
+        assert after is not None
+        state = after
+    assert len(state) == 1
 
 
 def test_an_expert_masters_a_chair_of_two_merges_soon(trained: Trained) -> None:

@@ -17,7 +17,13 @@ from roboassembly.furniture import storage
 from roboassembly.learning import checkpoint
 from roboassembly.learning.paper import autoencoder
 from roboassembly.learning.paper.imitation import PaperTraining
-from roboassembly.learning.paper.pipeline import PipelineConfig, samples_folder, train_experts, train_policy
+from roboassembly.learning.paper.pipeline import (
+    AggregationConfig,
+    PipelineConfig,
+    samples_folder,
+    train_experts,
+    train_policy,
+)
 from roboassembly.learning.registry import load_policy
 from roboassembly.learning.relational.collect import collect
 
@@ -36,7 +42,12 @@ def test_a_chair_taught_by_its_expert_is_finished_from_new_starts(tmp_path: Path
     extractor = _random_extractor(tmp_path / "autoencoder.npz")
     list(train_experts(refs, tmp_path, PipelineConfig(side_by_side=1), {}, jobs=1))
     training = PaperTraining(steps=400, batch=32)
-    list(train_policy([samples_folder(tmp_path)], extractor, tmp_path / "paper", training))
+    aggregation = AggregationConfig(refs, tmp_path / "experts", rounds=1, steps=50)
+    steps = list(train_policy([samples_folder(tmp_path)], extractor, tmp_path / "paper", training, aggregation))
+    assert [p.stage for p in steps[:: len(steps) - 1]] == ["paper", "paper 1"]
+    assert {p.scalars["finished"] for p in steps if p.stage == "aggregation 1"} == {1.0}
+    # A finished run is not done again.
+    assert not list(train_policy([samples_folder(tmp_path)], extractor, tmp_path / "paper", training, aggregation))
     policy = load_policy(str(tmp_path / "paper" / "policy.npz"))
     assert [run_episode(policy, furniture, seed).success for seed in range(500, 510)].count(True) >= 9
 
@@ -61,3 +72,12 @@ def test_the_papers_policy_is_trained_on_folders_of_samples(tmp_path: Path, run:
         list(train_policy([tmp_path / "samples"], extractor, tmp_path / "run", training))
     with pytest.raises(InputError, match="no samples"):
         list(train_policy([tmp_path / "empty"], extractor, tmp_path / "other", training))
+
+
+def test_rounds_need_the_experts(tmp_path: Path, run: Run) -> None:
+    list(collect(["cantilever:1"], tmp_path / "samples", episodes=1, seed=0, jobs=1))
+    extractor = _random_extractor(tmp_path / "autoencoder.npz")
+    command = ("train", "multitask", "--preset", "paper", "--samples", tmp_path / "samples", "--extractor", extractor)
+    status, _, err = run(*map(str, command), "--rounds", "1", "--out", str(tmp_path / "out"))
+    assert status == 2
+    assert "--rounds 1 of --preset paper needs --experts FOLDER" in err

@@ -58,8 +58,6 @@ class Augmentation:
 class PaperExample:
     """A state ready for the network, small enough to keep a hundred thousand."""
 
-    furniture: int
-    """Number of the sample set that the state belongs to."""
     features: Float32[np.ndarray, "c P 48"]
     """Features of the parts' clouds: clean, then noisy and stretched copies. Shared by the states of a chair."""
     stretches: Float32[np.ndarray, "c 3"]
@@ -168,7 +166,7 @@ def _examples(samples: SampleSet, index: int, encoder: Params, a: Augmentation) 
         copies = clouds * stretches[:, None, None] + noise
         features = _features(encoder, copies.reshape(-1, *clouds.shape[1:])).reshape(1 + a.copies, len(clouds), -1)
         for sample in version.samples:
-            example = _example(sample, index, features, stretches, version.grasps)
+            example = _example(sample, features, stretches, version.grasps)
             yield example
             for _ in range(a.reductions if version.structure is not None else 0):
                 smaller = _without_parts(example, sample, version, features, rng)
@@ -190,7 +188,7 @@ def _without_parts(
     if left is None or smaller is None:
         return None
     grasps = None if samples.grasps is None else samples.grasps[left.parts]
-    out = _example(smaller, example.furniture, features[:, left.parts], example.stretches, grasps)
+    out = _example(smaller, features[:, left.parts], example.stretches, grasps)
     out = replace(out, tie=example.tie)
     # The labels still call a merge that locks a missing part out a dead end.
     if sample.q_values is None:
@@ -211,7 +209,6 @@ _encode = jax.jit(autoencoder.encode)
 
 def _example(
     sample: LabeledState,
-    index: int,
     features: Float32[np.ndarray, "c P 48"],
     stretches: Float32[np.ndarray, "c 3"],
     grasps: Float32[np.ndarray, "P 8 6"] | None,
@@ -221,7 +218,6 @@ def _example(
     number[part, point] = np.arange(len(part))
     u, k, v, l = sample.mates[:, :4].T  # noqa: E741
     return PaperExample(
-        furniture=index,
         features=features,
         stretches=stretches,
         points=sample.points.astype(np.float16),

@@ -87,9 +87,6 @@ def expert_samples(
     Returns:
         The samples, and the number of episodes that finished the chair.
     """
-    parts = task.furniture.parts
-    clouds = np.array([surface_points(p.mesh, CLOUD_POINTS) for p in parts], np.float32)
-    observer = Observer(task.furniture, len(parts), MAX_POINTS, 1)
     states: list[tuple[TaskState, State | None]] = []
     done = 0
     for index in range(episodes):
@@ -101,12 +98,12 @@ def expert_samples(
     if done:
         rng = np.random.default_rng([_SEEDS, seed])
         states += [(buffer.env.laid_out(state), state) for state in known_states(expert, buffer, memories, rng)]
+    recorder = SampleRecorder(expert, task)
     samples = tuple(
-        _sample(expert, task, observer, state, None if memory is None else buffer.env.known(memory) != UNKNOWN)
+        recorder.sample(state, None if memory is None else buffer.env.known(memory) != UNKNOWN)
         for state, memory in states
     )
-    grasps = SETTINGS[task.setting].grasp_inputs(observer)
-    return SampleSet(name, clouds, samples, grasps, structure_of(task.furniture)), done
+    return recorder.sample_set(name, samples), done
 
 
 def _remembered(buffer: ReplayBuffer, steps: Sequence[ExpertStep]) -> list[State | None]:
@@ -146,45 +143,58 @@ def known_states(
     return out
 
 
-def _sample(
-    expert: ExpertPolicy,
-    task: ObjectCentricTask | FullTask,
-    observer: Observer,
-    state: TaskState,
-    tried: Bool[np.ndarray, "m m w"] | None,
-) -> LabeledState:
-    seen = observer.observe(state)
-    free = task.rules.free_points(state)[: len(task.furniture.parts)]
-    return LabeledState(
-        seen["connection_points"],
-        seen["connections"],
-        free,
-        seen["poses"],
-        np.zeros((0, 11), np.int16),
-        _q_values(expert, task, state, tried),
-    )
+class SampleRecorder:
+    """Makes samples of states of one chair, labelled by its expert.
 
-
-def _q_values(
-    expert: ExpertPolicy,
-    task: ObjectCentricTask | FullTask,
-    state: TaskState,
-    tried: Bool[np.ndarray, "m m w"] | None,
-) -> Float16[np.ndarray, "n n h"]:
-    """Return Q over the free points as returns, as in `LabeledState`; 0 for actions that the expert never tried.
-
-    What a network says of actions that it had no samples of differs from expert to expert. With robots a value is a sum
-    over two grasps, and each counts as tried if it was tried with any other.
+    Args:
+        expert: gives the labels.
+        task: task of its chair.
     """
-    joined, free = encode_state(task, state)
-    rows = np.flatnonzero(free)
-    some = np.ix_(rows, rows)
-    values = [x[some] for x in expert.branch_values(joined, free)]
-    if tried is not None:
-        by_branch = tried[some].reshape(len(rows), len(rows), *task.action_branches)
-        axes = range(len(values))
-        values = [x * by_branch.any(axis=tuple(2 + j for j in axes if j != i)) for i, x in enumerate(values)]
-    return (np.concatenate(values, axis=2) * expert.inputs.max_return).astype(np.float16)
+
+    def __init__(self, expert: ExpertPolicy, task: ObjectCentricTask | FullTask) -> None:
+        self._expert, self._task = expert, task
+        self._observer = Observer(task.furniture, len(task.furniture.parts), MAX_POINTS, 1)
+
+    def sample(self, state: TaskState, tried: Bool[np.ndarray, "m m w"] | None) -> LabeledState:
+        """Return the sample of a state.
+
+        Args:
+            state: the state.
+            tried: actions that the expert tried in it; None if that is not known.
+        """
+        seen = self._observer.observe(state)
+        free = self._task.rules.free_points(state)[: len(self._task.furniture.parts)]
+        return LabeledState(
+            seen["connection_points"],
+            seen["connections"],
+            free,
+            seen["poses"],
+            np.zeros((0, 11), np.int16),
+            self._q_values(state, tried),
+        )
+
+    def sample_set(self, name: str, samples: tuple[LabeledState, ...]) -> SampleSet:
+        """Return the samples of the chair, under its name, with its clouds, grasps and structure."""
+        furniture = self._task.furniture
+        clouds = np.array([surface_points(p.mesh, CLOUD_POINTS) for p in furniture.parts], np.float32)
+        grasps = SETTINGS[self._task.setting].grasp_inputs(self._observer)
+        return SampleSet(name, clouds, samples, grasps, structure_of(furniture))
+
+    def _q_values(self, state: TaskState, tried: Bool[np.ndarray, "m m w"] | None) -> Float16[np.ndarray, "n n h"]:
+        """Return Q over the free points as returns, as in `LabeledState`; 0 for actions that the expert never tried.
+
+        What a network says of actions that it had no samples of differs from expert to expert. With robots a value is a
+        sum over two grasps, and each counts as tried if it was tried with any other.
+        """
+        joined, free = encode_state(self._task, state)
+        rows = np.flatnonzero(free)
+        some = np.ix_(rows, rows)
+        values = [x[some] for x in self._expert.branch_values(joined, free)]
+        if tried is not None:
+            by_branch = tried[some].reshape(len(rows), len(rows), *self._task.action_branches)
+            axes = range(len(values))
+            values = [x * by_branch.any(axis=tuple(2 + j for j in axes if j != i)) for i, x in enumerate(values)]
+        return (np.concatenate(values, axis=2) * self._expert.inputs.max_return).astype(np.float16)
 
 
 def collect(

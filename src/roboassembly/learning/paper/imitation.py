@@ -16,6 +16,7 @@ from jaxtyping import Bool, Float, Int
 
 from roboassembly.errors import InputError
 from roboassembly.furniture.model import MAX_POINTS
+from roboassembly.learning import checkpoint
 from roboassembly.learning.batches import padded_length
 from roboassembly.learning.fit import AdamWConfig, Batch, Fit
 from roboassembly.learning.layers import Array, Params
@@ -184,6 +185,7 @@ def train(
     training: PaperTraining,
     config: PaperConfig,
     notes: dict[str, Any],
+    initial: Path | None = None,
 ) -> Iterator[tuple[int, dict[str, float]]]:
     """Train until `training.steps`, from the checkpoint at `path` if there is one; yields step and losses.
 
@@ -194,6 +196,7 @@ def train(
         training: settings of the training.
         config: sizes of the network; its setting follows from the examples.
         notes: origin of the examples, kept in the checkpoint.
+        initial: checkpoint whose weights come first, if training starts anew.
 
     Raises:
         InputError: there are no examples, they are of both settings, or the checkpoint at `path` is of other training.
@@ -205,6 +208,8 @@ def train(
         raise InputError(f"the samples for '{path}' are of both settings; give those of one")
 
     def init_params() -> Params:
+        if initial is not None:
+            return checkpoint.load(initial, paper.KIND).params
         network = paper.init(np.random.default_rng(training.seed), config)
         return {"encoder": encoder, "inputs": _inputs(examples, training.seed), "network": network}
 

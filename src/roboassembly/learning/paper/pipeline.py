@@ -5,6 +5,14 @@ Everything is kept in one folder; what is there already is not done again.
     autoencoder.npz     encoder of the parts
     experts/…           one file a chair (`dqn.train`)
     samples/…           states of the experts' episodes with their Q-values (`expert_dataset`)
+
+The policy has a folder of its own. With aggregation it trains again after each round of its own episodes:
+
+    paper.npz           trained on the experts' samples
+    aggregated/1/…      states of its episodes with the experts' Q-values (`aggregation`)
+    paper-1.npz         trained on both
+    …
+    policy.npz          the last one
 """
 
 from __future__ import annotations
@@ -19,18 +27,35 @@ from roboassembly.errors import InputError
 from roboassembly.learning import checkpoint
 from roboassembly.learning.datasets import SampleSet, dataset_file, files_hash
 from roboassembly.learning.fit import is_trained
-from roboassembly.learning.paper import autoencoder, expert_dataset, imitation
+from roboassembly.learning.layers import Params
+from roboassembly.learning.paper import aggregation, autoencoder, expert_dataset, imitation
 from roboassembly.learning.paper import network as paper
 from roboassembly.learning.paper.autoencoder import AutoencoderTraining
 from roboassembly.learning.paper.dqn import train_all
 from roboassembly.learning.paper.dqn.results import ExpertResult, read
 from roboassembly.learning.paper.dqn.train import ExpertTraining
-from roboassembly.learning.paper.examples import Augmentation, examples_of
+from roboassembly.learning.paper.examples import Augmentation, PaperExample, examples_of
 from roboassembly.learning.paper.imitation import PaperTraining
 from roboassembly.learning.paper.part_clouds import collect_clouds
 from roboassembly.learning.progress import Progress
 from roboassembly.parallel.processes import one_thread_each
 from roboassembly.task.setting import SettingName
+
+
+@dataclass(frozen=True)
+class AggregationConfig:
+    """Settings of aggregation: rounds in which the policy learns from its own episodes."""
+
+    refs: Sequence[FurnitureRef]
+    """Chairs of the episodes."""
+    experts: Path
+    """Folder of their experts."""
+    rounds: int
+    """Number of rounds."""
+    steps: int = 8_000
+    """Number of gradient steps in each round."""
+    episodes: int = 4
+    """Number of episodes of each chair in each round."""
 
 
 @dataclass(frozen=True)
@@ -140,7 +165,12 @@ def expert_results(refs: Sequence[FurnitureRef], folder: Path) -> list[ExpertRes
 
 
 def train_policy(
-    folders: Sequence[Path], encoder_file: Path, folder: Path, training: PaperTraining
+    folders: Sequence[Path],
+    encoder_file: Path,
+    folder: Path,
+    training: PaperTraining,
+    aggregate: AggregationConfig | None = None,
+    jobs: int = 1,
 ) -> Iterator[Progress]:
     """Train the multi-task policy on all samples of some folders, or go on; the result is `policy.npz`.
 
@@ -149,19 +179,56 @@ def train_policy(
         encoder_file: checkpoint of the auto-encoder.
         folder: folder of the run.
         training: settings.
+        aggregate: settings of aggregation; None without it.
+        jobs: number of processes of aggregation.
 
     Raises:
         InputError: there are no samples, a file is broken, or the folder holds another run.
     """
     encoder = checkpoint.load(encoder_file, autoencoder.KIND).params
     files = sorted(path for f in folders for path in f.glob("*.npz"))
-    sets = [loaded for path in files if (loaded := SampleSet.load(path)).samples]
-    if not sets:
+    examples = _examples_of(files, encoder, training.seed)
+    if not examples:
         raise InputError(f"no samples in {', '.join(map(str, folders))}; `roboassembly train expert` makes some")
-    notes = {"samples": files_hash(files)}
-    examples = examples_of(sets, encoder, Augmentation(seed=training.seed))
     path = folder / "paper.npz"
+    notes = {"samples": files_hash(files)}
     for step, terms in imitation.train(examples, encoder, path, training, paper.PaperConfig(), notes):
         yield Progress("paper", step, training.steps, terms)
+    if aggregate is not None:
+        for index in range(1, aggregate.rounds + 1):
+            samples, last = folder / "aggregated" / str(index), path
+            yield from _aggregate(aggregate, last, samples, training.seed + index, index, jobs)
+            files += sorted(samples.glob("*.npz"))
+            examples += _examples_of(sorted(samples.glob("*.npz")), encoder, training.seed + index)
+            path = folder / f"paper-{index}.npz"
+            again = replace(
+                training, steps=aggregate.steps, seed=training.seed + index,
+                learning_rate=0.5 * training.learning_rate,
+            )  # fmt: skip
+            notes = {"samples": files_hash(files)}
+            for step, terms in imitation.train(examples, encoder, path, again, paper.PaperConfig(), notes, last):
+                yield Progress(f"paper {index}", step, again.steps, terms)
     done = checkpoint.load(path, paper.KIND)
     checkpoint.save(folder / "policy.npz", checkpoint.Checkpoint(done.kind, done.params, done.config, {}), half=True)
+
+
+def _examples_of(files: Sequence[Path], encoder: Params, seed: int) -> list[PaperExample]:
+    """Return the augmented examples of some files of samples."""
+    sets = [loaded for path in files if (loaded := SampleSet.load(path)).samples]
+    return examples_of(sets, encoder, Augmentation(seed=seed))
+
+
+def _aggregate(
+    config: AggregationConfig, policy: Path, folder: Path, seed: int, index: int, jobs: int
+) -> Iterator[Progress]:
+    """Collect the samples of a round; tells which share of the policy's episodes finishes the chair."""
+    existing = sum(dataset_file(folder, ref.name).is_file() for ref in config.refs)
+    collecting = aggregation.collect(
+        config.refs, config.experts, policy, folder, ExpertTraining(), episodes=config.episodes, seed=seed, jobs=jobs
+    )
+    finished = episodes = 0
+    for done, result in enumerate(collecting, 1):
+        finished, episodes = finished + result.finished, episodes + result.episodes
+        yield Progress(
+            f"aggregation {index}", existing + done, len(config.refs), {"finished": finished / max(episodes, 1)}
+        )
