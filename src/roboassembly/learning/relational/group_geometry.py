@@ -157,7 +157,8 @@ def _patches(
     cloud: Float[np.ndarray, "c 3"], position: Float[np.ndarray, "k 3"], frame: Float[np.ndarray, "k 3 3"]
 ) -> UInt8[np.ndarray, "k 375"]:
     """Distances from the grids around each point to the cloud."""
-    tree = KDTree(cloud)
+    # Such a tree is built in half the time, and on the points of surfaces it answers sooner, too.
+    tree = KDTree(cloud, leafsize=24, compact_nodes=False, balanced_tree=False)
     out: list[Float[np.ndarray, "k 125"]] = []
     for step in PATCH_STEPS:
         queries = position[:, None] + np.einsum("nij,qj->nqi", frame, PATCH_GRID * step)

@@ -30,11 +30,16 @@ class PairGeometry:
     """Bounds of the moving group relative to the waiting group's, see `Tokens.bounds` [m]."""
 
     @staticmethod
-    def between(moving: GroupGeometry, waiting: GroupGeometry) -> PairGeometry:
-        """Return the geometry of two groups."""
-        rotation, translation = _poses(moving, waiting)
-        matches = _count_matches(rotation, translation, moving, waiting)
-        return PairGeometry(matches, _relative_bounds(rotation, translation, moving, waiting))
+    def both_ways(a: GroupGeometry, b: GroupGeometry) -> tuple[PairGeometry, PairGeometry]:
+        """Return the geometry of two groups where a moves, and where b does."""
+        rotation, translation = _poses(a, b)
+        of_a, of_b = _count_matches(rotation, translation, a, b)
+        back = rotation.transpose(1, 0, 3, 2)
+        translation_back = -(back @ translation.transpose(1, 0, 2)[..., None])[..., 0]
+        return (
+            PairGeometry(of_a, _relative_bounds(rotation, translation, a, b)),
+            PairGeometry(of_b, _relative_bounds(back, translation_back, b, a)),
+        )
 
 
 def grasp_clearance(moving: GroupGeometry, waiting: GroupGeometry) -> Float16[np.ndarray, "k l 4"]:
@@ -59,8 +64,12 @@ def _poses(
 def _count_matches(
     rotation: Float[np.ndarray, "k l 3 3"], translation: Float[np.ndarray, "k l 3"], moving: GroupGeometry,
     waiting: GroupGeometry,
-) -> UInt8[np.ndarray, "k l 4"]:  # fmt: skip
-    """Numbers of other pairs of points that mate, mate with equal tangents, nearly meet, and come close."""
+) -> tuple[UInt8[np.ndarray, "k l 4"], UInt8[np.ndarray, "l k 4"]]:  # fmt: skip
+    """Numbers of other points that mate, mate with equal tangents, nearly meet one of the other group, and come close.
+
+    Returns:
+        Those of the moving group at each mate, and those of the waiting group, with the mate's points swapped.
+    """
     # (k, l, k, 3): all points of the moving group at each mate, and (k, l, k, l): their distances to the waiting ones.
     back = rotation.transpose(0, 1, 3, 2)
     mated = moving.position @ back + translation[:, :, None]
@@ -71,9 +80,11 @@ def _count_matches(
     mates = (distance < CONTACT_DISTANCE) & opposed
     near = (distance < _NEAR) & ~mates
     around = (distance < _AROUND) & ~mates
-    counts = [np.any(x, axis=3).sum(axis=2) for x in (mates, mates & aligned, near, around)]
+    meetings = np.stack([mates, mates & aligned, near, around])
     # The pair itself mates, too.
-    return np.maximum(np.stack(counts, axis=-1) - np.array([1, 1, 0, 0]), 0).astype(np.uint8)
+    counts = [meetings.any(axis=other).sum(axis=3).transpose(1, 2, 0) - np.array([1, 1, 0, 0]) for other in (4, 3)]
+    of_moving, of_waiting = (np.maximum(count, 0).astype(np.uint8) for count in counts)
+    return of_moving, of_waiting.transpose(1, 0, 2)
 
 
 def _squared(vectors: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n"]:

@@ -11,9 +11,10 @@ shows a policy which way the furniture stands.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import combinations
 from typing import Any, TypeVar
 
 import numpy as np
@@ -241,9 +242,17 @@ def _pair_arrays(
     """`Tokens.matches` and `Tokens.bounds`."""
     n = sum(map(len, rows))
     matches, bounds = np.zeros((n, n, 4), np.uint8), np.zeros((n, n, 6), np.float32)
-    for index, pair in _each_pair(geometry, rows, cache, b"", PairGeometry.between):
-        matches[index], bounds[index] = pair.matches, pair.bounds
-    return matches, bounds
+    # Group by group; slices are quicker than lists of numbers.
+    ends = np.cumsum([len(tokens) for tokens in rows]).tolist()
+    blocks = [slice(end - len(tokens), end) for end, tokens in zip(ends, rows, strict=True)]
+    for (first, here), (second, there) in combinations(zip(geometry, blocks, strict=True), 2):
+        # In an order that does not depend on the state.
+        (a, at), (b, on) = sorted([(first, here), (second, there)], key=lambda group: group[0].key)
+        one, other = cache.get(a.key + b.key, partial(PairGeometry.both_ways, a, b))
+        matches[at, on], bounds[at, on] = one.matches, one.bounds
+        matches[on, at], bounds[on, at] = other.matches, other.bounds
+    place = np.argsort(np.concatenate([np.zeros(0, int), *rows]))
+    return matches[place][:, place], bounds[place][:, place]
 
 
 def _grasp_arrays(
@@ -256,22 +265,13 @@ def _grasp_arrays(
     for group, tokens in zip(geometry, rows, strict=True):
         assert group.grasps is not None
         grasps[tokens] = group.grasps.features
-    for index, pair in _each_pair(geometry, rows, cache, b"clearance", grasp_clearance):
-        clearance[index] = pair
-    return grasps, clearance
-
-
-def _each_pair(
-    geometry: Sequence[GroupGeometry], rows: Sequence[Int[np.ndarray, "_"]], cache: TokenCache, name: bytes,
-    compute: Callable[[GroupGeometry, GroupGeometry], T],
-) -> Iterator[tuple[tuple[Any, ...], T]]:  # fmt: skip
-    """Index of the token pairs of each two groups, and what `compute` says of these; cached under `name`."""
     for moving, here in zip(geometry, rows, strict=True):
         for waiting, there in zip(geometry, rows, strict=True):
             # Equal groups share one geometry.
             if here is not there:
-                result = cache.get(moving.key + waiting.key + name, partial(compute, moving, waiting))
-                yield np.ix_(here, there), result
+                key = moving.key + waiting.key + b"clearance"
+                clearance[np.ix_(here, there)] = cache.get(key, partial(grasp_clearance, moving, waiting))
+    return grasps, clearance
 
 
 def pad(states: Sequence[Tokens], length: int) -> dict[str, np.ndarray]:
