@@ -36,7 +36,7 @@ _DIRECTION_TOLERANCE = 0.05
 """Norm of the difference up to which two unit vectors are the same."""
 _LINE = np.array([0.48, 0.60, 0.64])
 """Direction of the line on which places are sorted."""
-_APART = 10.0
+_BETWEEN_PAIRS = 10.0
 """Distance on that line between the places of two pairs of groups [m]."""
 
 
@@ -269,7 +269,7 @@ def _near_chains(
 ) -> tuple[Int[np.ndarray, "q"], Int[np.ndarray, "q"]]:
     """Return any two chains of one pair of groups that begin at different points and end at the same place."""
     # Few places are near each other on a line that no edge of furniture is parallel to.
-    on_line = end @ _LINE + _APART * pair
+    on_line = end @ _LINE + _BETWEEN_PAIRS * pair
     order = np.argsort(on_line, kind="stable")
     on_line = on_line[order]
     near = np.searchsorted(on_line, on_line + 1.01 * _POSITION_TOLERANCE) - np.arange(1, len(order) + 1)

@@ -248,9 +248,9 @@ def _pair_arrays(
     for (first, here), (second, there) in combinations(zip(geometry, blocks, strict=True), 2):
         # In an order that does not depend on the state.
         (a, at), (b, on) = sorted([(first, here), (second, there)], key=lambda group: group[0].key)
-        one, other = cache.get(a.key + b.key, partial(PairGeometry.both_ways, a, b))
-        matches[at, on], bounds[at, on] = one.matches, one.bounds
-        matches[on, at], bounds[on, at] = other.matches, other.bounds
+        a_moves, b_moves = cache.get(a.key + b.key, partial(PairGeometry.both_ways, a, b))
+        matches[at, on], bounds[at, on] = a_moves.matches, a_moves.bounds
+        matches[on, at], bounds[on, at] = b_moves.matches, b_moves.bounds
     place = np.argsort(np.concatenate([np.zeros(0, int), *rows]))
     return matches[place][:, place], bounds[place][:, place]
 
