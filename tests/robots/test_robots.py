@@ -74,20 +74,19 @@ def test_every_solution_reaches_the_tip_pose(rng: np.random.Generator) -> None:
         turn.normalize()
         wanted = SE3(turn.toRotationMatrix(), np.array([*rng.uniform(-3.0, 3.0, 2), height]))
         ways = reach(wanted, 64, rng)
-        assert len(ways.configurations) > 20
-        assert (ways.manipulability > 0.0).all()
-        for q in ways.configurations:
+        assert len(ways) > 20
+        for q in ways:
             tips = world_from_tips(q)
             assert np.linalg.norm(tips.translation - wanted.translation) < 1e-6
             assert rotation_angle(tips.rotation.T @ wanted.rotation) < 1e-6
             assert (q[3:] >= arm().low).all()
             assert (q[3:] <= arm().high).all()
-    assert not len(reach(SE3(np.eye(3), np.array([0.0, 0.0, 3.0])), 64, rng).configurations)
+    assert not len(reach(SE3(np.eye(3), np.array([0.0, 0.0, 3.0])), 64, rng))
 
 
 def test_same_generator_gives_the_same_solutions() -> None:
     wanted = SE3(np.eye(3), np.array([0.3, 0.2, 0.9]))
-    one, two = (reach(wanted, 32, np.random.default_rng(5)).configurations for _ in range(2))
+    one, two = (reach(wanted, 32, np.random.default_rng(5)) for _ in range(2))
     assert np.array_equal(one, two)
 
 

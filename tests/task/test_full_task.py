@@ -310,7 +310,7 @@ def test_groups_are_picked_with_the_preferred_arm(
     like: list[np.ndarray | None] = []
     for w, q in zip(requests, usual, strict=True):
         tips = w.group.world_from_furniture * w.grip.furniture_from_tips
-        others = reach(tips, 64, np.random.default_rng(1)).configurations
+        others = reach(tips, 64, np.random.default_rng(1))
         like.append(others[np.argmax(np.linalg.norm((others - q)[:, 3:], axis=1))])
     for before, after, wished in zip(usual, arms(like), like, strict=True):
         assert wished is not None

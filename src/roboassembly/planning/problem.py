@@ -27,6 +27,8 @@ class Budget:
     """Number of configurations tested for collision."""
     seconds: float | None = None
     """Duration [s]; unlimited if None."""
+    stances: int | None = None
+    """Number of ways in which two robots may try to mate their groups; as many as the task has if None."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,15 +8,15 @@ is tested in the same way, where only the arm's own motion counts.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
-from itertools import pairwise
+from itertools import pairwise, product
 
 import coal
 import numpy as np
 import pinocchio as pin
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from roboassembly.geometry.poses import SE3, transform_points
 from roboassembly.geometry.scene import Body, Shape
@@ -35,62 +35,160 @@ _GROUND = (200.0, 200.0, 1.0)
 """Dimensions of the box that models the ground [m]."""
 _SAMPLES = 2_000
 """Number of random configurations that determine which links always overlap."""
-_SPAN_SAMPLES, _SPAN_SLACK = 100_000, 1.02
+_SPAN_SAMPLES, _SPAN_SLACK = 10_000, 1.03
 """Number of random configurations, and safety factor, of the largest distances from axes to links."""
 _ALWAYS = 0.5
 """Share of random configurations from which an overlap of two links is taken to be built in."""
-_CHUNK = 8
+_CHUNK = 16
 """Size of the first batch of tests that end at the first hit."""
+_FIRST_FREE = 4
+"""Size of the first batch of tests that end at enough free configurations."""
+_CACHED = 24
+"""Number of worlds whose shapes are cached; each occupies some megabytes."""
 Configurations = Float[np.ndarray, "n 10"]
+Placements = tuple[SE3, ...]
+"""Placements of the hand, of its load and of all still shapes, each in the frame of what carries it."""
 
 
 @dataclass(eq=False)
-class _Test:
-    """Test whether any pair of shapes is nearer than a margin, first by convex hulls, then exactly."""
+class _Checker:
+    """Shapes ready for batches of configurations.
+
+    Setting a pool up takes a millisecond; changing its margin, its pairs and its placements takes a tenth of that. So
+    all tests share one, of all worlds with these shapes.
+    """
 
     model: pin.Model
     geometry: pin.GeometryModel
-    hulls: pin.GeometryModel
-    margin: float
+    movable: Sequence[int]
+    """Shapes whose placements differ from world to world."""
 
     @cached_property
-    def _hulls(self) -> Pool:
-        return self._pool(self.hulls)
-
-    @cached_property
-    def _exact(self) -> Pool:
-        return self._pool(self.geometry)
-
-    def _pool(self, geometry: pin.GeometryModel) -> Pool:
-        pool = Pool(self.model, geometry, 1)
+    def _pool(self) -> Pool:
+        pool = Pool(self.model, self.geometry, 1)
         for data in pool.getGeometryDatas():
             for request in data.collisionRequests:
                 request.break_distance = 0.0
-                request.security_margin = self.margin
         return pool
 
-    def hits(self, q: Configurations, *, first_only: bool = False) -> Bool[np.ndarray, "n"]:
+    _test: _Test | None = None
+    """Test for which margin and pairs are set."""
+    _placements: Placements | None = None
+    """Placements that are set."""
+
+    def hits(self, test: _Test, placements: Placements, q: Configurations, first_only: bool) -> Bool[np.ndarray, "n"]:
+        """Return whether any pair of a test is nearer than its margin in each configuration."""
+        if self._test is not test:
+            shapes = len(self.geometry.geometryObjects)
+            for data in self._pool.getGeometryDatas():
+                data.setSecurityMargins(self.geometry, np.full((shapes, shapes), test.margin))
+                data.setActiveCollisionPairs(self.geometry, test.pairs)
+            self._test = test
+        if self._placements is not placements:
+            for geometry in self._pool.getGeometryModels():
+                shapes = geometry.geometryObjects
+                for index, placement in zip(self.movable, placements, strict=True):
+                    shapes[index].placement = placement
+            self._placements = placements
+        hits = pin.computeCollisionsInParallel(1, self._pool, np.asfortranarray(q.T), True, first_only)
+        return np.array(hits, dtype=bool)
+
+
+@dataclass(frozen=True, eq=False)
+class _Test:
+    """Test whether any of some pairs of shapes is nearer than a margin, first by convex hulls, then exactly."""
+
+    hulls: _Checker
+    exact: _Checker
+    pairs: Bool[np.ndarray, "g g"]
+    """Pairs that are tested; above the diagonal."""
+    margin: float
+
+    def hits(self, placements: Placements, q: Configurations, *, first_only: bool = False) -> Bool[np.ndarray, "n"]:
         """Return whether any pair is nearer in each configuration; with `first_only`, tests end at the first hit."""
         out = np.zeros(len(q), bool)
         sizes = _growing(len(q)) if first_only else [len(q)]
         for begin, end in pairwise(np.cumsum([0, *sizes]).tolist()):
-            near = begin + np.flatnonzero(_collisions(self._hulls, q[begin:end]))
+            near = begin + np.flatnonzero(self.hulls.hits(self, placements, q[begin:end], False))
             if len(near):
-                out[near] = _collisions(self._exact, q[near], first_only)
+                out[near] = self.exact.hits(self, placements, q[near], first_only)
             if first_only and out.any():
                 break
         return out
 
 
-def _collisions(pool: Pool, q: Configurations, first_only: bool = False) -> Bool[np.ndarray, "n"]:
-    return np.array(pin.computeCollisionsInParallel(1, pool, np.asfortranarray(q.T), True, first_only), dtype=bool)
+class _Shapes:
+    """Shapes of a robot, its load and the still bodies, wherever they are, and the tests of them.
+
+    Args:
+        load: shapes in the hand.
+        still: shapes that do not move.
+        lands: whether the load may touch the ground.
+    """
+
+    def __init__(self, load: Sequence[Shape], still: Sequence[Shape], lands: bool) -> None:
+        model, carriers = _model()
+        geometry, nowhere = pin.GeometryModel(), SE3.Identity()
+        # The keys of `WorldCache` name meshes by their identity.
+        self._kept = (*load, *still)
+
+        def add(name: str, carrier: int, shape: coal.CollisionGeometry) -> int:
+            return geometry.addGeometryObject(pin.GeometryObject(name, carrier, nowhere, shape))
+
+        own = [add(link.name, carriers[link.carrier], link.mesh.convex) for link in links()]
+        hand = [add(link.name, carriers[HAND], link.mesh.convex) for link, _ in hand_links(0.0)]
+        loads = [add(f"load{i}", carriers[HAND], s.geometry) for i, s in enumerate(load)]
+        others = [add(f"still{i}", 0, s.geometry) for i, s in enumerate(still)]
+        below = SE3(np.eye(3), np.array([0.0, 0.0, -0.5 * _GROUND[2]]))
+        ground = geometry.addGeometryObject(pin.GeometryObject("ground", 0, below, coal.Box(*_GROUND)))
+        count = len(geometry.geometryObjects)
+        outer, inner = (np.zeros((count, count), bool) for _ in range(2))
+        outer[np.ix_([*own, *hand, *loads], others)] = True
+        # The platform drives on the ground.
+        outer[[*own[1:], *hand, *([] if lands else loads)], ground] = True
+        # Links carried by the last joint do not move relative to the load: one test suffices.
+        moving = [a for a, link in zip(own, links(), strict=True) if link.carrier != HAND]
+        for a, b in (*_own_pairs(), *product(moving, loads)):
+            inner[a, b] = True
+        for a, b in np.argwhere(outer | inner).tolist():
+            geometry.addCollisionPair(pin.CollisionPair(a, b))
+        hulled = geometry.copy()
+        for index, shape in zip([*loads, *others], self._kept, strict=True):
+            if not shape.convex:
+                hulled.geometryObjects[index].geometry = shape.mesh.convex
+        movable = [*hand, *loads, *others]
+        checkers = _Checker(model, hulled, movable), _Checker(model, geometry, movable)
+
+        def tests(pairs: Bool[np.ndarray, "g g"], margins: Sequence[float]) -> tuple[_Test, ...]:
+            return tuple(_Test(*checkers, pairs, margin) for margin in margins)
+
+        (self.all,) = tests(outer | inner, (0.0,))
+        self.outer = tests(outer, (*_OUTER_MARGINS, 0.0))
+        self.clear = tests(outer, (*_OUTER_MARGINS, CLEARANCE))
+        self.inner = tests(inner, (*_OWN_MARGINS, 0.0))
 
 
-def _growing(count: int) -> list[int]:
+class WorldCache:
+    """Shapes of earlier worlds: a world with the same ones elsewhere only moves them. For one thread at a time."""
+
+    def __init__(self) -> None:
+        self._shapes: dict[Hashable, _Shapes] = {}
+
+    def shapes(self, load: Sequence[Shape], still: Sequence[Shape], lands: bool) -> _Shapes:
+        """Return the shapes of a world; for the arguments see `_Shapes`."""
+        key = lands, *(tuple((id(s.mesh), s.convex) for s in some) for some in (load, still))
+        found = self._shapes.pop(key, None) or _Shapes(load, still, lands)
+        self._shapes[key] = found
+        if len(self._shapes) > _CACHED:
+            del self._shapes[next(iter(self._shapes))]
+        return found
+
+
+def _growing(count: int, first: int = _CHUNK) -> list[int]:
     """Return sizes of batches that add up to a count, each twice the one before."""
     out: list[int] = []
     while (rest := count - sum(out)) > 0:
-        out.append(min(rest, _CHUNK << len(out)))
+        out.append(min(rest, first << len(out)))
     return out
 
 
@@ -111,6 +209,7 @@ class RobotWorld:
             pads touch it.
         lands: whether the load may touch the ground.
         tally: count of tested configurations; a new one if None.
+        cache: shapes of earlier worlds; none if None.
     """
 
     def __init__(
@@ -120,54 +219,18 @@ class RobotWorld:
         load: Sequence[Shape] = (),
         lands: bool = False,
         tally: Tally | None = None,
+        cache: WorldCache | None = None,
     ) -> None:
         self.tally = tally or Tally()
-        model, carriers = _model()
         tips = SE3(*arm().tips)
-        geometry = pin.GeometryModel()
-
-        def add(name: str, carrier: int, placement: SE3, shape: coal.CollisionGeometry) -> int:
-            return geometry.addGeometryObject(pin.GeometryObject(name, carrier, placement, shape))
-
-        own = [add(link.name, carriers[link.carrier], SE3.Identity(), link.mesh.convex) for link in links()]
-        hand = [add(link.name, carriers[HAND], pose, link.mesh.convex) for link, pose in hand_links(opening)]
-        loads = [add(f"load{i}", carriers[HAND], tips * s.body_from_mesh, s.geometry) for i, s in enumerate(load)]
-        others = [
-            add(f"{b.name}/{i}", 0, b.pose * s.body_from_mesh, s.geometry)
-            for b in still
-            for i, s in enumerate(b.shapes)
-        ]
-        ground = add("ground", 0, SE3(np.eye(3), np.array([0.0, 0.0, -0.5 * _GROUND[2]])), coal.Box(*_GROUND))
-        outer, inner = geometry, geometry.copy()
-        for a in [*own, *hand, *loads]:
-            for b in others:
-                outer.addCollisionPair(pin.CollisionPair(a, b))
-            if a != own[0] and not (lands and a in loads):
-                outer.addCollisionPair(pin.CollisionPair(a, ground))
-        both = outer.copy()
-        # Links carried by the last joint do not move relative to the load: one test suffices.
-        still_links = [a for a, link in zip(own, links(), strict=True) if link.carrier == HAND]
-        self._hopeless = any(_touch(geometry, a, b) for a in still_links for b in loads)
-        loaded = [(a, b) for a in own if a not in still_links for b in loads]
-        for a, b in (*_own_pairs(), *loaded):
-            inner.addCollisionPair(pin.CollisionPair(a, b))
-            both.addCollisionPair(pin.CollisionPair(a, b))
-        meshes = [*load, *(s for b in still for s in b.shapes)]
-        hulls = {i: s.mesh.convex for i, s in zip([*loads, *others], meshes, strict=True) if not s.convex}
-
-        def tests(pairs: pin.GeometryModel, margins: Sequence[float]) -> list[_Test]:
-            hulled = pairs.copy()
-            for index, hull in hulls.items():
-                hulled.geometryObjects[index].geometry = hull
-            return [_Test(model, pairs, hulled, margin) for margin in margins]
-
-        # Setting up a test takes a millisecond, so the exact one is shared.
-        (self._all,) = tests(both, (0.0,))
-        *around, clear = tests(outer, (*_OUTER_MARGINS, CLEARANCE))
-        self._outer, self._clear = (*around, self._all), (*around, clear)
-        self._inner = (*tests(inner, _OWN_MARGINS), self._all)
-        near = [transform_points(pose, link.mesh.hull_vertices) for link, pose in hand_links(opening)]
-        near += [transform_points(tips * s.body_from_mesh, s.mesh.hull_vertices) for s in load]
+        around = [(b.pose * s.body_from_mesh, s) for b in still for s in b.shapes]
+        hand, loads = hand_links(opening), [tips * s.body_from_mesh for s in load]
+        self._placements: Placements = (*(pose for _, pose in hand), *loads, *(pose for pose, _ in around))
+        self._tests = (cache or WorldCache()).shapes(load, [s for _, s in around], lands)
+        wrist = [link.mesh.convex for link in links() if link.carrier == HAND]
+        self._hopeless = any(_touch(a, s.geometry, pose) for a in wrist for s, pose in zip(load, loads, strict=True))
+        near = [transform_points(pose, link.mesh.hull_vertices) for link, pose in hand]
+        near += [transform_points(pose, s.mesh.hull_vertices) for s, pose in zip(load, loads, strict=True)]
         self._reach = _reach(np.concatenate(near))
 
     @property
@@ -178,19 +241,24 @@ class RobotWorld:
     def free(self, q: Configurations) -> Bool[np.ndarray, "n"]:
         """Return whether each configuration is free, by exact tests."""
         self.tally.states += len(q)
-        return ~self._all.hits(q) & (not self._hopeless)
+        return ~self._tests.all.hits(self._placements, q) & (not self._hopeless)
+
+    def each_free(self, q: Configurations) -> Iterator[Float[np.ndarray, "10"]]:
+        """Yield the configurations that are free, in their order; those after the last one taken are not all tested."""
+        for begin, end in pairwise(np.cumsum([0, *_growing(len(q), _FIRST_FREE)]).tolist()):
+            yield from q[begin:end][self.free(q[begin:end])]
 
     def clear(self, q: Configurations) -> Bool[np.ndarray, "n"]:
         """Return whether each configuration is free with at least `CLEARANCE` from the surroundings."""
         self.tally.states += len(q)
-        return self.free(q) & ~self._clear[-1].hits(q)
+        return self.free(q) & ~self._tests.clear[-1].hits(self._placements, q)
 
     def clearance(self, q: Configurations) -> Float[np.ndarray, "n"]:
         """Return the largest of a few margins that each configuration keeps from the surroundings; 0 if none [m]."""
         out = np.zeros(len(q))
-        for test in self._outer[:-1]:
+        for test in self._tests.outer[:-1]:
             self.tally.states += len(q)
-            out = np.maximum(out, np.where(test.hits(q), 0.0, test.margin))
+            out = np.maximum(out, np.where(test.hits(self._placements, q), 0.0, test.margin))
         return out
 
     def edge_is_free(self, a: Float[np.ndarray, "10"], b: Float[np.ndarray, "10"], *, clear: bool = False) -> bool:
@@ -203,58 +271,73 @@ class RobotWorld:
         """
         step = np.abs(b - a)
         moved = float(np.linalg.norm((b - a)[:2]) + step[2:] @ self._reach)
-        return self._ladder_free(self._clear if clear else self._outer, a, b, moved) and self._ladder_free(
-            self._inner, a, b, float(step[3:] @ self._reach[1:])
-        )
+        outer = self._tests.clear if clear else self._tests.outer
+        if moved < 1e-9:
+            return True
+        if self._any_hit(self._tests.all, b[None]):
+            return False
+        arm_moved = float(step[3:] @ self._reach[1:])
+        return self._ladder_free(outer, a, b, moved) and self._ladder_free(self._tests.inner, a, b, arm_moved)
 
     def _ladder_free(self, ladder: Sequence[_Test], a: np.ndarray, b: np.ndarray, moved: float) -> bool:
         """Return whether an edge passes the last test of a ladder; earlier tests with larger margins save work."""
         if moved < 1e-9:
             return True
+        *certain, exact = ladder
         stretches: Float[np.ndarray, "s 2"] = np.array([[0.0, 1.0]])
-        for test in ladder:
-            last = test is ladder[-1]
-            spacing = RESOLUTION if last else 2.0 * test.margin
-            counts = np.maximum(1, np.ceil((stretches[:, 1] - stretches[:, 0]) * moved / spacing)).astype(int)
-            cuts: list[np.ndarray] = [
-                np.linspace(low, high, n + 1) for (low, high), n in zip(stretches, counts, strict=True)
-            ]
-            low, high = np.concatenate([c[:-1] for c in cuts]), np.concatenate([c[1:] for c in cuts])
-            if last:
-                return not self._any_hit(test, a + np.outer(high, b - a))
-            middle = a + np.outer(0.5 * (low + high), b - a)
-            # Coarse exact tests for obvious collisions come before certification.
-            if test is ladder[0] and self._any_hit(ladder[-1], _middle_first(np.concatenate([middle, b[None]]))):
+        for test in certain:
+            low, high = _cut(stretches, moved, 2.0 * test.margin)
+            near = self._near(test, exact, a + np.outer(0.5 * (low + high), b - a))
+            if near is None:
                 return False
-            self.tally.states += len(middle)
-            near = test.hits(middle)
             if not near.any():
                 return True
             stretches = np.stack([low[near], high[near]], axis=1)
-        return True
+        _, high = _cut(stretches, moved, RESOLUTION)
+        return not self._any_hit(exact, a + np.outer(high, b - a))
+
+    def _near(self, test: _Test, exact: _Test, q: Configurations) -> Bool[np.ndarray, "n"] | None:
+        """Return which configurations fail a test with a margin; None as soon as one fails the exact test.
+
+        The middle of the edge comes first, so that a collision is found early.
+        """
+        near, order = np.zeros(len(q), bool), _middle_first(len(q))
+        for begin, end in pairwise(np.cumsum([0, *_growing(len(q))]).tolist()):
+            some = order[begin:end]
+            self.tally.states += len(some)
+            near[some] = test.hits(self._placements, q[some])
+            if near[some].any() and self._any_hit(exact, q[some[near[some]]]):
+                return None
+        return near
 
     def _any_hit(self, test: _Test, q: Configurations) -> bool:
-        hits = test.hits(q, first_only=True)
+        hits = test.hits(self._placements, q, first_only=True)
         self.tally.states += int(np.argmax(hits)) + 1 if hits.any() else len(q)
         return bool(hits.any())
 
 
-def _middle_first(q: Configurations) -> Configurations:
-    """Return configurations with the middle first, so that a collision is found early."""
-    n = len(q)
-    order = sorted(range(n), key=lambda i: (-(i & -i).bit_length() if i else 0, i))
-    return q[order]
+def _cut(
+    stretches: Float[np.ndarray, "s 2"], moved: float, spacing: float
+) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+    """Return the first and last fractions of equal pieces of stretches, none of which moves more than a spacing."""
+    counts = np.maximum(1, np.ceil((stretches[:, 1] - stretches[:, 0]) * moved / spacing)).astype(int)
+    cuts: list[np.ndarray] = [np.linspace(low, high, n + 1) for (low, high), n in zip(stretches, counts, strict=True)]
+    return np.concatenate([c[:-1] for c in cuts]), np.concatenate([c[1:] for c in cuts])
 
 
-def _touch(geometry: pin.GeometryModel, a: int, b: int) -> bool:
-    """Return whether two shapes of one carrier touch."""
-    first, second = geometry.geometryObjects[a], geometry.geometryObjects[b]
+@cache
+def _middle_first(n: int) -> Int[np.ndarray, "n"]:
+    """Return the numbers below n with the middle first, then those between."""
+    return np.array(sorted(range(n), key=lambda i: (-(i & -i).bit_length() if i else 0, i)), int)
+
+
+def _touch(link: coal.CollisionGeometry, shape: coal.CollisionGeometry, placement: SE3) -> bool:
+    """Return whether a link of the last joint touches a shape of the load."""
     return bool(
         coal.collide(
-            first.geometry, _transform(first.placement), second.geometry, _transform(second.placement),
-            coal.CollisionRequest(), coal.CollisionResult(),
+            link, coal.Transform3s(), shape, _transform(placement), coal.CollisionRequest(), coal.CollisionResult()
         )
-    )  # fmt: skip
+    )
 
 
 def _transform(pose: SE3) -> coal.Transform3s:

@@ -18,7 +18,7 @@ from roboassembly.geometry.poses import SE3
 from roboassembly.robots.kinematics import JOINTS, Poses, arm
 from roboassembly.robots.platform import PLATFORM_FROM_MOUNT
 
-_ROWS = 60_000
+_ROWS = 30_000
 """Number of configurations in the table."""
 _MARGIN = 0.1
 """Distance of the table's configurations from the joint limits [rad]."""
@@ -28,15 +28,6 @@ _METRES_A_RADIAN = 0.3
 """Weight of tilt against height in the look-up [m/rad]."""
 _GUIDE_ROW = 64
 """Rank of the neighbour whose distance measures the density of rows."""
-
-
-@dataclass(frozen=True, eq=False)
-class Reach:
-    """Configurations of one robot with its finger tips at one pose."""
-
-    configurations: Float[np.ndarray, "n 10"]
-    """Placements `(x, y, angle)` of the platform, then the arm's seven joint angles [m, rad]."""
-    manipulability: Float[np.ndarray, "n"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,8 +55,9 @@ def _keys(tips: Poses) -> Float[np.ndarray, "n 4"]:
     return np.concatenate([tips.translation[:, 2:], _METRES_A_RADIAN * tips.rotation[:, 2]], axis=1)
 
 
-def reach(world_from_tips: SE3, count: int, rng: np.random.Generator) -> Reach:
-    """Return configurations with the finger tips at a pose; collisions are not checked.
+def reach(world_from_tips: SE3, count: int, rng: np.random.Generator) -> Float[np.ndarray, "n 10"]:
+    """Return configurations with the finger tips at a pose: placements `(x, y, angle)` of the platform, then the arm's
+    seven joint angles [m, rad]. Collisions are not checked.
 
     Args:
         world_from_tips: target pose.
@@ -86,8 +78,7 @@ def reach(world_from_tips: SE3, count: int, rng: np.random.Generator) -> Reach:
     y = world_from_tips.translation[1] - (sine * along[:, 0] + cosine * along[:, 1])
     place = np.stack([x, y, angle], axis=1)
     q, found = arm().solve(in_mount(place, world_from_tips), table.q[rows])
-    configurations = np.concatenate([place, q], axis=1)[found]
-    return Reach(configurations, arm().manipulability(q[found]))
+    return np.concatenate([place, q], axis=1)[found]
 
 
 def nearness(world_from_tips: Poses) -> Float[np.ndarray, "n"]:

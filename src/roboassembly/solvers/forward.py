@@ -15,7 +15,7 @@ from roboassembly.planning.problem import Budget
 from roboassembly.solvers.disassembly import Disassembly, Partition, Parts, Split, partition_of
 from roboassembly.solvers.guide import Guide
 from roboassembly.task.rules.groups import TaskState
-from roboassembly.task.setting import Task
+from roboassembly.task.setting import Outcome, Task
 
 Action = tuple[int, ...]
 _GUIDED_STRAYS = 3
@@ -75,6 +75,8 @@ class Round:
     """Also use splits that blocking graphs do not offer."""
     budget: Budget | None
     """Budget of each merge; the task's own if None. Without states the planner tries retreats only."""
+    first: Budget | None = None
+    """Smaller budget with which all actions of a merge are tried first; None to try each once."""
 
 
 Options = Callable[[Disassembly, State, TaskState, Parts, Parts, bool], Iterable[Action]]
@@ -165,12 +167,12 @@ class Search(Generic[State, AStep]):
             if self.strays and self.hopeless(self.joined(self.task.groups_of(state), suggestion.action)):
                 continue
             tries += 1
-            after = self.attempt(state, suggestion.action, self.round.budget)
-            if after is None:
+            outcome = self.attempt(state, suggestion.action, self.round.budget)
+            if outcome is None or outcome.step is None:
                 continue
             followed += 1
             self.guided += 1
-            if self.follow(guide, after):
+            if self.follow(guide, outcome.state):
                 return True
             self.guided -= 1
             self.steps.pop()
@@ -234,19 +236,29 @@ class Search(Generic[State, AStep]):
 
     def merge(self, state: State, assigned: TaskState, leaving: Parts, staying: Parts) -> State | None:
         """Try the actions that join two groups, the most promising first; returns the state after, None if all fail."""
-        for action in self.options(self.disassembly, state, assigned, leaving, staying, self.round.straight):
-            if self.exhausted():
-                return None
-            after = self.attempt(state, action, self.round.budget)
-            if after is not None:
+        actions = self.options(self.disassembly, state, assigned, leaving, staying, self.round.straight)
+        # Another action often works where the first few ways to carry one out do not.
+        for budget in (self.round.budget,) if self.round.first is None else (self.round.first, self.round.budget):
+            left: list[Action] = []
+            for action in actions:
+                if self.exhausted():
+                    return None
+                outcome = self.attempt(state, action, budget)
+                if outcome is None:
+                    return None
+                if outcome.step is None:
+                    if outcome.failure is None or not outcome.failure.final:
+                        left.append(action)
+                    continue
                 # If equal parts had swapped slots, the pair may have taken other slots than these.
-                if self.task.rules.pairs.assign_slots(self.task.groups_of(after)) is not None:
-                    return after
+                if self.task.rules.pairs.assign_slots(self.task.groups_of(outcome.state)) is not None:
+                    return outcome.state
                 self.steps.pop()
+            actions = left
         return None
 
-    def attempt(self, state: State, action: Action, budget: Budget | None) -> State | None:
-        """Plan one merge and append its step to `steps`; returns the state after, None if the planner fails."""
+    def attempt(self, state: State, action: Action, budget: Budget | None) -> Outcome[State, AStep] | None:
+        """Plan one merge and append its step to `steps` if it succeeds; returns None if the search is stopped."""
         if self.watch is not None and not self.watch(SearchProgress(len(self.steps), self.attempts, self.states())):
             self.stopped = True
             return None
@@ -255,10 +267,9 @@ class Search(Generic[State, AStep]):
         self.planning_steps += outcome.planning_steps
         self.planning_seconds += outcome.planning_seconds
         self.verdicts[outcome.verdict] = self.verdicts.get(outcome.verdict, 0) + 1
-        if outcome.step is None:
-            return None
-        self.steps.append((outcome.step, outcome.state))
-        return outcome.state
+        if outcome.step is not None:
+            self.steps.append((outcome.step, outcome.state))
+        return outcome
 
     def reasoned(self, partition: Partition, rejected: set[frozenset[Parts]]) -> list[Split] | None:
         """Return an order of merges from a partition; its time counts as planning."""

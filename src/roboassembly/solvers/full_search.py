@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 
 from roboassembly.furniture.model import Furniture
+from roboassembly.planning.problem import Budget
 from roboassembly.solvers.disassembly import Disassembly, Parts
 from roboassembly.solvers.forward import Action, Search, SearchLimits, SearchResult, Watch
 from roboassembly.solvers.guide import Guide
@@ -18,7 +19,9 @@ from roboassembly.task.full.task import FullTask
 from roboassembly.task.plans.full_plan import FullPlan, FullState
 from roboassembly.task.rules.groups import TaskState
 
-_ROUNDS = tuple(replace(r, budget=None) for r in ROUNDS)
+_FIRST = Budget(states=2_000, stances=2)
+"""Budget with which all actions of a merge are tried first."""
+_ROUNDS = tuple(replace(r, budget=None, first=_FIRST) for r in ROUNDS)
 FULL_LIMITS = SearchLimits(states=6_000_000, attempts=200)
 """Default limits with robots."""
 

@@ -8,7 +8,7 @@ from roboassembly.furniture.model import Furniture
 from roboassembly.geometry.poses import SE3
 from roboassembly.geometry.scene import Body, Shape
 from roboassembly.planning.robot_path import Configuration, Path
-from roboassembly.planning.robot_world import RobotWorld, Tally
+from roboassembly.planning.robot_world import RobotWorld, Tally, WorldCache
 from roboassembly.robots.body import placed, world_from_tips
 from roboassembly.task.full.cell import Post
 from roboassembly.task.full.failure import Stage, stage_text
@@ -86,7 +86,14 @@ class CellState:
         obstacles += [body(furniture, group, f"on floor{i}") for i, group in enumerate(self.on_floor)]
         return [*obstacles, self.robots[1 - robot].body(furniture)]
 
-    def world(self, furniture: Furniture, robot: int, lands: bool = False, tally: Tally | None = None) -> RobotWorld:
+    def world(
+        self,
+        furniture: Furniture,
+        robot: int,
+        lands: bool = False,
+        tally: Tally | None = None,
+        cache: WorldCache | None = None,
+    ) -> RobotWorld:
         """Return the collision model of one robot and its payload among all else.
 
         Args:
@@ -94,9 +101,12 @@ class CellState:
             robot: 0 or 1.
             lands: whether the payload may touch the ground.
             tally: counts the tested configurations; a new one if None.
+            cache: shapes of earlier worlds; none if None.
         """
         own = self.robots[robot]
-        return RobotWorld(self.around(furniture, robot), own.opening, own.payload_shapes(furniture), lands, tally)
+        return RobotWorld(
+            self.around(furniture, robot), own.opening, own.payload_shapes(furniture), lands, tally, cache
+        )
 
     def moved(self, robot: int, at: Configuration) -> CellState:
         """Return the state with one robot elsewhere."""

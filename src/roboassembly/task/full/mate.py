@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 
 import numpy as np
 from jaxtyping import Float
@@ -83,21 +84,22 @@ def mate_stances(
     released = mated.with_robot(0, Robot(_FAR, grip_a.open)).with_robot(
         1, Robot(_FAR, grip_b.closed, Payload(merged, grip_b))
     )
-    world_a, world_b = context.world(mated, 0, tally), context.world(mated, 1, tally)
+    world_b = context.world(mated, 1, tally)
 
     def at_pose(retract: Retract, pose: SE3, drawn: np.random.SeedSequence) -> Iterator[MateStance]:
-        b = _free_reach(world_b, pose * grip_b.furniture_from_tips, child_seed(drawn, 1))
-        a = _free_reach(world_a, pose * grip_a.furniture_from_tips, child_seed(drawn, 0))
+        a, b = (
+            reach(pose * grip.furniture_from_tips, GUESSES, np.random.default_rng(child_seed(drawn, robot)))
+            for robot, grip in enumerate((grip_a, grip_b))
+        )
         if not len(a) or not len(b):
             return
         # The farther R_b stands from where R_a would, the less they are in each other's way.
         distance = np.linalg.norm(b[:, None, :2] - a[None, :, :2], axis=2).mean(axis=1)
-        for at_b in b[np.argsort(-distance)[:_STANCES_OF_B]]:
+        for at_b in islice(world_b.each_free(b[np.argsort(-distance)]), _STANCES_OF_B):
             world = context.world(mated.moved(1, at_b), 0, tally)
             empty = context.world(released.moved(1, at_b), 0, tally)
-            free = a[world.free(a)]
-            order = np.argsort(-np.linalg.norm(free[:, :2] - at_b[:2], axis=1))
-            for at_a in free[order[:_STANCES_OF_A]]:
+            order = np.argsort(-np.linalg.norm(a[:, :2] - at_b[:2], axis=1))
+            for at_a in islice(world.each_free(a[order]), _STANCES_OF_A):
                 out = _path_out(world, at_a, pose.rotation @ retract.direction, retract.length)
                 back = None if out is None else retreat_path(empty, at_a)
                 if out is not None and back is not None:
@@ -165,12 +167,6 @@ def release(
     if path is None:
         return Failure(FullVerdict.NO_PATH, Stage.LEAVE, 0, states=tally.states)
     return replace(done.move(Stage.LEAVE, 0, path), states=tally.states)
-
-
-def _free_reach(world: RobotWorld, tips: SE3, seed: np.random.SeedSequence) -> Float[np.ndarray, "n 10"]:
-    """Return free configurations with the finger tips at a pose."""
-    found = reach(tips, GUESSES, np.random.default_rng(seed)).configurations
-    return found[world.free(found)] if len(found) else found
 
 
 def _path_out(world: RobotWorld, at: Configuration, direction: Float[np.ndarray, "3"], length: float) -> Path | None:

@@ -9,7 +9,7 @@ space; RRT-Connect connects them.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import product
 
 import numpy as np
@@ -18,7 +18,7 @@ from roboassembly.furniture.model import Furniture
 from roboassembly.geometry.poses import SE3
 from roboassembly.planning.problem import Budget
 from roboassembly.planning.robot_path import Configuration, Floor, Path, connect, line, path_is_free, turned_on
-from roboassembly.planning.robot_world import RobotWorld, Tally
+from roboassembly.planning.robot_world import RobotWorld, Tally, WorldCache
 from roboassembly.robots.body import world_from_tips
 from roboassembly.robots.reach import reach
 from roboassembly.task.full.cell import Cell
@@ -48,6 +48,8 @@ class StepContext:
     cell: Cell
     budget: Budget
     """Limit of each path."""
+    worlds: WorldCache = field(default_factory=WorldCache)
+    """Shapes of earlier worlds."""
 
     def world(self, state: CellState, robot: int, tally: Tally) -> RobotWorld:
         """Return the collision model of one robot among all else.
@@ -57,7 +59,7 @@ class StepContext:
             robot: 0 or 1.
             tally: counts the tested configurations.
         """
-        return state.world(self.furniture, robot, tally=tally)
+        return state.world(self.furniture, robot, tally=tally, cache=self.worlds)
 
     def connect(
         self, world: RobotWorld, start: Configuration, goal: Configuration, seed: np.random.SeedSequence
@@ -117,9 +119,8 @@ def arm_configurations(
         draws: number of draws.
     """
     for draw in range(draws):
-        found = reach(tips, GUESSES, np.random.default_rng(child_seed(seed, draw))).configurations
-        free = found[world.free(found)] if len(found) else found
-        yield from free[np.argsort(np.linalg.norm((free - near)[:, entries], axis=1))]
+        found = reach(tips, GUESSES, np.random.default_rng(child_seed(seed, draw)))
+        yield from world.each_free(found[np.argsort(np.linalg.norm((found - near)[:, entries], axis=1))])
 
 
 def retreat_path(world: RobotWorld, at: Configuration) -> Path | None:

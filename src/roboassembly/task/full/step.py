@@ -46,7 +46,8 @@ def plan_step(
     """
     requests = PickRequest(grasp.u, grasp.grip_a), PickRequest(grasp.v, grasp.grip_b)
     failure, spent = Failure(FullVerdict.NO_ARM_SOLUTION, Stage.MATE), 0
-    for restart in range(_RESTARTS):
+    most = context.budget.stances or _RESTARTS * _STANCES
+    for restart in range(-(-most // _STANCES)):
         drawn, tally = child_seed(seed, restart), Tally()
         stances = mate_stances(context, state, grasp, child_seed(drawn, 0), tally)
         first = next(stances, None)
@@ -55,7 +56,7 @@ def plan_step(
         picked = pick_both(context, state, requests, child_seed(drawn, 1))
         if isinstance(picked, Failure):
             return replace(picked, states=spent + tally.states + picked.states)
-        for attempt, stance in enumerate(islice(chain([first], stances), _STANCES)):
+        for attempt, stance in enumerate(islice(chain([first], stances), min(_STANCES, most - restart * _STANCES))):
             if attempt:
                 # With a long payload an arm does not get from any posture to any other.
                 arms = stance.out[-1], stance.b

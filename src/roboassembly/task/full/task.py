@@ -19,7 +19,7 @@ from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS, Furniture
 from roboassembly.geometry.mating import distinct_directions
 from roboassembly.geometry.poses import SE3
 from roboassembly.planning.problem import Budget
-from roboassembly.planning.robot_world import Tally
+from roboassembly.planning.robot_world import Tally, WorldCache
 from roboassembly.task.full.cell import check_size, initial_layout
 from roboassembly.task.full.cell_state import CellState, PlacedGroup, Robot, Segment
 from roboassembly.task.full.failure import Failure, FullVerdict, Stage
@@ -89,6 +89,7 @@ class FullTask:
         self.budget = budget or BUDGET
         self.rules = Rules(furniture)
         self._grips: dict[tuple[int, int, tuple[int, ...], bytes], Grip | None] = {}
+        self._worlds = WorldCache()
 
     def initial_state(self, rng: np.random.Generator) -> FullState:
         """All parts on posts, both robots in the middle of the ring.
@@ -295,7 +296,7 @@ class FullTask:
         return next(stances, None) is not None
 
     def _context(self, state: FullState, budget: Budget | None = None) -> StepContext:
-        return StepContext(self.furniture, state.cell, budget or self.budget)
+        return StepContext(self.furniture, state.cell, budget or self.budget, self._worlds)
 
     def _retracts(
         self, u_group: Group, v_group: Group, merge: Merge, grip_a: Grip | None, grip_b: Grip | None
