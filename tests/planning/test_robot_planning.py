@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
+from dataclasses import replace
+from itertools import islice, pairwise
 
 import fcl
 import numpy as np
@@ -13,7 +14,8 @@ from roboassembly.geometry.poses import SE3, rotation_angle
 from roboassembly.geometry.scene import Body, Shape
 from roboassembly.planning.problem import Budget
 from roboassembly.planning.robot_path import Floor, connect, line, path_is_free, turned_on
-from roboassembly.planning.robot_world import CLEARANCE, RobotWorld
+from roboassembly.planning.robot_shapes import CLEARANCE, WorldCache
+from roboassembly.planning.robot_world import RobotWorld
 from roboassembly.robots.body import DOF, placed, world_from_tips
 from roboassembly.robots.kinematics import arm
 from shapes import RobotChecker, brick, fcl_object, pose, still
@@ -55,6 +57,34 @@ def test_free_configurations_agree_with_fcl(around: list[Body], held: tuple[Shap
     # What the robot does to itself aside, both say the same.
     assert (~free & alone == hits & alone).all()
     assert 5 < (hits & alone).sum() < 145
+
+
+def test_worlds_that_share_shapes_answer_as_on_their_own(around: list[Body]) -> None:
+    """Other places of the bodies, another grip and another opening, and back again."""
+    q, cache = drawn(np.random.default_rng(6), 80), WorldCache()
+    elsewhere = [replace(b, pose=pose(x=0.4, z=-0.2) * b.pose) for b in around]
+    turned = tuple(replace(s, body_from_mesh=pose(z=-0.02) * s.body_from_mesh) for s in RACKET)
+    cases = [(around, OPENING, RACKET), (elsewhere, OPENING, RACKET), (around, 0.07, turned), (around, OPENING, RACKET)]
+    shared = [RobotWorld(*case, cache=cache) for case in cases]
+    alone = [RobotWorld(*case) for case in cases]
+    edges = [(q[i], q[i] + 0.1 * (q[i + 1] - q[i])) for i in range(0, 60, 2)]
+    frees = [world.free(q) for world in shared]
+    assert not (frees[0] == frees[1]).all()
+    for one, other, free in zip(shared, alone, frees, strict=True):
+        assert (free == other.free(q)).all()
+        assert (one.clear(q) == other.clear(q)).all()
+        assert [one.edge_is_free(*e) for e in edges] == [other.edge_is_free(*e) for e in edges]
+    assert cache.shapes(RACKET, [s for b in around for s in b.shapes], False) is cache.shapes(
+        turned, [s for b in elsewhere for s in b.shapes], False
+    )
+
+
+def test_free_configurations_come_in_their_order_and_only_as_many_as_are_asked_for(around: list[Body]) -> None:
+    q, world = drawn(np.random.default_rng(7), 64), RobotWorld(around, OPENING)
+    free = q[RobotWorld(around, OPENING).free(q)]
+    assert np.array_equal(np.array(list(islice(world.each_free(q), 2))), free[:2])
+    assert world.states < len(q)
+    assert np.array_equal(np.array(list(world.each_free(q))), free)
 
 
 def test_path_angles_continue_from_the_robot() -> None:

@@ -262,6 +262,24 @@ def test_without_a_budget_there_is_no_path(task: FullTask, start: FullState, mer
         assert (max(lengths, default=2) > 2) is search
 
 
+def test_a_budget_limits_the_ways_to_mate_that_are_tried(
+    task: FullTask, start: FullState, merged: FullOutcome, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert merged.step is not None
+    tried = list[object]()
+
+    def fails(*args: object) -> Failure:
+        tried.append(args)
+        return Failure(FullVerdict.NO_PATH, Stage.DRIVE_TO_MATE)
+
+    monkeypatch.setattr("roboassembly.task.full.step.drive_and_mate", fails)
+    for most in (1, 2, 8):
+        tried.clear()
+        outcome = task.step(start, merged.step.action, 3, Budget(8_000, stances=most))
+        assert outcome.verdict is FullVerdict.NO_PATH
+        assert len(tried) == most
+
+
 def test_a_robot_that_stands_in_the_way_drives_elsewhere(task: FullTask, start: FullState, merged: FullOutcome) -> None:
     assert merged.step is not None
     action = merged.step.action

@@ -8,188 +8,33 @@ is tested in the same way, where only the arm's own motion counts.
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import cache, cached_property
-from itertools import pairwise, product
+from functools import cache
+from itertools import pairwise
 
 import coal
 import numpy as np
-import pinocchio as pin
 from jaxtyping import Bool, Float, Int
 
 from roboassembly.geometry.poses import SE3, transform_points
 from roboassembly.geometry.scene import Body, Shape
-from roboassembly.planning.world import RESOLUTION, Pool
+from roboassembly.planning.robot_shapes import (
+    CollisionTest,
+    Configurations,
+    Placements,
+    WorldCache,
+    growing_batches,
+)
+from roboassembly.planning.world import RESOLUTION
 from roboassembly.robots.body import HAND, hand_links, links
 from roboassembly.robots.kinematics import JOINTS, arm
 from roboassembly.robots.platform import PLATFORM_FROM_MOUNT
 
-_OUTER_MARGINS = (0.06, 0.015)
-"""Margins of tests against the surroundings [m]."""
-_OWN_MARGINS = (0.02, 0.005)
-"""Margins of tests of self-collision [m]."""
-CLEARANCE = 0.004
-"""Clearance from everything else on transfer motions, as physical robots deviate a little from their paths [m]."""
-_GROUND = (200.0, 200.0, 1.0)
-"""Dimensions of the box that models the ground [m]."""
-_SAMPLES = 2_000
-"""Number of random configurations that determine which links always overlap."""
 _SPAN_SAMPLES, _SPAN_SLACK = 10_000, 1.03
 """Number of random configurations, and safety factor, of the largest distances from axes to links."""
-_ALWAYS = 0.5
-"""Share of random configurations from which an overlap of two links is taken to be built in."""
-_CHUNK = 16
-"""Size of the first batch of tests that end at the first hit."""
 _FIRST_FREE = 4
 """Size of the first batch of tests that end at enough free configurations."""
-_CACHED = 24
-"""Number of worlds whose shapes are cached; each occupies some megabytes."""
-Configurations = Float[np.ndarray, "n 10"]
-Placements = tuple[SE3, ...]
-"""Placements of the hand, of its load and of all still shapes, each in the frame of what carries it."""
-
-
-@dataclass(eq=False)
-class _Checker:
-    """Shapes ready for batches of configurations.
-
-    Setting a pool up takes a millisecond; changing its margin, its pairs and its placements takes a tenth of that. So
-    all tests share one, of all worlds with these shapes.
-    """
-
-    model: pin.Model
-    geometry: pin.GeometryModel
-    movable: Sequence[int]
-    """Shapes whose placements differ from world to world."""
-
-    @cached_property
-    def _pool(self) -> Pool:
-        pool = Pool(self.model, self.geometry, 1)
-        for data in pool.getGeometryDatas():
-            for request in data.collisionRequests:
-                request.break_distance = 0.0
-        return pool
-
-    _test: _Test | None = None
-    """Test for which margin and pairs are set."""
-    _placements: Placements | None = None
-    """Placements that are set."""
-
-    def hits(self, test: _Test, placements: Placements, q: Configurations, first_only: bool) -> Bool[np.ndarray, "n"]:
-        """Return whether any pair of a test is nearer than its margin in each configuration."""
-        if self._test is not test:
-            shapes = len(self.geometry.geometryObjects)
-            for data in self._pool.getGeometryDatas():
-                data.setSecurityMargins(self.geometry, np.full((shapes, shapes), test.margin))
-                data.setActiveCollisionPairs(self.geometry, test.pairs)
-            self._test = test
-        if self._placements is not placements:
-            for geometry in self._pool.getGeometryModels():
-                shapes = geometry.geometryObjects
-                for index, placement in zip(self.movable, placements, strict=True):
-                    shapes[index].placement = placement
-            self._placements = placements
-        hits = pin.computeCollisionsInParallel(1, self._pool, np.asfortranarray(q.T), True, first_only)
-        return np.array(hits, dtype=bool)
-
-
-@dataclass(frozen=True, eq=False)
-class _Test:
-    """Test whether any of some pairs of shapes is nearer than a margin, first by convex hulls, then exactly."""
-
-    hulls: _Checker
-    exact: _Checker
-    pairs: Bool[np.ndarray, "g g"]
-    """Pairs that are tested; above the diagonal."""
-    margin: float
-
-    def hits(self, placements: Placements, q: Configurations, *, first_only: bool = False) -> Bool[np.ndarray, "n"]:
-        """Return whether any pair is nearer in each configuration; with `first_only`, tests end at the first hit."""
-        out = np.zeros(len(q), bool)
-        sizes = _growing(len(q)) if first_only else [len(q)]
-        for begin, end in pairwise(np.cumsum([0, *sizes]).tolist()):
-            near = begin + np.flatnonzero(self.hulls.hits(self, placements, q[begin:end], False))
-            if len(near):
-                out[near] = self.exact.hits(self, placements, q[near], first_only)
-            if first_only and out.any():
-                break
-        return out
-
-
-class _Shapes:
-    """Shapes of a robot, its load and the still bodies, wherever they are, and the tests of them.
-
-    Args:
-        load: shapes in the hand.
-        still: shapes that do not move.
-        lands: whether the load may touch the ground.
-    """
-
-    def __init__(self, load: Sequence[Shape], still: Sequence[Shape], lands: bool) -> None:
-        model, carriers = _model()
-        geometry, nowhere = pin.GeometryModel(), SE3.Identity()
-        # The keys of `WorldCache` name meshes by their identity.
-        self._kept = (*load, *still)
-
-        def add(name: str, carrier: int, shape: coal.CollisionGeometry) -> int:
-            return geometry.addGeometryObject(pin.GeometryObject(name, carrier, nowhere, shape))
-
-        own = [add(link.name, carriers[link.carrier], link.mesh.convex) for link in links()]
-        hand = [add(link.name, carriers[HAND], link.mesh.convex) for link, _ in hand_links(0.0)]
-        loads = [add(f"load{i}", carriers[HAND], s.geometry) for i, s in enumerate(load)]
-        others = [add(f"still{i}", 0, s.geometry) for i, s in enumerate(still)]
-        below = SE3(np.eye(3), np.array([0.0, 0.0, -0.5 * _GROUND[2]]))
-        ground = geometry.addGeometryObject(pin.GeometryObject("ground", 0, below, coal.Box(*_GROUND)))
-        count = len(geometry.geometryObjects)
-        outer, inner = (np.zeros((count, count), bool) for _ in range(2))
-        outer[np.ix_([*own, *hand, *loads], others)] = True
-        # The platform drives on the ground.
-        outer[[*own[1:], *hand, *([] if lands else loads)], ground] = True
-        # Links carried by the last joint do not move relative to the load: one test suffices.
-        moving = [a for a, link in zip(own, links(), strict=True) if link.carrier != HAND]
-        for a, b in (*_own_pairs(), *product(moving, loads)):
-            inner[a, b] = True
-        for a, b in np.argwhere(outer | inner).tolist():
-            geometry.addCollisionPair(pin.CollisionPair(a, b))
-        hulled = geometry.copy()
-        for index, shape in zip([*loads, *others], self._kept, strict=True):
-            if not shape.convex:
-                hulled.geometryObjects[index].geometry = shape.mesh.convex
-        movable = [*hand, *loads, *others]
-        checkers = _Checker(model, hulled, movable), _Checker(model, geometry, movable)
-
-        def tests(pairs: Bool[np.ndarray, "g g"], margins: Sequence[float]) -> tuple[_Test, ...]:
-            return tuple(_Test(*checkers, pairs, margin) for margin in margins)
-
-        (self.all,) = tests(outer | inner, (0.0,))
-        self.outer = tests(outer, (*_OUTER_MARGINS, 0.0))
-        self.clear = tests(outer, (*_OUTER_MARGINS, CLEARANCE))
-        self.inner = tests(inner, (*_OWN_MARGINS, 0.0))
-
-
-class WorldCache:
-    """Shapes of earlier worlds: a world with the same ones elsewhere only moves them. For one thread at a time."""
-
-    def __init__(self) -> None:
-        self._shapes: dict[Hashable, _Shapes] = {}
-
-    def shapes(self, load: Sequence[Shape], still: Sequence[Shape], lands: bool) -> _Shapes:
-        """Return the shapes of a world; for the arguments see `_Shapes`."""
-        key = lands, *(tuple((id(s.mesh), s.convex) for s in some) for some in (load, still))
-        found = self._shapes.pop(key, None) or _Shapes(load, still, lands)
-        self._shapes[key] = found
-        if len(self._shapes) > _CACHED:
-            del self._shapes[next(iter(self._shapes))]
-        return found
-
-
-def _growing(count: int, first: int = _CHUNK) -> list[int]:
-    """Return sizes of batches that add up to a count, each twice the one before."""
-    out: list[int] = []
-    while (rest := count - sum(out)) > 0:
-        out.append(min(rest, first << len(out)))
-    return out
 
 
 @dataclass
@@ -245,7 +90,7 @@ class RobotWorld:
 
     def each_free(self, q: Configurations) -> Iterator[Float[np.ndarray, "10"]]:
         """Yield the configurations that are free, in their order; those after the last one taken are not all tested."""
-        for begin, end in pairwise(np.cumsum([0, *_growing(len(q), _FIRST_FREE)]).tolist()):
+        for begin, end in pairwise(np.cumsum([0, *growing_batches(len(q), _FIRST_FREE)]).tolist()):
             yield from q[begin:end][self.free(q[begin:end])]
 
     def clear(self, q: Configurations) -> Bool[np.ndarray, "n"]:
@@ -279,7 +124,7 @@ class RobotWorld:
         arm_moved = float(step[3:] @ self._reach[1:])
         return self._ladder_free(outer, a, b, moved) and self._ladder_free(self._tests.inner, a, b, arm_moved)
 
-    def _ladder_free(self, ladder: Sequence[_Test], a: np.ndarray, b: np.ndarray, moved: float) -> bool:
+    def _ladder_free(self, ladder: Sequence[CollisionTest], a: np.ndarray, b: np.ndarray, moved: float) -> bool:
         """Return whether an edge passes the last test of a ladder; earlier tests with larger margins save work."""
         if moved < 1e-9:
             return True
@@ -296,13 +141,13 @@ class RobotWorld:
         _, high = _cut(stretches, moved, RESOLUTION)
         return not self._any_hit(exact, a + np.outer(high, b - a))
 
-    def _near(self, test: _Test, exact: _Test, q: Configurations) -> Bool[np.ndarray, "n"] | None:
+    def _near(self, test: CollisionTest, exact: CollisionTest, q: Configurations) -> Bool[np.ndarray, "n"] | None:
         """Return which configurations fail a test with a margin; None as soon as one fails the exact test.
 
         The middle of the edge comes first, so that a collision is found early.
         """
         near, order = np.zeros(len(q), bool), _middle_first(len(q))
-        for begin, end in pairwise(np.cumsum([0, *_growing(len(q))]).tolist()):
+        for begin, end in pairwise(np.cumsum([0, *growing_batches(len(q))]).tolist()):
             some = order[begin:end]
             self.tally.states += len(some)
             near[some] = test.hits(self._placements, q[some])
@@ -310,7 +155,7 @@ class RobotWorld:
                 return None
         return near
 
-    def _any_hit(self, test: _Test, q: Configurations) -> bool:
+    def _any_hit(self, test: CollisionTest, q: Configurations) -> bool:
         hits = test.hits(self._placements, q, first_only=True)
         self.tally.states += int(np.argmax(hits)) + 1 if hits.any() else len(q)
         return bool(hits.any())
@@ -342,48 +187,6 @@ def _touch(link: coal.CollisionGeometry, shape: coal.CollisionGeometry, placemen
 
 def _transform(pose: SE3) -> coal.Transform3s:
     return coal.Transform3s(pose.rotation, pose.translation)
-
-
-@cache
-def _model() -> tuple[pin.Model, tuple[int, ...]]:
-    """Return the model of platform and arm, and the joint of each carrier."""
-    model = pin.Model()
-    drive = pin.JointModelComposite()
-    for joint in (pin.JointModelPX(), pin.JointModelPY(), pin.JointModelRZ()):
-        drive.addJoint(joint)
-    carriers = [model.addJoint(0, drive, SE3.Identity(), "platform")]
-    chain = arm().placements
-    for j in range(JOINTS):
-        placement = SE3(chain.rotation[j], chain.translation[j])
-        placement = PLATFORM_FROM_MOUNT * placement if j == 0 else placement
-        carriers.append(model.addJoint(carriers[-1], pin.JointModelRZ(), placement, f"joint{j + 1}"))
-    return model, tuple(carriers)
-
-
-@cache
-def _own_pairs() -> tuple[tuple[int, int], ...]:
-    """Return the pairs of links that can collide, without neighbours and pairs whose hulls always overlap."""
-    model, carriers = _model()
-    geometry = pin.GeometryModel()
-    placed = [(link, SE3.Identity()) for link in links()] + list(hand_links(0.0))
-    for link, pose in placed:
-        geometry.addGeometryObject(pin.GeometryObject(link.name, carriers[link.carrier], pose, link.mesh.convex))
-    # The platform carries two shapes, and so does the last joint.
-    pairs = [
-        (i, j)
-        for i in range(len(placed))
-        for j in range(i + 1, len(placed))
-        if placed[j][0].carrier - placed[i][0].carrier > 1
-    ]
-    for a, b in pairs:
-        geometry.addCollisionPair(pin.CollisionPair(a, b))
-    data, geometry_data = model.createData(), pin.GeometryData(geometry)
-    rng, hits = np.random.default_rng(0), np.zeros(len(pairs))
-    for _ in range(_SAMPLES):
-        q = np.concatenate([np.zeros(3), rng.uniform(arm().low, arm().high)])
-        pin.computeCollisions(model, data, geometry, geometry_data, q, False)
-        hits += [result.isCollision() for result in geometry_data.collisionResults]
-    return tuple(pair for pair, count in zip(pairs, hits, strict=True) if count < _ALWAYS * _SAMPLES)
 
 
 def _reach(load: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "8"]:

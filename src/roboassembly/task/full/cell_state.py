@@ -8,7 +8,8 @@ from roboassembly.furniture.model import Furniture
 from roboassembly.geometry.poses import SE3
 from roboassembly.geometry.scene import Body, Shape
 from roboassembly.planning.robot_path import Configuration, Path
-from roboassembly.planning.robot_world import RobotWorld, Tally, WorldCache
+from roboassembly.planning.robot_shapes import WorldCache
+from roboassembly.planning.robot_world import RobotWorld, Tally
 from roboassembly.robots.body import placed, world_from_tips
 from roboassembly.task.full.cell import Post
 from roboassembly.task.full.failure import Stage, stage_text

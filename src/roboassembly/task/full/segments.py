@@ -18,7 +18,8 @@ from roboassembly.furniture.model import Furniture
 from roboassembly.geometry.poses import SE3
 from roboassembly.planning.problem import Budget
 from roboassembly.planning.robot_path import Configuration, Floor, Path, connect, line, path_is_free, turned_on
-from roboassembly.planning.robot_world import RobotWorld, Tally, WorldCache
+from roboassembly.planning.robot_shapes import WorldCache
+from roboassembly.planning.robot_world import RobotWorld, Tally
 from roboassembly.robots.body import world_from_tips
 from roboassembly.robots.reach import reach
 from roboassembly.task.full.cell import Cell

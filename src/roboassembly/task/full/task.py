@@ -19,7 +19,8 @@ from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS, Furniture
 from roboassembly.geometry.mating import distinct_directions
 from roboassembly.geometry.poses import SE3
 from roboassembly.planning.problem import Budget
-from roboassembly.planning.robot_world import Tally, WorldCache
+from roboassembly.planning.robot_shapes import WorldCache
+from roboassembly.planning.robot_world import Tally
 from roboassembly.task.full.cell import check_size, initial_layout
 from roboassembly.task.full.cell_state import CellState, PlacedGroup, Robot, Segment
 from roboassembly.task.full.failure import Failure, FullVerdict, Stage
