@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from itertools import pairwise
 
 import coal
@@ -74,9 +74,13 @@ class RobotWorld:
         self._tests = (cache or WorldCache()).shapes(load, [s for _, s in around], lands)
         wrist = [link.mesh.convex for link in links() if link.carrier == HAND]
         self._hopeless = any(_touch(a, s.geometry, pose) for a in wrist for s, pose in zip(load, loads, strict=True))
-        near = [transform_points(pose, link.mesh.hull_vertices) for link, pose in hand]
-        near += [transform_points(pose, s.mesh.hull_vertices) for s, pose in zip(load, loads, strict=True)]
-        self._reach = _reach(np.concatenate(near))
+        self._carried = [(link.mesh, pose) for link, pose in hand] + [
+            (s.mesh, pose) for s, pose in zip(load, loads, strict=True)
+        ]
+
+    @cached_property
+    def _reach(self) -> Float[np.ndarray, "8"]:
+        return _reach(np.concatenate([transform_points(pose, mesh.hull_vertices) for mesh, pose in self._carried]))
 
     @property
     def states(self) -> int:
