@@ -155,15 +155,21 @@ def shortcut(
         attempts: number of pairs of way-points to try.
     """
     rng = np.random.default_rng(seed)
-    kept = list(path)
+    kept = list(range(len(path)))
+    failed: set[tuple[int, int]] = set()
     for _ in range(attempts):
         if len(kept) < 3:
             break
         pair: list[int] = rng.choice(len(kept), size=2, replace=False).tolist()
         i, j = sorted(pair)
-        if j - i > 1 and edge_is_free(kept[i], kept[j]):
+        edge = kept[i], kept[j]
+        if j - i < 2 or edge in failed:
+            continue
+        if edge_is_free(path[edge[0]], path[edge[1]]):
             del kept[i + 1 : j]
-    return tuple(kept)
+        else:
+            failed.add(edge)
+    return tuple(path[k] for k in kept)
 
 
 def set_pose(state: Any, pose: SE3) -> None:
