@@ -21,9 +21,10 @@ from roboassembly.geometry.poses import SE3
 from roboassembly.geometry.scene import Body, Scene, Shape
 from roboassembly.planning.problem import Budget
 from roboassembly.solvers.blocking import BlockingGraphs
+from roboassembly.solvers.forward import Round, Search
 from roboassembly.solvers.guide import Guide, Suggestion
 from roboassembly.solvers.search import SearchLimits, SearchResult, solve, solve_from
-from roboassembly.task.object_centric.task import ObjectCentricTask, ObjectCentricVerdict
+from roboassembly.task.object_centric.task import ObjectCentricOutcome, ObjectCentricTask, ObjectCentricVerdict
 from roboassembly.task.rules.groups import Group, TaskState
 from shapes import Checker
 
@@ -400,6 +401,36 @@ def test_guide_of_right_pairs_in_random_order(chair, family: str, seed: int) -> 
 
     result = solve(furniture, 0, guide=guide)
     check(result, 0.01)
+
+
+class _Reluctant(ObjectCentricTask):
+    """Task whose merges succeed only with a budget of many states, but for those with some `w`."""
+
+    def __init__(self, furniture: Furniture, easy: set[int]) -> None:
+        super().__init__(furniture)
+        self.easy, self.tried = easy, list[tuple[int, int]]()
+
+    def step(
+        self, state: TaskState, action: tuple[int, ...], seed: int, budget: Budget | None = None
+    ) -> ObjectCentricOutcome:
+        assert budget is not None
+        self.tried.append((action[4], budget.states))
+        if action[4] not in self.easy and budget.states < 100:
+            return ObjectCentricOutcome(ObjectCentricVerdict.BUDGET_EXHAUSTED, state, None, 0, 0.0)
+        return super().step(state, action, seed, budget)
+
+
+@pytest.mark.parametrize("easy", [{3}, set[int]()], ids=["another action works at once", "none does"])
+def test_all_actions_of_a_merge_are_tried_briefly_first(table: Furniture, easy: set[int]) -> None:
+    task, few, many = _Reluctant(table, easy), Budget(states=10), Budget(states=1_000)
+    state = task.initial_state(np.random.default_rng(0))
+    search = Search(
+        task, lambda *_: [(1, 0, 0, 0, w) for w in (2, 3)], SearchLimits(), 0,
+        Round(straight=True, exhaustive=False, budget=many, first=few),
+    )  # fmt: skip
+    after = search.merge(state, state, frozenset({1}), frozenset({0}))
+    assert after is not None
+    assert task.tried == ([(2, 10), (3, 10)] if easy else [(2, 10), (3, 10), (2, 1_000)])
 
 
 def test_guide_gets_only_a_share_of_the_limits() -> None:
