@@ -1,9 +1,11 @@
-"""Robots' benchmark: paths of a mobile Panda that holds a group, ours and OMPL over PyBullet's Pandas, in one run.
+"""Robots' benchmark: paths of a mobile Panda that holds a group, ours and those of peers, in one run.
 
-- *States*: the same configurations, exact, by our world and by Bullet (`bench.pybullet_cell`).
-- *Paths*: start and goal of every segment that is not a straight line. Ours certifies an edge in a
-  few tests. The peer is OMPL's RRT-Connect with one Python callback for each state, every 20 mm and 20 mrad: ten times
-  coarser than ours.
+- *States*: the same configurations, exact, by our world, by Bullet (`bench.pybullet_cell`) and by RoboPlan
+  (`bench.roboplan_cell`).
+- *Paths*: start and goal of every segment that is not a straight line. Ours certifies an edge in a few tests, in the
+  end every 2 mm, keeps 4 mm from everything, and shortens the path. The first peer is OMPL's RRT-Connect with one
+  Python callback for each state of Bullet, every 20 mm and 20 mrad. The second is RoboPlan's RRT-Connect, compiled
+  like its checks, every 20 mm and every 2 mm. Neither keeps a distance nor shortens anything.
 - *Steps*: whole steps, of merges that succeed and of right pairs that cannot be joined.
 """
 
@@ -11,15 +13,18 @@ from __future__ import annotations
 
 import dataclasses
 import time
+from collections import Counter, defaultdict
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import dataclass
 from statistics import median
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from roboassembly.bench.machine import Machine
 from roboassembly.bench.pybullet_cell import BulletCell
+from roboassembly.bench.roboplan_cell import RoboPlanCell
 from roboassembly.datasets import catalogue
 from roboassembly.errors import InputError, MissingExtraError
 from roboassembly.furniture.model import Furniture
@@ -35,24 +40,37 @@ from roboassembly.task.rollout import draw_seed
 
 _STEP = 0.02
 """Distance between two states of the peer [m, rad]."""
+_ROBOPLAN_STEPS = (0.02, 0.002)
+"""Distances between two states that RoboPlan tests, in the norm of configurations [m, rad]."""
 _CAP = 20.0
-"""Time after which the peer's planner is stopped [s]."""
+"""Time after which a peer's planner is stopped [s]."""
+OURS = "ours"
 _BUDGET = Budget(states=20_000)
+T = TypeVar("T", BulletCell, RoboPlanCell)
 _SEARCHED = frozenset({Stage.DRIVE_TO_GROUP, Stage.DRIVE_TO_MATE, Stage.CARRY, Stage.LEAVE})
 """Stages whose paths come from a search."""
 
 
 @dataclass(frozen=True)
+class PlannedPath:
+    """A path as one planner plans it."""
+
+    set_up_seconds: float
+    """Time of setting the scene up [s]."""
+    seconds: float
+    """Time of planning in it [s]."""
+    solved: bool
+    states: int | None
+    """Number of states tested; None if the planner does not tell."""
+
+
+@dataclass(frozen=True)
 class Path:
-    """One segment, planned by ours and by the peer."""
+    """One segment, planned by ours and by the peers."""
 
     segment: str
-    ours_seconds: float
-    ours_states: int
-    ours_solved: bool
-    theirs_seconds: float | None
-    theirs_states: int | None
-    theirs_solved: bool | None
+    by: dict[str, PlannedPath]
+    """Paths by planner; `ours` is ours."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,8 +81,8 @@ class RobotBenchReport:
     parts: int
     microseconds: dict[str, float]
     """Mean time of an exact collision test [µs], by backend."""
-    agreement: float | None
-    """Share of states for which Bullet and ours give the same result."""
+    agreement: dict[str, float]
+    """Share of states for which a peer and ours give the same result, by backend."""
     paths: tuple[Path, ...]
     step_seconds: tuple[float, ...]
     """Times of the merges of the plan [s]."""
@@ -76,29 +94,28 @@ class RobotBenchReport:
 
     def to_json(self) -> dict[str, Any]:
         """Return plain numbers, strings, lists and dictionaries."""
-        both = [p for p in self.paths if p.theirs_seconds is not None]
-        ratios = [p.theirs_seconds / p.ours_seconds for p in both if p.theirs_seconds is not None]
+        planners = list(self.paths[0].by) if self.paths else []
+
+        def ratio(name: str) -> float:
+            return median(p.by[name].seconds / p.by[OURS].seconds for p in self.paths)
+
         return {
             "furniture": self.furniture,
             "parts": self.parts,
             "us_per_state": self.microseconds,
             "states_agree": self.agreement,
             "paths": len(self.paths),
-            "path_seconds_median": {
-                "ours": median(p.ours_seconds for p in self.paths),
-                "pybullet": median(p.theirs_seconds or 0.0 for p in both) if both else None,
-            },
+            "path_seconds_median": {name: median(p.by[name].seconds for p in self.paths) for name in planners},
+            "set_up_seconds_median": {name: median(p.by[name].set_up_seconds for p in self.paths) for name in planners},
             "path_states_median": {
-                "ours": median(p.ours_states for p in self.paths),
-                "pybullet": median(p.theirs_states or 0 for p in both) if both else None,
+                name: median(p.by[name].states or 0 for p in self.paths)
+                for name in planners
+                if self.paths[0].by[name].states is not None
             },
-            "path_solved": {
-                "ours": sum(p.ours_solved for p in self.paths),
-                "pybullet": sum(bool(p.theirs_solved) for p in both) if both else None,
-            },
-            "path_ratio_median": median(ratios) if ratios else None,
+            "path_solved": {name: sum(p.by[name].solved for p in self.paths) for name in planners},
+            "path_ratio_median": {name: ratio(name) for name in planners if name != OURS},
             "segments": {
-                name: median(p.ours_seconds for p in self.paths if p.segment == name)
+                name: median(p.by[OURS].seconds for p in self.paths if p.segment == name)
                 for name in sorted({p.segment for p in self.paths})
             },
             "step_seconds_median": median(self.step_seconds),
@@ -119,16 +136,14 @@ class RobotBenchReport:
             f"{self.machine.cpu}, {self.machine.cores} cores, Python {self.machine.python}",
             "",
             *(f"{name:24}{us:8.1f} µs a state" for name, us in self.microseconds.items()),
-            f"{'ours':24}{1e3 * out['path_seconds_median']['ours']:8.1f} ms a path, "
-            f"{out['path_states_median']['ours']:.0f} states, "
-            f"{out['path_solved']['ours']} of {out['paths']} found (medians)",
+            *(
+                f"{name:24}{1e3 * seconds:8.1f} ms a path, {1e3 * out['set_up_seconds_median'][name]:.0f} ms to set up, "
+                f"{out['path_solved'][name]} of {out['paths']} found"
+                + (f", {out['path_states_median'][name]:.0f} states" if name in out["path_states_median"] else "")
+                + (f"; {out['path_ratio_median'][name]:.1f} times ours" if name != OURS else "")
+                for name, seconds in out["path_seconds_median"].items()
+            ),
         ]
-        if out["path_ratio_median"] is not None:
-            lines.append(
-                f"{'OMPL over PyBullet':24}{1e3 * out['path_seconds_median']['pybullet']:8.1f} ms a path, "
-                f"{out['path_states_median']['pybullet']:.0f} states, {out['path_solved']['pybullet']} found; "
-                f"{out['path_ratio_median']:.1f} times ours"
-            )
         lines += [f"{name}: skipped, {why}" for name, why in self.skipped.items()]
         lines.append(
             f"a merge {out['step_seconds_median']:.2f} s, all of them {out['assembly_seconds']:.2f} s"
@@ -164,23 +179,26 @@ def run_robot_bench(
     if not result.plan.success:
         raise InputError(f"{furniture.name} is not assembled by two robots with seed {seed}: {result.reason}")
     skipped: dict[str, str] = {}
-    bullet: BulletCell | None = None
-    try:
-        bullet = BulletCell()
-    except MissingExtraError as error:
-        skipped["pybullet"] = str(error)
-    try:
+    with ExitStack() as stack:
+
+        def peer(name: str, make: Callable[[], T]) -> T | None:
+            try:
+                made = make()
+            except MissingExtraError as error:
+                skipped[name] = str(error)
+                return None
+            stack.callback(made.close)
+            return made
+
+        cells = _Cells(peer("pybullet", BulletCell), peer("roboplan", RoboPlanCell))
         steps = result.plan.steps[:merges]
         segments = [segment for step in steps for segment in step.segments if segment.stage in _SEARCHED]
         report("timing states")
-        microseconds, agreement = _states(furniture, segments, states, bullet, seed)
+        microseconds, agreement = _states(result.plan, segments, states, cells, seed)
         paths: list[Path] = []
         for count, segment in enumerate(segments):
             report(f"path {count + 1} of {len(segments)}")
-            paths.append(_path(furniture, result.plan, segment, bullet, seed))
-    finally:
-        if bullet is not None:
-            bullet.close()
+            paths.append(_path(result.plan, segment, cells, seed))
     report("hopeless merges")
     hopeless = _hopeless(furniture, result.plan, seed)
     return RobotBenchReport(
@@ -189,47 +207,83 @@ def run_robot_bench(
     )  # fmt: skip
 
 
+@dataclass(frozen=True, eq=False)
+class _Cells:
+    """Peers that are installed."""
+
+    bullet: BulletCell | None
+    roboplan: RoboPlanCell | None
+
+    def set_up(self, plan: FullPlan, segment: Segment) -> dict[str, Callable[[Configuration], bool]]:
+        """Return each peer's test whether a configuration of a segment's robot is free."""
+        out: dict[str, Callable[[Configuration], bool]] = {}
+        if self.bullet is not None:
+            out["pybullet"] = self.bullet.set_up(plan.furniture, segment)
+        if self.roboplan is not None:
+            self.roboplan.set_up(plan.furniture, segment, plan.initial.cell.floor)
+            out["roboplan"] = self.roboplan.is_free
+        return out
+
+
 def _states(
-    furniture: Furniture, segments: list[Segment], count: int, bullet: BulletCell | None, seed: int
-) -> tuple[dict[str, float], float | None]:
-    """Return the time per state [µs], on configurations around paths of loaded segments."""
+    plan: FullPlan, segments: list[Segment], count: int, cells: _Cells, seed: int
+) -> tuple[dict[str, float], dict[str, float]]:
+    """Return the time per state [µs] and the agreement with ours, on configurations around paths of loaded segments."""
     rng = np.random.default_rng(seed)
     loaded = [segment for segment in segments if segment.before.robots[segment.robot].payload is not None] or segments
     share = max(1, count // len(loaded))
-    ours = theirs = 0.0
-    same = total = 0
+    seconds, same = defaultdict[str, float](float), Counter[str]()
     for segment in loaded:
         a, b = segment.path[0], segment.path[-1]
         q = a + rng.random((share, 1)) * (b - a) + rng.normal(0.0, 0.15, (share, len(a)))
-        world = segment.before.world(furniture, segment.robot)
-        world.free(q)  # sets up, as `set_up` does for Bullet
+        world = segment.before.world(plan.furniture, segment.robot)
+        world.free(q)  # sets up, as `set_up` does for the peers
         begun = time.perf_counter()
         free = world.free(q)
-        ours += time.perf_counter() - begun
-        total += share
-        if bullet is not None:
-            is_free = bullet.set_up(furniture, segment)
+        seconds[OURS] += time.perf_counter() - begun
+        for name, is_free in cells.set_up(plan, segment).items():
+            is_free(q[0])
             begun = time.perf_counter()
             answers = [is_free(c) for c in q]
-            theirs += time.perf_counter() - begun
-            same += int((np.array(answers) == free).sum())
-    out = {"ours": 1e6 * ours / total}
-    if bullet is None:
-        return out, None
-    return {**out, "pybullet": 1e6 * theirs / total}, same / total
+            seconds[name] += time.perf_counter() - begun
+            same[name] += int((np.array(answers) == free).sum())
+    total = share * len(loaded)
+    return (
+        {name: 1e6 * spent / total for name, spent in seconds.items()},
+        {name: agreed / total for name, agreed in same.items()},
+    )
 
 
-def _path(furniture: Furniture, plan: FullPlan, segment: Segment, bullet: BulletCell | None, seed: int) -> Path:
+def _path(plan: FullPlan, segment: Segment, cells: _Cells, seed: int) -> Path:
     start, goal = segment.path[0], segment.path[-1]
     floor = Floor(plan.initial.cell.floor)
     begun = time.perf_counter()
-    world = segment.before.world(furniture, segment.robot)
+    world = segment.before.world(plan.furniture, segment.robot)
+    world.free(start[None])
+    ready = time.perf_counter()
     found = connect(world, start, goal, floor, _BUDGET, seed)
-    ours = time.perf_counter() - begun
-    if bullet is None:
-        return Path(segment.name, ours, world.states, found is not None, None, None, None)
+    out = {OURS: PlannedPath(ready - begun, time.perf_counter() - ready, found is not None, world.states)}
+    if cells.bullet is not None:
+        out["OMPL over PyBullet"] = _over_bullet(plan, segment, cells.bullet, seed)
+    if cells.roboplan is not None:
+        for step in _ROBOPLAN_STEPS:
+            begun = time.perf_counter()
+            cells.roboplan.set_up(plan.furniture, segment, floor.half)
+            cells.roboplan.is_free(start)
+            ready = time.perf_counter()
+            solved = cells.roboplan.plan(start, goal, step, _CAP, seed)
+            out[f"RoboPlan, {1e3 * step:.0f} mm"] = PlannedPath(
+                ready - begun, time.perf_counter() - ready, solved, None
+            )
+    return Path(segment.name, out)
+
+
+def _over_bullet(plan: FullPlan, segment: Segment, bullet: BulletCell, seed: int) -> PlannedPath:
+    """Plan a segment with OMPL's RRT-Connect over Bullet."""
+    start, goal = segment.path[0], segment.path[-1]
     begun = time.perf_counter()
-    is_free = bullet.set_up(furniture, segment)
+    is_free = bullet.set_up(plan.furniture, segment)
+    ready = time.perf_counter()
     count = 0
 
     def counted(q: Configuration) -> bool:
@@ -241,14 +295,12 @@ def _path(furniture: Furniture, plan: FullPlan, segment: Segment, bullet: Bullet
         steps = max(1, int(np.ceil(np.abs(b - a).max() / _STEP)))
         return all(counted(a + (b - a) * i / steps) for i in range(1, steps + 1))
 
-    space, state, read = configuration_space(start, goal, floor)
+    space, state, read = configuration_space(start, goal, Floor(plan.initial.cell.floor))
     solved = run_rrt_connect(
         space, state(start), [state(goal)], lambda a, b: edge(read(a), read(b)), lambda s: counted(read(s)),
-        exhaustion(lambda: count, Budget(1_000_000, _CAP), begun), seed, None,
+        exhaustion(lambda: count, Budget(1_000_000, _CAP), ready), seed, None,
     )  # fmt: skip
-    return Path(
-        segment.name, ours, world.states, found is not None, time.perf_counter() - begun, count, solved is not None
-    )
+    return PlannedPath(ready - begun, time.perf_counter() - ready, solved is not None, count)
 
 
 def _hopeless(furniture: Furniture, plan: FullPlan, seed: int, tries: int = 60) -> tuple[float, ...]:

@@ -141,7 +141,7 @@ class RobotShapes:
         outer[[*own[1:], *hand, *([] if lands else loads)], ground] = True
         # Links carried by the last joint do not move relative to the load: one test suffices.
         moving = [a for a, link in zip(own, links(), strict=True) if link.carrier != HAND]
-        for a, b in (*_own_pairs(), *product(moving, loads)):
+        for a, b in (*own_pairs(), *product(moving, loads)):
             inner[a, b] = True
         for a, b in np.argwhere(outer | inner).tolist():
             geometry.addCollisionPair(pin.CollisionPair(a, b))
@@ -206,7 +206,7 @@ def robot_model() -> tuple[pin.Model, tuple[int, ...]]:
 
 
 @cache
-def _own_pairs() -> tuple[tuple[int, int], ...]:
+def own_pairs() -> tuple[tuple[int, int], ...]:
     """Return the pairs of links that can collide, without neighbours and pairs whose hulls always overlap."""
     model, carriers = robot_model()
     geometry = pin.GeometryModel()
