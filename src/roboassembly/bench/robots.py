@@ -137,7 +137,7 @@ class RobotBenchReport:
             "",
             *(f"{name:24}{us:8.1f} µs a state" for name, us in self.microseconds.items()),
             *(
-                f"{name:24}{1e3 * seconds:8.1f} ms a path, {1e3 * out['set_up_seconds_median'][name]:.0f} ms to set up, "
+                f"{name:24}{1e3 * seconds:8.1f} ms a path, {1e3 * out['set_up_seconds_median'][name]:.0f} ms set-up, "
                 f"{out['path_solved'][name]} of {out['paths']} found"
                 + (f", {out['path_states_median'][name]:.0f} states" if name in out["path_states_median"] else "")
                 + (f"; {out['path_ratio_median'][name]:.1f} times ours" if name != OURS else "")
