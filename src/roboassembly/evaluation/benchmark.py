@@ -32,9 +32,11 @@ from roboassembly.learning.paper.dqn.results import summary
 from roboassembly.learning.paper.dqn.train import ExpertTraining
 from roboassembly.learning.paper.imitation import PaperTraining
 from roboassembly.learning.paper.pipeline import (
+    AggregationConfig,
     PipelineConfig,
     autoencoder_file,
     expert_results,
+    experts_folder,
     samples_folder,
     train_autoencoder,
     train_experts,
@@ -50,6 +52,8 @@ from roboassembly.task.setting import SettingName
 
 _WRITE_INTERVAL = 5.0
 """Time between two writes of a stage's duration [s]."""
+_AGGREGATED = "aggregated.npz"
+"""Name of the file of the preset `paper` after aggregation, beside that of the policy without."""
 _TINY = RelationalConfig(token=32, pair=16, layers=1, heads=2, conflict_inputs=8, conflicts=2)
 
 
@@ -71,6 +75,10 @@ class BenchmarkConfig:
     """Use the relational policy of the package; otherwise train one."""
     pipeline: PipelineConfig = field(default_factory=PipelineConfig)
     paper: PaperTraining = field(default_factory=PaperTraining)
+    rounds: int = 1
+    """Number of rounds of aggregation of the preset `paper`, for a row of its own; none if 0."""
+    round_steps: int = AggregationConfig.steps
+    """Number of gradient steps in each of them."""
     relational: RelationalPipelineConfig = field(default_factory=RelationalPipelineConfig)
     seed: int = 0
 
@@ -93,11 +101,13 @@ _WHOLE = _by_setting(
     BenchmarkConfig(),
     # An update takes several times as long: two points have 64 grasp pairs in place of six `w`.
     BenchmarkConfig(
-        "full", pipeline=PipelineConfig.default("full"), paper=PaperTraining(steps=5_000),
+        "full", pipeline=PipelineConfig.default("full"), paper=PaperTraining(steps=5_000), rounds=0,
         relational=RelationalPipelineConfig.default("full"),
     ),
 )  # fmt: skip
-_QUICK_BASE = BenchmarkConfig(set="chairs-24", train_limit=3, experts=3, shipped=False, paper=PaperTraining(steps=40))
+_QUICK_BASE = BenchmarkConfig(
+    set="chairs-24", train_limit=3, experts=3, shipped=False, paper=PaperTraining(steps=40), round_steps=20
+)
 _QUICK = _by_setting(
     replace(
         _QUICK_BASE, sample=3, relational=RelationalPipelineConfig(extra=0, validation=0, steps=40, network=_TINY),
@@ -106,7 +116,7 @@ _QUICK = _by_setting(
         ),
     ),
     replace(
-        _QUICK_BASE, setting="full", sample=2,
+        _QUICK_BASE, setting="full", sample=2, rounds=0,
         relational=replace(
             RelationalPipelineConfig.default("full"), extra=0, validation=0, episodes=1, steps=2, grasp_steps=40
         ),
@@ -142,6 +152,18 @@ def run(config: BenchmarkConfig, folder: Path, jobs: int) -> Iterator[Progress]:
     training = replace(config.paper, seed=config.seed)
     paper = train_policy([samples_folder(folder)], autoencoder_file(folder), folder / "paper", training)
     yield from timed(folder, "paper", paper)
+    if config.rounds:
+        aggregation = AggregationConfig(chairs, experts_folder(folder), config.rounds, config.round_steps)
+        aggregated = train_policy(
+            [samples_folder(folder)],
+            autoencoder_file(folder),
+            folder / "paper",
+            training,
+            aggregation,
+            jobs,
+            _AGGREGATED,
+        )
+        yield from timed(folder, "aggregation", aggregated)
     if not config.shipped:
         relational = replace(config.relational, set=f"{config.set}:train", limit=config.train_limit, seed=config.seed)
         yield from timed(folder, "relational", run_pipeline(relational, folder / "relational", jobs))
@@ -217,13 +239,14 @@ def measurements(config: BenchmarkConfig, folder: Path) -> list[Measurement]:
     """Return all that is measured once the training is done, in the table's order."""
     test, figures = f"{config.set}:test", SETTINGS[config.setting].paper
     relational = "relational" if config.shipped else str(folder / "relational" / "policy.npz")
-    paper = str(folder / "paper" / "policy.npz")
+    paper, aggregated = (str(folder / "paper" / name) for name in ("policy.npz", _AGGREGATED))
     execution = SETTINGS[config.setting].execution
     measurement = partial(Measurement, config.setting, sample=config.sample, seed=config.seed)
     in_paper = partial(measurement, paper=figures.test, paper_steps=figures.steps)
     rows = [
         measurement("random", "random", False, test),
         in_paper("preset paper", paper, False, test),
+        *([in_paper("preset paper, aggregated", aggregated, False, test)] if config.rounds else []),
         in_paper("relational", relational, False, test),
         measurement("relational with search", relational, True, test, execution=execution),
         measurement("search alone", "search", False, test),

@@ -18,7 +18,7 @@ The policy has a folder of its own. With aggregation it trains again after each 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -100,6 +100,11 @@ def autoencoder_file(folder: Path) -> Path:
     return folder / "autoencoder.npz"
 
 
+def experts_folder(folder: Path) -> Path:
+    """Return where a run keeps its experts."""
+    return folder / "experts"
+
+
 def samples_folder(folder: Path) -> Path:
     """Return where a run keeps the experts' samples."""
     return folder / "samples"
@@ -142,7 +147,7 @@ def train_experts(
         notes: kept in the experts' files.
         jobs: number of processes.
     """
-    experts = folder / "experts"
+    experts = experts_folder(folder)
     training = train_all.train(
         refs, experts, config.experts, autoencoder_file(folder), notes, jobs=jobs, side_by_side=config.side_by_side
     )
@@ -161,7 +166,7 @@ def train_experts(
 
 def expert_results(refs: Sequence[FurnitureRef], folder: Path) -> list[ExpertResult]:
     """Return what became of the chairs of a finished run."""
-    return [read(dataset_file(folder / "experts", ref.name)) for ref in refs]
+    return [read(dataset_file(experts_folder(folder), ref.name)) for ref in refs]
 
 
 def train_policy(
@@ -171,8 +176,9 @@ def train_policy(
     training: PaperTraining,
     aggregate: AggregationConfig | None = None,
     jobs: int = 1,
+    result: str = "policy.npz",
 ) -> Iterator[Progress]:
-    """Train the multi-task policy on all samples of some folders, or go on; the result is `policy.npz`.
+    """Train the multi-task policy on all samples of some folders, or go on.
 
     Args:
         folders: folders of samples, from experts or from the oracle.
@@ -181,35 +187,53 @@ def train_policy(
         training: settings.
         aggregate: settings of aggregation; None without it.
         jobs: number of processes of aggregation.
+        result: name of the file that gets the trained policy.
 
     Raises:
         InputError: there are no samples, a file is broken, or the folder holds another run.
     """
-    encoder = checkpoint.load(encoder_file, autoencoder.KIND).params
     files = sorted(path for f in folders for path in f.glob("*.npz"))
+    rounds = 0 if aggregate is None else aggregate.rounds
+    later = [folder / "aggregated" / str(index) for index in range(1, rounds + 1)]
+    trainings = [training, *(_of_round(training, aggregate, index) for index in range(1, rounds + 1) if aggregate)]
+    paths = [folder / "paper.npz", *(folder / f"paper-{index}.npz" for index in range(1, rounds + 1))]
+    # Examples take minutes to make.
+    all_files = [*files, *(path for f in later for path in sorted(f.glob("*.npz")))]
+    if _is_result(folder / result, trainings[-1], all_files):
+        return
+    encoder = checkpoint.load(encoder_file, autoencoder.KIND).params
     examples = _examples_of(files, encoder, training.seed)
     if not examples:
         raise InputError(f"no samples in {', '.join(map(str, folders))}; `roboassembly train expert` makes some")
-    path = folder / "paper.npz"
-    notes = {"samples": files_hash(files)}
-    for step, terms in imitation.train(examples, encoder, path, training, paper.PaperConfig(), notes):
-        yield Progress("paper", step, training.steps, terms)
-    if aggregate is not None:
-        for index in range(1, aggregate.rounds + 1):
-            samples, last = folder / "aggregated" / str(index), path
-            yield from _aggregate(aggregate, last, samples, training.seed + index, index, jobs)
-            files += sorted(samples.glob("*.npz"))
-            examples += _examples_of(sorted(samples.glob("*.npz")), encoder, training.seed + index)
-            path = folder / f"paper-{index}.npz"
-            again = replace(
-                training, steps=aggregate.steps, seed=training.seed + index,
-                learning_rate=0.5 * training.learning_rate,
-            )  # fmt: skip
-            notes = {"samples": files_hash(files)}
-            for step, terms in imitation.train(examples, encoder, path, again, paper.PaperConfig(), notes, last):
-                yield Progress(f"paper {index}", step, again.steps, terms)
-    done = checkpoint.load(path, paper.KIND)
-    checkpoint.save(folder / "policy.npz", checkpoint.Checkpoint(done.kind, done.params, done.config, {}), half=True)
+    last: Path | None = None
+    for index, (path, of_round) in enumerate(zip(paths, trainings, strict=True)):
+        if last is not None and aggregate is not None:
+            samples = later[index - 1]
+            yield from _aggregate(aggregate, last, samples, of_round.seed, index, jobs)
+            added = sorted(samples.glob("*.npz"))
+            files += added
+            examples += _examples_of(added, encoder, of_round.seed)
+        notes = {"samples": files_hash(files)}
+        for step, terms in imitation.train(examples, encoder, path, of_round, paper.PaperConfig(), notes, last):
+            yield Progress("paper" if last is None else f"paper {index}", step, of_round.steps, terms)
+        last = path
+    done = checkpoint.load(paths[-1], paper.KIND)
+    checkpoint.save(folder / result, checkpoint.Checkpoint(done.kind, done.params, done.config, {}), half=True)
+
+
+def _of_round(training: PaperTraining, aggregate: AggregationConfig, index: int) -> PaperTraining:
+    """Return the settings of the training in a round of aggregation."""
+    return replace(
+        training, steps=aggregate.steps, seed=training.seed + index, learning_rate=0.5 * training.learning_rate
+    )
+
+
+def _is_result(path: Path, training: PaperTraining, files: Sequence[Path]) -> bool:
+    """Return whether a policy is there that was trained on some files of samples."""
+    if not path.is_file():
+        return False
+    config = checkpoint.load(path, paper.KIND).config
+    return config["training"] == asdict(training) and config["samples"] == files_hash(files)
 
 
 def _examples_of(files: Sequence[Path], encoder: Params, seed: int) -> list[PaperExample]:
