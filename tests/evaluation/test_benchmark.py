@@ -38,8 +38,8 @@ def test_the_whole_table(as_built, tmp_path: Path, capsys: pytest.CaptureFixture
 
     rows = {(r["name"], r["on"]): r for r in first["rows"]}
     names = [r["name"] for r in first["rows"]]
-    for name in ("experts", "RRT-Connect in 6M dimensions", "random", "preset paper", "preset paper, aggregated", "relational",
-                 "relational with search", "search alone"):  # fmt: skip
+    for name in ("experts", "RRT-Connect in 6M dimensions", "random", "preset paper",
+                 "preset paper, aggregated", "relational", "relational with search", "search alone"):  # fmt: skip
         assert name in names
     # The paper's own figures: Table of success on easy and hard training chairs, on unseen ones, and of its baseline.
     assert rows["experts", "easy training chairs"]["paper"] == 79.4
