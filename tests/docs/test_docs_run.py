@@ -168,7 +168,8 @@ def test_pages_run_to_the_letter(page: str, as_built) -> None:
 
 MODULES = {
     "jax": "jax", "optax": "optax", "tensorboardx": "tensorboardX", "matplotlib": "matplotlib", "minari": "minari",
-    "pybullet": "pybullet", "python-fcl": "fcl", "sb3-contrib": "sb3_contrib", "ray": "ray",
+    "pybullet": "pybullet", "python-fcl": "fcl", "roboplan-core": "roboplan", "roboplan-rrt": "roboplan",
+    "sb3-contrib": "sb3_contrib", "ray": "ray",
 }  # fmt: skip
 """Packages of the extras, and the modules they provide."""
 WITHOUT = """
