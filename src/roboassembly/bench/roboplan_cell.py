@@ -21,17 +21,15 @@ from roboassembly.geometry.meshes import Mesh
 from roboassembly.geometry.poses import SE3
 from roboassembly.planning.robot_path import Configuration, nearest_turn
 from roboassembly.planning.robot_shapes import own_pairs
-from roboassembly.robots.body import HAND, PLATFORM, hand_links, links
-from roboassembly.robots.kinematics import JOINTS, arm
-from roboassembly.robots.platform import PLATFORM_FROM_MOUNT
+from roboassembly.planning.world import GROUND, WORLD_FROM_GROUND
+from roboassembly.robots.body import HAND, PLATFORM, hand_links, joint_placements, links
+from roboassembly.robots.kinematics import arm
 from roboassembly.task.full.cell_state import Segment
 
 _LONGEST = 1.5
 """Largest extension of a tree, as of ours [m, rad]."""
 _TURNS = 4.0 * np.pi
 """Largest angle of the platform [rad]."""
-_GROUND = (200.0, 200.0, 1.0)
-"""Dimensions of the box that models the ground [m]."""
 _NODES = 1_000_000
 """Largest number of nodes of a tree: only time limits a search."""
 
@@ -88,8 +86,7 @@ class RoboPlanCell:
             for body in state.around(furniture, robot)
             for i, s in enumerate(body.shapes)
         ]
-        below = SE3(np.eye(3), np.array([0.0, 0.0, -0.5 * _GROUND[2]]))
-        scene.addBoxGeometry("ground", "universe", self._core.Box(*_GROUND), _matrix(below), np.ones(4))
+        scene.addBoxGeometry("ground", "universe", self._core.Box(*GROUND), _matrix(WORLD_FROM_GROUND), np.ones(4))
         robot_shapes = [*moving, *hand]
         tested = {(robot_shapes[a], robot_shapes[b]) for a, b in own_pairs()}
         tested |= {(a, b) for a, link in zip(moving, links(), strict=True) if link.carrier != HAND for b in load}
@@ -145,16 +142,13 @@ def mobile_panda_urdf(floor: float) -> str:
     Args:
         floor: distance from the middle to the walls [m].
     """
-    chain = arm().placements
-    mounts = [SE3(chain.rotation[j], chain.translation[j]) for j in range(JOINTS)]
-    mounts[0] = PLATFORM_FROM_MOUNT * mounts[0]
     joints = [
         ("x", "prismatic", "base", "slide", SE3.Identity(), "1 0 0", -floor, floor),
         ("y", "prismatic", "slide", "turntable", SE3.Identity(), "0 1 0", -floor, floor),
         ("angle", "revolute", "turntable", _frame(PLATFORM), SE3.Identity(), "0 0 1", -_TURNS, _TURNS),
         *(
-            (f"joint{j + 1}", "revolute", _frame(j), _frame(j + 1), mounts[j], "0 0 1", arm().low[j], arm().high[j])
-            for j in range(JOINTS)
+            (f"joint{j + 1}", "revolute", _frame(j), _frame(j + 1), placement, "0 0 1", arm().low[j], arm().high[j])
+            for j, placement in enumerate(joint_placements())
         ),
     ]
     lines = ['<robot name="mobile_panda">', '<link name="base"/>']

@@ -14,10 +14,9 @@ from jaxtyping import Bool, Float
 
 from roboassembly.geometry.poses import SE3
 from roboassembly.geometry.scene import Shape
-from roboassembly.planning.world import Pool
-from roboassembly.robots.body import HAND, hand_links, links
-from roboassembly.robots.kinematics import JOINTS, arm
-from roboassembly.robots.platform import PLATFORM_FROM_MOUNT
+from roboassembly.planning.world import Pool, ground_object, hit_pool
+from roboassembly.robots.body import HAND, hand_links, joint_placements, links
+from roboassembly.robots.kinematics import arm
 
 CLEARANCE = 0.004
 """Clearance from everything else on transfer motions, as physical robots deviate a little from their paths [m]."""
@@ -25,8 +24,6 @@ _OUTER_MARGINS = (0.06, 0.015)
 """Margins of tests against the surroundings [m]."""
 _OWN_MARGINS = (0.02, 0.005)
 """Margins of tests of self-collision [m]."""
-_GROUND = (200.0, 200.0, 1.0)
-"""Dimensions of the box that models the ground [m]."""
 _SAMPLES = 2_000
 """Number of random configurations that determine which links always overlap."""
 _ALWAYS = 0.5
@@ -55,11 +52,7 @@ class _Checker:
 
     @cached_property
     def _pool(self) -> Pool:
-        pool = Pool(self.model, self.geometry, 1)
-        for data in pool.getGeometryDatas():
-            for request in data.collisionRequests:
-                request.break_distance = 0.0
-        return pool
+        return hit_pool(self.model, self.geometry)
 
     _test: CollisionTest | None = None
     """Test for which margin and pairs are set."""
@@ -132,8 +125,7 @@ class RobotShapes:
         hand = [add(link.name, carriers[HAND], link.mesh.convex) for link, _ in hand_links(0.0)]
         loads = [add(f"load{i}", carriers[HAND], s.geometry) for i, s in enumerate(load)]
         others = [add(f"still{i}", 0, s.geometry) for i, s in enumerate(still)]
-        below = SE3(np.eye(3), np.array([0.0, 0.0, -0.5 * _GROUND[2]]))
-        ground = geometry.addGeometryObject(pin.GeometryObject("ground", 0, below, coal.Box(*_GROUND)))
+        ground = geometry.addGeometryObject(ground_object())
         count = len(geometry.geometryObjects)
         outer, inner = (np.zeros((count, count), bool) for _ in range(2))
         outer[np.ix_([*own, *hand, *loads], others)] = True
@@ -197,11 +189,8 @@ def robot_model() -> tuple[pin.Model, tuple[int, ...]]:
     for joint in (pin.JointModelPX(), pin.JointModelPY(), pin.JointModelRZ()):
         drive.addJoint(joint)
     carriers = [model.addJoint(0, drive, SE3.Identity(), "platform")]
-    chain = arm().placements
-    for j in range(JOINTS):
-        placement = SE3(chain.rotation[j], chain.translation[j])
-        placement = PLATFORM_FROM_MOUNT * placement if j == 0 else placement
-        carriers.append(model.addJoint(carriers[-1], pin.JointModelRZ(), placement, f"joint{j + 1}"))
+    for number, placement in enumerate(joint_placements(), 1):
+        carriers.append(model.addJoint(carriers[-1], pin.JointModelRZ(), placement, f"joint{number}"))
     return model, tuple(carriers)
 
 

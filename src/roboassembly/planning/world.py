@@ -26,8 +26,10 @@ ANGULAR_RESOLUTION = np.deg2rad(1.0)
 """Largest rotation of the body between two exact tests [rad]."""
 _STRETCH = 0.03
 """Approximate length of the stretches for box tests, after the test of the whole edge has failed [m]."""
-_GROUND_SIZE, _GROUND_THICKNESS = 200.0, 1.0
-"""Side and thickness of the slab that models the ground [m]."""
+GROUND = (200.0, 200.0, 1.0)
+"""Dimensions of the box that models the ground [m]."""
+WORLD_FROM_GROUND = SE3(np.eye(3), np.array([0.0, 0.0, -0.5 * GROUND[2]]))
+"""Pose of that box."""
 
 
 Pool = pin.TreeBroadPhaseManagerPool_DynamicAABBTreeCollisionManager
@@ -50,19 +52,26 @@ def collision_pool(scene: Scene) -> Pool:
             own.append(geometry.addGeometryObject(pin.GeometryObject(f"b{b}/{s}", joint, placement, shape.geometry)))
         (owners.append if body.moves else still.extend)(own)
     if scene.ground:
-        slab = coal.Box(_GROUND_SIZE, _GROUND_SIZE, _GROUND_THICKNESS)
-        below = SE3(np.eye(3), np.array([0.0, 0.0, -0.5 * _GROUND_THICKNESS]))
-        still.append(geometry.addGeometryObject(pin.GeometryObject("ground", 0, below, slab)))
+        still.append(geometry.addGeometryObject(ground_object()))
     for index, own in enumerate(owners):
         others = [*still, *(g for other in owners[index + 1 :] for g in other)]
         for a in own:
             for b in others:
                 geometry.addCollisionPair(pin.CollisionPair(a, b))
+    return hit_pool(model, geometry)
+
+
+def ground_object() -> pin.GeometryObject:
+    """Return the box that models the ground."""
+    return pin.GeometryObject("ground", 0, WORLD_FROM_GROUND, coal.Box(*GROUND))
+
+
+def hit_pool(model: pin.Model, geometry: pin.GeometryModel) -> Pool:
+    """Return a pool that tells hits, and no distances."""
     pool = Pool(model, geometry, 1)
     for data in pool.getGeometryDatas():
         for request in data.collisionRequests:
-            # By default Coal computes distances of meshes within 1 mm, as in every joint. Only hit or no hit is
-            # needed here.
+            # By default Coal computes distances of meshes within 1 mm, as in every joint.
             request.break_distance = 0.0
     return pool
 

@@ -54,6 +54,13 @@ def links() -> tuple[Link, ...]:
     return tuple(out)
 
 
+def joint_placements() -> list[SE3]:
+    """Return the placement of each joint of the arm on its carrier, the first one's on the platform, at angle zero."""
+    chain = arm().placements
+    first, *rest = (SE3(r, t) for r, t in zip(chain.rotation, chain.translation, strict=True))
+    return [PLATFORM_FROM_MOUNT * first, *rest]
+
+
 def hand_links(opening: float) -> tuple[tuple[Link, SE3], ...]:
     """Return palm and fingers, each with its `last_joint_from_mesh`, the pads `opening` metres apart."""
     tips = SE3(*arm().tips)

@@ -50,7 +50,7 @@ class Aggregated:
 
 
 class _ExpertPlan:
-    """What an expert does in the memory of its chair, and whether that finishes the chair."""
+    """Plan of an expert in the memory of its chair: its action in each state, and the states that follow."""
 
     def __init__(self, expert: ExpertPolicy, buffer: ReplayBuffer) -> None:
         self.env = buffer.env

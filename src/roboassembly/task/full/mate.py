@@ -97,12 +97,14 @@ def mate_stances(
         distance = np.linalg.norm(b[:, None, :2] - a[None, :, :2], axis=2).mean(axis=1)
         for at_b in islice(world_b.each_free(b[np.argsort(-distance)]), _STANCES_OF_B):
             world = context.world(mated.moved(1, at_b), 0, tally)
+            empty: RobotWorld | None = None
             order = np.argsort(-np.linalg.norm(a[:, :2] - at_b[:2], axis=1))
             for at_a in islice(world.each_free(a[order]), _STANCES_OF_A):
                 out = _path_out(world, at_a, pose.rotation @ retract.direction, retract.length)
                 if out is None:
                     continue
-                back = retreat_path(context.world(released.moved(1, at_b), 0, tally), at_a)
+                empty = empty or context.world(released.moved(1, at_b), 0, tally)
+                back = retreat_path(empty, at_a)
                 if back is not None:
                     yield MateStance(pose, at_a, at_b, out, back)
 
