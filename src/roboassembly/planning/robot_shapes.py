@@ -10,7 +10,7 @@ from itertools import pairwise, product
 import coal
 import numpy as np
 import pinocchio as pin
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from roboassembly.geometry.poses import SE3
 from roboassembly.geometry.scene import Shape
@@ -20,10 +20,6 @@ from roboassembly.robots.kinematics import arm
 
 CLEARANCE = 0.004
 """Clearance from everything else on transfer motions, as physical robots deviate a little from their paths [m]."""
-_OUTER_MARGINS = (0.06, 0.015)
-"""Margins of tests against the surroundings [m]."""
-_OWN_MARGINS = (0.02, 0.005)
-"""Margins of tests of self-collision [m]."""
 _SAMPLES = 2_000
 """Number of random configurations that determine which links always overlap."""
 _ALWAYS = 0.5
@@ -33,6 +29,8 @@ _CHUNK = 16
 _CACHED = 24
 """Number of worlds whose shapes are cached; each occupies some megabytes."""
 Configurations = Float[np.ndarray, "n 10"]
+Margins = Float[np.ndarray, "g g"]
+"""Largest distance that counts as a hit, for each pair of shapes; above the diagonal [m]."""
 Placements = tuple[SE3, ...]
 """Placements of the hand, of its load and of all still shapes, each in the frame of what carries it."""
 
@@ -41,8 +39,8 @@ Placements = tuple[SE3, ...]
 class _Checker:
     """Shapes ready for batches of configurations.
 
-    Setting a pool up takes a millisecond; changing its margin, its pairs and its placements takes a tenth of that. So
-    all tests share one, of all worlds with these shapes.
+    Setting a pool up takes a millisecond; changing its margins and placements takes a tenth of that. So all tests share
+    one, of all worlds with these shapes.
     """
 
     model: pin.Model
@@ -54,21 +52,21 @@ class _Checker:
     def _pool(self) -> Pool:
         return hit_pool(self.model, self.geometry)
 
-    _test: CollisionTest | None = None
-    """Test for which margin and pairs are set."""
     _placements: Placements | None = None
     """Placements that are set."""
 
     def hits(
-        self, test: CollisionTest, placements: Placements, q: Configurations, first_only: bool
+        self,
+        margins: Margins,
+        pairs: Bool[np.ndarray, "g g"],
+        placements: Placements,
+        q: Configurations,
+        first_only: bool = False,
     ) -> Bool[np.ndarray, "n"]:
-        """Return whether any pair of a test is nearer than its margin in each configuration."""
-        if self._test is not test:
-            shapes = len(self.geometry.geometryObjects)
-            for data in self._pool.getGeometryDatas():
-                data.setSecurityMargins(self.geometry, np.full((shapes, shapes), test.margin))
-                data.setActiveCollisionPairs(self.geometry, test.pairs)
-            self._test = test
+        """Return whether any pair is nearer than its margin in each configuration."""
+        for data in self._pool.getGeometryDatas():
+            data.setSecurityMargins(self.geometry, margins)
+            data.setActiveCollisionPairs(self.geometry, pairs)
         if self._placements is not placements:
             for geometry in self._pool.getGeometryModels():
                 shapes = geometry.geometryObjects
@@ -77,30 +75,6 @@ class _Checker:
             self._placements = placements
         hits = pin.computeCollisionsInParallel(1, self._pool, np.asfortranarray(q.T), True, first_only)
         return np.array(hits, dtype=bool)
-
-
-@dataclass(frozen=True, eq=False)
-class CollisionTest:
-    """Test whether any of some pairs of shapes is nearer than a margin, first by convex hulls, then exactly."""
-
-    hulls: _Checker
-    exact: _Checker
-    pairs: Bool[np.ndarray, "g g"]
-    """Pairs that are tested; above the diagonal."""
-    margin: float
-    """Largest distance that counts as a hit [m]."""
-
-    def hits(self, placements: Placements, q: Configurations, *, first_only: bool = False) -> Bool[np.ndarray, "n"]:
-        """Return whether any pair is nearer in each configuration; with `first_only`, tests end at the first hit."""
-        out = np.zeros(len(q), bool)
-        sizes = growing_batches(len(q)) if first_only else [len(q)]
-        for begin, end in pairwise(np.cumsum([0, *sizes]).tolist()):
-            near = begin + np.flatnonzero(self.hulls.hits(self, placements, q[begin:end], False))
-            if len(near):
-                out[near] = self.exact.hits(self, placements, q[near], first_only)
-            if first_only and out.any():
-                break
-        return out
 
 
 class RobotShapes:
@@ -127,34 +101,70 @@ class RobotShapes:
         others = [add(f"still{i}", 0, s.geometry) for i, s in enumerate(still)]
         ground = geometry.addGeometryObject(ground_object())
         count = len(geometry.geometryObjects)
-        outer, inner = (np.zeros((count, count), bool) for _ in range(2))
-        outer[np.ix_([*own, *hand, *loads], others)] = True
+        pairs = np.zeros((count, count), bool)
+        pairs[np.ix_([*own, *hand, *loads], others)] = True
         # The platform drives on the ground.
-        outer[[*own[1:], *hand, *([] if lands else loads)], ground] = True
+        pairs[[*own[1:], *hand, *([] if lands else loads)], ground] = True
         # Links carried by the last joint do not move relative to the load: one test suffices.
         moving = [a for a, link in zip(own, links(), strict=True) if link.carrier != HAND]
-        for a, b in (*own_pairs(), *product(moving, loads)):
-            inner[a, b] = True
-        for a, b in np.argwhere(outer | inner).tolist():
+        self.own_pairs: Int[np.ndarray, "p 2"] = np.array([*own_pairs(), *product(moving, loads)])
+        """Pairs of the robot's own shapes and its load that are tested against each other."""
+        pairs[tuple(self.own_pairs.T)] = True
+        self.carriers = [*(link.carrier for link in links()), *[HAND] * (len(hand) + len(loads))]
+        """Joint that carries each moving shape; 0 is the platform. Moving shapes come before still ones."""
+        self._pairs = pairs
+        for a, b in np.argwhere(pairs).tolist():
             geometry.addCollisionPair(pin.CollisionPair(a, b))
         hulled = geometry.copy()
         for index, shape in zip([*loads, *others], self._kept, strict=True):
             if not shape.convex:
                 hulled.geometryObjects[index].geometry = shape.mesh.convex
         movable = [*hand, *loads, *others]
-        checkers = _Checker(model, hulled, movable), _Checker(model, geometry, movable)
+        self._hulls, self._exact = _Checker(model, hulled, movable), _Checker(model, geometry, movable)
+        self.touching = self.margins(0.0, 0.0)
+        """Margins with which contact alone is a hit."""
+        self.clear = self.margins(CLEARANCE, 0.0)
+        """Margins with which the surroundings keep `CLEARANCE`."""
 
-        def tests(pairs: Bool[np.ndarray, "g g"], margins: Sequence[float]) -> tuple[CollisionTest, ...]:
-            return tuple(CollisionTest(*checkers, pairs, margin) for margin in margins)
+    def margins(self, around: float | Float[np.ndarray, "s"], own: float | Float[np.ndarray, "p"]) -> Margins:
+        """Return margins of pairs.
 
-        (self.all,) = tests(outer | inner, (0.0,))
-        """Exact test of all pairs."""
-        self.outer = tests(outer, (*_OUTER_MARGINS, 0.0))
-        """Tests against the surroundings, with smaller and smaller margins."""
-        self.clear = tests(outer, (*_OUTER_MARGINS, CLEARANCE))
-        """The same, down to `CLEARANCE`."""
-        self.inner = tests(inner, (*_OWN_MARGINS, 0.0))
-        """Tests of self-collision, and of the arm against its load, with smaller and smaller margins."""
+        Args:
+            around: margin of each moving shape from the surroundings [m].
+            own: margin of each of `own_pairs` [m].
+        """
+        out = np.zeros(self._pairs.shape)
+        out[: len(self.carriers)] = np.reshape(around, (-1, 1))
+        out[tuple(self.own_pairs.T)] = own
+        return out
+
+    def hits(
+        self,
+        margins: Margins,
+        placements: Placements,
+        q: Configurations,
+        *,
+        first_only: bool = False,
+        coarse: bool = False,
+    ) -> Bool[np.ndarray, "n"]:
+        """Return whether any pair is nearer than its margin in each configuration, first by hulls, then exactly.
+
+        Args:
+            margins: of `margins`.
+            placements: where all shapes are.
+            q: configurations.
+            first_only: end at the first hit.
+            coarse: test hulls alone; they hit more.
+        """
+        out = np.zeros(len(q), bool)
+        sizes = growing_batches(len(q)) if first_only else [len(q)]
+        for begin, end in pairwise(np.cumsum([0, *sizes]).tolist()):
+            near = begin + np.flatnonzero(self._hulls.hits(margins, self._pairs, placements, q[begin:end]))
+            if len(near):
+                out[near] = coarse or self._exact.hits(margins, self._pairs, placements, q[near], first_only)
+            if first_only and out.any():
+                break
+        return out
 
 
 class WorldCache:

@@ -1,9 +1,9 @@
 """Collision checks of a mobile Franka, with or without a load in its hand, among still bodies, for whole edges.
 
-Edges are certified coarsely first. A configuration with all distances at least `m` certifies every configuration in
-which no point of the robot has moved farther than `m`, so one test covers a stretch of `2 m` of motion. Stretches with
-smaller distances are subdivided and tested with smaller `m`, finally by exact tests every `RESOLUTION`. Self-collision
-is tested in the same way, where only the arm's own motion counts.
+Edges are certified coarsely first. A configuration in which all pairs of shapes are at least as far apart as they can
+approach each other on the way to any point of a stretch certifies the whole stretch. Stretches that fail are cut and
+tested with smaller margins, finally by exact tests every `RESOLUTION`. Each pair has its own margin, since the base
+moves little where the hand moves far.
 """
 
 from __future__ import annotations
@@ -19,20 +19,21 @@ from jaxtyping import Bool, Float, Int
 
 from roboassembly.geometry.poses import SE3, transform_points
 from roboassembly.geometry.scene import Body, Shape
+from roboassembly.planning.motion_bounds import MotionBounds
 from roboassembly.planning.robot_shapes import (
-    CollisionTest,
+    CLEARANCE,
     Configurations,
+    Margins,
     Placements,
     WorldCache,
     growing_batches,
 )
 from roboassembly.planning.world import RESOLUTION
 from roboassembly.robots.body import HAND, hand_links, links
-from roboassembly.robots.kinematics import JOINTS, arm
-from roboassembly.robots.platform import PLATFORM_FROM_MOUNT
+from roboassembly.robots.kinematics import arm
 
-_SPAN_SAMPLES, _SPAN_SLACK = 10_000, 1.03
-"""Number of random configurations, and safety factor, of the largest distances from axes to links."""
+_LEVELS = ((0.06, True), (0.015, False))
+"""Largest margins of successive tests [m], and whether they test hulls alone."""
 _FIRST_FREE = 4
 """Size of the first batch of tests that end at enough free configurations."""
 
@@ -71,7 +72,7 @@ class RobotWorld:
         around = [(b.pose * s.body_from_mesh, s) for b in still for s in b.shapes]
         hand, loads = hand_links(opening), [tips * s.body_from_mesh for s in load]
         self._placements: Placements = (*(pose for _, pose in hand), *loads, *(pose for pose, _ in around))
-        self._tests = (cache or WorldCache()).shapes(load, [s for _, s in around], lands)
+        self._shapes = (cache or WorldCache()).shapes(load, [s for _, s in around], lands)
         wrist = [link.mesh.convex for link in links() if link.carrier == HAND]
         self._hopeless = any(_touch(a, s.geometry, pose) for a in wrist for s, pose in zip(load, loads, strict=True))
         self._carried = [(link.mesh, pose) for link, pose in hand] + [
@@ -79,8 +80,10 @@ class RobotWorld:
         ]
 
     @cached_property
-    def _reach(self) -> Float[np.ndarray, "8"]:
-        return _reach(np.concatenate([transform_points(pose, mesh.hull_vertices) for mesh, pose in self._carried]))
+    def _bounds(self) -> MotionBounds:
+        points = [link.mesh.hull_vertices for link in links()]
+        points += [transform_points(pose, mesh.hull_vertices) for mesh, pose in self._carried]
+        return MotionBounds(self._shapes.carriers, points, self._shapes.own_pairs)
 
     @property
     def states(self) -> int:
@@ -89,8 +92,7 @@ class RobotWorld:
 
     def free(self, q: Configurations) -> Bool[np.ndarray, "n"]:
         """Return whether each configuration is free, by exact tests."""
-        self.tally.states += len(q)
-        return ~self._tests.all.hits(self._placements, q) & (not self._hopeless)
+        return self._free(self._shapes.touching, q)
 
     def each_free(self, q: Configurations) -> Iterator[Float[np.ndarray, "10"]]:
         """Yield the configurations that are free, in their order; those after the last one taken are not all tested."""
@@ -99,79 +101,99 @@ class RobotWorld:
 
     def clear(self, q: Configurations) -> Bool[np.ndarray, "n"]:
         """Return whether each configuration is free with at least `CLEARANCE` from the surroundings."""
-        self.tally.states += len(q)
-        return self.free(q) & ~self._tests.clear[-1].hits(self._placements, q)
+        return self._free(self._shapes.clear, q)
 
-    def clearance(self, q: Configurations) -> Float[np.ndarray, "n"]:
-        """Return the largest of a few margins that each configuration keeps from the surroundings; 0 if none [m]."""
-        out = np.zeros(len(q))
-        for test in self._tests.outer[:-1]:
-            self.tally.states += len(q)
-            out = np.maximum(out, np.where(test.hits(self._placements, q), 0.0, test.margin))
-        return out
+    def _free(self, margins: Margins, q: Configurations) -> Bool[np.ndarray, "n"]:
+        self.tally.states += len(q)
+        return ~self._shapes.hits(margins, self._placements, q) & (not self._hopeless)
 
     def edge_is_free(self, a: Float[np.ndarray, "10"], b: Float[np.ndarray, "10"], *, clear: bool = False) -> bool:
-        """Return whether every configuration from `a` (assumed free) to `b` is free; the edge is linear.
+        """Return whether every configuration from `a` (assumed free) to `b` is free; see `path_is_free`."""
+        return self.path_is_free((a, b), clear=clear)
+
+    def path_is_free(self, path: Sequence[Float[np.ndarray, "10"]], *, clear: bool = False) -> bool:
+        """Return whether every configuration of a path is free; its edges are linear.
 
         Args:
-            a: first configuration.
-            b: last configuration.
+            path: way-points; the first is assumed free.
             clear: whether `CLEARANCE` is required too.
         """
-        step = np.abs(b - a)
-        moved = float(np.linalg.norm((b - a)[:2]) + step[2:] @ self._reach)
-        outer = self._tests.clear if clear else self._tests.outer
-        if moved < 1e-9:
-            return True
-        if self._any_hit(self._tests.all, b[None]):
-            return False
-        arm_moved = float(step[3:] @ self._reach[1:])
-        return self._ladder_free(outer, a, b, moved) and self._ladder_free(self._tests.inner, a, b, arm_moved)
-
-    def _ladder_free(self, ladder: Sequence[CollisionTest], a: np.ndarray, b: np.ndarray, moved: float) -> bool:
-        """Return whether an edge passes the last test of a ladder; earlier tests with larger margins save work."""
-        if moved < 1e-9:
-            return True
-        *certain, exact = ladder
-        stretches: Float[np.ndarray, "s 2"] = np.array([[0.0, 1.0]])
-        for test in certain:
-            low, high = _cut(stretches, moved, 2.0 * test.margin)
-            near = self._near(test, exact, a + np.outer(0.5 * (low + high), b - a))
+        ends = np.array(path)
+        steps = np.diff(ends, axis=0)
+        around, own = self._bounds.along(steps)
+        moved = np.maximum(around.max(axis=1, initial=0.0), own.max(axis=1, initial=0.0))
+        exact = self._shapes.clear if clear else self._shapes.touching
+        some = np.flatnonzero(moved > 1e-9)
+        pieces = _Pieces(some, np.zeros(len(some)), np.ones(len(some)))
+        for margin, coarse in _LEVELS:
+            if not len(pieces.edge):
+                return True
+            pieces = pieces.cut(moved, 2.0 * margin)
+            half = np.zeros((len(steps), 1))
+            np.maximum.at(half[:, 0], pieces.edge, 0.5 * (pieces.high - pieces.low))
+            margins = self._shapes.margins(
+                (half * around).max(axis=0) + CLEARANCE * clear, (half * own).max(axis=0, initial=0.0)
+            )
+            near = self._near(margins, coarse, exact, pieces.at(ends, 0.5))
             if near is None:
                 return False
-            if not near.any():
-                return True
-            stretches = np.stack([low[near], high[near]], axis=1)
-        _, high = _cut(stretches, moved, RESOLUTION)
-        return not self._any_hit(exact, a + np.outer(high, b - a))
+            pieces = pieces.chosen(near)
+        return not self._any_hit(exact, pieces.cut(moved, RESOLUTION).at(ends, 1.0))
 
-    def _near(self, test: CollisionTest, exact: CollisionTest, q: Configurations) -> Bool[np.ndarray, "n"] | None:
-        """Return which configurations fail a test with a margin; None as soon as one fails the exact test.
+    def _near(self, margins: Margins, coarse: bool, exact: Margins, q: Configurations) -> Bool[np.ndarray, "n"] | None:
+        """Return which configurations fail a test with margins; None as soon as one fails the exact test.
 
-        The middle of the edge comes first, so that a collision is found early.
+        The middle of the path comes first, so that a collision is found early.
         """
         near, order = np.zeros(len(q), bool), _middle_first(len(q))
         for begin, end in pairwise(np.cumsum([0, *growing_batches(len(q))]).tolist()):
             some = order[begin:end]
             self.tally.states += len(some)
-            near[some] = test.hits(self._placements, q[some])
+            near[some] = self._shapes.hits(margins, self._placements, q[some], coarse=coarse)
             if near[some].any() and self._any_hit(exact, q[some[near[some]]]):
                 return None
         return near
 
-    def _any_hit(self, test: CollisionTest, q: Configurations) -> bool:
-        hits = test.hits(self._placements, q, first_only=True)
+    def _any_hit(self, margins: Margins, q: Configurations) -> bool:
+        hits = self._shapes.hits(margins, self._placements, q, first_only=True)
         self.tally.states += int(np.argmax(hits)) + 1 if hits.any() else len(q)
         return bool(hits.any())
 
 
-def _cut(
-    stretches: Float[np.ndarray, "s 2"], moved: float, spacing: float
-) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-    """Return the first and last fractions of equal pieces of stretches, none of which moves more than a spacing."""
-    counts = np.maximum(1, np.ceil((stretches[:, 1] - stretches[:, 0]) * moved / spacing)).astype(int)
-    cuts: list[np.ndarray] = [np.linspace(low, high, n + 1) for (low, high), n in zip(stretches, counts, strict=True)]
-    return np.concatenate([c[:-1] for c in cuts]), np.concatenate([c[1:] for c in cuts])
+@dataclass(frozen=True, eq=False)
+class _Pieces:
+    """Pieces of the edges of a path."""
+
+    edge: Int[np.ndarray, "n"]
+    low: Float[np.ndarray, "n"]
+    """Fraction of the edge at which each begins."""
+    high: Float[np.ndarray, "n"]
+    """Fraction of the edge at which each ends."""
+
+    def cut(self, moved: Float[np.ndarray, "e"], spacing: float) -> _Pieces:
+        """Return equal parts of the pieces, none of which moves more than a spacing.
+
+        Args:
+            moved: largest motion along each edge [m].
+            spacing: largest motion along a part [m].
+        """
+        length = self.high - self.low
+        counts = np.maximum(1, np.ceil(length * moved[self.edge] / spacing)).astype(int)
+        which = np.repeat(np.arange(len(counts)), counts)
+        part = np.arange(len(which)) - np.repeat(np.cumsum(counts) - counts, counts)
+        size = (length / counts)[which]
+        low = self.low[which] + part * size
+        return _Pieces(self.edge[which], low, np.where(part + 1 == counts[which], self.high[which], low + size))
+
+    def chosen(self, which: Bool[np.ndarray, "n"]) -> _Pieces:
+        """Return some of the pieces."""
+        return _Pieces(self.edge[which], self.low[which], self.high[which])
+
+    def at(self, path: Float[np.ndarray, "k 10"], fraction: float) -> Configurations:
+        """Return the configuration at a fraction of each piece."""
+        along = (1.0 - fraction) * self.low + fraction * self.high
+        start = path[self.edge]
+        return start + along[:, None] * (path[self.edge + 1] - start)
 
 
 @cache
@@ -191,40 +213,3 @@ def _touch(link: coal.CollisionGeometry, shape: coal.CollisionGeometry, placemen
 
 def _transform(pose: SE3) -> coal.Transform3s:
     return coal.Transform3s(pose.rotation, pose.translation)
-
-
-def _reach(load: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "8"]:
-    """Return the distance from the platform's axis, and from each joint's, to the farthest point that it moves [m].
-
-    Args:
-        load: points of the hand and of its load, in the last joint's frame.
-    """
-    points: list[list[np.ndarray]] = [[] for _ in range(1 + JOINTS)]
-    for link in links():
-        points[link.carrier].append(link.mesh.hull_vertices)
-    points[HAND].append(load)
-    own = [np.concatenate(p) if p else np.zeros((1, 3)) for p in points]
-    radius = [float(np.linalg.norm(p, axis=1).max()) for p in own]
-    about = [float(np.linalg.norm(p[:, :2], axis=1).max()) for p in own]
-    spans = _spans()
-    return np.array(
-        [max(about[i], *(spans[i, c] + radius[c] for c in range(i + 1, 1 + JOINTS)), 0.0) for i in range(1 + JOINTS)]
-    )
-
-
-@cache
-def _spans() -> Float[np.ndarray, "8 8"]:
-    """Return the largest distance from each axis to the origins of later carriers, by random configurations [m]."""
-    rng = np.random.default_rng(0)
-    q = rng.uniform(arm().low, arm().high, (_SPAN_SAMPLES, JOINTS))
-    # A joint's own angle does not change its spans, so the samples cover the extreme of each span well.
-    frames, origins = arm().frames(q)
-    axes = frames[..., 2]
-    mount = PLATFORM_FROM_MOUNT.translation
-    axes = np.concatenate([np.broadcast_to([0.0, 0.0, 1.0], (len(q), 1, 3)), axes], axis=1)
-    origins = np.concatenate([np.zeros((len(q), 1, 3)), origins + mount], axis=1)
-    out = np.zeros((1 + JOINTS, 1 + JOINTS))
-    for i in range(1 + JOINTS):
-        off = origins[:, i + 1 :] - origins[:, i, None]
-        out[i, i + 1 :] = np.linalg.norm(np.cross(off, axes[:, i, None]), axis=2).max(axis=0, initial=0.0)
-    return _SPAN_SLACK * out

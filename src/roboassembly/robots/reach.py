@@ -77,7 +77,7 @@ def reach(world_from_tips: SE3, count: int, rng: np.random.Generator) -> Float[n
     x = world_from_tips.translation[0] - (cosine * along[:, 0] - sine * along[:, 1])
     y = world_from_tips.translation[1] - (sine * along[:, 0] + cosine * along[:, 1])
     place = np.stack([x, y, angle], axis=1)
-    q, found = arm().solve(in_mount(place, world_from_tips), table.q[rows])
+    q, found = arm().solve(in_mount(place, target), table.q[rows])
     return np.concatenate([place, q], axis=1)[found]
 
 
@@ -87,8 +87,13 @@ def nearness(world_from_tips: Poses) -> Float[np.ndarray, "n"]:
     return np.asarray(far)[:, 0]
 
 
-def in_mount(place: Float[np.ndarray, "n 3"], world_from_tips: SE3) -> Poses:
-    """Return `mount_from_tips` for platforms at several placements."""
+def in_mount(place: Float[np.ndarray, "n 3"], world_from_tips: Poses) -> Poses:
+    """Return `mount_from_tips` for platforms at several placements.
+
+    Args:
+        place: placements `(x, y, angle)` [m, rad].
+        world_from_tips: one pose for all placements, or one for each.
+    """
     cosine, sine, zeros, ones = np.cos(place[:, 2]), np.sin(place[:, 2]), np.zeros(len(place)), np.ones(len(place))
     back = np.stack([cosine, sine, zeros, -sine, cosine, zeros, zeros, zeros, ones], axis=1).reshape(-1, 3, 3)
     off = world_from_tips.translation - np.concatenate([place[:, :2], zeros[:, None]], axis=1)

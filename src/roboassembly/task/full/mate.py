@@ -11,13 +11,14 @@ from jaxtyping import Float
 
 from roboassembly.furniture.model import Furniture
 from roboassembly.geometry.poses import SE3, align_axis, turn_about_vertical
-from roboassembly.planning.robot_path import Configuration, Path, line, path_is_free
+from roboassembly.geometry.scene import Shape
+from roboassembly.planning.robot_path import Configuration, Path, line
 from roboassembly.planning.robot_world import RobotWorld, Tally
 from roboassembly.robots.kinematics import Poses
 from roboassembly.robots.reach import nearness, reach
 from roboassembly.task.full.cell_state import CellState, Payload, Robot
 from roboassembly.task.full.failure import Failure, FullVerdict, Stage
-from roboassembly.task.full.grips import MateGrasp, Retract
+from roboassembly.task.full.grips import MateGrasp, Retract, hand_shapes
 from roboassembly.task.full.segments import (
     GUESSES,
     TUCKED,
@@ -84,28 +85,30 @@ def mate_stances(
     released = mated.with_robot(0, Robot(_FAR, grip_a.open)).with_robot(
         1, Robot(_FAR, grip_b.closed, Payload(merged, grip_b))
     )
-    world_b = context.world(mated, 1, tally)
+    holding = [_holding(context, rest, grasp, robot, tally) for robot in (0, 1)]
 
     def at_pose(retract: Retract, pose: SE3, drawn: np.random.SeedSequence) -> Iterator[MateStance]:
-        a, b = (
-            reach(pose * grip.furniture_from_tips, GUESSES, np.random.default_rng(child_seed(drawn, robot)))
-            for robot, grip in enumerate((grip_a, grip_b))
-        )
-        if not len(a) or not len(b):
-            return
+        ends = list[Float[np.ndarray, "n 10"]]()
+        for robot, grip in enumerate((grip_a, grip_b)):
+            rng = np.random.default_rng(child_seed(drawn, robot))
+            found = reach(pose * grip.furniture_from_tips, GUESSES, rng)
+            ends.append(found[holding[robot].free(found)])
+            if not len(ends[-1]):
+                return
+        a, b = ends
         # The farther R_b stands from where R_a would, the less they are in each other's way.
         distance = np.linalg.norm(b[:, None, :2] - a[None, :, :2], axis=2).mean(axis=1)
-        for at_b in islice(world_b.each_free(b[np.argsort(-distance)]), _STANCES_OF_B):
+        for at_b in b[np.argsort(-distance)][:_STANCES_OF_B]:
             world = context.world(mated.moved(1, at_b), 0, tally)
             empty: RobotWorld | None = None
             order = np.argsort(-np.linalg.norm(a[:, :2] - at_b[:2], axis=1))
             for at_a in islice(world.each_free(a[order]), _STANCES_OF_A):
-                out = _path_out(world, at_a, pose.rotation @ retract.direction, retract.length)
-                if out is None:
-                    continue
                 empty = empty or context.world(released.moved(1, at_b), 0, tally)
                 back = retreat_path(empty, at_a)
-                if back is not None:
+                if back is None:
+                    continue
+                out = _path_out(world, at_a, pose.rotation @ retract.direction, retract.length)
+                if out is not None:
                     yield MateStance(pose, at_a, at_b, out, back)
 
     poses = _mating_poses(context, grasp, child_seed(seed, 0))
@@ -172,11 +175,25 @@ def release(
     return replace(done.move(Stage.LEAVE, 0, path), states=tally.states)
 
 
+def _holding(context: StepContext, rest: CellState, grasp: MateGrasp, robot: int, tally: Tally) -> RobotWorld:
+    """Return the collision model of one robot with all in its hand that is at the joint: both groups, the other hand.
+
+    What is free in it depends on the pose of the joint, and not on where the other robot stands.
+    """
+    own, other = grasp.merged_grips[robot], grasp.merged_grips[1 - robot]
+    tips = own.furniture_from_tips.inverse() * other.furniture_from_tips
+    hand = [Shape(s.mesh, tips * s.body_from_mesh, s.convex) for s in hand_shapes(other.closed)]
+    load = Payload(grasp.merge.merged, own).shapes(context.furniture)
+    away = rest.with_robot(0, Robot(_FAR, 0.0)).with_robot(1, Robot(_FAR, 0.0))
+    around = away.around(context.furniture, robot)
+    return RobotWorld(around, own.closed, [*load, *hand], tally=tally, cache=context.worlds)
+
+
 def _path_out(world: RobotWorld, at: Configuration, direction: Float[np.ndarray, "3"], length: float) -> Path | None:
     """Return R_a's straight path out of a joint, longer than `length` if that is free; None if there is none."""
     for beyond in _BEYOND:
         out = line(at, (length + beyond) * direction)
-        if out is not None and path_is_free(world, out):
+        if out is not None and world.path_is_free(out):
             return out
     return None
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from roboassembly.planning.robot_path import Configuration, Path, line, path_is_free
+from roboassembly.planning.robot_path import Configuration, Path, line
 from roboassembly.planning.robot_world import RobotWorld, Tally
 from roboassembly.robots.body import DOF
 from roboassembly.task.full.cell_state import CellState, Payload, Robot
@@ -156,7 +156,7 @@ def _pick_options(
             yield Failure(FullVerdict.NO_PATH, Stage.APPROACH, robot)
             continue
         up = line(at, np.array([0.0, 0.0, LIFT_HEIGHT]))
-        if up is None or not path_is_free(lifting, up):
+        if up is None or not lifting.path_is_free(up):
             yield Failure(FullVerdict.NO_PATH, Stage.LIFT, robot)
             continue
         yield _PickOption(back, up)

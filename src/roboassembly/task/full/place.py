@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from roboassembly.geometry.poses import SE3, align_axis, turn_about_vertical
-from roboassembly.planning.robot_path import Path, line, path_is_free
+from roboassembly.planning.robot_path import Path, line
 from roboassembly.planning.robot_world import RobotWorld, Tally
 from roboassembly.task.full.cell import Post, free_places, on_post, open_grasps, reach_from
 from roboassembly.task.full.cell_state import CellState, PlacedGroup, Robot
@@ -143,7 +143,7 @@ def _descents(
         for at in arm_configurations(lowering, tips, start, entries, child_seed(seed, index)):
             reached = True
             above = line(at, np.array([0.0, 0.0, LIFT_HEIGHT]))
-            if above is None or not path_is_free(lowering, above):
+            if above is None or not lowering.path_is_free(above):
                 continue
             back = retreat_path(leaving, at)
             if back is None:

@@ -17,7 +17,7 @@ import numpy as np
 from roboassembly.furniture.model import Furniture
 from roboassembly.geometry.poses import SE3
 from roboassembly.planning.problem import Budget
-from roboassembly.planning.robot_path import Configuration, Floor, Path, connect, line, path_is_free, turned_on
+from roboassembly.planning.robot_path import Configuration, Floor, Path, connect, line, turned_on
 from roboassembly.planning.robot_shapes import WorldCache
 from roboassembly.planning.robot_world import RobotWorld, Tally
 from roboassembly.robots.body import world_from_tips
@@ -132,7 +132,7 @@ def retreat_path(world: RobotWorld, at: Configuration) -> Path | None:
     approach = world_from_tips(at).rotation[:, 2]
     for length, drive in product(_RETREATS, (True, False)):
         back = line(at, -length * approach, drive=drive)
-        if back is not None and path_is_free(world, back):
+        if back is not None and world.path_is_free(back):
             return back
     return None
 
