@@ -20,7 +20,7 @@ from roboassembly.robots.reach import in_mount
 
 _LONGEST = 1.5
 """Largest extension of a tree, in the norm of configurations [m, rad]."""
-_LINE_STEP = 0.02
+_LINE_STEP = 0.025
 """Distance between way-points of a straight line of the hand [m]; between them it mostly deviates by less than 0.2
 mm."""
 _LEAP = 0.5

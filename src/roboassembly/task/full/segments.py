@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from itertools import product
 
 import numpy as np
 
@@ -34,9 +33,8 @@ GUESSES = 64
 """Configurations drawn for a pose of the hand."""
 LIFT_HEIGHT = 0.06
 """Distance [m] that a group moves straight up from its post, and straight down onto it."""
-_RETREATS = (0.10, 0.05)
-"""Distances [m] that an open hand comes and goes straight; the shorter one where the wrist would hit
-the other hand."""
+_RETREAT = 0.10
+"""Distance that an open hand comes and goes straight [m]; half of it where the wrist would hit the other hand."""
 _PARKING_SPOTS = 12
 """Places to drive to that are tried."""
 
@@ -130,10 +128,14 @@ def retreat_path(world: RobotWorld, at: Configuration) -> Path | None:
     The platform drives along if it can, else it stands still.
     """
     approach = world_from_tips(at).rotation[:, 2]
-    for length, drive in product(_RETREATS, (True, False)):
-        back = line(at, -length * approach, drive=drive)
-        if back is not None and world.path_is_free(back):
-            return back
+    whole = [line(at, -_RETREAT * approach, drive=drive) for drive in (True, False)]
+    ways = [way for way in whole if way is not None]
+    # A way that is only driven has no way-points between its ends.
+    ways += [way[: len(way) // 2 + 1] if len(way) > 2 else (at, 0.5 * (at + way[-1])) for way in ways]
+    for way in ways:
+        # Most ways that are blocked are so at a way-point.
+        if world.free(np.array(way[1:])).all() and world.path_is_free(way):
+            return way
     return None
 
 
