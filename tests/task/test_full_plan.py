@@ -82,6 +82,20 @@ def test_frames_show_the_plan(two_merges: FullPlan, timeline: Timeline) -> None:
     assert "R_a: mate" in " ".join(f.caption for f in timeline.frames)
 
 
+@pytest.mark.parametrize(("fps", "seconds"), [(24.0, None), (30.0, 4.0), (10.0, 3.3)])
+def test_steps_take_their_time_and_mates_are_slow(two_merges: FullPlan, fps: float, seconds: float | None) -> None:
+    frames = make_timeline(two_merges, fps, seconds).frames
+    for step in range(len(two_merges.steps)):
+        own = [frame for frame in frames if frame.step == step]
+        assert len(own) == round((seconds or 5.0) * fps)
+        shown = {
+            name: sum(f.caption.endswith(f"| {name}") for f in own) for name in {f.caption.split("| ")[1] for f in own}
+        }
+        assert set(shown) == {segment.name for segment in two_merges.steps[step].segments}
+        assert shown["R_a: mate"] >= 0.1 * len(own)
+        assert shown["R_a: mate"] >= 2 * shown["R_a: lift"]
+
+
 def test_nothing_jumps_from_frame_to_frame(timeline: Timeline) -> None:
     """How fast segments are shown depends on how long they are; what jumps goes farther than just before and after."""
     framed = [i for i, thing in enumerate(timeline.objects) if thing.framed]

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from roboassembly.cli.options import Execution, Setting, require_at_least
+from roboassembly.cli.options import CORES, Execution, Setting, require_at_least
 from roboassembly.cli.output import (
     DONE,
     FAILED,
@@ -212,19 +212,18 @@ class AssembleCommand:
         add_output("furniture", storage.save(plan.furniture, folder / "furniture"))
         write_html(plan, folder / "assembly.html")
         add_output("html", folder / "assembly.html")
+        # The film of an earlier run would show another plan; so it goes even if the new one is interrupted.
+        (folder / "assembly.mp4").unlink(missing_ok=True)
         if self.film:
             from roboassembly.rendering.gl import RenderingUnavailableError
             from roboassembly.viewer.film import write_film
 
             say("rendering the film ...")
             try:
-                write_film(plan, folder / "assembly.mp4")
+                write_film(plan, folder / "assembly.mp4", jobs=CORES)
                 add_output("film", folder / "assembly.mp4")
             except RenderingUnavailableError as error:
                 say(f"no film: {error}")
-        if "film" not in outputs:
-            # The film of an earlier run would show another plan.
-            (folder / "assembly.mp4").unlink(missing_ok=True)
         return outputs
 
 

@@ -30,7 +30,7 @@ POST: Color = (0.45, 0.47, 0.50)
 _GOLDEN = 0.6180339887
 BACKGROUND: Color = (0.945, 0.953, 0.961)
 FLOOR: Color = (0.90, 0.905, 0.91)
-FLOOR_LINES: Color = (0.82, 0.83, 0.845)
+FLOOR_LINES: Color = (0.77, 0.78, 0.795)
 
 
 def part_colors(roles: Sequence[Role]) -> list[Color]:

@@ -27,6 +27,10 @@ os._exit(0)
 """
 
 
+_tried: list[str] = []
+"""Module that the process which started this one has tried; empty in a process of its own."""
+
+
 class RenderingUnavailableError(RoboAssemblyError):
     """Off-screen rendering is not available on this machine."""
 
@@ -42,6 +46,8 @@ def context_module() -> str:
     Raises:
         RenderingUnavailableError: no module works, or `MUJOCO_GL` switches rendering off.
     """
+    if _tried:
+        return _tried[0]
     requested = os.environ.get("MUJOCO_GL", "").strip().lower()
     if requested in _SWITCHED_OFF:
         raise RenderingUnavailableError(f"MUJOCO_GL={requested} switches off-screen rendering off; unset it to render")
@@ -69,6 +75,11 @@ def context_module() -> str:
     raise RenderingUnavailableError(
         f"off-screen OpenGL is not available (tried {tried}); on Debian or Ubuntu: apt install libegl1 libgl1-mesa-dri"
     )
+
+
+def skip_trial(module: str) -> None:
+    """Make `context_module` return a module without a trial, in a process that one which has tried it has started."""
+    _tried[:] = [module]
 
 
 def can_render(module: str) -> bool:

@@ -9,12 +9,12 @@ from types import TracebackType
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Bool, Float, UInt8
 
 from roboassembly.errors import ArgumentError
 from roboassembly.geometry.meshes import Mesh
 from roboassembly.geometry.poses import SE3, pose_to_seven
-from roboassembly.rendering.camera import FIELD_OF_VIEW, Camera
+from roboassembly.rendering.camera import FIELD_OF_VIEW, Camera, view_axes
 from roboassembly.rendering.colors import BACKGROUND, FLOOR, FLOOR_LINES, Color
 from roboassembly.rendering.gl import OffscreenContext, import_mujoco
 from roboassembly.rendering.shading import shade
@@ -31,9 +31,20 @@ GRID_SPACING = 0.5
 """Distance between the lines on the ground [m]; doubled in a wide scene."""
 LINE_WIDTH = 1.0
 """Width of the lines on the ground [pixels]."""
-_OUT_OF_SIGHT = SE3(np.eye(3), np.array([0.0, 0.0, -100.0]))
 GRID_REACH = 1.8
 """Half the width of the ruled ground, in radii of the scene."""
+FOG = (4.0, 14.0)
+"""Distances from the camera at which the ground begins and ends to fade into the background, in radii of the scene."""
+FLOOR_REACH = 20.0
+"""Half the width of the ground, in radii of the scene. It is one rectangle: MuJoCo divides an infinite plane into
+40,000, which cost a processor more than all that stands on it."""
+FLAT_SHADE = 0.62
+"""Brightness of flat shadows over that of the ground."""
+_FLAT_HEIGHT = 1e-3
+"""Height of flat shadows above the ground [m]; lower ones would flicker in it."""
+_FLATNESS = 1e-4
+"""Height of a flat shadow over that of its object. It is not zero, because normals are transformed by the inverse."""
+_OUT_OF_SIGHT = (0.0, 0.0, -100.0, 1.0, 0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -43,12 +54,13 @@ class Quality:
     samples: int
     """Samples per pixel, against jagged edges; 0 for a cheaper filter."""
     shadow_size: int
-    """Width and height of the shadow map [pixels]."""
+    """Width and height of the shadow map [pixels]; 0 for flat shadows, which fall on the ground alone. Their edges are
+    sharp at any size, and they take a tenth of the time of a shadow map."""
 
 
 STILL = Quality(samples=4, shadow_size=4096)
-FAST = Quality(samples=0, shadow_size=1024)
-"""Quality of films without a graphics card; `STILL` takes three times as long there."""
+FAST = Quality(samples=0, shadow_size=0)
+"""Quality of films without a graphics card; `STILL` takes eight times as long there."""
 
 
 class OffscreenRenderer:
@@ -88,7 +100,9 @@ class OffscreenRenderer:
             self._model = self._compile(meshes, center, radius, quality)
             self._data = self._mujoco.MjData(self._model)
             self._grid = floor_grid(center, radius)
-            self._scene = self._mujoco.MjvScene(self._model, maxgeom=len(meshes) + len(self._grid) + 16)
+            self._center, self._radius = center, radius
+            self._scene = self._mujoco.MjvScene(self._model, maxgeom=2 * len(meshes) + len(self._grid) + 16)
+            self._scene.flags[self._mujoco.mjtRndFlag.mjRND_FOG.value] = 1
             self._options = self._mujoco.MjvOption()
             self._render = self._mujoco.MjrContext(self._model, self._mujoco.mjtFontScale.mjFONTSCALE_100.value)
             stack.callback(self._render.free)
@@ -120,10 +134,19 @@ class OffscreenRenderer:
             camera: camera of the picture.
             caption: ASCII text.
         """
+        return self.draw(placements([poses])[0], np.array(colors), camera, caption)
+
+    def draw(
+        self,
+        world_from_mesh: Float[np.ndarray, "n 7"],
+        colors: Float[np.ndarray, "n 3"],
+        camera: Camera,
+        caption: str = "",
+    ) -> UInt8[np.ndarray, "height width 3"]:
+        """Return the same picture as `picture`, from rows of `placements` and an array of colours."""
         self._context.make_current()
-        sevens = np.array([pose_to_seven(pose or _OUT_OF_SIGHT) for pose in poses])
-        self._data.mocap_pos[:] = sevens[:, :3]
-        self._data.mocap_quat[:] = sevens[:, 3:]
+        self._data.mocap_pos[:] = world_from_mesh[:, :3]
+        self._data.mocap_quat[:] = world_from_mesh[:, 3:]
         self._model.geom_rgba[1:, :3] = colors
         self._mujoco.mj_kinematics(self._model, self._data)
         self._mujoco.mj_camlight(self._model, self._data)
@@ -133,7 +156,13 @@ class OffscreenRenderer:
         mj_camera.azimuth, mj_camera.elevation = np.degrees(camera.azimuth), np.degrees(camera.elevation)
         everything = self._mujoco.mjtCatBit.mjCAT_ALL.value
         self._mujoco.mjv_updateScene(self._model, self._data, self._options, None, mj_camera, everything, self._scene)
-        self._draw_grid()
+        # Drawing the sky costs time even where the ground hides it.
+        self._scene.flags[self._mujoco.mjtRndFlag.mjRND_SKYBOX.value] = not self._is_floor_everywhere(camera)
+        # What is decoration casts no shadow. A ground that does is speckled where it is far from the light.
+        self._scene.geoms[0].category = self._mujoco.mjtCatBit.mjCAT_DECOR.value
+        if self._quality.shadow_size == 0:
+            self._add_flat_shadows()
+        self._add_grid()
         self._mujoco.mjr_render(self._rectangle, self._scene, self._render)
         if caption:
             # MuJoCo's fonts have ASCII only.
@@ -155,10 +184,39 @@ class OffscreenRenderer:
         local = self._model.mesh_vert[first : first + count].astype(float)
         return local @ self._data.geom_xmat[geom].reshape(3, 3).T + self._data.geom_xpos[geom]
 
-    def _draw_grid(self) -> None:
+    def _is_floor_everywhere(self, camera: Camera) -> bool:
+        """Whether the ground, without what stands on it, would fill the picture."""
+        right, up, forward = view_axes(camera.azimuth, camera.elevation)
+        slope = np.tan(0.5 * FIELD_OF_VIEW)
+        aside = slope * self.width / self.height * right
+        rays = forward + slope * up + np.stack([-aside, aside])
+        if camera.position[2] <= 0.0 or (rays[:, 2] >= 0.0).any():
+            return False
+        ends = camera.position + rays * (camera.position[2] / -rays[:, 2:])
+        return bool(np.abs(ends - self._center)[:, :2].max() < FLOOR_REACH * self._radius)
+
+    def _add_flat_shadows(self) -> None:
+        """Add each mesh once more, flattened onto the ground along the light, as dark as its shadow would be."""
+        flatten = np.array([
+            [1.0, 0.0, -LIGHT_DIRECTION[0] / LIGHT_DIRECTION[2]],
+            [0.0, 1.0, -LIGHT_DIRECTION[1] / LIGHT_DIRECTION[2]],
+            [0.0, 0.0, _FLATNESS],
+        ])  # fmt: skip
+        positions = (self._data.geom_xpos[1:] @ flatten.T + [0.0, 0.0, _FLAT_HEIGHT])[..., None]
+        turns = (flatten @ self._data.geom_xmat[1:].reshape(-1, 3, 3)).reshape(-1, 9, 1)
+        color = np.array([*(FLAT_SHADE * c for c in FLOOR), 1.0], dtype=np.float32)
+        kind, size = self._mujoco.mjtGeom.mjGEOM_MESH, np.ones(3)
+        for geom, position, turn in zip(range(1, self._scene.ngeom), positions, turns, strict=True):
+            shadow = self._scene.geoms[self._scene.ngeom]
+            self._mujoco.mjv_initGeom(shadow, kind, size, position, turn, color)
+            shadow.dataid, shadow.specular = self._scene.geoms[geom].dataid, 0.0
+            self._scene.ngeom += 1
+
+    def _add_grid(self) -> None:
         # A floor texture would look the same, but costs a processor as much as the rest of the picture.
         line = self._mujoco.mjtGeom.mjGEOM_LINE
-        color = np.array([*FLOOR_LINES, 1.0], dtype=np.float32)
+        # A map's second pass would draw opaque lines twice.
+        color = np.array([*FLOOR_LINES, 0.99 if self._quality.shadow_size else 1.0], dtype=np.float32)
         for start, end in self._grid:
             geom = self._scene.geoms[self._scene.ngeom]
             self._mujoco.mjv_initGeom(geom, line, np.zeros(3), np.zeros(3), np.eye(3).reshape(-1), color)
@@ -175,8 +233,8 @@ class OffscreenRenderer:
         visual.quality.offsamples, visual.quality.shadowsize = quality.samples, quality.shadow_size
         visual.map.znear, visual.map.zfar, visual.map.shadowclip = 0.02, 20.0, SHADOW_REACH
         # The floor fades into the background before it ends.
-        visual.map.fogstart, visual.map.fogend, visual.map.haze = 4.0, 14.0, 0.6
-        visual.rgba.haze = visual.rgba.fog = [*BACKGROUND, 1.0]
+        visual.map.fogstart, visual.map.fogend = FOG
+        visual.rgba.fog = [*BACKGROUND, 1.0]
         visual.headlight.ambient, visual.headlight.diffuse = [0.5] * 3, [0.2] * 3
         visual.headlight.specular = [0.0] * 3
         flat = mj.mjtBuiltin.mjBUILTIN_FLAT
@@ -186,11 +244,14 @@ class OffscreenRenderer:
         )  # fmt: skip
         spec.add_material(name="part", specular=0.25, shininess=0.35)
         light = spec.worldbody.add_light(
-            pos=center - 2.0 * radius * LIGHT_DIRECTION, dir=LIGHT_DIRECTION, castshadow=True,
+            pos=center - 2.0 * radius * LIGHT_DIRECTION, dir=LIGHT_DIRECTION, castshadow=quality.shadow_size > 0,
             ambient=[0.0] * 3, diffuse=[0.4] * 3, specular=[0.2] * 3,
         )  # fmt: skip
         light.type = mj.mjtLightType.mjLIGHT_DIRECTIONAL
-        spec.worldbody.add_geom(type=mj.mjtGeom.mjGEOM_PLANE, size=[0.0, 0.0, 1.0], rgba=[*FLOOR, 1.0])
+        reach = FLOOR_REACH * radius
+        spec.worldbody.add_geom(
+            type=mj.mjtGeom.mjGEOM_PLANE, pos=[center[0], center[1], 0.0], size=[reach] * 3, rgba=[*FLOOR, 1.0]
+        )
         names: dict[Mesh, str] = {}
         for index, mesh in enumerate(meshes):
             if mesh not in names:
@@ -223,6 +284,11 @@ class OffscreenRenderer:
         )
 
 
+def placements(frames: Sequence[Sequence[SE3 | None]]) -> Float[np.ndarray, "frames n 7"]:
+    """Return `[x, y, z, qw, qx, qy, qz]` of each pose in each frame; out of sight for None."""
+    return np.array([[_OUT_OF_SIGHT if pose is None else pose_to_seven(pose) for pose in poses] for poses in frames])
+
+
 def floor_grid(center: Float[np.ndarray, "3"], radius: float) -> Float[np.ndarray, "lines 2 3"]:
     """Return the end points [m] of the lines on the ground, over a square around the scene."""
     spacing = GRID_SPACING if radius < WIDE else 2.0 * GRID_SPACING
@@ -243,12 +309,12 @@ def soften_edges(picture: UInt8[np.ndarray, "height width 3"], contrast: int = 2
     This is a cheap antialiasing: without a graphics card it takes a tenth of the time of four samples per pixel.
     """
     height, width, _ = picture.shape
-    green = picture[:, :, 1].astype(np.int16)
+    green = np.ascontiguousarray(picture[:, :, 1])
     edge = np.zeros((height, width), dtype=bool)
-    jumps = np.abs(green[:, 1:] - green[:, :-1]) > contrast
+    jumps = _differ(green[:, 1:], green[:, :-1], contrast)
     edge[:, 1:] |= jumps
     edge[:, :-1] |= jumps
-    jumps = np.abs(green[1:] - green[:-1]) > contrast
+    jumps = _differ(green[1:], green[:-1], contrast)
     edge[1:] |= jumps
     edge[:-1] |= jumps
     edge[[0, -1]] = edge[:, [0, -1]] = False
@@ -256,6 +322,13 @@ def soften_edges(picture: UInt8[np.ndarray, "height width 3"], contrast: int = 2
     flat = picture.reshape(-1, 3)
     around = sum(flat[here + offset].astype(np.uint16) for offset in (-1, 1, -width, width))
     flat[here] = (4 * flat[here].astype(np.uint16) + around) // 8
+
+
+def _differ(
+    a: UInt8[np.ndarray, "rows columns"], b: UInt8[np.ndarray, "rows columns"], contrast: int
+) -> Bool[np.ndarray, "rows columns"]:
+    # Bytes take half the time of signed numbers, which a plain difference would need.
+    return np.maximum(a, b) - np.minimum(a, b) > contrast
 
 
 def check_size(width: int, height: int) -> None:

@@ -14,12 +14,13 @@ from roboassembly.errors import InputError
 from roboassembly.furniture.model import Furniture
 from roboassembly.geometry.meshes import Mesh
 from roboassembly.geometry.poses import SE3, transform_points
-from roboassembly.rendering.camera import box_corners, fit_camera
+from roboassembly.rendering.camera import Camera, box_corners, fit_camera
 from roboassembly.rendering.colors import BACKGROUND, Color, part_colors, to_bytes, wood_colors
-from roboassembly.rendering.gl import RenderingUnavailableError
-from roboassembly.rendering.offscreen import STILL, OffscreenRenderer, Quality, check_size
+from roboassembly.rendering.gl import RenderingUnavailableError, context_module
+from roboassembly.rendering.offscreen import STILL, OffscreenRenderer, Quality, check_size, placements
 from roboassembly.viewer.atomic_file import atomic_write
 from roboassembly.viewer.camera_path import follow
+from roboassembly.viewer.film_segments import FilmScene, Shot, encode_film
 from roboassembly.viewer.playback import AnyPlan, make_timeline
 from roboassembly.viewer.timeline import Phase, Timeline
 
@@ -43,6 +44,7 @@ def write_film(
     fps: int = 24,
     seconds_per_step: float | None = None,
     quality: Quality | None = None,
+    jobs: int = 1,
 ) -> None:
     """Write an H.264 film (`.mp4`) of a plan.
 
@@ -54,9 +56,11 @@ def write_film(
         fps: frames per second.
         seconds_per_step: approximate duration of a step [s]; the default of the plan's setting if None.
         quality: rendering quality. If None, `STILL` with a graphics card and `FAST` without one.
+        jobs: number of processes that draw. The film is the same for any number. With more than one, a script needs
+            the usual guard of its main part, `if __name__ == "__main__":`.
 
     Raises:
-        RenderingUnavailableError: this machine cannot render off screen, or ffmpeg is missing.
+        RenderingUnavailableError: this machine cannot render off screen, or ffmpeg is missing or fails.
         InputError: the size or a rate is not valid.
     """
     if width % 2 or height % 2:
@@ -69,26 +73,20 @@ def write_film(
     except RuntimeError as error:
         raise RenderingUnavailableError("ffmpeg is missing; install it with: pip install imageio-ffmpeg") from error
     path = Path(path)
-    with _renderer(timeline, width, height, quality) as renderer, atomic_write(path) as unfinished:
-        writer = imageio_ffmpeg.write_frames(
-            str(unfinished),
-            (width, height),
-            fps=fps,
-            codec="libx264",
-            pix_fmt_in="rgb24",
-            pix_fmt_out="yuv420p",
-            quality=None,
-            macro_block_size=2,
-            ffmpeg_log_level="error",
-            output_params=["-preset", "superfast", "-crf", "23", "-movflags", "+faststart"],
-        )
-        writer.send(None)
-        try:
-            for frame, camera in zip(timeline.frames, cameras, strict=True):
-                picture = renderer.picture(frame.poses, part_colors(frame.roles), camera, frame.caption)
-                writer.send(np.ascontiguousarray(picture))
-        finally:
-            writer.close()
+    context_module()
+    scene = _scene(timeline, width, height, quality)
+    with atomic_write(path) as unfinished:
+        encode_film(scene, shots(timeline, cameras), unfinished, fps, jobs)
+
+
+def shots(timeline: Timeline, cameras: Sequence[Camera]) -> list[Shot]:
+    """Return the shot of each frame."""
+    colors = {roles: np.array(part_colors(roles)) for roles in {frame.roles for frame in timeline.frames}}
+    rows = placements([frame.poses for frame in timeline.frames])
+    return [
+        Shot(row, colors[frame.roles], camera, frame.caption)
+        for row, frame, camera in zip(rows, timeline.frames, cameras, strict=True)
+    ]
 
 
 def render_pictures(
@@ -103,7 +101,7 @@ def render_pictures(
     timeline = make_timeline(plan, 10.0, None)
     cameras = follow(timeline, width / height)
     out: list[UInt8[np.ndarray, "height width 3"]] = []
-    with _renderer(timeline, width, height, quality) as renderer:
+    with _scene(timeline, width, height, quality).renderer() as renderer:
         for index in key_frames(timeline):
             frame = timeline.frames[index]
             out.append(renderer.picture(frame.poses, part_colors(frame.roles), cameras[index], frame.caption))
@@ -204,12 +202,11 @@ def key_frames(timeline: Timeline) -> list[int]:
     return [*out, len(timeline.frames) - 1]
 
 
-def _renderer(timeline: Timeline, width: int, height: int, quality: Quality | None) -> OffscreenRenderer:
+def _scene(timeline: Timeline, width: int, height: int, quality: Quality | None) -> FilmScene:
     points = timeline.box_corners.reshape(-1, 3)
     center = 0.5 * (points.min(axis=0) + points.max(axis=0))
     radius = float(np.linalg.norm(points - center, axis=1).max())
-    meshes = [item.mesh for item in timeline.objects]
-    return OffscreenRenderer(meshes, width, height, center=center, radius=radius, quality=quality)
+    return FilmScene(tuple(item.mesh for item in timeline.objects), width, height, center, radius, quality)
 
 
 def _tile(

@@ -1,6 +1,7 @@
 """Frames of a plan of the full setting: parts, links of both robots, and the posts that are up.
 
-Each segment gets a share of its step's time that grows with its length. All motion is eased.
+Each segment gets a share of its step's time that grows with its length, and with the pace of its stage: drives are
+shown in time-lapse, mates are slow. All motion is eased.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from roboassembly.rendering.colors import Role
 from roboassembly.robots.body import hand_links, links, placed, tip_positions
 from roboassembly.task.full.cell import Post, post_mesh
 from roboassembly.task.full.cell_state import CellState, Segment
-from roboassembly.task.full.failure import Stage
+from roboassembly.task.full.failure import STRAIGHT, Stage
 from roboassembly.task.plans.full_plan import FullPlan
 from roboassembly.viewer.captions import ending_caption, step_caption
 from roboassembly.viewer.motion_timing import ease
@@ -28,6 +29,10 @@ _METRES_PER_RADIAN = 0.35
 """Length [m] that a turn of 1 rad of the platform or of an arm joint counts as."""
 _SHORTEST = 0.25
 """Smallest length [m] that a segment counts as, so that short segments stay visible."""
+_MATE_PACE = 3.0
+"""Time of a mate over that of another straight motion of equal length."""
+_DRIVE_PACE = 0.75
+"""Time of a drive over that of a straight motion of equal length."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +42,7 @@ class FullPlanAnimator:
     plan: FullPlan
     frames_per_second: float
     seconds_per_step: float
-    """Approximate duration of a step [s]."""
+    """Duration of a step [s]."""
 
     @cached_property
     def posts(self) -> tuple[Post, ...]:
@@ -101,17 +106,21 @@ class FullPlanAnimator:
     def _segments(
         self, segments: Sequence[Segment], part_roles: list[Role], index: int | None, caption: str
     ) -> Iterator[Frame]:
-        weights = np.array([max(_SHORTEST, float(_edge_lengths(segment).sum())) ** 0.5 for segment in segments])
-        durations = self.seconds_per_step * weights / weights.sum()
         roles = self._roles(part_roles)
-        for segment, seconds in zip(segments, durations, strict=True):
+        for segment, count in zip(segments, self._counts(segments), strict=True):
             text = f"{caption} | {segment.name}"
-            count = max(1, round(seconds * self.frames_per_second))
             poses = self._poses(segment.before)
             for k in range(1, count + 1):
                 self._move(poses, segment, _configuration_at(segment, ease(k / count)))
                 key = k == count and segment.stage is Stage.MATE
                 yield Frame(tuple(poses), roles, index, Phase.MOVING, text, key)
+
+    def _counts(self, segments: Sequence[Segment]) -> list[int]:
+        """Return the number of frames of each segment: at least one, and together the time of a step."""
+        lengths = [max(_SHORTEST, float(_edge_lengths(segment).sum())) for segment in segments]
+        weights = np.array([_pace(segment) * length**0.5 for segment, length in zip(segments, lengths, strict=True)])
+        ends = np.cumsum(weights) / weights.sum() * self.seconds_per_step * self.frames_per_second
+        return [max(1, round(end) - round(start)) for start, end in itertools.pairwise([0.0, *map(float, ends)])]
 
     def _roles(self, parts: list[Role]) -> tuple[Role, ...]:
         links = _link_count()
@@ -139,6 +148,12 @@ class FullPlanAnimator:
 def _link_count() -> int:
     """Return the number of links of one robot."""
     return len(links()) + len(hand_links(0.0))
+
+
+def _pace(segment: Segment) -> float:
+    if segment.stage is Stage.MATE:
+        return _MATE_PACE
+    return 1.0 if segment.stage in STRAIGHT else _DRIVE_PACE
 
 
 def _edge_lengths(segment: Segment) -> Float[np.ndarray, "n"]:

@@ -35,7 +35,7 @@ def _full(plan: FullPlan, frames_per_second: float, seconds_per_step: float) -> 
 
 _ANIMATORS: dict[SettingName, tuple[Callable[[Any, float, float], PlanAnimator | FullPlanAnimator], float]] = {
     "object-centric": (_object_centric, 1.8),
-    "full": (_full, 6.0),
+    "full": (_full, 5.0),
 }
 """Animator and default duration of a step [s] of each setting."""
 OVERTURE_SECONDS, FINALE_SECONDS = 1.0, 2.0

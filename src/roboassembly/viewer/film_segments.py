@@ -1,0 +1,212 @@
+"""Film in segments of equal length, which worker processes draw and encode independently of each other.
+
+Where a segment begins depends on the film alone, so the file is the same whatever the number of processes.
+"""
+
+from __future__ import annotations
+
+import os
+import pickle
+import signal
+import subprocess
+from collections.abc import Generator, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Protocol
+
+import imageio_ffmpeg
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from roboassembly.geometry.meshes import Mesh
+from roboassembly.parallel.processes import one_thread_each, worker_pool
+from roboassembly.rendering.camera import Camera
+from roboassembly.rendering.gl import RenderingUnavailableError, context_module, skip_trial
+from roboassembly.rendering.offscreen import OffscreenRenderer, Quality
+
+SEGMENT_FRAMES = 96
+"""Number of frames in a segment."""
+
+
+@dataclass(frozen=True, eq=False)
+class FilmScene:
+    """What all pictures of a film have in common."""
+
+    meshes: tuple[Mesh, ...]
+    width: int
+    """Width of pictures [pixels]."""
+    height: int
+    """Height of pictures [pixels]."""
+    center: Float[np.ndarray, "3"]
+    """Middle of the scene [m]."""
+    radius: float
+    """Radius of the scene [m]."""
+    quality: Quality | None
+    """Quality of pictures; the renderer's choice if None."""
+
+    def renderer(self) -> OffscreenRenderer:
+        """Return a new renderer."""
+        return OffscreenRenderer(
+            self.meshes, self.width, self.height, center=self.center, radius=self.radius, quality=self.quality
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Shot:
+    """What a picture shows: the arguments of `OffscreenRenderer.draw`."""
+
+    world_from_mesh: Float[np.ndarray, "n 7"]
+    colors: Float[np.ndarray, "n 3"]
+    camera: Camera
+    caption: str
+
+    def looks_like(self, other: Shot) -> bool:
+        """Whether both give the same picture."""
+        a, b = self.camera, other.camera
+        return (
+            self.caption == other.caption
+            and (a.distance, a.azimuth, a.elevation) == (b.distance, b.azimuth, b.elevation)
+            and np.array_equal(a.target, b.target)
+            and np.array_equal(self.world_from_mesh, other.world_from_mesh)
+            and np.array_equal(self.colors, other.colors)
+        )
+
+
+class Renderer(Protocol):
+    """Object that draws pictures."""
+
+    def draw(
+        self, world_from_mesh: Float[np.ndarray, "n 7"], colors: Float[np.ndarray, "n 3"], camera: Camera, caption: str
+    ) -> UInt8[np.ndarray, "height width 3"]:
+        """Return a picture."""
+        ...
+
+
+def draw_shots(renderer: Renderer, shots: Sequence[Shot]) -> Iterator[UInt8[np.ndarray, "height width 3"]]:
+    """Yield the picture of each shot. A shot that looks like the one before it yields the same array again."""
+    last: tuple[Shot, UInt8[np.ndarray, "height width 3"]] | None = None
+    for shot in shots:
+        if last is None or not shot.looks_like(last[0]):
+            last = shot, renderer.draw(shot.world_from_mesh, shot.colors, shot.camera, shot.caption)
+        yield last[1]
+
+
+def encode_film(scene: FilmScene, shots: Sequence[Shot], path: Path, fps: float, jobs: int) -> None:
+    """Draw the shots and write them as an H.264 film.
+
+    Args:
+        scene: what all pictures have in common.
+        shots: one shot for each frame.
+        path: file to write, `.mp4`.
+        fps: frames per second.
+        jobs: number of processes that draw; 1 draws in this process.
+
+    Raises:
+        RenderingUnavailableError: this machine cannot render off screen, or ffmpeg fails.
+    """
+    with TemporaryDirectory(prefix=f".{path.stem}.", dir=path.parent, ignore_cleanup_errors=True) as name:
+        film = _Film(scene, shots, fps, Path(name))
+        jobs = min(jobs, len(film.files))
+        if jobs == 1:
+            with scene.renderer() as renderer:
+                for index in range(len(film.files)):
+                    film.encode(renderer, index)
+        else:
+            # Workers read the shots from a file: what waits in the pipe of a pool blocks its end after an interrupt.
+            (film.folder / _SHOTS).write_bytes(pickle.dumps(film))
+            with worker_pool(jobs, _start_worker, (film.folder, context_module())) as pool:
+                with one_thread_each(), _interrupts_held():
+                    done = pool.map(_encode, range(len(film.files)))
+                for _ in done:
+                    pass
+        _join(film.files, path)
+
+
+_SHOTS = "film.pickle"
+
+
+@dataclass(frozen=True, eq=False)
+class _Film:
+    scene: FilmScene
+    shots: Sequence[Shot]
+    fps: float
+    folder: Path
+    """Folder of the segments."""
+
+    @property
+    def files(self) -> list[Path]:
+        """One file for each segment."""
+        return [self.folder / f"{k}.mp4" for k in range(-(-len(self.shots) // SEGMENT_FRAMES))]
+
+    def encode(self, renderer: Renderer, index: int) -> None:
+        """Draw and write a segment."""
+        file = self.files[index]
+        writer = imageio_ffmpeg.write_frames(
+            str(file),
+            (self.scene.width, self.scene.height),
+            fps=self.fps,
+            codec="libx264",
+            pix_fmt_in="rgb24",
+            pix_fmt_out="yuv420p",
+            quality=None,
+            macro_block_size=2,
+            # It would complain about half a picture after an interrupt.
+            ffmpeg_log_level="quiet",
+            # One thread: the workers keep all cores busy, and the result depends on the number of threads.
+            output_params=["-preset", "superfast", "-crf", "23", "-threads", "1"],
+        )
+        writer.send(None)
+        try:
+            for picture in draw_shots(renderer, self.shots[index * SEGMENT_FRAMES : (index + 1) * SEGMENT_FRAMES]):
+                writer.send(picture)
+        except OSError:
+            raise RenderingUnavailableError(f"ffmpeg stopped; is there room in '{self.folder.parent}'?") from None
+        finally:
+            writer.close()
+
+
+_worker_film: list[_Film] = []
+_worker_renderer: list[OffscreenRenderer] = []
+"""What a worker process draws, and with what, from its first segment on."""
+
+
+@contextmanager
+def _interrupts_held() -> Generator[None]:
+    """Deliver interrupts after the block. Processes that start inside it get none: the one that waits stops them."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _start_worker(folder: Path, gl_module: str) -> None:
+    # Else Mesa's software renderer starts a thread for each core in each process.
+    os.environ["LP_NUM_THREADS"] = "0"
+    skip_trial(gl_module)
+    _worker_film.append(pickle.loads((folder / _SHOTS).read_bytes()))
+
+
+def _encode(index: int) -> None:
+    film = _worker_film[0]
+    if not _worker_renderer:
+        _worker_renderer.append(film.scene.renderer())
+    film.encode(_worker_renderer[0], index)
+
+
+def _join(files: Sequence[Path], path: Path) -> None:
+    """Write one film of the segments, without encoding them again."""
+    names = files[0].with_name("segments.txt")
+    names.write_text("".join(f"file '{file.name}'\n" for file in files), encoding="utf-8")
+    command = [imageio_ffmpeg.get_ffmpeg_exe(), "-y", "-v", "error", "-f", "concat", "-i", str(names)]
+    command += ["-c", "copy", "-movflags", "+faststart", str(path)]
+    done = subprocess.run(command, stdin=subprocess.DEVNULL, stderr=subprocess.PIPE, check=False)
+    if done.returncode:
+        raise RenderingUnavailableError(
+            f"ffmpeg cannot write '{path}': {done.stderr.decode(errors='replace').strip()[-200:]}"
+        )
