@@ -139,7 +139,9 @@ class _Pool:
                 request.break_distance = 0.0
 
     def collides(self, configurations: Float[np.ndarray, "9 n"]) -> Bool[np.ndarray, "n"]:
-        return np.array(pin.computeCollisionsInParallel(1, self._pool, configurations, False), dtype=bool)
+        stop_at_first_body = True
+        touched = pin.computeCollisionsInParallel(1, self._pool, configurations, stop_at_first_body)
+        return np.array(touched, dtype=bool)
 
 
 @cache
