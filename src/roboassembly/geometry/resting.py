@@ -66,7 +66,7 @@ def _toppled_onto(hull: trimesh.Trimesh, center: Float[np.ndarray, "3"]) -> dict
     normals, triangles = hull.face_normals, hull.triangles
     heights = np.einsum("ij,ij->i", normals, center - triangles[:, 0])
     below = center - heights[:, None] * normals
-    unstable = (points_to_barycentric(triangles, below) < 0).any(axis=1)
+    unstable = np.asarray((points_to_barycentric(triangles, below) < 0).any(axis=1))
     pairs, ends = hull.face_adjacency, hull.vertices[hull.face_adjacency_edges]
     face, neighbor = pairs.T.ravel(), pairs[:, ::-1].T.ravel()
     order = np.argsort(face, kind="stable")
