@@ -68,6 +68,7 @@ class AssembleCommand:
         self._check_out()
         from roboassembly.datasets import catalogue
         from roboassembly.simulation.windowless import import_mujoco
+
         started = time.perf_counter()
         solve = self._solver()
         furniture = catalogue.find(self.furniture)
