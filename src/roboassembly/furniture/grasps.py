@@ -202,15 +202,15 @@ def _freest_first(places: _Places, locked: Sequence[HandAgainst]) -> Iterator[_P
     rest: list[tuple[int, _Places]] = []
     for some in _blocks(places):
         directions = _around(some.closing, ANGLES // 2)
-        counts = sum(
-            (~_touches(other, some, directions, MAX_OPENING, coming=True)).any(axis=1).astype(int) for other in locked
-        )
-        every = np.asarray(counts) == len(locked)
-        if every.any():
-            yield some[every]
-        rest += [(int(count), some[np.array([i])]) for i, count in enumerate(np.asarray(counts)) if not every[i]]
-    for _, some in sorted(rest, key=lambda one: -one[0]):
-        yield some
+        counts = np.zeros(len(some.width), dtype=int)
+        for other in locked:
+            counts += (~_touches(other, some, directions, MAX_OPENING, coming=True)).any(axis=1)
+        freest = counts == len(locked)
+        if freest.any():
+            yield some[freest]
+        rest += [(int(counts[i]), some[np.array([i])]) for i in np.flatnonzero(~freest)]
+    for _, place in sorted(rest, key=lambda pair: -pair[0]):
+        yield place
 
 
 def _first_holdable(hand: HandAgainst, blocks: Iterable[_Places], others: Sequence[HandAgainst]) -> GraspRegion | None:
