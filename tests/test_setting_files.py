@@ -163,7 +163,8 @@ def test_a_plan_without_robots_loads_no_robots() -> None:
         "try: main(['assemble', 'cantilever', '--no-film', '--json', '--out', sys.argv[1]])\n"
         "except SystemExit as stop: assert not stop.code\n"
         "loaded = [m for m in sys.modules if m.startswith(('roboassembly.settings.full', 'roboassembly.task.full.task',"
-        " 'roboassembly.robots.kinematics', 'roboassembly.repair', 'roboassembly.audit', 'jax.', 'tqdm', 'imageio'))]\n"
+        " 'roboassembly.robots.kinematics', 'roboassembly.repair', 'roboassembly.audit', 'jax.', 'tqdm', 'imageio',"
+        " 'gymnasium', 'glfw', 'matplotlib', 'ray.', 'roboassembly.rendering.offscreen'))]\n"
         "assert not loaded, loaded\n"
     )
     with TemporaryDirectory() as folder:

@@ -107,10 +107,14 @@ ARRAYS: dict[str, Any] = {
     "trimesh.Trimesh.area_faces": lambda: trimesh.creation.box().area_faces,
     "trimesh.Trimesh.center_mass": lambda: trimesh.creation.box().center_mass,
     "trimesh.Trimesh.moment_inertia": lambda: trimesh.creation.box().moment_inertia,
+    "trimesh.Trimesh.triangles": lambda: trimesh.creation.box().triangles,
+    "trimesh.Trimesh.triangles_center": lambda: trimesh.creation.box().triangles_center,
     "trimesh.bounds.oriented_bounds": lambda: trimesh.bounds.oriented_bounds(triangles()[0])[0],
-    "trimesh.poses.compute_stable_poses": lambda: trimesh.poses.compute_stable_poses(trimesh.creation.box())[1],
     "trimesh.sample.sample_surface": lambda: trimesh.sample.sample_surface(trimesh.creation.box(), 3, seed=0)[0],
     "trimesh.triangles.closest_point": lambda: trimesh.triangles.closest_point(np.eye(3)[None], np.zeros((1, 3))),
+    "trimesh.triangles.points_to_barycentric": lambda: trimesh.triangles.points_to_barycentric(
+        np.eye(3)[None], np.zeros((1, 3))
+    ),
 }
 """Calls whose result the stubs call an array of 64-bit floats."""
 

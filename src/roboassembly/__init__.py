@@ -2,6 +2,6 @@
 
 __version__ = "0.1.0"
 
-from roboassembly.envs import register as _register
+from roboassembly.envs import register_with_gymnasium as _register
 
 _register()

@@ -9,7 +9,6 @@ from trimesh import boolean as boolean
 from trimesh import bounds as bounds
 from trimesh import convex as convex
 from trimesh import creation as creation
-from trimesh import poses as poses
 from trimesh import sample as sample
 from trimesh import triangles as triangles
 
@@ -18,6 +17,10 @@ class Trimesh:
     faces: NDArray[np.int64]
     face_normals: NDArray[np.float64]
     area_faces: NDArray[np.float64]
+    triangles: NDArray[np.float64]
+    triangles_center: NDArray[np.float64]
+    face_adjacency: NDArray[np.int64]
+    face_adjacency_edges: NDArray[np.int64]
     is_volume: bool
     volume: float
     center_mass: NDArray[np.float64]

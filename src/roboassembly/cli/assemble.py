@@ -67,11 +67,13 @@ class AssembleCommand:
         SETTINGS[self.setting].check_option(f"--execution {self.execution}")
         self._check_out()
         from roboassembly.datasets import catalogue
+        from roboassembly.simulation.windowless import import_mujoco
 
         started = time.perf_counter()
         solve = self._solver()
         furniture = catalogue.find(self.furniture)
         say(f"{furniture.name}: {len(furniture.parts)} parts, {len(furniture.connections)} connections")
+        import_mujoco()
         result = solve(furniture)
         solved = time.perf_counter() - started
         if result.plan.success:

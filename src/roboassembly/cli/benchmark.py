@@ -10,9 +10,8 @@ from typing import Annotated
 import tyro
 
 from roboassembly.cli.multitask import PACKAGES, follow, require_packages
-from roboassembly.cli.options import CORES, Jobs, Ray, Setting, require_at_least
+from roboassembly.cli.options import CORES, Jobs, Ray, Setting, require_at_least, workers
 from roboassembly.cli.output import DONE, check_writable_file, print_json, show, writable_folder
-from roboassembly.parallel.processes import use_cluster
 
 
 @dataclass(frozen=True)
@@ -69,7 +68,7 @@ class BenchmarkCommand:
             plan, set=self.set or plan.set, real=self.real, shipped=plan.shipped and not self.retrain,
             sample=self.sample or plan.sample, experts=self.experts or plan.experts,
         )  # fmt: skip
-        with use_cluster(self.ray, self.jobs) as jobs:
+        with workers(self.ray, self.jobs) as jobs:
             follow(benchmark.run(plan, out, jobs), out)
         results = benchmark.report(plan, out)
         lines = report.table(results)

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from statistics import median
 from typing import Annotated, Literal
 
 import tyro
 
-from roboassembly.cli.options import CORES, Jobs, Ray, require_at_least
+from roboassembly.cli.options import CORES, Jobs, Ray, require_at_least, workers
 from roboassembly.cli.output import DONE, check_writable, print_json, progress_bar, show
 from roboassembly.errors import InputError
-from roboassembly.parallel.processes import use_cluster
 
 
 @dataclass(frozen=True)
@@ -81,7 +79,7 @@ class DatasetCommand:
         from roboassembly.solvers.dataset_builder import build_dataset
 
         with (
-            use_cluster(self.ray, self.jobs) as jobs,
+            workers(self.ray, self.jobs) as jobs,
             progress_bar(desc=f"building {self.name}", unit="chair") as progress,
         ):
             for done, total in build_dataset(RECIPES[self.name], self.seed, jobs):
@@ -89,6 +87,8 @@ class DatasetCommand:
                 progress.update(done - progress.n)
 
     def _show(self) -> int:
+        from statistics import median
+
         from roboassembly.datasets import sets as datasets
 
         manifest = datasets.load_manifest(self.name)

@@ -11,10 +11,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from roboassembly.cli.options import CORES, Execution, Jobs, Ray, Setting, require_at_least, selected_furniture
+from roboassembly.cli.options import CORES, Execution, Jobs, Ray, Setting, require_at_least, selected_furniture, workers
 from roboassembly.cli.output import DONE, check_writable, print_json, progress_bar, say, show
 from roboassembly.errors import InputError
-from roboassembly.parallel.processes import use_cluster
 
 if TYPE_CHECKING:
     from roboassembly.datasets.sets import FurnitureRef
@@ -84,7 +83,7 @@ class EvaluateCommand:
         refs = selected_furniture(self.set, self.limit, self.sample, self.seed)
         config = RolloutConfig(self.policy, self.search, self.setting, self.execution, self.audit)
         total = len(refs) * self.episodes
-        with use_cluster(self.ray, self.jobs) as jobs:
+        with workers(self.ray, self.jobs) as jobs:
             episodes = tuple(progress_bar(self._episodes(config, refs, jobs), total=total, unit="episode"))
         evaluation = Evaluation(config, self.set, self.seed, episodes)
         report = evaluation.to_json()

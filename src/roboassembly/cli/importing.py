@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Sequence
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -14,7 +13,6 @@ import tyro
 from roboassembly.cli.options import CORES, Jobs, require_at_least
 from roboassembly.cli.output import DONE, check_writable, print_json, progress_bar, refuse_existing, say, show
 from roboassembly.errors import InputError
-from roboassembly.parallel.processes import worker_pool
 
 if TYPE_CHECKING:
     from roboassembly.importers.kept import Summary
@@ -174,6 +172,10 @@ class ImportCommand:
         if self.jobs == 1 or len(work) < 2:
             yield from map(import_piece, work)
             return
+        from concurrent.futures.process import BrokenProcessPool
+
+        from roboassembly.parallel.processes import worker_pool
+
         with worker_pool(min(self.jobs, len(work))) as pool:
             for piece, future in [(piece, pool.submit(import_piece, piece)) for piece in work]:
                 try:

@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from roboassembly.cli.options import CORES, Jobs, Ray, Setting, require_at_least, selected_furniture
+from roboassembly.cli.options import CORES, Jobs, Ray, Setting, require_at_least, selected_furniture, workers
 from roboassembly.cli.output import DONE, print_json, progress_bar, say, show, writable_folder
 from roboassembly.errors import InputError, MissingExtraError
-from roboassembly.parallel.processes import use_cluster
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -78,7 +77,7 @@ class MultitaskCommand:
         require_at_least(1, limit=self.limit, steps=self.steps)
         require_packages(*PACKAGES)
         writable_folder(self.out)
-        with use_cluster(self.ray, self.jobs) as jobs:
+        with workers(self.ray, self.jobs) as jobs:
             last = follow(self._relational(jobs) if self.preset == "relational" else self._paper(jobs), self.out)
         path = self.out / "policy.npz"
         source = {"set": self.set} if self.preset == "relational" else {"samples": [str(s) for s in self.samples]}

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Generator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
@@ -55,6 +57,15 @@ def require_at_least(least: int, **values: int | None) -> None:
     for name, value in values.items():
         if value is not None and value < least:
             raise InputError(f"--{name.replace('_', '-')} {value} is too small; it must be {least} or more")
+
+
+@contextmanager
+def workers(ray: str | None, jobs: int) -> Generator[int]:
+    """Take the workers that `--ray` and `--jobs` select inside the block; yields their number."""
+    from roboassembly.parallel.processes import use_cluster
+
+    with use_cluster(ray, jobs) as count:
+        yield count
 
 
 def selected_furniture(name: str, limit: int | None, sample: int | None, seed: int) -> list[FurnitureRef]:

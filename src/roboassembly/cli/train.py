@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from roboassembly.cli.multitask import PACKAGES, MultitaskCommand, follow, require_packages
-from roboassembly.cli.options import CORES, Jobs, Ray, Setting, require_at_least, selected_furniture
+from roboassembly.cli.options import CORES, Jobs, Ray, Setting, require_at_least, selected_furniture, workers
 from roboassembly.cli.output import DONE, FAILED, print_json, show, writable_folder
-from roboassembly.parallel.processes import use_cluster
 
 if TYPE_CHECKING:
     from roboassembly.datasets.sets import FurnitureRef
@@ -45,7 +44,7 @@ class AutoencoderCommand:
     def run(self) -> int:
         """Run the command; returns the exit status."""
         refs = self.select_furniture()
-        with use_cluster(self.ray, self.jobs) as jobs:
+        with workers(self.ray, self.jobs) as jobs:
             last = self.train_autoencoder(refs, jobs)
         if self.json:
             chamfer = last.get("auto-encoder/chamfer")
@@ -96,7 +95,7 @@ class ExpertCommand(AutoencoderCommand):
         refs = self.select_furniture()
         from roboassembly.learning.paper.pipeline import expert_results, train_experts
 
-        with use_cluster(self.ray, self.jobs) as jobs:
+        with workers(self.ray, self.jobs) as jobs:
             self.train_autoencoder(refs, jobs)
             follow(train_experts(refs, self.out, self.config(), {"set": self.set}, jobs), self.out)
         trained = expert_results(refs, self.out)

@@ -17,10 +17,10 @@ Euler angles are roll, pitch and yaw with `R = Rz(yaw) Ry(pitch) Rx(roll)`.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 import trimesh
-from gymnasium import spaces
 from jaxtyping import Float, Float32
 
 from roboassembly.furniture.grasps import APPROACHES
@@ -30,6 +30,9 @@ from roboassembly.geometry.poses import pose_to_euler
 from roboassembly.robots.gripper import hand_pose
 from roboassembly.task.rules.groups import TaskState, part_from_points
 
+if TYPE_CHECKING:
+    from gymnasium import spaces
+
 REACH = 100.0
 """Bound of every coordinate in the observation space [m]."""
 
@@ -38,6 +41,8 @@ Observation = dict[str, Float32[np.ndarray, "..."]]
 
 def observation_space(max_parts: int, max_points: int, cloud_points: int) -> spaces.Dict:
     """Return the observation space of the table above."""
+    from gymnasium import spaces  # Policies make observations without it.
+
     pose = np.array([REACH] * 3 + [np.pi] * 3)
 
     def box(high: np.ndarray) -> spaces.Box:

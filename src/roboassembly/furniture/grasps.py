@@ -6,7 +6,7 @@ open hand can approach and close, and that only its pads touch the part. The par
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -38,8 +38,8 @@ _OPENINGS = (0.25, 0.5, 0.75)
 """Fractions of the opening at which the moving fingers are tested: fingers are thicker than the steps."""
 _SAMPLES, _AXES = 384, 48
 """Numbers of surface points and of axes through the centre of mass at which opposite sides are sought."""
-_BLOCK = 12
-"""Number of places tested in one batch; the first batch usually contains a solution."""
+_FIRST_BLOCK, _BLOCK = 2, 16
+"""Numbers of places tested in the first batch and, at most, in a later one; the first usually contains a solution."""
 _EVENNESS = 0.75
 """Exponent of the area by which faces are sampled: with 1, a peg on a seat would be missed."""
 _UNCOVERED = 0.05
@@ -90,7 +90,7 @@ def find_grasps(mesh: Mesh, around: Sequence[Mesh] = ()) -> tuple[GraspRegion, .
     hand = HandAgainst(mesh)
     bare = _UNCOVERED * (1.0 - places.cover)
     off = np.linalg.norm(places.middle, axis=1)
-    first = _first_holdable(hand, places[np.argsort(off + bare, kind="stable")], others)
+    first = _first_holdable(hand, _blocks(places[np.argsort(off + bare, kind="stable")]), others)
     if first is None:
         return ()
     locked = [other for other in others if not _free_directions(other, first).any()]
@@ -100,13 +100,7 @@ def find_grasps(mesh: Mesh, around: Sequence[Mesh] = ()) -> tuple[GraspRegion, .
     cost = _CENTRAL * (off - beyond) + bare - np.minimum(distance, _MAX_USEFUL_DISTANCE) - _CROSSWISE * crosswise
     order = np.argsort(cost, kind="stable")
     distinct = places[order[((distance > _DISTINCT) | crosswise)[order]]]
-    if locked:
-        directions = _around(distinct.closing, ANGLES // 2)
-        free_count = sum(
-            (~_touches(other, distinct, directions, MAX_OPENING, coming=True)).any(axis=1) for other in locked
-        )
-        distinct = distinct[np.argsort(-np.asarray(free_count), kind="stable")]
-    second = _first_holdable(hand, distinct, others)
+    second = _first_holdable(hand, _freest_first(distinct, locked) if locked else _blocks(distinct), others)
     found = (first,) if second is None else (first, second)
     return tuple(sorted(found, key=lambda region: float(np.linalg.norm(region.position))))[:GRASP_REGIONS]
 
@@ -191,24 +185,47 @@ def _around(closing: Float[np.ndarray, "n 3"], count: int) -> Float[np.ndarray, 
     return np.cos(angles)[None, :, None] * first[:, None] + np.sin(angles)[None, :, None] * second[:, None]
 
 
-def _first_holdable(hand: HandAgainst, places: _Places, others: Sequence[HandAgainst]) -> GraspRegion | None:
+def _blocks(places: _Places) -> Iterator[_Places]:
+    """Yield the places in batches for tests of collision, small ones first: one of the first usually is a solution."""
+    start, size = 0, _FIRST_BLOCK
+    while start < len(places.width):
+        yield places[np.arange(start, min(start + size, len(places.width)))]
+        start, size = start + size, min(2 * size, _BLOCK)
+
+
+def _freest_first(places: _Places, locked: Sequence[HandAgainst]) -> Iterator[_Places]:
+    """Yield the places in batches, those first where most of the surroundings `locked` leave the hand a direction.
+
+    Places with equally many come in the given order. Usually one of the first has all and is a solution, so that the
+    rest need not be tested.
+    """
+    rest: list[tuple[int, _Places]] = []
+    for some in _blocks(places):
+        directions = _around(some.closing, ANGLES // 2)
+        counts = np.zeros(len(some.width), dtype=int)
+        for other in locked:
+            counts += (~_touches(other, some, directions, MAX_OPENING, coming=True)).any(axis=1)
+        freest = counts == len(locked)
+        if freest.any():
+            yield some[freest]
+        rest += [(int(counts[i]), some[np.array([i])]) for i in np.flatnonzero(~freest)]
+    for _, place in sorted(rest, key=lambda pair: -pair[0]):
+        yield place
+
+
+def _first_holdable(hand: HandAgainst, blocks: Iterable[_Places], others: Sequence[HandAgainst]) -> GraspRegion | None:
     """Return the region at the first place that the hand can hold from enough directions; None if there is none.
 
     Args:
         hand: collisions of the hand with the part.
-        places: candidates in order of preference.
+        blocks: candidates in order of preference, in batches.
         others: collisions of the hand with surroundings of the part, which decide between directions.
     """
-    for start in range(0, len(places.width), _BLOCK):
-        some = places[np.arange(start, min(start + _BLOCK, len(places.width)))]
+    for some in blocks:
         directions = _around(some.closing, ANGLES)
         free = ~_touches(hand, some, directions, MAX_OPENING, coming=True)
         for index in np.flatnonzero(free.sum(axis=1) >= APPROACHES):
-            place, its_directions = some[np.array([index])], directions[[index]]
-            liked = np.zeros(ANGLES)
-            for other in others:
-                liked += free[index] & ~_touches(other, place, its_directions, MAX_OPENING, coming=True)[0]
-            region = _closed_on(hand, place, its_directions, free[index], liked)
+            region = _closed_on(hand, some[np.array([index])], directions[index], free[index], others)
             if region is not None:
                 return region
     return None
@@ -224,20 +241,42 @@ def _free_directions(other: HandAgainst, region: GraspRegion) -> Bool[np.ndarray
 def _closed_on(
     hand: HandAgainst,
     place: _Places,
-    directions: Float[np.ndarray, "1 a 3"],
+    directions: Float[np.ndarray, "a 3"],
     free: Bool[np.ndarray, "a"],
-    liked: Float[np.ndarray, "a"],
+    others: Sequence[HandAgainst],
 ) -> GraspRegion | None:
-    """Return the region at one place if the hand can close there in four `free` directions, `liked` ones first."""
+    """Return the region at one place if the hand can close there in four `free` directions.
+
+    Directions that most of the others leave free come first.
+    """
     for eased in _EASED:
         opening = float(place.width[0]) + eased + 2.0 * CLEARANCE
-        closable = free & ~_touches(hand, place, directions, opening)[0]
-        for share in _OPENINGS if closable.sum() >= APPROACHES else ():
-            closable &= ~_touches(hand, place, directions, opening + share * (MAX_OPENING - opening))[0]
+        closable = _still_free(hand, place, directions, free, opening)
+        for share in _OPENINGS:
+            if closable.sum() >= APPROACHES:
+                closable = _still_free(hand, place, directions, closable, opening + share * (MAX_OPENING - opening))
         if closable.sum() >= APPROACHES:
-            chosen = directions[0][_four_of(closable, liked)]
+            liked = np.zeros(ANGLES)
+            for other in others:
+                liked += _still_free(other, place, directions, closable, MAX_OPENING, coming=True)
+            chosen = directions[_four_of(closable, liked)]
             return GraspRegion(place.middle[0], place.closing[0], chosen, opening - 2.0 * CLEARANCE)
     return None
+
+
+def _still_free(
+    hand: HandAgainst,
+    place: _Places,
+    directions: Float[np.ndarray, "a 3"],
+    free: Bool[np.ndarray, "a"],
+    opening: float,
+    *,
+    coming: bool = False,
+) -> Bool[np.ndarray, "a"]:
+    """Return which of the `free` directions at one place leave the hand free of this collision, too."""
+    out, tried = free.copy(), directions[None, free]
+    out[free] = ~_touches(hand, place, tried, opening, coming=coming)[0]
+    return out
 
 
 def _touches(

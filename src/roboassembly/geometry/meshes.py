@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from roboassembly.errors import FurnitureError
 from roboassembly.geometry.poses import SE3, transform_points
+from roboassembly.geometry.resting import stable_poses
 
 if TYPE_CHECKING:
     import trimesh
@@ -148,23 +149,19 @@ class Mesh:
     def resting_rotations(self) -> tuple[Float[np.ndarray, "n 3 3"], Float[np.ndarray, "n"]]:
         """Orientations in which the mesh rests on the ground, and their probabilities after a random drop.
 
-        Quasi-static tumbling of the convex hull (Goldberg et al. 1999, "Part Pose Statistics: Estimators and
-        Experiments"), as trimesh computes it.
+        Quasi-static tumbling of the convex hull (`resting.stable_poses`).
         """
         import trimesh
 
         for grain in _GRAINS:
             hull = trimesh.Trimesh(np.round(self.hull_vertices / grain) * grain).convex_hull if grain else self.hull
-            # Slivers of a hull make trimesh divide by zero; their poses come out as NaN and are dropped here.
+            # Slivers of a hull make it divide by zero; their poses come out as NaN and are dropped here.
             with np.errstate(invalid="ignore", divide="ignore"):
-                transforms, likely = trimesh.poses.compute_stable_poses(
-                    hull, center_mass=self.center_of_mass, sigma=0.0, n_samples=1, threshold=0.0
-                )
-            likely, transforms = np.asarray(likely), np.reshape(transforms, (-1, 4, 4))
-            usable = np.isfinite(transforms).all(axis=(1, 2)) & np.isfinite(likely) & (likely > 0)
+                found, likely = stable_poses(hull.convex_hull, self.center_of_mass)
+            usable = np.isfinite(found).all(axis=(1, 2)) & np.isfinite(likely) & (likely > 0)
             if usable.any():
-                # trimesh's rotations are orthonormal to about 1e-6 only.
-                rotations = Rotation.from_matrix(transforms[usable, :3, :3]).as_matrix()
+                # They are orthonormal to about 1e-6 only, as the normals of the hull are.
+                rotations = Rotation.from_matrix(found[usable]).as_matrix()
                 return rotations, likely[usable] / likely[usable].sum()
         return np.eye(3)[None], np.ones(1)
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import importlib.metadata
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
 
 import coal
@@ -87,9 +87,16 @@ class HandAgainst:
     """
 
     def __init__(self, mesh: Mesh) -> None:
+        self._mesh = mesh
+
+    @cached_property
+    def _still(self) -> _Pool:
+        return _Pool(self._mesh, _convex_shapes(0.0))
+
+    @cached_property
+    def _coming(self) -> _Pool:
         # A convex body that moves along a line sweeps the hull of its two ends: one test covers the whole approach.
-        self._still = _Pool(mesh, _convex_shapes(0.0))
-        self._coming = _Pool(mesh, _convex_shapes(RETREAT))
+        return _Pool(self._mesh, _convex_shapes(RETREAT))
 
     def touches(
         self,
@@ -139,7 +146,9 @@ class _Pool:
                 request.break_distance = 0.0
 
     def collides(self, configurations: Float[np.ndarray, "9 n"]) -> Bool[np.ndarray, "n"]:
-        return np.array(pin.computeCollisionsInParallel(1, self._pool, configurations, False), dtype=bool)
+        stop_at_first_body = True
+        touched = pin.computeCollisionsInParallel(1, self._pool, configurations, stop_at_first_body)
+        return np.array(touched, dtype=bool)
 
 
 @cache

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 import json
+from functools import cache
 from pathlib import Path
 from string import Template
 
@@ -12,9 +13,10 @@ from roboassembly.rendering.colors import part_colors
 from roboassembly.viewer.atomic_file import atomic_write
 from roboassembly.viewer.html_template import BODY, HEAD
 from roboassembly.viewer.playback import AnyPlan, make_timeline
+from roboassembly.viewer.recording import RecordedScene
 from roboassembly.viewer.server import quiet_server
 from roboassembly.viewer.timeline import Timeline
-from roboassembly.viewer.viser_scene import ViserScene, set_up_scene
+from roboassembly.viewer.viser_scene import set_up_scene
 
 FRAMES_PER_SECOND = 30.0
 SLOWDOWN = 1.6
@@ -43,7 +45,7 @@ def write_html(plan: AnyPlan, path: Path, *, seconds_per_step: float | None = No
 def _record(timeline: Timeline) -> str:
     """Return the page that viser writes for the timeline."""
     first = timeline.frames[0]
-    points = timeline.box_corners.reshape(-1, 3)
+    points = timeline.extent
     with quiet_server("127.0.0.1", 0) as server:
         set_up_scene(server.scene, points)
         camera = fit_camera(points, 1.0)
@@ -51,19 +53,22 @@ def _record(timeline: Timeline) -> str:
         server.initial_camera.up = (0.0, 0.0, 1.0)
         server.initial_camera.look_at = camera.target
         server.initial_camera.position = camera.position
-        scene = ViserScene(server.scene)
-        scene.add(timeline.objects, first.poses, part_colors(first.roles))
+        colors = cache(part_colors)
+        scene = RecordedScene(server.scene)
+        scene.add(timeline.objects, first.poses, colors(first.roles))
         recording = server.get_scene_serializer()
-        for frame in timeline.frames:
-            scene.show(frame.poses, part_colors(frame.roles))
-            recording.insert_sleep(1.0 / timeline.frames_per_second)
+        scene.record(recording)
+        with server.atomic():  # wakes nobody up for a message
+            for frame in timeline.frames:
+                scene.show(frame.poses, colors(frame.roles))
+                recording.insert_sleep(1.0 / timeline.frames_per_second)
         return recording.as_html()
 
 
 def _with_captions(page: str, timeline: Timeline) -> str:
     """Add a title, captions, a first camera for the shape of the window, and a larger slider to viser's page."""
     name = html.escape(timeline.name)
-    points = timeline.box_corners.reshape(-1, 3)
+    points = timeline.extent
     cameras = [[aspect, *map(float, fit_camera(points, aspect).position)] for aspect in ASPECTS]
     captions = [[round(time, 4), caption] for time, caption in timeline.captions]
     head, body = (

@@ -16,6 +16,7 @@ from jaxtyping import Float
 from roboassembly.furniture.model import Furniture
 from roboassembly.geometry.meshes import Mesh
 from roboassembly.geometry.poses import SE3
+from roboassembly.rendering.camera import boxes_corners
 from roboassembly.rendering.colors import Role
 
 
@@ -90,6 +91,20 @@ class Timeline:
         translations = np.array([[pose.translation for pose in row] for row in poses])
         local = np.array([list(itertools.product(*item.mesh.bounds.T)) for item in framed])
         return np.einsum("fpij,pcj->fpci", rotations, local) + translations[:, :, None]
+
+    @cached_property
+    def extent(self) -> Float[np.ndarray, "n 3"]:
+        """World corners [m] of the bounding boxes of framed objects, at all their poses: `box_corners` once each."""
+        corners = [np.empty((0, 3))]
+        for index, item in enumerate(self.objects):
+            # Most objects are at rest in most frames, with the same pose.
+            distinct = {id(frame.poses[index]): frame.poses[index] for frame in self.frames} if item.framed else {}
+            poses = [pose for pose in distinct.values() if pose is not None]
+            local = boxes_corners(item.mesh.bounds[:1], item.mesh.bounds[1:])
+            rotations = np.array([pose.rotation for pose in poses]).reshape(-1, 3, 3)
+            translations = np.array([pose.translation for pose in poses]).reshape(-1, 1, 3)
+            corners.append((np.einsum("nij,cj->nci", rotations, local) + translations).reshape(-1, 3))
+        return np.concatenate(corners)
 
 
 def part_objects(furniture: Furniture) -> tuple[SceneObject, ...]:

@@ -64,9 +64,13 @@ class ViserScene:
             if (pose is None) != (before is None):
                 handle.visible = pose is not None
             if pose is not None:
-                seven = _as_float32(pose)
-                handle.position, handle.wxyz = seven[:3], seven[3:]
+                self._move(index, _as_float32(pose))
             self._shown[index] = pose
+
+    def _move(self, index: int, seven: Float[np.ndarray, "7"]) -> None:
+        """Move an object to `x, y, z, qw, qx, qy, qz`."""
+        handle = self.meshes[index]
+        handle.position, handle.wxyz = seven[:3], seven[3:]
 
     def clear(self) -> None:
         """Remove all objects, and whatever is attached to them."""
