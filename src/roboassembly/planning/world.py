@@ -150,10 +150,18 @@ class CollisionWorld(ExactChecks):
 
         Edges need no such test, since a shape has to pass the surface to get in.
         """
-        for shape in self._mover.shapes:
+        if not self._still:
+            return False
+        turned = self.points @ (self._axes.T @ pose.rotation).T + pose.translation @ self._axes
+        low = np.minimum.reduceat(turned, self._starts, axis=0)[:, None]
+        high = np.maximum.reduceat(turned, self._starts, axis=0)[:, None]
+        # A shape inside another has its box in the other's box.
+        meets = ((low <= self._still_high) & (high >= self._still_low)).all(axis=2)
+        for shape, near in zip(self._mover.shapes, meets, strict=True):
             own_vertex: Float[np.ndarray, "3"] = shape.mesh.vertices[0]
             world_from_shape = pose * shape.body_from_mesh
-            for world_from_still, still in self._still:
+            for index in np.flatnonzero(near).tolist():
+                world_from_still, still = self._still[index]
                 still_from_shape = world_from_still.actInv(world_from_shape)
                 still_vertex: Float[np.ndarray, "3"] = still.vertices[0]
                 if still.contains(still_from_shape.act(own_vertex)):
