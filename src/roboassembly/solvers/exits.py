@@ -1,0 +1,154 @@
+"""Ways of sub-assemblies out of each other, planned once for all merges of the same sub-assemblies.
+
+Whether two sub-assemblies come apart depends on their shapes alone: not on the ground, on other groups, on which of the
+two moves or on the axis that points up. One plan among the two of them therefore answers for up to twelve merges, and
+what holds them together holds larger sub-assemblies around them as well. A plan that fails within its budget proves
+nothing; a later round of the search asks again with a larger one, and the last rounds do not ask.
+"""
+
+from __future__ import annotations
+
+import zlib
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from roboassembly.furniture.model import Furniture
+from roboassembly.geometry.poses import SE3
+from roboassembly.geometry.scene import Scene
+from roboassembly.planning.mating import MatingProblem, plan_mating
+from roboassembly.planning.problem import Budget
+from roboassembly.planning.world import CollisionWorld
+from roboassembly.solvers.blocking import BlockingGraphs, Parts
+from roboassembly.task.rules.connections import Rules
+from roboassembly.task.rules.groups import Group, body, center_of_mass, hull_points
+
+Motions = tuple[SE3, ...]
+"""Successive motions of a sub-assembly from its place, in the furniture's frame; the first is the identity."""
+_MARGIN = 0.1
+"""Distance between sub-assemblies that have come apart [m]."""
+
+
+@dataclass(frozen=True)
+class _Stuck:
+    """Two sub-assemblies for which no way was found."""
+
+    one: Parts
+    other: Parts
+    budget: int
+    """States that the planner had."""
+
+    def holds(self, one: Parts, other: Parts) -> bool:
+        """Return whether two sub-assemblies contain these two."""
+        return (self.one <= one and self.other <= other) or (self.one <= other and self.other <= one)
+
+
+class Exits:
+    """Ways out among the sub-assemblies of one piece of furniture.
+
+    Args:
+        rules: rules about pairs of the furniture.
+        graphs: blocking graphs of the furniture.
+        seed: seed of the planner.
+    """
+
+    def __init__(self, rules: Rules, graphs: BlockingGraphs, seed: int) -> None:
+        self._furniture: Furniture = rules.furniture
+        self._rules = rules
+        self._graphs = graphs
+        self._seed = seed
+        self._ways: dict[tuple[Parts, Parts], Motions] = {}
+        self._stuck: list[_Stuck] = []
+        self.states = 0
+        """Configurations tested for collision so far."""
+
+    def separable(self, one: Parts, other: Parts, budget: int) -> bool:
+        """Return whether a way of one of two sub-assemblies out of the other one is found.
+
+        Args:
+            one: slots of a sub-assembly.
+            other: slots of a sub-assembly that touches it.
+            budget: states that the planner may test.
+        """
+        moving, still = sorted((one, other), key=lambda parts: (len(parts), sorted(parts)))
+        if (moving, still) in self._ways:
+            return True
+        if any(stuck.budget >= budget and stuck.holds(moving, still) for stuck in self._stuck):
+            return False
+        if self._leaves_straight(moving, still):
+            self._ways[moving, still] = ()
+            return True
+        # What touches the moving part decides in most cases, and holds it in many larger sub-assemblies, too.
+        touching = still & frozenset[int]().union(*(self._furniture.neighbours[p] for p in moving))
+        if touching != still and not self.separable(moving, touching, budget):
+            return False
+        motions = self._planned(moving, still, budget)
+        if motions is None:
+            self._stuck.append(_Stuck(moving, still, budget))
+            return False
+        self._ways[moving, still] = motions
+        return True
+
+    def motions(self, moving: Parts, waiting: Parts) -> Motions:
+        """Return the motions that take one sub-assembly out of another; empty if none are known, or straight ones."""
+        if (moving, waiting) in self._ways:
+            return self._ways[moving, waiting]
+        return tuple(motion.inverse() for motion in self._ways.get((waiting, moving), ()))
+
+    def _leaves_straight(self, moving: Parts, still: Parts) -> bool:
+        """Return whether a sub-assembly moves straight out along one of the graphs' directions."""
+        return any(
+            not any(arcs[p] & still for p in moving) and self._graphs.leaves(moving, still, index)
+            for index, arcs in enumerate(self._graphs.arcs)
+        )
+
+    def _planned(self, moving: Parts, still: Parts, budget: int) -> Motions | None:
+        """Plan a way, with nothing there but the two sub-assemblies; None if the planner finds none."""
+        u_group, v_group, merged = (self._group(parts) for parts in (moving, still, moving | still))
+        origin = center_of_mass(self._furniture, u_group)
+        size = float(np.linalg.norm(hull_points(self._furniture, merged) - origin, axis=1).max())
+        # The planner stays above the height 0, so there is room below, too.
+        lift = SE3(np.eye(3), np.array([0.0, 0.0, 3.0 * size + _MARGIN]))
+        mover = body(self._furniture, u_group.moved_to(lift), "moving", origin=origin, moves=True)
+        world = CollisionWorld(Scene((mover, body(self._furniture, v_group.moved_to(lift), "waiting")), ground=False))
+        motions = self._known(moving, still, world, mover.pose, lift)
+        if motions is None:
+            aside = SE3(np.eye(3), np.array([2.0 * size + _MARGIN, 0.0, 0.0]))
+            problem = MatingProblem(
+                start=aside * mover.pose,
+                goal=mover.pose,
+                partner="waiting",
+                retreats=tuple(self._rules.retreats(u_group, v_group, merged, np.eye(3))),
+            )
+            path = plan_mating(world, problem, Budget(budget), self._seed_of(moving, still)).path
+            motions = tuple(lift.actInv(pose * mover.pose.inverse() * lift) for pose in reversed(path)) or None
+        self.states += world.states
+        return motions
+
+    def _known(self, moving: Parts, still: Parts, world: CollisionWorld, placed: SE3, lift: SE3) -> Motions | None:
+        """Return a way of other sub-assemblies that is free for these, too; None if there is none.
+
+        Args:
+            moving: slots that move.
+            still: slots that stay.
+            world: collision checks of the two.
+            placed: pose of the moving body in its place.
+            lift: pose of both sub-assemblies in the world.
+        """
+        for (other, around), motions in self._ways.items():
+            if motions and (other == moving or (other >= moving and around >= still)):
+                poses = [lift * motion * lift.actInv(placed) for motion in motions]
+                if all(world.edge_is_free(a, b) for a, b in pairwise(poses)):
+                    return motions
+        return None
+
+    def _group(self, parts: Parts) -> Group:
+        """Return parts in their slots as a group, in the furniture's frame."""
+        own = tuple(sorted(parts))
+        return Group(own, own, tuple(self._furniture.assembled[p] for p in own), SE3.Identity())
+
+    def _seed_of(self, moving: Parts, still: Parts) -> int:
+        """Return the planner's seed for two sub-assemblies; it does not depend on what was planned before."""
+        text = repr((sorted(moving), sorted(still)))
+        return int(np.random.SeedSequence([self._seed, zlib.crc32(text.encode())]).generate_state(1)[0])
