@@ -142,9 +142,11 @@ class BlockingGraphs:
         Smaller sets come first, of one size those that move up. The sets and their complements need not be connected.
         """
         up = (-self.directions[:, 2].round(3)).tolist()
-        for _, alike in groupby(sorted(range(len(up)), key=up.__getitem__), key=up.__getitem__):
-            tested = [(part, index) for index in alike for part in _bits(among) if not self._arcs[index][part] & among]
-            yield from ((1 << part, index) for part, index in sorted(tested) if 1 << part != among)
+        parts = _bits(among)
+        for _, same in groupby(sorted(range(len(up)), key=up.__getitem__), key=up.__getitem__):
+            alike = list(same)
+            for part in parts if len(parts) > 1 else ():
+                yield from ((1 << part, index) for index in alike if not self._arcs[index][part] & among)
         if among not in self._known_candidates:
             found = [
                 (closed, index)

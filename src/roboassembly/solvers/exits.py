@@ -13,15 +13,16 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+from jaxtyping import Float
 
 from roboassembly.furniture.model import Furniture
-from roboassembly.geometry.poses import SE3
+from roboassembly.geometry.poses import SE3, align_axis
 from roboassembly.geometry.scene import Scene
 from roboassembly.planning.mating import MatingProblem, plan_mating
 from roboassembly.planning.problem import Budget
 from roboassembly.planning.world import CollisionWorld
 from roboassembly.solvers.blocking import BlockingGraphs, Parts
-from roboassembly.task.rules.connections import Rules
+from roboassembly.task.rules.connections import UP_AXES, Rules
 from roboassembly.task.rules.groups import Group, body, center_of_mass, hull_points
 
 Motions = tuple[SE3, ...]
@@ -71,7 +72,7 @@ class Exits:
             other: slots of a sub-assembly that touches it.
             budget: states that the planner may test.
         """
-        moving, still = sorted((one, other), key=lambda parts: (len(parts), sorted(parts)))
+        moving, still = sorted((one, other), key=lambda parts: (len(parts), self._volume(parts), sorted(parts)))
         if (moving, still) in self._ways:
             return True
         if any(stuck.budget >= budget and stuck.holds(moving, still) for stuck in self._stuck):
@@ -96,31 +97,53 @@ class Exits:
             return self._ways[moving, waiting]
         return tuple(motion.inverse() for motion in self._ways.get((waiting, moving), ()))
 
+    def _volume(self, parts: Parts) -> float:
+        return sum(self._furniture.parts[p].mesh.volume for p in sorted(parts))
+
     def _leaves_straight(self, moving: Parts, still: Parts) -> bool:
         """Return whether a sub-assembly moves straight out along one of the graphs' directions."""
-        return any(
-            not any(arcs[p] & still for p in moving) and self._graphs.leaves(moving, still, index)
-            for index, arcs in enumerate(self._graphs.arcs)
-        )
+        return any(self._graphs.leaves(moving, still, index) for index in self._open(moving, still))
+
+    def _open(self, moving: Parts, still: Parts) -> list[int]:
+        """Return the indices of the directions along which nothing that touches a sub-assembly blocks it."""
+        return [i for i, arcs in enumerate(self._graphs.arcs) if not any(arcs[p] & still for p in moving)]
 
     def _planned(self, moving: Parts, still: Parts, budget: int) -> Motions | None:
-        """Plan a way, with nothing there but the two sub-assemblies; None if the planner finds none."""
+        """Plan a way, with nothing there but the two sub-assemblies; None if the planner finds none.
+
+        Retreats end upward, so they are tried with each axis up before the tree search, as long as they cost less.
+        """
+        begun = self.states
+        for up in UP_AXES:
+            if self.states - begun > budget // 2:
+                break
+            motions = self._planned_upright(moving, still, align_axis(up, UP_AXES[0]), 0)
+            if motions is not None:
+                return motions
+        return self._planned_upright(moving, still, np.eye(3), budget)
+
+    def _planned_upright(
+        self, moving: Parts, still: Parts, turn: Float[np.ndarray, "3 3"], budget: int
+    ) -> Motions | None:
+        """Plan a way with `world_from_furniture` turned as given; without states by retreats and known ways alone."""
         u_group, v_group, merged = (self._group(parts) for parts in (moving, still, moving | still))
         origin = center_of_mass(self._furniture, u_group)
         size = float(np.linalg.norm(hull_points(self._furniture, merged) - origin, axis=1).max())
         # The planner stays above the height 0, so there is room below, too.
-        lift = SE3(np.eye(3), np.array([0.0, 0.0, 3.0 * size + _MARGIN]))
+        lift = SE3(turn, np.array([0.0, 0.0, 3.0 * size + _MARGIN]) - turn @ origin)
         mover = body(self._furniture, u_group.moved_to(lift), "moving", origin=origin, moves=True)
-        world = CollisionWorld(Scene((mover, body(self._furniture, v_group.moved_to(lift), "waiting")), ground=False))
+        scene = Scene((mover, body(self._furniture, v_group.moved_to(lift), "waiting")), ground=False)
+        world = CollisionWorld(scene, box_axes=turn)
         motions = self._known(moving, still, world, mover.pose, lift)
         if motions is None:
             aside = SE3(np.eye(3), np.array([2.0 * size + _MARGIN, 0.0, 0.0]))
-            problem = MatingProblem(
-                start=aside * mover.pose,
-                goal=mover.pose,
-                partner="waiting",
-                retreats=tuple(self._rules.retreats(u_group, v_group, merged, np.eye(3))),
+            retreats = (
+                *self._rules.retreats(u_group, v_group, merged, turn),
+                *self._graphs.directions[self._open(moving, still)],
             )
+            problem = MatingProblem(
+                start=aside * mover.pose, goal=mover.pose, partner="waiting", retreats=tuple(turn @ d for d in retreats)
+            )  # fmt: skip
             path = plan_mating(world, problem, Budget(budget), self._seed_of(moving, still)).path
             motions = tuple(lift.actInv(pose * mover.pose.inverse() * lift) for pose in reversed(path)) or None
         self.states += world.states
