@@ -16,7 +16,7 @@ from roboassembly.geometry.poses import SE3
 from roboassembly.geometry.scene import Scene
 from roboassembly.solvers.blocking import BlockingGraphs
 from roboassembly.solvers.disassembly import Disassembly
-from roboassembly.solvers.exits import Exits
+from roboassembly.solvers.exits import ExitPlanner
 from roboassembly.solvers.options import upright
 from roboassembly.solvers.search import solve
 from roboassembly.task.object_centric.task import ObjectCentricTask, ObjectCentricVerdict
@@ -43,8 +43,8 @@ def cased(opening: float) -> Furniture:
     return shapes.furniture("cased", parts)
 
 
-def exits_of(furniture: Furniture) -> Exits:
-    return Exits(Rules(furniture), BlockingGraphs(furniture), 0)
+def exits_of(furniture: Furniture) -> ExitPlanner:
+    return ExitPlanner(Rules(furniture), BlockingGraphs(furniture), 0)
 
 
 def parts(*of: int) -> frozenset[int]:

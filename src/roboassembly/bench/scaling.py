@@ -41,7 +41,7 @@ _LIMITED: dict[ModuleType, tuple[str, ...]] = {
 
 def shelf(parts: int) -> Design:
     """Return an open shelf: two sides, two bars and otherwise boards."""
-    return OpenShelf(height=_PITCH * (parts - 4), shelves=parts - 4, bars=2)
+    return _design(OpenShelf, height=_PITCH * (parts - 4), shelves=parts - 4, bars=2)
 
 
 def lattice(parts: int) -> Design:
@@ -49,7 +49,12 @@ def lattice(parts: int) -> Design:
     bays = (parts - 3) // 7
     long = [RailRow(i, j, "x", 2, 4, "none") for i in range(bays) for j in (0, 1)]
     across = [RailRow(i, 0, "y", 1, 1, "none") for i in range(bays + 1)]
-    return Lattice(posts=(bays + 1, 2), rows=(*long, *across), top=False, base=False)
+    return _design(Lattice, posts=(bays + 1, 2), rows=(*long, *across), top=False, base=False)
+
+
+def _design(family: type[Design], **values: Any) -> Design:
+    """Return the catalogue model of a family with some values of its own."""
+    return family(**values)
 
 
 SERIES: dict[str, tuple[Callable[[int], Design], Sequence[int]]] = {

@@ -192,7 +192,7 @@ class CollisionWorld(ExactChecks):
         low = np.minimum.reduceat(turned, self._starts, axis=0)[:, None]
         high = np.maximum.reduceat(turned, self._starts, axis=0)[:, None]
         # A shape inside another has its box in the other's box.
-        meets = ((low <= self._still_high) & (high >= self._still_low)).all(axis=2)
+        meets = np.asarray(((low <= self._still_high) & (high >= self._still_low)).all(axis=2))
         for shape, near in zip(self._mover.shapes, meets, strict=True):
             own_vertex: Float[np.ndarray, "3"] = shape.mesh.vertices[0]
             world_from_shape = pose * shape.body_from_mesh

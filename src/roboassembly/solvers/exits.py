@@ -35,17 +35,19 @@ _MARGIN = 0.1
 class _Stuck:
     """Two sub-assemblies for which no way was found."""
 
-    one: Parts
-    other: Parts
+    u_parts: Parts
+    v_parts: Parts
     budget: int
     """States that the planner had."""
 
-    def holds(self, one: Parts, other: Parts) -> bool:
+    def contained_in(self, u_parts: Parts, v_parts: Parts) -> bool:
         """Return whether two sub-assemblies contain these two."""
-        return (self.one <= one and self.other <= other) or (self.one <= other and self.other <= one)
+        return (self.u_parts <= u_parts and self.v_parts <= v_parts) or (
+            self.u_parts <= v_parts and self.v_parts <= u_parts
+        )
 
 
-class Exits:
+class ExitPlanner:
     """Ways out among the sub-assemblies of one piece of furniture.
 
     Args:
@@ -59,26 +61,26 @@ class Exits:
         self._rules = rules
         self._graphs = graphs
         self._seed = seed
-        self._ways: dict[tuple[Parts, Parts], Motions] = {}
+        self._motions: dict[tuple[Parts, Parts], Motions] = {}
         self._stuck: list[_Stuck] = []
         self.states = 0
         """Configurations tested for collision so far."""
 
-    def separable(self, one: Parts, other: Parts, budget: int) -> bool:
+    def separable(self, u_parts: Parts, v_parts: Parts, budget: int) -> bool:
         """Return whether a way of one of two sub-assemblies out of the other one is found.
 
         Args:
-            one: slots of a sub-assembly.
-            other: slots of a sub-assembly that touches it.
+            u_parts: slots of a sub-assembly.
+            v_parts: slots of a sub-assembly that touches it.
             budget: states that the planner may test.
         """
-        moving, still = sorted((one, other), key=lambda parts: (len(parts), self._volume(parts), sorted(parts)))
-        if (moving, still) in self._ways:
+        moving, still = sorted((u_parts, v_parts), key=lambda parts: (len(parts), self._volume(parts), sorted(parts)))
+        if (moving, still) in self._motions:
             return True
-        if any(stuck.budget >= budget and stuck.holds(moving, still) for stuck in self._stuck):
+        if any(stuck.budget >= budget and stuck.contained_in(moving, still) for stuck in self._stuck):
             return False
         if self._leaves_straight(moving, still):
-            self._ways[moving, still] = ()
+            self._motions[moving, still] = ()
             return True
         # What touches the moving part decides in most cases, and holds it in many larger sub-assemblies, too.
         touching = still & frozenset[int]().union(*(self._furniture.neighbours[p] for p in moving))
@@ -88,14 +90,14 @@ class Exits:
         if motions is None:
             self._stuck.append(_Stuck(moving, still, budget))
             return False
-        self._ways[moving, still] = motions
+        self._motions[moving, still] = motions
         return True
 
     def motions(self, moving: Parts, waiting: Parts) -> Motions:
         """Return the motions that take one sub-assembly out of another; empty if none are known, or straight ones."""
-        if (moving, waiting) in self._ways:
-            return self._ways[moving, waiting]
-        return tuple(motion.inverse() for motion in self._ways.get((waiting, moving), ()))
+        if (moving, waiting) in self._motions:
+            return self._motions[moving, waiting]
+        return tuple(motion.inverse() for motion in self._motions.get((waiting, moving), ()))
 
     def _volume(self, parts: Parts) -> float:
         return sum(self._furniture.parts[p].mesh.volume for p in sorted(parts))
@@ -159,7 +161,7 @@ class Exits:
             placed: pose of the moving body in its place.
             lift: pose of both sub-assemblies in the world.
         """
-        for (other, around), motions in self._ways.items():
+        for (other, around), motions in self._motions.items():
             if motions and (other == moving or (other >= moving and around >= still)):
                 poses = [lift * motion * lift.actInv(placed) for motion in motions]
                 if all(world.edge_is_free(a, b) for a, b in pairwise(poses)):

@@ -13,7 +13,7 @@ import numpy as np
 
 from roboassembly.planning.problem import Budget
 from roboassembly.solvers.disassembly import Disassembly, Partition, Parts, Split, partition_of
-from roboassembly.solvers.exits import Exits, Motions
+from roboassembly.solvers.exits import ExitPlanner, Motions
 from roboassembly.solvers.guide import Guide
 from roboassembly.task.rules.groups import TaskState
 from roboassembly.task.setting import Outcome, Task
@@ -104,7 +104,7 @@ class SearchProgress:
 
 
 CarryOut = Callable[[State, Action, int, Budget | None, Motions], Outcome[State, AStep]]
-"""Function that plans a merge: `(state, action, seed, budget, motions)`; see `Exits.motions`."""
+"""Function that plans a merge: `(state, action, seed, budget, motions)`; see `ExitPlanner.motions`."""
 Watch = Callable[[SearchProgress], bool]
 """Callback before each attempted merge; the search stops if it returns False."""
 
@@ -146,7 +146,7 @@ class Search(Generic[State, AStep]):
 
     def __post_init__(self) -> None:
         self.disassembly = Disassembly(self.task.furniture, self.exhausted)
-        self.exits = Exits(self.task.rules, self.disassembly.graphs, self.seed)
+        self.exits = ExitPlanner(self.task.rules, self.disassembly.graphs, self.seed)
 
     def states(self) -> int:
         """Return the number of configurations tested for collision so far."""
