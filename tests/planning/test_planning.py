@@ -15,7 +15,7 @@ from roboassembly.geometry.scene import Body, Scene, Shape
 from roboassembly.planning.mating import MatingProblem, plan_mating
 from roboassembly.planning.problem import Budget, PathResult, PlanningStatus
 from roboassembly.planning.rrt import rrt_connect, shortcut
-from roboassembly.planning.world import ANGULAR_RESOLUTION, RESOLUTION, CollisionWorld
+from roboassembly.planning.world import ANGULAR_RESOLUTION, RESOLUTION, CollisionWorld, ExactChecks
 from shapes import HERE, Checker, mover, pose, still
 
 X, Y, Z = np.eye(3)
@@ -482,3 +482,19 @@ def test_shortcut_removes_needless_waypoints() -> None:
     world = CollisionWorld(Scene((still("far", shapes.box((5, 5, 5), (6, 6, 6))), mover(shapes.brick(0.1, 0.1, 0.1)))))
     zigzag = [pose(x, (-1) ** i * 0.2, 0.5) for i, x in enumerate(np.linspace(0, 1, 8))]
     assert len(shortcut(zigzag, world.edge_is_free, 0, 40)) == 2
+
+
+def test_exact_tests_among_many_shapes_leave_out_none_in_the_way() -> None:
+    """Of more than 20 still shapes only near ones are part of a test; the answers are those with all of them."""
+    rng = np.random.default_rng(3)
+    others = [still(f"p{i}", shapes.brick(0.1, 0.1, 0.1), shapes.random_pose(rng, 2.0)) for i in range(60)]
+    scene = Scene((mover(shapes.brick(0.2, 0.1, 0.05)), *others))
+    world, whole = CollisionWorld(scene, box_axes=shapes.turn((1, 2, 3), 0.4)), ExactChecks(scene)
+    hits = 0
+    for _ in range(200):
+        poses = poses_to_configurations([shapes.random_pose(rng, 2.0) for _ in range(rng.integers(1, 4))])
+        found = world.first_collision(poses)
+        assert found == whole.first_collision(poses)
+        hits += found is not None
+    assert 20 < hits < 180
+    assert world.states == whole.states

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from roboassembly.bench.baseline import BaselineBenchReport
     from roboassembly.bench.planning import PlanningBenchReport
     from roboassembly.bench.robots import RobotBenchReport
+    from roboassembly.bench.scaling import ScalingReport
 
 
 _BASELINE_SET = "chairs-880:test"
@@ -23,11 +24,12 @@ _BASELINE_SET = "chairs-880:test"
 
 @dataclass(frozen=True)
 class BenchCommand:
-    """Measure planning beside other collision checkers, and the paper's baseline."""
+    """Measure planning beside other collision checkers, the paper's baseline, and the cost of many parts."""
 
-    what: Annotated[Literal["planning", "robots", "baseline"], tyro.conf.Positional] = "planning"
+    what: Annotated[Literal["planning", "robots", "baseline", "scaling"], tyro.conf.Positional] = "planning"
     """Subject of the measurement. planning: motions of parts. robots: motions of two mobile Franka robots. baseline:
-    the paper's RRT-Connect over all parts at once, by number of parts and by clearance between them."""
+    the paper's RRT-Connect over all parts at once, by number of parts and by clearance between them. scaling: search
+    on growing shelves and frames, up to 100 parts."""
     furniture: str = "stool"
     """Piece that the robots assemble; for `robots` only."""
     chairs: int = 3
@@ -40,12 +42,16 @@ class BenchCommand:
     """Clearances between parts [mm], 0 for the parts as they are; for `baseline` only."""
     states: int = 100_000
     """Planning steps for each piece; for `baseline` only."""
+    largest: int = 100
+    """Number of parts of the largest piece; for `scaling` only."""
+    repeats: int = 3
+    """Number of searches of each piece, of which the median counts; for `scaling` only."""
     seed: int = 0
     """Random seed of the planners."""
     jobs: Jobs = CORES
     """Number of processes; for `baseline` only."""
     quick: bool = False
-    """Plan a few merges only, as a test of the installation."""
+    """Plan a few merges or pieces only, as a test of the installation."""
     json: bool = False
     """Print one JSON object on stdout and everything else on stderr."""
 
@@ -58,6 +64,8 @@ class BenchCommand:
             return self._robots()
         if self.what == "baseline":
             return self._baseline()
+        if self.what == "scaling":
+            return self._scaling()
         from roboassembly.bench.planning import PlanningBenchConfig, run_planning_bench
 
         config = PlanningBenchConfig.quick() if self.quick else PlanningBenchConfig(chairs=self.chairs)
@@ -87,7 +95,16 @@ class BenchCommand:
             )
         )  # fmt: skip
 
-    def _print_report(self, report: PlanningBenchReport | RobotBenchReport | BaselineBenchReport) -> int:
+    def _scaling(self) -> int:
+        require_at_least(1, largest=self.largest, repeats=self.repeats)
+        from roboassembly.bench.scaling import run_scaling_bench
+
+        largest, repeats = (20, 1) if self.quick else (self.largest, self.repeats)
+        return self._print_report(run_scaling_bench(largest=largest, seed=self.seed, repeats=repeats, progress=say))
+
+    def _print_report(
+        self, report: PlanningBenchReport | RobotBenchReport | BaselineBenchReport | ScalingReport
+    ) -> int:
         if self.json:
             print_json(report.to_json())
         else:

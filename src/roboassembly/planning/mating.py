@@ -46,6 +46,8 @@ class MatingProblem:
     """Name of the still body to mate with."""
     retreats: tuple[Float[np.ndarray, "3"], ...]
     """Unit vectors of the world along which the contacts at the goal separate, best first."""
+    exit: tuple[SE3, ...] = ()
+    """Poses from the goal outward along a way out of the partner that may be free; empty if none is known."""
 
 
 def plan_mating(world: CollisionWorld, problem: MatingProblem, budget: Budget, seed: int) -> PathResult:
@@ -62,6 +64,8 @@ def plan_mating(world: CollisionWorld, problem: MatingProblem, budget: Budget, s
     sky = world.top + world.radius + SKY_CLEARANCE
     leave = _rise(world, problem.start, sky, [UP, *_around()], problem.partner)
     arrive = _rise(world, problem.goal, sky, distinct_directions(problem.retreats), problem.partner)
+    if arrive is None:
+        arrive = _rise_after(world, problem, sky)
     if leave is not None and arrive is not None and world.edge_is_free(leave[-1], arrive[-1]):
         return result(PlanningStatus.SOLVED, [*leave, *reversed(arrive)])
     if world.states - first_state >= budget.states:
@@ -129,6 +133,17 @@ def _rise(
             for rest in _second_segments(world, aside, d, sky, partner):
                 if all(world.edge_is_free(a, b) for a, b in zip([aside, *rest[:-1]], rest, strict=True)):
                     return [pose, aside, *rest]
+    return None
+
+
+def _rise_after(world: CollisionWorld, problem: MatingProblem, sky: float) -> list[SE3] | None:
+    """Return way-points along the start of `problem.exit` and from there to the height `sky`; None if blocked."""
+    for count in range(1, len(problem.exit)):
+        if not world.edge_is_free(problem.exit[count - 1], problem.exit[count]):
+            return None
+        rise = _rise(world, problem.exit[count], sky, [UP, *problem.retreats], problem.partner)
+        if rise is not None:
+            return [*problem.exit[:count], *rise]
     return None
 
 

@@ -8,6 +8,7 @@ state.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cached_property
 
 import coal
@@ -26,6 +27,10 @@ ANGULAR_RESOLUTION = np.deg2rad(1.0)
 """Largest rotation of the body between two exact tests [rad]."""
 _STRETCH = 0.03
 """Approximate length of the stretches for box tests, after the test of the whole edge has failed [m]."""
+_FEW = 20
+"""Number of still shapes up to which all are part of every exact test; of more, only those that may be in the way."""
+_ENLARGED = 3
+"""Number of times that the shapes of exact tests become more before all are taken."""
 GROUND = (200.0, 200.0, 1.0)
 """Dimensions of the box that models the ground [m]."""
 WORLD_FROM_GROUND = SE3(np.eye(3), np.array([0.0, 0.0, -0.5 * GROUND[2]]))
@@ -90,10 +95,15 @@ class ExactChecks:
 
     def first_collision(self, configurations: Float[np.ndarray, "q n"]) -> int | None:
         """Return the index of the first configuration in collision by exact tests; None if all are free."""
-        hits = pin.computeCollisionsInParallel(1, self._pool, np.asfortranarray(configurations), True, True)
+        pool = self._pool_for(configurations)
+        hits = pin.computeCollisionsInParallel(1, pool, np.asfortranarray(configurations), True, True)
         first = int(np.argmax(hits)) if hits.any() else None
         self.states += configurations.shape[1] if first is None else first + 1
         return first
+
+    def _pool_for(self, configurations: Float[np.ndarray, "q n"]) -> Pool:
+        """Return geometry with everything that the configurations may collide with."""
+        return self._pool
 
 
 class CollisionWorld(ExactChecks):
@@ -128,6 +138,9 @@ class CollisionWorld(ExactChecks):
         turned = [points @ self._axes for points in corners]
         self._still_low = np.array([p.min(axis=0) for p in turned]).reshape(-1, 3)
         self._still_high = np.array([p.max(axis=0) for p in turned]).reshape(-1, 3)
+        self._near = np.full(len(placed), len(placed) <= _FEW)
+        self._near_pool: Pool | None = None
+        self._enlarged = 0
         self.top = max([0.0, *(float(points[:, 2].max()) for points in corners)])
         """Height of the highest still point [m]."""
         self._hulls = [shape.mesh.hull_vertices @ shape.body_from_mesh.rotation.T + shape.body_from_mesh.translation
@@ -145,15 +158,46 @@ class CollisionWorld(ExactChecks):
         """Return whether one pose of the moving body is free, by an exact test that also finds parts inside others."""
         return self.first_collision(poses_to_configurations([pose])) is None and not self._nested(pose)
 
+    def _pool_for(self, configurations: Float[np.ndarray, "q n"]) -> Pool:
+        if self._near.all():
+            return self._pool
+        place = configurations[:3].T @ self._axes
+        low, high = place.min(axis=0) - self.radius, place.max(axis=0) + self.radius
+        needed = ((low <= self._still_high) & (high >= self._still_low)).all(axis=1)
+        if self._near_pool is None or (needed & ~self._near).any():
+            self._near |= needed
+            self._enlarged += 1
+            if self._enlarged > _ENLARGED or self._near.all():
+                self._near[:] = True
+                return self._pool
+            self._near_pool = collision_pool(self._scene_of(self._near))
+        return self._near_pool
+
+    def _scene_of(self, kept: Bool[np.ndarray, "s"]) -> Scene:
+        """Return the scene with some of the still shapes only."""
+        left = iter(kept.tolist())
+        bodies = (
+            b if b.moves else replace(b, shapes=tuple(s for s in b.shapes if next(left))) for b in self._scene.bodies
+        )
+        return Scene(tuple(bodies), self._scene.ground)
+
     def _nested(self, pose: SE3) -> bool:
         """Return whether a shape lies inside another whose surface it does not meet.
 
         Edges need no such test, since a shape has to pass the surface to get in.
         """
-        for shape in self._mover.shapes:
+        if not self._still:
+            return False
+        turned = self.points @ (self._axes.T @ pose.rotation).T + pose.translation @ self._axes
+        low = np.minimum.reduceat(turned, self._starts, axis=0)[:, None]
+        high = np.maximum.reduceat(turned, self._starts, axis=0)[:, None]
+        # A shape inside another has its box in the other's box.
+        meets = np.asarray(((low <= self._still_high) & (high >= self._still_low)).all(axis=2))
+        for shape, near in zip(self._mover.shapes, meets, strict=True):
             own_vertex: Float[np.ndarray, "3"] = shape.mesh.vertices[0]
             world_from_shape = pose * shape.body_from_mesh
-            for world_from_still, still in self._still:
+            for index in np.flatnonzero(near).tolist():
+                world_from_still, still = self._still[index]
                 still_from_shape = world_from_still.actInv(world_from_shape)
                 still_vertex: Float[np.ndarray, "3"] = still.vertices[0]
                 if still.contains(still_from_shape.act(own_vertex)):

@@ -9,12 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from functools import cached_property
+from itertools import groupby
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from roboassembly.furniture.model import Furniture
-from roboassembly.geometry.poses import SE3, poses_to_configurations
+from roboassembly.geometry.poses import SE3, poses_to_configurations, transform_points
 from roboassembly.geometry.scene import Body, Scene, Shape
 from roboassembly.planning.world import CollisionWorld
 from roboassembly.task.rules.connections import UP_AXES
@@ -23,6 +24,8 @@ _SAMPLES = (0.0015, 0.004, 0.01)
 """Test displacements [m]: larger than the clearance of any connection, smaller than its depth."""
 _TOWARD, _AWAY = 0.3, -0.95
 """Cosines with a contact's normal above and below which no test is needed: into the mate, away from it."""
+_BEYOND = 0.005
+"""Travel of a part beyond the point where it is clear of another one [m]."""
 _SAME = 0.9998
 """Cosine above which two directions count as equal: 1.1°, the tolerance of a 20 mm tenon with 0.4 mm of play."""
 
@@ -39,6 +42,7 @@ class BlockingGraphs:
         """Configurations tested for collision so far."""
         self._worlds: dict[tuple[int, int], CollisionWorld] = {}
         self._known_candidates: dict[int, list[tuple[int, int]]] = {}
+        self._clear_of: dict[tuple[int, int], tuple[Bool[np.ndarray, "n"], Bool[np.ndarray, "n"]]] = {}
         self._lowest: dict[Parts, Float[np.ndarray, "6"]] = {}
 
     @cached_property
@@ -119,34 +123,42 @@ class BlockingGraphs:
                 and no other parts present.
             whole: groups that must not be split.
         """
-        kept = [_mask(group) for group in whole]
+        kept = [_mask(group) for group in whole if len(group) > 1]
         everything = _mask(among)
         given: set[int] = set()
         for closed, direction in self._candidates(everything):
             if closed in given or everything - closed in given or any(0 != g & closed != g for g in kept):
+                continue
+            if not (self._whole(closed) and self._whole(everything - closed)):
                 continue
             if straight and not self._leaves(closed, everything - closed, direction):
                 continue
             given.add(closed)
             yield frozenset(_bits(closed))
 
-    def _candidates(self, among: int) -> list[tuple[int, int]]:
-        """Return for every part and direction the smallest closed set with that part, and the direction's index."""
+    def _candidates(self, among: int) -> Iterator[tuple[int, int]]:
+        """Yield for every part and direction the smallest closed set with that part, and the direction's index.
+
+        Smaller sets come first, of one size those that move up. The sets and their complements need not be connected.
+        """
+        up = (-self.directions[:, 2].round(3)).tolist()
+        parts = _bits(among)
+        for _, same in groupby(sorted(range(len(up)), key=up.__getitem__), key=up.__getitem__):
+            alike = list(same)
+            for part in parts if len(parts) > 1 else ():
+                yield from ((1 << part, index) for index in alike if not self._arcs[index][part] & among)
         if among not in self._known_candidates:
-            directions_of: dict[int, list[int]] = {}
-            for index, arcs in enumerate(self._arcs):
-                for closed in {_closure(1 << part, arcs, among) for part in _bits(among)}:
-                    directions_of.setdefault(closed, []).append(index)
             found = [
                 (closed, index)
-                for closed, indices in directions_of.items()
-                if closed != among and self._whole(closed) and self._whole(among - closed)
-                for index in indices
+                for index, arcs in enumerate(self._arcs)
+                for closed in _closures(arcs, among)
+                if closed != among and closed & (closed - 1)
             ]
-            up = self.directions[:, 2].round(3)
-            found.sort(key=lambda item: (item[0].bit_count(), -up[item[1]], _bits(item[0])))
+            digits = len(self._furniture.parts)
+            # Sets of one size are in the order of their parts: their masks read from the lowest bit are decreasing.
+            found.sort(key=lambda item: (item[0].bit_count(), up[item[1]], -int(f"{item[0]:0{digits}b}"[::-1], 2)))
             self._known_candidates[among] = found
-        return self._known_candidates[among]
+        yield from self._known_candidates[among]
 
     @cached_property
     def _arcs(self) -> list[list[int]]:
@@ -169,11 +181,42 @@ class BlockingGraphs:
         # Neighbours come first: they are most likely to block.
         unknown.sort(key=lambda pair: (not self._near[pair[0]] >> pair[1] & 1, pair))
         for p, q in unknown:
-            passes = self._try_to_pass(p, q, self.directions[direction])
+            passes = self._boxes_pass(p, q, direction) or self._try_to_pass(p, q, self.directions[direction])
             (free if passes else blocked)[p] |= 1 << q
             if not passes:
                 return False
         return True
+
+    def _boxes_pass(self, p: int, q: int, direction: int) -> bool:
+        """Return whether the box around `p`, on its way out along a direction, stays clear of the box around `q`."""
+        if (p, direction) not in self._clear_of:
+            self._clear_of[p, direction] = self._clear_boxes(p, self.directions[direction])
+        away, aside = self._clear_of[p, direction]
+        # Of the box tests that planning counts as states, there is one unless the boxes are out of each other's way.
+        self.states += bool(aside[q] and not away[q])
+        return bool(aside[q])
+
+    def _clear_boxes(self, p: int, d: Float[np.ndarray, "3"]) -> tuple[Bool[np.ndarray, "n"], Bool[np.ndarray, "n"]]:
+        """Return of which boxes the box around `p` is clear as it leaves along `d`: without motion, and on the way."""
+        low, high = self._boxes
+        with np.errstate(divide="ignore", invalid="ignore"):
+            forward, backward = (high - low[p]) / d, (low - high[p]) / d
+        leave = np.where(d > 1e-9, forward, np.where(d < -1e-9, backward, np.inf))
+        separate = ((low[p] > high) | (high[p] < low)) & (np.abs(d) <= 1e-9)
+        distance = np.where(separate.any(axis=1), 0.0, np.maximum(leave.min(axis=1), 0.0))
+        way = (distance + _BEYOND)[:, None] * d
+        swept_low, swept_high = low[p] + np.minimum(way, 0.0), high[p] + np.maximum(way, 0.0)
+        away = distance == 0.0
+        return away, away | ~((swept_low <= high) & (swept_high >= low)).all(axis=1)
+
+    @cached_property
+    def _boxes(self) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
+        """Lowest and highest corners of the boxes around the parts, furniture frame [m]."""
+        f = self._furniture
+        corners = [
+            transform_points(slot, part.mesh.hull_vertices) for slot, part in zip(f.assembled, f.parts, strict=True)
+        ]
+        return np.array([c.min(axis=0) for c in corners]), np.array([c.max(axis=0) for c in corners])
 
     @cached_property
     def _near(self) -> list[int]:
@@ -201,7 +244,7 @@ class BlockingGraphs:
         world = self._worlds[p, q]
         before = world.states
         clear = world.distance_to_clear(SE3.Identity(), d, "rest")
-        free = clear == 0.0 or world.edge_is_free(SE3.Identity(), SE3(np.eye(3), (clear + 0.005) * d))
+        free = clear == 0.0 or world.edge_is_free(SE3.Identity(), SE3(np.eye(3), (clear + _BEYOND) * d))
         self.states += world.states - before
         return free
 
@@ -247,3 +290,45 @@ def _closure(parts: int, arcs: Sequence[int], among: int) -> int:
         closed |= new
         fresh = (fresh - lowest) | new
     return closed
+
+
+def _closures(arcs: Sequence[int], among: int) -> list[int]:
+    """Return the distinct closures of the single parts of `among`, by Tarjan's strongly connected components."""
+    order: dict[int, int] = {}
+    low: dict[int, int] = {}
+    closure: dict[int, int] = {}
+    path: list[int] = []
+    found: dict[int, None] = {}
+    for root in _bits(among):
+        if root in order:
+            continue
+        order[root] = low[root] = len(order)
+        path.append(root)
+        work = [(root, arcs[root] & among)]
+        while work:
+            part, left = work.pop()
+            while left:
+                lowest = left & -left
+                left -= lowest
+                other = lowest.bit_length() - 1
+                if other not in order:
+                    work.append((part, left))
+                    order[other] = low[other] = len(order)
+                    path.append(other)
+                    part, left = other, arcs[other] & among
+                elif other not in closure:
+                    low[part] = min(low[part], order[other])
+            if low[part] == order[part]:
+                start = path.index(part)
+                closed = 0
+                for member in path[start:]:
+                    closed |= 1 << member
+                    for other in _bits(arcs[member] & among):
+                        closed |= closure.get(other, 0)
+                closure.update(dict.fromkeys(path[start:], closed))
+                del path[start:]
+                found[closed] = None
+            if work:
+                parent = work[-1][0]
+                low[parent] = min(low[parent], low[part])
+    return list(found)

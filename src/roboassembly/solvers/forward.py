@@ -13,6 +13,7 @@ import numpy as np
 
 from roboassembly.planning.problem import Budget
 from roboassembly.solvers.disassembly import Disassembly, Partition, Parts, Split, partition_of
+from roboassembly.solvers.exits import ExitPlanner, Motions
 from roboassembly.solvers.guide import Guide
 from roboassembly.task.rules.groups import TaskState
 from roboassembly.task.setting import Outcome, Task
@@ -77,6 +78,9 @@ class Round:
     """Budget of each merge; the task's own if None. Without states the planner tries retreats only."""
     first: Budget | None = None
     """Smaller budget with which all actions of a merge are tried first; None to try each once."""
+    exits: int | None = None
+    """States with which the way of one sub-assembly out of the other is planned for each split of an order, before any
+    of its merges is tried; None to use splits without."""
 
 
 Options = Callable[[Disassembly, State, TaskState, Parts, Parts, bool], Iterable[Action]]
@@ -99,6 +103,8 @@ class SearchProgress:
     """Configurations tested for collision so far."""
 
 
+CarryOut = Callable[[State, Action, int, Budget | None, Motions], Outcome[State, AStep]]
+"""Function that plans a merge: `(state, action, seed, budget, motions)`; see `ExitPlanner.motions`."""
 Watch = Callable[[SearchProgress], bool]
 """Callback before each attempted merge; the search stops if it returns False."""
 
@@ -121,6 +127,8 @@ class Search(Generic[State, AStep]):
     refused: set[frozenset[Parts]] = field(default_factory=set[frozenset[Parts]])
     """Splits for which no action could be planned."""
     watch: Watch | None = None
+    carry_out: CarryOut[State, AStep] | None = None
+    """Function that plans the merges, if they can use motions out of each other; the task's `step` otherwise."""
     dead: set[frozenset[Parts]] = field(default_factory=set[frozenset[Parts]])
     """Partitions from which the search failed."""
     steps: list[tuple[AStep, State]] = field(default_factory=list[tuple[AStep, State]])
@@ -138,10 +146,11 @@ class Search(Generic[State, AStep]):
 
     def __post_init__(self) -> None:
         self.disassembly = Disassembly(self.task.furniture, self.exhausted)
+        self.exits = ExitPlanner(self.task.rules, self.disassembly.graphs, self.seed)
 
     def states(self) -> int:
         """Return the number of configurations tested for collision so far."""
-        return self.planning_steps + self.disassembly.graphs.states
+        return self.planning_steps + self.disassembly.graphs.states + self.exits.states
 
     def exhausted(self) -> bool:
         """Return whether the limits are reached or the search was stopped."""
@@ -237,13 +246,16 @@ class Search(Generic[State, AStep]):
     def merge(self, state: State, assigned: TaskState, leaving: Parts, staying: Parts) -> State | None:
         """Try the actions that join two groups, the most promising first; returns the state after, None if all fail."""
         actions = self.options(self.disassembly, state, assigned, leaving, staying, self.round.straight)
+        group_of = self.task.groups_of(state).group_of
         # Another action often works where the first few ways to carry one out do not.
         for budget in (self.round.budget,) if self.round.first is None else (self.round.first, self.round.budget):
             left: list[Action] = []
             for action in actions:
                 if self.exhausted():
                     return None
-                outcome = self.attempt(state, action, budget)
+                roles = (assigned.groups[group_of[part]] for part in action[:2])
+                motions = self.exits.motions(*(frozenset(group.slots) for group in roles))
+                outcome = self.attempt(state, action, budget, motions)
                 if outcome is None:
                     return None
                 if outcome.step is None:
@@ -257,13 +269,19 @@ class Search(Generic[State, AStep]):
             actions = left
         return None
 
-    def attempt(self, state: State, action: Action, budget: Budget | None) -> Outcome[State, AStep] | None:
+    def attempt(
+        self, state: State, action: Action, budget: Budget | None, motions: Motions = ()
+    ) -> Outcome[State, AStep] | None:
         """Plan one merge and append its step to `steps` if it succeeds; returns None if the search is stopped."""
         if self.watch is not None and not self.watch(SearchProgress(len(self.steps), self.attempts, self.states())):
             self.stopped = True
             return None
         self.attempts += 1
-        outcome = self.task.step(state, action, planner_seed(self.seed, action), budget)
+        seed = planner_seed(self.seed, action)
+        if self.carry_out is None:
+            outcome = self.task.step(state, action, seed, budget)
+        else:
+            outcome = self.carry_out(state, action, seed, budget, motions)
         self.planning_steps += outcome.planning_steps
         self.planning_seconds += outcome.planning_seconds
         self.verdicts[outcome.verdict] = self.verdicts.get(outcome.verdict, 0) + 1
@@ -274,9 +292,22 @@ class Search(Generic[State, AStep]):
     def reasoned(self, partition: Partition, rejected: set[frozenset[Parts]]) -> list[Split] | None:
         """Return an order of merges from a partition; its time counts as planning."""
         begun = time.perf_counter()
-        order = self.disassembly.order(partition, rejected, self.round.straight, self.round.exhaustive)
+        rejected = set(rejected)
+        while True:
+            order = self.disassembly.order(partition, rejected, self.round.straight, self.round.exhaustive)
+            stuck = self.first_stuck(order or ())
+            if stuck is None:
+                break
+            rejected.add(frozenset(stuck))
         self.planning_seconds += time.perf_counter() - begun
         return order
+
+    def first_stuck(self, order: Sequence[Split]) -> Split | None:
+        """Return the first split, as the furniture comes apart, for which no way out is found; None if all have one."""
+        budget = self.round.exits
+        if budget is None:
+            return None
+        return next((split for split in reversed(order) if not self.exits.separable(*split, budget)), None)
 
     def run(self, state: State, rounds: Sequence[Round], guide: Guide[State] | None) -> bool:
         """Run the whole search, the guide first; returns whether `steps` assembles the furniture."""

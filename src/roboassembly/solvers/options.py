@@ -24,6 +24,9 @@ if TYPE_CHECKING:
 
 _HOPELESS = -0.5
 """Score below which the first round skips an action: it would end in the ground or approach from below."""
+_SUNK = 0.005
+"""Depth below the waiting group's lowest point at which the moving one certainly ends in the ground: more than the
+clearance between ground and waiting group, and than what equal parts differ by [m]."""
 _ARMS = 8
 """Number of actions tried per pair of groups that pass all tests without arms."""
 Action = tuple[int, ...]
@@ -63,7 +66,7 @@ def ends(
 def upright(
     disassembly: Disassembly, state: TaskState, assigned: TaskState, leaving: Parts, staying: Parts, straight: bool
 ) -> list[Action]:
-    """Return actions `(u, v, k, l, w)`: exits that rise most come first, those that end in the ground last.
+    """Return actions `(u, v, k, l, w)`: exits that rise most come first; those that end in the ground are left out.
 
     Args:
         disassembly: disassembly of the furniture.
@@ -83,6 +86,8 @@ def upright(
         directions = disassembly.exits(moving, waiting)
         low_moving, low_waiting = disassembly.graphs.lowest(moving), disassembly.graphs.lowest(waiting)
         for w, up in enumerate(UP_AXES):
+            if low_moving[w] < low_waiting[w] - _SUNK:
+                continue
             rise = max((float(d @ up) for d in directions), default=0.0)
             sinks = low_moving[w] < low_waiting[w] - 1e-3
             score = rise - 3.0 * sinks - 0.2 * (len(moving) > len(waiting))

@@ -31,6 +31,14 @@ ROUNDS = (
     Round(False, False, Budget(states=4_000)),
     Round(False, True, Budget(states=20_000)),
 )
+_STAGES = (
+    ROUNDS[0],
+    *(
+        Round(False, exhaustive, Budget(states=states), first=Budget(states=0), exits=states)
+        for exhaustive, states in ((False, 1_000), (False, 4_000), (True, 20_000))
+    ),
+    *ROUNDS[1:],
+)
 _SAME_SLOTS = "two groups need the same place in the furniture"
 
 
@@ -68,7 +76,7 @@ def solve_from(
     if task.pairs.assign_slots(initial) is None:
         nothing = Plan(task.furniture, initial.part_poses, (), False, seed)
         return SearchResult(nothing, 0, 0.0, 0, 0, _SAME_SLOTS)
-    search = Search(task, upright, limits, seed, ROUNDS[0], watch=watch)
-    success = search.run(initial, ROUNDS, guide)
+    search = Search(task, upright, limits, seed, _STAGES[0], watch=watch, carry_out=task.step)
+    success = search.run(initial, _STAGES, guide)
     steps = tuple(step for step, _ in search.steps)
     return search.result(Plan(task.furniture, initial.part_poses, steps, success, seed), success)

@@ -15,6 +15,10 @@ GROUND_CLEARANCE = 1e-3
 """Distance between the ground and the lowest point of anything that rests on it [m]."""
 SPACING = 0.03
 """Distance between the circles around groups on the ground [m]."""
+_TOUCHING = 1e-9
+"""Overlap of circles that counts as touching [m]."""
+_AT_ONCE = 64
+"""Number of places that are tested together."""
 _CROWDING = 0.6
 """Share of the floor that the circles of all parts cover at the beginning of an episode."""
 
@@ -31,11 +35,34 @@ def free_spot(circle: Circle, occupied: Sequence[Circle], spacing: float = SPACI
     reach = np.array([c.radius for c in occupied]) + circle.radius + spacing
     offset = circle.center - centers
     distance = np.linalg.norm(offset, axis=1)
+    if (distance - reach > -_TOUCHING).all():
+        return circle.center
     outward = np.where(distance[:, None] > 1e-9, offset / np.maximum(distance, 1e-9)[:, None], np.array([1.0, 0.0]))
-    places = np.concatenate([circle.center[None], centers + outward * reach[:, None], _crossings(centers, reach)])
-    clearance = np.linalg.norm(places[:, None] - centers[None], axis=2) - reach[None]
-    places = places[(clearance > -1e-9).all(axis=1)]
-    return places[np.argmin(np.linalg.norm(places - circle.center, axis=1).round(9))]
+    on_rims = centers + outward * reach[:, None]
+    nearest = _nearest_free(circle.center, on_rims, centers, reach)
+    # A crossing is no nearer than the rims on which it lies.
+    within = np.inf if nearest is None else float(np.linalg.norm(nearest - circle.center)) + 1e-6
+    close = np.abs(distance - reach) <= within
+    places = [*([] if nearest is None else [nearest[None]]), _crossings(centers[close], reach[close])]
+    best = _nearest_free(circle.center, np.concatenate(places), centers, reach)
+    assert best is not None
+    return best
+
+
+def _nearest_free(
+    to: Float[np.ndarray, "2"],
+    places: Float[np.ndarray, "k 2"],
+    centers: Float[np.ndarray, "n 2"],
+    reach: Float[np.ndarray, "n"],
+) -> Float[np.ndarray, "2"] | None:
+    """Return the nearest of some places outside all discs, the first of equally near ones; None if there is none."""
+    order = np.argsort(np.linalg.norm(places - to, axis=1).round(9), kind="stable")
+    for start in range(0, len(order), _AT_ONCE):
+        some = places[order[start : start + _AT_ONCE]]
+        free = (np.linalg.norm(some[:, None] - centers[None], axis=2) - reach > -_TOUCHING).all(axis=1)
+        if free.any():
+            return some[np.argmax(free)]
+    return None
 
 
 def _crossings(centers: Float[np.ndarray, "n 2"], reach: Float[np.ndarray, "n"]) -> Float[np.ndarray, "k 2"]:

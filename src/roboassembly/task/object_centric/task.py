@@ -5,9 +5,11 @@ Everything here is a pure function of state, action and seed; the environment an
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import ClassVar
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -91,11 +93,18 @@ class ObjectCentricTask:
         self.furniture = furniture
         self.budget = budget or Budget()
         self.rules = Rules(furniture)
+        self._footprints: WeakKeyDictionary[Group, Circle] = WeakKeyDictionary()
 
     @property
     def pairs(self) -> PairRule:
         """Rule that judges whether a pair is right."""
         return self.rules.pairs
+
+    def footprint(self, group: Group) -> Circle:
+        """Return the circle that a group covers where it is. Results are cached: most groups stay as they are."""
+        if group not in self._footprints:
+            self._footprints[group] = group_footprint(self.furniture, group)
+        return self._footprints[group]
 
     def check_furniture(self) -> None:
         """Accept the furniture: parts that move by themselves need no cell and no grasps."""
@@ -125,7 +134,12 @@ class ObjectCentricTask:
         return np.repeat(pairs[..., None], len(UP_AXES), axis=-1)
 
     def step(
-        self, state: TaskState, action: tuple[int, ...], seed: int, budget: Budget | None = None
+        self,
+        state: TaskState,
+        action: tuple[int, ...],
+        seed: int,
+        budget: Budget | None = None,
+        exit_motions: Sequence[SE3] = (),
     ) -> ObjectCentricOutcome:
         """Carry out `(u, v, k, l, w)`.
 
@@ -134,13 +148,15 @@ class ObjectCentricTask:
             action: any integers; those that name no action get the verdict `NOT_AN_ACTION`.
             seed: of the planner.
             budget: of the planner, instead of the task's own.
+            exit_motions: successive motions of u's group, in the furniture's frame, along which it may leave v's group;
+                a hint to the planner.
         """
         if not self.exists(state, action):
             return ObjectCentricOutcome(ObjectCentricVerdict.NOT_AN_ACTION, state, None, 0, 0.0)
         mating = self.prepare(state, action)
         if mating is None:
             return ObjectCentricOutcome(ObjectCentricVerdict.WRONG_PAIR, state, None, 0, 0.0)
-        result = self.plan(mating, seed, budget)
+        result = self.plan(mating, seed, budget, exit_motions)
         if not result.solved:
             return ObjectCentricOutcome(
                 ObjectCentricVerdict(result.status.value), state, None, result.states, result.seconds
@@ -155,7 +171,7 @@ class ObjectCentricTask:
         if merge is None:
             return None
         others = tuple(g for g in state.groups if g is not u_group and g is not v_group)
-        obstacles = [group_footprint(self.furniture, g) for g in (u_group, *others)]
+        obstacles = [self.footprint(g) for g in (u_group, *others)]
         world = self._waiting_pose(v_group, merge, w, obstacles)
         return Mating(
             merge,
@@ -171,7 +187,7 @@ class ObjectCentricTask:
         now = v_group.world_from_furniture * merge.furniture_from_v.inverse()
         turn = align_axis(now.rotation @ UP_AXES[w], np.array([0.0, 0.0, 1.0])) @ now.rotation
         own = hull_points(self.furniture, v_group)
-        here = group_footprint(self.furniture, v_group).center
+        here = self.footprint(v_group).center
         v_turn = turn @ merge.furniture_from_v.rotation
         v_shift = turn @ merge.furniture_from_v.translation
         waiting = own @ v_turn.T + v_shift
@@ -181,9 +197,14 @@ class ObjectCentricTask:
         spot = free_spot(Circle(here - offset, whole.radius), obstacles)
         return SE3(turn, np.array([*(spot - whole.center), lift]))
 
-    def plan(self, mating: Mating, seed: int, budget: Budget | None = None) -> PathResult:
-        """Plan the path of u's group, for the frame at its centre of mass."""
+    def plan(
+        self, mating: Mating, seed: int, budget: Budget | None = None, exit_motions: Sequence[SE3] = ()
+    ) -> PathResult:
+        """Plan the path of u's group, for the frame at its centre of mass; see `step`."""
         scene, axes, problem = self.planning_problem(mating)
+        world = mating.merged.world_from_furniture
+        out = tuple(world * motion * world.actInv(problem.goal) for motion in exit_motions)
+        problem = replace(problem, exit=out)
         return plan_mating(CollisionWorld(scene, box_axes=axes), problem, budget or self.budget, seed)
 
     def planning_problem(self, mating: Mating) -> tuple[Scene, Float[np.ndarray, "3 3"], MatingProblem]:
@@ -205,7 +226,7 @@ class ObjectCentricTask:
     def _apply(
         self, state: TaskState, action: tuple[int, ...], mating: Mating, result: PathResult
     ) -> ObjectCentricOutcome:
-        others = [group_footprint(self.furniture, g) for g in mating.others]
+        others = [self.footprint(g) for g in mating.others]
         motions, rested = settle_group(self.furniture, mating.merged, others)
         after = TaskState((*mating.others, rested))
         still = {

@@ -1,0 +1,39 @@
+"""Tests of the benchmark of the cost against the number of parts."""
+
+from __future__ import annotations
+
+import pytest
+
+from roboassembly.bench.scaling import LATTICES, SERIES, SHELVES, ScalingRow, exponent, run_scaling_bench
+from roboassembly.errors import FurnitureError
+from roboassembly.furniture import model
+
+
+def row(parts: int, seconds: float, solved: bool = True) -> ScalingRow:
+    return ScalingRow("x", parts, solved, parts - 1, 100, seconds)
+
+
+def test_the_exponent_of_a_power_is_found() -> None:
+    rows = [row(n, 0.01 * n**1.5) for n in (8, 20, 100)]
+    assert exponent(rows) == pytest.approx(1.5)
+    assert exponent([*rows, row(200, 1e-3, solved=False)]) == pytest.approx(1.5)
+
+
+@pytest.mark.parametrize(("series", "sizes"), [("shelves", SHELVES), ("lattices", LATTICES)])
+def test_designs_have_the_stated_number_of_parts(series: str, sizes: tuple[int, ...]) -> None:
+    design, listed = SERIES[series]
+    assert tuple(listed) == sizes
+    assert [len(design(n).parts()) for n in sizes[:4]] == list(sizes[:4])
+
+
+def test_pieces_beyond_the_limits_are_solved_and_the_limits_stay() -> None:
+    report = run_scaling_bench(largest=24, seed=1)
+    assert [(r.series, r.parts, r.solved) for r in report.rows] == [
+        *(("shelves", n, True) for n in (8, 12, 20)),
+        *(("lattices", n, True) for n in (10, 17, 24)),
+    ]
+    assert all(r.attempts >= r.parts - 1 for r in report.rows)
+    assert "| parts | 8 | 12 | 20 |" in report.to_text()
+    assert model.MAX_PARTS == 20
+    with pytest.raises(FurnitureError, match="24 parts"):
+        model.check_part_count(24, "piece")
