@@ -19,9 +19,9 @@ from roboassembly.errors import MissingExtraError
 from roboassembly.furniture.model import Furniture
 from roboassembly.geometry.meshes import Mesh
 from roboassembly.geometry.poses import SE3
+from roboassembly.planning.pools import GROUND, WORLD_FROM_GROUND
 from roboassembly.planning.robot_path import Configuration, nearest_turn
 from roboassembly.planning.robot_shapes import own_pairs
-from roboassembly.planning.world import GROUND, WORLD_FROM_GROUND
 from roboassembly.robots.body import HAND, PLATFORM, hand_links, joint_placements, links
 from roboassembly.robots.kinematics import arm
 from roboassembly.task.full.cell_state import Segment

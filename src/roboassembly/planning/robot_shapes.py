@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float, Int
 
 from roboassembly.geometry.poses import SE3
 from roboassembly.geometry.scene import Shape
-from roboassembly.planning.world import Pool, ground_object, hit_pool
+from roboassembly.planning.pools import MovablePool, Placements, ground_object
 from roboassembly.robots.body import HAND, hand_links, joint_placements, links
 from roboassembly.robots.kinematics import arm
 
@@ -31,17 +31,11 @@ _CACHED = 24
 Configurations = Float[np.ndarray, "n 10"]
 Margins = Float[np.ndarray, "g g"]
 """Largest distance that counts as a hit, for each pair of shapes; above the diagonal [m]."""
-Placements = tuple[SE3, ...]
-"""Placements of the hand, of its load and of all still shapes, each in the frame of what carries it."""
 
 
 @dataclass(eq=False)
 class _Checker:
-    """Shapes ready for batches of configurations.
-
-    Setting a pool up takes a millisecond; changing its margins and placements takes a tenth of that. So all tests share
-    one, of all worlds with these shapes.
-    """
+    """Shapes ready for batches of configurations; all worlds with these shapes share them."""
 
     model: pin.Model
     geometry: pin.GeometryModel
@@ -49,11 +43,8 @@ class _Checker:
     """Shapes whose placements differ from world to world."""
 
     @cached_property
-    def _pool(self) -> Pool:
-        return hit_pool(self.model, self.geometry)
-
-    _placements: Placements | None = None
-    """Placements that are set."""
+    def _pool(self) -> MovablePool:
+        return MovablePool(self.model, self.geometry, self.movable)
 
     def hits(
         self,
@@ -64,16 +55,11 @@ class _Checker:
         first_only: bool = False,
     ) -> Bool[np.ndarray, "n"]:
         """Return whether any pair is nearer than its margin in each configuration."""
-        for data in self._pool.getGeometryDatas():
+        pool = self._pool.at(placements)
+        for data in pool.getGeometryDatas():
             data.setSecurityMargins(self.geometry, margins)
             data.setActiveCollisionPairs(self.geometry, pairs)
-        if self._placements is not placements:
-            for geometry in self._pool.getGeometryModels():
-                shapes = geometry.geometryObjects
-                for index, placement in zip(self.movable, placements, strict=True):
-                    shapes[index].placement = placement
-            self._placements = placements
-        hits = pin.computeCollisionsInParallel(1, self._pool, np.asfortranarray(q.T), True, first_only)
+        hits = pin.computeCollisionsInParallel(1, pool, np.asfortranarray(q.T), True, first_only)
         return np.array(hits, dtype=bool)
 
 

@@ -8,10 +8,10 @@ state.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
 
-import coal
 import numpy as np
 import pinocchio as pin
 from jaxtyping import Bool, Float
@@ -20,6 +20,7 @@ from roboassembly.errors import InputError
 from roboassembly.geometry.meshes import Mesh
 from roboassembly.geometry.poses import SE3, interpolate, poses_to_configurations, rotation_angle
 from roboassembly.geometry.scene import Scene
+from roboassembly.planning.pools import ScenePool
 
 RESOLUTION = 0.002
 """Largest travel of the body's fastest point between two exact tests [m]."""
@@ -31,54 +32,6 @@ _FEW = 20
 """Number of still shapes up to which all are part of every exact test; of more, only those that may be in the way."""
 _ENLARGED = 3
 """Number of times that the shapes of exact tests become more before all are taken."""
-GROUND = (200.0, 200.0, 1.0)
-"""Dimensions of the box that models the ground [m]."""
-WORLD_FROM_GROUND = SE3(np.eye(3), np.array([0.0, 0.0, -0.5 * GROUND[2]]))
-"""Pose of that box."""
-
-
-Pool = pin.TreeBroadPhaseManagerPool_DynamicAABBTreeCollisionManager
-
-
-def collision_pool(scene: Scene) -> Pool:
-    """Return the exact geometry of a scene for batches of configurations.
-
-    Each moving body has a free joint, in the scene's order: seven numbers `(x, y, z, qx, qy, qz, qw)`. Moving bodies
-    are tested against still ones, the ground and each other.
-    """
-    model, geometry = pin.Model(), pin.GeometryModel()
-    owners: list[list[int]] = []
-    still: list[int] = []
-    for b, body in enumerate(scene.bodies):
-        joint = model.addJoint(0, pin.JointModelFreeFlyer(), SE3.Identity(), f"b{b}") if body.moves else 0
-        own: list[int] = []
-        for s, shape in enumerate(body.shapes):
-            placement = shape.body_from_mesh if body.moves else body.pose * shape.body_from_mesh
-            own.append(geometry.addGeometryObject(pin.GeometryObject(f"b{b}/{s}", joint, placement, shape.geometry)))
-        (owners.append if body.moves else still.extend)(own)
-    if scene.ground:
-        still.append(geometry.addGeometryObject(ground_object()))
-    for index, own in enumerate(owners):
-        others = [*still, *(g for other in owners[index + 1 :] for g in other)]
-        for a in own:
-            for b in others:
-                geometry.addCollisionPair(pin.CollisionPair(a, b))
-    return hit_pool(model, geometry)
-
-
-def ground_object() -> pin.GeometryObject:
-    """Return the box that models the ground."""
-    return pin.GeometryObject("ground", 0, WORLD_FROM_GROUND, coal.Box(*GROUND))
-
-
-def hit_pool(model: pin.Model, geometry: pin.GeometryModel) -> Pool:
-    """Return a pool that tells hits, and no distances."""
-    pool = Pool(model, geometry, 1)
-    for data in pool.getGeometryDatas():
-        for request in data.collisionRequests:
-            # By default Coal computes distances of meshes within 1 mm, as in every joint.
-            request.break_distance = 0.0
-    return pool
 
 
 class ExactChecks:
@@ -90,18 +43,18 @@ class ExactChecks:
         """Number of configurations tested so far."""
 
     @cached_property
-    def _pool(self) -> Pool:
-        return collision_pool(self._scene)
+    def _pool(self) -> ScenePool:
+        return ScenePool(self._scene)
 
     def first_collision(self, configurations: Float[np.ndarray, "q n"]) -> int | None:
         """Return the index of the first configuration in collision by exact tests; None if all are free."""
-        pool = self._pool_for(configurations)
+        pool = self._pool_for(configurations).ready()
         hits = pin.computeCollisionsInParallel(1, pool, np.asfortranarray(configurations), True, True)
         first = int(np.argmax(hits)) if hits.any() else None
         self.states += configurations.shape[1] if first is None else first + 1
         return first
 
-    def _pool_for(self, configurations: Float[np.ndarray, "q n"]) -> Pool:
+    def _pool_for(self, configurations: Float[np.ndarray, "q n"]) -> ScenePool:
         """Return geometry with everything that the configurations may collide with."""
         return self._pool
 
@@ -139,7 +92,7 @@ class CollisionWorld(ExactChecks):
         self._still_low = np.array([p.min(axis=0) for p in turned]).reshape(-1, 3)
         self._still_high = np.array([p.max(axis=0) for p in turned]).reshape(-1, 3)
         self._near = np.full(len(placed), len(placed) <= _FEW)
-        self._near_pool: Pool | None = None
+        self._near_pool: ScenePool | None = None
         self._enlarged = 0
         self.top = max([0.0, *(float(points[:, 2].max()) for points in corners)])
         """Height of the highest still point [m]."""
@@ -156,9 +109,13 @@ class CollisionWorld(ExactChecks):
 
     def is_free(self, pose: SE3) -> bool:
         """Return whether one pose of the moving body is free, by an exact test that also finds parts inside others."""
-        return self.first_collision(poses_to_configurations([pose])) is None and not self._nested(pose)
+        return self.are_free([pose])
 
-    def _pool_for(self, configurations: Float[np.ndarray, "q n"]) -> Pool:
+    def are_free(self, poses: Sequence[SE3]) -> bool:
+        """Return whether all of several poses of the moving body are free; see `is_free`."""
+        return self.first_collision(poses_to_configurations(poses)) is None and not any(map(self._nested, poses))
+
+    def _pool_for(self, configurations: Float[np.ndarray, "q n"]) -> ScenePool:
         if self._near.all():
             return self._pool
         place = configurations[:3].T @ self._axes
@@ -170,7 +127,7 @@ class CollisionWorld(ExactChecks):
             if self._enlarged > _ENLARGED or self._near.all():
                 self._near[:] = True
                 return self._pool
-            self._near_pool = collision_pool(self._scene_of(self._near))
+            self._near_pool = ScenePool(self._scene_of(self._near))
         return self._near_pool
 
     def _scene_of(self, kept: Bool[np.ndarray, "s"]) -> Scene:

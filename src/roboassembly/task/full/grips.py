@@ -191,11 +191,10 @@ def _can_approach(grip: Grip, still: Sequence[Body]) -> bool:
     world = CollisionWorld(Scene((hand, *still), ground=False))
     goal = grip.furniture_from_tips
     back = SE3(goal.rotation, goal.translation - RETREAT * grip.approach)
-    if not (world.is_free(goal) and world.edge_is_free(goal, back)):
-        return False
     # The hand may stray a little sideways.
     aside = (sign * _ASTRAY * axis for axis in goal.rotation.T[:2] for sign in (-1.0, 1.0))
-    return all(world.is_free(SE3(goal.rotation, goal.translation + shift)) for shift in aside)
+    poses = [goal, *(SE3(goal.rotation, goal.translation + shift) for shift in aside)]
+    return world.are_free(poses) and world.edge_is_free(goal, back)
 
 
 def _closed_hand(grip: Grip | None) -> tuple[Shape, ...]:
