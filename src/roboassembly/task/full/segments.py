@@ -131,7 +131,7 @@ def retreat_path(world: RobotWorld, at: Configuration) -> Path | None:
     whole = [line(at, -_RETREAT * approach, drive=drive) for drive in (True, False)]
     ways = [way for way in whole if way is not None]
     # A way that is only driven has no way-points between its ends.
-    ways += [(at, 0.5 * sum(way)) if len(way) == 2 else way[: len(way) // 2 + 1] for way in ways]
+    ways += [(at, np.mean(way, axis=0)) if len(way) == 2 else way[: len(way) // 2 + 1] for way in ways]
     for way in ways:
         # Most ways that are blocked are so at a way-point.
         if world.free(np.array(way[1:])).all() and world.path_is_free(way):
