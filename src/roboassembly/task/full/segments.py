@@ -129,13 +129,13 @@ def retreat_path(world: RobotWorld, at: Configuration) -> Path | None:
     """
     approach = world_from_tips(at).rotation[:, 2]
     whole = [line(at, -_RETREAT * approach, drive=drive) for drive in (True, False)]
-    ways = [way for way in whole if way is not None]
-    # A way that is only driven has no way-points between its ends.
-    ways += [(at, np.mean(way, axis=0)) if len(way) == 2 else way[: len(way) // 2 + 1] for way in ways]
-    for way in ways:
-        # Most ways that are blocked are so at a way-point.
-        if world.free(np.array(way[1:])).all() and world.path_is_free(way):
-            return way
+    paths = [path for path in whole if path is not None]
+    # A path that is only driven has no way-points between its ends.
+    paths += [(at, np.mean(p, axis=0)) if len(p) == 2 else p[: len(p) // 2 + 1] for p in paths]
+    for path in paths:
+        # Most paths that are blocked are so at a way-point.
+        if world.free(np.array(path[1:])).all() and world.path_is_free(path):
+            return path
     return None
 
 
