@@ -12,9 +12,10 @@ from jaxtyping import Float
 from roboassembly.furniture.model import CONTACT_DISTANCE, RawPart
 from roboassembly.furniture.symmetry import rotations_onto, symmetries
 from roboassembly.geometry.meshes import Mesh
+from roboassembly.repair.cached import cached
 from roboassembly.repair.limits import RepairLimits
 from roboassembly.repair.piece import Piece
-from roboassembly.repair.proximity import Shell
+from roboassembly.repair.proximity import Shell, shell_of
 from roboassembly.repair.surface import to_surface
 from roboassembly.repair.trim import without_slivers
 from roboassembly.repair.turns import MAX_TURNS, SAME_TURN, groups
@@ -116,14 +117,27 @@ def keep_alike(pieces: list[Piece], alike: Sequence[Likeness], limits: RepairLim
 
 def _still_alike(bodies: Sequence[m3.Manifold], turns: Float[np.ndarray, "n 3 3"]) -> bool:
     """Return whether the first body is congruent to all others, and has as many symmetries as there are rotations."""
-    centred: list[Mesh] = []
-    for body in bodies:
-        skin = to_surface(body)
-        mesh = Mesh(skin.vertices, skin.faces)
-        centred.append(Mesh(mesh.vertices - mesh.center_of_mass, mesh.faces))
-    return all(len(rotations_onto(centred[0], mesh)) for mesh in centred[1:]) and (
-        len(turns) == 1 or len(rotations_onto(centred[0], centred[0])) >= len(turns)
+    return all(_turn_count(bodies[0], body) for body in bodies[1:]) and (
+        len(turns) == 1 or _turn_count(bodies[0], bodies[0]) >= len(turns)
     )
+
+
+@cached
+def _turn_count(body: m3.Manifold, other: m3.Manifold) -> int:
+    """Return the number of rotations that map a solid onto another."""
+    return len(rotations_onto(_centred(body), _centred(other)))
+
+
+@cached
+def _centred(body: m3.Manifold) -> Mesh:
+    skin = to_surface(body)
+    mesh = Mesh(skin.vertices, skin.faces)
+    return Mesh(mesh.vertices - mesh.center_of_mass, mesh.faces)
+
+
+@cached
+def _translated(body: m3.Manifold, shift: tuple[float, ...]) -> m3.Manifold:
+    return body.translate(shift)
 
 
 def _share_cuts(
@@ -137,7 +151,7 @@ def _share_cuts(
     """Give all members one shape with the symmetry of the rotations; return whether they have it now."""
     master = members[0]
     moved = [pieces[p].moved for p in members]
-    unmoved = [pieces[p].body.translate(tuple((-m).tolist())) for p, m in zip(members, moved, strict=True)]
+    unmoved = [_translated(pieces[p].body, tuple((-m).tolist())) for p, m in zip(members, moved, strict=True)]
     if _still_alike(unmoved, turns):
         return True
     if len(turns) > 1 and unmoved[0].num_tri() * len(turns) > MAX_TURNED:
@@ -147,7 +161,7 @@ def _share_cuts(
     extra = min(body.volume() for body in unmoved) - common.volume()
     if extra > MAX_EXTRA * whole or common.is_empty():
         return False
-    if len(turns) > 1 and _depth(Shell(to_surface(unmoved[0])), Shell(to_surface(common))) > MAX_DEPTH:
+    if len(turns) > 1 and _depth(shell_of(unmoved[0]), shell_of(common)) > MAX_DEPTH:
         return False
     for p, body in zip(members[1:], unmoved[1:], strict=True):
         indices = _distinct_turns(alike[p], turns)
@@ -175,16 +189,14 @@ def _share_cuts(
     }
     if _harmed(pieces, fresh):
         return False
-    shells = {p: Shell(to_surface(body)) for p, body in fresh.items()}
+    shells = {p: shell_of(body) for p, body in fresh.items()}
     if len(turns) > 1 and any(_depth(pieces[p].shell, shell) > MAX_DEPTH for p, shell in shells.items()):
         return False
     for p in members:
         for q, other in enumerate(pieces):
-            if q == p or pieces[p].shell.box_distance(other.shell) >= CONTACT_DISTANCE:
+            if q == p or not pieces[p].shell.is_within(other.shell, CONTACT_DISTANCE):
                 continue
-            if pieces[p].shell.nearest(other.shell)[0] >= CONTACT_DISTANCE:
-                continue
-            if shells[p].nearest(shells.get(q, other.shell))[0] >= CONTACT_DISTANCE:
+            if not shells[p].is_within(shells.get(q, other.shell), CONTACT_DISTANCE):
                 return False
     for p, body in fresh.items():
         piece = pieces[p]
@@ -235,7 +247,7 @@ def _depth(before: Shell, after: Shell) -> float:
     corners = after.surface.corners
     middles = 0.5 * (corners + np.roll(corners, 1, axis=1))
     points = np.concatenate([after.surface.vertices, middles.reshape(-1, 3), corners.mean(axis=1)])
-    return max(before.distance_to(point) for point in points)
+    return float(before.distances_to(np.unique(points, axis=0)).max())
 
 
 def _common_in_all_turns(

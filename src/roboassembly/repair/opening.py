@@ -15,10 +15,11 @@ from jaxtyping import Float
 from roboassembly.errors import FurnitureError
 from roboassembly.furniture.model import CONTACT_DISTANCE
 from roboassembly.geometry.poses import align_axis
+from roboassembly.repair.cached import cached
 from roboassembly.repair.exits import Blocking, BlockingCache, Exits, Parts, blocking, overlap_span
 from roboassembly.repair.limits import RepairLimits
 from roboassembly.repair.piece import HARM_LIMIT, Piece, harm
-from roboassembly.repair.proximity import Shell
+from roboassembly.repair.proximity import shell_of
 from roboassembly.repair.surface import to_surface
 from roboassembly.repair.trim import Cut, cut_with, inflate
 
@@ -40,6 +41,8 @@ GROWTH = 0.01
 """Growth of the outline, as a share of its area, above which a new layer begins."""
 _STEPS = (0.002, 0.006, 0.015, 0.03, 0.06, 0.12)
 """Distances along an exit at which the overlap is measured [m]."""
+_SURE = 0.9
+"""Share of the overlap on the way that a cut removes in any case; the tool is simplified a little."""
 _SPLIT_COST = 0.5
 """Cost of a cut through a part, as a share of its volume."""
 _LOOSE_COST = 0.2
@@ -124,8 +127,9 @@ def _open(
         for price, n in priced[:MAX_TRIED]:
             if best is not None and price >= best[0]:
                 break
-            made = _cuts(pieces, ranked[n], graph, exits, reach, gap, limits)
-            if made is not None and (best is None or made[0] < best[0]):
+            most = float("inf") if best is None else best[0]
+            made = _cuts(pieces, ranked[n], graph, exits, reach, gap, limits, most)
+            if made is not None:
                 best = (*made, ranked[n])
         if best is not None:
             break
@@ -165,11 +169,19 @@ def _estimate(
             key = (a, b, candidate.index)
             if key not in known:
                 first, second = pieces[a], pieces[b]
-                moves = [tuple((step * graph.directions[candidate.index]).tolist()) for step in _STEPS]
-                met = max((first.body.translate(move) ^ second.body).volume() for move in moves)
+                met = _largest_overlap(first.body, second.body, tuple(graph.directions[candidate.index].tolist()))
                 known[key] = met / max(first.whole, second.whole)
             total += known[key]
     return total
+
+
+@cached
+def _largest_overlap(
+    body: m3.Manifold, other: m3.Manifold, direction: tuple[float, ...], length: float = float("inf")
+) -> float:
+    """Return the largest volume that a solid shares with another while it moves `length` metres [m³]."""
+    steps = [step for step in _STEPS if step <= length]
+    return max(((body.translate(tuple(step * x for x in direction)) ^ other).volume() for step in steps), default=0.0)
 
 
 def _cuts(
@@ -180,8 +192,12 @@ def _cuts(
     reach: float,
     gap: float,
     limits: RepairLimits,
+    most: float,
 ) -> tuple[float, list[_Opening]] | None:
-    """Return the cost of an exit, as a share of volumes, and its cuts; None if a limit forbids them."""
+    """Return the cost of an exit, as a share of volumes, and its cuts.
+
+    Returns None if a limit forbids the cuts, or if they cost `most` or more.
+    """
     direction = graph.directions[candidate.index]
     bodies = {p: pieces[p].body for p in candidate.leaving | candidate.staying}
     removed = {p: pieces[p].removed for p in bodies}
@@ -192,10 +208,17 @@ def _cuts(
             if not (exits.hits(a, b, candidate.index) if reach > LOCAL else b in graph.arcs[candidate.index][a]):
                 continue
             length = min(reach, overlap_span(pieces[a].shell, pieces[b].shell, direction)[1])
+            # The overlap on the way is a lower bound of what a cut removes.
+            overlap = _SURE * _largest_overlap(bodies[a], bodies[b], tuple(direction.tolist()), length)
+            ways = [(b, a, direction), (a, b, -direction)]
+            ways.sort(key=lambda way: overlap / pieces[way[0]].whole)
+            if total + overlap / pieces[ways[0][0]].whole >= most:
+                return None
             choices: list[tuple[float, _Opening]] = []
-            for trimmed, other, along in ((b, a, direction), (a, b, -direction)):
-                tool = sweep(bodies[other], along, length + gap, bodies[trimmed], gap)
-                made = cut_with(bodies[trimmed], tool, bodies[other], gap)
+            for trimmed, other, along in ways:
+                if choices and choices[0][0] < overlap / pieces[trimmed].whole:
+                    break
+                made = _passage(bodies[trimmed], bodies[other], tuple(along.tolist()), length + gap, gap)
                 share = made.removed / pieces[trimmed].whole
                 if made.body.is_empty() or removed[trimmed] + made.removed > limits.trimmed * pieces[trimmed].whole:
                     continue
@@ -210,11 +233,21 @@ def _cuts(
             removed[opening.trimmed] += opening.cut.removed
             out.append(opening)
             total += cost
-    return total, out
+            if total >= most:
+                return None
+    return (total, out) if total < most else None
+
+
+@cached
+def _passage(
+    body: m3.Manifold, other: m3.Manifold, direction: tuple[float, float, float], length: float, gap: float
+) -> Cut:
+    """Remove from `body` what is in the way of the other solid while it moves `length` metres."""
+    return cut_with(body, sweep(other, np.array(direction), length, body, gap), other, gap)
 
 
 def _loses_contact(first: m3.Manifold, second: m3.Manifold) -> bool:
-    return Shell(to_surface(first)).nearest(Shell(to_surface(second)))[0] >= CONTACT_DISTANCE
+    return not shell_of(first).is_within(shell_of(second), CONTACT_DISTANCE)
 
 
 def sweep(
@@ -224,7 +257,32 @@ def sweep(
 
     A body with many faces towards the direction is swept layer by layer.
     """
-    low, high = np.reshape(target.bounding_box(), (2, 3))
+    up = align_axis(direction, np.array([0.0, 0.0, 1.0]))
+    across = target.transform(np.column_stack([up, np.zeros(3)])).bounding_box()
+    return _swept(body, tuple(direction.tolist()), length, tuple(target.bounding_box()), tuple(across), gap)
+
+
+@cached
+def _swept(
+    body: m3.Manifold,
+    along: tuple[float, ...],
+    length: float,
+    box: tuple[float, ...],
+    across: tuple[float, ...],
+    gap: float,
+) -> m3.Manifold:
+    """Return the volume that `sweep` describes, which depends on the target only by its boxes.
+
+    Args:
+        body: solid that moves.
+        along: unit vector.
+        length: distance [m].
+        box: box of the target: lowest and highest corner [m].
+        across: the same, turned so that the direction is the z axis [m].
+        gap: distance left between the two [m].
+    """
+    direction = np.array(along)
+    low, high = np.reshape(box, (2, 3))
     shift = length * direction
     start, stop = low - np.maximum(shift, 0.0) - 20.0 * gap, high - np.minimum(shift, 0.0) + 20.0 * gap
     close = body ^ m3.Manifold.cube(tuple(stop - start)).translate(tuple(start))
@@ -238,11 +296,11 @@ def sweep(
     if ahead.sum() <= MAX_PRISMS:
         prisms = [m3.Manifold.hull_points(np.concatenate([t, t + shift])) for t in corners[ahead]]
         return m3.Manifold.batch_boolean([grown, *prisms], m3.OpType.Add)
-    return _layered(close.simplify(0.3 * gap), direction, length, target, 1.3 * gap)
+    return _layered(close.simplify(0.3 * gap), direction, length, across, 1.3 * gap)
 
 
 def _layered(
-    body: m3.Manifold, direction: Float[np.ndarray, "3"], length: float, target: m3.Manifold, margin: float
+    body: m3.Manifold, direction: Float[np.ndarray, "3"], length: float, across: tuple[float, ...], margin: float
 ) -> m3.Manifold:
     """Return the volume that a body of many faces sweeps, in layers across the direction.
 
@@ -251,7 +309,6 @@ def _layered(
     """
     up = align_axis(direction, np.array([0.0, 0.0, 1.0]))
     turned = body.transform(np.column_stack([up, np.zeros(3)]))
-    across = target.transform(np.column_stack([up, np.zeros(3)])).bounding_box()
     bottom, top = turned.bounding_box()[2], turned.bounding_box()[5]
     first, last = max(bottom, across[2] - margin), min(top, across[5] + margin)
     if last <= first:

@@ -12,6 +12,8 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import breadth_first_order, connected_components
 from scipy.spatial import KDTree
 
+from roboassembly.repair.cached import cached
+
 WELD_DISTANCE = 2e-5
 """Distance below which vertices are merged [m]."""
 MAX_HOLE_BULGE = 0.002
@@ -91,6 +93,20 @@ def _half_edges(faces: Int[np.ndarray, "f 3"]) -> tuple[Int[np.ndarray, "e 2"], 
     return directed, np.tile(np.arange(len(faces)), 3)
 
 
+def _numbered(rows: Int[np.ndarray, "n k"]) -> tuple[Int[np.ndarray, "n"], Int[np.ndarray, "u"]]:
+    """Return a number for each row, the same for rows with the same vertices in any order, and the size of each class.
+
+    The numbers are in the order of the sorted rows.
+    """
+    number = np.zeros(len(rows), dtype=np.int64)
+    count = np.zeros(0, dtype=np.int64)
+    for column in np.sort(rows, axis=1).T:
+        # The number of the row so far, then the vertex: one sort of plain integers for each column.
+        keys = number * (int(rows.max(initial=0)) + 1) + column
+        _, number, count = np.unique(keys, return_inverse=True, return_counts=True)
+    return number, count
+
+
 def components(surface: Surface) -> list[Surface]:
     """Return the pieces that share no edge with one another, largest area first."""
     return _pieces(surface, most=len(surface.faces))
@@ -99,8 +115,7 @@ def components(surface: Surface) -> list[Surface]:
 def _pieces(surface: Surface, most: int) -> list[Surface]:
     """Return the pieces connected by edges with at most `most` faces, largest area first."""
     directed, owner = _half_edges(surface.faces)
-    _, edge, count = np.unique(np.sort(directed, axis=1), axis=0, return_inverse=True, return_counts=True)
-    edge = edge.reshape(-1)
+    edge, count = _numbered(directed)
     joins = count[edge] <= most
     f, e = len(surface.faces), len(count)
     graph = coo_matrix((np.ones(int(joins.sum())), (owner[joins], f + edge[joins])), (f + e, f + e))
@@ -118,8 +133,7 @@ def orient(surface: Surface) -> Surface | None:
     faces = surface.faces
     directed, owner = _half_edges(faces)
     forward = directed[:, 0] < directed[:, 1]
-    _, edge, count = np.unique(np.sort(directed, axis=1), axis=0, return_inverse=True, return_counts=True)
-    edge = edge.reshape(-1)
+    edge, count = _numbered(directed)
     order = np.argsort(edge, kind="stable")
     pair = order[(count == 2)[edge[order]]].reshape(-1, 2)
     first, second = owner[pair[:, 0]], owner[pair[:, 1]]
@@ -366,8 +380,8 @@ def to_manifold(surface: Surface) -> m3.Manifold | None:
         surface = surface.flipped()
     surface = _without_opposed(surface).compact()
     directed, _ = _half_edges(surface.faces)
-    _, edge = np.unique(np.sort(directed, axis=1), axis=0, return_inverse=True)
-    flow = np.bincount(edge.reshape(-1), weights=np.where(directed[:, 0] < directed[:, 1], 1.0, -1.0))
+    edge, _ = _numbered(directed)
+    flow = np.bincount(edge, weights=np.where(directed[:, 0] < directed[:, 1], 1.0, -1.0))
     if not len(surface.faces) or flow.any():
         return None
     body = m3.Manifold(
@@ -379,17 +393,17 @@ def to_manifold(surface: Surface) -> m3.Manifold | None:
 def _without_opposed(surface: Surface) -> Surface:
     """Return the surface without triangles back to back on the same three vertices, and without duplicates."""
     faces = surface.faces
-    _, triple = np.unique(np.sort(faces, axis=1), axis=0, return_inverse=True)
-    triple = triple.reshape(-1)
+    triple, _ = _numbered(faces)
     low = np.argmin(faces, axis=1)
     turn = np.take_along_axis(faces, (low[:, None] + np.array([1, 2])) % 3, axis=1)
     sign = np.where(turn[:, 0] < turn[:, 1], 1, -1)
     total = np.bincount(triple, weights=sign)
-    first = np.unique(np.column_stack([triple, sign]), axis=0, return_index=True)[1]
+    first = np.unique(2 * triple + (sign > 0), return_index=True)[1]
     keep = np.sort(first[total[triple[first]] * sign[first] > 0])
     return Surface(surface.vertices, faces[keep])
 
 
+@cached
 def to_surface(body: m3.Manifold) -> Surface:
     """Return the triangles of a solid."""
     mesh = body.to_mesh64()
