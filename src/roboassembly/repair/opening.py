@@ -6,6 +6,7 @@ Only directions that are natural to the joint count as exits.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from heapq import heapify, heappop, heappush
 from itertools import combinations
 
 import manifold3d as m3
@@ -114,17 +115,14 @@ def _open(
     limits: RepairLimits,
 ) -> bool:
     """Cut the cheapest untried exit of a captive set; return whether there is one within the limits."""
-    estimates: dict[tuple[int, int, int], float] = {}
     ranked = sorted(
         (candidate for candidate in _candidate_exits(core, graph) if candidate not in tried),
         key=lambda candidate: sum(len(graph.arcs[candidate.index][p] & candidate.staying) for p in candidate.leaving),
     )
-    priced = sorted(
-        ((_estimate(pieces, candidate, graph, estimates), n) for n, candidate in enumerate(ranked[:MAX_ESTIMATED])),
-    )
+    priced = _cheapest(pieces, ranked[:MAX_ESTIMATED], graph)
     best: tuple[float, list[_Opening], _ExitCandidate] | None = None
     for reach in (float("inf"), LOCAL):
-        for price, n in priced[:MAX_TRIED]:
+        for price, n in priced:
             if best is not None and price >= best[0]:
                 break
             most = float("inf") if best is None else best[0]
@@ -159,29 +157,35 @@ def _candidate_exits(core: Parts, graph: Blocking) -> list[_ExitCandidate]:
     ]
 
 
-def _estimate(
-    pieces: list[Piece], candidate: _ExitCandidate, graph: Blocking, known: dict[tuple[int, int, int], float]
-) -> float:
-    """Return a lower bound of the cost of an exit, as a share of volumes."""
-    total = 0.0
-    for a in sorted(candidate.leaving):
-        for b in sorted(graph.arcs[candidate.index][a] & candidate.staying):
-            key = (a, b, candidate.index)
-            if key not in known:
-                first, second = pieces[a], pieces[b]
-                met = _largest_overlap(first.body, second.body, tuple(graph.directions[candidate.index].tolist()))
-                known[key] = met / max(first.whole, second.whole)
-            total += known[key]
-    return total
+def _cheapest(pieces: list[Piece], candidates: list[_ExitCandidate], graph: Blocking) -> list[tuple[float, int]]:
+    """Return the `MAX_TRIED` exits with the lowest bounds of their cost, as a share of volumes, and their indices.
+
+    Overlaps are added pair by pair, first where the sum is smallest, so that few are measured of expensive exits.
+    """
+    hits = [
+        [(a, b) for a in sorted(c.leaving) for b in sorted(graph.arcs[c.index][a] & c.staying)] for c in candidates
+    ]
+    queue = [(0.0, n, 0) for n in range(len(candidates))]
+    heapify(queue)
+    found: list[tuple[float, int]] = []
+    while queue and len(found) < MAX_TRIED:
+        total, n, count = heappop(queue)
+        if count == len(hits[n]):
+            found.append((total, n))
+            continue
+        first, second = (pieces[p] for p in hits[n][count])
+        direction = tuple(graph.directions[candidates[n].index].tolist())
+        met = _largest_overlap(first.body, second.body, direction, _STEPS)
+        heappush(queue, (total + met / max(first.whole, second.whole), n, count + 1))
+    return found
 
 
 @cached
 def _largest_overlap(
-    body: m3.Manifold, other: m3.Manifold, direction: tuple[float, ...], length: float = float("inf")
+    body: m3.Manifold, other: m3.Manifold, direction: tuple[float, ...], steps: tuple[float, ...]
 ) -> float:
-    """Return the largest volume that a solid shares with another while it moves `length` metres [m³]."""
-    steps = [step for step in _STEPS if step <= length]
-    return max(((body.translate(tuple(step * x for x in direction)) ^ other).volume() for step in steps), default=0.0)
+    """Return the largest volume that a solid shares with another after each of some steps along a direction [m³]."""
+    return max((body.translate(tuple(step * x for x in direction)) ^ other).volume() for step in steps)
 
 
 def _cuts(
@@ -209,7 +213,8 @@ def _cuts(
                 continue
             length = min(reach, overlap_span(pieces[a].shell, pieces[b].shell, direction)[1])
             # The overlap on the way is a lower bound of what a cut removes.
-            overlap = _SURE * _largest_overlap(bodies[a], bodies[b], tuple(direction.tolist()), length)
+            steps = tuple(step for step in _STEPS if step <= reach)
+            overlap = _SURE * _largest_overlap(bodies[a], bodies[b], tuple(direction.tolist()), steps)
             ways = [(b, a, direction), (a, b, -direction)]
             ways.sort(key=lambda way: overlap / pieces[way[0]].whole)
             if total + overlap / pieces[ways[0][0]].whole >= most:

@@ -107,6 +107,8 @@ def _separate(
         except _TooMuchTrimmedError as problem:
             first = first or problem
             weights[pieces.index(problem.piece)] *= HEAVIER
+        except _ShortenedError:
+            raise
         except FurnitureError:
             if first is None:
                 raise
@@ -128,6 +130,8 @@ def _attempt(pieces: list[Piece], gap: float, limits: RepairLimits, diagonal: fl
         _clear_all(pieces, gap, limits, careful)
     else:
         raise FurnitureError(f"parts are still not connected after {MAX_MOVES} moves; check the assembled poses")
+    # Openings only take more away, and they are the slowest step.
+    check_sizes(pieces, limits)
     open_up(pieces, gap, limits)
     if len(_islands(pieces)) > 1:
         raise FurnitureError("parts came apart when their sockets were opened; check the assembled poses")
