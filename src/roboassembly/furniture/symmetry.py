@@ -127,12 +127,17 @@ def _fitted(
     tolerance: float,
 ) -> Float[np.ndarray, "3 3"] | None:  # fmt: skip
     """Return the best rotation of corners of `a` onto near corners of `b`, refined on the nearest; None if too few."""
+    before = np.empty(0, dtype=np.int64)
     for reach in (tolerance + _REACH, min(tolerance + _REACH, _CLOSER * tolerance)):
-        distance, mate = corners.query(a @ rotation.T, distance_upper_bound=reach)
-        near = np.isfinite(distance)
+        # The tree gives a corner without a mate the index after the last.
+        mate = np.asarray(corners.query(a @ rotation.T, distance_upper_bound=reach)[1])
+        near = mate < len(b)
         if np.mean(near) < _MATCHED:
             return None
-        rotation = Rotation.align_vectors(b[np.asarray(mate)[near]], a[near])[0].as_matrix()
+        # The same pairs give the same rotation.
+        if not np.array_equal(mate, before):
+            rotation = Rotation.align_vectors(b[mate[near]], a[near])[0].as_matrix()
+        before = mate
     return rotation
 
 

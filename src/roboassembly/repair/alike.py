@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import manifold3d as m3
 import numpy as np
@@ -44,44 +45,52 @@ class Likeness:
 
     master: int
     """Index of the master."""
-    turns: Float[np.ndarray, "n 3 3"]
-    """Rotations about the centre that map the master onto this part."""
+    mesh: Mesh
+    """Delivered mesh of this part, its centre at the origin [m]."""
+    onto: Float[np.ndarray, "n 3 3"] | None
+    """Rotations about the centre that map the master onto this part; None for a master."""
     master_centre: Float[np.ndarray, "3"]
     """Centre of the master [m]."""
     centre: Float[np.ndarray, "3"]
     """Corresponding point of this part [m]."""
 
+    @cached_property
+    def turns(self) -> Float[np.ndarray, "n 3 3"]:
+        """Rotations about the centre that map the master onto this part."""
+        if self.onto is not None:
+            return self.onto
+        # Symmetries take long to find, and a part that nothing is cut from does not need them.
+        return symmetries(self.mesh, SAME_SHAPE) if _comparable(self.mesh, self.mesh) else np.eye(3)[None]
+
+    def _turn(self, index: int) -> Float[np.ndarray, "3 3"]:
+        return np.eye(3) if self.onto is None and index == 0 else self.turns[index]
+
     def placed(self, body: m3.Manifold, turn: int = 0) -> m3.Manifold:
         """Return the master's solid moved to this part's pose."""
-        rotation = self.turns[turn]
+        rotation = self._turn(turn)
         shift = self.centre - rotation @ self.master_centre
         return body.transform(np.column_stack([rotation, shift]))
 
     def placed_back(self, body: m3.Manifold, turn: int = 0) -> m3.Manifold:
         """Return this part's solid moved to the master's pose."""
-        rotation = self.turns[turn].T
+        rotation = self._turn(turn).T
         return body.transform(np.column_stack([rotation, self.master_centre - rotation @ self.centre]))
 
 
 def likenesses(parts: Sequence[RawPart]) -> list[Likeness]:
     """Return, for each part, its congruence with the first such part; mirror images are not congruent."""
-    centred: list[Mesh] = []
     out: list[Likeness] = []
     for index, part in enumerate(parts):
         centre = _middle(part.mesh)
         mesh = Mesh(part.mesh.vertices - centre, part.mesh.faces)
-        centred.append(mesh)
-        found = None
+        found = Likeness(index, mesh, None, centre, centre)
         for master in range(index):
-            if out[master].master != master or not _comparable(centred[master], mesh):
+            if out[master].master != master or not _comparable(out[master].mesh, mesh):
                 continue
-            turns = rotations_onto(centred[master], mesh, SAME_SHAPE)
+            turns = rotations_onto(out[master].mesh, mesh, SAME_SHAPE)
             if len(turns):
-                found = Likeness(master, turns, out[master].centre, centre)
+                found = Likeness(master, mesh, turns, out[master].centre, centre)
                 break
-        if found is None:
-            turns = symmetries(mesh, SAME_SHAPE) if _comparable(mesh, mesh) else np.eye(3)[None]
-            found = Likeness(index, turns, centre, centre)
         out.append(found)
     return out
 
@@ -109,9 +118,11 @@ def keep_alike(pieces: list[Piece], alike: Sequence[Likeness], limits: RepairLim
         members = [p for p, like in enumerate(alike) if like.master == master]
         if not any(pieces[p].removed > 0.0 for p in members):
             continue
-        *turned, alone = groups(alike[master].turns)
-        if len(members) > 1 and not _share_cuts(pieces, alike, members, alone, limits, tidy):
+        if len(members) > 1 and not _share_cuts(pieces, alike, members, np.eye(3)[None], limits, tidy):
             continue
+        if 2 * pieces[master].body.num_tri() > MAX_TURNED:
+            continue
+        *turned, _ = groups(alike[master].turns)
         any(_share_cuts(pieces, alike, members, turns, limits, tidy) for turns in turned[:MAX_GROUPS])
 
 
