@@ -162,9 +162,7 @@ def _cheapest(pieces: list[Piece], candidates: list[_ExitCandidate], graph: Bloc
 
     Overlaps are added pair by pair, first where the sum is smallest, so that few are measured of expensive exits.
     """
-    hits = [
-        [(a, b) for a in sorted(c.leaving) for b in sorted(graph.arcs[c.index][a] & c.staying)] for c in candidates
-    ]
+    hits = [[(a, b) for a in sorted(c.leaving) for b in sorted(graph.arcs[c.index][a] & c.staying)] for c in candidates]
     queue = [(0.0, n, 0) for n in range(len(candidates))]
     heapify(queue)
     found: list[tuple[float, int]] = []
@@ -215,12 +213,12 @@ def _cuts(
             # The overlap on the way is a lower bound of what a cut removes.
             steps = tuple(step for step in _STEPS if step <= reach)
             overlap = _SURE * _largest_overlap(bodies[a], bodies[b], tuple(direction.tolist()), steps)
-            ways = [(b, a, direction), (a, b, -direction)]
-            ways.sort(key=lambda way: overlap / pieces[way[0]].whole)
-            if total + overlap / pieces[ways[0][0]].whole >= most:
+            options = [(b, a, direction), (a, b, -direction)]
+            options.sort(key=lambda option: overlap / pieces[option[0]].whole)
+            if total + overlap / pieces[options[0][0]].whole >= most:
                 return None
             choices: list[tuple[float, _Opening]] = []
-            for trimmed, other, along in ways:
+            for trimmed, other, along in options:
                 if choices and choices[0][0] < overlap / pieces[trimmed].whole:
                     break
                 made = _passage(bodies[trimmed], bodies[other], tuple(along.tolist()), length + gap, gap)
@@ -233,7 +231,8 @@ def _cuts(
                 choices.append((cost, _Opening(trimmed, other, made)))
             if not choices:
                 return None
-            cost, opening = min(choices, key=lambda choice: choice[0])
+            # Of equal costs, the part that stays is cut.
+            cost, opening = min(choices, key=lambda choice: (choice[0], choice[1].trimmed == a))
             bodies[opening.trimmed] = opening.cut.body
             removed[opening.trimmed] += opening.cut.removed
             out.append(opening)

@@ -248,9 +248,7 @@ def _clear_pair(a: Piece, b: Piece, gap: float, limits: RepairLimits, careful: b
                 worst.append((share, trimmed))
                 continue
             # The first cut takes only what is in the way, apart from plugs that come loose.
-            choices.append(
-                _Choice(_cost(trimmed, candidate, limits), trimmed, cutter, candidate, may_go_beyond=n > 0)
-            )
+            choices.append(_Choice(_cost(trimmed, candidate, limits), trimmed, cutter, candidate, may_go_beyond=n > 0))
     # A shared cut changes both parts: it is tried only after a restart raised the weight of one.
     if max(a.weight, b.weight) > 1.0:
         choices += [choice for pair in ((a, b), (b, a)) for choice in _shared(*pair, gap, limits)]

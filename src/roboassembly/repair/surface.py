@@ -13,6 +13,7 @@ from scipy.sparse.csgraph import breadth_first_order, connected_components
 from scipy.spatial import KDTree
 
 from roboassembly.repair.cached import cached
+from roboassembly.repair.edges import half_edges, numbered
 
 WELD_DISTANCE = 2e-5
 """Distance below which vertices are merged [m]."""
@@ -87,26 +88,6 @@ def patches(surface: Surface) -> list[Surface]:
     return _pieces(surface, most=2)
 
 
-def _half_edges(faces: Int[np.ndarray, "f 3"]) -> tuple[Int[np.ndarray, "e 2"], Int[np.ndarray, "e"]]:
-    """Return the directed edges of all faces, and the face of each."""
-    directed = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-    return directed, np.tile(np.arange(len(faces)), 3)
-
-
-def _numbered(rows: Int[np.ndarray, "n k"]) -> tuple[Int[np.ndarray, "n"], Int[np.ndarray, "u"]]:
-    """Return a number for each row, the same for rows with the same vertices in any order, and the size of each class.
-
-    The numbers are in the order of the sorted rows.
-    """
-    number = np.zeros(len(rows), dtype=np.int64)
-    count = np.zeros(0, dtype=np.int64)
-    for column in np.sort(rows, axis=1).T:
-        # The number of the row so far, then the vertex: one sort of plain integers for each column.
-        keys = number * (int(rows.max(initial=0)) + 1) + column
-        _, number, count = np.unique(keys, return_inverse=True, return_counts=True)
-    return number, count
-
-
 def components(surface: Surface) -> list[Surface]:
     """Return the pieces that share no edge with one another, largest area first."""
     return _pieces(surface, most=len(surface.faces))
@@ -114,8 +95,8 @@ def components(surface: Surface) -> list[Surface]:
 
 def _pieces(surface: Surface, most: int) -> list[Surface]:
     """Return the pieces connected by edges with at most `most` faces, largest area first."""
-    directed, owner = _half_edges(surface.faces)
-    edge, count = _numbered(directed)
+    directed, owner = half_edges(surface.faces)
+    edge, count = numbered(directed)
     joins = count[edge] <= most
     f, e = len(surface.faces), len(count)
     graph = coo_matrix((np.ones(int(joins.sum())), (owner[joins], f + edge[joins])), (f + e, f + e))
@@ -131,9 +112,9 @@ def orient(surface: Surface) -> Surface | None:
     another where more than two faces meet. A one-sided patch is, for example, a Möbius strip.
     """
     faces = surface.faces
-    directed, owner = _half_edges(faces)
+    directed, owner = half_edges(faces)
     forward = directed[:, 0] < directed[:, 1]
-    edge, count = _numbered(directed)
+    edge, count = numbered(directed)
     order = np.argsort(edge, kind="stable")
     pair = order[(count == 2)[edge[order]]].reshape(-1, 2)
     first, second = owner[pair[:, 0]], owner[pair[:, 1]]
@@ -205,7 +186,7 @@ def _patch_signs(
 
 def rims(surface: Surface) -> list[list[int]]:
     """Return the closed vertex loops of the open rims of an oriented surface, wound as filling faces must be."""
-    directed, _ = _half_edges(surface.faces)
+    directed, _ = half_edges(surface.faces)
     balance: dict[tuple[int, int], int] = defaultdict(int)
     for a, b in directed.tolist():
         if a < b:
@@ -379,8 +360,8 @@ def to_manifold(surface: Surface) -> m3.Manifold | None:
     if surface.volume < 0:
         surface = surface.flipped()
     surface = _without_opposed(surface).compact()
-    directed, _ = _half_edges(surface.faces)
-    edge, _ = _numbered(directed)
+    directed, _ = half_edges(surface.faces)
+    edge, _ = numbered(directed)
     flow = np.bincount(edge, weights=np.where(directed[:, 0] < directed[:, 1], 1.0, -1.0))
     if not len(surface.faces) or flow.any():
         return None
@@ -393,7 +374,7 @@ def to_manifold(surface: Surface) -> m3.Manifold | None:
 def _without_opposed(surface: Surface) -> Surface:
     """Return the surface without triangles back to back on the same three vertices, and without duplicates."""
     faces = surface.faces
-    triple, _ = _numbered(faces)
+    triple, _ = numbered(faces)
     low = np.argmin(faces, axis=1)
     turn = np.take_along_axis(faces, (low[:, None] + np.array([1, 2])) % 3, axis=1)
     sign = np.where(turn[:, 0] < turn[:, 1], 1, -1)
