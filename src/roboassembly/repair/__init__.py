@@ -11,7 +11,8 @@
 4. Joints that no part can leave in a direction that a planner tries are cut open.
 5. Parts that are delivered alike get each other's cuts, so that they stay alike.
 
-Repair refuses furniture that needs more than `RepairLimits` allows.
+Repair refuses furniture that needs more than `RepairLimits` allows. What is too short after the first three steps is
+refused there: the fourth takes longest, and takes only more away.
 """
 
 from __future__ import annotations
