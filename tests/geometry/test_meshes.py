@@ -145,7 +145,7 @@ def test_distance_from_a_point_past_triangles_that_are_lines(point: tuple[float,
     faces = np.concatenate([[[0, 8, 1], [0, 9, 8], [0, 0, 3]], box.faces])
     here = np.array(point, dtype=float)
     assert distance_to(Mesh(vertices, faces).bvh, here) == pytest.approx(distance, abs=1e-6)
-    assert Shell(Surface(vertices, faces)).distance_to(here) == pytest.approx(distance, abs=1e-6)
+    assert Shell(Surface(vertices, faces)).distances_to(here[None])[0] == pytest.approx(distance, abs=1e-6)
 
 
 def test_vertices_that_no_face_uses_do_not_count() -> None:

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
-from roboassembly.geometry.meshes import Mesh, distance_to
+from roboassembly.geometry.meshes import Mesh, all_within
 
 TOLERANCE = 1e-4
 """Largest distance between corresponding corners of congruent shapes; below the smallest gap of a joint [m]."""
@@ -127,19 +127,24 @@ def _fitted(
     tolerance: float,
 ) -> Float[np.ndarray, "3 3"] | None:  # fmt: skip
     """Return the best rotation of corners of `a` onto near corners of `b`, refined on the nearest; None if too few."""
+    before = np.empty(0, dtype=np.int64)
     for reach in (tolerance + _REACH, min(tolerance + _REACH, _CLOSER * tolerance)):
-        distance, mate = corners.query(a @ rotation.T, distance_upper_bound=reach)
-        near = np.isfinite(distance)
+        # The tree gives a corner without a mate the index after the last.
+        mate = np.asarray(corners.query(a @ rotation.T, distance_upper_bound=reach)[1])
+        near = mate < len(b)
         if np.mean(near) < _MATCHED:
             return None
-        rotation = Rotation.align_vectors(b[np.asarray(mate)[near]], a[near])[0].as_matrix()
+        # The same pairs give the same rotation.
+        if not np.array_equal(mate, before):
+            rotation = Rotation.align_vectors(b[mate[near]], a[near])[0].as_matrix()
+        before = mate
     return rotation
 
 
 def _near(points: Float[np.ndarray, "n 3"], corners: KDTree, mesh: Mesh, tolerance: float) -> bool:
     """Return whether all points lie at corners of a mesh or on its surface."""
     odd = points[~np.isfinite(corners.query(points, distance_upper_bound=tolerance)[0])]
-    return all(distance_to(mesh.bvh, point) <= tolerance for point in odd)
+    return all_within(mesh.bvh, odd, tolerance)
 
 
 def _few(points: Float[np.ndarray, "n 3"], most: int = _FEW) -> Float[np.ndarray, "m 3"]:
@@ -157,13 +162,13 @@ def _lies_on(
     odd = own[~np.isfinite(corners.query(own @ rotation.T, distance_upper_bound=tolerance)[0])]
     if len(odd) > (1.0 - _MATCHED) * len(own):
         return False
-    if any(distance_to(mesh.bvh, point) > tolerance for point in odd @ rotation.T):
+    if not all_within(mesh.bvh, odd @ rotation.T, tolerance):
         return False
     # The rims of a bore also lie on the faces of a board without it; only the wall between them differs.
     middles = _edges(moved, odd) @ rotation.T
     # A near vertex is a quicker test where triangles are small.
     far = ~np.isfinite(KDTree(mesh.vertices).query(middles, distance_upper_bound=tolerance + _REACH)[0])
-    return all(distance_to(mesh.bvh, point) <= tolerance + _REACH for point in middles[far])
+    return all_within(mesh.bvh, middles[far], tolerance + _REACH)
 
 
 def _edges(mesh: Mesh, corners: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "m 3"]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -251,15 +252,39 @@ def distance_to(model: coal.BVHModelOBBRSS, point: Float[np.ndarray, "3"]) -> fl
 
     All triangles must have area: coal 3.0.3 reports a triangle without area as touching every sphere.
     """
-    place = coal.Transform3s(np.eye(3), np.asarray(point, dtype=float))
+    return float(distances_to(model, np.asarray(point)[None])[0])
+
+
+def distances_to(model: coal.BVHModelOBBRSS, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n"]:
+    """Return the unsigned distance from each point to the nearest triangle, as `distance_to` does [m]."""
+    return np.fromiter(_distances(model, points), dtype=float, count=len(points))
+
+
+def all_within(model: coal.BVHModelOBBRSS, points: Float[np.ndarray, "n 3"], limit: float) -> bool:
+    """Return whether no point is farther than `limit` from the nearest triangle, as `distance_to` measures it [m]."""
+    return all(distance <= limit for distance in _distances(model, points))
+
+
+def _distances(model: coal.BVHModelOBBRSS, points: Float[np.ndarray, "n 3"]) -> Iterator[float]:
+    still, place = coal.Transform3s.Identity(), coal.Transform3s.Identity()
     request, result = coal.DistanceRequest(), coal.DistanceResult()
-    return abs(float(coal.distance(model, coal.Transform3s.Identity(), _POINT, place, request, result)))
+    for point in np.asarray(points, dtype=float):
+        place.setTranslation(point)
+        result.clear()
+        yield abs(coal.distance(model, still, _POINT, place, request, result))
+
+
+def collision_request() -> coal.CollisionRequest:
+    """Return a request that only asks whether two shapes touch; by default Coal also measures nearby ones."""
+    request = coal.CollisionRequest()
+    request.break_distance = 0.0
+    return request
 
 
 def nearest_points(a: Mesh, b: Mesh) -> Witness:
     """Return the exact distance between two surfaces in one frame, and the points that attain it."""
     here = coal.Transform3s.Identity()
-    request, hit = coal.CollisionRequest(), coal.CollisionResult()
+    request, hit = collision_request(), coal.CollisionResult()
     if coal.collide(a.bvh, here, b.bvh, here, request, hit):
         point = np.array(hit.getContact(0).pos) if hit.numContacts() else np.array(a.center_of_mass)
         return Witness(0.0, point, point)

@@ -11,7 +11,8 @@
 4. Joints that no part can leave in a direction that a planner tries are cut open.
 5. Parts that are delivered alike get each other's cuts, so that they stay alike.
 
-Repair refuses furniture that needs more than `RepairLimits` allows.
+Repair refuses furniture that needs more than `RepairLimits` allows. What is too short after the first three steps is
+refused there: the fourth takes longest, and takes only more away.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from roboassembly.errors import FurnitureError
 from roboassembly.furniture.model import RawPart, check_part_count
 from roboassembly.geometry.meshes import Mesh
 from roboassembly.repair.alike import keep_alike, likenesses
+from roboassembly.repair.cached import forget
 from roboassembly.repair.insertion import box_axes, extents
 from roboassembly.repair.limits import RepairLimits
 from roboassembly.repair.piece import Piece
@@ -118,7 +120,13 @@ def repair(parts: Sequence[RawPart], *, gap: float = GAP, limits: RepairLimits |
         FurnitureError: there are not 2 to 20 parts, two have the same name, a limit is exceeded, or parts lock each
             other in place; the message names the part, the figure and the limit.
     """
-    limits = limits or RepairLimits()
+    try:
+        return _repair(parts, gap, limits or RepairLimits())
+    finally:
+        forget()
+
+
+def _repair(parts: Sequence[RawPart], gap: float, limits: RepairLimits) -> RepairResult:
     check_part_count(len(parts), "repair")
     if not 1e-5 <= gap <= 1e-3:
         raise FurnitureError(f"gap {gap!r} m; expected a number between 0.00001 and 0.001 m")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import manifold3d as m3
 import numpy as np
@@ -12,9 +13,10 @@ from jaxtyping import Float
 from roboassembly.furniture.model import CONTACT_DISTANCE, RawPart
 from roboassembly.furniture.symmetry import rotations_onto, symmetries
 from roboassembly.geometry.meshes import Mesh
+from roboassembly.repair.cached import cached
 from roboassembly.repair.limits import RepairLimits
 from roboassembly.repair.piece import Piece
-from roboassembly.repair.proximity import Shell
+from roboassembly.repair.proximity import Shell, shell_of
 from roboassembly.repair.surface import to_surface
 from roboassembly.repair.trim import without_slivers
 from roboassembly.repair.turns import MAX_TURNS, SAME_TURN, groups
@@ -43,44 +45,52 @@ class Likeness:
 
     master: int
     """Index of the master."""
-    turns: Float[np.ndarray, "n 3 3"]
-    """Rotations about the centre that map the master onto this part."""
+    mesh: Mesh
+    """Delivered mesh of this part, its centre at the origin [m]."""
+    onto: Float[np.ndarray, "n 3 3"] | None
+    """Rotations about the centre that map the master onto this part; None for a master."""
     master_centre: Float[np.ndarray, "3"]
     """Centre of the master [m]."""
     centre: Float[np.ndarray, "3"]
     """Corresponding point of this part [m]."""
 
+    @cached_property
+    def turns(self) -> Float[np.ndarray, "n 3 3"]:
+        """Rotations about the centre that map the master onto this part."""
+        if self.onto is not None:
+            return self.onto
+        # Symmetries take long to find, and a part that nothing is cut from does not need them.
+        return symmetries(self.mesh, SAME_SHAPE) if _comparable(self.mesh, self.mesh) else np.eye(3)[None]
+
+    def _turn(self, index: int) -> Float[np.ndarray, "3 3"]:
+        return np.eye(3) if self.onto is None and index == 0 else self.turns[index]
+
     def placed(self, body: m3.Manifold, turn: int = 0) -> m3.Manifold:
         """Return the master's solid moved to this part's pose."""
-        rotation = self.turns[turn]
+        rotation = self._turn(turn)
         shift = self.centre - rotation @ self.master_centre
         return body.transform(np.column_stack([rotation, shift]))
 
     def placed_back(self, body: m3.Manifold, turn: int = 0) -> m3.Manifold:
         """Return this part's solid moved to the master's pose."""
-        rotation = self.turns[turn].T
+        rotation = self._turn(turn).T
         return body.transform(np.column_stack([rotation, self.master_centre - rotation @ self.centre]))
 
 
 def likenesses(parts: Sequence[RawPart]) -> list[Likeness]:
     """Return, for each part, its congruence with the first such part; mirror images are not congruent."""
-    centred: list[Mesh] = []
     out: list[Likeness] = []
     for index, part in enumerate(parts):
         centre = _middle(part.mesh)
         mesh = Mesh(part.mesh.vertices - centre, part.mesh.faces)
-        centred.append(mesh)
-        found = None
+        found = Likeness(index, mesh, None, centre, centre)
         for master in range(index):
-            if out[master].master != master or not _comparable(centred[master], mesh):
+            if out[master].master != master or not _comparable(out[master].mesh, mesh):
                 continue
-            turns = rotations_onto(centred[master], mesh, SAME_SHAPE)
+            turns = rotations_onto(out[master].mesh, mesh, SAME_SHAPE)
             if len(turns):
-                found = Likeness(master, turns, out[master].centre, centre)
+                found = Likeness(master, mesh, turns, out[master].centre, centre)
                 break
-        if found is None:
-            turns = symmetries(mesh, SAME_SHAPE) if _comparable(mesh, mesh) else np.eye(3)[None]
-            found = Likeness(index, turns, centre, centre)
         out.append(found)
     return out
 
@@ -108,22 +118,37 @@ def keep_alike(pieces: list[Piece], alike: Sequence[Likeness], limits: RepairLim
         members = [p for p, like in enumerate(alike) if like.master == master]
         if not any(pieces[p].removed > 0.0 for p in members):
             continue
-        *turned, alone = groups(alike[master].turns)
-        if len(members) > 1 and not _share_cuts(pieces, alike, members, alone, limits, tidy):
+        if len(members) > 1 and not _share_cuts(pieces, alike, members, np.eye(3)[None], limits, tidy):
             continue
+        if 2 * pieces[master].body.num_tri() > MAX_TURNED:
+            continue
+        *turned, _ = groups(alike[master].turns)
         any(_share_cuts(pieces, alike, members, turns, limits, tidy) for turns in turned[:MAX_GROUPS])
 
 
 def _still_alike(bodies: Sequence[m3.Manifold], turns: Float[np.ndarray, "n 3 3"]) -> bool:
     """Return whether the first body is congruent to all others, and has as many symmetries as there are rotations."""
-    centred: list[Mesh] = []
-    for body in bodies:
-        skin = to_surface(body)
-        mesh = Mesh(skin.vertices, skin.faces)
-        centred.append(Mesh(mesh.vertices - mesh.center_of_mass, mesh.faces))
-    return all(len(rotations_onto(centred[0], mesh)) for mesh in centred[1:]) and (
-        len(turns) == 1 or len(rotations_onto(centred[0], centred[0])) >= len(turns)
+    return all(_turn_count(bodies[0], body) for body in bodies[1:]) and (
+        len(turns) == 1 or _turn_count(bodies[0], bodies[0]) >= len(turns)
     )
+
+
+@cached
+def _turn_count(body: m3.Manifold, other: m3.Manifold) -> int:
+    """Return the number of rotations that map a solid onto another."""
+    return len(rotations_onto(_centred(body), _centred(other)))
+
+
+@cached
+def _centred(body: m3.Manifold) -> Mesh:
+    skin = to_surface(body)
+    mesh = Mesh(skin.vertices, skin.faces)
+    return Mesh(mesh.vertices - mesh.center_of_mass, mesh.faces)
+
+
+@cached
+def _translated(body: m3.Manifold, shift: tuple[float, ...]) -> m3.Manifold:
+    return body.translate(shift)
 
 
 def _share_cuts(
@@ -137,7 +162,7 @@ def _share_cuts(
     """Give all members one shape with the symmetry of the rotations; return whether they have it now."""
     master = members[0]
     moved = [pieces[p].moved for p in members]
-    unmoved = [pieces[p].body.translate(tuple((-m).tolist())) for p, m in zip(members, moved, strict=True)]
+    unmoved = [_translated(pieces[p].body, tuple((-m).tolist())) for p, m in zip(members, moved, strict=True)]
     if _still_alike(unmoved, turns):
         return True
     if len(turns) > 1 and unmoved[0].num_tri() * len(turns) > MAX_TURNED:
@@ -147,7 +172,7 @@ def _share_cuts(
     extra = min(body.volume() for body in unmoved) - common.volume()
     if extra > MAX_EXTRA * whole or common.is_empty():
         return False
-    if len(turns) > 1 and _depth(Shell(to_surface(unmoved[0])), Shell(to_surface(common))) > MAX_DEPTH:
+    if len(turns) > 1 and _depth(shell_of(unmoved[0]), shell_of(common)) > MAX_DEPTH:
         return False
     for p, body in zip(members[1:], unmoved[1:], strict=True):
         indices = _distinct_turns(alike[p], turns)
@@ -175,16 +200,14 @@ def _share_cuts(
     }
     if _harmed(pieces, fresh):
         return False
-    shells = {p: Shell(to_surface(body)) for p, body in fresh.items()}
+    shells = {p: shell_of(body) for p, body in fresh.items()}
     if len(turns) > 1 and any(_depth(pieces[p].shell, shell) > MAX_DEPTH for p, shell in shells.items()):
         return False
     for p in members:
         for q, other in enumerate(pieces):
-            if q == p or pieces[p].shell.box_distance(other.shell) >= CONTACT_DISTANCE:
+            if q == p or not pieces[p].shell.is_within(other.shell, CONTACT_DISTANCE):
                 continue
-            if pieces[p].shell.nearest(other.shell)[0] >= CONTACT_DISTANCE:
-                continue
-            if shells[p].nearest(shells.get(q, other.shell))[0] >= CONTACT_DISTANCE:
+            if not shells[p].is_within(shells.get(q, other.shell), CONTACT_DISTANCE):
                 return False
     for p, body in fresh.items():
         piece = pieces[p]
@@ -235,7 +258,7 @@ def _depth(before: Shell, after: Shell) -> float:
     corners = after.surface.corners
     middles = 0.5 * (corners + np.roll(corners, 1, axis=1))
     points = np.concatenate([after.surface.vertices, middles.reshape(-1, 3), corners.mean(axis=1)])
-    return max(before.distance_to(point) for point in points)
+    return float(before.distances_to(np.unique(points, axis=0)).max())
 
 
 def _common_in_all_turns(

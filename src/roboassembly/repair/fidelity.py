@@ -5,7 +5,7 @@ from __future__ import annotations
 import manifold3d as m3
 import numpy as np
 
-from roboassembly.repair.proximity import Shell
+from roboassembly.repair.proximity import Shell, shell_of
 from roboassembly.repair.surface import Surface, sample, to_surface
 
 SPACING = 0.016
@@ -19,8 +19,8 @@ _NEAR = 5e-4
 def lost(surface: Surface, body: m3.Manifold) -> float:
     """Return how far the delivered surface sticks out of the solid: 99th percentile of evenly sampled points [m]."""
     points = _sample_evenly(surface)
-    shell = Shell(to_surface(body))
-    distance = np.array([shell.distance_to(point) for point in points])
+    shell = shell_of(body)
+    distance = shell.distances_to(points)
     deep = np.flatnonzero(distance > _NEAR)
     out = body.bounding_box()
     beyond = np.array([out[3] + 0.1, out[4] + 0.137, out[5] + 0.0713])
@@ -42,7 +42,7 @@ def added(surface: Surface, body: m3.Manifold) -> float:
     Caps over open ends count: a filled tube gives half its width.
     """
     shell = Shell(surface)
-    return float(np.quantile([shell.distance_to(point) for point in _sample_evenly(to_surface(body))], QUANTILE))
+    return float(np.quantile(shell.distances_to(_sample_evenly(to_surface(body))), QUANTILE))
 
 
 def _sample_evenly(surface: Surface) -> np.ndarray:

@@ -8,6 +8,7 @@ import trimesh
 from jaxtyping import Float
 from scipy.spatial import QhullError
 
+from roboassembly.repair.cached import cached
 from roboassembly.repair.surface import to_surface
 from roboassembly.repair.trim import inflate, near
 
@@ -37,6 +38,7 @@ def extents(points: Float[np.ndarray, "n 3"], axes: Float[np.ndarray, "3 3"]) ->
     return np.ptp(points @ axes.T, axis=0) if len(points) else np.zeros(3)
 
 
+@cached
 def engaged(body: m3.Manifold, other: m3.Manifold) -> Float[np.ndarray, "n 3"]:
     """Return the vertices of the portion of `body` inside `other` or within `REACH` of it; none without contact."""
     cropped = near(other, body, 20.0 * REACH)

@@ -6,6 +6,7 @@ Only directions that are natural to the joint count as exits.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from heapq import heapify, heappop, heappush
 from itertools import combinations
 
 import manifold3d as m3
@@ -15,10 +16,11 @@ from jaxtyping import Float
 from roboassembly.errors import FurnitureError
 from roboassembly.furniture.model import CONTACT_DISTANCE
 from roboassembly.geometry.poses import align_axis
+from roboassembly.repair.cached import cached
 from roboassembly.repair.exits import Blocking, BlockingCache, Exits, Parts, blocking, overlap_span
 from roboassembly.repair.limits import RepairLimits
 from roboassembly.repair.piece import HARM_LIMIT, Piece, harm
-from roboassembly.repair.proximity import Shell
+from roboassembly.repair.proximity import shell_of
 from roboassembly.repair.surface import to_surface
 from roboassembly.repair.trim import Cut, cut_with, inflate
 
@@ -40,6 +42,8 @@ GROWTH = 0.01
 """Growth of the outline, as a share of its area, above which a new layer begins."""
 _STEPS = (0.002, 0.006, 0.015, 0.03, 0.06, 0.12)
 """Distances along an exit at which the overlap is measured [m]."""
+_SURE = 0.9
+"""Share of the overlap on the way that a cut removes in any case; the tool is simplified a little."""
 _SPLIT_COST = 0.5
 """Cost of a cut through a part, as a share of its volume."""
 _LOOSE_COST = 0.2
@@ -111,21 +115,19 @@ def _open(
     limits: RepairLimits,
 ) -> bool:
     """Cut the cheapest untried exit of a captive set; return whether there is one within the limits."""
-    estimates: dict[tuple[int, int, int], float] = {}
     ranked = sorted(
         (candidate for candidate in _candidate_exits(core, graph) if candidate not in tried),
         key=lambda candidate: sum(len(graph.arcs[candidate.index][p] & candidate.staying) for p in candidate.leaving),
     )
-    priced = sorted(
-        ((_estimate(pieces, candidate, graph, estimates), n) for n, candidate in enumerate(ranked[:MAX_ESTIMATED])),
-    )
+    priced = _cheapest(pieces, ranked[:MAX_ESTIMATED], graph)
     best: tuple[float, list[_Opening], _ExitCandidate] | None = None
     for reach in (float("inf"), LOCAL):
-        for price, n in priced[:MAX_TRIED]:
+        for price, n in priced:
             if best is not None and price >= best[0]:
                 break
-            made = _cuts(pieces, ranked[n], graph, exits, reach, gap, limits)
-            if made is not None and (best is None or made[0] < best[0]):
+            most = float("inf") if best is None else best[0]
+            made = _cuts(pieces, ranked[n], graph, exits, reach, gap, limits, most)
+            if made is not None:
                 best = (*made, ranked[n])
         if best is not None:
             break
@@ -155,21 +157,33 @@ def _candidate_exits(core: Parts, graph: Blocking) -> list[_ExitCandidate]:
     ]
 
 
-def _estimate(
-    pieces: list[Piece], candidate: _ExitCandidate, graph: Blocking, known: dict[tuple[int, int, int], float]
+def _cheapest(pieces: list[Piece], candidates: list[_ExitCandidate], graph: Blocking) -> list[tuple[float, int]]:
+    """Return the `MAX_TRIED` exits with the lowest bounds of their cost, as a share of volumes, and their indices.
+
+    Overlaps are added pair by pair, first where the sum is smallest, so that few are measured of expensive exits.
+    """
+    hits = [[(a, b) for a in sorted(c.leaving) for b in sorted(graph.arcs[c.index][a] & c.staying)] for c in candidates]
+    queue = [(0.0, n, 0) for n in range(len(candidates))]
+    heapify(queue)
+    found: list[tuple[float, int]] = []
+    while queue and len(found) < MAX_TRIED:
+        total, n, count = heappop(queue)
+        if count == len(hits[n]):
+            found.append((total, n))
+            continue
+        first, second = (pieces[p] for p in hits[n][count])
+        direction = tuple(graph.directions[candidates[n].index].tolist())
+        met = _largest_overlap(first.body, second.body, direction, _STEPS)
+        heappush(queue, (total + met / max(first.whole, second.whole), n, count + 1))
+    return found
+
+
+@cached
+def _largest_overlap(
+    body: m3.Manifold, other: m3.Manifold, direction: tuple[float, ...], steps: tuple[float, ...]
 ) -> float:
-    """Return a lower bound of the cost of an exit, as a share of volumes."""
-    total = 0.0
-    for a in sorted(candidate.leaving):
-        for b in sorted(graph.arcs[candidate.index][a] & candidate.staying):
-            key = (a, b, candidate.index)
-            if key not in known:
-                first, second = pieces[a], pieces[b]
-                moves = [tuple((step * graph.directions[candidate.index]).tolist()) for step in _STEPS]
-                met = max((first.body.translate(move) ^ second.body).volume() for move in moves)
-                known[key] = met / max(first.whole, second.whole)
-            total += known[key]
-    return total
+    """Return the largest volume that a solid shares with another after each of some steps along a direction [m³]."""
+    return max((body.translate(tuple(step * x for x in direction)) ^ other).volume() for step in steps)
 
 
 def _cuts(
@@ -180,8 +194,12 @@ def _cuts(
     reach: float,
     gap: float,
     limits: RepairLimits,
+    most: float,
 ) -> tuple[float, list[_Opening]] | None:
-    """Return the cost of an exit, as a share of volumes, and its cuts; None if a limit forbids them."""
+    """Return the cost of an exit, as a share of volumes, and its cuts.
+
+    Returns None if a limit forbids the cuts, or if they cost `most` or more.
+    """
     direction = graph.directions[candidate.index]
     bodies = {p: pieces[p].body for p in candidate.leaving | candidate.staying}
     removed = {p: pieces[p].removed for p in bodies}
@@ -192,10 +210,18 @@ def _cuts(
             if not (exits.hits(a, b, candidate.index) if reach > LOCAL else b in graph.arcs[candidate.index][a]):
                 continue
             length = min(reach, overlap_span(pieces[a].shell, pieces[b].shell, direction)[1])
+            # The overlap on the way is a lower bound of what a cut removes.
+            steps = tuple(step for step in _STEPS if step <= reach)
+            overlap = _SURE * _largest_overlap(bodies[a], bodies[b], tuple(direction.tolist()), steps)
+            options = [(b, a, direction), (a, b, -direction)]
+            options.sort(key=lambda option: overlap / pieces[option[0]].whole)
+            if total + overlap / pieces[options[0][0]].whole >= most:
+                return None
             choices: list[tuple[float, _Opening]] = []
-            for trimmed, other, along in ((b, a, direction), (a, b, -direction)):
-                tool = sweep(bodies[other], along, length + gap, bodies[trimmed], gap)
-                made = cut_with(bodies[trimmed], tool, bodies[other], gap)
+            for trimmed, other, along in options:
+                if choices and choices[0][0] < overlap / pieces[trimmed].whole:
+                    break
+                made = _passage(bodies[trimmed], bodies[other], tuple(along.tolist()), length + gap, gap)
                 share = made.removed / pieces[trimmed].whole
                 if made.body.is_empty() or removed[trimmed] + made.removed > limits.trimmed * pieces[trimmed].whole:
                     continue
@@ -205,16 +231,27 @@ def _cuts(
                 choices.append((cost, _Opening(trimmed, other, made)))
             if not choices:
                 return None
-            cost, opening = min(choices, key=lambda choice: choice[0])
+            # Of equal costs, the part that stays is cut.
+            cost, opening = min(choices, key=lambda choice: (choice[0], choice[1].trimmed == a))
             bodies[opening.trimmed] = opening.cut.body
             removed[opening.trimmed] += opening.cut.removed
             out.append(opening)
             total += cost
-    return total, out
+            if total >= most:
+                return None
+    return (total, out) if total < most else None
+
+
+@cached
+def _passage(
+    body: m3.Manifold, other: m3.Manifold, direction: tuple[float, float, float], length: float, gap: float
+) -> Cut:
+    """Remove from `body` what is in the way of the other solid while it moves `length` metres."""
+    return cut_with(body, sweep(other, np.array(direction), length, body, gap), other, gap)
 
 
 def _loses_contact(first: m3.Manifold, second: m3.Manifold) -> bool:
-    return Shell(to_surface(first)).nearest(Shell(to_surface(second)))[0] >= CONTACT_DISTANCE
+    return not shell_of(first).is_within(shell_of(second), CONTACT_DISTANCE)
 
 
 def sweep(
@@ -224,7 +261,32 @@ def sweep(
 
     A body with many faces towards the direction is swept layer by layer.
     """
-    low, high = np.reshape(target.bounding_box(), (2, 3))
+    up = align_axis(direction, np.array([0.0, 0.0, 1.0]))
+    across = target.transform(np.column_stack([up, np.zeros(3)])).bounding_box()
+    return _swept(body, tuple(direction.tolist()), length, tuple(target.bounding_box()), tuple(across), gap)
+
+
+@cached
+def _swept(
+    body: m3.Manifold,
+    along: tuple[float, ...],
+    length: float,
+    box: tuple[float, ...],
+    across: tuple[float, ...],
+    gap: float,
+) -> m3.Manifold:
+    """Return the volume that `sweep` describes, which depends on the target only by its boxes.
+
+    Args:
+        body: solid that moves.
+        along: unit vector.
+        length: distance [m].
+        box: box of the target: lowest and highest corner [m].
+        across: the same, turned so that the direction is the z axis [m].
+        gap: distance left between the two [m].
+    """
+    direction = np.array(along)
+    low, high = np.reshape(box, (2, 3))
     shift = length * direction
     start, stop = low - np.maximum(shift, 0.0) - 20.0 * gap, high - np.minimum(shift, 0.0) + 20.0 * gap
     close = body ^ m3.Manifold.cube(tuple(stop - start)).translate(tuple(start))
@@ -238,11 +300,11 @@ def sweep(
     if ahead.sum() <= MAX_PRISMS:
         prisms = [m3.Manifold.hull_points(np.concatenate([t, t + shift])) for t in corners[ahead]]
         return m3.Manifold.batch_boolean([grown, *prisms], m3.OpType.Add)
-    return _layered(close.simplify(0.3 * gap), direction, length, target, 1.3 * gap)
+    return _layered(close.simplify(0.3 * gap), direction, length, across, 1.3 * gap)
 
 
 def _layered(
-    body: m3.Manifold, direction: Float[np.ndarray, "3"], length: float, target: m3.Manifold, margin: float
+    body: m3.Manifold, direction: Float[np.ndarray, "3"], length: float, across: tuple[float, ...], margin: float
 ) -> m3.Manifold:
     """Return the volume that a body of many faces sweeps, in layers across the direction.
 
@@ -251,7 +313,6 @@ def _layered(
     """
     up = align_axis(direction, np.array([0.0, 0.0, 1.0]))
     turned = body.transform(np.column_stack([up, np.zeros(3)]))
-    across = target.transform(np.column_stack([up, np.zeros(3)])).bounding_box()
     bottom, top = turned.bounding_box()[2], turned.bounding_box()[5]
     first, last = max(bottom, across[2] - margin), min(top, across[5] + margin)
     if last <= first:

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from roboassembly.repair.insertion import box_axes, engaged, extents, insertion_depth
-from roboassembly.repair.proximity import Shell
+from roboassembly.repair.proximity import Shell, shell_of
 from roboassembly.repair.solid import Solid
 from roboassembly.repair.surface import to_surface
 
@@ -42,7 +42,6 @@ class Piece:
     """Size along these axes before any trimming [m]."""
     depths: dict[str, Float[np.ndarray, "3"]] = field(default_factory=dict[str, Float[np.ndarray, "3"]])
     """Depths in neighbours along the axes before any trimming, by the neighbour's name [m]."""
-    _shell: Shell | None = None
 
     @classmethod
     def of(cls, name: str, solid: Solid) -> Piece:
@@ -54,13 +53,11 @@ class Piece:
     @property
     def shell(self) -> Shell:
         """Present triangles as a collision model."""
-        if self._shell is None:
-            self._shell = Shell(to_surface(self.body))
-        return self._shell
+        return shell_of(self.body)
 
     def become(self, body: m3.Manifold) -> None:
         """Replace the solid."""
-        self.body, self._shell = body, None
+        self.body = body
 
     def shrinkage(self, body: m3.Manifold) -> float:
         """Return the loss of size of `body` against the untrimmed part, along the axis that loses most [m]."""

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from itertools import combinations, permutations
+from heapq import heapify, heappop, heappush
+from itertools import chain, combinations, permutations
 
+import manifold3d as m3
 import numpy as np
 
 from roboassembly.errors import FurnitureError
 from roboassembly.furniture.model import CONTACT_DISTANCE
+from roboassembly.repair.cached import cached
 from roboassembly.repair.insertion import REACH
 from roboassembly.repair.limits import RepairLimits
 from roboassembly.repair.opening import open_up
 from roboassembly.repair.piece import HARM_LIMIT, Piece, harm
-from roboassembly.repair.proximity import Shell
+from roboassembly.repair.proximity import shell_of
 from roboassembly.repair.share import shared_cuts
-from roboassembly.repair.surface import to_surface
 from roboassembly.repair.trim import Cut, cut, flush_cut, inflate, near, plane_cut
 
 ROUNDS = 8
@@ -104,6 +107,8 @@ def _separate(
         except _TooMuchTrimmedError as problem:
             first = first or problem
             weights[pieces.index(problem.piece)] *= HEAVIER
+        except _ShortenedError:
+            raise
         except FurnitureError:
             if first is None:
                 raise
@@ -125,12 +130,13 @@ def _attempt(pieces: list[Piece], gap: float, limits: RepairLimits, diagonal: fl
         _clear_all(pieces, gap, limits, careful)
     else:
         raise FurnitureError(f"parts are still not connected after {MAX_MOVES} moves; check the assembled poses")
+    # Openings only take more away, and they are the slowest step.
+    check_sizes(pieces, limits)
     open_up(pieces, gap, limits)
     if len(_islands(pieces)) > 1:
         raise FurnitureError("parts came apart when their sockets were opened; check the assembled poses")
     for a, b in were_touching:
-        distance = _distance(a, b, 2 * CONTACT_DISTANCE)
-        if distance >= CONTACT_DISTANCE:
+        if not a.shell.is_within(b.shell, CONTACT_DISTANCE):
             for piece, other in ((a, b), (b, a)):
                 piece.notes.append(f"no longer within {CONTACT_DISTANCE * 1e3:g} mm of '{other.name}'")
 
@@ -160,6 +166,11 @@ def _distance(a: Piece, b: Piece, enough: float) -> float:
     return a.shell.nearest(b.shell)[0] if a.shell.box_distance(b.shell) <= enough else float("inf")
 
 
+@cached
+def _shared_volume(first: m3.Manifold, second: m3.Manifold) -> float:
+    return (first ^ second).volume()
+
+
 def _clear_all(pieces: list[Piece], gap: float, limits: RepairLimits, careful: bool) -> None:
     close: list[tuple[Piece, Piece]] = []
     for attempt in range(ROUNDS):
@@ -169,8 +180,8 @@ def _clear_all(pieces: list[Piece], gap: float, limits: RepairLimits, careful: b
             a, b = pieces[i], pieces[j]
             if a.shell.box_distance(b.shell) > gap:
                 continue
-            shared = (a.body ^ b.body).volume()
-            if shared > 1e-12 or _distance(a, b, gap) < 0.5 * gap:
+            shared = _shared_volume(a.body, b.body)
+            if shared > 1e-12 or a.shell.is_within(b.shell, 0.5 * gap):
                 overlaps.append((-shared, i, j))
         if not overlaps:
             return
@@ -186,16 +197,28 @@ class _Choice:
     """Candidate cut that makes two pieces clear each other."""
 
     cost: float
+    """Cost without the harm to sizes and joints."""
     trimmed: Piece
     cutter: Piece
     cut: Cut
     tip: Cut | None = None
     """Cut of the cutter that comes first, if the two share the loss."""
+    may_go_beyond: bool = False
+    """Whether the cut may take more than the overlap."""
+
+    def harm_cost(self) -> float:
+        """Return the cost of the loss of size, or of depth in joints."""
+        if self.tip is not None:
+            lost = harm(self.cutter, self.trimmed, self.tip.body, self.cut.body)
+        else:
+            lost = harm(self.trimmed, self.cutter, self.cut.body)
+        beyond = lost <= HARM_LIMIT and self.may_go_beyond and _goes_beyond(self.trimmed, self.cutter, self.cut)
+        return HARMFUL if beyond or lost > HARM_LIMIT else HARM_COST * lost / HARM_LIMIT
 
     def clears(self, gap: float) -> bool:
         """Return whether the cut leaves at least half of `gap`."""
-        other = self.cutter.shell if self.tip is None else Shell(to_surface(self.tip.body))
-        return Shell(to_surface(self.cut.body)).nearest(other)[0] >= 0.5 * gap
+        other = self.cutter.shell if self.tip is None else shell_of(self.tip.body)
+        return not shell_of(self.cut.body).is_within(other, 0.5 * gap)
 
     def apply(self) -> None:
         """Apply the cut to the pieces."""
@@ -224,16 +247,11 @@ def _clear_pair(a: Piece, b: Piece, gap: float, limits: RepairLimits, careful: b
             if candidate.body.is_empty() or share > limits.trimmed:
                 worst.append((share, trimmed))
                 continue
-            cost = _cost(trimmed, candidate, limits)
-            if careful:
-                # The first cut takes only what is in the way, apart from plugs that come loose.
-                cost += _harm_cost(
-                    harm(trimmed, cutter, candidate.body), n > 0 and _goes_beyond(trimmed, cutter, candidate)
-                )
-            choices.append(_Choice(cost, trimmed, cutter, candidate))
+            # The first cut takes only what is in the way, apart from plugs that come loose.
+            choices.append(_Choice(_cost(trimmed, candidate, limits), trimmed, cutter, candidate, may_go_beyond=n > 0))
     # A shared cut changes both parts: it is tried only after a restart raised the weight of one.
     if max(a.weight, b.weight) > 1.0:
-        choices += [choice for pair in ((a, b), (b, a)) for choice in _shared(*pair, gap, limits, careful)]
+        choices += [choice for pair in ((a, b), (b, a)) for choice in _shared(*pair, gap, limits)]
     if not choices:
         share, piece = min(worst, key=lambda w: w[0])
         other = b if piece is a else a
@@ -242,10 +260,23 @@ def _clear_pair(a: Piece, b: Piece, gap: float, limits: RepairLimits, careful: b
             f"part '{piece.name}' would lose {share:.1%} of its volume to clear '{other.name}'; "
             f"at most {limits.trimmed:.1%} is allowed (limit `trimmed`)",
         )
-    choices.sort(key=lambda choice: choice.cost)
     # A cut can fail to clear if a surface crosses itself, because no cut removes an inside-out region. Then the next
     # candidate is tried.
-    next((choice for choice in choices if choice.clears(gap)), choices[0]).apply()
+    ordered = _by_cost(choices, careful)
+    first = next(ordered)
+    next((choice for choice in chain((first,), ordered) if choice.clears(gap)), first).apply()
+
+
+def _by_cost(choices: list[_Choice], careful: bool) -> Iterator[_Choice]:
+    """Yield the cheapest choice first. If `careful`, harm adds to the cost; it is measured only when it may matter."""
+    queue = [(choice.cost, n, not careful) for n, choice in enumerate(choices)]
+    heapify(queue)
+    while queue:
+        cost, n, is_final = heappop(queue)
+        if is_final:
+            yield choices[n]
+        else:
+            heappush(queue, (cost + choices[n].harm_cost(), n, True))
 
 
 def _cuts(trimmed: Piece, cutter: Piece, gap: float) -> list[Cut]:
@@ -261,7 +292,7 @@ def _cuts(trimmed: Piece, cutter: Piece, gap: float) -> list[Cut]:
     return cuts
 
 
-def _shared(trimmed: Piece, cutter: Piece, gap: float, limits: RepairLimits, careful: bool) -> list[_Choice]:
+def _shared(trimmed: Piece, cutter: Piece, gap: float, limits: RepairLimits) -> list[_Choice]:
     """Return candidates in which the cutter is shortened before it cuts."""
     out: list[_Choice] = []
     most = limits.trimmed * cutter.whole - cutter.removed
@@ -272,8 +303,6 @@ def _shared(trimmed: Piece, cutter: Piece, gap: float, limits: RepairLimits, car
         ]
         if max(shares) <= limits.trimmed and not shared.socket.body.is_empty():
             cost = cutter.weight * shares[0] / limits.trimmed + _cost(trimmed, shared.socket, limits)
-            if careful:
-                cost += _harm_cost(harm(cutter, trimmed, shared.tip.body, shared.socket.body), goes_beyond=False)
             out.append(_Choice(cost, trimmed, cutter, shared.socket, shared.tip))
     return out
 
@@ -281,10 +310,6 @@ def _shared(trimmed: Piece, cutter: Piece, gap: float, limits: RepairLimits, car
 def _cost(piece: Piece, made: Cut, limits: RepairLimits) -> float:
     share = (piece.removed + made.removed) / piece.whole
     return piece.weight * share / limits.trimmed + 4.0 * (0.5 - min(0.5, made.freedom)) + 6.0 * made.splits
-
-
-def _harm_cost(lost: float, goes_beyond: bool) -> float:
-    return HARMFUL if goes_beyond or lost > HARM_LIMIT else HARM_COST * lost / HARM_LIMIT
 
 
 def _goes_beyond(trimmed: Piece, cutter: Piece, made: Cut) -> bool:
@@ -303,7 +328,7 @@ def _islands(pieces: list[Piece]) -> list[list[int]]:
         while stack:
             p = stack.pop()
             island.append(p)
-            joined = [q for q in sorted(left) if _distance(pieces[p], pieces[q], CONTACT_DISTANCE) < CONTACT_DISTANCE]
+            joined = [q for q in sorted(left) if pieces[p].shell.is_within(pieces[q].shell, CONTACT_DISTANCE)]
             left -= set(joined)
             stack += joined
         out.append(sorted(island))

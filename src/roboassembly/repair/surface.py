@@ -12,6 +12,9 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import breadth_first_order, connected_components
 from scipy.spatial import KDTree
 
+from roboassembly.repair.cached import cached
+from roboassembly.repair.edges import half_edges, numbered
+
 WELD_DISTANCE = 2e-5
 """Distance below which vertices are merged [m]."""
 MAX_HOLE_BULGE = 0.002
@@ -85,12 +88,6 @@ def patches(surface: Surface) -> list[Surface]:
     return _pieces(surface, most=2)
 
 
-def _half_edges(faces: Int[np.ndarray, "f 3"]) -> tuple[Int[np.ndarray, "e 2"], Int[np.ndarray, "e"]]:
-    """Return the directed edges of all faces, and the face of each."""
-    directed = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-    return directed, np.tile(np.arange(len(faces)), 3)
-
-
 def components(surface: Surface) -> list[Surface]:
     """Return the pieces that share no edge with one another, largest area first."""
     return _pieces(surface, most=len(surface.faces))
@@ -98,9 +95,8 @@ def components(surface: Surface) -> list[Surface]:
 
 def _pieces(surface: Surface, most: int) -> list[Surface]:
     """Return the pieces connected by edges with at most `most` faces, largest area first."""
-    directed, owner = _half_edges(surface.faces)
-    _, edge, count = np.unique(np.sort(directed, axis=1), axis=0, return_inverse=True, return_counts=True)
-    edge = edge.reshape(-1)
+    directed, owner = half_edges(surface.faces)
+    edge, count = numbered(directed)
     joins = count[edge] <= most
     f, e = len(surface.faces), len(count)
     graph = coo_matrix((np.ones(int(joins.sum())), (owner[joins], f + edge[joins])), (f + e, f + e))
@@ -116,10 +112,9 @@ def orient(surface: Surface) -> Surface | None:
     another where more than two faces meet. A one-sided patch is, for example, a Möbius strip.
     """
     faces = surface.faces
-    directed, owner = _half_edges(faces)
+    directed, owner = half_edges(faces)
     forward = directed[:, 0] < directed[:, 1]
-    _, edge, count = np.unique(np.sort(directed, axis=1), axis=0, return_inverse=True, return_counts=True)
-    edge = edge.reshape(-1)
+    edge, count = numbered(directed)
     order = np.argsort(edge, kind="stable")
     pair = order[(count == 2)[edge[order]]].reshape(-1, 2)
     first, second = owner[pair[:, 0]], owner[pair[:, 1]]
@@ -191,7 +186,7 @@ def _patch_signs(
 
 def rims(surface: Surface) -> list[list[int]]:
     """Return the closed vertex loops of the open rims of an oriented surface, wound as filling faces must be."""
-    directed, _ = _half_edges(surface.faces)
+    directed, _ = half_edges(surface.faces)
     balance: dict[tuple[int, int], int] = defaultdict(int)
     for a, b in directed.tolist():
         if a < b:
@@ -365,9 +360,9 @@ def to_manifold(surface: Surface) -> m3.Manifold | None:
     if surface.volume < 0:
         surface = surface.flipped()
     surface = _without_opposed(surface).compact()
-    directed, _ = _half_edges(surface.faces)
-    _, edge = np.unique(np.sort(directed, axis=1), axis=0, return_inverse=True)
-    flow = np.bincount(edge.reshape(-1), weights=np.where(directed[:, 0] < directed[:, 1], 1.0, -1.0))
+    directed, _ = half_edges(surface.faces)
+    edge, _ = numbered(directed)
+    flow = np.bincount(edge, weights=np.where(directed[:, 0] < directed[:, 1], 1.0, -1.0))
     if not len(surface.faces) or flow.any():
         return None
     body = m3.Manifold(
@@ -379,17 +374,17 @@ def to_manifold(surface: Surface) -> m3.Manifold | None:
 def _without_opposed(surface: Surface) -> Surface:
     """Return the surface without triangles back to back on the same three vertices, and without duplicates."""
     faces = surface.faces
-    _, triple = np.unique(np.sort(faces, axis=1), axis=0, return_inverse=True)
-    triple = triple.reshape(-1)
+    triple, _ = numbered(faces)
     low = np.argmin(faces, axis=1)
     turn = np.take_along_axis(faces, (low[:, None] + np.array([1, 2])) % 3, axis=1)
     sign = np.where(turn[:, 0] < turn[:, 1], 1, -1)
     total = np.bincount(triple, weights=sign)
-    first = np.unique(np.column_stack([triple, sign]), axis=0, return_index=True)[1]
+    first = np.unique(2 * triple + (sign > 0), return_index=True)[1]
     keep = np.sort(first[total[triple[first]] * sign[first] > 0])
     return Surface(surface.vertices, faces[keep])
 
 
+@cached
 def to_surface(body: m3.Manifold) -> Surface:
     """Return the triangles of a solid."""
     mesh = body.to_mesh64()

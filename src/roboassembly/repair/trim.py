@@ -8,7 +8,8 @@ import manifold3d as m3
 import numpy as np
 from jaxtyping import Float
 
-from roboassembly.repair.proximity import Shell
+from roboassembly.repair.cached import cached
+from roboassembly.repair.proximity import shell_of
 from roboassembly.repair.surface import Surface, to_manifold, to_surface
 
 SLIVER = 0.002
@@ -42,6 +43,7 @@ DIRECTIONS = _directions(300)
 _CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=float)
 
 
+@cached
 def inflate(body: m3.Manifold, amount: float) -> m3.Manifold:
     """Return the solid with every face moved outward by `amount` metres; edges and corners stay sharp."""
     skin = to_surface(body)
@@ -74,7 +76,12 @@ def inflate(body: m3.Manifold, amount: float) -> m3.Manifold:
 
 def near(body: m3.Manifold, other: m3.Manifold, margin: float) -> m3.Manifold:
     """Return the part of `body` inside the other's box, widened by `margin` metres."""
-    low, high = np.reshape(other.bounding_box(), (2, 3))
+    return _cropped(body, tuple(other.bounding_box()), margin)
+
+
+@cached
+def _cropped(body: m3.Manifold, box: tuple[float, ...], margin: float) -> m3.Manifold:
+    low, high = np.reshape(box, (2, 3))
     size = high - low + 2.0 * margin
     return body ^ m3.Manifold.cube(tuple(size)).translate(tuple(low - margin))
 
@@ -95,6 +102,7 @@ class Cut:
     """Whether the cut splits the solid into several sizeable pieces."""
 
 
+@cached
 def cut(body: m3.Manifold, cutter: m3.Manifold, gap: float) -> Cut:
     """Remove from `body` what `cutter`, grown by `gap` metres, covers."""
     return cut_with(body, inflate(near(cutter, body, 20.0 * gap), gap), cutter, gap)
@@ -129,16 +137,15 @@ def _finish(body: m3.Manifold, rest: m3.Manifold, freedom: float, before: int) -
 
 def _widen(rest: m3.Manifold, cutter: m3.Manifold, gap: float) -> m3.Manifold:
     """Cut again, triangle by triangle, where the rest is still closer to the cutter than the gap."""
-    skin = to_surface(cutter)
-    shell = Shell(skin)
+    shell = shell_of(cutter)
     for grow in (1.0, 1.15):
         if rest.is_empty():
             return rest
-        close = shell.triangles_near(Shell(to_surface(rest)), 0.6 * gap)
+        close = shell.triangles_near(shell_of(rest), 0.6 * gap)
         if not len(close):
             return rest
         offsets = (2.0 * _CORNERS - 1.0) * gap * grow
-        prisms = [m3.Manifold.hull_points((t[:, None] + offsets).reshape(-1, 3)) for t in skin.corners[close]]
+        prisms = [m3.Manifold.hull_points((t[:, None] + offsets).reshape(-1, 3)) for t in shell.surface.corners[close]]
         rest = (rest - m3.Manifold.batch_boolean(prisms, m3.OpType.Add)).simplify(TIDY)
     return rest
 
@@ -153,7 +160,7 @@ def flush_cut(body: m3.Manifold, cutter: m3.Manifold, gap: float) -> Cut | None:
         return None
     filled = near(cutter, meeting, RECESS_MARGIN).hull()
     made = cut(body, filled, gap)
-    if made.body.is_empty() or Shell(to_surface(made.body)).nearest(Shell(to_surface(cutter)))[0] > RECESS_CONTACT:
+    if made.body.is_empty() or shell_of(made.body).nearest(shell_of(cutter))[0] > RECESS_CONTACT:
         return None
     return made
 
@@ -183,6 +190,7 @@ def plane_cut(body: m3.Manifold, other: m3.Manifold, gap: float) -> list[Cut]:
     return out
 
 
+@cached
 def _sizeable(body: m3.Manifold, whole: float | None = None) -> tuple[list[m3.Manifold], int]:
     """Return the sizeable pieces, and the number of slivers: small pieces inside the box around the others.
 
