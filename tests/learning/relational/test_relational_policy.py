@@ -117,6 +117,7 @@ def test_beam_search_gives_up_the_best_action_if_it_leads_nowhere() -> None:
 def test_a_beam_leaves_out_only_what_cannot_win() -> None:
     policy = load_policy("relational")
     assert isinstance(policy, RelationalPolicy)
+    policy = replace(policy, beam_width=4)
     for piece in ("splat:3", "stool:2"):
         env = ObjectCentricEnv(piece, cloud_points=CLOUD_POINTS)
         observation, info = env.reset(seed=1)
@@ -138,6 +139,7 @@ def test_merges_of_equal_parts_lead_to_states_with_the_same_groups() -> None:
     view = PolicyView.from_observation(observation, info["action_mask"])
     policy = load_policy("relational")
     assert isinstance(policy, RelationalPolicy)
+    policy = replace(policy, beam_width=4)
     values, after = policy.pair_values(view), {}
     for step in policy._next_steps([_Sequence(view, values)]):
         u, v, k, l, _ = step.action  # noqa: E741
