@@ -176,7 +176,7 @@ class Search(Generic[State, AStep]):
             if self.strays and self.hopeless(self.joined(self.task.groups_of(state), suggestion.action)):
                 continue
             tries += 1
-            outcome = self.attempt(state, suggestion.action, self.round.budget)
+            outcome = self.attempt(state, suggestion.action, self.round.first or self.round.budget)
             if outcome is None or outcome.step is None:
                 continue
             followed += 1
