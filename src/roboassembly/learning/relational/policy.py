@@ -104,7 +104,7 @@ class RelationalPolicy:
             InputError: no action exists, or the mask has grasps and the policy has no grasp network.
         """
         if mask.ndim == _FULL_MASK_AXES:
-            return surest(self.values(observation, mask))
+            return surest(self._full_values(observation, mask, 1))
         with one_blas_thread():
             view = PolicyView.from_observation(observation, mask)
             values = self.pair_values(view)
@@ -118,16 +118,23 @@ class RelationalPolicy:
         Raises:
             InputError: the mask has grasps and the policy has no grasp network.
         """
-        full = mask.ndim == _FULL_MASK_AXES
-        grasp_params = self.grasp_params if full else None
-        if full and grasp_params is None:
+        if mask.ndim == _FULL_MASK_AXES:
+            return self._full_values(observation, mask, _ENOUGH_ACTIONS)
+        with one_blas_thread():
+            return self.pair_values(PolicyView.from_observation(observation, mask))
+
+    def _full_values(self, observation: Observation, mask: Mask, enough: int) -> Values:
+        """Return the values of the full setting; see `_grasp_values`.
+
+        Raises:
+            InputError: the policy has no grasp network.
+        """
+        if self.grasp_params is None:
             raise InputError(f"the policy '{self.name}' has no grasp network; use --setting object-centric")
+        policy = self if self.full_params is None else replace(self, params=self.full_params)
         with one_blas_thread():
             view = PolicyView.from_observation(observation, mask)
-            if grasp_params is None:
-                return self.pair_values(view)
-            policy = self if self.full_params is None else replace(self, params=self.full_params)
-            return policy._grasp_values(view, grasp_params, mask)
+            return policy._grasp_values(view, self.grasp_params, mask, enough)
 
     def probabilities(self, observation: Observation, mask: Mask) -> Values:
         """Return for each action the probability that the furniture can be finished after it."""
@@ -201,11 +208,17 @@ class RelationalPolicy:
             known[key] = _log_sigmoid(best) if best > -np.inf else (0.0 if view.complete else -np.inf)
         return known[key]
 
-    def _grasp_values(self, view: PolicyView, grasp_params: Params, mask: Mask) -> Values:
+    def _grasp_values(self, view: PolicyView, grasp_params: Params, mask: Mask, enough: int) -> Values:
         """Log-probabilities of actions with grasps.
 
-        An action works if its pair is viable, if a viable action is left afterwards, and if its grasps work. Grasps are
-        valued for the best pairs only.
+        An action works if its pair is viable and if its grasps work; with a beam, a viable action must be left
+        afterwards, too. Grasps are valued for the best pairs only.
+
+        Args:
+            view: the state.
+            grasp_params: weights of `grasps.network`.
+            mask: actions that exist.
+            enough: number of best actions after which pairs that are not much better are skipped.
         """
         values = self.pair_values(view)
         pairs = -np.logaddexp(0.0, -values.max(axis=-1))
@@ -213,7 +226,7 @@ class RelationalPolicy:
             pairs = self._with_log_finish(view, values, pairs)
         out = np.where(mask, pairs[..., None, None] + _UNKNOWN_GRASPS, -np.inf).astype(np.float32)
         flat = pairs.ravel()
-        best = np.full(_ENOUGH_ACTIONS, -np.inf)
+        best = np.full(enough, -np.inf)
         order: list[int] = np.argsort(-flat, kind="stable")[:_MAX_GRASPED_PAIRS].tolist()
         for index in order:
             # No action is more probable than its pair.
@@ -222,7 +235,7 @@ class RelationalPolicy:
             u, v, k, l = np.array(np.unravel_index(index, pairs.shape)).tolist()  # noqa: E741
             grasps = grasping.log_probability(grasp_params, grasp_features(view, u, k, v, l))
             out[u, v, k, l] = np.where(mask[u, v, k, l], flat[index] + grasps, -np.inf)
-            best = np.sort([*best, *out[u, v, k, l].ravel()])[-_ENOUGH_ACTIONS:]
+            best = np.sort([*best, *out[u, v, k, l].ravel()])[-enough:]
         return np.round(out, _DECIMALS)
 
     def _with_log_finish(
