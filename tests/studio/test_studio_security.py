@@ -8,6 +8,7 @@ import socket
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -499,7 +500,8 @@ def test_large_messages_are_refused_before_they_are_kept(running, size):
     connection = open_websocket(running.get_port())
     raw, sent = connection.socket, 0
     raw.sendall(b"\x82\xff" + size.to_bytes(8, "big") + bytes(4))
-    with pytest.raises(OSError):  # noqa: PT011, PT012 - one of several, by when the other side hangs up
+    # A small message may be sent whole before the other side hangs up.
+    with suppress(OSError):
         while sent < size:
             raw.sendall(bytes(65536))
             sent += 65536
