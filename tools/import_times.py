@@ -17,11 +17,14 @@ import hashlib
 import json
 import os
 import statistics
+import subprocess
 import sys
 import tempfile
 import time
 from pathlib import Path
 
+_ONE = "--one"
+"""Argument with which the script measures one piece and prints its figures."""
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
@@ -29,7 +32,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 def measure(kind: str, path: Path) -> dict:
     """Import one piece in this process; returns its figures."""
     from roboassembly.errors import FurnitureError
-    from roboassembly.furniture import storage
+    from roboassembly.furniture import annotate, storage  # noqa: F401 - loading it is not part of an import
     from roboassembly.importers import IMPORTERS
     from roboassembly.importers.pipeline import finish
 
@@ -70,8 +73,7 @@ def digest(parts: list[bytes]) -> str:
 
 def measure_all(sources: list[str], out: Path) -> None:
     """Import every piece below `KIND:SOURCE`, each in a child process, and add its figures to the file."""
-    from roboassembly.furniture import annotate  # noqa: F401  (loaded once, before the children start)
-    from roboassembly.importers import IMPORTERS, pipeline  # noqa: F401
+    from roboassembly.importers import IMPORTERS
 
     for source in sources:
         kind, root = source.split(":", 1)
@@ -80,17 +82,13 @@ def measure_all(sources: list[str], out: Path) -> None:
             name = f"{kind} {path.relative_to(root)}"
             if name in known:
                 continue
-            scratch = out.with_suffix(".piece")
-            child = os.fork()
-            if child == 0:
-                scratch.write_text(json.dumps(measure(kind, path)))
-                os._exit(0)
-            if os.waitpid(child, 0)[1] != 0:
+            # A process of its own: neither kept results nor the memory of one piece count for the next.
+            run = subprocess.run([sys.executable, __file__, _ONE, kind, str(path)], stdout=subprocess.PIPE, check=False)
+            if run.returncode != 0:
                 sys.exit(f"{name}: the import crashed")
-            known[name] = json.loads(scratch.read_text())
+            known[name] = json.loads(run.stdout)
             out.write_text(json.dumps(known, indent=1))
             print(f"{name}: {known[name]['cpu_s']:.2f} s", file=sys.stderr)
-    out.with_suffix(".piece").unlink(missing_ok=True)
 
 
 def table(old: dict, new: dict) -> list[str]:
@@ -130,4 +128,7 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    if sys.argv[1:2] == [_ONE]:
+        print(json.dumps(measure(sys.argv[2], Path(sys.argv[3]))))
+    else:
+        main()
