@@ -54,8 +54,8 @@ class RelationalPolicy:
     augmentations: int = 1
     """Number of augmentations over which values are averaged, 8 at most; more are more accurate and take longer."""
     beam_width: int = 1
-    """Number of action sequences that `act` compares; below 2, it takes the best action. With the weights of this package
-    a beam of 4 assembles as many chairs as none, in twice the time."""
+    """Number of action sequences that `act` compares; below 2, it takes the best action. With the weights of this
+    package, a beam of 4 assembles as many chairs as none, in twice the time."""
     beam_depth: int = 1
     """Number of merges in each of these sequences."""
     grasp_params: Params | None = None
