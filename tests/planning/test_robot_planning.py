@@ -72,7 +72,7 @@ def test_worlds_that_share_shapes_answer_as_on_their_own(around: list[Body]) -> 
     assert not (frees[0] == frees[1]).all()
     for one, other, free in zip(shared, alone, frees, strict=True):
         assert (free == other.free(q)).all()
-        assert (one.clear(q) == other.clear(q)).all()
+        assert (one.free(q, clearance=CLEARANCE) == other.free(q, clearance=CLEARANCE)).all()
         assert [one.edge_is_free(*e) for e in edges] == [other.edge_is_free(*e) for e in edges]
     assert cache.shapes(RACKET, [s for b in around for s in b.shapes], False) is cache.shapes(
         turned, [s for b in elsewhere for s in b.shapes], False
@@ -140,9 +140,9 @@ def test_clearance_is_a_margin_that_is_kept() -> None:
     near[0], far[0] = 0.99 - 0.29 - 0.5 * CLEARANCE, 0.99 - 0.29 - 1.5 * CLEARANCE
     both = np.array([near, far])
     assert world.free(both).all()
-    assert world.clear(both).tolist() == [False, True]
+    assert world.free(both, clearance=CLEARANCE).tolist() == [False, True]
     # Along the wall, as near as that.
-    assert [world.edge_is_free(c, c + np.eye(10)[1], clear=clear) for c in both for clear in (False, True)] == [
+    assert [world.edge_is_free(c, c + np.eye(10)[1], clearance=kept) for c in both for kept in (0.0, CLEARANCE)] == [
         True, False, True, True,
     ]  # fmt: skip
 
@@ -164,7 +164,7 @@ def test_path_around_an_obstacle_is_free(around: list[Body]) -> None:
     checker = RobotChecker(around, held, OPENING)
     states = [a + f * (b - a) for a, b in pairwise(path) for f in np.linspace(0.0, 1.0, 25)]
     assert not any(checker.hits(q) for q in states)
-    assert world.clear(np.array(states)).all()
+    assert world.free(np.array(states), clearance=CLEARANCE).all()
     assert max(np.abs(q[:2]).max() for q in states) <= 5.0
 
 

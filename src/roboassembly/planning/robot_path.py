@@ -12,6 +12,7 @@ from jaxtyping import Float
 from ompl import base
 
 from roboassembly.planning.problem import Budget
+from roboassembly.planning.robot_shapes import CLEARANCE
 from roboassembly.planning.robot_world import RobotWorld
 from roboassembly.planning.rrt import box_around, exhaustion, run_rrt_connect, shortcut
 from roboassembly.robots.body import DOF, world_from_tips
@@ -53,16 +54,16 @@ def connect(
     ends = np.array([start, goal])
     if not world.free(ends).all():
         return None
-    clear = bool(world.clear(ends).all())
-    if world.edge_is_free(start, goal, clear=clear):
+    clearance = CLEARANCE if world.free(ends, clearance=CLEARANCE).all() else 0.0
+    if world.edge_is_free(start, goal, clearance=clearance):
         return start, goal
     space, state, read = configuration_space(start, goal, floor)
     found = run_rrt_connect(
         space,
         state(start),
         [state(goal)],
-        lambda a, b: world.edge_is_free(read(a), read(b), clear=clear),
-        lambda s: bool((world.clear if clear else world.free)(read(s)[None])[0]),
+        lambda a, b: world.edge_is_free(read(a), read(b), clearance=clearance),
+        lambda s: bool(world.free(read(s)[None], clearance=clearance)[0]),
         exhaustion(lambda: world.states, budget, begun),
         seed,
         _LONGEST,
@@ -70,7 +71,7 @@ def connect(
     if found is None:
         return None
     return shortcut(
-        [read(s) for s in found], lambda a, b: world.edge_is_free(a, b, clear=clear), seed, _SHORTCUTS
+        [read(s) for s in found], lambda a, b: world.edge_is_free(a, b, clearance=clearance), seed, _SHORTCUTS
     )  # fmt: skip
 
 

@@ -107,10 +107,6 @@ class RobotShapes:
                 hulled.geometryObjects[index].geometry = shape.mesh.convex
         movable = [*hand, *loads, *others]
         self._hulls, self._exact = _Checker(model, hulled, movable), _Checker(model, geometry, movable)
-        self.touching = self.margins(0.0, 0.0)
-        """Margins with which contact alone is a hit."""
-        self.clear = self.margins(CLEARANCE, 0.0)
-        """Margins with which the surroundings keep `CLEARANCE`."""
 
     def margins(self, around: float | Float[np.ndarray, "s"], own: float | Float[np.ndarray, "p"]) -> Margins:
         """Return margins of pairs.

@@ -21,7 +21,6 @@ from roboassembly.geometry.poses import SE3, transform_points
 from roboassembly.geometry.scene import Body, Shape
 from roboassembly.planning.motion_bounds import MotionBounds
 from roboassembly.planning.robot_shapes import (
-    CLEARANCE,
     Configurations,
     Margins,
     Placements,
@@ -90,39 +89,38 @@ class RobotWorld:
         """Number of configurations tested so far."""
         return self.tally.states
 
-    def free(self, q: Configurations) -> Bool[np.ndarray, "n"]:
-        """Return whether each configuration is free, by exact tests."""
-        return self._free(self._shapes.touching, q)
+    def free(self, q: Configurations, *, clearance: float = 0.0) -> Bool[np.ndarray, "n"]:
+        """Return whether each configuration is free, by exact tests.
+
+        Args:
+            q: configurations.
+            clearance: distance that the surroundings keep [m].
+        """
+        self.tally.states += len(q)
+        margins = self._shapes.margins(clearance, 0.0)
+        return ~self._shapes.hits(margins, self._placements, q) & (not self._hopeless)
 
     def each_free(self, q: Configurations) -> Iterator[Float[np.ndarray, "10"]]:
         """Yield the configurations that are free, in their order; those after the last one taken are not all tested."""
         for begin, end in pairwise(np.cumsum([0, *growing_batches(len(q), _FIRST_FREE)]).tolist()):
             yield from q[begin:end][self.free(q[begin:end])]
 
-    def clear(self, q: Configurations) -> Bool[np.ndarray, "n"]:
-        """Return whether each configuration is free with at least `CLEARANCE` from the surroundings."""
-        return self._free(self._shapes.clear, q)
-
-    def _free(self, margins: Margins, q: Configurations) -> Bool[np.ndarray, "n"]:
-        self.tally.states += len(q)
-        return ~self._shapes.hits(margins, self._placements, q) & (not self._hopeless)
-
-    def edge_is_free(self, a: Float[np.ndarray, "10"], b: Float[np.ndarray, "10"], *, clear: bool = False) -> bool:
+    def edge_is_free(self, a: Float[np.ndarray, "10"], b: Float[np.ndarray, "10"], *, clearance: float = 0.0) -> bool:
         """Return whether every configuration from `a` (assumed free) to `b` is free; see `path_is_free`."""
-        return self.path_is_free((a, b), clear=clear)
+        return self.path_is_free((a, b), clearance=clearance)
 
-    def path_is_free(self, path: Sequence[Float[np.ndarray, "10"]], *, clear: bool = False) -> bool:
+    def path_is_free(self, path: Sequence[Float[np.ndarray, "10"]], *, clearance: float = 0.0) -> bool:
         """Return whether every configuration of a path is free; its edges are linear.
 
         Args:
             path: way-points; the first is assumed free.
-            clear: whether `CLEARANCE` is required too.
+            clearance: distance that the surroundings keep [m].
         """
         ends = np.array(path)
         steps = np.diff(ends, axis=0)
         around, own = self._bounds.along(steps)
         moved = np.maximum(around.max(axis=1, initial=0.0), own.max(axis=1, initial=0.0))
-        exact = self._shapes.clear if clear else self._shapes.touching
+        exact = self._shapes.margins(clearance, 0.0)
         some = np.flatnonzero(moved > 1e-9)
         pieces = _Pieces(some, np.zeros(len(some)), np.ones(len(some)))
         for margin, coarse in _LEVELS:
@@ -132,7 +130,7 @@ class RobotWorld:
             half = np.zeros((len(steps), 1))
             np.maximum.at(half[:, 0], pieces.edge, 0.5 * (pieces.high - pieces.low))
             margins = self._shapes.margins(
-                (half * around).max(axis=0) + CLEARANCE * clear, (half * own).max(axis=0, initial=0.0)
+                (half * around).max(axis=0) + clearance, (half * own).max(axis=0, initial=0.0)
             )
             near = self._near(margins, coarse, exact, pieces.at(ends, 0.5))
             if near is None:

@@ -26,8 +26,8 @@ _BEYOND_PARTNER = 0.02
 """Distance that a retract goes on after it has left the partner's boxes [m]."""
 _LONGEST = 0.6
 """Length of a retract at most [m]."""
-_ASTRAY = 1e-3
-"""Clearance on each side of an open hand [m]."""
+ASTRAY = 1e-3
+"""Clearance of an open hand as it comes and goes: physical robots stray a little from their paths [m]."""
 _SHORTEST, _SHORT_OF, _AMPLE = 0.03, 0.005, 0.2
 """Length of a retract at least; distance that it ends before what stops it; length beyond which more is no better
 [m]."""
@@ -192,7 +192,7 @@ def _can_approach(grip: Grip, still: Sequence[Body]) -> bool:
     goal = grip.furniture_from_tips
     back = SE3(goal.rotation, goal.translation - RETREAT * grip.approach)
     # The hand may stray a little sideways.
-    aside = (sign * _ASTRAY * axis for axis in goal.rotation.T[:2] for sign in (-1.0, 1.0))
+    aside = (sign * ASTRAY * axis for axis in goal.rotation.T[:2] for sign in (-1.0, 1.0))
     poses = [goal, *(SE3(goal.rotation, goal.translation + shift) for shift in aside)]
     return world.are_free(poses) and world.edge_is_free(goal, back)
 

@@ -24,6 +24,7 @@ from roboassembly.robots.reach import reach
 from roboassembly.task.full.cell import Cell
 from roboassembly.task.full.cell_state import CellState, Segment
 from roboassembly.task.full.failure import Failure, Stage
+from roboassembly.task.full.grips import ASTRAY
 
 TUCKED = np.array([0.0, -1.2, 0.0, -2.6, 0.0, 2.0, 0.785])
 """Joint angles of the arm folded over the platform [rad]."""
@@ -134,7 +135,7 @@ def retreat_path(world: RobotWorld, at: Configuration) -> Path | None:
     paths += [(at, np.mean(p, axis=0)) if len(p) == 2 else p[: len(p) // 2 + 1] for p in paths]
     for path in paths:
         # Most paths that are blocked are so at a way-point.
-        if world.free(np.array(path[1:])).all() and world.path_is_free(path):
+        if world.free(np.array(path[1:]), clearance=ASTRAY).all() and world.path_is_free(path, clearance=ASTRAY):
             return path
     return None
 
