@@ -160,7 +160,7 @@ def _measured(series: str, design: Design, seed: int, repeats: int) -> ScalingRo
         furniture = annotate.annotate(
             series, as_parts(design.parts()), model.Provenance("generated"), with_grasps=False
         )
-        # What belongs to the shapes alone, such as the poses in which they rest, is not part of the search.
+        # The search does not include results of the shapes alone, such as the poses in which they rest.
         result = solve(furniture, seed)
         seconds: list[float] = []
         for _ in range(repeats):

@@ -6,7 +6,8 @@ Setting a pool up takes a millisecond, moving its shapes a tenth of that.
 from __future__ import annotations
 
 import threading
-from collections.abc import Hashable, Sequence
+from collections.abc import Callable, Hashable, Sequence
+from typing import TypeVar
 
 import coal
 import numpy as np
@@ -22,6 +23,7 @@ WORLD_FROM_GROUND = SE3(np.eye(3), np.array([0.0, 0.0, -0.5 * GROUND[2]]))
 Placements = tuple[SE3, ...]
 """Placements of shapes, each in the frame of what carries it."""
 Pool = pin.TreeBroadPhaseManagerPool_DynamicAABBTreeCollisionManager
+T = TypeVar("T")
 _KEPT = 64
 """Number of pools of scenes that each thread keeps."""
 
@@ -39,7 +41,7 @@ class MovablePool:
         self._pool = Pool(model, geometry, 1)
         for data in self._pool.getGeometryDatas():
             for request in data.collisionRequests:
-                # By default Coal computes distances of meshes within 1 mm, as in every joint.
+                # Coal computes distances of meshes within 1 mm by default, and meshes are that near in every joint.
                 request.break_distance = 0.0
         self._movable = movable
         self._placements: Placements | None = None
@@ -68,29 +70,37 @@ class ScenePool:
             for body in scene.bodies
             for shape in body.shapes
         )
-        kept = _kept_pools()
         key = scene.ground, *((b.moves, *((s.mesh, s.convex) for s in b.shapes)) for b in scene.bodies)
-        self._pool = kept.pop(key, None) or _new_pool(scene)
-        kept[key] = self._pool
-        if len(kept) > _KEPT:
-            del kept[next(iter(kept))]
+        self._pool = kept(_THREAD.pools, key, lambda: _new_pool(scene), _KEPT)
 
     def ready(self) -> Pool:
         """Return the pool, with everything where the scene has it; to be used before any other scene's."""
         return self._pool.at(self._placements)
 
 
-class _Kept(threading.local):
+class _Thread(threading.local):
     def __init__(self) -> None:
         self.pools: dict[Hashable, MovablePool] = {}
 
 
-_KEPT_POOLS = _Kept()
+_THREAD = _Thread()
+"""Pools that each thread keeps."""
 
 
-def _kept_pools() -> dict[Hashable, MovablePool]:
-    """Return the pools of this thread, the one used last at the end."""
-    return _KEPT_POOLS.pools
+def kept(entries: dict[Hashable, T], key: Hashable, make: Callable[[], T], most: int) -> T:
+    """Return the entry of a key, made if it is not there; the one not used for longest goes if there are too many.
+
+    Args:
+        entries: entries kept so far, the one used last at the end; changed here.
+        key: key of the entry.
+        make: makes the entry.
+        most: largest number of entries.
+    """
+    found = entries.pop(key) if key in entries else make()
+    entries[key] = found
+    if len(entries) > most:
+        del entries[next(iter(entries))]
+    return found
 
 
 def _new_pool(scene: Scene) -> MovablePool:

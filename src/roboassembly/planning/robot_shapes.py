@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float, Int
 
 from roboassembly.geometry.poses import SE3
 from roboassembly.geometry.scene import Shape
-from roboassembly.planning.pools import MovablePool, Placements, ground_object
+from roboassembly.planning.pools import MovablePool, Placements, ground_object, kept
 from roboassembly.robots.body import HAND, hand_links, joint_placements, links
 from roboassembly.robots.kinematics import arm
 
@@ -75,8 +75,6 @@ class RobotShapes:
     def __init__(self, load: Sequence[Shape], still: Sequence[Shape], lands: bool) -> None:
         model, carriers = robot_model()
         geometry, nowhere = pin.GeometryModel(), SE3.Identity()
-        # The keys of `WorldCache` name meshes by their identity.
-        self._kept = (*load, *still)
 
         def add(name: str, carrier: int, shape: coal.CollisionGeometry) -> int:
             return geometry.addGeometryObject(pin.GeometryObject(name, carrier, nowhere, shape))
@@ -102,7 +100,7 @@ class RobotShapes:
         for a, b in np.argwhere(pairs).tolist():
             geometry.addCollisionPair(pin.CollisionPair(a, b))
         hulled = geometry.copy()
-        for index, shape in zip([*loads, *others], self._kept, strict=True):
+        for index, shape in zip([*loads, *others], (*load, *still), strict=True):
             if not shape.convex:
                 hulled.geometryObjects[index].geometry = shape.mesh.convex
         movable = [*hand, *loads, *others]
@@ -157,12 +155,8 @@ class WorldCache:
 
     def shapes(self, load: Sequence[Shape], still: Sequence[Shape], lands: bool) -> RobotShapes:
         """Return the shapes of a world; for the arguments see `RobotShapes`."""
-        key = lands, *(tuple((id(s.mesh), s.convex) for s in some) for some in (load, still))
-        found = self._shapes.pop(key, None) or RobotShapes(load, still, lands)
-        self._shapes[key] = found
-        if len(self._shapes) > _CACHED:
-            del self._shapes[next(iter(self._shapes))]
-        return found
+        key = lands, *(tuple((s.mesh, s.convex) for s in some) for some in (load, still))
+        return kept(self._shapes, key, lambda: RobotShapes(load, still, lands), _CACHED)
 
 
 def growing_batches(count: int, first: int = _CHUNK) -> list[int]:

@@ -238,10 +238,7 @@ class CollisionWorld(ExactChecks):
         high = np.maximum.reduceat(turned, self._starts, axis=0)[:, None]
         still_low, still_high = self._still_low[own], self._still_high[own]
         d = direction @ self._axes
-        with np.errstate(divide="ignore", invalid="ignore"):
-            forward, backward = (still_high - low) / d, (still_low - high) / d
-        leave = np.where(d > 1e-9, forward, np.where(d < -1e-9, backward, np.inf))
-        separate = ((low > still_high) | (high < still_low)) & (np.abs(d) <= 1e-9)
+        leave, separate = leave_boxes(low, high, still_low, still_high, d)
         if up is not None:
             axis = int(np.argmax(np.abs(up @ self._axes)))
             rises = float(np.sign((up @ self._axes)[axis]))
@@ -252,6 +249,31 @@ class CollisionWorld(ExactChecks):
             separate[..., axis] = below[..., axis] & (rises * d[axis] >= -1e-9)
         distance = np.where(separate.any(axis=2), 0.0, leave.min(axis=2))
         return float(np.maximum(distance, 0.0).max())
+
+
+def leave_boxes(
+    low: Float[np.ndarray, "*n 3"],
+    high: Float[np.ndarray, "*n 3"],
+    still_low: Float[np.ndarray, "*n 3"],
+    still_high: Float[np.ndarray, "*n 3"],
+    direction: Float[np.ndarray, "3"],
+) -> tuple[Float[np.ndarray, "*n 3"], Bool[np.ndarray, "*n 3"]]:
+    """Return, for each axis, the travel until moving boxes have left still ones, and whether they never meet along it.
+
+    Args:
+        low: lowest corners of the moving boxes [m].
+        high: highest corners of the moving boxes [m].
+        still_low: lowest corners of the still boxes [m].
+        still_high: highest corners of the still boxes [m].
+        direction: unit vector of the motion, in the axes of the boxes.
+
+    Returns:
+        Travel [m], infinite along axes without motion; and whether the boxes are apart along an axis without motion.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        forward, backward = (still_high - low) / direction, (still_low - high) / direction
+    leave = np.where(direction > 1e-9, forward, np.where(direction < -1e-9, backward, np.inf))
+    return leave, ((low > still_high) | (high < still_low)) & (np.abs(direction) <= 1e-9)
 
 
 def _runs(flags: Bool[np.ndarray, "n"]) -> list[tuple[int, int]]:

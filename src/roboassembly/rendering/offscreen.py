@@ -158,7 +158,7 @@ class OffscreenRenderer:
         self._mujoco.mjv_updateScene(self._model, self._data, self._options, None, mj_camera, everything, self._scene)
         # Drawing the sky costs time even where the ground hides it.
         self._scene.flags[self._mujoco.mjtRndFlag.mjRND_SKYBOX.value] = not self._is_floor_everywhere(camera)
-        # What is decoration casts no shadow. A ground that does is speckled where it is far from the light.
+        # Decoration casts no shadow. A ground that does is speckled where it is far from the light.
         self._scene.geoms[0].category = self._mujoco.mjtCatBit.mjCAT_DECOR.value
         if self._quality.shadow_size == 0:
             self._add_flat_shadows()

@@ -231,7 +231,7 @@ def _cuts(
                 choices.append((cost, _Opening(trimmed, other, made)))
             if not choices:
                 return None
-            # Of equal costs, the part that stays is cut.
+            # The part that stays is cut if costs are equal.
             cost, opening = min(choices, key=lambda choice: (choice[0], choice[1].trimmed == a))
             bodies[opening.trimmed] = opening.cut.body
             removed[opening.trimmed] += opening.cut.removed

@@ -17,7 +17,7 @@ from jaxtyping import Bool, Float
 from roboassembly.furniture.model import Furniture
 from roboassembly.geometry.poses import SE3, poses_to_configurations, transform_points
 from roboassembly.geometry.scene import Body, Scene, Shape
-from roboassembly.planning.world import CollisionWorld
+from roboassembly.planning.world import CollisionWorld, leave_boxes
 from roboassembly.task.rules.connections import UP_AXES
 
 _SAMPLES = (0.0015, 0.004, 0.01)
@@ -192,17 +192,14 @@ class BlockingGraphs:
         if (p, direction) not in self._clear_of:
             self._clear_of[p, direction] = self._clear_boxes(p, self.directions[direction])
         away, aside = self._clear_of[p, direction]
-        # Of the box tests that planning counts as states, there is one unless the boxes are out of each other's way.
+        # The planner counts one box test as a state, unless the boxes are apart without motion.
         self.states += bool(aside[q] and not away[q])
         return bool(aside[q])
 
     def _clear_boxes(self, p: int, d: Float[np.ndarray, "3"]) -> tuple[Bool[np.ndarray, "n"], Bool[np.ndarray, "n"]]:
         """Return of which boxes the box around `p` is clear as it leaves along `d`: without motion, and on the way."""
         low, high = self._boxes
-        with np.errstate(divide="ignore", invalid="ignore"):
-            forward, backward = (high - low[p]) / d, (low - high[p]) / d
-        leave = np.where(d > 1e-9, forward, np.where(d < -1e-9, backward, np.inf))
-        separate = ((low[p] > high) | (high[p] < low)) & (np.abs(d) <= 1e-9)
+        leave, separate = leave_boxes(low[p], high[p], low, high, d)
         distance = np.where(separate.any(axis=1), 0.0, np.maximum(leave.min(axis=1), 0.0))
         way = (distance + _BEYOND)[:, None] * d
         swept_low, swept_high = low[p] + np.minimum(way, 0.0), high[p] + np.maximum(way, 0.0)

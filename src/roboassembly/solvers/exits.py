@@ -82,7 +82,7 @@ class ExitPlanner:
         if self._leaves_straight(moving, still):
             self._motions[moving, still] = ()
             return True
-        # What touches the moving part decides in most cases, and holds it in many larger sub-assemblies, too.
+        # The parts that touch the moving one decide in most cases, and hold it in many larger sub-assemblies, too.
         touching = still & frozenset[int]().union(*(self._furniture.neighbours[p] for p in moving))
         if touching != still and not self.separable(moving, touching, budget):
             return False

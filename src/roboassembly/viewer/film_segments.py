@@ -32,7 +32,7 @@ SEGMENT_FRAMES = 96
 
 @dataclass(frozen=True, eq=False)
 class FilmScene:
-    """What all pictures of a film have in common."""
+    """Objects and size of all pictures of a film."""
 
     meshes: tuple[Mesh, ...]
     width: int
@@ -55,7 +55,7 @@ class FilmScene:
 
 @dataclass(frozen=True, eq=False)
 class Shot:
-    """What a picture shows: the arguments of `OffscreenRenderer.draw`."""
+    """Arguments of `OffscreenRenderer.draw` for one picture."""
 
     world_from_mesh: Float[np.ndarray, "n 7"]
     colors: Float[np.ndarray, "n 3"]
@@ -169,7 +169,7 @@ class _Film:
 
 _worker_film: list[_Film] = []
 _worker_renderer: list[OffscreenRenderer] = []
-"""What a worker process draws, and with what, from its first segment on."""
+"""Shots and renderer of a worker process, set at its first segment."""
 
 
 @contextmanager
