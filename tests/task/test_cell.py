@@ -12,7 +12,7 @@ import pytest
 from roboassembly.errors import InputError
 from roboassembly.furniture.model import Furniture
 from roboassembly.geometry.meshes import WOOD_DENSITY
-from roboassembly.geometry.poses import SE3
+from roboassembly.geometry.poses import SE3, align_axis
 from roboassembly.task.full import cell
 from roboassembly.task.full.cell import (
     BETWEEN_POSTS,
@@ -24,6 +24,7 @@ from roboassembly.task.full.cell import (
     on_post,
     reach_from,
 )
+from roboassembly.task.rules.connections import UP_AXES
 from roboassembly.task.rules.groups import Group
 from shapes import GAP, block, brick, fcl_object, furniture, of_solid, pose
 
@@ -122,3 +123,14 @@ def test_the_cup_stays_away_from_the_hands(stool: Furniture) -> None:
     part = next(i for i, p in enumerate(stool.parts) if "stretcher" in p.name)
     _, groups, stands = initial_layout(stool, np.random.default_rng(0))
     assert cell.open_grasps(stool, groups[part], stands[part]) >= 0.5
+
+
+def test_groups_stand_in_the_order_of_their_open_grasps(stool: Furniture) -> None:
+    turns = [align_axis(axis, UP_AXES[0]) for axis in UP_AXES]
+    for part in range(len(stool.parts)):
+        stands = [alone(stool, part, turn) for turn in turns]
+        for upright in ([False] * 6, [False, False, True, False, False, False]):
+            held = [(up, on_post(stool, stand, np.zeros(2))) for up, stand in zip(upright, stands, strict=True)]
+            scores = [(up + cell.open_grasps(stool, *found), found[1].top) for up, found in held if found is not None]
+            tops = [top for _, top in sorted(scores, key=lambda item: -item[0])]
+            assert np.array_equal([post.top for _, post in cell.best_stands(stool, stands, upright)], tops)

@@ -24,7 +24,7 @@ from roboassembly.solvers.full_search import solve_full
 from roboassembly.solvers.options import grasping
 from roboassembly.solvers.search import SearchLimits
 from roboassembly.task.full.cell import Post
-from roboassembly.task.full.cell_state import Segment
+from roboassembly.task.full.cell_state import Segment, world_cache
 from roboassembly.task.full.failure import AFTER_MATING, PICKING, STRAIGHT, Failure, FullVerdict, Stage
 from roboassembly.task.full.grips import Grip, MateGrasp
 from roboassembly.task.full.pick import PickRequest, pick
@@ -67,7 +67,9 @@ def merged(task: FullTask, start: FullState) -> FullOutcome:
 
 def test_a_collision_model_is_freed_and_its_states_still_count(task: FullTask, start: FullState) -> None:
     tally = Tally()
-    world = StepContext(task.furniture, start.cell, Budget()).world(start.cell_state, 0, tally)
+    world = StepContext(task.furniture, start.cell, Budget(), world_cache(task.furniture)).world(
+        start.cell_state, 0, tally
+    )
     world.free(np.array([start.cell_state.robots[0].at, start.cell_state.robots[1].at]))
     there = weakref.ref(world)
     del world
@@ -108,7 +110,7 @@ def request_for(start: FullState, part: int, grip: Grip) -> tuple[PickRequest, P
 
 
 def context_of(task: FullTask, state: FullState) -> StepContext:
-    return StepContext(task.furniture, state.cell, task.budget)
+    return StepContext(task.furniture, state.cell, task.budget, world_cache(task.furniture))
 
 
 def dense(segment: Segment, step: float) -> list[np.ndarray]:

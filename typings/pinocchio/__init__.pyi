@@ -115,6 +115,7 @@ class GeometryObject:
     placement: SE3
     parentFrame: int
     parentJoint: int
+    disableCollision: bool
     def __init__(
         self, name: str, parent_joint: int, placement: SE3, collision_geometry: coal.CollisionGeometry
     ) -> None: ...

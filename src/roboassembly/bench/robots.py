@@ -261,7 +261,7 @@ def _path(plan: FullPlan, segment: Segment, cells: _Cells, seed: int) -> Path:
     world = segment.before.world(plan.furniture, segment.robot)
     world.free(start[None])
     ready = time.perf_counter()
-    found = connect(world, start, goal, floor, _BUDGET, seed)
+    found = connect(world, start, goal[None], floor, _BUDGET, seed)
     out = {OURS: PlannedPath(ready - begun, time.perf_counter() - ready, found is not None, world.states)}
     if cells.bullet is not None:
         out["OMPL over PyBullet"] = _over_bullet(plan, segment, cells.bullet, seed)
@@ -295,7 +295,7 @@ def _over_bullet(plan: FullPlan, segment: Segment, bullet: BulletCell, seed: int
         steps = max(1, int(np.ceil(np.abs(b - a).max() / _STEP)))
         return all(counted(a + (b - a) * i / steps) for i in range(1, steps + 1))
 
-    space, state, read = configuration_space(start, goal, Floor(plan.initial.cell.floor))
+    space, state, read = configuration_space(start, goal[None], Floor(plan.initial.cell.floor))
     solved = run_rrt_connect(
         space, state(start), [state(goal)], lambda a, b: edge(read(a), read(b)), lambda s: counted(read(s)),
         exhaustion(lambda: count, Budget(1_000_000, _CAP), ready), seed, None,

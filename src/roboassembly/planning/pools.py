@@ -20,8 +20,8 @@ GROUND = (200.0, 200.0, 1.0)
 """Dimensions of the box that models the ground [m]."""
 WORLD_FROM_GROUND = SE3(np.eye(3), np.array([0.0, 0.0, -0.5 * GROUND[2]]))
 """Pose of that box."""
-Placements = tuple[SE3, ...]
-"""Placements of shapes, each in the frame of what carries it."""
+Placements = tuple[SE3 | None, ...]
+"""Placement of each shape in the frame of what carries it; None if it is not there."""
 Pool = pin.TreeBroadPhaseManagerPool_DynamicAABBTreeCollisionManager
 T = TypeVar("T")
 _KEPT = 64
@@ -47,12 +47,15 @@ class MovablePool:
         self._placements: Placements | None = None
 
     def at(self, placements: Placements) -> Pool:
-        """Return the pool with the movable shapes at some placements."""
+        """Return the pool with the movable shapes elsewhere."""
         if self._placements is not placements:
             for geometry in self._pool.getGeometryModels():
                 shapes = geometry.geometryObjects
                 for index, placement in zip(self._movable, placements, strict=True):
-                    shapes[index].placement = placement
+                    shape = shapes[index]
+                    shape.disableCollision = placement is None
+                    if placement is not None:
+                        shape.placement = placement
             self._placements = placements
         return self._pool
 

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from ompl import base
 
 from roboassembly.planning.problem import Budget
-from roboassembly.planning.robot_shapes import CLEARANCE
+from roboassembly.planning.robot_shapes import CLEARANCE, Configurations
 from roboassembly.planning.robot_world import RobotWorld
 from roboassembly.planning.rrt import box_around, exhaustion, run_rrt_connect, shortcut
 from roboassembly.robots.body import DOF, world_from_tips
@@ -42,26 +42,39 @@ class Floor:
 
 
 def connect(
-    world: RobotWorld, start: Configuration, goal: Configuration, floor: Floor, budget: Budget, seed: int
+    world: RobotWorld, start: Configuration, goals: Configurations, floor: Floor, budget: Budget, seed: int
 ) -> Path | None:
-    """Return way-points from `start` to `goal`; None if either is not free or the budget is exhausted.
+    """Return way-points from `start` to a goal; None if there is no free goal or the budget is exhausted.
 
-    `CLEARANCE` is kept along the path if both ends have it. The platform turns by less than half a turn.
+    A goal on a straight path is preferred, the first such goal. `CLEARANCE` is kept along the path if both ends have
+    it. The platform turns by less than half a turn.
+
+    Args:
+        world: collision model.
+        start: first configuration.
+        goals: possible last configurations.
+        floor: where the platform may drive.
+        budget: limit of the search.
+        seed: of the search.
     """
     begun = time.perf_counter()
-    goal = nearest_turn(goal, start)
-    # OMPL would wait without end for another goal.
-    ends = np.array([start, goal])
-    if not world.free(ends).all():
+    goals = np.array([nearest_turn(goal, start) for goal in goals])
+    # OMPL would wait without end for other goals.
+    free = world.free(np.array([start, *goals]))
+    goals = goals[free[1:]]
+    if not free[0] or not len(goals):
         return None
-    clearance = CLEARANCE if world.free(ends, clearance=CLEARANCE).all() else 0.0
-    if world.edge_is_free(start, goal, clearance=clearance):
-        return start, goal
-    space, state, read = configuration_space(start, goal, floor)
+    wide = world.free(np.array([start, *goals]), clearance=CLEARANCE)
+    clearance = CLEARANCE if wide[0] and wide[1:].any() else 0.0
+    goals = goals[wide[1:]] if clearance else goals
+    for goal in goals:
+        if world.edge_is_free(start, goal, clearance=clearance):
+            return start, goal
+    space, state, read = configuration_space(start, goals, floor)
     found = run_rrt_connect(
         space,
         state(start),
-        [state(goal)],
+        [state(goal) for goal in goals],
         lambda a, b: world.edge_is_free(read(a), read(b), clearance=clearance),
         lambda s: bool(world.free(read(s)[None], clearance=clearance)[0]),
         exhaustion(lambda: world.states, budget, begun),
@@ -76,13 +89,14 @@ def connect(
 
 
 def configuration_space(
-    start: Configuration, goal: Configuration, floor: Floor
+    start: Configuration, goals: Configurations, floor: Floor
 ) -> tuple[Any, Callable[[Configuration], Any], Callable[[Any], Configuration]]:
     """Return OMPL's space of configurations and conversions from configurations to states and back."""
     space = base.RealVectorStateSpace(DOF)
-    low = np.concatenate([[-floor.half, -floor.half, min(start[2], goal[2]) - np.pi], arm().low])
-    high = np.concatenate([[floor.half, floor.half, max(start[2], goal[2]) + np.pi], arm().high])
-    space.setBounds(box_around(np.array([low, high]), [start, goal]))
+    ends = np.array([start, *goals])
+    low = np.concatenate([[-floor.half, -floor.half, ends[:, 2].min() - np.pi], arm().low])
+    high = np.concatenate([[floor.half, floor.half, ends[:, 2].max() + np.pi], arm().high])
+    space.setBounds(box_around(np.array([low, high]), list(ends)))
 
     def state(q: Configuration) -> Any:
         made: Any = space.allocState()

@@ -20,21 +20,13 @@ from jaxtyping import Bool, Float, Int
 from roboassembly.geometry.poses import SE3, transform_points
 from roboassembly.geometry.scene import Body, Shape
 from roboassembly.planning.motion_bounds import MotionBounds
-from roboassembly.planning.robot_shapes import (
-    Configurations,
-    Margins,
-    Placements,
-    WorldCache,
-    growing_batches,
-)
+from roboassembly.planning.robot_shapes import Arrangement, Configurations, Margins, WorldCache, growing_batches
 from roboassembly.planning.world import RESOLUTION
 from roboassembly.robots.body import HAND, hand_links, links
 from roboassembly.robots.kinematics import arm
 
 _LEVELS = ((0.06, True), (0.015, False))
 """Largest margins of successive tests [m], and whether they test hulls alone."""
-_FIRST_FREE = 4
-"""Size of the first batch of tests that end at enough free configurations."""
 
 
 @dataclass
@@ -54,7 +46,7 @@ class RobotWorld:
             pads touch it.
         lands: whether the load may touch the ground.
         tally: count of tested configurations; a new one if None.
-        cache: shapes of earlier worlds; none if None.
+        cache: shapes of other worlds; none if None.
     """
 
     def __init__(
@@ -68,21 +60,19 @@ class RobotWorld:
     ) -> None:
         self.tally = tally or Tally()
         tips = SE3(*arm().tips)
-        around = [(b.pose * s.body_from_mesh, s) for b in still for s in b.shapes]
-        hand, loads = hand_links(opening), [tips * s.body_from_mesh for s in load]
-        self._placements: Placements = (*(pose for _, pose in hand), *loads, *(pose for pose, _ in around))
-        self._shapes = (cache or WorldCache()).shapes(load, [s for _, s in around], lands)
+        hand = hand_links(opening)
+        loads = [(s, tips * s.body_from_mesh) for s in load]
+        around = [(s, b.pose * s.body_from_mesh) for b in still for s in b.shapes]
+        self._tests = Arrangement([pose for _, pose in hand], loads, around, lands, cache)
         wrist = [link.mesh.convex for link in links() if link.carrier == HAND]
-        self._hopeless = any(_touch(a, s.geometry, pose) for a in wrist for s, pose in zip(load, loads, strict=True))
-        self._carried = [(link.mesh, pose) for link, pose in hand] + [
-            (s.mesh, pose) for s, pose in zip(load, loads, strict=True)
-        ]
+        self._hopeless = any(_touch(a, s.geometry, pose) for a in wrist for s, pose in loads)
+        self._carried = [(x.mesh, pose) for x, pose in (*hand, *loads)]
 
     @cached_property
     def _bounds(self) -> MotionBounds:
         points = [link.mesh.hull_vertices for link in links()]
         points += [transform_points(pose, mesh.hull_vertices) for mesh, pose in self._carried]
-        return MotionBounds(self._shapes.carriers, points, self._shapes.own_pairs)
+        return MotionBounds(self._tests.carriers, points, self._tests.own_pairs)
 
     @property
     def states(self) -> int:
@@ -97,12 +87,12 @@ class RobotWorld:
             clearance: distance that the surroundings keep [m].
         """
         self.tally.states += len(q)
-        margins = self._shapes.margins(clearance, 0.0)
-        return ~self._shapes.hits(margins, self._placements, q) & (not self._hopeless)
+        margins = self._tests.margins(clearance, 0.0)
+        return ~self._tests.hits(margins, q) & (not self._hopeless)
 
     def each_free(self, q: Configurations) -> Iterator[Float[np.ndarray, "10"]]:
         """Yield the configurations that are free, in their order; those after the last one taken are not all tested."""
-        for begin, end in pairwise(np.cumsum([0, *growing_batches(len(q), _FIRST_FREE)]).tolist()):
+        for begin, end in pairwise(np.cumsum([0, *growing_batches(len(q))]).tolist()):
             yield from q[begin:end][self.free(q[begin:end])]
 
     def edge_is_free(self, a: Float[np.ndarray, "10"], b: Float[np.ndarray, "10"], *, clearance: float = 0.0) -> bool:
@@ -120,7 +110,7 @@ class RobotWorld:
         steps = np.diff(ends, axis=0)
         around, own = self._bounds.along(steps)
         moved = np.maximum(around.max(axis=1, initial=0.0), own.max(axis=1, initial=0.0))
-        exact = self._shapes.margins(clearance, 0.0)
+        exact = self._tests.margins(clearance, 0.0)
         some = np.flatnonzero(moved > 1e-9)
         pieces = _Pieces(some, np.zeros(len(some)), np.ones(len(some)))
         for margin, coarse in _LEVELS:
@@ -129,7 +119,7 @@ class RobotWorld:
             pieces = pieces.cut(moved, 2.0 * margin)
             half = np.zeros((len(steps), 1))
             np.maximum.at(half[:, 0], pieces.edge, 0.5 * (pieces.high - pieces.low))
-            margins = self._shapes.margins(
+            margins = self._tests.margins(
                 (half * around).max(axis=0) + clearance, (half * own).max(axis=0, initial=0.0)
             )
             near = self._near(margins, coarse, exact, pieces.at(ends, 0.5))
@@ -147,13 +137,13 @@ class RobotWorld:
         for begin, end in pairwise(np.cumsum([0, *growing_batches(len(q))]).tolist()):
             some = order[begin:end]
             self.tally.states += len(some)
-            near[some] = self._shapes.hits(margins, self._placements, q[some], coarse=coarse)
+            near[some] = self._tests.hits(margins, q[some], coarse=coarse)
             if near[some].any() and self._any_hit(exact, q[some[near[some]]]):
                 return None
         return near
 
     def _any_hit(self, margins: Margins, q: Configurations) -> bool:
-        hits = self._shapes.hits(margins, self._placements, q, first_only=True)
+        hits = self._tests.hits(margins, q, first_only=True)
         self.tally.states += int(np.argmax(hits)) + 1 if hits.any() else len(q)
         return bool(hits.any())
 

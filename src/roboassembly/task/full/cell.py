@@ -6,9 +6,10 @@ that only posts are in their way. An empty post sinks into the floor.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache, lru_cache
+from heapq import heapify, heappop, heappush
 
 import numpy as np
 import trimesh
@@ -236,6 +237,29 @@ def open_grasps(furniture: Furniture, group: Group, post: Post) -> float:
     return float(_Grippers(furniture, group).open_shares(post.top[None])[0])
 
 
+def best_stands(furniture: Furniture, stands: Sequence[Group], upright: Sequence[bool]) -> Iterator[tuple[Group, Post]]:
+    """Yield groups on posts above the origin: upright ones first, then those with most grasps open.
+
+    A post is looked for once no other group can be better.
+
+    Args:
+        furniture: furniture of the groups.
+        stands: groups turned as they may stand.
+        upright: whether each stands upright.
+    """
+    heap: list[tuple[float, int, tuple[Group, Post] | None]] = [
+        (-(up + _Grippers(furniture, group).largest_share), i, None)
+        for i, (group, up) in enumerate(zip(stands, upright, strict=True))
+    ]
+    heapify(heap)
+    while heap:
+        _, i, placed = heappop(heap)
+        if placed is not None:
+            yield placed
+        elif (placed := on_post(furniture, stands[i], np.zeros(2))) is not None:
+            heappush(heap, (-(upright[i] + open_grasps(furniture, *placed)), i, placed))
+
+
 class _Grippers:
     """Grippers at all grasps of a group, to be tested against posts beneath it."""
 
@@ -250,7 +274,8 @@ class _Grippers:
                 for direction in region.approaches:
                     count += 1
                     to_grasp = pose.rotation @ direction
-                    if to_grasp[2] > _FROM_BELOW:
+                    # Many approaches are at exactly this angle: rounding decides the same for all poses.
+                    if round(float(to_grasp[2]), 9) > _FROM_BELOW:
                         continue
                     positions.append(pose.act(region.position))
                     closing.append(pose.rotation @ region.closing)

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from roboassembly.furniture.model import Furniture
 from roboassembly.geometry.poses import SE3
 from roboassembly.geometry.scene import Body, Shape
 from roboassembly.planning.robot_path import Configuration, Path
 from roboassembly.planning.robot_shapes import WorldCache
 from roboassembly.planning.robot_world import RobotWorld, Tally
-from roboassembly.robots.body import placed, world_from_tips
+from roboassembly.robots.body import DOF, placed, world_from_tips
 from roboassembly.task.full.cell import Post
 from roboassembly.task.full.failure import Stage, stage_text
-from roboassembly.task.full.grips import Grip
+from roboassembly.task.full.grips import Grip, hand_shapes
 from roboassembly.task.rules.groups import Group, body
 
 
@@ -102,7 +104,7 @@ class CellState:
             robot: 0 or 1.
             lands: whether the payload may touch the ground.
             tally: counts the tested configurations; a new one if None.
-            cache: shapes of earlier worlds; none if None.
+            cache: shapes of other worlds; none if None.
         """
         own = self.robots[robot]
         return RobotWorld(
@@ -127,6 +129,13 @@ class CellState:
         """Return all groups where they are, those in hands last."""
         carried = [r.payload.placed(r.at) for r in self.robots if r.payload is not None]
         return [*(p.group for p in self.placed), *self.on_floor, *carried]
+
+
+def world_cache(furniture: Furniture) -> WorldCache:
+    """Return a cache for the worlds of one piece of furniture: around a robot are parts, posts and the other robot."""
+    parts = [Shape(part.mesh, SE3.Identity()) for part in furniture.parts]
+    posts = [shape for _ in parts for shape in Post(np.zeros(3)).body("").shapes]
+    return WorldCache([*parts, *hand_shapes(0.0)], [*parts, *posts, *Robot(np.zeros(DOF), 0.0).body(furniture).shapes])
 
 
 @dataclass(frozen=True, eq=False)

@@ -142,7 +142,9 @@ def drive_and_mate(
         done: Planned | None = Planned(state)
         for robot in order:
             world = context.world(done.state, robot, tally)
-            path = context.connect(world, done.state.robots[robot].at, goals[robot], child_seed(seed, order[0], robot))
+            path = context.connect(
+                world, done.state.robots[robot].at, goals[robot][None], child_seed(seed, order[0], robot)
+            )
             if path is None:
                 failure, done = Failure(FullVerdict.NO_PATH, Stage.DRIVE_TO_MATE, robot), None
                 break

@@ -84,7 +84,7 @@ def pick(
         if isinstance(option, Failure):
             failure = option
             continue
-        path = context.connect(world, state.robots[robot].at, option.back[-1], child_seed(seed, 1, drives))
+        path = context.connect(world, state.robots[robot].at, option.back[-1][None], child_seed(seed, 1, drives))
         drives += 1
         if path is not None:
             there = Planned(states.open).move(Stage.DRIVE_TO_GROUP, robot, path)

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from roboassembly.geometry.poses import SE3, align_axis, turn_about_vertical
 from roboassembly.planning.robot_path import Path, line
 from roboassembly.planning.robot_world import RobotWorld, Tally
-from roboassembly.task.full.cell import Post, free_places, on_post, open_grasps, reach_from
+from roboassembly.task.full.cell import Post, best_stands, free_places, reach_from
 from roboassembly.task.full.cell_state import CellState, PlacedGroup, Robot
 from roboassembly.task.full.failure import Failure, FullVerdict, Stage
 from roboassembly.task.full.segments import (
@@ -98,7 +98,7 @@ def put_down(
         if not carries:
             failure = Failure(FullVerdict.NO_PATH, Stage.CARRY, robot)
         carries += 1
-        path = context.connect(carrying, start, descent.above[-1], child_seed(seed, 1, carries))
+        path = context.connect(carrying, start, descent.above[-1][None], child_seed(seed, 1, carries))
         if path is not None:
             done = Planned(state).move(Stage.CARRY, robot, path)
             done = done.change(replace(done.state, free_posts=descent.with_post.free_posts))
@@ -175,14 +175,13 @@ def _posts_for(
     order: list[int] = np.argsort([float(np.linalg.norm(spot - near)) for spot in spots]).tolist()
     places = [spots[i] * factor for factor in _OUTWARD for i in order]
     for round_ in range(_ROUNDS):
-        ranked: list[tuple[float, Group, Post]] = []
-        for w in rng.permutation(len(UP_AXES)):
-            turn = turn_about_vertical(rng.uniform(-np.pi, np.pi)) @ align_axis(UP_AXES[w], UP_AXES[0])
-            placed = on_post(furniture, merged.moved_to(SE3(turn, np.zeros(3))), np.zeros(2))
-            if placed is not None:
-                upright = w == 0 and len(merged.parts) == len(furniture.parts)
-                ranked.append((float(upright) + open_grasps(furniture, *placed), *placed))
-        for _, group, post in sorted(ranked, key=lambda item: -item[0]):
+        turns = [
+            (w, turn_about_vertical(rng.uniform(-np.pi, np.pi)) @ align_axis(UP_AXES[w], UP_AXES[0]))
+            for w in rng.permutation(len(UP_AXES)).tolist()
+        ]
+        stands = [merged.moved_to(SE3(turn, np.zeros(3))) for _, turn in turns]
+        upright = [w == 0 and len(merged.parts) == len(furniture.parts) for w, _ in turns]
+        for group, post in best_stands(furniture, stands, upright):
             fit = free_places(places, reach_from(furniture, group, post), occupied)
             if not fit:
                 continue

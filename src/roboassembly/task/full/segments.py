@@ -9,7 +9,7 @@ space; RRT-Connect connects them.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,9 +17,9 @@ from roboassembly.furniture.model import Furniture
 from roboassembly.geometry.poses import SE3
 from roboassembly.planning.problem import Budget
 from roboassembly.planning.robot_path import Configuration, Floor, Path, connect, line, turned_on
-from roboassembly.planning.robot_shapes import WorldCache
+from roboassembly.planning.robot_shapes import Configurations, WorldCache
 from roboassembly.planning.robot_world import RobotWorld, Tally
-from roboassembly.robots.body import world_from_tips
+from roboassembly.robots.body import DOF, world_from_tips
 from roboassembly.robots.reach import reach
 from roboassembly.task.full.cell import Cell
 from roboassembly.task.full.cell_state import CellState, Segment
@@ -36,8 +36,8 @@ LIFT_HEIGHT = 0.06
 """Distance [m] that a group moves straight up from its post, and straight down onto it."""
 _RETREAT = 0.10
 """Distance that an open hand comes and goes straight [m]; half of it where the wrist would hit the other hand."""
-_PARKING_SPOTS = 12
-"""Places to drive to that are tried."""
+_PARKING_SPOTS = 16
+"""Number of places to drive to that are considered."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +48,7 @@ class StepContext:
     cell: Cell
     budget: Budget
     """Limit of each path."""
-    worlds: WorldCache = field(default_factory=WorldCache)
+    worlds: WorldCache
     """Shapes of earlier worlds."""
 
     def world(self, state: CellState, robot: int, tally: Tally) -> RobotWorld:
@@ -62,10 +62,10 @@ class StepContext:
         return state.world(self.furniture, robot, tally=tally, cache=self.worlds)
 
     def connect(
-        self, world: RobotWorld, start: Configuration, goal: Configuration, seed: np.random.SeedSequence
+        self, world: RobotWorld, start: Configuration, goals: Configurations, seed: np.random.SeedSequence
     ) -> Path | None:
-        """Return a free path; None if none was found within the budget."""
-        return connect(world, start, goal, Floor(self.cell.floor), self.budget, int(seed.generate_state(1)[0] >> 1))
+        """Return a free path to one of some goals; None if none was found within the budget."""
+        return connect(world, start, goals, Floor(self.cell.floor), self.budget, int(seed.generate_state(1)[0] >> 1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,11 +145,8 @@ def parking_path(
 ) -> Path | None:
     """Return a path that folds the arm and drives to a free place near the middle; None if none was found."""
     rng = np.random.default_rng(child_seed(seed, 0))
-    for spot in range(_PARKING_SPOTS):
-        place = 0.7 * context.cell.radius * rng.uniform(-1.0, 1.0, 2)
-        goal = np.array([*place, rng.uniform(-np.pi, np.pi), *TUCKED])
-        if world.free(goal[None])[0]:
-            path = context.connect(world, start, goal, child_seed(seed, 1, spot))
-            if path is not None:
-                return path
-    return None
+    spots = np.empty((_PARKING_SPOTS, DOF))
+    spots[:, :2] = 0.7 * context.cell.radius * rng.uniform(-1.0, 1.0, (_PARKING_SPOTS, 2))
+    spots[:, 2] = rng.uniform(-np.pi, np.pi, _PARKING_SPOTS)
+    spots[:, 3:] = TUCKED
+    return context.connect(world, start, spots, child_seed(seed, 1))

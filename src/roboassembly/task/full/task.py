@@ -22,7 +22,7 @@ from roboassembly.planning.problem import Budget
 from roboassembly.planning.robot_shapes import WorldCache
 from roboassembly.planning.robot_world import Tally
 from roboassembly.task.full.cell import check_size, initial_layout
-from roboassembly.task.full.cell_state import CellState, PlacedGroup, Robot, Segment
+from roboassembly.task.full.cell_state import CellState, PlacedGroup, Robot, Segment, world_cache
 from roboassembly.task.full.failure import Failure, FullVerdict, Stage
 from roboassembly.task.full.grips import (
     Grip,
@@ -90,7 +90,10 @@ class FullTask:
         self.budget = budget or BUDGET
         self.rules = Rules(furniture)
         self._grips: dict[tuple[int, int, tuple[int, ...], bytes], Grip | None] = {}
-        self._worlds = WorldCache()
+
+    @cached_property
+    def _worlds(self) -> WorldCache:
+        return world_cache(self.furniture)
 
     def initial_state(self, rng: np.random.Generator) -> FullState:
         """All parts on posts, both robots in the middle of the ring.

@@ -19,7 +19,7 @@ from roboassembly.geometry.poses import SE3, turn_about_vertical
 from roboassembly.planning.robot_world import Tally
 from roboassembly.robots.kinematics import Poses
 from roboassembly.robots.reach import nearness
-from roboassembly.task.full.cell_state import CellState
+from roboassembly.task.full.cell_state import CellState, world_cache
 from roboassembly.task.full.grips import Grip
 from roboassembly.task.full.pick import PickRequest, can_pick, pick
 from roboassembly.task.full.place import put_down
@@ -50,7 +50,8 @@ def plan_full_upright(plan: FullPlan) -> UprightResult[FullUprightMotion]:
         plan: of a whole assembly, without its last motion.
     """
     begun = time.perf_counter()
-    context, state = StepContext(plan.furniture, plan.initial.cell, BUDGET), plan.final_cell_state
+    context = StepContext(plan.furniture, plan.initial.cell, BUDGET, world_cache(plan.furniture))
+    state = plan.final_cell_state
     seed = np.random.SeedSequence([plan.seed, zlib.crc32(b"set upright")])
 
     def result(reason: str, done: Planned | None, states: int) -> UprightResult[FullUprightMotion]:
