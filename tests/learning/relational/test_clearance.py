@@ -10,7 +10,9 @@ from roboassembly.envs.observation import surface_points
 from roboassembly.learning.relational.clearance import (
     ARM_CUTOFF,
     CUTOFF,
+    NearPoints,
     PartGrasps,
+    PlacedGrasps,
     arm_clearance,
     box_distances,
     hand_clearance,
@@ -22,29 +24,55 @@ from roboassembly.task.full.task import FullTask
 from roboassembly.task.rules.connections import GRASPS
 
 
+def near_points(*clouds: np.ndarray) -> NearPoints:
+    """Points of shape (3, n) near one gripper after the other."""
+    points = np.concatenate(clouds, axis=1)
+    gripper = np.repeat(np.arange(len(clouds)), [cloud.shape[1] for cloud in clouds])
+    return NearPoints(points, gripper, np.arange(len(gripper)))
+
+
 def test_distances_to_the_gripper_by_hand() -> None:
     """A point between the open pads is free, one in the palm is not, and the palm's approach sweeps what is behind."""
     between, in_palm, behind = np.zeros((3, 1)), np.array([[0.0], [0.0], [-0.08]]), np.array([[0.0], [0.0], [-0.25]])
-    assert 0.0 < hand_clearance(between, 0.08) < CUTOFF
-    assert hand_clearance(between, 0.0) < 0.0
-    assert hand_clearance(in_palm, 0.08) < 0.0
-    assert hand_clearance(behind, 0.08) == CUTOFF
-    assert hand_clearance(behind, 0.08, retreat=0.15) < 0.0
-    assert hand_clearance(np.zeros((3, 0)), 0.08) == CUTOFF
+    near = near_points(between, in_palm, np.zeros((3, 0)), behind, between)
+    wide = hand_clearance(near, np.array([0.08, 0.08, 0.08, 0.08, 0.0]))
+    assert 0.0 < wide[0] < CUTOFF
+    assert wide[1] < 0.0
+    assert list(wide[2:4]) == [CUTOFF, CUTOFF]
+    assert wide[4] < 0.0
+    assert hand_clearance(near_points(behind), np.array([0.08]), retreat=0.15)[0] < 0.0
+    # Points together are as near as the nearest of them.
+    together = near_points(np.concatenate([between, behind, in_palm], axis=1))
+    assert hand_clearance(together, np.array([0.08]))[0] == wide[1]
     # The boxes contain the bodies.
     points = np.random.default_rng(0).uniform(-0.15, 0.15, (3, 500))
-    boxes = box_distances(points.astype(np.float32), 0.04)
-    exact = np.array([hand_clearance(point[:, None], 0.04) for point in points.T])
+    boxes = box_distances(points[None].astype(np.float32), np.array([0.04]))[0]
+    exact = hand_clearance(near_points(*np.split(points, 500, axis=1)), np.full(500, 0.04))
     assert (np.minimum(boxes, CUTOFF) <= exact + 1e-6).all()
     assert (exact < 0.0).any()
 
 
 def test_distances_to_the_arm_by_hand() -> None:
-    """A section from 0.1 to 0.3 m behind the tips: points beside it, beyond its end and far away."""
-    assert arm_clearance(np.array([[0.05], [0.0], [-0.2]]), 0.1, 0.3) == pytest.approx(0.05)
-    assert arm_clearance(np.array([[0.0], [0.03], [-0.34]]), 0.1, 0.3) == pytest.approx(0.05)
-    assert arm_clearance(np.array([[2.0], [0.0], [0.0]]), 0.1, 0.3) == ARM_CUTOFF
-    assert arm_clearance(np.zeros((3, 0)), 0.1, 0.3) == ARM_CUTOFF
+    """A section from 0.1 to 0.3 m behind the tips: points beside it, beyond its end, far away and none."""
+    beside, beyond, away = ([0.05, 0.0, -0.2], [0.0, 0.03, -0.34], [2.0, 0.0, 0.0])
+    near = near_points(*(np.array(point)[:, None] for point in (beside, beyond, away)))
+    assert arm_clearance(near, 4, 0.1, 0.3) == pytest.approx([0.05, 0.05, ARM_CUTOFF, ARM_CUTOFF])
+
+
+def test_points_near_a_gripper_are_in_its_frame() -> None:
+    """Of two grasps, one exists: it looks down at a point 20 mm below its tips, and another one is far away."""
+    down = np.diag([1.0, -1.0, -1.0])
+    placed = PlacedGrasps(
+        np.array([False, True]), np.stack([np.eye(3), down]), np.array([[0.0] * 3, [0.1, 0.0, 0.5]]), np.full(2, 0.03)
+    )
+    cloud = np.array([[5.0, 0.0, 0.0], [0.1, 0.0, 0.48]])
+    near = placed.near(cloud)
+    assert near.gripper.tolist() == [1]
+    assert near.index.tolist() == [1]
+    assert near.points[:, 0] == pytest.approx([0.0, 0.0, 0.02])
+    assert placed.near(cloud, reach=False).index.tolist() == [0, 1]
+    moved = near.shifted(np.array([[9.0] * 3, [0.0, 0.0, 0.1]]))
+    assert moved.points[:, 0] == pytest.approx([0.0, 0.0, 0.12])
 
 
 def test_features_of_a_grasp_by_hand() -> None:

@@ -10,11 +10,11 @@ between the finger tips: z along the approach, y along the closing direction.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
-from jaxtyping import Bool, Float, Float16, Float32
+from jaxtyping import Bool, Float, Float16, Float32, Int
 from scipy.spatial import ConvexHull
 
 from roboassembly.geometry.poses import rotations_from_euler
@@ -83,14 +83,39 @@ class PlacedGrasps:
         """Distance between the pads as the open gripper approaches [m]."""
         return np.minimum(MAX_OPENING, self.opening + WIDER)
 
-    def near(self, grasp: int, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "3 m"]:
-        """Return the points that a gripper at one grasp could touch, in its tips frame [m].
+    def near(self, points: Float[np.ndarray, "n 3"], reach: bool = True) -> NearPoints:
+        """Return the points that a gripper at each grasp could touch as it approaches, or on its way out of a mate.
 
-        Its approach and its way out of a mate are included.
+        Args:
+            points: cloud [m].
+            reach: whether points farther away are left out.
         """
-        local = self.rotation[grasp].T @ (points - self.position[grasp]).T
-        low, high = _reach()
-        return local[:, ((local > low[:, None]) & (local < high[:, None])).all(axis=0)]
+        exists = np.flatnonzero(self.exists)
+        local = self.rotation[exists].transpose(0, 2, 1) @ (points.T - self.position[exists][..., None])
+        local = local.transpose(1, 0, 2)
+        grasp, index = np.nonzero(_inside(local, *_reach()) if reach else np.ones(local.shape[1:], bool))
+        return NearPoints(local[:, grasp, index], exists[grasp], index)
+
+
+@dataclass(frozen=True, eq=False)
+class NearPoints:
+    """Points near grippers."""
+
+    points: Float[np.ndarray, "3 m"]
+    """Positions in the tips frame of their gripper [m]."""
+    gripper: Int[np.ndarray, "m"]
+    """Number of the gripper."""
+    index: Int[np.ndarray, "m"]
+    """Index in the cloud that they are from."""
+
+    def between(self, low: Float[np.ndarray, "3"], high: Float[np.ndarray, "3"]) -> NearPoints:
+        """Return the points in a box in the tips frames [m]."""
+        inside = np.flatnonzero(_inside(self.points, low, high))
+        return NearPoints(self.points[:, inside], self.gripper[inside], self.index[inside])
+
+    def shifted(self, offset: Float[np.ndarray, "g 3"]) -> NearPoints:
+        """Return the points moved by an offset for each gripper, in its tips frame [m]."""
+        return replace(self, points=self.points + offset.T[:, self.gripper])
 
 
 def _openings(
@@ -143,61 +168,75 @@ def _reach() -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
     return shape.low.min(axis=0) - margin, shape.high.max(axis=0) + margin
 
 
-def hand_clearance(points: Float[np.ndarray, "3 n"], opening: float, retreat: float = 0.0) -> float:
-    """Return the distance from the gripper to the nearest point [m]: negative inside, `CUTOFF` at most.
+def _inside(
+    points: Float[np.ndarray, "3 *n"], low: Float[np.ndarray, "3"], high: Float[np.ndarray, "3"]
+) -> Bool[np.ndarray, "*n"]:
+    """Return which points are in a box. One axis after the other: NumPy is slow over short axes."""
+    out = (points[0] > low[0]) & (points[0] < high[0])
+    for axis in (1, 2):
+        out &= (points[axis] > low[axis]) & (points[axis] < high[axis])
+    return out
+
+
+def hand_clearance(near: NearPoints, opening: Float[np.ndarray, "g"], retreat: float = 0.0) -> Float[np.ndarray, "g"]:
+    """Return the distance from each gripper to its nearest point [m]: negative inside, `CUTOFF` at most.
 
     Args:
-        points: points in the tips frame [m].
-        opening: distance between the pads [m].
-        retreat: distance that the gripper comes from, straight along its approach; the whole way counts [m].
+        near: points.
+        opening: distance between each gripper's pads [m].
+        retreat: distance that the grippers come from, straight along their approach; the whole way counts [m].
     """
     shape = gripper_shape(retreat)
-    offset = opening * shape.motion
-    middle, half = 0.5 * (shape.low + shape.high) + offset, 0.5 * (shape.high - shape.low)
-    beyond = np.abs(points - middle[..., None]) - half[..., None]
-    outside = np.maximum(np.maximum(beyond[:, 0], beyond[:, 1]), beyond[:, 2])
-    nearest = float(outside.min(initial=CUTOFF))
-    if nearest >= SCALE:
-        return nearest
-    # The boxes say which points are near, the bodies' faces how near they are.
-    close = outside < SCALE
-    distances = [
-        (normals @ (points[:, close[i]] - offset[i][:, None]) - offsets).max(axis=0).min(initial=CUTOFF)
-        for i, (normals, offsets) in enumerate(shape.faces)
-        if close[i].any()
-    ]
-    return float(min(distances))
+    by_boxes, out = np.full(len(opening), CUTOFF), np.full(len(opening), CUTOFF)
+    margin = CUTOFF + 0.5 * MAX_OPENING
+    near = near.between(shape.low.min(axis=0) - margin, shape.high.max(axis=0) + margin)
+    for low, high, motion, (normals, offsets) in zip(shape.low, shape.high, shape.motion, shape.faces, strict=True):
+        points = near.points - motion[:, None] * opening[near.gripper]
+        middle, half = 0.5 * (low + high), 0.5 * (high - low)
+        outside = np.abs(points[0] - middle[0]) - half[0]
+        for axis in (1, 2):
+            np.maximum(outside, np.abs(points[axis] - middle[axis]) - half[axis], out=outside)
+        # The boxes say which points are near, the bodies' faces how near they are.
+        close = np.flatnonzero(outside < SCALE)
+        if len(close):
+            np.minimum.at(out, near.gripper[close], (normals @ points[:, close] - offsets).max(axis=0))
+        np.minimum.at(by_boxes, near.gripper, outside)
+    return np.where(by_boxes < SCALE, out, by_boxes)
 
 
-def box_distances(points: Float32[np.ndarray, "3 n"], opening: float) -> Float32[np.ndarray, "n"]:
-    """Return the distance from each point to the gripper's bounding boxes [m], negative inside.
+def box_distances(points: Float32[np.ndarray, "g 3 n"], opening: Float[np.ndarray, "g"]) -> Float32[np.ndarray, "g n"]:
+    """Return the distance from each point to the bounding boxes of its gripper [m], negative inside.
 
     Args:
-        points: points in the tips frame [m].
-        opening: distance between the pads [m].
+        points: points in the tips frame of each gripper [m].
+        opening: distance between each gripper's pads [m].
     """
-    shape, out = gripper_shape(), np.full(points.shape[1], np.inf, np.float32)
+    shape, out = gripper_shape(), np.full((len(points), points.shape[2]), np.inf, np.float32)
     for low, high, motion in zip(shape.low, shape.high, shape.motion, strict=True):
-        middle, half = 0.5 * (low + high) + opening * motion, 0.5 * (high - low)
+        middle = (0.5 * (low + high) + np.outer(opening, motion)).astype(np.float32)[..., None]
+        half = (0.5 * (high - low)).astype(np.float32)
         # One axis after the other: NumPy takes five times as long over short last axes.
-        beyond = np.abs(points[0] - np.float32(middle[0])) - np.float32(half[0])
+        beyond = np.abs(points[:, 0] - middle[:, 0]) - half[0]
         for axis in (1, 2):
-            np.maximum(beyond, np.abs(points[axis] - np.float32(middle[axis])) - np.float32(half[axis]), out=beyond)
+            np.maximum(beyond, np.abs(points[:, axis] - middle[:, axis]) - half[axis], out=beyond)
         np.minimum(out, beyond, out=out)
     return out
 
 
-def arm_clearance(points: Float[np.ndarray, "3 n"], near: float, far: float) -> float:
-    """Return the distance from a section of the arm's axis to the nearest point [m], `ARM_CUTOFF` at most.
+def arm_clearance(near: NearPoints, grippers: int, begin: float, end: float) -> Float[np.ndarray, "g"]:
+    """Return the distance from a section of each arm's axis to its nearest point [m], `ARM_CUTOFF` at most.
 
     Args:
-        points: points in the tips frame [m].
-        near: distance from the tips to the section's beginning, against the approach [m].
-        far: distance from the tips to the section's end [m].
+        near: points.
+        grippers: number of grippers.
+        begin: distance from the tips to the section's beginning, against the approach [m].
+        end: distance from the tips to the section's end [m].
     """
-    offset = points.copy()
-    offset[2] -= np.clip(points[2], -far, -near)
-    return float(np.sqrt((offset**2).sum(axis=0).min(initial=ARM_CUTOFF**2)))
+    x, y, z = near.points
+    z = z - np.clip(z, -end, -begin)
+    out = np.full(grippers, ARM_CUTOFF**2)
+    np.minimum.at(out, near.gripper, x * x + y * y + z * z)
+    return np.sqrt(out)
 
 
 class PartGrasps:
@@ -216,20 +255,18 @@ class PartGrasps:
         rotation: Float[np.ndarray, "3 3"], translation: Float[np.ndarray, "3"],
     ) -> None:  # fmt: skip
         self.placed = placed = PlacedGrasps.place(poses, rotation, translation, own)
-        self.clearance = np.full((len(poses), 3), -CUTOFF)
+        part, others = (placed.near(points[::_STRIDE]) for points in (own, rest))
+        wide, exists = placed.approach_opening, placed.exists[:, None]
+        clearance = [
+            hand_clearance(part, wide, RETREAT),
+            hand_clearance(others, wide, RETREAT),
+            hand_clearance(others, placed.opening),
+        ]
+        arm = [np.minimum(*(arm_clearance(x, len(poses), *s) for x in (part, others))) for s in ARM_SECTIONS]
+        self.clearance = np.where(exists, np.stack(clearance, axis=1), -CUTOFF)
         """Clearance to the part and to the other parts on the approach, and to the other parts once closed [m]."""
-        self.arm = np.zeros((len(poses), len(ARM_SECTIONS)))
+        self.arm = np.where(exists, np.stack(arm, axis=1), 0.0)
         """Clearance between wrist and group, and between forearm and group [m]."""
-        wide = placed.approach_opening
-        for g in np.flatnonzero(placed.exists).tolist():
-            part, others = (placed.near(g, points[::_STRIDE]) for points in (own, rest))
-            self.clearance[g] = (
-                hand_clearance(part, wide[g], RETREAT),
-                hand_clearance(others, wide[g], RETREAT),
-                hand_clearance(others, placed.opening[g]),
-            )
-            whole = np.concatenate([part, others], axis=1)
-            self.arm[g] = [arm_clearance(whole, *section) for section in ARM_SECTIONS]
 
     def features(
         self, position: Float[np.ndarray, "3"], frame: Float[np.ndarray, "3 3"]
@@ -284,13 +321,14 @@ class PartGrasps:
             other: cloud of the other group in its frame [m].
         """
         placed = self.placed
-        mated = np.einsum("lni,lij->jln", other[None] - translation[:, None], rotation).astype(np.float32)
-        flat = mated.reshape(3, -1)
+        mated = rotation.transpose(0, 2, 1) @ (other.T - translation[..., None])
+        flat = mated.astype(np.float32).transpose(1, 0, 2).reshape(3, -1)
+        exists = np.flatnonzero(placed.exists)
+        turn, position = (x[exists].astype(np.float32) for x in (placed.rotation, placed.position))
+        local = turn.transpose(0, 2, 1) @ (flat - position[..., None])
+        outside = box_distances(local, placed.opening[exists]).reshape(len(exists), len(rotation), len(other))
         nearest = np.full((len(placed.exists), len(rotation)), -CUTOFF)
-        for g in np.flatnonzero(placed.exists).tolist():
-            local = placed.rotation[g].T.astype(np.float32) @ (flat - placed.position[g].astype(np.float32)[:, None])
-            outside = box_distances(local, placed.opening[g]).reshape(len(rotation), -1)
-            nearest[g] = np.minimum(outside.min(axis=1), CUTOFF)
+        nearest[exists] = np.minimum(outside.min(axis=2), CUTOFF)
         both = np.sort(np.minimum(nearest, self.clearance.min(axis=1)[:, None]), axis=0)
         largest = [np.tanh(x / SCALE) for x in (both[-1], both[-2], nearest.max(axis=0))]
         return np.stack([*largest, (both > 0.0).mean(axis=0)], axis=1).astype(np.float16)

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float, Float16, UInt8
 
 from roboassembly.geometry.mating import mating_poses
+from roboassembly.learning.relational.clearance import CLEARANCE_FEATURES
 from roboassembly.learning.relational.group_geometry import GroupGeometry
 from roboassembly.learning.relational.policy_view import CONTACT_COSINE, CONTACT_DISTANCE
 
@@ -50,8 +51,14 @@ def grasp_clearance(moving: GroupGeometry, waiting: GroupGeometry) -> Float16[np
     assert moving.grasps is not None
     assert waiting.grasps is not None
     rotation, translation = _poses(moving, waiting)
-    mates = zip(moving.grasps.of_point, rotation, translation, strict=True)
-    return np.stack([grasps.mate_clearance(r, t, waiting.grasps.cloud) for grasps, r, t in mates])
+    out = np.zeros((*translation.shape[:2], CLEARANCE_FEATURES), np.float16)
+    of_point = moving.grasps.of_point
+    # All points of a part at once.
+    for grasps in dict.fromkeys(of_point):
+        points = [k for k, other in enumerate(of_point) if other is grasps]
+        mates = rotation[points].reshape(-1, 3, 3), translation[points].reshape(-1, 3)
+        out[points] = grasps.mate_clearance(*mates, waiting.grasps.cloud).reshape(len(points), -1, CLEARANCE_FEATURES)
+    return out
 
 
 def _poses(

@@ -6,7 +6,7 @@ v's point for u's group and its opposite for v's group.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
@@ -147,22 +147,27 @@ def _single_features(
         mate: position of the mated points [m].
     """
     grasps, wide = own.grasps, own.grasps.approach_opening
-    clearance, arm = np.full((GRASPS, 9), CUTOFF), np.full((GRASPS, 8), ARM_CUTOFF)
-    post = own.post()
-    for g in np.flatnonzero(grasps.exists).tolist():
-        part, rest, met = (grasps.near(g, points) for points in (own.own, own.rest, other.whole))
-        retreat = (out @ grasps.rotation[g])[:, None]
-        clearance[g, :3] = [hand_clearance(points, wide[g], RETREAT) for points in (part, rest, met)]
-        clearance[g, 3] = hand_clearance(part, grasps.opening[g] + _CLOSED_MARGIN)
-        clearance[g, 4] = hand_clearance(rest, grasps.opening[g])
-        clearance[g, 5:] = [hand_clearance(met - d * retreat, grasps.opening[g]) for d in MATE_RETREATS]
-        clouds = (
-            np.concatenate([part, rest], axis=1),
-            met,
-            met - MATE_RETREATS[-1] * retreat,
-            grasps.rotation[g].T @ (post - grasps.position[g]).T,
-        )
-        arm[g] = [arm_clearance(points, *section) for section in ARM_SECTIONS for points in clouds]
+    part, rest, met = (grasps.near(points) for points in (own.own, own.rest, other.whole))
+    post = grasps.near(own.post(), reach=False)
+    back = out @ grasps.rotation
+    leaving = [met.shifted(-d * back) for d in MATE_RETREATS]
+    clearance = np.stack(
+        [
+            *(hand_clearance(points, wide, RETREAT) for points in (part, rest, met)),
+            hand_clearance(part, grasps.opening + _CLOSED_MARGIN),
+            *(hand_clearance(points, grasps.opening) for points in (rest, *leaving)),
+        ],
+        axis=1,
+    )
+    arm = np.stack(
+        [
+            distance
+            for section in ARM_SECTIONS
+            for of_part, *others in [[arm_clearance(x, GRASPS, *section) for x in (part, rest, met, leaving[-1], post)]]
+            for distance in (np.minimum(of_part, others[0]), *others[1:])
+        ],
+        axis=1,
+    )
     clearance = np.concatenate([clearance, clearance[:, 5:].min(axis=1, keepdims=True)], axis=1)
     approach, closing, up = grasps.rotation[:, :, 2], grasps.rotation[:, :, 1], own.world[:, 2]
     low, high = own.whole.min(axis=0), own.whole.max(axis=0)
@@ -193,12 +198,17 @@ def _pair_features(a: _GraspedGroup, b: _GraspedGroup, out: Float[np.ndarray, "3
     surface, motion = _gripper_surface()
     opened = surface + b.grasps.opening[:, None, None] * motion
     surfaces = opened @ b.grasps.rotation.transpose(0, 2, 1) + b.grasps.position[:, None]
-    wide = a.grasps.approach_opening
-    clearance = np.full((2, GRASPS, GRASPS), CUTOFF)
-    for g in np.flatnonzero(a.grasps.exists).tolist():
-        for h in np.flatnonzero(b.grasps.exists & (distance[g] < _MAX_DISTANCE)).tolist():
-            near = a.grasps.near(g, surfaces[h])
-            clearance[:, g, h] = hand_clearance(near, a.grasps.opening[g]), hand_clearance(near, wide[g], RETREAT)
+    near = a.grasps.near(surfaces.reshape(-1, 3))
+    other = near.index // surfaces.shape[1]
+    both = replace(near, gripper=GRASPS * near.gripper + other)
+    tested = a.grasps.exists[:, None] & b.grasps.exists & (distance < _MAX_DISTANCE)
+    clearance = np.stack(
+        [
+            hand_clearance(both, np.repeat(a.grasps.opening, GRASPS)),
+            hand_clearance(both, np.repeat(a.grasps.approach_opening, GRASPS), RETREAT),
+        ]
+    ).reshape(2, GRASPS, GRASPS)
+    clearance = np.where(tested, clearance, CUTOFF)
     a_approach, b_approach = a.grasps.rotation[:, :, 2], b.grasps.rotation[:, :, 2]
     return np.stack(
         [
