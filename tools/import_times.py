@@ -79,7 +79,7 @@ def measure_all(sources: list[str], out: Path) -> None:
         kind, root = source.split(":", 1)
         for path in IMPORTERS[kind].find(Path(root)):
             known = json.loads(out.read_text()) if out.exists() else {}
-            name = f"{kind} {path.relative_to(root)}"
+            name = f"{kind} {path.resolve().relative_to(Path(root).resolve())}"
             if name in known:
                 continue
             # A process of its own: neither kept results nor the memory of one piece count for the next.
