@@ -10,7 +10,7 @@ from itertools import pairwise, product
 import coal
 import numpy as np
 import pinocchio as pin
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from roboassembly.geometry.meshes import Mesh
 from roboassembly.geometry.poses import SE3
@@ -45,7 +45,7 @@ class _Pool:
     def __init__(self, geometry: pin.GeometryModel, movable: Sequence[int]) -> None:
         self._geometry, self._pool = geometry, MovablePool(robot_model()[0], geometry, movable)
         self.arrangement: Arrangement | None = None
-        """Where all is; None before the first test."""
+        """Arrangement at the last test; None before it."""
 
     def hits(
         self, arrangement: Arrangement, margins: Margins, q: Configurations, first_only: bool
@@ -140,7 +140,7 @@ class WorldCache:
 
 
 class Arrangement:
-    """What a robot holds and what stands around it, and the collision tests of that.
+    """Load and surroundings of a robot, and their collision tests.
 
     Args:
         hand: placements of palm and fingers in the frame of the last joint.
@@ -180,9 +180,10 @@ class Arrangement:
         if lands:
             self.pairs[loads, -1] = False
         self.carriers = [*shapes.carriers, *[HAND] * len(loads)]
-        before = [i for i, joint in enumerate(shapes.carriers[:]) if joint != HAND]
-        self.own_pairs = np.array([*own_pairs(), *product(before, range(shapes.first_load, len(self._moving)))])
+        """Joint that carries each moving shape; 0 is the platform."""
+        self.own_pairs: Int[np.ndarray, "p 2"] = np.argwhere(self.pairs[np.ix_(self._moving, self._moving)])
         """Pairs of moving shapes, by their order among these, that are tested against each other."""
+        self._contact: dict[float, Margins] = {}
 
     def margins(self, around: float | Float[np.ndarray, "s"], own: float | Float[np.ndarray, "p"]) -> Margins:
         """Return margins of pairs.
@@ -196,6 +197,12 @@ class Arrangement:
         out[tuple(self._moving[self.own_pairs].T)] = own
         return out
 
+    def contact_margins(self, clearance: float) -> Margins:
+        """Return margins with which contact is a hit, and so are surroundings nearer than a clearance [m]."""
+        if clearance not in self._contact:
+            self._contact[clearance] = self.margins(clearance, 0.0)
+        return self._contact[clearance]
+
     def hits(
         self,
         margins: Margins,
@@ -207,7 +214,7 @@ class Arrangement:
         """Return whether any pair is nearer than its margin in each configuration, first by hulls, then exactly.
 
         Args:
-            margins: of `margins`.
+            margins: of `margins` or `contact_margins`.
             q: configurations.
             first_only: end at the first hit.
             coarse: test hulls alone; they hit more.

@@ -87,8 +87,7 @@ class RobotWorld:
             clearance: distance that the surroundings keep [m].
         """
         self.tally.states += len(q)
-        margins = self._tests.margins(clearance, 0.0)
-        return ~self._tests.hits(margins, q) & (not self._hopeless)
+        return ~self._tests.hits(self._tests.contact_margins(clearance), q) & (not self._hopeless)
 
     def each_free(self, q: Configurations) -> Iterator[Float[np.ndarray, "10"]]:
         """Yield the configurations that are free, in their order; those after the last one taken are not all tested."""
@@ -110,7 +109,7 @@ class RobotWorld:
         steps = np.diff(ends, axis=0)
         around, own = self._bounds.along(steps)
         moved = np.maximum(around.max(axis=1, initial=0.0), own.max(axis=1, initial=0.0))
-        exact = self._tests.margins(clearance, 0.0)
+        exact = self._tests.contact_margins(clearance)
         some = np.flatnonzero(moved > 1e-9)
         pieces = _Pieces(some, np.zeros(len(some)), np.ones(len(some)))
         for margin, coarse in _LEVELS:

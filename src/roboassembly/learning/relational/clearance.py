@@ -192,10 +192,7 @@ def hand_clearance(near: NearPoints, opening: Float[np.ndarray, "g"], retreat: f
     near = near.between(shape.low.min(axis=0) - margin, shape.high.max(axis=0) + margin)
     for low, high, motion, (normals, offsets) in zip(shape.low, shape.high, shape.motion, shape.faces, strict=True):
         points = near.points - motion[:, None] * opening[near.gripper]
-        middle, half = 0.5 * (low + high), 0.5 * (high - low)
-        outside = np.abs(points[0] - middle[0]) - half[0]
-        for axis in (1, 2):
-            np.maximum(outside, np.abs(points[axis] - middle[axis]) - half[axis], out=outside)
+        outside = _beyond(points, 0.5 * (low + high), 0.5 * (high - low))
         # The boxes say which points are near, the bodies' faces how near they are.
         close = np.flatnonzero(outside < SCALE)
         if len(close):
@@ -213,13 +210,22 @@ def box_distances(points: Float32[np.ndarray, "g 3 n"], opening: Float[np.ndarra
     """
     shape, out = gripper_shape(), np.full((len(points), points.shape[2]), np.inf, np.float32)
     for low, high, motion in zip(shape.low, shape.high, shape.motion, strict=True):
-        middle = (0.5 * (low + high) + np.outer(opening, motion)).astype(np.float32)[..., None]
+        middle = (0.5 * (low + high) + np.outer(opening, motion)).astype(np.float32).T[..., None]
         half = (0.5 * (high - low)).astype(np.float32)
-        # One axis after the other: NumPy takes five times as long over short last axes.
-        beyond = np.abs(points[:, 0] - middle[:, 0]) - half[0]
-        for axis in (1, 2):
-            np.maximum(beyond, np.abs(points[:, axis] - middle[:, axis]) - half[axis], out=beyond)
-        np.minimum(out, beyond, out=out)
+        np.minimum(out, _beyond(points.transpose(1, 0, 2), middle, half), out=out)
+    return out
+
+
+def _beyond(
+    points: Float[np.ndarray, "3 *n"], middle: Float[np.ndarray, "3 ..."], half: Float[np.ndarray, "3"]
+) -> Float[np.ndarray, "*n"]:
+    """Return the distance from each point to a box [m], negative inside.
+
+    One axis after the other: NumPy takes five times as long over short axes.
+    """
+    out = np.abs(points[0] - middle[0]) - half[0]
+    for axis in (1, 2):
+        np.maximum(out, np.abs(points[axis] - middle[axis]) - half[axis], out=out)
     return out
 
 

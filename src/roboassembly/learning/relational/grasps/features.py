@@ -159,15 +159,10 @@ def _single_features(
         ],
         axis=1,
     )
-    arm = np.stack(
-        [
-            distance
-            for section in ARM_SECTIONS
-            for of_part, *others in [[arm_clearance(x, GRASPS, *section) for x in (part, rest, met, leaving[-1], post)]]
-            for distance in (np.minimum(of_part, others[0]), *others[1:])
-        ],
-        axis=1,
-    )
+    arm: list[Float[np.ndarray, "8"]] = []
+    for section in ARM_SECTIONS:
+        of_part, of_rest, *others = (arm_clearance(x, GRASPS, *section) for x in (part, rest, met, leaving[-1], post))
+        arm += [np.minimum(of_part, of_rest), *others]
     clearance = np.concatenate([clearance, clearance[:, 5:].min(axis=1, keepdims=True)], axis=1)
     approach, closing, up = grasps.rotation[:, :, 2], grasps.rotation[:, :, 1], own.world[:, 2]
     low, high = own.whole.min(axis=0), own.whole.max(axis=0)
@@ -179,7 +174,7 @@ def _single_features(
     features = [
         np.clip(clearance, -CUTOFF, CUTOFF) / CUTOFF,
         np.tanh(clearance / SCALE),
-        arm / ARM_CUTOFF,
+        np.stack(arm, axis=1) / ARM_CUTOFF,
         np.stack([approach @ out, np.abs(closing @ out), approach @ up, np.abs(closing @ up)], axis=1),
         2.0 * np.stack([np.linalg.norm(from_mate, axis=1), from_mate @ out, from_middle @ up], axis=1),
         grasps.opening[:, None] / MAX_OPENING,
