@@ -17,10 +17,10 @@ import shapes
 from roboassembly.errors import FurnitureError
 from roboassembly.furniture.model import CONTACT_DISTANCE, RawPart
 from roboassembly.furniture.symmetry import symmetries
+from roboassembly.furniture.turns import MAX_TURNS, groups
 from roboassembly.geometry.meshes import Mesh
 from roboassembly.importers import ikea_manual
 from roboassembly.repair import RepairLimits, repair
-from roboassembly.repair.turns import MAX_TURNS, groups
 
 GAP = 0.0002
 

@@ -37,9 +37,9 @@ def with_clearance(furniture: Furniture, clearance: float) -> Furniture:
     """
     if clearance == 0.0:
         return furniture
-    classes = [shrunk(furniture.parts[c.members[0]].mesh, clearance) for c in furniture.classes]
-    parts = [replace(p, mesh=classes[c]) for p, c in zip(furniture.parts, furniture.class_of, strict=True)]
-    return replace(furniture, parts=tuple(parts))
+    # Equal parts share a mesh, and parts of one class may be equal only nearly.
+    meshes = {mesh: shrunk(mesh, clearance) for mesh in dict.fromkeys(p.mesh for p in furniture.parts)}
+    return replace(furniture, parts=tuple(replace(p, mesh=meshes[p.mesh]) for p in furniture.parts))
 
 
 def shrunk(mesh: Mesh, clearance: float) -> Mesh:

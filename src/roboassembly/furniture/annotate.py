@@ -11,6 +11,7 @@ from jaxtyping import Float
 from roboassembly.errors import FurnitureError
 from roboassembly.furniture.connection_points import Spot, connection_points, spot_of_contact
 from roboassembly.furniture.contacts import Contact, find_contacts
+from roboassembly.furniture.exchange import interchangeable
 from roboassembly.furniture.grasps import find_grasps
 from roboassembly.furniture.model import (
     MAX_POINTS,
@@ -22,12 +23,14 @@ from roboassembly.furniture.model import (
     ShapeClass,
     check_part_count,
 )
-from roboassembly.furniture.symmetry import rotations_onto, symmetries
-from roboassembly.geometry.meshes import Mesh, nearest_points
+from roboassembly.furniture.symmetry import TOLERANCE, rotations_onto, symmetries
+from roboassembly.geometry.meshes import Mesh, all_within, nearest_points
 from roboassembly.geometry.poses import SE3, storable
 
 _ROUNDING = 2e-6
 """Largest difference of coordinates due to rounding to 32-bit floats [m]."""
+_EQUAL = 2.0 * TOLERANCE
+"""Largest distance of the corners of one mesh from another below which both have the same grasps [m]."""
 _HAND = 0.25
 """Distance beyond a part's box that an approaching hand may occupy [m]."""
 _LIKES = 4
@@ -36,7 +39,14 @@ _MIN_GAP_SHARE = 0.5
 """Share of the distance to a neighbour that has to remain when a part takes the mesh of its class."""
 
 
-def annotate(name: str, raw: Sequence[RawPart], provenance: Provenance, *, with_grasps: bool = True) -> Furniture:
+def annotate(
+    name: str,
+    raw: Sequence[RawPart],
+    provenance: Provenance,
+    *,
+    with_grasps: bool = True,
+    with_near_shapes: bool = False,
+) -> Furniture:
     """Annotate parts given at their places in the assembled furniture.
 
     Contacts follow the paper: parts nearer than 5 mm are connected, and each connection has a point on either part,
@@ -53,6 +63,8 @@ def annotate(name: str, raw: Sequence[RawPart], provenance: Provenance, *, with_
         provenance: origin of the parts.
         with_grasps: whether to find grasps, which takes most of the time; only the object-centric setting does
             without them.
+        with_near_shapes: whether parts of nearly one shape are interchangeable, too, if the finished furniture allows
+            it (`exchange`): for real parts, equal but for marks and millimetres.
 
     Raises:
         FurnitureError: part count, repeated names, parts that penetrate, parts that do not touch.
@@ -69,6 +81,10 @@ def annotate(name: str, raw: Sequence[RawPart], provenance: Provenance, *, with_
     rotations = _turn_to_match_points(classes, rotations, centers, contacts)
     slots = tuple(storable(SE3(r, c)) for r, c in zip(rotations, centers, strict=True))
     meshes = _part_meshes([p.mesh for p in raw], centered, classes, slots, contacts)
+    if with_near_shapes:
+        exchange = interchangeable(classes, slots, meshes, contacts)
+        classes, meshes = exchange.classes, exchange.meshes
+        slots = tuple(storable(slot) for slot in exchange.slots)
     points, connections = connection_points(contacts, slots, classes)
     parts = tuple(
         Part(part.name, mesh, tuple(own), part.label) for part, mesh, own in zip(raw, meshes, points, strict=True)
@@ -83,10 +99,21 @@ def add_grasps(furniture: Furniture) -> Furniture:
     meshes = [part.mesh for part in furniture.parts]
     grasps: dict[int, tuple[GraspRegion, ...]] = {}
     for c in furniture.classes:
-        around = [_around(member, meshes, furniture.assembled) for member in c.members[:_LIKES]]
-        regions = find_grasps(meshes[c.members[0]], [m for m in around if m is not None])
-        grasps.update(dict.fromkeys(c.members, regions))
+        left = list(c.members)
+        while left:
+            equal = [p for p in left if _is_equal(meshes[left[0]], meshes[p])]
+            around = [_around(member, meshes, furniture.assembled) for member in equal[:_LIKES]]
+            regions = find_grasps(meshes[left[0]], [m for m in around if m is not None])
+            grasps.update(dict.fromkeys(equal, regions))
+            left = [p for p in left if p not in equal]
     return replace(furniture, parts=tuple(replace(p, grasps=grasps[i]) for i, p in enumerate(furniture.parts)))
+
+
+def _is_equal(first: Mesh, mesh: Mesh) -> bool:
+    """Return whether two parts of one class are equal, and not only nearly."""
+    return mesh is first or (
+        all_within(first.bvh, mesh.vertices, _EQUAL) and all_within(mesh.bvh, first.vertices, _EQUAL)
+    )
 
 
 def _around(part: int, meshes: Sequence[Mesh], slots: Sequence[SE3]) -> Mesh | None:

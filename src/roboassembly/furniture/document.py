@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from roboassembly.errors import FurnitureError, InputError
 from roboassembly.furniture.contacts import find_contacts
 from roboassembly.furniture.model import (
+    NEAR,
     SAME_POINT,
     Connection,
     ConnectionPoint,
@@ -215,7 +216,7 @@ def _check_consistency(furniture: Furniture, folder: Path) -> None:
             raise FurnitureError(f"{where}: symmetries do not begin with the identity [1, 0, 0, 0]")
         first = furniture.parts[shape_class.members[0]]
         for part in (furniture.parts[m] for m in shape_class.members[1:]):
-            if np.abs(part.mesh.bounds - first.mesh.bounds).max() > _ALIKE:
+            if np.abs(part.mesh.bounds - first.mesh.bounds).max() > NEAR + _ALIKE:
                 raise FurnitureError(f"{where}: parts '{first.name}' and '{part.name}' do not have the same shape")
     for part in furniture.parts:
         for k, point in enumerate(part.points):

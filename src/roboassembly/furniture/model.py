@@ -26,8 +26,13 @@ CONTACT_DISTANCE = 0.005
 """Distance below which parts are connected, 5 mm in the paper [m]."""
 GRASP_REGIONS = 2
 """Grasp regions per part, as in the paper."""
+ROUNDED_CENTER = 1e-5
+"""Distance of a part's centre of mass from its frame that counts as rounding [m]."""
 SAME_POINT = 0.01
 """Distance on the shape below which contacts of parts of one shape share a connection point [m]."""
+
+NEAR = 0.003
+"""Largest distance between the surfaces of parts of one class, which in imported furniture may differ by marks [m]."""
 
 
 @dataclass(frozen=True)
@@ -85,7 +90,11 @@ class GraspRegion:
 
 @dataclass(frozen=True)
 class Part:
-    """Rigid mesh in a frame at its own centre of mass, with its annotations."""
+    """Rigid mesh in a frame at its own centre of mass, with its annotations.
+
+    The frame of a part that is interchangeable with others of nearly its shape lies where they fall on each other, up
+    to some millimetres off.
+    """
 
     name: str
     mesh: Mesh
@@ -93,6 +102,12 @@ class Part:
     label: str = ""
     """Path in PartNet's hierarchy, as `RawPart.label`."""
     grasps: tuple[GraspRegion, ...] = ()
+
+    @cached_property
+    def center_of_mass(self) -> Float[np.ndarray, "3"]:
+        """Centre of mass in the part's frame: exactly 0 if the frame lies there up to rounding [m]."""
+        center = self.mesh.center_of_mass
+        return center if np.abs(center).max() > ROUNDED_CENTER else np.zeros(3)
 
 
 @dataclass(frozen=True)
@@ -109,13 +124,16 @@ class Connection:
 class ShapeClass:
     """Parts of one shape up to a proper rigid motion: each of them fits each of their slots.
 
-    The members' frames are chosen so that their meshes coincide; only their slots differ.
+    The members' frames are chosen so that their meshes coincide; only their slots differ. Members of imported furniture
+    may differ by marks and millimetres, which leave the finished furniture sound in whatever slots they are
+    (`exchange`); each then has its own mesh.
     """
 
     members: tuple[int, ...]
     """Part indices, ascending."""
     symmetries: Float[np.ndarray, "s 3 3"]
-    """Rotations about the centre of mass that map the shape to itself, the identity first."""
+    """Rotations about the origin of the part's frame that map the shape to itself, the identity first; nearly, if the
+    finished furniture allows it."""
 
 
 @dataclass(frozen=True)

@@ -40,7 +40,7 @@ def finish(name: str, raw: RawFurniture, *, allow_shortening: bool = False) -> I
     repaired = repair(raw.parts, limits=limits)
     sites, opened = _shifted_sites(raw.sites, repaired.report)
     notes = (*raw.provenance.notes, *(str(r) for r in repaired.report), *opened)
-    furniture = annotate(name, repaired.parts, replace(raw.provenance, notes=notes))
+    furniture = annotate(name, repaired.parts, replace(raw.provenance, notes=notes), with_near_shapes=True)
     # Annotation redefines the parts' frames, but does not move the parts.
     framed = tuple(replace(site, frame=furniture.assembled[site.part].actInv(site.frame)) for site in sites)
     return Imported(replace(furniture, sites=framed), repaired.report)

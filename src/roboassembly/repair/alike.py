@@ -12,6 +12,7 @@ from jaxtyping import Float
 
 from roboassembly.furniture.model import CONTACT_DISTANCE, RawPart
 from roboassembly.furniture.symmetry import rotations_onto, symmetries
+from roboassembly.furniture.turns import MAX_TURNS, SAME_TURN, groups
 from roboassembly.geometry.meshes import Mesh
 from roboassembly.repair.cached import cached
 from roboassembly.repair.limits import RepairLimits
@@ -19,7 +20,6 @@ from roboassembly.repair.piece import Piece
 from roboassembly.repair.proximity import Shell, shell_of
 from roboassembly.repair.surface import to_surface
 from roboassembly.repair.trim import without_slivers
-from roboassembly.repair.turns import MAX_TURNS, SAME_TURN, groups
 
 SAME_SHAPE = 1e-3
 """Distance between corresponding corners below which parts count as congruent [m]."""

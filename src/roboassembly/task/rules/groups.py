@@ -121,8 +121,9 @@ def part_from_points(furniture: Furniture, group: Group, part: int) -> SE3:
 
 def center_of_mass(furniture: Furniture, group: Group) -> Float[np.ndarray, "3"]:
     """Return the centre of mass of a group of uniform density in the group's frame [m]."""
-    weights = np.array([furniture.parts[p].mesh.volume for p in group.parts])
-    centers = np.array([pose.translation for pose in group.furniture_from_part])
+    parts = [furniture.parts[p] for p in group.parts]
+    weights = np.array([part.mesh.volume for part in parts])
+    centers = np.array([f.act(p.center_of_mass) for f, p in zip(group.furniture_from_part, parts, strict=True)])
     return weights @ centers / weights.sum()
 
 
