@@ -12,7 +12,8 @@
 5. Parts that are delivered alike get each other's cuts, so that they stay alike.
 
 Repair refuses furniture that needs more than `RepairLimits` allows. What is too short after the first three steps is
-refused there: the fourth takes longest, and takes only more away.
+refused there: the fourth takes longest, and takes only more away. Before a refusal, the remedies of `remedies` are
+tried; what needs none is repaired without them.
 """
 
 from __future__ import annotations
@@ -28,9 +29,12 @@ from roboassembly.furniture.model import RawPart, check_part_count
 from roboassembly.geometry.meshes import Mesh
 from roboassembly.repair.alike import keep_alike, likenesses
 from roboassembly.repair.cached import forget
+from roboassembly.repair.doubles import share_out
 from roboassembly.repair.insertion import box_axes, extents
 from roboassembly.repair.limits import RepairLimits
+from roboassembly.repair.panels import move_panels
 from roboassembly.repair.piece import Piece
+from roboassembly.repair.remedies import REMEDIES, ShapeError, Treatment
 from roboassembly.repair.separation import check_sizes, separate
 from roboassembly.repair.solid import solidify
 from roboassembly.repair.surface import clean, to_surface
@@ -120,19 +124,43 @@ def repair(parts: Sequence[RawPart], *, gap: float = GAP, limits: RepairLimits |
         FurnitureError: there are not 2 to 20 parts, two have the same name, a limit is exceeded, or parts lock each
             other in place; the message names the part, the figure and the limit.
     """
-    try:
-        return _repair(parts, gap, limits or RepairLimits())
-    finally:
-        forget()
-
-
-def _repair(parts: Sequence[RawPart], gap: float, limits: RepairLimits) -> RepairResult:
     check_part_count(len(parts), "repair")
     if not 1e-5 <= gap <= 1e-3:
         raise FurnitureError(f"gap {gap!r} m; expected a number between 0.00001 and 0.001 m")
     names = [part.name for part in parts]
     if len(set(names)) < len(names):
         raise FurnitureError(f"part names {names} are not all different; rename the parts")
+    limits = limits or RepairLimits()
+    try:
+        return _repair(Treatment.none(parts), gap, limits)
+    except FurnitureError as refusal:
+        return _remedied(parts, gap, limits, refusal)
+    finally:
+        forget()
+
+
+def _remedied(parts: Sequence[RawPart], gap: float, limits: RepairLimits, refusal: FurnitureError) -> RepairResult:
+    """Repair again with one remedy after another.
+
+    Raises:
+        FurnitureError: `refusal`, if none helps.
+    """
+    treatment, latest = Treatment.none(parts), refusal
+    for remedy in REMEDIES:
+        more = remedy(treatment, latest)
+        if more is None:
+            continue
+        treatment = more
+        forget()
+        try:
+            return _repair(treatment, gap, limits)
+        except FurnitureError as problem:
+            latest = problem
+    raise refusal
+
+
+def _repair(treatment: Treatment, gap: float, limits: RepairLimits) -> RepairResult:
+    parts = treatment.parts
     corners = np.concatenate([part.mesh.bounds for part in parts])
     diagonal = float(np.linalg.norm(np.ptp(corners, axis=0)))
     alike = likenesses(parts)
@@ -144,13 +172,19 @@ def _repair(parts: Sequence[RawPart], gap: float, limits: RepairLimits) -> Repai
             solid = replace(first.solid, body=like.placed(first.body), notes=(*first.solid.notes, note))
         else:
             solid = solidify(part.name, part.mesh, int(_SOLID_FACE_SHARE * limits.faces))
+            if solid.shape_error > limits.shape_error and treatment.detail > 1:
+                solid = solidify(part.name, part.mesh, int(treatment.detail * _SOLID_FACE_SHARE * limits.faces))
         if solid.shape_error > limits.shape_error:
-            raise FurnitureError(
+            raise ShapeError(
                 f"part '{part.name}' could only be made solid ({solid.how}) with its surface "
                 f"{solid.shape_error * 1e3:.1f} mm off; at most {limits.shape_error * 1e3:.1f} mm is allowed (limit "
                 "`shape_error`)"
             )
         pieces.append(Piece.of(part.name, solid))
+    changed = treatment.moves_panels and move_panels(pieces, gap, limits.displacement * diagonal)
+    changed = (treatment.shares_out and share_out(pieces, gap)) or changed
+    if not changed and (treatment.moves_panels or treatment.shares_out):
+        raise FurnitureError("no two parts have the same volume")
     separate(pieces, gap, limits, diagonal)
     tidy = _TIDY_SHARE * gap
     keep_alike(pieces, alike, limits, tidy)
@@ -161,10 +195,10 @@ def _repair(parts: Sequence[RawPart], gap: float, limits: RepairLimits) -> Repai
     bodies = {piece.name: piece.body for piece in pieces}
     out: list[RawPart] = []
     report: list[PartRepair] = []
-    for part, piece in zip(parts, pieces, strict=True):
+    for part, piece, notes in zip(parts, pieces, treatment.notes, strict=True):
         skin = to_surface(piece.body)
         change = _size_change(part.mesh, skin.vertices)
-        if change < -limits.shortening:
+        if change < -limits.shortening and not piece.gave:
             raise FurnitureError(
                 f"part '{part.name}' would become {-1e3 * change:.1f} mm smaller than delivered; at most "
                 f"{1e3 * limits.shortening:.1f} mm is allowed (limit `shortening`, lifted by --allow-shortening)"
@@ -180,7 +214,7 @@ def _repair(parts: Sequence[RawPart], gap: float, limits: RepairLimits) -> Repai
                 shape_added=piece.solid.shape_added,
                 size_change=change,
                 depth_losses=piece.depth_losses(bodies, REPORT_THRESHOLD),
-                notes=(*piece.solid.notes, *dict.fromkeys(piece.notes)),
+                notes=(*notes, *piece.solid.notes, *dict.fromkeys(piece.notes)),
             )
         )
     return RepairResult(tuple(out), tuple(report))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import manifold3d as m3
@@ -34,6 +34,8 @@ class Piece:
     moved: Float[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))
     """Translation so far [m]."""
     notes: list[str] = field(default_factory=list[str])
+    gave: bool = False
+    """Whether it left doubled material to another part."""
     weight: float = 1.0
     """Factor on the cost of trimming this part in the choice of the part to trim."""
     axes: Float[np.ndarray, "3 3"] = field(default_factory=lambda: np.eye(3))
@@ -58,6 +60,15 @@ class Piece:
     def become(self, body: m3.Manifold) -> None:
         """Replace the solid."""
         self.body = body
+
+    def give(self, rest: m3.Manifold, others: Sequence[str]) -> None:
+        """Leave doubled material to other parts: the rest counts as the untrimmed part."""
+        share = 1.0 - rest.volume() / self.whole
+        names = ", ".join(f"'{name}'" for name in others)
+        points = to_surface(rest).vertices
+        self.axes = box_axes(points)
+        self.body, self.whole, self.size, self.gave = rest, rest.volume(), extents(points, self.axes), True
+        self.notes.append(f"{share:.0%} of its volume left to {names}, which had it, too")
 
     def shrinkage(self, body: m3.Manifold) -> float:
         """Return the loss of size of `body` against the untrimmed part, along the axis that loses most [m]."""
