@@ -23,7 +23,7 @@ from roboassembly.envs.wrappers import DiscreteActions
 from roboassembly.errors import InputError, UnknownNameError
 from roboassembly.furniture import storage
 from roboassembly.furniture.model import Furniture, Provenance, RawFurniture, RawPart
-from roboassembly.geometry.meshes import Mesh
+from roboassembly.geometry.meshes import Mesh, distances_to
 from roboassembly.geometry.poses import SE3, pose_to_euler, rotations_from_euler
 from roboassembly.solvers.disassembly import Disassembly, partition_of
 from roboassembly.solvers.options import grasping, upright
@@ -369,3 +369,73 @@ def test_a_third_party_learner_runs_unmodified() -> None:
     observation, _ = env.reset(seed=0)
     action, _ = model.predict(observation, action_masks=env.action_masks(), deterministic=True)
     assert env.action_masks()[int(action)]
+
+
+def test_own_frames_describe_the_same_parts() -> None:
+    """Everything in the world stays where it is, and the poses of joined parts in each other agree with the world."""
+    chair = piece("ladder")
+    aligned, own = (ObjectCentricEnv(chair, frames=frames) for frames in ("aligned", "own"))
+    a, b = (env.reset(seed=4)[0] for env in (aligned, own))
+    turned = 0
+    for index in range(len(chair.parts)):
+        turns = [rotations_from_euler(seen["poses"][index, 3:].astype(float)) for seen in (a, b)]
+        own_from_aligned = turns[1].T @ turns[0]
+        turned += not np.allclose(own_from_aligned, np.eye(3), atol=1e-3)
+        assert np.allclose(a["poses"][index, :3], b["poses"][index, :3], atol=1e-5)
+        points = [seen["connection_points"][index].reshape(-1, 3, 3) for seen in (a, b)]
+        assert np.allclose(points[0] @ own_from_aligned.T, points[1], atol=1e-5)
+        assert np.allclose(a["shapes"][index] @ own_from_aligned.T, b["shapes"][index], atol=1e-5)
+    assert turned
+    joint = chair.connections[0]
+    u, v = joint.part_a, joint.part_b
+    for w in range(6):
+        observation, reward, *_ = own.step(np.array([u, v, joint.point_a, joint.point_b, w]))
+        if reward:
+            break
+        own.reset(seed=4)
+    assert reward
+    turns = [rotations_from_euler(observation["poses"][i, 3:].astype(float)) for i in (u, v)]
+    joined = rotations_from_euler(observation["connections"][u, v, 3:].astype(float))
+    assert np.allclose(turns[0].T @ turns[1], joined, atol=1e-4)
+    # The parts still fit: the two connection points lie on each other.
+    ends = [
+        turn @ observation["connection_points"][i, k, :3] + observation["poses"][i, :3]
+        for turn, i, k in zip(turns, (u, v), (joint.point_a, joint.point_b), strict=True)
+    ]
+    assert np.linalg.norm(ends[0] - ends[1]) < 3e-3
+
+
+def test_resampled_clouds_differ_between_equal_parts_and_episodes() -> None:
+    chair = piece("stool")
+    members = next(c.members for c in chair.classes if len(c.members) > 1)
+    clouds = {}
+    for name in ("shared", "resampled"):
+        env = ObjectCentricEnv(chair, clouds=name)
+        clouds[name] = [env.reset(seed=seed)[0]["shapes"] for seed in (1, 2, 1)]
+    first, second, again = clouds["shared"]
+    assert (first[members[0]] == first[members[1]]).all()
+    assert (first == second).all()
+    first, second, again = clouds["resampled"]
+    assert (first == again).all()
+    assert not np.isclose(first[members[0]], first[members[1]]).all(axis=1).any()
+    assert not np.isclose(first[members[0]], second[members[0]]).all(axis=1).any()
+    # Still on the surface of the part.
+    mesh = chair.parts[members[0]].mesh
+    assert distances_to(mesh.bvh, first[members[0]].astype(float)).max() < 1e-6
+
+
+def test_noise_has_the_standard_deviation_that_was_asked_for() -> None:
+    env = ObjectCentricEnv(piece("stool"), cloud_points=2000, noise=0.001)
+    noisy = env.reset(seed=0)[0]["shapes"]
+    plain = ObjectCentricEnv(piece("stool"), cloud_points=2000).reset(seed=0)[0]["shapes"]
+    n = len(piece("stool").parts)
+    assert (noisy - plain)[:n].std() == pytest.approx(0.001, rel=0.02)
+
+
+def test_hints_that_do_not_exist_are_refused() -> None:
+    with pytest.raises(ValueError, match="frames is 'mine'; expected 'aligned' or 'own'"):
+        ObjectCentricEnv("stool", frames="mine")
+    with pytest.raises(ValueError, match="clouds is 'none'; expected 'shared' or 'resampled'"):
+        ObjectCentricEnv("stool", clouds="none")
+    with pytest.raises(ValueError, match="noise is -1"):
+        ObjectCentricEnv("stool", noise=-1.0)

@@ -14,7 +14,7 @@ from jaxtyping import Bool, UInt8
 
 from roboassembly.datasets import catalogue
 from roboassembly.envs.arguments import checked_action, checked_integer, checked_piece, shortened
-from roboassembly.envs.observation import Observation, Observer, observation_space
+from roboassembly.envs.observation import Observation, ObservationConfig, Observer, observation_space
 from roboassembly.envs.pictures import EpisodePictures, Item
 from roboassembly.errors import ArgumentError
 from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS, Furniture
@@ -46,6 +46,7 @@ class AssemblyEnv(gymnasium.Env[Observation, np.ndarray], Generic[ATask, State, 
         render_mode: None, or `"rgb_array"` for pictures.
         width: width of pictures [pixels].
         height: height of pictures [pixels].
+        observes: what observations show.
 
     Raises:
         ArgumentError: a value that is out of range, or furniture that exceeds the paddings.
@@ -59,7 +60,7 @@ class AssemblyEnv(gymnasium.Env[Observation, np.ndarray], Generic[ATask, State, 
 
     def __init__(
         self, tasks: Sequence[ATask], action_branches: tuple[int, ...], max_parts: int, max_points: int,
-        cloud_points: int, render_mode: str | None, width: int, height: int,
+        cloud_points: int, render_mode: str | None, width: int, height: int, observes: ObservationConfig,
     ) -> None:  # fmt: skip
         max_parts = checked_integer("max_parts", max_parts, 1, MAX_PARTS)
         max_points = checked_integer("max_points", max_points, 1, MAX_POINTS)
@@ -70,8 +71,9 @@ class AssemblyEnv(gymnasium.Env[Observation, np.ndarray], Generic[ATask, State, 
             _check_padding(task.furniture, max_parts, max_points)
         self.render_mode = render_mode
         self.tasks = tuple(tasks)
-        self._observers = tuple(Observer(t.furniture, max_parts, max_points, cloud_points) for t in tasks)
         self._padding = (max_parts, max_points)
+        self._cloud_points, self._observes = cloud_points, observes
+        self._observers = [self._observer(task, None) for task in tasks]
         self._sizes = (max_parts, max_parts, max_points, max_points, *action_branches)
         self._current = 0
         self._state: State | None = None
@@ -119,7 +121,10 @@ class AssemblyEnv(gymnasium.Env[Observation, np.ndarray], Generic[ATask, State, 
         self._current = int(self.np_random.integers(len(self.tasks))) if index is None else index
         self._state, self._outcome, self._ending, self._roles = None, None, None, {}
         self._pictures.start()
-        return self._enter(self.task.initial_state(self.np_random)), self._info("", 0)
+        state = self.task.initial_state(self.np_random)
+        if not self._observes.is_default:
+            self._observers[self._current] = self._observer(self.task, self.np_random)
+        return self._enter(state), self._info("", 0)
 
     def step(self, action: np.ndarray) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Carry out one action. An action of the action space that does not exist ends the episode.
@@ -133,7 +138,8 @@ class AssemblyEnv(gymnasium.Env[Observation, np.ndarray], Generic[ATask, State, 
             raise ResetNeeded(f"the episode is over (its last verdict is '{self._ending}'); call reset() first")
         choice = checked_action(action, self._sizes, self.components)
         roles = self._roles_of(choice)
-        outcome: Any = self.task.step(state, choice, int(self.np_random.integers(2**31 - 1)))
+        task = self.task.with_frames(self._observers[self._current].frames)
+        outcome: Any = task.step(state, choice, int(self.np_random.integers(2**31 - 1)))
         self._outcome, self._roles = outcome, roles
         merged = outcome.step is not None
         observation = self._enter(outcome.state)
@@ -189,6 +195,9 @@ class AssemblyEnv(gymnasium.Env[Observation, np.ndarray], Generic[ATask, State, 
     @property
     def _joined(self) -> TaskState:
         return self.task.groups_of(self.state)
+
+    def _observer(self, task: ATask, rng: np.random.Generator | None) -> Observer:
+        return Observer(task.furniture, *self._padding, self._cloud_points, self._observes, rng)
 
     def _enter(self, state: State) -> Observation:
         if state is not self._state:

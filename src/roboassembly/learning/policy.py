@@ -37,6 +37,7 @@ from roboassembly.errors import InputError, PolicyError
 from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS, Furniture
 from roboassembly.settings import SETTINGS
 from roboassembly.solvers.guide import Guide, Suggestion
+from roboassembly.task.part_frames import FramesName
 from roboassembly.task.setting import SettingName, Task
 
 RANDOM = "random"
@@ -133,6 +134,62 @@ class ConfidentPolicy(ValuePolicy, Protocol):
     def probabilities(self, observation: Observation, mask: Mask) -> Values:
         """Return the probability that the furniture can be finished after each action; 0 where it does not exist."""
         ...
+
+
+@runtime_checkable
+class FramedPolicy(Policy, Protocol):
+    """Policy that must know in which frames the parts are described, because they say what `w` names."""
+
+    def with_frames(self, frames: FramesName) -> Policy:
+        """Return the policy for observations in some frames."""
+        ...
+
+
+def with_frames(policy: Policy, frames: FramesName) -> Policy:
+    """Return a policy for observations in some frames: the policy itself if it need not know."""
+    return policy.with_frames(frames) if isinstance(policy, FramedPolicy) else policy
+
+
+class Choices:
+    """Choices of a policy in one state, the first one and those after refused ones.
+
+    Args:
+        policy: the policy.
+        observation: the state.
+        mask: actions that exist.
+    """
+
+    def __init__(self, policy: Policy, observation: Observation, mask: Mask) -> None:
+        self._policy, self._observation = policy, observation
+        self.mask = mask
+        """Actions that are left."""
+        self._values: Values | None = None
+
+    def next(self) -> tuple[int, ...] | None:
+        """Return the policy's choice among the actions that are left; None if none is left.
+
+        A policy that values actions values them once, because its view of a state follows from the whole mask.
+
+        Raises:
+            PolicyError: the policy picks something that is no action.
+        """
+        if not self.mask.any():
+            return None
+        if self._values is None:
+            return chosen(self._policy, self._observation, self.mask)
+        return tuple(surest(np.where(self.mask, self._values, -np.inf)).tolist())
+
+    def refuse(self, action: tuple[int, ...], *, wrong_pair: bool) -> None:
+        """Leave out an action that was refused, and all actions with its pair if the pair is wrong."""
+        if self._values is None and isinstance(self._policy, ValuePolicy):
+            values = self._policy.values(self._observation, self.mask)
+            self._values = _checked_values(self._policy, "values", values, self.mask)
+        self.mask = self.mask.copy()
+        u, v, k, l, *rest = action  # noqa: E741
+        if wrong_pair:
+            self.mask[u, v, k, l] = self.mask[v, u, l, k] = False
+        else:
+            self.mask[(u, v, k, l, *rest)] = False
 
 
 @dataclass(eq=False)

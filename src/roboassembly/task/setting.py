@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, ClassVar, Literal, Protocol, TypeVar
+from typing import TYPE_CHECKING, ClassVar, Literal, Protocol, Self, TypeVar
 
 import numpy as np
 from jaxtyping import Bool
@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     # Records of plans name their setting, and audits read records: they load nothing of the planner.
     from roboassembly.planning.problem import Budget
     from roboassembly.task.full.failure import Failure
+    from roboassembly.task.part_frames import PartFrames
 
 SettingName = Literal["object-centric", "full"]
 State = TypeVar("State")
@@ -74,6 +75,10 @@ class Task(Protocol[State, Step_co]):
     @property
     def action_branches(self) -> tuple[int, ...]:
         """Number of values of each component of an action after its pair: of `w`, or of `g_a` and `g_b`."""
+        ...
+
+    def with_frames(self, frames: PartFrames) -> Self:
+        """Return the same task with parts described in other frames; they say what `w` names."""
         ...
 
     def check_furniture(self) -> None:
