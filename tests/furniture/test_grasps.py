@@ -20,8 +20,10 @@ from roboassembly.envs.observation import Observer
 from roboassembly.errors import MissingRobotError
 from roboassembly.furniture import storage
 from roboassembly.furniture.annotate import annotate
-from roboassembly.furniture.grasps import CLEARANCE, FRICTION, MAX_WIDTH, find_grasps
+from roboassembly.furniture.grasps import find_grasps
+from roboassembly.furniture.jaws import CLEARANCE
 from roboassembly.furniture.model import Furniture, GraspRegion, Provenance, RawPart
+from roboassembly.furniture.opposite_sides import FRICTION, MAX_WIDTH
 from roboassembly.generate import CHAIRS, FAMILIES
 from roboassembly.geometry.meshes import Mesh
 from roboassembly.geometry.poses import SE3, rotations_from_euler

@@ -23,7 +23,7 @@ import numpy as np
 import trimesh
 from jaxtyping import Float, Float32
 
-from roboassembly.furniture.grasps import APPROACHES
+from roboassembly.furniture.jaws import APPROACHES
 from roboassembly.furniture.model import GRASP_REGIONS, ConnectionPoint, Furniture
 from roboassembly.geometry.meshes import Mesh
 from roboassembly.geometry.poses import pose_to_euler

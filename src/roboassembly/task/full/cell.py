@@ -21,7 +21,7 @@ from roboassembly.furniture.rays import Rays
 from roboassembly.geometry.meshes import WOOD_DENSITY, Mesh
 from roboassembly.geometry.poses import SE3, transform_points, turn_about_vertical
 from roboassembly.geometry.scene import Body, Shape
-from roboassembly.robots.gripper import MAX_OPENING, HandAgainst
+from roboassembly.robots.gripper import MAX_OPENING, WIDER, HandAgainst
 from roboassembly.task.rules.groups import Circle, Group, center_of_mass, hull_points
 
 POST_RADIUS = 0.018
@@ -52,8 +52,6 @@ _FROM_BELOW = 0.5
 """Vertical component of an approach above which the arm would have to be beneath the group."""
 _RESTS = 8
 """Number of rest poses in which a part is tried on its post."""
-WIDER = 0.02
-"""Distance that a hand opens wider than the part [m]."""
 
 
 @dataclass(frozen=True, eq=False)
