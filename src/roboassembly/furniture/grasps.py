@@ -119,6 +119,8 @@ def _first_holdable(jaw: Jaw, blocks: Iterable[Places]) -> GraspRegion | None:
         blocks: candidates in order of preference, in batches.
     """
     for some in blocks:
+        if jaw.spent:
+            break
         directions, free = jaw.approaches(some)
         for index in np.flatnonzero(free.sum(axis=1) >= APPROACHES):
             region = jaw.closed_on(some[np.array([index])], directions[index], free[index])

@@ -38,13 +38,15 @@ _ROOM = 0.002
 """Distance that the coming hand is tested wider than robots open it: they stray a little [m]."""
 _HALF_PAD = (0.0087, 0.0092)
 """Half the size of a pad, across the approach and along it [m]."""
-_GRID = 7
-"""Number of rays along each edge of a pad."""
+_PAD_GRID = np.stack(np.meshgrid(*(np.linspace(-h, h, 7) for h in _HALF_PAD)), axis=-1).reshape(-1, 2)
+"""Places of a pad under which rays find the part, as `_HALF_PAD` [m]."""
+_TOWARD = np.stack([np.cos(np.arange(32) * np.pi / 16.0), np.sin(np.arange(32) * np.pi / 16.0)], axis=-1)
+"""Directions in the plane of a pad, all around."""
 _TOUCHING = 3e-4
 """Height below the highest point under a pad from which on the part touches it [m]."""
 _BY_PAD = 6e-4
 """Distance that a finger may stop before the highest point under its pad: more, and not the pad touches [m]."""
-_ATTEMPTS = 400
+_ATTEMPTS = 120
 """Number of places at which fingers are closed before there is no grasp."""
 
 
@@ -55,6 +57,11 @@ class Jaw(Protocol):
     """Collisions of the hand with the part."""
     others: Sequence[HandAgainst]
     """Collisions of the hand with surroundings of the part, which decide between directions."""
+
+    @property
+    def spent(self) -> bool:
+        """Whether the hand has tried enough places."""
+        ...
 
     def openings(self, widths: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
         """Return the distance between the pads as the hand comes to places of given widths [m]."""
@@ -84,6 +91,11 @@ class EvenJaw:
 
     def __init__(self, hand: HandAgainst, others: Sequence[HandAgainst]) -> None:
         self.hand, self.others = hand, others
+
+    @property
+    def spent(self) -> bool:
+        """Whether fingers have been closed at enough places: never."""
+        return False
 
     def openings(self, widths: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
         """Return the full opening for each place [m]."""
@@ -119,6 +131,11 @@ class UnevenJaw:
         self.hand, self.others, self._rays = hand, others, rays
         self._left = _ATTEMPTS
 
+    @property
+    def spent(self) -> bool:
+        """Whether fingers have been closed at enough places."""
+        return self._left <= 0
+
     def openings(self, widths: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
         """Return the opening for each place, a little wider than robots open the hand there [m]."""
         return np.minimum(MAX_OPENING, widths + WIDER + _ROOM)
@@ -137,11 +154,13 @@ class UnevenJaw:
         self, place: Places, directions: Float[np.ndarray, "a 3"], free: Bool[np.ndarray, "a"]
     ) -> GraspRegion | None:
         """Return the region at one place, as `Jaw` says."""
-        if self._left <= 0:
-            return None
         self._left -= 1
-        stops = self._stops(place, directions, free)
-        held = free & self._held_by_pads(place, directions, stops)
+        held, highest = self._held_by_pads(place, directions, free)
+        stops = np.full((2, len(directions)), np.inf)
+        if held.sum() >= APPROACHES:
+            stops[:, held] = self._stops(place, directions[held])
+        # If a finger stops before its pad touches, something else of it does.
+        held &= (stops < highest + _BY_PAD).all(axis=0)
         total = stops.sum(axis=0)
         for index in np.argsort(np.where(held, total, np.inf), kind="stable")[: held.sum()]:
             limit = stops[:, index]
@@ -162,64 +181,59 @@ class UnevenJaw:
                 return _region(there, directions, closable, self.others, closed, opened)
         return None
 
-    def _stops(
+    def _held_by_pads(
         self, place: Places, directions: Float[np.ndarray, "a 3"], free: Bool[np.ndarray, "a"]
-    ) -> Float[np.ndarray, "2 a"]:
+    ) -> tuple[Bool[np.ndarray, "a"], Float[np.ndarray, "2 a"]]:
+        """Return for which `free` directions the pads hold the part, and how far the part is highest under each pad.
+
+        The contacts are within the cone of friction, and they oppose each other: some line from one to the other leans
+        no more than friction allows.
+        """
+        tried = np.flatnonzero(free)
+        closing, width = place.closing[0], float(place.width[0])
+        across = np.cross(closing, directions[tried])
+        spots = _PAD_GRID[:, 0, None] * across[:, None] + _PAD_GRID[:, 1, None] * directions[tried][:, None]
+        good, highest = np.ones(len(tried), bool), np.full((2, len(directions)), -np.inf)
+        least = np.zeros((2, len(tried), len(_TOWARD)))
+        for finger, side in enumerate((1.0, -1.0)):
+            starts = place.middle[0] + spots + side * (0.5 * width + 2.0 * _MOST_UNEVEN) * closing
+            inward = np.tile(-side * closing, (starts.shape[0] * starts.shape[1], 1))
+            reach, normals = self._rays.first_hits(starts.reshape(-1, 3), inward)
+            height = (2.0 * _MOST_UNEVEN - reach).reshape(len(tried), -1)
+            highest[finger, tried] = height.max(axis=1)
+            touching = height > height.max(axis=1, keepdims=True) - _TOUCHING
+            mean = np.einsum("tg,tgk->tk", touching, normals.reshape(*height.shape, 3))
+            good &= side * (mean @ closing) > LEAST_COSINE * np.linalg.norm(mean, axis=1)
+            least[finger] = np.where(touching[:, :, None], side * _PAD_GRID @ _TOWARD.T, np.inf).min(axis=1)
+        # The distance between two convex sets is the largest one between parallel lines that part them.
+        good &= least.sum(axis=0).max(axis=1) <= FRICTION * width
+        held = np.zeros(len(directions), bool)
+        held[tried] = good & (highest[:, tried] < _MOST_UNEVEN).all(axis=0)
+        return held, highest
+
+    def _stops(self, place: Places, directions: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "2 n"]:
         """Return how far from the side each finger stops, the one along the closing axis first; infinity if it stops
-        before `_MOST_UNEVEN`, or the direction is not free [m]."""
-        n = int(free.sum())
-        stops = np.full((2, len(directions)), np.inf)
+        before `_MOST_UNEVEN` [m]."""
+        n = len(directions)
+        stops = np.full((2, n), np.inf)
         middle, closing = np.repeat(place.middle, n, axis=0), np.repeat(place.closing, n, axis=0)
 
         def free_at(near: Float[np.ndarray, "n"], finger: int) -> Bool[np.ndarray, "n"]:
-            shift = 0.5 * (1 - 2 * finger) * (near - _MOST_UNEVEN)
+            shift = (0.5 - finger) * (near - _MOST_UNEVEN)
             opening = float(place.width[0]) + near + _MOST_UNEVEN + 2.0 * CLEARANCE
-            return ~self.hand.touches(middle + shift[:, None] * closing, closing, directions[free], opening)
+            return ~self.hand.touches(middle + shift[:, None] * closing, closing, directions, opening)
 
+        if (reached := free_at(np.full(n, _MOST_UNEVEN), 0)).sum() < APPROACHES:
+            return stops
         for finger in (0, 1):
             low, high = np.zeros(n), np.full(n, _MOST_UNEVEN)
-            reached = free_at(high, finger)
             high = np.where(free_at(low, finger), low, high)
             for _ in range(_BISECTIONS):
                 mean = 0.5 * (low + high)
                 fits = free_at(mean, finger)
                 low, high = np.where(fits, low, mean), np.where(fits, mean, high)
-            stops[finger, free] = np.where(reached, high, np.inf)
+            stops[finger, reached] = high[reached]
         return stops
-
-    def _held_by_pads(
-        self, place: Places, directions: Float[np.ndarray, "a 3"], stops: Float[np.ndarray, "2 a"]
-    ) -> Bool[np.ndarray, "a"]:
-        """Return whether pads and nothing else of the fingers touch, within the cone of friction, and oppose each
-        other: some line from one contact to the other leans no more than friction allows."""
-        out = np.isfinite(stops).all(axis=0)
-        if not out.any():
-            return out
-        tried = np.flatnonzero(out)
-        closing = place.closing[0]
-        grid = np.stack(np.meshgrid(*(np.linspace(-h, h, _GRID) for h in _HALF_PAD)), axis=-1).reshape(-1, 2)
-        across = np.cross(closing, directions[tried])
-        spots = grid[:, 0, None] * across[:, None] + grid[:, 1, None] * directions[tried][:, None]
-        angles = np.linspace(0.0, 2.0 * np.pi, 32, endpoint=False)
-        toward = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-        along = grid @ toward.T
-        good, reaching = np.ones(len(tried), bool), np.zeros((2, len(tried), len(angles)))
-        for finger, side in enumerate((1.0, -1.0)):
-            off = 0.5 * float(place.width[0]) + 2.0 * _MOST_UNEVEN
-            starts = place.middle[0] + spots + side * off * closing
-            inward = np.tile(-side * closing, (spots.shape[0] * len(grid), 1))
-            reach, normals = self._rays.first_hits(starts.reshape(-1, 3), inward)
-            height = (2.0 * _MOST_UNEVEN - reach).reshape(len(tried), len(grid))
-            touching = height > height.max(axis=1, keepdims=True) - _TOUCHING
-            mean = np.einsum("tg,tgk->tk", touching, normals.reshape(len(tried), len(grid), 3))
-            length = np.maximum(np.linalg.norm(mean, axis=1), 1e-9)
-            good &= side * (mean @ closing) > LEAST_COSINE * length
-            good &= stops[finger, tried] < height.max(axis=1) + _BY_PAD
-            reaching[finger] = np.where(touching[:, :, None], side * along, np.inf).min(axis=1)
-        # The distance between two convex sets is the largest distance between lines that part them.
-        good &= reaching.sum(axis=0).max(axis=1) <= FRICTION * float(place.width[0])
-        out[tried] = good
-        return out
 
 
 def touches(
