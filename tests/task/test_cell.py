@@ -13,17 +13,9 @@ from roboassembly.errors import InputError
 from roboassembly.furniture.model import Furniture
 from roboassembly.geometry.meshes import WOOD_DENSITY
 from roboassembly.geometry.poses import SE3, align_axis
-from roboassembly.task.full import cell
-from roboassembly.task.full.cell import (
-    BETWEEN_POSTS,
-    LANE,
-    LOWEST,
-    PAYLOAD,
-    check_size,
-    initial_layout,
-    on_post,
-    reach_from,
-)
+from roboassembly.task.full import cell, posts
+from roboassembly.task.full.cell import BETWEEN_POSTS, LANE, PAYLOAD, check_size, initial_layout
+from roboassembly.task.full.posts import LOWEST, on_post, reach_from
 from roboassembly.task.rules.connections import UP_AXES
 from roboassembly.task.rules.groups import Group
 from shapes import GAP, block, brick, fcl_object, furniture, of_solid, pose
@@ -115,14 +107,14 @@ def test_a_cup_needs_something_above_it() -> None:
     edge = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
     found = on_post(piece, alone(piece, 0, edge), np.array([1.0, 2.0]))
     assert found is not None
-    assert found[1].top == pytest.approx([1.0, 2.0, LOWEST - cell.CUP_GAP], abs=1e-9)
+    assert found[1].top == pytest.approx([1.0, 2.0, LOWEST - posts.CUP_GAP], abs=1e-9)
 
 
 def test_the_cup_stays_away_from_the_hands(stool: Furniture) -> None:
     # A stretcher lies level; its grasps are on it, and the post ends where most of them are free.
     part = next(i for i, p in enumerate(stool.parts) if "stretcher" in p.name)
     _, groups, stands = initial_layout(stool, np.random.default_rng(0))
-    assert cell.open_grasps(stool, groups[part], stands[part]) >= 0.5
+    assert posts.open_grasps(stool, groups[part], stands[part]) >= 0.5
 
 
 def test_groups_stand_in_the_order_of_their_open_grasps(stool: Furniture) -> None:
@@ -131,6 +123,6 @@ def test_groups_stand_in_the_order_of_their_open_grasps(stool: Furniture) -> Non
         stands = [alone(stool, part, turn) for turn in turns]
         for upright in ([False] * 6, [False, False, True, False, False, False]):
             held = [(up, on_post(stool, stand, np.zeros(2))) for up, stand in zip(upright, stands, strict=True)]
-            scores = [(up + cell.open_grasps(stool, *found), found[1].top) for up, found in held if found is not None]
+            scores = [(up + posts.open_grasps(stool, *found), found[1].top) for up, found in held if found is not None]
             tops = [top for _, top in sorted(scores, key=lambda item: -item[0])]
-            assert np.array_equal([post.top for _, post in cell.best_stands(stool, stands, upright)], tops)
+            assert np.array_equal([post.top for _, post in posts.best_stands(stool, stands, upright)], tops)
