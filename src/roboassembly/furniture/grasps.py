@@ -61,7 +61,8 @@ def find_grasps(mesh: Mesh, around: Sequence[Mesh] = ()) -> tuple[GraspRegion, .
     places = opposite_sides(mesh.trimesh, rays)
     found = _regions(EvenJaw(hand, others), places[within_reach(rays, places)])
     if len(found) < GRASP_REGIONS:
-        found = _regions(UnevenJaw(hand, others, rays), opposite_sides_anywhere(mesh.trimesh, rays), found)
+        jaw, places = UnevenJaw(hand, others, rays), opposite_sides_anywhere(mesh.trimesh, rays)
+        found = _regions(jaw, places[jaw.within_reach(places)], found)
     return tuple(sorted(found, key=lambda region: float(np.linalg.norm(region.position))))
 
 

@@ -42,8 +42,8 @@ _PAD_GRID = np.stack(np.meshgrid(*(np.linspace(-h, h, 7) for h in _HALF_PAD)), a
 """Places of a pad under which rays find the part, as `_HALF_PAD` [m]."""
 _TOWARD = np.stack([np.cos(np.arange(32) * np.pi / 16.0), np.sin(np.arange(32) * np.pi / 16.0)], axis=-1)
 """Directions in the plane of a pad, all around."""
-_TOUCHING = 3e-4
-"""Height below the highest point under a pad from which on the part touches it [m]."""
+_TOUCHING = 5e-4
+"""Height below the highest point under a pad from which on the part touches it, as pads are of rubber [m]."""
 _BY_PAD = 6e-4
 """Distance that a finger may stop before the highest point under its pad: more, and not the pad touches [m]."""
 _ATTEMPTS = 120
@@ -140,15 +140,17 @@ class UnevenJaw:
         """Return the opening for each place, a little wider than robots open the hand there [m]."""
         return np.minimum(MAX_OPENING, widths + WIDER + _ROOM)
 
+    def within_reach(self, places: Places) -> Bool[np.ndarray, "n"]:
+        """Return whether the hand comes to a place from enough directions."""
+        directions = directions_around(places.closing, ANGLES)
+        out = ~touches(self.hand, places, directions, self.openings(places.width), coming=True).all(axis=1)
+        out[out] = self.approaches(places[out])[1].sum(axis=1) >= APPROACHES
+        return out
+
     def approaches(self, places: Places) -> tuple[Float[np.ndarray, "n a 3"], Bool[np.ndarray, "n a"]]:
         """Return directions 5° apart, and which are free: at a rim or in a hollow the fan is narrow."""
-        openings = self.openings(places.width)
-        coarse = directions_around(places.closing, ANGLES)
-        some = np.flatnonzero(~touches(self.hand, places, coarse, openings, coming=True).all(axis=1))
         directions = directions_around(places.closing, _FINE_ANGLES)
-        free = np.zeros(directions.shape[:2], bool)
-        free[some] = ~touches(self.hand, places[some], directions[some], openings[some], coming=True)
-        return directions, free
+        return directions, ~touches(self.hand, places, directions, self.openings(places.width), coming=True)
 
     def closed_on(
         self, place: Places, directions: Float[np.ndarray, "a 3"], free: Bool[np.ndarray, "a"]

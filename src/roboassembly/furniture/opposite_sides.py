@@ -25,10 +25,12 @@ _PAD_SLACK = 0.002
 """Largest distance at which the part covers a place of the pad [m]."""
 _SAMPLES, _AXES = 384, 48
 """Numbers of surface points and of axes through the centre of mass at which opposite sides are sought."""
-_DENSE_SAMPLES = 3_000
+_DENSE_SAMPLES = 6_000
 """Number of surface points where few opposite sides are found."""
 _THINNEST = 3e-4
 """Smallest width of a sheet that is sought there [m]."""
+_ALIKE, _PARALLEL = 0.008, 0.1
+"""Sizes of cells of positions [m] and of axes; of the places in one cell of both, only the best covered one counts."""
 _EVENNESS = 0.75
 """Exponent of the area by which faces are sampled: with 1, a peg on a seat would be missed."""
 
@@ -70,8 +72,19 @@ def opposite_sides_anywhere(solid: trimesh.Trimesh, rays: Rays) -> Places:
     there = _between_fingers(rays, middle, closing, 0.5 * np.minimum(MAX_OPENING, depth + WIDER), _THINNEST)
     half = 0.5 * np.minimum(MAX_OPENING, there.width + WIDER)
     settled = _between_fingers(rays, there.middle, _mean_closing(rays, there), half, _THINNEST)
+    # Places along the mean normals come first.
     columns = ("middle", "closing", "width", "cover")
-    return Places(*(np.concatenate([getattr(there, name), getattr(settled, name)]) for name in columns))
+    both = Places(*(np.concatenate([getattr(settled, name), getattr(there, name)]) for name in columns))
+    return both[_unlike(both)]
+
+
+def _unlike(places: Places) -> Int[np.ndarray, "m"]:
+    """Return the indices of the best covered one of each few places that are alike."""
+    order = np.argsort(-places.cover, kind="stable")
+    turned = places.closing * np.where(places.closing @ [1.0, 1e-3, 1e-6] < 0, -1.0, 1.0)[:, None]
+    cells = np.concatenate([places.middle / _ALIKE, turned / _PARALLEL, places.width[:, None] / _ALIKE], axis=1)
+    _, first = np.unique(np.round(cells[order]).astype(int), axis=0, return_index=True)
+    return np.sort(order[first])
 
 
 def _mean_closing(rays: Rays, places: Places) -> Float[np.ndarray, "n 3"]:
