@@ -119,11 +119,13 @@ def _first_holdable(jaw: Jaw, blocks: Iterable[Places]) -> GraspRegion | None:
         jaw: how the hand opens and closes.
         blocks: candidates in order of preference, in batches.
     """
+    attempts = 0
     for some in blocks:
-        if jaw.spent:
-            break
         directions, free = jaw.approaches(some)
         for index in np.flatnonzero(free.sum(axis=1) >= APPROACHES):
+            attempts += 1
+            if attempts > jaw.attempts:
+                return None
             region = jaw.closed_on(some[np.array([index])], directions[index], free[index])
             if region is not None:
                 return region

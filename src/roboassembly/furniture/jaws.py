@@ -46,8 +46,6 @@ _TOUCHING = 5e-4
 """Height below the highest point under a pad from which on the part touches it, as pads are of rubber [m]."""
 _BY_PAD = 6e-4
 """Distance that a finger may stop before the highest point under its pad: more, and not the pad touches [m]."""
-_ATTEMPTS = 120
-"""Number of places at which fingers are closed before there is no grasp."""
 
 
 class Jaw(Protocol):
@@ -57,11 +55,8 @@ class Jaw(Protocol):
     """Collisions of the hand with the part."""
     others: Sequence[HandAgainst]
     """Collisions of the hand with surroundings of the part, which decide between directions."""
-
-    @property
-    def spent(self) -> bool:
-        """Whether the hand has tried enough places."""
-        ...
+    attempts: float
+    """Number of places at which the hand closes before there is no grasp."""
 
     def openings(self, widths: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
         """Return the distance between the pads as the hand comes to places of given widths [m]."""
@@ -89,13 +84,10 @@ class EvenJaw:
         others: collisions of the hand with surroundings of the part.
     """
 
+    attempts = np.inf
+
     def __init__(self, hand: HandAgainst, others: Sequence[HandAgainst]) -> None:
         self.hand, self.others = hand, others
-
-    @property
-    def spent(self) -> bool:
-        """Whether fingers have been closed at enough places: never."""
-        return False
 
     def openings(self, widths: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
         """Return the full opening for each place [m]."""
@@ -127,14 +119,10 @@ class UnevenJaw:
         rays: of the part.
     """
 
+    attempts = 150.0
+
     def __init__(self, hand: HandAgainst, others: Sequence[HandAgainst], rays: Rays) -> None:
         self.hand, self.others, self._rays = hand, others, rays
-        self._left = _ATTEMPTS
-
-    @property
-    def spent(self) -> bool:
-        """Whether fingers have been closed at enough places."""
-        return self._left <= 0
 
     def openings(self, widths: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
         """Return the opening for each place, a little wider than robots open the hand there [m]."""
@@ -156,7 +144,6 @@ class UnevenJaw:
         self, place: Places, directions: Float[np.ndarray, "a 3"], free: Bool[np.ndarray, "a"]
     ) -> GraspRegion | None:
         """Return the region at one place, as `Jaw` says."""
-        self._left -= 1
         held, highest = self._held_by_pads(place, directions, free)
         stops = np.full((2, len(directions)), np.inf)
         if held.sum() >= APPROACHES:
