@@ -23,7 +23,7 @@ def even_regions(mesh: Mesh) -> list[GraspRegion]:
     rays, hand = Rays(mesh), HandAgainst(mesh)
     jaw, places = EvenJaw(hand, ()), opposite_sides(mesh.trimesh, rays)
     places = places[within_reach(rays, places)]
-    places = places[np.linspace(0, len(places.width) - 1, min(40, len(places.width))).astype(int)]
+    places = places[np.linspace(0, len(places.width) - 1, min(16, len(places.width))).astype(int)]
     directions, free = jaw.approaches(places)
     found = (jaw.closed_on(places[np.array([i])], directions[i], free[i]) for i in range(len(places.width)))
     return [region for region in found if region is not None]
