@@ -34,7 +34,7 @@ _BISECTIONS = 5
 """Number of bisections of this distance; they leave 0.1 mm."""
 _UNLIKE = 0.0015
 """Difference of the closed widths of two directions of one region at most [m]."""
-_ROOM = 0.002
+_SIDEWAYS = 0.002
 """Distance that the coming hand is tested wider than robots open it: they stray a little [m]."""
 _HALF_PAD = (0.0087, 0.0092)
 """Half the size of a pad, across the approach and along it [m]."""
@@ -126,13 +126,15 @@ class UnevenJaw:
 
     def openings(self, widths: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
         """Return the opening for each place, a little wider than robots open the hand there [m]."""
-        return np.minimum(MAX_OPENING, widths + WIDER + _ROOM)
+        return np.minimum(MAX_OPENING, widths + WIDER + _SIDEWAYS)
 
     def within_reach(self, places: Places) -> Bool[np.ndarray, "n"]:
         """Return whether the hand comes to a place from enough directions."""
         directions = directions_around(places.closing, ANGLES)
-        out = ~touches(self.hand, places, directions, self.openings(places.width), coming=True).all(axis=1)
-        out[out] = self.approaches(places[out])[1].sum(axis=1) >= APPROACHES
+        blocked = touches(self.hand, places, directions, self.openings(places.width), coming=True)
+        some = np.flatnonzero((~blocked).any(axis=1))
+        out = np.zeros(len(places.width), bool)
+        out[some] = self.approaches(places[some])[1].sum(axis=1) >= APPROACHES
         return out
 
     def approaches(self, places: Places) -> tuple[Float[np.ndarray, "n a 3"], Bool[np.ndarray, "n a"]]:
@@ -144,16 +146,16 @@ class UnevenJaw:
         self, place: Places, directions: Float[np.ndarray, "a 3"], free: Bool[np.ndarray, "a"]
     ) -> GraspRegion | None:
         """Return the region at one place, as `Jaw` says."""
-        held, highest = self._held_by_pads(place, directions, free)
+        gripped, highest = self._gripped_by_pads(place, directions, free)
         stops = np.full((2, len(directions)), np.inf)
-        if held.sum() >= APPROACHES:
-            stops[:, held] = self._stops(place, directions[held])
+        if gripped.sum() >= APPROACHES:
+            stops[:, gripped] = self._stops(place, directions[gripped])
         # If a finger stops before its pad touches, something else of it does.
-        held &= (stops < highest + _BY_PAD).all(axis=0)
+        gripped &= (stops < highest + _BY_PAD).all(axis=0)
         total = stops.sum(axis=0)
-        for index in np.argsort(np.where(held, total, np.inf), kind="stable")[: held.sum()]:
+        for index in np.argsort(np.where(gripped, total, np.inf), kind="stable")[: gripped.sum()]:
             limit = stops[:, index]
-            alike = held & (stops <= limit[:, None] + 1e-9).all(axis=0) & (total[index] - total < _UNLIKE)
+            alike = gripped & (stops <= limit[:, None] + 1e-9).all(axis=0) & (total[index] - total < _UNLIKE)
             if alike.sum() < APPROACHES:
                 continue
             # The hand is where both fingers touch at once.
@@ -170,7 +172,7 @@ class UnevenJaw:
                 return _region(there, directions, closable, self.others, closed, opened)
         return None
 
-    def _held_by_pads(
+    def _gripped_by_pads(
         self, place: Places, directions: Float[np.ndarray, "a 3"], free: Bool[np.ndarray, "a"]
     ) -> tuple[Bool[np.ndarray, "a"], Float[np.ndarray, "2 a"]]:
         """Return for which `free` directions the pads hold the part, and how far the part is highest under each pad.
@@ -182,7 +184,7 @@ class UnevenJaw:
         closing, width = place.closing[0], float(place.width[0])
         across = np.cross(closing, directions[tried])
         spots = _PAD_GRID[:, 0, None] * across[:, None] + _PAD_GRID[:, 1, None] * directions[tried][:, None]
-        good, highest = np.ones(len(tried), bool), np.full((2, len(directions)), -np.inf)
+        pressed, highest = np.ones(len(tried), bool), np.full((2, len(directions)), -np.inf)
         least = np.zeros((2, len(tried), len(_TOWARD)))
         for finger, side in enumerate((1.0, -1.0)):
             starts = place.middle[0] + spots + side * (0.5 * width + 2.0 * _MOST_UNEVEN) * closing
@@ -192,13 +194,13 @@ class UnevenJaw:
             highest[finger, tried] = height.max(axis=1)
             touching = height > height.max(axis=1, keepdims=True) - _TOUCHING
             mean = np.einsum("tg,tgk->tk", touching, normals.reshape(*height.shape, 3))
-            good &= side * (mean @ closing) > LEAST_COSINE * np.linalg.norm(mean, axis=1)
+            pressed &= side * (mean @ closing) > LEAST_COSINE * np.linalg.norm(mean, axis=1)
             least[finger] = np.where(touching[:, :, None], side * _PAD_GRID @ _TOWARD.T, np.inf).min(axis=1)
         # The distance between two convex sets is the largest one between parallel lines that part them.
-        good &= least.sum(axis=0).max(axis=1) <= FRICTION * width
-        held = np.zeros(len(directions), bool)
-        held[tried] = good & (highest[:, tried] < _MOST_UNEVEN).all(axis=0)
-        return held, highest
+        pressed &= least.sum(axis=0).max(axis=1) <= FRICTION * width
+        gripped = np.zeros(len(directions), bool)
+        gripped[tried] = pressed & (highest[:, tried] < _MOST_UNEVEN).all(axis=0)
+        return gripped, highest
 
     def _stops(self, place: Places, directions: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "2 n"]:
         """Return how far from the side each finger stops, the one along the closing axis first; infinity if it stops

@@ -39,7 +39,7 @@ _OFF_CENTER = 1.0
 """Share of open grasps that a metre of distance from the centre of mass costs."""
 _FROM_BELOW = 0.5
 """Vertical component of an approach above which the arm would have to be beneath the group."""
-_APART, _BALANCE = 0.1, 0.3
+_LEAST_SPAN, _BALANCE = 0.1, 0.3
 """Distance between two posts of one group at least [m]; share of it by which their middle may be beside the centre of
 mass at most."""
 
@@ -147,7 +147,7 @@ def on_two_posts(furniture: Furniture, group: Group, place: Float[np.ndarray, "2
     off = center - tops[i, :2]
     share = np.einsum("nk,nk->n", off, between) / length**2
     aside = np.abs(off[:, 0] * between[:, 1] - off[:, 1] * between[:, 0]) / length
-    fits = np.flatnonzero((length > _APART) & (np.abs(share - 0.5) < _BALANCE) & (aside < POST_RADIUS))
+    fits = np.flatnonzero((length > _LEAST_SPAN) & (np.abs(share - 0.5) < _BALANCE) & (aside < POST_RADIUS))
     if not len(fits):
         return None
     free = _Grippers(furniture, group).open_at(tops)
@@ -229,13 +229,13 @@ def best_stands(furniture: Furniture, stands: Sequence[Group], upright: Sequence
         for i, (group, up) in enumerate(zip(stands, upright, strict=True))
     ]
     heapify(heap)
-    held = False
+    found = False
     for holder in (on_post, on_two_posts):
         left = list(heap)
-        while left and not (held and holder is on_two_posts):
+        while left and not (found and holder is on_two_posts):
             _, i, placed = heappop(left)
             if placed is not None:
-                held = True
+                found = True
                 yield placed
             elif (placed := holder(furniture, stands[i], np.zeros(2))) is not None:
                 heappush(left, (-(upright[i] + open_grasps(furniture, *placed)), i, placed))
