@@ -16,7 +16,7 @@ from roboassembly.geometry.poses import SE3
 from roboassembly.planning.problem import Budget
 from roboassembly.rendering.colors import Role
 from roboassembly.robots.body import placed
-from roboassembly.task.full.cell import post_mesh
+from roboassembly.task.full.posts import post_mesh
 from roboassembly.task.full.task import FullOutcome, FullTask
 from roboassembly.task.part_frames import FramesName
 from roboassembly.task.plans.full_plan import FullState
@@ -93,7 +93,7 @@ class FullEnv(AssemblyEnv[FullTask, FullState, FullOutcome]):
             items += [Item(link.mesh, pose, role) for link, pose in placed(robot.at, robot.opening)]
         # The number of posts is constant, so that the renderer is not made anew when a post sinks.
         posts: list[SE3 | None] = [SE3(np.eye(3), stand.top) for stand in state.posts]
-        posts += [None] * (len(self.task.furniture.parts) - len(posts))
+        posts += [None] * (-len(posts) % len(self.task.furniture.parts))
         return [*items, *(Item(post_mesh(), pose, Role.POST, framed=False) for pose in posts)]
 
     def _info(self, verdict: str, planning_steps: int) -> dict[str, Any]:

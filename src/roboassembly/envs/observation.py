@@ -25,7 +25,7 @@ import trimesh
 from jaxtyping import Float, Float32
 
 from roboassembly.errors import ArgumentError
-from roboassembly.furniture.grasps import APPROACHES
+from roboassembly.furniture.jaws import APPROACHES
 from roboassembly.furniture.model import GRASP_REGIONS, ConnectionPoint, Furniture
 from roboassembly.geometry.meshes import Mesh
 from roboassembly.geometry.poses import SE3, pose_to_euler

@@ -13,9 +13,9 @@ from roboassembly.planning.robot_path import Configuration, Path
 from roboassembly.planning.robot_shapes import WorldCache
 from roboassembly.planning.robot_world import RobotWorld, Tally
 from roboassembly.robots.body import DOF, placed, world_from_tips
-from roboassembly.task.full.cell import Post
 from roboassembly.task.full.failure import Stage, stage_text
 from roboassembly.task.full.grips import Grip, hand_shapes
+from roboassembly.task.full.posts import Post
 from roboassembly.task.rules.groups import Group, body
 
 
@@ -122,8 +122,8 @@ class CellState:
 
     @property
     def posts(self) -> tuple[Post, ...]:
-        """All raised posts."""
-        return (*(p.post for p in self.placed), *self.free_posts)
+        """All raised posts, each by itself."""
+        return tuple(post for pair in (*(p.post for p in self.placed), *self.free_posts) for post in pair.each)
 
     def groups(self) -> list[Group]:
         """Return all groups where they are, those in hands last."""

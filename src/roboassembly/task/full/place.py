@@ -11,9 +11,10 @@ from jaxtyping import Float
 from roboassembly.geometry.poses import SE3, align_axis, turn_about_vertical
 from roboassembly.planning.robot_path import Path, line
 from roboassembly.planning.robot_world import RobotWorld, Tally
-from roboassembly.task.full.cell import Post, best_stands, free_places, reach_from
+from roboassembly.task.full.cell import free_places
 from roboassembly.task.full.cell_state import CellState, PlacedGroup, Robot
 from roboassembly.task.full.failure import Failure, FullVerdict, Stage
+from roboassembly.task.full.posts import best_stands, reach_from
 from roboassembly.task.full.segments import (
     LIFT_HEIGHT,
     PLATFORM,
@@ -187,4 +188,4 @@ def _posts_for(
                 continue
             shift = np.array([*fit[round_ % len(fit)], 0.0])
             moved = SE3(np.eye(3), shift) * group.world_from_furniture
-            yield PlacedGroup(group.moved_to(moved), Post(post.top + shift))
+            yield PlacedGroup(group.moved_to(moved), post.moved(shift))
