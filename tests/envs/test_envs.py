@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
+from roboassembly.bench.scaling import lattice
 from roboassembly.datasets import catalogue
 from roboassembly.envs import FULL, OBJECT_CENTRIC
 from roboassembly.envs.assembly import AssemblyEnv
@@ -21,12 +22,17 @@ from roboassembly.envs.full import FullEnv
 from roboassembly.envs.object_centric import ObjectCentricEnv
 from roboassembly.envs.wrappers import DiscreteActions
 from roboassembly.errors import InputError, UnknownNameError
+from roboassembly.evaluation.rollout import rollout_policy
 from roboassembly.furniture import storage
+from roboassembly.furniture.annotate import annotate
 from roboassembly.furniture.model import Furniture, Provenance, RawFurniture, RawPart
+from roboassembly.generate.design import as_parts
 from roboassembly.geometry.meshes import Mesh, distances_to
 from roboassembly.geometry.poses import SE3, pose_to_euler, rotations_from_euler
+from roboassembly.learning.registry import load_policy
 from roboassembly.solvers.disassembly import Disassembly, partition_of
 from roboassembly.solvers.options import grasping, upright
+from roboassembly.solvers.search import solve
 from roboassembly.task.full.grips import grip_of
 from roboassembly.task.rules.groups import Group
 
@@ -210,7 +216,7 @@ def test_mask_does_not_leak_the_answer(env: AnEnv, furniture: Furniture) -> None
     for _ in range(2 if isinstance(env, FullEnv) else len(furniture.parts) // 2):
         *_, info = env.step(np.array(right_action(env)))
     joined = env.task.groups_of(env.state)
-    mask, free = info["action_mask"], env.task.rules.free_points(joined)
+    mask, free = info["action_mask"], env.task.rules.free_points(joined, 20, 10)
     for u in range(20):
         for v in range(20):
             there = u < len(furniture.parts) and v < len(furniture.parts)
@@ -326,8 +332,8 @@ def test_smaller_spaces_for_small_furniture() -> None:
     assert env.action_space.nvec.tolist() == [9, 9, points, points, 6]
     with pytest.raises(InputError, match="too small"):
         ObjectCentricEnv(stool, max_parts=8)
-    with pytest.raises(InputError, match="1 to 20"):
-        ObjectCentricEnv(stool, max_parts=21)
+    with pytest.raises(InputError, match="1 to 1000"):
+        ObjectCentricEnv(stool, max_parts=1001)
 
 
 def test_invalid_furniture_raises_at_construction(tmp_path: Path) -> None:
@@ -439,3 +445,33 @@ def test_hints_that_do_not_exist_are_refused() -> None:
         ObjectCentricEnv("stool", clouds="none")
     with pytest.raises(ValueError, match="noise is -1"):
         ObjectCentricEnv("stool", noise=-1.0)
+
+
+@pytest.fixture(scope="module")
+def long_frame() -> Furniture:
+    """Return a frame of 24 parts, more than the paper's."""
+    return annotate("frame", as_parts(lattice(24).parts()), Provenance("test"), with_grasps=False)
+
+
+def test_furniture_of_more_parts_needs_larger_spaces(long_frame: Furniture) -> None:
+    parts, points = long_frame.padding
+    assert parts == 24
+    with pytest.raises(ValueError, match=rf"has 24 parts .* give max_parts=24, max_points={points}"):
+        ObjectCentricEnv(long_frame)
+    env = ObjectCentricEnv(long_frame, max_parts=parts, max_points=points)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        check_env(env, skip_render_check=True)
+    plan = solve(long_frame, 0).plan
+    assert plan.success
+    observation, info = env.reset(seed=0)
+    assert observation["shapes"][:24].any(axis=(1, 2)).all()
+    assert info["action_mask"].any(axis=(1, 2, 3, 4)).sum() == 24
+
+
+def test_policies_see_furniture_of_more_parts_whole(long_frame: Furniture) -> None:
+    """The random policy draws from parts beyond the twentieth, too; `paper` says that it cannot."""
+    first = {rollout_policy(load_policy("random", seed), long_frame, seed).actions[0][0] for seed in range(40)}
+    assert max(first) >= 20
+    done = rollout_policy(load_policy("relational"), long_frame, 0)
+    assert len(done.plan.steps) >= 3

@@ -17,7 +17,7 @@ from roboassembly.envs.arguments import checked_action, checked_integer, checked
 from roboassembly.envs.observation import Observation, ObservationConfig, Observer, observation_space
 from roboassembly.envs.pictures import EpisodePictures, Item
 from roboassembly.errors import ArgumentError
-from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS, Furniture
+from roboassembly.furniture.model import MOST_PARTS, Furniture
 from roboassembly.rendering.colors import Role
 from roboassembly.task.rules.groups import TaskState
 from roboassembly.task.setting import Outcome, Task
@@ -62,8 +62,8 @@ class AssemblyEnv(gymnasium.Env[Observation, np.ndarray], Generic[ATask, State, 
         self, tasks: Sequence[ATask], action_branches: tuple[int, ...], max_parts: int, max_points: int,
         cloud_points: int, render_mode: str | None, width: int, height: int, observes: ObservationConfig,
     ) -> None:  # fmt: skip
-        max_parts = checked_integer("max_parts", max_parts, 1, MAX_PARTS)
-        max_points = checked_integer("max_points", max_points, 1, MAX_POINTS)
+        max_parts = checked_integer("max_parts", max_parts, 1, MOST_PARTS)
+        max_points = checked_integer("max_points", max_points, 1, MOST_PARTS)
         cloud_points = checked_integer("cloud_points", cloud_points, 1, LARGEST_CLOUD)
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
             raise UnsupportedMode(f"render_mode is {render_mode!r}; expected 'rgb_array' or None")
@@ -265,5 +265,6 @@ def _check_padding(piece: Furniture, max_parts: int, max_points: int) -> None:
     if len(piece.parts) > max_parts or points > max_points:
         raise ArgumentError(
             f"'{piece.name}' has {len(piece.parts)} parts and up to {points} points a part; "
-            f"max_parts={max_parts}, max_points={max_points} are too small"
+            f"max_parts={max_parts}, max_points={max_points} are too small: give max_parts={piece.padding[0]}, "
+            f"max_points={piece.padding[1]}"
         )

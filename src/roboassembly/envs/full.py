@@ -11,7 +11,7 @@ from roboassembly.datasets import catalogue
 from roboassembly.envs.assembly import AssemblyEnv, FurnitureLike, pieces_of
 from roboassembly.envs.observation import CloudsName, ObservationConfig
 from roboassembly.envs.pictures import Item
-from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS
+from roboassembly.furniture.model import PAPER_PARTS, PAPER_POINTS
 from roboassembly.geometry.poses import SE3
 from roboassembly.planning.problem import Budget
 from roboassembly.rendering.colors import Role
@@ -69,8 +69,8 @@ class FullEnv(AssemblyEnv[FullTask, FullState, FullOutcome]):
         self,
         furniture: FurnitureLike | Iterable[FurnitureLike] = catalogue.DEFAULT,
         *,
-        max_parts: int = MAX_PARTS,
-        max_points: int = MAX_POINTS,
+        max_parts: int = PAPER_PARTS,
+        max_points: int = PAPER_POINTS,
         cloud_points: int = 128,
         budget: Budget | None = None,
         render_mode: str | None = None,

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from roboassembly.datasets import catalogue
 from roboassembly.envs.assembly import AssemblyEnv, FurnitureLike, pieces_of
 from roboassembly.envs.observation import CloudsName, ObservationConfig
-from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS
+from roboassembly.furniture.model import PAPER_PARTS, PAPER_POINTS
 from roboassembly.planning.problem import Budget
 from roboassembly.task.object_centric.task import ObjectCentricOutcome, ObjectCentricTask
 from roboassembly.task.part_frames import FramesName
@@ -65,8 +65,8 @@ class ObjectCentricEnv(AssemblyEnv[ObjectCentricTask, TaskState, ObjectCentricOu
         self,
         furniture: FurnitureLike | Iterable[FurnitureLike] = catalogue.DEFAULT,
         *,
-        max_parts: int = MAX_PARTS,
-        max_points: int = MAX_POINTS,
+        max_parts: int = PAPER_PARTS,
+        max_points: int = PAPER_POINTS,
         cloud_points: int = 128,
         budget: Budget | None = None,
         render_mode: str | None = None,

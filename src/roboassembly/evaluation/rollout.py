@@ -14,7 +14,7 @@ from roboassembly.envs.arguments import checked_action
 from roboassembly.envs.observation import ObservationConfig, Observer
 from roboassembly.errors import InputError, UnknownNameError
 from roboassembly.evaluation.episodes import Episode
-from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS, Furniture
+from roboassembly.furniture.model import Furniture
 from roboassembly.learning.policy import Choices, Policy, check_setting, guide_of, with_frames
 from roboassembly.learning.policy_weights import FILES, NAMES
 from roboassembly.learning.registry import PolicyFactory, policy_factory
@@ -146,7 +146,7 @@ def _start(setting: Setting, furniture: Furniture, seed: int) -> _Start:
 def _rollout(policy: Policy, start: _Start, observes: ObservationConfig, tries: int) -> PolicyRollout:
     furniture, rng = start.task.furniture, None if observes.is_default else start.rng
     policy = with_frames(policy, observes.frames)
-    observer = Observer(furniture, MAX_PARTS, MAX_POINTS, policy.cloud_points, observes, rng)
+    observer = Observer(furniture, *furniture.padding, policy.cloud_points, observes, rng)
     task = start.task.with_frames(observer.frames)
     names = ("u", "v", "k", "l", *start.setting.choices)
     thinking = 0.0
@@ -155,7 +155,7 @@ def _rollout(policy: Policy, start: _Start, observes: ObservationConfig, tries: 
     def propose(state: Any) -> Iterable[Action]:
         nonlocal thinking
         observation = observer.observe(task.groups_of(state))
-        choices = Choices(policy, observation, task.existing_actions(state))
+        choices = Choices(policy, observation, task.existing_actions(state, *furniture.padding))
         for _ in range(tries):
             begun = time.perf_counter()
             action = choices.next()

@@ -34,7 +34,7 @@ from jaxtyping import Bool, Float32, Int
 
 from roboassembly.envs.observation import Observation, Observer
 from roboassembly.errors import InputError, PolicyError
-from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS, Furniture
+from roboassembly.furniture.model import Furniture
 from roboassembly.settings import SETTINGS
 from roboassembly.solvers.guide import Guide, Suggestion
 from roboassembly.task.part_frames import FramesName
@@ -234,10 +234,10 @@ class _PolicyGuide:
 
     def __call__(self, task: Task[Any, Any], state: Any) -> Sequence[Suggestion]:
         if self._seen is None or self._seen[0] is not task.furniture:
-            observer = Observer(task.furniture, MAX_PARTS, MAX_POINTS, self.policy.cloud_points)
+            observer = Observer(task.furniture, *task.furniture.padding, self.policy.cloud_points)
             self._seen = task.furniture, observer
         observation = self._seen[1].observe(task.groups_of(state))
-        mask = task.existing_actions(state)
+        mask = task.existing_actions(state, *task.furniture.padding)
         if isinstance(self.policy, ConfidentPolicy):
             scores = _checked_values(self.policy, "probabilities", self.policy.probabilities(observation, mask), mask)
         else:

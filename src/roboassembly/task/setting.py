@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, ClassVar, Literal, Protocol, Self, TypeVar
 import numpy as np
 from jaxtyping import Bool
 
-from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS, Furniture
+from roboassembly.furniture.model import Furniture
 from roboassembly.task.rules.connections import Rules
 from roboassembly.task.rules.groups import TaskState
 
@@ -94,9 +94,9 @@ class Task(Protocol[State, Step_co]):
         ...
 
     def existing_actions(
-        self, state: State, max_parts: int = MAX_PARTS, max_points: int = MAX_POINTS
+        self, state: State, max_parts: int = 0, max_points: int = 0
     ) -> Bool[np.ndarray, "P P K K ..."]:
-        """Return the mask of actions that exist in a state, padded to `max_parts` and `max_points`."""
+        """Return the mask of actions that exist in a state, padded to `max_parts` and `max_points` or to more."""
         ...
 
     def step(

@@ -15,7 +15,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from jaxtyping import Bool, Float
 
-from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS, Furniture
+from roboassembly.furniture.model import Furniture
 from roboassembly.geometry.poses import SE3, align_axis
 from roboassembly.geometry.scene import Scene
 from roboassembly.planning.mating import MatingProblem, plan_mating
@@ -127,9 +127,9 @@ class ObjectCentricTask:
         """Return the groups of a state, which is the state itself."""
         return state
 
-    def free_points(self, state: TaskState) -> Bool[np.ndarray, "20 10"]:
-        """Return the mask of connection points that exist and touch nothing yet, padded."""
-        return self.rules.free_points(state)
+    def free_points(self, state: TaskState, max_parts: int = 0, max_points: int = 0) -> Bool[np.ndarray, "P K"]:
+        """Return the mask of connection points that exist and touch nothing yet; see `Rules.free_points`."""
+        return self.rules.free_points(state, max_parts, max_points)
 
     def exists(self, state: TaskState, action: tuple[int, ...]) -> bool:
         """Whether the action names free points of two parts in different groups."""
@@ -137,9 +137,9 @@ class ObjectCentricTask:
         return 0 <= w < len(UP_AXES) and self.rules.pair_exists(state, *pair)
 
     def existing_actions(
-        self, state: TaskState, max_parts: int = MAX_PARTS, max_points: int = MAX_POINTS
+        self, state: TaskState, max_parts: int = 0, max_points: int = 0
     ) -> Bool[np.ndarray, "P P K K 6"]:
-        """Return the mask of actions that exist in a state, indexed by `(u, v, k, l, w)`."""
+        """Return the mask of actions that exist in a state, indexed by `(u, v, k, l, w)`; see `Rules.free_points`."""
         pairs = self.rules.existing_pairs(state, max_parts, max_points)
         return np.repeat(pairs[..., None], len(UP_AXES), axis=-1)
 
