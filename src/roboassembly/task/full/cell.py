@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
-from jaxtyping import Float
 
 from roboassembly.errors import InputError
 from roboassembly.furniture.model import Furniture
 from roboassembly.geometry.meshes import WOOD_DENSITY
 from roboassembly.geometry.poses import SE3, transform_points, turn_about_vertical
 from roboassembly.task.full.posts import Post, most_open, reach_from
-from roboassembly.task.rules.groups import Circle, Group
+from roboassembly.task.rules.groups import Group
 
 LANE = 0.35
 """Distance between the circles of neighbours in the ring [m]."""
@@ -25,6 +23,8 @@ LARGEST = 4.0
 """Distance from corner to corner of furniture that the cell takes [m]."""
 ROOMY = 2.26
 """Distance from corner to corner up to which two arms turn and set down furniture in the smallest ring [m]."""
+AROUND = 2.0
+"""Distance from the ring to the walls [m]."""
 PAYLOAD = 3.0
 """Mass that a Panda can carry [kg]."""
 _RESTS = 8
@@ -39,11 +39,11 @@ class Cell:
     """Radius of the ring of posts [m]."""
     density: float
     """Density at which a robot can carry the whole furniture [kg/m³]."""
+    floor: float = field(init=False)
+    """Distance from the middle to the walls [m]."""
 
-    @property
-    def floor(self) -> float:
-        """Distance from the middle to the walls [m]."""
-        return self.radius + 2.0
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "floor", self.radius + AROUND)
 
 
 def check_size(furniture: Furniture) -> float:
@@ -107,14 +107,3 @@ def initial_layout(furniture: Furniture, rng: np.random.Generator) -> tuple[Cell
         groups[i] = group.moved_to(SE3(np.eye(3), shift) * group.world_from_furniture)
         posts[i] = post.moved(shift)
     return Cell(radius, density), tuple(groups), tuple(posts)
-
-
-def free_places(
-    places: Sequence[Float[np.ndarray, "2"]], radius: float, occupied: Sequence[Circle]
-) -> list[Float[np.ndarray, "2"]]:
-    """Return the places where a circle keeps clear of all occupied ones."""
-    return [
-        place
-        for place in places
-        if all(np.linalg.norm(place - c.center) > radius + c.radius + 0.5 * LANE for c in occupied)
-    ]
