@@ -14,6 +14,7 @@ import pytest
 from roboassembly.cli.evaluate import summary
 from roboassembly.datasets import catalogue
 from roboassembly.datasets.sets import Entry, FurnitureRef, furniture_hash, furniture_refs, sample_refs
+from roboassembly.envs.observation import ObservationConfig
 from roboassembly.errors import InputError, MissingExtraError, RoboAssemblyError, UnknownNameError
 from roboassembly.evaluation.episodes import Episode
 from roboassembly.evaluation.evaluate import Evaluation, episode_seed, evaluate
@@ -393,3 +394,18 @@ def test_tries_and_hints_are_for_policies_alone() -> None:
     for config in (RolloutConfig(tries=3), RolloutConfig("relational", search=True, tries=3)):
         with pytest.raises(InputError, match="acts alone"):
             make_agent(config)
+
+
+class Framed(Stubborn):
+    """Remembers in which frames it plays."""
+
+    def with_frames(self, frames: str):
+        self.frames = frames
+        return self
+
+
+@pytest.mark.parametrize("frames", ["aligned", "own"])
+def test_a_policy_learns_in_which_frames_it_plays(frames) -> None:
+    policy = Framed([])
+    rollout_policy(policy, catalogue.make("stool", 1), 0, observes=ObservationConfig(frames))
+    assert policy.frames == frames

@@ -46,7 +46,7 @@ class AssemblyEnv(gymnasium.Env[Observation, np.ndarray], Generic[ATask, State, 
         render_mode: None, or `"rgb_array"` for pictures.
         width: width of pictures [pixels].
         height: height of pictures [pixels].
-        observes: what observations show.
+        observes: configuration of the observations.
 
     Raises:
         ArgumentError: a value that is out of range, or furniture that exceeds the paddings.
@@ -70,7 +70,7 @@ class AssemblyEnv(gymnasium.Env[Observation, np.ndarray], Generic[ATask, State, 
         for task in tasks:
             _check_padding(task.furniture, max_parts, max_points)
         self.render_mode = render_mode
-        self.tasks = tuple(tasks)
+        self.tasks = list(tasks)
         self._padding = (max_parts, max_points)
         self._cloud_points, self._observes = cloud_points, observes
         self._observers = [self._observer(task, None) for task in tasks]
@@ -123,7 +123,9 @@ class AssemblyEnv(gymnasium.Env[Observation, np.ndarray], Generic[ATask, State, 
         self._pictures.start()
         state = self.task.initial_state(self.np_random)
         if not self._observes.is_default:
-            self._observers[self._current] = self._observer(self.task, self.np_random)
+            observer = self._observer(self.task, self.np_random)
+            self._observers[self._current] = observer
+            self.tasks[self._current] = self.task.with_frames(observer.frames)
         return self._enter(state), self._info("", 0)
 
     def step(self, action: np.ndarray) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
@@ -138,8 +140,7 @@ class AssemblyEnv(gymnasium.Env[Observation, np.ndarray], Generic[ATask, State, 
             raise ResetNeeded(f"the episode is over (its last verdict is '{self._ending}'); call reset() first")
         choice = checked_action(action, self._sizes, self.components)
         roles = self._roles_of(choice)
-        task = self.task.with_frames(self._observers[self._current].frames)
-        outcome: Any = task.step(state, choice, int(self.np_random.integers(2**31 - 1)))
+        outcome: Any = self.task.step(state, choice, int(self.np_random.integers(2**31 - 1)))
         self._outcome, self._roles = outcome, roles
         merged = outcome.step is not None
         observation = self._enter(outcome.state)
@@ -261,7 +262,7 @@ def pieces_of(furniture: FurnitureLike | Iterable[FurnitureLike]) -> list[Furnit
 
 
 def _check_padding(piece: Furniture, max_parts: int, max_points: int) -> None:
-    points = max(len(p.points) for p in piece.parts)
+    points = piece.most_points
     if len(piece.parts) > max_parts or points > max_points:
         raise ArgumentError(
             f"'{piece.name}' has {len(piece.parts)} parts and up to {points} points a part; "

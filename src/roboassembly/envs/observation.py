@@ -16,7 +16,7 @@ Euler angles are roll, pitch and yaw with `R = Rz(yaw) Ry(pitch) Rx(roll)`.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, get_args
 
@@ -70,7 +70,7 @@ def observation_space(max_parts: int, max_points: int, cloud_points: int) -> spa
 
 @dataclass(frozen=True)
 class ObservationConfig:
-    """What an observation shows of the parts; the default is as in the paper."""
+    """Configuration of observations; the default is as in the paper."""
 
     frames: FramesName = "aligned"
     """`aligned`: part frames are parallel to the furniture's. `own`: they are the principal axes of each part, in an
@@ -91,7 +91,11 @@ class ObservationConfig:
     @property
     def is_default(self) -> bool:
         """Whether observations are as in the paper; then they draw nothing."""
-        return self == ObservationConfig()
+        return self == AS_IN_PAPER
+
+
+AS_IN_PAPER = ObservationConfig()
+"""The paper's observations."""
 
 
 class Observer:
@@ -102,18 +106,21 @@ class Observer:
         max_parts: padding P.
         max_points: padding K.
         cloud_points: points C of each cloud.
-        config: what observations show.
+        config: configuration of the observations.
         rng: draws own frames, resampled clouds and noise; not used by the default `config`.
     """
 
     def __init__(
         self, furniture: Furniture, max_parts: int, max_points: int, cloud_points: int,
-        config: ObservationConfig = ObservationConfig(), rng: np.random.Generator | None = None,
+        config: ObservationConfig = AS_IN_PAPER, rng: np.random.Generator | None = None,
     ) -> None:  # fmt: skip
         rng = rng or np.random.default_rng(0)
         self.frames = PartFrames.draw(config.frames, furniture, rng)
         """Frames in which the parts are described."""
         self._own_from_part = self.frames.part_from_own.transpose(0, 2, 1)
+        # Aligned poses stay as they are: Euler angles depend on the signs of zeros.
+        aligned = config.frames == "aligned"
+        self._part_from_own = None if aligned else [SE3(turn, np.zeros(3)) for turn in self.frames.part_from_own]
         self._parts = len(furniture.parts)
         self._shapes = np.zeros((max_parts, cloud_points, 3), np.float32)
         self._furniture = furniture
@@ -124,19 +131,18 @@ class Observer:
             cloud = surface_points(part.mesh, cloud_points, rng if config.clouds == "resampled" else None)
             if config.noise:
                 cloud = cloud + rng.normal(0.0, config.noise, cloud.shape)
-            self._shapes[p] = cloud if self._is_aligned else cloud @ self.frames.part_from_own[p]
+            self._shapes[p] = cloud @ self.frames.part_from_own[p]
             self._points[p, : len(part.points)] = _point_rows(part.points, self._own_from_part[p])
             for g, grasp in enumerate(part.grasps[:GRASP_REGIONS]):
                 hand_poses = [hand_pose(grasp.position, grasp.closing, approach) for approach in grasp.approaches]
-                self._grasps[p, g] = [pose_to_euler(self._described(p).actInv(hand)) for hand in hand_poses]
+                if self._part_from_own is not None:
+                    hand_poses = [self._part_from_own[p].actInv(hand) for hand in hand_poses]
+                self._grasps[p, g] = [pose_to_euler(hand) for hand in hand_poses]
 
-    @property
-    def _is_aligned(self) -> bool:
-        return self.frames.name == "aligned"
-
-    def _described(self, part: int) -> SE3:
-        """Return the frame in which a part is described, in the part's frame in `Furniture`."""
-        return SE3(self.frames.part_from_own[part], np.zeros(3))
+    def _described(self, parts: Iterable[int], poses: Sequence[SE3]) -> Sequence[SE3]:
+        """Return the poses of the frames in which parts are described, from those of their frames in `Furniture`."""
+        frames = self._part_from_own
+        return poses if frames is None else [pose * frames[p] for p, pose in zip(parts, poses, strict=True)]
 
     @property
     def grasp_poses(self) -> Float32[np.ndarray, "P 8 6"]:
@@ -146,8 +152,8 @@ class Observer:
     def observe(self, state: TaskState) -> Observation:
         """Return the observation of a state in new arrays."""
         poses = np.zeros((self._max_parts, 6), np.float32)
-        for p, pose in enumerate(state.part_poses):
-            poses[p] = pose_to_euler(pose if self._is_aligned else pose * self._described(p))
+        for p, pose in enumerate(self._described(range(self._parts), state.part_poses)):
+            poses[p] = pose_to_euler(pose)
         points = self._points.copy()
         connections = np.zeros((self._max_parts, self._max_parts, 6), np.float32)
         for group in state.groups:
@@ -156,9 +162,7 @@ class Observer:
                 rows = _point_rows(group.points_of(self._furniture, part), self._own_from_part[part] @ turn)
                 points[part] = 0.0
                 points[part, : len(rows)] = rows
-            placed = group.furniture_from_part
-            if not self._is_aligned:
-                placed = [pose * self._described(p) for p, pose in zip(group.parts, placed, strict=True)]
+            placed = self._described(group.parts, group.furniture_from_part)
             for i, part_i in enumerate(group.parts):
                 for j, part_j in enumerate(group.parts):
                     if i != j:

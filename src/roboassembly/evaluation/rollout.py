@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from typing import Any
 
 import numpy as np
 
 from roboassembly.envs.arguments import checked_action
-from roboassembly.envs.observation import ObservationConfig, Observer
+from roboassembly.envs.observation import AS_IN_PAPER, ObservationConfig, Observer
 from roboassembly.errors import InputError, UnknownNameError
 from roboassembly.evaluation.episodes import Episode
 from roboassembly.furniture.model import Furniture
@@ -48,8 +48,8 @@ class RolloutConfig:
     """`dynamic`: plans of the full setting are also carried out in physics, and have to succeed there."""
     audit: bool = False
     """Replay every plan with python-fcl."""
-    observes: ObservationConfig = field(default_factory=ObservationConfig)
-    """What observations show a policy that acts alone."""
+    observes: ObservationConfig = AS_IN_PAPER
+    """Configuration of the observations of a policy that acts alone."""
     tries: int = 1
     """Number of actions that a policy that acts alone may try in a state."""
 
@@ -114,7 +114,7 @@ def run_episode(policy: Policy, furniture: Furniture, seed: int) -> Episode:
 
 def rollout_policy(
     policy: Policy, furniture: Furniture, seed: int, setting: SettingName = DEFAULT,
-    observes: ObservationConfig | None = None, tries: int = 1,
+    observes: ObservationConfig = AS_IN_PAPER, tries: int = 1,
 ) -> PolicyRollout:  # fmt: skip
     """Let a policy act alone for one episode; it sees observations and masks only.
 
@@ -125,7 +125,7 @@ def rollout_policy(
         furniture: the piece.
         seed: seed of the start and of all draws.
         setting: setting of the environment.
-        observes: what observations show; as in the paper if None.
+        observes: configuration of the observations.
         tries: number of actions that the policy may try in a state. After an action that does not merge, it is asked
             again, with the action left out of the mask; with the whole pair if the pair is wrong.
 
@@ -134,7 +134,7 @@ def rollout_policy(
         InputError: the furniture does not suit the setting.
     """
     start = _start(SETTINGS[setting], furniture, seed)
-    return _rollout(policy, start, observes or ObservationConfig(), tries)
+    return _rollout(policy, start, observes, tries)
 
 
 def _start(setting: Setting, furniture: Furniture, seed: int) -> _Start:

@@ -7,8 +7,9 @@ the sides of grooves. Both promise the same: the hand comes and closes without a
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import Protocol
+from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -27,7 +28,7 @@ _EASED = (0.0, 0.0006, 0.0013, 0.0022, 0.003)
 _OPENINGS = (0.25, 0.5, 0.75)
 """Fractions of the opening at which the moving fingers are tested: fingers are thicker than the steps."""
 _FINE_ANGLES = 72
-"""Number of directions around the closing axis of an uneven place: those of a region differ by at least 5°."""
+"""Number of directions around the closing axis of an uneven place: at a rim or in a hollow the fan is narrow."""
 _MOST_UNEVEN = 0.0035
 """Distance of a pad from the side before its middle, at most, as something else of the pad touches [m]."""
 _BISECTIONS = 5
@@ -48,24 +49,27 @@ _BY_PAD = 6e-4
 """Distance that a finger may stop before the highest point under its pad: more, and not the pad touches [m]."""
 
 
-class Jaw(Protocol):
-    """A way of the hand to open and close at places of a part."""
+class Jaw(ABC):
+    """Way of the hand to open and close at places of a part.
 
-    hand: HandAgainst
-    """Collisions of the hand with the part."""
-    others: Sequence[HandAgainst]
-    """Collisions of the hand with surroundings of the part, which decide between directions."""
-    attempts: float
+    Args:
+        hand: collisions of the hand with the part.
+        others: collisions of the hand with surroundings of the part, which decide between directions.
+    """
+
+    attempts: ClassVar[float]
     """Number of places at which the hand closes before there is no grasp."""
+    angles: ClassVar[int]
+    """Number of directions around the closing axis in which the hand may come."""
 
+    def __init__(self, hand: HandAgainst, others: Sequence[HandAgainst]) -> None:
+        self.hand, self.others = hand, others
+
+    @abstractmethod
     def openings(self, widths: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
         """Return the distance between the pads as the hand comes to places of given widths [m]."""
-        ...
 
-    def approaches(self, places: Places) -> tuple[Float[np.ndarray, "n a 3"], Bool[np.ndarray, "n a"]]:
-        """Return directions in which the hand may come to each place, and whether the part leaves it free."""
-        ...
-
+    @abstractmethod
     def closed_on(
         self, place: Places, directions: Float[np.ndarray, "a 3"], free: Bool[np.ndarray, "a"]
     ) -> GraspRegion | None:
@@ -73,35 +77,30 @@ class Jaw(Protocol):
 
         Directions that most of the surroundings leave free come first.
         """
-        ...
+
+    def approaches(self, places: Places) -> tuple[Float[np.ndarray, "n a 3"], Bool[np.ndarray, "n a"]]:
+        """Return directions in which the hand may come to each place, and whether the part leaves it free."""
+        return self._approaches(places, self.angles)
+
+    def _approaches(self, places: Places, angles: int) -> tuple[Float[np.ndarray, "n a 3"], Bool[np.ndarray, "n a"]]:
+        directions = directions_around(places.closing, angles)
+        return directions, ~touches(self.hand, places, directions, self.openings(places.width), coming=True)
 
 
-class EvenJaw:
-    """Fingers that close evenly from the fully open hand.
-
-    Args:
-        hand: collisions of the hand with the part.
-        others: collisions of the hand with surroundings of the part.
-    """
+class EvenJaw(Jaw):
+    """Fingers that close evenly from the fully open hand."""
 
     attempts = np.inf
-
-    def __init__(self, hand: HandAgainst, others: Sequence[HandAgainst]) -> None:
-        self.hand, self.others = hand, others
+    angles = ANGLES
 
     def openings(self, widths: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
         """Return the full opening for each place [m]."""
         return np.full(len(widths), MAX_OPENING)
 
-    def approaches(self, places: Places) -> tuple[Float[np.ndarray, "n a 3"], Bool[np.ndarray, "n a"]]:
-        """Return directions 15° apart, and which are free."""
-        directions = directions_around(places.closing, ANGLES)
-        return directions, ~touches(self.hand, places, directions, self.openings(places.width), coming=True)
-
     def closed_on(
         self, place: Places, directions: Float[np.ndarray, "a 3"], free: Bool[np.ndarray, "a"]
     ) -> GraspRegion | None:
-        """Return the region at one place, as `Jaw` says."""
+        """Return the region at one place; see `Jaw.closed_on`."""
         for eased in _EASED:
             opening = float(place.width[0]) + eased + 2.0 * CLEARANCE
             closable = _closing_free(self.hand, place, directions, free, opening, MAX_OPENING)
@@ -110,7 +109,7 @@ class EvenJaw:
         return None
 
 
-class UnevenJaw:
+class UnevenJaw(Jaw):
     """Fingers that each close until they touch, from as far as robots open the hand.
 
     Args:
@@ -120,32 +119,24 @@ class UnevenJaw:
     """
 
     attempts = 150.0
+    angles = _FINE_ANGLES
 
     def __init__(self, hand: HandAgainst, others: Sequence[HandAgainst], rays: Rays) -> None:
-        self.hand, self.others, self._rays = hand, others, rays
+        super().__init__(hand, others)
+        self._rays = rays
 
     def openings(self, widths: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
         """Return the opening for each place, a little wider than robots open the hand there [m]."""
         return np.minimum(MAX_OPENING, widths + WIDER + _SIDEWAYS)
 
     def within_reach(self, places: Places) -> Bool[np.ndarray, "n"]:
-        """Return whether the hand comes to a place from enough directions."""
-        directions = directions_around(places.closing, ANGLES)
-        blocked = touches(self.hand, places, directions, self.openings(places.width), coming=True)
-        some = np.flatnonzero((~blocked).any(axis=1))
-        out = np.zeros(len(places.width), bool)
-        out[some] = self.approaches(places[some])[1].sum(axis=1) >= APPROACHES
-        return out
-
-    def approaches(self, places: Places) -> tuple[Float[np.ndarray, "n a 3"], Bool[np.ndarray, "n a"]]:
-        """Return directions 5° apart, and which are free: at a rim or in a hollow the fan is narrow."""
-        directions = directions_around(places.closing, _FINE_ANGLES)
-        return directions, ~touches(self.hand, places, directions, self.openings(places.width), coming=True)
+        """Return whether the hand comes to a place from any of few directions: a cheap test before `approaches`."""
+        return np.asarray(self._approaches(places, ANGLES)[1].any(axis=1))
 
     def closed_on(
         self, place: Places, directions: Float[np.ndarray, "a 3"], free: Bool[np.ndarray, "a"]
     ) -> GraspRegion | None:
-        """Return the region at one place, as `Jaw` says."""
+        """Return the region at one place; see `Jaw.closed_on`."""
         gripped, highest = self._gripped_by_pads(place, directions, free)
         stops = np.full((2, len(directions)), np.inf)
         if gripped.sum() >= APPROACHES:
@@ -162,7 +153,7 @@ class UnevenJaw:
             moved = place.middle + 0.5 * (limit[0] - limit[1]) * place.closing
             there = Places(moved, place.closing, place.width + limit.sum(), place.cover)
             closed, opened = float(there.width[0]) + 2.0 * CLEARANCE, float(self.openings(there.width)[0])
-            # What robots open is tested as well as more of it: a finger may be on either side of something thin.
+            # Robots open the hand to `closed + WIDER`; it is tested wider, too: a finger may be beside something thin.
             closable = _still_free(self.hand, there, directions, alike, opened, coming=True)
             closable = _still_free(
                 self.hand, there, directions, closable, min(MAX_OPENING, closed + WIDER), coming=True

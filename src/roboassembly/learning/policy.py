@@ -160,7 +160,7 @@ class Choices:
     """
 
     def __init__(self, policy: Policy, observation: Observation, mask: Mask) -> None:
-        self._policy, self._observation = policy, observation
+        self._policy, self._observation, self._whole = policy, observation, mask
         self.mask = mask
         """Actions that are left."""
         self._values: Values | None = None
@@ -168,22 +168,23 @@ class Choices:
     def next(self) -> tuple[int, ...] | None:
         """Return the policy's choice among the actions that are left; None if none is left.
 
-        A policy that values actions values them once, because its view of a state follows from the whole mask.
+        After a refused action, a policy that values actions values them once, by the whole mask: its view of a state
+        follows from it.
 
         Raises:
             PolicyError: the policy picks something that is no action.
         """
         if not self.mask.any():
             return None
-        if self._values is None:
+        if self.mask is self._whole or not isinstance(self._policy, ValuePolicy):
             return chosen(self._policy, self._observation, self.mask)
+        if self._values is None:
+            values = self._policy.values(self._observation, self._whole)
+            self._values = _checked_values(self._policy, "values", values, self._whole)
         return tuple(surest(np.where(self.mask, self._values, -np.inf)).tolist())
 
     def refuse(self, action: tuple[int, ...], *, wrong_pair: bool) -> None:
         """Leave out an action that was refused, and all actions with its pair if the pair is wrong."""
-        if self._values is None and isinstance(self._policy, ValuePolicy):
-            values = self._policy.values(self._observation, self.mask)
-            self._values = _checked_values(self._policy, "values", values, self.mask)
         self.mask = self.mask.copy()
         u, v, k, l, *rest = action  # noqa: E741
         if wrong_pair:

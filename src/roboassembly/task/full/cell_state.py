@@ -121,9 +121,14 @@ class CellState:
         return replace(self, robots=(new, b) if robot == 0 else (a, new))
 
     @property
+    def supports(self) -> tuple[Post, ...]:
+        """Posts of all places, those of placed groups first; two that rise together are one."""
+        return (*(p.post for p in self.placed), *self.free_posts)
+
+    @property
     def posts(self) -> tuple[Post, ...]:
         """All raised posts, each by itself."""
-        return tuple(post for pair in (*(p.post for p in self.placed), *self.free_posts) for post in pair.each)
+        return tuple(post for support in self.supports for post in support.each)
 
     def groups(self) -> list[Group]:
         """Return all groups where they are, those in hands last."""

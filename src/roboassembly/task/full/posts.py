@@ -105,24 +105,20 @@ def on_post(furniture: Furniture, group: Group, place: Float[np.ndarray, "2"]) -
 
     The cup goes where it leaves most of the group's grasps open.
     """
-    turn = group.world_from_furniture.rotation
-    group = group.moved_to(SE3(turn, np.zeros(3)))
-    center = turn @ center_of_mass(furniture, group)
-    points = transform_points(group.world_from_furniture, hull_points(furniture, group))
+    centred, center, points = _at_origin(furniture, group)
     lowest = float(points[:, 2].min())
     span = (np.arange(_GRID) - _GRID // 2) * _GRID_STEP
     offsets = np.stack(np.meshgrid(span, span), axis=-1).reshape(-1, 2)
     offsets = offsets[np.argsort(np.linalg.norm(offsets, axis=1), kind="stable")]
     feet = center[:2] + offsets[:, None] + _disc(_COARSE)
-    height = _undersides(furniture, group, feet.reshape(-1, 2), lowest - 0.1).reshape(feet.shape[:2])
+    height = _undersides(furniture, centred, feet.reshape(-1, 2), lowest - 0.1).reshape(feet.shape[:2])
     covered = np.flatnonzero(np.isfinite(height[:, 0]))
     if not len(covered):
         return None
     tops = np.concatenate([center[:2] + offsets[covered], height[covered].min(axis=1)[:, None] - CUP_GAP], axis=1)
-    top = tops[_best_top(_Grippers(furniture, group), tops, _OFF_CENTER * np.linalg.norm(offsets[covered], axis=1))]
-    post = Post(_against_underside(furniture, group, top, lowest - 0.1))
-    shift = np.array([*(place - top[:2]), LOWEST - lowest])
-    return group.moved_to(SE3(turn, shift)), post.moved(shift)
+    top = tops[_best_top(_Grippers(furniture, centred), tops, _OFF_CENTER * np.linalg.norm(offsets[covered], axis=1))]
+    post = Post(_against_underside(furniture, centred, top, lowest - 0.1))
+    return _raised(group, post, np.array([*(place - top[:2]), LOWEST - lowest]))
 
 
 def on_two_posts(furniture: Furniture, group: Group, place: Float[np.ndarray, "2"]) -> tuple[Group, Post] | None:
@@ -131,33 +127,42 @@ def on_two_posts(furniture: Furniture, group: Group, place: Float[np.ndarray, "2
     They hold what one cannot, such as a frame: the line between them passes below the centre of mass. They go where
     they leave most of the group's grasps open.
     """
-    turn = group.world_from_furniture.rotation
-    group = group.moved_to(SE3(turn, np.zeros(3)))
-    center = (turn @ center_of_mass(furniture, group))[:2]
-    points = transform_points(group.world_from_furniture, hull_points(furniture, group))
+    centred, center, points = _at_origin(furniture, group)
     lowest, (low, high) = float(points[:, 2].min()), (f(points[:, :2], axis=0) for f in (np.min, np.max))
     spans = [np.arange(a + POST_RADIUS, b, _GRID_STEP) for a, b in zip(low, high, strict=True)]
     spots = np.stack(np.meshgrid(*spans), axis=-1).reshape(-1, 2)
-    height = _undersides(furniture, group, (spots[:, None] + _disc(_COARSE)).reshape(-1, 2), lowest - 0.1)
+    height = _undersides(furniture, centred, (spots[:, None] + _disc(_COARSE)).reshape(-1, 2), lowest - 0.1)
     height = height.reshape(len(spots), -1)
     tops = np.concatenate([spots, height.min(axis=1)[:, None] - CUP_GAP], axis=1)[np.isfinite(height[:, 0])]
     i, j = np.triu_indices(len(tops), 1)
     between = tops[j, :2] - tops[i, :2]
     length = np.linalg.norm(between, axis=1)
-    off = center - tops[i, :2]
+    off = center[:2] - tops[i, :2]
     share = np.einsum("nk,nk->n", off, between) / length**2
     aside = np.abs(off[:, 0] * between[:, 1] - off[:, 1] * between[:, 0]) / length
     fits = np.flatnonzero((length > _LEAST_SPAN) & (np.abs(share - 0.5) < _BALANCE) & (aside < POST_RADIUS))
     if not len(fits):
         return None
-    free = _Grippers(furniture, group).open_at(tops)
+    free = _Grippers(furniture, centred).open_at(tops)
     # Level differences between the shares count as much as at one post.
     uneven = np.abs(share[fits] - 0.5) * length[fits] + aside[fits]
     best = fits[np.argmax((free[i[fits]] & free[j[fits]]).mean(axis=1).round(6) - _OFF_CENTER * uneven)]
-    first, second = (_against_underside(furniture, group, tops[k[best]], lowest - 0.1) for k in (i, j))
+    first, second = (_against_underside(furniture, centred, tops[k[best]], lowest - 0.1) for k in (i, j))
     post = Post(first, Post(second))
-    shift = np.array([*(place - post.middle), LOWEST - lowest])
-    return group.moved_to(SE3(turn, shift)), post.moved(shift)
+    return _raised(group, post, np.array([*(place - post.middle), LOWEST - lowest]))
+
+
+def _at_origin(furniture: Furniture, group: Group) -> tuple[Group, Float[np.ndarray, "3"], Float[np.ndarray, "n 3"]]:
+    """Return a group moved to the origin without turning, its centre of mass, and the corners of its hull [m]."""
+    turn = group.world_from_furniture.rotation
+    centred = group.moved_to(SE3(turn, np.zeros(3)))
+    points = transform_points(centred.world_from_furniture, hull_points(furniture, centred))
+    return centred, turn @ center_of_mass(furniture, centred), points
+
+
+def _raised(group: Group, post: Post, by: Float[np.ndarray, "3"]) -> tuple[Group, Post]:
+    """Return a group at a place, turned as it is, and the post below the origin moved there [m]."""
+    return group.moved_to(SE3(group.world_from_furniture.rotation, by)), post.moved(by)
 
 
 def _against_underside(
