@@ -17,7 +17,7 @@ from PIL import Image
 from drawing import Piece, drawn, hand
 from roboassembly.datasets import catalogue
 from roboassembly.envs.observation import Observer
-from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS, Furniture, Part
+from roboassembly.furniture.model import PAPER_PARTS, PAPER_POINTS, Furniture, Part
 from roboassembly.generate import CHAIRS, FAMILIES
 from roboassembly.geometry.poses import SE3
 from roboassembly.learning.registry import load_policy
@@ -71,7 +71,7 @@ def write_dead_end(name: str, path: Path, *, width: int, height: int) -> None:
     """Draw how the policy alone runs into a dead end: before and after the merge that locks a part out."""
     furniture = catalogue.find(name)
     task, policy = ObjectCentricTask(furniture), load_policy("relational")
-    oracle, observer = Oracle(task), Observer(furniture, MAX_PARTS, MAX_POINTS, policy.cloud_points)
+    oracle, observer = Oracle(task), Observer(furniture, PAPER_PARTS, PAPER_POINTS, policy.cloud_points)
     state = task.initial_state(np.random.default_rng(0))
     while not state.complete:
         action = policy.act(observer.observe(state), task.existing_actions(state))

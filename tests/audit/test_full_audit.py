@@ -12,6 +12,7 @@ from roboassembly.audit.full import RobotAuditReport, RobotViolationKind, audit_
 from roboassembly.geometry.poses import SE3
 from roboassembly.task.full.cell_state import Segment
 from roboassembly.task.full.failure import Stage
+from roboassembly.task.full.posts import Post
 from roboassembly.task.plans.full_plan import FullPlan
 
 pytest.importorskip("fcl")
@@ -104,6 +105,29 @@ def test_a_post_and_a_part_in_a_standing_part(two_merges: FullPlan) -> None:
     assert kinds(report) == {RobotViolationKind.PENETRATION}
     assert all("both standing" in v.what for v in report.first)
     assert audit_full_plan(replace(two_merges, steps=()), COARSE).passed
+
+
+def test_both_posts_of_a_pair_are_obstacles(two_merges: FullPlan) -> None:
+    state = two_merges.initial.cell_state
+    one, two = state.placed[0], state.placed[1]
+    # The second post reaches 50 mm into what stands on another one.
+    inside = replace(one, post=Post(one.post.top, Post(two.post.top + np.array([0.0, 0.0, 0.05]))))
+    initial = replace(two_merges.initial, cell_state=replace(state, placed=(inside, *state.placed[1:])))
+    report = audit_full_plan(replace(two_merges, initial=initial, steps=()), COARSE)
+    assert kinds(report) == {RobotViolationKind.PENETRATION}
+    assert any("post 0" in v.what and "part" in v.what for v in report.first)
+    # A platform drives through the second post, 3 m from where the first one is.
+    aside = np.array([3.0, 0.0, 0.0])
+
+    def paired(segment: Segment) -> Segment:
+        standing = segment.before.placed[-1]
+        pair = replace(standing, post=Post(standing.post.top, Post(standing.post.top + aside)))
+        before = replace(segment.before, placed=(*segment.before.placed[:-1], pair))
+        way = np.array([*(standing.post.top + aside)[:2], *segment.path[0][2:]])
+        return replace(segment, before=before, path=(way,))
+
+    bad = with_segment(two_merges, 0, paired)
+    assert any("platform in post" in v.what for v in audit_full_plan(bad, COARSE).first)
 
 
 def test_jumps(two_merges: FullPlan) -> None:

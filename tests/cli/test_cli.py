@@ -223,7 +223,7 @@ def _keep_one_part(document: dict) -> None:
 
 
 def _many_parts(document: dict) -> None:
-    document["parts"] = [{**document["parts"][0], "name": f"p{i}"} for i in range(21)]
+    document["parts"] = [{**document["parts"][0], "name": f"p{i}"} for i in range(1001)]
 
 
 def _part_away(document: dict) -> None:
@@ -242,7 +242,7 @@ BROKEN = {
     "no mesh": (lambda f: (f / "meshes" / "00.ply").unlink(), "missing"),
     "garbage mesh": (lambda f: (f / "meshes" / "00.ply").write_bytes(b"ply\nformat wrong\x00\xff"), "00.ply"),
     "one part": (lambda f: edit_furniture(f, _keep_one_part), "1 part;"),
-    "21 parts": (lambda f: edit_furniture(f, _many_parts), "21 parts"),
+    "1001 parts": (lambda f: edit_furniture(f, _many_parts), "1001 parts"),
     "apart": (lambda f: edit_furniture(f, _part_away), "do not touch"),
 }
 

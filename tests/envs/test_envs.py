@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
+from roboassembly.bench.scaling import lattice
 from roboassembly.datasets import catalogue
 from roboassembly.envs import FULL, OBJECT_CENTRIC
 from roboassembly.envs.assembly import AssemblyEnv
@@ -21,12 +22,17 @@ from roboassembly.envs.full import FullEnv
 from roboassembly.envs.object_centric import ObjectCentricEnv
 from roboassembly.envs.wrappers import DiscreteActions
 from roboassembly.errors import InputError, UnknownNameError
+from roboassembly.evaluation.rollout import rollout_policy
 from roboassembly.furniture import storage
+from roboassembly.furniture.annotate import annotate
 from roboassembly.furniture.model import Furniture, Provenance, RawFurniture, RawPart
-from roboassembly.geometry.meshes import Mesh
+from roboassembly.generate.design import as_parts
+from roboassembly.geometry.meshes import Mesh, distances_to
 from roboassembly.geometry.poses import SE3, pose_to_euler, rotations_from_euler
+from roboassembly.learning.registry import load_policy
 from roboassembly.solvers.disassembly import Disassembly, partition_of
 from roboassembly.solvers.options import grasping, upright
+from roboassembly.solvers.search import solve
 from roboassembly.task.full.grips import grip_of
 from roboassembly.task.rules.groups import Group
 
@@ -210,7 +216,7 @@ def test_mask_does_not_leak_the_answer(env: AnEnv, furniture: Furniture) -> None
     for _ in range(2 if isinstance(env, FullEnv) else len(furniture.parts) // 2):
         *_, info = env.step(np.array(right_action(env)))
     joined = env.task.groups_of(env.state)
-    mask, free = info["action_mask"], env.task.rules.free_points(joined)
+    mask, free = info["action_mask"], env.task.rules.free_points(joined, 20, 10)
     for u in range(20):
         for v in range(20):
             there = u < len(furniture.parts) and v < len(furniture.parts)
@@ -326,8 +332,8 @@ def test_smaller_spaces_for_small_furniture() -> None:
     assert env.action_space.nvec.tolist() == [9, 9, points, points, 6]
     with pytest.raises(InputError, match="too small"):
         ObjectCentricEnv(stool, max_parts=8)
-    with pytest.raises(InputError, match="1 to 20"):
-        ObjectCentricEnv(stool, max_parts=21)
+    with pytest.raises(InputError, match="1 to 1000"):
+        ObjectCentricEnv(stool, max_parts=1001)
 
 
 def test_invalid_furniture_raises_at_construction(tmp_path: Path) -> None:
@@ -369,3 +375,103 @@ def test_a_third_party_learner_runs_unmodified() -> None:
     observation, _ = env.reset(seed=0)
     action, _ = model.predict(observation, action_masks=env.action_masks(), deterministic=True)
     assert env.action_masks()[int(action)]
+
+
+def test_own_frames_describe_the_same_parts() -> None:
+    """Everything in the world stays where it is, and the poses of joined parts in each other agree with the world."""
+    chair = piece("ladder")
+    aligned, own = (ObjectCentricEnv(chair, frames=frames) for frames in ("aligned", "own"))
+    a, b = (env.reset(seed=4)[0] for env in (aligned, own))
+    turned = 0
+    for index in range(len(chair.parts)):
+        turns = [rotations_from_euler(seen["poses"][index, 3:].astype(float)) for seen in (a, b)]
+        own_from_aligned = turns[1].T @ turns[0]
+        turned += not np.allclose(own_from_aligned, np.eye(3), atol=1e-3)
+        assert np.allclose(a["poses"][index, :3], b["poses"][index, :3], atol=1e-5)
+        points = [seen["connection_points"][index].reshape(-1, 3, 3) for seen in (a, b)]
+        assert np.allclose(points[0] @ own_from_aligned.T, points[1], atol=1e-5)
+        assert np.allclose(a["shapes"][index] @ own_from_aligned.T, b["shapes"][index], atol=1e-5)
+    assert turned
+    joint = chair.connections[0]
+    u, v = joint.part_a, joint.part_b
+    for w in range(6):
+        observation, reward, *_ = own.step(np.array([u, v, joint.point_a, joint.point_b, w]))
+        if reward:
+            break
+        own.reset(seed=4)
+    assert reward
+    turns = [rotations_from_euler(observation["poses"][i, 3:].astype(float)) for i in (u, v)]
+    joined = rotations_from_euler(observation["connections"][u, v, 3:].astype(float))
+    assert np.allclose(turns[0].T @ turns[1], joined, atol=1e-4)
+    # The parts still fit: the two connection points lie on each other.
+    ends = [
+        turn @ observation["connection_points"][i, k, :3] + observation["poses"][i, :3]
+        for turn, i, k in zip(turns, (u, v), (joint.point_a, joint.point_b), strict=True)
+    ]
+    assert np.linalg.norm(ends[0] - ends[1]) < 3e-3
+
+
+def test_resampled_clouds_differ_between_equal_parts_and_episodes() -> None:
+    chair = piece("stool")
+    members = next(c.members for c in chair.classes if len(c.members) > 1)
+    clouds = {}
+    for name in ("shared", "resampled"):
+        env = ObjectCentricEnv(chair, clouds=name)
+        clouds[name] = [env.reset(seed=seed)[0]["shapes"] for seed in (1, 2, 1)]
+    first, second, again = clouds["shared"]
+    assert (first[members[0]] == first[members[1]]).all()
+    assert (first == second).all()
+    first, second, again = clouds["resampled"]
+    assert (first == again).all()
+    assert not np.isclose(first[members[0]], first[members[1]]).all(axis=1).any()
+    assert not np.isclose(first[members[0]], second[members[0]]).all(axis=1).any()
+    # Still on the surface of the part.
+    mesh = chair.parts[members[0]].mesh
+    assert distances_to(mesh.bvh, first[members[0]].astype(float)).max() < 1e-6
+
+
+def test_noise_has_the_standard_deviation_that_was_asked_for() -> None:
+    env = ObjectCentricEnv(piece("stool"), cloud_points=2000, noise=0.001)
+    noisy = env.reset(seed=0)[0]["shapes"]
+    plain = ObjectCentricEnv(piece("stool"), cloud_points=2000).reset(seed=0)[0]["shapes"]
+    n = len(piece("stool").parts)
+    assert (noisy - plain)[:n].std() == pytest.approx(0.001, rel=0.02)
+
+
+def test_hints_that_do_not_exist_are_refused() -> None:
+    with pytest.raises(ValueError, match="frames is 'mine'; expected 'aligned' or 'own'"):
+        ObjectCentricEnv("stool", frames="mine")
+    with pytest.raises(ValueError, match="clouds is 'none'; expected 'shared' or 'resampled'"):
+        ObjectCentricEnv("stool", clouds="none")
+    with pytest.raises(ValueError, match="noise is -1"):
+        ObjectCentricEnv("stool", noise=-1.0)
+
+
+@pytest.fixture(scope="module")
+def long_frame() -> Furniture:
+    """Return a frame of 24 parts, more than the paper's."""
+    return annotate("frame", as_parts(lattice(24).parts()), Provenance("test"), with_grasps=False)
+
+
+def test_furniture_of_more_parts_needs_larger_spaces(long_frame: Furniture) -> None:
+    parts, points = long_frame.padding
+    assert parts == 24
+    with pytest.raises(ValueError, match=rf"has 24 parts .* give max_parts=24, max_points={points}"):
+        ObjectCentricEnv(long_frame)
+    env = ObjectCentricEnv(long_frame, max_parts=parts, max_points=points)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        check_env(env, skip_render_check=True)
+    plan = solve(long_frame, 0).plan
+    assert plan.success
+    observation, info = env.reset(seed=0)
+    assert observation["shapes"][:24].any(axis=(1, 2)).all()
+    assert info["action_mask"].any(axis=(1, 2, 3, 4)).sum() == 24
+
+
+def test_policies_see_furniture_of_more_parts_whole(long_frame: Furniture) -> None:
+    """The random policy draws from parts beyond the twentieth, too; `paper` says that it cannot."""
+    first = {rollout_policy(load_policy("random", seed), long_frame, seed).actions[0][0] for seed in range(40)}
+    assert max(first) >= 20
+    done = rollout_policy(load_policy("relational"), long_frame, 0)
+    assert len(done.plan.steps) >= 3

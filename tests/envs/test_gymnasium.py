@@ -212,7 +212,7 @@ def test_reset_options(make: Make, name: str) -> None:
         ({"cloud_points": 12.5}, TypeError, "cloud_points is 12.5; expected an integer"),
         ({"cloud_points": "128"}, TypeError, "cloud_points is '128'; expected an integer"),
         ({"cloud_points": None}, TypeError, "cloud_points is None; expected an integer"),
-        ({"max_parts": 21}, ValueError, "max_parts is 21; expected an integer from 1 to 20"),
+        ({"max_parts": 1001}, ValueError, "max_parts is 1001; expected an integer from 1 to 1000"),
         ({"max_points": 0}, ValueError, "max_points is 0; expected an integer from 1 to 10"),
         ({"max_parts": True}, TypeError, "max_parts is True; expected an integer"),
         ({"max_parts": 4}, ValueError, "'three_legged-3' has 5 parts .* max_parts=4"),

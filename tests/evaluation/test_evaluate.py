@@ -14,16 +14,19 @@ import pytest
 from roboassembly.cli.evaluate import summary
 from roboassembly.datasets import catalogue
 from roboassembly.datasets.sets import Entry, FurnitureRef, furniture_hash, furniture_refs, sample_refs
+from roboassembly.envs.observation import ObservationConfig
 from roboassembly.errors import InputError, MissingExtraError, RoboAssemblyError, UnknownNameError
 from roboassembly.evaluation.episodes import Episode
 from roboassembly.evaluation.evaluate import Evaluation, episode_seed, evaluate
 from roboassembly.evaluation.export import check_target, export
-from roboassembly.evaluation.rollout import SOLVERS, RolloutConfig, make_agent, run_episode
+from roboassembly.evaluation.rollout import SOLVERS, RolloutConfig, make_agent, rollout_policy, run_episode
 from roboassembly.furniture import storage
 from roboassembly.furniture.model import Furniture
+from roboassembly.learning.policy import surest
 from roboassembly.solvers.search import solve
 from roboassembly.statistics import success
 from roboassembly.task.full.failure import Stage
+from roboassembly.task.object_centric.task import ObjectCentricTask
 from shapes import GAP, brick, furniture, pose
 
 
@@ -344,3 +347,65 @@ def test_errors_of_workers_keep_their_type() -> None:
         again = pickle.loads(pickle.dumps(error))
         assert type(again) is type(error)
         assert str(again) == str(error)
+
+
+class Stubborn:
+    """Values one wrong pair most, then a right pair with a `w` that cannot work, then one that can."""
+
+    name, cloud_points = "stubborn", 1
+
+    def __init__(self, order: list[tuple[int, ...]]) -> None:
+        self.order = order
+
+    def act(self, observation, mask):
+        return surest(self.values(observation, mask))
+
+    def values(self, observation, mask):
+        values = np.where(mask, -1.0, -np.inf).astype(np.float32)
+        for rank, action in enumerate(self.order):
+            values[action] = 10.0 - rank
+        return values
+
+
+def test_a_policy_with_several_tries_goes_on_where_it_was_refused() -> None:
+    """A wrong pair is not tried again with another `w`, nor the other way round; what could not be carried out is."""
+    stool = catalogue.make("stool", 1)
+    task = ObjectCentricTask(stool)
+    state = task.initial_state(np.random.default_rng(5))
+    mask = task.existing_actions(state)
+    pairs = [tuple(pair) for pair in np.argwhere(mask.any(axis=-1)).tolist()]
+    wrong = next(p for p in pairs if task.prepare(state, (*p, 0)) is None)
+    u, v, k, l = wrong  # noqa: E741
+    joint = stool.connections[0]
+    right = (joint.part_a, joint.part_b, joint.point_a, joint.point_b)
+    works = [w for w in range(6) if task.step(state, (*right, w), 0).step is not None]
+    fails = [w for w in range(6) if w not in works]
+    assert works
+    assert fails
+    order = [(*wrong, 0), (*wrong, 1), (v, u, l, k, 2), (*right, fails[0]), (*right, works[0])]
+    first = [rollout_policy(Stubborn(order), stool, 5, tries=tries).actions[:tries] for tries in (1, 2, 3)]
+    assert first[0] == ((*wrong, 0),)
+    assert first[1] == ((*wrong, 0), (*right, fails[0]))
+    assert first[2] == ((*wrong, 0), (*right, fails[0]), (*right, works[0]))
+    assert len(rollout_policy(Stubborn(order), stool, 5, tries=3).plan.steps) >= 1
+
+
+def test_tries_and_hints_are_for_policies_alone() -> None:
+    for config in (RolloutConfig(tries=3), RolloutConfig("relational", search=True, tries=3)):
+        with pytest.raises(InputError, match="acts alone"):
+            make_agent(config)
+
+
+class Framed(Stubborn):
+    """Remembers in which frames it plays."""
+
+    def with_frames(self, frames: str):
+        self.frames = frames
+        return self
+
+
+@pytest.mark.parametrize("frames", ["aligned", "own"])
+def test_a_policy_learns_in_which_frames_it_plays(frames) -> None:
+    policy = Framed([])
+    rollout_policy(policy, catalogue.make("stool", 1), 0, observes=ObservationConfig(frames))
+    assert policy.frames == frames

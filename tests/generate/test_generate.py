@@ -13,7 +13,7 @@ from scipy.spatial import KDTree
 
 from roboassembly.errors import InputError, UnknownNameError
 from roboassembly.furniture.annotate import annotate
-from roboassembly.furniture.model import CONTACT_DISTANCE, MAX_PARTS, MAX_POINTS, Provenance, RawPart
+from roboassembly.furniture.model import CONTACT_DISTANCE, PAPER_PARTS, PAPER_POINTS, Provenance, RawPart
 from roboassembly.generate import ABSTRACT, CHAIRS, CLEARANCE, FAMILIES, OTHERS, generate
 from roboassembly.generate.design import IN_PLACE
 from roboassembly.generate.joints import RoundTenon, Tenon, joint_frame, rail
@@ -176,7 +176,7 @@ def rigid_residual(a: Mesh, b: Mesh) -> float:
 @pytest.mark.parametrize(("family", "seed"), MADE)
 def test_parts_are_solid_small_and_named(family: str, seed: int) -> None:
     parts = chair(family, seed).parts
-    assert (3 if family in ("upholstered", "fused") else 4) <= len(parts) <= MAX_PARTS
+    assert (3 if family in ("upholstered", "fused") else 4) <= len(parts) <= PAPER_PARTS
     assert len({p.name for p in parts}) == len(parts)
     for part in parts:
         assert part.mesh.is_solid, part.name
@@ -202,7 +202,7 @@ def test_pairs_are_joined_with_clearance_or_well_apart(family: str, seed: int) -
 def test_parts_hang_together(family: str, seed: int) -> None:
     c = chair(family, seed)
     assert c.connected(set(range(len(c.parts))))
-    assert c.joined.sum(axis=0).max() <= MAX_POINTS
+    assert c.joined.sum(axis=0).max() <= PAPER_POINTS
 
 
 @pytest.mark.parametrize(("family", "seed"), MADE)

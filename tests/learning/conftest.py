@@ -11,7 +11,7 @@ import shapes
 from roboassembly.datasets import catalogue
 from roboassembly.envs.object_centric import ObjectCentricEnv
 from roboassembly.envs.observation import Observer, surface_points
-from roboassembly.furniture.model import MAX_POINTS
+from roboassembly.furniture.model import PAPER_POINTS
 from roboassembly.learning.datasets import SampleSet
 from roboassembly.learning.relational.grasps.dataset import GraspLabeler, GraspSamples
 from roboassembly.learning.relational.oracle_dataset import Labeler
@@ -30,7 +30,7 @@ def chair_samples() -> SampleSet:
     """Labeled states of one episode of a chair; the second one has Q-values of an expert as well."""
     furniture = catalogue.make("three_legged", 1, with_grasps=True)
     clouds = np.array([surface_points(p.mesh, 96) for p in furniture.parts], np.float32)
-    grasps = Observer(furniture, len(furniture.parts), MAX_POINTS, 1).grasp_poses
+    grasps = Observer(furniture, len(furniture.parts), PAPER_POINTS, 1).grasp_poses
     states = Labeler(furniture, clouds).rollout(np.random.default_rng(0)).states
     n = int(states[1].free.sum())
     valued = replace(states[1], q_values=np.random.default_rng(1).normal(size=(n, n, 6)).astype(np.float16))

@@ -15,7 +15,7 @@ import pytest
 from roboassembly.datasets import catalogue
 from roboassembly.envs.object_centric import ObjectCentricEnv
 from roboassembly.errors import InputError, UnknownNameError
-from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS
+from roboassembly.furniture.model import PAPER_PARTS, PAPER_POINTS
 from roboassembly.learning import checkpoint, policy_weights
 from roboassembly.learning.checkpoint import Checkpoint
 from roboassembly.learning.paper import autoencoder
@@ -193,7 +193,7 @@ def test_guide_suggests_existing_actions_best_first(params: dict) -> None:
     scores = [s.score for s in suggestions]
     assert all(a >= b - 1e-3 for a, b in pairwise(scores))
     # The environment's own mask, at the guide's padding, is what the guide goes by.
-    assert mask.shape == (MAX_PARTS, MAX_PARTS, MAX_POINTS, MAX_POINTS, 6)
+    assert mask.shape == (PAPER_PARTS, PAPER_PARTS, PAPER_POINTS, PAPER_POINTS, 6)
     # Policies that know no chances suggest by odds: the best has 1.
     first, second, *_ = guide_of(Knows([(0, 1, 0, 0, 2)]))(env.task, env.state)
     assert (first.action, first.score) == ((0, 1, 0, 0, 2), 1.0)

@@ -39,8 +39,7 @@ def test_right_pairs_are_those_that_the_task_accepts() -> None:
     state = task.initial_state(np.random.default_rng(0))
     found = {(j.u, j.k, j.v, j.l) for j in oracle.mates(state)}
     free = task.free_points(state)
-    n = len(task.furniture.parts)
-    ends = [(p, k) for p in range(n) for k in range(10) if free[p, k]]
+    ends = [tuple(end) for end in np.argwhere(free).tolist()]
     accepted = {
         (u, k, v, m) for u, k in ends for v, m in ends if u != v and task.prepare(state, (u, v, k, m, 0)) is not None
     }

@@ -97,7 +97,7 @@ OPTIONS = {
     "a size of nothing": (["--scale", "0"], "--scale"),
     "a token that anyone guesses": (["--token", "a"], "--token"),
     "an origin that is none": (["--allow-origin", "studio.example.org"], "--allow-origin"),
-    "furniture that robots cannot hold": (["upholstered:23", "--setting", "full"], "no hand can hold"),
+    "furniture that robots cannot hold": (["upholstered:25", "--setting", "full"], "no hand can hold"),
     "a host that is none": (["--host", "no.such.host.invalid"], "cannot listen on"),
     "a port that is none": (["--port", "70000"], "--port"),
 }  # fmt: skip

@@ -13,17 +13,9 @@ from roboassembly.errors import InputError
 from roboassembly.furniture.model import Furniture
 from roboassembly.geometry.meshes import WOOD_DENSITY
 from roboassembly.geometry.poses import SE3, align_axis
-from roboassembly.task.full import cell
-from roboassembly.task.full.cell import (
-    BETWEEN_POSTS,
-    LANE,
-    LOWEST,
-    PAYLOAD,
-    check_size,
-    initial_layout,
-    on_post,
-    reach_from,
-)
+from roboassembly.task.full import cell, posts
+from roboassembly.task.full.cell import BETWEEN_POSTS, LANE, PAYLOAD, check_size, initial_layout
+from roboassembly.task.full.posts import LOWEST, on_post, on_two_posts, reach_from
 from roboassembly.task.rules.connections import UP_AXES
 from roboassembly.task.rules.groups import Group
 from shapes import GAP, block, brick, fcl_object, furniture, of_solid, pose
@@ -102,7 +94,7 @@ def test_furniture_that_does_not_suit_the_cell_is_refused(stool: Furniture, monk
     with pytest.raises(InputError, match=f"no hand can hold part '{stool.parts[0].name}'"):
         initial_layout(bare, np.random.default_rng(0))
     monkeypatch.setattr(cell, "LARGEST", 0.2)
-    with pytest.raises(InputError, match=r"is 0\.\d+ m from corner to corner; the cell takes 0\.35 m"):
+    with pytest.raises(InputError, match=r"is 0\.\d+ m from corner to corner; the cell takes 0\.20 m"):
         initial_layout(stool, np.random.default_rng(0))
 
 
@@ -115,14 +107,69 @@ def test_a_cup_needs_something_above_it() -> None:
     edge = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
     found = on_post(piece, alone(piece, 0, edge), np.array([1.0, 2.0]))
     assert found is not None
-    assert found[1].top == pytest.approx([1.0, 2.0, LOWEST - cell.CUP_GAP], abs=1e-9)
+    assert found[1].top == pytest.approx([1.0, 2.0, LOWEST - posts.CUP_GAP], abs=1e-9)
+
+
+@pytest.fixture(scope="module")
+def framed() -> Furniture:
+    """A square frame, its rails 50 mm wide and 30 mm high, with a foot below one corner."""
+    frame = block((-0.25, -0.25, 0.0), (0.25, 0.25, 0.03)) - block((-0.2, -0.2, -0.1), (0.2, 0.2, 0.1))
+    foot = block((-0.25, -0.25, 0.0305), (-0.2, -0.2, 0.1))
+    return furniture("frame", {"frame": of_solid(frame), "foot": of_solid(foot)})
+
+
+def test_two_posts_hold_a_frame_on_opposite_sides(framed: Furniture) -> None:
+    flat = alone(framed, 0, np.eye(3))
+    assert on_post(framed, flat, np.zeros(2)) is None
+    found = on_two_posts(framed, flat, np.array([1.0, 2.0]))
+    assert found is not None
+    group, post = found
+    # The frame's middle is its centre of mass. Both cups end below rails, as far to one side of it as to the other.
+    (mid,) = group.part_poses()
+    assert mid.translation == pytest.approx([*post.middle, LOWEST + 0.015], abs=0.03)
+    assert post.middle == pytest.approx([1.0, 2.0])
+    tops = np.array([p.top for p in post.each])
+    assert tops[:, 2] == pytest.approx(LOWEST - posts.CUP_GAP, abs=1e-9)
+    for top in tops[:, :2] - mid.translation[:2]:
+        assert 0.2 <= np.abs(top).max() <= 0.25
+    first, second = tops[:, :2] - mid.translation[:2]
+    # The centre of mass is no farther from the line between them than a cup's radius.
+    assert abs(np.cross([*first, 0.0], [*second, 0.0])[2]) / np.linalg.norm(first - second) < posts.POST_RADIUS
+    # Their shapes are where they are, wherever the pair goes.
+    moved = post.moved(np.array([0.5, 0.0, 0.0])).body("posts")
+    ends = [moved.pose.act(shape.body_from_mesh.translation) for shape in moved.shapes]
+    assert np.allclose(ends, tops + np.array([0.5, 0.0, 0.0]))
+
+
+def test_two_posts_are_a_last_resort(framed: Furniture) -> None:
+    """If one post holds some way to stand, two hold none."""
+    flat = alone(framed, 0, np.eye(3))
+    edge = alone(framed, 0, np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]))
+    (pair,) = posts.best_stands(framed, [flat], [True])
+    assert len(pair[1].each) == 2
+    (one,) = posts.best_stands(framed, [flat, edge], [True, False])
+    assert len(one[1].each) == 1
+
+
+def test_the_ring_grows_with_large_furniture() -> None:
+    """Two boards of 2.5 m: from corner to corner they are longer than 2.26 m, and the ring is as much wider."""
+    high, solids = 0.0, {}
+    for name in ("lower", "upper"):
+        solids[name] = brick(2.5, 0.1, 0.02).transformed(pose(z=high + 0.01))
+        high += 0.02 + GAP
+    piece = furniture("pile", solids)
+    across = np.sqrt(2.5**2 + 0.1**2 + (0.04 + GAP) ** 2)
+    room, groups, _ = initial_layout(piece, np.random.default_rng(0))
+    assert len(groups) == 2
+    assert room.radius == pytest.approx(max(cell.SMALLEST_RING + across - cell.ROOMY, 0.0), abs=1e-6)
+    assert room.floor > room.radius + 1.25
 
 
 def test_the_cup_stays_away_from_the_hands(stool: Furniture) -> None:
     # A stretcher lies level; its grasps are on it, and the post ends where most of them are free.
     part = next(i for i, p in enumerate(stool.parts) if "stretcher" in p.name)
     _, groups, stands = initial_layout(stool, np.random.default_rng(0))
-    assert cell.open_grasps(stool, groups[part], stands[part]) >= 0.5
+    assert posts.open_grasps(stool, groups[part], stands[part]) >= 0.5
 
 
 def test_groups_stand_in_the_order_of_their_open_grasps(stool: Furniture) -> None:
@@ -131,6 +178,6 @@ def test_groups_stand_in_the_order_of_their_open_grasps(stool: Furniture) -> Non
         stands = [alone(stool, part, turn) for turn in turns]
         for upright in ([False] * 6, [False, False, True, False, False, False]):
             held = [(up, on_post(stool, stand, np.zeros(2))) for up, stand in zip(upright, stands, strict=True)]
-            scores = [(up + cell.open_grasps(stool, *found), found[1].top) for up, found in held if found is not None]
+            scores = [(up + posts.open_grasps(stool, *found), found[1].top) for up, found in held if found is not None]
             tops = [top for _, top in sorted(scores, key=lambda item: -item[0])]
-            assert np.array_equal([post.top for _, post in cell.best_stands(stool, stands, upright)], tops)
+            assert np.array_equal([post.top for _, post in posts.best_stands(stool, stands, upright)], tops)

@@ -11,7 +11,7 @@ import pytest
 from roboassembly.geometry.poses import SE3, pose_from_seven
 from roboassembly.rendering.colors import Role
 from roboassembly.robots.body import placed, world_from_tips
-from roboassembly.task.full.cell import LOWEST
+from roboassembly.task.full.posts import LOWEST
 from roboassembly.task.plans import plan_file
 from roboassembly.task.plans.full_plan import FullPlan
 from roboassembly.viewer.film import key_frames

@@ -23,11 +23,11 @@ from roboassembly.solvers.disassembly import partition_of
 from roboassembly.solvers.full_search import solve_full
 from roboassembly.solvers.options import grasping
 from roboassembly.solvers.search import SearchLimits
-from roboassembly.task.full.cell import Post
 from roboassembly.task.full.cell_state import Segment, world_cache
 from roboassembly.task.full.failure import AFTER_MATING, PICKING, STRAIGHT, Failure, FullVerdict, Stage
 from roboassembly.task.full.grips import Grip, MateGrasp
 from roboassembly.task.full.pick import PickRequest, pick
+from roboassembly.task.full.posts import Post
 from roboassembly.task.full.segments import Planned, StepContext, child_seed, retreat_path
 from roboassembly.task.full.step import pick_both
 from roboassembly.task.full.task import FullOutcome, FullTask

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import shapes
-from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS, Furniture
+from roboassembly.furniture.model import PAPER_PARTS, PAPER_POINTS, Furniture
 from roboassembly.geometry.poses import SE3
 from roboassembly.geometry.scene import Scene
 from roboassembly.planning.problem import Budget
@@ -299,7 +299,10 @@ def test_steps_repeat_exactly(captive_slat: Furniture) -> None:
 def test_free_points_and_exists_agree(stand: Furniture) -> None:
     task = ObjectCentricTask(stand)
     state = apart(stand)
-    assert task.free_points(state).shape == (MAX_PARTS, MAX_POINTS)
+    assert task.free_points(state).shape == (len(stand.parts), stand.most_points)
+    padded = task.free_points(state, PAPER_PARTS, PAPER_POINTS)
+    assert padded.shape == (PAPER_PARTS, PAPER_POINTS)
+    assert padded.sum() == task.free_points(state).sum()
     assert task.free_points(state).sum() == 8
     ends = {(c.part_a, c.part_b): (c.point_a, c.point_b) for c in stand.connections}
     outcome = task.step(state, (2, 1, ends[1, 2][1], ends[1, 2][0], UP), 0)

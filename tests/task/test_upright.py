@@ -21,10 +21,11 @@ from roboassembly.settings import set_upright
 from roboassembly.solvers.search import solve
 from roboassembly.studio.assembly_session import AssemblySession
 from roboassembly.studio.messages import upright_message
-from roboassembly.task.full.cell import Cell, on_post
+from roboassembly.task.full.cell import Cell
 from roboassembly.task.full.cell_state import CellState, PlacedGroup, Robot
 from roboassembly.task.full.execution import ExecutionVerdict, execute_upright
 from roboassembly.task.full.failure import Stage
+from roboassembly.task.full.posts import on_post
 from roboassembly.task.full.segments import TUCKED
 from roboassembly.task.object_centric.settling import settle_group
 from roboassembly.task.object_centric.stance import stance_of, standing_at

@@ -168,7 +168,7 @@ class _RobotAudit:
         for owner, group in groups:
             for p, pose in zip(group.parts, group.part_poses(), strict=True):
                 things.append((owner, f"part {p}", self._placed(furniture.parts[p].mesh, pose)))
-        for owner, post in enumerate(state.posts):
+        for owner, post in enumerate(state.supports):
             body = post.body(f"post {owner}")
             things += [(owner, body.name, self._placed(s.mesh, body.pose * s.body_from_mesh)) for s in body.shapes]
         for (owner, name, thing), (other, what, still) in combinations(things, 2):
@@ -215,7 +215,7 @@ class _RobotAudit:
             for group in (*(s.group for s in state.placed), *state.on_floor)
             for p, pose in zip(group.parts, group.part_poses(), strict=True)
         ]
-        for i, post in enumerate(state.posts):
+        for i, post in enumerate(state.supports):
             body = post.body(f"post {i}")
             out += [(body.name, self._placed(s.mesh, body.pose * s.body_from_mesh)) for s in body.shapes]
         where = _robot_poses(other.at, other.opening)

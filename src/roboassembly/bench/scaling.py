@@ -1,25 +1,22 @@
 """Benchmark of the cost against the number of parts: search, object-centric, on series of growing furniture.
 
 Two series grow by repetition: open shelves with more and more boards, where most orders work, and frames of posts and
-rails with more and more bays, where the order matters. The spaces of actions have room for 20 parts and 10 points each;
-the search needs no such limits, so they are lifted here.
+rails with more and more bays, where the order matters.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Callable, Generator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from statistics import median
-from types import ModuleType
 from typing import Any
 
 import numpy as np
 
 from roboassembly.bench.machine import Machine
-from roboassembly.furniture import annotate, connection_points, model
+from roboassembly.furniture import annotate, model
 from roboassembly.generate.design import Design, as_parts
 from roboassembly.generate.lattice import Lattice, RailRow
 from roboassembly.generate.shelves import OpenShelf
@@ -31,12 +28,6 @@ LATTICES = (10, 17, 24, 38, 59, 80)
 """Numbers of parts of the frames: 7 for each bay, and 3."""
 _PITCH = 0.28
 """Distance between the boards of a shelf [m]."""
-_LIMITED: dict[ModuleType, tuple[str, ...]] = {
-    model: ("MAX_PARTS", "MAX_POINTS"),
-    annotate: ("MAX_POINTS",),
-    connection_points: ("MAX_POINTS",),
-}
-"""Names of the limits in the modules that check them."""
 
 
 def shelf(parts: int) -> Design:
@@ -156,29 +147,15 @@ def run_scaling_bench(
 
 
 def _measured(series: str, design: Design, seed: int, repeats: int) -> ScalingRow:
-    with _without_limits():
-        furniture = annotate.annotate(
-            series, as_parts(design.parts()), model.Provenance("generated"), with_grasps=False
-        )
-        # The search does not include results of the shapes alone, such as the poses in which they rest.
+    furniture = annotate.annotate(
+        series, as_parts(design.parts()), model.Provenance("generated"), with_grasps=False, most_points=model.MOST_PARTS
+    )
+    # The search does not include results of the shapes alone, such as the poses in which they rest.
+    result = solve(furniture, seed)
+    seconds: list[float] = []
+    for _ in range(repeats):
+        begun = time.process_time()
         result = solve(furniture, seed)
-        seconds: list[float] = []
-        for _ in range(repeats):
-            begun = time.process_time()
-            result = solve(furniture, seed)
-            seconds.append(time.process_time() - begun)
+        seconds.append(time.process_time() - begun)
     parts = len(furniture.parts)
     return ScalingRow(series, parts, result.plan.success, result.attempts, result.planning_steps, median(seconds))
-
-
-@contextmanager
-def _without_limits() -> Generator[None]:
-    """Lift the limits on numbers of parts and of points within the block."""
-    kept = [(module, name, getattr(module, name)) for module, names in _LIMITED.items() for name in names]
-    try:
-        for module, name, _ in kept:
-            setattr(module, name, 2**31)
-        yield
-    finally:
-        for module, name, value in kept:
-            setattr(module, name, value)

@@ -11,7 +11,18 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from roboassembly.cli.options import CORES, Execution, Jobs, Ray, Setting, require_at_least, selected_furniture, workers
+from roboassembly.cli.options import (
+    CORES,
+    Clouds,
+    Execution,
+    Frames,
+    Jobs,
+    Ray,
+    Setting,
+    require_at_least,
+    selected_furniture,
+    workers,
+)
 from roboassembly.cli.output import DONE, check_writable, print_json, progress_bar, say, show
 from roboassembly.errors import InputError
 
@@ -37,6 +48,16 @@ class EvaluateCommand:
     execution: Execution = "kinematic"
     audit: bool = False
     """Check each plan for collisions again with python-fcl, a library that the planner does not use."""
+    frames: Frames = "aligned"
+    """Frames in which observations describe the parts: parallel to the furniture's, or each part's own (policies that
+    act alone)."""
+    clouds: Clouds = "shared"
+    """Whether equal parts have the same cloud, or points of their own (policies that act alone)."""
+    noise_mm: float = 0.0
+    """Standard deviation of the clouds' coordinates in mm (policies that act alone)."""
+    tries: int = 1
+    """Number of actions that a policy may try in a state: the environment refuses one, the policy picks another
+    (policies that act alone)."""
     set: Annotated[str, tyro.conf.arg(name="set")] = "chairs-412:test"
     """Furniture: `NAME:SPLIT` of a data set, with the split train, easy, hard, test or all; or `folder:PATH`, a folder
     of furniture folders."""
@@ -61,27 +82,31 @@ class EvaluateCommand:
     def run(self) -> int:
         """Run the command; returns the exit status."""
         require_at_least(0, seed=self.seed)
-        require_at_least(1, jobs=self.jobs, episodes=self.episodes)
+        require_at_least(1, jobs=self.jobs, episodes=self.episodes, tries=self.tries)
         for path in (self.out, self.export):
             if path is not None:
                 check_writable(path.parent)
         if self.out is not None and self.out.is_dir():
             raise InputError(f"cannot write to {self.out}: it is a folder; --out must be a file")
+        from roboassembly.envs.observation import ObservationConfig
         from roboassembly.evaluation.evaluate import Evaluation
         from roboassembly.evaluation.rollout import SOLVERS, RolloutConfig
         from roboassembly.settings import SETTINGS
 
+        observes = ObservationConfig(self.frames, self.clouds, self.noise_mm / 1000.0)
         if self.export is not None:
             from roboassembly.evaluation.export import check_target
 
             SETTINGS[self.setting].check_option("--export")
+            if self.tries > 1 or not observes.is_default:
+                raise InputError("--export writes episodes of the default environment with one try a step")
             if self.policy in SOLVERS and not SOLVERS[self.policy].has_actions:
                 raise InputError(
                     f"--export does not support '{self.policy}', which has no actions; use a policy or 'search'"
                 )
             check_target(self.export)
         refs = selected_furniture(self.set, self.limit, self.sample, self.seed)
-        config = RolloutConfig(self.policy, self.search, self.setting, self.execution, self.audit)
+        config = RolloutConfig(self.policy, self.search, self.setting, self.execution, self.audit, observes, self.tries)
         total = len(refs) * self.episodes
         with workers(self.ray, self.jobs) as jobs:
             episodes = tuple(progress_bar(self._episodes(config, refs, jobs), total=total, unit="episode"))
@@ -126,6 +151,15 @@ class EvaluateCommand:
         return record_episodes(self.out, about, there, rest)
 
 
+def _conditions(config: RolloutConfig) -> str:
+    """Return in words under which conditions a policy acts, beginning with a blank; empty for the usual ones."""
+    observes = config.observes
+    parts = [] if observes.is_default else [f"{observes.frames} frames, {observes.clouds} clouds"]
+    parts += [f"noise of {1000.0 * observes.noise:g} mm"] * (observes.noise > 0.0)
+    parts += [f"{config.tries} tries a step"] * (config.tries > 1)
+    return " with search" * config.search + "".join(f", {part}" for part in parts)
+
+
 def summary(evaluation: Evaluation) -> list[str]:
     """Return lines with the success rates, in total and by family, and the verdicts of failed episodes."""
     from roboassembly.statistics import success
@@ -139,7 +173,7 @@ def summary(evaluation: Evaluation) -> list[str]:
 
     episodes = evaluation.episodes
     report = evaluation.to_json()
-    how = f"{report['policy']}{' with search' * evaluation.config.search} on {evaluation.set}, seed {evaluation.seed}"
+    how = f"{report['policy']}{_conditions(evaluation.config)} on {evaluation.set}, seed {evaluation.seed}"
     lines = [how, f"{'':24} {'n':>5} {'success':>7}  {'95 %':>11} {'states':>9}", line("all", episodes)]
     families = sorted({e.family for e in episodes} - {""})
     if families:

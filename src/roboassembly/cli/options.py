@@ -34,6 +34,10 @@ Setting = Annotated[
     ),
 ]
 """Setting, like `task.setting.SettingName`, which is slow to import."""
+Frames = Literal["aligned", "own"]
+"""Frames of observations, like `task.part_frames.FramesName`, which is slow to import."""
+Clouds = Literal["shared", "resampled"]
+"""Clouds of observations, like `envs.observation.CloudsName`."""
 Execution = Annotated[
     Literal["kinematic", "dynamic"],
     SharedHelp(

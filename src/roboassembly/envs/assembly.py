@@ -14,10 +14,10 @@ from jaxtyping import Bool, UInt8
 
 from roboassembly.datasets import catalogue
 from roboassembly.envs.arguments import checked_action, checked_integer, checked_piece, shortened
-from roboassembly.envs.observation import Observation, Observer, observation_space
+from roboassembly.envs.observation import Observation, ObservationConfig, Observer, observation_space
 from roboassembly.envs.pictures import EpisodePictures, Item
 from roboassembly.errors import ArgumentError
-from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS, Furniture
+from roboassembly.furniture.model import MOST_PARTS, Furniture
 from roboassembly.rendering.colors import Role
 from roboassembly.task.rules.groups import TaskState
 from roboassembly.task.setting import Outcome, Task
@@ -46,6 +46,7 @@ class AssemblyEnv(gymnasium.Env[Observation, np.ndarray], Generic[ATask, State, 
         render_mode: None, or `"rgb_array"` for pictures.
         width: width of pictures [pixels].
         height: height of pictures [pixels].
+        observes: configuration of the observations.
 
     Raises:
         ArgumentError: a value that is out of range, or furniture that exceeds the paddings.
@@ -59,19 +60,20 @@ class AssemblyEnv(gymnasium.Env[Observation, np.ndarray], Generic[ATask, State, 
 
     def __init__(
         self, tasks: Sequence[ATask], action_branches: tuple[int, ...], max_parts: int, max_points: int,
-        cloud_points: int, render_mode: str | None, width: int, height: int,
+        cloud_points: int, render_mode: str | None, width: int, height: int, observes: ObservationConfig,
     ) -> None:  # fmt: skip
-        max_parts = checked_integer("max_parts", max_parts, 1, MAX_PARTS)
-        max_points = checked_integer("max_points", max_points, 1, MAX_POINTS)
+        max_parts = checked_integer("max_parts", max_parts, 1, MOST_PARTS)
+        max_points = checked_integer("max_points", max_points, 1, MOST_PARTS)
         cloud_points = checked_integer("cloud_points", cloud_points, 1, LARGEST_CLOUD)
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
             raise UnsupportedMode(f"render_mode is {render_mode!r}; expected 'rgb_array' or None")
         for task in tasks:
             _check_padding(task.furniture, max_parts, max_points)
         self.render_mode = render_mode
-        self.tasks = tuple(tasks)
-        self._observers = tuple(Observer(t.furniture, max_parts, max_points, cloud_points) for t in tasks)
+        self.tasks = list(tasks)
         self._padding = (max_parts, max_points)
+        self._cloud_points, self._observes = cloud_points, observes
+        self._observers = [self._observer(task, None) for task in tasks]
         self._sizes = (max_parts, max_parts, max_points, max_points, *action_branches)
         self._current = 0
         self._state: State | None = None
@@ -119,7 +121,12 @@ class AssemblyEnv(gymnasium.Env[Observation, np.ndarray], Generic[ATask, State, 
         self._current = int(self.np_random.integers(len(self.tasks))) if index is None else index
         self._state, self._outcome, self._ending, self._roles = None, None, None, {}
         self._pictures.start()
-        return self._enter(self.task.initial_state(self.np_random)), self._info("", 0)
+        state = self.task.initial_state(self.np_random)
+        if not self._observes.is_default:
+            observer = self._observer(self.task, self.np_random)
+            self._observers[self._current] = observer
+            self.tasks[self._current] = self.task.with_frames(observer.frames)
+        return self._enter(state), self._info("", 0)
 
     def step(self, action: np.ndarray) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Carry out one action. An action of the action space that does not exist ends the episode.
@@ -190,6 +197,9 @@ class AssemblyEnv(gymnasium.Env[Observation, np.ndarray], Generic[ATask, State, 
     def _joined(self) -> TaskState:
         return self.task.groups_of(self.state)
 
+    def _observer(self, task: ATask, rng: np.random.Generator | None) -> Observer:
+        return Observer(task.furniture, *self._padding, self._cloud_points, self._observes, rng)
+
     def _enter(self, state: State) -> Observation:
         if state is not self._state:
             self._state, self._mask = state, None
@@ -252,9 +262,10 @@ def pieces_of(furniture: FurnitureLike | Iterable[FurnitureLike]) -> list[Furnit
 
 
 def _check_padding(piece: Furniture, max_parts: int, max_points: int) -> None:
-    points = max(len(p.points) for p in piece.parts)
+    points = piece.most_points
     if len(piece.parts) > max_parts or points > max_points:
         raise ArgumentError(
             f"'{piece.name}' has {len(piece.parts)} parts and up to {points} points a part; "
-            f"max_parts={max_parts}, max_points={max_points} are too small"
+            f"max_parts={max_parts}, max_points={max_points} are too small: give max_parts={piece.padding[0]}, "
+            f"max_points={piece.padding[1]}"
         )

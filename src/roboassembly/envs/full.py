@@ -9,14 +9,16 @@ import numpy as np
 
 from roboassembly.datasets import catalogue
 from roboassembly.envs.assembly import AssemblyEnv, FurnitureLike, pieces_of
+from roboassembly.envs.observation import CloudsName, ObservationConfig
 from roboassembly.envs.pictures import Item
-from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS
+from roboassembly.furniture.model import PAPER_PARTS, PAPER_POINTS
 from roboassembly.geometry.poses import SE3
 from roboassembly.planning.problem import Budget
 from roboassembly.rendering.colors import Role
 from roboassembly.robots.body import placed
-from roboassembly.task.full.cell import post_mesh
+from roboassembly.task.full.posts import post_mesh
 from roboassembly.task.full.task import FullOutcome, FullTask
+from roboassembly.task.part_frames import FramesName
 from roboassembly.task.plans.full_plan import FullState
 
 
@@ -47,6 +49,11 @@ class FullEnv(AssemblyEnv[FullTask, FullState, FullOutcome]):
         render_mode: None, or `"rgb_array"`: `render` returns a picture of the present state.
         width: width of pictures [pixels].
         height: height of pictures [pixels].
+        frames: `aligned`: part frames are parallel to the furniture's, as in the paper. `own`: they are the principal
+            axes of each part, in an order and with signs drawn for each episode.
+        clouds: `shared`: equal parts have equal clouds. `resampled`: each part has points of its own, drawn for each
+            episode.
+        noise: standard deviation of each coordinate of the clouds [m].
 
     Raises:
         TypeError: furniture that is None or something else that is no furniture, or a padding that is no integer.
@@ -62,18 +69,22 @@ class FullEnv(AssemblyEnv[FullTask, FullState, FullOutcome]):
         self,
         furniture: FurnitureLike | Iterable[FurnitureLike] = catalogue.DEFAULT,
         *,
-        max_parts: int = MAX_PARTS,
-        max_points: int = MAX_POINTS,
+        max_parts: int = PAPER_PARTS,
+        max_points: int = PAPER_POINTS,
         cloud_points: int = 128,
         budget: Budget | None = None,
         render_mode: str | None = None,
         width: int = 640,
         height: int = 480,
+        frames: FramesName = "aligned",
+        clouds: CloudsName = "shared",
+        noise: float = 0.0,
     ) -> None:
         tasks = [FullTask(piece, budget) for piece in pieces_of(furniture)]
         super().__init__(
-            tasks, FullTask.action_branches, max_parts, max_points, cloud_points, render_mode, width, height
-        )
+            tasks, FullTask.action_branches, max_parts, max_points, cloud_points, render_mode, width, height,
+            ObservationConfig(frames, clouds, noise),
+        )  # fmt: skip
 
     def _items(self) -> list[Item]:
         """Return the parts, both robots, and the raised posts."""
@@ -82,7 +93,7 @@ class FullEnv(AssemblyEnv[FullTask, FullState, FullOutcome]):
             items += [Item(link.mesh, pose, role) for link, pose in placed(robot.at, robot.opening)]
         # The number of posts is constant, so that the renderer is not made anew when a post sinks.
         posts: list[SE3 | None] = [SE3(np.eye(3), stand.top) for stand in state.posts]
-        posts += [None] * (len(self.task.furniture.parts) - len(posts))
+        posts += [None] * (-len(posts) % len(self.task.furniture.parts))
         return [*items, *(Item(post_mesh(), pose, Role.POST, framed=False) for pose in posts)]
 
     def _info(self, verdict: str, planning_steps: int) -> dict[str, Any]:

@@ -6,9 +6,11 @@ from collections.abc import Iterable
 
 from roboassembly.datasets import catalogue
 from roboassembly.envs.assembly import AssemblyEnv, FurnitureLike, pieces_of
-from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS
+from roboassembly.envs.observation import CloudsName, ObservationConfig
+from roboassembly.furniture.model import PAPER_PARTS, PAPER_POINTS
 from roboassembly.planning.problem import Budget
 from roboassembly.task.object_centric.task import ObjectCentricOutcome, ObjectCentricTask
+from roboassembly.task.part_frames import FramesName
 from roboassembly.task.rules.groups import TaskState
 
 
@@ -18,7 +20,8 @@ class ObjectCentricEnv(AssemblyEnv[ObjectCentricTask, TaskState, ObjectCentricOu
     **Observation**: the `Dict` described in `roboassembly.envs.observation`.
 
     **Action** `(u, v, k, l, w)`, `MultiDiscrete([P, P, K, K, 6])`: point `k` of part `u` moves to point `l` of
-    part `v`, whose group waits with axis `w` of the furniture's frame up: 0 +z, 1 -z, 2 +x, 3 -x, 4 +y, 5 -y.
+    part `v`, whose group waits with axis `w` up: 0 +z, 1 -z, 2 +x, 3 -x, 4 +y, 5 -y; of the furniture's frame, or with
+    `frames="own"` of part `v`.
 
     **Reward**: 1 for a merge, 4 more for the last one, else 0 and the episode ends.
 
@@ -43,6 +46,11 @@ class ObjectCentricEnv(AssemblyEnv[ObjectCentricTask, TaskState, ObjectCentricOu
         render_mode: None, or `"rgb_array"`: `render` returns a picture of the present state.
         width: width of pictures [pixels].
         height: height of pictures [pixels].
+        frames: `aligned`: part frames are parallel to the furniture's, as in the paper. `own`: they are the principal
+            axes of each part, in an order and with signs drawn for each episode, and `w` names axes of part `v`.
+        clouds: `shared`: equal parts have equal clouds. `resampled`: each part has points of its own, drawn for each
+            episode.
+        noise: standard deviation of each coordinate of the clouds [m].
 
     Raises:
         TypeError: furniture that is None or something else that is no furniture, or a padding that is no integer.
@@ -57,15 +65,19 @@ class ObjectCentricEnv(AssemblyEnv[ObjectCentricTask, TaskState, ObjectCentricOu
         self,
         furniture: FurnitureLike | Iterable[FurnitureLike] = catalogue.DEFAULT,
         *,
-        max_parts: int = MAX_PARTS,
-        max_points: int = MAX_POINTS,
+        max_parts: int = PAPER_PARTS,
+        max_points: int = PAPER_POINTS,
         cloud_points: int = 128,
         budget: Budget | None = None,
         render_mode: str | None = None,
         width: int = 640,
         height: int = 480,
+        frames: FramesName = "aligned",
+        clouds: CloudsName = "shared",
+        noise: float = 0.0,
     ) -> None:
         tasks = [ObjectCentricTask(piece, budget) for piece in pieces_of(furniture)]
         super().__init__(
-            tasks, ObjectCentricTask.action_branches, max_parts, max_points, cloud_points, render_mode, width, height
-        )
+            tasks, ObjectCentricTask.action_branches, max_parts, max_points, cloud_points, render_mode, width, height,
+            ObservationConfig(frames, clouds, noise),
+        )  # fmt: skip

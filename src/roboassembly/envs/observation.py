@@ -16,18 +16,21 @@ Euler angles are roll, pitch and yaw with `R = Rz(yaw) Ry(pitch) Rx(roll)`.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 import trimesh
 from jaxtyping import Float, Float32
 
-from roboassembly.furniture.grasps import APPROACHES
+from roboassembly.errors import ArgumentError
+from roboassembly.furniture.jaws import APPROACHES
 from roboassembly.furniture.model import GRASP_REGIONS, ConnectionPoint, Furniture
 from roboassembly.geometry.meshes import Mesh
-from roboassembly.geometry.poses import pose_to_euler
+from roboassembly.geometry.poses import SE3, pose_to_euler
 from roboassembly.robots.gripper import hand_pose
+from roboassembly.task.part_frames import FramesName, PartFrames
 from roboassembly.task.rules.groups import TaskState, part_from_points
 
 if TYPE_CHECKING:
@@ -36,6 +39,10 @@ if TYPE_CHECKING:
 REACH = 100.0
 """Bound of every coordinate in the observation space [m]."""
 
+CloudsName = Literal["shared", "resampled"]
+_FRAMES, _CLOUDS = get_args(FramesName), get_args(CloudsName)
+_LARGEST_NOISE = 0.1
+"""Largest noise that is accepted [m]."""
 Observation = dict[str, Float32[np.ndarray, "..."]]
 
 
@@ -61,10 +68,59 @@ def observation_space(max_parts: int, max_points: int, cloud_points: int) -> spa
     )
 
 
-class Observer:
-    """Makes observations of one piece of furniture; constant arrays are computed once."""
+@dataclass(frozen=True)
+class ObservationConfig:
+    """Configuration of observations; the default is as in the paper."""
 
-    def __init__(self, furniture: Furniture, max_parts: int, max_points: int, cloud_points: int) -> None:
+    frames: FramesName = "aligned"
+    """`aligned`: part frames are parallel to the furniture's. `own`: they are the principal axes of each part, in an
+    order and with signs drawn for each episode, and `w` names axes of v's part."""
+    clouds: CloudsName = "shared"
+    """`shared`: parts of one shape have the same cloud. `resampled`: each part has points of its own, drawn for each
+    episode."""
+    noise: float = 0.0
+    """Standard deviation of each coordinate of the clouds [m]."""
+
+    def __post_init__(self) -> None:
+        for name, value, known in (("frames", self.frames, _FRAMES), ("clouds", self.clouds, _CLOUDS)):
+            if value not in known:
+                raise ArgumentError(f"{name} is {value!r}; expected {' or '.join(map(repr, known))}")
+        if not 0.0 <= self.noise <= _LARGEST_NOISE:
+            raise ArgumentError(f"noise is {self.noise} m; expected 0 to {_LARGEST_NOISE}")
+
+    @property
+    def is_default(self) -> bool:
+        """Whether observations are as in the paper; then they draw nothing."""
+        return self == AS_IN_PAPER
+
+
+AS_IN_PAPER = ObservationConfig()
+"""The paper's observations."""
+
+
+class Observer:
+    """Makes observations of one piece of furniture; constant arrays are computed once.
+
+    Args:
+        furniture: the piece.
+        max_parts: padding P.
+        max_points: padding K.
+        cloud_points: points C of each cloud.
+        config: configuration of the observations.
+        rng: draws own frames, resampled clouds and noise; not used by the default `config`.
+    """
+
+    def __init__(
+        self, furniture: Furniture, max_parts: int, max_points: int, cloud_points: int,
+        config: ObservationConfig = AS_IN_PAPER, rng: np.random.Generator | None = None,
+    ) -> None:  # fmt: skip
+        rng = rng or np.random.default_rng(0)
+        self.frames = PartFrames.draw(config.frames, furniture, rng)
+        """Frames in which the parts are described."""
+        self._own_from_part = self.frames.part_from_own.transpose(0, 2, 1)
+        # Aligned poses stay as they are: Euler angles depend on the signs of zeros.
+        aligned = config.frames == "aligned"
+        self._part_from_own = None if aligned else [SE3(turn, np.zeros(3)) for turn in self.frames.part_from_own]
         self._parts = len(furniture.parts)
         self._shapes = np.zeros((max_parts, cloud_points, 3), np.float32)
         self._furniture = furniture
@@ -72,11 +128,21 @@ class Observer:
         self._grasps = np.zeros((max_parts, GRASP_REGIONS, APPROACHES, 6), np.float32)
         self._max_parts = max_parts
         for p, part in enumerate(furniture.parts):
-            self._shapes[p] = surface_points(part.mesh, cloud_points)
-            self._points[p, : len(part.points)] = _point_rows(part.points, np.eye(3))
+            cloud = surface_points(part.mesh, cloud_points, rng if config.clouds == "resampled" else None)
+            if config.noise:
+                cloud = cloud + rng.normal(0.0, config.noise, cloud.shape)
+            self._shapes[p] = cloud @ self.frames.part_from_own[p]
+            self._points[p, : len(part.points)] = _point_rows(part.points, self._own_from_part[p])
             for g, grasp in enumerate(part.grasps[:GRASP_REGIONS]):
                 hand_poses = [hand_pose(grasp.position, grasp.closing, approach) for approach in grasp.approaches]
+                if self._part_from_own is not None:
+                    hand_poses = [self._part_from_own[p].actInv(hand) for hand in hand_poses]
                 self._grasps[p, g] = [pose_to_euler(hand) for hand in hand_poses]
+
+    def _described(self, parts: Iterable[int], poses: Sequence[SE3]) -> Sequence[SE3]:
+        """Return the poses of the frames in which parts are described, from those of their frames in `Furniture`."""
+        frames = self._part_from_own
+        return poses if frames is None else [pose * frames[p] for p, pose in zip(parts, poses, strict=True)]
 
     @property
     def grasp_poses(self) -> Float32[np.ndarray, "P 8 6"]:
@@ -86,21 +152,21 @@ class Observer:
     def observe(self, state: TaskState) -> Observation:
         """Return the observation of a state in new arrays."""
         poses = np.zeros((self._max_parts, 6), np.float32)
-        for p, pose in enumerate(state.part_poses):
+        for p, pose in enumerate(self._described(range(self._parts), state.part_poses)):
             poses[p] = pose_to_euler(pose)
         points = self._points.copy()
         connections = np.zeros((self._max_parts, self._max_parts, 6), np.float32)
         for group in state.groups:
             for part in group.parts if len(group.parts) > 1 else ():
                 turn = part_from_points(self._furniture, group, part).rotation
-                rows = _point_rows(group.points_of(self._furniture, part), turn)
+                rows = _point_rows(group.points_of(self._furniture, part), self._own_from_part[part] @ turn)
                 points[part] = 0.0
                 points[part, : len(rows)] = rows
+            placed = self._described(group.parts, group.furniture_from_part)
             for i, part_i in enumerate(group.parts):
                 for j, part_j in enumerate(group.parts):
                     if i != j:
-                        relative = group.furniture_from_part[i].actInv(group.furniture_from_part[j])
-                        connections[part_i, part_j] = pose_to_euler(relative)
+                        connections[part_i, part_j] = pose_to_euler(placed[i].actInv(placed[j]))
         return {
             "shapes": self._shapes.copy(),
             "connection_points": points,
@@ -116,7 +182,13 @@ def _point_rows(points: Sequence[ConnectionPoint], turn: Float[np.ndarray, "3 3"
     return (rows @ turn.T).reshape(-1, 9)
 
 
-def surface_points(mesh: Mesh, count: int) -> Float32[np.ndarray, "count 3"]:
-    """Return points sampled on the surface by area; the same mesh gives the same points."""
-    seed = np.random.default_rng(int(mesh.content_hash, 16))
+def surface_points(mesh: Mesh, count: int, rng: np.random.Generator | None = None) -> Float32[np.ndarray, "count 3"]:
+    """Return points sampled on the surface by area.
+
+    Args:
+        mesh: the surface.
+        count: number of points.
+        rng: draws the points; the same mesh gives the same points if None.
+    """
+    seed = rng or np.random.default_rng(int(mesh.content_hash, 16))
     return np.asarray(trimesh.sample.sample_surface(mesh.trimesh, count, seed=seed)[0], dtype=np.float32)

@@ -6,7 +6,7 @@ import zlib
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from statistics import median
 from typing import Any
 
@@ -53,6 +53,8 @@ class Evaluation:
             "search": config.search,
             "setting": config.setting,
             "execution": config.execution,
+            **asdict(config.observes),
+            "tries": config.tries,
             "set": self.set,
             "seed": self.seed,
             **success([e.success for e in self.episodes]),

@@ -31,7 +31,6 @@ from roboassembly.envs.assembly import reward_of
 from roboassembly.envs.observation import Observer
 from roboassembly.errors import InputError, MissingExtraError
 from roboassembly.evaluation.episodes import Episode
-from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS
 from roboassembly.task.object_centric.task import ObjectCentricTask
 from roboassembly.task.rollout import rollout
 
@@ -148,7 +147,7 @@ def _replay(
     tried = list(rollout(task, initial, lambda _: islice(actions, 1), rng))
     if not tried or not tried[-1].outcome.state.complete:
         return None
-    observer = Observer(task.furniture, MAX_PARTS, MAX_POINTS, cloud_points)
+    observer = Observer(task.furniture, *task.furniture.padding, cloud_points)
     seen = [observer.observe(state) for state in (initial, *(t.outcome.state for t in tried))]
     n = len(tried)
     return EpisodeBuffer(

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 
 from roboassembly.envs.arguments import checked_action
-from roboassembly.envs.observation import Observer
+from roboassembly.envs.observation import AS_IN_PAPER, ObservationConfig, Observer
 from roboassembly.errors import InputError, UnknownNameError
 from roboassembly.evaluation.episodes import Episode
-from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS, Furniture
-from roboassembly.learning.policy import Policy, check_setting, chosen, guide_of
+from roboassembly.furniture.model import Furniture
+from roboassembly.learning.policy import Choices, Policy, check_setting, guide_of, with_frames
 from roboassembly.learning.policy_weights import FILES, NAMES
 from roboassembly.learning.registry import PolicyFactory, policy_factory
 from roboassembly.planning.problem import Budget, PlanningStatus
@@ -25,8 +25,8 @@ from roboassembly.solvers.joint_rrt import solve_jointly
 from roboassembly.solvers.random_order import assemble_in_random_order
 from roboassembly.task.full.execution import summarize_execution
 from roboassembly.task.full.failure import Failure
-from roboassembly.task.object_centric.task import ObjectCentricTask
-from roboassembly.task.rollout import Action, rollout
+from roboassembly.task.object_centric.task import ObjectCentricTask, ObjectCentricVerdict
+from roboassembly.task.rollout import Action, Transition, rollout
 from roboassembly.task.setting import SettingName, Task
 
 SEARCH = "search"
@@ -48,6 +48,10 @@ class RolloutConfig:
     """`dynamic`: plans of the full setting are also carried out in physics, and have to succeed there."""
     audit: bool = False
     """Replay every plan with python-fcl."""
+    observes: ObservationConfig = AS_IN_PAPER
+    """Configuration of the observations of a policy that acts alone."""
+    tries: int = 1
+    """Number of actions that a policy that acts alone may try in a state."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,16 +112,29 @@ def run_episode(policy: Policy, furniture: Furniture, seed: int) -> Episode:
     return make_agent(RolloutConfig(policy))(furniture, seed)
 
 
-def rollout_policy(policy: Policy, furniture: Furniture, seed: int, setting: SettingName = DEFAULT) -> PolicyRollout:
+def rollout_policy(
+    policy: Policy, furniture: Furniture, seed: int, setting: SettingName = DEFAULT,
+    observes: ObservationConfig = AS_IN_PAPER, tries: int = 1,
+) -> PolicyRollout:  # fmt: skip
     """Let a policy act alone for one episode; it sees observations and masks only.
 
     The episode is the one that the setting's environment runs after `reset(seed=seed)`.
+
+    Args:
+        policy: the policy.
+        furniture: the piece.
+        seed: seed of the start and of all draws.
+        setting: setting of the environment.
+        observes: configuration of the observations.
+        tries: number of actions that the policy may try in a state. After an action that does not merge, it is asked
+            again, with the action left out of the mask; with the whole pair if the pair is wrong.
 
     Raises:
         PolicyError: the policy picks something that is no action.
         InputError: the furniture does not suit the setting.
     """
-    return _rollout(policy, _start(SETTINGS[setting], furniture, seed))
+    start = _start(SETTINGS[setting], furniture, seed)
+    return _rollout(policy, start, observes, tries)
 
 
 def _start(setting: Setting, furniture: Furniture, seed: int) -> _Start:
@@ -126,21 +143,31 @@ def _start(setting: Setting, furniture: Furniture, seed: int) -> _Start:
     return _Start(setting, task, task.initial_state(rng), rng, seed)
 
 
-def _rollout(policy: Policy, start: _Start) -> PolicyRollout:
-    task, furniture = start.task, start.task.furniture
-    observer = Observer(furniture, MAX_PARTS, MAX_POINTS, policy.cloud_points)
+def _rollout(policy: Policy, start: _Start, observes: ObservationConfig, tries: int) -> PolicyRollout:
+    furniture, rng = start.task.furniture, None if observes.is_default else start.rng
+    policy = with_frames(policy, observes.frames)
+    observer = Observer(furniture, *furniture.padding, policy.cloud_points, observes, rng)
+    task = start.task.with_frames(observer.frames)
     names = ("u", "v", "k", "l", *start.setting.choices)
     thinking = 0.0
+    tried: list[Transition[Any, Any]] = []
 
     def propose(state: Any) -> Iterable[Action]:
         nonlocal thinking
-        observation, mask = observer.observe(task.groups_of(state)), task.existing_actions(state)
-        begun = time.perf_counter()
-        action = chosen(policy, observation, mask)
-        thinking += time.perf_counter() - begun
-        return [checked_action(action, mask.shape, names)]
+        observation = observer.observe(task.groups_of(state))
+        choices = Choices(policy, observation, task.existing_actions(state, *furniture.padding))
+        for _ in range(tries):
+            begun = time.perf_counter()
+            action = choices.next()
+            thinking += time.perf_counter() - begun
+            if action is None:
+                return
+            yield checked_action(action, choices.mask.shape, names)
+            choices.refuse(action, wrong_pair=str(tried[-1].outcome.verdict) == ObjectCentricVerdict.WRONG_PAIR)
 
-    tried = list(rollout(task, start.state, propose, start.rng))
+    # One after the other: `propose` looks at the last one.
+    for transition in rollout(task, start.state, propose, start.rng):
+        tried.append(transition)  # noqa: PERF402
     last = tried[-1].outcome
     merges = tuple(t.outcome.step for t in tried if t.merged)
     complete = task.groups_of(last.state).complete
@@ -178,6 +205,11 @@ def _episode(config: RolloutConfig, run: _Run, furniture: Furniture, seed: int) 
 def _runner(config: RolloutConfig) -> _Run:
     """Return what runs the configuration's episodes from their start."""
     policy = config.policy
+    alone = not config.search and not (isinstance(policy, str) and policy in SOLVERS)
+    if not alone and (config.tries > 1 or not config.observes.is_default):
+        raise InputError(
+            "--tries, --frames, --clouds and --noise-mm are for a policy that acts alone; leave out --search"
+        )
     known = [name for name, solver in SOLVERS.items() if config.setting in solver.settings]
     if isinstance(policy, str) and policy in SOLVERS:
         if policy not in known:
@@ -192,7 +224,7 @@ def _runner(config: RolloutConfig) -> _Run:
     if config.search:
         guide_of(sample)
         return lambda start: _search(start, guide_of(make(start.seed)))
-    return lambda start: _act_alone(make(start.seed), start)
+    return lambda start: _act_alone(config, make(start.seed), start)
 
 
 def _factory(policy: str | Policy, solvers: Iterable[str]) -> PolicyFactory:
@@ -204,8 +236,8 @@ def _factory(policy: str | Policy, solvers: Iterable[str]) -> PolicyFactory:
         raise UnknownNameError("policy", policy, [*solvers, *NAMES, *FILES]) from None
 
 
-def _act_alone(policy: Policy, start: _Start) -> _Result:
-    done = _rollout(policy, start)
+def _act_alone(config: RolloutConfig, policy: Policy, start: _Start) -> _Result:
+    done = _rollout(policy, start, config.observes, config.tries)
     failure = done.failure
     furniture = start.task.furniture
     episode = Episode(

@@ -14,7 +14,9 @@ from roboassembly.furniture.contacts import Contact, find_contacts
 from roboassembly.furniture.exchange import interchangeable
 from roboassembly.furniture.grasps import find_grasps
 from roboassembly.furniture.model import (
-    MAX_POINTS,
+    MOST_PARTS,
+    PAPER_PARTS,
+    PAPER_POINTS,
     Furniture,
     GraspRegion,
     Part,
@@ -46,6 +48,7 @@ def annotate(
     *,
     with_grasps: bool = True,
     with_near_shapes: bool = False,
+    most_points: int | None = None,
 ) -> Furniture:
     """Annotate parts given at their places in the assembled furniture.
 
@@ -65,6 +68,9 @@ def annotate(
             without them.
         with_near_shapes: whether parts of nearly one shape are interchangeable, too, if the finished furniture allows
             it (`exchange`): for real parts, equal but for marks and millimetres.
+        most_points: number of points of a part above which its smallest contacts are left out, as long as all parts
+            stay connected. By default that of the paper for furniture with as many parts as there at most, and no limit
+            for others.
 
     Raises:
         FurnitureError: part count, repeated names, parts that penetrate, parts that do not touch.
@@ -76,7 +82,9 @@ def annotate(
         raise FurnitureError(f"{name}: part name '{repeated[0]}' is used twice; names must be unique")
     centers = [part.mesh.center_of_mass for part in raw]
     centered = [part.mesh.transformed(SE3(np.eye(3), -c)) for part, c in zip(raw, centers, strict=True)]
-    contacts, notes = _bounded_contacts(find_contacts([p.mesh for p in raw], names), names)
+    if most_points is None:
+        most_points = PAPER_POINTS if len(raw) <= PAPER_PARTS else MOST_PARTS
+    contacts, notes = _bounded_contacts(find_contacts([p.mesh for p in raw], names), names, most_points)
     classes, rotations = _classify(centered)
     rotations = _turn_to_match_points(classes, rotations, centers, contacts)
     slots = tuple(storable(SE3(r, c)) for r, c in zip(rotations, centers, strict=True))
@@ -85,7 +93,7 @@ def annotate(
         exchange = interchangeable(classes, slots, meshes, contacts)
         classes, meshes = exchange.classes, exchange.meshes
         slots = tuple(storable(slot) for slot in exchange.slots)
-    points, connections = connection_points(contacts, slots, classes)
+    points, connections = connection_points(contacts, slots, classes, most_points)
     parts = tuple(
         Part(part.name, mesh, tuple(own), part.label) for part, mesh, own in zip(raw, meshes, points, strict=True)
     )
@@ -131,24 +139,22 @@ def _around(part: int, meshes: Sequence[Mesh], slots: Sequence[SE3]) -> Mesh | N
     return Mesh(np.concatenate([m.vertices for m in near]), np.concatenate(faces))
 
 
-def _bounded_contacts(contacts: tuple[Contact, ...], names: Sequence[str]) -> tuple[list[Contact], list[str]]:
-    """Drop the smallest patches of parts with more than `MAX_POINTS` points, as long as all parts stay connected."""
+def _bounded_contacts(
+    contacts: tuple[Contact, ...], names: Sequence[str], most_points: int
+) -> tuple[list[Contact], list[str]]:
+    """Drop the smallest patches of parts with more than `most_points` points, as long as all parts stay connected."""
     kept = list(contacts)
     notes: list[str] = []
     for contact in sorted(contacts, key=lambda c: c.area):
-        crowded = [p for p in (contact.a, contact.b) if sum(p in (c.a, c.b) for c in kept) > MAX_POINTS]
+        crowded = [p for p in (contact.a, contact.b) if sum(p in (c.a, c.b) for c in kept) > most_points]
         if not crowded:
             continue
         rest = [c for c in kept if c is not contact]
         if _reaches(contact.a, contact.b, rest):
             kept = rest
             notes.append(
-                f"contact of '{names[contact.a]}' and '{names[contact.b]}' left out: more than {MAX_POINTS} points"
+                f"contact of '{names[contact.a]}' and '{names[contact.b]}' left out: more than {most_points} points"
             )
-    for p, part in enumerate(names):
-        count = sum(p in (c.a, c.b) for c in kept)
-        if count > MAX_POINTS:
-            raise FurnitureError(f"part '{part}' touches {count} others that nothing else holds; at most {MAX_POINTS}")
     return kept, notes
 
 

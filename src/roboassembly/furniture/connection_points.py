@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from roboassembly.furniture.contacts import Contact
-from roboassembly.furniture.model import MAX_POINTS, SAME_POINT, Connection, ConnectionPoint, ShapeClass
+from roboassembly.furniture.model import SAME_POINT, Connection, ConnectionPoint, ShapeClass
 from roboassembly.geometry.mating import mated_frame
 from roboassembly.geometry.poses import SE3
 
@@ -70,7 +70,7 @@ class _End:
 
 
 def connection_points(
-    contacts: Sequence[Contact], slots: Sequence[SE3], classes: Sequence[ShapeClass]
+    contacts: Sequence[Contact], slots: Sequence[SE3], classes: Sequence[ShapeClass], most_points: int
 ) -> tuple[list[list[ConnectionPoint]], tuple[Connection, ...]]:
     """Return the connection points of each part, and the connections that join them.
 
@@ -80,6 +80,7 @@ def connection_points(
         contacts: contacts of the parts in the assembled furniture.
         slots: `furniture_from_part` of each part.
         classes: the shape classes.
+        most_points: number of points from which on a part gets no more points of its equals.
     """
     class_of = {member: c for c in classes for member in c.members}
     ends = _ends(contacts, slots, class_of)
@@ -110,7 +111,7 @@ def connection_points(
                 ConnectionPoint(local.translation, local.rotation[:, 2], local.rotation[:, 0], contact.gap)
             )
         connections.append(Connection(*numbers))
-    _share_points(points, classes)
+    _share_points(points, classes, most_points)
     return points, _number_points_alike(points, connections, classes)
 
 
@@ -176,14 +177,17 @@ def _agree(lead: Sequence[SE3], other: Sequence[SE3], own: SE3) -> SE3:
     return (*lead, *other, own)[0]
 
 
-def _share_points(points: list[list[ConnectionPoint]], classes: Sequence[ShapeClass]) -> None:
-    """Give every member of a class the points of all members: parts of one shape have equal points, as in the paper."""
+def _share_points(points: list[list[ConnectionPoint]], classes: Sequence[ShapeClass], most: int) -> None:
+    """Give every member of a class the points of all members: parts of one shape have equal points, as in the paper.
+
+    No part gets more than `most` points.
+    """
     for shape_class in classes:
         everywhere = [p for member in shape_class.members for p in points[member]]
         for member in shape_class.members:
             for point in everywhere:
                 there = any(len(_spot_of(p).onto(_spot_of(point), shape_class.symmetries)) for p in points[member])
-                if not there and len(points[member]) < MAX_POINTS:
+                if not there and len(points[member]) < most:
                     points[member].append(point)
 
 

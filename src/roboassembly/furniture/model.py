@@ -18,10 +18,11 @@ if TYPE_CHECKING:
     from roboassembly.geometry.units import Unit
 
 MIN_PARTS = 2
-MAX_PARTS = 20
-"""Largest number of parts in the paper; size to which observations and action spaces are padded."""
-MAX_POINTS = 10
-"""Largest number of connection points of a part, with the same uses."""
+PAPER_PARTS, PAPER_POINTS = 20, 10
+"""Largest numbers of parts, and of connection points of a part, in the paper: sizes to which observations and action
+spaces are padded by default."""
+MOST_PARTS = 1000
+"""Largest number of parts that is read from files."""
 CONTACT_DISTANCE = 0.005
 """Distance below which parts are connected, 5 mm in the paper [m]."""
 GRASP_REGIONS = 2
@@ -194,8 +195,8 @@ class Furniture:
     The furniture's frame is z up, in metres.
 
     Raises:
-        FurnitureError: fewer than 2 or more than 20 parts, more than 10 points on a part, indices or class lists
-            that do not fit the parts, or connections that leave the furniture in pieces.
+        FurnitureError: fewer than 2 parts or more than 1000, indices or class lists that do not fit the parts, or
+            connections that leave the furniture in pieces.
     """
 
     name: str
@@ -213,11 +214,6 @@ class Furniture:
         check_part_count(n, self.name)
         if len(self.assembled) != n:
             raise FurnitureError(f"{self.name}: {n} parts but {len(self.assembled)} assembled poses")
-        for part in self.parts:
-            if len(part.points) > MAX_POINTS:
-                raise FurnitureError(
-                    f"{self.name}: part '{part.name}' has {len(part.points)} connection points; at most {MAX_POINTS}"
-                )
         seen: set[tuple[int, int]] = set()
         for c in self.connections:
             for p, k in ((c.part_a, c.point_a), (c.part_b, c.point_b)):
@@ -252,6 +248,16 @@ class Furniture:
             for member in shape_class.members:
                 out[member] = index
         return tuple(out)
+
+    @cached_property
+    def most_points(self) -> int:
+        """Largest number of connection points of a part."""
+        return max(len(part.points) for part in self.parts)
+
+    @property
+    def padding(self) -> tuple[int, int]:
+        """Sizes P and K of observations and masks: those of the paper, or larger ones if the furniture needs them."""
+        return max(PAPER_PARTS, len(self.parts)), max(PAPER_POINTS, self.most_points)
 
     @property
     def unholdable(self) -> tuple[str, ...]:
@@ -303,13 +309,11 @@ class Furniture:
 
 
 def check_part_count(count: int, name: str, least: int = MIN_PARTS) -> None:
-    """Raise `FurnitureError` unless `count` is between `least` and 20."""
-    if count > MAX_PARTS:
+    """Raise `FurnitureError` unless `count` is between `least` and `MOST_PARTS`."""
+    if count > MOST_PARTS:
         raise FurnitureError(
-            f"{name}: {count} parts; furniture has {MIN_PARTS} to {MAX_PARTS}: join those that need no assembly (glued "
-            f"or screwed ones, hinges, screws) into one mesh, or leave some out"
+            f"{name}: {count} parts; furniture has {MIN_PARTS} to {MOST_PARTS}: join those that need no assembly "
+            f"(glued or screwed ones, hinges, screws) into one mesh, or leave some out"
         )
     if count < least:
-        raise FurnitureError(
-            f"{name}: {count} part{'s' if count != 1 else ''}; furniture has {MIN_PARTS} to {MAX_PARTS}"
-        )
+        raise FurnitureError(f"{name}: {count} part{'s' if count != 1 else ''}; furniture has {MIN_PARTS} or more")

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from roboassembly.furniture.model import NEAR
 from roboassembly.geometry.meshes import Mesh, all_within, distances_to
-from roboassembly.geometry.poses import SE3, transform_points
+from roboassembly.geometry.poses import BOX_ROTATIONS, SE3, transform_points
 
 NEAR_SHARE = 0.05
 """Largest distance between the surfaces of small shapes that count as nearly equal, as a share of the longest side."""
@@ -29,8 +29,6 @@ _SAME = 2e-5
 """Largest difference of the places of the corners of a box at which two motions count as one [m]."""
 _PROBES = 24
 """Number of surface points that sort out hopeless candidates."""
-_AXES: Float[np.ndarray, "24 3 3"] = np.asarray(Rotation.create_group("O").as_matrix()).round()
-"""Rotations that permute the axes of a box."""
 
 
 class NearShape:
@@ -87,7 +85,7 @@ class NearShape:
     def _candidates(self, other: NearShape, limit: float) -> Iterator[SE3]:
         axes, center, size = self._box
         other_axes, other_center, other_size = other._box
-        for turn in _AXES:
+        for turn in BOX_ROTATIONS:
             if np.abs(np.abs(turn) @ size - other_size).max() < 2.0 * limit:
                 rotation = other_axes.T @ turn @ axes
                 yield SE3(rotation, other_center - rotation @ center)

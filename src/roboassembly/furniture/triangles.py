@@ -155,7 +155,7 @@ def stand(
     """Return parts turned by `rotation` to z up, scaled to metres, lowest point at z = 0, centred on the z axis.
 
     Raises:
-        FurnitureError: a count of parts outside 2 to 20, an absurd size, a part without area.
+        FurnitureError: fewer than 2 parts or more than 1000, an absurd size, a part without area.
     """
     check_part_count(len(parts), where)
     check_scale(scale)

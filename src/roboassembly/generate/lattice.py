@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from roboassembly.furniture.model import MAX_PARTS
 from roboassembly.generate.design import Assembly, Blank, Design, chance, count, drawn, family, one_of, size
 from roboassembly.generate.joints import CLEARANCE, RoundTenon, Tenon, joint_frame, mouths, rail, spindle
 from roboassembly.generate.outlines import rectangle
@@ -104,7 +103,7 @@ class Lattice(Design):
                 if joined & set(row.ends):
                     joined |= set(row.ends)
         connected = self.top or self.base or len(joined) == self.posts[0] * self.posts[1]
-        return connected and abs(self.width - self.depth) > 0.02 and 4 <= len(self.parts()) <= min(18, MAX_PARTS)
+        return connected and abs(self.width - self.depth) > 0.02 and 4 <= len(self.parts()) <= 18
 
     def at(self, post: Post) -> Vector:
         """Return the foot of a post's axis."""

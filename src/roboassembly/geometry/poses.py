@@ -21,6 +21,7 @@ from scipy.spatial.transform import Rotation
 from roboassembly.errors import InputError
 
 __all__ = [
+    "BOX_ROTATIONS",
     "SE3",
     "align_axis",
     "euler_from_rotations",
@@ -38,6 +39,9 @@ __all__ = [
     "storable",
     "transform_points",
 ]
+
+BOX_ROTATIONS: Float[np.ndarray, "24 3 3"] = np.asarray(Rotation.create_group("O").as_matrix()).round()
+"""The 24 rotations that map a cube to itself."""
 
 _ROUND_TRIPS = 4
 """Number of round trips after which a pose no longer changes."""

@@ -71,7 +71,7 @@ def read(path: Path, *, scale: float | None = None, up: Up | None = None, split:
         split: whether each separate body of a mesh becomes a part.
 
     Raises:
-        FurnitureError: the path is empty, a file cannot be read, the size is absurd, or there are not 2 to 20 parts.
+        FurnitureError: the path is empty, a file cannot be read, the size is absurd, or there are not 2 to 1000 parts.
     """
     path = Path(path)
     check_scale(scale)
@@ -107,7 +107,7 @@ def _alone(path: Path, part: NamedTriangles) -> str:
     count = len(bodies.split([part])[0])
     if count > 1:
         return f"'{path}': one mesh of {count} separate bodies; --split makes a part of each"
-    return f"'{path}': 1 part; furniture has 2 to 20: give {EXPECTED}"
+    return f"'{path}': 1 part; furniture has 2 or more: give {EXPECTED}"
 
 
 def _is_mesh(name: str) -> bool:

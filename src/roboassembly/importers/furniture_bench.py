@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from roboassembly.errors import FurnitureError
-from roboassembly.furniture.model import MAX_PARTS, Provenance, RawFurniture, check_part_count
+from roboassembly.furniture.model import Provenance, RawFurniture, check_part_count
 from roboassembly.furniture.triangles import UP_ROTATIONS, NamedTriangles, stand, unique_names
 from roboassembly.importers import files
 from roboassembly.importers.mesh_files import read_mesh
@@ -26,6 +26,8 @@ LICENCE = "MIT"
 EXPECTED = f"a folder with {POSES} and the meshes that it names"
 UP = {"round_table": "-z"}
 """Up axis of the root part's frame, by name of the piece; `-y` for all others."""
+_FEW_PARTS = 20
+"""Number of parts for which four times as many poses are read at least."""
 MAX_ALTERNATIVES = 64
 
 _Matrix = list[list[float]]
@@ -76,7 +78,7 @@ def read(path: Path, *, scale: float | None = None) -> RawFurniture:
 
     Raises:
         FurnitureError: files are missing or broken, a pose is not rigid, poses do not reach a part or form a loop, a
-            mesh lies outside the folder, or there are not 2 to 20 parts.
+            mesh lies outside the folder, or there are not 2 to 1000 parts.
     """
     path = Path(path).resolve()
     place = _poses_above(path)
@@ -115,7 +117,7 @@ def _poses_above(path: Path) -> Path | None:
 def _poses(piece: _Piece, where: str) -> list[Float[np.ndarray, "4 4"]]:
     """Return `root_from_part` for each part."""
     count = len(piece.parts)
-    if len(piece.joints) > 4 * MAX_PARTS:
+    if len(piece.joints) > 4 * max(count, _FEW_PARTS):
         raise FurnitureError(f"{where} has {len(piece.joints)} poses for {count} parts")
     placed: dict[int, Float[np.ndarray, "4 4"]] = {0: np.eye(4)}
     used: list[tuple[int, Float[np.ndarray, "4 4"]]] = []

@@ -74,7 +74,7 @@ def read(path: Path, *, scale: float | None = None) -> RawFurniture:
 
     Raises:
         FurnitureError: files are missing, broken or unsupported, a mesh lies outside the file's folder, sites do not
-            close to 1 mm, or there are not 2 to 20 bodies.
+            close to 1 mm, or there are not 2 to 1000 bodies.
     """
     path = Path(path)
     bodies = _read_bodies(path)

@@ -51,7 +51,7 @@ def read(path: Path, *, scale: float | None = None) -> RawFurniture:
 
     Raises:
         FurnitureError: the folder is missing, OBJ files are missing or unreadable, the size is absurd, or there are
-            not 2 to 20 parts.
+            not 2 to 1000 parts.
     """
     folder = files.folder(path, EXPECTED)
     meshes = sorted(folder.glob("*.obj"))

@@ -68,7 +68,7 @@ def read(path: Path, *, scale: float | None = None) -> RawFurniture:
 
     Raises:
         FurnitureError: files are missing or broken, a leaf has no meshes, a mesh lies outside `objs`, or there are not
-            2 to 20 leaves.
+            2 to 1000 leaves.
     """
     path = files.folder(path, EXPECTED)
     check_scale(scale)

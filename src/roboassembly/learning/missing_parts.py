@@ -12,7 +12,6 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Int
 
-from roboassembly.furniture.model import MAX_POINTS
 from roboassembly.learning.datasets import LabeledState, Structure
 
 _FEWEST_PARTS = 3
@@ -54,7 +53,7 @@ def without_some(structure: Structure, rng: np.random.Generator) -> RemainingPar
         return None
     a, k, b, l = structure.connections.T  # noqa: E741
     both = left[a] & left[b]
-    joins = np.zeros((int(structure.classes.max()) + 1, MAX_POINTS), bool)
+    joins = np.zeros((int(structure.classes.max()) + 1, int(structure.connections[:, 1::2].max()) + 1), bool)
     joins[structure.classes[a[both]], k[both]] = joins[structure.classes[b[both]], l[both]] = True
     parts = np.flatnonzero(left)
     points = tuple(np.flatnonzero(joins[structure.classes[p]]) for p in parts)

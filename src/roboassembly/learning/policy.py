@@ -34,9 +34,10 @@ from jaxtyping import Bool, Float32, Int
 
 from roboassembly.envs.observation import Observation, Observer
 from roboassembly.errors import InputError, PolicyError
-from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS, Furniture
+from roboassembly.furniture.model import Furniture
 from roboassembly.settings import SETTINGS
 from roboassembly.solvers.guide import Guide, Suggestion
+from roboassembly.task.part_frames import FramesName
 from roboassembly.task.setting import SettingName, Task
 
 RANDOM = "random"
@@ -135,6 +136,63 @@ class ConfidentPolicy(ValuePolicy, Protocol):
         ...
 
 
+@runtime_checkable
+class FramedPolicy(Policy, Protocol):
+    """Policy that must know in which frames the parts are described, because they say what `w` names."""
+
+    def with_frames(self, frames: FramesName) -> Policy:
+        """Return the policy for observations in some frames."""
+        ...
+
+
+def with_frames(policy: Policy, frames: FramesName) -> Policy:
+    """Return a policy for observations in some frames: the policy itself if it need not know."""
+    return policy.with_frames(frames) if isinstance(policy, FramedPolicy) else policy
+
+
+class Choices:
+    """Choices of a policy in one state, the first one and those after refused ones.
+
+    Args:
+        policy: the policy.
+        observation: the state.
+        mask: actions that exist.
+    """
+
+    def __init__(self, policy: Policy, observation: Observation, mask: Mask) -> None:
+        self._policy, self._observation, self._whole = policy, observation, mask
+        self.mask = mask
+        """Actions that are left."""
+        self._values: Values | None = None
+
+    def next(self) -> tuple[int, ...] | None:
+        """Return the policy's choice among the actions that are left; None if none is left.
+
+        After a refused action, a policy that values actions values them once, by the whole mask: its view of a state
+        follows from it.
+
+        Raises:
+            PolicyError: the policy picks something that is no action.
+        """
+        if not self.mask.any():
+            return None
+        if self.mask is self._whole or not isinstance(self._policy, ValuePolicy):
+            return chosen(self._policy, self._observation, self.mask)
+        if self._values is None:
+            values = self._policy.values(self._observation, self._whole)
+            self._values = _checked_values(self._policy, "values", values, self._whole)
+        return tuple(surest(np.where(self.mask, self._values, -np.inf)).tolist())
+
+    def refuse(self, action: tuple[int, ...], *, wrong_pair: bool) -> None:
+        """Leave out an action that was refused, and all actions with its pair if the pair is wrong."""
+        self.mask = self.mask.copy()
+        u, v, k, l, *rest = action  # noqa: E741
+        if wrong_pair:
+            self.mask[u, v, k, l] = self.mask[v, u, l, k] = False
+        else:
+            self.mask[(u, v, k, l, *rest)] = False
+
+
 @dataclass(eq=False)
 class RandomPolicy:
     """Policy that draws any existing action."""
@@ -177,10 +235,10 @@ class _PolicyGuide:
 
     def __call__(self, task: Task[Any, Any], state: Any) -> Sequence[Suggestion]:
         if self._seen is None or self._seen[0] is not task.furniture:
-            observer = Observer(task.furniture, MAX_PARTS, MAX_POINTS, self.policy.cloud_points)
+            observer = Observer(task.furniture, *task.furniture.padding, self.policy.cloud_points)
             self._seen = task.furniture, observer
         observation = self._seen[1].observe(task.groups_of(state))
-        mask = task.existing_actions(state)
+        mask = task.existing_actions(state, *task.furniture.padding)
         if isinstance(self.policy, ConfidentPolicy):
             scores = _checked_values(self.policy, "probabilities", self.policy.probabilities(observation, mask), mask)
         else:

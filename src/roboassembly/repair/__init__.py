@@ -121,7 +121,7 @@ def repair(parts: Sequence[RawPart], *, gap: float = GAP, limits: RepairLimits |
         limits: limits above which repair refuses; the defaults if None.
 
     Raises:
-        FurnitureError: there are not 2 to 20 parts, two have the same name, a limit is exceeded, or parts lock each
+        FurnitureError: there are not 2 to 1000 parts, two have the same name, a limit is exceeded, or parts lock each
             other in place; the message names the part, the figure and the limit.
     """
     check_part_count(len(parts), "repair")

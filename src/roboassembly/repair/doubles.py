@@ -135,8 +135,8 @@ def share_out(pieces: list[Piece], gap: float) -> bool:
     """Leave doubled volumes to one of the two parts, in place, before any trimming; return whether there are any.
 
     Material is doubled where the surface of one part follows that of the other. The part whose rest is thicker gives it
-    away: the other one's would be a shell. A part does not give so much that less than `LEAST_REST` of it is left, or a rest
-    thinner than `LEAST_THICKNESS`.
+    away: the other one's would be a shell. A part does not give so much that less than `LEAST_REST` of it is left, or a
+    rest thinner than `LEAST_THICKNESS`.
 
     Args:
         pieces: parts as they were made solid.

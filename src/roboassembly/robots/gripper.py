@@ -24,6 +24,8 @@ from roboassembly.geometry.poses import SE3, transform_points
 
 MAX_OPENING = 0.08
 """Distance between the finger pads of the open hand, 40 mm per finger [m]."""
+WIDER = 0.02
+"""Distance that a hand opens wider than the part [m]."""
 PALM_DEPTH = 0.0374
 """Distance from the frame of the finger tips back to the palm, which limits what fits between the fingers [m]."""
 RETREAT = 0.10

@@ -14,7 +14,7 @@ from roboassembly.envs.assembly import COMPLETION_REWARD, MERGE_REWARD
 from roboassembly.envs.observation import Observer
 from roboassembly.errors import InputError
 from roboassembly.furniture.annotate import add_grasps
-from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS, Furniture
+from roboassembly.furniture.model import Furniture
 from roboassembly.settings import SETTINGS, set_upright
 from roboassembly.solvers.forward import SearchProgress, Watch, planner_seed
 from roboassembly.solvers.guide import Guide
@@ -78,7 +78,7 @@ class AssemblySession:
         self._steps: list[Any] = []
         self.upright: UprightResult[Any] | None = None
         """Result of setting the finished piece upright; None while it is not finished."""
-        self._observer = Observer(self.furniture, MAX_PARTS, MAX_POINTS, 1)
+        self._observer = Observer(self.furniture, *self.furniture.padding, 1)
 
     @cached_property
     def furniture_with_grasps(self) -> Furniture:
@@ -109,13 +109,13 @@ class AssemblySession:
         """Reward that the environment gives for these merges."""
         return self.merges * MERGE_REWARD + self.task_state.complete * COMPLETION_REWARD
 
-    def points(self) -> Float32[np.ndarray, "20 10 9"]:
+    def points(self) -> Float32[np.ndarray, "P K 9"]:
         """Return position [m], normal and tangent of each connection point in its part's frame."""
         return self._observer.observe(self.task_state)["connection_points"]
 
-    def free_points(self) -> Bool[np.ndarray, "20 10"]:
+    def free_points(self) -> Bool[np.ndarray, "P K"]:
         """Return which connection points are not connected yet."""
-        return self.task.rules.free_points(self.task_state)
+        return self.task.rules.free_points(self.task_state, *self.furniture.padding)
 
     def choices(self) -> tuple[tuple[str, int], ...]:
         """Return the name and the number of values of each component of an action after `(u, v, k, l)`."""

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float
 from scipy.spatial import ConvexHull
 from viser import BatchedMeshHandle, LineSegmentsHandle, SceneApi
 
-from roboassembly.furniture.model import MAX_POINTS, Furniture, GraspRegion
+from roboassembly.furniture.model import Furniture, GraspRegion
 from roboassembly.rendering.colors import MOVING, WAITING, Color, to_bytes
 from roboassembly.robots.gripper import hand_pose
 
@@ -47,24 +47,24 @@ class Overlays:
     scene: SceneApi
     furniture: Furniture
     names: Sequence[str]
-    centers: Float[np.ndarray, "parts 10 3"] = field(init=False)
+    centers: Float[np.ndarray, "parts K 3"] = field(init=False)
     """Centre of each ball in its part's frame [m]."""
-    radii: Float[np.ndarray, "parts 10"] = field(init=False)
+    radii: Float[np.ndarray, "parts K"] = field(init=False)
     """Radius of each ball [m]; 0 if it is hidden."""
     _balls: list[BatchedMeshHandle] = field(default_factory=list[BatchedMeshHandle], init=False)
     _pins: list[LineSegmentsHandle] = field(default_factory=list[LineSegmentsHandle], init=False)
     _frames: list[LineSegmentsHandle] = field(default_factory=list[LineSegmentsHandle], init=False)
     _grasps: list[LineSegmentsHandle] = field(default_factory=list[LineSegmentsHandle], init=False)
-    _shown: tuple[Bool[np.ndarray, "20 10"], ChosenPoints] | None = field(default=None, init=False)
+    _shown: tuple[Bool[np.ndarray, "P K"], ChosenPoints] | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
-        self.centers = np.zeros((len(self.names), MAX_POINTS, 3))
-        self.radii = np.zeros((len(self.names), MAX_POINTS))
+        self.centers = np.zeros((len(self.names), 0, 3))
+        self.radii = np.zeros((len(self.names), 0))
 
     def draw(
         self,
-        points: Float[np.ndarray, "20 10 9"],
-        free: Bool[np.ndarray, "20 10"],
+        points: Float[np.ndarray, "P K 9"],
+        free: Bool[np.ndarray, "P K"],
         frames: bool,
         grasps: Sequence[Sequence[GraspRegion]],
     ) -> None:
@@ -86,16 +86,16 @@ class Overlays:
             if grasps and grasps[part]:
                 self._grasps.append(self._add_grasps(name, grasps[part]))
 
-    def show(self, free: Bool[np.ndarray, "20 10"], chosen: ChosenPoints) -> None:
+    def show(self, free: Bool[np.ndarray, "P K"], chosen: ChosenPoints) -> None:
         """Show the free points, and highlight the chosen ones."""
         if self._shown is not None and self._shown[1] == chosen and np.array_equal(self._shown[0], free):
             return
         self._shown = free, chosen
-        radii = np.zeros_like(self.radii)
+        radii = np.zeros(self.centers.shape[:2])
         for part, (handle, pins) in enumerate(zip(self._balls, self._pins, strict=True)):
             pins.visible = bool(free[part].any())
             sizes = np.where(free[part], _BALL_RADIUS, 0.0)
-            colors = np.tile(np.array(to_bytes(_BALL_COLOR), np.uint8), (MAX_POINTS, 1))
+            colors = np.tile(np.array(to_bytes(_BALL_COLOR), np.uint8), (len(sizes), 1))
             for end, color in zip(chosen, (MOVING, WAITING), strict=True):
                 if end is not None and end[0] == part:
                     sizes[end[1]], colors[end[1]] = _CHOSEN_RADIUS, to_bytes(color)
@@ -112,7 +112,7 @@ class Overlays:
         self.radii = np.zeros_like(self.radii)
         self._shown = None
 
-    def _ball_centers(self, part: int, rows: Float[np.ndarray, "10 9"]) -> Float[np.ndarray, "10 3"]:
+    def _ball_centers(self, part: int, rows: Float[np.ndarray, "10 9"]) -> Float[np.ndarray, "K 3"]:
         """Return the centres of a part's balls in its frame [m]."""
         position, normal = rows[:, :3], rows[:, 3:6]
         planes = ConvexHull(self.furniture.parts[part].mesh.hull_vertices).equations
@@ -122,20 +122,20 @@ class Overlays:
         return position + np.clip(exits.min(axis=1) + _PIN, _PIN, _LONGEST_PIN)[:, None] * normal
 
     def _add_pins(
-        self, name: str, points: Float[np.ndarray, "10 3"], centers: Float[np.ndarray, "10 3"]
+        self, name: str, points: Float[np.ndarray, "K 3"], centers: Float[np.ndarray, "K 3"]
     ) -> LineSegmentsHandle:
         return self._add_lines(
-            f"/{name}/pins", np.stack([points, centers], axis=1), np.tile(to_bytes(_BALL_COLOR), (10, 2, 1))
+            f"/{name}/pins", np.stack([points, centers], axis=1), np.tile(to_bytes(_BALL_COLOR), (len(points), 2, 1))
         )
 
-    def _add_balls(self, name: str, positions: Float[np.ndarray, "10 3"]) -> BatchedMeshHandle:
+    def _add_balls(self, name: str, positions: Float[np.ndarray, "K 3"]) -> BatchedMeshHandle:
         return self.scene.add_batched_meshes_simple(
             f"/{name}/points",
             _SPHERE.vertices.astype(np.float32),
             _SPHERE.faces.astype(np.uint32),
-            batched_wxyzs=np.tile(np.array([1.0, 0.0, 0.0, 0.0], np.float32), (MAX_POINTS, 1)),
+            batched_wxyzs=np.tile(np.array([1.0, 0.0, 0.0, 0.0], np.float32), (len(positions), 1)),
             batched_positions=positions.astype(np.float32),
-            batched_scales=np.zeros(MAX_POINTS, np.float32),
+            batched_scales=np.zeros(len(positions), np.float32),
             lod="off",
             cast_shadow=False,
             receive_shadow=False,

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, ClassVar, Literal, Protocol, TypeVar
+from typing import TYPE_CHECKING, ClassVar, Literal, Protocol, Self, TypeVar
 
 import numpy as np
 from jaxtyping import Bool
 
-from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS, Furniture
+from roboassembly.furniture.model import Furniture
 from roboassembly.task.rules.connections import Rules
 from roboassembly.task.rules.groups import TaskState
 
@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     # Records of plans name their setting, and audits read records: they load nothing of the planner.
     from roboassembly.planning.problem import Budget
     from roboassembly.task.full.failure import Failure
+    from roboassembly.task.part_frames import PartFrames
 
 SettingName = Literal["object-centric", "full"]
 State = TypeVar("State")
@@ -76,6 +77,10 @@ class Task(Protocol[State, Step_co]):
         """Number of values of each component of an action after its pair: of `w`, or of `g_a` and `g_b`."""
         ...
 
+    def with_frames(self, frames: PartFrames) -> Self:
+        """Return the same task with parts described in other frames; they say what `w` names."""
+        ...
+
     def check_furniture(self) -> None:
         """Check that the furniture suits the setting; raises `InputError` if it does not."""
         ...
@@ -89,9 +94,9 @@ class Task(Protocol[State, Step_co]):
         ...
 
     def existing_actions(
-        self, state: State, max_parts: int = MAX_PARTS, max_points: int = MAX_POINTS
+        self, state: State, max_parts: int = 0, max_points: int = 0
     ) -> Bool[np.ndarray, "P P K K ..."]:
-        """Return the mask of actions that exist in a state, padded to `max_parts` and `max_points`."""
+        """Return the mask of actions that exist in a state, padded to `max_parts` and `max_points` or to more."""
         ...
 
     def step(

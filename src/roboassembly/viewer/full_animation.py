@@ -17,9 +17,9 @@ from jaxtyping import Float, Float32
 from roboassembly.geometry.poses import SE3
 from roboassembly.rendering.colors import Role
 from roboassembly.robots.body import hand_links, links, placed, tip_positions
-from roboassembly.task.full.cell import Post, post_mesh
 from roboassembly.task.full.cell_state import CellState, Segment
 from roboassembly.task.full.failure import STRAIGHT, Stage
+from roboassembly.task.full.posts import Post, post_mesh
 from roboassembly.task.plans.full_plan import FullPlan
 from roboassembly.viewer.captions import ending_caption, step_caption
 from roboassembly.viewer.motion_timing import ease

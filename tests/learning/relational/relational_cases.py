@@ -8,7 +8,7 @@ import shapes
 from roboassembly.datasets import catalogue
 from roboassembly.envs.object_centric import ObjectCentricEnv
 from roboassembly.envs.observation import Observer, surface_points
-from roboassembly.furniture.model import MAX_POINTS, Furniture
+from roboassembly.furniture.model import PAPER_POINTS, Furniture
 from roboassembly.learning.datasets import SampleSet
 from roboassembly.learning.relational.network import RelationalConfig
 from roboassembly.learning.relational.oracle_dataset import Labeler
@@ -39,10 +39,10 @@ def observed(seed: int) -> tuple[dict[str, np.ndarray], np.ndarray]:
 def grasp_view(furniture: Furniture, state: TaskState, cloud_points: int = 2048) -> PolicyView:
     """Return the view of a state with grasps, without padding."""
     n = len(furniture.parts)
-    observation = Observer(furniture, n, MAX_POINTS, cloud_points).observe(state)
-    free = FullTask(furniture).rules.free_points(state)[:n]
+    observation = Observer(furniture, n, PAPER_POINTS, cloud_points).observe(state)
+    free = FullTask(furniture).rules.free_points(state, n, PAPER_POINTS)
     # The view reads its free points from the mask.
-    mask = np.broadcast_to(free[:, None, :, None, None], (n, n, MAX_POINTS, MAX_POINTS, 6))
+    mask = np.broadcast_to(free[:, None, :, None, None], (n, n, PAPER_POINTS, PAPER_POINTS, 6))
     return PolicyView.from_observation(observation, mask)
 
 

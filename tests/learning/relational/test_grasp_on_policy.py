@@ -10,7 +10,7 @@ from relational_cases import TINY
 
 import shapes
 from roboassembly.envs.observation import Observer
-from roboassembly.furniture.model import MAX_POINTS
+from roboassembly.furniture.model import PAPER_POINTS
 from roboassembly.learning import checkpoint
 from roboassembly.learning.datasets import dataset_file
 from roboassembly.learning.relational import network as relational
@@ -26,7 +26,7 @@ from roboassembly.task.full.task import FullTask
 def test_an_outcome_labels_the_grasps_of_its_action() -> None:
     task = FullTask(shapes.stand())
     state = task.initial_state(np.random.default_rng(0))
-    observer = Observer(task.furniture, len(task.furniture.parts), MAX_POINTS, 1)
+    observer = Observer(task.furniture, len(task.furniture.parts), PAPER_POINTS, 1)
     rng, verdicts = np.random.default_rng(1), set[FullVerdict]()
     right = [a for a in np.argwhere(task.existing_actions(state)).tolist() if task.merge(state.groups, tuple(a[:4]))]
     for index in rng.permutation(len(right))[:14]:
@@ -52,7 +52,7 @@ def test_an_outcome_labels_the_grasps_of_its_action() -> None:
 def test_probes_label_actions_as_fresh_tests_do() -> None:
     task = FullTask(shapes.stand())
     state = task.initial_state(np.random.default_rng(0))
-    observer = Observer(task.furniture, len(task.furniture.parts), MAX_POINTS, 1)
+    observer = Observer(task.furniture, len(task.furniture.parts), PAPER_POINTS, 1)
     actions = [tuple(a) for a in np.argwhere(task.existing_actions(state)).tolist()]
     right = [a for a in actions if task.merge(state.groups, a[:4])]
     wrong = [a for a in actions if not task.merge(state.groups, a[:4])]

@@ -17,7 +17,6 @@ import numpy as np
 
 from roboassembly.datasets.sets import FurnitureRef
 from roboassembly.envs.observation import Observer
-from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS
 from roboassembly.learning import checkpoint
 from roboassembly.learning.datasets import SampleSet, dataset_file
 from roboassembly.learning.paper import network as paper
@@ -97,7 +96,7 @@ def policy_samples(
         The samples, and the number of episodes in which the policy finished the chair.
     """
     env, plan, finished = buffer.env, _ExpertPlan(expert, buffer), 0
-    observer = Observer(task.furniture, MAX_PARTS, MAX_POINTS, policy.cloud_points)
+    observer = Observer(task.furniture, *task.furniture.padding, policy.cloud_points)
     row_of = {(int(part), int(point)): row for row, (part, point) in enumerate(zip(env.part, env.point, strict=True))}
     states: list[State] = []
     for _ in range(episodes):
@@ -106,7 +105,7 @@ def policy_samples(
             groups = env.laid_out(state)
             observation = observer.observe(groups)
             observation["poses"] = scattered(observation["poses"], observation["connections"], rng)
-            u, v, k, l, w = chosen(policy, observation, task.existing_actions(groups))  # noqa: E741
+            u, v, k, l, w = chosen(policy, observation, task.existing_actions(groups, *task.furniture.padding))  # noqa: E741
             action = row_of[u, k], row_of[v, l], w
             path = plan.path(state)
             states += path[:1] if path and plan.action(state) == action else path

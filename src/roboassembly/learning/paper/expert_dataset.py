@@ -21,7 +21,7 @@ from jaxtyping import Bool, Float16
 
 from roboassembly.datasets.sets import FurnitureRef
 from roboassembly.envs.observation import Observer, surface_points
-from roboassembly.furniture.model import MAX_POINTS
+from roboassembly.furniture.model import PAPER_POINTS
 from roboassembly.learning.datasets import CLOUD_POINTS, LabeledState, SampleSet, dataset_file, structure_of
 from roboassembly.learning.paper.dqn.memoized_env import State
 from roboassembly.learning.paper.dqn.network import (
@@ -153,7 +153,7 @@ class SampleRecorder:
 
     def __init__(self, expert: ExpertPolicy, task: ObjectCentricTask | FullTask) -> None:
         self._expert, self._task = expert, task
-        self._observer = Observer(task.furniture, len(task.furniture.parts), MAX_POINTS, 1)
+        self._observer = Observer(task.furniture, len(task.furniture.parts), PAPER_POINTS, 1)
 
     def sample(self, state: TaskState, tried: Bool[np.ndarray, "m m w"] | None) -> LabeledState:
         """Return the sample of a state.
@@ -163,7 +163,7 @@ class SampleRecorder:
             tried: actions that the expert tried in it; None if that is not known.
         """
         seen = self._observer.observe(state)
-        free = self._task.rules.free_points(state)[: len(self._task.furniture.parts)]
+        free = self._task.rules.free_points(state, max_points=PAPER_POINTS)
         return LabeledState(
             seen["connection_points"],
             seen["connections"],

@@ -15,7 +15,7 @@ import optax
 from jaxtyping import Bool, Float, Int
 
 from roboassembly.errors import InputError
-from roboassembly.furniture.model import MAX_POINTS
+from roboassembly.furniture.model import PAPER_POINTS
 from roboassembly.learning import checkpoint
 from roboassembly.learning.batches import padded_length
 from roboassembly.learning.fit import AdamWConfig, Batch, Fit
@@ -84,7 +84,7 @@ def batch_of(
             state = replace(state, poses=scattered(state.poses, state.connections, rng))
         state.write(batch["state"][row])
         free = slice(len(e.part))
-        batch["slot"][row, free] = MAX_POINTS * e.part + e.point
+        batch["slot"][row, free] = PAPER_POINTS * e.part + e.point
         batch["exists"][row, free, free] = e.group[:, None] != e.group[None]
         batch["branch_targets"][row, free, free] = e.branch_targets()
     return batch

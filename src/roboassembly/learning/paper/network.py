@@ -35,7 +35,7 @@ from jaxtyping import Bool, Float, Float32, Int
 
 from roboassembly.envs.observation import Observation
 from roboassembly.errors import InputError
-from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS
+from roboassembly.furniture.model import PAPER_PARTS, PAPER_POINTS
 from roboassembly.learning.checkpoint import Checkpoint, check_arrays, network_config
 from roboassembly.learning.layers import Array, Params, gelu, init_linear, init_norm, linear, norm
 from roboassembly.learning.paper import autoencoder, heads
@@ -45,17 +45,17 @@ from roboassembly.task.setting import SettingName
 
 KIND = "paper"
 """Kind of the checkpoints."""
-SLOTS = MAX_PARTS * MAX_POINTS
-"""Number of slots for points; point k of part p has slot `MAX_POINTS * p + k`."""
+SLOTS = PAPER_PARTS * PAPER_POINTS
+"""Number of slots for points; point k of part p has slot `PAPER_POINTS * p + k`."""
 SECTIONS = {
-    "features": (MAX_PARTS, FEATURE),
-    "points": (MAX_PARTS, MAX_POINTS, 9),
-    "free": (MAX_PARTS, MAX_POINTS, 1),
-    "poses": (MAX_PARTS, 6),
-    "connections": (MAX_PARTS, MAX_PARTS, 6),
+    "features": (PAPER_PARTS, FEATURE),
+    "points": (PAPER_PARTS, PAPER_POINTS, 9),
+    "free": (PAPER_PARTS, PAPER_POINTS, 1),
+    "poses": (PAPER_PARTS, 6),
+    "connections": (PAPER_PARTS, PAPER_PARTS, 6),
 }
 """Sections of the state vector, in order, and their shapes."""
-GRASP_SECTION = {"grasps": (MAX_PARTS, GRASPS, 6)}
+GRASP_SECTION = {"grasps": (PAPER_PARTS, GRASPS, 6)}
 """Further section of the full setting."""
 _RETURN = 10.0
 """Typical return of an episode: unit of the network's outputs, so that they start near one."""
@@ -248,7 +248,7 @@ class PaperPolicy:
             free = np.zeros((mask.shape[0], mask.shape[2], 1), np.float32)
             free[part, point] = 1.0
             self._state(observation, free).write(state[0])
-            slot = (MAX_POINTS * part + point)[None]
+            slot = (PAPER_POINTS * part + point)[None]
             q = apply(self._params["network"], self._params["inputs"], state, slot)[0]
             u, v = part[:, None], part[None]
             out[u, v, point[:, None], point[None]] = q.reshape(*q.shape[:2], *mask.shape[4:])
@@ -268,8 +268,8 @@ class PaperPolicy:
     def _state(self, observation: Observation, free: Float32[np.ndarray, "P K 1"]) -> PaperState:
         shapes = observation["shapes"]
         parts = int(np.flatnonzero(shapes.any(axis=(1, 2)))[-1]) + 1
-        if parts > MAX_PARTS:
-            raise InputError(f"the furniture has {parts} parts; preset '{KIND}' takes at most {MAX_PARTS}")
+        if parts > PAPER_PARTS:
+            raise InputError(f"the furniture has {parts} parts; preset '{KIND}' takes at most {PAPER_PARTS}")
         # The parts stay the same through an episode, and encoding them is most of the work.
         if self._encoded is None or not np.array_equal(self._encoded[0], shapes):
             self._encoded = shapes.copy(), autoencoder.encode(self._params["encoder"], shapes[:parts])

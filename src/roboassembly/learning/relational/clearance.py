@@ -18,8 +18,7 @@ from jaxtyping import Bool, Float, Float16, Float32, Int
 from scipy.spatial import ConvexHull
 
 from roboassembly.geometry.poses import rotations_from_euler
-from roboassembly.robots.gripper import MAX_OPENING, RETREAT, hand_bodies
-from roboassembly.task.full.cell import WIDER
+from roboassembly.robots.gripper import MAX_OPENING, RETREAT, WIDER, hand_bodies
 
 CUTOFF = 0.05
 """Value from which on clearances of a gripper are clipped [m]."""

@@ -50,8 +50,6 @@ from roboassembly.learning.relational.tokens import POINT_FEATURES, Tokens, pad
 
 KIND = "relational"
 """Kind of the network's checkpoints."""
-MAX_GROUPS = 20
-"""Largest number of groups in a state."""
 _IMPLAUSIBLE_PENALTY = 10.0
 """Number subtracted from the logits of pairs that leave two upright groups standing in different directions."""
 _RELATIVE_POSE = 13
@@ -192,7 +190,8 @@ def _relative_poses(frame: Array, position: Array, same: Array) -> Array:
 def _conflicts(p: Params, token: Array, pose: Array, same: Array, belief: Array, group: Array) -> Array:
     """(b, n, n, 2c): for the groups of two tokens, how much third groups would suffer from their merge."""
     xp = token.__array_namespace__()
-    member = xp.astype(group[..., None] == xp.arange(MAX_GROUPS), xp.float32)
+    # There are at most as many groups as points.
+    member = xp.astype(group[..., None] == xp.arange(group.shape[1]), xp.float32)
     wants = xp.minimum(belief @ member, 1.0)
     inputs = linear(p["conflict_input"], token)
     hidden = linear(p["conflict_first"], inputs)[:, :, None] + linear(p["conflict_second"], inputs)[:, None]

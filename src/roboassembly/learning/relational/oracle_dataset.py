@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float32, UInt8
 
 from roboassembly.envs.observation import Observer
-from roboassembly.furniture.model import MAX_POINTS, Furniture
+from roboassembly.furniture.model import Furniture
 from roboassembly.learning.datasets import LabeledState, SampleSet, structure_of
 from roboassembly.learning.relational.tokens import Tokens, tokens_of_sample
 from roboassembly.solvers.oracle import LabeledMate, Oracle
@@ -59,7 +59,8 @@ class Labeler:
     ) -> None:
         self.oracle = oracle or Oracle(ObjectCentricTask(furniture))
         self._unique_parts = {c.members[0] for c in furniture.classes if len(c.members) == 1}
-        self._observer = Observer(furniture, len(furniture.parts), MAX_POINTS, 1)
+        # The paper's number of points at least, so that files of most pieces have arrays of one shape.
+        self._observer = Observer(furniture, len(furniture.parts), furniture.padding[1], 1)
         grasps = None if self.oracle.grasp_task is None else self._observer.grasp_poses
         self._empty = SampleSet(furniture.name, clouds, (), grasps, structure_of(furniture))
 
@@ -71,7 +72,7 @@ class Labeler:
         """Return a state as a policy sees it, labelled with the pairs that fit."""
         observation = self._observer.observe(state)
         rows = [(m.u, m.k, m.v, m.l, m.solvable, *m.feasible_w) for m in mates]
-        free = self.oracle.task.free_points(state)[: len(observation["poses"])]
+        free = self.oracle.task.free_points(state, *observation["connection_points"].shape[:2])
         return LabeledState(
             observation["connection_points"],
             observation["connections"],

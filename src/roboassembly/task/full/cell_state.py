@@ -13,9 +13,9 @@ from roboassembly.planning.robot_path import Configuration, Path
 from roboassembly.planning.robot_shapes import WorldCache
 from roboassembly.planning.robot_world import RobotWorld, Tally
 from roboassembly.robots.body import DOF, placed, world_from_tips
-from roboassembly.task.full.cell import Post
 from roboassembly.task.full.failure import Stage, stage_text
 from roboassembly.task.full.grips import Grip, hand_shapes
+from roboassembly.task.full.posts import Post
 from roboassembly.task.rules.groups import Group, body
 
 
@@ -121,9 +121,14 @@ class CellState:
         return replace(self, robots=(new, b) if robot == 0 else (a, new))
 
     @property
-    def posts(self) -> tuple[Post, ...]:
-        """All raised posts."""
+    def supports(self) -> tuple[Post, ...]:
+        """Posts of all places, those of placed groups first; two that rise together are one."""
         return (*(p.post for p in self.placed), *self.free_posts)
+
+    @property
+    def posts(self) -> tuple[Post, ...]:
+        """All raised posts, each by itself."""
+        return tuple(post for support in self.supports for post in support.each)
 
     def groups(self) -> list[Group]:
         """Return all groups where they are, those in hands last."""

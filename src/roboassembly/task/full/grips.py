@@ -15,8 +15,7 @@ from roboassembly.furniture.model import Furniture, GraspRegion
 from roboassembly.geometry.poses import SE3
 from roboassembly.geometry.scene import Body, Scene, Shape
 from roboassembly.planning.world import CollisionWorld
-from roboassembly.robots.gripper import MAX_OPENING, RETREAT, hand_bodies, hand_pose
-from roboassembly.task.full.cell import WIDER
+from roboassembly.robots.gripper import MAX_OPENING, RETREAT, WIDER, hand_bodies, hand_pose
 from roboassembly.task.rules.groups import Group, body
 from roboassembly.task.rules.pairs import Merge
 

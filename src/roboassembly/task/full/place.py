@@ -11,9 +11,10 @@ from jaxtyping import Float
 from roboassembly.geometry.poses import SE3, align_axis, turn_about_vertical
 from roboassembly.planning.robot_path import Path, line
 from roboassembly.planning.robot_world import RobotWorld, Tally
-from roboassembly.task.full.cell import Post, best_stands, free_places, reach_from
+from roboassembly.task.full.cell import LANE
 from roboassembly.task.full.cell_state import CellState, PlacedGroup, Robot
 from roboassembly.task.full.failure import Failure, FullVerdict, Stage
+from roboassembly.task.full.posts import best_stands, reach_from
 from roboassembly.task.full.segments import (
     LIFT_HEIGHT,
     PLATFORM,
@@ -25,7 +26,7 @@ from roboassembly.task.full.segments import (
     retreat_path,
 )
 from roboassembly.task.rules.connections import UP_AXES
-from roboassembly.task.rules.groups import Group, group_footprint
+from roboassembly.task.rules.groups import Circle, Group, group_footprint
 
 _OUTWARD = (1.0, 1.15, 1.3)
 """Distances from the middle at which a merged group may stand, as multiples of that of an earlier post."""
@@ -182,9 +183,20 @@ def _posts_for(
         stands = [merged.moved_to(SE3(turn, np.zeros(3))) for _, turn in turns]
         upright = [w == 0 and len(merged.parts) == len(furniture.parts) for w, _ in turns]
         for group, post in best_stands(furniture, stands, upright):
-            fit = free_places(places, reach_from(furniture, group, post), occupied)
+            fit = _free_places(places, reach_from(furniture, group, post), occupied)
             if not fit:
                 continue
             shift = np.array([*fit[round_ % len(fit)], 0.0])
             moved = SE3(np.eye(3), shift) * group.world_from_furniture
-            yield PlacedGroup(group.moved_to(moved), Post(post.top + shift))
+            yield PlacedGroup(group.moved_to(moved), post.moved(shift))
+
+
+def _free_places(
+    places: Sequence[Float[np.ndarray, "2"]], radius: float, occupied: Sequence[Circle]
+) -> list[Float[np.ndarray, "2"]]:
+    """Return the places where a circle keeps clear of all occupied ones."""
+    return [
+        place
+        for place in places
+        if all(np.linalg.norm(place - c.center) > radius + c.radius + 0.5 * LANE for c in occupied)
+    ]

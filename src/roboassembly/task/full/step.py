@@ -141,7 +141,7 @@ def _mate_and_place(
     seed: np.random.SeedSequence,
 ) -> Planned | Failure:
     """Plan everything from the moment on at which both groups are in the hands."""
-    spots: list[Float[np.ndarray, "2"]] = [placed.post.top[:2] for placed in start.placed]
+    spots: list[Float[np.ndarray, "2"]] = [placed.post.middle for placed in start.placed]
     done = picked.then(drive_and_mate(context, picked.state, stance, child_seed(seed, 0)))
     if isinstance(done, Planned):
         done = done.then(release(context, done.state, stance, grasp, child_seed(seed, 1)))

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from roboassembly.errors import InputError
-from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS, Furniture
+from roboassembly.furniture.model import Furniture
 from roboassembly.geometry.mating import distinct_directions
 from roboassembly.geometry.poses import SE3
 from roboassembly.planning.problem import Budget
@@ -38,6 +38,7 @@ from roboassembly.task.full.mate import mate_stances
 from roboassembly.task.full.pick import PickRequest, can_pick
 from roboassembly.task.full.segments import TUCKED, Planned, StepContext
 from roboassembly.task.full.step import plan_step
+from roboassembly.task.part_frames import PartFrames
 from roboassembly.task.plans.full_plan import FullState, FullStep
 from roboassembly.task.rules.connections import FULL_BRANCHES, GRASPS, Rules
 from roboassembly.task.rules.groups import Group, TaskState
@@ -110,6 +111,10 @@ class FullTask:
         placed = tuple(PlacedGroup(group, post) for group, post in zip(groups, posts, strict=True))
         return FullState(TaskState(groups), CellState(placed, (a, b)), cell)
 
+    def with_frames(self, frames: PartFrames) -> FullTask:
+        """Return the task itself: no component of its actions names an axis."""
+        return self
+
     def check_furniture(self) -> None:
         """Check that two robots can assemble the furniture at all.
 
@@ -159,11 +164,11 @@ class FullTask:
         return all(0 <= g < 4 * len(self.furniture.parts[p].grasps) for p, g in ((u, g_a), (v, g_b)))
 
     def existing_actions(
-        self, state: FullState, max_parts: int = MAX_PARTS, max_points: int = MAX_POINTS
+        self, state: FullState, max_parts: int = 0, max_points: int = 0
     ) -> Bool[np.ndarray, "P P K K 8 8"]:
-        """Return the mask of actions that exist in a state, indexed by `(u, v, k, l, g_a, g_b)`."""
+        """Return the mask of actions that exist in a state, `(u, v, k, l, g_a, g_b)`; see `Rules.free_points`."""
         pairs = self.rules.existing_pairs(state.groups, max_parts, max_points)
-        grasps = np.zeros((max_parts, GRASPS), bool)
+        grasps = np.zeros((len(pairs), GRASPS), bool)
         for index, part in enumerate(self.furniture.parts):
             grasps[index, : 4 * len(part.grasps)] = True
         both = grasps[:, None, :, None] & grasps[None, :, None, :]

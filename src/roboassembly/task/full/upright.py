@@ -101,7 +101,7 @@ def _grips(context: StepContext, state: CellState, group: Group, stance: Stance)
     far = np.maximum(*(_difficulty(grips, pose) for pose in (group.world_from_furniture, goal.world_from_furniture)))
     center = center_of_mass(context.furniture, group)
     lever = [float(np.linalg.norm(grip.furniture_from_tips.translation - center)) for grip in grips]
-    post = state.placed[0].post.top[:2]
+    post = state.placed[0].post.middle
     robots = sorted((0, 1), key=lambda robot: float(np.linalg.norm(state.robots[robot].at[:2] - post)))
     for index in np.argsort(far + _LEVER * np.array(lever), kind="stable"):
         for robot in robots:

@@ -6,6 +6,7 @@ Everything here is a pure function of state, action and seed; the environment an
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import ClassVar
@@ -14,7 +15,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from jaxtyping import Bool, Float
 
-from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS, Furniture
+from roboassembly.furniture.model import Furniture
 from roboassembly.geometry.poses import SE3, align_axis
 from roboassembly.geometry.scene import Scene
 from roboassembly.planning.mating import MatingProblem, plan_mating
@@ -22,6 +23,7 @@ from roboassembly.planning.problem import Budget, PathResult
 from roboassembly.planning.world import CollisionWorld
 from roboassembly.task.layout import GROUND_CLEARANCE, free_spot, scatter_parts
 from roboassembly.task.object_centric.settling import settle_group
+from roboassembly.task.part_frames import PartFrames
 from roboassembly.task.plans.plan import PlanStep
 from roboassembly.task.rules.connections import OBJECT_CENTRIC_BRANCHES, UP_AXES, Rules
 from roboassembly.task.rules.groups import (
@@ -93,7 +95,15 @@ class ObjectCentricTask:
         self.furniture = furniture
         self.budget = budget or Budget()
         self.rules = Rules(furniture)
+        self.frames = PartFrames.aligned(furniture)
+        """Frames in which parts are described; they say what `w` names."""
         self._footprints: WeakKeyDictionary[Group, Circle] = WeakKeyDictionary()
+
+    def with_frames(self, frames: PartFrames) -> ObjectCentricTask:
+        """Return the same task with parts described in other frames."""
+        other = copy(self)
+        other.frames = frames
+        return other
 
     @property
     def pairs(self) -> PairRule:
@@ -117,9 +127,9 @@ class ObjectCentricTask:
         """Return the groups of a state, which is the state itself."""
         return state
 
-    def free_points(self, state: TaskState) -> Bool[np.ndarray, "20 10"]:
-        """Return the mask of connection points that exist and touch nothing yet, padded."""
-        return self.rules.free_points(state)
+    def free_points(self, state: TaskState, max_parts: int = 0, max_points: int = 0) -> Bool[np.ndarray, "P K"]:
+        """Return the mask of connection points that exist and touch nothing yet; see `Rules.free_points`."""
+        return self.rules.free_points(state, max_parts, max_points)
 
     def exists(self, state: TaskState, action: tuple[int, ...]) -> bool:
         """Whether the action names free points of two parts in different groups."""
@@ -127,9 +137,9 @@ class ObjectCentricTask:
         return 0 <= w < len(UP_AXES) and self.rules.pair_exists(state, *pair)
 
     def existing_actions(
-        self, state: TaskState, max_parts: int = MAX_PARTS, max_points: int = MAX_POINTS
+        self, state: TaskState, max_parts: int = 0, max_points: int = 0
     ) -> Bool[np.ndarray, "P P K K 6"]:
-        """Return the mask of actions that exist in a state, indexed by `(u, v, k, l, w)`."""
+        """Return the mask of actions that exist in a state, indexed by `(u, v, k, l, w)`; see `Rules.free_points`."""
         pairs = self.rules.existing_pairs(state, max_parts, max_points)
         return np.repeat(pairs[..., None], len(UP_AXES), axis=-1)
 
@@ -172,7 +182,7 @@ class ObjectCentricTask:
             return None
         others = tuple(g for g in state.groups if g is not u_group and g is not v_group)
         obstacles = [self.footprint(g) for g in (u_group, *others)]
-        world = self._waiting_pose(v_group, merge, w, obstacles)
+        world = self._waiting_pose(v_group, merge, self._up_axis(v_group, v, merge, w), obstacles)
         return Mating(
             merge,
             u_group,
@@ -182,10 +192,17 @@ class ObjectCentricTask:
             others,
         )
 
-    def _waiting_pose(self, v_group: Group, merge: Merge, w: int, obstacles: list[Circle]) -> SE3:
-        """Return `world_from_furniture` of the merged group: v's group on the ground, axis `w` up, space for both."""
+    def _up_axis(self, v_group: Group, v: int, merge: Merge, w: int) -> Float[np.ndarray, "3"]:
+        """Return the axis that `w` names, in the furniture's frame of the merged group."""
+        if self.frames.name == "aligned":
+            return UP_AXES[w]
+        frame_of_v = v_group.furniture_from_part[v_group.parts.index(v)]
+        return merge.furniture_from_v.rotation @ frame_of_v.rotation @ self.frames.up_axis(v, w)
+
+    def _waiting_pose(self, v_group: Group, merge: Merge, up: Float[np.ndarray, "3"], obstacles: list[Circle]) -> SE3:
+        """Return `world_from_furniture` of the merged group: v's group on the ground, axis `up` up, space for both."""
         now = v_group.world_from_furniture * merge.furniture_from_v.inverse()
-        turn = align_axis(now.rotation @ UP_AXES[w], np.array([0.0, 0.0, 1.0])) @ now.rotation
+        turn = align_axis(now.rotation @ up, np.array([0.0, 0.0, 1.0])) @ now.rotation
         own = hull_points(self.furniture, v_group)
         here = self.footprint(v_group).center
         v_turn = turn @ merge.furniture_from_v.rotation

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from roboassembly.furniture.model import Furniture
-from roboassembly.task.full.cell import Cell, Post
+from roboassembly.task.full.cell import Cell
 from roboassembly.task.full.cell_state import CellState, Segment
+from roboassembly.task.full.posts import Post
 from roboassembly.task.plans.plan import UprightResult
 from roboassembly.task.rules.groups import TaskState
 from roboassembly.task.setting import SettingName

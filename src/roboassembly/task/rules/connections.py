@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Bool, Float
 
-from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS, Furniture
+from roboassembly.furniture.model import Furniture
 from roboassembly.task.rules.groups import Group, TaskState
 from roboassembly.task.rules.pairs import PairRule
 from roboassembly.task.rules.paper_pair_rule import paper_accepts
@@ -37,9 +37,16 @@ class Rules:
         """Rule that judges whether a pair is right."""
         return PairRule(self.furniture)
 
-    def free_points(self, state: TaskState) -> Bool[np.ndarray, "20 10"]:
-        """Return the mask of connection points that exist and touch nothing yet, padded."""
-        free = np.zeros((MAX_PARTS, MAX_POINTS), dtype=bool)
+    def free_points(self, state: TaskState, max_parts: int = 0, max_points: int = 0) -> Bool[np.ndarray, "P K"]:
+        """Return the mask of connection points that exist and touch nothing yet.
+
+        Args:
+            state: the state.
+            max_parts: padding P; the furniture's own number of parts if that is larger.
+            max_points: padding K; the largest number of points of a part if that is larger.
+        """
+        parts, points = len(self.furniture.parts), self.furniture.most_points
+        free = np.zeros((max(parts, max_parts), max(points, max_points)), dtype=bool)
         for group in state.groups:
             for part in group.parts:
                 free[part, : len(group.points_of(self.furniture, part))] = True
@@ -47,12 +54,13 @@ class Rules:
             free[part, point] = False
         return free
 
-    def existing_pairs(
-        self, state: TaskState, max_parts: int = MAX_PARTS, max_points: int = MAX_POINTS
-    ) -> Bool[np.ndarray, "P P K K"]:
-        """Return the mask of pairs `(u, v, k, l)` that name free points of parts in different groups."""
-        free = self.free_points(state)[:max_parts, :max_points]
-        group = np.full(max_parts, -1)
+    def existing_pairs(self, state: TaskState, max_parts: int = 0, max_points: int = 0) -> Bool[np.ndarray, "P P K K"]:
+        """Return the mask of pairs `(u, v, k, l)` that name free points of parts in different groups.
+
+        The arguments are those of `free_points`.
+        """
+        free = self.free_points(state, max_parts, max_points)
+        group = np.full(len(free), -1)
         for part, index in state.group_of.items():
             group[part] = index
         separate = group[:, None] != group[None]

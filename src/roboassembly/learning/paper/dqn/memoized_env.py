@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Bool, Int, Int8
 
 from roboassembly.errors import InputError
-from roboassembly.furniture.model import MAX_PARTS
+from roboassembly.furniture.model import PAPER_PARTS
 from roboassembly.geometry.poses import SE3
 from roboassembly.learning.layers import Params
 from roboassembly.learning.paper.dqn.group_table import GroupTable, GroupType, RowTable, TypedGroup
@@ -196,7 +196,7 @@ class MemoizedEnv:
 
     def joined(self, state: State) -> Bool[np.ndarray, "20 20"]:
         """Return which parts are in one group, each with itself too; padded."""
-        out = np.zeros((MAX_PARTS, MAX_PARTS), bool)
+        out = np.zeros((PAPER_PARTS, PAPER_PARTS), bool)
         for group_id in state:
             parts = self.table.groups[group_id].parts
             out[np.ix_(parts, parts)] = True

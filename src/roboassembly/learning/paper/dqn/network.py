@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float32, Int
 
-from roboassembly.furniture.model import MAX_PARTS, MAX_POINTS
+from roboassembly.furniture.model import PAPER_PARTS, PAPER_POINTS
 from roboassembly.learning.layers import Array, Params, gelu, init_linear, init_mlp, linear, mlp
 from roboassembly.learning.paper import heads
 from roboassembly.learning.paper.dqn.group_table import point_counts
@@ -28,13 +28,13 @@ from roboassembly.task.setting import Task
 
 KIND = "expert"
 """Kind of the checkpoints."""
-POINT_SIZES = (12, 20, 28, 36, 44, 52, 64, 80, 100, 130, 160, MAX_PARTS * MAX_POINTS)
+POINT_SIZES = (12, 20, 28, 36, 44, 52, 64, 80, 100, 130, 160, PAPER_PARTS * PAPER_POINTS)
 """Padded numbers of points, few, so that few shapes are compiled."""
 TIE = 0.05
 """Difference of Q below which two actions count as equally good, as a share of the largest return: half the margin
 between actions that lead to the whole chair and all others (`losses.margin_loss`)."""
 _WIDTH, _RANK = 64, 32
-_ABOVE = np.triu_indices(MAX_PARTS, 1)
+_ABOVE = np.triu_indices(PAPER_PARTS, 1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +94,7 @@ def init(
     """
     return {
         "state": init_mlp(rng, len(_ABOVE[0]) + points, 128, _WIDTH),
-        "token": init_linear(rng, features + MAX_PARTS + 2, _WIDTH),
+        "token": init_linear(rng, features + PAPER_PARTS + 2, _WIDTH),
         "slot": rng.normal(0.0, 0.1, (points, _WIDTH)).astype(np.float32),
         "hidden": init_linear(rng, _WIDTH, _WIDTH),
         "u": init_linear(rng, _WIDTH, _RANK),
@@ -193,7 +193,7 @@ class ExpertStep:
 
 def encode_state(task: Task[Any, Any], state: TaskState) -> tuple[Bool[np.ndarray, "20 20"], Bool[np.ndarray, "m"]]:
     """Return what an expert sees of a state: which parts are joined and which points are free."""
-    joined = np.zeros((MAX_PARTS, MAX_PARTS), bool)
+    joined = np.zeros((PAPER_PARTS, PAPER_PARTS), bool)
     for group in state.groups:
         joined[np.ix_(group.parts, group.parts)] = True
     free = task.rules.free_points(state)

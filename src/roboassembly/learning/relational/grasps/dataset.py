@@ -15,7 +15,6 @@ import numpy as np
 from jaxtyping import Bool, Float32, Int8
 
 from roboassembly.envs.observation import Observer, surface_points
-from roboassembly.furniture.model import MAX_POINTS
 from roboassembly.learning import archive
 from roboassembly.learning.datasets import CLOUD_POINTS, check_format, group_labels
 from roboassembly.learning.relational.policy_view import PolicyView, digests_of
@@ -75,7 +74,7 @@ class LabeledGrasps:
             pair: the pair; it fits.
         """
         observation = observer.observe(state.groups)
-        free = task.rules.free_points(state.groups)[: len(observation["poses"])]
+        free = task.rules.free_points(state.groups, *observation["connection_points"].shape[:2])
         return LabeledGrasps(
             observation["connection_points"], observation["connections"], free, observation["poses"], pair,
             np.full((2, GRASPS), UNKNOWN, np.int8),
@@ -150,7 +149,7 @@ class GraspLabeler:
     def __init__(self, task: FullTask, tries: int, oracle: Oracle | None = None) -> None:
         self.task, self.tries = task, tries
         self._oracle = oracle or HandOracle(task)
-        self._observer = Observer(task.furniture, len(task.furniture.parts), MAX_POINTS, 1)
+        self._observer = Observer(task.furniture, len(task.furniture.parts), task.furniture.padding[1], 1)
 
     def collect(self, rng: np.random.Generator, episodes: int) -> GraspSamples:
         """Return the samples of some episodes.

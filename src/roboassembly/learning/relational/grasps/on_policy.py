@@ -18,7 +18,6 @@ import numpy as np
 from roboassembly.datasets import catalogue
 from roboassembly.envs.observation import Observer, surface_points
 from roboassembly.errors import InputError
-from roboassembly.furniture.model import MAX_POINTS
 from roboassembly.learning.datasets import CLOUD_POINTS, dataset_file
 from roboassembly.learning.policy import guide_of
 from roboassembly.learning.policy_weights import load_weights
@@ -78,7 +77,7 @@ def _collect(name: str, *, folder: Path, policy: Path, episodes: int, seed: int)
     else:
         parts = task.furniture.parts
         clouds = np.array([surface_points(p.mesh, CLOUD_POINTS) for p in parts], np.float32)
-        observer = Observer(task.furniture, len(parts), MAX_POINTS, 1)
+        observer = Observer(task.furniture, len(parts), task.furniture.padding[1], 1)
         grasps = observer.grasp_poses
         guide: Guide[FullState] = guide_of(_policy(policy))
         for index in range(episodes):
