@@ -127,8 +127,9 @@ class Observer:
         self._points = np.zeros((max_parts, max_points, 9), np.float32)
         self._grasps = np.zeros((max_parts, GRASP_REGIONS, APPROACHES, 6), np.float32)
         self._max_parts = max_parts
+        shared = part_clouds(furniture, cloud_points) if config.clouds == "shared" else None
         for p, part in enumerate(furniture.parts):
-            cloud = surface_points(part.mesh, cloud_points, rng if config.clouds == "resampled" else None)
+            cloud = surface_points(part.mesh, cloud_points, rng) if shared is None else shared[p]
             if config.noise:
                 cloud = cloud + rng.normal(0.0, config.noise, cloud.shape)
             self._shapes[p] = cloud @ self.frames.part_from_own[p]
@@ -180,6 +181,18 @@ def _point_rows(points: Sequence[ConnectionPoint], turn: Float[np.ndarray, "3 3"
     """Return position, normal and tangent of each point, rotated by `turn`."""
     rows = np.array([[p.position, p.normal, p.tangent] for p in points]).reshape(-1, 3, 3)
     return (rows @ turn.T).reshape(-1, 9)
+
+
+def part_clouds(furniture: Furniture, count: int) -> Float32[np.ndarray, "P count 3"]:
+    """Return points on the surface of each part, in its frame; parts of one class have those of its first member.
+
+    Args:
+        furniture: the piece.
+        count: number of points of each part.
+    """
+    first = [furniture.classes[c].members[0] for c in furniture.class_of]
+    clouds = {i: surface_points(furniture.parts[i].mesh, count) for i in dict.fromkeys(first)}
+    return np.array([clouds[i] for i in first], np.float32)
 
 
 def surface_points(mesh: Mesh, count: int, rng: np.random.Generator | None = None) -> Float32[np.ndarray, "count 3"]:

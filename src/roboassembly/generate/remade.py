@@ -134,5 +134,5 @@ def sunk(parts: Sequence[RawPart], rng: np.random.Generator) -> list[PartDesign]
         lesser, inward = (c.a, c.normal) if parts[c.a].mesh.volume <= parts[c.b].mesh.volume else (c.b, -c.normal)
         whole[lesser] += solids[lesser].translate(tuple((c.gap + depth) * inward))
     lengthened = [replace(p, mesh=Mesh(*triangles(s))) for p, s in zip(parts, whole, strict=True)]
-    repaired = repair(lengthened, limits=RepairLimits(openings=OPENINGS)).parts
+    repaired = repair(lengthened, limits=RepairLimits(openings=OPENINGS), with_remedies=False).parts
     return [PartDesign(p.name, p.label, Blank(from_triangles(p.mesh.vertices, p.mesh.faces))) for p in repaired]

@@ -109,7 +109,9 @@ class RepairResult:
     report: tuple[PartRepair, ...]
 
 
-def repair(parts: Sequence[RawPart], *, gap: float = GAP, limits: RepairLimits | None = None) -> RepairResult:
+def repair(
+    parts: Sequence[RawPart], *, gap: float = GAP, limits: RepairLimits | None = None, with_remedies: bool = True
+) -> RepairResult:
     """Make parts solid and clear of one another in their assembled poses.
 
     In the result no two meshes touch, mating faces are about `gap` metres apart (never less than half of it), and
@@ -119,6 +121,7 @@ def repair(parts: Sequence[RawPart], *, gap: float = GAP, limits: RepairLimits |
         parts: parts in the furniture's frame, at real size.
         gap: distance left at mating faces [m].
         limits: limits above which repair refuses; the defaults if None.
+        with_remedies: whether `remedies` are tried before a refusal.
 
     Raises:
         FurnitureError: there are not 2 to 1000 parts, two have the same name, a limit is exceeded, or parts lock each
@@ -134,6 +137,8 @@ def repair(parts: Sequence[RawPart], *, gap: float = GAP, limits: RepairLimits |
     try:
         return _repair(Treatment.none(parts), gap, limits)
     except FurnitureError as refusal:
+        if not with_remedies:
+            raise
         return _remedied(parts, gap, limits, refusal)
     finally:
         forget()

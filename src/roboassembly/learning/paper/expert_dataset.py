@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Bool, Float16
 
 from roboassembly.datasets.sets import FurnitureRef
-from roboassembly.envs.observation import Observer, surface_points
+from roboassembly.envs.observation import Observer, part_clouds
 from roboassembly.furniture.model import PAPER_POINTS
 from roboassembly.learning.datasets import CLOUD_POINTS, LabeledState, SampleSet, dataset_file, structure_of
 from roboassembly.learning.paper.dqn.memoized_env import State
@@ -176,7 +176,7 @@ class SampleRecorder:
     def sample_set(self, name: str, samples: tuple[LabeledState, ...]) -> SampleSet:
         """Return the samples of the chair, under its name, with its clouds, grasps and structure."""
         furniture = self._task.furniture
-        clouds = np.array([surface_points(p.mesh, CLOUD_POINTS) for p in furniture.parts], np.float32)
+        clouds = part_clouds(furniture, CLOUD_POINTS)
         grasps = SETTINGS[self._task.setting].grasp_inputs(self._observer)
         return SampleSet(name, clouds, samples, grasps, structure_of(furniture))
 

@@ -9,7 +9,7 @@ from jaxtyping import Float32
 
 from roboassembly.datasets import catalogue
 from roboassembly.datasets.sets import FurnitureRef
-from roboassembly.envs.observation import surface_points
+from roboassembly.envs.observation import part_clouds
 from roboassembly.generate import CHAIRS
 from roboassembly.learning.generated import extra_names
 from roboassembly.learning.paper.autoencoder import CLOUD_POINTS
@@ -37,4 +37,4 @@ def _clouds(piece: FurnitureRef | str) -> Float32[np.ndarray, "p n 3"]:
         furniture = catalogue.make(family, int(number), with_grasps=False)
     else:
         furniture = piece.furniture(with_grasps=False)
-    return np.array([surface_points(p.mesh, CLOUD_POINTS) for p in furniture.parts], np.float32)
+    return part_clouds(furniture, CLOUD_POINTS)

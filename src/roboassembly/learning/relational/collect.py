@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from roboassembly.datasets import catalogue
-from roboassembly.envs.observation import surface_points
+from roboassembly.envs.observation import part_clouds
 from roboassembly.errors import InputError
 from roboassembly.learning import checkpoint
 from roboassembly.learning.datasets import CLOUD_POINTS, LabeledState, SampleSet, dataset_file
@@ -89,7 +89,7 @@ def _collect(
         # A few generated frames are invalid, cannot be grasped, or have too many parts; they give no samples.
         SampleSet(name, np.zeros((0, CLOUD_POINTS, 3), np.float32), ()).save(dataset_file(folder, name))
         return CollectResult(name, 0, 0, 0, time.monotonic() - start)
-    clouds = np.array([surface_points(p.mesh, CLOUD_POINTS) for p in furniture.parts], np.float32)
+    clouds = part_clouds(furniture, CLOUD_POINTS)
     labeler = Labeler(furniture, clouds, oracle)
     token_policy = None if policy is None else _token_policy(policy)
     samples: dict[bytes, LabeledState] = {}

@@ -23,7 +23,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from roboassembly.datasets.sets import FurnitureRef, furniture_hash
-from roboassembly.envs.observation import surface_points
+from roboassembly.envs.observation import part_clouds
 from roboassembly.errors import InputError
 from roboassembly.learning import checkpoint
 from roboassembly.learning.datasets import dataset_file
@@ -222,7 +222,7 @@ class ExpertRun:
 
     def _enter(self, ref: FurnitureRef, task: ObjectCentricTask | FullTask) -> None:
         t = self._training
-        clouds = np.array([surface_points(p.mesh, CLOUD_POINTS) for p in task.furniture.parts], np.float32)
+        clouds = part_clouds(task.furniture, CLOUD_POINTS)
         inputs = chair_inputs(task, autoencoder.encode(self._encoder, clouds))
         rng = np.random.default_rng([t.seed, *ref.name.encode()])
         buffer = ReplayBuffer(MemoizedEnv(task, int(rng.integers(2**31))), inputs)

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool, Float32, Int8
 
-from roboassembly.envs.observation import Observer, surface_points
+from roboassembly.envs.observation import Observer, part_clouds
 from roboassembly.learning import archive
 from roboassembly.learning.datasets import CLOUD_POINTS, check_format, group_labels
 from roboassembly.learning.relational.policy_view import PolicyView, digests_of
@@ -158,7 +158,7 @@ class GraspLabeler:
             InputError: the furniture does not suit the cell.
         """
         furniture = self.task.furniture
-        clouds = np.array([surface_points(p.mesh, CLOUD_POINTS) for p in furniture.parts], np.float32)
+        clouds = part_clouds(furniture, CLOUD_POINTS)
         samples: list[LabeledGrasps] = []
         for _ in range(episodes):
             samples += self.rollout(self.task.initial_state(rng), rng)

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from roboassembly.datasets import catalogue
-from roboassembly.envs.observation import Observer, surface_points
+from roboassembly.envs.observation import Observer, part_clouds
 from roboassembly.errors import InputError
 from roboassembly.learning.datasets import CLOUD_POINTS, dataset_file
 from roboassembly.learning.policy import guide_of
@@ -76,7 +76,7 @@ def _collect(name: str, *, folder: Path, policy: Path, episodes: int, seed: int)
         pass
     else:
         parts = task.furniture.parts
-        clouds = np.array([surface_points(p.mesh, CLOUD_POINTS) for p in parts], np.float32)
+        clouds = part_clouds(task.furniture, CLOUD_POINTS)
         observer = Observer(task.furniture, len(parts), task.furniture.padding[1], 1)
         grasps = observer.grasp_poses
         guide: Guide[FullState] = guide_of(_policy(policy))
