@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
+import os
+import signal
+import subprocess
+import sys
 import time
+from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 
@@ -38,3 +44,49 @@ def test_workers_stop_when_the_reader_stops() -> None:
     assert next(results) == 0.0
     del results
     assert time.monotonic() - begun < 0.5 * _LONG
+
+
+_PARENT = """
+import os, sys, time
+from pathlib import Path
+from roboassembly.parallel.processes import map_unordered
+
+def work(folder):
+    Path(folder, str(os.getpid())).touch()
+    time.sleep(300)
+
+if __name__ == "__main__":
+    list(map_unordered(work, [sys.argv[1]] * 2, 2))
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="SIGKILL")
+def test_workers_end_with_a_parent_that_is_killed(tmp_path: Path) -> None:
+    script, folder = tmp_path / "parent.py", tmp_path / "workers"
+    script.write_text(_PARENT)
+    folder.mkdir()
+    parent = subprocess.Popen([sys.executable, str(script), str(folder)])
+    try:
+        _wait_until(lambda: len(list(folder.iterdir())) == 2)
+    finally:
+        parent.send_signal(signal.SIGKILL)
+        parent.wait()
+    workers = [int(file.name) for file in folder.iterdir()]
+    _wait_until(lambda: not any(_is_alive(pid) for pid in workers))
+
+
+def _wait_until(condition: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + 60.0
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+
+
+def _is_alive(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    # A process that has ended stays in the table until its new parent notices.
+    stat = Path(f"/proc/{pid}/stat")
+    return not stat.is_file() or stat.read_text().rsplit(")", 1)[1].split()[0] != "Z"

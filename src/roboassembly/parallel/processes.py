@@ -9,7 +9,9 @@ import os
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
-from multiprocessing import active_children, get_context
+from multiprocessing import active_children, get_context, parent_process
+from multiprocessing.process import BaseProcess
+from threading import Thread
 from typing import Any, TypeVar, cast
 
 from roboassembly.parallel.cluster import Cluster, connected
@@ -81,7 +83,7 @@ def worker_pool(
         cluster.shutdown()
         return
     others = active_children()
-    with ProcessPoolExecutor(jobs, get_context("spawn"), start, arguments) as pool:
+    with ProcessPoolExecutor(jobs, get_context("spawn"), _start_worker, (start, arguments)) as pool:
         try:
             yield pool
         except BaseException:
@@ -90,6 +92,20 @@ def worker_pool(
                 if process not in others:
                     process.terminate()
             raise
+
+
+def _start_worker(start: Callable[..., None] | None, arguments: tuple[Any, ...]) -> None:
+    """Prepare a worker process, which ends with its parent: a killed parent does not stop its workers."""
+    parent = parent_process()
+    if parent is not None:
+        Thread(target=_end_with, args=(parent,), daemon=True).start()
+    if start is not None:
+        start(*arguments)
+
+
+def _end_with(parent: BaseProcess) -> None:
+    parent.join()
+    os._exit(1)
 
 
 def map_ordered(work: Callable[[Item], Result], items: Sequence[Item], jobs: int, chunk: int) -> Iterator[Result]:
