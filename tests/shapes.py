@@ -251,3 +251,14 @@ def write_stl(furniture: Furniture, folder: Path, scale: float = 1.0) -> Path:
         mesh.apply_scale(scale)
         mesh.export(folder / f"{part.name}.stl")
     return folder
+
+
+def least_distance(placed: Sequence[fcl.CollisionObject]) -> float:
+    """Least distance of any two objects, by python-fcl; 0 if some penetrate."""
+    least = np.inf
+    for a in range(len(placed)):
+        for b in range(a):
+            if fcl.collide(placed[a], placed[b], fcl.CollisionRequest(), fcl.CollisionResult()):
+                return 0.0
+            least = min(least, fcl.distance(placed[a], placed[b], fcl.DistanceRequest(), fcl.DistanceResult()))
+    return least

@@ -22,7 +22,7 @@ from roboassembly.geometry.poses import SE3
 from roboassembly.solvers.search import solve
 from roboassembly.task.rules.groups import Group
 from roboassembly.task.rules.pairs import PairRule
-from shapes import LEGS, block, box, brick, fcl_object, l_shape, of_solid, pose, turn
+from shapes import LEGS, block, box, brick, fcl_object, l_shape, least_distance, of_solid, pose, turn
 
 CLEARANCE = 0.0002
 """Distance between the parts, as repair leaves it [m]."""
@@ -52,13 +52,7 @@ def marked_table() -> dict[str, m3.Manifold]:
 def clearances(made: Furniture, meshes: list[Mesh]) -> float:
     """Least distance of the parts in their slots with other meshes, by python-fcl; 0 if some penetrate."""
     placed = [fcl_object(mesh, slot) for mesh, slot in zip(meshes, made.assembled, strict=True)]
-    least = np.inf
-    for a in range(len(placed)):
-        for b in range(a):
-            if fcl.collide(placed[a], placed[b], fcl.CollisionRequest(), fcl.CollisionResult()):
-                return 0.0
-            least = min(least, fcl.distance(placed[a], placed[b], fcl.DistanceRequest(), fcl.DistanceResult()))
-    return least
+    return least_distance(placed)
 
 
 def test_legs_that_differ_by_marks_are_one_class() -> None:

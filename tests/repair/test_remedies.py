@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 
-import fcl
 import manifold3d as m3
 import numpy as np
 import pytest
@@ -17,7 +16,7 @@ from roboassembly.furniture.model import Provenance, RawPart
 from roboassembly.geometry.meshes import Mesh
 from roboassembly.repair import GAP, RepairLimits, RepairResult, repair
 from roboassembly.solvers.search import solve
-from shapes import block, box, fcl_object, of_solid, pose
+from shapes import block, box, fcl_object, least_distance, of_solid, pose
 
 ALONE = pose()
 
@@ -38,16 +37,10 @@ def refusal(parts: Sequence[RawPart], monkeypatch: pytest.MonkeyPatch, limits: R
     return str(error.value)
 
 
-def least_distance(result: RepairResult) -> float:
+def clearance(result: RepairResult) -> float:
     """Between all parts, by python-fcl; 0 if some penetrate."""
     placed = [fcl_object(part.mesh, ALONE) for part in result.parts]
-    least = np.inf
-    for a in range(len(placed)):
-        for b in range(a):
-            if fcl.collide(placed[a], placed[b], fcl.CollisionRequest(), fcl.CollisionResult()):
-                return 0.0
-            least = min(least, fcl.distance(placed[a], placed[b], fcl.DistanceRequest(), fcl.DistanceResult()))
-    return least
+    return least_distance(placed)
 
 
 def test_what_is_not_refused_gets_no_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -82,7 +75,7 @@ def test_a_doubled_surface_is_left_to_one_part(monkeypatch: pytest.MonkeyPatch) 
         assert part.mesh.volume == pytest.approx(other.mesh.volume, rel=1e-6)
     assert "12 cm² of sheets and fins dropped that lie on other parts" in result.report[1].notes
     assert result.report[0].notes == plain.report[0].notes
-    assert least_distance(result) == pytest.approx(GAP, rel=0.3)
+    assert clearance(result) == pytest.approx(GAP, rel=0.3)
 
 
 def test_a_fin_of_a_side_that_the_other_part_lacks_is_dropped(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -140,7 +133,7 @@ def test_a_doubled_volume_goes_to_the_part_whose_rest_would_be_a_shell(monkeypat
     # The report has the change of size, in the smallest box, which lies across: its sides are the sums of the arms'
     # reach and half width, and the column's diagonal.
     assert result.report[0].size_change == pytest.approx(0.06 * 2**0.5 - (0.33 + 0.015) * 2**0.5, abs=0.002)
-    assert least_distance(result) >= 0.5 * GAP
+    assert clearance(result) >= 0.5 * GAP
     assert solve(annotate("star", result.parts, Provenance("test")), seed=0).plan.success
 
 
@@ -175,7 +168,7 @@ def test_a_panel_moves_out_of_another_part(monkeypatch: pytest.MonkeyPatch) -> N
     assert result.parts[2].mesh.bounds[:, 2] == pytest.approx([0.003 + GAP, 0.006 + GAP], abs=1e-5)
     assert result.parts[2].mesh.volume == pytest.approx(0.3 * 0.2 * 0.003, rel=1e-3)
     assert "moved 2.2 mm across its faces, out of 'lower'" in result.report[2].notes
-    assert least_distance(result) == pytest.approx(GAP, rel=0.3)
+    assert clearance(result) == pytest.approx(GAP, rel=0.3)
 
 
 def test_a_panel_does_not_move_where_it_would_overlap_as_much(monkeypatch: pytest.MonkeyPatch) -> None:

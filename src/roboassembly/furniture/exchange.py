@@ -245,7 +245,7 @@ class _Search:
         class_of = {member: c for c in (changed, *others) for member in c.members}
         pairs = [(s, t) for s in changed.members for t in class_of if s < t or t not in changed.members]
         pairs = [(s, t) for s, t in pairs if s != t and self._are_near(s, t)]
-        # What made the last candidate fail often makes the next one fail.
+        # The pair that failed for the last candidate often fails for the next one, too.
         pairs.sort(key=lambda pair: pair not in self._failed)
         variants = {p: self._variants(p, class_of[p]) for pair in pairs for p in pair}
         if sum(len(variants[s]) * len(variants[t]) for s, t in pairs) > MAX_TESTS:
