@@ -6,19 +6,20 @@ import time
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
 import tyro
 
 from roboassembly.cli.options import CORES, Jobs, require_at_least
 from roboassembly.cli.output import DONE, check_writable, print_json, progress_bar, refuse_existing, say, show
-from roboassembly.errors import InputError
+from roboassembly.errors import InputError, UnknownNameError
 
 if TYPE_CHECKING:
     from roboassembly.importers.kept import Summary
 
 Kind = Literal["partnet", "ikea-manual", "ikea-env", "furniture-bench", "folder"]
 """Names of the formats in `importers.IMPORTERS`."""
+KINDS: tuple[Kind, ...] = get_args(Kind)
 UnitName = Literal["mm", "cm", "m", "in", "ft"]
 """Names of the units in `geometry.units.METRES`."""
 DEFAULT_OUT = Path("furniture")
@@ -80,11 +81,12 @@ class ImportResult:
 class ImportCommand:
     """Import real furniture, repair it so that no parts overlap, and save furniture folders."""
 
-    kind: Annotated[Kind, tyro.conf.Positional]
-    """Format of the source. folder: your own files, one OBJ, STL, PLY or GLB file per part in its assembled pose, or
-    one GLB scene. partnet: PartNet v0 folders. ikea-manual: part folders of IKEA-Manuals-at-Work. ikea-env: MJCF
-    of the IKEA Furniture Assembly Environment. furniture-bench: FurnitureBench meshes with assembled_poses.json."""
-    source: Annotated[Path, tyro.conf.Positional]
+    kind: Annotated[str, tyro.conf.Positional]
+    """Format of the source; may be left out for your own files. folder: your own files, a STEP, 3MF, GLB or glTF file
+    of the whole piece, or a folder with one OBJ, STL or PLY file per part in its assembled pose. partnet: PartNet v0
+    folders. ikea-manual: part folders of IKEA-Manuals-at-Work. ikea-env: MJCF of the IKEA Furniture Assembly
+    Environment. furniture-bench: FurnitureBench meshes with assembled_poses.json."""
+    source: Annotated[Path | None, tyro.conf.Positional] = None
     """A piece, or a folder with many pieces in subfolders. Furniture folders of this program in it are skipped."""
     out: Path | None = None
     """Folder for the furniture. For a single piece, a new folder becomes the furniture folder itself; otherwise each
@@ -92,14 +94,14 @@ class ImportCommand:
     force: bool = False
     """Replace existing furniture. If the import fails, the old furniture is kept."""
     unit: UnitName | None = None
-    """Unit of length of the files. Without --unit and --scale: as defined by the format, or estimated from typical
-    sizes of furniture; the estimate is printed."""
+    """Unit of length of the files. Without --unit and --scale: as the file or the format states, or estimated from
+    typical sizes of furniture; the unit is printed."""
     scale: float | None = None
     """Scale of the files in metres per unit, if --unit has no name for it."""
     up: UpAxis | None = None
-    """Up axis of the files; for `folder` only. Without it: y for GLB files, z for other files."""
+    """Up axis of the files; for `folder` only. Without it: y for GLB and glTF files, z for other files."""
     split: bool = False
-    """Make a part of each separate body of a mesh, if one file contains several parts; for `folder` only."""
+    """Make a part of each separate body of every mesh; for `folder` only. A single mesh is split without it."""
     jobs: Jobs = CORES
     """Number of processes."""
     allow_shortening: bool = False
@@ -120,15 +122,16 @@ class ImportCommand:
             raise InputError(f"--scale {self.scale} is not plausible; give metres per unit of the files, such as 0.5")
         scale = units.scale_of(self.unit, self.scale)
         require_at_least(1, jobs=self.jobs)
-        if self.up is not None and self.kind != "folder":
-            raise InputError(f"--up {self.up} is for the format 'folder'; the format '{self.kind}' defines the up axis")
-        if self.split and self.kind != "folder":
-            raise InputError(f"--split is for the format 'folder'; the format '{self.kind}' defines the parts")
+        kind, given = self._kind_and_source()
+        if self.up is not None and kind != "folder":
+            raise InputError(f"--up {self.up} is for the format 'folder'; the format '{kind}' defines the up axis")
+        if self.split and kind != "folder":
+            raise InputError(f"--split is for the format 'folder'; the format '{kind}' defines the parts")
         out = self.out or DEFAULT_OUT
         check_writable(out)
-        found, skipped = without_results(IMPORTERS[self.kind].find(self.source), self.source, out)
+        found, skipped = without_results(IMPORTERS[kind].find(given), given, out)
         pieces = [
-            ImportJob(self.kind, source, target, name, scale, self.up, self.cache, self.allow_shortening, self.split)
+            ImportJob(kind, source, target, name, scale, self.up, self.cache, self.allow_shortening, self.split)
             for source, target, name in zip(found, self._targets(found), piece_names(found), strict=True)
         ]
         if skipped:
@@ -152,6 +155,21 @@ class ImportCommand:
         else:
             show(f"{imported} imported, {len(items) - imported} refused")
         return DONE if imported else 2
+
+    def _kind_and_source(self) -> tuple[Kind, Path]:
+        """Return the format and the source; a single argument is a source of the format `folder`.
+
+        Raises:
+            InputError: the source is missing, or there is no such format.
+        """
+        known = next((kind for kind in KINDS if kind == self.kind), None)
+        if self.source is None:
+            if known is not None and not Path(self.kind).exists():
+                raise InputError(f"name the source too: roboassembly import {known} SOURCE")
+            return "folder", Path(self.kind)
+        if known is None:
+            raise UnknownNameError("format", self.kind, KINDS)
+        return known, self.source
 
     def _targets(self, found: list[Path]) -> list[Path]:
         """Return the folder for each piece."""
@@ -291,7 +309,7 @@ def _import(piece: ImportJob) -> Summary:
 
     try:
         if piece.kind == "folder":
-            raw = folder.read(piece.source, scale=piece.scale, up=piece.up, split=piece.split)
+            raw = folder.read(piece.source, scale=piece.scale, up=piece.up, split=piece.split or None)
         else:
             raw = IMPORTERS[piece.kind].read(piece.source, scale=piece.scale)
     except FurnitureError as refusal:
