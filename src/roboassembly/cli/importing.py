@@ -15,7 +15,10 @@ from roboassembly.cli.output import DONE, check_writable, print_json, progress_b
 from roboassembly.errors import InputError, UnknownNameError
 
 if TYPE_CHECKING:
+    from roboassembly.furniture.model import RawFurniture
+    from roboassembly.importers.findings import Finding
     from roboassembly.importers.kept import Summary
+    from roboassembly.importers.pipeline import Imported
 
 Kind = Literal["partnet", "ikea-manual", "ikea-env", "furniture-bench", "folder"]
 """Names of the formats in `importers.IMPORTERS`."""
@@ -24,6 +27,8 @@ UnitName = Literal["mm", "cm", "m", "in", "ft"]
 """Names of the units in `geometry.units.METRES`."""
 DEFAULT_OUT = Path("furniture")
 """Folder for pieces without --out."""
+NAMED = 3
+"""Number of findings that are printed for a piece."""
 UpAxis = Literal["x", "y", "z", "-x", "-y", "-z"]
 
 
@@ -40,6 +45,7 @@ class ImportJob:
     cache: bool
     allow_shortening: bool
     split: bool
+    report: bool
 
 
 @dataclass(frozen=True)
@@ -75,6 +81,10 @@ class ImportResult:
     """Size of the piece in the files along x, y and z (up) [m]."""
     remarks: tuple[str, ...] = ()
     """Remarks on the files for the user, one line each."""
+    findings: tuple[str, ...] = ()
+    """What is worth a look, the most important first."""
+    report: str | None = None
+    """Path of the report page."""
 
 
 @dataclass(frozen=True)
@@ -107,6 +117,8 @@ class ImportCommand:
     allow_shortening: bool = False
     """Accept repairs that shorten a part, or its depth in a neighbour, by more than 5 mm, if overlaps cannot be removed
     in another way."""
+    report: bool = True
+    """Write import-report.html into each furniture folder: every part before and after repair, with pictures."""
     cache: bool = True
     """Reuse the result of an earlier import of the same files."""
     json: bool = False
@@ -131,7 +143,9 @@ class ImportCommand:
         check_writable(out)
         found, skipped = without_results(IMPORTERS[kind].find(given), given, out)
         pieces = [
-            ImportJob(kind, source, target, name, scale, self.up, self.cache, self.allow_shortening, self.split)
+            ImportJob(
+                kind, source, target, name, scale, self.up, self.cache, self.allow_shortening, self.split, self.report
+            )
             for source, target, name in zip(found, self._targets(found), piece_names(found), strict=True)
         ]
         if skipped:
@@ -223,7 +237,17 @@ def _report(item: ImportResult) -> list[str]:
     if item.size_m is not None and item.scale is not None:
         lines.append(f"  unit: {item.unit_text}; {_size(item.size_m)}")
         lines += [_other(item, other) for other in item.unit_others]
-    lines += [f"  {line}" for line in (*item.remarks, *item.changes)]
+    lines += [f"  {line}" for line in item.remarks]
+    if item.error:
+        return lines
+    if item.findings:
+        more = len(item.findings) - NAMED
+        lines.append("  worth a look:")
+        lines += [f"    {k}. {line}" for k, line in enumerate(item.findings[:NAMED], start=1)]
+        lines += [f"    and {more} more in the report"] * (more > 0)
+    else:
+        lines.append("  worth a look: nothing")
+    lines += [f"  report: {item.report}"] * (item.report is not None)
     return lines
 
 
@@ -256,6 +280,7 @@ def import_piece(piece: ImportJob) -> ImportResult:
 
     started = time.perf_counter()
     place = _place(piece) if piece.cache else None
+    page = piece.target / kept.REPORT
     try:
         summary = kept.recall(place, piece.source, piece.target) if place is not None else None
         cached = summary is not None
@@ -264,6 +289,8 @@ def import_piece(piece: ImportJob) -> ImportResult:
             # Do not cache the result if the files changed in the meantime.
             if place is not None and place == _place(piece):
                 kept.keep(place, summary, piece.target)
+        if summary.error is None and not piece.report:
+            page.unlink(missing_ok=True)  # that of an earlier import
     except InputError as error:
         summary, cached = kept.Summary(error=str(error)), False
     unit = summary.unit
@@ -287,6 +314,8 @@ def import_piece(piece: ImportJob) -> ImportResult:
         scale=None if unit is None else unit.scale,
         size_m=summary.size_m,
         remarks=summary.remarks,
+        findings=summary.findings,
+        report=str(page) if summary.error is None and page.is_file() else None,
     )
 
 
@@ -295,8 +324,9 @@ def _place(piece: ImportJob) -> Path | None:
 
     reads = IMPORTERS[piece.kind].reads(piece.source)
     return kept.place_of(
-        piece.source, reads, piece.kind, piece.name, piece.scale, piece.up, piece.allow_shortening, piece.split
-    )
+        piece.source, reads, piece.kind, piece.name, piece.scale, piece.up, piece.allow_shortening, piece.split,
+        piece.report,
+    )  # fmt: skip
 
 
 def _import(piece: ImportJob) -> Summary:
@@ -304,6 +334,7 @@ def _import(piece: ImportJob) -> Summary:
     from roboassembly.furniture import storage
     from roboassembly.geometry import units
     from roboassembly.importers import IMPORTERS, folder
+    from roboassembly.importers.findings import findings
     from roboassembly.importers.kept import Summary
     from roboassembly.importers.pipeline import finish
 
@@ -321,7 +352,10 @@ def _import(piece: ImportJob) -> Summary:
         imported = finish(piece.name, raw, allow_shortening=piece.allow_shortening)
     except FurnitureError as refusal:
         return Summary(error=str(refusal), **reading)
+    found = findings(raw, imported.furniture, imported.repairs)
     storage.save(imported.furniture, piece.target)
+    if piece.report:
+        _write_report(piece, raw, imported, found)
     return Summary(
         len(imported.furniture.parts),
         len(imported.furniture.connections),
@@ -330,8 +364,17 @@ def _import(piece: ImportJob) -> Summary:
         {r.name: round(1e3 * r.size_change, 2) for r in imported.repairs},
         tuple(f"{r.name}: {', '.join(r.changes)}" for r in imported.repairs if r.changes),
         imported.furniture.unholdable,
+        findings=tuple(finding.text for finding in found),
         **reading,
     )
+
+
+def _write_report(piece: ImportJob, raw: RawFurniture, imported: Imported, found: Sequence[Finding]) -> None:
+    from roboassembly.importers.kept import write_report
+    from roboassembly.viewer.import_report import import_report
+
+    page = import_report(piece.name, piece.source, raw, imported, found)
+    write_report(page.encode(), piece.target)
 
 
 def piece_names(sources: list[Path]) -> list[str]:
