@@ -269,7 +269,10 @@ def _summary(item: ImportResult) -> str:
     if item.cached:
         text += " (from the cache)"
     if item.unholdable:
-        text += f" (the gripper cannot hold {', '.join(item.unholdable)}: for the setting object-centric only)"
+        listed = ", ".join(item.unholdable[:NAMED]) + f" and {len(item.unholdable) - NAMED} more" * (
+            len(item.unholdable) > NAMED
+        )
+        text += f" (the gripper cannot hold {listed}: for the setting object-centric only)"
     name, change = max(item.size_change_mm.items(), key=lambda named: abs(named[1]))
     return f"{text}; largest change of size: {name} {change:+.2f} mm"
 

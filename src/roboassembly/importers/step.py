@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import importlib.util
 import re
+import signal
 import struct
 import subprocess
 import sys
@@ -22,16 +23,18 @@ from roboassembly.importers.scene import Scene
 
 EXTRA = "step"
 """Extra of this package that brings `cascadio`."""
-DEFLECTION = 1e-4
-"""Distance of the triangles from a curved surface, as a share of the longest side of a part (0.1 mm of 1 m)."""
+DEFLECTION = 2.5e-4
+"""Distance of the triangles from a curved surface, as a share of the longest side of the largest part (0.25 mm of 1 m)."""
 ANGLE = 0.25
 """Largest angle between neighbouring triangles of a curved surface [rad]."""
-SECONDS = 600.0
-"""Time after which a file counts as one that OpenCASCADE cannot read [s]."""
+SECONDS, SECONDS_PER_MB = 30.0, 5.0
+"""Processor time after which a file counts as one that OpenCASCADE cannot read: for each file, and for each megabyte of
+it [s]. Some broken files keep it busy for ever."""
 _TESSELLATE = """
-import json, struct, sys
+import json, resource, struct, sys
 import cascadio
 source, target, share, angle = sys.argv[1], sys.argv[2], float(sys.argv[3]), float(sys.argv[4])
+resource.setrlimit(resource.RLIMIT_CPU, (int(sys.argv[5]), int(sys.argv[5]) + 5))
 with open(source, "rb") as file:
     data = file.read()
 # A first look, in steps relative to each edge, gives the size of the largest part, and with it the detail.
@@ -123,17 +126,17 @@ def _tessellated(path: Path) -> Scene:
         out = Path(scratch) / "scene.glb"
         # -P: no module of the present folder is imported.
         command = [sys.executable, "-P", "-c", _TESSELLATE, str(path.resolve()), str(out)]
-        command += [str(DEFLECTION), str(ANGLE)]
-        try:
-            done = subprocess.run(command, capture_output=True, timeout=SECONDS, check=False, stdin=subprocess.DEVNULL)
-        except subprocess.TimeoutExpired:
-            raise FurnitureError(
-                f"'{path}' cannot be read as STEP: OpenCASCADE does not finish within {SECONDS:g} s; export fewer or "
-                "simpler solids"
-            ) from None
-        printed = (done.stdout + done.stderr).decode("utf-8", "replace")
-        problem = _PROBLEM.search(re.sub(r"\x1b\[[\d;]*m", "", printed))
+        seconds = SECONDS + SECONDS_PER_MB * path.stat().st_size / 1e6
+        command += [str(DEFLECTION), str(ANGLE), str(int(seconds))]
+        done = subprocess.run(command, capture_output=True, check=False, stdin=subprocess.DEVNULL)
+        printed = re.sub(r"\x1b\[[\d;]*m", "", (done.stdout + done.stderr).decode("utf-8", "replace"))
+        problem = _PROBLEM.search(printed)
         data = out.read_bytes() if out.is_file() else b""
+    if done.returncode == -signal.SIGXCPU:
+        raise FurnitureError(
+            f"'{path}' cannot be read as STEP: OpenCASCADE does not finish within {seconds:.0f} s; repair it in a CAD "
+            "program, or export fewer solids"
+        )
     if done.returncode != 0 and not data:
         last = one_line(printed.strip().rsplit("\n", 1)[-1], 80) or "nothing"
         raise FurnitureError(

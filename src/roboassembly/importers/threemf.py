@@ -80,7 +80,9 @@ def read_3mf(path: Path) -> Scene:
         return _read(read_bytes(path))
     except FurnitureError as problem:
         text = str(problem)
-        raise FurnitureError(text if text.startswith("'") else f"'{path}' cannot be read as 3MF: {text}") from None
+        raise FurnitureError(
+            text if text.startswith(f"'{path}'") else f"'{path}' cannot be read as 3MF: {text}"
+        ) from None
 
 
 def count_parts(path: Path) -> int:
@@ -206,14 +208,14 @@ def _parse(data: bytes, name: str) -> _Model:
     reader = _Reader(parser, name)
     try:
         parser.Parse(data, True)
+    except KeyError as problem:
+        line = parser.CurrentLineNumber
+        raise FurnitureError(f"'{one_line(name, 80)}' line {line} lacks {one_line(str(problem), 40)}") from None
     except (expat.ExpatError, LookupError, UnicodeError) as problem:
         raise FurnitureError(f"'{one_line(name, 80)}' is not well-formed XML: {one_line(str(problem))}") from None
     except (ValueError, OverflowError) as problem:
         line = parser.CurrentLineNumber
         raise FurnitureError(f"'{one_line(name, 80)}' line {line}: {one_line(str(problem), 80)}") from None
-    except KeyError as problem:
-        line = parser.CurrentLineNumber
-        raise FurnitureError(f"'{one_line(name, 80)}' line {line} lacks {one_line(str(problem), 40)}") from None
     return reader.model
 
 
