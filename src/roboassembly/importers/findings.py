@@ -111,7 +111,7 @@ def _of_repairs(repairs: Sequence[PartRepair]) -> list[Finding]:
     if larger:
         most, text = _worst(larger, "mm", 1e3)
         out.append(Finding(min(90.0, 50.0 + 6e3 * most), f"became larger: {text}; its surface had to be closed"))
-    depth = [(loss, f"{r.name} in {other}") for r in repairs for other, loss in r.depth_losses]
+    depth = [(loss, f"{r.name}' in '{other}") for r in repairs for other, loss in r.depth_losses]
     if depth:
         most, text = _worst(depth, "mm", 1e3)
         out.append(Finding(min(90.0, 50.0 + 6e3 * most), f"sits less deep in its joint: {text}"))
@@ -126,8 +126,8 @@ def _of_repairs(repairs: Sequence[PartRepair]) -> list[Finding]:
     shared = [r.name for r in repairs if any("of its volume left to" in note for note in r.notes)]
     if shared:
         out.append(Finding(65.0, f"volume that two parts had, left to the other: {_names(shared)}"))
-    reshaped = [(max(r.shape_error, r.shape_added), r.name, r.how) for r in repairs if r.how != "as delivered"]
-    rough = [(error, f"{name} ({how})") for error, name, how in reshaped if error > SHAPE_ERROR]
+    reshaped = [(max(r.shape_error, r.shape_added), r.name) for r in repairs if r.how != "as delivered"]
+    rough = [(error, name) for error, name in reshaped if error > SHAPE_ERROR]
     if rough:
         most, text = _worst(rough, "mm", 1e3)
         out.append(Finding(min(80.0, 45.0 + 1e3 * most), f"closed, off its delivered surface: {text}"))
@@ -140,7 +140,7 @@ def _of_gaps(furniture: Furniture) -> list[Finding]:
     for c in furniture.connections:
         gap = furniture.parts[c.part_a].points[c.point_a].gap
         for own, other in ((c.part_a, c.part_b), (c.part_b, c.part_a)):
-            text = f"{furniture.parts[own].name} from {furniture.parts[other].name}"
+            text = f"{furniture.parts[own].name}' from '{furniture.parts[other].name}"
             nearest[own] = min(nearest.get(own, (np.inf, "")), (gap, text))
     open_joints = [entry for entry in nearest.values() if entry[0] > OPEN_GAP]
     if not open_joints:
@@ -154,7 +154,7 @@ def _worst(amounts: Sequence[tuple[float, str]], unit: str, factor: float) -> tu
     ordered = sorted(amounts, key=lambda entry: -entry[0])
     most, name = ordered[0]
     space = "" if unit == "%" else " "
-    text = f"{name} by {factor * most:.1f}{space}{unit}"
+    text = f"'{name}' by {factor * most:.1f}{space}{unit}"
     if len(ordered) > 1:
         rest = len(ordered) - 1
         others = "one other part" if rest == 1 else f"{rest} other parts"
@@ -164,4 +164,4 @@ def _worst(amounts: Sequence[tuple[float, str]], unit: str, factor: float) -> tu
 
 def _names(names: Sequence[str], shown: int = 3) -> str:
     rest = len(names) - shown
-    return ", ".join(names[:shown]) + (f" and {rest} more" if rest > 0 else "")
+    return ", ".join(f"'{name}'" for name in names[:shown]) + (f" and {rest} more" if rest > 0 else "")

@@ -15,7 +15,16 @@ from roboassembly.errors import FurnitureError
 from roboassembly.furniture.model import Furniture, RawPart
 from roboassembly.geometry.meshes import Mesh
 from roboassembly.geometry.poses import SE3, transform_points
-from roboassembly.rendering.camera import Camera, box_corners, fit_camera, project
+from roboassembly.rendering.camera import (
+    AZIMUTH,
+    ELEVATION,
+    Camera,
+    box_corners,
+    boxes_corners,
+    fit_camera,
+    project,
+    view_axes,
+)
 from roboassembly.rendering.colors import MOVING, WOOD, Color, distinct_colors
 from roboassembly.rendering.offscreen import FAST, STILL, OffscreenRenderer
 from roboassembly.repair import PartRepair
@@ -32,6 +41,10 @@ EXPLODED = 0.5
 """Distance that parts move apart in the exploded picture, as a share of their distance from the middle."""
 MAX_FACES = 20_000
 """Largest number of triangles of a delivered part in a picture."""
+_OVER = np.diag([1.0, -1.0, -1.0])
+"""Rotation that turns a part upside down."""
+_CLEARLY = 1.2
+"""Ratio of shown surfaces from which another view is taken."""
 DELIVERED: Color = (0.72, 0.74, 0.77)
 """Colour of parts as delivered."""
 CUT = MOVING
@@ -44,6 +57,8 @@ class PartPictures:
 
     before: str
     after: str
+    turned_over: bool
+    """Whether both show the part upside down."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,17 +137,37 @@ def _parts(
         meshes, PART_WIDTH, PART_HEIGHT, center=np.array([0.0, 0.0, radius]), radius=radius, quality=FAST
     ) as renderer:
         for part, box in enumerate(bounds):
-            low, high = np.minimum(box[0], before[part].bounds[0]), np.maximum(box[1], before[part].bounds[1])
-            place = SE3(np.eye(3), -np.array([*(0.5 * (low + high))[:2], low[2]]))
-            corners = np.concatenate([box_corners(before[part], place), box + place.translation])
-            camera = fit_camera(corners, PART_WIDTH / PART_HEIGHT)
+            turn, azimuth = _view(halves[part][1])
+            corners = np.concatenate([_corners(before[part].bounds), _corners(box)]) @ turn.T
+            low, high = corners.min(axis=0), corners.max(axis=0)
+            place = SE3(turn, -np.array([*(0.5 * (low + high))[:2], low[2]]))
+            camera = fit_camera(corners + place.translation, PART_WIDTH / PART_HEIGHT, azimuth)
             views = [
                 [place if owner == part and (k < len(before)) == old else None for k, owner in enumerate(owners)]
                 for old in (True, False)
             ]
             first, second = (_encoded(renderer.picture(poses, colors, camera)) for poses in views)
-            out.append(PartPictures(first, second))
+            out.append(PartPictures(first, second, turn is _OVER))
     return tuple(out)
+
+
+def _view(changed: Mesh | None) -> tuple[Float[np.ndarray, "3 3"], float]:
+    """Return the rotation of a part and the azimuth of the camera that show the most of its changed surface."""
+    choices = [(turn, azimuth) for turn in (np.eye(3), _OVER) for azimuth in (AZIMUTH, AZIMUTH + np.pi)]
+    if changed is None:
+        return choices[0]
+    a, b, c = (changed.vertices[changed.faces[:, k]] for k in range(3))
+    normals = np.cross(b - a, c - a)
+    shown = [
+        np.maximum(0.0, -normals @ turn.T @ view_axes(azimuth, ELEVATION)[2]).sum() for turn, azimuth in choices
+    ]
+    # The usual view stays unless another one shows clearly more.
+    best = int(np.argmax(shown))
+    return choices[best] if shown[best] > _CLEARLY * shown[0] else choices[0]
+
+
+def _corners(bounds: Float[np.ndarray, "2 3"]) -> Float[np.ndarray, "8 3"]:
+    return boxes_corners(bounds[:1], bounds[1:])
 
 
 def _camera(meshes: Sequence[Mesh], poses: Sequence[SE3], aspect: float) -> Camera:

@@ -176,9 +176,10 @@ def _part(
     images = ""
     if pictures is not None:
         shown = pictures.parts[index]
+        over = ", upside down" if shown.turned_over else ""
         images = (
-            f"<figure><img src='{shown.before}' alt='before'><figcaption>before</figcaption></figure>"
-            f"<figure><img src='{shown.after}' alt='after'><figcaption>after</figcaption></figure>"
+            f"<figure><img src='{shown.before}' alt='before'><figcaption>before{over}</figcaption></figure>"
+            f"<figure><img src='{shown.after}' alt='after'><figcaption>after{over}</figcaption></figure>"
         )
     items = "".join(f"<li>{line}</li>" for line in lines)
     return f"<div class='part'>{images}<div class='text'><h3>{_text(part.name)}</h3><ul>{items}</ul></div></div>"
