@@ -63,13 +63,13 @@ def part_names(paths: Sequence[Sequence[Node]], default: str = "part") -> list[s
             # A part without a name takes that of its group.
             chain.append(chain[-1] if chain else default)
     names = [chain[-1] for chain in chains]
+    parents: dict[str, set[str]] = {}
+    for path, chain in zip(paths, chains, strict=True):
+        parents.setdefault(path[-1].name, set()).add("/".join(chain[:-1]))
+    repeated = [len(parents[path[-1].name]) > 1 for path in paths]
     for depth in range(2, max(map(len, chains), default=1) + 1):
-        repeated = {name for name in names if names.count(name) > 1}
-        if not repeated:
-            break
-        names = [
-            "/".join(chain[-depth:]) if name in repeated else name for name, chain in zip(names, chains, strict=True)
-        ]
+        names = ["/".join(chain[-depth:]) if r else n for r, n, chain in zip(repeated, names, chains, strict=True)]
+        repeated = [names.count(name) > 1 for name in names]
     return unique_names(names)
 
 

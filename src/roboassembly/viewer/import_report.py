@@ -128,7 +128,7 @@ def _whole(furniture: Furniture, pictures: ImportPictures) -> str:
         f"<figure><img src='{pictures.after}' alt='after repair'><figcaption>After repair; parts of one shape have one "
         "colour</figcaption></figure></div>"
         f"<figure><img src='{pictures.exploded}' alt='pulled apart'>{overlay}<figcaption>Pulled apart; a red line joins "
-        "the two ends of each connection, with its number in the table below</figcaption></figure>"
+        f"the two ends of each connection{', with its number in the table below' * numbered}</figcaption></figure>"
     )
 
 
