@@ -99,9 +99,7 @@ class _Writer:
             outline = self.add(f"FACETED_BREP_SHAPE_REPRESENTATION('',(#{self.origin},#{solid}),#{self.geometry})")
             self.add(f"SHAPE_DEFINITION_REPRESENTATION(#{shape},#{outline})")
         else:
-            places = [
-                self.axes(place, x=x[0] if x else (1.0, 0.0, 0.0)) for _, _, place, *x in made_of.instances
-            ]
+            places = [self.axes(place, x=x[0] if x else (1.0, 0.0, 0.0)) for _, _, place, *x in made_of.instances]
             listed = ",".join(f"#{place}" for place in (self.origin, *places))
             outline = self.add(f"SHAPE_REPRESENTATION('',({listed}),#{self.geometry})")
             self.add(f"SHAPE_DEFINITION_REPRESENTATION(#{shape},#{outline})")
@@ -122,9 +120,7 @@ class _Writer:
         self.add(f"CONTEXT_DEPENDENT_SHAPE_REPRESENTATION(#{relation},#{used})")
 
     def box(self, size: Vector) -> int:
-        corners = [
-            self.point((size[0] * (k & 1), size[1] * (k >> 1 & 1), size[2] * (k >> 2 & 1))) for k in range(8)
-        ]
+        corners = [self.point((size[0] * (k & 1), size[1] * (k >> 1 & 1), size[2] * (k >> 2 & 1))) for k in range(8)]
         faces = []
         for side, normal in zip(_SIDES, _NORMALS, strict=True):
             loop = self.add(f"POLY_LOOP('',({','.join(f'#{corners[k]}' for k in side)}))")

@@ -109,9 +109,16 @@ def test_mirrored_component_stays_solid(tmp_path: Path) -> None:
 
 def test_objects_in_other_model_files(tmp_path: Path) -> None:
     """As slicers write them: the start names no object of its own, names are part numbers, supports are left out."""
-    other = model(mesh(1, (2, 2, 16), 'partnumber="post"') + TOP + LEG.replace('"model"', '"support"', 1).replace('id="1"', 'id="7"'), "")
+    other = model(
+        mesh(1, (2, 2, 16), 'partnumber="post"')
+        + TOP
+        + LEG.replace('"model"', '"support"', 1).replace('id="1"', 'id="7"'),
+        "",
+    )
     where = 'p:path="/3D/Objects/parts.model"'
-    table = group(9, "table", *(component(k, f"1 0 0 0 1 0 0 0 1 0 0 {z}", where) for k, z in ((1, 0), (2, 16), (7, 0))))
+    table = group(
+        9, "table", *(component(k, f"1 0 0 0 1 0 0 0 1 0 0 {z}", where) for k, z in ((1, 0), (2, 16), (7, 0)))
+    )
     path = write(tmp_path / "x.3mf", model(table, item(9)), start="start.model", parts=other)
     assert [part.name for part in folder.read(path, scale=0.05).parts] == ["post", "top"]
 
@@ -131,7 +138,10 @@ BROKEN = {
     "no build list": (model(LEG + TOP, ""), "build list has no object"),
     "object that is not there": (model(LEG, item(1) + item(6)), "line 1 refers to object '6', which is not there"),
     "loop": (model(LOOP, item(3)), "nested deeper than 64, or loop"),
-    "vertex that is not there": (model(LEG.replace('v1="0"', 'v1="99"', 1), item(1)), "object 'leg': mesh face refers to vertex 99"),
+    "vertex that is not there": (
+        model(LEG.replace('v1="0"', 'v1="99"', 1), item(1)),
+        "object 'leg': mesh face refers to vertex 99",
+    ),
     "no number": (model(LEG.replace('x="0"', 'x="zero"', 1), item(1)), r"line 1: could not convert string to float"),
     "no coordinate": (model(LEG.replace('x="0"', "", 1), item(1)), "line 1 lacks 'x'"),
     "not a number": (model(LEG.replace('x="0"', 'x="nan"', 1), item(1)), "not finite"),
@@ -167,9 +177,10 @@ def test_files_that_are_no_archives(tmp_path: Path) -> None:
 
 
 def test_archive_that_unpacks_to_gigabytes_is_refused(tmp_path: Path) -> None:
-    with zipfile.ZipFile(tmp_path / "x.3mf", "w", zipfile.ZIP_DEFLATED) as archive, archive.open(
-        "3D/3dmodel.model", "w"
-    ) as member:
+    with (
+        zipfile.ZipFile(tmp_path / "x.3mf", "w", zipfile.ZIP_DEFLATED) as archive,
+        archive.open("3D/3dmodel.model", "w") as member,
+    ):
         for _ in range(140):
             member.write(b" " * 2**20)
     assert (tmp_path / "x.3mf").stat().st_size < 2**20

@@ -22,7 +22,7 @@ from roboassembly.importers.findings import findings, why_not_held
 from roboassembly.importers.kept import REPORT
 from roboassembly.importers.pipeline import Imported, finish
 from roboassembly.rendering.gl import RenderingUnavailableError, context_module
-from roboassembly.viewer.import_report import apart, import_report
+from roboassembly.viewer.import_report import import_report, separate_labels
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +49,9 @@ def test_findings_name_parts_and_amounts(imported: tuple[folder.RawFurniture, Im
     raw, made = imported
     found = findings(raw, made.furniture, made.repairs)
     texts = [finding.text for finding in found]
-    assert any("a robot's hand cannot hold 'block'" in t and "200 mm thick, and the hand opens 80 mm" in t for t in texts)
+    assert any(
+        "a robot's hand cannot hold 'block'" in t and "200 mm thick, and the hand opens 80 mm" in t for t in texts
+    )
     assert [f.weight for f in found] == sorted((f.weight for f in found), reverse=True)
     assert not any("the size" in t for t in texts), "the unit was given"
     (block,) = [part for part in made.furniture.parts if part.name == "block"]
@@ -128,7 +130,9 @@ def test_page_shows_each_part_before_and_after(source: Path, imported: tuple[fol
     alts = [alt for alt, _ in page.images]
     assert alts[:3] == ["as delivered", "after repair", "pulled apart"]
     assert alts[3:] == ["before", "after"] * parts
-    pictures = [iio.imread(BytesIO(base64.b64decode(src.partition(",")[2])), extension=".webp") for _, src in page.images]
+    pictures = [
+        iio.imread(BytesIO(base64.b64decode(src.partition(",")[2])), extension=".webp") for _, src in page.images
+    ]
     assert all(picture.std() > 5 for picture in pictures), "none is empty"
     # The sockets in the top are orange; before repair nothing is.
     names = [part.name for part in made.furniture.parts]
@@ -194,7 +198,7 @@ def test_without_rendering_the_page_has_texts_only(
 
 def test_numbers_do_not_overlap() -> None:
     points = np.concatenate([np.zeros((12, 2)), [[100.0, 0.0], [105.0, 0.0]]])
-    moved = apart(points, 19.0)
+    moved = separate_labels(points, 19.0)
     gaps = np.linalg.norm(moved[:, None] - moved[None], axis=2) + 1e9 * np.eye(len(points))
     assert gaps.min() > 18.0
     assert np.allclose(moved.mean(axis=0), points.mean(axis=0), atol=1.0)

@@ -120,7 +120,9 @@ def test_text_gltf(tmp_path, kind):
     data = glb.read_bytes()
     length = struct.unpack_from("<I", data, 12)[0]
     document, buffer = json.loads(data[20 : 20 + length]), data[28 + length :]
-    uri = "my%20buffer.bin" if kind == "a file" else "data:application/octet-stream;base64," + b64encode(buffer).decode()
+    uri = (
+        "my%20buffer.bin" if kind == "a file" else "data:application/octet-stream;base64," + b64encode(buffer).decode()
+    )
     document["buffers"] = [{"byteLength": len(buffer), "uri": uri}]
     where = tmp_path / "text"
     where.mkdir()

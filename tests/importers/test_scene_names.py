@@ -33,7 +33,9 @@ def test_names(paths: list[str], expected: list[str]) -> None:
     assert names(*paths) == expected
 
 
-@pytest.mark.parametrize("made_up", ["NAUO12", "=>[0:1:1:2]", "SOLID", "COMPOUND", "0:1:1", "Open CASCADE STEP translator 7.5 1"])
+@pytest.mark.parametrize(
+    "made_up", ["NAUO12", "=>[0:1:1:2]", "SOLID", "COMPOUND", "0:1:1", "Open CASCADE STEP translator 7.5 1"]
+)
 def test_names_that_programs_make_up(made_up: str) -> None:
     assert given_name(made_up) == ""
 

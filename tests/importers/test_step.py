@@ -77,7 +77,9 @@ def test_units(tmp_path: Path, unit: str, words: str) -> None:
 
 def test_file_in_metres_that_claims_millimetres(tmp_path: Path) -> None:
     """0.47 mm of furniture is refused with a hint; 47 mm are read, and the likely units named."""
-    tiny = Assembly("x", [("a", Box("a", (0.4, 0.4, 0.02)), (0, 0, 0.45)), ("b", Box("b", (0.1, 0.1, 0.45)), (0, 0, 0))])
+    tiny = Assembly(
+        "x", [("a", Box("a", (0.4, 0.4, 0.02)), (0, 0, 0.45)), ("b", Box("b", (0.1, 0.1, 0.45)), (0, 0, 0))]
+    )
     path = write_step(tmp_path / "x.step", tiny)
     with pytest.raises(FurnitureError, match=r"would be 0.00047 m long .* \(--unit or --scale\)"):
         folder.read(path)
@@ -159,7 +161,9 @@ def test_without_cascadio_the_command_to_install_it_is_named(
         folder.read(path)
     status, _, err = run("import", path, "--out", tmp_path / "out")
     assert status == 1
-    assert err.splitlines() == ["error: 'cascadio' is not installed; run in the source folder: python -m pip install '.[step]'"]
+    assert err.splitlines() == [
+        "error: 'cascadio' is not installed; run in the source folder: python -m pip install '.[step]'"
+    ]
 
 
 @pytest.mark.slow

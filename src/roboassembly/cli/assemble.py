@@ -34,8 +34,8 @@ if TYPE_CHECKING:
 NO_POLICY = "none"
 SHIPPED_POLICY = "relational"
 MOST_GUIDED = 40
-"""Number of parts above which the shipped policy does not guide the search. It was trained on up to 20, and its time for
-a choice grows to seconds, where the search alone takes milliseconds."""
+"""Number of parts above which the shipped policy does not guide the search. It was trained on up to 20, and a choice
+takes it seconds where the search alone takes milliseconds."""
 
 
 @dataclass(frozen=True)
@@ -52,8 +52,8 @@ class AssembleCommand:
     """Folder for the results: plan.json, timings.json, assembly.html, assembly.mp4 and furniture/. The results of an
     earlier run are replaced."""
     policy: str = SHIPPED_POLICY
-    """Policy that guides the search: `relational` (the trained policy of this package, for up to 40 parts), a checkpoint, your own Python
-    file, which is executed (docs/your-own-policy.md), or `none`."""
+    """Policy that guides the search: `relational` (the trained policy of this package, for up to 40 parts), a
+    checkpoint, your own Python file, which is executed (docs/your-own-policy.md), or `none`."""
     search: bool = True
     """Search for another action if the policy's action fails."""
     film: bool = True
@@ -152,8 +152,12 @@ class AssembleCommand:
         check_setting(policy, self.setting, NO_POLICY)
         if self.search:
             guided = partial(solver, seed=self.seed, guide=guide_of(policy))
-            return guided if self.policy != SHIPPED_POLICY else lambda furniture: (
-                guided(furniture) if len(furniture.parts) <= MOST_GUIDED else self._alone(solver, furniture)
+            return (
+                guided
+                if self.policy != SHIPPED_POLICY
+                else lambda furniture: (
+                    guided(furniture) if len(furniture.parts) <= MOST_GUIDED else self._alone(solver, furniture)
+                )
             )
         from roboassembly.evaluation.rollout import rollout_policy
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 Kind = Literal["partnet", "ikea-manual", "ikea-env", "furniture-bench", "folder"]
 """Names of the formats in `importers.IMPORTERS`."""
-KINDS: tuple[Kind, ...] = get_args(Kind)
+FORMATS: tuple[Kind, ...] = get_args(Kind)
 UnitName = Literal["mm", "cm", "m", "in", "ft"]
 """Names of the units in `geometry.units.METRES`."""
 DEFAULT_OUT = Path("furniture")
@@ -176,13 +176,13 @@ class ImportCommand:
         Raises:
             InputError: the source is missing, or there is no such format.
         """
-        known = next((kind for kind in KINDS if kind == self.kind), None)
+        known: Kind | None = next((kind for kind in FORMATS if kind == self.kind), None)
         if self.source is None:
             if known is not None and not Path(self.kind).exists():
                 raise InputError(f"name the source too: roboassembly import {known} SOURCE")
             return "folder", Path(self.kind)
         if known is None:
-            raise UnknownNameError("format", self.kind, KINDS)
+            raise UnknownNameError("format", self.kind, FORMATS)
         return known, self.source
 
     def _targets(self, found: list[Path]) -> list[Path]:

@@ -21,6 +21,15 @@ TRIMMED = 0.05
 """Trimmed share of a part's volume above which it is a finding."""
 SHAPE_ERROR = 0.001
 """Distance of a solid from the delivered surface above which it is a finding [m]."""
+SOCKET = 0.002
+"""Trimmed share of a part's volume above which its new sockets are a finding."""
+_NOTED = (
+    (65.0, "of its volume left to", "gave the volume that two parts had to the other"),
+    (50.0, "cut through by", "cut through by another part and kept as one rigid part"),
+    (45.0, "opened so that", "opened so that a neighbour can leave"),
+    (40.0, "no longer within", "lost the contact with a neighbour"),
+)
+"""Weights of findings, words in the notes of repair, and their text."""
 OPEN_GAP = 0.001
 """Distance from the nearest neighbour above which a part's joint is a finding [m]."""
 
@@ -123,15 +132,22 @@ def _of_repairs(repairs: Sequence[PartRepair]) -> list[Finding]:
     if trimmed:
         most, text = _worst(trimmed, "%", 1e2)
         out.append(Finding(min(80.0, 30.0 + 200.0 * most), f"lost volume where parts overlapped: {text}"))
-    shared = [r.name for r in repairs if any("of its volume left to" in note for note in r.notes)]
-    if shared:
-        out.append(Finding(65.0, f"volume that two parts had, left to the other: {_names(shared)}"))
+    sockets = [(r.trimmed, r.name) for r in repairs if r.trimmed > SOCKET and _noted(r, "has a socket for")]
+    if sockets:
+        out.append(Finding(32.0, f"sockets cut where a part runs into another: {_worst(sockets, '%', 1e2)[1]}"))
+    for weight, note, what in _NOTED:
+        if noted := [r.name for r in repairs if _noted(r, note)]:
+            out.append(Finding(weight, f"{what}: {_names(noted)}"))
     reshaped = [(max(r.shape_error, r.shape_added), r.name) for r in repairs if r.how != "as delivered"]
     rough = [(error, name) for error, name in reshaped if error > SHAPE_ERROR]
     if rough:
         most, text = _worst(rough, "mm", 1e3)
         out.append(Finding(min(80.0, 45.0 + 1e3 * most), f"closed, off its delivered surface: {text}"))
     return out
+
+
+def _noted(repair: PartRepair, words: str) -> bool:
+    return any(words in note for note in repair.notes)
 
 
 def _of_gaps(furniture: Furniture) -> list[Finding]:

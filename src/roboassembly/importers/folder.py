@@ -32,7 +32,7 @@ from roboassembly.geometry import units
 from roboassembly.geometry.units import Unit
 from roboassembly.importers import bodies, files
 from roboassembly.importers.mesh_files import READERS, read_mesh
-from roboassembly.importers.scene import Scene
+from roboassembly.importers.scene import FileScene
 from roboassembly.importers.scene_files import SCENES, scene_format
 
 SUFFIXES = (*READERS, *SCENES)
@@ -155,12 +155,12 @@ def _count_parts(file: Path) -> int:
     return 1 if known is None else known.count_parts(file)
 
 
-def _read_file(file: Path) -> Scene:
+def _read_file(file: Path) -> FileScene:
     known = scene_format(file)
-    return Scene((NamedTriangles(_part_name(file), read_mesh(file)),), "z") if known is None else known.read(file)
+    return FileScene((NamedTriangles(_part_name(file), read_mesh(file)),), "z") if known is None else known.read(file)
 
 
-def _read_folder(path: Path) -> Scene:
+def _read_folder(path: Path) -> FileScene:
     """Read each file of a folder as one part."""
     path = files.folder(path, EXPECTED)
     meshes = _meshes(path)
@@ -180,7 +180,7 @@ def _read_folder(path: Path) -> Scene:
         NamedTriangles(name, _scaled(combine([part.triangles for part in scene.parts]), factor))
         for name, scene, factor in zip(names, scenes, factors, strict=True)
     ]
-    return Scene(tuple(parts), "y" if all(scene.up == "y" for scene in scenes) else "z", unit)
+    return FileScene(tuple(parts), "y" if all(scene.up == "y" for scene in scenes) else "z", unit)
 
 
 def _scaled(surface: Triangles, factor: float) -> Triangles:
@@ -200,8 +200,8 @@ def _refuse_mixture(path: Path, meshes: Sequence[Path]) -> None:
     if stating and len(stating) < len(meshes):
         other = next(file for file in meshes if file not in stating)
         raise FurnitureError(
-            f"'{path}' holds {stating[0].name}, which states its unit, and {other.name}, which does not; give all parts "
-            f"in one format"
+            f"'{path}' holds {stating[0].name}, which states its unit, and {other.name}, which does not; give all "
+            f"parts in one format"
         )
 
 

@@ -22,7 +22,7 @@ from roboassembly.furniture.triangles import NamedTriangles, Triangles, combine
 from roboassembly.geometry.meshes import MAX_FACES
 from roboassembly.geometry.poses import rotation_from_quaternion
 from roboassembly.importers.files import MAX_TEXT_BYTES, decode_json, inside, one_line, read_bytes
-from roboassembly.importers.scene import Node, Scene, given_name, part_names
+from roboassembly.importers.scene import FileScene, Node, given_name, part_names
 
 MAX_NODES = 20_000
 MAX_NODE_DEPTH = 256
@@ -143,7 +143,7 @@ class _Buffers:
         return read_bytes(inside(self.folder, unquote(uri), "it"))
 
 
-def read_gltf(path: Path, *, each_node: bool = False) -> Scene:
+def read_gltf(path: Path, *, each_node: bool = False) -> FileScene:
     """Read each named node with triangles as a part; an unnamed node belongs to its nearest named ancestor.
 
     Args:
@@ -170,9 +170,7 @@ def read_gltf(path: Path, *, each_node: bool = False) -> Scene:
         raise FurnitureError(f"'{path}' cannot be read as {what}: {one_line(str(problem))}") from None
 
 
-def decode_glb(
-    data: bytes, folder: Path | None = None, *, each_node: bool = False, default: str = "part"
-) -> Scene:
+def decode_glb(data: bytes, folder: Path | None = None, *, each_node: bool = False, default: str = "part") -> FileScene:
     """Return the scene of a GLB file's contents; see `read_gltf`.
 
     Args:
@@ -201,7 +199,7 @@ def count_parts(path: Path) -> int:
         return 0
 
 
-def _scene(document: _Document, buffers: _Buffers, each_node: bool, default: str) -> Scene:
+def _scene(document: _Document, buffers: _Buffers, each_node: bool, default: str) -> FileScene:
     unsupported = [name for name in document.required if not name.startswith(_HARMLESS)]
     unsupported += [name for name in document.used if name == _INSTANCING]
     if unsupported:
@@ -221,7 +219,7 @@ def _scene(document: _Document, buffers: _Buffers, each_node: bool, default: str
         paths[part] = placed.path
     names = part_names(list(paths.values()), default)
     parts = [NamedTriangles(name, combine(pieces)) for name, pieces in zip(names, owned.values(), strict=True)]
-    return Scene(tuple(parts), "y")
+    return FileScene(tuple(parts), "y")
 
 
 def _name(document: _Document, index: int) -> str:
@@ -278,7 +276,9 @@ def _walk(document: _Document, each_node: bool) -> list[_MeshNode]:
     out: list[_MeshNode] = []
     visited: set[int] = set()
     nobody: tuple[Node, ...] = ()
-    stack = [(index, np.eye(4), nobody, nobody, 0) for index in reversed(roots)]
+    stack: list[tuple[int, Float[np.ndarray, "4 4"], tuple[Node, ...], tuple[Node, ...], int]] = [
+        (index, np.eye(4), nobody, nobody, 0) for index in reversed(roots)
+    ]
     while stack:
         index, above, ancestors, owner, depth = stack.pop()
         if not 0 <= index < len(document.nodes):

@@ -32,7 +32,18 @@ MAX_FILES, MAX_READ = 5_000, 500_000_000
 """Largest number of files and bytes of a source that is cached; hashing a larger source takes too long."""
 REPORT = "import-report.html"
 """Name of the report page in a furniture folder."""
-LIBRARIES = ("cascadio", "coal", "embreex", "fast-simplification", "manifold3d", "networkx", "numpy", "pin", "scipy", "trimesh")
+LIBRARIES = (
+    "cascadio",
+    "coal",
+    "embreex",
+    "fast-simplification",
+    "manifold3d",
+    "networkx",
+    "numpy",
+    "pin",
+    "scipy",
+    "trimesh",
+)
 """Libraries whose version may change the result of repair or annotation."""
 _CHECKSUM_BYTES = 16
 _ABANDONED = 86_400.0

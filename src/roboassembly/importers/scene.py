@@ -19,7 +19,7 @@ _GENERATED = re.compile(
 
 
 @dataclass(frozen=True, eq=False)
-class Scene:
+class FileScene:
     """Parts of one file, at their places."""
 
     parts: tuple[NamedTriangles, ...]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from roboassembly.importers import glb, step, threemf
-from roboassembly.importers.scene import Scene
+from roboassembly.importers.scene import FileScene
 
 
 @dataclass(frozen=True)
@@ -15,7 +15,7 @@ class SceneFormat:
     """Format of files that hold a whole piece."""
 
     name: str
-    read: Callable[[Path], Scene]
+    read: Callable[[Path], FileScene]
     count_parts: Callable[[Path], int]
     """Function that counts the parts of a file, at least roughly; 0 if it cannot be read."""
     states_unit: bool

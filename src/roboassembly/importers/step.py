@@ -19,12 +19,12 @@ from roboassembly.furniture.triangles import NamedTriangles, Triangles
 from roboassembly.geometry.units import METRES, NAMES, Unit
 from roboassembly.importers.files import one_line, read_bytes
 from roboassembly.importers.glb import decode_glb
-from roboassembly.importers.scene import Scene
+from roboassembly.importers.scene import FileScene
 
 EXTRA = "step"
 """Extra of this package that brings `cascadio`."""
 DEFLECTION = 2.5e-4
-"""Distance of the triangles from a curved surface, as a share of the longest side of the largest part (0.25 mm of 1 m)."""
+"""Distance of the triangles from a curved surface, as a share of the largest part's size (0.25 mm of 1 m)."""
 ANGLE = 0.25
 """Largest angle between neighbouring triangles of a curved surface [rad]."""
 SECONDS, SECONDS_PER_MB = 30.0, 5.0
@@ -62,7 +62,7 @@ _SYMBOLS = {
 """Units in `METRES` by their name in a file."""
 
 
-def read_step(path: Path) -> Scene:
+def read_step(path: Path) -> FileScene:
     """Read each product of a STEP file that has a shape as a part: z up, in the unit of the file.
 
     Parts have the names of their instances, or else of their products; see `scene.part_names`.
@@ -90,7 +90,7 @@ def read_step(path: Path) -> Scene:
         NamedTriangles(part.name, Triangles(part.triangles.points / unit.scale, part.triangles.faces))
         for part in scene.parts
     ]
-    return Scene(tuple(parts), "z", unit)
+    return FileScene(tuple(parts), "z", unit)
 
 
 def count_parts(path: Path) -> int:
@@ -120,7 +120,7 @@ def _symbol(body: str) -> str | None:
     return _SYMBOLS.get(found[1].upper()) if (found := _SI.search(body)) else None
 
 
-def _tessellated(path: Path) -> Scene:
+def _tessellated(path: Path) -> FileScene:
     """Return the scene in metres."""
     with tempfile.TemporaryDirectory(prefix="roboassembly-") as scratch:
         out = Path(scratch) / "scene.glb"
@@ -140,12 +140,14 @@ def _tessellated(path: Path) -> Scene:
     if done.returncode != 0 and not data:
         last = one_line(printed.strip().rsplit("\n", 1)[-1], 80) or "nothing"
         raise FurnitureError(
-            f"'{path}' cannot be read as STEP: OpenCASCADE ended with status {done.returncode} ({last}); repair it in a "
-            "CAD program, or export each part as STL"
+            f"'{path}' cannot be read as STEP: OpenCASCADE ended with status {done.returncode} ({last}); repair it in "
+            "a CAD program, or export each part as STL"
         )
     if problem or not data:
         found = next(filter(None, problem.groups()), "") if problem else "no solids"
-        raise FurnitureError(f"'{path}' cannot be read as STEP: {one_line(found)}; export it again from the CAD program")
+        raise FurnitureError(
+            f"'{path}' cannot be read as STEP: {one_line(found)}; export it again from the CAD program"
+        )
     try:
         return decode_glb(data, each_node=True, default=one_line(path.stem) or "part")
     except (FurnitureError, ValueError, IndexError, struct.error) as refusal:

@@ -25,7 +25,7 @@ from roboassembly.furniture.triangles import NamedTriangles, Triangles
 from roboassembly.geometry.meshes import MAX_FACES
 from roboassembly.geometry.units import METRES, NAMES, Unit
 from roboassembly.importers.files import MAX_BYTES, one_line, read_bytes
-from roboassembly.importers.scene import Node, Scene, given_name, part_names
+from roboassembly.importers.scene import FileScene, Node, given_name, part_names
 
 MAX_INSTANCES = 20_000
 """Largest number of placed objects."""
@@ -69,7 +69,7 @@ class _Model:
     build: list[_Reference] = field(default_factory=list[_Reference])
 
 
-def read_3mf(path: Path) -> Scene:
+def read_3mf(path: Path) -> FileScene:
     """Read the objects that the build list names, each at its place: z up, in the unit of the file.
 
     Raises:
@@ -93,11 +93,13 @@ def count_parts(path: Path) -> int:
         return 0
 
 
-def _read(data: bytes) -> Scene:
+def _read(data: bytes) -> FileScene:
     archive = _Archive(data)
     root = archive.model(archive.start)
     if root.unit not in {*_UNITS, "micron"}:
-        raise FurnitureError(f"its unit {one_line(repr(root.unit), 40)} is not known; expected one of {', '.join(_UNITS)}")
+        raise FurnitureError(
+            f"its unit {one_line(repr(root.unit), 40)} is not known; expected one of {', '.join(_UNITS)}"
+        )
     symbol = _UNITS.get(root.unit)
     scale = _MICRON if symbol is None else METRES[symbol]
     unit = Unit(scale, f"{NAMES[symbol] if symbol else 'micrometres'}, as the file states", symbol)
@@ -116,7 +118,7 @@ def _read(data: bytes) -> Scene:
     if not surfaces:
         raise FurnitureError("its build list has no object with triangles; give parts of type 'model'")
     names = part_names(paths)
-    return Scene(tuple(map(NamedTriangles, names, surfaces)), "z", unit)
+    return FileScene(tuple(map(NamedTriangles, names, surfaces)), "z", unit)
 
 
 def _placed(
@@ -124,7 +126,9 @@ def _placed(
 ) -> Iterator[tuple[tuple[Node, ...], tuple[str, str], Float[np.ndarray, "4 4"]]]:
     """Yield path, key and `scene_from_object` of each object with triangles, in the order of the build list."""
     nobody: tuple[Node, ...] = ()
-    stack = [(item, np.eye(4), nobody) for item in reversed(root.build)]
+    stack: list[tuple[_Reference, Float[np.ndarray, "4 4"], tuple[Node, ...]]] = [
+        (item, np.eye(4), nobody) for item in reversed(root.build)
+    ]
     number = 0
     while stack:
         reference, scene_from_parent, above = stack.pop()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 from collections.abc import Sequence
 from dataclasses import dataclass
+from io import BytesIO
 
 import fast_simplification
 import imageio.v3 as iio
@@ -96,21 +97,23 @@ def _overview(
     # The lowest part stays on the ground.
     lows = np.array([mesh.bounds[0, 2] for mesh in after])
     shifts[:, 2] -= (lows + shifts[:, 2]).min()
-    still, none = [SE3.Identity()] * count, [None] * count
-    apart = [SE3(np.eye(3), shift) for shift in shifts]
-    near = _camera([*before, *after], [*still, *still], WIDTH / HEIGHT)
-    wide = _camera(after, apart, WIDTH / HEIGHT)
-    radius = float(max(np.abs(box_corners(m, p) - wide.target).max() for m, p in zip(after, apart, strict=True)))
+    assembled, none = [SE3.Identity()] * count, [None] * count
+    exploded = [SE3(np.eye(3), shift) for shift in shifts]
+    near = _camera([*before, *after], [*assembled, *assembled], WIDTH / HEIGHT)
+    wide = _camera(after, exploded, WIDTH / HEIGHT)
+    radius = float(max(np.abs(box_corners(m, p) - wide.target).max() for m, p in zip(after, exploded, strict=True)))
     with OffscreenRenderer(
         [*before, *after], WIDTH, HEIGHT, center=wide.target, radius=radius, quality=STILL
     ) as renderer:
         pictures = [
             _encoded(renderer.picture(poses, [*[DELIVERED] * count, *colors], camera))
-            for poses, camera in (([*still, *none], near), ([*none, *still], near), ([*none, *apart], wide))
+            for poses, camera in (([*assembled, *none], near), ([*none, *assembled], near), ([*none, *exploded], wide))
         ]
     ends = [
         [
-            transform_points(apart[part] * furniture.assembled[part], furniture.parts[part].points[point].position[None])[0]
+            transform_points(
+                exploded[part] * furniture.assembled[part], furniture.parts[part].points[point].position[None]
+            )[0]
             for part, point in ((c.part_a, c.point_a), (c.part_b, c.point_b))
         ]
         for c in furniture.connections
@@ -120,7 +123,9 @@ def _overview(
 
 
 def _parts(
-    before: Sequence[Mesh], halves: Sequence[tuple[Mesh | None, Mesh | None]], bounds: Sequence[Float[np.ndarray, "2 3"]]
+    before: Sequence[Mesh],
+    halves: Sequence[tuple[Mesh | None, Mesh | None]],
+    bounds: Sequence[Float[np.ndarray, "2 3"]],
 ) -> tuple[PartPictures, ...]:
     """Return the pictures of each part, which stands alone on the ground."""
     meshes = [*before, *(half for pair in halves for half in pair if half is not None)]
@@ -142,11 +147,11 @@ def _parts(
             low, high = corners.min(axis=0), corners.max(axis=0)
             place = SE3(turn, -np.array([*(0.5 * (low + high))[:2], low[2]]))
             camera = fit_camera(corners + place.translation, PART_WIDTH / PART_HEIGHT, azimuth)
-            views = [
+            poses_of = [
                 [place if owner == part and (k < len(before)) == old else None for k, owner in enumerate(owners)]
                 for old in (True, False)
             ]
-            first, second = (_encoded(renderer.picture(poses, colors, camera)) for poses in views)
+            first, second = (_encoded(renderer.picture(poses, colors, camera)) for poses in poses_of)
             out.append(PartPictures(first, second, turn is _OVER))
     return tuple(out)
 
@@ -158,9 +163,7 @@ def _view(changed: Mesh | None) -> tuple[Float[np.ndarray, "3 3"], float]:
         return choices[0]
     a, b, c = (changed.vertices[changed.faces[:, k]] for k in range(3))
     normals = np.cross(b - a, c - a)
-    shown = [
-        np.maximum(0.0, -normals @ turn.T @ view_axes(azimuth, ELEVATION)[2]).sum() for turn, azimuth in choices
-    ]
+    shown = [np.maximum(0.0, -normals @ turn.T @ view_axes(azimuth, ELEVATION)[2]).sum() for turn, azimuth in choices]
     # The usual view stays unless another one shows clearly more.
     best = int(np.argmax(shown))
     return choices[best] if shown[best] > _CLEARLY * shown[0] else choices[0]
@@ -196,12 +199,11 @@ def _light(mesh: Mesh) -> Mesh:
     """Return a mesh with few enough triangles for a picture."""
     if len(mesh.faces) <= MAX_FACES:
         return mesh
-    points, faces = fast_simplification.simplify(
-        mesh.vertices.astype(np.float32), mesh.faces.astype(np.int32), target_count=MAX_FACES
-    )
-    return Mesh(points.astype(float), faces.astype(np.int64))
+    points, faces = fast_simplification.simplify(mesh.vertices, mesh.faces, target_count=MAX_FACES)
+    return Mesh(points, faces)
 
 
 def _encoded(picture: UInt8[np.ndarray, "height width 3"]) -> str:
-    data = iio.imwrite("<bytes>", picture, extension=".webp", quality=80)
-    return "data:image/webp;base64," + base64.b64encode(data).decode("ascii")
+    data = BytesIO()
+    iio.imwrite(data, picture, extension=".webp")
+    return "data:image/webp;base64," + base64.b64encode(data.getvalue()).decode("ascii")

@@ -35,7 +35,8 @@ ol.look li.more { color: #57606a; }
 figure { margin: 0; position: relative; } figcaption { color: #57606a; font-size: 0.85rem; }
 img, figure svg { display: block; width: 100%; height: auto; border-radius: 0.3rem; }
 figure svg { position: absolute; top: 0; left: 0; }
-svg polyline { fill: none; stroke: #b3261e; stroke-width: 1.5; } svg circle { fill: #fff; stroke: #b3261e; stroke-width: 1.5; }
+svg polyline { fill: none; stroke: #b3261e; stroke-width: 1.5; }
+svg circle { fill: #fff; stroke: #b3261e; stroke-width: 1.5; }
 svg text { font: 600 11px system-ui, sans-serif; fill: #b3261e; text-anchor: middle; dominant-baseline: central; }
 .part { display: grid; grid-template-columns: minmax(8rem, 12rem) minmax(8rem, 12rem) 1fr; gap: 0.8rem;
   padding: 0.8rem 0; border-top: 1px solid #d8dee4; }
@@ -47,8 +48,8 @@ td.number { text-align: right; font-variant-numeric: tabular-nums; } tr { border
 @media (max-width: 40rem) { .part { grid-template-columns: 1fr 1fr; } .part div.text { grid-column: 1 / 3; } }
 """
 _EXPLAINED = f"""Grey: as delivered. Wood: after repair. Orange: surfaces of the part after repair that lie more than
-{1e3 * CHANGED:g} mm off the delivered surface: sockets, cuts and closed holes. Where parts touched, each joint has a gap
-of 0.2 mm, which is too small to be orange."""
+{1e3 * CHANGED:g} mm off the delivered surface: sockets, cuts and closed holes. Where parts touched, each joint has a
+gap of 0.2 mm, which is too small to be orange."""
 
 
 def import_report(name: str, source: Path, raw: RawFurniture, imported: Imported, found: Sequence[Finding]) -> str:
@@ -87,7 +88,7 @@ def import_report(name: str, source: Path, raw: RawFurniture, imported: Imported
         "<h2>Connections</h2>",
         _connections(furniture),
         "<h2>What a robot's hand cannot hold</h2>",
-        _held(furniture),
+        _unholdable(furniture),
     ]
     return (
         f'<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"><title>Import of {_text(name)}</title>'
@@ -102,37 +103,40 @@ def _text(text: str) -> str:
 
 def _look(found: Sequence[Finding]) -> str:
     if not found:
-        return "<p>Nothing: every part is as delivered but for gaps of 0.2 mm at the joints, and a hand can hold it.</p>"
+        return (
+            "<p>Nothing: no part was moved or changed its size by more than 1 mm, and a hand can hold each.</p>"
+        )
     items = "".join(f"<li{' class=more' if k >= 3 else ''}>{_text(f.text)}</li>" for k, f in enumerate(found))
     return f"<ol class='look'>{items}</ol>"
 
 
 def _whole(furniture: Furniture, pictures: ImportPictures) -> str:
-    marks: list[str] = []
+    overlays: list[str] = []
     numbered = len(pictures.joints) <= MOST_NUMBERS
     middles = pictures.joints.mean(axis=1)
     if numbered:
-        middles = apart(middles, 2.0 * _RADIUS + 1.0)
+        middles = separate_labels(middles, 2.0 * _RADIUS + 1.0)
     for number, (((ax, ay), (bx, by)), (x, y)) in enumerate(zip(pictures.joints, middles, strict=True), start=1):
         connection = furniture.connections[number - 1]
         names = " – ".join(_text(furniture.parts[p].name) for p in (connection.part_a, connection.part_b))
         label = f"<circle cx='{x:.1f}' cy='{y:.1f}' r='{_RADIUS:g}'/><text x='{x:.1f}' y='{y:.1f}'>{number}</text>"
-        marks.append(
-            f"<g><title>{number}: {names}</title><polyline points='{ax:.1f},{ay:.1f} {x:.1f},{y:.1f} {bx:.1f},{by:.1f}'/>"
-            f"{label if numbered else ''}</g>"
+        overlays.append(
+            f"<g><title>{number}: {names}</title>"
+            f"<polyline points='{ax:.1f},{ay:.1f} {x:.1f},{y:.1f} {bx:.1f},{by:.1f}'/>{label if numbered else ''}</g>"
         )
-    overlay = f"<svg viewBox='0 0 {WIDTH} {HEIGHT}'>{''.join(marks)}</svg>"
+    overlay = f"<svg viewBox='0 0 {WIDTH} {HEIGHT}'>{''.join(overlays)}</svg>"
     return (
         "<div class='whole'>"
         f"<figure><img src='{pictures.before}' alt='as delivered'><figcaption>As delivered</figcaption></figure>"
         f"<figure><img src='{pictures.after}' alt='after repair'><figcaption>After repair; parts of one shape have one "
         "colour</figcaption></figure></div>"
-        f"<figure><img src='{pictures.exploded}' alt='pulled apart'>{overlay}<figcaption>Pulled apart; a red line joins "
-        f"the two ends of each connection{', with its number in the table below' * numbered}</figcaption></figure>"
+        f"<figure><img src='{pictures.exploded}' alt='pulled apart'>{overlay}<figcaption>Pulled apart; a red line "
+        f"joins the two ends of each connection{', with its number in the table below' * numbered}</figcaption>"
+        "</figure>"
     )
 
 
-def apart(points: Float[np.ndarray, "n 2"], distance: float) -> Float[np.ndarray, "n 2"]:
+def separate_labels(points: Float[np.ndarray, "n 2"], distance: float) -> Float[np.ndarray, "n 2"]:
     """Return points of a picture, pushed away from each other until they are `distance` pixels apart, if possible."""
     out = points.copy()
     # Points in one place go to different sides.
@@ -155,12 +159,14 @@ def _part(
     part, delivered = furniture.parts[index], raw.parts[index]
     sides = np.sort(extents(part.mesh.vertices, box_axes(part.mesh.vertices)))[::-1]
     size = " × ".join(f"{1e3 * side:.0f}" for side in sides)
-    alike = [
-        furniture.parts[k].name for k in furniture.classes[furniture.class_of[index]].members if k != index
+    alike = [furniture.parts[k].name for k in furniture.classes[furniture.class_of[index]].members if k != index]
+    lines = [
+        f"{size} mm, {1e6 * part.mesh.volume:.0f} cm³, {len(delivered.mesh.faces)} → {len(part.mesh.faces)} triangles"
     ]
-    lines = [f"{size} mm, {1e6 * part.mesh.volume:.0f} cm³, {len(delivered.mesh.faces)} → {len(part.mesh.faces)} triangles"]
     if alike:
-        lines.append(f"same shape as {', '.join(map(_text, alike[:4]))}{f' and {len(alike) - 4} more' * (len(alike) > 4)}")
+        lines.append(
+            f"same shape as {', '.join(map(_text, alike[:4]))}{f' and {len(alike) - 4} more' * (len(alike) > 4)}"
+        )
     lines.append(_made(repair))
     lines.append("not moved" if repair.displacement < 5e-6 else f"moved {1e3 * repair.displacement:.2f} mm")
     cut = f"cut: {repair.trimmed:.2%} of its volume"
@@ -189,8 +195,8 @@ def _made(repair: PartRepair) -> str:
     if repair.how == "as delivered":
         return "solid as delivered"
     return (
-        f"made solid: {_text(repair.how)}; delivered surface up to {1e3 * repair.shape_error:.2f} mm outside, new surface "
-        f"up to {1e3 * repair.shape_added:.2f} mm off it"
+        f"made solid: {_text(repair.how)}; delivered surface up to {1e3 * repair.shape_error:.2f} mm outside, new "
+        f"surface up to {1e3 * repair.shape_added:.2f} mm off it"
     )
 
 
@@ -206,12 +212,10 @@ def _connections(furniture: Furniture) -> str:
             f"<tr><td class='number'>{number}</td>{names}{numbers}<td>{_direction(normal)}</td>"
             f"<td class='number'>{1e3 * point.gap:.2f}</td></tr>"
         )
-    head = "".join(
-        f"<th>{title}</th>" for title in ("", "part", "joins", "x mm", "y mm", "z mm", "faces", "gap mm")
-    )
+    head = "".join(f"<th>{title}</th>" for title in ("", "part", "joins", "x mm", "y mm", "z mm", "faces", "gap mm"))
     return (
-        f"<p class='quiet'>Parts within {1e3 * CONTACT_DISTANCE:g} mm of each other are connected. Places are the middle "
-        "of the contact in the assembled piece: z from the ground, x and y from its middle.</p>"
+        f"<p class='quiet'>Parts within {1e3 * CONTACT_DISTANCE:g} mm of each other are connected. Places are the "
+        "middle of the contact in the assembled piece: z from the ground, x and y from its middle.</p>"
         f"<div class='scroll'><table><tr>{head}</tr>{''.join(rows)}</table></div>"
     )
 
@@ -222,7 +226,7 @@ def _direction(normal: np.ndarray) -> str:
     return f"{tilted}{'+' if normal[axis] > 0 else '−'}{'xyz'[axis]}"
 
 
-def _held(furniture: Furniture) -> str:
+def _unholdable(furniture: Furniture) -> str:
     reasons = [(part.name, why) for part in furniture.parts if (why := why_not_held(part))]
     if not reasons:
         return "<p>Nothing: every part has two places where a hand can hold it.</p>"
