@@ -259,6 +259,28 @@ def test_find(tmp_path):
         folder.find(tmp_path / "empty")
 
 
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("a.stl", b"ISO-10303-21;\n", r"a.stl' holds STEP by its contents; name it a.step"),
+        ("a.step", b"PK\x03\x04 ", r"a.step' holds 3MF by its contents; name it a.3mf"),
+        ("a.gltf", b"glTF\x02", r"a.gltf' holds GLB by its contents; name it a.glb"),
+        ("a.obj", b"ply\nformat", r"a.obj' holds PLY by its contents; name it a.ply"),
+    ],
+)
+def test_files_with_the_suffix_of_another_format(tmp_path, name, content, message):
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(FurnitureError, match=message):
+        folder.read(tmp_path / name)
+
+
+def test_files_without_parts(tmp_path):
+    with pytest.raises(FurnitureError, match=r"x.glb' holds no triangles"):
+        folder.read(write_glb(tmp_path / "x.glb", [{"name": "empty"}]))
+    with pytest.raises(FurnitureError, match=r"gone.step' is not there"):
+        folder.find(tmp_path / "gone.step")
+
+
 def test_paths_that_are_not_files_are_refused(tmp_path):
     table = write_table(tmp_path / "table")
     (table / "more.obj").mkdir()

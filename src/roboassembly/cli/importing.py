@@ -118,7 +118,7 @@ class ImportCommand:
     """Accept repairs that shorten a part, or its depth in a neighbour, by more than 5 mm, if overlaps cannot be removed
     in another way."""
     report: bool = True
-    """Write import-report.html into each furniture folder: every part before and after repair, with pictures."""
+    """Write import-report.html into each furniture folder."""
     cache: bool = True
     """Reuse the result of an earlier import of the same files."""
     json: bool = False

@@ -146,8 +146,8 @@ def _of_repairs(repairs: Sequence[PartRepair]) -> list[Finding]:
     return out
 
 
-def _noted(repair: PartRepair, words: str) -> bool:
-    return any(words in note for note in repair.notes)
+def _noted(repair: PartRepair, text: str) -> bool:
+    return any(text in note for note in repair.notes)
 
 
 def _of_gaps(furniture: Furniture) -> list[Finding]:

@@ -36,6 +36,8 @@ from roboassembly.importers.scene import FileScene
 from roboassembly.importers.scene_files import SCENES, scene_format
 
 SUFFIXES = (*READERS, *SCENES)
+_BEGINNINGS = {b"ISO-10303-21": (".step", ".stp"), b"glTF": (".glb",), b"PK\x03\x04": (".3mf",), b"ply\n": (".ply",)}
+"""Suffixes of formats by the bytes that files begin with."""
 EXPECTED = f"a folder of named parts ({', '.join(SUFFIXES)}), one scene ({', '.join(SCENES)}), or a folder of such"
 
 
@@ -54,6 +56,8 @@ def find(root: Path) -> list[Path]:
         if not _is_mesh(root.name):
             raise FurnitureError(f"'{root}' is not a file that is read here; give {EXPECTED}")
         return [root]
+    if _is_mesh(root.name) and not root.exists():
+        raise FurnitureError(f"'{root}' is not there; give {EXPECTED}")
     if not any(_is_mesh(name) for _, names in files.walk(root) for name in names):
         refuse_cad(root, whole=True)
     pieces: list[Path] = []
@@ -91,6 +95,10 @@ def read(path: Path, *, scale: float | None = None, up: Up | None = None, split:
         known = ", ".join(UP_ROTATIONS)
         raise FurnitureError(f"up axis {files.one_line(repr(up), 40)} is not known; expected one of {known}")
     scene = _read_file(path) if path.is_file() else _read_folder(path)
+    if not scene.parts:
+        raise FurnitureError(
+            f"'{path}' holds no triangles; export the parts of the piece, not an empty or hidden scene"
+        )
     parts, remarks = _divided(path, list(scene.parts), split)
     check_part_count(len(parts), f"'{path}'")
     axis = up or scene.up
@@ -156,8 +164,19 @@ def _count_parts(file: Path) -> int:
 
 
 def _read_file(file: Path) -> FileScene:
+    _refuse_misnamed(file)
     known = scene_format(file)
     return FileScene((NamedTriangles(_part_name(file), read_mesh(file)),), "z") if known is None else known.read(file)
+
+
+def _refuse_misnamed(file: Path) -> None:
+    """Raise an error if a file begins like one of another format than its suffix says."""
+    suffix = file.suffix.lower()
+    begins = files.read_bytes(file)[:16].lstrip()
+    for magic, suffixes in _BEGINNINGS.items():
+        if begins.startswith(magic) and suffix not in suffixes:
+            name = file.with_suffix(suffixes[0]).name
+            raise FurnitureError(f"'{file}' holds {suffixes[0][1:].upper()} by its contents; name it {name}")
 
 
 def _read_folder(path: Path) -> FileScene:

@@ -103,9 +103,7 @@ def _text(text: str) -> str:
 
 def _look(found: Sequence[Finding]) -> str:
     if not found:
-        return (
-            "<p>Nothing: no part was moved or changed its size by more than 1 mm, and a hand can hold each.</p>"
-        )
+        return "<p>Nothing: no part was moved or changed its size by more than 1 mm, and a hand can hold each.</p>"
     items = "".join(f"<li{' class=more' if k >= 3 else ''}>{_text(f.text)}</li>" for k, f in enumerate(found))
     return f"<ol class='look'>{items}</ol>"
 
