@@ -22,6 +22,7 @@ SWITCHES = {
     "--no-film": "Do not render assembly.mp4.",
     "--no-browser": "Do not open a browser window.",
     "--no-search": "Do not search for another action if the policy's action fails.",
+    "--no-report": "Do not write import-report.html into each furniture folder.",
     "--no-cache": "Do not reuse the result of an earlier import of the same files.",
 }
 

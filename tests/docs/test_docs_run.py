@@ -25,6 +25,7 @@ import trimesh
 from documentation import EXTRAS, PAGES, ROOT, Block, Command, can_draw, examples, extras_needed
 from model_files import IKEA_PLATE, IKEA_POST, write_ikea_env, write_table
 from roboassembly.cli import main
+from step_files import step_table, write_step
 
 ALWAYS = [
     (r"make .*", "makes a virtual environment; `test_release.py` installs the package into an empty one"),
@@ -141,6 +142,7 @@ def clone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     write_table(folder / "my_files", unit=0.001, suffixes=("stl", "stl", "stl"))
     parts = [trimesh.load_mesh(path) for path in sorted((folder / "my_files").iterdir())]
     trimesh.util.concatenate(parts).export(folder / "my_chair.stl")
+    write_step(folder / "table.step", step_table())
     (folder / "chair_agne_0010").mkdir()
     write_ikea_env(folder / "chair_agne_0010", IKEA_POST, IKEA_PLATE)
     with (folder / "my.npz").open("wb") as out:

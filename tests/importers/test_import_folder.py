@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import struct
+from base64 import b64encode
 
 import numpy as np
 import pytest
@@ -87,6 +89,83 @@ def test_matrices_are_column_major_and_mirrors_stay_solid(tmp_path):
     raw = folder.read(write_glb(tmp_path / "x.glb", nodes), scale=1.0)
     assert np.allclose(raw.parts[1].mesh.bounds[:, 0] - raw.parts[0].mesh.bounds[0, 0], [4, 5], atol=1e-6)
     assert all(p.mesh.is_solid for p in raw.parts)
+
+
+def test_hierarchies_give_names_to_repeated_parts(tmp_path):
+    """Two groups of two posts each: `left` from 0, `right` mirrored about x = 5; the top is in no group."""
+    mirror = [-1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 10, 0, 0, 1]
+    nodes = [
+        {"name": "table", "children": [1, 4, 7]},
+        {"name": "left", "children": [2, 3]},
+        {"name": "post", "mesh": 0},
+        {"name": "post", "mesh": 0, "translation": [0, 0, 4]},
+        {"name": "right", "children": [5, 6], "matrix": mirror},
+        {"name": "post", "mesh": 0},
+        {"name": "far post", "mesh": 0, "translation": [0, 0, 4]},
+        {"name": "top", "mesh": 0, "translation": [0, 1, 0], "scale": [10, 1, 5]},
+    ]
+    raw = folder.read(write_glb(tmp_path / "x.glb", nodes), scale=0.1)
+    assert [p.name for p in raw.parts] == ["left/post", "left/post_2", "right/post", "far post", "top"]
+    low = raw.parts[4].mesh.bounds[0]
+    # glTF's x, y, z become x, -z, y: the right post lies at x 9..10 of the top's 0..10, at z 0..1, so -1..0 after it.
+    assert np.allclose(raw.parts[2].mesh.bounds[:, 0] - low[0], [0.9, 1.0], atol=1e-6)
+    assert np.allclose(raw.parts[2].mesh.bounds[:, 1] - low[1], [0.4, 0.5], atol=1e-6)
+    assert all(p.mesh.is_solid and p.mesh.volume > 0 for p in raw.parts)
+
+
+@pytest.mark.parametrize("kind", ["a file", "base64"])
+def test_text_gltf(tmp_path, kind):
+    """The same scene as GLB and as text, with its buffer in a file beside it or in the text."""
+    glb = write_glb(tmp_path / "x.glb", PART_PAIR)
+    data = glb.read_bytes()
+    length = struct.unpack_from("<I", data, 12)[0]
+    document, buffer = json.loads(data[20 : 20 + length]), data[28 + length :]
+    uri = (
+        "my%20buffer.bin" if kind == "a file" else "data:application/octet-stream;base64," + b64encode(buffer).decode()
+    )
+    document["buffers"] = [{"byteLength": len(buffer), "uri": uri}]
+    where = tmp_path / "text"
+    where.mkdir()
+    (where / "x.gltf").write_text(json.dumps(document))
+    if kind == "a file":
+        with pytest.raises(FurnitureError, match=r"my buffer.bin' cannot be read: No such file"):
+            folder.read(where / "x.gltf")
+        (where / "my buffer.bin").write_bytes(buffer)
+    same, other = folder.read(where / "x.gltf"), folder.read(glb)
+    assert [p.name for p in same.parts] == [p.name for p in other.parts] == ["a", "b"]
+    for p, q in zip(same.parts, other.parts, strict=True):
+        assert np.array_equal(p.mesh.vertices, q.mesh.vertices)
+    assert folder.find(where) == [where / "x.gltf"]
+    assert folder.reads(where / "x.gltf") == where.resolve(), "a change of the buffer changes the piece"
+
+
+@pytest.mark.parametrize(
+    ("uri", "message"),
+    [
+        ("../secret.bin", "is not inside"),
+        ("/etc/passwd", "is not inside"),
+        ("data:text/plain,hello", "expected base64"),
+        ("data:;base64,%%%", "not base64"),
+        ("data:;base64,AAAA", "reads beyond its buffer"),
+    ],
+)
+def test_buffers_elsewhere_are_refused(tmp_path, uri, message):
+    (tmp_path / "secret.bin").write_bytes(b"x" * 200)
+    data = write_glb(tmp_path / "x.glb", PART_PAIR).read_bytes()
+    document = json.loads(data[20 : 20 + struct.unpack_from("<I", data, 12)[0]])
+    document["buffers"] = [{"byteLength": 168, "uri": uri}]
+    (tmp_path / "in").mkdir()
+    (tmp_path / "in" / "x.gltf").write_text(json.dumps(document))
+    with pytest.raises(FurnitureError, match=message) as caught:
+        folder.read(tmp_path / "in" / "x.gltf")
+    assert "x.gltf" in str(caught.value)
+
+
+def test_instances_of_an_extension_are_refused(tmp_path):
+    """Without the extension the file would have one post instead of many."""
+    path = write_glb(tmp_path / "x.glb", PART_PAIR, extensionsUsed=["EXT_mesh_gpu_instancing"])
+    with pytest.raises(FurnitureError, match="requires EXT_mesh_gpu_instancing"):
+        folder.read(path)
 
 
 def test_names(tmp_path):
@@ -178,6 +257,28 @@ def test_find(tmp_path):
     (tmp_path / "empty").mkdir()
     with pytest.raises(FurnitureError, match="holds nothing to import"):
         folder.find(tmp_path / "empty")
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("a.stl", b"ISO-10303-21;\n", r"a.stl' holds STEP by its contents; name it a.step"),
+        ("a.step", b"PK\x03\x04 ", r"a.step' holds 3MF by its contents; name it a.3mf"),
+        ("a.gltf", b"glTF\x02", r"a.gltf' holds GLB by its contents; name it a.glb"),
+        ("a.obj", b"ply\nformat", r"a.obj' holds PLY by its contents; name it a.ply"),
+    ],
+)
+def test_files_with_the_suffix_of_another_format(tmp_path, name, content, message):
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(FurnitureError, match=message):
+        folder.read(tmp_path / name)
+
+
+def test_files_without_parts(tmp_path):
+    with pytest.raises(FurnitureError, match=r"x.glb' holds no triangles"):
+        folder.read(write_glb(tmp_path / "x.glb", [{"name": "empty"}]))
+    with pytest.raises(FurnitureError, match=r"gone.step' is not there"):
+        folder.find(tmp_path / "gone.step")
 
 
 def test_paths_that_are_not_files_are_refused(tmp_path):

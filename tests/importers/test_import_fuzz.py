@@ -8,6 +8,8 @@ import struct
 import tempfile
 import time
 import warnings
+import zipfile
+from io import BytesIO
 from pathlib import Path
 
 import pytest
@@ -38,6 +40,29 @@ for _k in range(3):
         BOX, node_name=f"part{_k}", transform=trimesh.transformations.translation_matrix((0.4 * _k, 0, 0))
     )
 SCENE_GLB = SCENE.export(file_type="glb")
+_LENGTH = struct.unpack_from("<I", SCENE_GLB, 12)[0]
+_DOCUMENT = json.loads(SCENE_GLB[20 : 20 + _LENGTH])
+_DOCUMENT["buffers"][0]["uri"] = "new-0"
+SCENE_GLTF, SCENE_BUFFER = json.dumps(_DOCUMENT).encode(), SCENE_GLB[28 + _LENGTH :]
+MODEL_3MF = (
+    '<model xmlns="http://schemas.microsoft.com/3dmanufacturing/core/2015/02" unit="inch"><resources>'
+    '<object id="1" name="a"><mesh><vertices>'
+    + "".join(f'<vertex x="{x}" y="{y}" z="{z}"/>' for x, y, z in BOX.vertices * 40)
+    + "</vertices><triangles>"
+    + "".join(f'<triangle v1="{a}" v2="{b}" v3="{c}"/>' for a, b, c in BOX.faces)
+    + '</triangles></mesh></object><object id="2" name="b"><components><component objectid="1"/>'
+    '<component objectid="1" transform="1 0 0 0 1 0 0 0 1 16 0 0"/></components></object></resources>'
+    '<build><item objectid="2"/></build></model>'
+).encode()
+
+
+def as_3mf(model: bytes) -> bytes:
+    """Return an archive with the model, packed without compression, so that damage reaches it."""
+    out = BytesIO()
+    with zipfile.ZipFile(out, "w") as archive:
+        archive.writestr("3D/3dmodel.model", model)
+    return out.getvalue()
+
 
 IDENTITY = [[1.0, 0, 0, 0], [0, 1.0, 0, 0], [0, 0, 1.0, 0], [0, 0, 0, 1.0]]
 MJCF = (
@@ -80,6 +105,8 @@ SOURCES: dict[str, list[dict[str, bytes]]] = {
     "folder": [
         {"a.obj": OBJ, "b.stl": STL, "c.ply": PLY, "d.glb": GLB, "e.ply": ASCII_PLY},
         {"scene.glb": SCENE_GLB},
+        {"scene.gltf": SCENE_GLTF, "new-0": SCENE_BUFFER},
+        {"scene.3mf": as_3mf(MODEL_3MF)},
     ],
 }
 TOKENS = [
@@ -108,6 +135,11 @@ def damaged(draw: st.DrawFn, kind: str) -> dict[str, bytes]:
         name = draw(st.sampled_from(sorted(files)))
         data = files[name]
         match draw(st.sampled_from(KINDS)):
+            case "number" | "path" | "insert" if name.endswith(".3mf"):
+                model = MODEL_3MF
+                for spot in draw(st.lists(st.sampled_from(list(re.finditer(rb"[\w./:]+", model))), max_size=1)):
+                    model = model[: spot.start()] + draw(st.sampled_from(TOKENS)) + model[spot.end() :]
+                files[name] = as_3mf(model)
             case "cut":
                 files[name] = data[: draw(st.integers(0, len(data)))]
             case "flip" if data:
@@ -130,7 +162,7 @@ def damaged(draw: st.DrawFn, kind: str) -> dict[str, bytes]:
                 files[name] = files[name][:50_000]
             case "gone" if len(files) > 1:
                 del files[name]
-            case "json" if name.endswith((".json", ".glb")):
+            case "json" if name.endswith((".json", ".glb", ".gltf")):
                 files[name] = draw(json_damage(data, name.endswith(".glb")))
             case _:
                 files[name] = draw(st.binary(max_size=200))

@@ -210,7 +210,7 @@ def test_entities_in_other_encodings(tmp_path):
         ('pos="5 5 5"', 'pos="5 5"', "3 finite numbers"),
         ('pos="5 5 5"', 'pos="5 5 nan"', "3 finite numbers"),
         ('scale="1 1 1"', 'scale="0 1 1"', "is scaled by"),
-        ('scale="1 1 1"', 'scale="1e5 1e5 1e5"', "give another scale"),
+        ('scale="1 1 1"', 'scale="1e5 1e5 1e5"', "name the unit of the files"),
         ("plate-post,90,", "plate-seat,90,", "do not join all parts"),
         ("post-plate,90,", "post-plate,ninety,", "angles in its name are not numbers"),
         ("<geom", "<body/><geom", "holds another body"),

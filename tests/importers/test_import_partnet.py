@@ -154,7 +154,7 @@ def test_hostile_json(chair):
 
 def test_absurd_scale(chair):
     for scale in (1e-9, 1e9):
-        with pytest.raises(FurnitureError, match="give another scale"):
+        with pytest.raises(FurnitureError, match="name the unit of the files"):
             partnet.read(chair, scale=scale)
     with pytest.raises(FurnitureError, match="not a positive number"):
         partnet.read(chair, scale=-1.0)

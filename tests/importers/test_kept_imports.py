@@ -50,7 +50,7 @@ def finished(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
 def run(capsys: pytest.CaptureFixture[str], *arguments: object, kind: str = "folder") -> dict:
     with pytest.raises(SystemExit):
-        main(["import", kind, *map(str, arguments), "--force", "--json"])
+        main(["import", kind, *map(str, arguments), "--no-report", "--force", "--json"])
     return json.loads(capsys.readouterr().out)["items"][0]
 
 

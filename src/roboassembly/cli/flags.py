@@ -65,7 +65,7 @@ def _field(field: dataclasses.Field[Any], hint: Any, kind: type) -> StructFieldS
 
 def _metavar(field: dataclasses.Field[Any], plain: Any, metadata: tuple[object, ...]) -> str | None:
     """Return the placeholder of a positional argument in the help; None for tyro's own."""
-    if tyro.conf.Positional not in metadata or plain not in (str, Path):
+    if tyro.conf.Positional not in metadata or plain not in (str, Path, Path | None):
         return None
     return field.name.upper() if field.default is dataclasses.MISSING else f"[{field.name.upper()}]"
 

@@ -6,23 +6,29 @@ import time
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
 import tyro
 
 from roboassembly.cli.options import CORES, Jobs, require_at_least
 from roboassembly.cli.output import DONE, check_writable, print_json, progress_bar, refuse_existing, say, show
-from roboassembly.errors import InputError
+from roboassembly.errors import InputError, UnknownNameError
 
 if TYPE_CHECKING:
+    from roboassembly.furniture.model import RawFurniture
+    from roboassembly.importers.findings import Finding
     from roboassembly.importers.kept import Summary
+    from roboassembly.importers.pipeline import Imported
 
 Kind = Literal["partnet", "ikea-manual", "ikea-env", "furniture-bench", "folder"]
 """Names of the formats in `importers.IMPORTERS`."""
+FORMATS: tuple[Kind, ...] = get_args(Kind)
 UnitName = Literal["mm", "cm", "m", "in", "ft"]
 """Names of the units in `geometry.units.METRES`."""
 DEFAULT_OUT = Path("furniture")
 """Folder for pieces without --out."""
+NAMED = 3
+"""Number of findings that are printed for a piece."""
 UpAxis = Literal["x", "y", "z", "-x", "-y", "-z"]
 
 
@@ -39,6 +45,7 @@ class ImportJob:
     cache: bool
     allow_shortening: bool
     split: bool
+    report: bool
 
 
 @dataclass(frozen=True)
@@ -74,17 +81,22 @@ class ImportResult:
     """Size of the piece in the files along x, y and z (up) [m]."""
     remarks: tuple[str, ...] = ()
     """Remarks on the files for the user, one line each."""
+    findings: tuple[str, ...] = ()
+    """What is worth a look, the most important first."""
+    report: str | None = None
+    """Path of the report page."""
 
 
 @dataclass(frozen=True)
 class ImportCommand:
     """Import real furniture, repair it so that no parts overlap, and save furniture folders."""
 
-    kind: Annotated[Kind, tyro.conf.Positional]
-    """Format of the source. folder: your own files, one OBJ, STL, PLY or GLB file per part in its assembled pose, or
-    one GLB scene. partnet: PartNet v0 folders. ikea-manual: part folders of IKEA-Manuals-at-Work. ikea-env: MJCF
-    of the IKEA Furniture Assembly Environment. furniture-bench: FurnitureBench meshes with assembled_poses.json."""
-    source: Annotated[Path, tyro.conf.Positional]
+    kind: Annotated[str, tyro.conf.Positional]
+    """Format of the source; may be left out for your own files. folder: your own files, a STEP, 3MF, GLB or glTF file
+    of the whole piece, or a folder with one OBJ, STL or PLY file per part in its assembled pose. partnet: PartNet v0
+    folders. ikea-manual: part folders of IKEA-Manuals-at-Work. ikea-env: MJCF of the IKEA Furniture Assembly
+    Environment. furniture-bench: FurnitureBench meshes with assembled_poses.json."""
+    source: Annotated[Path | None, tyro.conf.Positional] = None
     """A piece, or a folder with many pieces in subfolders. Furniture folders of this program in it are skipped."""
     out: Path | None = None
     """Folder for the furniture. For a single piece, a new folder becomes the furniture folder itself; otherwise each
@@ -92,19 +104,21 @@ class ImportCommand:
     force: bool = False
     """Replace existing furniture. If the import fails, the old furniture is kept."""
     unit: UnitName | None = None
-    """Unit of length of the files. Without --unit and --scale: as defined by the format, or estimated from typical
-    sizes of furniture; the estimate is printed."""
+    """Unit of length of the files. Without --unit and --scale: as the file or the format states, or estimated from
+    typical sizes of furniture; the unit is printed."""
     scale: float | None = None
     """Scale of the files in metres per unit, if --unit has no name for it."""
     up: UpAxis | None = None
-    """Up axis of the files; for `folder` only. Without it: y for GLB files, z for other files."""
+    """Up axis of the files; for `folder` only. Without it: y for GLB and glTF files, z for other files."""
     split: bool = False
-    """Make a part of each separate body of a mesh, if one file contains several parts; for `folder` only."""
+    """Make a part of each separate body of every mesh; for `folder` only. A single mesh is split without it."""
     jobs: Jobs = CORES
     """Number of processes."""
     allow_shortening: bool = False
     """Accept repairs that shorten a part, or its depth in a neighbour, by more than 5 mm, if overlaps cannot be removed
     in another way."""
+    report: bool = True
+    """Write import-report.html into each furniture folder."""
     cache: bool = True
     """Reuse the result of an earlier import of the same files."""
     json: bool = False
@@ -120,15 +134,18 @@ class ImportCommand:
             raise InputError(f"--scale {self.scale} is not plausible; give metres per unit of the files, such as 0.5")
         scale = units.scale_of(self.unit, self.scale)
         require_at_least(1, jobs=self.jobs)
-        if self.up is not None and self.kind != "folder":
-            raise InputError(f"--up {self.up} is for the format 'folder'; the format '{self.kind}' defines the up axis")
-        if self.split and self.kind != "folder":
-            raise InputError(f"--split is for the format 'folder'; the format '{self.kind}' defines the parts")
+        kind, given = self._kind_and_source()
+        if self.up is not None and kind != "folder":
+            raise InputError(f"--up {self.up} is for the format 'folder'; the format '{kind}' defines the up axis")
+        if self.split and kind != "folder":
+            raise InputError(f"--split is for the format 'folder'; the format '{kind}' defines the parts")
         out = self.out or DEFAULT_OUT
         check_writable(out)
-        found, skipped = without_results(IMPORTERS[self.kind].find(self.source), self.source, out)
+        found, skipped = without_results(IMPORTERS[kind].find(given), given, out)
         pieces = [
-            ImportJob(self.kind, source, target, name, scale, self.up, self.cache, self.allow_shortening, self.split)
+            ImportJob(
+                kind, source, target, name, scale, self.up, self.cache, self.allow_shortening, self.split, self.report
+            )
             for source, target, name in zip(found, self._targets(found), piece_names(found), strict=True)
         ]
         if skipped:
@@ -152,6 +169,21 @@ class ImportCommand:
         else:
             show(f"{imported} imported, {len(items) - imported} refused")
         return DONE if imported else 2
+
+    def _kind_and_source(self) -> tuple[Kind, Path]:
+        """Return the format and the source; a single argument is a source of the format `folder`.
+
+        Raises:
+            InputError: the source is missing, or there is no such format.
+        """
+        known: Kind | None = next((kind for kind in FORMATS if kind == self.kind), None)
+        if self.source is None:
+            if known is not None and not Path(self.kind).exists():
+                raise InputError(f"name the source too: roboassembly import {known} SOURCE")
+            return "folder", Path(self.kind)
+        if known is None:
+            raise UnknownNameError("format", self.kind, FORMATS)
+        return known, self.source
 
     def _targets(self, found: list[Path]) -> list[Path]:
         """Return the folder for each piece."""
@@ -205,7 +237,17 @@ def _report(item: ImportResult) -> list[str]:
     if item.size_m is not None and item.scale is not None:
         lines.append(f"  unit: {item.unit_text}; {_size(item.size_m)}")
         lines += [_other(item, other) for other in item.unit_others]
-    lines += [f"  {line}" for line in (*item.remarks, *item.changes)]
+    lines += [f"  {line}" for line in item.remarks]
+    if item.error:
+        return lines
+    if item.findings:
+        more = len(item.findings) - NAMED
+        lines.append("  worth a look:")
+        lines += [f"    {k}. {line}" for k, line in enumerate(item.findings[:NAMED], start=1)]
+        lines += [f"    and {more} more in the report"] * (more > 0)
+    else:
+        lines.append("  worth a look: nothing")
+    lines += [f"  report: {item.report}"] * (item.report is not None)
     return lines
 
 
@@ -227,7 +269,10 @@ def _summary(item: ImportResult) -> str:
     if item.cached:
         text += " (from the cache)"
     if item.unholdable:
-        text += f" (the gripper cannot hold {', '.join(item.unholdable)}: for the setting object-centric only)"
+        listed = ", ".join(item.unholdable[:NAMED]) + f" and {len(item.unholdable) - NAMED} more" * (
+            len(item.unholdable) > NAMED
+        )
+        text += f" (the gripper cannot hold {listed}: for the setting object-centric only)"
     name, change = max(item.size_change_mm.items(), key=lambda named: abs(named[1]))
     return f"{text}; largest change of size: {name} {change:+.2f} mm"
 
@@ -238,6 +283,7 @@ def import_piece(piece: ImportJob) -> ImportResult:
 
     started = time.perf_counter()
     place = _place(piece) if piece.cache else None
+    page = piece.target / kept.REPORT
     try:
         summary = kept.recall(place, piece.source, piece.target) if place is not None else None
         cached = summary is not None
@@ -246,6 +292,8 @@ def import_piece(piece: ImportJob) -> ImportResult:
             # Do not cache the result if the files changed in the meantime.
             if place is not None and place == _place(piece):
                 kept.keep(place, summary, piece.target)
+        if summary.error is None and not piece.report:
+            page.unlink(missing_ok=True)  # that of an earlier import
     except InputError as error:
         summary, cached = kept.Summary(error=str(error)), False
     unit = summary.unit
@@ -269,6 +317,8 @@ def import_piece(piece: ImportJob) -> ImportResult:
         scale=None if unit is None else unit.scale,
         size_m=summary.size_m,
         remarks=summary.remarks,
+        findings=summary.findings,
+        report=str(page) if summary.error is None and page.is_file() else None,
     )
 
 
@@ -277,8 +327,9 @@ def _place(piece: ImportJob) -> Path | None:
 
     reads = IMPORTERS[piece.kind].reads(piece.source)
     return kept.place_of(
-        piece.source, reads, piece.kind, piece.name, piece.scale, piece.up, piece.allow_shortening, piece.split
-    )
+        piece.source, reads, piece.kind, piece.name, piece.scale, piece.up, piece.allow_shortening, piece.split,
+        piece.report,
+    )  # fmt: skip
 
 
 def _import(piece: ImportJob) -> Summary:
@@ -286,12 +337,13 @@ def _import(piece: ImportJob) -> Summary:
     from roboassembly.furniture import storage
     from roboassembly.geometry import units
     from roboassembly.importers import IMPORTERS, folder
+    from roboassembly.importers.findings import findings
     from roboassembly.importers.kept import Summary
     from roboassembly.importers.pipeline import finish
 
     try:
         if piece.kind == "folder":
-            raw = folder.read(piece.source, scale=piece.scale, up=piece.up, split=piece.split)
+            raw = folder.read(piece.source, scale=piece.scale, up=piece.up, split=piece.split or None)
         else:
             raw = IMPORTERS[piece.kind].read(piece.source, scale=piece.scale)
     except FurnitureError as refusal:
@@ -303,7 +355,10 @@ def _import(piece: ImportJob) -> Summary:
         imported = finish(piece.name, raw, allow_shortening=piece.allow_shortening)
     except FurnitureError as refusal:
         return Summary(error=str(refusal), **reading)
+    found = findings(raw, imported.furniture, imported.repairs)
     storage.save(imported.furniture, piece.target)
+    if piece.report:
+        _write_report(piece, raw, imported, found)
     return Summary(
         len(imported.furniture.parts),
         len(imported.furniture.connections),
@@ -312,8 +367,17 @@ def _import(piece: ImportJob) -> Summary:
         {r.name: round(1e3 * r.size_change, 2) for r in imported.repairs},
         tuple(f"{r.name}: {', '.join(r.changes)}" for r in imported.repairs if r.changes),
         imported.furniture.unholdable,
+        findings=tuple(finding.text for finding in found),
         **reading,
     )
+
+
+def _write_report(piece: ImportJob, raw: RawFurniture, imported: Imported, found: Sequence[Finding]) -> None:
+    from roboassembly.importers.kept import write_report
+    from roboassembly.viewer.import_report import import_report
+
+    page = import_report(piece.name, piece.source, raw, imported, found)
+    write_report(page.encode(), piece.target)
 
 
 def piece_names(sources: list[Path]) -> list[str]:

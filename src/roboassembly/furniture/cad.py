@@ -7,13 +7,13 @@ from pathlib import Path
 from roboassembly.errors import FurnitureError
 
 _FORMATS = {
-    **dict.fromkeys((".step", ".stp"), "STEP"), **dict.fromkeys((".iges", ".igs"), "IGES"), ".fcstd": "FreeCAD",
+    **dict.fromkeys((".iges", ".igs"), "IGES"), ".fcstd": "FreeCAD",
     ".f3d": "Fusion", ".sldprt": "SolidWorks", ".sldasm": "SolidWorks", ".ipt": "Inventor", ".iam": "Inventor",
     ".skp": "SketchUp", ".3dm": "Rhino", ".dwg": "AutoCAD", ".dxf": "DXF", ".blend": "Blender", ".fbx": "FBX",
-    ".dae": "COLLADA", ".3ds": "3DS", ".gltf": "text glTF", ".3mf": "3MF", ".usd": "USD", ".usdz": "USD",
+    ".dae": "COLLADA", ".3ds": "3DS", ".usd": "USD", ".usdz": "USD",
 }  # fmt: skip
 """Name of a file format by suffix."""
-_MESHES = (".stl", ".obj", ".ply", ".glb")
+_MESHES = (".stl", ".obj", ".ply", ".glb", ".gltf", ".step", ".stp", ".3mf")
 
 
 def refuse_sources(path: Path) -> None:
@@ -27,7 +27,7 @@ def refuse_sources(path: Path) -> None:
     meshes = [path] if path.is_file() else sorted(path.iterdir()) if path.is_dir() else []
     if any(f.suffix.lower() in _MESHES and f.is_file() for f in meshes):
         raise FurnitureError(
-            f"'{path}' holds 3D files, no furniture folder; import it first: roboassembly import folder {path} --out "
+            f"'{path}' holds 3D files, no furniture folder; import it first: roboassembly import {path} --out "
             f"FOLDER, then name that folder"
         )
     refuse_cad(path, whole=True)
@@ -49,7 +49,7 @@ def refuse_cad(path: Path, *, whole: bool = False) -> None:
     if found is None:
         return
     raise FurnitureError(
-        f"'{found}' is a {_FORMATS[found.suffix.lower()]} file, which is not read here; open it in FreeCAD or Blender, "
-        f"export every part as STL in its assembled place, one file a part, and import the folder: roboassembly import "
-        f"folder FOLDER"
+        f"'{found}' is a {_FORMATS[found.suffix.lower()]} file, which is not read here; open it in the program "
+        f"that made it, or in FreeCAD or Blender, save the whole piece as STEP, 3MF or GLB, and import that file: "
+        f"roboassembly import FILE"
     )

@@ -164,7 +164,7 @@ def stand(
     if not SMALLEST <= longest <= LARGEST:
         raise FurnitureError(
             f"{where}: would be {longest:.3g} m long at {scale:.3g} metres per unit; furniture has {SMALLEST} to "
-            f"{LARGEST:g} m, give another scale"
+            f"{LARGEST:g} m; name the unit of the files (--unit or --scale)"
         )
     middle = np.array([*(0.5 * (low + high))[:2], low[2]])
     out: list[RawPart] = []

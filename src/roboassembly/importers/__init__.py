@@ -62,7 +62,11 @@ IMPORTERS: Mapping[str, Importer] = MappingProxyType(
                 furniture_bench.reads,
             ),
             Importer(
-                "folder", "OBJ, STL, PLY or GLB parts in assembled poses, or a GLB scene", folder.find, folder.read
+                "folder",
+                "your own files: parts in assembled poses (OBJ, STL, PLY), or a scene (STEP, 3MF, glTF)",
+                folder.find,
+                folder.read,
+                folder.reads,
             ),
         )
     }

@@ -30,7 +30,20 @@ MAX_BYTES = 1_000_000_000
 """Largest total size of the cache [bytes]; the least recently used entries are removed first."""
 MAX_FILES, MAX_READ = 5_000, 500_000_000
 """Largest number of files and bytes of a source that is cached; hashing a larger source takes too long."""
-LIBRARIES = ("coal", "embreex", "fast-simplification", "manifold3d", "networkx", "numpy", "pin", "scipy", "trimesh")
+REPORT = "import-report.html"
+"""Name of the report page in a furniture folder."""
+LIBRARIES = (
+    "cascadio",
+    "coal",
+    "embreex",
+    "fast-simplification",
+    "manifold3d",
+    "networkx",
+    "numpy",
+    "pin",
+    "scipy",
+    "trimesh",
+)
 """Libraries whose version may change the result of repair or annotation."""
 _CHECKSUM_BYTES = 16
 _ABANDONED = 86_400.0
@@ -55,6 +68,8 @@ class Summary(msgspec.Struct, frozen=True):
     """Size of the piece as read along x, y and z (up) [m]."""
     remarks: tuple[str, ...] = ()
     """Remarks on the reading for the user, one line each."""
+    findings: tuple[str, ...] = ()
+    """What is worth a look, the most important first."""
     error: str | None = None
     """Reason for the refusal; None if the import succeeded."""
     refused_at: str | None = None
@@ -65,6 +80,8 @@ class _Entry(msgspec.Struct, frozen=True):
     summary: Summary
     files: dict[str, bytes]
     """Files of the furniture folder by name; empty if the import was refused."""
+    report: bytes | None = None
+    """Report page; None if there is none."""
 
 
 def place_of(source: Path, reads: Path, *options: object) -> Path | None:
@@ -106,6 +123,8 @@ def recall(place: Path, source: Path, target: Path) -> Summary | None:
         return None
     if entry.summary.error is None:
         storage.save_files(entry.files, target)
+        if entry.report is not None:
+            write_report(entry.report, target)
     try:
         os.utime(place)
     except OSError:
@@ -118,7 +137,9 @@ def keep(place: Path, summary: Summary, target: Path) -> None:
     """Store an import whose furniture was saved at `target`; does nothing if the cache cannot be written."""
     try:
         files = storage.read_files(target) if summary.error is None else {}
-        data = msgspec.msgpack.encode(_Entry(summary, files))
+        page = target / REPORT
+        report = page.read_bytes() if files and page.is_file() else None
+        data = msgspec.msgpack.encode(_Entry(summary, files, report))
         place.parent.mkdir(parents=True, exist_ok=True)
         handle, scratch = tempfile.mkstemp(prefix=".new-", dir=place.parent)
     except (OSError, InputError):
@@ -135,6 +156,23 @@ def keep(place: Path, summary: Summary, target: Path) -> None:
         Path(scratch).unlink(missing_ok=True)
 
 
+def write_report(page: bytes, target: Path) -> None:
+    """Write a report page into a furniture folder, completely or not at all.
+
+    Raises:
+        InputError: it cannot be written.
+    """
+    path = target / REPORT
+    unfinished = path.with_name(f".{REPORT}.{os.getpid()}")
+    try:
+        unfinished.write_bytes(page)
+        unfinished.replace(path)
+    except OSError as error:
+        raise InputError(f"cannot write '{path}': {error.strerror or error}") from None
+    finally:
+        unfinished.unlink(missing_ok=True)
+
+
 def checksum(data: bytes) -> bytes:
     """Return the checksum of an entry's data."""
     return hashlib.blake2b(data, digest_size=_CHECKSUM_BYTES).digest()
@@ -145,10 +183,10 @@ def program_hash() -> bytes:
     """Return a hash of all code and library versions that an import's result may depend on."""
     root = Path(__file__).parents[1]
     digest = hashlib.blake2b(repr([library_version(name) for name in LIBRARIES]).encode())
-    files = [root / "robots" / "gripper.py"]
+    files = [root / "robots" / "gripper.py", *sorted((root / "viewer").glob("import_*.py"))]
     files += [
         path
-        for package in ("geometry", "furniture", "importers", "repair")
+        for package in ("geometry", "furniture", "importers", "rendering", "repair")
         for path in sorted((root / package).rglob("*.py"))
     ]
     for path in files:
