@@ -12,7 +12,7 @@ import pytest
 from roboassembly.robots.body import tip_positions
 from roboassembly.robots.dynamics import motion_forces
 from roboassembly.robots.kinematics import arm
-from roboassembly.robots.limits import JOINT_TORQUES, LIMITS, MOTION_SHARE, magnitudes
+from roboassembly.robots.limits import JOINT_TORQUES, LIMITS, MOTION_SHARE, TIP_SPEED, magnitudes
 from roboassembly.robots.timing import TICK, TimedPath
 from roboassembly.simulation.mobile_arms import NAMES, model_of
 
@@ -45,9 +45,9 @@ def random_paths(count: int) -> list[list[np.ndarray]]:
 
 
 def test_a_metre_takes_what_it_takes_by_hand() -> None:
-    """Speed 1.2 m/s, reached at 2.5 m/s² and 25 m/s³: distance / speed + speed / acceleration + acceleration / jerk."""
+    """Speed 1.2 m/s, reached at 3 m/s² and 50 m/s³: distance / speed + speed / acceleration + acceleration / jerk."""
     timed = TimedPath([HOME, HOME + AXES[0]])
-    expected = 1.0 / 1.2 + 1.2 / 2.5 + 2.5 / 25.0
+    expected = 1.0 / 1.2 + 1.2 / 3.0 + 3.0 / 50.0
     assert timed.seconds == pytest.approx(expected, abs=TICK)
     assert timed.seconds >= expected - 1e-9
     middle = timed.states(np.array([0.5 * timed.seconds]))
@@ -66,12 +66,15 @@ def test_differences_of_the_samples_keep_all_limits(index: int) -> None:
     timed = TimedPath(random_paths(12)[index])
     shares = used(timed)
     assert shares.max() <= 1.0 + 1e-6
-    # Velocity, acceleration, jerk or torque: something is always at its limit.
+    # Velocity, acceleration, jerk, torque or the tips' speed: something is always at its limit.
     states = timed.ticks()
     torques = motion_forces(states.position, states.velocity, states.acceleration)[:, 3:]
     torque = (np.abs(torques) / (MOTION_SHARE * np.array(JOINT_TORQUES))).max()
     assert torque <= 1.01
-    assert max(*shares, torque) > 0.97
+    tips = tip_positions(np.vstack([timed.start, states.position]))
+    speed = np.linalg.norm(np.diff(tips, axis=0), axis=1).max() / TICK / TIP_SPEED
+    assert speed < 1.01
+    assert max(*shares, torque, speed) > 0.97
 
 
 def test_a_robot_stays_on_its_path_and_stops_where_it_bends() -> None:

@@ -14,15 +14,17 @@ JOINT_ACCELERATIONS = (15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0)
 """Largest accelerations of the joints [rad/s²]; same sources."""
 JOINT_JERKS = (7500.0, 3750.0, 5000.0, 6250.0, 7500.0, 10000.0, 10000.0)
 """Largest jerks of the joints [rad/s³]; same sources."""
-DRIVE = (1.2, 2.5, 25.0)
+DRIVE = (1.2, 3.0, 50.0)
 """Largest speed [m/s], acceleration [m/s²] and jerk [m/s³] of the platform, in any direction. The platform is this
 project's, and so are its limits: at 7 m/s² it would tip over."""
-TURN = (2.0, 4.0, 40.0)
+TURN = (2.5, 5.0, 100.0)
 """Largest angular velocity [rad/s], acceleration [rad/s²] and jerk [rad/s³] of the platform; ours as well."""
 JOINT_TORQUES = (87.0, 87.0, 87.0, 87.0, 12.0, 12.0, 12.0)
 """Largest torques of the joints [N·m]; same sources."""
 MOTION_SHARE = 0.7
 """Share of the torques that may go into acceleration; the rest is for weight and control."""
+TIP_SPEED = 2.0
+"""Largest speed of the finger tips in the cell [m/s]: Franka, data sheet of the arm."""
 FINGER_SPEED = 0.05
 """Largest speed of each finger [m/s]: Franka Hand, data sheet."""
 
@@ -46,6 +48,7 @@ LIMITS = MotionLimits(
     (DRIVE[0], TURN[0], *JOINT_VELOCITIES),
     (DRIVE[1], TURN[1], *JOINT_ACCELERATIONS),
     (DRIVE[2], TURN[2], *JOINT_JERKS),
+    TIP_SPEED,
 )
 """Limits of the robots."""
 

@@ -38,11 +38,11 @@ TICK = 0.002
 """Time step of which all durations are multiples [s]."""
 _BEND = 0.98
 """Cosine between two edges above which a robot does not stop at the way-point between them."""
-_SAMPLES = 8
-"""Points between two way-points of a curve at which limits are checked."""
+_SAMPLES = 32
+"""Points between two way-points at which limits are checked."""
 _MARGIN = 1.0 - 1e-4
 """Share of the limits that a motion uses, so that rounding keeps them."""
-_BETWEEN = 1.005
+_BETWEEN = 1.01
 """Factor on what samples of a motion show, for what lies between them."""
 _SAME = 1e-9
 """Time at full speed below which two way-points are one [s]."""
@@ -124,7 +124,7 @@ class _Stretch:
         self._profile = _profile(length[-1], along)
         # A motion that takes k times as long has 1/k of the velocities, 1/k² of the accelerations and torques, 1/k³ of
         # the jerks. On a curve, speed means acceleration, and only here is it known how much.
-        times = np.linspace(0.0, self._profile.duration, len(at) * _SAMPLES)
+        times: Float[np.ndarray, "m"] = np.linspace(0.0, self._profile.duration, 2 * len(at))
         position, *derivatives = self._derivatives(times)
         over = [
             (magnitudes(d) / row).max() ** (1.0 / k)
