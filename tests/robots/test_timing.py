@@ -90,7 +90,7 @@ def test_a_robot_stays_on_its_path_and_stops_where_it_bends() -> None:
     assert timed.seconds == pytest.approx(2.0 * TimedPath(path[:2]).seconds)
     straight = TimedPath([HOME, HOME + 0.5 * AXES[0], HOME + AXES[0]])
     # A curve keeps a little more distance from its limits than a line.
-    assert straight.seconds == pytest.approx(TimedPath(path[:2]).seconds, rel=0.01)
+    assert straight.seconds == pytest.approx(TimedPath(path[:2]).seconds, rel=0.02)
     assert np.linalg.norm(straight.ticks().velocity[50:-50], axis=1).min() > 0.01
 
 

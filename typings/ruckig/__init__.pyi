@@ -1,7 +1,6 @@
 # The part of Ruckig that this project uses; the wheel ships no types. tests/test_stubs.py compares it with the
 # library.
 from collections.abc import Sequence
-from typing import Literal, overload
 
 class Result:
     Working: Result
@@ -23,18 +22,15 @@ class InputParameter:
     def __init__(self, dofs: int, /) -> None: ...
 
 class Profile:
+    t: Sequence[float]
+    p: Sequence[float]
+    v: Sequence[float]
+    a: Sequence[float]
     j: Sequence[float]
 
 class Trajectory:
-    duration: float
     profiles: Sequence[Sequence[Profile]]
     def __init__(self, dofs: int, /) -> None: ...
-    @overload
-    def at_time(self, time: float) -> tuple[list[float], list[float], list[float]]: ...
-    @overload
-    def at_time(
-        self, time: float, return_section: Literal[True]
-    ) -> tuple[list[float], list[float], list[float], int]: ...
 
 class Ruckig:
     def __init__(self, dofs: int, delta_time: float, /) -> None: ...

@@ -18,7 +18,7 @@ import numpy as np
 import pinocchio as pin
 import ruckig
 from jaxtyping import Float
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import CubicSpline, PPoly
 
 from roboassembly.robots.body import DOF, tip_positions
 from roboassembly.robots.dynamics import motion_forces
@@ -44,6 +44,8 @@ _MARGIN = 1.0 - 1e-4
 """Share of the limits that a motion uses, so that rounding keeps them."""
 _BETWEEN = 1.01
 """Factor on what samples of a motion show, for what lies between them."""
+_INSTANT = 1e-12
+"""Duration below which a section of a profile is none [s]."""
 _SAME = 1e-9
 """Time at full speed below which two way-points are one [s]."""
 
@@ -121,10 +123,10 @@ class _Stretch:
         if limits.tip_speed is not None:
             moved = np.linalg.norm(np.diff(tip_positions(self._curve(at)), axis=0), axis=1).max()
             along[0] = min(along[0], limits.tip_speed * float(at[1]) / max(float(moved), 1e-12))
-        self._profile = _profile(length[-1], along)
+        self._profile = _profile(float(length[-1]), along)
         # A motion that takes k times as long has 1/k of the velocities, 1/k² of the accelerations and torques, 1/k³ of
         # the jerks. On a curve, speed means acceleration, and only here is it known how much.
-        times: Float[np.ndarray, "m"] = np.linspace(0.0, self._profile.duration, 2 * len(at))
+        times: Float[np.ndarray, "m"] = np.linspace(0.0, self.seconds, 2 * len(at))
         position, *derivatives = self._derivatives(times)
         over = [
             (magnitudes(d) / row).max() ** (1.0 / k)
@@ -135,23 +137,20 @@ class _Stretch:
         slower = max(over) * _BETWEEN
         # Along a line, the first profile keeps all limits but that of torque.
         if slower > 1.0 and (len(points) > 2 or over[-1] > 1.0):
-            self._profile = _profile(length[-1], along / slower ** np.array([1.0, 2.0, 3.0]))
-        self.seconds: float = self._profile.duration
+            self._profile = _profile(float(length[-1]), along / slower ** np.array([1.0, 2.0, 3.0]))
+
+    @property
+    def seconds(self) -> float:
+        """Duration [s]."""
+        return TICK * round(float(self._profile.x[-1]) / TICK)
 
     def states(self, times: Float[np.ndarray, "n"]) -> TimedStates:
         """Return states at times since the beginning of the stretch [s]."""
-        rows = np.array([self._profile.at_time(t) for t in np.minimum(times, self.seconds).tolist()])
-        s, rate, change = rows.reshape(-1, 3).T[..., None]
-        place = s[:, 0]
-        first, second = self._curve(place, 1), self._curve(place, 2)
-        return TimedStates(self._curve(place), first * rate, first * change + second * rate**2)
+        return TimedStates(*self._derivatives(np.minimum(times, self._profile.x[-1]))[:3])
 
     def _derivatives(self, times: Float[np.ndarray, "n"]) -> list[Float[np.ndarray, "n 10"]]:
         """Return configurations and their first three derivatives at times."""
-        section = self._profile.profiles[0][0].j
-        rows = [self._profile.at_time(t, return_section=True) for t in times.tolist()]
-        s, rate, change = np.array([row[:3] for row in rows])[..., 0].T[..., None]
-        jerk = np.array([section[min(row[3], len(section) - 1)] for row in rows])[:, None]
+        s, rate, change, jerk = (self._profile(times, k)[:, None] for k in range(4))
         place, first, second, third = (self._curve(s[:, 0], k) for k in range(4))
         return [
             place,
@@ -161,19 +160,22 @@ class _Stretch:
         ]
 
 
-def _profile(length: float, limits: Float[np.ndarray, "3"]) -> ruckig.Trajectory:
-    """Return the quickest motion of one number from rest at 0 to rest at `length`."""
+def _profile(length: float, limits: Float[np.ndarray, "3"]) -> PPoly:
+    """Return the quickest motion of one number from rest at 0 to rest at `length`, as a function of time."""
     given = ruckig.InputParameter(1)
     given.current_position, given.target_position = [0.0], [length]
-    for name in ("velocity", "acceleration"):
-        setattr(given, f"current_{name}", [0.0])
-        setattr(given, f"target_{name}", [0.0])
+    given.current_velocity, given.target_velocity = [0.0], [0.0]
+    given.current_acceleration, given.target_acceleration = [0.0], [0.0]
     given.max_velocity, given.max_acceleration, given.max_jerk = ([float(x)] for x in limits)
     given.duration_discretization = ruckig.DurationDiscretization.Discrete
     found = ruckig.Trajectory(1)
     result = ruckig.Ruckig(1, TICK).calculate(given, found)
     assert result is ruckig.Result.Working, result
-    return found
+    # Numbers, not Ruckig's object: nanobind complains about objects that live when Python ends.
+    profile = found.profiles[0][0]
+    keep = np.array(profile.t) > _INSTANT
+    cubes = np.array([profile.j, profile.a[:-1], profile.v[:-1], profile.p[:-1]])[:, keep]
+    return PPoly(cubes / np.array([[6.0], [2.0], [1.0], [1.0]]), np.r_[0.0, np.cumsum(np.array(profile.t)[keep])])
 
 
 def _straight_runs(path: Sequence[Float[np.ndarray, "10"]]) -> Iterator[Float[np.ndarray, "k 10"]]:
