@@ -215,7 +215,7 @@ def test_json_has_every_motion_and_the_limits(plan: FullPlan, trajectory: Trajec
 def test_hands_close_once_they_are_there_and_open_once_the_group_stands(trajectory: Trajectory) -> None:
     for timed in trajectory.segments:
         if timed.segment.stage is Stage.APPROACH:
-            hand = next(h for h in trajectory.hands if h.robot == timed.segment.robot and h.start > timed.start)
+            hand = next(h for h in trajectory.hand_motions if h.robot == timed.segment.robot and h.start > timed.start)
             assert hand.start >= timed.end
             assert hand.after < hand.before
         if timed.segment.stage is Stage.LIFT:

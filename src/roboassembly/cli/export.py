@@ -28,7 +28,7 @@ TrajectoryFormat = Literal["mcap", "csv", "json"]
 
 @dataclass(frozen=True)
 class ExportCommand:
-    """Export furniture as MJCF, the format of MuJoCo, as URDF or as USD; or a plan of two robots as a trajectory."""
+    """Export furniture as MJCF, URDF or USD, or a plan of two robots as a timed trajectory."""
 
     kind: Annotated[Literal["mjcf", "urdf", "usd", "trajectory"], tyro.conf.Positional]
     """What to write: furniture in one of three formats, or the timed motions of a plan."""

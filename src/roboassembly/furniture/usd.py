@@ -99,12 +99,12 @@ def _shape(target: Any, mesh: Mesh) -> None:
 
 def _weigh(target: Any, mesh: Mesh) -> None:
     gf = _pxr("Gf")
-    moments, axes = np.linalg.eigh(WOOD_DENSITY * mesh.inertia)
+    principal, axes = np.linalg.eigh(WOOD_DENSITY * mesh.inertia)
     axes[:, 2] *= np.sign(np.linalg.det(axes))
     _, _, _, qw, qx, qy, qz = pose_to_seven(SE3(axes, np.zeros(3)))
     target.CreateMassAttr(float(WOOD_DENSITY * mesh.volume))
     target.CreateCenterOfMassAttr(gf.Vec3f(*map(float, mesh.center_of_mass)))
-    target.CreateDiagonalInertiaAttr(gf.Vec3f(*map(float, moments)))
+    target.CreateDiagonalInertiaAttr(gf.Vec3f(*map(float, principal)))
     target.CreatePrincipalAxesAttr(gf.Quatf(qw, qx, qy, qz))
 
 

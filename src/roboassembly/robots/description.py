@@ -24,7 +24,7 @@ JOINT_NAMES = (
     "x", "y", "turn", *(f"panda_joint{i + 1}" for i in range(JOINTS)), "panda_finger_joint1", "panda_finger_joint2",
 )  # fmt: skip
 """Names of a robot's joints without the prefix: the platform, the arm, the fingers."""
-_ROOM = "100"
+_FARTHEST = "100"
 """Distance from the origin up to which platforms may drive, as text [m]."""
 
 
@@ -107,7 +107,7 @@ def _add_platform(root: ET.Element, prefix: str) -> None:
         ET.SubElement(joint, "parent", link=parent)
         ET.SubElement(joint, "child", link=child)
         ET.SubElement(joint, "axis", xyz=axis)
-        bounds = {} if kind == "continuous" else {"lower": f"-{_ROOM}", "upper": _ROOM}
+        bounds = {} if kind == "continuous" else {"lower": f"-{_FARTHEST}", "upper": _FARTHEST}
         ET.SubElement(joint, "limit", bounds | {"effort": "1000", "velocity": f"{limits[0]:g}"})
         parent = child
 
@@ -118,9 +118,9 @@ def _add_box(link: ET.Element) -> None:
     inertial = ET.SubElement(link, "inertial")
     ET.SubElement(inertial, "origin", xyz=middle, rpy="0 0 0")
     ET.SubElement(inertial, "mass", value=f"{MASS:g}")
-    moments = MASS / 12.0 * ((size**2).sum() - size**2)
+    diagonal = MASS / 12.0 * ((size**2).sum() - size**2)
     names = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
-    ET.SubElement(inertial, "inertia", {n: f"{x:g}" for n, x in zip(names, (*moments, 0, 0, 0), strict=True)})
+    ET.SubElement(inertial, "inertia", {n: f"{x:g}" for n, x in zip(names, (*diagonal, 0, 0, 0), strict=True)})
     for kind in ("visual", "collision"):
         shape = ET.SubElement(link, kind)
         ET.SubElement(shape, "origin", xyz=middle, rpy="0 0 0")

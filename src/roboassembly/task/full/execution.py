@@ -204,8 +204,8 @@ class _StepExecutor:
 
     def _follow_segment(self, segment: Segment) -> ExecutionVerdict:
         physics, first = self.physics, len(self.physics.log.tracking)
-        held = segment.before.robots[segment.robot].payload_shapes(self.furniture)
-        motion = timed_motion(segment.stage, segment.path, held, self.density)
+        payload = segment.before.robots[segment.robot].payload_shapes(self.furniture)
+        motion = timed_motion(segment.stage, segment.path, payload, self.density)
         physics.follow(segment.robot, motion, rest_after(segment.stage))
         if max(physics.log.tracking[first:]) > MOST_TRACKING:
             return ExecutionVerdict.OFF_THE_PATH

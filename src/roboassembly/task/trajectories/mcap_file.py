@@ -19,7 +19,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float
 
-from roboassembly import __version__
 from roboassembly.errors import MissingExtraError
 from roboassembly.geometry.poses import SE3, pose_to_seven
 from roboassembly.robots.description import JOINT_NAMES, PREFIXES, WORLD, described_joints, robots_urdf
@@ -95,8 +94,7 @@ def _write(out: _Recorder, trajectory: Trajectory, rate: float) -> None:
     out.writer.add_metadata(
         "roboassembly",
         {
-            "version": __version__, "furniture": record.furniture, "seconds": f"{trajectory.seconds:.9g}",
-            "rate": f"{rate:g}",
+            "furniture": record.furniture, "seconds": f"{trajectory.seconds:.9g}", "rate": f"{rate:g}",
         },
     )  # fmt: skip
     out.message("/robot_description", STRING, 0.0, {"data": urdf})

@@ -73,7 +73,7 @@ def encode_json(trajectory: Trajectory, rate: float) -> bytes:
         "motions": [_motion(timed, rate) for timed in trajectory.segments],
         "hands": [
             {"robot": h.robot, "start": h.start, "seconds": h.seconds, "before": h.before, "after": h.after}
-            for h in trajectory.hands
+            for h in trajectory.hand_motions
         ],
         "initial": [pose_to_seven(pose) for pose in record.initial],
         "final": [pose_to_seven(pose) for pose in trajectory.parts(np.array([trajectory.seconds]))[0]],

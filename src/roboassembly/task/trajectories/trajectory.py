@@ -62,7 +62,7 @@ class Trajectory:
 
     record: MotionRecord
     segments: tuple[TimedSegment, ...]
-    hands: tuple[HandMotion, ...]
+    hand_motions: tuple[HandMotion, ...]
     openings: tuple[float, float]
     """Distances between the pads at first [m]."""
     seconds: float
@@ -92,7 +92,7 @@ class Trajectory:
         """Return position, velocity and acceleration of each finger of a hand at times [m, m/s, m/s²]."""
         out = np.zeros((3, len(times)))
         out[0] = 0.5 * self.openings[robot]
-        for hand in self.hands:
+        for hand in self.hand_motions:
             if hand.robot == robot:
                 way, s = 0.5 * (hand.after - hand.before), np.clip((times - hand.start) / hand.seconds, 0.0, 1.0)
                 rows = times > hand.start
@@ -156,7 +156,7 @@ class _Clock:
         self.first = (openings[0], openings[1])
         self.now = 0.0
         self.segments: list[TimedSegment] = []
-        self.hands: list[HandMotion] = []
+        self.hand_motions: list[HandMotion] = []
 
     def run(self) -> Trajectory:
         for index, segment in enumerate(self.record.segments):
@@ -169,11 +169,11 @@ class _Clock:
                 self.now = self._move_hand(segment.robot, self._next_opening(index, segment.robot), GRASP_SECONDS)
             elif segment.stage in (Stage.MATE, Stage.SET_DOWN):
                 self.now = self._move_hand(segment.robot, self._next_opening(index, segment.robot), RELEASE_SECONDS)
-        return Trajectory(self.record, tuple(self.segments), tuple(self.hands), self.first, self.now)
+        return Trajectory(self.record, tuple(self.segments), tuple(self.hand_motions), self.first, self.now)
 
     def _timed(self, segment: MotionSegment) -> TimedPath:
-        held = [Shape(self.furniture.parts[part].mesh, pose) for part, pose in sorted(segment.payload.items())]
-        return timed_motion(segment.stage, tuple(segment.path), held, self.record.density)
+        payload = [Shape(self.furniture.parts[part].mesh, pose) for part, pose in sorted(segment.payload.items())]
+        return timed_motion(segment.stage, tuple(segment.path), payload, self.record.density)
 
     def _next_opening(self, index: int, robot: int) -> float:
         later = (s.opening for s in self.record.segments[index + 1 :] if s.robot == robot)
@@ -187,5 +187,5 @@ class _Clock:
             return self.now + seconds
         needed = max(seconds, _PEAK_SPEED * way / FINGER_SPEED)
         needed = TICK * int(np.ceil(needed / TICK - 1e-9))
-        self.hands.append(HandMotion(robot, self.now, needed, before, opening))
+        self.hand_motions.append(HandMotion(robot, self.now, needed, before, opening))
         return self.now + needed
