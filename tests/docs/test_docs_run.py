@@ -35,6 +35,7 @@ ALWAYS = [
 """Patterns of commands that never run here."""
 WHEN_QUICK = [
     (r"roboassembly .*--setting full.*", "two robots take their time"),
+    (r"roboassembly export trajectory .*", "exports what the commands with two robots plan"),
     (r"roboassembly view .*|roboassembly view", "each starts a server; the studio's tests start enough of them"),
     (r"roboassembly train .*", "JAX compiles for half a minute"),
     (r"roboassembly bench .*", "measures for minutes"),

@@ -1,4 +1,4 @@
-"""Export of furniture: MJCF for MuJoCo, URDF for other programs."""
+"""Export of furniture: MJCF for MuJoCo, URDF for other programs. `usd` writes USD."""
 
 from __future__ import annotations
 
@@ -16,6 +16,8 @@ from roboassembly.furniture.triangles import unique_names
 from roboassembly.geometry.meshes import WOOD_DENSITY
 from roboassembly.geometry.poses import SE3, pose_to_euler, pose_to_seven
 
+SUFFIXES = {"mjcf": "xml", "urdf": "urdf", "usd": "usda"}
+"""Endings of files by format."""
 _LONGEST_NAME = 60
 """Largest number of characters of a file name: at most 240 bytes, which file systems accept."""
 
@@ -29,7 +31,7 @@ def export_mjcf(furniture: Furniture, folder: Path) -> Path:
     Raises:
         InputError: the folder cannot be written.
     """
-    furniture = _with_safe_names(furniture)
+    furniture = with_safe_names(furniture)
     names = _write_meshes(furniture, folder)
     root = ET.Element("mujoco", model=furniture.name)
     ET.SubElement(root, "compiler", angle="radian", meshdir="meshes")
@@ -74,7 +76,7 @@ def export_urdf(furniture: Furniture, folder: Path) -> Path:
     Raises:
         InputError: the folder cannot be written.
     """
-    furniture = _with_safe_names(furniture)
+    furniture = with_safe_names(furniture)
     names = _write_meshes(furniture, folder)
     root = ET.Element("robot", name=furniture.name)
     for part, mesh in zip(furniture.parts, names, strict=True):
@@ -100,18 +102,18 @@ def export_urdf(furniture: Furniture, folder: Path) -> Path:
 
 
 def exported_file(furniture: Furniture, folder: Path, kind: str) -> Path:
-    """Return the file that `export_mjcf` or `export_urdf` writes; `kind` is `mjcf` or `urdf`."""
-    return folder / f"{_safe(furniture.name)}.{'xml' if kind == 'mjcf' else kind}"
+    """Return the file that an export writes; `kind` is a key of `SUFFIXES`."""
+    return folder / f"{safe_name(furniture.name)}.{SUFFIXES[kind]}"
 
 
-def _with_safe_names(furniture: Furniture) -> Furniture:
+def with_safe_names(furniture: Furniture) -> Furniture:
     """Return the furniture with names that are valid as file names and in XML."""
-    names = unique_names([_safe(part.name) for part in furniture.parts])
+    names = unique_names([safe_name(part.name) for part in furniture.parts])
     parts = tuple(replace(part, name=name) for part, name in zip(furniture.parts, names, strict=True))
-    return replace(furniture, name=_safe(furniture.name), parts=parts)
+    return replace(furniture, name=safe_name(furniture.name), parts=parts)
 
 
-def _safe(name: str) -> str:
+def safe_name(name: str) -> str:
     """Return a name with control characters, path separators and a leading dot replaced by underscores."""
     return re.sub(r"^\.|[/\\:]", "_", "".join(c if c.isprintable() else "_" for c in name[:_LONGEST_NAME])) or "_"
 

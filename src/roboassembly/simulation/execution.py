@@ -12,9 +12,9 @@ from jaxtyping import Float
 from roboassembly.geometry.poses import SE3, from_quaternion
 from roboassembly.robots.body import tip_positions
 from roboassembly.robots.kinematics import JOINTS, arm
-from roboassembly.simulation.mobile_arms import GAINS, GRIP_FORCE, NAMES, Load, lag, model_of
+from roboassembly.robots.timing import TimedPath
+from roboassembly.simulation.mobile_arms import GAINS, GRIP_FORCE, NAMES, TIME_STEP, Load, all_gains, lag, model_of
 from roboassembly.simulation.model import rotation_to_quaternion
-from roboassembly.simulation.pacing import TIME_STEP, time_parametrize
 
 _GRIP_WEIGHTS, _LIGHTEST_GRIP = 10.0, 8.0
 """Force of each finger as a multiple of the load's weight, and at least [N]."""
@@ -117,25 +117,32 @@ class StepPhysics:
             row[10] = 1.0
         self.data.eq_active[eq] = active
 
-    def follow(self, robot: int, path: Sequence[Float[np.ndarray, "10"]], speed: float = 1.0) -> None:
-        """Move one robot along a path; the other one holds still."""
-        planned: list[np.ndarray] = []
+    def follow(self, robot: int, motion: TimedPath, rest: float = 0.0) -> None:
+        """Move one robot along a path; the other one holds still.
+
+        Args:
+            robot: 0 or 1.
+            motion: configurations over time.
+            rest: time that the robot has afterwards to come to rest [s].
+        """
+        planned = motion.ticks()
+        # The controller adds the forces that the motion takes, as Franka's does.
+        controls = planned.position + planned.velocity * lag() + motion.forces(planned) / all_gains()
         reached: list[np.ndarray] = []
 
-        def sample(q: Float[np.ndarray, "10"]) -> None:
-            planned.append(q)
+        def sample() -> None:
             reached.append(self._tip_position(robot))
             self.log.samples.append(self.configuration(robot))
 
-        for q, velocity in time_parametrize(path, speed):
-            self.data.ctrl[self._controls(robot)] = q + velocity * lag()
+        for control in controls:
+            self.data.ctrl[self._controls(robot)] = control
             self._step()
-            sample(q)
-        for _ in range(round(0.1 / TIME_STEP)):
-            self.data.ctrl[self._controls(robot)] = path[-1]
+            sample()
+        for _ in range(round(rest / TIME_STEP)):
+            self.data.ctrl[self._controls(robot)] = motion.end
             self._step()
-        sample(path[-1])
-        off = np.array(reached) - tip_positions(np.array(planned))
+        sample()
+        off = np.array(reached) - tip_positions(np.vstack([planned.position, motion.end]))
         self.log.tracking += np.linalg.norm(off, axis=1).tolist()
 
     def _step(self) -> None:
@@ -150,7 +157,7 @@ class StepPhysics:
                 self.data.qfrc_applied[dofs] += self._jacobian[2, dofs] * weight
         mujoco.mj_step(self.model, self.data)
 
-    def grasp(self, robot: int, load: int, seconds: float = 0.6) -> bool:
+    def grasp(self, robot: int, load: int, seconds: float) -> bool:
         """Close the hand and weld the load to it if both pads press the load. Return whether they do."""
         first = self._controls(robot).stop
         # The force depends on the load: a strong grip would push a light one askew.
@@ -197,13 +204,13 @@ class StepPhysics:
         self._weld("joint", True)
         self._payloads[1] = [0, 1]
 
-    def release(self, robot: int, opening: float, posts: Sequence[int] = ()) -> None:
-        """Open the hand; loads named in `posts` stay where they are, each on a raised post."""
+    def release(self, robot: int, opening: float, seconds: float, posts: Sequence[int] = ()) -> None:
+        """Open the hand in `seconds`; loads named in `posts` stay where they are, each on a raised post."""
         for load in posts:
             self._weld(f"post{load}", True)
         for load in range(len(self.loads)):
             self._weld(f"grip{'ab'[robot]}{load}", False)
         self._payloads[robot] = []
         self._open(robot, opening)
-        for _ in range(round(0.4 / TIME_STEP)):
+        for _ in range(round(seconds / TIME_STEP)):
             self._step()

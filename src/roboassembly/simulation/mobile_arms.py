@@ -20,11 +20,13 @@ from jaxtyping import Float
 
 from roboassembly.geometry.meshes import Mesh
 from roboassembly.geometry.poses import SE3
+from roboassembly.robots.dynamics import ROTOR_INERTIA
 from roboassembly.robots.gripper import MAX_OPENING, hand_bodies, panda_folder
 from roboassembly.robots.kinematics import JOINTS, arm
-from roboassembly.robots.platform import HEIGHT, LENGTH, PLATFORM_FROM_MOUNT, WIDTH
+from roboassembly.robots.limits import JOINT_TORQUES
+from roboassembly.robots.platform import HEIGHT, LENGTH, MASS, PLATFORM_FROM_MOUNT, WIDTH
+from roboassembly.robots.timing import TICK as TIME_STEP
 from roboassembly.simulation.model import FLOOR_FRICTION, rotation_to_quaternion
-from roboassembly.simulation.pacing import TIME_STEP
 
 GAINS = (9000.0, 9000.0, 7000.0, 7000.0, 4000.0, 4000.0, 3000.0)
 """Stiffness of the arm's joints [N·m/rad]."""
@@ -32,12 +34,8 @@ GRIP_FORCE = 40.0
 """Largest force of each finger [N]; the hand's continuous limit is 70 N."""
 NAMES = ("x", "y", "turn", *(f"q{i + 1}" for i in range(JOINTS)))
 """Names of a robot's joints, after `a/` or `b/`; actuators have the names of their joints."""
-_PLATFORM_MASS = 90.0
-"""Mass of the platform, batteries included [kg]."""
 _PLATFORM_GAINS = (6e5, 6e5, 1.5e5)
 """Stiffness of the platform's drives [N/m, N/m, N·m/rad]."""
-_TORQUES = (87.0, 87.0, 87.0, 87.0, 12.0, 12.0, 12.0)
-"""Torque limits of Franka's joints [N·m]."""
 _DAMPING_RATIO = 1.0
 _PAD_FRICTION = [1.0, 0.02, 0.001]
 """Friction of rubber on wood: sliding, torsional [m], rolling [m]."""
@@ -97,30 +95,32 @@ def model_of(loads: Sequence[Load]) -> mujoco.MjModel:
     return spec.compile()
 
 
-def _all_gains() -> Float[np.ndarray, "10"]:
+@cache
+def all_gains() -> Float[np.ndarray, "10"]:
+    """Return the stiffness of the platform's drives and of the arm's joints [N/m, N·m/rad]."""
     return np.array([*_PLATFORM_GAINS, *GAINS])
 
 
 @cache
 def _dampings() -> Float[np.ndarray, "10"]:
     """Return damping that is about critical for the inertia that each joint moves."""
-    inertia = np.array([_PLATFORM_MASS + 20.0, _PLATFORM_MASS + 20.0, 12.0, 2.0, 2.0, 1.2, 1.2, 0.3, 0.25, 0.15])
-    return 2.0 * _DAMPING_RATIO * np.sqrt(_all_gains() * inertia)
+    inertia = np.array([MASS + 20.0, MASS + 20.0, 12.0, 2.0, 2.0, 1.2, 1.2, 0.3, 0.25, 0.15])
+    return 2.0 * _DAMPING_RATIO * np.sqrt(all_gains() * inertia)
 
 
 @cache
 def lag() -> Float[np.ndarray, "10"]:
     """Return the delay of each joint without velocity feed-forward [s]."""
-    return _dampings() / _all_gains()
+    return _dampings() / all_gains()
 
 
 def _add_robot(spec: mujoco.MjSpec, name: str) -> None:
     platform = spec.worldbody.add_body(name=f"{name}/platform", gravcomp=1.0)
     platform.explicitinertial = True
-    platform.mass = _PLATFORM_MASS
+    platform.mass = MASS
     platform.ipos = [0.0, 0.0, 0.5 * HEIGHT]
     sides = np.array([LENGTH, WIDTH, HEIGHT]) ** 2
-    platform.inertia = _PLATFORM_MASS / 12.0 * (sides.sum() - sides)
+    platform.inertia = MASS / 12.0 * (sides.sum() - sides)
     slide, hinge = mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_HINGE
     for joint, kind, axis in (("x", slide, [1, 0, 0]), ("y", slide, [0, 1, 0]), ("turn", hinge, [0, 0, 1])):
         platform.add_joint(name=f"{name}/{joint}", type=kind, axis=axis)
@@ -134,7 +134,7 @@ def _add_robot(spec: mujoco.MjSpec, name: str) -> None:
             gravcomp=1.0,
         )  # fmt: skip
         _set_inertia(node, model.inertias[j + 1])
-        node.add_joint(name=f"{name}/q{j + 1}", type=hinge, axis=[0, 0, 1], armature=0.1)
+        node.add_joint(name=f"{name}/q{j + 1}", type=hinge, axis=[0, 0, 1], armature=ROTOR_INERTIA)
     rotation, origin = arm().tips
     pieces = hand_bodies(0.0)[1:]
     for k, (mesh, _) in enumerate(pieces):
@@ -142,7 +142,8 @@ def _add_robot(spec: mujoco.MjSpec, name: str) -> None:
             name=f"{name}/finger{k}", pos=origin, quat=rotation_to_quaternion(rotation), gravcomp=1.0
         )
         finger.explicitinertial = True
-        finger.mass, finger.inertia = 0.1, [1e-4, 1e-4, 1e-4]
+        # Without a place given, MuJoCo takes the frame's offset from the link for it, once more.
+        finger.mass, finger.inertia, finger.ipos = 0.1, [1e-4, 1e-4, 1e-4], np.zeros(3)
         axis = hand_bodies(1.0)[1 + k][1].translation * 2.0
         finger.add_joint(
             name=f"{name}/finger{k}", type=slide, axis=axis, limited=True, range=[-0.001, 0.5 * MAX_OPENING],
@@ -157,11 +158,11 @@ def _add_robot(spec: mujoco.MjSpec, name: str) -> None:
         )  # fmt: skip
     _couple(spec, f"{name}/finger0", f"{name}/finger1")
     damping = _dampings()
-    limits = [1e5, 1e5, 1e5, *_TORQUES]
+    limits = [1e5, 1e5, 1e5, *JOINT_TORQUES]
     for i, joint in enumerate(NAMES):
         actuator = spec.add_actuator(name=f"{name}/{joint}", target=f"{name}/{joint}")
         actuator.trntype = mujoco.mjtTrn.mjTRN_JOINT
-        actuator.set_to_position(kp=float(_all_gains()[i]), kv=float(damping[i]))
+        actuator.set_to_position(kp=float(all_gains()[i]), kv=float(damping[i]))
         actuator.forcelimited, actuator.forcerange = True, [-limits[i], limits[i]]
     for k in (0, 1):
         actuator = spec.add_actuator(name=f"{name}/finger{k}", target=f"{name}/finger{k}")

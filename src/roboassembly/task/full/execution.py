@@ -24,8 +24,9 @@ from roboassembly.simulation.execution import StepPhysics
 from roboassembly.simulation.mobile_arms import Load, between_pads
 from roboassembly.simulation.model import mass_properties
 from roboassembly.task.full.cell_state import Payload, Segment
-from roboassembly.task.full.failure import STRAIGHT, Stage
+from roboassembly.task.full.failure import Stage
 from roboassembly.task.full.grips import Grip
+from roboassembly.task.full.timing import GRASP_SECONDS, RELEASE_SECONDS, rest_after, timed_motion
 from roboassembly.task.plans.full_plan import FullPlan, FullStep
 from roboassembly.task.rules.groups import Group, body
 
@@ -35,8 +36,6 @@ STANDING_POSITION, STANDING_ANGLE = 0.01, float(np.deg2rad(2.0))
 """Largest error of the finished piece on the floor once the robot has left [m, rad]."""
 MOST_TRACKING = 0.005
 """Largest distance of the finger tips from their path [m]."""
-_STRAIGHT_SPEED, _LOADED_SPEED = 0.3, 0.7
-"""Shares of full speed: in straight segments, and with a group in the hand."""
 _TEST_INTERVAL = 10
 """Time steps between two states that are tested for collision."""
 
@@ -164,7 +163,7 @@ def execute_upright(plan: FullPlan) -> StepExecution | None:
 
 class _StepExecutor:
     def __init__(self, furniture: Furniture, density: float, segments: Sequence[Segment]) -> None:
-        self.furniture, self.segments = furniture, segments
+        self.furniture, self.density, self.segments = furniture, density, segments
         start = segments[0].before
         # u's group before v's, so that a merge's loads have the numbers of the robots that take them.
         lifts = sorted((s for s in segments if s.stage is Stage.LIFT), key=lambda segment: segment.robot)
@@ -175,7 +174,7 @@ class _StepExecutor:
         for segment in segments:
             if segment.stage is Stage.DRIVE_TO_GROUP:
                 openings[segment.robot] = segment.before.robots[segment.robot].opening
-        loads = [self._load(payload.group, payload.grip, density) for payload in self.payloads]
+        loads = [self._load(payload.group, payload.grip) for payload in self.payloads]
         if segments[-1].after.on_floor:
             loads = [
                 replace(load, feet=_feet(furniture, g.group)) for load, g in zip(loads, self.payloads, strict=True)
@@ -184,9 +183,9 @@ class _StepExecutor:
         self.states = 0
         self.joint = (0.0, 0.0)
 
-    def _load(self, group: Group, grip: Grip, density: float) -> Load:
+    def _load(self, group: Group, grip: Grip) -> Load:
         mass, center, inertia = mass_properties(body(self.furniture, group, "load"))
-        share = density / WOOD_DENSITY
+        share = self.density / WOOD_DENSITY
         own = group.furniture_from_part[group.parts.index(grip.part)]
         clip = between_pads(self.furniture.parts[grip.part].mesh, own.actInv(grip.furniture_from_tips), grip.closed)
         return Load(group.world_from_furniture, share * mass, center, share * inertia, (clip.transformed(own),))
@@ -205,26 +204,27 @@ class _StepExecutor:
 
     def _follow_segment(self, segment: Segment) -> ExecutionVerdict:
         physics, first = self.physics, len(self.physics.log.tracking)
-        speed = 1.0 if segment.before.robots[segment.robot].payload is None else _LOADED_SPEED
-        physics.follow(segment.robot, segment.path, _STRAIGHT_SPEED if segment.stage in STRAIGHT else speed)
+        payload = segment.before.robots[segment.robot].payload_shapes(self.furniture)
+        motion = timed_motion(segment.stage, segment.path, payload, self.density)
+        physics.follow(segment.robot, motion, rest_after(segment.stage))
         if max(physics.log.tracking[first:]) > MOST_TRACKING:
             return ExecutionVerdict.OFF_THE_PATH
         if self._touches(segment, np.array(physics.log.samples[first::_TEST_INTERVAL])):
             return ExecutionVerdict.COLLISION
         if segment.stage is Stage.APPROACH:
-            grasped = physics.grasp(segment.robot, self.load_of[segment.robot])
+            grasped = physics.grasp(segment.robot, self.load_of[segment.robot], GRASP_SECONDS)
             return ExecutionVerdict.DONE if grasped else ExecutionVerdict.NOT_GRASPED
         if segment.stage is Stage.MATE:
             self.joint = self._joint_error(segment)
             if self.joint[0] > JOINT_POSITION or self.joint[1] > JOINT_ANGLE:
                 return ExecutionVerdict.NOT_MATED
             physics.join()
-            physics.release(0, self._next(segment).before.robots[0].opening)
+            physics.release(0, self._next(segment).before.robots[0].opening, RELEASE_SECONDS)
         if segment.stage is Stage.SET_DOWN:
             after = self._next(segment).before
             # A group on the floor stands by itself; a raised post holds what is set on it.
             on_posts = () if after.on_floor else tuple(range(len(self.payloads)))
-            physics.release(segment.robot, after.robots[segment.robot].opening, on_posts)
+            physics.release(segment.robot, after.robots[segment.robot].opening, RELEASE_SECONDS, on_posts)
         if segment.stage is Stage.LEAVE and segment.before.on_floor and not self._stands(segment.before.on_floor[0]):
             return ExecutionVerdict.NOT_STANDING
         return ExecutionVerdict.DONE
