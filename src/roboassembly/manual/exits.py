@@ -66,8 +66,9 @@ class Handling:
         return self._points[parts]
 
     def size(self, parts: Parts) -> float:
-        """Return the length of the diagonal of the box around parts [m]."""
-        return float(np.linalg.norm(np.ptp(self.points(parts), axis=0)))
+        """Return the area of the largest side of the box around parts [m²]."""
+        extents = np.sort(np.ptp(self.points(parts), axis=0))
+        return float(extents[1] * extents[2])
 
     def mass(self, parts: Parts) -> float:
         """Return the mass of parts made of wood [kg]."""

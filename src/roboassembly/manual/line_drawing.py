@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -19,17 +18,12 @@ from scipy.sparse.csgraph import connected_components
 
 from roboassembly.geometry.meshes import Mesh
 from roboassembly.geometry.poses import SE3, transform_points
+from roboassembly.manual.surfaces import drawn_surface
 
 Polygon = Float[np.ndarray, "n 2"]
 """Corners of a closed line."""
 MILLIMETRES = 1e3
 """Units of a drawing per metre."""
-_SHARP = float(np.cos(np.deg2rad(33.0)))
-"""Cosine between the normals of two faces below which their common edge is a line of the drawing."""
-_CONVEX = 1e-6
-"""Share of the hull that a convex solid may lack."""
-_GRAIN = 1e-6
-"""Distance below which corners of triangles are one vertex [m]."""
 _LEAST_OVERLAP = 1e-4
 """Area below which an overlap is a rounding error [mm²]."""
 DETAIL = 0.3
@@ -116,38 +110,6 @@ class LineDrawing:
         """Return what lies inside a window."""
         cut = [Region(r.key, r.shape ^ window, r.tone) for r in self.regions]
         return LineDrawing(tuple(r for r in cut if not r.shape.is_empty()))
-
-
-@dataclass(frozen=True, eq=False)
-class _Surface:
-    """Mesh with common vertices, and its pairs of faces that join smoothly."""
-
-    vertices: Float[np.ndarray, "v 3"]
-    faces: Int[np.ndarray, "f 3"]
-    normals: Float[np.ndarray, "f 3"]
-    smooth: Int[np.ndarray, "e 2"]
-    closed: bool
-    convex: bool
-
-
-@lru_cache(maxsize=2048)
-def _surface(mesh: Mesh) -> _Surface:
-    grid = np.round(mesh.vertices / _GRAIN).astype(np.int64)
-    _, first, renumbered = np.unique(grid, axis=0, return_index=True, return_inverse=True)
-    vertices, faces = mesh.vertices[first], renumbered.reshape(-1)[mesh.faces]
-    a, b, c = (vertices[faces[:, i]] for i in range(3))
-    normals = np.cross(b - a, c - a)
-    length = np.linalg.norm(normals, axis=1)
-    kept = length > 1e-13
-    faces, normals = faces[kept], normals[kept] / length[kept, None]
-    edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-    code = edges[:, 0] * len(vertices) + edges[:, 1]
-    order = np.argsort(code, kind="stable")
-    same = code[order][1:] == code[order][:-1]
-    pairs = np.column_stack([order[:-1][same], order[1:][same]]) // 3
-    smooth = pairs[np.einsum("ij,ij->i", normals[pairs[:, 0]], normals[pairs[:, 1]]) > _SHARP]
-    convex = mesh.is_solid and mesh.volume > (1.0 - _CONVEX) * float(mesh.hull.volume)
-    return _Surface(vertices, faces, normals, smooth, mesh.is_solid, convex)
 
 
 @dataclass(frozen=True, eq=False)
@@ -271,7 +233,7 @@ def _inner_point(shape: CrossSection) -> Float[np.ndarray, "2"]:
 
 def _patches(figure: Figure, camera: Projection, detail: float) -> list[_Patch]:
     """Return the patches of a figure that face the viewer."""
-    surface = _surface(figure.mesh)
+    surface = drawn_surface(figure.mesh)
     toward = figure.pose.rotation.T @ camera.toward
     facing = surface.normals @ toward
     front = facing > 1e-4 if surface.closed else np.abs(facing) > 1e-4

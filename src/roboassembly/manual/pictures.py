@@ -16,6 +16,10 @@ from roboassembly.manual.page import ACCENT, BLACK, WHITE, Box, Ink, Page, bubbl
 
 _THIN, _THICK = 0.12, 0.3
 """Widths of the lines inside a part and around it [mm]."""
+_BROAD, _THINNEST = 2.5, 0.3
+"""Width of a part from which its lines are as wide as that [mm], and least factor on the lines of thinner ones."""
+_LINED = 0.8
+"""Factor from which a part has lines inside, too."""
 _FINEST = 0.12
 """Width on the page of what is too thin to be drawn [mm]."""
 _BASE: tuple[Ink, Ink] = ((0.80, 0.81, 0.82), (0.985, 0.985, 0.985))
@@ -97,15 +101,26 @@ def add_drawing(
         lines: factor on the widths of the lines.
     """
     moves = set(coming)
+    keys = sorted({r.key for r in placed.drawing.regions}, key=lambda key: key in moves)
+    outlines = {key: placed.on_page(placed.drawing.outline(key)) for key in keys}
+    finer = {key: min(1.0, max(_THINNEST, _breadth(outline) / _BROAD)) for key, outline in outlines.items()}
     for region in placed.drawing.regions:
         fill = ink(_COMING if region.key in moves else _BASE, region.tone)
         line = BLACK if plain or region.key in moves else _BASE_LINE
-        page.path(placed.on_page(region.shape).to_polygons(), fill=fill, stroke=line, width=lines * _THIN)
-    keys = sorted({r.key for r in placed.drawing.regions}, key=lambda key: key in moves)
-    for key in keys:
+        # The sides of a thin part differ by their shades; lines between them would fill it.
+        thin = finer[region.key]
+        stroke = line if thin >= _LINED else None
+        page.path(placed.on_page(region.shape).to_polygons(), fill=fill, stroke=stroke, width=lines * thin * _THIN)
+    for key, outline in outlines.items():
         line = BLACK if plain or key in moves else _BASE_LINE
-        outline = placed.on_page(placed.drawing.outline(key)).to_polygons()
-        page.path(outline, stroke=line, width=lines * (_THICK if plain or key in moves else 0.7 * _THICK))
+        width = lines * finer[key] * (_THICK if plain or key in moves else 0.7 * _THICK)
+        page.path(outline.to_polygons(), stroke=line, width=width)
+
+
+def _breadth(shape: CrossSection) -> float:
+    """Return the mean width of a region, about [mm]."""
+    left, low, right, high = shape.bounds()
+    return shape.area() / max(float(np.hypot(right - left, high - low)), 1e-9)
 
 
 def add_arrow(page: Page, points: Float[np.ndarray, "n 2"], size: float = 1.0) -> Box:

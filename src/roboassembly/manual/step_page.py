@@ -30,13 +30,21 @@ _CLEAR = 22.0
 """Size on the page from which a joint needs no enlargement [mm]."""
 _DETAIL_ARROW = 0.75
 """Size of the arrow in an enlarged joint."""
+_LEAST_ENLARGEMENT = 1.5
+"""Ratio of sizes below which an enlarged joint shows nothing new."""
+_LEAST_FIRST = 0.012
+"""Length of the first edge of a bent way from which it is enough for an enlarged joint [m]."""
 _SIDE = 46.0
 """Width of the column for the enlarged joint and the turn [mm]."""
 _FEWEST_TO_COUNT = 4
 """Number of equal parts in one step from which one label counts them."""
 _BASE_ONLY = 3
 """Largest number of parts in a step that takes half a row."""
-_UP_WORDS = ("upright", "upside down", "on its side", "on its side", "on its back", "on its front")
+_UP_WORDS = ("upright", "upside down", "onto its side", "onto its side", "onto its front", "onto its back")
+_WITH_FRONT = "generated"
+"""Source of furniture whose front is known to be on the side of −y."""
+_CROWDED = 5
+"""Number of movers in a step from which its arrows are slender."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +136,8 @@ def draw_step(page: Page, manual: Manual, view: StepView, box: Box, letters: dic
     spots = joint_spots(manual.furniture, step)
     if view.detail is not None and contact_size(manual.furniture, view.detail) * placed.scale < _CLEAR:
         _draw_detail(page, manual.furniture, view, placed, corner)
-    arrows = [box for i, mover in enumerate(step.movers) for box in _draw_arrows(page, placed, mover, i, spots)]
+    size = _DETAIL_ARROW if len(step.movers) >= _CROWDED else 1.0
+    arrows = [box for i, mover in enumerate(step.movers) for box in _draw_arrows(page, placed, mover, i, spots, size)]
     _draw_labels(page, manual, step, placed, area, arrows, letters)
     if step.turned_from is not None:
         _draw_turn(page, manual, step, turn_box)
@@ -159,7 +168,9 @@ def draw_people(page: Page, x: float, y: float, count: int) -> None:
         page.circle((x + 2.2 + 5.2 * k, y + 7.1), 1.05, fill=BLACK)
 
 
-def _draw_arrows(page: Page, placed: Placement, mover: Mover, index: int, spots: list[JointSpot]) -> list[Box]:
+def _draw_arrows(
+    page: Page, placed: Placement, mover: Mover, index: int, spots: list[JointSpot], size: float
+) -> list[Box]:
     """Draw the way of a mover into its joints: one arrow, or two where its joints are far apart."""
     places = np.array([spot.place for spot in spots if spot.mover == index]).reshape(-1, 3)
     if not len(places):
@@ -169,7 +180,7 @@ def _draw_arrows(page: Page, placed: Placement, mover: Mover, index: int, spots:
         distances = np.linalg.norm(places[:, None] - places[None], axis=2)
         i, j = np.unravel_index(int(np.argmax(distances)), distances.shape)
         ends = [places[i], places[j]] if distances[i, j] > 0.12 else [places.mean(axis=0)]
-    return [add_arrow(page, placed.at(mover.arrow(end))) for end in ends]
+    return [add_arrow(page, placed.at(mover.arrow(end)), size) for end in ends]
 
 
 def _draw_labels(
@@ -218,7 +229,7 @@ def _draw_detail(page: Page, furniture: Furniture, view: StepView, placed: Place
     middle = 0.5 * (here + there)
     center = placed.scale * middle + placed.shift
     on_page = max(2.5, placed.scale * radius)
-    if on_page > 0.42 * box.width:
+    if 0.5 * box.width < _LEAST_ENLARGEMENT * on_page:
         return
     step = replace(view.step, movers=(near,))
     target = box.center
@@ -238,7 +249,8 @@ def _brought_near(furniture: Furniture, mover: Mover, spot: JointSpot, step: Man
     way = mover.away.act(spot.place) - spot.place
     length = float(np.linalg.norm(way))
     if len(mover.way) != 2 or length < 1e-6:
-        return mover
+        first = float(np.linalg.norm(mover.way[1].act(spot.place) - spot.place))
+        return replace(mover, way=mover.way[:2]) if first > _LEAST_FIRST else mover
     direction = way / length
     deep = joint_depth(furniture, Halves(frozenset((spot.part,)), frozenset((spot.other,))), direction)
     reach = min(length, deep + max(0.02, 0.5 * size / MILLIMETRES))
@@ -248,7 +260,10 @@ def _brought_near(furniture: Furniture, mover: Mover, spot: JointSpot, step: Man
 def _draw_turn(page: Page, manual: Manual, step: ManualStep, box: Box) -> None:
     """Draw how the piece lies before a step, and that it is turned; the step's own picture shows it afterward."""
     assert step.turned_from is not None
-    draw_turned(page, manual.furniture, step.base, step.turned_from, f"turn it {_UP_WORDS[step.up]}", box)
+    side = _UP_WORDS[step.up]
+    if manual.furniture.provenance.source != _WITH_FRONT and side in _UP_WORDS[4:]:
+        side = "onto another side"
+    draw_turned(page, manual.furniture, step.base, step.turned_from, f"turn it {side}", box)
 
 
 def draw_turned(page: Page, furniture: Furniture, parts: Parts, up: int, caption: str, box: Box) -> None:

@@ -144,6 +144,12 @@ def _continues(furniture: Furniture, arrangement: ArrangedPlan, run: list[Checke
         along = [m.away.translation / max(1e-9, float(np.linalg.norm(m.away.translation))) for m in (latest, mine)]
         if not small or len(run) >= MOST_MIXED or float(along[0] @ along[1]) < _SAME_WAY:
             return False
+        # What comes later must not be in the way of what comes in the same picture.
+        for other, way in zip((*run, merge), (*along[:1] * len(run), along[1]), strict=True):
+            rest = now.halves.merged - other.choice.halves.moving
+            out = handling.directions(Halves(other.choice.halves.moving, rest))
+            if not len(out) or float((out @ way).max()) < _SAME_WAY:
+                return False
     return not any(_boxes_meet(handling, _mover(handling, m, base, gap), mine) for m in run)
 
 
