@@ -8,6 +8,8 @@ from functools import cache
 from itertools import combinations
 
 import numpy as np
+import pypdfium2
+import pypdfium2.raw as raw
 import pytest
 
 from roboassembly.datasets import catalogue
@@ -123,6 +125,17 @@ def test_the_manual_of_the_built_in_chair_is_short_small_and_quick() -> None:
     assert not re.search(r"(src|href)=", page)
     assert page.count("<svg") == len(made)
     assert pdf(made, "chair") == content
+
+
+def test_another_reader_finds_texts_and_paths_in_the_pdf_and_no_pictures() -> None:
+    made = pages("ladder", 0)
+    document = pypdfium2.PdfDocument(pdf(made, "chair"))
+    assert len(document) == len(made)
+    for page, read in zip(made, document, strict=True):
+        assert read.get_size() == pytest.approx((595.3, 841.9), abs=0.1)  # A4 [points]
+        assert {o.type for o in read.get_objects()} <= {raw.FPDF_PAGEOBJ_PATH, raw.FPDF_PAGEOBJ_TEXT}
+        words = read.get_textpage().get_text_range().split()
+        assert sorted(words) == sorted(word for text in texts(page) for word in text.split())
 
 
 def test_what_comes_is_drawn_clear_of_what_is_there(chair) -> None:
