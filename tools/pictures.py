@@ -40,7 +40,7 @@ from roboassembly.viewer.playback import AnyPlan, make_timeline
 
 ROOT = Path(__file__).parents[1]
 IMAGES = ROOT / "docs" / "images"
-MANUAL_PAGE = 3
+MANUAL_PAGE = 4
 """Page of a manual that stands for it in README, from 0."""
 GROUPS = [(0.85, 0.65, 0.35), (0.35, 0.55, 0.80), (0.80, 0.40, 0.35), (0.45, 0.70, 0.45), (0.65, 0.50, 0.75)]
 
@@ -225,7 +225,7 @@ PICTURES: dict[str, Callable[[], None]] = {
         [catalogue.make(f) for f in FAMILIES], IMAGES / "families.png", columns=7, size=200
     ),
     "sixty": draw_sixty,
-    "manual": lambda: draw_manual(IMAGES / "manual.webp", width=1000),
+    "manual": lambda: draw_manual(IMAGES / "manual.webp", width=760),
     "rooms": draw_rooms,
 }
 

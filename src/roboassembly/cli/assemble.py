@@ -244,7 +244,7 @@ class AssembleCommand:
             return {}
         actions = [step.action for step in plan.steps]
         try:
-            outputs, _ = write_manual_of(plan.furniture, actions, self.seed, folder, robots=self.setting == "full")
+            outputs, _ = write_manual_of(plan.furniture, actions, self.seed, folder, self.setting)
         except ManualError as error:
             say(str(error))
             return {}

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from roboassembly.furniture.model import Furniture
+    from roboassembly.task.setting import SettingName
 
 
 @dataclass(frozen=True)
@@ -55,7 +56,7 @@ class ManualCommand:
             )
         import_mujoco()
         outputs, report = write_manual_of(
-            furniture, script.actions, script.seed, out, robots=script.setting == "full", name=f"'{self.plan}'"
+            furniture, script.actions, script.seed, out, script.setting, name=f"'{self.plan}'"
         )
         report = {
             "success": True,
@@ -77,8 +78,7 @@ def write_manual_of(
     actions: Sequence[tuple[int, ...]],
     seed: int,
     out: Path,
-    *,
-    robots: bool,
+    setting: SettingName,
     name: str = "the plan",
 ) -> tuple[dict[str, str], dict[str, Any]]:
     """Make a manual and write it; returns its files by name, and figures for the report.
@@ -88,7 +88,7 @@ def write_manual_of(
         actions: actions of a plan that assembles it.
         seed: seed of the planner.
         out: folder for the files.
-        robots: whether the plan is one of two robots.
+        setting: of the plan.
         name: words for the plan in errors.
 
     Raises:
@@ -96,8 +96,9 @@ def write_manual_of(
         ManualError: the planner finds no path for a step.
     """
     from roboassembly.manual.make import make_manual, write_manual
+    from roboassembly.settings import SETTINGS
 
     say("drawing the manual ...")
     manual = make_manual(furniture, actions, seed, name)
-    pdf, html, pages = write_manual(manual, writable_folder(out), robots=robots)
+    pdf, html, pages = write_manual(manual, writable_folder(out), SETTINGS[setting].on_manuals)
     return {"manual_pdf": str(pdf), "manual_html": str(html)}, {"steps": len(manual.steps), "pages": pages}

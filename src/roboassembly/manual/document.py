@@ -27,12 +27,12 @@ _LINE = 5.2
 """Distance between lines of text [mm]."""
 
 
-def pages_of(manual: Manual, robots: bool = False) -> list[Page]:
+def pages_of(manual: Manual, on_plan: str = "") -> list[Page]:
     """Return the pages of a manual.
 
     Args:
         manual: its steps.
-        robots: whether the plan is one of two robots.
+        on_plan: paragraph on the plan, for the last page.
     """
     part_list = part_kinds(manual.furniture)
     letters = {p: kind.letter for kind in part_list for p in kind.members}
@@ -46,7 +46,7 @@ def pages_of(manual: Manual, robots: bool = False) -> list[Page]:
         if len(rows) < _ROWS_OF_STEPS and number == len(groups):
             _draw_done(page, manual)
         pages.append(page)
-    pages.append(_last_page(manual, robots))
+    pages.append(_last_page(manual, on_plan))
     for number, page in enumerate(pages[1:], start=2):
         page.text(0.5 * WIDTH, MARGIN - 5, str(number), 9, centered=True, ink=GREY)
     return pages
@@ -166,7 +166,7 @@ def _draw_done(page: Page, manual: Manual) -> None:
     add_drawing(page, place(figures, best_camera(figures, UPRIGHT), space), plain=True)
 
 
-def _last_page(manual: Manual, robots: bool) -> Page:
+def _last_page(manual: Manual, on_plan: str) -> Page:
     page = _new_page(manual, "Helping hands")
     right = WIDTH - MARGIN
     y = HEIGHT - MARGIN - 14
@@ -183,20 +183,14 @@ def _last_page(manual: Manual, robots: bool) -> Page:
     y = _paragraphs(page, lines, y, right)
     y -= 8
     page.text(MARGIN, y, "Two robots", 20, bold=True)
-    _paragraphs(page, _robot_lines(manual, robots), y - 10, right)
+    _paragraphs(page, _robot_lines(manual, on_plan), y - 10, right)
     return page
 
 
-def _robot_lines(manual: Manual, robots: bool) -> list[str]:
+def _robot_lines(manual: Manual, on_plan: str) -> list[str]:
     furniture = manual.furniture
-    merges = len(manual.arrangement.merges)
     lines = ["Two arms are needed in every step: one brings what comes, the other one holds what is there."]
-    if robots:
-        lines.append(f"This manual was made from a plan in which two robots join the parts, in {merges} merges. Its "
-                     "order is rearranged for people; plan.json has that of the robots.")  # fmt: skip
-    else:
-        lines.append("This manual was made from a plan without robots. `roboassembly assemble --setting full` tries "
-                     "to plan for two mobile arms.")  # fmt: skip
+    lines += [on_plan] if on_plan else []
     if furniture.unholdable:
         names = list(furniture.unholdable)
         more = f" and {len(names) - 6} more" if len(names) > 6 else ""

@@ -32,15 +32,15 @@ def make_manual(furniture: Furniture, actions: Sequence[tuple[int, ...]], seed: 
     return steps_of(arrange(furniture, tree_of(furniture, actions, name), seed))
 
 
-def write_manual(manual: Manual, folder: Path, *, robots: bool = False) -> tuple[Path, Path, int]:
+def write_manual(manual: Manual, folder: Path, on_plan: str = "") -> tuple[Path, Path, int]:
     """Write `manual.pdf` and `manual.html`, and return their paths and the number of pages.
 
     Args:
         manual: its steps.
         folder: existing folder; earlier manuals in it are replaced.
-        robots: whether the plan is one of two robots.
+        on_plan: paragraph on the plan, for the last page.
     """
-    pages, title = pages_of(manual, robots), title_of(manual)
+    pages, title = pages_of(manual, on_plan), title_of(manual)
     (folder / PDF).write_bytes(pdf(pages, title))
     (folder / HTML).write_text(html(pages, title), encoding="utf-8")
     return folder / PDF, folder / HTML, len(pages)
