@@ -92,7 +92,7 @@ def contact_size(furniture: Furniture, spot: JointSpot) -> float:
 
 
 def _small_joint(furniture: Furniture, step: ManualStep, camera: Projection) -> JointSpot | None:
-    """Return the joint of a step that is worth an enlargement: smaller than a hand, and best seen."""
+    """Return the joint of a step that is worth an enlargement: smaller than a hand, seen, and best seen of all."""
     spots = [spot for spot in joint_spots(furniture, step) if contact_size(furniture, spot) < HAND]
     if not spots:
         return None
@@ -102,6 +102,8 @@ def _small_joint(furniture: Furniture, step: ManualStep, camera: Projection) -> 
         way = step.movers[spot.mover].away.act(spot.place) - spot.place
         tests.append([spot.place + s * way for s in (0.15, 0.4, 0.7)])
     visible = sight.sees(np.array(tests).reshape(-1, 3), camera.toward).reshape(len(spots), -1).sum(axis=1)
+    if not visible.any():
+        return None
     nearness = np.array([spot.place @ camera.toward for spot in spots])
     return spots[int(np.lexsort((nearness.round(3), visible))[-1])]
 

@@ -112,6 +112,9 @@ def svg(page: Page) -> ElementTree.Element:
                 text.set("font-weight", "bold")
             text.set("font-size", _number(size))
             text.set("font-family", "Helvetica, Arial, sans-serif")
+            # Browsers without these fonts keep to the width for which there is room.
+            text.set("textLength", _number(item.box.width))
+            text.set("lengthAdjust", "spacingAndGlyphs")
             text.text = item.text
         else:
             path = ElementTree.SubElement(root, "path", d=" ".join(_outline(line, item) for line in item.lines))
