@@ -153,6 +153,21 @@ def test_a_pin_does_not_stand_and_a_leaning_frame_lies() -> None:
     assert handling.stands(set_of(index("lean")), 2)
 
 
+def test_the_half_with_the_larger_hull_waits() -> None:
+    # A frame waits for a rod that is longer than it is.
+    frame = block((0, 0, 0), (0.8, 0.4, 0.05)) - block((0.05, 0.05, -1), (0.75, 0.35, 1))
+    parts = {"frame": of_solid(frame), "rod": box((0.02, 0.01, 0.05 + GAP), (0.03, 0.02, 1.0))}
+    piece = furniture("rod and frame", parts)
+    handling = Handling(piece, 0)
+    index = [p.name for p in piece.parts].index
+    rod, whole = set_of(index("rod")), set_of(index("frame"))
+    assert handling.size(rod) == pytest.approx(2 * 0.01**2 + 4 * 0.01 * (0.95 - GAP), rel=1e-4)
+    assert handling.size(whole) == pytest.approx(2 * (0.8 * 0.4 + 0.8 * 0.05 + 0.4 * 0.05), rel=1e-4)
+    for halves in (Halves(rod, whole), Halves(whole, rod)):
+        (merge,) = arrange(piece, {rod | whole: halves}, 0).merges
+        assert merge.choice.halves.moving == rod
+
+
 def test_directions_out_of_a_pocket(captive_slat: Furniture) -> None:
     handling = Handling(captive_slat, 0)
     slat, left = (next(i for i, p in enumerate(captive_slat.parts) if p.name == n) for n in ("slat", "left"))

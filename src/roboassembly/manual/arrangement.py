@@ -39,6 +39,8 @@ _LARGER_BY = 1.02
 """Ratio of sizes from which a half counts as larger."""
 _LYING = 0.01
 """Cost of any side up but the one of the finished piece, which decides between equals."""
+_SUNK = 0.0009
+"""Depth below the waiting half's lowest point at which the moving one is in the ground for the planner [m]."""
 _PICTURE = 0.5
 """Cost of a picture."""
 _DISASSEMBLY_STATES = 60_000
@@ -105,8 +107,10 @@ def arrange(furniture: Furniture, tree: MergeTree, seed: int) -> ArrangedPlan:
     for rough in (tree, _by_disassembly(furniture, handling)):
         if rough is None:
             continue
-        regrouped = _equal_parts_together(furniture, handling, _smaller_moves(handling, rough))
-        drafts += [_Draft(handling, equalised(furniture, t)) for t in (regrouped, rough)]
+        plain = _smaller_moves(handling, rough)
+        regrouped = _equal_parts_together(furniture, handling, plain)
+        trees = [regrouped] if regrouped == plain else [regrouped, plain]
+        drafts += [_Draft(handling, equalised(furniture, t)) for t in trees]
     failed: Halves | None = None
     for _ in range(_TRIES):
         draft = min(drafts, key=lambda d: d.cost)
@@ -334,6 +338,9 @@ def _alike_chosen(trees: EqualTrees, chosen: dict[Parts, Choice], banned: set[Ch
 
 
 def _own_cost(handling: Handling, halves: Halves, up: int) -> float:
+    """Return the cost of joining two halves while an axis is up; infinite if the moving half would be in the ground."""
+    if handling.lowest(halves.moving, up) < handling.lowest(halves.waiting, up) - _SUNK:
+        return np.inf
     cost = _LYING * (up != UPRIGHT)
     cost += _FALLS * (not handling.stands(halves.waiting, up))
     cost += _FALLS_AFTER * (not handling.stands(halves.merged, up))
@@ -367,7 +374,10 @@ def _planned(
     moving, waiting = choice.halves.moving, choice.halves.waiting
     for states in _BUDGETS:
         motions = ()
-        if states and handling.exits.separable(moving, waiting, states):
+        if states:
+            # Whether two halves come apart at all depends on their shapes alone, and is asked once for all choices.
+            if not handling.exits.separable(moving, waiting, states):
+                continue
             motions = handling.exits.motions(moving, waiting)
         action = (*_ends(task.furniture, choice.halves), choice.up)
         outcome = task.step(state, action, planner_seed(seed, action), Budget(states=states), motions)

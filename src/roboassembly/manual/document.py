@@ -46,7 +46,8 @@ def pages_of(manual: Manual, on_plan: str = "") -> list[Page]:
         if len(rows) < _ROWS_OF_STEPS and number == len(groups):
             _draw_done(page, manual)
         pages.append(page)
-    pages.append(_last_page(manual, on_plan))
+    done = len(groups[-1]) < _ROWS_OF_STEPS
+    pages.append(_last_page(manual, on_plan, with_piece=not done))
     for number, page in enumerate(pages[1:], start=2):
         page.text(0.5 * WIDTH, MARGIN - 5, str(number), 9, centered=True, ink=GREY)
     return pages
@@ -153,7 +154,7 @@ def _draw_rows(
 
 
 def _draw_done(page: Page, manual: Manual) -> None:
-    """Draw the finished piece into the lower half of the last page of steps."""
+    """Draw the finished piece, and its turn onto its feet, into the lower half of a page."""
     middle = 0.5 * HEIGHT
     page.path([np.array([[MARGIN, middle], [WIDTH - MARGIN, middle]])], stroke=GREY, width=0.2, closed=False)
     right = WIDTH - MARGIN
@@ -166,7 +167,7 @@ def _draw_done(page: Page, manual: Manual) -> None:
     add_drawing(page, place(figures, best_camera(figures, UPRIGHT), space), plain=True)
 
 
-def _last_page(manual: Manual, on_plan: str) -> Page:
+def _last_page(manual: Manual, on_plan: str, *, with_piece: bool) -> Page:
     page = _new_page(manual, "Helping hands")
     right = WIDTH - MARGIN
     y = HEIGHT - MARGIN - 14
@@ -183,7 +184,9 @@ def _last_page(manual: Manual, on_plan: str) -> Page:
     y = _paragraphs(page, lines, y, right)
     y -= 8
     page.text(MARGIN, y, "Two robots", 20, bold=True)
-    _paragraphs(page, _robot_lines(manual, on_plan), y - 10, right)
+    y = _paragraphs(page, _robot_lines(manual, on_plan), y - 10, right)
+    if with_piece and y > 0.5 * HEIGHT:
+        _draw_done(page, manual)
     return page
 
 

@@ -37,6 +37,7 @@ class Handling:
         self.exits = ExitPlanner(Rules(furniture), self.disassembly.graphs, seed)
         self._directions: dict[Halves, Float[np.ndarray, "n 3"]] = {}
         self._tipping: dict[tuple[Parts, int], float] = {}
+        self._surfaces: dict[Parts, float] = {}
         self._hull_sides: dict[Parts, Float[np.ndarray, "n 3"]] = {}
         self._points: dict[Parts, Float[np.ndarray, "n 3"]] = {}
 
@@ -65,10 +66,18 @@ class Handling:
             self._points[parts] = hull_points(self.furniture, group_in_place(self.furniture, parts))
         return self._points[parts]
 
+    def lowest(self, parts: Parts, up: int) -> float:
+        """Return the height of the lowest point of parts while an axis is up, furniture frame [m]."""
+        return float(self.disassembly.graphs.lowest(parts)[up])
+
     def size(self, parts: Parts) -> float:
-        """Return the area of the largest side of the box around parts [m²]."""
-        extents = np.sort(np.ptp(self.points(parts), axis=0))
-        return float(extents[1] * extents[2])
+        """Return the surface of the convex hull of parts [m²]."""
+        if parts not in self._surfaces:
+            try:
+                self._surfaces[parts] = float(ConvexHull(self.points(parts)).area)
+            except QhullError:
+                self._surfaces[parts] = 0.0
+        return self._surfaces[parts]
 
     def mass(self, parts: Parts) -> float:
         """Return the mass of parts made of wood [kg]."""
