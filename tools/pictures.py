@@ -20,7 +20,11 @@ from roboassembly.envs.observation import Observer
 from roboassembly.furniture.model import PAPER_PARTS, PAPER_POINTS, Furniture, Part
 from roboassembly.generate import CHAIRS, FAMILIES
 from roboassembly.geometry.poses import SE3
+from roboassembly.learning.policy import guide_of
 from roboassembly.learning.registry import load_policy
+from roboassembly.manual.document import pages_of, title_of
+from roboassembly.manual.make import make_manual
+from roboassembly.manual.writers import pdf
 from roboassembly.rendering.colors import WOOD, part_colors
 from roboassembly.rendering.offscreen import STILL, OffscreenRenderer
 from roboassembly.robots.gripper import hand_pose
@@ -36,6 +40,8 @@ from roboassembly.viewer.playback import AnyPlan, make_timeline
 
 ROOT = Path(__file__).parents[1]
 IMAGES = ROOT / "docs" / "images"
+MANUAL_PAGE = 4
+"""Page of a manual that stands for it in README, from 0."""
 GROUPS = [(0.85, 0.65, 0.35), (0.35, 0.55, 0.80), (0.80, 0.40, 0.35), (0.45, 0.70, 0.45), (0.65, 0.50, 0.75)]
 
 
@@ -130,6 +136,7 @@ ROOMS = {
     "cli": "commands",
     "bench": "speed against other libraries",
     "studio": "the page in the browser",
+    "manual": "manuals for people",
     "viewer": "films, pages, playback",
     "evaluation": "rollouts, benchmark table",
     "learning": "policies, paper/ and relational/",
@@ -153,6 +160,21 @@ ROOMS = {
     "errors": "one-line errors",
 }
 """What each room of the package holds."""
+
+
+def draw_manual(path: Path, width: int) -> None:
+    """Draw a page of the manual of the built-in chair."""
+    import pypdfium2
+
+    piece = catalogue.make("ladder")
+    guide = guide_of(load_policy("relational"))
+    manual = make_manual(piece, [step.action for step in solve(piece, 0, guide=guide).plan.steps], 0)
+    document = pypdfium2.PdfDocument(pdf(pages_of(manual), title_of(manual)))
+    page = document[MANUAL_PAGE]
+    picture = page.render(scale=2 * width / page.get_width()).to_pil()
+    picture.resize((width, round(picture.height * width / picture.width)), Image.Resampling.LANCZOS).save(
+        path, quality=90, method=6
+    )
 
 
 def draw_rooms() -> None:
@@ -203,6 +225,7 @@ PICTURES: dict[str, Callable[[], None]] = {
         [catalogue.make(f) for f in FAMILIES], IMAGES / "families.png", columns=7, size=200
     ),
     "sixty": draw_sixty,
+    "manual": lambda: draw_manual(IMAGES / "manual.webp", width=760),
     "rooms": draw_rooms,
 }
 

@@ -83,7 +83,7 @@ def test_all_commands_are_found() -> None:
     assert len(COMMANDS) == len(set(COMMANDS)) >= 14
     found = {f.name for kind in classes() for f in dataclasses.fields(kind)}
     shown = {flag.lstrip("-").removeprefix("no-").replace("-", "_") for c in COMMANDS for flag in flags(c)}
-    positional = {"furniture", "kind", "source", "family", "what", "name"}
+    positional = {"furniture", "kind", "source", "family", "what", "name", "plan"}
     assert found - positional <= shown
     assert {"film", "cache", "force", "unit", "split"} <= shown
 

@@ -1,4 +1,4 @@
-"""`roboassembly assemble`: plan the assembly of one piece, and write the plan, a web page and a film."""
+"""`roboassembly assemble`: plan the assembly of one piece, and write the plan, a web page, a film and a manual."""
 
 from __future__ import annotations
 
@@ -49,13 +49,15 @@ class AssembleCommand:
     seed: int = 0
     """Random seed of the initial placement and of the planner."""
     out: Path = Path("assembly")
-    """Folder for the results: plan.json, timings.json, assembly.html, assembly.mp4 and furniture/. The results of an
-    earlier run are replaced."""
+    """Folder for the results: plan.json, timings.json, assembly.html, assembly.mp4, furniture/ and the manual. The
+    results of an earlier run are replaced."""
     policy: str = SHIPPED_POLICY
     """Policy that guides the search: `relational` (the trained policy of this package, for up to 40 parts), a
     checkpoint, your own Python file, which is executed (docs/your-own-policy.md), or `none`."""
     search: bool = True
     """Search for another action if the policy's action fails."""
+    manual: bool = False
+    """Write an assembly manual for people, too: manual.pdf and manual.html."""
     film: bool = True
     """Render assembly.mp4."""
     json: bool = False
@@ -229,6 +231,10 @@ class AssembleCommand:
         add_output("furniture", storage.save(plan.furniture, folder / "furniture"))
         write_html(plan, folder / "assembly.html")
         add_output("html", folder / "assembly.html")
+        for name in ("manual.pdf", "manual.html"):
+            (folder / name).unlink(missing_ok=True)
+        if self.manual:
+            outputs |= self._write_manual(plan, folder)
         # The film of an earlier run would show another plan; so it goes even if the new one is interrupted.
         (folder / "assembly.mp4").unlink(missing_ok=True)
         if self.film:
@@ -241,6 +247,22 @@ class AssembleCommand:
                 add_output("film", folder / "assembly.mp4")
             except RenderingUnavailableError as error:
                 say(f"no film: {error}")
+        return outputs
+
+    def _write_manual(self, plan: Any, folder: Path) -> dict[str, str]:
+        """Write the manual and return its files by name; a plan that has none says why."""
+        from roboassembly.cli.manual import write_manual_of
+        from roboassembly.manual.arrangement import ManualError
+
+        if not plan.success:
+            say("no manual: the piece is not assembled")
+            return {}
+        actions = [step.action for step in plan.steps]
+        try:
+            outputs, _ = write_manual_of(plan.furniture, actions, self.seed, folder, self.setting)
+        except ManualError as error:
+            say(str(error))
+            return {}
         return outputs
 
 

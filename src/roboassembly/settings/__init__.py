@@ -109,6 +109,8 @@ class Setting:
     experts_note: str
     """How the experts' success was counted; empty if as that of other policies."""
     paper: PaperFigures
+    on_manuals: str
+    """Paragraph on the plan, for the last page of a manual that is made from it."""
 
     @property
     def suffix(self) -> str:

@@ -77,4 +77,6 @@ SETTING = Setting(
     experts_note="Experts count as in the paper, where found paths are kept: by episodes from starts of their "
     "training.",
     paper=PaperFigures(59.3, 25.8, 50.0),
+    on_manuals="This manual was made from a plan in which two robots join the parts. Its order is rearranged for "
+    "people; plan.json has that of the robots.",
 )

@@ -80,4 +80,6 @@ SETTING = Setting(
     failures=_not_counted,
     experts_note="",
     paper=PaperFigures(79.4, 66.4, 74.5, "37.8k", rrt_connect=18.8, rrt_connect_steps="91.7k"),
+    on_manuals="This manual was made from a plan without robots. `roboassembly assemble --setting full` tries to plan "
+    "for two mobile arms.",
 )
