@@ -39,7 +39,7 @@ _PLATFORM_GAINS = (6e5, 6e5, 1.5e5)
 _TORQUES = (87.0, 87.0, 87.0, 87.0, 12.0, 12.0, 12.0)
 """Torque limits of Franka's joints [N·m]."""
 _DAMPING_RATIO = 1.0
-_PAD_FRICTION = [1.0, 0.02, 0.001]
+PAD_FRICTION = [1.0, 0.02, 0.001]
 """Friction of rubber on wood: sliding, torsional [m], rolling [m]."""
 _CLIP = 0.03
 """Half the extent around a grasp of the part's surface that the pads can touch [m]."""
@@ -81,14 +81,14 @@ def model_of(loads: Sequence[Load]) -> mujoco.MjModel:
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     spec.option.impratio = 10.0
     for name in "ab":
-        _add_robot(spec, name)
+        add_robot(spec, name)
     for index, load in enumerate(loads):
         _add_load(spec, f"load{index}", load)
-        _add_weld(spec, f"post{index}", "world", f"load{index}")
+        add_weld(spec, f"post{index}", "world", f"load{index}")
         for name in "ab":
-            _add_weld(spec, f"grip{name}{index}", f"{name}/link{JOINTS}", f"load{index}")
+            add_weld(spec, f"grip{name}{index}", f"{name}/link{JOINTS}", f"load{index}")
     if len(loads) == 2:
-        _add_weld(spec, "joint", "load1", "load0")
+        add_weld(spec, "joint", "load1", "load0")
     if any(load.feet for load in loads):
         spec.worldbody.add_geom(
             name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1], contype=4, conaffinity=8,
@@ -97,24 +97,24 @@ def model_of(loads: Sequence[Load]) -> mujoco.MjModel:
     return spec.compile()
 
 
-def _all_gains() -> Float[np.ndarray, "10"]:
+def all_gains() -> Float[np.ndarray, "10"]:
     return np.array([*_PLATFORM_GAINS, *GAINS])
 
 
 @cache
-def _dampings() -> Float[np.ndarray, "10"]:
+def dampings() -> Float[np.ndarray, "10"]:
     """Return damping that is about critical for the inertia that each joint moves."""
     inertia = np.array([_PLATFORM_MASS + 20.0, _PLATFORM_MASS + 20.0, 12.0, 2.0, 2.0, 1.2, 1.2, 0.3, 0.25, 0.15])
-    return 2.0 * _DAMPING_RATIO * np.sqrt(_all_gains() * inertia)
+    return 2.0 * _DAMPING_RATIO * np.sqrt(all_gains() * inertia)
 
 
 @cache
 def lag() -> Float[np.ndarray, "10"]:
     """Return the delay of each joint without velocity feed-forward [s]."""
-    return _dampings() / _all_gains()
+    return dampings() / all_gains()
 
 
-def _add_robot(spec: mujoco.MjSpec, name: str) -> None:
+def add_robot(spec: mujoco.MjSpec, name: str) -> None:
     platform = spec.worldbody.add_body(name=f"{name}/platform", gravcomp=1.0)
     platform.explicitinertial = True
     platform.mass = _PLATFORM_MASS
@@ -133,7 +133,7 @@ def _add_robot(spec: mujoco.MjSpec, name: str) -> None:
             name=f"{name}/link{j + 1}", pos=placement.translation, quat=rotation_to_quaternion(placement.rotation),
             gravcomp=1.0,
         )  # fmt: skip
-        _set_inertia(node, model.inertias[j + 1])
+        set_inertia(node, model.inertias[j + 1])
         node.add_joint(name=f"{name}/q{j + 1}", type=hinge, axis=[0, 0, 1], armature=0.1)
     rotation, origin = arm().tips
     pieces = hand_bodies(0.0)[1:]
@@ -150,18 +150,18 @@ def _add_robot(spec: mujoco.MjSpec, name: str) -> None:
         )  # fmt: skip
         mesh_name = f"finger{k}"
         if name == "a":
-            _add_mesh(spec, mesh_name, mesh)
+            add_mesh(spec, mesh_name, mesh)
         finger.add_geom(
             name=f"{name}/finger{k}", type=mujoco.mjtGeom.mjGEOM_MESH, meshname=mesh_name, mass=0.0,
-            contype=1, conaffinity=2, friction=_PAD_FRICTION, condim=4, solref=[0.004, 1.0],
+            contype=1, conaffinity=2, friction=PAD_FRICTION, condim=4, solref=[0.004, 1.0],
         )  # fmt: skip
     _couple(spec, f"{name}/finger0", f"{name}/finger1")
-    damping = _dampings()
+    damping = dampings()
     limits = [1e5, 1e5, 1e5, *_TORQUES]
     for i, joint in enumerate(NAMES):
         actuator = spec.add_actuator(name=f"{name}/{joint}", target=f"{name}/{joint}")
         actuator.trntype = mujoco.mjtTrn.mjTRN_JOINT
-        actuator.set_to_position(kp=float(_all_gains()[i]), kv=float(damping[i]))
+        actuator.set_to_position(kp=float(all_gains()[i]), kv=float(damping[i]))
         actuator.forcelimited, actuator.forcerange = True, [-limits[i], limits[i]]
     for k in (0, 1):
         actuator = spec.add_actuator(name=f"{name}/finger{k}", target=f"{name}/finger{k}")
@@ -179,7 +179,7 @@ def _couple(spec: mujoco.MjSpec, first: str, second: str) -> None:
     gear.solref, gear.solimp = _STIFF
 
 
-def _set_inertia(node: mujoco.MjsBody, inertia: pin.Inertia) -> None:
+def set_inertia(node: mujoco.MjsBody, inertia: pin.Inertia) -> None:
     node.explicitinertial = True
     node.mass = inertia.mass
     node.ipos = inertia.lever
@@ -195,20 +195,20 @@ def _add_load(spec: mujoco.MjSpec, name: str, load: Load) -> None:
     body.mass, body.ipos = load.mass, load.center
     body.fullinertia = load.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
     for i, mesh in enumerate(load.between_pads):
-        _add_mesh(spec, f"{name}/{i}", mesh)
+        add_mesh(spec, f"{name}/{i}", mesh)
         body.add_geom(
             name=f"{name}/{i}", type=mujoco.mjtGeom.mjGEOM_MESH, meshname=f"{name}/{i}", mass=0.0,
-            contype=2, conaffinity=1, friction=_PAD_FRICTION, condim=4, solref=[0.004, 1.0],
+            contype=2, conaffinity=1, friction=PAD_FRICTION, condim=4, solref=[0.004, 1.0],
         )  # fmt: skip
     for i, mesh in enumerate(load.feet):
-        _add_mesh(spec, f"{name}/foot{i}", mesh)
+        add_mesh(spec, f"{name}/foot{i}", mesh)
         body.add_geom(
             name=f"{name}/foot{i}", type=mujoco.mjtGeom.mjGEOM_MESH, meshname=f"{name}/foot{i}", mass=0.0,
             contype=8, conaffinity=4, friction=FLOOR_FRICTION, condim=6,
         )  # fmt: skip
 
 
-def _add_mesh(spec: mujoco.MjSpec, name: str, mesh: Mesh) -> None:
+def add_mesh(spec: mujoco.MjSpec, name: str, mesh: Mesh) -> None:
     hull = mesh.hull
     spec.add_mesh(
         name=name, uservert=hull.vertices.ravel(), userface=hull.faces.ravel(),
@@ -216,7 +216,7 @@ def _add_mesh(spec: mujoco.MjSpec, name: str, mesh: Mesh) -> None:
     )  # fmt: skip
 
 
-def _add_weld(spec: mujoco.MjSpec, name: str, first: str, second: str) -> None:
+def add_weld(spec: mujoco.MjSpec, name: str, first: str, second: str) -> None:
     weld = spec.add_equality(name=name, name1=first, name2=second, active=False)
     weld.type = mujoco.mjtEq.mjEQ_WELD
     weld.objtype = mujoco.mjtObj.mjOBJ_BODY

@@ -162,6 +162,13 @@ def execute_upright(plan: FullPlan) -> StepExecution | None:
     return _StepExecutor(plan.furniture, plan.initial.cell.density, plan.final_segments).run()
 
 
+def speed_of(segment: Segment) -> float:
+    """Return the share of full speed at which a segment is carried out."""
+    if segment.stage in STRAIGHT:
+        return _STRAIGHT_SPEED
+    return 1.0 if segment.before.robots[segment.robot].payload is None else _LOADED_SPEED
+
+
 class _StepExecutor:
     def __init__(self, furniture: Furniture, density: float, segments: Sequence[Segment]) -> None:
         self.furniture, self.segments = furniture, segments
@@ -205,8 +212,7 @@ class _StepExecutor:
 
     def _follow_segment(self, segment: Segment) -> ExecutionVerdict:
         physics, first = self.physics, len(self.physics.log.tracking)
-        speed = 1.0 if segment.before.robots[segment.robot].payload is None else _LOADED_SPEED
-        physics.follow(segment.robot, segment.path, _STRAIGHT_SPEED if segment.stage in STRAIGHT else speed)
+        physics.follow(segment.robot, segment.path, speed_of(segment))
         if max(physics.log.tracking[first:]) > MOST_TRACKING:
             return ExecutionVerdict.OFF_THE_PATH
         if self._touches(segment, np.array(physics.log.samples[first::_TEST_INTERVAL])):
