@@ -35,10 +35,10 @@ NEAR, FAR = 0.02, 40.0
 NOTHING, FLOOR, POSTS, ROBOT_A, ROBOT_B, FIRST_PART = 0, 1, 2, 3, 4, 5
 """Values of a segmentation: background, floor, posts, robots, and part 0; part p is `FIRST_PART + p`."""
 _ELEVATION = float(np.radians(-38.0))
-_MARGIN = 0.55
+_MARGIN = 0.45
 """Distance by which an overview sees beyond the ring of posts [m]."""
 _OUT_OF_SIGHT = np.array([0.0, 0.0, -100.0, 1.0, 0.0, 0.0, 0.0])
-_WRIST_PLACE, _WRIST_TARGET = np.array([0.09, 0.0, -0.12]), np.array([0.0, 0.0, 0.03])
+_WRIST_PLACE, _WRIST_TARGET = np.array([0.12, 0.0, -0.08]), np.array([0.0, 0.0, 0.10])
 """Place of a wrist camera and the point in the middle of its picture, in the frame of the finger tips [m]."""
 
 
@@ -239,7 +239,7 @@ class CellCameras:
             specular=[0.15] * 3,
         )  # fmt: skip
         light.type = mj.mjtLightType.mjLIGHT_DIRECTIONAL
-        self._add_materials(spec)
+        patterns = self._add_materials(spec)
         spec.worldbody.add_geom(
             type=mj.mjtGeom.mjGEOM_PLANE, size=[20.0, 20.0, 1.0], material="floor", rgba=[*looks.floor, 1.0]
         )
@@ -254,9 +254,16 @@ class CellCameras:
             self._add_item(spec, names, post_mesh(), looks.post, "plain")
         for name in CAMERAS:
             spec.worldbody.add_camera(name=name, fovy=float(np.degrees(field_of(name))))
-        return spec.compile()
+        model = spec.compile()
+        # Given to the specification, every byte would be a Python number.
+        for name, pixels in patterns.items():
+            texture = model.texture(name).id
+            first, count = model.tex_adr[texture], model.tex_height[texture] // pixels.shape[0] * pixels.size
+            model.tex_data[first : first + count] = np.tile(pixels.ravel(), count // pixels.size)
+        return model
 
-    def _add_materials(self, spec: Any) -> None:
+    def _add_materials(self, spec: Any) -> dict[str, UInt8[np.ndarray, "t t 3"]]:
+        """Add the materials and return the pattern of each that has one; a cube has it on all six sides."""
         mj, looks = self._mujoco, self._looks
         spec.add_material(name="plain", specular=0.2, shininess=0.3)
         tiles = np.repeat(np.repeat(np.array([[255, 238], [238, 255]], np.uint8), 8, axis=0), 8, axis=1)
@@ -266,13 +273,14 @@ class CellCameras:
             patterns = {f"part{p}": t for p, t in enumerate(looks.textures[:-1])} | {"floor": looks.textures[-1]}
         for name, pixels in patterns.items():
             kind = mj.mjtTexture.mjTEXTURE_2D if name == "floor" else mj.mjtTexture.mjTEXTURE_CUBE
-            faces = pixels if name == "floor" else np.concatenate([pixels] * 6)
             spec.add_texture(
-                name=name, type=kind, width=faces.shape[1], height=faces.shape[0], nchannel=3, data=faces.tobytes()
-            )
+                name=name, type=kind, builtin=mj.mjtBuiltin.mjBUILTIN_FLAT, width=pixels.shape[1],
+                height=pixels.shape[0],
+            )  # fmt: skip
             material = spec.add_material(name=name, specular=0.1, shininess=0.2, texuniform=True)
             material.textures[mj.mjtTextureRole.mjTEXROLE_RGB.value] = name
             material.texrepeat = [1.0, 1.0] if name == "floor" else [5.0, 5.0]
+        return patterns
 
     def _add_item(self, spec: Any, names: dict[int, str], mesh: Mesh, color: Sequence[float], material: str) -> None:
         if id(mesh) not in names:

@@ -39,7 +39,7 @@ POST_HEIGHT = 0.05
 """Distance from the height of the posts within which a group that is let go of gets posts [m]."""
 _CALM = 0.2
 """Speed below which a group that is let go of gets posts [m/s]."""
-_AT_REST_POSITION, _AT_REST_ANGLE = 1e-3, float(np.deg2rad(0.5))
+_AT_REST_POSITION, _AT_REST_ANGLE = 5e-4, float(np.deg2rad(0.3))
 """Motion of two groups against each other within one control step when they are joined [m, rad]."""
 _NEAR = 0.05
 """Distance between the spheres around two groups below which their joints are looked at [m]."""
@@ -259,9 +259,8 @@ class ControlCell:
 
     def _gap(self, first: int, second: int) -> float:
         """Return the distance between the spheres around two groups [m]."""
-        bodies = self.physics.contents.bodies
-        one, two = (self.physics.pose(key).act(bodies[key].center) for key in (first, second))
-        return float(np.linalg.norm(one - two)) - self._radius(first) - self._radius(second)
+        between = self.physics.center(first) - self.physics.center(second)
+        return float(np.sqrt(between @ between)) - self._radius(first) - self._radius(second)
 
     def _radius(self, key: int) -> float:
         if key not in self._radii or self._radii[key][0] is not self.groups[key]:

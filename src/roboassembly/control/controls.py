@@ -25,7 +25,8 @@ from jaxtyping import Float
 from roboassembly.envs.arguments import shortened
 from roboassembly.errors import ArgumentError
 from roboassembly.robots.gripper import MAX_OPENING
-from roboassembly.robots.kinematics import JOINTS, arm, rotation_vectors
+from roboassembly.robots.kinematics import JOINTS, arm
+from roboassembly.robots.tip_motion import follow_tip_motion, tip_motion
 from roboassembly.simulation.control_physics import CONTROL_RATE
 
 ControlName = Literal["joint_position", "joint_delta", "end_effector_delta"]
@@ -41,11 +42,6 @@ TIP_SPEED, TIP_TURN, ELBOW_SPEED = 2.0, 4.0, 2.5
 moves alone [rad/s]."""
 NUMBERS = 3 + JOINTS + 1
 """Numbers of an action that are one robot's."""
-_SOLVER_STEPS = 3
-"""Newton steps of the inverse kinematics of one command; a command moves the finger tips little."""
-_DAMPING = 0.02
-"""Damping of the inverse kinematics near singular postures."""
-
 Commands = tuple[Float[np.ndarray, "2 10"], Float[np.ndarray, "2"]]
 """Configuration and opening [m] that each robot is told to have."""
 
@@ -92,7 +88,8 @@ class ActionCodec:
         else:
             change = rows[:, :-1] * self._largest
             if self.control == "end_effector_delta":
-                change[:, 3:] = self._solve(rows[:, 3:-1] * self._tips, commands[:, 3:])
+                moved = rows[:, 3:-1] * self._tips
+                change[:, 3:] = [follow_tip_motion(q, m) - q for q, m in zip(commands[:, 3:], moved, strict=True)]
         change = np.clip(change, -self._largest, self._largest)
         reached = commands + change
         reached[:, 3:] = np.clip(reached[:, 3:], arm().low, arm().high)
@@ -117,24 +114,9 @@ class ActionCodec:
         else:
             rows[:, :-1] = (targets - commands) / self._largest
             if self.control == "end_effector_delta":
-                rows[:, 3:-1] = _tip_change(commands[:, 3:], targets[:, 3:]) / self._tips
+                pairs = zip(commands[:, 3:], targets[:, 3:], strict=True)
+                rows[:, 3:-1] = np.array([tip_motion(q, goal) for q, goal in pairs]) / self._tips
         return np.clip(rows, -1.0, 1.0).astype(np.float32).ravel()
-
-    def _solve(self, change: Float[np.ndarray, "2 7"], q: Float[np.ndarray, "2 7"]) -> Float[np.ndarray, "2 7"]:
-        """Return the change of the joint angles that moves finger tips and elbow."""
-        start = arm().poses(q)
-        goal_rotation = np.array([rotation_of(c[3:6]) for c in change]) @ start.rotation
-        goal_position = start.translation + change[:, :3]
-        reached = q + change[:, 6:] * null_motion(q)
-        for _ in range(_SOLVER_STEPS):
-            tips, jacobian = arm().jacobians(reached)
-            off = goal_position - tips.translation
-            turn = rotation_vectors(goal_rotation @ tips.rotation.transpose(0, 2, 1))
-            error = np.concatenate([off, turn], axis=1)
-            square = jacobian @ jacobian.transpose(0, 2, 1) + _DAMPING**2 * np.eye(6)
-            reached = reached + np.einsum("nij,ni->nj", jacobian, np.linalg.solve(square, error[..., None])[..., 0])
-            reached = np.clip(reached, arm().low, arm().high)
-        return reached - q
 
 
 def checked_numbers(action: object, names: list[str]) -> Float[np.ndarray, "22"]:
@@ -158,35 +140,6 @@ def checked_numbers(action: object, names: list[str]) -> Float[np.ndarray, "22"]
         index = int(bad[0])
         raise InvalidAction(f"action[{index}] ({names[index]}) is {values[index]}; expected {expected}")
     return np.clip(values, -1.0, 1.0)
-
-
-def null_motion(q: Float[np.ndarray, "n 7"]) -> Float[np.ndarray, "n 7"]:
-    """Return the unit change of the joint angles that leaves the finger tips where they are and moves the elbow.
-
-    Its numbers are the signed minors of the Jacobian, which change smoothly with the posture.
-    """
-    _, jacobian = arm().jacobians(q)
-    signs = (-1.0) ** np.arange(JOINTS)
-    minors = np.stack([np.linalg.det(np.delete(jacobian, j, axis=2)) for j in range(JOINTS)], axis=1) * signs
-    return minors / np.maximum(np.linalg.norm(minors, axis=1, keepdims=True), 1e-9)
-
-
-def _tip_change(q: Float[np.ndarray, "2 7"], goal: Float[np.ndarray, "2 7"]) -> Float[np.ndarray, "2 7"]:
-    """Return translation and rotation vector of the finger tips, and motion of the elbow, between two postures."""
-    here, there = arm().poses(q), arm().poses(goal)
-    turn = rotation_vectors(there.rotation @ here.rotation.transpose(0, 2, 1))
-    elbow = ((goal - q) * null_motion(q)).sum(axis=1, keepdims=True)
-    return np.concatenate([there.translation - here.translation, turn, elbow], axis=1)
-
-
-def rotation_of(vector: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
-    """Return the rotation of a rotation vector (Rodrigues)."""
-    angle = float(np.linalg.norm(vector))
-    if angle < 1e-12:
-        return np.eye(3)
-    x, y, z = vector / angle
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross
 
 
 def _wrapped(angle: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:

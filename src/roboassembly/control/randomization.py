@@ -55,9 +55,9 @@ class Randomization:
     delay: int = 0
     """Largest age of an observation [control steps]; each episode has an age of its own from 0 to this."""
     part_position: float = 0.0
-    """Largest level shift of a part on its post at the beginning, along each axis [m]."""
+    """Largest level shift of a part and its post at the beginning, along each axis [m]."""
     part_angle: float = 0.0
-    """Largest turn of a part on its post about the vertical at the beginning [rad]."""
+    """Largest turn of a part about the vertical above its post at the beginning [rad]."""
 
     def __post_init__(self) -> None:
         for name, largest in _LARGEST.items():
@@ -84,7 +84,7 @@ class Randomization:
         if not 0.0 <= strength <= 1.0:
             raise ArgumentError(f"strength is {strength!r}; expected a number from 0 to 1")
         return cls(
-            lighting=strength, colors=strength, textures=strength > 0.0, camera_position=0.03 * strength,
+            lighting=strength, colors=strength, textures=strength > 0.0, camera_position=0.02 * strength,
             camera_angle=0.05 * strength, friction=0.3 * strength, density=0.2 * strength, stiffness=0.1 * strength,
             joint_noise=0.002 * strength, pose_noise=0.002 * strength, angle_noise=0.01 * strength,
             pixel_noise=4.0 * strength, delay=round(2 * strength), part_position=0.005 * strength,

@@ -14,6 +14,7 @@ from roboassembly.geometry.poses import SE3, align_axis, turn_about_vertical
 from roboassembly.solvers.disassembly import Disassembly, Split
 from roboassembly.task.full.cell import Cell, check_size, ring_layout
 from roboassembly.task.full.cell_state import CellState, PlacedGroup
+from roboassembly.task.full.posts import Post
 from roboassembly.task.full.task import FullTask, initial_robots
 from roboassembly.task.plans.full_plan import FullState
 from roboassembly.task.rules.connections import UP_AXES
@@ -109,7 +110,7 @@ def _stands(furniture: Furniture, parts: tuple[int, ...], rng: np.random.Generat
 
 
 def shifted(state: FullState, variation: Variation, rng: np.random.Generator) -> FullState:
-    """Return a state whose groups lie a little elsewhere on their posts, each by draws of its own."""
+    """Return a state whose groups stand a little elsewhere with their posts, each by draws of its own."""
     ranges = variation.ranges
     draws = [(rng.uniform(-1.0, 1.0, 2), float(rng.uniform(-1.0, 1.0))) for _ in state.cell_state.placed]
     if not (ranges.part_position or ranges.part_angle):
@@ -117,9 +118,14 @@ def shifted(state: FullState, variation: Variation, rng: np.random.Generator) ->
     placed: list[PlacedGroup] = []
     for (shift, turn), item in zip(draws, state.cell_state.placed, strict=True):
         by = _about(item.post.middle, ranges.part_angle * turn, ranges.part_position * shift)
-        placed.append(replace(item, group=item.group.moved_to(by * item.group.world_from_furniture)))
+        group = item.group.moved_to(by * item.group.world_from_furniture)
+        placed.append(PlacedGroup(group, _moved_post(item.post, by)))
     groups = TaskState(tuple(item.group for item in placed))
     return replace(state, groups=groups, cell_state=replace(state.cell_state, placed=tuple(placed)))
+
+
+def _moved_post(post: Post, by: SE3) -> Post:
+    return Post(by.act(post.top), None if post.second is None else _moved_post(post.second, by))
 
 
 def _about(place: Float[np.ndarray, "2"], turn: float, shift: Float[np.ndarray, "2"]) -> SE3:

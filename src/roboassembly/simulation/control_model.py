@@ -2,7 +2,7 @@
 
 Robots collide with posts, bodies, the floor and each other; links of one robot do not collide with each other. Bodies
 collide with fingers, links, posts and the floor. Two moving bodies do not collide, nor does a moving body with one
-that stands: pieces are convex, and a mortise is not. A body does not collide with the arm that holds it.
+that stands: pieces are convex, and a mortise is not. A body does not collide with the robot that holds it.
 """
 
 from __future__ import annotations
@@ -163,7 +163,7 @@ def _add_body(
     node.explicitinertial = True
     node.mass, node.ipos = body.mass, body.center
     node.fullinertia = body.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
-    touched = sum(_FINGERS) + sum(bit for robot, bit in enumerate(_LINKS) if robot not in (holders or ()))
+    touched = sum(_FINGERS[robot] + _LINKS[robot] for robot in (0, 1) if robot not in (holders or ()))
     for i, piece in enumerate(body.pieces):
         node.add_geom(
             name=f"body{key}/{i}", type=mujoco.mjtGeom.mjGEOM_MESH, meshname=names[id(piece.mesh)], mass=0.0,

@@ -84,6 +84,8 @@ class CellPhysics:
         """Whether a robot touched a post, the floor, the other robot or a body, but with its pads, at the last time
         step."""
         self._closing = [False, False]
+        self._grip_contacts: dict[int, HandContact] = {}
+        self._grip_places = [0.0, 0.0]
         self._hold_force = [_LIGHTEST_GRIP, _LIGHTEST_GRIP]
         self._compile(state, {}, 0.0)
 
@@ -98,6 +100,7 @@ class CellPhysics:
         passive = {*self._fingers, *self._key_of_geom}
         self._arm_geoms = {g for g in range(self.model.ngeom) if g not in passive and self.model.geom(g).name[1] == "/"}
         self._contacts: dict[int, HandContact] = {}
+        self._poses: dict[int, SE3] = {}
         self._ids = {key: self.model.body(f"body{key}").id for key in (*contents.standing, *contents.moving)}
         self._stiff = np.array(self.model.actuator_gainprm[:, 0])
         self._jacobian = np.zeros((3, self.model.nv))
@@ -149,8 +152,14 @@ class CellPhysics:
 
     def pose(self, body: int) -> SE3:
         """Return `world_from_body`."""
-        index = self._ids[body]
-        return from_quaternion(self.data.xpos[index], self.data.xquat[index])
+        if body not in self._poses:
+            index = self._ids[body]
+            self._poses[body] = from_quaternion(self.data.xpos[index], self.data.xquat[index])
+        return self._poses[body]
+
+    def center(self, body: int) -> Float[np.ndarray, "3"]:
+        """Return the centre of mass of a body in the world [m]."""
+        return self.data.xipos[self._ids[body]]
 
     def speed(self, body: int) -> float:
         """Return the speed of a body's frame [m/s]; 0 of one on posts."""
@@ -198,6 +207,7 @@ class CellPhysics:
             if self.contents.grips and k % _LOAD_INTERVAL == 0:
                 self._carry()
             mujoco.mj_step(model, data)
+        self._poses.clear()
         self._look_at_contacts()
 
     def _set_hand(self, robot: int, opening: float) -> None:
@@ -205,6 +215,9 @@ class CellPhysics:
         first = _ROBOT * robot + DRIVEN
         closing = opening <= CLOSED
         self.data.ctrl[first : first + 2] = _PRESS if closing else 0.5 * min(opening, MAX_OPENING)
+        if self.held(robot) is not None:
+            # What a hand holds is fixed to it, and so are the fingers to where they are.
+            self.data.ctrl[first : first + 2] = self._grip_places[robot]
         contact = self.contact(robot)
         if closing and contact is not None:
             weight = 9.81 * self.contents.bodies[contact.body].mass
@@ -251,8 +264,11 @@ class CellPhysics:
                 self._contacts[robot] = HandContact(key, (left, right))
 
     def contact(self, robot: int) -> HandContact | None:
-        """Return what the pads of a hand pressed at the last time step; None if nothing."""
-        return self._contacts.get(robot)
+        """Return what the pads of a hand pressed at the last time step; None if nothing.
+
+        Of a hand that holds a body it is what they pressed when they gripped it.
+        """
+        return self._contacts.get(robot) if self.held(robot) is None else self._grip_contacts[robot]
 
     def pressed_body(self, robot: int) -> int | None:
         """Return the key of the body that a closing, empty hand has between its pads; None if there is none yet."""
@@ -272,6 +288,8 @@ class CellPhysics:
     def grip(self, robot: int, body: int) -> None:
         """Fix a body to a hand as it is; the posts beneath it sink."""
         contents, pose = self.contents, self.pose(body)
+        self._grip_places[robot] = 0.5 * self.opening(robot)
+        self._grip_contacts[robot] = self._contacts[robot]
         grips = {**contents.grips, (robot, body): self.hand(robot).actInv(pose)}
         self._recompile(
             replace(
