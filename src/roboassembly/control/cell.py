@@ -9,15 +9,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Float
 
 from roboassembly.control.randomization import Variation
-from roboassembly.furniture.model import Furniture
-from roboassembly.geometry.meshes import WOOD_DENSITY
+from roboassembly.furniture.model import Furniture, Part
+from roboassembly.geometry.meshes import WOOD_DENSITY, Mesh
 from roboassembly.geometry.poses import SE3, pose_to_seven, rotation_angle
 from roboassembly.geometry.scene import Shape
+from roboassembly.robots.gripper import hand_pose
 from roboassembly.robots.platform import LENGTH, WIDTH
 from roboassembly.simulation.control_model import CellBody, CellContents
 from roboassembly.simulation.control_physics import CellPhysics
@@ -26,7 +28,7 @@ from roboassembly.simulation.model import mass_properties
 from roboassembly.task.full.cell import Cell
 from roboassembly.task.full.cell_state import CellState, Payload, PlacedGroup, Robot
 from roboassembly.task.full.execution import JOINT_ANGLE, JOINT_POSITION
-from roboassembly.task.full.grips import Grip
+from roboassembly.task.full.grips import TOUCH, Grip
 from roboassembly.task.full.posts import LOWEST, POST_RADIUS, Post, on_post, on_two_posts
 from roboassembly.task.plans.full_plan import FullState
 from roboassembly.task.rules.connections import Rules
@@ -113,7 +115,7 @@ class ControlCell:
         pieces = tuple(
             Shape(piece, pose)
             for part, pose in zip(group.parts, group.furniture_from_part, strict=True)
-            for piece in convex_pieces(self.furniture.parts[part].mesh)
+            for piece in pieces_of_part(self.furniture.parts[part])
         )
         return CellBody(self._density * mass, center, self._density * inertia, pieces)
 
@@ -296,6 +298,14 @@ class ControlCell:
         self.groups[second] = whole
         self._posts.pop(first, None)
         self._posts.pop(second, None)
+
+
+@lru_cache(maxsize=2048)
+def pieces_of_part(part: Part) -> tuple[Mesh, ...]:
+    """Return the convex pieces of a part that hands and links touch."""
+    frames = [hand_pose(g.position, g.closing, g.approaches[0]) for g in part.grasps]
+    widths = [g.width + 2.0 * TOUCH for g in part.grasps]
+    return convex_pieces(part.mesh, list(zip(frames, widths, strict=True)))
 
 
 def _apart(

@@ -219,7 +219,7 @@ class CellPhysics:
             # What a hand holds is fixed to it, and so are the fingers to where they are.
             self.data.ctrl[first : first + 2] = self._grip_places[robot]
         contact = self.contact(robot)
-        if closing and contact is not None:
+        if closing and contact is not None and self.held(robot) is None:
             weight = 9.81 * self.contents.bodies[contact.body].mass
             self._hold_force[robot] = float(np.clip(_GRIP_WEIGHTS * weight, _LIGHTEST_GRIP, GRIP_FORCE))
         force = self._hold_force[robot] if closing else GRIP_FORCE
@@ -332,6 +332,8 @@ class CellPhysics:
         speeds = {key: self._speed(i) for i, key in enumerate(contents.moving) if key == second}
         rest = {key: at for key, at in contents.moving.items() if key not in (first, second)}
         bodies = {**_without(contents.bodies, first), second: whole}
+        for robot, contact in self._grip_contacts.items():
+            self._grip_contacts[robot] = replace(contact, body=second if contact.body == first else contact.body)
         self._ids.pop(second)
         self._recompile(
             CellContents(

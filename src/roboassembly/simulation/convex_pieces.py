@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
+from collections.abc import Sequence
 
 import manifold3d as m3
 import numpy as np
 
 from roboassembly.geometry.meshes import Mesh
+from roboassembly.geometry.poses import SE3
+from roboassembly.simulation.mobile_arms import between_pads, grasp_box
 
 _EXCESS = 0.04
 """Share of its own volume by which the hull of a piece may exceed it."""
@@ -19,19 +21,22 @@ _SLIVER = 1e-9
 """Volume of a piece that is left out [m³]."""
 
 
-@lru_cache(maxsize=1024)
-def convex_pieces(mesh: Mesh) -> tuple[Mesh, ...]:
+def convex_pieces(mesh: Mesh, grasps: Sequence[tuple[SE3, float]] = ()) -> tuple[Mesh, ...]:
     """Return convex pieces that cover a solid: halved along its longest side wherever its hull is much larger.
 
-    Mortises and small hollows are closed. A mesh that is not solid is covered by its convex hull.
+    Around each grasp is one piece, the same that dynamic execution has between the pads. Mortises and small hollows are
+    closed. A mesh that is not solid is covered by its convex hull.
 
     Args:
         mesh: the solid.
+        grasps: `mesh_from_tips` of places where a hand may hold it, and the distance between the pads there [m].
     """
     solid = m3.Manifold(m3.Mesh64(np.array(mesh.vertices), np.array(mesh.faces, np.uint64)))
     if not mesh.is_solid or solid.status() is not m3.Error.NoError or solid.is_empty():
         return (Mesh.from_trimesh(mesh.hull),)
-    found: list[Mesh] = []
+    found = [between_pads(mesh, frame, width) for frame, width in grasps]
+    for frame, width in grasps:
+        solid = solid - m3.Manifold.cube(grasp_box(width), True).transform(frame.homogeneous[:3])
     _halve(solid, _CUTS, found)
     return tuple(found)
 

@@ -233,7 +233,16 @@ def between_pads(mesh: Mesh, frame: SE3, width: float) -> Mesh:
             is left out.
     """
     solid = mesh.trimesh
-    box = trimesh.creation.box([2.0 * _CLIP, width + 2.0 * _BEYOND, 2.0 * _CLIP])
+    box = trimesh.creation.box(grasp_box(width))
     box.apply_transform(frame.homogeneous)
     clipped = trimesh.boolean.intersection([solid, box], engine="manifold")
     return Mesh.from_trimesh(clipped.convex_hull)
+
+
+def grasp_box(width: float) -> list[float]:
+    """Return the sides of the box around a grasp, in the frame of the tips, outside of which pads touch nothing [m].
+
+    Args:
+        width: distance between the pads when they touch [m].
+    """
+    return [2.0 * _CLIP, width + 2.0 * _BEYOND, 2.0 * _CLIP]
