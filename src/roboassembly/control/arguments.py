@@ -51,7 +51,9 @@ def checked_time_limit(value: object) -> float | None:
     """
     if value is None:
         return None
-    if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
+    if isinstance(value, np.generic):
+        value = cast("np.generic[Any]", value).item()
+    if isinstance(value, bool) or not isinstance(value, int | float):
         raise TypeError(f"time_limit is {shortened(value)}; expected a number of seconds, or None for 120 s a merge")
     if not 0.0 < float(value) <= _LONGEST:
         raise ArgumentError(f"time_limit is {shortened(value)}; expected more than 0 and at most {_LONGEST:g} seconds")
@@ -92,6 +94,8 @@ def _checked_index(named: Mapping[object, object], name: str, count: int) -> int
     index = named.get(name)
     if index is None:
         return None
-    if isinstance(index, bool) or not isinstance(index, int | np.integer) or not 0 <= index < count:
+    if isinstance(index, np.generic):
+        index = cast("np.generic[Any]", index).item()
+    if isinstance(index, bool) or not isinstance(index, int) or not 0 <= index < count:
         raise ArgumentError(f"options[{name!r}] is {shortened(index)}; expected an index from 0 to {count - 1}")
-    return int(index)
+    return index

@@ -17,7 +17,7 @@ from jaxtyping import Float
 from roboassembly.control.randomization import Variation
 from roboassembly.furniture.model import Furniture, Part
 from roboassembly.geometry.meshes import WOOD_DENSITY, Mesh
-from roboassembly.geometry.poses import SE3, pose_to_seven, rotation_angle
+from roboassembly.geometry.poses import SE3, align_axis, pose_to_seven, rotation_angle
 from roboassembly.geometry.scene import Shape
 from roboassembly.robots.gripper import hand_pose
 from roboassembly.robots.platform import LENGTH, WIDTH
@@ -25,14 +25,13 @@ from roboassembly.simulation.control_model import CellBody, CellContents
 from roboassembly.simulation.control_physics import CellPhysics
 from roboassembly.simulation.convex_pieces import convex_pieces
 from roboassembly.simulation.model import mass_properties
-from roboassembly.task.full.cell import Cell
 from roboassembly.task.full.cell_state import CellState, Payload, PlacedGroup, Robot
 from roboassembly.task.full.execution import JOINT_ANGLE, JOINT_POSITION
 from roboassembly.task.full.grips import TOUCH, Grip
 from roboassembly.task.full.posts import LOWEST, POST_RADIUS, Post, on_post, on_two_posts
 from roboassembly.task.plans.full_plan import FullState
-from roboassembly.task.rules.connections import Rules
-from roboassembly.task.rules.groups import Group, TaskState, body, hull_points
+from roboassembly.task.rules.connections import UP_AXES, Rules
+from roboassembly.task.rules.groups import Group, TaskState, body, center_of_mass, hull_points
 from roboassembly.task.rules.pairs import Merge
 
 RELEASE_MARGIN = 0.003
@@ -43,6 +42,8 @@ _CALM = 0.2
 """Speed below which a group that is let go of gets posts [m/s]."""
 _AT_REST_POSITION, _AT_REST_ANGLE = 5e-4, float(np.deg2rad(0.3))
 """Motion of two groups against each other within one control step when they are joined [m, rad]."""
+_COSINE_ASKEW = float(np.cos(np.deg2rad(3.0)))
+"""Cosine of the angle below which a group counts as level."""
 _NEAR = 0.05
 """Distance between the spheres around two groups below which their joints are looked at [m]."""
 
@@ -160,7 +161,9 @@ class ControlCell:
     def state(self) -> FullState:
         """Return the present state, in which the planner can go on if both hands are empty."""
         groups = [self.group(key) for key in self.groups]
-        placed = [PlacedGroup(g, self._posts[key]) for key, g in zip(self.groups, groups, strict=True) if key in self._posts]
+        placed = [
+            PlacedGroup(g, self._posts[key]) for key, g in zip(self.groups, groups, strict=True) if key in self._posts
+        ]
         a, b = (self._robot(robot) for robot in (0, 1))
         return FullState(TaskState(tuple(groups)), CellState(tuple(placed), (a, b)), self.cell)
 
@@ -211,14 +214,18 @@ class ControlCell:
     def _post_beneath(self, group: Group) -> Post | None:
         """Return the posts that can rise beneath a group where it is; None if none can."""
         points = hull_points(self.furniture, group)
-        lowest = float((points @ group.world_from_furniture.rotation[2] + group.world_from_furniture.translation[2]).min())
+        lowest = float(
+            (points @ group.world_from_furniture.rotation[2] + group.world_from_furniture.translation[2]).min()
+        )
         if abs(lowest - LOWEST) > POST_HEIGHT:
             return None
+        level = _levelled(group)
+        center = center_of_mass(self.furniture, group)
         for holder in (on_post, on_two_posts):
-            found = holder(self.furniture, group, np.zeros(2))
+            found = holder(self.furniture, level, np.zeros(2))
             if found is not None:
                 there, post = found
-                post = post.moved(group.world_from_furniture.translation - there.world_from_furniture.translation)
+                post = post.moved(group.world_from_furniture.act(center) - there.world_from_furniture.act(center))
                 return post if all(self._is_free(p.top[:2]) for p in post.each) else None
         return None
 
@@ -245,7 +252,9 @@ class ControlCell:
                 continue
             candidates = self.joints(first, second)
             errors = [_apart(goal, relative, center, JOINT_POSITION, JOINT_ANGLE) for goal in candidates.goals]
-            fitting = [(error, merge) for error, merge in zip(errors, candidates.merges, strict=True) if error is not None]
+            fitting = [
+                (error, merge) for error, merge in zip(errors, candidates.merges, strict=True) if error is not None
+            ]
             if fitting:
                 (position, angle), merge = min(fitting, key=lambda found: found[0][0])
                 yield Joining(self.groups[first].parts, self.groups[second].parts, position, angle)
@@ -298,6 +307,19 @@ class ControlCell:
         self.groups[second] = whole
         self._posts.pop(first, None)
         self._posts.pop(second, None)
+
+
+def _levelled(group: Group) -> Group:
+    """Return a group turned so that the axis of its frame that points up but for a little does so exactly.
+
+    Which post is best may depend on whether an approach is just below or just above an angle; a hand sets a group down
+    a little askew.
+    """
+    turn = group.world_from_furniture.rotation
+    up = UP_AXES[int(np.argmax(UP_AXES @ turn[2]))]
+    if turn[2] @ up < _COSINE_ASKEW:
+        return group
+    return group.moved_to(SE3(align_axis(turn @ up, UP_AXES[0]) @ turn, group.world_from_furniture.translation))
 
 
 @lru_cache(maxsize=2048)

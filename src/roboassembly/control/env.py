@@ -14,7 +14,13 @@ from gymnasium.error import ResetNeeded, UnsupportedMode
 from jaxtyping import UInt8
 
 from roboassembly.control.arguments import (
-    ControlOptions, ObservationName, RewardName, TaskName, checked_choice, checked_options, checked_time_limit,
+    ControlOptions,
+    ObservationName,
+    RewardName,
+    TaskName,
+    checked_choice,
+    checked_options,
+    checked_time_limit,
 )  # fmt: skip
 from roboassembly.control.cameras import CAMERAS, checked_cameras
 from roboassembly.control.cell import CellEvents, ControlCell

@@ -82,9 +82,7 @@ class EpisodeCameras:
         """
         config, out = self.config, dict[str, np.ndarray]()
         sizes = dict.fromkeys(config.cameras, (config.camera_width, config.camera_height))
-        drawn = self._ready(cell).draw(
-            view_of(cell), sizes, depth=config.depth, segmentation=config.segmentation
-        )
+        drawn = self._ready(cell).draw(view_of(cell), sizes, depth=config.depth, segmentation=config.segmentation)
         for camera, picture in drawn.items():
             out[f"rgb_{camera}"] = self._noisy(picture.rgb)
             if picture.depth is not None:
@@ -129,8 +127,6 @@ class EpisodeCameras:
 def view_of(cell: ControlCell) -> CellView:
     """Return the poses of all that a picture of a cell shows."""
     physics = cell.physics
-    a, b = (
-        tuple(pose for _, pose in placed(physics.configuration(robot), physics.opening(robot))) for robot in (0, 1)
-    )
+    a, b = (tuple(pose for _, pose in placed(physics.configuration(robot), physics.opening(robot))) for robot in (0, 1))
     tips = physics.tips(0), physics.tips(1)
     return CellView(cell.part_sevens(), (a, b), [post.top for post in cell.posts], tips)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 
 import numpy as np
-from jaxtyping import Float
 
 from roboassembly.errors import ArgumentError
 from roboassembly.simulation.control_model import PhysicsScales
@@ -62,14 +61,13 @@ class Randomization:
     def __post_init__(self) -> None:
         for name, largest in _LARGEST.items():
             value: object = getattr(self, name)
-            number = isinstance(value, int | float) and not isinstance(value, bool)
-            if not number or not 0.0 <= float(value) <= largest:
+            if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 <= value <= largest:
                 raise ArgumentError(f"randomization: {name} is {value!r}; expected a number from 0 to {largest:g}")
-        if not isinstance(self.textures, bool):  # pyright: ignore[reportUnnecessaryIsInstance]
+        textures: object = self.textures
+        if not isinstance(textures, bool):
             raise ArgumentError(f"randomization: textures is {self.textures!r}; expected True or False")
-        delay: object = self.delay
-        if not isinstance(delay, int) or isinstance(delay, bool) or not 0 <= delay <= _MOST_DELAY:
-            raise ArgumentError(f"randomization: delay is {delay!r}; expected an integer from 0 to {_MOST_DELAY}")
+        if not _is_integer(self.delay) or not 0 <= self.delay <= _MOST_DELAY:
+            raise ArgumentError(f"randomization: delay is {self.delay!r}; expected an integer from 0 to {_MOST_DELAY}")
 
     @classmethod
     def full(cls, strength: float = 1.0) -> Randomization:
@@ -121,6 +119,8 @@ class Variation:
     """Seed of the noise of all sensors."""
 
 
+def _is_integer(value: object) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool)
 
 
 NONE = Randomization()

@@ -70,16 +70,14 @@ def merge_tasks(furniture: Furniture) -> list[MergeTask]:
 
 def groups_before(furniture: Furniture, merges: list[MergeTask], index: int) -> list[tuple[int, ...]]:
     """Return the parts of each group before a merge, those of the lowest part first."""
-    groups = {(part,) for part in range(len(furniture.parts))}
+    groups: set[tuple[int, ...]] = {(part,) for part in range(len(furniture.parts))}
     for merge in merges[:index]:
         groups -= {merge.first, merge.second}
         groups.add(tuple(sorted(merge.first + merge.second)))
     return sorted(groups)
 
 
-def start_of_merge(
-    task: FullTask, merges: list[MergeTask], index: int, rng: np.random.Generator
-) -> FullState:
+def start_of_merge(task: FullTask, merges: list[MergeTask], index: int, rng: np.random.Generator) -> FullState:
     """Return a state in which all merges before one are made, each group on its post.
 
     Args:

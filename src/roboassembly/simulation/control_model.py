@@ -155,9 +155,7 @@ def _add_pieces(spec: mujoco.MjSpec, contents: CellContents) -> dict[int, str]:
 def _add_body(
     spec: mujoco.MjSpec, key: int, body: CellBody, pose: SE3, names: Mapping[int, str], holders: Sequence[int] | None
 ) -> None:
-    node = spec.worldbody.add_body(
-        name=f"body{key}", pos=pose.translation, quat=rotation_to_quaternion(pose.rotation)
-    )
+    node = spec.worldbody.add_body(name=f"body{key}", pos=pose.translation, quat=rotation_to_quaternion(pose.rotation))
     if holders is not None:
         node.add_freejoint()
     node.explicitinertial = True

@@ -97,24 +97,25 @@ def model_of(loads: Sequence[Load]) -> mujoco.MjModel:
     return spec.compile()
 
 
-def all_gains() -> Float[np.ndarray, "10"]:
+def _all_gains() -> Float[np.ndarray, "10"]:
     return np.array([*_PLATFORM_GAINS, *GAINS])
 
 
 @cache
-def dampings() -> Float[np.ndarray, "10"]:
+def _dampings() -> Float[np.ndarray, "10"]:
     """Return damping that is about critical for the inertia that each joint moves."""
     inertia = np.array([_PLATFORM_MASS + 20.0, _PLATFORM_MASS + 20.0, 12.0, 2.0, 2.0, 1.2, 1.2, 0.3, 0.25, 0.15])
-    return 2.0 * _DAMPING_RATIO * np.sqrt(all_gains() * inertia)
+    return 2.0 * _DAMPING_RATIO * np.sqrt(_all_gains() * inertia)
 
 
 @cache
 def lag() -> Float[np.ndarray, "10"]:
     """Return the delay of each joint without velocity feed-forward [s]."""
-    return dampings() / all_gains()
+    return _dampings() / _all_gains()
 
 
 def add_robot(spec: mujoco.MjSpec, name: str) -> None:
+    """Add a robot with its drives, joints and fingers; of its shapes only the fingers."""
     platform = spec.worldbody.add_body(name=f"{name}/platform", gravcomp=1.0)
     platform.explicitinertial = True
     platform.mass = _PLATFORM_MASS
@@ -133,7 +134,7 @@ def add_robot(spec: mujoco.MjSpec, name: str) -> None:
             name=f"{name}/link{j + 1}", pos=placement.translation, quat=rotation_to_quaternion(placement.rotation),
             gravcomp=1.0,
         )  # fmt: skip
-        set_inertia(node, model.inertias[j + 1])
+        _set_inertia(node, model.inertias[j + 1])
         node.add_joint(name=f"{name}/q{j + 1}", type=hinge, axis=[0, 0, 1], armature=0.1)
     rotation, origin = arm().tips
     pieces = hand_bodies(0.0)[1:]
@@ -156,12 +157,12 @@ def add_robot(spec: mujoco.MjSpec, name: str) -> None:
             contype=1, conaffinity=2, friction=PAD_FRICTION, condim=4, solref=[0.004, 1.0],
         )  # fmt: skip
     _couple(spec, f"{name}/finger0", f"{name}/finger1")
-    damping = dampings()
+    damping = _dampings()
     limits = [1e5, 1e5, 1e5, *_TORQUES]
     for i, joint in enumerate(NAMES):
         actuator = spec.add_actuator(name=f"{name}/{joint}", target=f"{name}/{joint}")
         actuator.trntype = mujoco.mjtTrn.mjTRN_JOINT
-        actuator.set_to_position(kp=float(all_gains()[i]), kv=float(damping[i]))
+        actuator.set_to_position(kp=float(_all_gains()[i]), kv=float(damping[i]))
         actuator.forcelimited, actuator.forcerange = True, [-limits[i], limits[i]]
     for k in (0, 1):
         actuator = spec.add_actuator(name=f"{name}/finger{k}", target=f"{name}/finger{k}")
@@ -179,7 +180,7 @@ def _couple(spec: mujoco.MjSpec, first: str, second: str) -> None:
     gear.solref, gear.solimp = _STIFF
 
 
-def set_inertia(node: mujoco.MjsBody, inertia: pin.Inertia) -> None:
+def _set_inertia(node: mujoco.MjsBody, inertia: pin.Inertia) -> None:
     node.explicitinertial = True
     node.mass = inertia.mass
     node.ipos = inertia.lever
@@ -209,6 +210,7 @@ def _add_load(spec: mujoco.MjSpec, name: str, load: Load) -> None:
 
 
 def add_mesh(spec: mujoco.MjSpec, name: str, mesh: Mesh) -> None:
+    """Add the convex hull of a mesh."""
     hull = mesh.hull
     spec.add_mesh(
         name=name, uservert=hull.vertices.ravel(), userface=hull.faces.ravel(),
@@ -217,6 +219,7 @@ def add_mesh(spec: mujoco.MjSpec, name: str, mesh: Mesh) -> None:
 
 
 def add_weld(spec: mujoco.MjSpec, name: str, first: str, second: str) -> None:
+    """Add a weld of two bodies, inactive."""
     weld = spec.add_equality(name=name, name1=first, name2=second, active=False)
     weld.type = mujoco.mjtEq.mjEQ_WELD
     weld.objtype = mujoco.mjtObj.mjOBJ_BODY
