@@ -22,7 +22,7 @@ from roboassembly.geometry.scene import Shape
 from roboassembly.robots.gripper import hand_pose
 from roboassembly.robots.platform import LENGTH, WIDTH
 from roboassembly.simulation.control_model import CellBody, CellContents
-from roboassembly.simulation.control_physics import CellPhysics
+from roboassembly.simulation.control_physics import CONTROL_RATE, CellPhysics
 from roboassembly.simulation.convex_pieces import convex_pieces
 from roboassembly.simulation.model import mass_properties
 from roboassembly.task.full.cell_state import CellState, Payload, PlacedGroup, Robot
@@ -44,6 +44,8 @@ _AT_REST_POSITION, _AT_REST_ANGLE = 5e-4, float(np.deg2rad(0.3))
 """Motion of two groups against each other within one control step when they are joined [m, rad]."""
 _COSINE_ASKEW = float(np.cos(np.deg2rad(3.0)))
 """Cosine of the angle below which a group counts as level."""
+_LOOSE_STEPS = CONTROL_RATE
+"""Control steps after which a group that nothing holds counts as dropped, wherever it lies."""
 _NEAR = 0.05
 """Distance between the spheres around two groups below which their joints are looked at [m]."""
 
@@ -68,7 +70,7 @@ class CellEvents:
 
     joined: tuple[Joining, ...] = ()
     dropped: tuple[int, ...] = ()
-    """Parts of a group that fell to the floor; empty if none did."""
+    """Parts of a group that nothing holds any more; empty if there is none."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,6 +111,7 @@ class ControlCell:
         self._candidates: dict[tuple[tuple[int, ...], tuple[int, ...]], JointCandidates] = {}
         self._last: dict[tuple[int, int], SE3] = {}
         self._sevens: dict[int, tuple[Group, Float[np.ndarray, "g 7"]]] = {}
+        self._loose: dict[int, int] = {}
         self._radii: dict[int, tuple[Group, float]] = {}
 
     def _body(self, group: Group) -> CellBody:
@@ -195,9 +198,16 @@ class ControlCell:
                 physics.grip(robot, pressed)
                 self._posts.pop(pressed, None)
         joined = tuple(self._close_joints())
-        loose = (key for key in physics.contents.moving if not physics.holders(key) and physics.on_floor(key))
-        dropped = next(loose, None)
-        return CellEvents(joined, () if dropped is None else self.groups[dropped].parts)
+        return CellEvents(joined, self._dropped())
+
+    def _dropped(self) -> tuple[int, ...]:
+        """Return the parts of a group that nothing holds and that lies on the floor, or elsewhere after a second."""
+        loose = [key for key in self.physics.contents.moving if not self.physics.holders(key)]
+        self._loose = {key: self._loose.get(key, 0) + 1 for key in loose}
+        for key, steps in self._loose.items():
+            if steps >= _LOOSE_STEPS or self.physics.on_floor(key):
+                return self.groups[key].parts
+        return ()
 
     def _release(self, robot: int) -> None:
         key = self.physics.held(robot)

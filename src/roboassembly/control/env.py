@@ -50,7 +50,7 @@ class ControlFailure(StrEnum):
 
     NONE = ""
     DROPPED = "dropped"
-    """A group fell to the floor."""
+    """Nothing holds a group: it lies on the floor, or for a second elsewhere."""
     WRONG_MERGE = "wrong_merge"
     """In the task `merge`, a joint closed that is right for the piece, but not the one that was asked for."""
     CONTACT = "contact"
@@ -194,6 +194,11 @@ class ControlEnv(gymnasium.Env[Observation, np.ndarray]):
     def merge(self) -> MergeTask | None:
         """Merge that is to be made; None in the task `piece`."""
         return self._merge
+
+    @property
+    def observation_delay(self) -> int:
+        """Age of observations in this episode [control steps]."""
+        return 0 if self._queue.maxlen is None else self._queue.maxlen - 1
 
     @property
     def task_description(self) -> str:
