@@ -8,7 +8,18 @@ import numpy as np
 import pytest
 
 from roboassembly.control.cameras import (
-    CAMERAS, FAR, FIRST_PART, FLOOR, NOTHING, POSTS, ROBOT_A, ROBOT_B, CellCameras, camera_matrix, field_of, looking_at,
+    CAMERAS,
+    FAR,
+    FIRST_PART,
+    FLOOR,
+    NOTHING,
+    POSTS,
+    ROBOT_A,
+    ROBOT_B,
+    CellCameras,
+    camera_matrix,
+    field_of,
+    looking_at,
 )  # fmt: skip
 from roboassembly.control.env import ControlEnv
 from roboassembly.control.looks import draw_looks

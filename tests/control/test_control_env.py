@@ -229,7 +229,7 @@ def test_vectorised_environments_differ_by_seed() -> None:
     assert observation["parts"].shape == (2, 20, 7)
     assert not np.array_equal(*observation["parts"])
     for _ in range(2):
-        observation, reward, terminated, truncated, info = envs.step(np.zeros((2, 22), np.float32))
+        observation, _, terminated, truncated, info = envs.step(np.zeros((2, 22), np.float32))
     assert truncated.all()
     assert not terminated.any()
     assert list(info["failure"]) == ["time_limit"] * 2

@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 
 from roboassembly.control.controls import (
-    CONTROLS, ELBOW_SPEED, JOINT_SPEEDS, NUMBERS, PLACE_RANGE, PLATFORM_SPEED, TIP_SPEED, ActionCodec, ControlName,
+    CONTROLS,
+    ELBOW_SPEED,
+    JOINT_SPEEDS,
+    NUMBERS,
+    PLACE_RANGE,
+    PLATFORM_SPEED,
+    TIP_SPEED,
+    ActionCodec,
+    ControlName,
 )  # fmt: skip
 from roboassembly.robots.kinematics import arm
 from roboassembly.robots.tip_motion import elbow_motion, follow_tip_motion, tip_motion

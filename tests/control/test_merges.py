@@ -6,9 +6,9 @@ from functools import cache
 
 import numpy as np
 import pytest
-from control.episodes import carry_out, planned_merge
 from gymnasium.error import ResetNeeded
 
+from control.episodes import carry_out, planned_merge
 from roboassembly.control.cell import POST_HEIGHT
 from roboassembly.control.controls import CONTROLS, ControlName
 from roboassembly.control.env import ControlEnv
@@ -94,8 +94,8 @@ def test_a_hand_grips_only_what_both_pads_press() -> None:
     assert min(left, right) >= 1.0
     assert left == pytest.approx(right, rel=0.2)
     # The part came along when the hand rose by 60 mm.
-    rise = env.cell.group(env.cell.physics.held(robot)).world_from_furniture.translation
-    before = segments[0].before.placed[env.cell.physics.held(robot)].group.world_from_furniture.translation
+    rise = env.cell.group(env.cell.physics.grasped(robot)).world_from_furniture.translation
+    before = segments[0].before.placed[env.cell.physics.grasped(robot)].group.world_from_furniture.translation
     assert rise[2] - before[2] == pytest.approx(0.06, abs=2e-3)
 
 
@@ -104,7 +104,7 @@ def test_what_is_let_go_of_high_up_falls_and_near_the_posts_stands() -> None:
     robot = segments[0].robot
     for targets, openings in commands_of(segments[:3], env.cell):
         env.step(env.codec.encode(targets, openings, env.cell.physics.commands))
-    key, posts = env.cell.physics.held(robot), len(env.cell.posts)
+    key, posts = env.cell.physics.grasped(robot), len(env.cell.posts)
     start = env.cell.physics.commands.copy()
     opened = np.where(np.arange(2) == robot, 0.06, 0.0)
 

@@ -23,7 +23,7 @@ def cell(shift: float = 0.0, scales: PhysicsScales | None = None) -> CellPhysics
     """A bar of 30 mm between the fingers of R_a, `shift` metres along their closing; R_b is far away."""
     where = world_from_tips(A) * pose(y=shift)
     bar = CellBody(MASS, np.zeros(3), MASS * 1e-3 * np.eye(3), (Shape(BAR, SE3.Identity()),))
-    contents = CellContents({7: bar}, standing={7: where}, posts={7: (where.translation - [0.0, 0.0, 0.3],)})
+    contents = CellContents({7: bar}, on_posts={7: where}, posts={7: (where.translation - [0.0, 0.0, 0.3],)})
     return CellPhysics([A, B], [0.05, 0.0], contents, scales)
 
 
@@ -69,7 +69,7 @@ def test_a_hand_needs_both_pads() -> None:
     assert right == pytest.approx(left, rel=0.1)
     assert physics.opening(0) == pytest.approx(0.03, abs=1e-3)
     assert physics.holders(7) == (0,)
-    assert physics.held(1) is None
+    assert physics.grasped(1) is None
     assert 7 not in physics.contents.posts
 
     empty = cell(shift=2.0)

@@ -136,8 +136,8 @@ class CellCameras:
             stack.callback(self._context.make_current)
             self._stack = stack.pop_all()
         robot = len(drawn_links())
-        kinds = [FLOOR, *(FIRST_PART + p for p in range(len(furniture.parts))), *[ROBOT_A] * robot, *[ROBOT_B] * robot]
-        self._kinds = np.array([*kinds, *[POSTS] * self._most_posts], np.uint16)
+        labels = [FLOOR, *(FIRST_PART + p for p in range(len(furniture.parts))), *[ROBOT_A] * robot, *[ROBOT_B] * robot]
+        self._labels = np.array([*labels, *[POSTS] * self._most_posts], np.uint16)
 
     def close(self) -> None:
         """Free the graphics resources; closing twice is harmless."""
@@ -203,14 +203,14 @@ class CellCameras:
         pixels = np.empty((height, width, 3), np.uint8)
         mj.mjr_readPixels(pixels, None, rectangle, self._render)
         number = pixels[::-1].astype(np.int64) @ [1, 256, 65536]
-        kind_of = np.zeros(int(number.max()) + 1, np.uint16)
+        label_of = np.zeros(int(number.max()) + 1, np.uint16)
         for geom in self._scene.geoms[: self._scene.ngeom]:
-            if geom.objtype == mj.mjtObj.mjOBJ_GEOM.value and 0 <= geom.segid < len(kind_of) - 1:
-                kind_of[geom.segid + 1] = self._kinds[geom.objid]
-        return kind_of[number]
+            if geom.objtype == mj.mjtObj.mjOBJ_GEOM.value and 0 <= geom.segid < len(label_of) - 1:
+                label_of[geom.segid + 1] = self._labels[geom.objid]
+        return label_of[number]
 
     def _place(self, view: CellView) -> None:
-        rows = np.tile(_OUT_OF_SIGHT, (len(self._kinds) - 1, 1))
+        rows = np.tile(_OUT_OF_SIGHT, (len(self._labels) - 1, 1))
         parts, robot = len(view.parts), len(drawn_links())
         rows[:parts] = view.parts
         for r, poses in enumerate(view.links):

@@ -171,7 +171,7 @@ class ControlCell:
         return FullState(TaskState(tuple(groups)), CellState(tuple(placed), (a, b)), self.cell)
 
     def _robot(self, robot: int) -> Robot:
-        physics, key = self.physics, self.physics.held(robot)
+        physics, key = self.physics, self.physics.grasped(robot)
         at, opening = physics.configuration(robot), physics.opening(robot)
         if key is None:
             return Robot(at, opening)
@@ -189,7 +189,7 @@ class ControlCell:
         """
         physics = self.physics
         for robot in (0, 1):
-            if physics.held(robot) is not None and openings[robot] > physics.opening(robot) + RELEASE_MARGIN:
+            if physics.grasped(robot) is not None and openings[robot] > physics.opening(robot) + RELEASE_MARGIN:
                 self._release(robot)
         physics.advance(targets, openings.tolist())
         for robot in (0, 1):
@@ -210,7 +210,7 @@ class ControlCell:
         return ()
 
     def _release(self, robot: int) -> None:
-        key = self.physics.held(robot)
+        key = self.physics.grasped(robot)
         assert key is not None
         self.physics.release(robot)
         if self.physics.holders(key) or self.physics.speed(key) > _CALM:
@@ -258,10 +258,10 @@ class ControlCell:
             relative = self.physics.pose(second).actInv(self.physics.pose(first))
             self._last[first, second] = relative
             before, center = last.get((first, second)), self.physics.contents.bodies[first].center
-            if before is None or _apart(before, relative, center, _AT_REST_POSITION, _AT_REST_ANGLE) is None:
+            if before is None or _pose_error(before, relative, center, _AT_REST_POSITION, _AT_REST_ANGLE) is None:
                 continue
             candidates = self.joints(first, second)
-            errors = [_apart(goal, relative, center, JOINT_POSITION, JOINT_ANGLE) for goal in candidates.goals]
+            errors = [_pose_error(goal, relative, center, JOINT_POSITION, JOINT_ANGLE) for goal in candidates.goals]
             fitting = [
                 (error, merge) for error, merge in zip(errors, candidates.merges, strict=True) if error is not None
             ]
@@ -273,9 +273,9 @@ class ControlCell:
     def _near_pairs(self) -> list[tuple[int, int]]:
         """Return pairs of a held group and a group that is held too or on posts, near each other."""
         physics = self.physics
-        held = [key for robot in (0, 1) if (key := physics.held(robot)) is not None]
-        pairs = [(held[0], held[1])] if len(set(held)) == 2 else []
-        pairs += [(key, other) for key in dict.fromkeys(held) for other in physics.contents.standing]
+        grasped = [key for robot in (0, 1) if (key := physics.grasped(robot)) is not None]
+        pairs = [(grasped[0], grasped[1])] if len(set(grasped)) == 2 else []
+        pairs += [(key, other) for key in dict.fromkeys(grasped) for other in physics.contents.on_posts]
         return [(first, second) for first, second in pairs if self._gap(first, second) < _NEAR]
 
     def _gap(self, first: int, second: int) -> float:
@@ -340,7 +340,7 @@ def pieces_of_part(part: Part) -> tuple[Mesh, ...]:
     return convex_pieces(part.mesh, list(zip(frames, widths, strict=True)))
 
 
-def _apart(
+def _pose_error(
     planned: SE3, reached: SE3, center: Float[np.ndarray, "3"], position: float, angle: float
 ) -> tuple[float, float] | None:
     """Return distance and angle between two poses of a body, at its centre of mass; None if they exceed limits."""

@@ -4,7 +4,7 @@ One robot has eleven numbers: x, y and yaw of its platform, seven for its arm, o
 
 | mode | platform | arm |
 |---|---|---|
-| `joint_position` | place in the world, ±`PLACE_RANGE` m; yaw, ±π | joint angles, from the lower limit to the upper one |
+| `joint_position` | place in the world, ±`PLACE_RANGE` m; yaw, ±π | joint angles, from lower to upper limit |
 | `joint_delta` | change in the world, up to `PLATFORM_SPEED` | change of the joint angles, up to `JOINT_SPEEDS` |
 | `end_effector_delta` | as `joint_delta` | change of the finger tips in the frame of the arm's mount, translation and \
 rotation vector, up to `TIP_SPEED` and `TIP_TURN`; then motion of the elbow alone, up to `ELBOW_SPEED` |
@@ -80,11 +80,11 @@ class ActionCodec:
         """
         rows = action.reshape(2, NUMBERS)
         if self.control == "joint_position":
-            wanted = np.array(rows[:, :-1])
-            wanted[:, :2] *= PLACE_RANGE
-            wanted[:, 2] = commands[:, 2] + _wrapped(np.pi * wanted[:, 2] - commands[:, 2])
-            wanted[:, 3:] = arm().low + 0.5 * (wanted[:, 3:] + 1.0) * (arm().high - arm().low)
-            change = wanted - commands
+            wished = np.array(rows[:, :-1])
+            wished[:, :2] *= PLACE_RANGE
+            wished[:, 2] = commands[:, 2] + _wrapped(np.pi * wished[:, 2] - commands[:, 2])
+            wished[:, 3:] = arm().low + 0.5 * (wished[:, 3:] + 1.0) * (arm().high - arm().low)
+            change = wished - commands
         else:
             change = rows[:, :-1] * self._largest
             if self.control == "end_effector_delta":

@@ -52,7 +52,7 @@ class ControlFailure(StrEnum):
     DROPPED = "dropped"
     """Nothing holds a group: it lies on the floor, or for a second elsewhere."""
     WRONG_MERGE = "wrong_merge"
-    """In the task `merge`, a joint closed that is right for the piece, but not the one that was asked for."""
+    """A joint closed that is right for the piece, but not the one that the task `merge` asks for."""
     CONTACT = "contact"
     """A robot touched something with more than its pads; only with `end_on_contact`."""
     TIME_LIMIT = "time_limit"
@@ -187,7 +187,10 @@ class ControlEnv(gymnasium.Env[Observation, np.ndarray]):
 
     @property
     def state(self) -> FullState:
-        """Present state of the cell, from which `FullTask.step` plans while both hands are empty."""
+        """Present state of the cell, from which `FullTask.step` plans while both hands are empty.
+
+        `roboassembly.control.replay` turns a planned merge into commands.
+        """
         return self.cell.state()
 
     @property
@@ -206,8 +209,8 @@ class ControlEnv(gymnasium.Env[Observation, np.ndarray]):
         furniture = self.task.furniture
         if self._merge is None:
             return f"Assemble {furniture.name}: join its {len(furniture.parts)} parts."
-        groups = [", ".join(furniture.parts[p].name.replace("_", " ") for p in g) for g in self._merge.groups]
-        return f"Join {groups[0]} to {groups[1]}."
+        first, second = (_in_words([furniture.parts[p].name for p in group]) for group in self._merge.groups)
+        return f"Join {first} to {second}."
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -312,7 +315,7 @@ class ControlEnv(gymnasium.Env[Observation, np.ndarray]):
                 seen |= self._pictures.observe(self.cell)
             self._queue.append(seen)
         cell, joined = self.cell, events.joined
-        held = [cell.physics.held(robot) for robot in (0, 1)]
+        grasped = [cell.physics.grasped(robot) for robot in (0, 1)]
         info = {
             "is_success": self._success,
             "success": self._success,
@@ -322,7 +325,7 @@ class ControlEnv(gymnasium.Env[Observation, np.ndarray]):
             "groups": len(cell.groups),
             "merges": self._closed,
             "seconds": self._count / CONTROL_RATE,
-            "holds": np.array([-1 if key is None else cell.groups[key].parts[0] for key in held]),
+            "holds": np.array([-1 if key is None else cell.groups[key].parts[0] for key in grasped]),
             "contact": cell.physics.touching,
             "joint_error_mm": 1e3 * joined[-1].position if joined else 0.0,
             "joint_error_deg": float(np.degrees(joined[-1].angle)) if joined else 0.0,
@@ -350,3 +353,9 @@ class ControlEnv(gymnasium.Env[Observation, np.ndarray]):
     def close(self) -> None:
         """Free the graphics resources."""
         self._pictures.close()
+
+
+def _in_words(names: Sequence[str]) -> str:
+    """Return names of parts as words of a sentence."""
+    spaced = [name.replace("_", " ") for name in names]
+    return spaced[0] if len(spaced) == 1 else f"{', '.join(spaced[:-1])} and {spaced[-1]}"

@@ -81,14 +81,14 @@ class StateObserver:
     def observe(self) -> StateObservation:
         """Return the present observation in new arrays, with the noise of its sensors."""
         groups = np.zeros(self._max_parts, np.float32)
-        held = np.zeros((self._max_parts, 2), np.float32)
+        grasped = np.zeros((self._max_parts, 2), np.float32)
         for key, group in self._cell.groups.items():
             rows = list(group.parts)
             groups[rows] = rows[0]
             for robot in self._cell.physics.holders(key):
-                held[rows, robot] = 1.0
+                grasped[rows, robot] = 1.0
         return {
-            "robots": self.robots(), "parts": self._parts(), "groups": groups, "held": held,
+            "robots": self.robots(), "parts": self._parts(), "groups": groups, "held": grasped,
             "assembled": self._assembled.copy(), "goal": self._goal.copy(), "goal_pose": self._goal_pose.copy(),
         }  # fmt: skip
 
@@ -105,7 +105,7 @@ class StateObserver:
             row[11:21] = physics.velocity(robot)
             row[21] = physics.opening(robot)
             row[22:24] = (0.0, 0.0) if contact is None else contact.forces
-            row[24] = physics.held(robot) is not None
+            row[24] = physics.grasped(robot) is not None
             row[25:] = pose_to_seven(physics.tips(robot))
         return np.clip(rows, -REACH, REACH).astype(np.float32)
 

@@ -63,8 +63,7 @@ class Randomization:
             value: object = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 <= value <= largest:
                 raise ArgumentError(f"randomization: {name} is {value!r}; expected a number from 0 to {largest:g}")
-        textures: object = self.textures
-        if not isinstance(textures, bool):
+        if not _is_flag(self.textures):
             raise ArgumentError(f"randomization: textures is {self.textures!r}; expected True or False")
         if not _is_integer(self.delay) or not 0 <= self.delay <= _MOST_DELAY:
             raise ArgumentError(f"randomization: delay is {self.delay!r}; expected an integer from 0 to {_MOST_DELAY}")
@@ -121,6 +120,10 @@ class Variation:
 
 def _is_integer(value: object) -> bool:
     return isinstance(value, int) and not isinstance(value, bool)
+
+
+def _is_flag(value: object) -> bool:
+    return isinstance(value, bool)
 
 
 NONE = Randomization()

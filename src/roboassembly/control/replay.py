@@ -48,15 +48,15 @@ def commands_of(segments: Sequence[Segment], cell: ControlCell) -> Iterator[Comm
         following = segments[index + 1].before if index + 1 < len(segments) else segment.after
         if segment.stage is Stage.APPROACH:
             openings[robot] = 0.0
-            yield from _hold(targets, openings, _GRIP_STEPS, lambda: cell.physics.held(robot) is not None)  # noqa: B023
+            yield from _repeat(targets, openings, _GRIP_STEPS, lambda: cell.physics.grasped(robot) is not None)  # noqa: B023
         elif segment.stage is Stage.MATE:
             count = len(cell.groups)
-            yield from _hold(targets, openings, _JOIN_STEPS, lambda: len(cell.groups) < count)  # noqa: B023
+            yield from _repeat(targets, openings, _JOIN_STEPS, lambda: len(cell.groups) < count)  # noqa: B023
             openings[0] = following.robots[0].opening
-            yield from _hold(targets, openings, _OPEN_STEPS)
+            yield from _repeat(targets, openings, _OPEN_STEPS)
         elif segment.stage is Stage.SET_DOWN:
             openings[robot] = following.robots[robot].opening
-            yield from _hold(targets, openings, _OPEN_STEPS)
+            yield from _repeat(targets, openings, _OPEN_STEPS)
 
 
 def _sampled(segment: Segment) -> Iterator[Float[np.ndarray, "10"]]:
@@ -67,7 +67,7 @@ def _sampled(segment: Segment) -> Iterator[Float[np.ndarray, "10"]]:
         yield segment.path[-1]
 
 
-def _hold(
+def _repeat(
     targets: Float[np.ndarray, "2 10"],
     openings: Float[np.ndarray, "2"],
     steps: int,

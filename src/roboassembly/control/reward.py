@@ -27,8 +27,8 @@ def progress(cell: ControlCell, first: int, second: int) -> float:
         first: key of one group.
         second: key of the other group.
     """
-    ways = ((first, second), (second, first))
-    gripped = max(sum(_gripped(cell, robot, key) for robot, key in enumerate(way)) for way in ways)
+    assignments = ((first, second), (second, first))
+    gripped = max(sum(_gripped(cell, robot, key) for robot, key in enumerate(pair)) for pair in assignments)
     holders = [cell.physics.holders(key) for key in (first, second)]
     near = _nearness(cell, first, second) if all(holders) else 0.0
     return 0.25 * gripped + 0.5 * near
@@ -36,9 +36,9 @@ def progress(cell: ControlCell, first: int, second: int) -> float:
 
 def _gripped(cell: ControlCell, robot: int, key: int) -> float:
     """Return 1 if a robot holds a group, less the farther its empty hand is from its grasps, 0 if it holds another."""
-    held = cell.physics.held(robot)
-    if held is not None:
-        return float(held == key)
+    grasped = cell.physics.grasped(robot)
+    if grasped is not None:
+        return float(grasped == key)
     points = grasp_points(cell, cell.group(key))
     tips = cell.physics.tips(robot).translation
     return 0.8 * (1.0 - float(np.tanh(np.linalg.norm(points - tips, axis=1).min() / _REACH)))
@@ -105,8 +105,8 @@ class NextMerge:
             return None
         if self._merge is not None:
             by_parts = {group.parts: key for key, group in cell.groups.items()}
-            one, two = (by_parts.get(parts) for parts in self._merge.groups)
-            return None if one is None or two is None else (one, two)
+            first, second = (by_parts.get(parts) for parts in self._merge.groups)
+            return None if first is None or second is None else (first, second)
         assert self._disassembly is not None
         state = TaskState(tuple(cell.groups.values()))
         for assigned in cell.rules.pairs.slot_assignments(state):

@@ -59,7 +59,7 @@ class CellContents:
     """Bodies in the cell, and what holds them."""
 
     bodies: Mapping[int, CellBody]
-    standing: Mapping[int, SE3] = field(default_factory=dict[int, SE3])
+    on_posts: Mapping[int, SE3] = field(default_factory=dict[int, SE3])
     """Pose of each body that stands on posts."""
     moving: Mapping[int, SE3] = field(default_factory=dict[int, SE3])
     """Pose of each other body."""
@@ -90,7 +90,7 @@ def model_of_cell(contents: CellContents, scales: PhysicsScales) -> mujoco.MjMod
         add_robot(spec, "ab"[robot])
         _add_links(spec, robot)
     names = _add_pieces(spec, contents)
-    for key, pose in contents.standing.items():
+    for key, pose in contents.on_posts.items():
         _add_body(spec, key, contents.bodies[key], pose, names, None)
         for k, top in enumerate(contents.posts.get(key, ())):
             spec.worldbody.add_geom(
@@ -99,7 +99,7 @@ def model_of_cell(contents: CellContents, scales: PhysicsScales) -> mujoco.MjMod
                 conaffinity=sum(_FINGERS) + sum(_LINKS),
             )  # fmt: skip
     for key, pose in contents.moving.items():
-        holders = tuple(robot for robot, held in contents.grips if held == key)
+        holders = tuple(robot for robot, body in contents.grips if body == key)
         _add_body(spec, key, contents.bodies[key], pose, names, holders)
         for robot in holders:
             add_weld(spec, f"grip{robot}/{key}", f"{'ab'[robot]}/link{JOINTS}", f"body{key}")
@@ -144,7 +144,7 @@ def _add_links(spec: mujoco.MjSpec, robot: int) -> None:
 def _add_pieces(spec: mujoco.MjSpec, contents: CellContents) -> dict[int, str]:
     """Add the meshes of all pieces, each once, and return their names by identity."""
     names: dict[int, str] = {}
-    for key in (*contents.standing, *contents.moving):
+    for key in (*contents.on_posts, *contents.moving):
         for piece in contents.bodies[key].pieces:
             if id(piece.mesh) not in names:
                 names[id(piece.mesh)] = f"piece{len(names)}"

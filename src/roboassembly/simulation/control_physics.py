@@ -101,7 +101,7 @@ class CellPhysics:
         self._arm_geoms = {g for g in range(self.model.ngeom) if g not in passive and self.model.geom(g).name[1] == "/"}
         self._contacts: dict[int, HandContact] = {}
         self._poses: dict[int, SE3] = {}
-        self._ids = {key: self.model.body(f"body{key}").id for key in (*contents.standing, *contents.moving)}
+        self._ids = {key: self.model.body(f"body{key}").id for key in (*contents.on_posts, *contents.moving)}
         self._stiff = np.array(self.model.actuator_gainprm[:, 0])
         self._jacobian = np.zeros((3, self.model.nv))
         data, first = self.data, 2 * _ROBOT
@@ -177,9 +177,9 @@ class CellPhysics:
 
     def holders(self, body: int) -> tuple[int, ...]:
         """Return the robots that hold a body."""
-        return tuple(robot for robot, held in self.contents.grips if held == body)
+        return tuple(robot for robot, other in self.contents.grips if other == body)
 
-    def held(self, robot: int) -> int | None:
+    def grasped(self, robot: int) -> int | None:
         """Return the key of the body that a robot holds; None if its hand is empty."""
         return next((body for r, body in self.contents.grips if r == robot), None)
 
@@ -215,17 +215,17 @@ class CellPhysics:
         first = _ROBOT * robot + DRIVEN
         closing = opening <= CLOSED
         self.data.ctrl[first : first + 2] = _PRESS if closing else 0.5 * min(opening, MAX_OPENING)
-        if self.held(robot) is not None:
+        if self.grasped(robot) is not None:
             # What a hand holds is fixed to it, and so are the fingers to where they are.
             self.data.ctrl[first : first + 2] = self._grip_places[robot]
         contact = self.contact(robot)
-        if closing and contact is not None and self.held(robot) is None:
+        if closing and contact is not None and self.grasped(robot) is None:
             weight = 9.81 * self.contents.bodies[contact.body].mass
             self._hold_force[robot] = float(np.clip(_GRIP_WEIGHTS * weight, _LIGHTEST_GRIP, GRIP_FORCE))
         force = self._hold_force[robot] if closing else GRIP_FORCE
         self.model.actuator_forcerange[first : first + 2] = [-force, force]
         self._closing[robot] = closing
-        yields = closing and self.held(robot) is None and self.opening(robot) > CLOSED
+        yields = closing and self.grasped(robot) is None and self.opening(robot) > CLOSED
         joints = slice(first - JOINTS, first)
         stiffness = self._stiff[joints] * (_YIELDING if yields else 1.0)
         self.model.actuator_gainprm[joints, 0] = stiffness
@@ -248,14 +248,14 @@ class CellPhysics:
         forces: dict[tuple[int, int], list[float]] = {}
         self.touching, force = False, np.zeros(6)
         for i in range(data.ncon):
-            one, two = (int(g) for g in data.contact[i].geom)
-            if two in self._fingers:
-                one, two = two, one
-            finger, key = self._fingers.get(one), self._key_of_geom.get(two)
+            geom_a, geom_b = (int(g) for g in data.contact[i].geom)
+            if geom_b in self._fingers:
+                geom_a, geom_b = geom_b, geom_a
+            finger, key = self._fingers.get(geom_a), self._key_of_geom.get(geom_b)
             if finger is not None and key is not None:
                 mujoco.mj_contactForce(self.model, data, i, force)
                 forces.setdefault((finger[0], key), [0.0, 0.0])[finger[1]] += float(force[0])
-            elif finger is not None or one in self._arm_geoms or two in self._arm_geoms:
+            elif finger is not None or geom_a in self._arm_geoms or geom_b in self._arm_geoms:
                 self.touching = True
         self._contacts = {}
         for (robot, key), (left, right) in forces.items():
@@ -268,12 +268,12 @@ class CellPhysics:
 
         Of a hand that holds a body it is what they pressed when they gripped it.
         """
-        return self._contacts.get(robot) if self.held(robot) is None else self._grip_contacts[robot]
+        return self._contacts.get(robot) if self.grasped(robot) is None else self._grip_contacts[robot]
 
     def pressed_body(self, robot: int) -> int | None:
         """Return the key of the body that a closing, empty hand has between its pads; None if there is none yet."""
         contact = self.contact(robot)
-        if contact is None or not self._closing[robot] or self.held(robot) is not None:
+        if contact is None or not self._closing[robot] or self.grasped(robot) is not None:
             return None
         fingers = self.data.qvel[_ROBOT * robot + DRIVEN : _ROBOT * (robot + 1)]
         if min(contact.forces) < _LEAST_FORCE or np.abs(fingers).max() > _STILL_FINGER:
@@ -293,7 +293,7 @@ class CellPhysics:
         grips = {**contents.grips, (robot, body): self.hand(robot).actInv(pose)}
         self._recompile(
             replace(
-                contents, standing=_without(contents.standing, body), posts=_without(contents.posts, body), grips=grips,
+                contents, on_posts=_without(contents.on_posts, body), posts=_without(contents.posts, body), grips=grips,
                 moving={**contents.moving, body: pose},
             )
         )  # fmt: skip
@@ -311,9 +311,9 @@ class CellPhysics:
             tops: tops of the posts [m].
         """
         contents = self.contents
-        standing, posts = {**contents.standing, body: self.pose(body)}, {**contents.posts, body: tuple(tops)}
+        on_posts, posts = {**contents.on_posts, body: self.pose(body)}, {**contents.posts, body: tuple(tops)}
         moving = _without(contents.moving, body)
-        self._recompile(replace(contents, standing=standing, posts=posts, moving=moving))
+        self._recompile(replace(contents, on_posts=on_posts, posts=posts, moving=moving))
 
     def join(self, first: int, second: int, whole: CellBody, pose: SE3) -> None:
         """Replace two bodies by one that has the key of the second; hands that hold either of them hold it.
@@ -337,7 +337,7 @@ class CellPhysics:
         self._ids.pop(second)
         self._recompile(
             CellContents(
-                bodies, _without(_without(contents.standing, first), second), {**rest, second: pose},
+                bodies, _without(_without(contents.on_posts, first), second), {**rest, second: pose},
                 _without(_without(contents.posts, first), second), grips,
             ),
             speeds,
