@@ -208,9 +208,9 @@ def test_the_goal_of_a_merge_is_told() -> None:
     assert info["task_description"].startswith(f"Join {names[0]}")
 
 
-def test_a_robot_that_touches_something_ends_the_episode_on_request() -> None:
-    """R_a drives into R_b, which stands 1.2 m from it; with both stopped by each other neither passes through."""
-    env = ControlEnv(stool(), end_on_contact=True)
+def test_a_robot_that_touches_something_ends_a_strict_episode() -> None:
+    """R_a drives into R_b, which stands 1.2 m from it."""
+    env = ControlEnv(stool(), strict=True)
     env.reset(seed=0)
     ahead = np.zeros(22)
     ahead[0], ahead[10], ahead[21] = 0.5, -1.0, -1.0
@@ -218,7 +218,7 @@ def test_a_robot_that_touches_something_ends_the_episode_on_request() -> None:
         _, _, terminated, _, info = env.step(ahead)
         if terminated:
             break
-    assert (info["failure"], info["contact"]) == ("contact", True)
+    assert info["failure"] == "collision"
     robots = [env.cell.physics.configuration(robot)[:2] for robot in (0, 1)]
     assert 0.4 < np.linalg.norm(robots[0] - robots[1]) < 1.1
 

@@ -10,6 +10,7 @@ from gymnasium.error import ResetNeeded
 
 from control.episodes import carry_out, planned_merge
 from roboassembly.control.cell import POST_HEIGHT
+from roboassembly.control.collisions import CollisionTest
 from roboassembly.control.controls import CONTROLS, ControlName
 from roboassembly.control.env import ControlEnv
 from roboassembly.control.randomization import Randomization
@@ -37,7 +38,7 @@ def planned() -> FullStep:
 
 @pytest.mark.parametrize("control", CONTROLS)
 def test_a_planned_merge_succeeds_and_its_actions_repeat_it(control: ControlName) -> None:
-    env = make(control=control)
+    env = make(control=control, strict=control == "joint_position")
     actions, rewards, info = carry_out(env, planned())
     assert (sum(rewards), rewards[-1]) == (1.0, 1.0)
     assert (info["is_success"], info["success"], info["failure"], info["merges"]) == (True, True, "", 1)
@@ -144,6 +145,28 @@ def test_what_is_let_go_of_high_up_falls_and_near_the_posts_stands() -> None:
     assert info["holds"][robot] == -1
     assert len(env.cell.posts) == posts + 1
     np.testing.assert_allclose(env.cell.group(key).world_from_furniture.translation, there, atol=1e-3)
+
+
+def test_a_part_that_goes_through_another_one_touches_it_in_the_exact_test() -> None:
+    """R_a takes the part in its hand through the part on the nearest post; parts do not collide in physics."""
+    env, segments = make(control="joint_position"), planned().segments
+    robot = segments[0].robot
+    for targets, openings in commands_of(segments[:2], env.cell):
+        env.step(env.codec.encode(targets, openings, env.cell.physics.commands))
+    physics, test = env.cell.physics, CollisionTest(env.cell)
+    key = physics.grasped(robot)
+    assert not test.touches()
+    other = min(physics.contents.on_posts, key=lambda k: np.linalg.norm((physics.center(k) - physics.center(key))[:2]))
+    way = physics.center(other) - physics.center(key)
+    commands, start = physics.commands.copy(), physics.commands[robot].copy()
+    touched = []
+    for share in np.linspace(0.0, 1.0, 40):
+        commands[robot, :2] = start[:2] + share * way[:2]
+        *_, info = env.step(env.codec.encode(commands, np.zeros(2), physics.commands))
+        touched.append(test.touches())
+        assert info["failure"] == ""
+    assert not any(touched[:5])
+    assert any(touched)
 
 
 def test_dense_reward_adds_up_to_the_progress() -> None:

@@ -27,7 +27,8 @@ class ControlOptions:
     reward: RewardName
     time_limit: float | None
     """Time after which an episode is truncated [s]; None for the usual one."""
-    end_on_contact: bool
+    strict: bool
+    """Whether collisions end an episode."""
     max_parts: int
 
 

@@ -42,6 +42,8 @@ _CALM = 0.2
 """Speed below which a group that is let go of gets posts [m/s]."""
 _AT_REST_POSITION, _AT_REST_ANGLE = 5e-4, float(np.deg2rad(0.3))
 """Motion of two groups against each other within one control step when they are joined [m, rad]."""
+_MATING_POSITION, _MATING_ANGLE = 0.05, float(np.deg2rad(5.0))
+"""Distance and angle from a right joint within which two groups may touch each other [m, rad]."""
 _COSINE_ASKEW = float(np.cos(np.deg2rad(3.0)))
 """Cosine of the angle below which a group counts as level."""
 _LOOSE_STEPS = CONTROL_RATE
@@ -307,6 +309,13 @@ class ControlCell:
             found = list(merges.values())
             self._candidates[key] = JointCandidates(tuple(m for m, _ in found), tuple(g for _, g in found))
         return self._candidates[key]
+
+    def is_near_joint(self, first: int, second: int) -> bool:
+        """Whether two groups, by their keys, are so near a right joint that they may touch each other."""
+        relative = self.physics.pose(second).actInv(self.physics.pose(first))
+        center = self.physics.contents.bodies[first].center
+        goals = self.joints(first, second).goals
+        return any(_pose_error(g, relative, center, _MATING_POSITION, _MATING_ANGLE) is not None for g in goals)
 
     def _join(self, first: int, second: int, merge: Merge) -> None:
         """Make one group of two, which has the key of the second one."""

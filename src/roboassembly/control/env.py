@@ -24,6 +24,7 @@ from roboassembly.control.arguments import (
 )  # fmt: skip
 from roboassembly.control.cameras import CAMERAS, checked_cameras
 from roboassembly.control.cell import CellEvents, ControlCell
+from roboassembly.control.collisions import CollisionTest
 from roboassembly.control.controls import ActionCodec, ControlName, checked_numbers
 from roboassembly.control.observation import Goal, StateObserver, state_space
 from roboassembly.control.pictures import EpisodeCameras, PictureConfig, picture_space
@@ -53,8 +54,8 @@ class ControlFailure(StrEnum):
     """Nothing holds a group: it lies on the floor, or for a second elsewhere."""
     WRONG_MERGE = "wrong_merge"
     """A joint closed that is right for the piece, but not the one that the task `merge` asks for."""
-    CONTACT = "contact"
-    """A robot touched something with more than its pads; only with `end_on_contact`."""
+    COLLISION = "collision"
+    """A robot or what it holds touched something that it must not touch; only with `strict`."""
     TIME_LIMIT = "time_limit"
     UNSTABLE = "unstable"
     """The physics left all bounds."""
@@ -99,7 +100,8 @@ class ControlEnv(gymnasium.Env[Observation, np.ndarray]):
         camera_height: height of their pictures [pixels].
         segmentation: whether it is observed what each pixel shows.
         time_limit: simulated time after which an episode is truncated [s]; 120 s a merge if None.
-        end_on_contact: whether an episode ends when a robot touches something with more than its pads.
+        strict: whether an episode fails when a robot, or what it holds, touches something that it must not touch: in
+            physics or by the exact geometry (`roboassembly.control.collisions`).
         randomization: what differs from episode to episode; nothing if None.
         max_parts: padding P of the state.
         render_mode: None, or `"rgb_array"`: `render` returns a picture of the cell.
@@ -128,7 +130,7 @@ class ControlEnv(gymnasium.Env[Observation, np.ndarray]):
         camera_height: int = 128,
         segmentation: bool = False,
         time_limit: float | None = None,
-        end_on_contact: bool = False,
+        strict: bool = False,
         randomization: Randomization | None = None,
         max_parts: int = PAPER_PARTS,
         render_mode: str | None = None,
@@ -154,7 +156,7 @@ class ControlEnv(gymnasium.Env[Observation, np.ndarray]):
                     f"'{full.furniture.name}' has {len(full.furniture.parts)} parts; max_parts={max_parts} is too "
                     f"small: give max_parts={len(full.furniture.parts)}"
                 )
-        self._options = ControlOptions(task, obs, reward, checked_time_limit(time_limit), end_on_contact, max_parts)
+        self._options = ControlOptions(task, obs, reward, checked_time_limit(time_limit), strict, max_parts)
         self._ranges = randomization or NONE
         self.render_mode = render_mode
         self._pictures = EpisodeCameras(
@@ -257,6 +259,7 @@ class ControlEnv(gymnasium.Env[Observation, np.ndarray]):
         merges = 1 if merge is not None else len(furniture.parts) - 1
         limit = self._options.time_limit or SECONDS_A_MERGE * merges
         self._last_step = max(1, round(limit * CONTROL_RATE))
+        self._collisions = CollisionTest(cell) if self._options.strict else None
         self._next = NextMerge(cell, merge) if self._options.reward == "dense" else None
 
     def step(self, action: np.ndarray) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
@@ -304,8 +307,8 @@ class ControlEnv(gymnasium.Env[Observation, np.ndarray]):
             return ControlFailure.DROPPED
         if events.joined and self._merge is not None:
             return ControlFailure.WRONG_MERGE
-        if self._options.end_on_contact and self.cell.physics.touching:
-            return ControlFailure.CONTACT
+        if self._collisions is not None and not events.joined and self._collisions.touches():
+            return ControlFailure.COLLISION
         return ControlFailure.NONE
 
     def _observe(self, events: CellEvents) -> tuple[Observation, dict[str, Any]]:
