@@ -237,6 +237,25 @@ def test_vectorised_environments_differ_by_seed() -> None:
     envs.close()
 
 
+def test_physics_that_leaves_all_bounds_ends_the_episode() -> None:
+    env = ControlEnv(stool())
+    env.reset(seed=0)
+    before, *_ = env.step(np.zeros(22))
+    env.cell.physics.data.qvel[3] = 1e30
+    observation, reward, terminated, _, info = env.step(np.zeros(22))
+    assert (reward, terminated, info["failure"]) == (0.0, True, "unstable")
+    assert np.isfinite(observation["robots"]).all()
+    np.testing.assert_array_equal(observation["parts"], before["parts"])
+    env.reset(seed=0)
+    assert env.step(np.zeros(22))[4]["failure"] == ""
+
+
+def test_the_task_is_told_before_the_first_episode() -> None:
+    env = ControlEnv(stool(), task="merge")
+    assert env.task_description == "Assemble three_legged-3: join its 5 parts."
+    assert env.observation_delay == 0
+
+
 def test_human_render_mode_of_gymnasium() -> None:
     with pytest.raises(UnsupportedMode, match="'human'; expected 'rgb_array' or None"):
         ControlEnv(stool(), render_mode="human")

@@ -17,6 +17,7 @@ from roboassembly.control.randomization import Randomization
 from roboassembly.control.replay import commands_of
 from roboassembly.datasets import catalogue
 from roboassembly.simulation.control_physics import CONTROL_RATE
+from roboassembly.solvers.options import grasping
 from roboassembly.task.full.execution import JOINT_ANGLE, JOINT_POSITION
 from roboassembly.task.full.posts import LOWEST
 from roboassembly.task.plans.full_plan import FullStep
@@ -180,6 +181,21 @@ def test_dense_reward_adds_up_to_the_progress() -> None:
     assert info["is_success"]
     assert sum(rewards) == pytest.approx(1.0 + 1.0 - begun)
     assert rewards[-1] > 1.0
+
+
+def test_another_merge_than_the_one_that_is_asked_for_is_a_failure() -> None:
+    env = make(reward="dense")
+    names = [part.name for part in env.task.furniture.parts]
+    asked = set(env.merge.first + env.merge.second)
+    leg, stretcher = names.index("leg_front_left"), names.index("stretcher_left")
+    assert not asked & {leg, stretcher}
+    state = env.state
+    actions = grasping(env.task, state, state.groups, frozenset({stretcher}), frozenset({leg}))
+    other = next(step for action in actions if (step := env.task.step(state, action, 0).step) is not None)
+    _, rewards, info = carry_out(env, other)
+    assert (info["failure"], info["is_success"], info["merges"]) == ("wrong_merge", False, 1)
+    assert rewards[-1] == 0.0
+    assert sum(rewards) < 0.5
 
 
 def test_success_under_randomized_physics_and_starts() -> None:

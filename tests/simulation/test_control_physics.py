@@ -115,11 +115,13 @@ def test_what_is_let_go_of_falls_freely_and_what_stands_stays() -> None:
     assert physics.holders(7) == ()
 
 
-def test_softer_joints_are_pushed_away_farther() -> None:
-    """A scale of the stiffness is one of the actuators: half of it, half the force at the same error."""
+def test_scales_multiply_stiffness_and_friction() -> None:
+    """Half the stiffness is half the force at the same error; damping changes by the square root."""
     stiff, soft = cell(), cell(scales=PhysicsScales(stiffness=0.5, friction=0.25))
     ratio = soft.model.actuator_gainprm[:10, 0] / stiff.model.actuator_gainprm[:10, 0]
     np.testing.assert_allclose(ratio, 0.5)
+    damping = soft.model.actuator_biasprm[:10, 2] / stiff.model.actuator_biasprm[:10, 2]
+    np.testing.assert_allclose(damping, np.sqrt(0.5))
     np.testing.assert_allclose(soft.model.geom_friction, 0.25 * stiff.model.geom_friction)
 
 

@@ -194,6 +194,8 @@ class ControlCell:
             if physics.grasped(robot) is not None and openings[robot] > physics.opening(robot) + RELEASE_MARGIN:
                 self._release(robot)
         physics.advance(targets, openings.tolist())
+        if not physics.stable:
+            return CellEvents()
         for robot in (0, 1):
             pressed = physics.pressed_body(robot)
             if pressed is not None:

@@ -165,6 +165,8 @@ class ControlEnv(gymnasium.Env[Observation, np.ndarray]):
         self._merges: dict[int, list[MergeTask]] = {}
         self._current = 0
         self._cell: ControlCell | None = None
+        self._merge: MergeTask | None = None
+        self._queue: deque[Observation] = deque(maxlen=1)
         self.action_space = spaces.Box(-1.0, 1.0, (len(self.codec.names),), np.float32)
         state = state_space(max_parts)
         if obs != "state":
@@ -203,7 +205,7 @@ class ControlEnv(gymnasium.Env[Observation, np.ndarray]):
     @property
     def observation_delay(self) -> int:
         """Age of observations in this episode [control steps]."""
-        return 0 if self._queue.maxlen is None else self._queue.maxlen - 1
+        return (self._queue.maxlen or 1) - 1
 
     @property
     def task_description(self) -> str:
@@ -254,7 +256,7 @@ class ControlEnv(gymnasium.Env[Observation, np.ndarray]):
         goal = None if merge is None else Goal(merge.first, merge.second, goal_pose(furniture, merge))
         self._state = StateObserver(cell, self._options.max_parts, goal, variation)
         self._pictures.start(cell, variation)
-        self._queue: deque[Observation] = deque(maxlen=variation.delay + 1)
+        self._queue = deque(maxlen=variation.delay + 1)
         self._count, self._closed, self._success, self._over = 0, 0, False, False
         merges = 1 if merge is not None else len(furniture.parts) - 1
         limit = self._options.time_limit or SECONDS_A_MERGE * merges
@@ -285,7 +287,7 @@ class ControlEnv(gymnasium.Env[Observation, np.ndarray]):
         self._ending = ControlFailure.NONE if self._success else self._failure(events)
         if self._ending is ControlFailure.WRONG_MERGE:
             reward = 0.0
-        if self._next is not None:
+        if self._next is not None and self._ending not in (ControlFailure.WRONG_MERGE, ControlFailure.UNSTABLE):
             reward += self._next.change(before, bool(events.joined))
         truncated = not self._success and self._ending is ControlFailure.NONE and self._count >= self._last_step
         if truncated:
@@ -301,7 +303,7 @@ class ControlEnv(gymnasium.Env[Observation, np.ndarray]):
         return any({j.first, j.second} == set(self._merge.groups) for j in events.joined)
 
     def _failure(self, events: CellEvents) -> ControlFailure:
-        if not self.cell.physics.finite:
+        if not self.cell.physics.stable:
             return ControlFailure.UNSTABLE
         if events.dropped:
             return ControlFailure.DROPPED
