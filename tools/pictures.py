@@ -15,6 +15,10 @@ import numpy as np
 from PIL import Image
 
 from drawing import Piece, drawn, hand
+from roboassembly.control.cameras import CAMERAS
+from roboassembly.control.env import ControlEnv
+from roboassembly.control.randomization import Randomization
+from roboassembly.control.replay import commands_of
 from roboassembly.datasets import catalogue
 from roboassembly.envs.observation import Observer
 from roboassembly.furniture.model import PAPER_PARTS, PAPER_POINTS, Furniture, Part
@@ -25,11 +29,12 @@ from roboassembly.learning.registry import load_policy
 from roboassembly.manual.document import pages_of, title_of
 from roboassembly.manual.make import make_manual
 from roboassembly.manual.writers import pdf
-from roboassembly.rendering.colors import WOOD, part_colors
+from roboassembly.rendering.colors import WOOD, distinct_colors, part_colors
 from roboassembly.rendering.offscreen import STILL, OffscreenRenderer
 from roboassembly.robots.gripper import hand_pose
 from roboassembly.settings import set_upright
 from roboassembly.solvers.full_search import solve_full
+from roboassembly.solvers.options import grasping
 from roboassembly.solvers.oracle import Oracle
 from roboassembly.solvers.search import solve
 from roboassembly.task.object_centric.task import ObjectCentricTask
@@ -120,6 +125,35 @@ def draw_two_robots() -> None:
     write_storyboard(plan, IMAGES / "two_robots.png", columns=4, width=480, height=320)
 
 
+def draw_control() -> None:
+    """Draw what the four cameras of `Control-v0` see as a merge ends: without and with randomization."""
+    rows: list[np.ndarray] = []
+    for ranges in (None, Randomization.full()):
+        env = ControlEnv(
+            "stool", task="merge", obs="rgbd", segmentation=True, camera_width=240, camera_height=180,
+            randomization=ranges,
+        )  # fmt: skip
+        env.reset(seed=1, options={"merge": 5})
+        assert env.merge is not None
+        task, state = env.task, env.state
+        actions = grasping(task, state, state.groups, *(frozenset(group) for group in env.merge.groups))
+        step = next(step for action in actions if (step := task.step(state, action, 0).step) is not None)
+        seen: dict[str, np.ndarray] = {}
+        for targets, openings in commands_of(step.segments, env.cell):
+            seen, _, over, *_ = env.step(env.codec.encode(targets, openings, env.cell.physics.commands))
+            if over:
+                break
+        env.close()
+        rows.append(np.concatenate([seen[f"rgb_{camera}"] for camera in CAMERAS], axis=1))
+        if ranges is None:
+            near = [255 * np.clip(seen[f"depth_{camera}"] / 6.0, 0.0, 1.0) for camera in CAMERAS]
+            rows.append(np.repeat(np.concatenate(near, axis=1).astype(np.uint8)[..., None], 3, axis=2))
+            kinds = np.concatenate([seen[f"segmentation_{camera}"] for camera in CAMERAS], axis=1)
+            colors = np.array([(1.0, 1.0, 1.0), *distinct_colors(range(int(kinds.max())))])
+            rows.append((255 * colors[kinds]).astype(np.uint8))
+    iio.imwrite(IMAGES / "control.png", np.concatenate(rows))
+
+
 def draw_storyboard() -> None:
     """Draw the steps of a chair whose parts move by themselves."""
     plan = set_upright(solve(catalogue.make("ladder"), 0).plan)
@@ -142,6 +176,7 @@ ROOMS = {
     "learning": "policies, paper/ and relational/",
     "settings": "what differs between the settings",
     "audit": "plans checked by python-fcl",
+    "control": "continuous control",
     "envs": "Gymnasium environments",
     "solvers": "search, oracle, baselines",
     "rendering": "pictures off screen",
@@ -226,6 +261,7 @@ PICTURES: dict[str, Callable[[], None]] = {
     ),
     "sixty": draw_sixty,
     "manual": lambda: draw_manual(IMAGES / "manual.webp", width=760),
+    "control": draw_control,
     "rooms": draw_rooms,
 }
 

@@ -44,6 +44,7 @@ class mjtFramebuffer(_Enum):
     mjFB_OFFSCREEN: mjtFramebuffer
 
 class mjtGeom(_Enum):
+    mjGEOM_CYLINDER: mjtGeom
     mjGEOM_LINE: mjtGeom
     mjGEOM_MESH: mjtGeom
     mjGEOM_PLANE: mjtGeom
@@ -122,7 +123,10 @@ class MjVisual:
 class MjsCompiler:
     fitaabb = _Flag()
 
-class MjsGeom: ...
+class MjsGeom:
+    conaffinity: int
+    contype: int
+
 class MjsJoint: ...
 class MjsMesh: ...
 class MjsTexture: ...
@@ -202,6 +206,8 @@ class MjSpec:
     worldbody: MjsBody
     def __init__(self) -> None: ...
     def add_actuator(self, *, name: str = ..., target: str = ...) -> MjsActuator: ...
+    def body(self, name: str, /) -> MjsBody: ...
+    def geom(self, name: str, /) -> MjsGeom: ...
     def add_equality(
         self, *, name: str = ..., name1: str = ..., name2: str = ..., active: bool = ...
     ) -> MjsEquality: ...
@@ -251,6 +257,7 @@ class MjModel:
     eq_obj2id: NDArray[np.int32]
     geom_bodyid: NDArray[np.int32]
     geom_dataid: NDArray[np.int32]
+    geom_friction: NDArray[np.float64]
     geom_rgba: NDArray[np.float32]
     jnt_dofadr: NDArray[np.int32]
     jnt_qposadr: NDArray[np.int32]
@@ -258,6 +265,7 @@ class MjModel:
     mesh_vertadr: NDArray[np.int32]
     mesh_vertnum: NDArray[np.int32]
     nbody: int
+    ngeom: int
     njnt: int
     nv: int
     opt: MjOption

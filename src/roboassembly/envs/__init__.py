@@ -10,9 +10,11 @@ from types import ModuleType
 
 OBJECT_CENTRIC = "RoboAssembly/ObjectCentric-v0"
 FULL = "RoboAssembly/Full-v0"
+CONTROL = "RoboAssembly/Control-v0"
 _ENTRIES = {
     OBJECT_CENTRIC: "roboassembly.envs.object_centric:ObjectCentricEnv",
     FULL: "roboassembly.envs.full:FullEnv",
+    CONTROL: "roboassembly.control.env:ControlEnv",
 }
 
 

@@ -16,7 +16,7 @@ from roboassembly.errors import RoboAssemblyError
 from roboassembly.furniture.model import Furniture
 from roboassembly.geometry.poses import SE3
 from roboassembly.manual.exits import Handling
-from roboassembly.manual.merge_tree import EqualTrees, Halves, MergeTree, Parts, equalised
+from roboassembly.manual.merge_tree import EqualTrees, Halves, MergeTree, Parts, ends_of, equalised
 from roboassembly.planning.problem import Budget
 from roboassembly.solvers.disassembly import Disassembly
 from roboassembly.solvers.forward import planner_seed
@@ -379,21 +379,11 @@ def _planned(
             if not handling.exits.separable(moving, waiting, states):
                 continue
             motions = handling.exits.motions(moving, waiting)
-        action = (*_ends(task.furniture, choice.halves), choice.up)
+        action = (*ends_of(task.furniture, choice.halves), choice.up)
         outcome = task.step(state, action, planner_seed(seed, action), Budget(states=states), motions)
         if outcome.step is not None:
             return outcome.step, outcome.state
     return None
-
-
-def _ends(furniture: Furniture, halves: Halves) -> tuple[int, int, int, int]:
-    """Return `(u, v, k, l)` of the first connection between two halves; all of them dictate the same place."""
-    for c in furniture.connections:
-        if c.part_a in halves.moving and c.part_b in halves.waiting:
-            return c.part_a, c.part_b, c.point_a, c.point_b
-        if c.part_b in halves.moving and c.part_a in halves.waiting:
-            return c.part_b, c.part_a, c.point_b, c.point_a
-    raise AssertionError("halves of a tree touch each other")
 
 
 def _way_out(furniture: Furniture, choice: Choice, step: PlanStep) -> tuple[SE3, ...]:

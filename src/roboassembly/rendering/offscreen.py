@@ -256,7 +256,7 @@ class OffscreenRenderer:
         for index, mesh in enumerate(meshes):
             if mesh not in names:
                 names[mesh] = f"mesh{index}"
-                self._add_mesh(spec, names[mesh], mesh)
+                add_shaded_mesh(spec, names[mesh], mesh, mj)
             body = spec.worldbody.add_body(name=f"part{index}", mocap=True)
             # Without contacts MuJoCo needs no convex hull, which a flat mesh does not have.
             body.add_geom(
@@ -264,24 +264,33 @@ class OffscreenRenderer:
             )
         return spec.compile()
 
-    def _add_mesh(self, spec: Any, name: str, mesh: Mesh) -> None:
-        shaded = shade(mesh)
-        faces = shaded.faces
-        normals = shaded.normals
-        vertices = shaded.vertices
-        if not mesh.is_solid:
-            # Open surfaces are drawn from both sides.
-            faces = np.concatenate([faces, faces[:, ::-1] + len(vertices)])
-            vertices, normals = np.concatenate([vertices, vertices]), np.concatenate([normals, -normals])
-        spec.add_mesh(
-            name=name,
-            uservert=vertices.reshape(-1),
-            userface=faces.reshape(-1).astype(np.int32),
-            usernormal=normals.reshape(-1),
-            userfacenormal=faces.reshape(-1).astype(np.int32),
-            # Other inertia modes refuse meshes that are open, flat or inside out.
-            inertia=self._mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
-        )
+
+def add_shaded_mesh(spec: Any, name: str, mesh: Mesh, mujoco: Any) -> None:
+    """Add a mesh with the normals of its shading to a model that is drawn and not simulated.
+
+    Args:
+        spec: MuJoCo's specification of the model.
+        name: name of the mesh there.
+        mesh: the mesh.
+        mujoco: the module, imported for rendering.
+    """
+    shaded = shade(mesh)
+    faces = shaded.faces
+    normals = shaded.normals
+    vertices = shaded.vertices
+    if not mesh.is_solid:
+        # Open surfaces are drawn from both sides.
+        faces = np.concatenate([faces, faces[:, ::-1] + len(vertices)])
+        vertices, normals = np.concatenate([vertices, vertices]), np.concatenate([normals, -normals])
+    spec.add_mesh(
+        name=name,
+        uservert=vertices.reshape(-1),
+        userface=faces.reshape(-1).astype(np.int32),
+        usernormal=normals.reshape(-1),
+        userfacenormal=faces.reshape(-1).astype(np.int32),
+        # Other inertia modes refuse meshes that are open, flat or inside out.
+        inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
+    )
 
 
 def placements(frames: Sequence[Sequence[SE3 | None]]) -> Float[np.ndarray, "frames n 7"]:

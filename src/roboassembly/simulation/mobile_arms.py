@@ -37,7 +37,7 @@ NAMES = ("x", "y", "turn", *(f"q{i + 1}" for i in range(JOINTS)))
 _PLATFORM_GAINS = (6e5, 6e5, 1.5e5)
 """Stiffness of the platform's drives [N/m, N/m, N·m/rad]."""
 _DAMPING_RATIO = 1.0
-_PAD_FRICTION = [1.0, 0.02, 0.001]
+PAD_FRICTION = [1.0, 0.02, 0.001]
 """Friction of rubber on wood: sliding, torsional [m], rolling [m]."""
 _CLIP = 0.03
 """Half the extent around a grasp of the part's surface that the pads can touch [m]."""
@@ -79,14 +79,14 @@ def model_of(loads: Sequence[Load]) -> mujoco.MjModel:
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     spec.option.impratio = 10.0
     for name in "ab":
-        _add_robot(spec, name)
+        add_robot(spec, name)
     for index, load in enumerate(loads):
         _add_load(spec, f"load{index}", load)
-        _add_weld(spec, f"post{index}", "world", f"load{index}")
+        add_weld(spec, f"post{index}", "world", f"load{index}")
         for name in "ab":
-            _add_weld(spec, f"grip{name}{index}", f"{name}/link{JOINTS}", f"load{index}")
+            add_weld(spec, f"grip{name}{index}", f"{name}/link{JOINTS}", f"load{index}")
     if len(loads) == 2:
-        _add_weld(spec, "joint", "load1", "load0")
+        add_weld(spec, "joint", "load1", "load0")
     if any(load.feet for load in loads):
         spec.worldbody.add_geom(
             name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1], contype=4, conaffinity=8,
@@ -114,7 +114,8 @@ def lag() -> Float[np.ndarray, "10"]:
     return _dampings() / all_gains()
 
 
-def _add_robot(spec: mujoco.MjSpec, name: str) -> None:
+def add_robot(spec: mujoco.MjSpec, name: str) -> None:
+    """Add a robot with its drives, joints and fingers; of its shapes only the fingers."""
     platform = spec.worldbody.add_body(name=f"{name}/platform", gravcomp=1.0)
     platform.explicitinertial = True
     platform.mass = MASS
@@ -151,10 +152,10 @@ def _add_robot(spec: mujoco.MjSpec, name: str) -> None:
         )  # fmt: skip
         mesh_name = f"finger{k}"
         if name == "a":
-            _add_mesh(spec, mesh_name, mesh)
+            add_mesh(spec, mesh_name, mesh)
         finger.add_geom(
             name=f"{name}/finger{k}", type=mujoco.mjtGeom.mjGEOM_MESH, meshname=mesh_name, mass=0.0,
-            contype=1, conaffinity=2, friction=_PAD_FRICTION, condim=4, solref=[0.004, 1.0],
+            contype=1, conaffinity=2, friction=PAD_FRICTION, condim=4, solref=[0.004, 1.0],
         )  # fmt: skip
     _couple(spec, f"{name}/finger0", f"{name}/finger1")
     damping = _dampings()
@@ -196,20 +197,21 @@ def _add_load(spec: mujoco.MjSpec, name: str, load: Load) -> None:
     body.mass, body.ipos = load.mass, load.center
     body.fullinertia = load.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
     for i, mesh in enumerate(load.between_pads):
-        _add_mesh(spec, f"{name}/{i}", mesh)
+        add_mesh(spec, f"{name}/{i}", mesh)
         body.add_geom(
             name=f"{name}/{i}", type=mujoco.mjtGeom.mjGEOM_MESH, meshname=f"{name}/{i}", mass=0.0,
-            contype=2, conaffinity=1, friction=_PAD_FRICTION, condim=4, solref=[0.004, 1.0],
+            contype=2, conaffinity=1, friction=PAD_FRICTION, condim=4, solref=[0.004, 1.0],
         )  # fmt: skip
     for i, mesh in enumerate(load.feet):
-        _add_mesh(spec, f"{name}/foot{i}", mesh)
+        add_mesh(spec, f"{name}/foot{i}", mesh)
         body.add_geom(
             name=f"{name}/foot{i}", type=mujoco.mjtGeom.mjGEOM_MESH, meshname=f"{name}/foot{i}", mass=0.0,
             contype=8, conaffinity=4, friction=FLOOR_FRICTION, condim=6,
         )  # fmt: skip
 
 
-def _add_mesh(spec: mujoco.MjSpec, name: str, mesh: Mesh) -> None:
+def add_mesh(spec: mujoco.MjSpec, name: str, mesh: Mesh) -> None:
+    """Add the convex hull of a mesh."""
     hull = mesh.hull
     spec.add_mesh(
         name=name, uservert=hull.vertices.ravel(), userface=hull.faces.ravel(),
@@ -217,7 +219,8 @@ def _add_mesh(spec: mujoco.MjSpec, name: str, mesh: Mesh) -> None:
     )  # fmt: skip
 
 
-def _add_weld(spec: mujoco.MjSpec, name: str, first: str, second: str) -> None:
+def add_weld(spec: mujoco.MjSpec, name: str, first: str, second: str) -> None:
+    """Add a weld of two bodies, inactive."""
     weld = spec.add_equality(name=name, name1=first, name2=second, active=False)
     weld.type = mujoco.mjtEq.mjEQ_WELD
     weld.objtype = mujoco.mjtObj.mjOBJ_BODY
@@ -234,7 +237,16 @@ def between_pads(mesh: Mesh, frame: SE3, width: float) -> Mesh:
             is left out.
     """
     solid = mesh.trimesh
-    box = trimesh.creation.box([2.0 * _CLIP, width + 2.0 * _BEYOND, 2.0 * _CLIP])
+    box = trimesh.creation.box(grasp_box(width))
     box.apply_transform(frame.homogeneous)
     clipped = trimesh.boolean.intersection([solid, box], engine="manifold")
     return Mesh.from_trimesh(clipped.convex_hull)
+
+
+def grasp_box(width: float) -> list[float]:
+    """Return the sides of the box around a grasp, in the frame of the tips, outside of which pads touch nothing [m].
+
+    Args:
+        width: distance between the pads when they touch [m].
+    """
+    return [2.0 * _CLIP, width + 2.0 * _BEYOND, 2.0 * _CLIP]

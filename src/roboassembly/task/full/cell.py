@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -80,18 +81,39 @@ def initial_layout(furniture: Furniture, rng: np.random.Generator) -> tuple[Cell
         InputError: the furniture does not suit the cell, or a post finds no place beneath a part.
     """
     density = check_size(furniture)
-    hung: list[tuple[Group, Post, float]] = []
+    stands: list[list[Group]] = []
     for index, part in enumerate(furniture.parts):
         rotations, likely = part.mesh.resting_rotations
-        stands: list[Group] = []
+        poses: list[Group] = []
         for rest in rng.choice(len(rotations), size=min(_RESTS, len(rotations)), replace=False, p=likely):
             turn = turn_about_vertical(rng.uniform(-np.pi, np.pi))
             slot = furniture.assembled[index]
             pose = SE3(turn @ rotations[rest], np.zeros(3)) * slot.inverse()
-            stands.append(Group((index,), (index,), (slot,), pose))
-        best = most_open(furniture, stands)
+            poses.append(Group((index,), (index,), (slot,), pose))
+        stands.append(poses)
+    radius, groups, posts = ring_layout(furniture, stands, rng)
+    return Cell(radius, density), groups, posts
+
+
+def ring_layout(
+    furniture: Furniture, stands: Sequence[Sequence[Group]], rng: np.random.Generator
+) -> tuple[float, tuple[Group, ...], tuple[Post, ...]]:
+    """Return the radius of the ring [m], and groups and posts around it in a random order.
+
+    Args:
+        furniture: furniture of the groups.
+        stands: poses in which each group may stand; it stands in the one that leaves most of its grasps open.
+        rng: draws order and angle.
+
+    Raises:
+        InputError: a post finds no place beneath a group.
+    """
+    hung: list[tuple[Group, Post, float]] = []
+    for poses in stands:
+        best = most_open(furniture, poses)
         if best is None:
-            raise InputError(f"{furniture.name}: neither one post nor two can hold part '{part.name}' from below")
+            names = ", ".join(f"'{furniture.parts[part].name}'" for part in poses[0].parts)
+            raise InputError(f"{furniture.name}: neither one post nor two can hold part {names} from below")
         hung.append((*best, reach_from(furniture, *best)))
     order: list[int] = rng.permutation(len(hung)).tolist()
     widths = np.array([hung[i][2] for i in order])
@@ -106,4 +128,4 @@ def initial_layout(furniture: Furniture, rng: np.random.Generator) -> tuple[Cell
         group, post, _ = hung[i]
         groups[i] = group.moved_to(SE3(np.eye(3), shift) * group.world_from_furniture)
         posts[i] = post.moved(shift)
-    return Cell(radius, density), tuple(groups), tuple(posts)
+    return radius, tuple(groups), tuple(posts)

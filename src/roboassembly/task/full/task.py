@@ -79,6 +79,14 @@ class FullOutcome:
         return () if self.step is None else self.step.segments
 
 
+def initial_robots(rng: np.random.Generator) -> tuple[Robot, Robot]:
+    """Return both robots in the middle of the ring, arms folded, turned at random."""
+    a, b = (
+        Robot(np.array([_FROM_MIDDLE * side, 0.0, rng.uniform(-np.pi, np.pi), *TUCKED]), 0.0) for side in (-1.0, 1.0)
+    )
+    return a, b
+
+
 class FullTask:
     """The rules of the full setting for one piece of furniture."""
 
@@ -104,12 +112,8 @@ class FullTask:
         """
         self.check_furniture()
         cell, groups, posts = initial_layout(self.furniture, rng)
-        a, b = (
-            Robot(np.array([_FROM_MIDDLE * side, 0.0, rng.uniform(-np.pi, np.pi), *TUCKED]), 0.0)
-            for side in (-1.0, 1.0)
-        )
         placed = tuple(PlacedGroup(group, post) for group, post in zip(groups, posts, strict=True))
-        return FullState(TaskState(groups), CellState(placed, (a, b)), cell)
+        return FullState(TaskState(groups), CellState(placed, initial_robots(rng)), cell)
 
     def with_frames(self, frames: PartFrames) -> FullTask:
         """Return the task itself: no component of its actions names an axis."""

@@ -1,0 +1,102 @@
+"""Checks of the arguments of `RoboAssembly/Control-v0`; errors name the value and what would do."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, cast, get_args
+
+import numpy as np
+
+from roboassembly.envs.arguments import shortened
+from roboassembly.errors import ArgumentError
+
+TaskName = Literal["merge", "piece"]
+ObservationName = Literal["state", "rgb", "rgbd"]
+RewardName = Literal["sparse", "dense"]
+_LONGEST = 1e6
+"""Largest time limit [s]."""
+
+
+@dataclass(frozen=True)
+class ControlOptions:
+    """Arguments of an environment that stay the same in all its episodes."""
+
+    task: TaskName
+    obs: ObservationName
+    reward: RewardName
+    time_limit: float | None
+    """Time after which an episode is truncated [s]; None for the usual one."""
+    strict: bool
+    """Whether collisions end an episode."""
+    max_parts: int
+
+
+def checked_choice(name: str, value: object, choices: Any) -> None:
+    """Check that an argument is one of the strings of a `Literal`.
+
+    Raises:
+        ArgumentError: it is not.
+    """
+    known: tuple[str, ...] = get_args(choices)
+    if value not in known:
+        raise ArgumentError(f"{name} is {shortened(value)}; expected {', '.join(map(repr, known))}")
+
+
+def checked_time_limit(value: object) -> float | None:
+    """Return a time limit in seconds, or None.
+
+    Raises:
+        TypeError: no number.
+        ArgumentError: not positive, or longer than anybody waits.
+    """
+    if value is None:
+        return None
+    if isinstance(value, np.generic):
+        value = cast("np.generic[Any]", value).item()
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise TypeError(f"time_limit is {shortened(value)}; expected a number of seconds, or None for 120 s a merge")
+    if not 0.0 < float(value) <= _LONGEST:
+        raise ArgumentError(f"time_limit is {shortened(value)}; expected more than 0 and at most {_LONGEST:g} seconds")
+    return float(value)
+
+
+def checked_options(options: object, merges: Sequence[int], task: TaskName) -> tuple[int | None, int | None]:
+    """Return the indices of piece and merge in the options of `reset`; None for what they do not name.
+
+    Args:
+        options: options from the user.
+        merges: number of merges of each piece.
+        task: task of the environment.
+
+    Raises:
+        TypeError: the options are no dictionary.
+        ArgumentError: an unknown option, no such piece or no such merge.
+    """
+    if options is None:
+        return None, None
+    if not isinstance(options, Mapping):
+        raise TypeError(f"options is {shortened(options)}; expected a dictionary such as {{'furniture': 0}}")
+    named = cast("Mapping[object, object]", options)
+    for name, value in named.items():
+        if name not in ("furniture", "merge"):
+            raise ArgumentError(
+                f"unknown reset option {name!r} (its value is {shortened(value)}); known: 'furniture', 'merge'"
+            )
+    piece = _checked_index(named, "furniture", len(merges))
+    if named.get("merge") is not None and task != "merge":
+        raise ArgumentError(f"options['merge'] is {shortened(named['merge'])}; only task='merge' takes it")
+    if named.get("merge") is not None and piece is None and len(merges) > 1:
+        raise ArgumentError("options['merge'] needs options['furniture'] where there are several pieces")
+    return piece, _checked_index(named, "merge", merges[piece or 0])
+
+
+def _checked_index(named: Mapping[object, object], name: str, count: int) -> int | None:
+    index = named.get(name)
+    if index is None:
+        return None
+    if isinstance(index, np.generic):
+        index = cast("np.generic[Any]", index).item()
+    if isinstance(index, bool) or not isinstance(index, int) or not 0 <= index < count:
+        raise ArgumentError(f"options[{name!r}] is {shortened(index)}; expected an index from 0 to {count - 1}")
+    return index
