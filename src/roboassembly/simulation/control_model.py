@@ -18,9 +18,9 @@ from roboassembly.geometry.poses import SE3
 from roboassembly.geometry.scene import Shape
 from roboassembly.robots.body import hand_links, links
 from roboassembly.robots.kinematics import JOINTS
+from roboassembly.robots.timing import TICK as TIME_STEP
 from roboassembly.simulation.mobile_arms import PAD_FRICTION, add_mesh, add_robot, add_weld
 from roboassembly.simulation.model import FLOOR_FRICTION, rotation_to_quaternion
-from roboassembly.simulation.pacing import TIME_STEP
 
 _FINGERS, _LINKS = (1, 2), (4, 8)
 """Bits of the fingers and of the other links of robots 0 and 1."""

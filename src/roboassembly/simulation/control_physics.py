@@ -17,9 +17,9 @@ from jaxtyping import Float
 from roboassembly.geometry.poses import SE3, from_quaternion
 from roboassembly.robots.gripper import MAX_OPENING
 from roboassembly.robots.kinematics import JOINTS, arm
+from roboassembly.robots.timing import TICK as TIME_STEP
 from roboassembly.simulation.control_model import CellBody, CellContents, PhysicsScales, body_of_geom, model_of_cell
 from roboassembly.simulation.mobile_arms import GRIP_FORCE, lag
-from roboassembly.simulation.pacing import TIME_STEP
 
 CONTROL_RATE = 20
 """Commands per second [1/s]."""
