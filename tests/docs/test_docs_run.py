@@ -172,7 +172,8 @@ def test_pages_run_to_the_letter(page: str, as_built) -> None:
 MODULES = {
     "jax": "jax", "optax": "optax", "tensorboardx": "tensorboardX", "matplotlib": "matplotlib", "minari": "minari",
     "pybullet": "pybullet", "python-fcl": "fcl", "roboplan-core": "roboplan", "roboplan-rrt": "roboplan",
-    "sb3-contrib": "sb3_contrib", "ray": "ray",
+    "sb3-contrib": "sb3_contrib", "ray": "ray", "cascadio": "cascadio", "mcap": "mcap",
+    "mcap-ros2-support": "mcap_ros2", "usd-core": "pxr", "franky-control": "franky", "franky-sim": "franky_sim",
 }  # fmt: skip
 """Packages of the extras, and the modules they provide."""
 WITHOUT = """
@@ -204,6 +205,7 @@ def test_commands_run_on_the_package_alone(clone: Path, as_built) -> None:
     lines = (
         "generate three_legged --seed 3 --out made",
         "assemble made --no-film --out played",
+        "manual played/plan.json --out printed",
         "import folder my_files --out mine --jobs 1",
         "export mjcf made --out exported",
         "dataset show chairs-24",

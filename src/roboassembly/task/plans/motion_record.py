@@ -107,12 +107,7 @@ def decode_motions(content: bytes, where: str) -> MotionRecord:
     Raises:
         InputError: it is no plan of two robots of the present version, or a motion is not valid.
     """
-    script = plan_file.decode(content, where)
-    if script.setting != "full":
-        raise InputError(
-            f"'{where}' is a plan of setting '{script.setting}', which moves no robots; "
-            "expected one that `roboassembly assemble --setting full` writes"
-        )
+    plan_file.decode_with_robots(content, where)
     try:
         file = msgspec.json.decode(content, type=_File)
     except msgspec.DecodeError as error:

@@ -277,6 +277,25 @@ def decode(content: bytes, where: str) -> Script:
     return Script(header.furniture.name, tuple(header.furniture.parts), header.setting, header.seed, actions)
 
 
+def decode_with_robots(content: bytes, where: str) -> Script:
+    """Read the content of a plan of two robots.
+
+    Args:
+        content: as in `decode`.
+        where: as in `decode`.
+
+    Raises:
+        InputError: as `decode`, or the plan moves no robots.
+    """
+    script = decode(content, where)
+    if script.setting != "full":
+        raise InputError(
+            f"'{where}' is a plan of setting '{script.setting}', which moves no robots; "
+            "expected one that `roboassembly assemble --setting full` writes"
+        )
+    return script
+
+
 def _step(step: PlanStep) -> _Step:
     return _Step(
         list(step.action),
