@@ -48,6 +48,7 @@ def merge() -> BenchMerge:
     return list(merges_of(chair, 0))[3]
 
 
+@pytest.mark.slow
 def test_the_report_has_its_keys_and_is_json() -> None:
     out = json.loads(json.dumps(quick_report().to_json(), allow_nan=False))
     assert {

@@ -115,6 +115,7 @@ def test_sets_have_no_piece_in_common() -> None:
     assert all(before[1] < after[0] for before, after in pairwise(reach))
 
 
+@pytest.mark.slow
 def test_versions_stay_on_one_side_of_the_split(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Two versions each of four chairs: divided by source chair, and beside that version by version."""
     into(monkeypatch, tmp_path)
@@ -159,6 +160,7 @@ def test_sets_without_versions_cannot_be_divided_by_version(tiny: Recipe) -> Non
         furniture_refs(f"{tiny.name}:test-by-version")
 
 
+@pytest.mark.slow
 def test_patient_play_gets_stuck_only_in_true_dead_ends() -> None:
     """Two slats between two posts: whoever joins the posts by one slat has shut out the other."""
     task = ObjectCentricTask(catalogue.make("ladder"))

@@ -157,6 +157,7 @@ def test_table_whose_parts_touch(run: Run, tmp_path: Path) -> None:
     assert run("assemble", tmp_path / "a", "--no-film", "--out", tmp_path / "b")[0] == 0
 
 
+@pytest.mark.slow
 def test_more_parts_than_in_the_paper(run: Run, tmp_path: Path) -> None:
     source = tmp_path / "wall"
     source.mkdir()

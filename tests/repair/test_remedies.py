@@ -180,6 +180,7 @@ def test_a_panel_does_not_move_where_it_would_overlap_as_much(monkeypatch: pytes
     assert str(error.value) == without
 
 
+@pytest.mark.slow
 def test_thin_wires_keep_their_triangles(monkeypatch: pytest.MonkeyPatch) -> None:
     # A frame with 20 round bars of 1.2 mm, bent like a wave. With 800 triangles it could only be wrapped, 1.1 mm off.
     frame = block((0.0, 0.0, 0.0), (0.3, 0.3, 0.02)) - block((0.02, 0.02, -0.01), (0.28, 0.28, 0.03))

@@ -167,6 +167,7 @@ def test_an_agent_that_is_shown_an_assembly_has_finished_once() -> None:
         at = buffer.merges[at][action]
 
 
+@pytest.mark.slow
 def test_what_fails_of_a_demonstration_is_tried_in_other_ways() -> None:
     buffer, shown = _buffer_and_demonstration()
     n = len(buffer.inputs.part)

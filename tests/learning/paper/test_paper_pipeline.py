@@ -52,6 +52,7 @@ def test_a_chair_taught_by_its_expert_is_finished_from_new_starts(tmp_path: Path
     assert [run_episode(policy, furniture, seed).success for seed in range(500, 510)].count(True) >= 9
 
 
+@pytest.mark.slow
 def test_the_papers_policy_is_trained_on_folders_of_samples(tmp_path: Path, run: Run) -> None:
     list(collect(["cantilever:1"], tmp_path / "samples", episodes=1, seed=0, jobs=1))
     extractor = _random_extractor(tmp_path / "autoencoder.npz")

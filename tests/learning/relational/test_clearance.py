@@ -95,6 +95,7 @@ def test_features_of_a_grasp_by_hand() -> None:
         assert far[2] > 0.99
 
 
+@pytest.mark.slow
 def test_pairs_without_clearance_cannot_mate() -> None:
     task = FullTask(catalogue.make("panel", 13))
     clouds = np.array([surface_points(p.mesh, 2048) for p in task.furniture.parts], np.float32)
