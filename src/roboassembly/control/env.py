@@ -10,7 +10,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 from gymnasium import spaces
-from gymnasium.error import ResetNeeded, UnsupportedMode
+from gymnasium.error import ResetNeeded
 from jaxtyping import UInt8
 
 from roboassembly.control.arguments import (
@@ -32,7 +32,7 @@ from roboassembly.control.randomization import NONE, Randomization, Variation
 from roboassembly.control.reward import NextMerge
 from roboassembly.control.starts import MergeTask, goal_pose, merge_tasks, shifted, start_of_merge
 from roboassembly.datasets import catalogue
-from roboassembly.envs.arguments import checked_integer, shortened
+from roboassembly.envs.arguments import RGB_ARRAY, checked_integer, checked_render_mode, may_render, shortened
 from roboassembly.envs.assembly import FurnitureLike, pieces_of, reward_of
 from roboassembly.errors import ArgumentError
 from roboassembly.furniture.model import MOST_PARTS, PAPER_PARTS
@@ -115,7 +115,7 @@ class ControlEnv(gymnasium.Env[Observation, np.ndarray]):
         gymnasium.error.UnsupportedMode: an unknown render mode.
     """
 
-    metadata = {"render_modes": ["rgb_array"], "render_fps": CONTROL_RATE}  # noqa: RUF012 (Gymnasium's own form)
+    metadata = {"render_modes": [RGB_ARRAY], "render_fps": CONTROL_RATE}  # noqa: RUF012 (Gymnasium's own form)
 
     def __init__(
         self,
@@ -144,8 +144,6 @@ class ControlEnv(gymnasium.Env[Observation, np.ndarray]):
         """Turns actions into commands and back."""
         names = checked_cameras(cameras, camera_width, camera_height)
         max_parts = checked_integer("max_parts", max_parts, 1, MOST_PARTS)
-        if render_mode is not None and render_mode not in self.metadata["render_modes"]:
-            raise UnsupportedMode(f"render_mode is {render_mode!r}; expected 'rgb_array' or None")
         if randomization is not None and not isinstance(randomization, Randomization):  # pyright: ignore[reportUnnecessaryIsInstance]
             raise TypeError(f"randomization is {shortened(randomization)}; expected a Randomization or None")
         check_size(width, height)
@@ -158,7 +156,7 @@ class ControlEnv(gymnasium.Env[Observation, np.ndarray]):
                 )
         self._options = ControlOptions(task, obs, reward, checked_time_limit(time_limit), strict, max_parts)
         self._ranges = randomization or NONE
-        self.render_mode = render_mode
+        self.render_mode = checked_render_mode(render_mode)
         self._pictures = EpisodeCameras(
             PictureConfig(names, camera_width, camera_height, obs == "rgbd", segmentation, width, height)
         )
@@ -347,11 +345,7 @@ class ControlEnv(gymnasium.Env[Observation, np.ndarray]):
             gymnasium.error.ResetNeeded: before the first `reset`.
             RenderingUnavailableError: this machine cannot draw off screen; the message says what to install.
         """
-        if self.render_mode is None:
-            gymnasium.logger.warn(
-                "render() was called, but the environment was made without a render mode; "
-                'pass one to gymnasium.make(..., render_mode="rgb_array")'
-            )
+        if not may_render(self.render_mode):
             return None
         return self._pictures.render(self.cell)
 

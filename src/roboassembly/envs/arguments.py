@@ -5,11 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, TypeGuard, cast
 
+import gymnasium
 import numpy as np
-from gymnasium.error import InvalidAction
+from gymnasium.error import InvalidAction, UnsupportedMode
 
 from roboassembly.errors import ArgumentError
 
+RGB_ARRAY = "rgb_array"
+"""Render mode of the environments."""
 _MAX_LENGTH = 80
 """Number of characters of a value that an error shows."""
 
@@ -67,6 +70,27 @@ def checked_integer(name: str, value: object, low: int, high: int) -> int:
     if not low <= value <= high:
         raise ArgumentError(f"{name} is {value}; expected {expected}")
     return int(value)
+
+
+def checked_render_mode(render_mode: str | None) -> str | None:
+    """Return a render mode of an environment of this package.
+
+    Raises:
+        gymnasium.error.UnsupportedMode: another one than `"rgb_array"` or None.
+    """
+    if render_mode not in (None, RGB_ARRAY):
+        raise UnsupportedMode(f"render_mode is {render_mode!r}; expected '{RGB_ARRAY}' or None")
+    return render_mode
+
+
+def may_render(render_mode: str | None) -> bool:
+    """Return whether an environment has a render mode, and warn as Gymnasium does if it has none."""
+    if render_mode is None:
+        gymnasium.logger.warn(
+            "render() was called, but the environment was made without a render mode; "
+            f'pass one to gymnasium.make(..., render_mode="{RGB_ARRAY}")'
+        )
+    return render_mode is not None
 
 
 def checked_piece(options: object, pieces: int) -> int | None:

@@ -9,11 +9,19 @@ from typing import Any, ClassVar, Generic, NoReturn, TypeVar, cast
 import gymnasium
 import numpy as np
 from gymnasium import spaces
-from gymnasium.error import ResetNeeded, UnsupportedMode
+from gymnasium.error import ResetNeeded
 from jaxtyping import Bool, UInt8
 
 from roboassembly.datasets import catalogue
-from roboassembly.envs.arguments import checked_action, checked_integer, checked_piece, shortened
+from roboassembly.envs.arguments import (
+    RGB_ARRAY,
+    checked_action,
+    checked_integer,
+    checked_piece,
+    checked_render_mode,
+    may_render,
+    shortened,
+)  # fmt: skip
 from roboassembly.envs.observation import Observation, ObservationConfig, Observer, observation_space
 from roboassembly.envs.pictures import EpisodePictures, Item
 from roboassembly.errors import ArgumentError
@@ -54,7 +62,7 @@ class AssemblyEnv(gymnasium.Env[Observation, np.ndarray], Generic[ATask, State, 
         gymnasium.error.UnsupportedMode: an unknown render mode.
     """
 
-    metadata = {"render_modes": ["rgb_array"], "render_fps": 2}  # noqa: RUF012 (Gymnasium's own form)
+    metadata = {"render_modes": [RGB_ARRAY], "render_fps": 2}  # noqa: RUF012 (Gymnasium's own form)
     components: ClassVar[tuple[str, ...]]
     """Names of an action's components."""
 
@@ -65,11 +73,9 @@ class AssemblyEnv(gymnasium.Env[Observation, np.ndarray], Generic[ATask, State, 
         max_parts = checked_integer("max_parts", max_parts, 1, MOST_PARTS)
         max_points = checked_integer("max_points", max_points, 1, MOST_PARTS)
         cloud_points = checked_integer("cloud_points", cloud_points, 1, LARGEST_CLOUD)
-        if render_mode is not None and render_mode not in self.metadata["render_modes"]:
-            raise UnsupportedMode(f"render_mode is {render_mode!r}; expected 'rgb_array' or None")
         for task in tasks:
             _check_padding(task.furniture, max_parts, max_points)
-        self.render_mode = render_mode
+        self.render_mode = checked_render_mode(render_mode)
         self.tasks = list(tasks)
         self._padding = (max_parts, max_points)
         self._cloud_points, self._observes = cloud_points, observes
@@ -161,11 +167,7 @@ class AssemblyEnv(gymnasium.Env[Observation, np.ndarray], Generic[ATask, State, 
             gymnasium.error.ResetNeeded: before the first `reset`.
             RenderingUnavailableError: this machine cannot draw off screen; the message says what to install.
         """
-        if self.render_mode is None:
-            gymnasium.logger.warn(
-                "render() was called, but the environment was made without a render mode; "
-                'pass one to gymnasium.make(..., render_mode="rgb_array")'
-            )
+        if not may_render(self.render_mode):
             return None
         _ = self.state
         return self._pictures.draw(self._items())
