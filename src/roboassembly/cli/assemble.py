@@ -153,14 +153,15 @@ class AssembleCommand:
         policy = load_policy(self.policy, self.seed)
         check_setting(policy, self.setting, NO_POLICY)
         if self.search:
-            guided = partial(solver, seed=self.seed, guide=guide_of(policy))
-            return (
-                guided
-                if self.policy != SHIPPED_POLICY
-                else lambda furniture: (
-                    guided(furniture) if len(furniture.parts) <= MOST_GUIDED else self._alone(solver, furniture)
-                )
-            )
+            guide = guide_of(policy)
+
+            def search(furniture: Furniture) -> SearchResult[Any]:
+                if self.policy == SHIPPED_POLICY and len(furniture.parts) > MOST_GUIDED:
+                    say(f"the policy {self.policy} is for up to {MOST_GUIDED} parts; the search goes without it")
+                    return solver(furniture, seed=self.seed)
+                return solver(furniture, seed=self.seed, guide=guide)
+
+            return search
         from roboassembly.evaluation.rollout import rollout_policy
 
         def run_policy(furniture: Furniture) -> SearchResult[Any]:
@@ -178,10 +179,6 @@ class AssembleCommand:
             )
 
         return run_policy
-
-    def _alone(self, solver: Callable[..., SearchResult[Any]], furniture: Furniture) -> SearchResult[Any]:
-        say(f"the policy {self.policy} is for up to {MOST_GUIDED} parts; the search goes without it")
-        return solver(furniture, seed=self.seed)
 
     def _executed(self, plan: FullPlan) -> dict[str, Any]:
         """Execute a plan in physics and return the report."""

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, cast, get_args
 
 import numpy as np
 
-from roboassembly.envs.arguments import shortened
+from roboassembly.envs.arguments import checked_index, reset_options, shortened
 from roboassembly.errors import ArgumentError
 
 TaskName = Literal["merge", "piece"]
@@ -73,30 +73,10 @@ def checked_options(options: object, merges: Sequence[int], task: TaskName) -> t
         TypeError: the options are no dictionary.
         ArgumentError: an unknown option, no such piece or no such merge.
     """
-    if options is None:
-        return None, None
-    if not isinstance(options, Mapping):
-        raise TypeError(f"options is {shortened(options)}; expected a dictionary such as {{'furniture': 0}}")
-    named = cast("Mapping[object, object]", options)
-    for name, value in named.items():
-        if name not in ("furniture", "merge"):
-            raise ArgumentError(
-                f"unknown reset option {name!r} (its value is {shortened(value)}); known: 'furniture', 'merge'"
-            )
-    piece = _checked_index(named, "furniture", len(merges))
+    named = reset_options(options, ("furniture", "merge"))
+    piece = checked_index(named, "furniture", len(merges))
     if named.get("merge") is not None and task != "merge":
         raise ArgumentError(f"options['merge'] is {shortened(named['merge'])}; only task='merge' takes it")
     if named.get("merge") is not None and piece is None and len(merges) > 1:
         raise ArgumentError("options['merge'] needs options['furniture'] where there are several pieces")
-    return piece, _checked_index(named, "merge", merges[piece or 0])
-
-
-def _checked_index(named: Mapping[object, object], name: str, count: int) -> int | None:
-    index = named.get(name)
-    if index is None:
-        return None
-    if isinstance(index, np.generic):
-        index = cast("np.generic[Any]", index).item()
-    if isinstance(index, bool) or not isinstance(index, int) or not 0 <= index < count:
-        raise ArgumentError(f"options[{name!r}] is {shortened(index)}; expected an index from 0 to {count - 1}")
-    return index
+    return piece, checked_index(named, "merge", merges[piece or 0])

@@ -100,19 +100,40 @@ def checked_piece(options: object, pieces: int) -> int | None:
         TypeError: the options are no dictionary.
         ArgumentError: an unknown option, or no such piece.
     """
+    return checked_index(reset_options(options, ("furniture",)), "furniture", pieces)
+
+
+def reset_options(options: object, known: Sequence[str]) -> Mapping[object, object]:
+    """Return the options of `reset` as a mapping; an empty one if there are none.
+
+    Raises:
+        TypeError: the options are no dictionary.
+        ArgumentError: an option that is not among the known ones.
+    """
     if options is None:
-        return None
+        return {}
     if not isinstance(options, Mapping):
         raise TypeError(f"options is {shortened(options)}; expected a dictionary such as {{'furniture': 0}}")
     named = cast("Mapping[object, object]", options)
     for name, value in named.items():
-        if name != "furniture":
-            raise ArgumentError(f"unknown reset option {name!r} (its value is {shortened(value)}); known: 'furniture'")
-    index = named.get("furniture")
+        if name not in known:
+            raise ArgumentError(
+                f"unknown reset option {name!r} (its value is {shortened(value)}); known: {', '.join(map(repr, known))}"
+            )
+    return named
+
+
+def checked_index(named: Mapping[object, object], name: str, count: int) -> int | None:
+    """Return an option of `reset` that is an index; None if it is not there.
+
+    Raises:
+        ArgumentError: no integer from 0 to `count` - 1.
+    """
+    index = named.get(name)
     if index is None:
         return None
-    if not _is_integer(index) or not 0 <= index < pieces:
-        raise ArgumentError(f"options['furniture'] is {shortened(index)}; expected an index from 0 to {pieces - 1}")
+    if not _is_integer(index) or not 0 <= index < count:
+        raise ArgumentError(f"options[{name!r}] is {shortened(index)}; expected an index from 0 to {count - 1}")
     return int(index)
 
 

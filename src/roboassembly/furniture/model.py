@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -280,6 +281,17 @@ class Furniture:
             out[c.part_a].add(c.part_b)
             out[c.part_b].add(c.part_a)
         return tuple(frozenset(s) for s in out)
+
+    def joints_between(
+        self, first: Collection[int], second: Collection[int]
+    ) -> Iterator[tuple[tuple[int, int], tuple[int, int]]]:
+        """Yield the `(part, point)` ends of each connection of two sets of slots, that of the first set first."""
+        for c in self.connections:
+            a, b = (c.part_a, c.point_a), (c.part_b, c.point_b)
+            if c.part_a in first and c.part_b in second:
+                yield a, b
+            elif c.part_b in first and c.part_a in second:
+                yield b, a
 
     @cached_property
     def mate_of(self) -> dict[tuple[int, int], tuple[int, int]]:

@@ -35,7 +35,6 @@ class Handling:
         self.furniture = furniture
         self.disassembly = Disassembly(furniture, lambda: False)
         self.exits = ExitPlanner(Rules(furniture), self.disassembly.graphs, seed)
-        self._directions: dict[Halves, Float[np.ndarray, "n 3"]] = {}
         self._tipping: dict[tuple[Parts, int], float] = {}
         self._surfaces: dict[Parts, float] = {}
         self._hull_sides: dict[Parts, Float[np.ndarray, "n 3"]] = {}
@@ -47,18 +46,7 @@ class Handling:
 
     def directions(self, halves: Halves) -> Float[np.ndarray, "n 3"]:
         """Return the directions along which the moving half leaves the other one straight, furniture frame."""
-        if halves not in self._directions:
-            graphs = self.disassembly.graphs
-            self._directions[halves] = np.array(
-                [
-                    d
-                    for index, d in enumerate(graphs.directions)
-                    if not any(graphs.arcs[index][p] & halves.waiting for p in halves.moving)
-                    and graphs.leaves(halves.moving, halves.waiting, index)
-                ]
-            ).reshape(-1, 3)
-            self._directions[halves.swapped] = -self._directions[halves]
-        return self._directions[halves]
+        return self.disassembly.graphs.straight_exits(halves.moving, halves.waiting)
 
     def points(self, parts: Parts) -> Float[np.ndarray, "n 3"]:
         """Return the corners of the parts' hulls, furniture frame [m]."""

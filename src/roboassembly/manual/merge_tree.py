@@ -156,9 +156,5 @@ def _build_alike(tree: MergeTree, original: dict[Parts, Parts], node: Parts, slo
 
 def ends_of(furniture: Furniture, halves: Halves) -> tuple[int, int, int, int]:
     """Return `(u, v, k, l)` of the first connection between two halves; all of them dictate the same place."""
-    for c in furniture.connections:
-        if c.part_a in halves.moving and c.part_b in halves.waiting:
-            return c.part_a, c.part_b, c.point_a, c.point_b
-        if c.part_b in halves.moving and c.part_a in halves.waiting:
-            return c.part_b, c.part_a, c.point_b, c.point_a
-    raise AssertionError("halves of a tree touch each other")
+    (u, k), (v, l) = next(furniture.joints_between(halves.moving, halves.waiting))  # noqa: E741
+    return u, v, k, l

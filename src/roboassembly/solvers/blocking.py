@@ -43,6 +43,7 @@ class BlockingGraphs:
         self._worlds: dict[tuple[int, int], CollisionWorld] = {}
         self._known_candidates: dict[int, list[tuple[int, int]]] = {}
         self._clear_of: dict[tuple[int, int], tuple[Bool[np.ndarray, "n"], Bool[np.ndarray, "n"]]] = {}
+        self._exits: dict[tuple[Parts, Parts], Float[np.ndarray, "n 3"]] = {}
         self._lowest: dict[Parts, Float[np.ndarray, "6"]] = {}
 
     @cached_property
@@ -164,6 +165,19 @@ class BlockingGraphs:
     def _arcs(self) -> list[list[int]]:
         """`arcs` as bit masks of the parts that would be hit."""
         return [[_mask(arcs[p]) for p in range(len(self._furniture.parts))] for arcs in self.arcs]
+
+    def straight_exits(self, moving: Parts, still: Parts) -> Float[np.ndarray, "n 3"]:
+        """Return those of `directions` in which `moving` can move straight and completely out of `still`."""
+        key = (moving, still)
+        if key not in self._exits:
+            found = [
+                d
+                for index, (d, arcs) in enumerate(zip(self.directions, self.arcs, strict=True))
+                if not any(arcs[p] & still for p in moving) and self.leaves(moving, still, index)
+            ]
+            self._exits[key] = np.array(found).reshape(-1, 3)
+            self._exits[still, moving] = -self._exits[key]
+        return self._exits[key]
 
     def leaves(self, moving: frozenset[int], still: frozenset[int], direction: int) -> bool:
         """Return whether `moving` can move straight out of `still`, all the way, along one of `directions`.

@@ -44,17 +44,13 @@ class HandOracle(Oracle):
         """Return whether R_a can bring `moving` to `waiting`, which R_b holds; six equal values."""
         key = (moving, waiting)
         if key not in self._joinable:
-            self._joinable[key] = len(self.exits(moving, waiting)) > 0 and self._grippers_join(moving, waiting)
+            self._joinable[key] = len(self.graphs.straight_exits(moving, waiting)) > 0 and self._grippers_join(
+                moving, waiting
+            )
         return np.full(len(UP_AXES), self._joinable[key])
 
     def _grippers_join(self, moving: Parts, waiting: Parts) -> bool:
-        pairs: list[tuple[End, End]] = []
-        for c in self.furniture.connections:
-            a, b = (c.part_a, c.point_a), (c.part_b, c.point_b)
-            if c.part_a in moving and c.part_b in waiting:
-                pairs.append((a, b))
-            elif c.part_b in moving and c.part_a in waiting:
-                pairs.append((b, a))
+        pairs = list(self.furniture.joints_between(moving, waiting))
         state = TaskState((self._group(moving), self._group(waiting)))
         if any(self._same_grasps_join(state, u_end, v_end) for u_end, v_end in pairs):
             return True

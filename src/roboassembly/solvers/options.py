@@ -49,12 +49,7 @@ def ends(
         staying: slots of the staying group in `assigned`.
     """
     group_in = {slot: index for index, g in enumerate(assigned.groups) for slot in g.slots}
-    for c in furniture.connections:
-        a, b = (c.part_a, c.point_a), (c.part_b, c.point_b)
-        if c.part_a in staying and c.part_b in leaving:
-            a, b = b, a
-        elif not (c.part_a in leaving and c.part_b in staying):
-            continue
+    for a, b in furniture.joints_between(leaving, staying):
         leaving_end, staying_end = (
             point_at_slot(furniture, state.groups[group_in[end[0]]], assigned.groups[group_in[end[0]]], end)
             for end in (a, b)

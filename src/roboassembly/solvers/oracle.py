@@ -62,7 +62,6 @@ class Oracle:
         self.task = task
         self.furniture = task.furniture
         self.graphs = BlockingGraphs(task.furniture)
-        self._exits: dict[tuple[Parts, Parts], Float[np.ndarray, "n 3"]] = {}
         self._solvable: dict[frozenset[Parts], bool] = {}
 
     @property
@@ -135,25 +134,12 @@ class Oracle:
 
     def feasible_w(self, moving: Parts, waiting: Parts) -> Bool[np.ndarray, "6"]:
         """Return for each `w` whether `moving` can reach `waiting` along a straight line above the ground."""
-        exits = self.exits(moving, waiting)
+        exits = self.graphs.straight_exits(moving, waiting)
         if not len(exits):
             return np.zeros(6, bool)
         rises = (exits @ UP_AXES.T).max(axis=0)
         margin = self.graphs.lowest(moving) - self.graphs.lowest(waiting)
         return (margin > -_SINK) & (rises > _LEAST_RISE) & ((rises > -0.02) | (margin > 0.3))
-
-    def exits(self, moving: Parts, waiting: Parts) -> Float[np.ndarray, "n 3"]:
-        """Return the directions in which `moving` can move straight and completely out of `waiting`."""
-        key = (moving, waiting)
-        if key not in self._exits:
-            found = [
-                d
-                for index, (d, arcs) in enumerate(zip(self.graphs.directions, self.graphs.arcs, strict=True))
-                if not any(arcs[p] & waiting for p in moving) and self.graphs.leaves(moving, waiting, index)
-            ]
-            self._exits[key] = np.array(found).reshape(-1, 3)
-            self._exits[waiting, moving] = -self._exits[key]
-        return self._exits[key]
 
     def solvable(self, partition: frozenset[Parts]) -> bool:
         """Return whether the groups of a partition can be joined into one with straight exits."""
