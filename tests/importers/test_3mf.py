@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from archives import with_members_before_the_start
 from model_files import box
 from roboassembly.errors import FurnitureError
 from roboassembly.importers import folder, threemf
@@ -174,6 +175,13 @@ def test_files_that_are_no_archives(tmp_path: Path) -> None:
         archive.writestr("a.txt", "x")
     with pytest.raises(FurnitureError, match=r"its archive has no '3d/3dmodel.model'"):
         folder.read(tmp_path / "y.3mf")
+
+
+def test_archive_whose_members_lie_before_its_start(tmp_path: Path) -> None:
+    whole = write(tmp_path / "whole.3mf", model(LEG + TOP, item(1) + item(2))).read_bytes()
+    (tmp_path / "x.3mf").write_bytes(with_members_before_the_start(whole))
+    with pytest.raises(FurnitureError, match=r"x.3mf' cannot be read as 3MF: .*cannot be unpacked"):
+        folder.read(tmp_path / "x.3mf")
 
 
 def test_archive_that_unpacks_to_gigabytes_is_refused(tmp_path: Path) -> None:

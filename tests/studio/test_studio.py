@@ -16,6 +16,7 @@ import pytest
 from viser import _messages
 
 import shapes
+from archives import with_members_before_the_start
 from plans import plan_digest
 from roboassembly.audit.object_centric import audit_plan
 from roboassembly.datasets import catalogue
@@ -247,8 +248,13 @@ def test_only_the_last_component_of_a_name_counts(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "content", [b"", b"PK\x03\x04nonsense", b"\0" * 100, zipped({"a.stl": b"solid"})[:-30]], ids=range(4)
-)
+    "content",
+    [
+        b"", b"PK\x03\x04nonsense", b"\0" * 100, zipped({"a.stl": b"solid"})[:-30],
+        with_members_before_the_start(zipped({"a.stl": b"solid"})),
+    ],
+    ids=range(5),
+)  # fmt: skip
 def test_broken_archives_give_one_line(content, tmp_path):
     with pytest.raises(InputError, match="not a readable ZIP archive"):
         unpack("a.zip", content, tmp_path)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import stat
 import xml.etree.ElementTree as ElementTree
+import zipfile
+import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TypeVar
@@ -22,6 +24,11 @@ MAX_ENTRIES = 500_000
 """Largest number of files and folders below a source folder."""
 MAX_DEPTH = 64
 """Largest nesting depth of XML elements."""
+
+ARCHIVE_ERRORS = (
+    zipfile.BadZipFile, zlib.error, NotImplementedError, RuntimeError, EOFError, OSError, ValueError,
+)  # fmt: skip
+"""Errors of opening and unpacking a ZIP archive that is damaged, encrypted or something else."""
 
 _T = TypeVar("_T")
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import re
 import zipfile
-import zlib
 from array import array
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -24,7 +23,7 @@ from roboassembly.errors import FurnitureError
 from roboassembly.furniture.triangles import NamedTriangles, Triangles
 from roboassembly.geometry.meshes import MAX_FACES
 from roboassembly.geometry.units import METRES, NAMES, Unit
-from roboassembly.importers.files import MAX_BYTES, one_line, read_bytes
+from roboassembly.importers.files import ARCHIVE_ERRORS, MAX_BYTES, one_line, read_bytes
 from roboassembly.importers.scene import FileScene, Node, given_name, part_names
 
 MAX_INSTANCES = 20_000
@@ -161,7 +160,7 @@ class _Archive:
     def __init__(self, data: bytes) -> None:
         try:
             self._zip = zipfile.ZipFile(BytesIO(data))
-        except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError) as problem:
+        except ARCHIVE_ERRORS as problem:
             raise FurnitureError(f"it is no ZIP archive ({one_line(str(problem))}); export it again") from None
         # Some programs write names with backslashes, or with another case.
         self._names = {name.replace("\\", "/").lstrip("/").lower(): name for name in self._zip.namelist()}
@@ -198,7 +197,7 @@ class _Archive:
             with self._zip.open(self._names[key]) as packed:
                 # The sizes that an archive states may be wrong.
                 content = packed.read(self._left + 1)
-        except (zipfile.BadZipFile, zlib.error, NotImplementedError, RuntimeError, EOFError, OSError) as problem:
+        except ARCHIVE_ERRORS as problem:
             raise FurnitureError(f"'{one_line(key, 80)}' cannot be unpacked: {one_line(str(problem))}") from None
         self._left -= len(content)
         if self._left < 0:

@@ -5,12 +5,12 @@ from __future__ import annotations
 import stat
 import tempfile
 import zipfile
-import zlib
 from io import BytesIO
 from pathlib import Path, PurePosixPath
 
 from roboassembly.errors import FurnitureError, InputError
 from roboassembly.furniture.model import Furniture
+from roboassembly.importers.files import ARCHIVE_ERRORS
 from roboassembly.studio.config import LARGEST_UPLOAD
 from roboassembly.studio.sources import open_path
 
@@ -49,7 +49,7 @@ def unpack(name: str, content: bytes, folder: Path) -> Path:
     try:
         with zipfile.ZipFile(BytesIO(content)) as archive:
             _extract(archive, plain, target)
-    except (zipfile.BadZipFile, zlib.error, NotImplementedError, RuntimeError, EOFError, OSError) as error:
+    except ARCHIVE_ERRORS as error:
         raise InputError(f"'{plain}' is not a readable ZIP archive: {error}") from None
     # The archive of a folder has that folder as its only entry.
     inside = [p for p in target.iterdir() if not p.name.startswith(("__MACOSX", "."))]
