@@ -31,7 +31,7 @@ class ExportCommand:
     """Export furniture as MJCF, URDF or USD, or a plan of two robots as a timed trajectory."""
 
     kind: Annotated[Literal["mjcf", "urdf", "usd", "trajectory"], tyro.conf.Positional]
-    """What to write: furniture in one of three formats, or the timed motions of a plan."""
+    """Format of furniture (one of three), or `trajectory` for the timed motions of a plan."""
     source: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FURNITURE|PLAN")] = "ladder"
     """A built-in piece (`FAMILY` or `FAMILY:SEED`) or a furniture folder. For a trajectory: a plan.json of
     `roboassembly assemble --setting full`, with its `furniture/` folder beside it unless the piece is built in."""

@@ -82,7 +82,7 @@ class ImportResult:
     remarks: tuple[str, ...] = ()
     """Remarks on the files for the user, one line each."""
     findings: tuple[str, ...] = ()
-    """What is worth a look, the most important first."""
+    """Findings worth a look, the most important first."""
     report: str | None = None
     """Path of the report page."""
 

@@ -44,13 +44,13 @@ _WRIST_PLACE, _WRIST_TARGET = np.array([0.12, 0.0, -0.08]), np.array([0.0, 0.0, 
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """What one camera sees."""
+    """Picture of one camera."""
 
     rgb: UInt8[np.ndarray, "height width 3"]
     depth: Float32[np.ndarray, "height width"] | None
     """Distance along the camera's z axis [m]; `FAR` where there is nothing."""
     segmentation: UInt16[np.ndarray, "height width"] | None
-    """What each pixel shows: `FLOOR`, `POSTS` and so on."""
+    """Number of the thing that each pixel shows: `FLOOR`, `POSTS` and so on."""
 
 
 @dataclass(frozen=True, eq=False)

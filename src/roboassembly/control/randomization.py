@@ -21,7 +21,7 @@ _MOST_DELAY = 20
 
 @dataclass(frozen=True)
 class Randomization:
-    """What differs from episode to episode, by the seed of `reset`. All is off by default.
+    """Ranges of all that differs from episode to episode, by the seed of `reset`. All is off by default.
 
     Raises:
         ArgumentError: a value out of range.

@@ -6,7 +6,7 @@ import numpy as np
 
 from roboassembly.control.cell import ControlCell
 from roboassembly.control.starts import MergeTask
-from roboassembly.geometry.poses import rotation_angle, transform_points
+from roboassembly.geometry.poses import pose_difference, transform_points
 from roboassembly.solvers.disassembly import Disassembly, partition_of
 from roboassembly.task.rules.groups import Group, TaskState
 
@@ -59,11 +59,8 @@ def _nearness(cell: ControlCell, first: int, second: int) -> float:
     """Return how near two groups are to the nearest of their right joints, from 0 to 1."""
     reached = cell.physics.pose(second).actInv(cell.physics.pose(first))
     center = cell.physics.contents.bodies[first].center
-    off = [
-        float(np.linalg.norm(reached.act(center) - goal.act(center))) / _JOINT
-        + rotation_angle(reached.rotation.T @ goal.rotation) / _TURN
-        for goal in cell.joints(first, second).goals
-    ]
+    differences = [pose_difference(reached, goal, center) for goal in cell.joints(first, second).goals]
+    off = [position / _JOINT + angle / _TURN for position, angle in differences]
     return 1.0 - float(np.tanh(min(off))) if off else 0.0
 
 

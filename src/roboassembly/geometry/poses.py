@@ -145,6 +145,17 @@ def rotation_angle(rotation: Float[np.ndarray, "3 3"]) -> float:
     return float(np.linalg.norm(pin.log3(rotation)))
 
 
+def pose_difference(a: SE3, b: SE3, point: Float[np.ndarray, "3"]) -> tuple[float, float]:
+    """Return how far two poses of a body bring one of its points apart, and the angle between them [m, rad].
+
+    Args:
+        a: one pose.
+        b: the other pose.
+        point: the point, in the body's frame [m].
+    """
+    return float(np.linalg.norm(a.act(point) - b.act(point))), rotation_angle(a.rotation.T @ b.rotation)
+
+
 def interpolate(start: SE3, end: SE3, fractions: Float[np.ndarray, "n"]) -> Float[np.ndarray, "7 n"]:
     """Return configurations `(x, y, z, qx, qy, qz, qw)` along an edge, one per column.
 

@@ -1,9 +1,10 @@
-"""What a person should look at after an import, the most important first."""
+"""Findings of an import: changes and gaps that a person should look at."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -111,39 +112,26 @@ def _of_holds(furniture: Furniture) -> list[Finding]:
 
 
 def _of_repairs(repairs: Sequence[PartRepair]) -> list[Finding]:
-    out: list[Finding] = []
     smaller = [(-r.size_change, r.name) for r in repairs if r.size_change < -SIZE_CHANGE]
-    if smaller:
-        most, text = _worst(smaller, "mm", 1e3)
-        out.append(Finding(min(90.0, 50.0 + 6e3 * most), f"became smaller: {text}; it overlapped its neighbours"))
     larger = [(r.size_change, r.name) for r in repairs if r.size_change > SIZE_CHANGE]
-    if larger:
-        most, text = _worst(larger, "mm", 1e3)
-        out.append(Finding(min(90.0, 50.0 + 6e3 * most), f"became larger: {text}; its surface had to be closed"))
     depth = [(loss, f"{r.name}' in '{other}") for r in repairs for other, loss in r.depth_losses]
-    if depth:
-        most, text = _worst(depth, "mm", 1e3)
-        out.append(Finding(min(90.0, 50.0 + 6e3 * most), f"sits less deep in its joint: {text}"))
     moved = [(r.displacement, r.name) for r in repairs if r.displacement > SHIFT]
-    if moved:
-        most, text = _worst(moved, "mm", 1e3)
-        out.append(Finding(min(80.0, 40.0 + 3e3 * most), f"moved to its neighbours: {text}"))
     trimmed = [(r.trimmed, r.name) for r in repairs if r.trimmed > TRIMMED]
-    if trimmed:
-        most, text = _worst(trimmed, "%", 1e2)
-        out.append(Finding(min(80.0, 30.0 + 200.0 * most), f"lost volume where parts overlapped: {text}"))
+    out = [
+        *_of_amounts(smaller, "mm", (50.0, 6e3, 90.0), "became smaller: {}; it overlapped its neighbours"),
+        *_of_amounts(larger, "mm", (50.0, 6e3, 90.0), "became larger: {}; its surface had to be closed"),
+        *_of_amounts(depth, "mm", (50.0, 6e3, 90.0), "sits less deep in its joint: {}"),
+        *_of_amounts(moved, "mm", (40.0, 3e3, 80.0), "moved to its neighbours: {}"),
+        *_of_amounts(trimmed, "%", (30.0, 200.0, 80.0), "lost volume where parts overlapped: {}"),
+    ]
     sockets = [(r.trimmed, r.name) for r in repairs if r.trimmed > SOCKET and _noted(r, "has a socket for")]
-    if sockets:
-        out.append(Finding(32.0, f"sockets cut where a part runs into another: {_worst(sockets, '%', 1e2)[1]}"))
+    out += _of_amounts(sockets, "%", (32.0, 0.0, 32.0), "sockets cut where a part runs into another: {}")
     for weight, note, what in _NOTED:
         if noted := [r.name for r in repairs if _noted(r, note)]:
             out.append(Finding(weight, f"{what}: {_names(noted)}"))
     reshaped = [(max(r.shape_error, r.shape_added), r.name) for r in repairs if r.how != "as delivered"]
     rough = [(error, name) for error, name in reshaped if error > SHAPE_ERROR]
-    if rough:
-        most, text = _worst(rough, "mm", 1e3)
-        out.append(Finding(min(80.0, 45.0 + 1e3 * most), f"closed, off its delivered surface: {text}"))
-    return out
+    return out + _of_amounts(rough, "mm", (45.0, 1e3, 80.0), "closed, off its delivered surface: {}")
 
 
 def _noted(repair: PartRepair, text: str) -> bool:
@@ -159,23 +147,30 @@ def _of_gaps(furniture: Furniture) -> list[Finding]:
             text = f"{furniture.parts[own].name}' from '{furniture.parts[other].name}"
             nearest[own] = min(nearest.get(own, (np.inf, "")), (gap, text))
     open_joints = [entry for entry in nearest.values() if entry[0] > OPEN_GAP]
-    if not open_joints:
+    return _of_amounts(open_joints, "mm", (35.0, 5e3, 80.0), "touches nothing: {}; it counts as joined up to 5 mm")
+
+
+def _of_amounts(
+    amounts: Sequence[tuple[float, str]], unit: Literal["mm", "%"], weight: tuple[float, float, float], text: str
+) -> list[Finding]:
+    """Return one finding that names the part with the largest amount and counts the others; none without amounts.
+
+    Args:
+        amounts: amount of each part [m, or a share], and its name.
+        unit: unit of the amounts in the text.
+        weight: weight of no amount, its rise with the amount, and its bound.
+        text: text of the finding, with braces for amounts and names.
+    """
+    if not amounts:
         return []
-    most, text = _worst(open_joints, "mm", 1e3)
-    return [Finding(min(80.0, 35.0 + 5e3 * most), f"touches nothing: {text}; it counts as joined up to 5 mm")]
-
-
-def _worst(amounts: Sequence[tuple[float, str]], unit: str, factor: float) -> tuple[float, str]:
-    """Return the largest amount and a text that names its part and counts the others."""
-    ordered = sorted(amounts, key=lambda entry: -entry[0])
-    most, name = ordered[0]
-    space = "" if unit == "%" else " "
-    text = f"'{name}' by {factor * most:.1f}{space}{unit}"
-    if len(ordered) > 1:
-        rest = len(ordered) - 1
-        others = "one other part" if rest == 1 else f"{rest} other parts"
-        text += f", and {others} by up to {factor * ordered[1][0]:.1f}{space}{unit}"
-    return most, text
+    factor, space = (1e3, " ") if unit == "mm" else (1e2, "")
+    (most, name), *others = sorted(amounts, key=lambda entry: -entry[0])
+    listed = f"'{name}' by {factor * most:.1f}{space}{unit}"
+    if others:
+        count = "one other part" if len(others) == 1 else f"{len(others)} other parts"
+        listed += f", and {count} by up to {factor * others[0][0]:.1f}{space}{unit}"
+    least, rise, largest = weight
+    return [Finding(min(largest, least + rise * most), text.format(listed))]
 
 
 def _names(names: Sequence[str], shown: int = 3) -> str:

@@ -69,7 +69,7 @@ class Summary(msgspec.Struct, frozen=True):
     remarks: tuple[str, ...] = ()
     """Remarks on the reading for the user, one line each."""
     findings: tuple[str, ...] = ()
-    """What is worth a look, the most important first."""
+    """Findings worth a look, the most important first."""
     error: str | None = None
     """Reason for the refusal; None if the import succeeded."""
     refused_at: str | None = None

@@ -1,4 +1,4 @@
-"""What one pair of hands cannot do: steps for two people or two robots, each with its reason."""
+"""Steps that need a second pair of hands, of a person or a robot, each with its reason."""
 
 from __future__ import annotations
 

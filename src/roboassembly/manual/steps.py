@@ -33,7 +33,7 @@ class Mover:
 
     parts: Parts
     joined_to: Parts
-    """What it touches of what is there."""
+    """Parts of the base that it touches."""
     way: tuple[SE3, ...]
     """Motions out of its place to where it is drawn, furniture frame; the first is the identity."""
 
@@ -144,7 +144,7 @@ def _continues(furniture: Furniture, arrangement: ArrangedPlan, run: list[Checke
         along = [m.away.translation / max(1e-9, float(np.linalg.norm(m.away.translation))) for m in (latest, mine)]
         if not small or len(run) >= MOST_MIXED or float(along[0] @ along[1]) < _SAME_WAY:
             return False
-        # What comes later must not be in the way of what comes in the same picture.
+        # No mover may be in the way of another one of the same picture.
         for other, way in zip((*run, merge), (*along[:1] * len(run), along[1]), strict=True):
             rest = now.halves.merged - other.choice.halves.moving
             out = handling.directions(Halves(other.choice.halves.moving, rest))

@@ -19,7 +19,7 @@ from jaxtyping import Float
 
 from roboassembly.furniture.model import Furniture
 from roboassembly.geometry.meshes import WOOD_DENSITY, Mesh
-from roboassembly.geometry.poses import rotation_angle
+from roboassembly.geometry.poses import pose_difference
 from roboassembly.simulation.execution import StepPhysics
 from roboassembly.simulation.mobile_arms import Load, between_pads
 from roboassembly.simulation.model import mass_properties
@@ -247,19 +247,15 @@ class _StepExecutor:
     def _stands(self, planned: Group) -> bool:
         """Whether the finished piece is where it was set down."""
         pose, goal, center = self.physics.pose(0), planned.world_from_furniture, self.physics.loads[0].center
-        off = float(np.linalg.norm(pose.act(center) - goal.act(center)))
-        return off <= STANDING_POSITION and rotation_angle(pose.rotation.T @ goal.rotation) <= STANDING_ANGLE
+        off, turned = pose_difference(pose, goal, center)
+        return off <= STANDING_POSITION and turned <= STANDING_ANGLE
 
     def _joint_error(self, mate: Segment) -> tuple[float, float]:
         """Return the error of u's group at the joint, at its centre of mass [m, rad]."""
         u, v = (payload.placed(robot.at) for payload, robot in zip(self.payloads, mate.after.robots, strict=True))
         planned = v.world_from_furniture.actInv(u.world_from_furniture)
         reached = self.physics.pose(1).actInv(self.physics.pose(0))
-        center = self.physics.loads[0].center
-        return (
-            float(np.linalg.norm(reached.act(center) - planned.act(center))),
-            rotation_angle(reached.rotation.T @ planned.rotation),
-        )
+        return pose_difference(reached, planned, self.physics.loads[0].center)
 
 
 def _feet(furniture: Furniture, group: Group) -> tuple[Mesh, ...]:
