@@ -41,6 +41,11 @@ class MultitaskCommand:
     extra: int | None = None
     """Number of additional generated pieces to train on; for the preset relational. Without it: 6,000, or 1,500 with
     --setting full."""
+    imported: Path | None = None
+    """Folder of imported furniture folders to train on besides; for the preset relational."""
+    frames: Literal["both", "aligned", "own"] = "both"
+    """Frames in which samples describe the parts; for the preset relational. own: the principal axes of each part, with
+    clouds of its own, noise and imprecise points. both: a third of the pieces aligned, the others own."""
     episodes: int | None = None
     """Number of episodes per piece and round. Without it: 1, or 3 with --setting full; 4 for the preset paper."""
     rounds: int | None = None
@@ -96,7 +101,8 @@ class MultitaskCommand:
             default, set=self.set, limit=self.limit, extra=default.extra if self.extra is None else self.extra,
             episodes=self.episodes or default.episodes, rounds=default.rounds if self.rounds is None else self.rounds,
             steps=self.steps or default.steps, round_steps=self.round_steps, seed=self.seed,
-            start=self.start or default.start,
+            start=self.start or default.start, frames=self.frames,
+            imported="" if self.imported is None else str(self.imported),
         )  # fmt: skip
         return run_pipeline(config, self.out, jobs)
 

@@ -18,6 +18,7 @@ from roboassembly.errors import InputError
 from roboassembly.furniture.model import Furniture
 from roboassembly.furniture.part_order import is_optional
 from roboassembly.learning import archive
+from roboassembly.task.part_frames import FramesName
 from roboassembly.task.rules.connections import GRASPS
 
 FORMAT = 3
@@ -42,6 +43,9 @@ class LabeledState:
     mates: Int16[np.ndarray, "j 11"]
     """Ordered pairs that fit: u, k, v, l, whether the furniture can be finished afterwards, and for each of the six
     `w` whether the merge works."""
+    own_w: Bool[np.ndarray, "j 6"] | None = None
+    """Whether the merge of each of these pairs works where `w` names an axis of `SampleSet.principal` of v's part. None
+    where the labels know aligned frames only."""
     q_values: Float16[np.ndarray, "n n w"] | None = None
     """An expert's Q-values over the n free points, in the order of parts and points: one for each `w`, or what each
     `g_a` and then what each `g_b` adds. Neither bounded nor masked. None where the oracle labelled the state."""
@@ -87,6 +91,12 @@ class SampleSet:
     """Gripper pose of each grasp in the part's frame, as in the observation; None in the object-centric setting."""
     structure: Structure | None = None
     """Structure of the furniture; None if it is not known."""
+    principal: Float32[np.ndarray, "P 3 3"] | None = None
+    """`part_from_principal` of each part (`part_frames.principal_frames`); None if samples have no `own_w`."""
+    resampled: Float32[np.ndarray, "P C 3"] | None = None
+    """Clouds of the same surfaces with other points for each part [m]; None if samples have no `own_w`."""
+    frames: FramesName = "aligned"
+    """Frames in which parts are described; files hold aligned ones."""
 
     def save(self, path: Path) -> None:
         """Write as npz, whole or not at all; clouds are stored as 16-bit floats, half a millimetre exact."""
@@ -108,8 +118,19 @@ class SampleSet:
             "q_width": np.array(max((v.shape[2] for v in values), default=0)),
             "mates": np.concatenate(mates) if mates else np.zeros((0, 11), np.int16),
             "sample_of_mate": np.repeat(np.arange(len(samples)), [len(m) for m in mates]),
+            **self._own_arrays(),
         }
         archive.write(path, arrays)
+
+    def _own_arrays(self) -> dict[str, np.ndarray]:
+        if self.principal is None or self.resampled is None:
+            return {}
+        own_w = [sample.own_w for sample in self.samples if sample.own_w is not None]
+        return {
+            "principal": self.principal,
+            "resampled": self.resampled.astype(np.float16),
+            "own_w": np.concatenate(own_w) if own_w else np.zeros((0, 6), bool),
+        }
 
     def _structure_arrays(self) -> dict[str, np.ndarray]:
         if self.structure is None:
@@ -134,12 +155,15 @@ class SampleSet:
             points, connections, free, poses = z["points"], z["connections"], z["free"], z["poses"]
             has_q_values, width = z["has_q_values"], int(z["q_width"])
             shapes = [(n, n, width) for n in free.sum(axis=(1, 2)) * has_q_values] if len(free) else []
+            own_w = z["own_w"] if "own_w" in z else None
+            principal = z["principal"] if "principal" in z else None
+            resampled = z["resampled"].astype(np.float32) if "resampled" in z else None
             ends = np.cumsum([np.prod(shape) for shape in shapes], dtype=int)
             values = [v.reshape(s) for v, s in zip(np.split(z["q_values"], ends)[:-1], shapes, strict=True)]
             samples = tuple(
                 LabeledState(
                     points[i], connections[i], free[i], poses[i], mates[sample_of_mate == i],
-                    values[i] if has_q_values[i] else None,
+                    None if own_w is None else own_w[sample_of_mate == i], values[i] if has_q_values[i] else None,
                 )
                 for i in range(len(points))
             )  # fmt: skip
@@ -149,7 +173,8 @@ class SampleSet:
                 labels = tuple(str(label) for label in z["structure_labels"])
                 connections, classes = z["structure_connections"], z["structure_classes"]
                 structure = Structure(connections, classes, labels, z["structure_optional"])
-            return SampleSet(str(z["name"]), z["clouds"].astype(np.float32), samples, grasps, structure)
+            clouds = z["clouds"].astype(np.float32)
+            return SampleSet(str(z["name"]), clouds, samples, grasps, structure, principal, resampled)
 
 
 def check_format(path: Path, arrays: archive.Arrays, expected: int) -> None:

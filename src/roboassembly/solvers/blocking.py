@@ -45,6 +45,7 @@ class BlockingGraphs:
         self._clear_of: dict[tuple[int, int], tuple[Bool[np.ndarray, "n"], Bool[np.ndarray, "n"]]] = {}
         self._exits: dict[tuple[Parts, Parts], Float[np.ndarray, "n 3"]] = {}
         self._lowest: dict[Parts, Float[np.ndarray, "6"]] = {}
+        self._hull_points: dict[Parts, Float[np.ndarray, "n 3"]] = {}
 
     @cached_property
     def directions(self) -> Float[np.ndarray, "d 3"]:
@@ -262,15 +263,16 @@ class BlockingGraphs:
     def lowest(self, parts: Parts) -> Float[np.ndarray, "6"]:
         """Return the height of the parts' lowest point for each of the six axes as up [m], furniture frame."""
         if parts not in self._lowest:
-            f = self._furniture
-            points = np.concatenate(
-                [
-                    f.parts[p].mesh.hull_vertices @ f.assembled[p].rotation.T + f.assembled[p].translation
-                    for p in sorted(parts)
-                ]
-            )
-            self._lowest[parts] = (points @ UP_AXES.T).min(axis=0)
+            self._lowest[parts] = self.lowest_along(parts, UP_AXES)
         return self._lowest[parts]
+
+    def lowest_along(self, parts: Parts, axes: Float[np.ndarray, "w 3"]) -> Float[np.ndarray, "w"]:
+        """Return the height of the parts' lowest point with each of some axes as up [m], furniture frame."""
+        if parts not in self._hull_points:
+            f = self._furniture
+            points = [transform_points(f.assembled[p], f.parts[p].mesh.hull_vertices) for p in sorted(parts)]
+            self._hull_points[parts] = np.concatenate(points)
+        return (self._hull_points[parts] @ axes.T).min(axis=0)
 
     def _whole(self, parts: int) -> bool:
         """Return whether the parts are connected."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Float
 
 from roboassembly.errors import InputError
 from roboassembly.furniture.model import Furniture
@@ -14,7 +14,6 @@ from roboassembly.solvers.oracle import Oracle
 from roboassembly.task.full.grips import MateGrasp
 from roboassembly.task.full.task import FullTask
 from roboassembly.task.object_centric.task import ObjectCentricTask
-from roboassembly.task.rules.connections import UP_AXES
 from roboassembly.task.rules.groups import Group, TaskState
 
 _MAX_PARTS = 16
@@ -40,14 +39,16 @@ class HandOracle(Oracle):
         """Task whose grasps the oracle tests."""
         return self._grasp_task
 
-    def feasible_w(self, moving: Parts, waiting: Parts) -> Bool[np.ndarray, "6"]:
-        """Return whether R_a can bring `moving` to `waiting`, which R_b holds; six equal values."""
+    def feasible_along(
+        self, moving: Parts, waiting: Parts, axes: Float[np.ndarray, "w 3"]
+    ) -> Bool[np.ndarray, "w"]:
+        """Return whether R_a can bring `moving` to `waiting`, which R_b holds; equal values for all axes."""
         key = (moving, waiting)
         if key not in self._joinable:
             self._joinable[key] = len(self.graphs.straight_exits(moving, waiting)) > 0 and self._grippers_join(
                 moving, waiting
             )
-        return np.full(len(UP_AXES), self._joinable[key])
+        return np.full(len(axes), self._joinable[key])
 
     def _grippers_join(self, moving: Parts, waiting: Parts) -> bool:
         pairs = list(self.furniture.joints_between(moving, waiting))

@@ -48,6 +48,10 @@ class LabeledMate:
     """Whether u's group can reach v's group along a straight line above the ground, for each `w`."""
     solvable: bool
     """Whether the furniture can still be finished after this merge."""
+    moving: Parts
+    """Slots of u's group."""
+    waiting: Parts
+    """Slots of v's group."""
 
     @property
     def viable(self) -> bool:
@@ -119,7 +123,7 @@ class Oracle:
                 after = TaskState((*(g for g in state.groups if g is not u_group and g is not v_group), merge.merged))
                 feasible_w = self.feasible_w(moving, waiting)
                 solvable = bool(feasible_w.any()) and self.state_solvable(after)
-                out.append(LabeledMate(u, k, v, l, merge, feasible_w, solvable))
+                out.append(LabeledMate(u, k, v, l, merge, feasible_w, solvable, moving, waiting))
         return out
 
     def state_solvable(self, state: TaskState) -> bool:
@@ -134,11 +138,23 @@ class Oracle:
 
     def feasible_w(self, moving: Parts, waiting: Parts) -> Bool[np.ndarray, "6"]:
         """Return for each `w` whether `moving` can reach `waiting` along a straight line above the ground."""
+        return self.feasible_along(moving, waiting, UP_AXES)
+
+    def feasible_along(
+        self, moving: Parts, waiting: Parts, axes: Float[np.ndarray, "w 3"]
+    ) -> Bool[np.ndarray, "w"]:
+        """Return for each axis whether `moving` can reach `waiting` with that axis up; see `feasible_w`.
+
+        Args:
+            moving: slots of u's group.
+            waiting: slots of v's group.
+            axes: unit vectors in the furniture's frame.
+        """
         exits = self.graphs.straight_exits(moving, waiting)
         if not len(exits):
-            return np.zeros(6, bool)
-        rises = (exits @ UP_AXES.T).max(axis=0)
-        margin = self.graphs.lowest(moving) - self.graphs.lowest(waiting)
+            return np.zeros(len(axes), bool)
+        rises = (exits @ axes.T).max(axis=0)
+        margin = self.graphs.lowest_along(moving, axes) - self.graphs.lowest_along(waiting, axes)
         return (margin > -_SINK) & (rises > _LEAST_RISE) & ((rises > -0.02) | (margin > 0.3))
 
     def solvable(self, partition: frozenset[Parts]) -> bool:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Collection, Iterator, Sequence
+import zlib
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
@@ -13,6 +14,7 @@ import numpy as np
 from roboassembly.datasets import catalogue
 from roboassembly.envs.observation import part_clouds
 from roboassembly.errors import InputError
+from roboassembly.furniture import storage
 from roboassembly.learning import checkpoint
 from roboassembly.learning.datasets import CLOUD_POINTS, LabeledState, SampleSet, dataset_file
 from roboassembly.learning.relational import network as relational
@@ -50,11 +52,12 @@ def grasp_folder(folder: Path) -> Path:
 def collect(
     names: Sequence[str], folder: Path, *, episodes: int, seed: int, jobs: int, policy: Path | None = None,
     setting: SettingName = "object-centric", with_grasps: Collection[str] = (),
+    folders: Mapping[str, Path] | None = None,
 ) -> Iterator[CollectResult]:  # fmt: skip
-    """Write the samples of generated furniture, and yield as pieces are done; existing files are kept.
+    """Write the samples of some furniture, and yield as pieces are done; existing files are kept.
 
     Args:
-        names: names of the pieces, `family:seed`.
+        names: names of the pieces: `family:seed` of generated ones, else keys of `folders`.
         folder: folder of the files, one for each piece.
         episodes: number of episodes of each piece, from loose parts to the finished furniture.
         seed: seed of starts and actions.
@@ -65,25 +68,30 @@ def collect(
             gives no samples.
         with_grasps: names of the pieces that get grasp samples as well, of one episode each (full setting). These take
             several times as long.
+        folders: furniture folders of pieces that are not generated, by name.
     """
     (grasp_folder(folder) if with_grasps else folder).mkdir(parents=True, exist_ok=True)
     left = [name for name in names if not dataset_file(folder, name).is_file()]
     work = partial(
         _collect, folder=folder, episodes=episodes, seed=seed, policy=policy, setting=setting,
-        with_grasps=frozenset(with_grasps),
+        with_grasps=frozenset(with_grasps), folders=dict(folders or {}),
     )  # fmt: skip
     yield from map_unordered(work, left, jobs)
 
 
 def _collect(
     name: str, *, folder: Path, episodes: int, seed: int, policy: Path | None, setting: SettingName,
-    with_grasps: frozenset[str],
+    with_grasps: frozenset[str], folders: Mapping[str, Path],
 ) -> CollectResult:  # fmt: skip
     """Write the samples of one piece."""
     start = time.monotonic()
-    family, _, number = name.partition(":")
+    family, _, seed_of_piece = name.partition(":")
+    number = zlib.crc32(name.encode()) if name in folders else int(seed_of_piece)
     try:
-        furniture = catalogue.make(family, int(number), with_grasps=SETTINGS[setting].needs_grasps)
+        if name in folders:
+            furniture = storage.load(folders[name])
+        else:
+            furniture = catalogue.make(family, number, with_grasps=SETTINGS[setting].needs_grasps)
         oracle = SETTINGS[setting].make_oracle(furniture)
     except InputError:
         # A few generated frames are invalid, cannot be grasped, or have too many parts; they give no samples.
@@ -95,7 +103,7 @@ def _collect(
     samples: dict[bytes, LabeledState] = {}
     mistakes = choices = 0
     for index in range(episodes):
-        rng = np.random.default_rng([seed, int(number), index])
+        rng = np.random.default_rng([seed, number, index])
         acting = token_policy if index == 0 else None
         episode = labeler.rollout(rng, acting)
         if acting is not None:
@@ -104,7 +112,7 @@ def _collect(
             samples.setdefault(sample.group.tobytes(), sample)
     if oracle.grasp_task is not None and name in with_grasps:
         grasp_labeler = GraspLabeler(oracle.grasp_task, _GRASP_TRIES, oracle)
-        grasp_samples = grasp_labeler.collect(np.random.default_rng([seed, int(number)]), 1)
+        grasp_samples = grasp_labeler.collect(np.random.default_rng([seed, number]), 1)
         grasp_samples.save(dataset_file(grasp_folder(folder), name))
     labeler.sample_set(tuple(samples.values()), name).save(dataset_file(folder, name))
     return CollectResult(name, len(samples), mistakes, choices, time.monotonic() - start)

@@ -8,12 +8,16 @@ from __future__ import annotations
 
 from roboassembly.geometry.mating import mating_poses
 from roboassembly.learning.layers import Array
-from roboassembly.task.rules.connections import UP_AXES
+from roboassembly.learning.relational.ways import COARSE_BLOCKED, COARSE_SHARED, FINE_BLOCKED, FINE_SHARED
 
-PAIR_FEATURES = 39
+PAIR_FEATURES = 75
 """Number of features of an ordered pair of points."""
-UP_AXIS_FEATURES = 7
+UP_AXIS_FEATURES = 15
 """Number of features of a pair with a `w`."""
+ALIGNED = 20
+"""Index of the point feature that says whether part frames are aligned."""
+_FEW_PIXELS, _FEW_BLOCKED = 1, 0.25
+"""Number of blocked pixels, and their share, up to which a way counts as free."""
 _PARALLEL = 0.999
 """Cosine of the angle between two frames from which on they count as parallel."""
 _SCALE = 0.01
@@ -43,21 +47,25 @@ def plausible_pairs(parallel: Array, upright: Array, valid: Array) -> Array:
 
 
 def pair_features(t: dict[str, Array], valid: Array) -> Array:
-    """Return (b, n, n, 39) features of ordered pairs; rows are points of the moving group. Invalid pairs get zeros.
+    """Return (b, n, n, 75) features of ordered pairs; rows are points of the moving group. Invalid pairs get zeros.
 
     | index | feature | unit |
     |---|---|---|
     | 0–3 | `matches` of the tokens | |
     | 4–7 | log(1 + `matches`) | |
     | 8, 9 | 1 if any other points mate as well, without and with equal tangents | |
-    | 10 | cosine of the angle between the two groups' frames, once mated | |
-    | 11–13 | diagonal of the rotation between these frames | |
-    | 14–16 | translation of the moving group in the waiting group's frame | m |
-    | 17 | 1 if the two frames are parallel | |
-    | 18, 19 | number of parts of the moving and of the waiting group | 5 parts |
-    | 20 | largest absolute entry of the rotation: 1 if an axis stays an axis | |
-    | 21–23 | extent of the moving group along the waiting group's axes | m |
-    | 24–38 | of `_cycle_features` | |
+    | 10, 11 | number of parts of the moving and of the waiting group | 5 parts |
+    | 12–26 | of `_cycle_features` | |
+    | 27–60 | of `_way_features` | |
+    | 61, 62 | mean and least of how parallel the axes of the two parts are, 1 if an axis stays an axis | |
+    | 63 | cosine of the angle between the two groups' frames, once mated | |
+    | 64–66 | diagonal of the rotation between these frames | |
+    | 67–69 | translation of the moving group in the waiting group's frame | m |
+    | 70 | 1 if the two frames are parallel | |
+    | 71 | largest absolute entry of the rotation: 1 if an axis stays an axis | |
+    | 72–74 | extent of the moving group along the waiting group's axes | m |
+
+    Those from 63 on are 0 where part frames are not aligned.
 
     Args:
         t: batch of tokens of `tokens.pad`.
@@ -65,26 +73,57 @@ def pair_features(t: dict[str, Array], valid: Array) -> Array:
     """
     xp = t["frame"].__array_namespace__()
     rotation, translation = mating_poses(t["frame"], t["position"], t["frame"], t["position"])
-    matches, sizes = t["matches"], t["features"][..., 0]
+    matches, sizes, aligned = t["matches"], t["features"][..., 0], t["features"][..., ALIGNED]
     parallel = frames_parallel(rotation)
     number = xp.float32
     parts = xp.broadcast_to(sizes[:, :, None], valid.shape), xp.broadcast_to(sizes[:, None, :], valid.shape)
     extent = t["bounds"][..., 3:] - t["bounds"][..., :3] + t["extent"][:, None]
-    plausible = plausible_pairs(parallel, t["features"][..., -1] > 0, valid)
-    features = [
-        matches,
-        xp.log1p(xp.maximum(matches, 0.0)),
-        xp.astype(matches[..., :2] > 0, number),
+    plausible = valid & (plausible_pairs(parallel, t["features"][..., -1] > 0, valid) | (aligned[:, :, None] == 0))
+    between = xp.einsum("blji,bkljm,bkmo->bklio", t["axes"], rotation, t["axes"])
+    kept = xp.max(xp.abs(between), axis=-1)
+    of_frames = [
         _cosine(rotation)[..., None],
         xp.stack([rotation[..., i, i] for i in range(3)], axis=-1),
         translation,
         xp.astype(parallel, number)[..., None],
-        xp.stack(parts, axis=-1),
         xp.max(xp.abs(rotation), axis=(-2, -1))[..., None],
         extent,
+    ]
+    features = [
+        matches,
+        xp.log1p(xp.maximum(matches, 0.0)),
+        xp.astype(matches[..., :2] > 0, number),
+        xp.stack(parts, axis=-1),
         _cycle_features(xp, t["cycles_3"], t["cycles_4"], plausible),
+        _way_features(xp, t["ways"]),
+        xp.stack([xp.mean(kept, axis=-1), xp.min(kept, axis=-1)], axis=-1),
+        xp.concatenate(of_frames, axis=-1) * aligned[:, :, None, None],
     ]
     return xp.concatenate(features, axis=-1) * xp.astype(valid, number)[..., None]
+
+
+def _way_features(xp: Array, ways: Array) -> Array:
+    """(b, n, n, 34): what depth images show of the ways out.
+
+    | index | feature |
+    |---|---|
+    | 0–12 | log(1 + count) / 5 of the fine images, in the order of `ways.ways_out` |
+    | 13–18 | share of the fine pixels with both groups that are blocked, for each direction |
+    | 19–27 | log(1 + count) / 5 of the coarse images |
+    | 28–33 | share of the coarse pixels with both groups that are blocked, for each direction |
+    """
+    fine, coarse = blocked_shares(xp, ways)
+    logs = xp.log1p(ways) / 5.0
+    return xp.concatenate([logs[..., :13], fine, logs[..., 13:], coarse], axis=-1)
+
+
+def blocked_shares(xp: Array, ways: Array) -> tuple[Array, Array]:
+    """Return (..., 6) shares of the pixels with both groups that are blocked along each way, fine and coarse."""
+    shares: list[Array] = []
+    for blocked, shared in ((FINE_BLOCKED, FINE_SHARED), (COARSE_BLOCKED, COARSE_SHARED)):
+        both = xp.repeat(ways[..., shared], 2, axis=-1)
+        shares.append(ways[..., blocked] / xp.maximum(both, 4.0))
+    return shares[0], shares[1]
 
 
 def _cycle_features(xp: Array, cycles_3: Array, cycles_4: Array, plausible: Array) -> Array:
@@ -118,7 +157,7 @@ def _cycle_features(xp: Array, cycles_3: Array, cycles_4: Array, plausible: Arra
 
 
 def up_axis_features(t: dict[str, Array]) -> Array:
-    """Return (b, n, n, 6, 7) features of ordered pairs with each `w`, the axis that points up at the mate.
+    """Return (b, n, n, 6, 15) features of ordered pairs with each `w`, the axis that points up at the mate.
 
     Bottom and top are the lowest and the highest point of a group along that axis.
 
@@ -128,9 +167,12 @@ def up_axis_features(t: dict[str, Array]) -> Array:
     | 1 | tanh of the same | 10 mm |
     | 2 | the moving group's top above the waiting group's, at most ±0.5 m | 0.5 m |
     | 3 | tanh of the same | 10 mm |
-    | 4 | cosine between the waiting point's normal and the axis | |
-    | 5 | the moving group's bottom above the waiting group's top, at most ±0.5 m | 0.5 m |
-    | 6 | the waiting group's bottom above the moving group's top, at most ±0.5 m | 0.5 m |
+    | 4, 5 | cosine between the waiting point's normal, and its tangent, and the axis | |
+    | 6 | the moving group's bottom above the waiting group's top, at most ±0.5 m | 0.5 m |
+    | 7 | the waiting group's bottom above the moving group's top, at most ±0.5 m | 0.5 m |
+    | 8, 9 | extent of the moving and of the waiting group along the axis | m |
+    | 10–12 | largest rise of a way out that is free in the fine, the coarse and both images, -1 if none is | |
+    | 13, 14 | share of the pixels blocked along the ways that rise, fine and coarse | |
 
     Args:
         t: batch of tokens of `tokens.pad`.
@@ -139,17 +181,47 @@ def up_axis_features(t: dict[str, Array]) -> Array:
     low, high = t["bounds"][..., :3], t["bounds"][..., 3:]
     extent = t["extent"][:, None]
     bottom, top = _along_up_axes(xp, low, -high), _along_up_axes(xp, high, -low)
-    normal = t["frame"][..., 2] @ xp.asarray(UP_AXES.T, dtype=t["frame"].dtype)
+    # Rise of the axes of a waiting point's frame, along its part's axes: (b, l, 3, 3).
+    rise = xp.einsum("blji,bljm->blim", t["frame"], t["axes"])
+    normal, tangent = (_along_up_axes(xp, rise[:, :, axis], -rise[:, :, axis]) for axis in (2, 0))
+    wide = _along_up_axes(xp, extent, extent)
     features = [
         2.0 * xp.clip(bottom, -_CUTOFF, _CUTOFF),
         xp.tanh(bottom / _SCALE),
         2.0 * xp.clip(top, -_CUTOFF, _CUTOFF),
         xp.tanh(top / _SCALE),
         xp.broadcast_to(normal[:, None], bottom.shape),
+        xp.broadcast_to(tangent[:, None], bottom.shape),
         2.0 * xp.clip(_along_up_axes(xp, low - extent, -high - extent), -_CUTOFF, _CUTOFF),
         2.0 * xp.clip(_along_up_axes(xp, -high - extent, low - extent), -_CUTOFF, _CUTOFF),
+        _along_up_axes(xp, high - low + extent, high - low + extent),
+        xp.broadcast_to(wide, bottom.shape),
+        *_rises(xp, t["ways"], rise),
     ]
     return xp.stack(features, axis=-1)
+
+
+def _rises(xp: Array, ways: Array, rise: Array) -> list[Array]:
+    """Five arrays (b, n, n, 6): how far the ways out rise with each `w`, see `up_axis_features`.
+
+    Args:
+        xp: namespace of the arrays.
+        ways: (b, n, n, 22) of the tokens.
+        rise: (b, n, 3, 3) cosines between the axes of each point's frame and the axes that `w` names.
+    """
+    fine, coarse = blocked_shares(xp, ways)
+    free_fine = (ways[..., FINE_BLOCKED] <= _FEW_PIXELS) | (fine < _FEW_BLOCKED)
+    free_coarse = (ways[..., COARSE_BLOCKED] <= _FEW_PIXELS) | (coarse < _FEW_BLOCKED)
+    best = {"fine": [], "coarse": [], "both": [], "of_fine": [], "of_coarse": []}
+    for axis, sign in ((2, 1.0), (2, -1.0), (0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0)):
+        along = sign * rise[:, None, :, :, axis]
+        of_ways = xp.reshape(xp.stack([along, -along], axis=-1), (*along.shape[:-1], 6))
+        for name, free in (("fine", free_fine), ("coarse", free_coarse), ("both", free_fine & free_coarse)):
+            best[name].append(xp.max(xp.where(free, of_ways, -1.0), axis=-1))
+        up = xp.maximum(of_ways, 0.0) ** 2
+        best["of_fine"].append(xp.sum(up * fine, axis=-1))
+        best["of_coarse"].append(xp.sum(up * coarse, axis=-1))
+    return [xp.stack(values, axis=-1) for values in best.values()]
 
 
 def _cosine(rotation: Array) -> Array:

@@ -12,6 +12,7 @@ from scipy.spatial import KDTree
 
 from roboassembly.geometry.poses import rotations_from_euler
 from roboassembly.learning.relational.clearance import MAX_OTHER_POINTS, PartGrasps
+from roboassembly.learning.relational.ways import PointImages
 
 PATCH_STEPS = (0.010, 0.040, 0.150)
 """Steps of the grids that sample the surface around a point, at the scale of a joint, a part and a whole piece [m]."""
@@ -19,8 +20,20 @@ PATCH_GRID = np.stack(np.meshgrid(*[np.arange(-2.0, 3.0)] * 3, indexing="ij"), a
 """Points of a grid in the connection point's frame, in steps: five a side."""
 PATCH_SIZE = len(PATCH_STEPS) * len(PATCH_GRID)
 """Number of distances in a patch."""
-_EXTENT_POINTS = 160
-"""Largest number of points of a group's cloud that its bounds are computed from."""
+_SAME_DISTANCE, _SAME_SPREAD = 0.0015, 0.03
+"""Differences [m] and share of the spread up to which two parts have one shape: two clouds of one surface differ."""
+
+
+def _sphere(count: int) -> Float[np.ndarray, "count 3"]:
+    """Directions spread evenly over the sphere along a spiral (Vogel 1979)."""
+    z = 1.0 - (2.0 * np.arange(count) + 1.0) / count
+    turn = np.pi * (3.0 - np.sqrt(5.0)) * np.arange(count)
+    radius = np.sqrt(1.0 - z * z)
+    return np.stack([radius * np.cos(turn), radius * np.sin(turn), z], axis=1)
+
+
+_DIRECTIONS = np.concatenate([np.eye(3), -np.eye(3), _sphere(122)])
+"""Directions in which the outermost points of a cloud are looked for."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,21 +44,62 @@ class PartShapes:
     """Hash of each part's cloud."""
     sides: Float[np.ndarray, "P 3"]
     """Extent of each part along its axes [m]."""
+    shape: Int[np.ndarray, "P"]
+    """Number of each part's shape."""
     copies: Int[np.ndarray, "P"]
-    """Number of parts with the same cloud, the part itself included."""
+    """Number of parts of the same shape, the part itself included."""
 
     @staticmethod
-    def of_clouds(clouds: Float[np.ndarray, "P c 3"], digests: Sequence[bytes]) -> PartShapes:
-        """Return the shapes of some clouds.
+    def of_clouds(
+        clouds: Float[np.ndarray, "P c 3"], digests: Sequence[bytes], points: Float[np.ndarray, "P K 9"]
+    ) -> PartShapes:
+        """Return the shapes of some parts.
+
+        Parts of one shape have the same cloud, or clouds of the same surface and points in the same places.
 
         Args:
             clouds: cloud of each part in its frame [m].
             digests: hash of each cloud.
+            points: connection points of each part.
         """
-        sides = {digest: np.ptp(cloud, axis=0) for digest, cloud in dict(zip(digests, clouds, strict=True)).items()}
-        count = Counter(digests)
-        return PartShapes(
-            digests, np.array([sides[digest] for digest in digests]), np.array([count[digest] for digest in digests])
+        first = {digest: index for index, digest in reversed(list(enumerate(digests)))}
+        of_first = {index: _Measures.of_part(clouds[index], points[index]) for index in first.values()}
+        shapes: list[_Measures] = []
+        shape_of: dict[int, int] = {}
+        for index in sorted(of_first):
+            same = next((i for i, other in enumerate(shapes) if of_first[index].same(other)), len(shapes))
+            if same == len(shapes):
+                shapes.append(of_first[index])
+            shape_of[index] = same
+        of_part = [shape_of[first[digest]] for digest in digests]
+        count = Counter(of_part)
+        copies = np.array([count[shape] for shape in of_part])
+        return PartShapes(digests, np.ptp(clouds, axis=1), np.array(of_part), copies)
+
+
+@dataclass(frozen=True, eq=False)
+class _Measures:
+    """What two parts of one shape have in common, whatever their frames and the points of their clouds."""
+
+    spread: Float[np.ndarray, "3"]
+    """Standard deviations of the cloud along its principal axes [m]."""
+    distances: Float[np.ndarray, "_"]
+    """Distances between any two connection points, sorted [m]."""
+
+    @staticmethod
+    def of_part(cloud: Float[np.ndarray, "c 3"], points: Float[np.ndarray, "K 9"]) -> _Measures:
+        """Return the measures of a part; rows of zeros are no points."""
+        spread = np.sqrt(np.maximum(np.linalg.eigvalsh(np.cov(cloud.T)), 0.0)) if len(cloud) > 1 else np.zeros(3)
+        position = points[points.any(axis=1), :3]
+        row, column = np.triu_indices(len(position), 1)
+        return _Measures(spread, np.sort(np.linalg.norm(position[row] - position[column], axis=1)))
+
+    def same(self, other: _Measures) -> bool:
+        """Return whether two parts count as equal."""
+        return (
+            len(self.distances) == len(other.distances)
+            and bool((np.abs(self.distances - other.distances) < _SAME_DISTANCE).all())
+            and bool((np.abs(self.spread - other.spread) < _SAME_SPREAD * self.spread + _SAME_DISTANCE).all())
         )
 
 
@@ -61,11 +115,17 @@ class GroupFrames:
 
     @staticmethod
     def of_groups(
-        shapes: PartShapes, connections: Float[np.ndarray, "P P 6"], group: Int[np.ndarray, "P"]
+        shapes: PartShapes, connections: Float[np.ndarray, "P P 6"], group: Int[np.ndarray, "P"], *, aligned: bool
     ) -> GroupFrames:
         """Return the frames of all groups.
 
-        A part's frame is parallel to the furniture's if no other part has its shape; equal parts share the frame of the
+        Args:
+            shapes: shapes of the parts.
+            connections: relative poses of joined parts.
+            group: group of each part.
+            aligned: whether part frames are parallel to the furniture's; no group is upright if they are not.
+
+        An aligned part's frame is parallel to the furniture's if no other part has its shape; equal parts share the frame of the
         first of them. So a group takes the frame of the part with the fewest copies, of these the largest.
         """
         upright = np.zeros(len(group), bool)
@@ -76,7 +136,7 @@ class GroupFrames:
             members = np.flatnonzero(group == label)
             first = members[np.lexsort((members, -extent[members], shapes.copies[members]))[0]]
             reference[members] = first
-            upright[members] = shapes.copies[first] == 1
+            upright[members] = aligned and shapes.copies[first] == 1
         rest = np.flatnonzero(reference != np.arange(len(group)))
         if len(rest):
             poses = connections[reference[rest], rest]
@@ -94,10 +154,20 @@ class GroupGeometry:
     """Position of each free point [m]."""
     frame: Float[np.ndarray, "k 3 3"]
     """`group_from_point` of each free point."""
+    axes: Float[np.ndarray, "k 3 3"]
+    """Axes that `w` names where the group waits with this point, as columns."""
     patch: UInt8[np.ndarray, "k 375"]
     """Surface around each free point, see `Tokens.patch`."""
-    cloud: Float[np.ndarray, "s 3"]
-    """Some points of the group's surface [m]."""
+    outline: Float[np.ndarray, "s 3"]
+    """Outermost points of the group's surface [m]."""
+    part_bounds: Float[np.ndarray, "k 6"]
+    """Least and greatest coordinates of the point's part in the point's frame [m]."""
+    group_bounds: Float[np.ndarray, "k 6"]
+    """Least and greatest coordinates of the group in the point's frame [m]."""
+    part_center: Float[np.ndarray, "k 3"]
+    """Mean of the cloud of the point's part in the point's frame [m]."""
+    images: PointImages
+    """Depth images of the group around each point."""
     grasps: GroupGrasps | None
     """Grasps of the group; None if the tokens have no grasps."""
 
@@ -105,7 +175,7 @@ class GroupGeometry:
     def build(
         key: bytes, clouds: Float[np.ndarray, "p c 3"], rotation: Float[np.ndarray, "p 3 3"],
         translation: Float[np.ndarray, "p 3"], position: Float[np.ndarray, "k 3"], frame: Float[np.ndarray, "k 3 3"],
-        member: Int[np.ndarray, "k"] | None = None, poses: Float[np.ndarray, "p 8 6"] | None = None,
+        axes: Float[np.ndarray, "k 3 3"], member: Int[np.ndarray, "k"], poses: Float[np.ndarray, "p 8 6"] | None = None,
     ) -> GroupGeometry:  # fmt: skip
         """Put a group together from its p parts.
 
@@ -116,13 +186,14 @@ class GroupGeometry:
             translation: `group_from_part` of each part [m].
             position: position of each free point in the group's frame [m].
             frame: `group_from_point` of each free point.
-            member: part of each free point, as a number in 0..p; only with grasps.
-            poses: `part_from_tips` of each part's grasps; only with grasps.
+            axes: axes that `w` names where the group waits with this point, as columns.
+            member: part of each free point, as a number in 0..p.
+            poses: `part_from_tips` of each part's grasps; None without grasps.
         """
         placed = clouds @ rotation.transpose(0, 2, 1) + translation[:, None]
         cloud = placed.reshape(-1, 3)
         grasps = None
-        if member is not None and poses is not None:
+        if poses is not None:
             of_part = {
                 i: PartGrasps(
                     poses[i], placed[i], np.delete(placed, i, axis=0).reshape(-1, 3), rotation[i], translation[i]
@@ -132,8 +203,21 @@ class GroupGeometry:
             of_point = tuple(of_part[i] for i in member.tolist())
             features = np.stack([g.features(*point) for g, *point in zip(of_point, position, frame, strict=True)])
             grasps = GroupGrasps(of_point, features, _thinned(cloud, MAX_OTHER_POINTS))
-        patch = _patches(cloud, position, frame)
-        return GroupGeometry(key, position, frame, patch, _thinned(cloud, _EXTENT_POINTS), grasps)
+        outlines = [_outermost(part) for part in placed]
+        outline = np.concatenate(outlines)
+        return GroupGeometry(
+            key,
+            position,
+            frame,
+            axes,
+            _patches(cloud, position, frame),
+            _outermost(outline),
+            np.array([_bounds(outlines[i], *at) for i, *at in zip(member, position, frame, strict=True)]).reshape(-1, 6),
+            np.array([_bounds(outline, *at) for at in zip(position, frame, strict=True)]).reshape(-1, 6),
+            np.einsum("nji,nj->ni", frame, placed.mean(axis=1)[member] - position),
+            PointImages.take(cloud, position, frame),
+            grasps,
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,6 +235,19 @@ class GroupGrasps:
 def _thinned(points: Float[np.ndarray, "n 3"], most: int) -> Float[np.ndarray, "m 3"]:
     """Every so many of the points, `most` at most."""
     return points[:: -(-len(points) // most)]
+
+
+def _outermost(points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "m 3"]:
+    """The points that are farthest in any of many directions."""
+    return points[np.unique(np.argmax(_DIRECTIONS @ points.T, axis=1))]
+
+
+def _bounds(
+    points: Float[np.ndarray, "n 3"], position: Float[np.ndarray, "3"], frame: Float[np.ndarray, "3 3"]
+) -> Float[np.ndarray, "6"]:
+    """Least and greatest coordinates in the frame of a connection point [m]."""
+    local = (points - position) @ frame
+    return np.concatenate([local.min(axis=0), local.max(axis=0)])
 
 
 def _patches(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from functools import partial
 from itertools import islice
 from pathlib import Path
@@ -13,22 +13,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
-from jaxtyping import UInt8
 
 from roboassembly.learning import checkpoint
-from roboassembly.learning.augmentation import AUGMENTATIONS, up_axis_permutation
+from roboassembly.learning.augmentation import AUGMENTATIONS
 from roboassembly.learning.batches import padded_length
-from roboassembly.learning.datasets import SampleSet, dataset_file
 from roboassembly.learning.fit import AdamWConfig, Batch, Fit
 from roboassembly.learning.layers import Array, Params
 from roboassembly.learning.relational import network as relational
-from roboassembly.learning.relational.augmentation import augment_tokens
-from roboassembly.learning.relational.oracle_dataset import targets_of
-from roboassembly.learning.relational.tokens import TokenCache, Tokens, pad, tokens_of_sample
-from roboassembly.parallel.processes import map_ordered
+from roboassembly.learning.relational.augmentation import augment_tokens, permutation_of
+from roboassembly.learning.relational.examples import TokenExample
+from roboassembly.learning.relational.tokens import pad
 
-_MIN_FOR_PROCESSES = 8
-"""Number of pieces from which on their examples are prepared in several processes."""
 _VALIDATION_BATCH = 8
 """Number of states in a batch of validation."""
 _TOKENS_IN_CACHE = 96
@@ -48,51 +43,6 @@ class RelationalTraining(AdamWConfig):
     """Whether each state is mirrored and turned by quarter turns at random, anew each time."""
     hide_surface: float = 0.15
     """Share of the states in which the surface around the points is hidden, so that not all rests on it."""
-
-
-@dataclass(frozen=True, eq=False)
-class TokenExample:
-    """A labelled state with n tokens, ready for the network and small enough to keep a hundred thousand."""
-
-    tokens: Tokens
-    """Tokens; `bounds` as 16-bit floats."""
-    fits: UInt8[np.ndarray, "n n"]
-    """Whether each ordered pair fits."""
-    viable: UInt8[np.ndarray, "n n 6"]
-    """Whether each action is viable."""
-
-
-def examples_of(sample_sets: Sequence[SampleSet]) -> list[TokenExample]:
-    """Return the examples of all samples."""
-    out: list[TokenExample] = []
-    for samples in sample_sets:
-        cache = TokenCache()
-        for sample in samples.samples:
-            tokens = tokens_of_sample(samples, sample, cache)
-            small = replace(tokens, bounds=tokens.bounds.astype(np.float16))
-            out.append(TokenExample(small, *targets_of(tokens, sample)))
-    return out
-
-
-def load_examples(folder: Path, names: Sequence[str], jobs: int) -> list[TokenExample]:
-    """Return the examples of some pieces, prepared in parallel.
-
-    Args:
-        folder: folder of the samples.
-        names: names of the pieces.
-        jobs: number of processes.
-
-    Raises:
-        InputError: a file of samples is broken.
-    """
-    paths = [dataset_file(folder, name) for name in names]
-    of_pieces = map_ordered(_examples_in, paths, 1 if len(paths) < _MIN_FOR_PROCESSES else jobs, chunk=4)
-    return [example for of_piece in of_pieces for example in of_piece]
-
-
-def _examples_in(path: Path) -> list[TokenExample]:
-    """Examples of a file."""
-    return examples_of([SampleSet.load(path)])
 
 
 def batch_of(
@@ -115,7 +65,7 @@ def batch_of(
     for row, (e, change) in enumerate(zip(examples, changes, strict=True)):
         n = len(e.fits)
         batch["fits"][row, :n, :n] = e.fits
-        batch["viable"][row, :n, :n, up_axis_permutation(change)] = np.moveaxis(e.viable, 2, 0)
+        batch["viable"][row, :n, :n, permutation_of(e.tokens, change)] = np.moveaxis(e.viable, 2, 0)
         if rng is not None and rng.random() < hide_surface:
             batch["patch"][row] = 255
     return batch

@@ -21,7 +21,7 @@ import numpy as np
 from jaxtyping import Float32
 
 from roboassembly.geometry.mating import mating_rotations
-from roboassembly.learning.augmentation import AUGMENTATIONS, FrameChange, up_axis_permutation
+from roboassembly.learning.augmentation import AUGMENTATIONS, FrameChange
 from roboassembly.learning.layers import (
     Array,
     Params,
@@ -35,7 +35,7 @@ from roboassembly.learning.layers import (
     sigmoid,
     softplus,
 )
-from roboassembly.learning.relational.augmentation import augment_tokens
+from roboassembly.learning.relational.augmentation import augment_tokens, permutation_of
 from roboassembly.learning.relational.clearance import CLEARANCE_FEATURES, GRASP_FEATURES
 from roboassembly.learning.relational.features import (
     PAIR_FEATURES,
@@ -217,27 +217,38 @@ def ranked(t: dict[str, Array], q: Array, valid: Array) -> Array:
     """
     xp = q.__array_namespace__()
     frame = xp.astype(t["frame"], xp.float32)
-    plausible = plausible_pairs(frames_parallel(mating_rotations(frame, frame)), t["features"][..., -1] > 0, valid)
+    upright = t["features"][..., -1] > 0
+    plausible = plausible_pairs(frames_parallel(mating_rotations(frame, frame)), upright, valid)
     any_plausible = xp.any(plausible, axis=(1, 2), keepdims=True)
     penalty = xp.where(plausible | ~any_plausible, 0.0, _IMPLAUSIBLE_PENALTY)
     return xp.where(valid[..., None], q - xp.astype(penalty, q.dtype)[..., None], -xp.inf)
 
 
-def values(
+def judged(
     p: Params, tokens: Tokens, augmentations: Sequence[FrameChange] = AUGMENTATIONS[:1]
-) -> Float32[np.ndarray, "n n 6"]:
-    """Return Q-values of all actions in one state, on NumPy; -inf where two tokens are in one group.
+) -> tuple[Float32[np.ndarray, "n n"], Float32[np.ndarray, "n n 6"]]:
+    """Return for one state, on NumPy, logits of whether pairs fit, and Q-values of all actions.
+
+    Both are -inf where two tokens are in one group.
 
     Args:
         p: weights of `init`.
         tokens: the state.
-        augmentations: changes of the furniture over which Q is averaged.
+        augmentations: changes of the furniture over which both are averaged.
     """
     t = pad([augment_tokens(tokens, change) for change in augmentations], len(tokens.part))
-    _, q, valid = apply(p, t)
+    fits, q, valid = apply(p, t)
     changed = np.asarray(ranked(t, q, valid))
-    back = [q[..., up_axis_permutation(change)] for q, change in zip(changed, augmentations, strict=True)]
-    return np.mean(np.stack(back), axis=0).astype(np.float32)
+    penalty = np.where(valid, np.asarray(q)[..., 0] - changed[..., 0], np.inf)
+    back = [q[..., permutation_of(tokens, change)] for q, change in zip(changed, augmentations, strict=True)]
+    return (np.asarray(fits) - penalty).mean(axis=0).astype(np.float32), np.stack(back).mean(axis=0).astype(np.float32)
+
+
+def values(
+    p: Params, tokens: Tokens, augmentations: Sequence[FrameChange] = AUGMENTATIONS[:1]
+) -> Float32[np.ndarray, "n n 6"]:
+    """Return Q-values of all actions in one state, on NumPy; see `judged`."""
+    return judged(p, tokens, augmentations)[1]
 
 
 def best_action(p: Params, tokens: Tokens) -> tuple[int, int, int]:

@@ -14,14 +14,15 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float32, UInt8
+from jaxtyping import Bool, Float32, UInt8
 
-from roboassembly.envs.observation import Observer
+from roboassembly.envs.observation import Observer, surface_points
 from roboassembly.furniture.model import Furniture
 from roboassembly.learning.datasets import LabeledState, SampleSet, structure_of
 from roboassembly.learning.relational.tokens import Tokens, tokens_of_sample
 from roboassembly.solvers.oracle import LabeledMate, Oracle
 from roboassembly.task.object_centric.task import ObjectCentricTask
+from roboassembly.task.part_frames import principal_frames
 from roboassembly.task.rules.connections import UP_AXES
 from roboassembly.task.rules.groups import TaskState
 
@@ -29,6 +30,8 @@ TokenPolicy = Callable[[Tokens], tuple[int, int, int]]
 """Picks an action: the tokens of the moving and of the waiting point, and `w`."""
 _DEAD_END_SHARE = 0.5
 """Share of the states with an action into a dead end for which one dead end is labelled."""
+_RESAMPLED_SEED = 20_251
+"""Seed of the clouds with other points."""
 _SAME_ROTATION = 0.02
 """Largest difference between the entries of two rotations that count as one."""
 
@@ -62,7 +65,12 @@ class Labeler:
         # The paper's number of points at least, so that files of most pieces have arrays of one shape.
         self._observer = Observer(furniture, len(furniture.parts), furniture.padding[1], 1)
         grasps = None if self.oracle.grasp_task is None else self._observer.grasp_poses
-        self._empty = SampleSet(furniture.name, clouds, (), grasps, structure_of(furniture))
+        self._principal = principal_frames(furniture)
+        rng = np.random.default_rng(_RESAMPLED_SEED)
+        resampled = np.array([surface_points(part.mesh, clouds.shape[1], rng) for part in furniture.parts])
+        self._empty = SampleSet(
+            furniture.name, clouds, (), grasps, structure_of(furniture), self._principal.astype(np.float32), resampled
+        )
 
     def sample_set(self, samples: Sequence[LabeledState], name: str = "") -> SampleSet:
         """Return labelled states as a data set, under the furniture's name or another one."""
@@ -79,7 +87,15 @@ class Labeler:
             free,
             observation["poses"],
             np.array(rows, np.int16).reshape(-1, 5 + len(UP_AXES)),
+            np.array([self._own_w(state, mate) for mate in mates], bool).reshape(-1, len(UP_AXES)),
         )
+
+    def _own_w(self, state: TaskState, mate: LabeledMate) -> Bool[np.ndarray, "6"]:
+        """Return whether a mate works with each of the principal axes of v's part up."""
+        v_group = state.groups[state.group_of[mate.v]]
+        frame_of_v = v_group.furniture_from_part[v_group.parts.index(mate.v)]
+        turn = mate.merge.furniture_from_v.rotation @ frame_of_v.rotation @ self._principal[mate.v]
+        return self.oracle.feasible_along(mate.moving, mate.waiting, UP_AXES @ turn.T)
 
     def rollout(self, rng: np.random.Generator, policy: TokenPolicy | None = None) -> LabeledEpisode:
         """Roll out one episode from loose parts to the finished furniture.

@@ -14,6 +14,7 @@ from roboassembly.geometry.mating import mating_poses
 from roboassembly.learning.relational.clearance import CLEARANCE_FEATURES
 from roboassembly.learning.relational.group_geometry import GroupGeometry
 from roboassembly.learning.relational.policy_view import CONTACT_COSINE, CONTACT_DISTANCE
+from roboassembly.learning.relational.ways import ways_out
 
 _NEAR = 0.012
 """Distance up to which two points that do not mate should probably coincide [m]."""
@@ -29,6 +30,8 @@ class PairGeometry:
     """Counts of other pairs of points, see `Tokens.matches`."""
     bounds: Float[np.ndarray, "k l 6"]
     """Bounds of the moving group relative to the waiting group's, see `Tokens.bounds` [m]."""
+    ways: UInt8[np.ndarray, "k l 22"]
+    """What depth images show of the ways out, see `Tokens.ways`."""
 
     @staticmethod
     def both_ways(a: GroupGeometry, b: GroupGeometry) -> tuple[PairGeometry, PairGeometry]:
@@ -38,8 +41,8 @@ class PairGeometry:
         back = rotation.transpose(1, 0, 3, 2)
         translation_back = -(back @ translation.transpose(1, 0, 2)[..., None])[..., 0]
         return (
-            PairGeometry(of_a, _relative_bounds(rotation, translation, a, b)),
-            PairGeometry(of_b, _relative_bounds(back, translation_back, b, a)),
+            PairGeometry(of_a, _relative_bounds(rotation, translation, a, b), ways_out(a.images, b.images)),
+            PairGeometry(of_b, _relative_bounds(back, translation_back, b, a), ways_out(b.images, a.images)),
         )
 
 
@@ -103,7 +106,10 @@ def _relative_bounds(
     rotation: Float[np.ndarray, "k l 3 3"], translation: Float[np.ndarray, "k l 3"], moving: GroupGeometry,
     waiting: GroupGeometry,
 ) -> Float[np.ndarray, "k l 6"]:  # fmt: skip
-    """Lower and upper bounds of the moving group less those of the waiting group [m]."""
-    mated = (rotation.reshape(-1, 3) @ moving.cloud.T).reshape(*translation.shape, -1)
-    low, high = mated.min(axis=3) + translation, mated.max(axis=3) + translation
-    return np.concatenate([low - waiting.cloud.min(axis=0), high - waiting.cloud.max(axis=0)], axis=-1)
+    """Lower and upper bounds of the moving group less those of the waiting group, along the axes that `w` names [m]."""
+    turn = waiting.axes.transpose(0, 2, 1)
+    offset = (turn @ translation[..., None])[..., 0]
+    mated = ((turn @ rotation).reshape(-1, 3) @ moving.outline.T).reshape(*translation.shape, -1)
+    low, high = mated.min(axis=3) + offset, mated.max(axis=3) + offset
+    still = waiting.outline @ waiting.axes
+    return np.concatenate([low - still.min(axis=1), high - still.max(axis=1)], axis=-1)

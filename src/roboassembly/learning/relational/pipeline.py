@@ -19,12 +19,12 @@ Grasp samples train a second network, and the further rounds are those of this n
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from roboassembly.datasets.sets import RECIPES, furniture_refs, set_hash
+from roboassembly.datasets.sets import RECIPES, FurnitureRef, furniture_refs, set_hash
 from roboassembly.errors import InputError
 from roboassembly.learning import checkpoint
 from roboassembly.learning.datasets import dataset_file
@@ -39,7 +39,8 @@ from roboassembly.learning.relational.collect import CollectResult, collect, gra
 from roboassembly.learning.relational.grasps import imitation as grasp_imitation
 from roboassembly.learning.relational.grasps import network as grasping
 from roboassembly.learning.relational.grasps.on_policy import collect_on_policy
-from roboassembly.learning.relational.imitation import RelationalTraining, TokenExample
+from roboassembly.learning.relational.examples import SHOWN, Frames, TokenExample, load_examples
+from roboassembly.learning.relational.imitation import RelationalTraining
 from roboassembly.learning.relational.network import RelationalConfig
 from roboassembly.learning.relational.policy import FULL_PARAMS, GRASP_PARAMS, RelationalPolicy
 from roboassembly.settings import SETTINGS
@@ -77,6 +78,12 @@ class RelationalPipelineConfig:
     """Random seed."""
     network: RelationalConfig = field(default_factory=RelationalConfig)
     """Sizes of the network."""
+    frames: Frames = "both"
+    """Frames in which the samples are shown."""
+    imported: str = ""
+    """Folder of imported furniture folders to train on besides; none if empty."""
+    imported_episodes: int = 6
+    """Number of episodes of each imported piece in each round."""
     setting: SettingName = "object-centric"
     """Setting whose oracle labels the samples."""
     start: str = ""
@@ -125,20 +132,25 @@ def run_pipeline(config: RelationalPipelineConfig, folder: Path, jobs: int) -> I
         raise InputError(f"--set {config.set}: the oracle labels generated furniture; one of {', '.join(RECIPES)}")
     start = _start_checkpoint(config, folder)
     refs = furniture_refs(config.set)[: config.limit]
+    imported = furniture_refs(f"folder:{config.imported}") if config.imported else []
     names = [ref.name for ref in refs] + extra_names(config.extra, recipe.unseen_families)
     held_out = extra_names(config.validation, recipe.unseen_families, first=_VALIDATION_SEEDS)
-    notes = {"pipeline": asdict(config), "set_hash": set_hash(refs)}
+    notes = {"pipeline": asdict(config), "set_hash": set_hash([*refs, *imported])}
     pair_rounds, grasp_rounds = config.rounds_of_networks
 
     yield from _collect("validation", held_out, folder / "samples" / "validation", config, jobs, None)
-    validation = imitation.load_examples(folder / "samples" / "validation", held_out, jobs)
+    validation = {
+        shown: load_examples(folder / "samples" / "validation", held_out, jobs, shown)
+        for shown in SHOWN[config.frames]
+    }
     examples: list[TokenExample] = []
     last = start
     for index in range(pair_rounds):
         samples, path = folder / "samples" / str(index), folder / f"policy-{index}.npz"
         with_grasps = [ref.name for ref in refs] if grasp_rounds else []
         yield from _collect(f"samples {index}", names, samples, config, jobs, last, with_grasps)
-        examples += imitation.load_examples(samples, names, jobs)
+        yield from _collect(f"imported samples {index}", imported, samples, config, jobs, last, with_grasps)
+        examples += load_examples(samples, [*names, *(ref.name for ref in imported)], jobs, config.frames)
         steps, rate = (
             (config.round_steps, 0.5 * config.learning_rate) if index else (config.steps, config.learning_rate)
         )
@@ -177,13 +189,15 @@ def _start_checkpoint(config: RelationalPipelineConfig, folder: Path) -> Path | 
 
 
 def _collect(
-    stage: str, names: Sequence[str], folder: Path, config: RelationalPipelineConfig, jobs: int, policy: Path | None,
-    with_grasps: Sequence[str] = (),
+    stage: str, pieces: Sequence[str | FurnitureRef], folder: Path, config: RelationalPipelineConfig, jobs: int,
+    policy: Path | None, with_grasps: Sequence[str] = (),
 ) -> Iterator[Progress]:  # fmt: skip
-    """Collect the samples of a round."""
+    """Collect the samples of a round, of generated pieces by name and of imported ones."""
+    folders = {p.name: p.folder for p in pieces if isinstance(p, FurnitureRef) and p.folder is not None}
+    names = [p if isinstance(p, str) else p.name for p in pieces]
     results = collect(
-        names, folder, episodes=config.episodes, seed=config.seed, jobs=jobs, policy=policy, setting=config.setting,
-        with_grasps=with_grasps,
+        names, folder, episodes=config.imported_episodes if folders else config.episodes, seed=config.seed, jobs=jobs,
+        policy=policy, setting=config.setting, with_grasps=with_grasps, folders=folders,
     )  # fmt: skip
     yield from _counted(stage, results, names, folder, mistakes=policy is not None)
 
@@ -202,14 +216,16 @@ def _counted(
 
 def _validated(
     stage: str, training_steps: Iterable[tuple[int, dict[str, float]]], steps: int, path: Path,
-    validation: Sequence[TokenExample],
+    validation: Mapping[str, Sequence[TokenExample]],
 ) -> Iterator[Progress]:  # fmt: skip
     """Progress of a training, with a validation every 1,000 steps and at the end."""
     for step, terms in training_steps:
         scalars = dict(terms)
-        if validation and (step % 1_000 == 0 or step == steps):
+        if step % 1_000 == 0 or step == steps:
             params = checkpoint.load(path, relational.KIND).params
-            scalars["validation"] = imitation.viable_share(params, validation)
+            for shown, of_shown in validation.items():
+                if of_shown:
+                    scalars[f"validation_{shown}"] = imitation.viable_share(params, of_shown)
         yield Progress(stage, step, steps, scalars)
 
 

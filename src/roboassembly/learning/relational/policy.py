@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Float32, Int
 
 from roboassembly.envs.observation import Observation
 from roboassembly.errors import InputError
@@ -18,9 +18,11 @@ from roboassembly.learning.policy import Mask, Values, surest
 from roboassembly.learning.relational import network as relational
 from roboassembly.learning.relational.grasps import network as grasping
 from roboassembly.learning.relational.grasps.features import grasp_features
+from roboassembly.learning.relational.layout_search import MAX_STATES, LayoutProblem, find_layout
 from roboassembly.learning.relational.policy_view import PolicyView
-from roboassembly.learning.relational.tokens import GroupedPoints, TokenCache, tokens_of
+from roboassembly.learning.relational.tokens import GroupedPoints, TokenCache, Tokens, tokens_of
 from roboassembly.parallel.threads import one_blas_thread
+from roboassembly.task.part_frames import FramesName
 from roboassembly.task.setting import SettingName
 
 GRASP_PARAMS, FULL_PARAMS = "grasps", "full"
@@ -37,6 +39,8 @@ _ENOUGH_ACTIONS, _CLOSE = 5, 0.03
 """Number of actions whose log-probability reaches the next pair's within a margin, from which on it is skipped."""
 _HOPELESS = -20.0
 """Log-probability of finishing where no action is left."""
+_OUTSIDE_PENALTY = 15.0
+"""Number subtracted from the logits of pairs that are not in the layout that was found."""
 _UNKNOWN_GRASPS = -8.0
 """Log-probability of grasps that are not valued."""
 
@@ -62,6 +66,10 @@ class RelationalPolicy:
     """Weights of `grasps.network`; without them, the policy works in the object-centric setting only."""
     full_params: Params | None = None
     """Weights of `network` for the full setting; `params` if None."""
+    frames: FramesName = "aligned"
+    """Frames in which the observations describe parts."""
+    layout_states: int = MAX_STATES
+    """Number of incomplete layouts that are extended before each decision; none is looked for if 0."""
     cache: TokenCache = field(default_factory=TokenCache, repr=False)
     """Geometry of earlier states."""
 
@@ -69,6 +77,10 @@ class RelationalPolicy:
     def settings(self) -> tuple[SettingName, ...]:
         """Settings that the policy works in."""
         return ("object-centric",) if self.grasp_params is None else ("object-centric", "full")
+
+    def with_frames(self, frames: FramesName) -> RelationalPolicy:
+        """Return the policy for observations in some frames."""
+        return self if frames == self.frames else replace(self, frames=frames, cache=TokenCache())
 
     @staticmethod
     def from_checkpoint(loaded: Checkpoint, where: str) -> RelationalPolicy:
@@ -106,7 +118,7 @@ class RelationalPolicy:
         if mask.ndim == _FULL_MASK_AXES:
             return surest(self._full_values(observation, mask, 1))
         with one_blas_thread():
-            view = PolicyView.from_observation(observation, mask)
+            view = PolicyView.from_observation(observation, mask, self.frames)
             values = self.pair_values(view)
             return surest(values) if self.beam_width < 2 else self._beam_search(_Sequence(view, values))
 
@@ -121,7 +133,7 @@ class RelationalPolicy:
         if mask.ndim == _FULL_MASK_AXES:
             return self._full_values(observation, mask, _ENOUGH_ACTIONS)
         with one_blas_thread():
-            return self.pair_values(PolicyView.from_observation(observation, mask))
+            return self.pair_values(PolicyView.from_observation(observation, mask, self.frames))
 
     def _full_values(self, observation: Observation, mask: Mask, enough: int) -> Values:
         """Return the values of the full setting; see `_grasp_values`.
@@ -133,7 +145,7 @@ class RelationalPolicy:
             raise InputError(f"the policy '{self.name}' has no grasp network; use --setting object-centric")
         policy = self if self.full_params is None else replace(self, params=self.full_params)
         with one_blas_thread():
-            view = PolicyView.from_observation(observation, mask)
+            view = PolicyView.from_observation(observation, mask, self.frames)
             return policy._grasp_values(view, self.grasp_params, mask, enough)
 
     def probabilities(self, observation: Observation, mask: Mask) -> Values:
@@ -154,8 +166,15 @@ class RelationalPolicy:
             u, k = tokens.part[:, None], tokens.point[:, None]
             v, l = tokens.part[None], tokens.point[None]  # noqa: E741
             # Rounding errors must not choose between equal parts, nor between action sequences.
-            q = relational.values(self.params, tokens, AUGMENTATIONS[: self.augmentations])
-            out[u, v, k, l] = np.round(q, _DECIMALS)
+            fits, q = relational.judged(self.params, tokens, AUGMENTATIONS[: self.augmentations])
+            fits, q = np.round(fits, _DECIMALS), np.round(q, _DECIMALS)
+            layout = find_layout(layout_problem(tokens, fits), self.layout_states) if self.layout_states else None
+            if layout is not None:
+                outside = np.ones(fits.shape, bool)
+                for pair in layout.placed_by:
+                    outside[pair] = outside[pair[::-1]] = False
+                q[outside] -= _OUTSIDE_PENALTY
+            out[u, v, k, l] = q
         return out
 
     def _beam_search(self, start: _Sequence) -> Int[np.ndarray, "5"]:
@@ -255,6 +274,20 @@ class RelationalPolicy:
             here: Bool[np.ndarray, "P P"] = np.isin(group, u_group)[:, None] & np.isin(group, v_group)[None]
             out = np.where((here | here.T)[..., None, None], pairs + finish, out)
         return out
+
+
+def layout_problem(tokens: Tokens, fits: Float32[np.ndarray, "n n"]) -> LayoutProblem:
+    """Return the problem of laying out the groups of a state.
+
+    Args:
+        tokens: the state.
+        fits: logit of whether each pair fits; -inf within a group.
+    """
+    # A pair fits whichever of its groups moves.
+    logit = 0.5 * (fits + fits.T).astype(float)
+    return LayoutProblem(
+        tokens.group, tokens.position.astype(float), tokens.frame.astype(float), np.logaddexp(0.0, -logit), tokens.types
+    )
 
 
 _Mate = frozenset[tuple[int, int]]

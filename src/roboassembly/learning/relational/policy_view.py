@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float, Int
 from roboassembly.geometry.mating import mating_poses, point_frames
 from roboassembly.geometry.poses import euler_from_rotations, rotations_from_euler
 from roboassembly.learning.datasets import LabeledState, SampleSet, group_labels
+from roboassembly.task.part_frames import FramesName
 from roboassembly.task.rules.connections import GRASPS, UP_AXES
 
 CONTACT_DISTANCE = 0.004
@@ -40,9 +41,13 @@ class PolicyView:
     """`world_from_part` of each part, translation [m] and Euler angles."""
     digests: Sequence[bytes]
     """Hash of each part's cloud."""
+    frames: FramesName = "aligned"
+    """Frames in which the parts are described."""
 
     @staticmethod
-    def from_observation(observation: dict[str, np.ndarray], mask: Bool[np.ndarray, "P P K K ..."]) -> PolicyView:
+    def from_observation(
+        observation: dict[str, np.ndarray], mask: Bool[np.ndarray, "P P K K ..."], frames: FramesName = "aligned"
+    ) -> PolicyView:
         """Return the view of an observation, with the mask of the actions that exist."""
         connections, clouds = observation["connections"].astype(float), observation["shapes"].astype(float)
         return PolicyView(
@@ -54,6 +59,7 @@ class PolicyView:
             observation["grasp_regions"].reshape(len(connections), -1, 6).astype(float),
             observation["poses"].astype(float),
             digests_of(clouds),
+            frames,
         )
 
     @staticmethod
@@ -69,6 +75,7 @@ class PolicyView:
             np.zeros((len(samples.clouds), GRASPS, 6)) if samples.grasps is None else samples.grasps.astype(float),
             sample.poses.astype(float),
             digests_of(clouds),
+            samples.frames,
         )
 
     @property

@@ -4,8 +4,9 @@ Everything follows from the observation (clouds, points, connections) and the ma
 from the furniture itself. World poses do not matter to what fits what and are left out, so the policy is exactly
 invariant to where the parts lie and how they are numbered.
 
-A part's frame is parallel to the furniture's, as in the paper (equal parts share the frame of the first of them); this
-shows a policy which way the furniture stands.
+An aligned part's frame is parallel to the furniture's, as in the paper (equal parts share the frame of the first of
+them); this shows a policy which way the furniture stands. All that says so stands apart from the other features, and is 0
+where parts are described in frames of their own.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from roboassembly.geometry.mating import mating_rotations, point_frames
 from roboassembly.learning.datasets import LabeledState, SampleSet
 from roboassembly.learning.relational.clearance import CLEARANCE_FEATURES, GRASP_FEATURES
 from roboassembly.learning.relational.cycles import closed_3_cycles, closed_4_cycles
-from roboassembly.learning.relational.features import frames_parallel, plausible_pairs
+from roboassembly.learning.relational.features import ALIGNED, frames_parallel, plausible_pairs
 from roboassembly.learning.relational.group_geometry import (
     PATCH_SIZE,
     GroupFrames,
@@ -33,13 +34,14 @@ from roboassembly.learning.relational.group_geometry import (
 )
 from roboassembly.learning.relational.pair_geometry import PairGeometry, grasp_clearance
 from roboassembly.learning.relational.policy_view import PolicyView
+from roboassembly.learning.relational.ways import WAYS
 from roboassembly.task.rules.connections import GRASPS
 
-POINT_FEATURES = 21
+POINT_FEATURES = 37
 """Number of features of a point."""
-_OF_PAIRS = ("matches", "bounds", "cycles_3", "cycles_4", "clearance")
+_OF_PAIRS = ("matches", "bounds", "ways", "cycles_3", "cycles_4", "clearance")
 """Token arrays over pairs of tokens."""
-_PADDED = ("patch", "features", "frame", "position", "extent", "grasps", *_OF_PAIRS)
+_PADDED = ("patch", "features", "frame", "position", "axes", "extent", "grasps", *_OF_PAIRS)
 """Token arrays of a batch; `grasps` and `clearance` only where the tokens have them."""
 T = TypeVar("T")
 
@@ -54,14 +56,18 @@ class Tokens:
     |---|---|---|
     | 0 | number of parts in the group | 5 parts |
     | 1 | number of free points of the group | 10 points |
-    | 2–4 | position of the part's origin in the point's frame | 0.5 m |
-    | 5–7 | extent of the part along its axes | 0.5 m |
-    | 8–10 | position of the point in the part's frame | 0.5 m |
-    | 11–13, 14–16 | normal and tangent in the part's frame | |
+    | 2–4 | middle of the part's cloud in the point's frame | 0.5 m |
+    | 5–7, 8–10 | lower and upper bounds of the part in the point's frame | 0.5 m |
+    | 11–13, 14–16 | lower and upper bounds of the group in the point's frame | 0.5 m |
     | 17 | number of parts with this shape | 4 parts |
     | 18 | 1 if no other part has this shape | |
     | 19 | number of free points of the part | 5 points |
-    | 20 | 1 if the group's frame is surely parallel to the furniture's | |
+    | 20 | 1 if part frames are aligned; else all below are 0 | |
+    | 21–23 | position of the part's origin in the point's frame | 0.5 m |
+    | 24–26 | extent of the part along its axes | 0.5 m |
+    | 27–29 | position of the point in the part's frame | 0.5 m |
+    | 30–32, 33–35 | normal and tangent in the part's frame | |
+    | 36 | 1 if the group's frame is surely parallel to the furniture's | |
     """
 
     part: Int[np.ndarray, "n"]
@@ -73,20 +79,25 @@ class Tokens:
     patch: UInt8[np.ndarray, "n 375"]
     """Distances from the `PATCH_GRID` points around each point to the surface of its group, in units of 1.5 steps,
     times 255; 125 of each grid."""
-    features: Float32[np.ndarray, "n 21"]
+    features: Float32[np.ndarray, "n 37"]
     """Features of the table."""
     frame: Float32[np.ndarray, "n 3 3"]
     """`group_from_point`; a group's frame is that of its most distinctive part (`GroupFrames`)."""
     position: Float32[np.ndarray, "n 3"]
     """Position in the group's frame [m]."""
+    axes: Float32[np.ndarray, "n 3 3"]
+    """Axes that `w` names where the point's part waits, as columns, in the group's frame: those of this frame if part
+    frames are aligned, else those of the part."""
     extent: Float32[np.ndarray, "n 3"]
-    """Extent of the point's group along the group's axes [m]."""
+    """Extent of the point's group along these axes [m]."""
     matches: UInt8[np.ndarray, "n n 4"]
     """Number of other free points of the moving group that, once the pair is mated, mate as well, mate with equal
     tangents, miss a mate by at most 12 mm, and come within 40 mm of another point."""
     bounds: Float32[np.ndarray, "n n 6"]
-    """Lower bounds (x, y, z) of the mated moving group less those of the waiting group, in the waiting group's frame,
+    """Lower bounds of the mated moving group less those of the waiting group, along the `axes` of the waiting point,
     and the same of the upper bounds [m]."""
+    ways: UInt8[np.ndarray, "n n 22"]
+    """Counts of pixels in depth images that show the ways out of the mate (`ways.ways_out`)."""
     cycles_3: UInt8[np.ndarray, "n n"]
     """Number of groups that close a 3-cycle with the pair."""
     cycles_4: UInt8[np.ndarray, "n n"]
@@ -95,6 +106,8 @@ class Tokens:
     """Features of the grasps of the point's part (`PartGrasps.features`); None without grasps."""
     clearance: Float16[np.ndarray, "n n 4"] | None = None
     """Clearance of the row's grasps at the mate (`PartGrasps.mate_clearance`); None without grasps."""
+    types: tuple[int, ...] = ()
+    """Type of each group: number of the first group that is equal. Training does without."""
 
 
 class TokenCache:
@@ -136,6 +149,7 @@ class GroupedPoints:
     frames: GroupFrames
     frame: Float[np.ndarray, "n 3 3"]
     position: Float[np.ndarray, "n 3"]
+    axes: Float[np.ndarray, "n 3 3"]
     arrays: list[list[Any]]
     """Arrays of each group that `GroupGeometry.build` takes after the clouds."""
 
@@ -144,28 +158,39 @@ class GroupedPoints:
         """Return the free points of a state; arguments as of `tokens_of`."""
         part, point = np.nonzero(view.free)
         points = view.points[part, point]
-        shapes = cache.get(b"".join(view.digests), partial(PartShapes.of_clouds, view.clouds, view.digests))
-        frames = GroupFrames.of_groups(shapes, view.connections, view.group)
+        shapes = cache.get(
+            b"".join(view.digests), partial(PartShapes.of_clouds, view.clouds, view.digests, view.points)
+        )
+        aligned = view.frames == "aligned"
+        frames = GroupFrames.of_groups(shapes, view.connections, view.group, aligned=aligned)
         frame = frames.rotation[part] @ point_frames(points)
         position = np.einsum("nij,nj->ni", frames.rotation[part], points[:, :3]) + frames.translation[part]
+        axes = np.tile(np.eye(3), (len(part), 1, 1)) if aligned else frames.rotation[part]
         labels, group = np.unique(view.group[part], return_inverse=True)
         rows = [np.flatnonzero(group == index) for index in range(len(labels))]
         members = [np.flatnonzero(view.group == label) for label in labels]
         keys: list[bytes] = []
         arrays: list[list[Any]] = []
         for m, tokens in zip(members, rows, strict=True):
-            own = [frames.rotation[m], frames.translation[m], position[tokens], frame[tokens]]
+            own = [frames.rotation[m], frames.translation[m], position[tokens], frame[tokens], axes[tokens]]
+            own.append(np.searchsorted(m, part[tokens]))
             if grasps:
-                own += [np.searchsorted(m, part[tokens]), view.grasps[m]]
+                own.append(view.grasps[m])
             arrays.append(own)
             hashed = b"".join([*(shapes.digests[int(i)] for i in m), *(a.tobytes() for a in own)])
             keys.append(hashlib.blake2b(hashed).digest())
-        return GroupedPoints(part, point, points, group, rows, members, keys, shapes, frames, frame, position, arrays)
+        return GroupedPoints(
+            part, point, points, group, rows, members, keys, shapes, frames, frame, position, axes, arrays
+        )
 
     @property
     def group_types(self) -> list[int]:
-        """Type of each group: number of the first group with the same key."""
-        return [self.keys.index(key) for key in self.keys]
+        """Type of each group: number of the first group that is equal, with the same key or, alone, of one shape."""
+        keys: list[object] = list(self.keys)
+        for index, (members, rows) in enumerate(zip(self.members, self.rows, strict=True)):
+            if len(members) == 1:
+                keys[index] = int(self.shapes.shape[members[0]]), self.point[rows].tobytes()
+        return [keys.index(key) for key in keys]
 
     @property
     def state_key(self) -> tuple[bytes, ...]:
@@ -202,46 +227,60 @@ def tokens_of(
     part, group, rows, frame, position, frames = p.part, p.group, p.rows, p.frame, p.position, p.frames
     geometry = p.geometry(view, cache)
     patch, extent = np.zeros((len(part), PATCH_SIZE), np.uint8), np.zeros((len(part), 3), np.float32)
+    around = np.zeros((len(part), 15))
     for g, tokens in zip(geometry, rows, strict=True):
-        patch[tokens], extent[tokens] = g.patch, np.ptp(g.cloud, axis=0)
-    matches, bounds = _pair_arrays(geometry, rows, cache)
+        patch[tokens], extent[tokens] = g.patch, np.ptp(g.outline @ g.axes, axis=1)
+        around[tokens] = np.concatenate([g.part_center, g.part_bounds, g.group_bounds], axis=1)
+    matches, bounds, ways = _pair_arrays(geometry, rows, cache)
     different = group[:, None] != group
-    plausible = plausible_pairs(frames_parallel(mating_rotations(frame, frame)), frames.upright[part], different)
+    plausible = different
+    if view.frames == "aligned":
+        plausible = plausible_pairs(frames_parallel(mating_rotations(frame, frame)), frames.upright[part], different)
     of_groups = (rows, position, frame, plausible, p.group_types)
     cycles_3 = np.minimum(closed_3_cycles(*of_groups), 255).astype(np.uint8)
     cycles_4 = np.minimum(closed_4_cycles(*of_groups), 255).astype(np.uint8)
     of_grasps = _grasp_arrays(geometry, rows, cache) if grasps else (None, None)
     return Tokens(
-        part, p.point, group, patch, _point_features(view, part, p.points, group, p.shapes, frames),
-        frame.astype(np.float32), position.astype(np.float32), extent, matches, bounds, cycles_3, cycles_4, *of_grasps,
+        part, p.point, group, patch, _point_features(view, p, around), frame.astype(np.float32),
+        position.astype(np.float32), p.axes.astype(np.float32), extent, matches, bounds, ways, cycles_3, cycles_4,
+        *of_grasps, tuple(p.group_types),
     )  # fmt: skip
 
 
 def _point_features(
-    view: PolicyView, part: Int[np.ndarray, "n"], points: Float[np.ndarray, "n 9"], group: Int[np.ndarray, "n"],
-    shapes: PartShapes, frames: GroupFrames,
-) -> Float32[np.ndarray, "n 21"]:  # fmt: skip
-    """Features of `Tokens.features`."""
-    out = np.zeros((len(part), POINT_FEATURES), np.float32)
+    view: PolicyView, p: GroupedPoints, around: Float[np.ndarray, "n 15"]
+) -> Float32[np.ndarray, "n 37"]:
+    """Features of `Tokens.features`.
+
+    Args:
+        view: the state.
+        p: its free points.
+        around: middle and bounds of part and group in the frame of each point [m].
+    """
+    out = np.zeros((len(p.part), POINT_FEATURES), np.float32)
     parts_of_group = np.bincount(view.group, minlength=len(view.group))
-    out[:, 0] = parts_of_group[view.group[part]] / 5.0
-    out[:, 1] = np.bincount(group, minlength=1)[group] / 10.0
-    out[:, 2:5] = -2.0 * np.einsum("nji,nj->ni", point_frames(points), points[:, :3])
-    out[:, 5:8] = 2.0 * shapes.sides[part]
-    out[:, 8:11] = 2.0 * points[:, :3]
-    out[:, 11:17] = points[:, 3:]
-    out[:, 17], out[:, 18] = shapes.copies[part] / 4.0, shapes.copies[part] == 1
-    out[:, 19] = np.bincount(part, minlength=len(view.clouds))[part] / 5.0
-    out[:, 20] = frames.upright[part]
+    out[:, 0] = parts_of_group[view.group[p.part]] / 5.0
+    out[:, 1] = np.bincount(p.group, minlength=1)[p.group] / 10.0
+    out[:, 2:17] = 2.0 * around
+    out[:, 17], out[:, 18] = p.shapes.copies[p.part] / 4.0, p.shapes.copies[p.part] == 1
+    out[:, 19] = np.bincount(p.part, minlength=len(view.clouds))[p.part] / 5.0
+    if view.frames == "aligned":
+        out[:, ALIGNED] = 1.0
+        out[:, 21:24] = -2.0 * np.einsum("nji,nj->ni", point_frames(p.points), p.points[:, :3])
+        out[:, 24:27] = 2.0 * p.shapes.sides[p.part]
+        out[:, 27:30] = 2.0 * p.points[:, :3]
+        out[:, 30:36] = p.points[:, 3:]
+        out[:, 36] = p.frames.upright[p.part]
     return out
 
 
 def _pair_arrays(
     geometry: Sequence[GroupGeometry], rows: Sequence[Int[np.ndarray, "_"]], cache: TokenCache
-) -> tuple[UInt8[np.ndarray, "n n 4"], Float32[np.ndarray, "n n 6"]]:
-    """`Tokens.matches` and `Tokens.bounds`."""
+) -> tuple[UInt8[np.ndarray, "n n 4"], Float32[np.ndarray, "n n 6"], UInt8[np.ndarray, "n n 22"]]:
+    """`Tokens.matches`, `Tokens.bounds` and `Tokens.ways`."""
     n = sum(map(len, rows))
     matches, bounds = np.zeros((n, n, 4), np.uint8), np.zeros((n, n, 6), np.float32)
+    ways = np.zeros((n, n, WAYS), np.uint8)
     # Group by group; slices are quicker than lists of numbers.
     ends = np.cumsum([len(tokens) for tokens in rows]).tolist()
     blocks = [slice(end - len(tokens), end) for end, tokens in zip(ends, rows, strict=True)]
@@ -249,10 +288,10 @@ def _pair_arrays(
         # In an order that does not depend on the state.
         (a, at), (b, on) = sorted([(first, here), (second, there)], key=lambda group: group[0].key)
         a_moves, b_moves = cache.get(a.key + b.key, partial(PairGeometry.both_ways, a, b))
-        matches[at, on], bounds[at, on] = a_moves.matches, a_moves.bounds
-        matches[on, at], bounds[on, at] = b_moves.matches, b_moves.bounds
+        matches[at, on], bounds[at, on], ways[at, on] = a_moves.matches, a_moves.bounds, a_moves.ways
+        matches[on, at], bounds[on, at], ways[on, at] = b_moves.matches, b_moves.bounds, b_moves.ways
     place = np.argsort(np.concatenate([np.zeros(0, int), *rows]))
-    return matches[place][:, place], bounds[place][:, place]
+    return matches[place][:, place], bounds[place][:, place], ways[place][:, place]
 
 
 def _grasp_arrays(

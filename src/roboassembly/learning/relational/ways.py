@@ -1,0 +1,200 @@
+"""Depth images around connection points, and the ways that they show out of a mate.
+
+Whether a group can leave another one along a straight line shows in images of depth: seen along the way out, the moving
+group leaves if nothing of the waiting group is in front of it. Each free point has images of its group along the three
+axes of the point's frame, one fine and around the joint, one coarse and around all of a piece. Once two points mate,
+their frames differ by a fixed turn, so the images of one need only be flipped to lie over those of the other.
+
+All of this is an estimate from points on the surfaces: a pixel at the rim of a pocket shows both the rim and the floor.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int16, UInt8
+from scipy.ndimage import minimum_filter
+
+WAYS = 22
+"""Number of features of a mate."""
+FINE_BLOCKED, FINE_SHARED, COARSE_BLOCKED, COARSE_SHARED = slice(0, 6), slice(6, 9), slice(13, 19), slice(19, 22)
+"""Places of the counts of pixels along the ways out, and of all pixels that show both groups."""
+MIRRORED_WAYS = np.array([0, 1, 3, 2, 4, 5, *range(6, 13), 13, 14, 16, 15, 17, 18, *range(19, 22)])
+"""Place of each feature before a mirror that changes the sign of the frames' y axes."""
+_UNIT = 1e-4
+"""Unit of depths [m]."""
+_EMPTY = np.iinfo(np.int16).max
+_LARGEST = 3.0
+"""Largest absolute depth [m]."""
+_PLANE = 0.0006
+"""Half the thickness of the plane of a joint [m]; what lies in it is in nobody's way along it."""
+_TOUCHING = 0.0015
+"""Largest distance of two surfaces that touch [m]."""
+_OVERLAP = 0.003
+"""Depth from which on two groups overlap [m]."""
+_MOST_POINTS = 5_000
+"""Largest number of points of a group in its coarse images."""
+
+
+@dataclass(frozen=True)
+class ImageScale:
+    """Size of an image."""
+
+    pixels: int
+    """Number of pixels along each side."""
+    step: float
+    """Side of a pixel [m]."""
+    play: float
+    """Depth by which a group may reach into another one without being blocked [m]."""
+
+    @property
+    def reach(self) -> float:
+        """Half of the side of the image [m]."""
+        return 0.5 * self.pixels * self.step
+
+
+FINE, COARSE = ImageScale(16, 0.006, 0.0015), ImageScale(32, 0.025, 0.008)
+
+
+@dataclass(frozen=True, eq=False)
+class DepthImages:
+    """Depths of one group seen from k points, along the axes x, y, z of each point's frame, in units of 0.1 mm.
+
+    The image along x lies over y and z, that along y over x and z, that along z over x and y. Pixels without a surface
+    have a least depth of 32767 and a greatest of -32768.
+    """
+
+    least: Int16[np.ndarray, "k 3 s s"]
+    """Least depth in each pixel."""
+    greatest: Int16[np.ndarray, "k 3 s s"]
+    """Greatest depth in each pixel."""
+    beyond: Int16[np.ndarray, "k s s"]
+    """Greatest depth along z of what lies beyond the plane of the joint."""
+    core: Int16[np.ndarray, "k s s"]
+    """Least of `greatest` along z in each pixel and those around it: a pixel at the rim of a pocket shows its floor."""
+
+    @staticmethod
+    def take(
+        scale: ImageScale, cloud: Float[np.ndarray, "c 3"], position: Float[np.ndarray, "k 3"],
+        frame: Float[np.ndarray, "k 3 3"],
+    ) -> DepthImages:  # fmt: skip
+        """Take the images of a group.
+
+        Args:
+            scale: size of the images.
+            cloud: points of the group's surface [m].
+            position: position of each point [m].
+            frame: `group_from_point` of each point.
+        """
+        k, s = len(position), scale.pixels
+        local = (cloud[None] - position[:, None]) @ frame
+        pixel = np.floor(local / scale.step).astype(np.int64) + s // 2
+        depth = np.clip(np.rint(local / _UNIT), -_LARGEST / _UNIT, _LARGEST / _UNIT).astype(np.int16)
+        inside = (pixel >= 0) & (pixel < s)
+        off_plane = np.abs(local[..., 2]) > _PLANE
+        # A coarse pixel at the rim of a pocket would always be blocked: each image shows what the other one does not.
+        around = (np.abs(local) < FINE.reach).all(axis=2, keepdims=True)
+        inside &= around if scale is FINE else ~around
+        least, greatest = np.full((3, k * s * s), _EMPTY, np.int16), np.full((3, k * s * s), -_EMPTY - 1, np.int16)
+        base = np.arange(k)[:, None] * s * s
+        for axis, (row, column) in enumerate(((1, 2), (0, 2), (0, 1))):
+            seen = inside[..., row] & inside[..., column]
+            if axis < 2:
+                seen &= off_plane
+            at = (base + pixel[..., row] * s + pixel[..., column])[seen]
+            values = depth[..., axis][seen]
+            np.minimum.at(least[axis], at, values)
+            np.maximum.at(greatest[axis], at, values)
+        seen = inside[..., 0] & inside[..., 1]
+        if scale is FINE:
+            seen &= local[..., 2] > _PLANE
+        beyond = np.full(k * s * s, -_EMPTY - 1, np.int16)
+        np.maximum.at(beyond, (base + pixel[..., 0] * s + pixel[..., 1])[seen], depth[..., 2][seen])
+        shape = (3, k, s, s)
+        core = minimum_filter(greatest[2].reshape(k, s, s), (1, 3, 3)) if k else np.zeros((0, s, s), np.int16)
+        return DepthImages(
+            least.reshape(shape).swapaxes(0, 1), greatest.reshape(shape).swapaxes(0, 1), beyond.reshape(k, s, s), core
+        )
+
+    def from_mate(self) -> tuple[Int16[np.ndarray, "k 3 p"], Int16[np.ndarray, "k 3 p"], Int16[np.ndarray, "k p"]]:
+        """Return least and greatest depths, and `core`, as the frame of a mate sees them: y and z are opposite."""
+        least, greatest = np.empty_like(self.least), np.empty_like(self.greatest)
+        least[:, 0], greatest[:, 0] = self.least[:, 0, ::-1, ::-1], self.greatest[:, 0, ::-1, ::-1]
+        for axis, flip in ((1, np.s_[:, :, ::-1]), (2, np.s_[:, :, ::-1])):
+            # -32768 has no opposite; ~x = -x - 1 swaps the two marks of empty pixels, and is off by 0.1 mm.
+            least[:, axis] = ~self.greatest[:, axis][flip]
+            greatest[:, axis] = ~self.least[:, axis][flip]
+        k = len(least)
+        core = ~self.core[:, :, ::-1]
+        return least.reshape(k, 3, -1), greatest.reshape(k, 3, -1), core.reshape(k, -1)
+
+
+@dataclass(frozen=True, eq=False)
+class PointImages:
+    """Fine and coarse images of one group."""
+
+    fine: DepthImages
+    coarse: DepthImages
+
+    @staticmethod
+    def take(
+        cloud: Float[np.ndarray, "c 3"], position: Float[np.ndarray, "k 3"], frame: Float[np.ndarray, "k 3 3"]
+    ) -> PointImages:
+        """Take the images of a group; see `DepthImages.take`."""
+        thinned = cloud[:: -(-len(cloud) // _MOST_POINTS)]
+        # Joints are looked at closely, so all points near any of them count.
+        near = np.zeros(len(cloud), bool)
+        for point in position:
+            near |= (np.abs(cloud - point) < 1.75 * FINE.reach).all(axis=1)
+        return PointImages(
+            DepthImages.take(FINE, cloud[near], position, frame), DepthImages.take(COARSE, thinned, position, frame)
+        )
+
+
+def ways_out(moving: PointImages, waiting: PointImages) -> UInt8[np.ndarray, "k l 22"]:
+    """Return what the images show of each of k points of a moving group mated with each of l of a waiting group.
+
+    Directions are the axes of the waiting point's frame: x, -x, y, -y, z, -z; z leads out of the joint.
+
+    | index | count of pixels, at most 255 |
+    |---|---|
+    | 0–5 | fine, in which the waiting group is in front of the moving one, for each direction |
+    | 6–8 | fine, with both groups, along x, y, z |
+    | 9–11 | fine, in which the groups overlap by more than 3 mm, along x, y, z |
+    | 12 | fine, in which their surfaces touch along z |
+    | 13–18, 19–21 | coarse, as 0–8 |
+
+    Args:
+        moving: images of the moving group.
+        waiting: images of the waiting group.
+    """
+    out = np.zeros((len(moving.fine.least), len(waiting.fine.least), WAYS), np.uint8)
+    out[..., :9], fine = _blocked(FINE, moving.fine, waiting.fine)
+    least, greatest, low, high = fine
+    overlap = np.minimum(greatest, high).astype(np.int32) - np.maximum(least, low)
+    out[..., 9:12] = np.minimum((overlap > _OVERLAP / _UNIT).sum(axis=3), 255)
+    gap = np.abs(least[:, :, 2].astype(np.int32) - high[:, :, 2])
+    out[..., 12] = np.minimum((gap <= _TOUCHING / _UNIT).sum(axis=2), 255)
+    out[..., 13:], _ = _blocked(COARSE, moving.coarse, waiting.coarse)
+    return out
+
+
+def _blocked(
+    scale: ImageScale, moving: DepthImages, waiting: DepthImages
+) -> tuple[UInt8[np.ndarray, "k l 9"], tuple[np.ndarray, ...]]:
+    """Counts of blocked pixels along six ways and of shared pixels along three axes, and the depths compared."""
+    least, greatest, core = (x[:, None] for x in moving.from_mate())
+    l = len(waiting.least)  # noqa: E741
+    low, high = waiting.least.reshape(1, l, 3, -1), waiting.greatest.reshape(1, l, 3, -1)
+    in_front = high.copy()
+    in_front[:, :, 2] = waiting.beyond.reshape(1, l, -1)
+    play = np.int16(scale.play / _UNIT)
+    against = least.copy()
+    against[:, :, 2] = core
+    ahead = np.where(in_front > -_EMPTY - 1, in_front - play, in_front) > against
+    behind = np.where(low < _EMPTY, low + play, low) < greatest
+    shared = (low < _EMPTY) & (least < _EMPTY)
+    counts = [np.minimum(x.sum(axis=3), 255) for x in (ahead, behind, shared)]
+    ways = np.stack(counts[:2], axis=-1).reshape(*counts[0].shape[:2], 6)
+    return np.concatenate([ways, counts[2]], axis=-1).astype(np.uint8), (least, greatest, low, high)
