@@ -53,6 +53,8 @@ Mask = Bool[np.ndarray, "P P K K ..."]
 `info["action_mask"]`."""
 Values = Float32[np.ndarray, "P P K K ..."]
 """A value for each action."""
+Pair = tuple[int, int, int, int]
+"""Parts and points of a pair, `(u, v, k, l)`."""
 
 
 class Policy(Protocol):
@@ -137,6 +139,15 @@ class ConfidentPolicy(ValuePolicy, Protocol):
 
 
 @runtime_checkable
+class RevisingPolicy(ValuePolicy, Protocol):
+    """Policy that values actions anew once it hears which pairs are wrong."""
+
+    def revised_values(self, observation: Observation, mask: Mask, wrong: Sequence[Pair]) -> Values:
+        """Return values as `values` does, given the pairs that the environment refused as wrong in this state."""
+        ...
+
+
+@runtime_checkable
 class FramedPolicy(Policy, Protocol):
     """Policy that must know in which frames the parts are described, because they say what `w` names."""
 
@@ -164,12 +175,13 @@ class Choices:
         self.mask = mask
         """Actions that are left."""
         self._values: Values | None = None
+        self._wrong: list[Pair] = []
 
     def next(self) -> tuple[int, ...] | None:
         """Return the policy's choice among the actions that are left; None if none is left.
 
-        After a refused action, a policy that values actions values them once, by the whole mask: its view of a state
-        follows from it.
+        After a refused action, a policy that values actions values them by the whole mask: its view of a state follows
+        from it. It does so once, and again after each wrong pair if it takes notice of them.
 
         Raises:
             PolicyError: the policy picks something that is no action.
@@ -179,7 +191,10 @@ class Choices:
         if self.mask is self._whole or not isinstance(self._policy, ValuePolicy):
             return chosen(self._policy, self._observation, self.mask)
         if self._values is None:
-            values = self._policy.values(self._observation, self._whole)
+            if self._wrong and isinstance(self._policy, RevisingPolicy):
+                values = self._policy.revised_values(self._observation, self._whole, tuple(self._wrong))
+            else:
+                values = self._policy.values(self._observation, self._whole)
             self._values = _checked_values(self._policy, "values", values, self._whole)
         return tuple(surest(np.where(self.mask, self._values, -np.inf)).tolist())
 
@@ -189,6 +204,9 @@ class Choices:
         u, v, k, l, *rest = action  # noqa: E741
         if wrong_pair:
             self.mask[u, v, k, l] = self.mask[v, u, l, k] = False
+            self._wrong.append((u, v, k, l))
+            if isinstance(self._policy, RevisingPolicy):
+                self._values = None
         else:
             self.mask[(u, v, k, l, *rest)] = False
 

@@ -201,6 +201,13 @@ def up_axis_features(t: dict[str, Array]) -> Array:
     return xp.stack(features, axis=-1)
 
 
+def way_is_free(ways: Array) -> Array:
+    """Return (..., 6) whether each way out of a mate is free in the fine and in the coarse images."""
+    fine, coarse = blocked_shares(ways.__array_namespace__(), ways)
+    free_fine = (ways[..., FINE_BLOCKED] <= _FEW_PIXELS) | (fine < _FEW_BLOCKED)
+    return free_fine & ((ways[..., COARSE_BLOCKED] <= _FEW_PIXELS) | (coarse < _FEW_BLOCKED))
+
+
 def _rises(xp: Array, ways: Array, rise: Array) -> list[Array]:
     """Five arrays (b, n, n, 6): how far the ways out rise with each `w`, see `up_axis_features`.
 

