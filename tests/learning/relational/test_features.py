@@ -4,36 +4,54 @@ from __future__ import annotations
 
 import numpy as np
 
-from roboassembly.learning.relational.features import pair_features, up_axis_features
+from roboassembly.learning.relational.features import ALIGNED, pair_features, up_axis_features
 from roboassembly.learning.relational.group_geometry import PATCH_SIZE
 from roboassembly.learning.relational.tokens import POINT_FEATURES, Tokens, pad
+from roboassembly.learning.relational.ways import WAYS
 
 
 def test_features_of_a_pair_by_hand() -> None:
     # A point on top of a group 1 m wide and 0.2 m high, and one below another, 0.4 m wide and high.
     frame = np.array([np.eye(3), np.diag([1.0, -1.0, -1.0])])
     features = np.zeros((2, POINT_FEATURES), np.float32)
-    features[:, 0], features[:, -1] = (0.2, 0.4), 1.0
+    features[:, 0], features[:, ALIGNED], features[:, -1] = (0.2, 0.4), 1.0, 1.0
+    ways = np.zeros((2, 2, WAYS), np.uint8)
+    # Along the waiting point's x axis, half of the fine pixels and all coarse ones are blocked; no other way is.
+    ways[0, 1, [0, 6, 13, 19]] = 10, 20, 8, 8
     tokens = Tokens(
         np.arange(2), np.zeros(2, int), np.arange(2), np.zeros((2, PATCH_SIZE), np.uint8), features,
         frame.astype(np.float32),
-        np.array([[0.0, 0.0, 0.2], [0.1, 0.0, 0.0]], np.float32),
+        np.array([[0.0, 0.0, 0.2], [0.1, 0.0, 0.0]], np.float32), np.tile(np.eye(3, dtype=np.float32), (2, 1, 1)),
         np.array([[1.0, 1.0, 0.2], [0.4, 0.4, 0.4]], np.float32),
         np.zeros((2, 2, 4), np.uint8), np.array([[[0.0] * 6, [-0.4, -0.3, -0.2, 0.2, 0.3, -0.4]]] * 2, np.float32),
+        ways,
         np.array([[0, 2], [2, 0]], np.uint8), np.array([[0, 3], [3, 0]], np.uint8),
     )  # fmt: skip
     t = pad([tokens], 2)
     valid = ~np.eye(2, dtype=bool)[None]
     pair = pair_features({k: v.astype(np.float32) for k, v in t.items()}, valid)[0]
     assert not pair[0, 0].any()
-    cosine, diagonal, shift, parallel, sizes = np.split(pair[0, 1, 10:20], [1, 4, 7, 8])
+    assert np.allclose(pair[0, 1, 10:12], [0.2, 0.4])  # parts of the moving and of the waiting group
+    assert np.allclose(pair[0, 1, 12:27], [1, 1, 1, 2 / 3, np.log(3), 1, 1, 1, 1, 0.1, np.log(4), 1, 1, 1, 1])
+    assert np.allclose(pair[0, 1, [27, 33, 46, 52]], np.log1p([10, 20, 8, 8]) / 5.0)
+    assert np.allclose(pair[0, 1, 40:46], [0.5, 0, 0, 0, 0, 0])
+    assert np.allclose(pair[0, 1, 55:61], [1, 0, 0, 0, 0, 0])
+    assert np.allclose(pair[0, 1, 61:63], 1.0)  # axes stay axes
+    cosine, diagonal, shift, parallel = np.split(pair[0, 1, 63:71], [1, 4, 7])
     assert (cosine, parallel) == (1.0, 1.0)
     assert np.allclose(diagonal, 1.0)
     assert np.allclose(shift, [0.1, 0.0, -0.2])  # of the moving group, that of the row
-    assert np.allclose(sizes, [0.2, 0.4])
-    assert np.allclose(pair[0, 1, 21:24], [1.0, 1.0, 0.2])  # the moving group's extent
-    assert np.allclose(pair[0, 1, 24:], [1, 1, 1, 2 / 3, np.log(3), 1, 1, 1, 1, 0.1, np.log(4), 1, 1, 1, 1])
+    assert np.allclose(pair[0, 1, 72:], [1.0, 1.0, 0.2])  # the moving group's extent
     axis = up_axis_features({k: v.astype(np.float32) for k, v in t.items()})[0, 0, 1]
     up = axis[0]  # with +z up, its bottom is 0.2 m lower than the waiting group's, its top 0.4 m
-    assert np.allclose(up[[0, 2, 4, 5]], [-0.4, -0.8, -1.0, 2 * -0.5], atol=1e-6)
+    assert np.allclose(up[[0, 2, 4, 6]], [-0.4, -0.8, -1.0, 2 * -0.5], atol=1e-6)
     assert np.allclose(axis[1, [0, 2]], [0.8, 0.4], atol=1e-6)  # upside down
+    # The waiting point looks down, so its normal rises with -z up. Its tangent is blocked.
+    assert np.allclose(axis[:, 12], [1.0, 1.0, -1.0 + 1.0, 1.0, 1.0, 1.0])
+    assert np.allclose(axis[:, 13], [0, 0, 0.5, 0, 0, 0])
+    in_own_frames = features.copy()
+    in_own_frames[:, [ALIGNED, -1]] = 0.0
+    numbers = {k: v.astype(np.float32) for k, v in t.items()}
+    other = pair_features({**numbers, "features": in_own_frames[None]}, valid)[0, 0, 1]
+    assert np.allclose(other[:63], pair[0, 1, :63])
+    assert not other[63:].any()

@@ -10,28 +10,32 @@ from roboassembly.learning.relational.layout_search import Layout, LayoutProblem
 _UP = np.eye(3)
 _DOWN = np.diag([1.0, -1.0, -1.0])
 SURE, UNLIKELY = 0.01, 5.0
+KNOB_PLACE, KNOB = 2, 9
+"""Numbers of the post's point for the knob and of the knob's point."""
 
 
-def frames_problem(wide: float = 0.4) -> LayoutProblem:
-    """Return two posts, 0.4 m apart, a rail of that length and one that is 6 mm longer, which looks better.
+def frames_problem() -> LayoutProblem:
+    """Return two posts, two rails between them, and a knob for the outside of a post, which looks better elsewhere.
 
-    Posts are groups 0 and 1, each with a lower and an upper point; rails are groups 2 and 3, each with two ends.
+    Posts are groups 0 and 1; each has a lower and an upper point for rails, the first one a point for the knob, too.
+    Rails are groups 2 and 3, each with two ends; the knob is group 4.
     """
     outward, inward = _turn([1.0, 0.0, 0.0]), _turn([-1.0, 0.0, 0.0])
     points = [
-        (0, [0.0, 0.0, 0.1], outward), (0, [0.0, 0.0, 0.5], outward), (1, [0.0, 0.0, 0.1], inward),
-        (1, [0.0, 0.0, 0.5], inward), (2, [0.0, 0.0, 0.0], inward), (2, [wide, 0.0, 0.0], outward),
-        (3, [0.0, 0.0, 0.0], inward), (3, [0.406, 0.0, 0.0], outward),
+        (0, [0.0, 0.0, 0.1], outward), (0, [0.0, 0.0, 0.5], outward), (0, [-0.02, 0.0, 0.3], inward),
+        (1, [0.0, 0.0, 0.1], inward), (1, [0.0, 0.0, 0.5], inward), (2, [0.0, 0.0, 0.0], inward),
+        (2, [0.4, 0.0, 0.0], outward), (3, [0.0, 0.0, 0.0], inward), (3, [0.4, 0.0, 0.0], outward),
+        (4, [0.0, 0.0, 0.0], inward),
     ]  # fmt: skip
     group = np.array([g for g, _, _ in points])
-    cost = np.full((8, 8), UNLIKELY)
-    for post in range(4):
-        for end in range(4, 8):
-            right_side = (post < 2) == (end % 2 == 0)
-            cost[post, end] = cost[end, post] = (0.2 if end < 6 else 0.1) if right_side else UNLIKELY
-    cost[group[:, None] == group] = np.inf
+    cost = np.full((10, 10), np.inf)
+    for post in range(5):
+        for end in range(5, 10):
+            cost[post, end] = cost[end, post] = UNLIKELY if post == KNOB_PLACE else 0.2
+    for post, value in ((0, 0.01), (KNOB_PLACE, 0.4)):
+        cost[post, KNOB] = cost[KNOB, post] = value
     frame = np.array([f for _, _, f in points])
-    return LayoutProblem(group, np.array([p for _, p, _ in points]), frame, cost, (0, 1, 2, 3))
+    return LayoutProblem(group, np.array([p for _, p, _ in points]), frame, cost, (0, 1, 2, 2, 4))
 
 
 def _turn(normal: list[float]) -> Float[np.ndarray, "3 3"]:
@@ -40,13 +44,19 @@ def _turn(normal: list[float]) -> Float[np.ndarray, "3 3"]:
     return np.stack([t, np.cross(n, t), n], axis=1)
 
 
-def test_two_rails_of_one_length_leave_no_point_alone() -> None:
+def test_a_pair_that_looks_best_is_left_if_it_leaves_other_points_alone() -> None:
     problem = frames_problem()
+    assert problem.cost[KNOB].argmin() == 0
     layout = find_layout(problem)
     assert layout is not None
-    assert layout.alone <= 1
-    ends = [pair for pair in layout.mates if 4 in pair or 5 in pair]
-    assert len(ends) == 2
+    assert layout.alone == 0
+    assert (KNOB_PLACE, KNOB) in layout.placed_by
+    # Both rails reach from the first post to the second.
+    posts_of_rail = {
+        rail: {int(problem.group[k]) for pair in layout.mates if rail in problem.group[list(pair)] for k in pair}
+        for rail in (2, 3)
+    }
+    assert posts_of_rail == {2: {0, 1, 2}, 3: {0, 1, 3}}
 
 
 def test_mates_of_a_layout_meet() -> None:

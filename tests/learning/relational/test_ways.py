@@ -11,7 +11,7 @@ from roboassembly.geometry.mating import FACE_TO_FACE
 from roboassembly.learning.relational.features import way_is_free
 from roboassembly.learning.relational.ways import MIRRORED_WAYS, WAYS, PointImages, ways_out
 
-_X, _Y, _OUT = slice(0, 2), slice(2, 4), 4
+_OUT = 4
 
 
 def images(*boxes: tuple[list[float], list[float]], mirrored: bool = False) -> PointImages:
@@ -30,42 +30,60 @@ def mated(*boxes: tuple[list[float], list[float]], mirrored: bool = False) -> Po
     return images(*turned, mirrored=mirrored)
 
 
-GROOVE = (
-    ([-0.04, -0.04, -0.03], [0.04, -0.03, 0.0]), ([-0.04, 0.03, -0.03], [0.04, 0.04, 0.0]),
-    ([-0.04, -0.04, -0.04], [0.04, 0.04, -0.02]),
+BOARD = ([-0.045, -0.045, -0.04], [0.045, 0.045, 0.0])
+"""A board whose upper side is the plane of the joint."""
+BLOCK = ([-0.02, -0.02, 0.0], [0.02, 0.02, 0.04])
+"""A block that stands on it."""
+POCKET = (
+    ([-0.045, -0.045, -0.04], [0.045, -0.02, 0.0]), ([-0.045, 0.02, -0.04], [0.045, 0.045, 0.0]),
+    ([-0.045, -0.02, -0.04], [-0.02, 0.02, 0.0]), ([0.02, -0.02, -0.04], [0.045, 0.02, 0.0]),
 )  # fmt: skip
-"""A board with a groove along x, 60 mm wide and 20 mm deep."""
-RIB = (([-0.03, -0.0295, -0.0198], [0.03, 0.0295, 0.04]),)
-"""A board that stands in the groove."""
+"""A board with a hole, 40 mm wide."""
+PEG = ([-0.0195, -0.0195, -0.0195], [0.0195, 0.0195, 0.04])
+"""A block that stands in the hole."""
 
 
-def test_a_rib_leaves_its_groove_upwards_and_along_it() -> None:
-    free = way_is_free(ways_out(mated(*RIB), images(*GROOVE)))[0, 0]
+def test_a_block_slides_on_a_board_and_leaves_it_upwards() -> None:
+    free = way_is_free(ways_out(mated(BLOCK), images(BOARD)))[0, 0]
     # x, -x, y, -y, z, -z
-    assert free.tolist() == [True, True, False, False, True, False]
+    assert free.tolist() == [True, True, True, True, True, False]
 
 
-def test_a_wall_at_the_end_of_the_groove_blocks_one_way() -> None:
-    wall = ([0.032, -0.04, -0.03], [0.04, 0.04, 0.0])
-    free = way_is_free(ways_out(mated(*RIB), images(*GROOVE, wall)))[0, 0]
-    assert free.tolist() == [False, True, False, False, True, False]
+def test_a_peg_leaves_its_hole_upwards_only() -> None:
+    assert way_is_free(ways_out(mated(PEG), images(*POCKET)))[0, 0, :5].tolist() == [False] * 4 + [True]
 
 
-def test_a_board_far_above_blocks_the_way_up() -> None:
-    lid = ([-0.3, -0.3, 0.3], [0.3, 0.3, 0.32])
-    assert not way_is_free(ways_out(mated(*RIB), images(*GROOVE, lid)))[0, 0, _OUT]
+def test_the_board_leaves_the_peg_too() -> None:
+    turned = [np.sort(np.array(box) @ FACE_TO_FACE, axis=0).tolist() for box in POCKET]
+    peg = np.sort(np.array(PEG) @ FACE_TO_FACE, axis=0).tolist()
+    assert way_is_free(ways_out(mated(*turned), images(peg)))[0, 0, :5].tolist() == [False] * 4 + [True]
+
+
+@pytest.mark.parametrize(("axis", "sign", "way"), [(0, 1, 0), (0, -1, 1), (1, 1, 2), (1, -1, 3)])
+def test_a_wall_blocks_the_way_to_its_side(axis: int, sign: int, way: int) -> None:
+    wall = np.array([[-0.045, -0.045, 0.0], [0.045, 0.045, 0.04]])
+    wall[:, axis] = sorted((sign * 0.025, sign * 0.04))
+    free = way_is_free(ways_out(mated(BLOCK), images(BOARD, wall.tolist())))[0, 0]
+    assert free.tolist() == [i != way and i != 5 for i in range(6)]
+
+
+def test_a_board_far_above_a_wide_one_blocks_the_way_up() -> None:
+    lid, wide = ([-0.2, -0.2, 0.3], [0.2, 0.2, 0.32]), ([-0.2, -0.2, 0.0], [0.2, 0.2, 0.02])
+    assert way_is_free(ways_out(mated(wide), images(BOARD)))[0, 0, _OUT]
+    assert not way_is_free(ways_out(mated(wide), images(BOARD, lid)))[0, 0, _OUT]
 
 
 def test_a_mirror_exchanges_the_ways_along_y() -> None:
-    wall = ([-0.04, 0.012, -0.03], [0.04, 0.04, 0.03])
+    wall = ([-0.045, 0.0235, 0.0], [0.045, 0.04, 0.04])
     plain, mirror = (
-        ways_out(mated(*RIB, mirrored=m), images(*GROOVE, wall, mirrored=m))[0, 0].astype(int) for m in (False, True)
+        ways_out(mated(BLOCK, mirrored=m), images(BOARD, wall, mirrored=m))[0, 0].astype(int) for m in (False, True)
     )
     assert len(plain) == WAYS
     assert sorted(MIRRORED_WAYS) == list(range(WAYS))
     # Points on the border between two pixels fall into another one.
-    assert np.abs(plain[MIRRORED_WAYS] - mirror).max() <= 3
-    assert plain[2] > plain[3] + 3
+    assert np.abs(plain[MIRRORED_WAYS] - mirror).max() <= 9
+    assert plain[2] > 20
+    assert plain[3] == 0
 
 
 @pytest.mark.parametrize("deep", [0.0, 0.01])

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import permutations, product
 
 import numpy as np
 from jaxtyping import Bool, Float, Float16, Int, UInt8
@@ -20,20 +21,21 @@ PATCH_GRID = np.stack(np.meshgrid(*[np.arange(-2.0, 3.0)] * 3, indexing="ij"), a
 """Points of a grid in the connection point's frame, in steps: five a side."""
 PATCH_SIZE = len(PATCH_STEPS) * len(PATCH_GRID)
 """Number of distances in a patch."""
-_SAME_DISTANCE, _SAME_SPREAD = 0.0015, 0.03
-"""Differences [m] and share of the spread up to which two parts have one shape: two clouds of one surface differ."""
+_SAME_DISTANCE, _SAME_SPREAD = 0.002, 0.03
+"""Difference of coordinates [m], and share of the spread, up to which two parts have one shape."""
 
 
-def _sphere(count: int) -> Float[np.ndarray, "count 3"]:
-    """Directions spread evenly over the sphere along a spiral (Vogel 1979)."""
-    z = 1.0 - (2.0 * np.arange(count) + 1.0) / count
-    turn = np.pi * (3.0 - np.sqrt(5.0)) * np.arange(count)
-    radius = np.sqrt(1.0 - z * z)
-    return np.stack([radius * np.cos(turn), radius * np.sin(turn), z], axis=1)
-
-
-_DIRECTIONS = np.concatenate([np.eye(3), -np.eye(3), _sphere(122)])
-"""Directions in which the outermost points of a cloud are looked for."""
+_DIRECTIONS = np.array(
+    [
+        np.array(signs) * order
+        for base in ((1, 0, 0), (1, 1, 0), (1, 1, 1), (2, 1, 0), (2, 1, 1), (2, 2, 1), (3, 2, 1))
+        for order in sorted(set(permutations(base)))
+        for signs in product((1, -1), repeat=3)
+        if all(sign == 1 for sign, entry in zip(signs, order, strict=True) if entry == 0)
+    ],
+    float,
+)
+"""Directions in which the outermost points of a cloud are looked for; turned furniture has the same."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +57,8 @@ class PartShapes:
     ) -> PartShapes:
         """Return the shapes of some parts.
 
-        Parts of one shape have the same cloud, or clouds of the same surface and points in the same places.
+        Parts of one shape have the same cloud, or clouds that spread alike and points in the same places: two clouds of
+        one surface differ, and so do parts that may take each other's places.
 
         Args:
             clouds: cloud of each part in its frame [m].
@@ -79,26 +82,23 @@ class PartShapes:
 
 @dataclass(frozen=True, eq=False)
 class _Measures:
-    """What two parts of one shape have in common, whatever their frames and the points of their clouds."""
+    """What two parts of one shape have in common: they share their frame."""
 
     spread: Float[np.ndarray, "3"]
-    """Standard deviations of the cloud along its principal axes [m]."""
-    distances: Float[np.ndarray, "_"]
-    """Distances between any two connection points, sorted [m]."""
+    """Standard deviations of the cloud along its axes [m]."""
+    position: Float[np.ndarray, "k 3"]
+    """Connection points [m]."""
 
     @staticmethod
     def of_part(cloud: Float[np.ndarray, "c 3"], points: Float[np.ndarray, "K 9"]) -> _Measures:
         """Return the measures of a part; rows of zeros are no points."""
-        spread = np.sqrt(np.maximum(np.linalg.eigvalsh(np.cov(cloud.T)), 0.0)) if len(cloud) > 1 else np.zeros(3)
-        position = points[points.any(axis=1), :3]
-        row, column = np.triu_indices(len(position), 1)
-        return _Measures(spread, np.sort(np.linalg.norm(position[row] - position[column], axis=1)))
+        return _Measures(cloud.std(axis=0), points[points.any(axis=1), :3])
 
     def same(self, other: _Measures) -> bool:
         """Return whether two parts count as equal."""
         return (
-            len(self.distances) == len(other.distances)
-            and bool((np.abs(self.distances - other.distances) < _SAME_DISTANCE).all())
+            len(self.position) == len(other.position)
+            and bool((np.abs(self.position - other.position) < _SAME_DISTANCE).all())
             and bool((np.abs(self.spread - other.spread) < _SAME_SPREAD * self.spread + _SAME_DISTANCE).all())
         )
 

@@ -53,7 +53,7 @@ class LayoutProblem:
     cost: Float[np.ndarray, "n n"]
     """Cost of each pair: minus the logarithm of the probability that it fits; symmetric, infinite within a group."""
     types: Sequence[int]
-    """Type of each group: number of the first group that is equal."""
+    """Type of each group: number of the first group that is alike."""
 
 
 @dataclass(frozen=True)

@@ -192,7 +192,7 @@ class RelationalPolicy:
                 for pair in layout.placed_by:
                     outside[pair] = outside[pair[::-1]] = False
                 q[outside] -= _OUTSIDE_PENALTY
-                q = q - float(__import__("os").environ.get("LOCK","4")) * self._locks_out(tokens, layout)[..., None]
+                q = q - _LOCKING_PENALTY * self._locks_out(tokens, layout)[..., None]
             out[u, v, k, l] = q
         return out
 

@@ -107,7 +107,7 @@ class Tokens:
     clearance: Float16[np.ndarray, "n n 4"] | None = None
     """Clearance of the row's grasps at the mate (`PartGrasps.mate_clearance`); None without grasps."""
     types: tuple[int, ...] = ()
-    """Type of each group: number of the first group that is equal. Training does without."""
+    """Number of the first group that is alike, for each group. Training does without."""
 
 
 class TokenCache:
@@ -159,7 +159,8 @@ class GroupedPoints:
         part, point = np.nonzero(view.free)
         points = view.points[part, point]
         shapes = cache.get(
-            b"".join(view.digests), partial(PartShapes.of_clouds, view.clouds, view.digests, view.points)
+            b"".join([*view.digests, view.points.tobytes()]),
+            partial(PartShapes.of_clouds, view.clouds, view.digests, view.points),
         )
         aligned = view.frames == "aligned"
         frames = GroupFrames.of_groups(shapes, view.connections, view.group, aligned=aligned)
@@ -185,12 +186,17 @@ class GroupedPoints:
 
     @property
     def group_types(self) -> list[int]:
-        """Type of each group: number of the first group that is equal, with the same key or, alone, of one shape."""
+        """Type of each group: number of the first group with the same key."""
+        return [self.keys.index(key) for key in self.keys]
+
+    @property
+    def alike(self) -> tuple[int, ...]:
+        """Number of the first group that is alike: with the same key or, if it is one part, of one shape."""
         keys: list[object] = list(self.keys)
         for index, (members, rows) in enumerate(zip(self.members, self.rows, strict=True)):
             if len(members) == 1:
                 keys[index] = int(self.shapes.shape[members[0]]), self.point[rows].tobytes()
-        return [keys.index(key) for key in keys]
+        return tuple(keys.index(key) for key in keys)
 
     @property
     def state_key(self) -> tuple[bytes, ...]:
@@ -243,7 +249,7 @@ def tokens_of(
     return Tokens(
         part, p.point, group, patch, _point_features(view, p, around), frame.astype(np.float32),
         position.astype(np.float32), p.axes.astype(np.float32), extent, matches, bounds, ways, cycles_3, cycles_4,
-        *of_grasps, tuple(p.group_types),
+        *of_grasps, p.alike,
     )  # fmt: skip
 
 

@@ -13,13 +13,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int16, UInt8
+from jaxtyping import Bool, Float, Int16, UInt8
 from scipy.ndimage import minimum_filter
 
 WAYS = 22
 """Number of features of a mate."""
 FINE_BLOCKED, FINE_SHARED, COARSE_BLOCKED, COARSE_SHARED = slice(0, 6), slice(6, 9), slice(13, 19), slice(19, 22)
-"""Places of the counts of pixels along the ways out, and of all pixels that show both groups."""
+"""Places of the counts of blocked pixels along the ways out, and of those that may be blocked."""
 MIRRORED_WAYS = np.array([0, 1, 3, 2, 4, 5, *range(6, 13), 13, 14, 16, 15, 17, 18, *range(19, 22)])
 """Place of each feature before a mirror that changes the sign of the frames' y axes."""
 _UNIT = 1e-4
@@ -77,7 +77,7 @@ class DepthImages:
     @staticmethod
     def take(
         scale: ImageScale, cloud: Float[np.ndarray, "c 3"], position: Float[np.ndarray, "k 3"],
-        frame: Float[np.ndarray, "k 3 3"],
+        frame: Float[np.ndarray, "k 3 3"], *, far: bool = False,
     ) -> DepthImages:  # fmt: skip
         """Take the images of a group.
 
@@ -86,6 +86,7 @@ class DepthImages:
             cloud: points of the group's surface [m].
             position: position of each point [m].
             frame: `group_from_point` of each point.
+            far: whether coarse images leave out what the fine ones show.
         """
         k, s = len(position), scale.pixels
         local = (cloud[None] - position[:, None]) @ frame
@@ -93,9 +94,11 @@ class DepthImages:
         depth = np.clip(np.rint(local / _UNIT), -_LARGEST / _UNIT, _LARGEST / _UNIT).astype(np.int16)
         inside = (pixel >= 0) & (pixel < s)
         off_plane = np.abs(local[..., 2]) > _PLANE
-        # A coarse pixel at the rim of a pocket would always be blocked: each image shows what the other one does not.
         around = (np.abs(local) < FINE.reach).all(axis=2, keepdims=True)
-        inside &= around if scale is FINE else ~around
+        if scale is FINE:
+            inside &= around
+        elif far:
+            inside &= ~around
         least, greatest = np.full((3, k * s * s), _EMPTY, np.int16), np.full((3, k * s * s), -_EMPTY - 1, np.int16)
         base = np.arange(k)[:, None] * s * s
         for axis, (row, column) in enumerate(((1, 2), (0, 2), (0, 1))):
@@ -136,6 +139,9 @@ class PointImages:
 
     fine: DepthImages
     coarse: DepthImages
+    """Coarse images of all of the group."""
+    far: DepthImages
+    """Coarse images of what the fine ones do not show."""
 
     @staticmethod
     def take(
@@ -148,53 +154,84 @@ class PointImages:
         for point in position:
             near |= (np.abs(cloud - point) < 1.75 * FINE.reach).all(axis=1)
         return PointImages(
-            DepthImages.take(FINE, cloud[near], position, frame), DepthImages.take(COARSE, thinned, position, frame)
+            DepthImages.take(FINE, cloud[near], position, frame),
+            DepthImages.take(COARSE, thinned, position, frame),
+            DepthImages.take(COARSE, thinned, position, frame, far=True),
         )
 
 
 def ways_out(moving: PointImages, waiting: PointImages) -> UInt8[np.ndarray, "k l 22"]:
     """Return what the images show of each of k points of a moving group mated with each of l of a waiting group.
 
-    Directions are the axes of the waiting point's frame: x, -x, y, -y, z, -z; z leads out of the joint.
+    Directions are the axes of the waiting point's frame: x, -x, y, -y, z, -z; z leads out of the joint. A pixel of the
+    images along x and y is engaged where one group reaches through the plane of the joint; along z, where both are.
 
     | index | count of pixels, at most 255 |
     |---|---|
     | 0–5 | fine, in which the waiting group is in front of the moving one, for each direction |
-    | 6–8 | fine, with both groups, along x, y, z |
+    | 6–8 | fine, engaged, along x, y, z |
     | 9–11 | fine, in which the groups overlap by more than 3 mm, along x, y, z |
     | 12 | fine, in which their surfaces touch along z |
-    | 13–18, 19–21 | coarse, as 0–8 |
+    | 13–18 | coarse, in which the waiting group is in front of the moving one, for each direction |
+    | 19–21 | coarse, with both groups, along x, y, z |
+
+    Coarse images leave out what happens between two surfaces around the joint: a coarse pixel at the rim of a pocket
+    would always be blocked.
 
     Args:
         moving: images of the moving group.
         waiting: images of the waiting group.
     """
     out = np.zeros((len(moving.fine.least), len(waiting.fine.least), WAYS), np.uint8)
-    out[..., :9], fine = _blocked(FINE, moving.fine, waiting.fine)
-    least, greatest, low, high = fine
-    overlap = np.minimum(greatest, high).astype(np.int32) - np.maximum(least, low)
-    out[..., 9:12] = np.minimum((overlap > _OVERLAP / _UNIT).sum(axis=3), 255)
-    gap = np.abs(least[:, :, 2].astype(np.int32) - high[:, :, 2])
-    out[..., 12] = np.minimum((gap <= _TOUCHING / _UNIT).sum(axis=2), 255)
-    out[..., 13:], _ = _blocked(COARSE, moving.coarse, waiting.coarse)
+    seen = _Seen.of(FINE, moving.fine, waiting.fine)
+    rows = np.arange(FINE.pixels**2) % FINE.pixels >= FINE.pixels // 2
+    moves, waits = seen.least < _EMPTY, seen.low < _EMPTY
+    engaged = np.where(rows, waits, moves)
+    engaged[:, :, 2] = (moves & waits)[:, :, 2]
+    overlap = np.minimum(seen.greatest, seen.high).astype(np.int32) - np.maximum(seen.least, seen.low)
+    gap = np.abs(seen.least[:, :, 2].astype(np.int32) - seen.high[:, :, 2])
+    out[..., :6] = _counts(seen.blocked(FINE)).reshape(*out.shape[:2], 6)
+    out[..., 6:9] = _counts(engaged)
+    out[..., 9:12] = _counts(overlap > _OVERLAP / _UNIT)
+    out[..., 12] = _counts(gap <= _TOUCHING / _UNIT)
+    first, second = (
+        _Seen.of(COARSE, *images) for images in ((moving.coarse, waiting.far), (moving.far, waiting.coarse))
+    )
+    out[..., 13:19] = _counts(first.blocked(COARSE) | second.blocked(COARSE)).reshape(*out.shape[:2], 6)
+    shared = [(seen.least < _EMPTY) & (seen.low < _EMPTY) for seen in (first, second)]
+    out[..., 19:22] = _counts(shared[0] | shared[1])
     return out
 
 
-def _blocked(
-    scale: ImageScale, moving: DepthImages, waiting: DepthImages
-) -> tuple[UInt8[np.ndarray, "k l 9"], tuple[np.ndarray, ...]]:
-    """Counts of blocked pixels along six ways and of shared pixels along three axes, and the depths compared."""
-    least, greatest, core = (x[:, None] for x in moving.from_mate())
-    l = len(waiting.least)  # noqa: E741
-    low, high = waiting.least.reshape(1, l, 3, -1), waiting.greatest.reshape(1, l, 3, -1)
-    in_front = high.copy()
-    in_front[:, :, 2] = waiting.beyond.reshape(1, l, -1)
-    play = np.int16(scale.play / _UNIT)
-    against = least.copy()
-    against[:, :, 2] = core
-    ahead = np.where(in_front > -_EMPTY - 1, in_front - play, in_front) > against
-    behind = np.where(low < _EMPTY, low + play, low) < greatest
-    shared = (low < _EMPTY) & (least < _EMPTY)
-    counts = [np.minimum(x.sum(axis=3), 255) for x in (ahead, behind, shared)]
-    ways = np.stack(counts[:2], axis=-1).reshape(*counts[0].shape[:2], 6)
-    return np.concatenate([ways, counts[2]], axis=-1).astype(np.uint8), (least, greatest, low, high)
+def _counts(pixels: Bool[np.ndarray, "*n p"]) -> UInt8[np.ndarray, "*n"]:
+    """Numbers of pixels, at most 255."""
+    return np.minimum(pixels.sum(axis=-1), 255).astype(np.uint8)
+
+
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """Images of k moving and l waiting points, over each other; along the axes of the waiting point."""
+
+    least: Int16[np.ndarray, "k 1 3 p"]
+    greatest: Int16[np.ndarray, "k 1 3 p"]
+    core: Int16[np.ndarray, "k 1 p"]
+    low: Int16[np.ndarray, "1 l 3 p"]
+    high: Int16[np.ndarray, "1 l 3 p"]
+    beyond: Int16[np.ndarray, "1 l p"]
+
+    @staticmethod
+    def of(scale: ImageScale, moving: DepthImages, waiting: DepthImages) -> _Seen:
+        """Lay images over each other."""
+        least, greatest, core = moving.from_mate()
+        l, p = len(waiting.least), scale.pixels**2  # noqa: E741
+        still = waiting.least.reshape(1, l, 3, p), waiting.greatest.reshape(1, l, 3, p), waiting.beyond.reshape(1, l, p)
+        return _Seen(least[:, None], greatest[:, None], core[:, None], *still)
+
+    def blocked(self, scale: ImageScale) -> Bool[np.ndarray, "k l 3 2 p"]:
+        """Return in which pixels the waiting group is in front of the moving one, along each axis and against it."""
+        in_front, against = self.high.copy(), self.least.copy()
+        in_front[:, :, 2], against[:, :, 2] = self.beyond, self.core
+        play = np.int16(scale.play / _UNIT)
+        ahead = np.where(in_front > -_EMPTY - 1, in_front - play, in_front) > against
+        behind = np.where(self.low < _EMPTY, self.low + play, self.low) < self.greatest
+        return np.stack([ahead, behind], axis=3)
