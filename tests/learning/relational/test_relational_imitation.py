@@ -18,11 +18,12 @@ from roboassembly.learning.datasets import SampleSet
 from roboassembly.learning.relational import imitation
 from roboassembly.learning.relational import network as relational
 from roboassembly.learning.relational.collect import collect
+from roboassembly.learning.relational.examples import examples_of, load_examples
 from roboassembly.learning.relational.oracle_dataset import Labeler
 
 
 def test_an_epoch_shows_every_state_and_resumes_anywhere(cantilever: SampleSet) -> None:
-    examples = imitation.examples_of([cantilever])
+    examples = examples_of([cantilever])
     training = imitation.RelationalTraining(batch=2, augment=False)
     whole = list(imitation.epoch(examples, np.random.default_rng(0), training))
     assert len(whole) == imitation.epoch_length(examples, 2)
@@ -39,7 +40,7 @@ def test_dead_ends_teach_that_no_action_is_viable() -> None:
     clouds = np.array([surface_points(p.mesh, 64) for p in furniture.parts], np.float32)
     labeler = Labeler(furniture, clouds)
     episode = labeler.rollout(np.random.default_rng(1))
-    examples = imitation.examples_of([labeler.sample_set((*episode.states, *episode.dead_ends))])
+    examples = examples_of([labeler.sample_set((*episode.states, *episode.dead_ends))])
     assert [e.viable.any() for e in examples] == [True] * len(episode.states) + [False] * len(episode.dead_ends)
     # Which action is chosen in a dead end does not matter.
     params = relational.init(np.random.default_rng(0), TINY)
@@ -53,7 +54,7 @@ def test_dead_ends_teach_that_no_action_is_viable() -> None:
 
 def test_the_viable_share_counts_states_whose_best_action_is_viable(tmp_path: Path) -> None:
     list(collect(["cantilever:1"], tmp_path, episodes=1, seed=0, jobs=1))
-    examples = imitation.load_examples(tmp_path, ["cantilever:1"], 1)
+    examples = load_examples(tmp_path, ["cantilever:1"], 1)
     params = relational.init(np.random.default_rng(1), TINY)
     viable: list[bool] = []
     for e in examples:
@@ -65,7 +66,7 @@ def test_the_viable_share_counts_states_whose_best_action_is_viable(tmp_path: Pa
 
 @pytest.mark.slow
 def test_a_gradient_is_the_same_in_pieces(cantilever: SampleSet) -> None:
-    examples = imitation.examples_of([cantilever])[:4]
+    examples = examples_of([cantilever])[:4]
     params = relational.init(np.random.default_rng(0), TINY)
     batch = imitation.batch_of(examples, 48)  # 192 tokens: pieces of two states
     (loss, _), whole = jax.jit(jax.value_and_grad(imitation.losses, has_aux=True))(params, batch)
@@ -77,7 +78,7 @@ def test_a_gradient_is_the_same_in_pieces(cantilever: SampleSet) -> None:
 
 @pytest.mark.slow
 def test_training_fits_one_chair_and_continues_where_it_was_killed(cantilever: SampleSet, tmp_path: Path) -> None:
-    examples = imitation.examples_of([cantilever])
+    examples = examples_of([cantilever])
     training = imitation.RelationalTraining(steps=40, learning_rate=1e-2, warmup=5, batch=2, keep_every=0.0)
     whole = list(imitation.train(examples, tmp_path / "whole.npz", training, TINY, {}))
     assert whole[-1][1]["loss"] < 0.5 * whole[0][1]["loss"]

@@ -88,7 +88,7 @@ def test_a_pipeline_continues_where_it_was_stopped(two_chairs: list[str], tmp_pa
     assert [s.stage for s in stages if s.done == s.total] == [
         "validation", "samples 0", "policy 0", "samples 1", "policy 1",
     ]  # fmt: skip
-    assert 0.0 <= stages[-1].scalars["validation"] <= 1.0
+    assert 0.0 <= stages[-1].scalars["validation_own"] <= 1.0
     final = checkpoint.load(folder / "policy.npz", relational.KIND)
     assert final.config["set_hash"] == datasets.set_hash(datasets.furniture_refs("chairs-24:train"))
     assert final.config["pipeline"]["rounds"] == 1

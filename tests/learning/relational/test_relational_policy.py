@@ -19,8 +19,11 @@ from roboassembly.learning import checkpoint
 from roboassembly.learning.datasets import CLOUD_POINTS
 from roboassembly.learning.layers import Params
 from roboassembly.learning.registry import load_policy
+from roboassembly.learning.policy import surest
 from roboassembly.learning.relational import network as relational
+from roboassembly.learning.relational import policy as policies
 from roboassembly.learning.relational.grasps import network as grasping
+from roboassembly.learning.relational.layout_search import find_layout
 from roboassembly.learning.relational.policy import RelationalPolicy, _Sequence
 from roboassembly.learning.relational.policy_view import PolicyView
 from roboassembly.learning.relational.tokens import GroupedPoints, TokenCache, tokens_of
@@ -40,13 +43,13 @@ def test_rounding_does_not_choose_between_equal_parts(monkeypatch: pytest.Monkey
     policy = load_policy("relational")
     assert isinstance(policy, RelationalPolicy)
     chosen = policy.act(observation, mask)
-    exact, rng = relational.values, np.random.default_rng(0)
+    exact, rng = relational.judged, np.random.default_rng(0)
 
     def noisy(params, tokens, augmentations):
-        q = exact(params, tokens, augmentations)
-        return q + rng.uniform(-1e-6, 1e-6, size=q.shape).astype(np.float32)
+        fits, q = exact(params, tokens, augmentations)
+        return tuple(x + rng.uniform(-1e-6, 1e-6, size=x.shape).astype(np.float32) for x in (fits, q))
 
-    monkeypatch.setattr(relational, "values", noisy)
+    monkeypatch.setattr(relational, "judged", noisy)
     for _ in range(5):
         np.testing.assert_array_equal(policy.act(observation, mask), chosen)
 
@@ -55,7 +58,7 @@ def test_values_are_those_of_the_network_at_the_right_places(
     params: Params, first_state: tuple[dict[str, np.ndarray], np.ndarray]
 ) -> None:
     observation, mask = first_state
-    policy = RelationalPolicy(params)
+    policy = RelationalPolicy(params, layout_states=0)
     values = policy.values(observation, mask)
     assert values.dtype == np.float32
     np.testing.assert_array_equal(np.isfinite(values), mask)
@@ -74,6 +77,41 @@ def test_values_are_those_of_the_network_at_the_right_places(
     chance = policy.probabilities(observation, mask)
     np.testing.assert_allclose(chance[mask], 1.0 / (1.0 + np.exp(-values[mask])), rtol=1e-4, atol=1e-6)
     assert not chance[~mask].any()
+
+
+@pytest.mark.parametrize("wrong", [False, True])
+def test_choices_are_mates_of_the_layout(
+    wrong: bool, first_state: tuple[dict[str, np.ndarray], np.ndarray], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Only pairs of the layout keep their values, and a pair that is known to be wrong is in none."""
+    observation, mask = first_state
+    policy = load_policy("relational")
+    assert isinstance(policy, RelationalPolicy)
+    tokens = tokens_of(PolicyView.from_observation(observation, mask))
+    free = replace(policy, layout_states=0).values(observation, mask)
+    best = surest(free)
+    pairs = [tuple(best[[0, 2, 1, 3]].tolist())] if wrong else []
+    known = [(int(u), int(v), int(k), int(l)) for u, k, v, l in pairs]
+    found = []
+
+    def find(problem, states):
+        found.append(find_layout(problem, states))
+        return found[-1]
+
+    monkeypatch.setattr(policies, "find_layout", find)
+    values = policy.revised_values(observation, mask, known) if wrong else policy.values(observation, mask)
+    (layout,) = found
+    assert layout is not None
+    inside = np.zeros((len(tokens.part), len(tokens.part)), bool)
+    for k, l in layout.placed_by:
+        inside[k, l] = inside[l, k] = True
+    u, k = tokens.part[:, None], tokens.point[:, None]
+    v, l = tokens.part[None], tokens.point[None]
+    valid = tokens.group[:, None] != tokens.group
+    changed = (values[u, v, k, l] < free[u, v, k, l] - 10.0).all(axis=2)
+    assert np.array_equal(changed[valid], ~inside[valid])
+    mate = tuple(best[[0, 1, 2, 3]])
+    assert (values[mate] > free[mate] - 10.0).any() != wrong
 
 
 class ScriptedPolicy(RelationalPolicy):

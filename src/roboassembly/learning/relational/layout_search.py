@@ -204,6 +204,8 @@ class _Search:
         if len(np.unique(rows)) < len(rows) or len(np.unique(columns)) < len(columns):
             return None
         cost = state.cost + _MISSED * float(misses.sum())
+        if not np.isfinite(p.cost[mine[rows], there[columns]]).all():
+            return None
         pairs: list[tuple[int, int]] = []
         open_points = state.open.copy()
         open_points[mine] = True

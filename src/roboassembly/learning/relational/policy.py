@@ -182,9 +182,8 @@ class RelationalPolicy:
             # Rounding errors must not choose between equal parts, nor between action sequences.
             fits, q = relational.judged(self.params, tokens, AUGMENTATIONS[: self.augmentations])
             fits, q = np.round(fits, _DECIMALS), np.round(q, _DECIMALS)
-            for u_, v_, k_, l_ in wrong:
-                here = (tokens.part == u_) & (tokens.point == k_)
-                there = (tokens.part == v_) & (tokens.point == l_)
+            for pair in wrong:
+                here, there = (_alike(tokens, *end) for end in (pair[::2], pair[1::2]))
                 fits[here[:, None] & there] = fits[there[:, None] & here] = -np.inf
             layout = find_layout(layout_problem(tokens, fits), self.layout_states) if self.layout_states else None
             if layout is not None:
@@ -308,6 +307,14 @@ class RelationalPolicy:
             here: Bool[np.ndarray, "P P"] = np.isin(group, u_group)[:, None] & np.isin(group, v_group)[None]
             out = np.where((here | here.T)[..., None, None], pairs + finish, out)
         return out
+
+
+def _alike(tokens: Tokens, part: int, point: int) -> Bool[np.ndarray, "n"]:
+    """Return which tokens are a point of a part, or the same point of a group that is alike."""
+    types = np.array(tokens.types)[tokens.group]
+    own = (tokens.part == part) & (tokens.point == point)
+    first = int(np.argmax(own))
+    return own | ((tokens.point == point) & (types == types[first]))
 
 
 def layout_problem(tokens: Tokens, fits: Float32[np.ndarray, "n n"]) -> LayoutProblem:
