@@ -155,8 +155,8 @@ class SampleSet:
             points, connections, free, poses = z["points"], z["connections"], z["free"], z["poses"]
             has_q_values, width = z["has_q_values"], int(z["q_width"])
             shapes = [(n, n, width) for n in free.sum(axis=(1, 2)) * has_q_values] if len(free) else []
-            own_w = z["own_w"] if "own_w" in z else None
-            principal = z["principal"] if "principal" in z else None
+            own_w = z.get("own_w")
+            principal = z.get("principal")
             resampled = z["resampled"].astype(np.float32) if "resampled" in z else None
             ends = np.cumsum([np.prod(shape) for shape in shapes], dtype=int)
             values = [v.reshape(s) for v, s in zip(np.split(z["q_values"], ends)[:-1], shapes, strict=True)]

@@ -39,9 +39,7 @@ class HandOracle(Oracle):
         """Task whose grasps the oracle tests."""
         return self._grasp_task
 
-    def feasible_along(
-        self, moving: Parts, waiting: Parts, axes: Float[np.ndarray, "w 3"]
-    ) -> Bool[np.ndarray, "w"]:
+    def feasible_along(self, moving: Parts, waiting: Parts, axes: Float[np.ndarray, "w 3"]) -> Bool[np.ndarray, "w"]:
         """Return whether R_a can bring `moving` to `waiting`, which R_b holds; equal values for all axes."""
         key = (moving, waiting)
         if key not in self._joinable:

@@ -140,9 +140,7 @@ class Oracle:
         """Return for each `w` whether `moving` can reach `waiting` along a straight line above the ground."""
         return self.feasible_along(moving, waiting, UP_AXES)
 
-    def feasible_along(
-        self, moving: Parts, waiting: Parts, axes: Float[np.ndarray, "w 3"]
-    ) -> Bool[np.ndarray, "w"]:
+    def feasible_along(self, moving: Parts, waiting: Parts, axes: Float[np.ndarray, "w 3"]) -> Bool[np.ndarray, "w"]:
         """Return for each axis whether `moving` can reach `waiting` with that axis up; see `feasible_w`.
 
         Args:

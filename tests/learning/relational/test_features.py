@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from roboassembly.learning.relational.depth_images import EXIT_COUNTS
 from roboassembly.learning.relational.features import ALIGNED, pair_features, up_axis_features
 from roboassembly.learning.relational.group_geometry import PATCH_SIZE
 from roboassembly.learning.relational.tokens import POINT_FEATURES, Tokens, pad
-from roboassembly.learning.relational.ways import WAYS
 
 
 def test_features_of_a_pair_by_hand() -> None:
@@ -15,16 +15,16 @@ def test_features_of_a_pair_by_hand() -> None:
     frame = np.array([np.eye(3), np.diag([1.0, -1.0, -1.0])])
     features = np.zeros((2, POINT_FEATURES), np.float32)
     features[:, 0], features[:, ALIGNED], features[:, -1] = (0.2, 0.4), 1.0, 1.0
-    ways = np.zeros((2, 2, WAYS), np.uint8)
+    exits = np.zeros((2, 2, EXIT_COUNTS), np.uint8)
     # Along the waiting point's x axis, half of the fine pixels and all coarse ones are blocked; no other way is.
-    ways[0, 1, [0, 6, 13, 19]] = 10, 20, 8, 8
+    exits[0, 1, [0, 6, 13, 19]] = 10, 20, 8, 8
     tokens = Tokens(
         np.arange(2), np.zeros(2, int), np.arange(2), np.zeros((2, PATCH_SIZE), np.uint8), features,
         frame.astype(np.float32),
         np.array([[0.0, 0.0, 0.2], [0.1, 0.0, 0.0]], np.float32), np.tile(np.eye(3, dtype=np.float32), (2, 1, 1)),
         np.array([[1.0, 1.0, 0.2], [0.4, 0.4, 0.4]], np.float32),
         np.zeros((2, 2, 4), np.uint8), np.array([[[0.0] * 6, [-0.4, -0.3, -0.2, 0.2, 0.3, -0.4]]] * 2, np.float32),
-        ways,
+        exits,
         np.array([[0, 2], [2, 0]], np.uint8), np.array([[0, 3], [3, 0]], np.uint8),
     )  # fmt: skip
     t = pad([tokens], 2)

@@ -63,7 +63,7 @@ def test_mates_of_a_layout_meet() -> None:
     problem = frames_problem()
     layout = find_layout(problem)
     assert layout is not None
-    for k, l in layout.mates:
+    for k, l in layout.mates:  # noqa: E741
         at = [
             layout.rotation[problem.group[i]] @ problem.position[i] + layout.translation[problem.group[i]]
             for i in (k, l)

@@ -60,9 +60,7 @@ def test_values_follow_the_axes_that_w_names() -> None:
     views: list[PolicyView] = []
     frames: list[np.ndarray] = []
     for seed in (0, 1):
-        observer = Observer(
-            furniture, *furniture.padding, 128, ObservationConfig("own"), np.random.default_rng(seed)
-        )
+        observer = Observer(furniture, *furniture.padding, 128, ObservationConfig("own"), np.random.default_rng(seed))
         mask = task.existing_actions(state, *furniture.padding)
         views.append(PolicyView.from_observation(observer.observe(state), mask, "own"))
         frames.append(observer.frames.part_from_own)
@@ -103,7 +101,7 @@ def test_examples_are_kept_as_they_are(cantilever: SampleSet, tmp_path: Path) ->
         for one, other in zip(first, again, strict=True):
             assert np.array_equal(one.viable, other.viable)
     for kept, fresh in zip(load_examples(tmp_path, ["a"], 1, "aligned"), examples_of([loaded]), strict=True):
-        for name in ("patch", "features", "frame", "axes", "bounds", "ways", "matches", "cycles_3", "group"):
+        for name in ("patch", "features", "frame", "axes", "bounds", "exits", "matches", "cycles_3", "group"):
             assert np.array_equal(getattr(kept.tokens, name), getattr(fresh.tokens, name)), name
         assert np.array_equal(kept.fits, fresh.fits)
         assert np.array_equal(kept.viable, fresh.viable)

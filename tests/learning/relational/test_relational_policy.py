@@ -18,8 +18,8 @@ from roboassembly.evaluation.rollout import RolloutConfig, make_agent
 from roboassembly.learning import checkpoint
 from roboassembly.learning.datasets import CLOUD_POINTS
 from roboassembly.learning.layers import Params
-from roboassembly.learning.registry import load_policy
 from roboassembly.learning.policy import surest
+from roboassembly.learning.registry import load_policy
 from roboassembly.learning.relational import network as relational
 from roboassembly.learning.relational import policy as policies
 from roboassembly.learning.relational.grasps import network as grasping
@@ -91,7 +91,7 @@ def test_choices_are_mates_of_the_layout(
     free = replace(policy, layout_states=0).values(observation, mask)
     best = surest(free)
     pairs = [tuple(best[[0, 2, 1, 3]].tolist())] if wrong else []
-    known = [(int(u), int(v), int(k), int(l)) for u, k, v, l in pairs]
+    known = [(pair[0], pair[2], pair[1], pair[3]) for pair in pairs]
     found = []
 
     def find(problem, states):
@@ -103,10 +103,10 @@ def test_choices_are_mates_of_the_layout(
     (layout,) = found
     assert layout is not None
     inside = np.zeros((len(tokens.part), len(tokens.part)), bool)
-    for k, l in layout.placed_by:
+    for k, l in layout.placed_by:  # noqa: E741
         inside[k, l] = inside[l, k] = True
     u, k = tokens.part[:, None], tokens.point[:, None]
-    v, l = tokens.part[None], tokens.point[None]
+    v, l = tokens.part[None], tokens.point[None]  # noqa: E741
     valid = tokens.group[:, None] != tokens.group
     changed = (values[u, v, k, l] < free[u, v, k, l] - 10.0).all(axis=2)
     assert np.array_equal(changed[valid], ~inside[valid])

@@ -47,10 +47,10 @@ def test_tokens_change_as_the_clouds_do(chair_samples: SampleSet, change: FrameC
             tokens_of_sample(other, after),
         )
         assert np.abs(changed.patch.astype(int) - expected.patch).max() <= 1
-        for name in set(Tokens.__dataclass_fields__) - {"patch", "ways", "grasps", "clearance"}:
+        for name in set(Tokens.__dataclass_fields__) - {"patch", "exits", "grasps", "clearance"}:
             assert np.allclose(getattr(changed, name), getattr(expected, name), atol=1e-5), name
         # Points on the border between two pixels fall into another one.
-        assert np.abs(changed.ways.astype(int) - expected.ways).mean() < 0.3
+        assert np.abs(changed.exits.astype(int) - expected.exits).mean() < 0.3
         _, viable = targets_of(tokens_of_sample(chair_samples, before), before)
         assert np.array_equal(targets_of(expected, after)[1][:, :, up_axis_permutation(change)], viable)
     with pytest.raises(ValueError, match="clouds"):

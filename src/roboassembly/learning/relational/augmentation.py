@@ -9,10 +9,10 @@ from jaxtyping import Int
 
 from roboassembly.learning.augmentation import FrameChange, up_axis_permutation
 from roboassembly.learning.relational.clearance import MIRROR_SIGNS
+from roboassembly.learning.relational.depth_images import MIRRORED_EXITS
 from roboassembly.learning.relational.features import ALIGNED
 from roboassembly.learning.relational.group_geometry import PATCH_STEPS
 from roboassembly.learning.relational.tokens import Tokens
-from roboassembly.learning.relational.ways import MIRRORED_WAYS
 from roboassembly.task.rules.connections import UP_AXES
 
 
@@ -33,11 +33,11 @@ def augment_tokens(tokens: Tokens, change: FrameChange) -> Tokens:
         features[:, 24:27] = tokens.features[:, 24:27] @ np.abs(m).T
         for first in (27, 30, 33):
             features[:, first : first + 3] = tokens.features[:, first : first + 3] @ m.T
-    patch, grasps, ways = tokens.patch, tokens.grasps, tokens.ways
+    patch, grasps, exits = tokens.patch, tokens.grasps, tokens.exits
     if change.mirrored:
         patch = patch.reshape(len(patch), len(PATCH_STEPS), 5, 5, 5)[:, :, :, ::-1].reshape(patch.shape)
         grasps = None if grasps is None else grasps * MIRROR_SIGNS
-        ways = ways[..., MIRRORED_WAYS]
+        exits = exits[..., MIRRORED_EXITS]
         features[:, 3] = -tokens.features[:, 3]
         for low in (6, 12):
             features[:, low], features[:, low + 3] = -tokens.features[:, low + 3], -tokens.features[:, low]
@@ -59,7 +59,7 @@ def augment_tokens(tokens: Tokens, change: FrameChange) -> Tokens:
         axes=axes,
         extent=extent,
         bounds=bounds.astype(tokens.bounds.dtype),
-        ways=ways,
+        exits=exits,
         grasps=grasps,
     )
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from roboassembly.geometry.mating import mating_poses
 from roboassembly.learning.layers import Array
-from roboassembly.learning.relational.ways import COARSE_BLOCKED, COARSE_SHARED, FINE_BLOCKED, FINE_SHARED
+from roboassembly.learning.relational.depth_images import COARSE_BLOCKED, COARSE_SHARED, FINE_BLOCKED, FINE_SHARED
 
 PAIR_FEATURES = 75
 """Number of features of an ordered pair of points."""
@@ -56,7 +56,7 @@ def pair_features(t: dict[str, Array], valid: Array) -> Array:
     | 8, 9 | 1 if any other points mate as well, without and with equal tangents | |
     | 10, 11 | number of parts of the moving and of the waiting group | 5 parts |
     | 12–26 | of `_cycle_features` | |
-    | 27–60 | of `_way_features` | |
+    | 27–60 | of `_exit_features` | |
     | 61, 62 | mean and least of how parallel the axes of the two parts are, 1 if an axis stays an axis | |
     | 63 | cosine of the angle between the two groups' frames, once mated | |
     | 64–66 | diagonal of the rotation between these frames | |
@@ -95,34 +95,34 @@ def pair_features(t: dict[str, Array], valid: Array) -> Array:
         xp.astype(matches[..., :2] > 0, number),
         xp.stack(parts, axis=-1),
         _cycle_features(xp, t["cycles_3"], t["cycles_4"], plausible),
-        _way_features(xp, t["ways"]),
+        _exit_features(xp, t["exits"]),
         xp.stack([xp.mean(kept, axis=-1), xp.min(kept, axis=-1)], axis=-1),
         xp.concatenate(of_frames, axis=-1) * aligned[:, :, None, None],
     ]
     return xp.concatenate(features, axis=-1) * xp.astype(valid, number)[..., None]
 
 
-def _way_features(xp: Array, ways: Array) -> Array:
-    """(b, n, n, 34): what depth images show of the ways out.
+def _exit_features(xp: Array, exits: Array) -> Array:
+    """(b, n, n, 34): what depth images show of the exits.
 
     | index | feature |
     |---|---|
-    | 0–12 | log(1 + count) / 5 of the fine images, in the order of `ways.ways_out` |
+    | 0–12 | log(1 + count) / 5 of the fine images, in the order of `depth_images.exit_counts` |
     | 13–18 | share of the fine pixels with both groups that are blocked, for each direction |
     | 19–27 | log(1 + count) / 5 of the coarse images |
     | 28–33 | share of the coarse pixels with both groups that are blocked, for each direction |
     """
-    fine, coarse = blocked_shares(xp, ways)
-    logs = xp.log1p(ways) / 5.0
+    fine, coarse = blocked_shares(xp, exits)
+    logs = xp.log1p(exits) / 5.0
     return xp.concatenate([logs[..., :13], fine, logs[..., 13:], coarse], axis=-1)
 
 
-def blocked_shares(xp: Array, ways: Array) -> tuple[Array, Array]:
+def blocked_shares(xp: Array, exits: Array) -> tuple[Array, Array]:
     """Return (..., 6) shares of the pixels with both groups that are blocked along each way, fine and coarse."""
     shares: list[Array] = []
     for blocked, shared in ((FINE_BLOCKED, FINE_SHARED), (COARSE_BLOCKED, COARSE_SHARED)):
-        both = xp.repeat(ways[..., shared], 2, axis=-1)
-        shares.append(ways[..., blocked] / xp.maximum(both, 4.0))
+        both = xp.repeat(exits[..., shared], 2, axis=-1)
+        shares.append(exits[..., blocked] / xp.maximum(both, 4.0))
     return shares[0], shares[1]
 
 
@@ -172,7 +172,7 @@ def up_axis_features(t: dict[str, Array]) -> Array:
     | 7 | the waiting group's bottom above the moving group's top, at most ±0.5 m | 0.5 m |
     | 8, 9 | extent of the moving and of the waiting group along the axis | m |
     | 10–12 | largest rise of a way out that is free in the fine, the coarse and both images, -1 if none is | |
-    | 13, 14 | share of the pixels blocked along the ways that rise, fine and coarse | |
+    | 13, 14 | share of the pixels blocked along the exits that rise, fine and coarse | |
 
     Args:
         t: batch of tokens of `tokens.pad`.
@@ -196,36 +196,36 @@ def up_axis_features(t: dict[str, Array]) -> Array:
         2.0 * xp.clip(_along_up_axes(xp, -high - extent, low - extent), -_CUTOFF, _CUTOFF),
         _along_up_axes(xp, high - low + extent, high - low + extent),
         xp.broadcast_to(wide, bottom.shape),
-        *_rises(xp, t["ways"], rise),
+        *_rises(xp, t["exits"], rise),
     ]
     return xp.stack(features, axis=-1)
 
 
-def way_is_free(ways: Array) -> Array:
+def exit_is_free(exits: Array) -> Array:
     """Return (..., 6) whether each way out of a mate is free in the fine and in the coarse images."""
-    fine, coarse = blocked_shares(ways.__array_namespace__(), ways)
-    free_fine = (ways[..., FINE_BLOCKED] <= _FEW_PIXELS) | (fine < _FEW_BLOCKED)
-    return free_fine & ((ways[..., COARSE_BLOCKED] <= _FEW_PIXELS) | (coarse < _FEW_BLOCKED))
+    fine, coarse = blocked_shares(exits.__array_namespace__(), exits)
+    free_fine = (exits[..., FINE_BLOCKED] <= _FEW_PIXELS) | (fine < _FEW_BLOCKED)
+    return free_fine & ((exits[..., COARSE_BLOCKED] <= _FEW_PIXELS) | (coarse < _FEW_BLOCKED))
 
 
-def _rises(xp: Array, ways: Array, rise: Array) -> list[Array]:
-    """Five arrays (b, n, n, 6): how far the ways out rise with each `w`, see `up_axis_features`.
+def _rises(xp: Array, exits: Array, rise: Array) -> list[Array]:
+    """Five arrays (b, n, n, 6): how far the exits rise with each `w`, see `up_axis_features`.
 
     Args:
         xp: namespace of the arrays.
-        ways: (b, n, n, 22) of the tokens.
+        exits: (b, n, n, 22) of the tokens.
         rise: (b, n, 3, 3) cosines between the axes of each point's frame and the axes that `w` names.
     """
-    fine, coarse = blocked_shares(xp, ways)
-    free_fine = (ways[..., FINE_BLOCKED] <= _FEW_PIXELS) | (fine < _FEW_BLOCKED)
-    free_coarse = (ways[..., COARSE_BLOCKED] <= _FEW_PIXELS) | (coarse < _FEW_BLOCKED)
+    fine, coarse = blocked_shares(xp, exits)
+    free_fine = (exits[..., FINE_BLOCKED] <= _FEW_PIXELS) | (fine < _FEW_BLOCKED)
+    free_coarse = (exits[..., COARSE_BLOCKED] <= _FEW_PIXELS) | (coarse < _FEW_BLOCKED)
     best = {"fine": [], "coarse": [], "both": [], "of_fine": [], "of_coarse": []}
     for axis, sign in ((2, 1.0), (2, -1.0), (0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0)):
         along = sign * rise[:, None, :, :, axis]
-        of_ways = xp.reshape(xp.stack([along, -along], axis=-1), (*along.shape[:-1], 6))
+        of_exits = xp.reshape(xp.stack([along, -along], axis=-1), (*along.shape[:-1], 6))
         for name, free in (("fine", free_fine), ("coarse", free_coarse), ("both", free_fine & free_coarse)):
-            best[name].append(xp.max(xp.where(free, of_ways, -1.0), axis=-1))
-        up = xp.maximum(of_ways, 0.0) ** 2
+            best[name].append(xp.max(xp.where(free, of_exits, -1.0), axis=-1))
+        up = xp.maximum(of_exits, 0.0) ** 2
         best["of_fine"].append(xp.sum(up * fine, axis=-1))
         best["of_coarse"].append(xp.sum(up * coarse, axis=-1))
     return [xp.stack(values, axis=-1) for values in best.values()]

@@ -13,7 +13,7 @@ from scipy.spatial import KDTree
 
 from roboassembly.geometry.poses import rotations_from_euler
 from roboassembly.learning.relational.clearance import MAX_OTHER_POINTS, PartGrasps
-from roboassembly.learning.relational.ways import PointImages
+from roboassembly.learning.relational.depth_images import PointImages
 
 PATCH_STEPS = (0.010, 0.040, 0.150)
 """Steps of the grids that sample the surface around a point, at the scale of a joint, a part and a whole piece [m]."""
@@ -21,8 +21,8 @@ PATCH_GRID = np.stack(np.meshgrid(*[np.arange(-2.0, 3.0)] * 3, indexing="ij"), a
 """Points of a grid in the connection point's frame, in steps: five a side."""
 PATCH_SIZE = len(PATCH_STEPS) * len(PATCH_GRID)
 """Number of distances in a patch."""
-_SAME_DISTANCE, _SAME_SPREAD = 0.002, 0.03
-"""Difference of coordinates [m], and share of the spread, up to which two parts have one shape."""
+_SAME_DISTANCE, _SAME_DEVIATION = 0.002, 0.03
+"""Difference of coordinates [m], and share of the deviation, up to which two parts have one shape."""
 
 
 _DIRECTIONS = np.array(
@@ -57,8 +57,8 @@ class PartShapes:
     ) -> PartShapes:
         """Return the shapes of some parts.
 
-        Parts of one shape have the same cloud, or clouds that spread alike and points in the same places: two clouds of
-        one surface differ, and so do parts that may take each other's places.
+        Parts of one shape have the same cloud, or clouds of equal deviations and points in the same places: two clouds
+        of one surface differ, and so do parts that may take each other's places.
 
         Args:
             clouds: cloud of each part in its frame [m].
@@ -84,7 +84,7 @@ class PartShapes:
 class _Measures:
     """What two parts of one shape have in common: they share their frame."""
 
-    spread: Float[np.ndarray, "3"]
+    deviation: Float[np.ndarray, "3"]
     """Standard deviations of the cloud along its axes [m]."""
     position: Float[np.ndarray, "k 3"]
     """Connection points [m]."""
@@ -99,7 +99,9 @@ class _Measures:
         return (
             len(self.position) == len(other.position)
             and bool((np.abs(self.position - other.position) < _SAME_DISTANCE).all())
-            and bool((np.abs(self.spread - other.spread) < _SAME_SPREAD * self.spread + _SAME_DISTANCE).all())
+            and bool(
+                (np.abs(self.deviation - other.deviation) < _SAME_DEVIATION * self.deviation + _SAME_DISTANCE).all()
+            )
         )
 
 
@@ -125,8 +127,8 @@ class GroupFrames:
             group: group of each part.
             aligned: whether part frames are parallel to the furniture's; no group is upright if they are not.
 
-        An aligned part's frame is parallel to the furniture's if no other part has its shape; equal parts share the frame of the
-        first of them. So a group takes the frame of the part with the fewest copies, of these the largest.
+        An aligned part's frame is parallel to the furniture's if no other part has its shape; equal parts share the
+        frame of the first of them. So a group takes the frame of the part with the fewest copies, of these the largest.
         """
         upright = np.zeros(len(group), bool)
         rotation, translation = np.tile(np.eye(3), (len(group), 1, 1)), np.zeros((len(group), 3))
@@ -212,10 +214,12 @@ class GroupGeometry:
             axes,
             _patches(cloud, position, frame),
             _outermost(outline),
-            np.array([_bounds(outlines[i], *at) for i, *at in zip(member, position, frame, strict=True)]).reshape(-1, 6),
+            np.array([_bounds(outlines[i], *at) for i, *at in zip(member, position, frame, strict=True)]).reshape(
+                -1, 6
+            ),
             np.array([_bounds(outline, *at) for at in zip(position, frame, strict=True)]).reshape(-1, 6),
             np.einsum("nji,nj->ni", frame, placed.mean(axis=1)[member] - position),
-            PointImages.take(cloud, position, frame),
+            PointImages.of_cloud(cloud, position, frame),
             grasps,
         )
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Bool, Float
 
-from roboassembly.learning.relational.features import way_is_free
+from roboassembly.learning.relational.features import exit_is_free
 from roboassembly.learning.relational.layout_search import Layout
 from roboassembly.learning.relational.tokens import Tokens
 
@@ -47,10 +47,10 @@ class JoiningOrder:
         directions = _distinct([sign * frames[k][:, axis] for k, _ in mates for axis in range(3) for sign in (1, -1)])
         arcs = [[0] * groups for _ in directions]
         near = [0] * groups
-        for k, l in mates:
+        for k, l in mates:  # noqa: E741
             a, b = int(tokens.group[k]), int(tokens.group[l])
             near[a] |= 1 << b
-            free = way_is_free(tokens.ways[k, l])
+            free = exit_is_free(tokens.exits[k, l])
             for index, blocked in enumerate(_blocked(directions, frames[l], free)):
                 if blocked:
                     arcs[index][a] |= 1 << b
@@ -106,7 +106,7 @@ def _blocked(
     Args:
         directions: unit vectors in the layout.
         frame: `layout_from_point` of the waiting point.
-        free: whether the ways along its axes are free: x, -x, y, -y, z, -z.
+        free: whether the exits along its axes are free: x, -x, y, -y, z, -z.
     """
     cosine = directions @ frame
     axis = np.argmax(np.abs(cosine), axis=1)

@@ -20,9 +20,9 @@ from roboassembly.learning.relational.policy_view import CONTACT_COSINE
 
 MAX_STATES = 80
 """Number of incomplete layouts that are extended."""
-_MEET = 0.005
+_MATE_DISTANCE = 0.005
 """Distance up to which two points of a layout meet [m]; gaps at mates add up."""
-_MISS = 0.012
+_MISS_DISTANCE = 0.012
 """Distance up to which two points that face each other but do not meet speak against a layout [m]."""
 _CHOICES = 5
 """Largest number of mates that are tried for a point."""
@@ -194,12 +194,12 @@ class _Search:
         other_normal = np.einsum("nij,nj->ni", rotation[owner], p.frame[there, :, 2])
         distance = np.linalg.norm(at[:, None] - others[None], axis=2)
         facing = normal @ other_normal.T < CONTACT_COSINE
-        meets = (distance < _MEET) & facing
+        meets = (distance < _MATE_DISTANCE) & facing
         # The mate itself meets, whatever rounding says.
         meets[np.searchsorted(mine, l), np.searchsorted(there, k)] = True
         if (meets & ~state.open[there]).any():
             return None
-        misses = (distance < _MISS) & facing & ~meets & state.open[there]
+        misses = (distance < _MISS_DISTANCE) & facing & ~meets & state.open[there]
         rows, columns = np.nonzero(meets)
         if len(np.unique(rows)) < len(rows) or len(np.unique(columns)) < len(columns):
             return None

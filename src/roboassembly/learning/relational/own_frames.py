@@ -42,7 +42,9 @@ def in_own_frames(
     )
 
 
-def _sample(sample: LabeledState, turns: Float[np.ndarray, "P 3 3"], offset: Float[np.ndarray, "P K 3"]) -> LabeledState:
+def _sample(
+    sample: LabeledState, turns: Float[np.ndarray, "P 3 3"], offset: Float[np.ndarray, "P K 3"]
+) -> LabeledState:
     assert sample.own_w is not None
     p, k, _ = sample.points.shape
     points = sample.points.reshape(p, k, 3, 3).astype(float)

@@ -12,9 +12,9 @@ from jaxtyping import Float, Float16, UInt8
 
 from roboassembly.geometry.mating import mating_poses
 from roboassembly.learning.relational.clearance import CLEARANCE_FEATURES
+from roboassembly.learning.relational.depth_images import exit_counts
 from roboassembly.learning.relational.group_geometry import GroupGeometry
 from roboassembly.learning.relational.policy_view import CONTACT_COSINE, CONTACT_DISTANCE
-from roboassembly.learning.relational.ways import ways_out
 
 _NEAR = 0.012
 """Distance up to which two points that do not mate should probably coincide [m]."""
@@ -30,8 +30,8 @@ class PairGeometry:
     """Counts of other pairs of points, see `Tokens.matches`."""
     bounds: Float[np.ndarray, "k l 6"]
     """Bounds of the moving group relative to the waiting group's, see `Tokens.bounds` [m]."""
-    ways: UInt8[np.ndarray, "k l 22"]
-    """What depth images show of the ways out, see `Tokens.ways`."""
+    exits: UInt8[np.ndarray, "k l 22"]
+    """What depth images show of the exits, see `Tokens.exits`."""
 
     @staticmethod
     def both_ways(a: GroupGeometry, b: GroupGeometry) -> tuple[PairGeometry, PairGeometry]:
@@ -41,8 +41,8 @@ class PairGeometry:
         back = rotation.transpose(1, 0, 3, 2)
         translation_back = -(back @ translation.transpose(1, 0, 2)[..., None])[..., 0]
         return (
-            PairGeometry(of_a, _relative_bounds(rotation, translation, a, b), ways_out(a.images, b.images)),
-            PairGeometry(of_b, _relative_bounds(back, translation_back, b, a), ways_out(b.images, a.images)),
+            PairGeometry(of_a, _relative_bounds(rotation, translation, a, b), exit_counts(a.images, b.images)),
+            PairGeometry(of_b, _relative_bounds(back, translation_back, b, a), exit_counts(b.images, a.images)),
         )
 
 

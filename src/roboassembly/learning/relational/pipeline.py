@@ -36,10 +36,10 @@ from roboassembly.learning.progress import Progress
 from roboassembly.learning.relational import imitation
 from roboassembly.learning.relational import network as relational
 from roboassembly.learning.relational.collect import CollectResult, collect, grasp_folder
+from roboassembly.learning.relational.examples import SHOWN, Frames, TokenExample, load_examples
 from roboassembly.learning.relational.grasps import imitation as grasp_imitation
 from roboassembly.learning.relational.grasps import network as grasping
 from roboassembly.learning.relational.grasps.on_policy import collect_on_policy
-from roboassembly.learning.relational.examples import SHOWN, Frames, TokenExample, load_examples
 from roboassembly.learning.relational.imitation import RelationalTraining
 from roboassembly.learning.relational.network import RelationalConfig
 from roboassembly.learning.relational.policy import FULL_PARAMS, GRASP_PARAMS, RelationalPolicy
@@ -140,8 +140,7 @@ def run_pipeline(config: RelationalPipelineConfig, folder: Path, jobs: int) -> I
 
     yield from _collect("validation", held_out, folder / "samples" / "validation", config, jobs, None)
     validation = {
-        shown: load_examples(folder / "samples" / "validation", held_out, jobs, shown)
-        for shown in SHOWN[config.frames]
+        shown: load_examples(folder / "samples" / "validation", held_out, jobs, shown) for shown in SHOWN[config.frames]
     }
     examples: list[TokenExample] = []
     last = start

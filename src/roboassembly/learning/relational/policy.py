@@ -164,9 +164,7 @@ class RelationalPolicy:
         values = self.values(observation, mask)
         return np.exp(values) if mask.ndim == _FULL_MASK_AXES else sigmoid(values)
 
-    def pair_values(
-        self, view: PolicyView, grouped: GroupedPoints | None = None, wrong: Sequence[Pair] = ()
-    ) -> Values:
+    def pair_values(self, view: PolicyView, grouped: GroupedPoints | None = None, wrong: Sequence[Pair] = ()) -> Values:
         """Return the logits of all object-centric actions; -inf where an action does not exist.
 
         Args:
@@ -203,7 +201,7 @@ class RelationalPolicy:
         if order is None:
             return out
         allowed: dict[tuple[int, int], bool] = {}
-        for k, l in layout.placed_by:
+        for k, l in layout.placed_by:  # noqa: E741
             a, b = sorted((int(tokens.group[k]), int(tokens.group[l])))
             if (a, b) not in allowed:
                 allowed[a, b] = order.allows(a, b)

@@ -5,8 +5,8 @@ from the furniture itself. World poses do not matter to what fits what and are l
 invariant to where the parts lie and how they are numbered.
 
 An aligned part's frame is parallel to the furniture's, as in the paper (equal parts share the frame of the first of
-them); this shows a policy which way the furniture stands. All that says so stands apart from the other features, and is 0
-where parts are described in frames of their own.
+them); this shows a policy which way the furniture stands. All that says so stands apart from the other features, and is
+0 where parts are described in frames of their own.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from roboassembly.geometry.mating import mating_rotations, point_frames
 from roboassembly.learning.datasets import LabeledState, SampleSet
 from roboassembly.learning.relational.clearance import CLEARANCE_FEATURES, GRASP_FEATURES
 from roboassembly.learning.relational.cycles import closed_3_cycles, closed_4_cycles
+from roboassembly.learning.relational.depth_images import EXIT_COUNTS
 from roboassembly.learning.relational.features import ALIGNED, frames_parallel, plausible_pairs
 from roboassembly.learning.relational.group_geometry import (
     PATCH_SIZE,
@@ -34,12 +35,11 @@ from roboassembly.learning.relational.group_geometry import (
 )
 from roboassembly.learning.relational.pair_geometry import PairGeometry, grasp_clearance
 from roboassembly.learning.relational.policy_view import PolicyView
-from roboassembly.learning.relational.ways import WAYS
 from roboassembly.task.rules.connections import GRASPS
 
 POINT_FEATURES = 37
 """Number of features of a point."""
-_OF_PAIRS = ("matches", "bounds", "ways", "cycles_3", "cycles_4", "clearance")
+_OF_PAIRS = ("matches", "bounds", "exits", "cycles_3", "cycles_4", "clearance")
 """Token arrays over pairs of tokens."""
 _PADDED = ("patch", "features", "frame", "position", "axes", "extent", "grasps", *_OF_PAIRS)
 """Token arrays of a batch; `grasps` and `clearance` only where the tokens have them."""
@@ -96,8 +96,8 @@ class Tokens:
     bounds: Float32[np.ndarray, "n n 6"]
     """Lower bounds of the mated moving group less those of the waiting group, along the `axes` of the waiting point,
     and the same of the upper bounds [m]."""
-    ways: UInt8[np.ndarray, "n n 22"]
-    """Counts of pixels in depth images that show the ways out of the mate (`ways.ways_out`)."""
+    exits: UInt8[np.ndarray, "n n 22"]
+    """Counts of pixels in depth images that show the exits of the mate (`depth_images.exit_counts`)."""
     cycles_3: UInt8[np.ndarray, "n n"]
     """Number of groups that close a 3-cycle with the pair."""
     cycles_4: UInt8[np.ndarray, "n n"]
@@ -237,7 +237,7 @@ def tokens_of(
     for g, tokens in zip(geometry, rows, strict=True):
         patch[tokens], extent[tokens] = g.patch, np.ptp(g.outline @ g.axes, axis=1)
         around[tokens] = np.concatenate([g.part_center, g.part_bounds, g.group_bounds], axis=1)
-    matches, bounds, ways = _pair_arrays(geometry, rows, cache)
+    matches, bounds, exits = _pair_arrays(geometry, rows, cache)
     different = group[:, None] != group
     plausible = different
     if view.frames == "aligned":
@@ -248,7 +248,7 @@ def tokens_of(
     of_grasps = _grasp_arrays(geometry, rows, cache) if grasps else (None, None)
     return Tokens(
         part, p.point, group, patch, _point_features(view, p, around), frame.astype(np.float32),
-        position.astype(np.float32), p.axes.astype(np.float32), extent, matches, bounds, ways, cycles_3, cycles_4,
+        position.astype(np.float32), p.axes.astype(np.float32), extent, matches, bounds, exits, cycles_3, cycles_4,
         *of_grasps, p.alike,
     )  # fmt: skip
 
@@ -283,10 +283,10 @@ def _point_features(
 def _pair_arrays(
     geometry: Sequence[GroupGeometry], rows: Sequence[Int[np.ndarray, "_"]], cache: TokenCache
 ) -> tuple[UInt8[np.ndarray, "n n 4"], Float32[np.ndarray, "n n 6"], UInt8[np.ndarray, "n n 22"]]:
-    """`Tokens.matches`, `Tokens.bounds` and `Tokens.ways`."""
+    """`Tokens.matches`, `Tokens.bounds` and `Tokens.exits`."""
     n = sum(map(len, rows))
     matches, bounds = np.zeros((n, n, 4), np.uint8), np.zeros((n, n, 6), np.float32)
-    ways = np.zeros((n, n, WAYS), np.uint8)
+    exits = np.zeros((n, n, EXIT_COUNTS), np.uint8)
     # Group by group; slices are quicker than lists of numbers.
     ends = np.cumsum([len(tokens) for tokens in rows]).tolist()
     blocks = [slice(end - len(tokens), end) for end, tokens in zip(ends, rows, strict=True)]
@@ -294,10 +294,10 @@ def _pair_arrays(
         # In an order that does not depend on the state.
         (a, at), (b, on) = sorted([(first, here), (second, there)], key=lambda group: group[0].key)
         a_moves, b_moves = cache.get(a.key + b.key, partial(PairGeometry.both_ways, a, b))
-        matches[at, on], bounds[at, on], ways[at, on] = a_moves.matches, a_moves.bounds, a_moves.ways
-        matches[on, at], bounds[on, at], ways[on, at] = b_moves.matches, b_moves.bounds, b_moves.ways
+        matches[at, on], bounds[at, on], exits[at, on] = a_moves.matches, a_moves.bounds, a_moves.exits
+        matches[on, at], bounds[on, at], exits[on, at] = b_moves.matches, b_moves.bounds, b_moves.exits
     place = np.argsort(np.concatenate([np.zeros(0, int), *rows]))
-    return matches[place][:, place], bounds[place][:, place], ways[place][:, place]
+    return matches[place][:, place], bounds[place][:, place], exits[place][:, place]
 
 
 def _grasp_arrays(

@@ -1,4 +1,4 @@
-"""Depth images around connection points, and the ways that they show out of a mate.
+"""Depth images around connection points, and the exits out of a mate that they show.
 
 Whether a group can leave another one along a straight line shows in images of depth: seen along the way out, the moving
 group leaves if nothing of the waiting group is in front of it. Each free point has images of its group along the three
@@ -16,11 +16,11 @@ import numpy as np
 from jaxtyping import Bool, Float, Int16, UInt8
 from scipy.ndimage import minimum_filter
 
-WAYS = 22
+EXIT_COUNTS = 22
 """Number of features of a mate."""
 FINE_BLOCKED, FINE_SHARED, COARSE_BLOCKED, COARSE_SHARED = slice(0, 6), slice(6, 9), slice(13, 19), slice(19, 22)
-"""Places of the counts of blocked pixels along the ways out, and of those that may be blocked."""
-MIRRORED_WAYS = np.array([0, 1, 3, 2, 4, 5, *range(6, 13), 13, 14, 16, 15, 17, 18, *range(19, 22)])
+"""Places of the counts of blocked pixels along the exits, and of those that may be blocked."""
+MIRRORED_EXITS = np.array([0, 1, 3, 2, 4, 5, *range(6, 13), 13, 14, 16, 15, 17, 18, *range(19, 22)])
 """Place of each feature before a mirror that changes the sign of the frames' y axes."""
 _UNIT = 1e-4
 """Unit of depths [m]."""
@@ -45,7 +45,7 @@ class ImageScale:
     """Number of pixels along each side."""
     step: float
     """Side of a pixel [m]."""
-    play: float
+    tolerance: float
     """Depth by which a group may reach into another one without being blocked [m]."""
 
     @property
@@ -75,7 +75,7 @@ class DepthImages:
     """Least of `greatest` along z in each pixel and those around it: a pixel at the rim of a pocket shows its floor."""
 
     @staticmethod
-    def take(
+    def of_cloud(
         scale: ImageScale, cloud: Float[np.ndarray, "c 3"], position: Float[np.ndarray, "k 3"],
         frame: Float[np.ndarray, "k 3 3"], *, far: bool = False,
     ) -> DepthImages:  # fmt: skip
@@ -144,23 +144,23 @@ class PointImages:
     """Coarse images of what the fine ones do not show."""
 
     @staticmethod
-    def take(
+    def of_cloud(
         cloud: Float[np.ndarray, "c 3"], position: Float[np.ndarray, "k 3"], frame: Float[np.ndarray, "k 3 3"]
     ) -> PointImages:
-        """Take the images of a group; see `DepthImages.take`."""
+        """Take the images of a group; see `DepthImages.of_cloud`."""
         thinned = cloud[:: -(-len(cloud) // _MOST_POINTS)]
         # Joints are looked at closely, so all points near any of them count.
         near = np.zeros(len(cloud), bool)
         for point in position:
             near |= (np.abs(cloud - point) < 1.75 * FINE.reach).all(axis=1)
         return PointImages(
-            DepthImages.take(FINE, cloud[near], position, frame),
-            DepthImages.take(COARSE, thinned, position, frame),
-            DepthImages.take(COARSE, thinned, position, frame, far=True),
+            DepthImages.of_cloud(FINE, cloud[near], position, frame),
+            DepthImages.of_cloud(COARSE, thinned, position, frame),
+            DepthImages.of_cloud(COARSE, thinned, position, frame, far=True),
         )
 
 
-def ways_out(moving: PointImages, waiting: PointImages) -> UInt8[np.ndarray, "k l 22"]:
+def exit_counts(moving: PointImages, waiting: PointImages) -> UInt8[np.ndarray, "k l 22"]:
     """Return what the images show of each of k points of a moving group mated with each of l of a waiting group.
 
     Directions are the axes of the waiting point's frame: x, -x, y, -y, z, -z; z leads out of the joint. A pixel of the
@@ -182,7 +182,7 @@ def ways_out(moving: PointImages, waiting: PointImages) -> UInt8[np.ndarray, "k 
         moving: images of the moving group.
         waiting: images of the waiting group.
     """
-    out = np.zeros((len(moving.fine.least), len(waiting.fine.least), WAYS), np.uint8)
+    out = np.zeros((len(moving.fine.least), len(waiting.fine.least), EXIT_COUNTS), np.uint8)
     seen = _Seen.of(FINE, moving.fine, waiting.fine)
     rows = np.arange(FINE.pixels**2) % FINE.pixels >= FINE.pixels // 2
     moves, waits = seen.least < _EMPTY, seen.low < _EMPTY
@@ -231,7 +231,7 @@ class _Seen:
         """Return in which pixels the waiting group is in front of the moving one, along each axis and against it."""
         in_front, against = self.high.copy(), self.least.copy()
         in_front[:, :, 2], against[:, :, 2] = self.beyond, self.core
-        play = np.int16(scale.play / _UNIT)
-        ahead = np.where(in_front > -_EMPTY - 1, in_front - play, in_front) > against
-        behind = np.where(self.low < _EMPTY, self.low + play, self.low) < self.greatest
+        tolerance = np.int16(scale.tolerance / _UNIT)
+        ahead = np.where(in_front > -_EMPTY - 1, in_front - tolerance, in_front) > against
+        behind = np.where(self.low < _EMPTY, self.low + tolerance, self.low) < self.greatest
         return np.stack([ahead, behind], axis=3)
