@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import UInt8
@@ -116,7 +116,7 @@ def _read(path: Path) -> list[TokenExample]:
     """
     with archive.reading(path, "a file of examples", _REMEDY) as z:
         count = z["tokens"].tolist()
-        split: dict[str, list[np.ndarray]] = {}
+        split: dict[str, list[Any]] = {}
         for f in fields(Tokens) if count else ():
             if f.name in z:
                 shapes = z[f"{f.name}.shape"]

@@ -219,7 +219,7 @@ def _rises(xp: Array, exits: Array, rise: Array) -> list[Array]:
     fine, coarse = blocked_shares(xp, exits)
     free_fine = (exits[..., FINE_BLOCKED] <= _FEW_PIXELS) | (fine < _FEW_BLOCKED)
     free_coarse = (exits[..., COARSE_BLOCKED] <= _FEW_PIXELS) | (coarse < _FEW_BLOCKED)
-    best = {"fine": [], "coarse": [], "both": [], "of_fine": [], "of_coarse": []}
+    best: dict[str, list[Array]] = {"fine": [], "coarse": [], "both": [], "of_fine": [], "of_coarse": []}
     for axis, sign in ((2, 1.0), (2, -1.0), (0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0)):
         along = sign * rise[:, None, :, :, axis]
         of_exits = xp.reshape(xp.stack([along, -along], axis=-1), (*along.shape[:-1], 6))

@@ -207,6 +207,7 @@ class GroupGeometry:
             grasps = GroupGrasps(of_point, features, _thinned(cloud, MAX_OTHER_POINTS))
         outlines = [_outermost(part) for part in placed]
         outline = np.concatenate(outlines)
+        own: list[int] = member.tolist()
         return GroupGeometry(
             key,
             position,
@@ -214,10 +215,8 @@ class GroupGeometry:
             axes,
             _patches(cloud, position, frame),
             _outermost(outline),
-            np.array([_bounds(outlines[i], *at) for i, *at in zip(member, position, frame, strict=True)]).reshape(
-                -1, 6
-            ),
-            np.array([_bounds(outline, *at) for at in zip(position, frame, strict=True)]).reshape(-1, 6),
+            _bounds([outlines[i] for i in own], position, frame),
+            _bounds([outline] * len(position), position, frame),
             np.einsum("nji,nj->ni", frame, placed.mean(axis=1)[member] - position),
             PointImages.of_cloud(cloud, position, frame),
             grasps,
@@ -247,11 +246,14 @@ def _outermost(points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "m 3"]:
 
 
 def _bounds(
-    points: Float[np.ndarray, "n 3"], position: Float[np.ndarray, "3"], frame: Float[np.ndarray, "3 3"]
-) -> Float[np.ndarray, "6"]:
-    """Least and greatest coordinates in the frame of a connection point [m]."""
-    local = (points - position) @ frame
-    return np.concatenate([local.min(axis=0), local.max(axis=0)])
+    clouds: Sequence[Float[np.ndarray, "_ 3"]], position: Float[np.ndarray, "k 3"], frame: Float[np.ndarray, "k 3 3"]
+) -> Float[np.ndarray, "k 6"]:
+    """Least and greatest coordinates of a cloud for each connection point, in the point's frame [m]."""
+    out = np.zeros((len(position), 6))
+    for row, cloud in enumerate(clouds):
+        local = (cloud - position[row]) @ frame[row]
+        out[row] = [*local.min(axis=0), *local.max(axis=0)]
+    return out
 
 
 def _patches(

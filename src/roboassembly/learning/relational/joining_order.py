@@ -34,7 +34,7 @@ class JoiningOrder:
     """Bit mask, for each direction and group, of the groups that are in its way."""
     near: list[int]
     """Bit mask, for each group, of the groups that it mates with."""
-    _solvable: dict[frozenset[int], bool] = field(default_factory=dict)
+    _solvable: dict[frozenset[int], bool] = field(default_factory=dict[frozenset[int], bool])
 
     @staticmethod
     def of_layout(tokens: Tokens, layout: Layout) -> JoiningOrder | None:

@@ -159,14 +159,14 @@ class _Search:
         # A point whose best pair is far better than its second one leaves no doubt.
         clear = np.minimum(second, _LARGEST_COST) - np.minimum(ordered[:, 0], _LARGEST_COST) - 0.5 * ordered[:, 0]
         k = int(open_points[np.argmax(clear)])
-        choices = left[np.argsort(cost[k, left], kind="stable")]
+        choices: list[int] = left[np.argsort(cost[k, left], kind="stable")].tolist()
         tried: set[tuple[int, int]] = set()
-        for l in choices.tolist():  # noqa: E741
+        for l in choices:  # noqa: E741
             if cost[k, l] > _LARGEST_COST or len(tried) >= _CHOICES:
                 break
             # Equal groups are alike: the first that is left stands for all.
             h = int(group[l])
-            kind = (self.problem.types[h], int(np.searchsorted(self._members[h], l)))
+            kind = (self.problem.types[h], self._members[h].tolist().index(l))
             if kind not in tried:
                 tried.add(kind)
                 placed = self._placed(state, k, l)

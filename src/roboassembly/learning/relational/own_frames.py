@@ -32,7 +32,8 @@ def in_own_frames(
     grasps = samples.grasps
     if grasps is not None:
         grasps = _described(grasps, turns[:, None].transpose(0, 1, 3, 2), None).astype(np.float32)
-    offset = rng.normal(0.0, imprecision, (*samples.samples[0].points.shape[:2], 3)) if samples.samples else None
+    points = samples.samples[0].points.shape[:2] if samples.samples else (0, 0)
+    offset = rng.normal(0.0, imprecision, (*points, 3))
     return replace(
         samples,
         clouds=clouds.astype(np.float32),
