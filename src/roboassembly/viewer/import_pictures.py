@@ -199,7 +199,8 @@ def _light(mesh: Mesh) -> Mesh:
     """Return a mesh with few enough triangles for a picture."""
     if len(mesh.faces) <= MAX_FACES:
         return mesh
-    points, faces = fast_simplification.simplify(mesh.vertices, mesh.faces, target_count=MAX_FACES)
+    # Copies: the library takes no read-only arrays, as those of a mesh are.
+    points, faces = fast_simplification.simplify(mesh.vertices.copy(), mesh.faces.copy(), target_count=MAX_FACES)
     return Mesh(points, faces)
 
 
