@@ -62,7 +62,13 @@ class Collection:
     """
 
     def __init__(
-        self, path: Path, format: FormatName, pieces: Sequence[DemoPiece], fingerprint: str, config: DemoConfig, max_parts: int
+        self,
+        path: Path,
+        format: FormatName,
+        pieces: Sequence[DemoPiece],
+        fingerprint: str,
+        config: DemoConfig,
+        max_parts: int,
     ) -> None:
         check_format(format)
         about: dict[str, Any] = {"format": format, "furniture": [piece.name for piece in pieces]}
@@ -103,7 +109,9 @@ class Collection:
             return
         module = context_module() if self._recorder.config.cameras else None
         try:
-            yield from map_unordered(partial(_record, self._recorder, module, jobs > 1), missing, min(jobs, len(missing)))
+            yield from map_unordered(
+                partial(_record, self._recorder, module, jobs > 1), missing, min(jobs, len(missing))
+            )
         except BrokenProcessPool:
             raise RoboAssemblyError(
                 "a worker process died (out of memory?); run the same command again to continue, with fewer --jobs"

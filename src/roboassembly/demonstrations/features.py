@@ -3,7 +3,7 @@
 | feature | numbers |
 |---|---|
 | `observation.state` | `robots` of the state observation, R_a's row, then R_b's |
-| `observation.environment_state` | `parts`, `groups`, `held`, `assembled`, `goal` and `goal_pose` of it, one after the other |
+| `observation.environment_state` | `parts`, `groups`, `held`, `assembled`, `goal` and `goal_pose` of it in turn |
 | `action` | an action of the environment |
 """
 

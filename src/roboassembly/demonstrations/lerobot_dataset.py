@@ -8,7 +8,7 @@
     videos/observation.images.NAME/chunk-000/...     its pictures
 
 Each episode has files of its own, so that nothing that is complete is ever written again. An episode counts once its
-file in `meta/episodes` is there, which comes after its frames and videos; then `tasks`, `stats` and `info` are replaced.
+file in `meta/episodes` is there, which comes after frames and videos; then `tasks`, `stats` and `info` are replaced.
 """
 
 from __future__ import annotations
@@ -90,14 +90,14 @@ def features_of(config: DemoConfig, max_parts: int) -> dict[str, dict[str, Any]]
     def numbers(names: list[str]) -> dict[str, Any]:
         return {"dtype": "float32", "shape": [len(names)], "names": names}
 
-    def one(dtype: str) -> dict[str, Any]:
+    def scalar(dtype: str) -> dict[str, Any]:
         return {"dtype": dtype, "shape": [1], "names": None}
 
     out = {
         "observation.state": numbers(robot_state_names()),
         "observation.environment_state": numbers(environment_state_names(max_parts)),
         "action": numbers(ActionCodec(config.control).names),
-        "next.reward": one("float32"), "next.done": one("bool"), "next.success": one("bool"),
+        "next.reward": scalar("float32"), "next.done": scalar("bool"), "next.success": scalar("bool"),
     }  # fmt: skip
     size = {"video.height": config.height, "video.width": config.width}
     for camera in config.cameras:
@@ -107,7 +107,7 @@ def features_of(config: DemoConfig, max_parts: int) -> dict[str, dict[str, Any]]
                 "dtype": "video", "shape": [config.height, config.width, info["video.channels"]],
                 "names": ["height", "width", "channels"], "info": {**size, **info},
             }  # fmt: skip
-    return out | {name: one("float32" if name == "timestamp" else "int64") for name in _COUNTERS}
+    return out | {name: scalar("float32" if name == "timestamp" else "int64") for name in _COUNTERS}
 
 
 class LeRobotDataset:
@@ -297,8 +297,8 @@ def _write_row(path: Path, row: Mapping[str, Any]) -> None:
     import pyarrow.parquet as pq
 
     columns = {name: [value] for name, value in row.items()}
-    kinds = {"failures": pa.list_(pa.string())}  # an empty list shows no type
-    pq.write_table(pa.table({name: pa.array(value, kinds.get(name)) for name, value in columns.items()}), str(path))
+    types = {"failures": pa.list_(pa.string())}  # an empty list shows no type
+    pq.write_table(pa.table({name: pa.array(value, types.get(name)) for name, value in columns.items()}), str(path))
 
 
 def _write_tasks(path: Path, tasks: list[str]) -> None:

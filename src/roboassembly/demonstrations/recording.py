@@ -126,9 +126,8 @@ class Recorder:
             finally:
                 pictures.abandon()
             merge = -1 if env.merge is None else env.merge.index
-            record = EpisodeRecord(
-                index, seed, piece.name, merge, info["task_description"], len(episode.actions), tuple(failures), statistics
-            )  # fmt: skip
+            task, frames = info["task_description"], len(episode.actions)
+            record = EpisodeRecord(index, seed, piece.name, merge, task, frames, tuple(failures), statistics)
             write_staged(part, record, episode.numbers())
         return ""
 

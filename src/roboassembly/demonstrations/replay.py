@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import fields
 from pathlib import Path
-from typing import Any
 
+import msgspec
 import numpy as np
 from jaxtyping import Float32
 
 from roboassembly.datasets import catalogue
 from roboassembly.demonstrations import lerobot_dataset, robomimic_file
 from roboassembly.demonstrations.config import DemoConfig
-from roboassembly.demonstrations.extras import check_format
-from roboassembly.demonstrations.staging import EpisodeRecord, read_description
-from roboassembly.errors import InputError
+from roboassembly.demonstrations.extras import FormatName, check_format
+from roboassembly.demonstrations.staging import DESCRIPTION, EpisodeRecord, read_description
+from roboassembly.errors import ArgumentError, InputError
 
 
 class Demonstrations:
@@ -32,19 +32,18 @@ class Demonstrations:
     def __init__(self, folder: Path | str) -> None:
         folder = Path(folder)
         about = read_description(folder)
+        options = {field.name: about.get(field.name) for field in fields(DemoConfig)}
         try:
-            names = {field.name for field in fields(DemoConfig)}
-            options: dict[str, Any] = {name: about[name] for name in names}
-            self.config = DemoConfig(**options | {"cameras": tuple(options["cameras"])})
+            self.config = msgspec.convert(options, DemoConfig)
             """What was recorded."""
-            self.max_parts = int(about["max_parts"])
+            self.max_parts = msgspec.convert(about.get("max_parts"), int)
             """Padding of the state."""
-            form = about["format"]
-            read = {"lerobot": lerobot_dataset, "hdf5": robomimic_file}[form].read_episodes
-        except (KeyError, TypeError, ValueError) as error:
-            raise InputError(f"'{folder}' holds no demonstrations of this version: {error}") from None
+            form = msgspec.convert(about.get("format"), FormatName)
+        except (msgspec.ValidationError, ArgumentError) as error:
+            raise InputError(f"'{folder / DESCRIPTION}' is not valid: {error}") from None
         check_format(form)
-        self._episodes = read(folder)
+        read = {"lerobot": lerobot_dataset, "hdf5": robomimic_file}[form].read_episodes
+        self._episodes: list[tuple[EpisodeRecord, Float32[np.ndarray, "n 22"]]] = read(folder)
 
     @property
     def episodes(self) -> list[EpisodeRecord]:

@@ -43,16 +43,16 @@ class PictureDatasets:
         import h5py
 
         self._file = h5py.File(folder / _PICTURES, "w") if config.cameras else None
-        self._sets: dict[str, Any] = {}
-        size = (config.height, config.width)
-        for camera in config.cameras:
-            kinds = [(f"rgb_{camera}", f"{camera}_image", 3, np.uint8), (f"depth_{camera}", f"{camera}_depth", 1, np.float32)]
-            for seen, name, channels, dtype in kinds[: 1 + config.depth]:
-                shape = (*size, channels)
-                assert self._file is not None
-                self._sets[seen] = self._file.create_dataset(
-                    name, (0, *shape), dtype, maxshape=(None, *shape), chunks=(1, *shape), **_COMPRESSION
-                )
+        self._sets: dict[str, h5py.Dataset] = {}
+        pictures = [(f"rgb_{camera}", f"{camera}_image", 3, np.uint8) for camera in config.cameras]
+        if config.depth:
+            pictures += [(f"depth_{camera}", f"{camera}_depth", 1, np.float32) for camera in config.cameras]
+        for seen, name, channels, dtype in pictures:
+            assert self._file is not None
+            shape = (config.height, config.width, channels)
+            self._sets[seen] = self._file.create_dataset(
+                name, (0, *shape), dtype, maxshape=(None, *shape), chunks=(1, *shape), **_COMPRESSION
+            )
 
     def add(self, observation: Mapping[str, np.ndarray]) -> None:
         """Append the pictures of an observation."""
@@ -118,7 +118,7 @@ class RobomimicFile:
                 data = file.require_group("data")
                 for staged in self._waiting:
                     _write_demo(data, staged)
-                data.attrs["total"] = sum(int(demo.attrs["num_samples"]) for demo in data.values())
+                data.attrs["total"] = sum(int(data[name].attrs["num_samples"]) for name in data)
                 kind = {"env_name": CONTROL, "type": _GYM, "env_kwargs": self._arguments}
                 data.attrs["env_args"] = json.dumps(kind)
         for staged in self._waiting:

@@ -107,7 +107,9 @@ class DemoFolder:
             try:
                 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except OSError:
-                raise InputError(f"another command writes to '{self.path}'; wait for it, or choose another --out") from None
+                raise InputError(
+                    f"another command writes to '{self.path}'; wait for it, or choose another --out"
+                ) from None
             if not (self.path / DESCRIPTION).is_file():
                 with atomic_write(self.path / DESCRIPTION) as unfinished:
                     unfinished.write_text(json.dumps(self._description, indent=2) + "\n")

@@ -33,7 +33,7 @@ _DEPTH = (
     "-vcodec", "libx265", "-pix_fmt", "gray12le", "-preset", "ultrafast", "-tag:v", "hvc1", "-x265-params",
     "lossless=1:log-level=none:pools=none:frame-threads=1",
 )  # fmt: skip
-_ENCODER = {"video.g": 2, "video.fast_decode": 0, "video.video_backend": "ffmpeg"}
+_ENCODER = {"video.g": 2, "video.fast_decode": 0, "video.video_backend": "pyav"}
 RGB_INFO: dict[str, Any] = {
     "video.fps": CONTROL_RATE, "video.codec": "h264", "video.pix_fmt": "yuv420p", "video.channels": 3,
     "has_audio": False, "is_depth_map": False, "video.crf": 20, "video.preset": "veryfast", **_ENCODER,
@@ -138,4 +138,3 @@ class Video:
         if full in text or os.strerror(errno.EFBIG) in text or status == -signal.SIGXFSZ:
             raise OSError(errno.ENOSPC, full, str(self._path))
         raise RoboAssemblyError(f"ffmpeg cannot write '{self._path}': {text[-200:] or f'it ended with {status}'}")
-
