@@ -15,6 +15,7 @@ from roboassembly.cli.output import DONE, check_writable, print_json, progress_b
 from roboassembly.errors import InputError
 
 if TYPE_CHECKING:
+    from roboassembly.demonstrations.config import DemoConfig
     from roboassembly.demonstrations.recording import DemoPiece
     from roboassembly.demonstrations.staging import EpisodeRecord
 
@@ -77,7 +78,7 @@ class DemosCommand:
             self.task, self.merge, self.control, self.cameras, self.width, self.height, self.depth, self.randomize,
             self.seed,
         )  # fmt: skip
-        pieces, fingerprint, max_parts = self._pieces()
+        pieces, fingerprint, max_parts = self._pieces(config)
         collection = Collection(self.out, self.format, pieces, fingerprint, config, max_parts)
         with workers(self.ray, self.jobs) as jobs:
             bar = progress_bar(collection.record(self.episodes, jobs), total=self.episodes, unit="episode")
@@ -85,7 +86,7 @@ class DemosCommand:
         self._report(added)
         return DONE
 
-    def _pieces(self) -> tuple[list[DemoPiece], str, int]:
+    def _pieces(self, config: DemoConfig) -> tuple[list[DemoPiece], str, int]:
         """Return the pieces, their hash, and the largest number of parts."""
         from roboassembly.datasets import catalogue
         from roboassembly.datasets.sets import furniture_hash, set_hash
@@ -94,6 +95,7 @@ class DemosCommand:
         if self.set is None:
             name = self.furniture or _DEFAULT
             piece = catalogue.find(name)
+            config.check_merge(piece)
             return [DemoPiece(name)], furniture_hash(piece), len(piece.parts)
         refs = selected_furniture(self.set, None, None, 0)
         parts = [ref.furniture().parts if ref.entry is None else range(ref.entry.parts) for ref in refs]

@@ -92,13 +92,22 @@ class DemoConfig:
         Raises:
             InputError: the piece has no such merge.
         """
-        if self.merge is not None and self.merge > len(furniture.parts) - 2:
-            raise InputError(f"{furniture.name} has no merge {self.merge}; expected 0 to {len(furniture.parts) - 2}")
+        self.check_merge(furniture)
         arguments = self.env_arguments(max_parts)
         if not pictures:
             arguments["obs"] = "state"
         ranges = Randomization.full(self.randomize)
         return ControlEnv(furniture, **arguments, time_limit=_NO_LIMIT, randomization=ranges)
+
+    def check_merge(self, furniture: Furniture) -> None:
+        """Check that a piece has the merge that is asked for, if any is.
+
+        Raises:
+            InputError: it does not.
+        """
+        most = len(furniture.parts) - 2
+        if self.merge is not None and self.merge > most:
+            raise InputError(f"{furniture.name} has no merge {self.merge}; expected 0 to {most}")
 
     def reset_options(self) -> dict[str, Any]:
         """Return the options of `reset`."""

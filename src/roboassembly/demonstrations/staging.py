@@ -115,9 +115,14 @@ class DemoFolder:
                     unfinished.write_text(json.dumps(self._description, indent=2) + "\n")
             for part in staging.glob(f"*{_PART}"):
                 shutil.rmtree(part, ignore_errors=True)
-            yield self
-            if not any(self.staged()):
-                shutil.rmtree(staging, ignore_errors=True)
+            try:
+                yield self
+            finally:
+                if not any(self.staged()):
+                    shutil.rmtree(staging, ignore_errors=True)
+                if [entry.name for entry in self.path.iterdir()] == [DESCRIPTION]:
+                    # Nothing was recorded: other options may follow.
+                    shutil.rmtree(self.path, ignore_errors=True)
 
     def staged_path(self, index: int) -> Path:
         """Return the folder in which an episode waits once it is complete."""
