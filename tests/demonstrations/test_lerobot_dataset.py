@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import resource
 import subprocess
-import sys
+from collections import deque
+from itertools import repeat
 from pathlib import Path
 
 import imageio_ffmpeg
@@ -198,28 +200,19 @@ def test_a_broken_file_is_named(written: Path, tmp_path: Path) -> None:
         LeRobotDataset(tmp_path, SEEING, MAX_PARTS)
 
 
-FULL_DISK = """
-import resource, sys
-from pathlib import Path
-import numpy as np
-from roboassembly.demonstrations.video import Video
-video = Video(Path(sys.argv[1]), 64, 64, depth=False)
-resource.setrlimit(resource.RLIMIT_FSIZE, (2000, 2000))
-video = Video(Path(sys.argv[1]), 64, 64, depth=False)
-rng = np.random.default_rng(0)
-try:
-    for _ in range(200):
-        video.add(rng.integers(0, 256, (64, 64, 3), dtype=np.uint8))
-    video.close()
-except OSError as error:
-    print(error.strerror, error.filename)
-"""
-
-
 def test_a_full_disk_while_a_video_grows_is_told(tmp_path: Path) -> None:
-    path = tmp_path / "v.mp4"
-    done = subprocess.run([sys.executable, "-c", FULL_DISK, str(path)], capture_output=True, text=True, check=True)
-    assert done.stdout == f"No space left on device {path}\n"
+    """A limit on the size of files, which ffmpeg inherits, stands for the end of the disk."""
+    before, most = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (2000, most))
+    try:
+        video = Video(tmp_path / "v.mp4", 64, 64, depth=False)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (before, most))
+    noise = np.random.default_rng(0).integers(0, 256, (64, 64, 3), dtype=np.uint8)
+    with pytest.raises(OSError, match="No space left on device") as error:
+        deque(map(video.add, repeat(noise, 200)), 0)
+    assert error.value.filename == str(tmp_path / "v.mp4")
+    video.abandon()
 
 
 def test_a_video_that_is_abandoned_leaves_no_process(tmp_path: Path) -> None:
