@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from roboassembly.demonstrations.staging import EpisodeRecord
 
 _DEFAULT = "stool"
+CameraName = Literal["wrist_a", "wrist_b", "overview", "overview_back"]
+"""Name of a camera, like `control.cameras.CAMERAS`, which is slow to import."""
 
 
 @dataclass(frozen=True)
@@ -41,8 +43,8 @@ class DemosCommand:
     """Number of the merge, from 0, with --task merge. Without it, each episode draws one."""
     control: Literal["joint_position", "joint_delta", "end_effector_delta"] = "joint_delta"
     """Mode of control of the actions."""
-    cameras: tuple[Literal["wrist_a", "wrist_b", "overview", "overview_back"], ...] = ()
-    """Cameras whose pictures are recorded. Without it, none."""
+    cameras: Annotated[tuple[CameraName, ...], tyro.conf.arg(metavar="[CAMERA [...]]")] = ()
+    """Cameras whose pictures are recorded: wrist_a, wrist_b, overview, overview_back. Without it, none."""
     width: int = 128
     """Width of the pictures in pixels, even."""
     height: int = 128
