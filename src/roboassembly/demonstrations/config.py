@@ -81,13 +81,16 @@ class DemoConfig:
             pictures = {"cameras": list(self.cameras), "camera_width": self.width, "camera_height": self.height}
         return {"task": self.task, "control": self.control, "obs": self.obs, "max_parts": max_parts, **pictures}
 
-    def make_env(self, furniture: Furniture, max_parts: int, *, pictures: bool = True) -> ControlEnv:
+    def make_env(
+        self, furniture: Furniture, max_parts: int, *, pictures: bool = True, render_mode: str | None = None
+    ) -> ControlEnv:
         """Return an environment of one piece, in which the episodes of that piece happen.
 
         Args:
             furniture: the piece.
             max_parts: padding of the state.
             pictures: whether pictures are observed; they change nothing else.
+            render_mode: see `ControlEnv`.
 
         Raises:
             InputError: the piece has no such merge.
@@ -97,7 +100,7 @@ class DemoConfig:
         if not pictures:
             arguments["obs"] = "state"
         ranges = Randomization.full(self.randomize)
-        return ControlEnv(furniture, **arguments, time_limit=_NO_LIMIT, randomization=ranges)
+        return ControlEnv(furniture, **arguments, time_limit=_NO_LIMIT, randomization=ranges, render_mode=render_mode)
 
     def check_merge(self, furniture: Furniture) -> None:
         """Check that a piece has the merge that is asked for, if any is.
