@@ -330,3 +330,45 @@ def test_lerobot_loads_it(tmp_path: Path, run: Run) -> None:
         f"2 {frames} 20 observation.images.overview_depth",
         shapes, "torch.Size([1, 32, 32]) True False", shapes, "torch.Size([1, 32, 32]) True True",
     ]  # fmt: skip
+
+
+EVALUATE = """
+import logging
+import lerobot_env_roboassembly
+import numpy as np
+from lerobot.envs.configs import EnvConfig
+from lerobot.envs.factory import make_env, make_env_config
+from lerobot.envs.utils import env_to_policy_features, preprocess_observation
+from lerobot.utils.import_utils import register_third_party_plugins
+
+register_third_party_plugins()
+config = make_env_config(
+    "roboassembly", furniture="three_legged:3", task="merge", merge=0, cameras=["overview"], width=32, height=32
+)
+features = env_to_policy_features(config)
+env = make_env(config, n_envs=2)["roboassembly"][0]
+observation, info = env.reset(seed=[0, 1], options={"lerobot_new_rollout": True})
+for name, rows in sorted(preprocess_observation(observation).items()):
+    assert tuple(rows.shape[1:]) == tuple(features[name].shape), name
+    print(name, tuple(rows.shape))
+print(env.call("task_description")[0], env.call("_max_episode_steps")[0])
+*_, info = env.step(np.zeros((2, 22), np.float32))
+print(info["is_success"])
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("drawing")
+@pytest.mark.skipif("LEROBOT_PYTHON" not in os.environ, reason="LEROBOT_PYTHON names a Python with LeRobot")
+def test_lerobot_makes_the_environment() -> None:
+    here = Path(__file__).parents[2]
+    paths = os.pathsep.join(map(str, (here / "src", here / "integrations" / "lerobot_env_roboassembly")))
+    run = [os.environ["LEROBOT_PYTHON"], "-c"]
+    environment = {**os.environ, "HF_HUB_OFFLINE": "1", "PYTHONPATH": paths}
+    if subprocess.run([*run, "import roboassembly.demonstrations.config"], env=environment, check=False).returncode:
+        pytest.skip("that Python lacks what RoboAssembly needs")
+    done = subprocess.run([*run, EVALUATE], capture_output=True, text=True, check=True, env=environment)
+    assert done.stdout.splitlines()[-5:] == [
+        "observation.environment_state (2, 97)", "observation.images.overview (2, 3, 32, 32)",
+        "observation.state (2, 64)", "Join leg back right to stretcher. 2400", "[False False]",
+    ]  # fmt: skip

@@ -93,6 +93,8 @@ FOREIGN = {
     "--address": "ray",
     "--dataset": "lerobot-train",
     "--output": "lerobot-train",
+    "--env": "lerobot-eval",
+    "--eval": "lerobot-eval",
 }
 """Options of other programs that pages mention."""
 
