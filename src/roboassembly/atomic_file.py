@@ -9,13 +9,20 @@ from pathlib import Path
 
 
 @contextmanager
-def atomic_write(path: Path) -> Generator[Path]:
-    """Yield a temporary path beside `path`; it replaces `path` if the block ends without an error.
+def atomic_write(path: Path, scratch: Path | None = None) -> Generator[Path]:
+    """Yield a temporary path; it replaces `path` if the block ends without an error.
 
     Missing folders are created.
+
+    Args:
+        path: file to write.
+        scratch: folder of the temporary path, on the same disk; that of `path` if None. A killed process leaves the
+            temporary file there.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
+    if scratch is not None:
+        scratch.mkdir(parents=True, exist_ok=True)
+    unfinished = (scratch or path.parent) / f".{path.stem}.{os.getpid()}{path.suffix}"
     try:
         yield unfinished
         unfinished.replace(path)

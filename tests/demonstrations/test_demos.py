@@ -77,7 +77,7 @@ def test_the_same_command_again_adds_nothing(recorded: Path, run: Run) -> None:
     before = contents(recorded)
     options = ("demos", PIECE, *FIRST_MERGE, "--episodes", "1", "--out", recorded)
     status, out, _ = run(*options)
-    assert (status, out) == (0, f"{recorded}: 1 episodes, 0 of them new, with 0 frames\n")
+    assert (status, out) == (0, f"{recorded}: 1 episode; recorded now: 0, with 0 frames\n")
     status, out, _ = run(*options, "--json")
     report = json.loads(out)
     assert (status, report["episodes"], report["recorded"]) == (0, 1, 0)
@@ -142,8 +142,9 @@ def test_what_a_killed_process_left_half_written_is_not_taken(tmp_path: Path) ->
     half = tmp_path / ".staging" / "episode-000000.part"
     half.mkdir(parents=True)
     (half / "numbers.npz").write_bytes(b"PK")
+    (half.parent / ".file-000.17.parquet").write_bytes(b"PAR1")
     with DemoFolder(tmp_path, {"seed": 0}).open() as folder:
-        assert not half.exists()
+        assert [entry.name for entry in half.parent.iterdir()] == ["lock"]
         assert list(folder.staged()) == []
 
 

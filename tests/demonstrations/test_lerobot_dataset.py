@@ -169,11 +169,12 @@ def test_an_addition_that_stops_anywhere_is_made_again(
     staged = stage(stopped, 1, PLAIN, VideoFiles)
     files, write = [], lerobot_dataset.atomic_write
 
-    def failing(path: Path):
+    def failing(path: Path, scratch: Path):
+        assert scratch == stopped / ".staging", "LeRobot reads every file of its folders, hidden ones too"
         if len(files) == stop_at:
             raise Stopped
         files.append(path)
-        return write(path)
+        return write(path, scratch)
 
     monkeypatch.setattr(lerobot_dataset, "atomic_write", failing)
     with pytest.raises(Stopped):

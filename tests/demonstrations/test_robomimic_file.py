@@ -29,6 +29,7 @@ def test_demos_are_laid_out_as_robomimic_reads_them(tmp_path: Path) -> None:
         assert data.attrs["total"] == length(0) + length(1)
         env = json.loads(data.attrs["env_args"])
         assert (env["env_name"], env["type"]) == ("RoboAssembly/Control-v0", 2)
+        assert env["env_kwargs"]["furniture"] == "stool"
         assert env["env_kwargs"]["cameras"] == ["wrist_a", "overview"]
         for index in range(2):
             demo, rows = data[f"demo_{index}"], numbers(index)

@@ -118,7 +118,9 @@ class DemosCommand:
                 }
             )  # fmt: skip
             return
-        show(f"{self.out}: {len(added)} episodes, {len(new)} of them new, with {frames} frames")
+        show(
+            f"{self.out}: {len(added)} episode{'s' * (len(added) > 1)}; recorded now: {len(new)}, with {frames} frames"
+        )
         if new:
             show(f"planned episodes that succeeded in physics: {len(new)} of {planned}")
         for failure, n in failures.most_common():

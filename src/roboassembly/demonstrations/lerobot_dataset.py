@@ -17,6 +17,7 @@ import json
 import os
 import shutil
 from collections.abc import Mapping
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +28,7 @@ from roboassembly.control.controls import ActionCodec
 from roboassembly.demonstrations.config import DemoConfig
 from roboassembly.demonstrations.feature_statistics import Statistics, of_rows, together
 from roboassembly.demonstrations.features import environment_state_names, robot_state_names
-from roboassembly.demonstrations.staging import EpisodeRecord, read_staged
+from roboassembly.demonstrations.staging import EpisodeRecord, read_staged, staging_folder
 from roboassembly.demonstrations.video import DEPTH_INFO, RGB_INFO, Video
 from roboassembly.errors import InputError
 from roboassembly.simulation.control_physics import CONTROL_RATE
@@ -148,16 +149,17 @@ class LeRobotDataset:
         index, place = self.count, _place(self.count)
         assert record.index == index
         for key in record.pictures:
-            _link(staged / f"{key}.mp4", self._folder / _VIDEO.format(video_key=key, **place))
+            with self._replaced(_VIDEO.format(video_key=key, **place)) as unfinished:
+                _link(staged / f"{key}.mp4", unfinished)
         columns = self._columns(record, numbers)
-        with atomic_write(self._folder / _DATA.format(**place)) as unfinished:
+        with self._replaced(_DATA.format(**place)) as unfinished:
             _write_frames(unfinished, columns, self._features)
         statistics = {name: of_rows(rows) for name, rows in columns.items()}
         statistics |= {
             key: {name: np.array(value) for name, value in each.items()} for key, each in record.pictures.items()
         }
         row = self._episode_row(record, statistics)
-        with atomic_write(self._folder / _EPISODE.format(**place)) as unfinished:
+        with self._replaced(_EPISODE.format(**place)) as unfinished:
             _write_row(unfinished, row)
         self._take_in(row)
         self.write_meta()
@@ -171,12 +173,12 @@ class LeRobotDataset:
 
     def write_meta(self) -> None:
         """Replace `tasks.parquet`, `stats.json` and `info.json`."""
-        meta = self._folder / "meta"
-        with atomic_write(meta / "tasks.parquet") as unfinished:
+        with self._replaced("meta/tasks.parquet") as unfinished:
             _write_tasks(unfinished, self._tasks)
         merged = {name: together([each[name] for each in self._statistics]) for name in self._statistics[0]}
         lists = {name: {key: value.tolist() for key, value in each.items()} for name, each in merged.items()}
-        _write_json(meta / "stats.json", lists)
+        with self._replaced("meta/stats.json") as unfinished:
+            unfinished.write_text(json.dumps(lists, indent=4) + "\n")
         has_videos = any(feature["dtype"] == "video" for feature in self._features.values())
         info = {
             "codebase_version": "v3.0", "robot_type": ROBOT, "total_episodes": self.count,
@@ -185,7 +187,12 @@ class LeRobotDataset:
             "splits": {"train": f"0:{self.count}"}, "data_path": _DATA, "video_path": _VIDEO if has_videos else None,
             "features": self._features,
         }  # fmt: skip
-        _write_json(meta / "info.json", info)
+        with self._replaced("meta/info.json") as unfinished:
+            unfinished.write_text(json.dumps(info, indent=4) + "\n")
+
+    def _replaced(self, name: str) -> AbstractContextManager[Path]:
+        """Return the block that writes a file; readers of the data set never see the unfinished one."""
+        return atomic_write(self._folder / name, staging_folder(self._folder))
 
     def _columns(self, record: EpisodeRecord, numbers: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         """Return the rows of each feature in the table of frames."""
@@ -267,17 +274,12 @@ def _episode_rows(folder: Path) -> list[dict[str, Any]]:
 
 
 def _link(source: Path, target: Path) -> None:
-    """Give a file a second place, where it replaces what is there."""
-    with atomic_write(target) as unfinished:
-        try:
-            os.link(source, unfinished)
-        except OSError:
-            shutil.copyfile(source, unfinished)
-
-
-def _write_json(path: Path, value: Mapping[str, Any]) -> None:
-    with atomic_write(path) as unfinished:
-        unfinished.write_text(json.dumps(value, indent=4) + "\n")
+    """Give a file a second, new place."""
+    target.unlink(missing_ok=True)
+    try:
+        os.link(source, target)
+    except OSError:
+        shutil.copyfile(source, target)
 
 
 def _write_frames(path: Path, columns: Mapping[str, np.ndarray], features: Mapping[str, dict[str, Any]]) -> None:

@@ -17,7 +17,7 @@ import numpy as np
 from roboassembly.atomic_file import atomic_write
 from roboassembly.demonstrations.config import DemoConfig
 from roboassembly.demonstrations.feature_statistics import Statistics
-from roboassembly.demonstrations.staging import EpisodeRecord, read_staged
+from roboassembly.demonstrations.staging import EpisodeRecord, read_staged, staging_folder
 from roboassembly.envs import CONTROL
 from roboassembly.errors import InputError
 
@@ -111,7 +111,7 @@ class RobomimicFile:
             return
         import h5py
 
-        with atomic_write(self._path) as unfinished:
+        with atomic_write(self._path, staging_folder(self._path.parent)) as unfinished:
             if self._written:
                 shutil.copyfile(self._path, unfinished)
             with h5py.File(unfinished, "a") as file:
@@ -119,7 +119,10 @@ class RobomimicFile:
                 for staged in self._waiting:
                     _write_demo(data, staged)
                 data.attrs["total"] = sum(int(data[name].attrs["num_samples"]) for name in data)
-                kind = {"env_name": CONTROL, "type": _GYM, "env_kwargs": self._arguments}
+                names = list(dict.fromkeys(str(data[name].attrs["furniture"]) for name in data))
+                furniture = names[0] if len(names) == 1 else names
+                arguments = {"furniture": furniture, **self._arguments}
+                kind = {"env_name": CONTROL, "type": _GYM, "env_kwargs": arguments}
                 data.attrs["env_args"] = json.dumps(kind)
         for staged in self._waiting:
             shutil.rmtree(staged, ignore_errors=True)

@@ -22,7 +22,7 @@ from roboassembly.errors import InputError
 
 DESCRIPTION = "demos.json"
 """File that says what the episodes of a data set have in common."""
-_STAGING, _RECORD, _NUMBERS, _PART = ".staging", "episode.json", "numbers.npz", ".part"
+_STAGING, _RECORD, _NUMBERS, _PART, _LOCK = ".staging", "episode.json", "numbers.npz", ".part", "lock"
 
 
 class EpisodeRecord(msgspec.Struct, frozen=True):
@@ -43,6 +43,11 @@ class EpisodeRecord(msgspec.Struct, frozen=True):
     """Why earlier attempts at this episode, with other seeds, were not kept."""
     pictures: dict[str, dict[str, Any]] = {}
     """Statistics of each picture, by its feature."""
+
+
+def staging_folder(folder: Path) -> Path:
+    """Return the folder of all that is not complete yet."""
+    return folder / _STAGING
 
 
 def write_staged(part: Path, record: EpisodeRecord, numbers: dict[str, np.ndarray]) -> None:
@@ -103,7 +108,7 @@ class DemoFolder:
         """
         staging = self.path / _STAGING
         staging.mkdir(parents=True, exist_ok=True)
-        with (staging / "lock").open("w") as lock:
+        with (staging / _LOCK).open("w") as lock:
             try:
                 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except OSError:
@@ -111,10 +116,9 @@ class DemoFolder:
                     f"another command writes to '{self.path}'; wait for it, or choose another --out"
                 ) from None
             if not (self.path / DESCRIPTION).is_file():
-                with atomic_write(self.path / DESCRIPTION) as unfinished:
+                with atomic_write(self.path / DESCRIPTION, staging) as unfinished:
                     unfinished.write_text(json.dumps(self._description, indent=2) + "\n")
-            for part in staging.glob(f"*{_PART}"):
-                shutil.rmtree(part, ignore_errors=True)
+            _remove_unfinished(staging)
             try:
                 yield self
             finally:
@@ -132,6 +136,15 @@ class DemoFolder:
         """Yield the numbers of all episodes that wait, in order."""
         for path in sorted((self.path / _STAGING).glob("episode-??????")):
             yield int(path.name.removeprefix("episode-"))
+
+
+def _remove_unfinished(staging: Path) -> None:
+    """Delete what a killed process left: half an episode, half a file."""
+    for entry in staging.iterdir():
+        if entry.name.endswith(_PART):
+            shutil.rmtree(entry, ignore_errors=True)
+        elif entry.is_file() and entry.name != _LOCK:
+            entry.unlink(missing_ok=True)
 
 
 def read_description(path: Path) -> dict[str, Any]:
