@@ -174,6 +174,7 @@ ROOMS = {
     "viewer": "films, pages, playback",
     "evaluation": "rollouts, benchmark table",
     "learning": "policies, paper/ and relational/",
+    "demonstrations": "data sets of control",
     "settings": "what differs between the settings",
     "audit": "plans checked by python-fcl",
     "control": "continuous control",
@@ -192,6 +193,7 @@ ROOMS = {
     "geometry": "poses, meshes, scenes",
     "parallel": "processes, Ray",
     "statistics": "intervals",
+    "atomic_file": "whole files",
     "errors": "one-line errors",
 }
 """What each room of the package holds."""

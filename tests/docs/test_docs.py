@@ -87,7 +87,15 @@ def test_commands_in_prose_can_be_typed(page: str) -> None:
             assert parse([STAND_INS.get(word, word) for word in words]).run, str(command)
 
 
-FOREIGN = {"--strict": "twine", "--head": "ray", "--address": "ray"}
+FOREIGN = {
+    "--strict": "twine",
+    "--head": "ray",
+    "--address": "ray",
+    "--dataset": "lerobot-train",
+    "--output": "lerobot-train",
+    "--env": "lerobot-eval",
+    "--eval": "lerobot-eval",
+}
 """Options of other programs that pages mention."""
 
 

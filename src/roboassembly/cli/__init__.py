@@ -15,6 +15,7 @@ from roboassembly.cli.assemble import AssembleCommand
 from roboassembly.cli.bench import BenchCommand
 from roboassembly.cli.benchmark import BenchmarkCommand
 from roboassembly.cli.dataset import DatasetCommand
+from roboassembly.cli.demos import DemosCommand
 from roboassembly.cli.evaluate import EvaluateCommand
 from roboassembly.cli.export import ExportCommand
 from roboassembly.cli.flags import CONFIG, command_registry
@@ -34,6 +35,7 @@ Command = (
     | Annotated[GenerateCommand, tyro.conf.subcommand("generate")]
     | Annotated[ExportCommand, tyro.conf.subcommand("export")]
     | Annotated[DatasetCommand, tyro.conf.subcommand("dataset")]
+    | Annotated[DemosCommand, tyro.conf.subcommand("demos")]
     | Annotated[EvaluateCommand, tyro.conf.subcommand("evaluate")]
     | Annotated[TrainCommand, tyro.conf.subcommand("train")]
     | Annotated[BenchmarkCommand, tyro.conf.subcommand("benchmark")]

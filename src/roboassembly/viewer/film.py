@@ -10,6 +10,7 @@ import imageio_ffmpeg
 import numpy as np
 from jaxtyping import UInt8
 
+from roboassembly.atomic_file import atomic_write
 from roboassembly.errors import InputError
 from roboassembly.furniture.model import Furniture
 from roboassembly.geometry.meshes import Mesh
@@ -18,7 +19,6 @@ from roboassembly.rendering.camera import Camera, box_corners, fit_camera
 from roboassembly.rendering.colors import BACKGROUND, Color, part_colors, to_bytes, wood_colors
 from roboassembly.rendering.gl import RenderingUnavailableError, context_module
 from roboassembly.rendering.offscreen import STILL, OffscreenRenderer, Quality, check_size, placements
-from roboassembly.viewer.atomic_file import atomic_write
 from roboassembly.viewer.camera_path import follow
 from roboassembly.viewer.film_segments import FilmScene, Shot, encode_film
 from roboassembly.viewer.playback import AnyPlan, make_timeline
