@@ -30,7 +30,7 @@ from roboassembly.manual.document import pages_of, title_of
 from roboassembly.manual.make import make_manual
 from roboassembly.manual.writers import pdf
 from roboassembly.rendering.colors import WOOD, distinct_colors, part_colors
-from roboassembly.rendering.offscreen import STILL, OffscreenRenderer
+from roboassembly.rendering.renderer import STILL, OffscreenRenderer
 from roboassembly.robots.gripper import hand_pose
 from roboassembly.settings import set_upright
 from roboassembly.solvers.full_search import solve_full
