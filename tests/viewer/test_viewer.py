@@ -426,7 +426,7 @@ def test_stills(drawing, tmp_path):
         path = tmp_path / f"story.{ending}"
         write_storyboard(table_plan(furniture), path, columns=3, width=100, height=80)
         assert iio.imread(path).shape == (160, 300, 3)
-    with pytest.raises(InputError, match="written as .png or .webp"):
+    with pytest.raises(InputError, match=r"written as \.png or \.webp"):
         write_storyboard(table_plan(furniture), tmp_path / "story.gif")
     with pytest.raises(InputError, match="at least 2"):
         render_pictures(table_plan(furniture), 1)

@@ -75,7 +75,7 @@ def write_film(
         raise RenderingUnavailableError("ffmpeg is missing; install it with: pip install imageio-ffmpeg") from error
     path = Path(path)
     context_module()
-    scene = _scene(timeline, width, height, quality)
+    scene = film_scene(timeline, width, height, quality)
     with atomic_write(path) as unfinished:
         encode_film(scene, shots(timeline, cameras), unfinished, fps, jobs)
 
@@ -111,7 +111,7 @@ def render_pictures(
     timeline = make_timeline(plan, 10.0, None)
     cameras = follow(timeline, width / height)
     out: list[UInt8[np.ndarray, "height width 3"]] = []
-    with _scene(timeline, width, height, quality).renderer() as renderer:
+    with film_scene(timeline, width, height, quality).renderer() as renderer:
         for index in key_frames(timeline, count):
             frame = timeline.frames[index]
             out.append(renderer.picture(frame.poses, part_colors(frame.roles), cameras[index], frame.caption))
@@ -244,7 +244,8 @@ def _spread(weights: Sequence[int], count: int) -> list[int]:
     return out
 
 
-def _scene(timeline: Timeline, width: int, height: int, quality: Quality | None) -> FilmScene:
+def film_scene(timeline: Timeline, width: int, height: int, quality: Quality | None) -> FilmScene:
+    """Return what all pictures of a film of this width and height [pixels] have in common."""
     points = timeline.box_corners.reshape(-1, 3)
     center = 0.5 * (points.min(axis=0) + points.max(axis=0))
     radius = float(np.linalg.norm(points - center, axis=1).max())
