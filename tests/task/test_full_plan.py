@@ -10,7 +10,8 @@ import pytest
 
 from roboassembly.geometry.poses import SE3, pose_from_seven
 from roboassembly.rendering.colors import Role
-from roboassembly.robots.visual import visual_links, visual_poses, world_from_tips
+from roboassembly.robots.body import world_from_tips
+from roboassembly.robots.visual import visual_links, visual_poses
 from roboassembly.task.full.posts import LOWEST
 from roboassembly.task.plans import plan_file
 from roboassembly.task.plans.full_plan import FullPlan

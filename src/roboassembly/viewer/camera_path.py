@@ -7,6 +7,7 @@ planes through the camera, so what two cameras see is also seen from everywhere 
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -57,12 +58,20 @@ def follow(timeline: Timeline, aspect: float) -> list[Camera]:
         first, last = max(0, cut - half), min(len(positions), cut + half)
         for k in range(first, last):
             positions[k] = before + ease((k - first + 1) / (last - first + 1)) * (after - before)
-    # A camera is told by the point where it looks; it has the height of the middle of what stands still there.
-    distances = np.maximum(-positions[:, 2], 1e-3)
-    return [
-        Camera(axes.T @ (p + np.array([0.0, 0.0, d])), float(d), AZIMUTH, ELEVATION)
-        for p, d in zip(positions, distances, strict=True)
-    ]
+    return [_camera(position, axes) for position in positions]
+
+
+def close_ups(timeline: Timeline, indices: Sequence[int], aspect: float) -> list[Camera]:
+    """Return a camera for each of these frames, which shows what `follow` keeps in view in this frame alone."""
+    axes = view_axes(AZIMUTH, ELEVATION)
+    low, high = _needed_boxes(timeline, axes)
+    return [_camera(_place(low[k], high[k], aspect), axes) for k in indices]
+
+
+def _camera(place: Float[np.ndarray, "3"], axes: Float[np.ndarray, "3 3"]) -> Camera:
+    """Return the camera at a place along its axes. It looks at the point before it that is as deep as the origin."""
+    distance = max(-float(place[2]), 1e-3)
+    return Camera(axes.T @ (place + np.array([0.0, 0.0, distance])), distance, AZIMUTH, ELEVATION)
 
 
 def _holds(

@@ -20,7 +20,7 @@ from roboassembly.rendering.gl import RenderingUnavailableError, context_module
 from roboassembly.rendering.offscreen import check_size
 from roboassembly.rendering.renderer import STILL, OffscreenRenderer, Quality, placements
 from roboassembly.viewer.atomic_file import atomic_write
-from roboassembly.viewer.camera_path import follow
+from roboassembly.viewer.camera_path import close_ups, follow
 from roboassembly.viewer.film_segments import FilmScene, Shot, encode_film
 from roboassembly.viewer.playback import AnyPlan, make_timeline
 from roboassembly.viewer.timeline import Phase, Timeline
@@ -109,12 +109,12 @@ def render_pictures(
     if count is not None and count < 2:
         raise InputError(f"{count} pictures; a plan needs at least 2, its beginning and its end")
     timeline = make_timeline(plan, 10.0, None)
-    cameras = follow(timeline, width / height)
+    indices = key_frames(timeline, count)
     out: list[UInt8[np.ndarray, "height width 3"]] = []
     with film_scene(timeline, width, height, quality).renderer() as renderer:
-        for index in key_frames(timeline, count):
+        for index, camera in zip(indices, close_ups(timeline, indices, width / height), strict=True):
             frame = timeline.frames[index]
-            out.append(renderer.picture(frame.poses, part_colors(frame.roles), cameras[index], frame.caption))
+            out.append(renderer.picture(frame.poses, part_colors(frame.roles), camera, frame.caption))
     return out
 
 
