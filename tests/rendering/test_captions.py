@@ -25,10 +25,10 @@ def test_words_are_inside_and_apart(caption: str, width: int, height: int) -> No
     layout = layout_caption(caption, width, height)
     assert 0 < layout.left < layout.right < width
     assert layout.left < layout.bottom < height
-    for word in layout.words:
+    for word in layout.boxes:
         assert layout.left < word.left <= word.right < layout.right
         assert layout.left < word.top < word.bottom < layout.bottom
-    for a, b in itertools.combinations(layout.words, 2):
+    for a, b in itertools.combinations(layout.boxes, 2):
         beside = a.right <= b.left or b.right <= a.left
         above = a.bottom <= b.top + 1e-6 or b.bottom <= a.top + 1e-6
         assert beside or above, (a, b)
@@ -36,15 +36,15 @@ def test_words_are_inside_and_apart(caption: str, width: int, height: int) -> No
 
 def test_usual_captions_are_whole_and_colored() -> None:
     layout = layout_caption(CAPTIONS[1], 1280, 720)
-    assert " ".join(word.text for word in layout.words) == CAPTIONS[1].replace(" | ", " ")
+    assert " ".join(word.text for word in layout.boxes) == CAPTIONS[1].replace(" | ", " ")
     assert layout.size == 28
-    color = {word.text: word.color for word in layout.words}
+    color = {word.text: word.color for word in layout.boxes}
     assert color["step"] == color["onto"] == TEXT
     assert color["drive"] == DETAIL
     moving, waiting = color["stretcher_left"], color["leg_back_left"]
     assert moving[0] > 1.5 * moving[2], "orange as the part that moves"
     assert waiting[1] > 1.5 * waiting[2], "green as the part that waits"
-    top = {word.top for word in layout.words}
+    top = {word.top for word in layout.boxes}
     assert len(top) == 2, "what the robot does has a line of its own"
 
 

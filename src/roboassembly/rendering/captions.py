@@ -50,7 +50,7 @@ class Word:
 class CaptionLayout:
     """Words of a caption and the panel behind them."""
 
-    words: tuple[Word, ...]
+    boxes: tuple[Word, ...]
     size: int
     """Size of the letters [pixels]."""
     left: int
@@ -70,13 +70,13 @@ def layout_caption(caption: str, width: int, height: int) -> CaptionLayout:
     """
     size = max(_SMALLEST, round(_SHARE * height))
     while True:
-        words = _lines(caption, width, size)
+        boxes = _lines(caption, width, size)
         edge = _edge(size)
-        bottom = words[-1].bottom + 0.5 * edge if words else 0.0
+        bottom = boxes[-1].bottom + 0.5 * edge if boxes else 0.0
         if bottom <= max(_TALLEST * height, 2.0 * size) or size <= _SMALLEST:
             break
         size -= 1
-    fitting = tuple(word for word in words if word.bottom <= height - 1 and word.right <= width - 1)
+    fitting = tuple(word for word in boxes if word.bottom <= height - 1 and word.right <= width - 1)
     right = max((word.right for word in fitting), default=0.0) + 0.7 * edge
     bottom = max((word.bottom for word in fitting), default=0.0) + 0.5 * edge
     return CaptionLayout(fitting, size, edge // 2, min(width - 1, round(right)), min(height - 1, round(bottom)))
@@ -103,7 +103,7 @@ def _panel(
     size = (max(1, layout.right - left), max(1, layout.bottom - top))
     panel = Image.new("RGB", size, to_bytes(PANEL))
     pen = ImageDraw.Draw(panel)
-    for word in layout.words:
+    for word in layout.boxes:
         pen.text((word.left - left, word.top - top), word.text, to_bytes(word.color), _font(layout.size))
     shape = Image.new("L", (4 * size[0], 4 * size[1]), 0)
     corner = (0, 0, 4 * size[0] - 1, 4 * size[1] - 1)

@@ -52,8 +52,8 @@ def smooth_edges(picture: UInt8[np.ndarray, "height width 3"], contrast: int = C
     outer = 0.5 * inner + 0.25 * (_sample(picture, here - 0.5 * along) + _sample(picture, here + 0.5 * along))
     low = np.minimum.reduce([a, b, c, d, middle])
     high = np.maximum.reduce([a, b, c, d, middle])
-    strange = (outer[:, 1] < low) | (outer[:, 1] > high)
-    outer[strange] = inner[strange]
+    beyond = (outer[:, 1] < low) | (outer[:, 1] > high)
+    outer[beyond] = inner[beyond]
     picture.reshape(-1, 3)[at] = np.round(outer)
 
 

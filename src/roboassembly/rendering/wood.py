@@ -32,10 +32,10 @@ def wood_texture(seed: int = 0) -> UInt8[np.ndarray, "rows columns"]:
     row = (np.arange(_ROWS)[:, None] + waves) % _ROWS
     ring = np.searchsorted(ends, row, side="right") - 1
     share = (row - ends[ring]) / (ends[ring + 1] - ends[ring])
-    late = share**2.5 * np.clip((1.0 - share) / 0.12, 0.0, 1.0)
+    latewood = share**2.5 * np.clip((1.0 - share) / 0.12, 0.0, 1.0)
     strength = rng.uniform(0.55, 1.0, len(widths))[ring]
     fibres = _noise(rng, (0.8, 30.0)) * 0.10 + _noise(rng, (20.0, 120.0)) * 0.06
-    value = np.clip(0.86 - 0.72 * strength * late + fibres, 0.0, 1.0)
+    value = np.clip(0.86 - 0.72 * strength * latewood + fibres, 0.0, 1.0)
     return np.round(255.0 * value).astype(np.uint8)
 
 

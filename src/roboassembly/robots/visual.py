@@ -5,9 +5,11 @@ They are for pictures alone; plans are checked with the convex shapes of `body`.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 
+import fast_simplification
 import numpy as np
 import pinocchio as pin
 import trimesh
@@ -86,32 +88,28 @@ def _shapes(name: str, pose: SE3) -> list[tuple[str, Mesh, bool]]:
     scene = trimesh.load_scene(panda_folder() / "meshes/visual" / f"{name}.dae")
     out: list[tuple[str, Mesh, bool]] = []
     for dark in (False, True):
-        pieces = [
-            piece
-            for piece in scene.dump()
-            if isinstance(piece, trimesh.Trimesh) and (_brightness(piece) < _DARK) == dark
-        ]
-        if not pieces:
-            continue
-        whole = trimesh.Trimesh(
-            np.concatenate([piece.vertices for piece in pieces]),
-            np.concatenate([piece.faces + first for piece, first in zip(pieces, _firsts(pieces), strict=True)]),
-        )
-        whole.merge_vertices()
-        if KEPT * len(whole.faces) > FEWEST:
-            whole = whole.simplify_quadric_decimation(face_count=round(KEPT * len(whole.faces)))
-        mesh = Mesh(transform_points(pose, np.array(whole.vertices)), np.array(whole.faces))
-        out.append((f"{name}_dark" if dark else name, mesh, dark))
+        pieces = [piece for piece in scene.dump() if (_brightness(piece) < _DARK) == dark]
+        if pieces:
+            whole = _together(pieces)
+            whole.merge_vertices()
+            vertices, faces = whole.vertices, whole.faces
+            if KEPT * len(faces) > FEWEST:
+                vertices, faces = fast_simplification.simplify(vertices, faces, target_count=round(KEPT * len(faces)))
+            mesh = Mesh(transform_points(pose, np.array(vertices, float)), np.array(faces))
+            out.append((f"{name}_dark" if dark else name, mesh, dark))
     return out
 
 
-def _firsts(pieces: list[trimesh.Trimesh]) -> list[int]:
-    return [0, *np.cumsum([len(piece.vertices) for piece in pieces])[:-1].tolist()]
+def _together(pieces: Sequence[trimesh.Trimesh]) -> trimesh.Trimesh:
+    """Return one mesh of several."""
+    firsts = np.cumsum([0, *(len(piece.vertices) for piece in pieces[:-1])])
+    faces = [piece.faces + first for piece, first in zip(pieces, firsts, strict=True)]
+    return trimesh.Trimesh(np.concatenate([piece.vertices for piece in pieces]), np.concatenate(faces), process=False)
 
 
 def _brightness(piece: trimesh.Trimesh) -> float:
-    color = getattr(piece.visual, "material", None)
-    return 1.0 if color is None else float(np.mean(color.main_color[:3])) / 255.0
+    material = getattr(piece.visual, "material", None)
+    return 1.0 if material is None else float(np.mean(material.main_color[:3])) / 255.0
 
 
 def _platform() -> list[tuple[str, Mesh, bool]]:
@@ -124,15 +122,14 @@ def _platform() -> list[tuple[str, Mesh, bool]]:
     wheels = [
         _wheel(np.array([x, y, 0.08])) for x in (-half + 0.105, half - 0.105) for y in (-side + 0.032, side - 0.032)
     ]
-    dark = trimesh.util.concatenate([chassis, deck, *bands, *wheels])
+    dark = _together([chassis, deck, *bands, *wheels])
     return [("platform", Mesh.from_trimesh(shell), False), ("platform_dark", Mesh.from_trimesh(dark), True)]
 
 
 def _wheel(middle: Float[np.ndarray, "3"]) -> trimesh.Trimesh:
-    turn = trimesh.transformations.rotation_matrix(0.5 * np.pi, [1.0, 0.0, 0.0])
-    rim = trimesh.creation.cylinder(radius=0.08, height=0.05, sections=40, transform=turn)
-    hub = trimesh.creation.cylinder(radius=0.045, height=0.06, sections=24, transform=turn)
-    wheel = trimesh.util.concatenate([rim, hub])
+    wheel = _together([trimesh.creation.cylinder(0.08, 0.05, 40), trimesh.creation.cylinder(0.045, 0.06, 24)])
+    # Cylinders stand upright; an axle lies along y.
+    wheel.apply_transform([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
     wheel.apply_translation(middle)
     return wheel
 

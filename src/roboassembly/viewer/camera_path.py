@@ -11,6 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from scipy.ndimage import maximum_filter1d
 
 from roboassembly.rendering.camera import AZIMUTH, FIELD_OF_VIEW, Camera, view_axes
 from roboassembly.rendering.colors import Role
@@ -31,6 +32,10 @@ MARGINS = (0.16, 0.06, 0.06, 0.07)
 """Free parts of the picture above, below, left and right, over its height or width; captions stand above."""
 CLOSEST = 0.9
 """Least width of what the picture shows [m]."""
+NEAR = 0.8
+"""Distance between the groups of a merge at which both are kept in the picture [m]."""
+_STILL = 1e-6
+"""Motion from frame to frame that does not count [m]."""
 _SAMPLES = 6.0
 """Rate at which places are considered [Hz]."""
 
@@ -47,7 +52,7 @@ def follow(timeline: Timeline, aspect: float) -> list[Camera]:
     """
     axes = view_axes(AZIMUTH, ELEVATION)
     low, high = _needed_boxes(timeline, axes)
-    ends = _holds(low, high, timeline.frames_per_second, aspect)
+    ends = _camera_changes(low, high, timeline.frames_per_second, aspect)
     half = round(0.5 * GLIDE * timeline.frames_per_second)
     places = [
         _place(low[max(0, a - half) : b + half].min(axis=0), high[max(0, a - half) : b + half].max(axis=0), aspect)
@@ -74,7 +79,7 @@ def _camera(place: Float[np.ndarray, "3"], axes: Float[np.ndarray, "3 3"]) -> Ca
     return Camera(axes.T @ (place + np.array([0.0, 0.0, distance])), distance, AZIMUTH, ELEVATION)
 
 
-def _holds(
+def _camera_changes(
     low: Float[np.ndarray, "frames 3"], high: Float[np.ndarray, "frames 3"], rate: float, aspect: float
 ) -> list[int]:
     """Return the frames at which the camera's places change, the first frame and the number of frames among them."""
@@ -150,39 +155,34 @@ def _needed_boxes(
 def _needed(timeline: Timeline) -> Bool[np.ndarray, "frames objects"]:
     """Return which framed objects each frame must show.
 
-    These are the objects that move about that time, with all of their robot or their group, and the group that waits
-    for them. A frame without motion shows what the frame before it shows, and those at both ends show all parts.
+    These are the objects that move about that time, a robot with all its links, and the group that they move to. With
+    robots, that group may stand far away until it is fetched; it counts once the other one is near. A frame without
+    motion shows what the frame before it shows, and those at both ends show everything.
     """
     frames, corners = timeline.frames, timeline.box_corners
+    robots = _robots(timeline)
     moved = np.zeros(corners.shape[:2], dtype=bool)
-    change = np.abs(np.diff(corners[:, :, 0], axis=0)).max(axis=2) + np.abs(np.diff(corners[:, :, 7], axis=0)).max(
-        axis=2
-    )
-    moved[1:] = change > 1e-6
-    groups = _groups(timeline)
+    moved[1:] = np.abs(np.diff(corners, axis=0)).max(axis=(2, 3)) > _STILL
     window = round(LOOK_AHEAD * timeline.frames_per_second)
-    out = np.zeros_like(moved)
-    for frame in range(len(frames)):
-        out[frame] = moved[max(0, frame - window) : frame + window + 1].any(axis=0)
-    for group in groups:
-        out[:, group] |= out[:, group].any(axis=1, keepdims=True)
-    roles = np.array([[role.value for role in frame.roles[: moved.shape[1]]] for frame in frames])
-    waiting, moving = roles == Role.WAITING.value, roles == Role.MOVING.value
-    parts = np.array([not item.name.startswith("robot") for item in timeline.objects[: moved.shape[1]]])
-    # With robots, a group waits far away until it is fetched; it belongs in the picture once the other comes to it.
-    flies = ~np.any(~parts)
-    if flies:
-        out |= waiting & (out & moving).any(axis=1, keepdims=True)
+    out = maximum_filter1d(moved.astype(np.uint8), 2 * window + 1, axis=0, mode="nearest").astype(bool)
+    for robot in robots:
+        out[:, robot] |= out[:, robot].any(axis=1, keepdims=True)
     for index, frame in enumerate(frames):
+        roles = frame.roles[: corners.shape[1]]
+        moving = [i for i, role in enumerate(roles) if role is Role.MOVING]
+        waiting = [i for i, role in enumerate(roles) if role is Role.WAITING]
         if frame.phase in (Phase.OVERTURE, Phase.FINALE):
             out[index] = True
-    for frame in range(1, len(frames)):
-        if not out[frame].any():
-            out[frame] = out[frame - 1]
+        elif waiting and out[index, moving].any():
+            apart = corners[index, moving].mean(axis=(0, 1)) - corners[index, waiting].mean(axis=(0, 1))
+            out[index, waiting] |= not robots or float(np.linalg.norm(apart)) < NEAR
+        if index and not out[index].any():
+            out[index] = out[index - 1]
     return out
 
 
-def _groups(timeline: Timeline) -> list[Int[np.ndarray, "n"]]:
+def _robots(timeline: Timeline) -> list[Int[np.ndarray, "n"]]:
     """Return the indices of the links of each robot."""
-    names = [item.name.split("/")[0] for item in timeline.objects if item.framed]
-    return [np.flatnonzero(np.array(names) == name) for name in sorted(set(names)) if name.startswith("robot")]
+    owners = [item.name.split("/")[0] for item in timeline.objects if item.framed]
+    names = sorted({owner for owner in owners if owner.startswith("robot")})
+    return [np.array([i for i, owner in enumerate(owners) if owner == name]) for name in names]

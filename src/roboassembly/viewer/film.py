@@ -229,18 +229,18 @@ def key_frames(timeline: Timeline, count: int | None = None) -> list[int]:
         roles = timeline.frames[steps[-1]].roles
         weights.append(min(roles.count(Role.MOVING), roles.count(Role.WAITING)))
     if count is not None and len(steps) > count - 2:
-        steps = [steps[k] for k in _spread(weights, count - 2)]
+        steps = [steps[k] for k in _evenly(weights, count - 2)]
     return [0, *steps, len(timeline.frames) - 1]
 
 
-def _spread(weights: Sequence[int], count: int) -> list[int]:
+def _evenly(weights: Sequence[int], count: int) -> list[int]:
     """Return `count` indices in order, near the middles of as many equal shares of the weights' sum."""
     reached = np.cumsum(weights) - 0.5 * np.array(weights)
     out: list[int] = []
     for k in range(count):
         first, last = (out[-1] + 1 if out else 0), len(weights) - (count - k)
-        wanted = (k + 0.5) / count * sum(weights)
-        out.append(first + int(np.argmin(np.abs(reached[first : last + 1] - wanted))))
+        middle = (k + 0.5) / count * sum(weights)
+        out.append(first + int(np.argmin(np.abs(reached[first : last + 1] - middle))))
     return out
 
 
