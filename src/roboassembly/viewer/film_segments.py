@@ -9,7 +9,7 @@ import os
 import pickle
 import signal
 import subprocess
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,6 +25,11 @@ from roboassembly.parallel.processes import one_thread_each, worker_pool
 from roboassembly.rendering.camera import Camera
 from roboassembly.rendering.gl import RenderingUnavailableError, context_module, skip_trial
 from roboassembly.rendering.offscreen import OffscreenRenderer, Quality
+
+
+class FilmStoppedError(Exception):
+    """The film was stopped before its end."""
+
 
 SEGMENT_FRAMES = 96
 """Number of frames in a segment."""
@@ -93,7 +98,14 @@ def draw_shots(renderer: Renderer, shots: Sequence[Shot]) -> Iterator[UInt8[np.n
         yield last[1]
 
 
-def encode_film(scene: FilmScene, shots: Sequence[Shot], path: Path, fps: float, jobs: int) -> None:
+def encode_film(
+    scene: FilmScene,
+    shots: Sequence[Shot],
+    path: Path,
+    fps: float,
+    jobs: int,
+    watch: Callable[[float], bool] | None = None,
+) -> None:
     """Draw the shots and write them as an H.264 film.
 
     Args:
@@ -102,9 +114,11 @@ def encode_film(scene: FilmScene, shots: Sequence[Shot], path: Path, fps: float,
         path: file to write, `.mp4`.
         fps: frames per second.
         jobs: number of processes that draw; 1 draws in this process.
+        watch: called before each picture with the share that is done, if one process draws.
 
     Raises:
         RenderingUnavailableError: this machine cannot render off screen, or ffmpeg fails.
+        FilmStoppedError: `watch` returned False.
     """
     with TemporaryDirectory(prefix=f".{path.stem}.", dir=path.parent, ignore_cleanup_errors=True) as name:
         film = _Film(scene, shots, fps, Path(name))
@@ -112,7 +126,7 @@ def encode_film(scene: FilmScene, shots: Sequence[Shot], path: Path, fps: float,
         if jobs == 1:
             with scene.renderer() as renderer:
                 for index in range(len(film.files)):
-                    film.encode(renderer, index)
+                    film.encode(renderer, index, watch)
         else:
             # Workers read the shots from a file: what waits in the pipe of a pool blocks its end after an interrupt.
             (film.folder / _SHOTS).write_bytes(pickle.dumps(film))
@@ -140,8 +154,8 @@ class _Film:
         """One file for each segment."""
         return [self.folder / f"{k}.mp4" for k in range(-(-len(self.shots) // SEGMENT_FRAMES))]
 
-    def encode(self, renderer: Renderer, index: int) -> None:
-        """Draw and write a segment."""
+    def encode(self, renderer: Renderer, index: int, watch: Callable[[float], bool] | None = None) -> None:
+        """Draw and write a segment; see `encode_film`."""
         file = self.files[index]
         writer = imageio_ffmpeg.write_frames(
             str(file),
@@ -159,7 +173,10 @@ class _Film:
         )
         writer.send(None)
         try:
-            for picture in draw_shots(renderer, self.shots[index * SEGMENT_FRAMES : (index + 1) * SEGMENT_FRAMES]):
+            first = index * SEGMENT_FRAMES
+            for number, picture in enumerate(draw_shots(renderer, self.shots[first : first + SEGMENT_FRAMES]), first):
+                if watch is not None and not watch(number / len(self.shots)):
+                    raise FilmStoppedError
                 writer.send(picture)
         except OSError:
             raise RenderingUnavailableError(f"ffmpeg stopped; is there room in '{self.folder.parent}'?") from None
