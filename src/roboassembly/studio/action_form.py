@@ -59,6 +59,13 @@ class ActionForm:
             self.update_options()
         return True
 
+    def clear(self) -> None:
+        """Choose no parts and no points."""
+        panel = self._panel
+        for control in (panel.u, panel.v, panel.k, panel.l):
+            control.value = NONE
+        panel.next.value = PICKS[0]
+
     def fill(self, action: tuple[int, ...]) -> None:
         """Set all dropdowns to an action."""
         panel, (u, v, k, l, *choices) = self._panel, action  # noqa: E741

@@ -12,7 +12,15 @@ from roboassembly.solvers.guide import Guide
 from roboassembly.studio.action_form import ActionForm
 from roboassembly.studio.assembly_session import AssemblySession
 from roboassembly.studio.camera_aim import CameraAim
-from roboassembly.studio.messages import attempt_message, failure_notice, plain, upright_message, verdict_name, words
+from roboassembly.studio.messages import (
+    attempt_message,
+    failure_notice,
+    plain,
+    title,
+    upright_message,
+    verdict_name,
+    words,
+)
 from roboassembly.studio.page_link import Notice, PageState
 from roboassembly.studio.panel import Panel
 from roboassembly.studio.picking import PickedItem
@@ -88,7 +96,7 @@ class AssemblyEditor:
         session, view = self.session, self.view
         return PageState(
             mode="opening" if view.is_opening else "work",
-            piece=f"{words(session.furniture.name)} · {len(session.furniture.parts)} parts",
+            piece=f"{title(session.furniture.name)} · {len(session.furniture.parts)} parts",
             merges=session.merges,
             playing=view.is_playing,
             step=view.step,
@@ -167,6 +175,7 @@ class AssemblyEditor:
         attempt = self.session.attempt(action)
         if attempt.merged:
             self.view.append_new_steps()
+            self._form.clear()
         self.refresh()
         furniture = self.session.furniture
         if not attempt.merged:

@@ -185,6 +185,8 @@ class ClientSession:
                 self.submit(lambda: self._name(command), "pointer")
             case "touch":
                 self.submit(self._stop_turning, "touch")
+            case "slow":
+                self.submit(self._slow_down, "slow")
             case "read":
                 self.submit(lambda: None if editor is None else editor.forget_notice(), "read")
             case "assemble":
@@ -201,6 +203,10 @@ class ClientSession:
     def _stop_turning(self) -> None:
         if self.editor is not None:
             self.editor.view.is_turning = False
+
+    def _slow_down(self) -> None:
+        if self.editor is not None:
+            self.editor.view.is_slow = True
 
     def _begin_steps(self) -> None:
         self._open_editor.leave_opening()

@@ -70,6 +70,12 @@ def words(name: str) -> str:
     return name.replace("_", " ").strip() or name
 
 
+def title(name: str) -> str:
+    """Return the name of a piece in words, with a capital letter: `Stool 0` for `stool-0`."""
+    text = words(name.replace("-", " "))
+    return text[:1].upper() + text[1:]
+
+
 def plain(text: str) -> str:
     """Return a text for Markdown that shows as it is. viser's page would execute HTML in it."""
     return "".join(f"&#{ord(c)};" if c in _SPECIAL else c for c in text)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 LINK = "Page link"
 """Label of the text control."""
 _COMMAND = re.compile(
-    r"(?P<serial>\d{1,9}) (?:(?P<word>touch|assemble|steps|play|undo|cancel|read)"
+    r"(?P<serial>\d{1,9}) (?:(?P<word>touch|slow|assemble|steps|play|undo|cancel|read)"
     r"|step (?P<step>\d{1,3})|pointer (?P<x>0\.\d{1,4}) (?P<y>0\.\d{1,4}))",
     re.ASCII,
 )
@@ -25,7 +25,7 @@ class PageCommand:
     serial: int
     """Number of the command; the page counts its commands."""
     word: str
-    """`touch`, `assemble`, `steps`, `play`, `undo`, `cancel`, `read`, `step` or `pointer`."""
+    """`touch`, `slow`, `assemble`, `steps`, `play`, `undo`, `cancel`, `read`, `step` or `pointer`."""
     step: int = 0
     """Step of the time line: 0 for the start, then 1 for the first step. Other words than `step` have 0."""
     pointer: tuple[float, float] = (0.0, 0.0)

@@ -86,6 +86,11 @@ class PageLink:
 
         self._control.on_update(on_update)
 
+    @property
+    def elements(self) -> tuple[GuiHtmlHandle, ...]:
+        """Elements that only the page reads: the state, the time line, and the name under the pointer."""
+        return self._state, self._steps, self._name
+
     def hide(self, upload: object, controls: Sequence[object] = ()) -> None:
         """Tell the page which controls it replaces and hides.
 

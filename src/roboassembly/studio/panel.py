@@ -20,6 +20,8 @@ NONE = "—"
 """Value of a dropdown without a choice."""
 PICKS = ("the moving part", "the waiting part")
 """Target of the next click in the scene."""
+_BRAND = (184, 77, 6)
+"""Colour of buttons and tabs; that of the page."""
 SETTINGS = ("object-centric", "full")
 
 
@@ -75,7 +77,7 @@ class Panel:
         narrow: bool = False,
     ) -> None:
         self._gui, self._sources = gui, sources
-        gui.configure_theme(show_logo=False, show_share_button=False)
+        gui.configure_theme(show_logo=False, show_share_button=False, brand_color=_BRAND)
         gui.main_panel.dock_right()
         gui.set_panel_label("RoboAssembly")
         self.link = PageLink(gui, callbacks.command)
@@ -124,8 +126,10 @@ class Panel:
     def _add_actions(self, callbacks: PanelCallbacks) -> None:
         gui = self._gui
         self.join = gui.add_button("Join", icon=Icon.LINK, color="green")
-        self.undo = gui.add_button("Undo", icon=Icon.ARROW_BACK_UP)
-        self.suggest = gui.add_button("Suggest", icon=Icon.BULB, hint="Fill in the action that the policy prefers.")
+        self.undo = gui.add_button("Undo", icon=Icon.ARROW_BACK_UP, color="gray")
+        self.suggest = gui.add_button(
+            "Suggest", icon=Icon.BULB, color="gray", hint="Fill in the action that the policy prefers."
+        )
         self.join.on_click(lambda _: callbacks.join())
         self.undo.on_click(lambda _: callbacks.undo())
         self.suggest.on_click(lambda _: callbacks.suggest())

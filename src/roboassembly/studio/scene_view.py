@@ -26,6 +26,8 @@ from roboassembly.viewer.timeline import Frame
 from roboassembly.viewer.viser_scene import ViserScene, set_up_scene
 
 FRAMES_PER_SECOND = 24.0
+_SLOW_INTERVAL = 1.5
+"""Time between two frames of the turntable in a browser that draws slowly [s]."""
 _SLANTED, _STEEP = np.radians(-34.0).item(), np.radians(-52.0).item()
 """Elevations of the camera above parts on the floor [rad]: beside the panel, and above it."""
 BY_ROLE, BY_SHAPE, BY_GROUP = COLORS = ("role", "equal parts", "groups")
@@ -65,6 +67,10 @@ class SceneView:
         """Finished piece of the opening view; None once the session is shown."""
         self._turned = 0.0
         """Time for which the turntable has turned [s]."""
+        self._due = 0.0
+        """The same at its next frame [s]."""
+        self.is_slow = False
+        """Whether the browser draws slowly; the turntable then shows few frames."""
         animator = make_animator(session.plan(), FRAMES_PER_SECOND)
         self._frames = [animator.opening()]
         self._step_ends: list[int] = []
@@ -74,6 +80,8 @@ class SceneView:
         self._chosen: ChosenPoints = (None, None)
         self._path: tuple[int, LineSegmentsHandle] | None = None
         """Step whose path is drawn, and the lines."""
+        self._paths = 0
+        """Number of paths drawn so far."""
         objects, poses = animator.objects, self._frames[0].poses
         framed = [(o.mesh, p) for o, p in zip(objects, poses, strict=True) if o.framed and p is not None]
         self._extent = np.concatenate([box_corners(mesh, pose) for mesh, pose in framed])
@@ -84,7 +92,8 @@ class SceneView:
         self.overlays = Overlays(client.scene, session.furniture, names)
         self._meshes = [item.mesh for item in objects]
         self._picker = Picker()
-        self._visible = VisibleItems(poses, self.overlays.centers, self.overlays.radii)
+        self.visible = VisibleItems(poses, self.overlays.centers, self.overlays.radii)
+        """What the scene shows, for picking."""
         self._failure: LabelHandle | None = None
         self._aim_at_parts()
 
@@ -134,7 +143,7 @@ class SceneView:
     def open_finished(self) -> None:
         """Show the finished piece, turning."""
         self._turntable = Turntable(self._session.furniture)
-        self.is_turning, self._turned = True, 0.0
+        self.is_turning, self._turned, self._due = True, 0.0, 0.0
         self._aim.at(self._turntable.extent)
         self._show_turntable()
 
@@ -157,7 +166,9 @@ class SceneView:
         """
         self._turned += seconds
         self.is_turning = self._turned < _LONGEST_TURNING
-        self._show_turntable()
+        if self._turned >= self._due:
+            self._due = self._turned + (_SLOW_INTERVAL if self.is_slow else 0.0)
+            self._show_turntable()
 
     def _show_turntable(self) -> None:
         table = self._turntable
@@ -166,7 +177,7 @@ class SceneView:
         poses = table.poses(2.0 * np.pi * self._turned / SECONDS_PER_TURN)
         self._scene.show(poses, wood_colors(len(poses)))
         self.overlays.show(np.zeros(self.overlays.centers.shape[:2], bool), (None, None))
-        self._visible = VisibleItems(poses, self.overlays.centers, self.overlays.radii)
+        self.visible = VisibleItems(poses, self.overlays.centers, self.overlays.radii)
         self._draw_path(None)
 
     def append_new_steps(self) -> None:
@@ -253,12 +264,12 @@ class SceneView:
         self._scene.show(frame.poses, self._colors(frame))
         show_points = self.options.points and self.index == self.last
         self.overlays.show(self._session.free_points() & show_points, self._chosen)
-        self._visible = VisibleItems(frame.poses, self.overlays.centers, self.overlays.radii)
+        self.visible = VisibleItems(frame.poses, self.overlays.centers, self.overlays.radii)
         self._draw_path(frame.step if self.options.path else None)
 
     def item_under(self, origin: Float[np.ndarray, "3"], direction: Float[np.ndarray, "3"]) -> PickedItem | None:
         """Return the part or connection point that a ray of the camera meets first; None if it meets none."""
-        return self._picker.first(self._visible, self._meshes, origin, direction)
+        return self._picker.first(self.visible, self._meshes, origin, direction)
 
     def _colors(self, frame: Frame) -> list[Color]:
         session, colors = self._session, part_colors(frame.roles)
@@ -281,8 +292,10 @@ class SceneView:
         points = make_animator(self._session.plan(), FRAMES_PER_SECOND).path_points(step)
         if len(points) > 1:
             lines = np.stack([points[:-1], points[1:]], axis=1)
+            # A page that is told to remove lines and to add others of the same name can keep the first ones.
+            self._paths += 1
             handle = self._client.scene.add_line_segments(
-                "/path", lines, to_bytes(MOVING), thickness=2.0, thickness_units="screen"
+                f"/path/{self._paths}", lines, to_bytes(MOVING), thickness=2.0, thickness_units="screen"
             )
             self._path = step, handle
 

@@ -180,6 +180,20 @@
     say("touch");
   }
   if (matchMedia("(prefers-reduced-motion: reduce)").matches) say("touch");
+  // Without a graphics card, a picture that turns keeps the processor busy: then there are few frames, or none.
+  let drawn = 0, gaps = [];
+  function pace(now) {
+    if (!state || state.mode !== "opening" || touched) { drawn = 0; requestAnimationFrame(pace); return; }
+    if (drawn) gaps.push(now - drawn);
+    drawn = now;
+    if (gaps.length >= 12 || gaps.reduce((a, b) => a + b, 0) > 2500) {
+      const middle = gaps.sort((a, b) => a - b)[gaps.length >> 1];
+      if (middle > 1000) touch(); else if (middle > 100) say("slow");
+      gaps = [];
+    }
+    requestAnimationFrame(pace);
+  }
+  requestAnimationFrame(pace);
 
   // Buttons
 
