@@ -66,7 +66,7 @@ class Visit:
     def choose(self, label: str, option: str) -> None:
         """Choose in a dropdown of the panel."""
         row = self.page.locator("label", has_text=label).locator("xpath=ancestor::*[contains(@class,'mantine-Flex')]")
-        row.locator("input").last.click()
+        row.locator("input:visible").click()
         self.page.get_by_role("option", name=option, exact=True).click()
 
     def dropped(self, files: dict[str, bytes]) -> None:

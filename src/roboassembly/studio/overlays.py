@@ -44,11 +44,13 @@ class Overlays:
         scene: scene of one client.
         furniture: furniture that is shown.
         names: name of each part's mesh in the scene.
+        enlarged: factor on the size of the balls.
     """
 
     scene: SceneApi
     furniture: Furniture
     names: Sequence[str]
+    enlarged: float = 1.0
     centers: Float[np.ndarray, "parts K 3"] = field(init=False)
     """Centre of each ball in its part's frame [m]."""
     radii: Float[np.ndarray, "parts K"] = field(init=False)
@@ -99,11 +101,11 @@ class Overlays:
         radii = np.zeros(self.centers.shape[:2])
         for part, (handle, pins) in enumerate(zip(self._balls, self._pins, strict=True)):
             pins.visible = bool(free[part].any())
-            sizes = np.where(free[part], _BALL_RADIUS, 0.0)
+            sizes = np.where(free[part], self.enlarged * _BALL_RADIUS, 0.0)
             colors = np.tile(np.array(to_bytes(_BALL_COLOR), np.uint8), (len(sizes), 1))
             for end, color in zip(chosen, (MOVING, WAITING), strict=True):
                 if end is not None and end[0] == part:
-                    sizes[end[1]], colors[end[1]] = _CHOSEN_RADIUS, to_bytes(color)
+                    sizes[end[1]], colors[end[1]] = self.enlarged * _CHOSEN_RADIUS, to_bytes(color)
             handle.batched_scales = sizes.astype(np.float32)
             handle.batched_colors = colors
             radii[part] = sizes

@@ -26,6 +26,8 @@ from roboassembly.viewer.timeline import Frame
 from roboassembly.viewer.viser_scene import ViserScene, set_up_scene
 
 FRAMES_PER_SECOND = 24.0
+_FINGERS = 2.2
+"""Factor on the size of connection points on a telephone."""
 _SLOW_INTERVAL = 1.5
 """Time between two frames of the turntable in a browser that draws slowly [s]."""
 _SLANTED, _STEEP = np.radians(-34.0).item(), np.radians(-52.0).item()
@@ -89,7 +91,7 @@ class SceneView:
         self._scene = ViserScene(client.scene)
         self._scene.add(objects, poses, self._colors(self._frames[0]))
         names = [item.name for item in objects[: len(session.furniture.parts)]]
-        self.overlays = Overlays(client.scene, session.furniture, names)
+        self.overlays = Overlays(client.scene, session.furniture, names, _FINGERS if aim.is_narrow else 1.0)
         self._meshes = [item.mesh for item in objects]
         self._picker = Picker()
         self.visible = VisibleItems(poses, self.overlays.centers, self.overlays.radii)
