@@ -127,7 +127,7 @@ def test_assemble_by_command_shows_all_steps_and_undo_takes_one_back(clients):
         assert told(client)["mode"] == "work"
         assert len(told(client, "studio-pictures")) == 9
         browser.command(client, "2 step 3")
-        until(lambda: told(client)["step"] == 3 and not told(client)["playing"])
+        until(lambda: told(client)["step"] == 3 and not told(client)["is_playing"])
         browser.command(client, "3 undo")
         until(lambda: merges(client) == 7 and len(told(client, "studio-pictures")) == 8)
         until(lambda: told(client)["notice"] is None)

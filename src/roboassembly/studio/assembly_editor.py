@@ -19,7 +19,7 @@ from roboassembly.studio.messages import (
     title,
     upright_message,
     verdict_name,
-    words,
+    readable,
 )
 from roboassembly.studio.page_link import Notice, PageState
 from roboassembly.studio.panel import Panel
@@ -49,7 +49,7 @@ class AssemblyEditor:
         self._form = ActionForm(panel, session)
         self.notice: Notice | None = None
         """Last message to the page about this piece."""
-        self._told = 0
+        self._notices = 0
         self.view.open_finished()
         self.refresh()
 
@@ -78,7 +78,7 @@ class AssemblyEditor:
 
     def _step_texts(self) -> list[str]:
         parts = self.session.furniture.parts
-        joined = ((words(parts[u].name), words(parts[v].name)) for u, v, *_ in self.session.actions)
+        joined = ((readable(parts[u].name), readable(parts[v].name)) for u, v, *_ in self.session.actions)
         return [f"{len(parts)} parts", *(f"{u} onto {v}" for u, v in joined)]
 
     def show_pictures(self) -> None:
@@ -98,7 +98,7 @@ class AssemblyEditor:
             mode="opening" if view.is_opening else "work",
             piece=f"{title(session.furniture.name)} · {len(session.furniture.parts)} parts",
             merges=session.merges,
-            playing=view.is_playing,
+            is_playing=view.is_playing,
             step=view.step,
             notice=self.notice,
         )
@@ -141,7 +141,7 @@ class AssemblyEditor:
         if item is None:
             return ""
         part, point = item
-        name = words(self.session.furniture.parts[part].name)
+        name = readable(self.session.furniture.parts[part].name)
         if point is not None:
             return f"{name}, connection point {point}"
         if self.view.is_opening or self.view.index != self.view.last:
@@ -187,8 +187,8 @@ class AssemblyEditor:
 
     def tell(self, kind: str, title: str, text: str = "") -> None:
         """Show a message in the scene; arguments as of `Notice`."""
-        self._told += 1
-        self.notice = Notice(kind, title, text, self._told)
+        self._notices += 1
+        self.notice = Notice(kind, title, text, self._notices)
 
     def forget_notice(self) -> None:
         """Remove the message from the scene."""

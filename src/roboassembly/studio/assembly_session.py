@@ -165,8 +165,8 @@ class AssemblySession:
             return []
         u, v, _, _, g_a, g_b = action
         parts = self.furniture.parts
-        held = ((u, *divmod(g_a, 4)), (v, *divmod(g_b, 4)))
-        return [(p, parts[p].grasps[region], side) for p, region, side in held if region < len(parts[p].grasps)]
+        chosen = ((u, *divmod(g_a, 4)), (v, *divmod(g_b, 4)))
+        return [(p, parts[p].grasps[region], side) for p, region, side in chosen if region < len(parts[p].grasps)]
 
     def make_manual(self) -> tuple[bytes, str]:
         """Return a manual for people, as PDF and as HTML.

@@ -53,11 +53,11 @@ def attempt_message(furniture: Furniture, attempt: Attempt) -> str:
 
 
 def failure_notice(furniture: Furniture, attempt: Attempt) -> tuple[str, str]:
-    """Return the title and the text of a message about a failed action, in plain text."""
+    """Return the headline and the text of a message about a failed action, in plain text."""
     u, v, *_ = attempt.action
     stage = f"It failed at: {attempt.stage}. " if attempt.stage else ""
-    title = f"{words(furniture.parts[u].name)} onto {words(furniture.parts[v].name)}: {verdict_name(attempt)}"
-    return title, f"{stage}{_EXPLANATIONS[attempt.verdict]} Nothing moved."
+    headline = f"{readable(furniture.parts[u].name)} onto {readable(furniture.parts[v].name)}: {verdict_name(attempt)}"
+    return headline, f"{stage}{_EXPLANATIONS[attempt.verdict]} Nothing moved."
 
 
 def verdict_name(attempt: Attempt) -> str:
@@ -65,14 +65,14 @@ def verdict_name(attempt: Attempt) -> str:
     return attempt.verdict.replace("_", " ")
 
 
-def words(name: str) -> str:
+def readable(name: str) -> str:
     """Return the name of a part or of a piece in words."""
     return name.replace("_", " ").strip() or name
 
 
 def title(name: str) -> str:
     """Return the name of a piece in words, with a capital letter: `Stool 0` for `stool-0`."""
-    text = words(name.replace("-", " "))
+    text = readable(name.replace("-", " "))
     return text[:1].upper() + text[1:]
 
 

@@ -58,7 +58,7 @@ class PageState:
     piece: str = ""
     """Name of the piece and its number of parts."""
     merges: int = 0
-    playing: bool = False
+    is_playing: bool = False
     step: int = 0
     """Step of the time line whose frames are shown."""
     busy: Busy | None = None

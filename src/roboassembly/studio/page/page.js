@@ -88,8 +88,8 @@
     }
     if (!state.notice) $("studio-notice").classList.remove("on");
     $("studio-undo").disabled = !state.merges;
-    $("studio-play").textContent = state.playing ? "❚❚" : "▶";
-    $("studio-play").setAttribute("aria-label", state.playing ? "Stop" : "Play the steps");
+    $("studio-play").textContent = state.is_playing ? "❚❚" : "▶";
+    $("studio-play").setAttribute("aria-label", state.is_playing ? "Stop" : "Play the steps");
     for (const button of document.querySelectorAll("#studio-start button")) button.classList.remove("waits");
   }
   function notice(kind, title, text) {
