@@ -16,10 +16,10 @@ from roboassembly.studio.messages import (
     attempt_message,
     failure_notice,
     plain,
+    readable,
     title,
     upright_message,
     verdict_name,
-    readable,
 )
 from roboassembly.studio.page_link import Notice, PageState
 from roboassembly.studio.panel import Panel
