@@ -202,7 +202,12 @@ def test_a_manual_needs_the_finished_piece_and_the_page_says_so(clients):
         until(lambda: len(clients) == 1 and is_open(clients[0]))
         browser.press(clients[0].panel.saves["manual.pdf"])
         until(lambda: (told(clients[0]) or {}).get("notice") is not None)
+        # What the page asks by itself does not take the message away.
+        browser.command(clients[0], "1 pointer 0.5 0.5")
+        until(lambda: told(clients[0], "studio-hover") is not None)
         assert "assemble the furniture first" in told(clients[0])["notice"]["text"]
+        browser.command(clients[0], "2 read")
+        until(lambda: told(clients[0])["notice"] is None)
 
 
 @pytest.mark.security

@@ -120,11 +120,12 @@ class ClientSession:
             request: function to call.
             once: see `RequestQueue.add`.
         """
+        self._failed = None
         if not self.requests.add(request, once):
             self._say("✗ Too many requests are waiting. Try again in a moment.")
 
     def _submit_quietly(self, request: Callable[[], None], once: str) -> None:
-        """Queue a request that nobody misses if there is no room for it."""
+        """Queue a request that nobody misses if there is no room for it, and that leaves messages alone."""
         self.requests.add(request, once)
 
     def _serve(self) -> None:
@@ -150,7 +151,6 @@ class ClientSession:
             # The event may have been set for the end of this thread.
             if self._closed:
                 return
-            self._failed = None
             try:
                 request()
             except RoboAssemblyError as error:
@@ -182,11 +182,11 @@ class ClientSession:
             case "cancel":
                 self.runs.cancelled.set()
             case "pointer":
-                self.submit(lambda: self._name(command), "pointer")
+                self._submit_quietly(lambda: self._name(command), "pointer")
             case "touch":
-                self.submit(self._stop_turning, "touch")
+                self._submit_quietly(self._stop_turning, "touch")
             case "slow":
-                self.submit(self._slow_down, "slow")
+                self._submit_quietly(self._slow_down, "slow")
             case "read":
                 self.submit(lambda: None if editor is None else editor.forget_notice(), "read")
             case "assemble":
