@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import socket
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
@@ -165,6 +166,10 @@ def begin_steps(browser: Browser, client: ClientSession) -> None:
     until(lambda: is_open(client))
     browser.command(client, "1 steps")
     until(lambda: client.editor is not None and not client.editor.view.is_opening)
+    # The parts are shown; the thread of the session now draws what is on them.
+    done = threading.Event()
+    client.submit(done.set)
+    assert done.wait(60)
 
 
 def merges(client: ClientSession) -> int:
