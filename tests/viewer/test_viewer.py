@@ -396,6 +396,20 @@ def test_any_mesh_can_be_drawn(drawing):
     assert (picture[:, :, 0] > picture[:, :, 1] + 60).any()
 
 
+def test_a_film_is_watched_and_stopped(drawing, tmp_path):
+    path, shares = tmp_path / "film.mp4", []
+
+    def watch(share: float) -> bool:
+        shares.append(share)
+        return len(shares) < 5
+
+    assert not write_film(table_plan(), path, width=64, height=48, fps=10, watch=watch)
+    assert len(shares) == 5
+    assert shares[0] == 0.0
+    assert np.diff(shares) == pytest.approx(shares[1] * np.ones(4))
+    assert not os.listdir(tmp_path)
+
+
 def test_the_film_plays_back(drawing, tmp_path):
     plan, path = table_plan(), tmp_path / "film.mp4"
     write_film(plan, path, width=320, height=240, fps=10, seconds_per_step=1.5)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 import imageio.v3 as iio
@@ -21,7 +22,7 @@ from roboassembly.rendering.gl import RenderingUnavailableError, context_module
 from roboassembly.rendering.offscreen import check_size
 from roboassembly.rendering.renderer import STILL, OffscreenRenderer, Quality, placements
 from roboassembly.viewer.camera_path import close_ups, follow
-from roboassembly.viewer.film_segments import FilmScene, Shot, encode_film
+from roboassembly.viewer.film_segments import FilmScene, FilmStoppedError, Shot, encode_film
 from roboassembly.viewer.playback import AnyPlan, make_timeline
 from roboassembly.viewer.timeline import Phase, Timeline
 
@@ -46,7 +47,8 @@ def write_film(
     seconds_per_step: float | None = None,
     quality: Quality | None = None,
     jobs: int = 1,
-) -> None:
+    watch: Callable[[float], bool] | None = None,
+) -> bool:
     """Write an H.264 film (`.mp4`) of a plan.
 
     Args:
@@ -59,6 +61,11 @@ def write_film(
         quality: rendering quality. If None, `STILL` with a graphics card and `FAST` without one.
         jobs: number of processes that draw. The film is the same for any number. With more than one, a script needs
             the usual guard of its main part, `if __name__ == "__main__":`.
+        watch: called with the share that is done, 0 to 1, now and then; if it returns False, no film is written. With
+            more than one process it is not called.
+
+    Returns:
+        Whether the film was written.
 
     Raises:
         RenderingUnavailableError: this machine cannot render off screen, or ffmpeg is missing or fails.
@@ -76,8 +83,10 @@ def write_film(
     path = Path(path)
     context_module()
     scene = film_scene(timeline, width, height, quality)
-    with atomic_write(path) as unfinished:
-        encode_film(scene, shots(timeline, cameras), unfinished, fps, jobs)
+    with suppress(FilmStoppedError), atomic_write(path) as unfinished:
+        encode_film(scene, shots(timeline, cameras), unfinished, fps, jobs, watch)
+        return True
+    return False
 
 
 def shots(timeline: Timeline, cameras: Sequence[Camera]) -> list[Shot]:

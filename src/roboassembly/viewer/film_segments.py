@@ -9,7 +9,7 @@ import os
 import pickle
 import signal
 import subprocess
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,6 +28,11 @@ from roboassembly.rendering.colors import Finish
 from roboassembly.rendering.gl import RenderingUnavailableError, context_module, skip_trial
 from roboassembly.rendering.rectangles import Rectangle, changed_rectangle
 from roboassembly.rendering.renderer import SOFTEST, OffscreenRenderer, Quality
+
+
+class FilmStoppedError(Exception):
+    """The film was stopped before its end."""
+
 
 SEGMENT_FRAMES = 96
 """Number of frames in a segment."""
@@ -128,7 +133,14 @@ def draw_shots(renderer: Renderer, shots: Sequence[Shot]) -> Iterator[UInt8[np.n
         yield picture
 
 
-def encode_film(scene: FilmScene, shots: Sequence[Shot], path: Path, fps: float, jobs: int) -> None:
+def encode_film(
+    scene: FilmScene,
+    shots: Sequence[Shot],
+    path: Path,
+    fps: float,
+    jobs: int,
+    watch: Callable[[float], bool] | None = None,
+) -> None:
     """Draw the shots and write them as an H.264 film.
 
     Args:
@@ -137,9 +149,11 @@ def encode_film(scene: FilmScene, shots: Sequence[Shot], path: Path, fps: float,
         path: file to write, `.mp4`.
         fps: frames per second.
         jobs: number of processes that draw; 1 draws in this process.
+        watch: called before each picture with the share that is done, if one process draws.
 
     Raises:
         RenderingUnavailableError: this machine cannot render off screen, or ffmpeg fails.
+        FilmStoppedError: `watch` returned False.
     """
     with TemporaryDirectory(prefix=f".{path.stem}.", dir=path.parent, ignore_cleanup_errors=True) as name:
         film = _Film(scene, shots, fps, Path(name))
@@ -147,7 +161,7 @@ def encode_film(scene: FilmScene, shots: Sequence[Shot], path: Path, fps: float,
         if jobs == 1:
             with scene.renderer() as renderer:
                 for index in range(len(film.files)):
-                    film.encode(renderer, index)
+                    film.encode(renderer, index, watch)
         else:
             # Workers read the shots from a file: what waits in the pipe of a pool blocks its end after an interrupt.
             (film.folder / _SHOTS).write_bytes(pickle.dumps(film))
@@ -175,8 +189,8 @@ class _Film:
         """One file for each segment."""
         return [self.folder / f"{k}.mp4" for k in range(-(-len(self.shots) // SEGMENT_FRAMES))]
 
-    def encode(self, renderer: Renderer, index: int) -> None:
-        """Draw and write a segment."""
+    def encode(self, renderer: Renderer, index: int, watch: Callable[[float], bool] | None = None) -> None:
+        """Draw and write a segment; see `encode_film`."""
         file = self.files[index]
         writer = imageio_ffmpeg.write_frames(
             str(file),
@@ -194,7 +208,10 @@ class _Film:
         )
         writer.send(None)
         try:
-            for picture in draw_shots(renderer, self.shots[index * SEGMENT_FRAMES : (index + 1) * SEGMENT_FRAMES]):
+            first = index * SEGMENT_FRAMES
+            for number, picture in enumerate(draw_shots(renderer, self.shots[first : first + SEGMENT_FRAMES]), first):
+                if watch is not None and not watch(number / len(self.shots)):
+                    raise FilmStoppedError
                 writer.send(picture)
         except OSError:
             raise RenderingUnavailableError(f"ffmpeg stopped; is there room in '{self.folder.parent}'?") from None
