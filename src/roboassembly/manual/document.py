@@ -9,6 +9,7 @@ import numpy as np
 from roboassembly.manual.arrangement import UPRIGHT
 from roboassembly.manual.helpers import helps
 from roboassembly.manual.line_drawing import Figure
+from roboassembly.manual.merge_tree import Parts
 from roboassembly.manual.page import ACCENT, GREY, HEIGHT, MARGIN, WIDTH, Box, Page, shortened, wrapped
 from roboassembly.manual.part_list import PartKind, kind_figure, part_kinds
 from roboassembly.manual.pictures import add_drawing, place
@@ -37,7 +38,9 @@ def pages_of(manual: Manual, on_plan: str = "") -> list[Page]:
     part_list = part_kinds(manual.furniture)
     letters = {p: kind.letter for kind in part_list for p in kind.members}
     helping = helps(manual)
-    double = {h.step for h in helping}
+    double = {h.step: frozenset[int]() for h in helping}
+    for h in helping:
+        double[h.step] |= h.parts_held
     pages = [_cover(manual), *_part_pages(manual, part_list)]
     groups = _pages_of_rows(viewed_steps(manual))
     for number, rows in enumerate(groups, start=1):
@@ -134,7 +137,7 @@ def _pages_of_rows(steps: Sequence[StepView]) -> list[list[list[StepView]]]:
 
 
 def _draw_rows(
-    page: Page, manual: Manual, rows: Sequence[Sequence[StepView]], letters: dict[int, str], double: set[int]
+    page: Page, manual: Manual, rows: Sequence[Sequence[StepView]], letters: dict[int, str], double: dict[int, Parts]
 ) -> None:
     top, low = HEIGHT - MARGIN - 4, MARGIN + 4
     height = (top - low - (_ROWS_OF_STEPS - 1) * _GAP) / _ROWS_OF_STEPS
@@ -147,7 +150,7 @@ def _draw_rows(
             if k:
                 x = left - 0.5 * _GAP
                 page.path([np.array([[x, box.low + 6], [x, box.high - 6]])], stroke=GREY, width=0.2, closed=False)
-            draw_step(page, manual, view, box, letters, view.step.number in double)
+            draw_step(page, manual, view, box, letters, double.get(view.step.number))
         if r + 1 < len(rows):
             y = high - height - 0.5 * _GAP
             page.path([np.array([[MARGIN, y], [WIDTH - MARGIN, y]])], stroke=GREY, width=0.2, closed=False)

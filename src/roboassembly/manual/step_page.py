@@ -41,6 +41,8 @@ _FEWEST_TO_COUNT = 4
 _BASE_ONLY = 3
 """Largest number of parts in a step that takes half a row."""
 _UP_WORDS = ("upright", "upside down", "onto its side", "onto its side", "onto its front", "onto its back")
+_HOLD_MARK = "hold"
+"""Words of the mark on what a second person holds."""
 _WITH_FRONT = "generated"
 """Source of furniture whose front is known to be on the side of −y."""
 _CROWDED = 5
@@ -108,7 +110,9 @@ def _small_joint(furniture: Furniture, step: ManualStep, camera: Projection) -> 
     return spots[int(np.lexsort((nearness.round(3), visible))[-1])]
 
 
-def draw_step(page: Page, manual: Manual, view: StepView, box: Box, letters: dict[int, str], two_people: bool) -> None:
+def draw_step(
+    page: Page, manual: Manual, view: StepView, box: Box, letters: dict[int, str], help_with: Parts | None
+) -> None:
     """Draw a step into a box.
 
     Args:
@@ -117,10 +121,11 @@ def draw_step(page: Page, manual: Manual, view: StepView, box: Box, letters: dic
         view: the step and its camera.
         box: where it is drawn.
         letters: letter of each part.
-        two_people: whether a sign for two people is drawn.
+        help_with: parts that a second person holds, which get a mark, or none if there is other work for two; None if
+            one person can do the step.
     """
     step = view.step
-    _draw_header(page, box, step, two_people)
+    _draw_header(page, box, step, help_with is not None)
     wide = box.width > 1.25 * box.height
     needs_column = view.detail is not None or step.turned_from is not None
     if wide:
@@ -141,6 +146,8 @@ def draw_step(page: Page, manual: Manual, view: StepView, box: Box, letters: dic
     size = _DETAIL_ARROW if len(step.movers) >= _CROWDED else 1.0
     arrows = [box for i, mover in enumerate(step.movers) for box in _draw_arrows(page, placed, mover, i, spots, size)]
     _draw_labels(page, manual, step, placed, area, arrows, letters)
+    if help_with and (anchor := _anchor(placed, help_with)) is not None:
+        add_label(page, _HOLD_MARK, anchor, area, placed.covered, arrows)
     if step.turned_from is not None:
         _draw_turn(page, manual, step, turn_box)
 

@@ -12,8 +12,8 @@ from roboassembly.furniture.model import Furniture
 from roboassembly.geometry.poses import SE3, from_quaternion, interpolate, rotation_angle, transform_points
 from roboassembly.manual.arrangement import UPRIGHT, ArrangedPlan, CheckedMerge, building_order
 from roboassembly.manual.exits import Handling
-from roboassembly.manual.merge_tree import Halves, Parts, group_in_place
-from roboassembly.task.rules.groups import center_of_mass
+from roboassembly.manual.merge_tree import Halves, Parts
+from roboassembly.task.rules.groups import center_of_mass, group_in_place
 
 MOST_EQUAL, MOST_MIXED = 8, 4
 """Largest numbers of parts that come in one step: of equal ones, and of different ones."""

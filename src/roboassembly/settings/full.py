@@ -64,7 +64,10 @@ SETTING = Setting(
     audit=_audit,
     execute=_execute,
     execution="dynamic",
-    refused_options={"--export": "--export does not support --setting full; use --setting object-centric"},
+    refused_options={
+        "--export": "--export does not support --setting full; use --setting object-centric",
+        "--stable": "--stable is for --setting object-centric: with robots, posts hold every group",
+    },
     make_oracle=hand_oracle,
     make_mate_check=FullMateCheck,
     grasp_inputs=_grasps,

@@ -23,7 +23,7 @@ from jaxtyping import Float32
 from roboassembly.geometry.poses import SE3, transform_points
 from roboassembly.rendering.colors import Role
 from roboassembly.task.plans.plan import SETTLING_INTERVAL, Plan, PlanStep
-from roboassembly.viewer.captions import ending_caption, step_caption
+from roboassembly.viewer.captions import ending_caption, held_caption, step_caption
 from roboassembly.viewer.motion_timing import ease, interpolated, path_length, pose_between, speed_profile
 from roboassembly.viewer.timeline import Frame, Phase, SceneObject, part_objects
 
@@ -80,6 +80,7 @@ class PlanAnimator:
         before = self.plan.steps[index - 1].after if index else self.plan.initial
         sizes = len(step.moving), len(step.waiting)
         caption = step_caption(self.plan.furniture, index, len(self.plan.steps), step.action, sizes)
+        caption += held_caption(self.plan, index)
         n = len(before)
         roles = tuple(
             Role.MOVING if p in step.moving else Role.WAITING if p in step.waiting else Role.IDLE for p in range(n)

@@ -7,6 +7,7 @@ from typing import ClassVar, Generic, TypeVar
 
 from roboassembly.furniture.model import Furniture
 from roboassembly.geometry.poses import SE3
+from roboassembly.task.plans.stability import PlanStability
 from roboassembly.task.setting import SettingName
 
 
@@ -95,6 +96,8 @@ class Plan:
     seed: int
     upright: UprightResult[UprightMotion] | None = None
     """Whether the piece ends on its feet; None if it is not assembled or `set_upright` was not called."""
+    stability: PlanStability | None = None
+    """Groups that stand on their own in each state; None if nobody asked."""
 
     @property
     def final_poses(self) -> tuple[SE3, ...]:
