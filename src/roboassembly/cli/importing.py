@@ -46,6 +46,7 @@ class ImportJob:
     allow_shortening: bool
     split: bool
     report: bool
+    fastener: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -112,6 +113,9 @@ class ImportCommand:
     """Up axis of the files; for `folder` only. Without it: y for GLB and glTF files, z for other files."""
     split: bool = False
     """Make a part of each separate body of every mesh; for `folder` only. A single mesh is split without it."""
+    fastener: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
+    """Names of parts that are fasteners, as patterns with * and ?, such as 'screw*'. KIND=PATTERN says of which kind:
+    dowel, screw or cam; otherwise the name does. May be given several times."""
     jobs: Jobs = CORES
     """Number of processes."""
     allow_shortening: bool = False
@@ -126,6 +130,7 @@ class ImportCommand:
 
     def run(self) -> int:
         """Run the command; returns the exit status."""
+        from roboassembly.furniture.fasteners import parse_pattern
         from roboassembly.geometry import units
         from roboassembly.importers import IMPORTERS
         from roboassembly.importers.earlier import without_results
@@ -133,6 +138,8 @@ class ImportCommand:
         if self.scale is not None and not 1e-6 < self.scale < 1e6:
             raise InputError(f"--scale {self.scale} is not plausible; give metres per unit of the files, such as 0.5")
         scale = units.scale_of(self.unit, self.scale)
+        for text in self.fastener:
+            parse_pattern(text)
         require_at_least(1, jobs=self.jobs)
         kind, given = self._kind_and_source()
         if self.up is not None and kind != "folder":
@@ -144,7 +151,8 @@ class ImportCommand:
         found, skipped = without_results(IMPORTERS[kind].find(given), given, out)
         pieces = [
             ImportJob(
-                kind, source, target, name, scale, self.up, self.cache, self.allow_shortening, self.split, self.report
+                kind, source, target, name, scale, self.up, self.cache, self.allow_shortening, self.split, self.report,
+                self.fastener,
             )
             for source, target, name in zip(found, self._targets(found), piece_names(found), strict=True)
         ]
@@ -328,13 +336,14 @@ def _place(piece: ImportJob) -> Path | None:
     reads = IMPORTERS[piece.kind].reads(piece.source)
     return kept.place_of(
         piece.source, reads, piece.kind, piece.name, piece.scale, piece.up, piece.allow_shortening, piece.split,
-        piece.report,
+        piece.report, piece.fastener,
     )  # fmt: skip
 
 
 def _import(piece: ImportJob) -> Summary:
     from roboassembly.errors import FurnitureError
     from roboassembly.furniture import storage
+    from roboassembly.furniture.fasteners import parse_pattern, separate_fasteners
     from roboassembly.geometry import units
     from roboassembly.importers import IMPORTERS, folder
     from roboassembly.importers.findings import findings
@@ -346,6 +355,7 @@ def _import(piece: ImportJob) -> Summary:
             raw = folder.read(piece.source, scale=piece.scale, up=piece.up, split=piece.split or None)
         else:
             raw = IMPORTERS[piece.kind].read(piece.source, scale=piece.scale)
+        raw = separate_fasteners(raw, [parse_pattern(text) for text in piece.fastener])
     except FurnitureError as refusal:
         return Summary(error=str(refusal), refused_at=str(piece.source))
     unit = raw.unit or units.of_format(raw.provenance.scale, piece.scale)

@@ -9,6 +9,7 @@
     upright           whether the assembled piece ends on its feet, why not, and the motion that sets it there, see
                       `UprightEntry`; absent if it is not assembled, or if nobody asked for it
     stability         groups that stand on their own in each state, see `StableEntry`; absent if nobody asked for it
+    insertions        fasteners that go in, see `InsertionEntry`, and those that do not, under `not_inserted`
     robots, posts     full only: both robots' configurations at first; where cups of posts ever end
 
 Version 1 had no `upright`; versions 1 and 2 had `legs` with a `name` instead of `segments` with a
@@ -37,6 +38,8 @@ from roboassembly.task.plans.plan_schema import (
     FullMotionEntry,
     FullStepEntry,
     FurnitureEntry,
+    InsertionEntry,
+    LeftOutEntry,
     MotionEntry,
     PlacedEntry,
     PlanDocument,
@@ -103,6 +106,20 @@ def _object_centric_document(plan: Plan) -> PlanDocument:
         document.upright = _upright(plan.upright, _motion(plan.upright.motion) if plan.upright.motion else None)
     if plan.stability is not None:
         document.stability = _stability(plan.stability)
+    names = [fastener.name for fastener in plan.furniture.fasteners]
+    document.insertions = [
+        InsertionEntry(
+            names[i.fastener],
+            i.after,
+            i.part,
+            pose_to_seven(i.part_from_fastener),
+            [pose_to_seven(p) for p in i.path],
+            i.lift,
+            i.planning_steps,
+        )
+        for i in plan.insertions
+    ]
+    document.not_inserted = [LeftOutEntry(names[index], reason) for index, reason in plan.not_inserted]
     return document
 
 

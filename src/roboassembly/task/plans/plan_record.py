@@ -8,8 +8,8 @@ from roboassembly.errors import InputError
 from roboassembly.furniture.model import Furniture
 from roboassembly.geometry.poses import SE3, pose_from_seven
 from roboassembly.task.plans import plan_file
-from roboassembly.task.plans.plan import Plan, PlanStep, UprightMotion, UprightResult
-from roboassembly.task.plans.plan_schema import MotionEntry, PlacedEntry, StepEntry
+from roboassembly.task.plans.plan import Insertion, Plan, PlanStep, UprightMotion, UprightResult
+from roboassembly.task.plans.plan_schema import InsertionEntry, LeftOutEntry, MotionEntry, PlacedEntry, StepEntry
 
 
 class _Upright(msgspec.Struct):
@@ -24,6 +24,8 @@ class _Record(msgspec.Struct):
     initial: list[list[float]]
     steps: list[StepEntry]
     upright: _Upright | None = None
+    insertions: list[InsertionEntry] = []
+    not_inserted: list[LeftOutEntry] = []
 
 
 def read_plan(content: bytes, where: str, furniture: Furniture) -> Plan:
@@ -54,9 +56,14 @@ def read_plan(content: bytes, where: str, furniture: Furniture) -> Plan:
         steps = tuple(_step(step, len(names), f"step {index}") for index, step in enumerate(record.steps))
         initial = _poses(record.initial, len(names), "initial")
         upright = None if record.upright is None else _upright(record.upright, len(names))
+        fasteners = {fastener.name: index for index, fastener in enumerate(furniture.fasteners)}
+        insertions = tuple(_insertion(entry, fasteners, len(names), len(steps)) for entry in record.insertions)
+        not_inserted = {_fastener(e.fastener, fasteners): e.reason for e in record.not_inserted}
     except InputError as error:
         raise InputError(f"'{where}': {error}") from None
-    return Plan(furniture, initial, steps, record.success, script.seed, upright)
+    return Plan(
+        furniture, initial, steps, record.success, script.seed, upright, None, insertions, tuple(not_inserted.items())
+    )
 
 
 def _step(step: StepEntry, parts: int, where: str) -> PlanStep:
@@ -96,6 +103,23 @@ def _upright(entry: _Upright, parts: int) -> UprightResult[UprightMotion]:
             entry.motion.planner,
         )
     return UprightResult(entry.success, entry.reason, motion, entry.planning_steps, 0.0)
+
+
+def _insertion(entry: InsertionEntry, fasteners: dict[str, int], parts: int, steps: int) -> Insertion:
+    where = f"insertion of '{entry.fastener}'"
+    if not -1 <= entry.after <= steps or not 0 <= entry.part < parts or not entry.path:
+        raise InputError(f"{where}: after step {entry.after}, part {entry.part}, {len(entry.path)} poses; expected a "
+                         f"step from -1 to {steps}, a part from 0 to {parts - 1} and a pose or more")  # fmt: skip
+    (pose,) = _poses([entry.pose], None, where)
+    path = _poses(entry.path, None, where)
+    index = _fastener(entry.fastener, fasteners)
+    return Insertion(index, entry.after, entry.part, pose, path, entry.lift, entry.planning_steps)
+
+
+def _fastener(name: str, fasteners: dict[str, int]) -> int:
+    if name not in fasteners:
+        raise InputError(f"fastener '{name}' is not in the furniture")
+    return fasteners[name]
 
 
 def _placed(entries: list[PlacedEntry], parts: int, where: str) -> dict[int, SE3]:

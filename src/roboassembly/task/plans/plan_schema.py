@@ -119,6 +119,31 @@ class StableEntry(msgspec.Struct):
     """Largest level motion of its centre of mass [m]."""
 
 
+class InsertionEntry(msgspec.Struct):
+    """One fastener that goes in."""
+
+    fastener: str
+    """Its name."""
+    after: int
+    """Index of the step after which it goes in; -1 before the first one, the number of steps once the piece stands."""
+    part: int
+    """Part with which it moves from then on."""
+    pose: list[float]
+    """Its pose in that part."""
+    path: list[list[float]]
+    """Its poses from outside to its place."""
+    lift: float
+    """Height by which its group is raised meanwhile [m]."""
+    planning_steps: int
+
+
+class LeftOutEntry(msgspec.Struct):
+    """One fastener without a way in."""
+
+    fastener: str
+    reason: str
+
+
 class PlanDocument(msgspec.Struct, omit_defaults=True):
     """Content of `plan.json`."""
 
@@ -136,3 +161,5 @@ class PlanDocument(msgspec.Struct, omit_defaults=True):
     density: float = 0.0
     """Density of the parts [kg/m³], full only."""
     stability: list[StableEntry] = []
+    insertions: list[InsertionEntry] = []
+    not_inserted: list[LeftOutEntry] = []
