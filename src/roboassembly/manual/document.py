@@ -82,9 +82,9 @@ def _cover(manual: Manual) -> Page:
     name = shortened(title_of(manual), 34, right - left, bold=True)
     page.text(left, HEIGHT - 42, name, 34, bold=True)
     count, steps = len(furniture.parts), len(manual.steps)
-    page.text(
-        left, HEIGHT - 54, f"Assembly manual: {count} parts, {steps} step{'s' if steps != 1 else ''}", 14, ink=GREY
-    )
+    fasteners = f", {len(furniture.fasteners)} fasteners" if furniture.fasteners else ""
+    words = f"Assembly manual: {count} parts{fasteners}, {steps} step{'s' if steps != 1 else ''}"
+    page.text(left, HEIGHT - 54, words, 14, ink=GREY)
     figures = _whole(manual)
     box = Box(left, 48, right, HEIGHT - 70)
     add_drawing(page, place(figures, best_camera(figures, UPRIGHT), box, largest=10.0), plain=True)
@@ -120,7 +120,7 @@ def _draw_kind(page: Page, manual: Manual, kind: PartKind, box: Box) -> None:
     page.bubble((box.left + 5, box.high - 6), kind.letter, size=11)
     page.text(box.left + 12, box.high - 7.8, f"{len(kind.members)}×", 14, bold=True)
     picture = Box(box.left + 2, box.low + 13, box.right - 3, box.high - 13)
-    add_drawing(page, place([kind_figure(manual.furniture, kind)], kind.camera, picture, largest=1.0), plain=True)
+    add_drawing(page, place([kind_figure(kind)], kind.camera, picture, largest=1.0), plain=True)
     page.text(box.left + 2, box.low + 7.5, " × ".join(map(str, kind.size)) + " mm", 8)
     page.text(box.left + 2, box.low + 3.5, shortened(kind.name, 7, box.width - 4), 7, ink=GREY)
 

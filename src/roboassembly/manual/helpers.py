@@ -32,6 +32,8 @@ def helps(manual: Manual) -> list[Help]:
     """Return the reasons for a second pair of hands, in the order of the steps."""
     out: list[Help] = []
     for step in manual.steps:
+        if not step.movers:
+            continue  # fasteners need one hand
         out += [Help(step.number, reason) for reason in _reasons(manual, step)]
         if (reason := _reason_to_hold(manual, step)) is not None:
             out.append(Help(step.number, reason, step.base))

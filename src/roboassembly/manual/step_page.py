@@ -21,8 +21,8 @@ from roboassembly.manual.pictures import (
     inner_spot,
     place,
 )
-from roboassembly.manual.steps import Manual, ManualStep, Mover, joint_depth
-from roboassembly.manual.viewpoints import JointSpot, Sight, best_camera, joint_spots, step_camera, step_figures
+from roboassembly.manual.steps import FastenerWay, Manual, ManualStep, Mover, joint_depth
+from roboassembly.manual.viewpoints import JointSpot, Sight, best_camera, coming_keys, joint_spots, step_camera, step_figures
 
 HAND = 90.0
 """Breadth of a hand: joints with a smaller contact are enlarged [mm]."""
@@ -45,6 +45,8 @@ _HOLD_MARK = "hold"
 """Words of the mark on what a second person holds."""
 _WITH_FRONT = "generated"
 """Source of furniture whose front is known to be on the side of −y."""
+_FASTENER_ARROW = 0.6
+"""Size of the arrow of a fastener."""
 _CROWDED = 5
 """Number of movers in a step from which its arrows are slender."""
 
@@ -137,7 +139,7 @@ def draw_step(
         area = Box(box.left + 3, box.low + (_SIDE if needs_column else 3), box.right - 3, box.high - 14)
         corner = Box(box.right - _SIDE + 2, box.low + 3, box.right - 4, box.low + _SIDE - 3)
         turn_box = Box(box.left + 3, box.low + 3, box.left + 45, box.low + _SIDE - 5)
-    coming = {p for mover in step.movers for p in mover.parts}
+    coming = coming_keys(manual.furniture, step)
     placed = place(step_figures(manual.furniture, step), view.camera, area.inset(7.0))
     add_drawing(page, placed, coming)
     spots = joint_spots(manual.furniture, step)
@@ -145,11 +147,24 @@ def draw_step(
         _draw_detail(page, manual.furniture, view, placed, corner)
     size = _DETAIL_ARROW if len(step.movers) >= _CROWDED else 1.0
     arrows = [box for i, mover in enumerate(step.movers) for box in _draw_arrows(page, placed, mover, i, spots, size)]
+    arrows += [
+        add_arrow(page, placed.at(_to_mouth(manual.furniture, way)), _FASTENER_ARROW)
+        for way in step.fasteners[: None if len(step.fasteners) < _CROWDED else 1]
+    ]
     _draw_labels(page, manual, step, placed, area, arrows, letters)
     if help_with and (anchor := _anchor(placed, help_with)) is not None:
         add_label(page, _HOLD_MARK, anchor, area, placed.covered, arrows)
     if step.turned_from is not None:
         _draw_turn(page, manual, step, turn_box)
+
+
+def _to_mouth(furniture: Furniture, way: FastenerWay) -> Float[np.ndarray, "2 3"]:
+    """Return the ends of a fastener's arrow: from its front end to where that enters the part [m]."""
+    away, place = way.arrow(furniture)
+    mesh = furniture.fasteners[way.index].mesh
+    inward = (place - away) / max(1e-9, float(np.linalg.norm(place - away)))
+    half = 0.5 * float(np.ptp(mesh.vertices[:, 2]))
+    return np.array([away + half * inward, place + 0.2 * half * inward])
 
 
 def _draw_header(page: Page, box: Box, step: ManualStep, two_people: bool) -> None:
@@ -202,6 +217,12 @@ def _draw_labels(
         names.append((letters[min(mover.parts)] if single else f"from {manual.made_in[mover.parts]}", mover.parts))
     if len(step.base) == 1:
         names.insert(0, (letters[min(step.base)], step.base))
+    count = len(manual.furniture.parts)
+    by_letter: dict[str, list[int]] = {}
+    for way in step.fasteners:
+        by_letter.setdefault(letters[count + way.index], []).append(count + way.index)
+    for letter, keys in by_letter.items():
+        names.append((letter if len(keys) == 1 else f"{len(keys)}× {letter}", frozenset(keys[:1])))
     texts = [text for text, _ in names]
     done: set[str] = set()
     for text, parts in names:

@@ -11,7 +11,7 @@ the planning steps of merges know nothing of them.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
@@ -72,6 +72,8 @@ class _Planner:
     """Part in each slot."""
     steps: list[PlanStep]
     """Steps of the plan, some with new paths: those that a fastener blocked before."""
+    after: Collection[int] | None
+    """Steps after which fasteners may go in; all if None."""
     placed: list[_Placed] = field(default_factory=list[_Placed])
     states: int = 0
     solids: dict[Mesh, Mesh] = field(default_factory=dict[Mesh, Mesh])
@@ -104,7 +106,7 @@ class _Planner:
         fastener = self.furniture.fasteners[index]
         joins = frozenset(self.part_in[slot] for slot in fastener.joins)
         reason = ""
-        for moment, host in _places(moments, joins):
+        for moment, host in _places([m for m in moments if self.after is None or m.after in self.after], joins):
             place = self._in_parts(fastener, host)
             candidate = _Placed(index, moment.after, host, place)
             found = self._way_in(fastener, moment, host, place)
@@ -241,11 +243,15 @@ class _Planner:
         return found.path if found.solved else None
 
 
-def with_insertions(plan: Plan) -> Plan:
+def with_insertions(plan: Plan, after: Collection[int] | None = None) -> Plan:
     """Return the plan with the insertions of the furniture's fasteners, and with the reason for each that has no way in.
 
     A plan that did not succeed, or of furniture without fasteners, comes back as it is. The same plan gives the same
     insertions.
+
+    Args:
+        plan: of a whole assembly.
+        after: steps after which fasteners may go in, see `Insertion.after`; all if None.
     """
     furniture = plan.furniture
     if not furniture.fasteners or not plan.success:
@@ -254,7 +260,7 @@ def with_insertions(plan: Plan) -> Plan:
     if frame is None:
         left = tuple((index, _NOT_IN_PLACE) for index in range(len(furniture.fasteners)))
         return replace(plan, not_inserted=left)
-    planner = _Planner(plan, frame, _parts_in_slots(furniture, plan.final_poses, frame), list(plan.steps))
+    planner = _Planner(plan, frame, _parts_in_slots(furniture, plan.final_poses, frame), list(plan.steps), after)
     moments = planner.moments()
     done: list[Insertion] = []
     failed: list[tuple[int, str]] = []
