@@ -48,8 +48,10 @@ def _furniture_made_once() -> Iterator[None]:
     """Built-in furniture is made once a session: it never changes, and annotation takes long."""
     made = cache(catalogue.make)
 
-    def make(family: str, seed: int = 0, version: int = 0, *, with_grasps: bool = True) -> Furniture:
-        return made(family, seed, version, with_grasps=with_grasps)
+    def make(
+        family: str, seed: int = 0, version: int = 0, *, with_grasps: bool = True, fasteners: bool = False
+    ) -> Furniture:
+        return made(family, seed, version, with_grasps=with_grasps, fasteners=fasteners)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(catalogue, "make", make)

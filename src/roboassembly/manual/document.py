@@ -185,12 +185,23 @@ def _last_page(manual: Manual, on_plan: str, *, with_piece: bool) -> Page:
     if manual.final_turn is not None:
         lines.append("After the last step: set the piece on its feet.")
     y = _paragraphs(page, lines, y, right)
+    if manual.furniture.fasteners:
+        page.text(MARGIN, y - 8, "Fasteners", 20, bold=True)
+        y = _paragraphs(page, _fastener_lines(manual), y - 18, right)
     y -= 8
     page.text(MARGIN, y, "Two robots", 20, bold=True)
     y = _paragraphs(page, _robot_lines(manual, on_plan), y - 10, right)
     if with_piece and y > 0.5 * HEIGHT:
         _draw_done(page, manual)
     return page
+
+
+def _fastener_lines(manual: Manual) -> list[str]:
+    fasteners = manual.furniture.fasteners
+    if not manual.not_inserted:
+        return ["All fasteners go in along their axes. Two robots leave them to a person."]
+    head = "Fasteners without a free way in in this order, to be fitted by other means:"
+    return [head, *(f"{fasteners[index].name}: {reason}." for index, reason in manual.not_inserted)]
 
 
 def _robot_lines(manual: Manual, on_plan: str) -> list[str]:

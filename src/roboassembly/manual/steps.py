@@ -99,6 +99,8 @@ class Manual:
     steps: tuple[ManualStep, ...]
     final_turn: int | None
     """Axis that points up after the last step, if the finished piece has to be turned to stand upright."""
+    not_inserted: tuple[tuple[int, str], ...] = ()
+    """Index of each fastener that has no way in in this order, and the reason."""
 
     @property
     def made_in(self) -> dict[Parts, int]:
@@ -139,15 +141,16 @@ def steps_of(arrangement: ArrangedPlan) -> Manual:
             )
         )
     last = steps[-1].up
-    done = with_fastener_steps(arrangement, steps) if furniture.fasteners else tuple(steps)
-    return Manual(furniture, arrangement, done, None if last == UPRIGHT else last)
+    manual = Manual(furniture, arrangement, tuple(steps), None if last == UPRIGHT else last)
+    return with_fastener_steps(manual) if furniture.fasteners else manual
 
 
-def with_fastener_steps(arrangement: ArrangedPlan, steps: Sequence[ManualStep]) -> tuple[ManualStep, ...]:
-    """Return the steps with those in which fasteners go in, numbered anew.
+def with_fastener_steps(manual: Manual) -> Manual:
+    """Return the manual with the steps in which fasteners go in, all steps numbered anew.
 
     Fasteners go in between two steps. Those that go into equal single parts are drawn once.
     """
+    arrangement, steps = manual.arrangement, manual.steps
     number_of = {node: k for k, step in enumerate(steps) for node in step.merges}
     step_of = [number_of[merge.choice.halves.merged] for merge in arrangement.merges]
     ends = {k: max(i for i, number in enumerate(step_of) if number == k) for k in range(len(steps))}
@@ -155,7 +158,8 @@ def with_fastener_steps(arrangement: ArrangedPlan, steps: Sequence[ManualStep]) 
     out: list[ManualStep] = _fastener_steps(arrangement, plan, -1, steps[0].up)
     for k, step in enumerate(steps):
         out += [step, *_fastener_steps(arrangement, plan, ends[k], step.up)]
-    return tuple(replace(step, number=number) for number, step in enumerate(out, start=1))
+    numbered = tuple(replace(step, number=number) for number, step in enumerate(out, start=1))
+    return replace(manual, steps=numbered, not_inserted=plan.not_inserted)
 
 
 def _fastener_steps(arrangement: ArrangedPlan, plan: Plan, after: int, up: int) -> list[ManualStep]:
