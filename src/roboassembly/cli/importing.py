@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
 import tyro
 
+from roboassembly.cli.import_lines import report_lines
 from roboassembly.cli.options import CORES, Jobs, require_at_least
 from roboassembly.cli.output import DONE, check_writable, print_json, progress_bar, refuse_existing, say, show
 from roboassembly.errors import InputError, UnknownNameError
@@ -27,8 +28,6 @@ UnitName = Literal["mm", "cm", "m", "in", "ft"]
 """Names of the units in `geometry.units.METRES`."""
 DEFAULT_OUT = Path("furniture")
 """Folder for pieces without --out."""
-NAMED = 3
-"""Number of findings that are printed for a piece."""
 UpAxis = Literal["x", "y", "z", "-x", "-y", "-z"]
 
 
@@ -151,7 +150,16 @@ class ImportCommand:
         found, skipped = without_results(IMPORTERS[kind].find(given), given, out)
         pieces = [
             ImportJob(
-                kind, source, target, name, scale, self.up, self.cache, self.allow_shortening, self.split, self.report,
+                kind,
+                source,
+                target,
+                name,
+                scale,
+                self.up,
+                self.cache,
+                self.allow_shortening,
+                self.split,
+                self.report,
                 self.fastener,
             )
             for source, target, name in zip(found, self._targets(found), piece_names(found), strict=True)
@@ -167,7 +175,7 @@ class ImportCommand:
                 items.append(item)
                 progress.update()
         for item in items:
-            say(*_report(item))
+            say(*report_lines(item))
         imported = sum(item.error is None for item in items)
         if self.json:
             print_json({
@@ -237,52 +245,6 @@ def _existing(target: Path) -> InputError | None:
 
 def _failed(piece: ImportJob, reason: str) -> ImportResult:
     return ImportResult(piece.name, 0, 0, 0.0, 0.0, 0.0, (), {}, (), None, reason)
-
-
-def _report(item: ImportResult) -> list[str]:
-    """Return the lines for the user."""
-    lines = [f"{item.name}: {item.error}" if item.error else _summary(item)]
-    if item.size_m is not None and item.scale is not None:
-        lines.append(f"  unit: {item.unit_text}; {_size(item.size_m)}")
-        lines += [_other(item, other) for other in item.unit_others]
-    lines += [f"  {line}" for line in item.remarks]
-    if item.error:
-        return lines
-    if item.findings:
-        more = len(item.findings) - NAMED
-        lines.append("  worth a look:")
-        lines += [f"    {k}. {line}" for k, line in enumerate(item.findings[:NAMED], start=1)]
-        lines += [f"    and {more} more in the report"] * (more > 0)
-    else:
-        lines.append("  worth a look: nothing")
-    lines += [f"  report: {item.report}"] * (item.report is not None)
-    return lines
-
-
-def _other(item: ImportResult, unit: str) -> str:
-    from roboassembly.geometry.units import METRES, NAMES
-
-    assert item.size_m is not None
-    assert item.scale is not None
-    size = [METRES[unit] / item.scale * side for side in item.size_m]
-    return f"  the unit may also be {NAMES[unit]}: {_size(size)}; if so, import it with --unit {unit}"
-
-
-def _size(sides: Sequence[float]) -> str:
-    return " x ".join(f"{side:.2f}" if side >= 0.1 else f"{side:.3f}" for side in sides) + " m"
-
-
-def _summary(item: ImportResult) -> str:
-    text = f"{item.name}: {item.parts} parts -> {item.folder}"
-    if item.cached:
-        text += " (from the cache)"
-    if item.unholdable:
-        listed = ", ".join(item.unholdable[:NAMED]) + f" and {len(item.unholdable) - NAMED} more" * (
-            len(item.unholdable) > NAMED
-        )
-        text += f" (the gripper cannot hold {listed}: for the setting object-centric only)"
-    name, change = max(item.size_change_mm.items(), key=lambda named: abs(named[1]))
-    return f"{text}; largest change of size: {name} {change:+.2f} mm"
 
 
 def import_piece(piece: ImportJob) -> ImportResult:

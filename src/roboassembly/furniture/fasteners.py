@@ -10,15 +10,15 @@ from dataclasses import dataclass, replace
 from typing import get_args
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 
 from roboassembly.errors import FurnitureError, InputError
 from roboassembly.furniture.model import MIN_PARTS, FastenerKind, RawFastener, RawFurniture, RawPart
 from roboassembly.geometry.meshes import Mesh
 from roboassembly.geometry.poses import SE3, align_axis, storable, transform_points
 
-KINDS: tuple[FastenerKind, ...] = get_args(FastenerKind)
-_WORDS: dict[str, FastenerKind] = {
+FASTENER_KINDS: tuple[FastenerKind, ...] = get_args(FastenerKind)
+_KIND_OF_WORD: dict[str, FastenerKind] = {
     "bolt": "screw", "cam": "cam", "camlock": "cam", "dowel": "dowel", "peg": "dowel", "pin": "dowel", "screw": "screw",
 }  # fmt: skip
 """Words in names of fasteners. Names alone make no fastener."""
@@ -60,10 +60,12 @@ def parse_pattern(text: str) -> FastenerPattern:
     kind, separator, pattern = text.partition("=")
     if not separator:
         kind, pattern = "", text
-    known = next((k for k in KINDS if k == kind), None)
+    known = next((k for k in FASTENER_KINDS if k == kind), None)
     if (separator and known is None) or not pattern:
-        raise InputError(f"--fastener '{text}' is not PATTERN or KIND=PATTERN with one of {', '.join(KINDS)}, such as "
-                         "'screw=M6*'")  # fmt: skip
+        raise InputError(
+            f"--fastener '{text}' is not PATTERN or KIND=PATTERN with one of {', '.join(FASTENER_KINDS)}, such as "
+            "'screw=M6*'"
+        )
     return FastenerPattern(pattern, known)
 
 
@@ -80,47 +82,47 @@ def separate_fasteners(raw: RawFurniture, patterns: Sequence[FastenerPattern] = 
     Raises:
         FurnitureError: a pattern matches no part, or fewer than two ordinary parts are left.
     """
-    kinds = {part.name: _kind(part, patterns) for part in raw.parts}
+    kind_of = {part.name: _kind(part, patterns) for part in raw.parts}
     for pattern in patterns:
         if not any(pattern.matches(part.name) for part in raw.parts):
             names = ", ".join(part.name for part in raw.parts[:5]) + ", ..." * (len(raw.parts) > 5)
             raise FurnitureError(f"--fastener '{pattern.pattern}' matches no part; the parts are {names}")
-    ordinary = tuple(part for part in raw.parts if kinds[part.name] is None)
-    fasteners = tuple(RawFastener(p.name, kind, p.mesh) for p in raw.parts if (kind := kinds[p.name]) is not None)
+    ordinary = tuple(part for part in raw.parts if kind_of[part.name] is None)
+    fasteners = tuple(RawFastener(p.name, kind, p.mesh) for p in raw.parts if (kind := kind_of[p.name]) is not None)
     if fasteners and len(ordinary) < MIN_PARTS:
         raise FurnitureError(f"{len(fasteners)} of {len(raw.parts)} parts are fasteners; furniture has {MIN_PARTS} or "
                              "more other parts: give a narrower --fastener")  # fmt: skip
     remarks: list[str] = []
     if fasteners:
         remarks.append(f"fasteners: {counted([fastener.kind for fastener in fasteners])}")
-    alike = [part.name for part in ordinary if _SURE & set(_words(part.name))]
+    alike = [part.name for part in ordinary if _SURE & set(_words_of(part.name))]
     if alike:
         listed = ", ".join(alike[:3]) + f" and {len(alike) - 3} more" * (len(alike) > 3)
-        word = next(word for word in _words(alike[0]) if word in _SURE)
+        word = next(word for word in _words_of(alike[0]) if word in _SURE)
         count = "1 part is" if len(alike) == 1 else f"{len(alike)} parts are"
         remarks.append(f"{count} named like fasteners ({listed}) and imported as ordinary parts; "
                        f"if they are fasteners, add --fastener '*{word}*'")  # fmt: skip
     return replace(raw, parts=ordinary, fasteners=fasteners, remarks=(*raw.remarks, *remarks))
 
 
-def counted(kinds: Sequence[FastenerKind]) -> str:
+def counted(fastener_kinds: Sequence[FastenerKind]) -> str:
     """Return words for several fasteners, such as `8 dowels, 1 screw`."""
-    return ", ".join(f"{n} {kind}{'s' if n > 1 else ''}" for kind, n in sorted(Counter(kinds).items()))
+    return ", ".join(f"{n} {kind}{'s' if n > 1 else ''}" for kind, n in sorted(Counter(fastener_kinds).items()))
 
 
 def _kind(part: RawPart, patterns: Sequence[FastenerPattern]) -> FastenerKind | None:
     for pattern in patterns:
         if pattern.matches(part.name):
-            return pattern.kind or _kind_of_words(part.name)
+            return pattern.kind or _kind_of_words_of(part.name)
     last = part.label.rpartition("/")[2]
-    return _kind_of_words(last) if part.label and _SURE & set(_words(last)) else None
+    return _kind_of_words_of(last) if part.label and _SURE & set(_words_of(last)) else None
 
 
-def _kind_of_words(name: str) -> FastenerKind:
-    return next((_WORDS[word] for word in _words(name) if word in _WORDS), "dowel")
+def _kind_of_words_of(name: str) -> FastenerKind:
+    return next((_KIND_OF_WORD[word] for word in _words_of(name) if word in _KIND_OF_WORD), "dowel")
 
 
-def _words(name: str) -> list[str]:
+def _words_of(name: str) -> list[str]:
     return [word.lower() for word in re.findall(r"[A-Za-z][a-z]*", name)]
 
 
@@ -135,11 +137,15 @@ class Profile:
 
     def near(self, other: Profile) -> bool:
         """Return whether two profiles are equal up to `_SAME`."""
-        ends = np.abs(self.heights[[0, -1]] - other.heights[[0, -1]]).max() < _SAME
+        ends = float(np.abs(self.heights[[0, -1]] - other.heights[[0, -1]]).max()) < _SAME
         grid = np.linspace(self.heights[0] + _SAME, self.heights[-1] - _SAME, 4 * _LEVELS)
-        mine, its = (p.radii[np.clip(np.searchsorted(p.heights, grid) - 1, 0, len(p.radii) - 1)] for p in (self, other))
+        mine, its = self._radii_at(grid), other._radii_at(grid)
         # Heights of steps may differ by rounding: a few samples beside a step do not count.
-        return bool(ends) and float((np.abs(mine - its) < _SAME).mean()) > 0.95
+        return ends and float((np.abs(mine - its) < _SAME).mean()) > 0.95
+
+    def _radii_at(self, heights: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
+        index: Int[np.ndarray, "n"] = np.searchsorted(self.heights, heights) - 1
+        return self.radii[index.clip(0, len(self.radii) - 1)]
 
 
 def revolved(profile: Profile, sides: int = 24) -> Mesh:
@@ -162,13 +168,13 @@ def revolved(profile: Profile, sides: int = 24) -> Mesh:
 def profile_of(mesh: Mesh) -> Profile:
     """Return the profile of a mesh about the z axis of its frame."""
     z = mesh.vertices[:, 2]
-    heights = np.unique(np.round(z / _GRAIN)) * _GRAIN
+    heights: Float[np.ndarray, "k+1"] = np.unique(np.round(z / _GRAIN)) * _GRAIN
     if len(heights) > _LEVELS:
         heights = np.linspace(heights[0], heights[-1], _LEVELS + 1)
     heights[0], heights[-1] = z.min(), z.max()
     radius = np.linalg.norm(mesh.vertices[:, :2], axis=1)[mesh.faces].max(axis=1)
     low, high = z[mesh.faces].min(axis=1) + _GRAIN, z[mesh.faces].max(axis=1) - _GRAIN
-    over = (low[None] < heights[1:, None]) & (high[None] > heights[:-1, None])
+    over: Bool[np.ndarray, "k f"] = (low[None] < heights[1:, None]) & (high[None] > heights[:-1, None])
     return Profile(heights, np.where(over, radius[None], 0.0).max(axis=1))
 
 
@@ -181,9 +187,9 @@ def own_frame(mesh: Mesh) -> SE3:
     Args:
         mesh: fastener in the furniture's frame.
     """
-    moments, axes = np.linalg.eigh(mesh.inertia)
-    unlike = [abs(moments[(k + 1) % 3] - moments[(k + 2) % 3]) for k in range(3)]
-    axis = axes[:, int(np.argmin(np.round(np.array(unlike) / moments[2], 3)))]
+    inertia, axes = np.linalg.eigh(mesh.inertia)
+    unlike: Float[np.ndarray, "3"] = np.abs(np.roll(inertia, -1) - np.roll(inertia, -2)) / inertia[2]
+    axis = axes[:, int(np.argmin(unlike.round(3)))]
     axis = axis * np.sign(axis[int(np.argmax(np.abs(axis).round(6)))])
     for sense in (1.0, -1.0):
         frame = storable(SE3(align_axis(_UP, sense * axis), mesh.center_of_mass))

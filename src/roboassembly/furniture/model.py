@@ -272,7 +272,7 @@ class Furniture:
         for fastener in self.fasteners:
             if not fastener.joins or not set(fastener.joins) <= set(range(n)):
                 raise FurnitureError(
-                    f"{self.name}: fastener '{fastener.name}' joins {list(fastener.joins)}; expected parts of 0..{n - 1}"
+                    f"{self.name}: fastener '{fastener.name}' joins {[*fastener.joins]}; expected parts of 0..{n - 1}"
                 )
         members = sorted(m for c in self.classes for m in c.members)
         if members != list(range(n)):

@@ -1,4 +1,4 @@
-"""Fasteners of generated furniture: screws or dowels along the axis of a joint, through the thinner part into the other.
+"""Fasteners of generated furniture: screws or dowels along the axis of a joint, through one part into the other.
 
 They are found from the contacts of the finished parts, so they take no part in the random draws of a family: with or
 without them, the parts have the same shapes but for holes.
@@ -90,12 +90,15 @@ def _line(
     return None
 
 
-def _outer(rays: Rays, start: Float[np.ndarray, "3"], direction: Float[np.ndarray, "3"], nearest: bool = False) -> float:
+def _outer(
+    rays: Rays, start: Float[np.ndarray, "3"], direction: Float[np.ndarray, "3"], nearest: bool = False
+) -> float:
     """Return how far a part reaches along a direction [m]: to its farthest surface, or to its nearest one.
 
     Without a surface it is 0, or infinite for the nearest one.
     """
-    reach, here = [], np.array(start, dtype=float)
+    reach: list[float] = []
+    here = np.array(start, dtype=float)
     for _ in range(8):
         (distance,), _ = rays.first_hits(here[None], np.asarray(direction)[None])
         if not np.isfinite(distance):

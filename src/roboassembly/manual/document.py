@@ -83,8 +83,8 @@ def _cover(manual: Manual) -> Page:
     page.text(left, HEIGHT - 42, name, 34, bold=True)
     count, steps = len(furniture.parts), len(manual.steps)
     fasteners = f", {len(furniture.fasteners)} fasteners" if furniture.fasteners else ""
-    words = f"Assembly manual: {count} parts{fasteners}, {steps} step{'s' if steps != 1 else ''}"
-    page.text(left, HEIGHT - 54, words, 14, ink=GREY)
+    line = f"Assembly manual: {count} parts{fasteners}, {steps} step{'s' if steps != 1 else ''}"
+    page.text(left, HEIGHT - 54, line, 14, ink=GREY)
     figures = _whole(manual)
     box = Box(left, 48, right, HEIGHT - 70)
     add_drawing(page, place(figures, best_camera(figures, UPRIGHT), box, largest=10.0), plain=True)

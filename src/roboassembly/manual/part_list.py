@@ -70,10 +70,10 @@ _Sized = tuple[float, tuple[int, ...], tuple[int, int, int], Float[np.ndarray, "
 """Negative volume of the box around a kind, its members, its sizes, axes and mesh."""
 
 
-def _sized(kinds: Sequence[tuple[int, ...]], meshes: Sequence[Mesh]) -> list[_Sized]:
+def _sized(groups: Sequence[tuple[int, ...]], meshes: Sequence[Mesh]) -> list[_Sized]:
     """Return kinds with the box around each, the largest first."""
     found: list[_Sized] = []
-    for members, mesh in zip(kinds, meshes, strict=True):
+    for members, mesh in zip(groups, meshes, strict=True):
         axes, extents = box_around(mesh.hull_vertices, mesh.hull.face_normals, mesh.hull.area_faces)
         length, width, thickness = (max(1, round(MILLIMETRES * x)) for x in extents.tolist())
         found.append((-float(np.prod(extents)), members, (length, width, thickness), axes, mesh))

@@ -22,7 +22,15 @@ from roboassembly.manual.pictures import (
     place,
 )
 from roboassembly.manual.steps import FastenerWay, Manual, ManualStep, Mover, joint_depth
-from roboassembly.manual.viewpoints import JointSpot, Sight, best_camera, coming_keys, joint_spots, step_camera, step_figures
+from roboassembly.manual.viewpoints import (
+    JointSpot,
+    Sight,
+    best_camera,
+    coming_keys,
+    joint_spots,
+    step_camera,
+    step_figures,
+)
 
 HAND = 90.0
 """Breadth of a hand: joints with a smaller contact are enlarged [mm]."""

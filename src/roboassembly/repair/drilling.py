@@ -28,9 +28,7 @@ _SPLINTER = 0.01
 """Share of a part's volume below which a piece that a hole cuts off is dropped."""
 
 
-def drill(
-    parts: Sequence[RawPart], raw: Sequence[RawFastener]
-) -> tuple[tuple[RawPart, ...], tuple[Fastener, ...]]:
+def drill(parts: Sequence[RawPart], raw: Sequence[RawFastener]) -> tuple[tuple[RawPart, ...], tuple[Fastener, ...]]:
     """Return the parts with holes for all fasteners, and the fasteners with what they join.
 
     Args:
@@ -46,8 +44,10 @@ def drill(
         placed = mesh.transformed(place)
         joined = [index for index, part in enumerate(parts) if _touches(part.mesh, placed)]
         if not joined:
-            raise FurnitureError(f"fastener '{fastener.name}' touches no part within {1e3 * REACH:g} mm; move it to the "
-                                 "parts that it joins, or leave it out")  # fmt: skip
+            raise FurnitureError(
+                f"fastener '{fastener.name}' touches no part within {1e3 * REACH:g} mm; move it to the parts that it "
+                "joins, or leave it out"
+            )
         hole = _hole(profile_of(mesh), place)
         for index in joined:
             before = solids[index] if index in solids else _solid(parts[index])
@@ -55,10 +55,11 @@ def drill(
         out.append(Fastener(fastener.name, fastener.kind, mesh, place, tuple(joined)))
     drilled: list[RawPart] = []
     for index, part in enumerate(parts):
-        if index in solids:
-            skin = to_surface(solids[index])
-            part = RawPart(part.name, Mesh(skin.vertices, skin.faces), part.label)  # noqa: PLW2901
-        drilled.append(part)
+        if index not in solids:
+            drilled.append(part)
+            continue
+        skin = to_surface(solids[index])
+        drilled.append(RawPart(part.name, Mesh(skin.vertices, skin.faces), part.label))
     return tuple(drilled), tuple(out)
 
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from itertools import groupby
+from itertools import groupby, pairwise
 
 import numpy as np
+from jaxtyping import Float
 
 from roboassembly.geometry.poses import SE3
 from roboassembly.rendering.colors import Role
@@ -82,11 +83,11 @@ def insertion_frames(plan: Plan, after: int, rest: Frame, count: int) -> Iterato
 def _along(insertion: Insertion, fraction: float) -> SE3:
     """Return the pose of a fastener at a fraction of its way, with its group where it lies."""
     path: Sequence[SE3] = insertion.path
-    lengths = np.array([path_length([a, b], _TURN_REACH) for a, b in zip(path[:-1], path[1:], strict=True)])
-    reached = np.concatenate([[0.0], np.cumsum(lengths)])
+    lengths = np.array([path_length([a, b], _TURN_REACH) for a, b in pairwise(path)])
+    reached: Float[np.ndarray, "n"] = np.concatenate([[0.0], np.cumsum(lengths)])
     at = fraction * reached[-1]
     edge = min(int(np.searchsorted(reached, at, side="right")) - 1, len(lengths) - 1)
-    part = (at - reached[edge]) / lengths[edge] if lengths[edge] > 0.0 else 1.0
+    part = float((at - reached[edge]) / lengths[edge]) if lengths[edge] > 0.0 else 1.0
     pose = pose_between(path[edge], path[edge + 1], float(np.clip(part, 0.0, 1.0)))
     return SE3(pose.rotation, pose.translation - np.array([0.0, 0.0, insertion.lift]))
 

@@ -79,9 +79,11 @@ class PlanAnimator:
         return with_fasteners(plan, self._resting(plan.final_poses, None, Phase.FINALE, text), len(plan.steps))
 
     def step(self, index: int) -> Iterator[Frame]:
-        """Yield the frames of one step, and of the fasteners that go in after it; before the first step, those as well."""
+        """Yield the frames of one step and of the fasteners after it; with the first step, also of those before it."""
         if index == 0:
-            yield from insertion_frames(self.plan, -1, self._resting(self.plan.initial, 0, Phase.INSERTING, ""), self._pace)
+            yield from insertion_frames(
+                self.plan, -1, self._resting(self.plan.initial, 0, Phase.INSERTING, ""), self._pace
+            )
         yield from (with_fasteners(self.plan, frame, index - 1) for frame in self._merge(index))
         rest = self._resting(self.plan.steps[index].after, index, Phase.INSERTING, "")
         yield from insertion_frames(self.plan, index, rest, self._pace)

@@ -1,12 +1,13 @@
 """Fasteners of an assembled piece: when each goes in, and the straight way on which it does.
 
-Fasteners are put in after a step: into a group that lies on the ground, and that is raised above the ground if the way in
-comes from below. A fastener goes in as soon as all parts that it joins are in one group and a way in is free. What is
-hidden once the parts are joined, such as a dowel between two boards, goes into one of them before; the paths of all later
-steps must then be free with it. All ways are checked exactly, with the meshes.
+Fasteners are put in after a step: into a group that lies on the ground, and that is raised above the ground if the way
+in comes from below. A fastener goes in as soon as all parts that it joins are in one group and a way in is free. What
+is hidden once the parts are joined, such as a dowel between two boards, goes into one of them before; the paths of all
+later steps must then be free with it, or are planned again. All ways are checked with exact meshes, the fastener's as
+the body of revolution that it covers in every turn.
 
-Like the motion that sets the piece upright, insertions are planned when a plan is to be shown. Environments, rewards and
-the planning steps of merges know nothing of them.
+Like the motion that sets the piece upright, insertions are planned when a plan is to be shown. Environments, rewards
+and the planning steps of merges know nothing of them.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
+from jaxtyping import Float
 
 from roboassembly.furniture.fasteners import has_head, profile_of, revolved
 from roboassembly.furniture.model import Fastener, Furniture
@@ -42,7 +44,7 @@ _NOT_IN_PLACE = "the parts that it joins are not where the furniture has them"
 
 
 @dataclass(frozen=True, eq=False)
-class _Moment:
+class _RestState:
     """State between two steps: which parts are joined, and where all are."""
 
     after: int
@@ -89,39 +91,41 @@ class _Planner:
             self.solids[fastener.mesh] = revolved(profile_of(fastener.mesh))
         return self.solids[fastener.mesh]
 
-    def moments(self) -> list[_Moment]:
+    def rest_states(self) -> list[_RestState]:
         """Return all states in which fasteners may go in."""
         groups = tuple(frozenset((p,)) for p in range(len(self.furniture.parts)))
-        out = [_Moment(-1, groups, self.plan.initial)]
+        out = [_RestState(-1, groups, self.plan.initial)]
         for index, step in enumerate(self.plan.steps):
             merged = frozenset((*step.moving, *step.waiting))
             groups = (*(g for g in groups if not g & merged), merged)
-            out.append(_Moment(index, groups, step.after))
+            out.append(_RestState(index, groups, step.after))
         if self.plan.upright is not None and self.plan.upright.motion is not None:
-            out.append(_Moment(len(self.plan.steps), groups, self.plan.upright.motion.after))
+            out.append(_RestState(len(self.plan.steps), groups, self.plan.upright.motion.after))
         return out
 
-    def insert(self, index: int, moments: Sequence[_Moment]) -> Insertion | str:
+    def insert(self, index: int, rest_states: Sequence[_RestState]) -> Insertion | str:
         """Return when and how a fastener goes in, or the reason why it does not."""
         fastener = self.furniture.fasteners[index]
         joins = frozenset(self.part_in[slot] for slot in fastener.joins)
         reason = ""
-        for moment, host in _places([m for m in moments if self.after is None or m.after in self.after], joins):
+        for rest, host in _places([m for m in rest_states if self.after is None or m.after in self.after], joins):
             place = self._in_parts(fastener, host)
-            candidate = _Placed(index, moment.after, host, place)
-            found = self._way_in(fastener, moment, host, place)
+            candidate = _Placed(index, rest.after, host, place)
+            found = self._way_in(fastener, rest, host, place)
             if found is None:
                 reason = reason or "no straight way in is free along its axis"
                 continue
-            paths = self._later_paths(candidate, moments)
+            paths = self._later_paths(candidate, rest_states)
             if paths is None:
                 reason = "a later step would hit it"
                 continue
-            self.steps = [replace(s, path=path) if path != s.path else s for s, path in zip(self.steps, paths, strict=True)]
+            self.steps = [
+                replace(s, path=path) if path != s.path else s for s, path in zip(self.steps, paths, strict=True)
+            ]
             self.placed.append(candidate)
             path, lift = found
             anchor = min(host)
-            return Insertion(index, moment.after, anchor, place[anchor], path, lift, self.states)
+            return Insertion(index, rest.after, anchor, place[anchor], path, lift, self.states)
         return reason
 
     def _in_parts(self, fastener: Fastener, host: frozenset[int]) -> dict[int, SE3]:
@@ -139,22 +143,22 @@ class _Planner:
         return tuple(shapes)
 
     def _way_in(
-        self, fastener: Fastener, moment: _Moment, host: frozenset[int], place: dict[int, SE3]
+        self, fastener: Fastener, rest: _RestState, host: frozenset[int], place: dict[int, SE3]
     ) -> tuple[tuple[SE3, ...], float] | None:
         """Return the way in from outside to the place, and how far the group is raised; None if it is not free."""
-        group = next(g for g in moment.groups if host <= g)
+        group = next(g for g in rest.groups if host <= g)
         anchor = min(host)
-        goal = moment.poses[anchor] * place[anchor]
+        goal = rest.poses[anchor] * place[anchor]
         senses = (1.0,) if has_head(profile_of(fastener.mesh)) else (1.0, -1.0)
         for sense in senses:
-            way = _way(fastener, goal, sense, self._length(group, moment, goal, -sense * goal.rotation[:, 2]))
+            way = _way(fastener, goal, sense, self._length(fastener, group, rest, goal, -sense * goal.rotation[:, 2]))
             lowest = min(float((fastener.mesh.hull_vertices @ p.rotation[2]).min() + p.translation[2]) for p in way)
             lift = SE3(np.eye(3), np.array([0.0, 0.0, max(0.0, _RAISED - lowest)]))
-            raised = [lift * pose for pose in moment.poses]
-            still = [Body("group", self._shapes(group, raised, moment.after), SE3.Identity())]
+            raised = [lift * pose for pose in rest.poses]
+            still = [Body("group", self._shapes(group, raised, rest.after), SE3.Identity())]
             still += [
-                Body(f"other{k}", self._shapes(other, moment.poses, moment.after), SE3.Identity())
-                for k, other in enumerate(moment.groups)
+                Body(f"other{k}", self._shapes(other, rest.poses, rest.after), SE3.Identity())
+                for k, other in enumerate(rest.groups)
                 if other != group
             ]
             path = tuple(lift * pose for pose in way)
@@ -164,12 +168,15 @@ class _Planner:
                 return path, float(lift.translation[2])
         return None
 
-    def _length(self, group: frozenset[int], moment: _Moment, goal: SE3, out: np.ndarray) -> float:
+    def _length(
+        self, fastener: Fastener, group: frozenset[int], rest: _RestState, goal: SE3, out: Float[np.ndarray, "3"]
+    ) -> float:
         """Return how far a fastener must move out until it is clear of a group, and `OUTSIDE` farther [m]."""
         corners = np.concatenate(
-            [transform_points(moment.poses[p], self.furniture.parts[p].mesh.hull_vertices) for p in sorted(group)]
+            [transform_points(rest.poses[p], self.furniture.parts[p].mesh.hull_vertices) for p in sorted(group)]
         )
-        return max(0.0, float(((corners - goal.translation) @ out).max())) + OUTSIDE
+        own = float(np.ptp(fastener.mesh.vertices[:, 2]))
+        return max(0.0, float(((corners - goal.translation) @ out).max())) + own + OUTSIDE
 
     def _is_free(self, mover: Body, still: Sequence[Body], path: Sequence[SE3]) -> bool:
         world = CollisionWorld(Scene((mover, *still)))
@@ -177,7 +184,7 @@ class _Planner:
         self.states += world.states
         return free
 
-    def _later_paths(self, candidate: _Placed, moments: Sequence[_Moment]) -> list[tuple[SE3, ...]] | None:
+    def _later_paths(self, candidate: _Placed, rest_states: Sequence[_RestState]) -> list[tuple[SE3, ...]] | None:
         """Return the paths of all steps with a fastener in; None if it would be hit, or would sink into the ground.
 
         A path that it blocks is planned again with it.
@@ -190,29 +197,29 @@ class _Planner:
             at = pose * place
             return float((mesh.hull_vertices @ at.rotation[2]).min() + at.translation[2]) > 0.0
 
-        if not all(above(m.poses[part]) for m in moments if m.after > candidate.after):
+        if not all(above(m.poses[part]) for m in rest_states if m.after > candidate.after):
             return None
         out = [step.path for step in self.steps]
         for index, step in enumerate(self.steps):
             if index <= candidate.after:
                 continue
-            goes = part in step.moving
-            own = Shape(mesh, (step.moving if goes else step.still)[part] * place)
+            is_mover = part in step.moving
+            own = Shape(mesh, (step.moving if is_mover else step.still)[part] * place)
             moving, waiting, others = self._bodies(index)
             # What is there already is free of each other; only the new fastener has to be tested.
-            mover, obstacle = ((own,), (*waiting, *others)) if goes else (moving, (own,))
+            mover, obstacle = ((own,), (*waiting, *others)) if is_mover else (moving, (own,))
             bodies = [Body("mover", mover, step.path[0], moves=True), Body("obstacle", obstacle, SE3.Identity())]
-            if (goes or above(step.still[part])) and self._is_free(bodies[0], bodies[1:], step.path):
+            if (is_mover or above(step.still[part])) and self._is_free(bodies[0], bodies[1:], step.path):
                 continue
-            whole = (*moving, own) if goes else moving
-            path = self._planned(index, whole, waiting if goes else (*waiting, own), others, candidate)
+            whole = (*moving, own) if is_mover else moving
+            path = self._planned(index, whole, waiting if is_mover else (*waiting, own), others, candidate)
             if path is None:
                 return None
             out[index] = path
         return out
 
     def _bodies(self, index: int) -> tuple[tuple[Shape, ...], tuple[Shape, ...], tuple[Shape, ...]]:
-        """Return the shapes of a step with their fasteners: moving ones in their group, waiting and other ones in the world."""
+        """Return shapes of a step with fasteners: moving ones in their group, waiting and other ones in the world."""
         step, count = self.steps[index], len(self.furniture.parts)
         still = [step.still.get(p, SE3.Identity()) for p in range(count)]
         own = [step.moving.get(p, SE3.Identity()) for p in range(count)]
@@ -227,24 +234,25 @@ class _Planner:
         self, index: int, moving: tuple[Shape, ...], waiting: tuple[Shape, ...], others: tuple[Shape, ...],
         candidate: _Placed,
     ) -> tuple[SE3, ...] | None:  # fmt: skip
-        """Return a new path for a step with a fastener in, out of its joint along the fastener; None if there is none."""
+        """Return a new path for a step with a fastener in, along the fastener out of its joint; None without one."""
         step = self.steps[index]
+        path: Sequence[SE3] = step.path
         part, place = next(iter(candidate.part_from_fastener.items()))
-        at = (step.path[-1] * step.moving[part] if part in step.moving else step.still[part]) * place
+        at = (path[-1] * step.moving[part] if part in step.moving else step.still[part]) * place
         axis = at.rotation[:, 2]
-        first = step.path[-2].translation - step.path[-1].translation if len(step.path) > 1 else axis
+        first = path[-2].translation - path[-1].translation if len(path) > 1 else axis
         away = axis if float(first @ axis) >= 0.0 else -axis
-        mover = Body("moving", moving, step.path[0], moves=True)
+        mover = Body("moving", moving, path[0], moves=True)
         scene = Scene((mover, Body("waiting", waiting, SE3.Identity()), Body("others", others, SE3.Identity())))
         world = CollisionWorld(scene, box_axes=at.rotation)
-        problem = MatingProblem(step.path[0], step.path[-1], "waiting", (away, -away))
+        problem = MatingProblem(path[0], path[-1], "waiting", (away, -away))
         found = plan_mating(world, problem, Budget(states=_BUDGET), self.plan.seed)
         self.states += world.states
         return found.path if found.solved else None
 
 
 def with_insertions(plan: Plan, after: Collection[int] | None = None) -> Plan:
-    """Return the plan with the insertions of the furniture's fasteners, and with the reason for each that has no way in.
+    """Return the plan with the insertions of its fasteners, and with the reason for each that has no way in.
 
     A plan that did not succeed, or of furniture without fasteners, comes back as it is. The same plan gives the same
     insertions.
@@ -261,12 +269,12 @@ def with_insertions(plan: Plan, after: Collection[int] | None = None) -> Plan:
         left = tuple((index, _NOT_IN_PLACE) for index in range(len(furniture.fasteners)))
         return replace(plan, not_inserted=left)
     planner = _Planner(plan, frame, _parts_in_slots(furniture, plan.final_poses, frame), list(plan.steps), after)
-    moments = planner.moments()
+    rest_states = planner.rest_states()
     done: list[Insertion] = []
     failed: list[tuple[int, str]] = []
     for index in range(len(furniture.fasteners)):
         planner.states = 0
-        found = planner.insert(index, moments)
+        found = planner.insert(index, rest_states)
         if isinstance(found, Insertion):
             done.append(found)
         else:
@@ -286,15 +294,15 @@ def _parts_in_slots(furniture: Furniture, poses: Sequence[SE3], frame: SE3) -> d
     return out
 
 
-def _places(moments: Sequence[_Moment], joins: frozenset[int]) -> Iterator[tuple[_Moment, frozenset[int]]]:
+def _places(rest_states: Sequence[_RestState], joins: frozenset[int]) -> Iterator[tuple[_RestState, frozenset[int]]]:
     """Yield states in which a fastener may go in, with the parts that hold it: joined ones first, early ones first."""
-    whole = [m for m in moments if any(joins <= g for g in m.groups)]
-    yield from ((moment, joins) for moment in whole)
-    before = [m for m in moments if m not in whole]
-    for moment in reversed(before):
-        for group in sorted(moment.groups, key=sorted):
+    whole = [m for m in rest_states if any(joins <= g for g in m.groups)]
+    yield from ((rest, joins) for rest in whole)
+    before = [m for m in rest_states if m not in whole]
+    for rest in reversed(before):
+        for group in sorted(rest.groups, key=sorted):
             if group & joins:
-                yield moment, group & joins
+                yield rest, group & joins
 
 
 def _way(fastener: Fastener, goal: SE3, sense: float, length: float) -> tuple[SE3, ...]:
