@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from typing import get_args
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from roboassembly.errors import FurnitureError, InputError
 from roboassembly.furniture.model import MIN_PARTS, FastenerKind, RawFastener, RawFurniture, RawPart
@@ -82,7 +82,7 @@ def separate_fasteners(raw: RawFurniture, patterns: Sequence[FastenerPattern] = 
     Raises:
         FurnitureError: a pattern matches no part, or fewer than two ordinary parts are left.
     """
-    kind_of = {part.name: _kind(part, patterns) for part in raw.parts}
+    kind_of: dict[str, FastenerKind | None] = {part.name: _kind(part, patterns) for part in raw.parts}
     for pattern in patterns:
         if not any(pattern.matches(part.name) for part in raw.parts):
             names = ", ".join(part.name for part in raw.parts[:5]) + ", ..." * (len(raw.parts) > 5)
@@ -119,7 +119,8 @@ def _kind(part: RawPart, patterns: Sequence[FastenerPattern]) -> FastenerKind | 
 
 
 def _kind_of_words_of(name: str) -> FastenerKind:
-    return next((_KIND_OF_WORD[word] for word in _words_of(name) if word in _KIND_OF_WORD), "dowel")
+    default: FastenerKind = "dowel"
+    return next((_KIND_OF_WORD[word] for word in _words_of(name) if word in _KIND_OF_WORD), default)
 
 
 def _words_of(name: str) -> list[str]:
@@ -138,7 +139,7 @@ class Profile:
     def near(self, other: Profile) -> bool:
         """Return whether two profiles are equal up to `_SAME`."""
         ends = float(np.abs(self.heights[[0, -1]] - other.heights[[0, -1]]).max()) < _SAME
-        grid = np.linspace(self.heights[0] + _SAME, self.heights[-1] - _SAME, 4 * _LEVELS)
+        grid = np.linspace(float(self.heights[0]) + _SAME, float(self.heights[-1]) - _SAME, 4 * _LEVELS)
         mine, its = self._radii_at(grid), other._radii_at(grid)
         # Heights of steps may differ by rounding: a few samples beside a step do not count.
         return ends and float((np.abs(mine - its) < _SAME).mean()) > 0.95
@@ -168,13 +169,14 @@ def revolved(profile: Profile, sides: int = 24) -> Mesh:
 def profile_of(mesh: Mesh) -> Profile:
     """Return the profile of a mesh about the z axis of its frame."""
     z = mesh.vertices[:, 2]
-    heights: Float[np.ndarray, "k+1"] = np.unique(np.round(z / _GRAIN)) * _GRAIN
+    low_end, high_end = float(z.min()), float(z.max())
+    heights = np.asarray(np.unique(np.round(z / _GRAIN)) * _GRAIN, dtype=float)
     if len(heights) > _LEVELS:
-        heights = np.linspace(heights[0], heights[-1], _LEVELS + 1)
-    heights[0], heights[-1] = z.min(), z.max()
+        heights = np.linspace(low_end, high_end, _LEVELS + 1)
+    heights[0], heights[-1] = low_end, high_end
     radius = np.linalg.norm(mesh.vertices[:, :2], axis=1)[mesh.faces].max(axis=1)
     low, high = z[mesh.faces].min(axis=1) + _GRAIN, z[mesh.faces].max(axis=1) - _GRAIN
-    over: Bool[np.ndarray, "k f"] = (low[None] < heights[1:, None]) & (high[None] > heights[:-1, None])
+    over = np.asarray((low[None] < heights[1:, None]) & (high[None] > heights[:-1, None]), dtype=bool)
     return Profile(heights, np.where(over, radius[None], 0.0).max(axis=1))
 
 

@@ -85,10 +85,11 @@ def _along(insertion: Insertion, fraction: float) -> SE3:
     path: Sequence[SE3] = insertion.path
     lengths = np.array([path_length([a, b], _TURN_REACH) for a, b in pairwise(path)])
     reached: Float[np.ndarray, "n"] = np.concatenate([[0.0], np.cumsum(lengths)])
-    at = fraction * reached[-1]
+    at = fraction * float(reached[-1])
     edge = min(int(np.searchsorted(reached, at, side="right")) - 1, len(lengths) - 1)
-    part = float((at - reached[edge]) / lengths[edge]) if lengths[edge] > 0.0 else 1.0
-    pose = pose_between(path[edge], path[edge + 1], float(np.clip(part, 0.0, 1.0)))
+    length = float(lengths[edge])
+    part = (at - float(reached[edge])) / length if length > 0.0 else 1.0
+    pose = pose_between(path[edge], path[edge + 1], min(max(part, 0.0), 1.0))
     return SE3(pose.rotation, pose.translation - np.array([0.0, 0.0, insertion.lift]))
 
 

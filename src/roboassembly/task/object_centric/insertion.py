@@ -236,16 +236,15 @@ class _Planner:
     ) -> tuple[SE3, ...] | None:  # fmt: skip
         """Return a new path for a step with a fastener in, along the fastener out of its joint; None without one."""
         step = self.steps[index]
-        path: Sequence[SE3] = step.path
+        start, goal = step.path[0], step.path[-1]
         part, place = next(iter(candidate.part_from_fastener.items()))
-        at = (path[-1] * step.moving[part] if part in step.moving else step.still[part]) * place
+        at = (goal * step.moving[part] if part in step.moving else step.still[part]) * place
         axis = at.rotation[:, 2]
-        first = path[-2].translation - path[-1].translation if len(path) > 1 else axis
-        away = axis if float(first @ axis) >= 0.0 else -axis
-        mover = Body("moving", moving, path[0], moves=True)
+        away = axis if float((step.path[-2:][0].translation - goal.translation) @ axis) >= 0.0 else -axis
+        mover = Body("moving", moving, start, moves=True)
         scene = Scene((mover, Body("waiting", waiting, SE3.Identity()), Body("others", others, SE3.Identity())))
         world = CollisionWorld(scene, box_axes=at.rotation)
-        problem = MatingProblem(path[0], path[-1], "waiting", (away, -away))
+        problem = MatingProblem(start, goal, "waiting", (away, -away))
         found = plan_mating(world, problem, Budget(states=_BUDGET), self.plan.seed)
         self.states += world.states
         return found.path if found.solved else None
