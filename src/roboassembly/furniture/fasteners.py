@@ -60,7 +60,7 @@ def parse_pattern(text: str) -> FastenerPattern:
     kind, separator, pattern = text.partition("=")
     if not separator:
         kind, pattern = "", text
-    known = next((k for k in FASTENER_KINDS if k == kind), None)
+    known: FastenerKind | None = next((k for k in FASTENER_KINDS if k == kind), None)
     if (separator and known is None) or not pattern:
         raise InputError(
             f"--fastener '{text}' is not PATTERN or KIND=PATTERN with one of {', '.join(FASTENER_KINDS)}, such as "
@@ -88,7 +88,11 @@ def separate_fasteners(raw: RawFurniture, patterns: Sequence[FastenerPattern] = 
             names = ", ".join(part.name for part in raw.parts[:5]) + ", ..." * (len(raw.parts) > 5)
             raise FurnitureError(f"--fastener '{pattern.pattern}' matches no part; the parts are {names}")
     ordinary = tuple(part for part in raw.parts if kind_of[part.name] is None)
-    fasteners = tuple(RawFastener(p.name, kind, p.mesh) for p in raw.parts if (kind := kind_of[p.name]) is not None)
+    fasteners: list[RawFastener] = []
+    for part in raw.parts:
+        kind = kind_of[part.name]
+        if kind is not None:
+            fasteners.append(RawFastener(part.name, kind, part.mesh))
     if fasteners and len(ordinary) < MIN_PARTS:
         raise FurnitureError(f"{len(fasteners)} of {len(raw.parts)} parts are fasteners; furniture has {MIN_PARTS} or "
                              "more other parts: give a narrower --fastener")  # fmt: skip
@@ -102,7 +106,7 @@ def separate_fasteners(raw: RawFurniture, patterns: Sequence[FastenerPattern] = 
         count = "1 part is" if len(alike) == 1 else f"{len(alike)} parts are"
         remarks.append(f"{count} named like fasteners ({listed}) and imported as ordinary parts; "
                        f"if they are fasteners, add --fastener '*{word}*'")  # fmt: skip
-    return replace(raw, parts=ordinary, fasteners=fasteners, remarks=(*raw.remarks, *remarks))
+    return replace(raw, parts=ordinary, fasteners=tuple(fasteners), remarks=(*raw.remarks, *remarks))
 
 
 def counted(fastener_kinds: Sequence[FastenerKind]) -> str:
@@ -113,14 +117,16 @@ def counted(fastener_kinds: Sequence[FastenerKind]) -> str:
 def _kind(part: RawPart, patterns: Sequence[FastenerPattern]) -> FastenerKind | None:
     for pattern in patterns:
         if pattern.matches(part.name):
-            return pattern.kind or _kind_of_words_of(part.name)
+            return pattern.kind or _kind_of_words(part.name)
     last = part.label.rpartition("/")[2]
-    return _kind_of_words_of(last) if part.label and _SURE & set(_words_of(last)) else None
+    return _kind_of_words(last) if part.label and _SURE & set(_words_of(last)) else None
 
 
-def _kind_of_words_of(name: str) -> FastenerKind:
-    default: FastenerKind = "dowel"
-    return next((_KIND_OF_WORD[word] for word in _words_of(name) if word in _KIND_OF_WORD), default)
+def _kind_of_words(name: str) -> FastenerKind:
+    for word in _words_of(name):
+        if word in _KIND_OF_WORD:
+            return _KIND_OF_WORD[word]
+    return "dowel"
 
 
 def _words_of(name: str) -> list[str]:
