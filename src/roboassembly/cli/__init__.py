@@ -23,6 +23,7 @@ from roboassembly.cli.generate import GenerateCommand
 from roboassembly.cli.importing import ImportCommand
 from roboassembly.cli.manual import ManualCommand
 from roboassembly.cli.output import FAILED, allow_closed_stdout, guard_terminal, plain, print_json, say, show
+from roboassembly.cli.stability import StabilityCommand
 from roboassembly.cli.train import TrainCommand
 from roboassembly.cli.view import ViewCommand
 from roboassembly.errors import InputError, RoboAssemblyError
@@ -30,6 +31,7 @@ from roboassembly.errors import InputError, RoboAssemblyError
 Command = (
     Annotated[AssembleCommand, tyro.conf.subcommand("assemble")]
     | Annotated[ManualCommand, tyro.conf.subcommand("manual")]
+    | Annotated[StabilityCommand, tyro.conf.subcommand("stability")]
     | Annotated[ViewCommand, tyro.conf.subcommand("view")]
     | Annotated[ImportCommand, tyro.conf.subcommand("import")]
     | Annotated[GenerateCommand, tyro.conf.subcommand("generate")]
