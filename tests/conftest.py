@@ -17,10 +17,14 @@ from roboassembly.datasets import catalogue
 from roboassembly.datasets import sets as datasets
 from roboassembly.furniture.model import Furniture
 from roboassembly.rendering import gl
+from roboassembly.settings import set_upright
 from roboassembly.solvers.disassembly import Disassembly, partition_of
 from roboassembly.solvers.options import grasping
+from roboassembly.solvers.search import solve
 from roboassembly.task.full.task import FullTask
+from roboassembly.task.object_centric.insertion import with_insertions
 from roboassembly.task.plans.full_plan import FullPlan
+from roboassembly.task.plans.plan import Plan
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -48,8 +52,10 @@ def _furniture_made_once() -> Iterator[None]:
     """Built-in furniture is made once a session: it never changes, and annotation takes long."""
     made = cache(catalogue.make)
 
-    def make(family: str, seed: int = 0, version: int = 0, *, with_grasps: bool = True) -> Furniture:
-        return made(family, seed, version, with_grasps=with_grasps)
+    def make(
+        family: str, seed: int = 0, version: int = 0, *, with_grasps: bool = True, fasteners: bool = False
+    ) -> Furniture:
+        return made(family, seed, version, with_grasps=with_grasps, fasteners=fasteners)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(catalogue, "make", make)
@@ -128,6 +134,16 @@ def stand() -> Furniture:
 @pytest.fixture(scope="session")
 def armchair() -> Furniture:
     return shapes.armchair()
+
+
+@pytest.fixture(scope="session")
+def fastened() -> Furniture:
+    return shapes.fastened()
+
+
+@pytest.fixture(scope="session")
+def fastened_plan(fastened: Furniture) -> Plan:
+    return with_insertions(set_upright(solve(fastened, 0).plan))
 
 
 @pytest.fixture(scope="session")

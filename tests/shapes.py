@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -12,10 +13,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from roboassembly.furniture.annotate import annotate
-from roboassembly.furniture.model import Furniture, Provenance, RawPart
+from roboassembly.furniture.model import Furniture, Provenance, RawFastener, RawPart
 from roboassembly.geometry.meshes import Mesh
-from roboassembly.geometry.poses import SE3, interpolate, transform_points
+from roboassembly.geometry.poses import SE3, align_axis, interpolate, transform_points
 from roboassembly.geometry.scene import Body, Scene, Shape
+from roboassembly.repair.drilling import drill
 from roboassembly.robots.body import placed, world_from_tips
 
 HERE = SE3.Identity()
@@ -139,6 +141,35 @@ def captive_slat() -> Furniture:
     slat = block((-0.175, -0.008, 0.2), (0.175, 0.008, 0.26))
     parts = {"board": board, "left": posts["left"], "right": posts["right"], "slat": slat}
     return furniture("captive slat", {n: of_solid(s) for n, s in parts.items()})
+
+
+def round_bar(start: Sequence[float], end: Sequence[float], radius: float, head: float = 0.0) -> Mesh:
+    """A round bar, with a head of this radius, 4 mm long, at its start."""
+    run = np.subtract(end, start)
+    length = float(np.linalg.norm(run))
+    solid = manifold3d.Manifold.cylinder(length, radius, radius, 24)
+    if head:
+        solid += manifold3d.Manifold.cylinder(0.004, head, head, 24)
+    frame = align_axis(np.array([0.0, 0.0, 1.0]), run / length)
+    return of_solid(solid).transformed(SE3(frame, np.asarray(start, dtype=float)))
+
+
+def fastened() -> Furniture:
+    """A board between two sides: 0 board, 1 left, 2 right. At each side a dowel within, and a screw from outside."""
+    c = GAP
+    boards = {
+        "board": box((-0.2 + c, -0.1, 0.1), (0.2 - c, 0.1, 0.12)),
+        "left": box((-0.22, -0.1, 0.0), (-0.2, 0.1, 0.3)),
+        "right": box((0.2, -0.1, 0.0), (0.22, 0.1, 0.3)),
+    }
+    raw: list[RawFastener] = []
+    for side, sense in (("left", -1.0), ("right", 1.0)):
+        ends = [(sense * x, -sense * 0.05, 0.11) for x in (0.215, 0.185)]
+        raw.append(RawFastener(f"dowel_{side}", "dowel", round_bar(*ends, 0.004)))
+        ends = [(sense * x, sense * 0.05, 0.11) for x in (0.224, 0.17)]
+        raw.append(RawFastener(f"screw_{side}", "screw", round_bar(*ends, 0.002, 0.005)))
+    parts, fasteners = drill([RawPart(n, m) for n, m in boards.items()], raw)
+    return replace(annotate("fastened", parts, Provenance("hand-made")), fasteners=fasteners)
 
 
 def interlocked() -> Furniture:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import socket
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
@@ -20,8 +21,9 @@ from websockets.typing import Origin, Subprotocol
 from roboassembly.studio.access import Access
 from roboassembly.studio.client_session import ClientSession
 from roboassembly.studio.config import StudioConfig
+from roboassembly.studio.page_commands import LINK
 from roboassembly.studio.server import run_studio
-from roboassembly.studio.viser_internals import identifier_of
+from roboassembly.studio.viser_internals import controls_of, identifier_of
 
 CAMERA = _messages.ViewerCameraMessage(
     (1.0, 0.0, 0.0, 0.0), (2.0, 2.0, 1.0), 0.6, 0.01, 100.0, 600, 800, (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)
@@ -92,6 +94,10 @@ class Browser:
     def press(self, button: GuiButtonHandle) -> None:
         self.set(button, True)
 
+    def command(self, client: ClientSession, text: str) -> None:
+        """Type a command of the page, such as `1 steps`."""
+        self.set(link_of(client), text)
+
     def click(self, origin: Any, direction: Any) -> None:
         """A click on what lies along a ray; the direction, of any length, is sent as the page does."""
         self.send_ray(origin, np.divide(direction, np.linalg.norm(direction)))
@@ -129,8 +135,8 @@ def note_clients(monkeypatch: pytest.MonkeyPatch) -> list[ClientSession]:
     clients: list[ClientSession] = []
     own = ClientSession.__init__
 
-    def noted(self, client, of):
-        own(self, client, of)
+    def noted(self, client, *rest):
+        own(self, client, *rest)
         clients.append(self)
         clients.sort(key=lambda v: v.handle.client_id)
 
@@ -143,6 +149,27 @@ def until(true: Callable[[], bool], seconds: float = 60.0, every: float = 0.02) 
     while not true():
         assert time.monotonic() < end, "it did not come to that"
         time.sleep(every)
+
+
+def link_of(client: ClientSession) -> Any:
+    """The text control that the page types commands into."""
+    return next(c for c in controls_of(client.handle).values() if getattr(c, "label", "") == LINK)
+
+
+def is_open(client: ClientSession) -> bool:
+    """Whether furniture is open and shown."""
+    return client.editor is not None and not len(client.requests)
+
+
+def begin_steps(browser: Browser, client: ClientSession) -> None:
+    """Leave the opening view, as a press on Step by step does."""
+    until(lambda: is_open(client))
+    browser.command(client, "1 steps")
+    until(lambda: client.editor is not None and not client.editor.view.is_opening)
+    # The parts are shown; the thread of the session now draws what is on them.
+    done = threading.Event()
+    client.submit(done.set)
+    assert done.wait(60)
 
 
 def merges(client: ClientSession) -> int:

@@ -275,7 +275,8 @@ def try_arguments(count: int, seed: int, kind: type[AssemblyEnv[Any, Any, Any]],
 
 
 COMMANDS: dict[str, tuple[str, ...]] = {
-    "assemble": ("--setting", "--execution", "--seed", "--out", "--policy", "--no-search", "--no-film", "--json"),
+    "assemble": ("--setting", "--execution", "--seed", "--out", "--policy", "--no-search", "--no-film", "--film-size",
+                 "--json"),
     "import": ("--out", "--scale", "--up", "--jobs", "--no-cache", "--json"),
     "generate": ("--out", "--seed", "--json"),
     "export": ("--out", "--json"),

@@ -6,7 +6,7 @@ python tools/pictures.py film rooms   # some of them, by name
 
 import sys
 import tomllib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from html import escape
 from pathlib import Path
 
@@ -29,8 +29,8 @@ from roboassembly.learning.registry import load_policy
 from roboassembly.manual.document import pages_of, title_of
 from roboassembly.manual.make import make_manual
 from roboassembly.manual.writers import pdf
-from roboassembly.rendering.colors import WOOD, distinct_colors, part_colors
-from roboassembly.rendering.offscreen import STILL, OffscreenRenderer
+from roboassembly.rendering.colors import WOOD, Finish, distinct_colors
+from roboassembly.rendering.renderer import Quality
 from roboassembly.robots.gripper import hand_pose
 from roboassembly.settings import set_upright
 from roboassembly.solvers.full_search import solve_full
@@ -40,11 +40,14 @@ from roboassembly.solvers.search import solve
 from roboassembly.task.object_centric.task import ObjectCentricTask
 from roboassembly.task.rules.groups import TaskState
 from roboassembly.viewer.camera_path import follow
-from roboassembly.viewer.film import render_contact_sheet, render_meshes, write_storyboard
+from roboassembly.viewer.film import film_scene, render_contact_sheet, render_meshes, shots, write_storyboard
+from roboassembly.viewer.film_segments import draw_shots
 from roboassembly.viewer.playback import AnyPlan, make_timeline
 
 ROOT = Path(__file__).parents[1]
 IMAGES = ROOT / "docs" / "images"
+LOOP = Quality(scale=1, samples=4, shadow_size=2048, shadow_taps=(12, 20))
+"""Quality of the film of the README."""
 MANUAL_PAGE = 4
 """Page of a manual that stands for it in README, from 0."""
 GROUPS = [(0.85, 0.65, 0.35), (0.35, 0.55, 0.80), (0.80, 0.40, 0.35), (0.45, 0.70, 0.45), (0.65, 0.50, 0.75)]
@@ -75,7 +78,7 @@ def groups_as_they_lie(furniture: Furniture, state: TaskState, width: int, heigh
     """Draw a state of the object-centric task, each group in its own colour."""
     meshes = [part.mesh for part in furniture.parts]
     colors = [GROUPS[state.group_of[p] % len(GROUPS)] for p in range(len(meshes))]
-    return render_meshes(meshes, state.part_poses, colors, width, height)
+    return render_meshes(meshes, state.part_poses, colors, width, height, finish=Finish.WOOD)
 
 
 def write_dead_end(name: str, path: Path, *, width: int, height: int) -> None:
@@ -94,35 +97,26 @@ def write_dead_end(name: str, path: Path, *, width: int, height: int) -> None:
     iio.imwrite(path, np.concatenate(pictures, axis=1))
 
 
-def frames_of(plan: AnyPlan, *, width: int, height: int, fps: int, seconds_per_step: float) -> Iterator[Image.Image]:
-    """Yield the frames of a plan's film, as sharp as single pictures."""
-    timeline = make_timeline(plan, fps, seconds_per_step)
-    points = timeline.box_corners.reshape(-1, 3)
-    center = 0.5 * (points.min(axis=0) + points.max(axis=0))
-    radius = float(np.linalg.norm(points - center, axis=1).max())
-    meshes = [item.mesh for item in timeline.objects]
-    with OffscreenRenderer(meshes, width, height, center=center, radius=radius, quality=STILL) as renderer:
-        for frame, camera in zip(timeline.frames, follow(timeline, width / height), strict=True):
-            yield Image.fromarray(renderer.picture(frame.poses, part_colors(frame.roles), camera, frame.caption))
-
-
 def write_loop(plan: AnyPlan, path: Path, *, width: int, height: int, fps: int, seconds_per_step: float) -> None:
     """Write the film of a plan as an animated WebP, which code hosts play in a page; it pauses at its end."""
-    first, *others = frames_of(plan, width=width, height=height, fps=fps, seconds_per_step=seconds_per_step)
+    timeline = make_timeline(plan, fps, seconds_per_step)
+    with film_scene(timeline, width, height, LOOP).renderer() as renderer:
+        drawn = draw_shots(renderer, shots(timeline, follow(timeline, width / height)))
+        first, *others = (Image.fromarray(picture) for picture in drawn)
     durations = [*[1000 // fps] * len(others), 3000]
-    first.save(path, save_all=True, append_images=others, duration=durations, loop=0, quality=60, method=4)
+    first.save(path, save_all=True, append_images=others, duration=durations, loop=0, quality=55, method=4)
 
 
 def draw_film() -> None:
     """Draw the film of the README: two robots assemble a chair and set it upright."""
     plan = set_upright(solve_full(catalogue.make("splat", 1), 1).plan)
-    write_loop(plan, IMAGES / "two_robots.webp", width=960, height=540, fps=10, seconds_per_step=3.5)
+    write_loop(plan, IMAGES / "two_robots.webp", width=960, height=540, fps=10, seconds_per_step=4.0)
 
 
 def draw_two_robots() -> None:
     """Draw the steps of a stool that two robots assemble."""
     plan = set_upright(solve_full(catalogue.make("stool"), 0).plan)
-    write_storyboard(plan, IMAGES / "two_robots.png", columns=4, width=480, height=320)
+    write_storyboard(plan, IMAGES / "two_robots_steps.webp")
 
 
 def draw_control() -> None:
@@ -157,7 +151,7 @@ def draw_control() -> None:
 def draw_storyboard() -> None:
     """Draw the steps of a chair whose parts move by themselves."""
     plan = set_upright(solve(catalogue.make("ladder"), 0).plan)
-    write_storyboard(plan, IMAGES / "storyboard.png", columns=4, width=360, height=240)
+    write_storyboard(plan, IMAGES / "storyboard.webp")
 
 
 def draw_sixty() -> None:
@@ -174,6 +168,7 @@ ROOMS = {
     "viewer": "films, pages, playback",
     "evaluation": "rollouts, benchmark table",
     "learning": "policies, paper/ and relational/",
+    "demonstrations": "data sets of control",
     "settings": "what differs between the settings",
     "audit": "plans checked by python-fcl",
     "control": "continuous control",
@@ -192,6 +187,7 @@ ROOMS = {
     "geometry": "poses, meshes, scenes",
     "parallel": "processes, Ray",
     "statistics": "intervals",
+    "atomic_file": "whole files",
     "errors": "one-line errors",
 }
 """What each room of the package holds."""

@@ -10,6 +10,7 @@ import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
+from importlib import resources
 from typing import Any
 from unittest.mock import MagicMock
 
@@ -87,7 +88,15 @@ def test_commands_in_prose_can_be_typed(page: str) -> None:
             assert parse([STAND_INS.get(word, word) for word in words]).run, str(command)
 
 
-FOREIGN = {"--strict": "twine", "--head": "ray", "--address": "ray"}
+FOREIGN = {
+    "--strict": "twine",
+    "--head": "ray",
+    "--address": "ray",
+    "--dataset": "lerobot-train",
+    "--output": "lerobot-train",
+    "--env": "lerobot-eval",
+    "--eval": "lerobot-eval",
+}
 """Options of other programs that pages mention."""
 
 
@@ -246,6 +255,13 @@ def controls() -> Recorder:
     return gui
 
 
+@cache
+def shown_over_the_scene() -> set[str]:
+    """Return the labels of what the page shows over the scene."""
+    shell = (resources.files("roboassembly.studio.page") / "shell.html").read_text(encoding="utf-8")
+    return {text.strip() for text in re.findall(r">([^<>]+)<", shell) if text.strip()}
+
+
 QUOTED = re.compile(r"(?<![*\w])\*([^*\s][^*]*)\*(?!\*)")
 """Labels on the screen, as pages write them."""
 
@@ -255,9 +271,10 @@ def quoted(text: str) -> list[str]:
 
 
 def test_tabs_of_controls_are_parsed() -> None:
-    assert {"Join", "Run"} <= set(controls().tabs)
-    assert controls().tab_of["Policy and search"] == "Run"
-    assert controls().tab_of["Time"] is None
+    assert {"Steps", "Assemble"} <= set(controls().tabs)
+    assert controls().tab_of["Policy and search"] == "Assemble"
+    assert controls().tab_of["Policy"] == "Assemble"
+    assert "My own furniture" in shown_over_the_scene()
 
 
 @pytest.mark.parametrize("page", PAGES)
@@ -266,14 +283,15 @@ def test_controls_of_the_studio_have_these_names_and_are_in_these_tabs(page: str
 
     The studio's own page has a section for each tab.
     """
-    names = {*controls().tab_of, *controls().tabs}
+    over = shown_over_the_scene()
+    names = {*controls().tab_of, *controls().tabs, *over}
     whole = page == "docs/studio.md"
     for paragraph in re.split(r"\n\s*\n", prose_of(page)):
         if not (whole or "roboassembly view" in paragraph):
             continue
         labels = quoted(paragraph)
         assert set(labels) <= names, f"{page}: {sorted(set(labels) - names)} on no control"
-        tabs = {tab for name in labels if name not in controls().tabs and (tab := controls().tab_of[name])}
+        tabs = {tab for name in labels if name not in {*controls().tabs, *over} and (tab := controls().tab_of[name])}
         assert whole or tabs <= set(labels), f"{page}: which tab? {sorted(tabs)}"
 
 

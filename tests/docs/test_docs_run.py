@@ -36,6 +36,7 @@ ALWAYS = [
 WHEN_QUICK = [
     (r"roboassembly .*--setting full.*", "two robots take their time"),
     (r"roboassembly export trajectory .*", "exports what the commands with two robots plan"),
+    (r"roboassembly demos .*", "robots take their time"),
     (r"roboassembly view .*|roboassembly view", "each starts a server; the studio's tests start enough of them"),
     (r"roboassembly train .*", "JAX compiles for half a minute"),
     (r"roboassembly bench .*", "measures for minutes"),
@@ -43,11 +44,14 @@ WHEN_QUICK = [
     (r"roboassembly evaluate --policy examples/05_masked_ppo\.py.*", "needs PyTorch"),
 ]
 """Patterns of commands that the quick form leaves out as well."""
+RECORDED = "Demonstrations("
+"""What blocks contain that read the results of `roboassembly demos`, which the quick form leaves out."""
 SMALLER = [
     (r"roboassembly train expert .*", "--limit 1 --jobs 1", "hours for 220 chairs"),
     (r"roboassembly train multitask --preset paper .*", "--steps 20 --jobs 1", "half an hour"),
     (r"roboassembly train multitask --setting full .*",
      "--limit 1 --extra 0 --episodes 1 --steps 2 --round-steps 2 --jobs 1", "a day"),
+    (r"roboassembly demos .*", "--episodes 1", "minutes"),
     (r"roboassembly train multitask", "--limit 1 --extra 0 --steps 2 --jobs 1", "hours"),
     (r"roboassembly bench .*", "--quick", "minutes"),
     (r"python examples/05_masked_ppo\.py.*", "--steps 256", "minutes"),
@@ -86,6 +90,8 @@ class Reader:
         if block.saved:
             Path(block.saved).write_text(block.text)
         if "render_mode" in block.text and not can_draw():
+            return
+        if self.quick and RECORDED in block.text:
             return
         exec(compile(block.text, str(block), "exec"), self.namespace)
 
@@ -171,6 +177,7 @@ def test_pages_run_to_the_letter(page: str, as_built) -> None:
 
 MODULES = {
     "jax": "jax", "optax": "optax", "tensorboardx": "tensorboardX", "matplotlib": "matplotlib", "minari": "minari",
+    "pyarrow": "pyarrow", "h5py": "h5py",
     "pybullet": "pybullet", "python-fcl": "fcl", "roboplan-core": "roboplan", "roboplan-rrt": "roboplan",
     "sb3-contrib": "sb3_contrib", "ray": "ray", "cascadio": "cascadio", "mcap": "mcap",
     "mcap-ros2-support": "mcap_ros2", "usd-core": "pxr", "franky-control": "franky", "franky-sim": "franky_sim",

@@ -17,11 +17,13 @@ import trimesh
 from command_line import Run
 from model_files import box, export
 from roboassembly.furniture import storage
+from roboassembly.geometry.meshes import Mesh
 from roboassembly.importers import folder
 from roboassembly.importers.findings import findings, why_not_held
 from roboassembly.importers.kept import REPORT
 from roboassembly.importers.pipeline import Imported, finish
 from roboassembly.rendering.gl import RenderingUnavailableError, context_module
+from roboassembly.viewer import import_pictures
 from roboassembly.viewer.import_report import import_report, separate_labels
 
 
@@ -202,3 +204,11 @@ def test_numbers_do_not_overlap() -> None:
     gaps = np.linalg.norm(moved[:, None] - moved[None], axis=2) + 1e9 * np.eye(len(points))
     assert gaps.min() > 18.0
     assert np.allclose(moved.mean(axis=0), points.mean(axis=0), atol=1.0)
+
+
+def test_pictures_show_fine_meshes_with_fewer_triangles() -> None:
+    sphere = trimesh.creation.icosphere(subdivisions=6, radius=0.1)
+    fine = Mesh(sphere.vertices, sphere.faces)
+    light = import_pictures._light(fine)
+    assert len(fine.faces) > import_pictures.MAX_FACES >= len(light.faces)
+    np.testing.assert_allclose(light.bounds, fine.bounds, atol=1e-3)

@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-import io
 import json
-import os
-import shutil
 import subprocess
 import sys
 import threading
@@ -23,6 +20,7 @@ from websockets.sync.client import connect
 from websockets.typing import Subprotocol
 
 import shapes
+from browsing import chromium, picture, press, turn_to, until
 from roboassembly.studio.access import Access
 from roboassembly.studio.client_session import ClientSession
 from roboassembly.studio.panel import NONE, PICKS
@@ -33,20 +31,13 @@ from studio_client import served as in_this_process
 sync_api = pytest.importorskip("playwright.sync_api", reason="make test-all installs it")
 
 pytestmark = pytest.mark.slow
-_FLAGS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"]
 MERGES = 8
 """Of the stool."""
 
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[sync_api.Browser]:
-    system = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-    with sync_api.sync_playwright() as playwright:
-        if system is None and not Path(playwright.chromium.executable_path).exists():
-            pytest.skip("no Chromium; `make test-all` installs one where it can")
-        browser = playwright.chromium.launch(executable_path=system, args=_FLAGS)
-        yield browser
-        browser.close()
+    yield from chromium()
 
 
 @pytest.fixture(scope="module")
@@ -71,26 +62,6 @@ def page(browser: sync_api.Browser, served: tuple[str, float]) -> Iterator[sync_
     page.close()
 
 
-def press(page: sync_api.Page, name: str) -> None:
-    page.get_by_role("button", name=name, exact=True).click()
-
-
-def turn_to(page: sync_api.Page, tab: str) -> None:
-    page.get_by_role("tab", name=tab).click()
-
-
-def picture(page: sync_api.Page, name: str) -> np.ndarray:
-    """What is to be seen, (h, w, 3); kept where `ROBOASSEMBLY_SCREENSHOTS` says."""
-    content = page.screenshot()
-    folder = os.environ.get("ROBOASSEMBLY_SCREENSHOTS")
-    if folder:
-        Path(folder).mkdir(parents=True, exist_ok=True)
-        (Path(folder) / f"{name}.png").write_bytes(content)
-    import imageio.v3 as iio
-
-    return np.asarray(iio.imread(io.BytesIO(content), extension=".png"))[..., :3].astype(int)
-
-
 def warm(image: np.ndarray) -> int:
     """Pixels of the scene in the colours of wood and of what moves."""
     scene = image[150:, : int(0.7 * image.shape[1])]
@@ -101,14 +72,6 @@ def orange(image: np.ndarray) -> int:
     return int(
         ((image[..., 0] > 150) & (image[..., 2] < 0.4 * image[..., 0]) & (image[..., 1] < 0.75 * image[..., 0])).sum()
     )
-
-
-def until(true, seconds: float = 30.0):
-    end = time.monotonic() + seconds
-    while not (value := true()):
-        assert time.monotonic() < end, "it did not come to that"
-        time.sleep(0.05)
-    return value
 
 
 def test_stool_is_assembled_by_clicking(page):
@@ -125,13 +88,13 @@ def test_stool_is_assembled_by_clicking(page):
     assert np.median(seconds) < 1.0
     assert page.get_by_text("reward 12").is_visible()
     until(lambda: orange(picture(page, "moving")) > 100)
-    turn_to(page, "Show")
+    turn_to(page, "Save")
     with page.expect_download() as download:
-        press(page, "Save plan.json")
+        press(page, "Plan")
     plan = json.loads(Path(download.value.path()).read_bytes())
     assert plan["success"]
     assert len(plan["steps"]) == MERGES
-    turn_to(page, "Join")
+    turn_to(page, "Steps")
     press(page, "Undo")
     page.get_by_text(f"{MERGES - 1} of {MERGES} merges").wait_for()
     picture(page, "undone")
@@ -168,7 +131,9 @@ def watched(browser, monkeypatch) -> Iterator[tuple[sync_api.Page, ClientSession
     with in_this_process() as server:
         page = browser.new_page(viewport={"width": 1100, "height": 700})
         page.goto(f"http://localhost:{server.get_port()}")
-        page.get_by_text("Click a point of one part").wait_for(timeout=60_000)
+        page.wait_for_selector("#studio[data-ready=yes]", timeout=60_000)
+        page.locator("#studio-start").get_by_role("button", name="Step by step").click()
+        page.wait_for_selector("#studio[data-mode=work]", timeout=60_000)
         until(lambda: warm(picture(page, "start")) > 2_000)
         for close in page.locator(".mantine-Notification-closeButton").all():
             close.click()  # that WebGL is slow here
@@ -311,9 +276,10 @@ def test_the_page_works_with_a_token_and_not_without(browser):
 
 
 def test_the_search_runs_and_the_time_line_goes_back(page):
-    turn_to(page, "Run")
+    turn_to(page, "Assemble")
     press(page, "Search")
     page.get_by_text("Assembled").wait_for(timeout=60_000)
+    turn_to(page, "View")
     press(page, "Play")
     time.sleep(0.5)
     picture(page, "scrubbed")
@@ -328,22 +294,12 @@ def test_uploaded_stl_files_are_assembled(page, tmp_path):
     with zipfile.ZipFile(archive, "w") as archived:
         for file in shapes.write_stl(stool, tmp_path / "mine").iterdir():
             archived.write(file, file.name)
-    turn_to(page, "Furniture")
+    page.locator("#studio-start").get_by_role("button", name="My own furniture").click()
     with page.expect_file_chooser() as chooser:
-        press(page, "Bring your own")
+        press(page, "Choose files")
     chooser.value.set_files(archive)
     page.get_by_text("mine", exact=True).wait_for(timeout=90_000)
-    turn_to(page, "Run")
+    turn_to(page, "Assemble")
     press(page, "Policy and search")
     page.get_by_text("Assembled").wait_for(timeout=60_000)
     picture(page, "mine")
-
-
-def test_page_fits_a_phone(browser, served):
-    page = browser.new_page(
-        viewport={"width": 390, "height": 844}, device_scale_factor=1, has_touch=True, is_mobile=True
-    )
-    page.goto(served[0])
-    page.get_by_text("RoboAssembly").first.wait_for(timeout=60_000)
-    until(lambda: warm(picture(page, "telephone")) > 500)
-    page.close()

@@ -16,7 +16,7 @@ from roboassembly.studio.client_session import ClientSession
 from roboassembly.studio.panel import NONE, PICKS
 from roboassembly.studio.picking import PickedItem, Picker, VisibleItems
 from seeing import Sight, sight
-from studio_client import Browser, merges, note_clients, served, until
+from studio_client import Browser, begin_steps, merges, note_clients, served, until
 
 pytestmark = pytest.mark.filterwarnings("ignore:Queued a")
 EYES = np.array([[1.9, -2.1, 1.3], [-1.5, -1.2, 2.0], [0.3, 2.4, 0.5]])
@@ -32,7 +32,8 @@ def opened(monkeypatch) -> Iterator[tuple[Browser, ClientSession, Sight]]:
     clients = note_clients(monkeypatch)
     with served() as server:
         browser = Browser(server)
-        until(lambda: len(clients) == 1 and "Click a point" in clients[0].panel.message.content)
+        until(lambda: len(clients) == 1)
+        begin_steps(browser, clients[0])
         yield browser, clients[0], what_is_seen(clients[0])
         browser.connection.close()
 

@@ -27,7 +27,7 @@ from roboassembly.studio.access import Access
 from roboassembly.studio.client_session import ClientSession
 from roboassembly.studio.viser_internals import controls_of, identifier_of, uploads_in_progress
 from roboassembly.viewer.server import quiet_server
-from studio_client import CAMERA, Browser, merges, note_clients, open_websocket, packed, served, until
+from studio_client import CAMERA, Browser, begin_steps, merges, note_clients, open_websocket, packed, served, until
 
 pytestmark = [pytest.mark.security, pytest.mark.filterwarnings("ignore:Queued a")]
 
@@ -57,7 +57,8 @@ def visit(clients) -> Iterator[tuple[Browser, ClientSession]]:
     """One browser that has the stool open."""
     with served() as server:
         browser = Browser(server)
-        until(lambda: len(clients) == 1 and "Click a point" in clients[0].panel.message.content)
+        until(lambda: len(clients) == 1)
+        begin_steps(browser, clients[0])
         yield browser, clients[0]
         browser.connection.close()
 

@@ -10,7 +10,8 @@ import pytest
 
 from roboassembly.geometry.poses import SE3, pose_from_seven
 from roboassembly.rendering.colors import Role
-from roboassembly.robots.body import placed, world_from_tips
+from roboassembly.robots.body import world_from_tips
+from roboassembly.robots.visual import visual_links, visual_poses
 from roboassembly.task.full.posts import LOWEST
 from roboassembly.task.plans import plan_file
 from roboassembly.task.plans.full_plan import FullPlan
@@ -64,7 +65,7 @@ def test_parts_between_steps_hang_above_a_post(two_merges: FullPlan) -> None:
 
 
 def test_frames_show_the_plan(two_merges: FullPlan, timeline: Timeline) -> None:
-    n, own = len(two_merges.furniture.parts), len(placed(two_merges.initial.cell_state.robots[0].at, 0.0))
+    n, own = len(two_merges.furniture.parts), len(visual_links())
     assert len(timeline.objects) == n + 2 * own + len(two_merges.posts)
     first, last = timeline.frames[0], timeline.frames[-1]
     for frame, state in ((first, two_merges.initial.cell_state), (last, two_merges.steps[-1].segments[-1].after)):
@@ -73,8 +74,7 @@ def test_frames_show_the_plan(two_merges: FullPlan, timeline: Timeline) -> None:
         for p in range(n):
             assert _same(frame.poses[p], where[p])
         for robot in (0, 1):
-            links = placed(state.robots[robot].at, state.robots[robot].opening)
-            for i, (_, pose) in enumerate(links):
+            for i, pose in enumerate(visual_poses(state.robots[robot].at, state.robots[robot].opening)):
                 assert _same(frame.poses[n + robot * own + i], pose)
         up = {id(s) for s in state.posts}
         assert [pose is not None for pose in frame.poses[n + 2 * own :]] == [id(s) in up for s in two_merges.posts]
@@ -108,7 +108,7 @@ def test_nothing_jumps_from_frame_to_frame(timeline: Timeline) -> None:
 
 
 def test_only_one_robot_moves_at_a_time(two_merges: FullPlan, timeline: Timeline) -> None:
-    n, own = len(two_merges.furniture.parts), len(placed(two_merges.initial.cell_state.robots[0].at, 0.0))
+    n, own = len(two_merges.furniture.parts), len(visual_links())
     for a, b in pairwise(timeline.frames):
         if a.step is None or b.step is None or a.caption != b.caption:
             continue

@@ -22,7 +22,8 @@ from roboassembly.geometry.poses import SE3, transform_points
 from roboassembly.rendering import gl
 from roboassembly.rendering.camera import Camera, fit_camera, project
 from roboassembly.rendering.colors import Role
-from roboassembly.rendering.offscreen import OffscreenRenderer, soften_edges
+from roboassembly.rendering.edges import smooth_edges
+from roboassembly.rendering.renderer import OffscreenRenderer
 from roboassembly.rendering.shading import shade
 from roboassembly.task.plans.plan import Plan, PlanStep
 from roboassembly.viewer.camera_path import follow
@@ -373,8 +374,6 @@ def test_a_box_is_drawn_where_the_projection_says(drawing):
     view = Camera(np.array([0.2, 0.1, 0.7]), 2.5, azimuth=0.7, elevation=-0.3)
     with OffscreenRenderer([mesh], width, height, center=view.target, radius=1.0) as stage:
         picture = stage.picture([pose], [(1.0, 0.0, 0.0)], view).astype(int)
-        drawn = stage.vertices(0)
-    assert np.linalg.norm(drawn[:, None] - corners[None], axis=2).min(axis=1).max() < 1e-5
     red = picture[:, :, 0] > picture[:, :, 1] + 60
     rows, columns = np.flatnonzero(red.any(axis=1)), np.flatnonzero(red.any(axis=0))
     pixels = project(corners, view, width, height)
@@ -395,6 +394,20 @@ def test_any_mesh_can_be_drawn(drawing):
     with OffscreenRenderer([flat, inside_out, double, sliver], 64, 64, center=np.zeros(3), radius=2.0) as stage:
         picture = stage.picture(poses, [(1.0, 0.0, 0.0)] * 4, view).astype(int)
     assert (picture[:, :, 0] > picture[:, :, 1] + 60).any()
+
+
+def test_a_film_is_watched_and_stopped(drawing, tmp_path):
+    path, shares = tmp_path / "film.mp4", []
+
+    def watch(share: float) -> bool:
+        shares.append(share)
+        return len(shares) < 5
+
+    assert not write_film(table_plan(), path, width=64, height=48, fps=10, watch=watch)
+    assert len(shares) == 5
+    assert shares[0] == 0.0
+    assert np.diff(shares) == pytest.approx(shares[1] * np.ones(4))
+    assert not os.listdir(tmp_path)
 
 
 def test_the_film_plays_back(drawing, tmp_path):
@@ -423,8 +436,14 @@ def test_stills(drawing, tmp_path):
     pictures = render_pictures(table_plan(furniture), width=200, height=150)
     assert [picture.shape for picture in pictures] == [(150, 200, 3)] * 4
     assert all((a != b).any() for a, b in itertools.pairwise(pictures))
-    write_storyboard(table_plan(furniture), tmp_path / "story.png", columns=3, width=100, height=80)
-    assert iio.imread(tmp_path / "story.png").shape == (160, 300, 3)
+    for ending in ("png", "webp"):
+        path = tmp_path / f"story.{ending}"
+        write_storyboard(table_plan(furniture), path, columns=3, width=100, height=80)
+        assert iio.imread(path).shape == (160, 300, 3)
+    with pytest.raises(InputError, match=r"written as \.png or \.webp"):
+        write_storyboard(table_plan(furniture), tmp_path / "story.gif")
+    with pytest.raises(InputError, match="at least 2"):
+        render_pictures(table_plan(furniture), 1)
     picture = render_furniture(furniture, tmp_path / "table.png", width=120, height=90)
     assert (iio.imread(tmp_path / "table.png") == picture).all()
     render_contact_sheet([furniture, furniture, furniture], tmp_path / "sheet.png", columns=2, size=64)
@@ -440,8 +459,15 @@ def test_sizes_are_checked(tmp_path):
         render_contact_sheet([], tmp_path / "sheet.png")
 
 
-def test_softening_touches_edges_only():
-    picture = np.zeros((6, 8, 3), dtype=np.uint8)
-    picture[:, 4:] = 200
-    soften_edges(picture)
-    assert picture[2, :, 1].tolist() == [0, 0, 0, 25, 175, 200, 200, 200]
+def test_smoothing_touches_edges_only():
+    # A stair of two steps, as a slanted edge has without samples.
+    picture = np.zeros((8, 16, 3), dtype=np.uint8)
+    picture[:4, :8] = picture[:3] = 200
+    before = picture.copy()
+    smooth_edges(picture)
+    values = picture[3, :, 1].astype(int)
+    assert (np.diff(values) <= 0).all(), "the step becomes a slope"
+    assert ((values[5:11] > 0) & (values[5:11] < 200)).any()
+    far = np.ones((8, 16), bool)
+    far[2:5] = False
+    assert (picture[far] == before[far]).all()

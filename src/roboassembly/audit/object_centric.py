@@ -132,7 +132,9 @@ class _Audit:
         self._fcl = fcl_module()
         self._plan = plan
         self._resolution, self._angular_resolution = resolution, angular_resolution
-        self._meshes = [part.mesh for part in plan.furniture.parts]
+        self._count = len(plan.furniture.parts)
+        # Fasteners are numbered after the parts.
+        self._meshes = [piece.mesh for piece in (*plan.furniture.parts, *plan.furniture.fasteners)]
         self._models = {mesh: fcl_model(self._fcl, mesh) for mesh in self._meshes}
         self._states = 0
         self._counts: Counter[ViolationKind] = Counter()
@@ -141,13 +143,16 @@ class _Audit:
     def report(self) -> AuditReport:
         before = self._plan.initial
         self._rotations(-1, before)
+        self._insertions(-1, before)
         self._rest(-1, before)
         for index, step in enumerate(self._plan.steps):
             self._rotations(index, [*step.path, *step.moving.values(), *step.still.values(), *step.after])
             if self._whole(index, step):
                 self._transition(index, step, before)
                 self._still(index, step)
-                self._path(index, step.path, step.moving, step.still)
+                moving, still = (self._fastened(poses, index - 1) for poses in (step.moving, step.still))
+                self._path(index, step.path, moving, still)
+                self._insertions(index, step.after)
             self._rest(index, step.after)
             before = step.after
         if self._plan.success and (astray := misplaced(self._plan.furniture, before)):
@@ -168,10 +173,46 @@ class _Audit:
             for part, pose in motion.moving.items():
                 self._same(ViolationKind.DISCONTINUITY, index, part, motion.path[0] * pose, before[part])
             self._rigid(index, {p: motion.path[-1] * pose for p, pose in motion.moving.items()}, after)
-            self._path(index, motion.path, motion.moving, {})
+            self._path(index, motion.path, self._fastened(motion.moving, index - 1), {})
+            self._insertions(index, after)
             self._rest(index, after)
         if result.success and not stands(self._plan.furniture, after):
             self._found(ViolationKind.NOT_UPRIGHT, index, -1, (), float("nan"))
+
+    def _fastened(self, poses: Mapping[int, SE3], until: int) -> dict[int, SE3]:
+        """Return poses of parts together with those of the fasteners that went into them after steps up to `until`."""
+        inside = (i for i in self._plan.insertions if i.after <= until and i.part in poses)
+        return {**poses, **{self._count + i.fastener: poses[i.part] * i.part_from_fastener for i in inside}}
+
+    def _insertions(self, index: int, poses: Sequence[SE3]) -> None:
+        """Test the ways in of the fasteners that go in after a step, one after the other, with their groups raised."""
+        inside = self._fastened(dict(enumerate(poses)), index - 1)
+        for insertion in (i for i in self._plan.insertions if i.after == index):
+            number = self._count + insertion.fastener
+            self._rotations(index, [*insertion.path, insertion.part_from_fastener])
+            lift = SE3(np.eye(3), np.array([0.0, 0.0, insertion.lift]))
+            end = poses[insertion.part] * insertion.part_from_fastener
+            self._same(ViolationKind.DISCONTINUITY, index, number, insertion.path[-1], lift * end)
+            group = self._joined(insertion.part, index)
+            still = {p: lift * pose if self._host(p) in group else pose for p, pose in inside.items()}
+            self._path(index, insertion.path, {number: SE3.Identity()}, still)
+            inside[number] = end
+        listed = sorted([*(i.fastener for i in self._plan.insertions), *(k for k, _ in self._plan.not_inserted)])
+        if index == -1 and listed and listed != list(range(len(self._meshes) - self._count)):
+            self._found(ViolationKind.MISSING_PART, index, -1, (), float("nan"))
+
+    def _host(self, number: int) -> int:
+        """Return the part that a fastener is in; of a part the part itself."""
+        index = number - self._count
+        return number if index < 0 else next(i.part for i in self._plan.insertions if i.fastener == index)
+
+    def _joined(self, part: int, index: int) -> set[int]:
+        """Return the parts that are in one group with a part after a step."""
+        group = {part}
+        for step in self._plan.steps[: index + 1]:
+            merged = {*step.moving, *step.waiting}
+            group |= merged if merged & group else set()
+        return group
 
     def _found(self, kind: ViolationKind, step: int, state: int, parts: Sequence[int], depth: float) -> None:
         self._counts[kind] += 1
@@ -192,7 +233,7 @@ class _Audit:
         return float(np.median([abs(c.penetration_depth) for c in result.contacts]))
 
     def _whole(self, index: int, step: PlanStep) -> bool:
-        count = len(self._meshes)
+        count = self._count
         named = sorted([*step.moving, *step.still])
         complete = named == list(range(count)) and len(step.after) == count and len(step.path) > 0
         if not complete or not set(step.waiting) <= set(step.still):
@@ -236,7 +277,8 @@ class _Audit:
         self._pairs(ViolationKind.STILL_PENETRATION, ViolationKind.STILL_GROUND, index, step.still)
 
     def _rest(self, index: int, poses: Sequence[SE3]) -> None:
-        self._pairs(ViolationKind.REST_PENETRATION, ViolationKind.REST_GROUND, index, dict(enumerate(poses)))
+        placed = self._fastened(dict(enumerate(poses)), index)
+        self._pairs(ViolationKind.REST_PENETRATION, ViolationKind.REST_GROUND, index, placed)
 
     def _pairs(self, penetration: ViolationKind, ground: ViolationKind, index: int, poses: Mapping[int, SE3]) -> None:
         placed = {p: self._placed(p, pose) for p, pose in poses.items()}

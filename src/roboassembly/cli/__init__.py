@@ -15,6 +15,7 @@ from roboassembly.cli.assemble import AssembleCommand
 from roboassembly.cli.bench import BenchCommand
 from roboassembly.cli.benchmark import BenchmarkCommand
 from roboassembly.cli.dataset import DatasetCommand
+from roboassembly.cli.demos import DemosCommand
 from roboassembly.cli.evaluate import EvaluateCommand
 from roboassembly.cli.export import ExportCommand
 from roboassembly.cli.flags import CONFIG, command_registry
@@ -22,6 +23,7 @@ from roboassembly.cli.generate import GenerateCommand
 from roboassembly.cli.importing import ImportCommand
 from roboassembly.cli.manual import ManualCommand
 from roboassembly.cli.output import FAILED, allow_closed_stdout, guard_terminal, plain, print_json, say, show
+from roboassembly.cli.stability import StabilityCommand
 from roboassembly.cli.train import TrainCommand
 from roboassembly.cli.view import ViewCommand
 from roboassembly.errors import InputError, RoboAssemblyError
@@ -29,11 +31,13 @@ from roboassembly.errors import InputError, RoboAssemblyError
 Command = (
     Annotated[AssembleCommand, tyro.conf.subcommand("assemble")]
     | Annotated[ManualCommand, tyro.conf.subcommand("manual")]
+    | Annotated[StabilityCommand, tyro.conf.subcommand("stability")]
     | Annotated[ViewCommand, tyro.conf.subcommand("view")]
     | Annotated[ImportCommand, tyro.conf.subcommand("import")]
     | Annotated[GenerateCommand, tyro.conf.subcommand("generate")]
     | Annotated[ExportCommand, tyro.conf.subcommand("export")]
     | Annotated[DatasetCommand, tyro.conf.subcommand("dataset")]
+    | Annotated[DemosCommand, tyro.conf.subcommand("demos")]
     | Annotated[EvaluateCommand, tyro.conf.subcommand("evaluate")]
     | Annotated[TrainCommand, tyro.conf.subcommand("train")]
     | Annotated[BenchmarkCommand, tyro.conf.subcommand("benchmark")]

@@ -8,10 +8,11 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
+from roboassembly.cli.fasteners import fastener_lines, fastener_report
 from roboassembly.cli.options import CORES, Execution, Setting, require_at_least
 from roboassembly.cli.output import (
     DONE,
@@ -23,6 +24,7 @@ from roboassembly.cli.output import (
     show,
     writable_folder,
 )
+from roboassembly.cli.stability import stability_lines, stability_report
 from roboassembly.errors import InputError
 
 if TYPE_CHECKING:
@@ -31,6 +33,7 @@ if TYPE_CHECKING:
     from roboassembly.task.plans.full_plan import FullPlan
     from roboassembly.task.plans.plan import UprightResult
 
+FilmSize = Literal["640x360", "960x540", "1280x720", "1920x1080"]
 NO_POLICY = "none"
 SHIPPED_POLICY = "relational"
 MOST_GUIDED = 40
@@ -56,10 +59,15 @@ class AssembleCommand:
     checkpoint, your own Python file, which is executed (docs/your-own-policy.md), or `none`."""
     search: bool = True
     """Search for another action if the policy's action fails."""
+    stable: bool = False
+    """Prefer orders in which every group stands on its own, without a policy, and say which steps need a helping hand
+    or a fixture."""
     manual: bool = False
     """Write an assembly manual for people, too: manual.pdf and manual.html."""
     film: bool = True
     """Render assembly.mp4."""
+    film_size: FilmSize = "1280x720"
+    """Width and height of the film in pixels. `960x540` takes half the time."""
     json: bool = False
     """Print one JSON object on stdout and everything else on stderr."""
 
@@ -68,9 +76,13 @@ class AssembleCommand:
         require_at_least(0, seed=self.seed)
         if not self.search and self.policy == NO_POLICY:
             raise InputError("--no-search needs a policy, but --policy is none; use --policy relational")
+        if self.stable and not self.search:
+            raise InputError("--stable searches for an order, but --no-search forbids it; give one of them")
         from roboassembly.settings import SETTINGS, set_upright
 
         SETTINGS[self.setting].check_option(f"--execution {self.execution}")
+        if self.stable:
+            SETTINGS[self.setting].check_option("--stable")
         self._check_out()
         from roboassembly.datasets import catalogue
         from roboassembly.simulation.windowless import import_mujoco
@@ -93,6 +105,11 @@ class AssembleCommand:
         upright: UprightResult[Any] | None = result.plan.upright
         if upright is not None:
             say(_upright_line(upright))
+        if self.stable:
+            say(*stability_lines(result.plan))
+        if furniture.fasteners and result.plan.success:
+            result = replace(result, plan=SETTINGS[self.setting].insert_fasteners(result.plan))
+            say(*fastener_lines(result.plan))
         outputs = self._write(result, solved)
         executed = self._executed(result.plan) if self.execution == "dynamic" else {}
         success = result.plan.success and executed.get("success", True)
@@ -102,7 +119,7 @@ class AssembleCommand:
             "setting": self.setting,
             "furniture": furniture.name,
             "parts": len(furniture.parts),
-            "policy": self.policy,
+            "policy": self._used_policy,
             "merges": len(result.plan.steps),
             "guided_merges": result.guided,
             "planning_steps": result.planning_steps,
@@ -113,6 +130,8 @@ class AssembleCommand:
             "upright": stands,
             "upright_reason": lying,
             "outputs": outputs,
+            **({"fasteners": fastener_report(result.plan)} if furniture.fasteners else {}),
+            **({"stability": stability_report(result.plan)} if self.stable else {}),
             **({"execution": executed} if executed else {}),
         }
         if self.json:
@@ -145,6 +164,8 @@ class AssembleCommand:
         from roboassembly.solvers.forward import SearchResult
 
         solver = SETTINGS[self.setting].solve
+        if self.stable:
+            return partial(solver, seed=self.seed, stable=True)
         if self.policy == NO_POLICY:
             return partial(solver, seed=self.seed)
         from roboassembly.learning.policy import check_setting, guide_of
@@ -197,7 +218,12 @@ class AssembleCommand:
         return asdict(done)
 
     def _policy_share(self, result: SearchResult[Any]) -> str:
-        return "" if self.policy == NO_POLICY else f", {result.guided} of them chosen by {self.policy}"
+        used = self._used_policy
+        return "" if used == NO_POLICY else f", {result.guided} of them chosen by {used}"
+
+    @property
+    def _used_policy(self) -> str:
+        return NO_POLICY if self.stable else self.policy
 
     def _write(self, result: SearchResult[Any], solved: float) -> dict[str, str]:
         from roboassembly.furniture import storage
@@ -240,7 +266,8 @@ class AssembleCommand:
 
             say("rendering the film ...")
             try:
-                write_film(plan, folder / "assembly.mp4", jobs=CORES)
+                width, height = map(int, self.film_size.split("x"))
+                write_film(plan, folder / "assembly.mp4", width=width, height=height, jobs=CORES)
                 add_output("film", folder / "assembly.mp4")
             except RenderingUnavailableError as error:
                 say(f"no film: {error}")

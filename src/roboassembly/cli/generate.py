@@ -22,6 +22,8 @@ class GenerateCommand:
     """Random seed; each seed gives a different piece of the family."""
     out: Path | None = None
     """Folder for the furniture. Without it: FAMILY-SEED."""
+    fasteners: bool = False
+    """Put screws or dowels through the joints, by the seed."""
     force: bool = False
     """Replace existing furniture."""
     json: bool = False
@@ -36,7 +38,7 @@ class GenerateCommand:
         target = self.out or Path(f"{self.family}-{self.seed}")
         if self.out is not None:
             check_writable(target)
-        furniture = catalogue.make(self.family, self.seed)
+        furniture = catalogue.make(self.family, self.seed, fasteners=self.fasteners)
         check_writable(target)
         if not self.force:
             refuse_existing(target)
@@ -47,6 +49,7 @@ class GenerateCommand:
                     "furniture": furniture.name,
                     "parts": len(furniture.parts),
                     "connections": len(furniture.connections),
+                    **({"fasteners": len(furniture.fasteners)} if self.fasteners else {}),
                     "outputs": {"furniture": str(folder)},
                 }
             )

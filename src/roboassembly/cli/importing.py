@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
 import tyro
 
+from roboassembly.cli.import_lines import report_lines
 from roboassembly.cli.options import CORES, Jobs, require_at_least
 from roboassembly.cli.output import DONE, check_writable, print_json, progress_bar, refuse_existing, say, show
 from roboassembly.errors import InputError, UnknownNameError
@@ -27,8 +28,6 @@ UnitName = Literal["mm", "cm", "m", "in", "ft"]
 """Names of the units in `geometry.units.METRES`."""
 DEFAULT_OUT = Path("furniture")
 """Folder for pieces without --out."""
-NAMED = 3
-"""Number of findings that are printed for a piece."""
 UpAxis = Literal["x", "y", "z", "-x", "-y", "-z"]
 
 
@@ -46,6 +45,7 @@ class ImportJob:
     allow_shortening: bool
     split: bool
     report: bool
+    fastener: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -112,6 +112,9 @@ class ImportCommand:
     """Up axis of the files; for `folder` only. Without it: y for GLB and glTF files, z for other files."""
     split: bool = False
     """Make a part of each separate body of every mesh; for `folder` only. A single mesh is split without it."""
+    fastener: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
+    """Names of parts that are fasteners, as patterns with * and ?, such as 'screw*'. KIND=PATTERN says of which kind:
+    dowel, screw or cam; otherwise the name does. May be given several times."""
     jobs: Jobs = CORES
     """Number of processes."""
     allow_shortening: bool = False
@@ -126,6 +129,7 @@ class ImportCommand:
 
     def run(self) -> int:
         """Run the command; returns the exit status."""
+        from roboassembly.furniture.fasteners import parse_pattern
         from roboassembly.geometry import units
         from roboassembly.importers import IMPORTERS
         from roboassembly.importers.earlier import without_results
@@ -133,6 +137,8 @@ class ImportCommand:
         if self.scale is not None and not 1e-6 < self.scale < 1e6:
             raise InputError(f"--scale {self.scale} is not plausible; give metres per unit of the files, such as 0.5")
         scale = units.scale_of(self.unit, self.scale)
+        for text in self.fastener:
+            parse_pattern(text)
         require_at_least(1, jobs=self.jobs)
         kind, given = self._kind_and_source()
         if self.up is not None and kind != "folder":
@@ -144,7 +150,17 @@ class ImportCommand:
         found, skipped = without_results(IMPORTERS[kind].find(given), given, out)
         pieces = [
             ImportJob(
-                kind, source, target, name, scale, self.up, self.cache, self.allow_shortening, self.split, self.report
+                kind,
+                source,
+                target,
+                name,
+                scale,
+                self.up,
+                self.cache,
+                self.allow_shortening,
+                self.split,
+                self.report,
+                self.fastener,
             )
             for source, target, name in zip(found, self._targets(found), piece_names(found), strict=True)
         ]
@@ -159,7 +175,7 @@ class ImportCommand:
                 items.append(item)
                 progress.update()
         for item in items:
-            say(*_report(item))
+            say(*report_lines(item))
         imported = sum(item.error is None for item in items)
         if self.json:
             print_json({
@@ -231,52 +247,6 @@ def _failed(piece: ImportJob, reason: str) -> ImportResult:
     return ImportResult(piece.name, 0, 0, 0.0, 0.0, 0.0, (), {}, (), None, reason)
 
 
-def _report(item: ImportResult) -> list[str]:
-    """Return the lines for the user."""
-    lines = [f"{item.name}: {item.error}" if item.error else _summary(item)]
-    if item.size_m is not None and item.scale is not None:
-        lines.append(f"  unit: {item.unit_text}; {_size(item.size_m)}")
-        lines += [_other(item, other) for other in item.unit_others]
-    lines += [f"  {line}" for line in item.remarks]
-    if item.error:
-        return lines
-    if item.findings:
-        more = len(item.findings) - NAMED
-        lines.append("  worth a look:")
-        lines += [f"    {k}. {line}" for k, line in enumerate(item.findings[:NAMED], start=1)]
-        lines += [f"    and {more} more in the report"] * (more > 0)
-    else:
-        lines.append("  worth a look: nothing")
-    lines += [f"  report: {item.report}"] * (item.report is not None)
-    return lines
-
-
-def _other(item: ImportResult, unit: str) -> str:
-    from roboassembly.geometry.units import METRES, NAMES
-
-    assert item.size_m is not None
-    assert item.scale is not None
-    size = [METRES[unit] / item.scale * side for side in item.size_m]
-    return f"  the unit may also be {NAMES[unit]}: {_size(size)}; if so, import it with --unit {unit}"
-
-
-def _size(sides: Sequence[float]) -> str:
-    return " x ".join(f"{side:.2f}" if side >= 0.1 else f"{side:.3f}" for side in sides) + " m"
-
-
-def _summary(item: ImportResult) -> str:
-    text = f"{item.name}: {item.parts} parts -> {item.folder}"
-    if item.cached:
-        text += " (from the cache)"
-    if item.unholdable:
-        listed = ", ".join(item.unholdable[:NAMED]) + f" and {len(item.unholdable) - NAMED} more" * (
-            len(item.unholdable) > NAMED
-        )
-        text += f" (the gripper cannot hold {listed}: for the setting object-centric only)"
-    name, change = max(item.size_change_mm.items(), key=lambda named: abs(named[1]))
-    return f"{text}; largest change of size: {name} {change:+.2f} mm"
-
-
 def import_piece(piece: ImportJob) -> ImportResult:
     """Read, repair, annotate and save one piece; the result's `error` says why it was refused."""
     from roboassembly.importers import kept
@@ -328,13 +298,14 @@ def _place(piece: ImportJob) -> Path | None:
     reads = IMPORTERS[piece.kind].reads(piece.source)
     return kept.place_of(
         piece.source, reads, piece.kind, piece.name, piece.scale, piece.up, piece.allow_shortening, piece.split,
-        piece.report,
+        piece.report, piece.fastener,
     )  # fmt: skip
 
 
 def _import(piece: ImportJob) -> Summary:
     from roboassembly.errors import FurnitureError
     from roboassembly.furniture import storage
+    from roboassembly.furniture.fasteners import parse_pattern, separate_fasteners
     from roboassembly.geometry import units
     from roboassembly.importers import IMPORTERS, folder
     from roboassembly.importers.findings import findings
@@ -346,6 +317,7 @@ def _import(piece: ImportJob) -> Summary:
             raw = folder.read(piece.source, scale=piece.scale, up=piece.up, split=piece.split or None)
         else:
             raw = IMPORTERS[piece.kind].read(piece.source, scale=piece.scale)
+        raw = separate_fasteners(raw, [parse_pattern(text) for text in piece.fastener])
     except FurnitureError as refusal:
         return Summary(error=str(refusal), refused_at=str(piece.source))
     unit = raw.unit or units.of_format(raw.provenance.scale, piece.scale)

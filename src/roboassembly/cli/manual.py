@@ -101,4 +101,11 @@ def write_manual_of(
     say("drawing the manual ...")
     manual = make_manual(furniture, actions, seed, name)
     pdf, html, pages = write_manual(manual, writable_folder(out), SETTINGS[setting].on_manuals)
-    return {"manual_pdf": str(pdf), "manual_html": str(html)}, {"steps": len(manual.steps), "pages": pages}
+    report: dict[str, Any] = {"steps": len(manual.steps), "pages": pages}
+    if furniture.fasteners:
+        left = [furniture.fasteners[index].name for index, _ in manual.not_inserted]
+        report["not_inserted"] = left
+        if left:
+            say(f"the manual's order leaves {len(left)} of {len(furniture.fasteners)} fasteners without a free way in: "
+                f"{', '.join(left[:5])}{', ...' * (len(left) > 5)}")  # fmt: skip
+    return {"manual_pdf": str(pdf), "manual_html": str(html)}, report

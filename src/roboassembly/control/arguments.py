@@ -12,7 +12,7 @@ from roboassembly.envs.arguments import checked_index, reset_options, shortened
 from roboassembly.errors import ArgumentError
 
 TaskName = Literal["merge", "piece"]
-ObservationName = Literal["state", "rgb", "rgbd"]
+ObservationName = Literal["state", "rgb", "rgbd", "state+rgb", "state+rgbd"]
 RewardName = Literal["sparse", "dense"]
 _LONGEST = 1e6
 """Largest time limit [s]."""
@@ -30,6 +30,16 @@ class ControlOptions:
     strict: bool
     """Whether collisions end an episode."""
     max_parts: int
+
+    @property
+    def sees_state(self) -> bool:
+        """Whether the poses of parts are observed."""
+        return self.obs.startswith("state")
+
+    @property
+    def sees_pictures(self) -> bool:
+        """Whether the pictures of the cameras are observed."""
+        return "rgb" in self.obs
 
 
 def checked_choice(name: str, value: object, choices: Any) -> None:

@@ -73,7 +73,7 @@ class ControlEnv(gymnasium.Env[Observation, np.ndarray]):
     **Observation**: a `Dict`. With `obs="state"` the arrays of `roboassembly.control.observation`. With `"rgb"` only
     `robots` of these, and `rgb_NAME` for each camera, (height, width, 3) bytes; with `"rgbd"` also `depth_NAME`,
     (height, width) in metres; with `segmentation` also `segmentation_NAME`, (height, width): 0 background, 1 floor,
-    2 posts, 3 R_a, 4 R_b, 5 + p for part p.
+    2 posts, 3 R_a, 4 R_b, 5 + p for part p. `"state+rgb"` and `"state+rgbd"` have all of both.
 
     **Reward**: 1 for a merge, 4 more for the last one of the task `piece`. `reward="dense"` adds the change of the
     progress of the next merge, from 0 to 1: see `roboassembly.control.reward`.
@@ -93,7 +93,7 @@ class ControlEnv(gymnasium.Env[Observation, np.ndarray]):
         task: `piece`: all parts are to be joined. `merge`: one merge, drawn for each episode or named by
             `reset(options={"merge": index})`; all earlier ones are made.
         control: `joint_position`, `joint_delta` or `end_effector_delta`.
-        obs: `state`, `rgb` or `rgbd`.
+        obs: `state`, `rgb`, `rgbd`, `state+rgb` or `state+rgbd`.
         reward: `sparse` or `dense`.
         cameras: names of the cameras that are observed, of `wrist_a`, `wrist_b`, `overview` and `overview_back`.
         camera_width: width of their pictures [pixels].
@@ -158,7 +158,7 @@ class ControlEnv(gymnasium.Env[Observation, np.ndarray]):
         self._ranges = randomization or NONE
         self.render_mode = checked_render_mode(render_mode)
         self._pictures = EpisodeCameras(
-            PictureConfig(names, camera_width, camera_height, obs == "rgbd", segmentation, width, height)
+            PictureConfig(names, camera_width, camera_height, obs.endswith("rgbd"), segmentation, width, height)
         )
         self._merges: dict[int, list[MergeTask]] = {}
         self._current = 0
@@ -166,10 +166,12 @@ class ControlEnv(gymnasium.Env[Observation, np.ndarray]):
         self._merge: MergeTask | None = None
         self._queue: deque[Observation] = deque(maxlen=1)
         self.action_space = spaces.Box(-1.0, 1.0, (len(self.codec.names),), np.float32)
-        state = state_space(max_parts)
-        if obs != "state":
-            state = {"robots": state["robots"], **picture_space(self._pictures.config, max_parts)}
-        self.observation_space = spaces.Dict(state)  # pyright: ignore[reportAttributeAccessIssue]
+        seen = state_space(max_parts)
+        if not self._options.sees_state:
+            seen = {"robots": seen["robots"]}
+        if self._options.sees_pictures:
+            seen |= picture_space(self._pictures.config, max_parts)
+        self.observation_space = spaces.Dict(seen)  # pyright: ignore[reportAttributeAccessIssue]
 
     @property
     def task(self) -> FullTask:
@@ -313,8 +315,8 @@ class ControlEnv(gymnasium.Env[Observation, np.ndarray]):
 
     def _observe(self, events: CellEvents) -> tuple[Observation, dict[str, Any]]:
         if self._ending is not ControlFailure.UNSTABLE or not self._queue:
-            seen = self._state.observe() if self._options.obs == "state" else {"robots": self._state.robots()}
-            if self._options.obs != "state":
+            seen = self._state.observe() if self._options.sees_state else {"robots": self._state.robots()}
+            if self._options.sees_pictures:
                 seen |= self._pictures.observe(self.cell)
             self._queue.append(seen)
         cell, joined = self.cell, events.joined

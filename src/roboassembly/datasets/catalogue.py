@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from pathlib import Path
 
 from roboassembly.errors import InputError, UnknownNameError
@@ -11,12 +12,15 @@ from roboassembly.furniture.annotate import annotate
 from roboassembly.furniture.cad import refuse_sources
 from roboassembly.furniture.model import Furniture, Provenance
 from roboassembly.generate import FAMILIES, generate
+from roboassembly.generate.fastening import fasten
 
 DEFAULT = "ladder"
 """Default furniture: a chair of 15 parts with mortise-and-tenon joints."""
 
 
-def make(family: str, seed: int = 0, version: int = 0, *, with_grasps: bool = True) -> Furniture:
+def make(
+    family: str, seed: int = 0, version: int = 0, *, with_grasps: bool = True, fasteners: bool = False
+) -> Furniture:
     """Generate and annotate one piece.
 
     Args:
@@ -24,6 +28,8 @@ def make(family: str, seed: int = 0, version: int = 0, *, with_grasps: bool = Tr
         seed: 0 or more.
         version: 0 for the piece itself, else the number of a near relative; see `generate`.
         with_grasps: see `annotate`.
+        fasteners: put screws or dowels through the joints, by the seed (`generate.fastening`). The parts are then the
+            same but for holes.
 
     Raises:
         UnknownNameError: the family does not exist.
@@ -33,7 +39,12 @@ def make(family: str, seed: int = 0, version: int = 0, *, with_grasps: bool = Tr
         raise InputError(f"seed {seed} and version {version} must be 0 or more")
     name = piece_name(family, seed, version)
     provenance = Provenance("generated", name, "MIT")
-    return annotate(name.replace(":", "-"), generate(family, seed, version), provenance, with_grasps=with_grasps)
+    parts, added = generate(family, seed, version), ()
+    if fasteners:
+        parts, added = fasten(parts, seed)
+        name = f"{name}-fastened"
+    furniture = annotate(name.replace(":", "-"), parts, provenance, with_grasps=with_grasps)
+    return replace(furniture, fasteners=added) if added else furniture
 
 
 def piece_name(family: str, seed: int, version: int = 0) -> str:

@@ -203,6 +203,11 @@ class FurnitureRef:
         return storage.load(self.folder)
 
     @property
+    def argument(self) -> str:
+        """Name or folder by which `catalogue.find` and the environments take the piece."""
+        return self.name if self.folder is None else str(self.folder)
+
+    @property
     def source(self) -> str | None:
         """Name of the piece that this one is a version of; None if it is no version."""
         if self.entry is None or self.entry.version == 0:

@@ -11,8 +11,9 @@ from jaxtyping import Float, UInt8
 from roboassembly.geometry.meshes import Mesh
 from roboassembly.geometry.poses import SE3
 from roboassembly.rendering.camera import box_corners, fit_camera
-from roboassembly.rendering.colors import Role, part_colors
-from roboassembly.rendering.offscreen import OffscreenRenderer, check_size
+from roboassembly.rendering.colors import Role, finishes, part_colors
+from roboassembly.rendering.offscreen import check_size
+from roboassembly.rendering.renderer import OffscreenRenderer
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +73,10 @@ class EpisodePictures:
             first = self._corners[0]
             center = 0.5 * (first.min(axis=0) + first.max(axis=0))
             radius = float(np.linalg.norm(first - center, axis=1).max())
-            self._renderer = OffscreenRenderer(meshes, width, height, center=center, radius=radius, quality=None)
+            self._renderer = OffscreenRenderer(
+                meshes, width, height, center=center, radius=radius, quality=None,
+                finishes=finishes([item.role for item in items]),
+            )  # fmt: skip
             self._meshes = meshes
         view = fit_camera(np.concatenate(self._corners), width / height)
         return self._renderer.picture([i.pose for i in items], part_colors([i.role for i in items]), view)

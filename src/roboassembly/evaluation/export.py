@@ -94,7 +94,7 @@ def export(
     solved = [(ref, episode) for ref, episode in episodes if episode.success and episode.actions]
     if not solved:
         raise InputError(f"--export {path}: no episode succeeded, so there is nothing to export")
-    names = list(dict.fromkeys(_furniture_name(ref) for ref, _ in solved))
+    names = list(dict.fromkeys(ref.argument for ref, _ in solved))
     env = gymnasium.make(OBJECT_CENTRIC, furniture=names, cloud_points=cloud_points, disable_env_checker=True)
     tasks: tuple[ObjectCentricTask, ...] = env.get_wrapper_attr("tasks")
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -104,7 +104,7 @@ def export(
             Path(scratch) / "data", env.observation_space, env.action_space, env.spec, data_format="hdf5"
         )
         for ref, episode in solved:
-            index = names.index(_furniture_name(ref))
+            index = names.index(ref.argument)
             buffer = _replay(tasks[index], episode, index, written, cloud_points)
             if buffer is not None:
                 storage.update_episodes([buffer])
@@ -116,11 +116,6 @@ def export(
         shutil.move(Path(scratch) / "data", Path(scratch) / path.name / "data")
         (Path(scratch) / path.name).rename(path)
     return Exported(path, written, steps, len(solved) - written)
-
-
-def _furniture_name(ref: FurnitureRef) -> str:
-    """Return the name that the environment takes."""
-    return ref.name if ref.folder is None else str(ref.folder)
 
 
 def _metadata(name: str, policy: str) -> dict[str, Any]:

@@ -17,6 +17,8 @@ from roboassembly.furniture.model import (
     SAME_POINT,
     Connection,
     ConnectionPoint,
+    Fastener,
+    FastenerKind,
     Furniture,
     GraspRegion,
     Part,
@@ -80,6 +82,15 @@ class _Class(_Strict, frozen=True):
     symmetries: list[_Quaternion]
 
 
+class _Fastener(_Strict, frozen=True):
+    name: str
+    kind: FastenerKind
+    mesh: str
+    place: _Seven
+    """Pose in the furniture; z is the way in."""
+    joins: list[int]
+
+
 class _Provenance(_Strict, frozen=True):
     source: str
     identifier: str = ""
@@ -100,6 +111,8 @@ class Document(_Strict, frozen=True):
     """Rows `part_a, point_a, part_b, point_b`, counted from 0."""
     classes: list[_Class]
     sites: list[_Site] = []
+    fasteners: list[_Fastener] | msgspec.UnsetType = msgspec.UNSET
+    """Dowels, screws and cam locks; absent if there are none."""
 
 
 class Header(msgspec.Struct, frozen=True):
@@ -109,13 +122,13 @@ class Header(msgspec.Struct, frozen=True):
     version: int = 0
 
 
-def to_document(furniture: Furniture, files: Mapping[int, str]) -> Document:
-    """Return the document of `furniture`; `files` has the mesh file of each part."""
+def to_document(furniture: Furniture, files: Mapping[Mesh, str]) -> Document:
+    """Return the document of `furniture`; `files` has the path of each mesh."""
     parts: list[_Part] = []
-    for index, (part, slot) in enumerate(zip(furniture.parts, furniture.assembled, strict=True)):
+    for part, slot in zip(furniture.parts, furniture.assembled, strict=True):
         points = [_Point(_three(p.position), _three(p.normal), _three(p.tangent), p.gap) for p in part.points]
         grasps = [_to_grasp(region) for region in part.grasps]
-        parts.append(_Part(part.name, files[index], _seven(slot), points, part.label, grasps))
+        parts.append(_Part(part.name, files[part.mesh], _seven(slot), points, part.label, grasps))
     classes = [
         _Class(
             list(c.members), [tuple(q) for q in Rotation.from_matrix(c.symmetries).as_quat(scalar_first=True).tolist()]
@@ -132,6 +145,8 @@ def to_document(furniture: Furniture, files: Mapping[int, str]) -> Document:
         [(c.part_a, c.point_a, c.part_b, c.point_b) for c in furniture.connections],
         classes,
         [_Site(s.name, s.part, _seven(s.frame), s.mate) for s in furniture.sites],
+        [_Fastener(f.name, f.kind, files[f.mesh], _seven(f.place), list(f.joins)) for f in furniture.fasteners]
+        or msgspec.UNSET,
     )
 
 
@@ -176,7 +191,7 @@ def from_document(document: Document, read_mesh: Callable[[str, str], Mesh], fol
             slots.append(pose_from_seven(part.assembled_pose))
         except InputError as error:
             raise FurnitureError(f"{where}: assembled_pose: {error}") from None
-    names = [p.name for p in parts]
+    names = [p.name for p in (*parts, *(document.fasteners or ()))]
     if len(set(names)) < len(names):
         raise FurnitureError(f"{folder}: part names repeat: {sorted(n for n in set(names) if names.count(n) > 1)}")
     try:
@@ -192,6 +207,18 @@ def from_document(document: Document, read_mesh: Callable[[str, str], Mesh], fol
         sites = tuple(Site(s.name, s.part, pose_from_seven(s.pose), s.mate) for s in document.sites)
     except InputError as error:
         raise FurnitureError(f"{folder}: sites: {error}") from None
+    fasteners: list[Fastener] = []
+    for fastener in document.fasteners or ():
+        where = f"{folder}: fastener '{fastener.name}'"
+        if fastener.mesh not in meshes:
+            meshes[fastener.mesh] = read_mesh(fastener.mesh, where)
+        try:
+            place = pose_from_seven(fastener.place)
+        except InputError as error:
+            raise FurnitureError(f"{where}: place: {error}") from None
+        fasteners.append(
+            Fastener(fastener.name, fastener.kind, meshes[fastener.mesh], place, tuple(sorted(set(fastener.joins))))
+        )
     origin = document.provenance
     furniture = Furniture(
         document.name,
@@ -201,6 +228,7 @@ def from_document(document: Document, read_mesh: Callable[[str, str], Mesh], fol
         classes,
         Provenance(origin.source, origin.identifier, origin.licence, origin.scale, tuple(origin.notes)),
         sites,
+        tuple(fasteners),
     )
     _check_consistency(furniture, folder)
     return furniture

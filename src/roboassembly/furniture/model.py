@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -33,6 +33,8 @@ ROUNDED_CENTER = 1e-5
 SAME_POINT = 0.01
 """Distance on the shape below which contacts of parts of one shape share a connection point [m]."""
 
+FastenerKind = Literal["dowel", "screw", "cam"]
+"""Kinds of fasteners."""
 NEAR = 0.003
 """Largest distance between the surfaces of parts of one class, which in imported furniture may differ by marks [m]."""
 
@@ -46,6 +48,16 @@ class RawPart:
     """Mesh at its place in the assembled furniture, in the furniture's frame (z up) [m]."""
     label: str = ""
     """Path in PartNet's hierarchy (`chair_base/regular_leg_base/leg`), if known."""
+
+
+@dataclass(frozen=True, eq=False)
+class RawFastener:
+    """Fastener from a generator or importer."""
+
+    name: str
+    kind: FastenerKind
+    mesh: Mesh
+    """Mesh at its place in the assembled furniture, in the furniture's frame (z up) [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,6 +181,29 @@ class Site:
     """
 
 
+@dataclass(frozen=True, eq=False)
+class Fastener:
+    """Small part of kind `fastener` that holds ordinary parts together: a dowel, a screw or a cam lock.
+
+    Fasteners are no parts of the task: states, actions and observations know nothing of them. Equal ones have the same
+    mesh.
+    """
+
+    name: str
+    kind: FastenerKind
+    mesh: Mesh
+    """Mesh in the fastener's own frame: origin at its centre of mass, z along its axis, the way in [m]."""
+    place: SE3
+    """`furniture_from_fastener` in the assembled furniture."""
+    joins: tuple[int, ...]
+    """Slots of the parts that it joins, ascending."""
+
+    @property
+    def axis(self) -> Float[np.ndarray, "3"]:
+        """Unit vector along which it goes in, furniture frame."""
+        return self.place.rotation[:, 2]
+
+
 @dataclass(frozen=True)
 class RawFurniture:
     """Result of an importer: parts as the source's files have them, and their origin."""
@@ -180,6 +215,8 @@ class RawFurniture:
     """Guess of the unit of length, if neither the files nor the caller gave it."""
     remarks: tuple[str, ...] = ()
     """Remarks for the user on the files, one line each."""
+    fasteners: tuple[RawFastener, ...] = ()
+    """Fasteners, which are not among the parts."""
 
     @property
     def size(self) -> tuple[float, float, float]:
@@ -209,6 +246,8 @@ class Furniture:
     provenance: Provenance = field(default_factory=lambda: Provenance("unknown"))
     sites: tuple[Site, ...] = ()
     """Connection sites of the source's files; no rule of the task uses them."""
+    fasteners: tuple[Fastener, ...] = ()
+    """Dowels, screws and cam locks; no rule of the task uses them."""
 
     def __post_init__(self) -> None:
         n = len(self.parts)
@@ -229,6 +268,11 @@ class Furniture:
             if site.mate is not None and self.sites[site.mate].mate != index:
                 raise FurnitureError(
                     f"{self.name}: site '{site.name}' has '{self.sites[site.mate].name}' as its mate, which has another"
+                )
+        for fastener in self.fasteners:
+            if not fastener.joins or not set(fastener.joins) <= set(range(n)):
+                raise FurnitureError(
+                    f"{self.name}: fastener '{fastener.name}' joins {[*fastener.joins]}; expected parts of 0..{n - 1}"
                 )
         members = sorted(m for c in self.classes for m in c.members)
         if members != list(range(n)):
@@ -254,6 +298,14 @@ class Furniture:
     def most_points(self) -> int:
         """Largest number of connection points of a part."""
         return max(len(part.points) for part in self.parts)
+
+    @cached_property
+    def fastener_classes(self) -> tuple[tuple[int, ...], ...]:
+        """Indices of equal fasteners, of one kind and one mesh, by the first of them."""
+        found: dict[tuple[str, int], list[int]] = {}
+        for index, fastener in enumerate(self.fasteners):
+            found.setdefault((fastener.kind, id(fastener.mesh)), []).append(index)
+        return tuple(map(tuple, found.values()))
 
     @property
     def padding(self) -> tuple[int, int]:

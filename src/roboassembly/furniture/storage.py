@@ -119,14 +119,12 @@ def _may_replace(folder: Path) -> bool:
 
 def _write(furniture: Furniture, folder: Path) -> None:
     (folder / MESHES).mkdir()
-    written: dict[int, str] = {}
-    files: dict[int, str] = {}
-    for index, part in enumerate(furniture.parts):
-        if id(part.mesh) not in written:
-            path = f"{MESHES}/{len(written):02d}.ply"
+    files: dict[Mesh, str] = {}
+    for part in (*furniture.parts, *furniture.fasteners):
+        if part.mesh not in files:
+            path = f"{MESHES}/{len(files):02d}.ply"
             part.mesh.trimesh.export(folder / path, encoding="binary", vertex_normal=False)
-            written[id(part.mesh)] = path
-        files[index] = written[id(part.mesh)]
+            files[part.mesh] = path
     document = to_document(furniture, files)
     (folder / FILE_NAME).write_bytes(msgspec.json.format(msgspec.json.encode(document), indent=1) + b"\n")
 

@@ -94,7 +94,7 @@ def _size(raw: RawFurniture, unit: Unit, name: str | None) -> str:
 
 
 def _counts(remark: str) -> bool:
-    return "separate bodies" in remark or "left out" in remark
+    return "separate bodies" in remark or "left out" in remark or "like fasteners" in remark
 
 
 def _of_holds(furniture: Furniture) -> list[Finding]:

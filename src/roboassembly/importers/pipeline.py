@@ -8,10 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from roboassembly.furniture.annotate import annotate
-from roboassembly.furniture.model import Furniture, RawFurniture, Site
+from roboassembly.furniture.model import Furniture, RawFastener, RawFurniture, RawPart, Site
+from roboassembly.geometry.meshes import nearest_points
 from roboassembly.geometry.poses import SE3
 from roboassembly.importers.connection_sites import MAX_GAP
 from roboassembly.repair import PartRepair, RepairLimits, repair
+from roboassembly.repair.drilling import drill
 
 ROUNDING = 1e-9
 """Rounding error in the distance of two sites that are moved together [m]."""
@@ -38,12 +40,25 @@ def finish(name: str, raw: RawFurniture, *, allow_shortening: bool = False) -> I
     """
     limits = replace(RepairLimits(), shortening=float("inf")) if allow_shortening else RepairLimits()
     repaired = repair(raw.parts, limits=limits)
+    parts, fasteners = drill(repaired.parts, _moved_along(raw.fasteners, raw.parts, repaired.report))
     sites, opened = _shifted_sites(raw.sites, repaired.report)
     notes = (*raw.provenance.notes, *(str(r) for r in repaired.report), *opened)
-    furniture = annotate(name, repaired.parts, replace(raw.provenance, notes=notes), with_near_shapes=True)
+    furniture = annotate(name, parts, replace(raw.provenance, notes=notes), with_near_shapes=True)
     # Annotation redefines the parts' frames, but does not move the parts.
     framed = tuple(replace(site, frame=furniture.assembled[site.part].actInv(site.frame)) for site in sites)
-    return Imported(replace(furniture, sites=framed), repaired.report)
+    return Imported(replace(furniture, sites=framed, fasteners=fasteners), repaired.report)
+
+
+def _moved_along(
+    fasteners: Sequence[RawFastener], parts: Sequence[RawPart], report: Sequence[PartRepair]
+) -> list[RawFastener]:
+    """Return the fasteners moved with the part that each is nearest to, as repair moved that."""
+    out: list[RawFastener] = []
+    for fastener in fasteners:
+        distances = [nearest_points(part.mesh, fastener.mesh).distance for part in parts]
+        shift = np.array(report[int(np.argmin(distances))].shift)
+        out.append(replace(fastener, mesh=fastener.mesh.transformed(SE3(np.eye(3), shift))))
+    return out
 
 
 def _shifted_sites(sites: Sequence[Site], report: Sequence[PartRepair]) -> tuple[list[Site], list[str]]:

@@ -9,6 +9,7 @@ import numpy as np
 from roboassembly.manual.arrangement import UPRIGHT
 from roboassembly.manual.helpers import helps
 from roboassembly.manual.line_drawing import Figure
+from roboassembly.manual.merge_tree import Parts
 from roboassembly.manual.page import ACCENT, GREY, HEIGHT, MARGIN, WIDTH, Box, Page, shortened, wrapped
 from roboassembly.manual.part_list import PartKind, kind_figure, part_kinds
 from roboassembly.manual.pictures import add_drawing, place
@@ -37,7 +38,9 @@ def pages_of(manual: Manual, on_plan: str = "") -> list[Page]:
     part_list = part_kinds(manual.furniture)
     letters = {p: kind.letter for kind in part_list for p in kind.members}
     helping = helps(manual)
-    double = {h.step for h in helping}
+    double = {h.step: frozenset[int]() for h in helping}
+    for h in helping:
+        double[h.step] |= h.parts_held
     pages = [_cover(manual), *_part_pages(manual, part_list)]
     groups = _pages_of_rows(viewed_steps(manual))
     for number, rows in enumerate(groups, start=1):
@@ -79,9 +82,9 @@ def _cover(manual: Manual) -> Page:
     name = shortened(title_of(manual), 34, right - left, bold=True)
     page.text(left, HEIGHT - 42, name, 34, bold=True)
     count, steps = len(furniture.parts), len(manual.steps)
-    page.text(
-        left, HEIGHT - 54, f"Assembly manual: {count} parts, {steps} step{'s' if steps != 1 else ''}", 14, ink=GREY
-    )
+    fasteners = f", {len(furniture.fasteners)} fasteners" if furniture.fasteners else ""
+    line = f"Assembly manual: {count} parts{fasteners}, {steps} step{'s' if steps != 1 else ''}"
+    page.text(left, HEIGHT - 54, line, 14, ink=GREY)
     figures = _whole(manual)
     box = Box(left, 48, right, HEIGHT - 70)
     add_drawing(page, place(figures, best_camera(figures, UPRIGHT), box, largest=10.0), plain=True)
@@ -117,7 +120,7 @@ def _draw_kind(page: Page, manual: Manual, kind: PartKind, box: Box) -> None:
     page.bubble((box.left + 5, box.high - 6), kind.letter, size=11)
     page.text(box.left + 12, box.high - 7.8, f"{len(kind.members)}×", 14, bold=True)
     picture = Box(box.left + 2, box.low + 13, box.right - 3, box.high - 13)
-    add_drawing(page, place([kind_figure(manual.furniture, kind)], kind.camera, picture, largest=1.0), plain=True)
+    add_drawing(page, place([kind_figure(kind)], kind.camera, picture, largest=1.0), plain=True)
     page.text(box.left + 2, box.low + 7.5, " × ".join(map(str, kind.size)) + " mm", 8)
     page.text(box.left + 2, box.low + 3.5, shortened(kind.name, 7, box.width - 4), 7, ink=GREY)
 
@@ -134,7 +137,7 @@ def _pages_of_rows(steps: Sequence[StepView]) -> list[list[list[StepView]]]:
 
 
 def _draw_rows(
-    page: Page, manual: Manual, rows: Sequence[Sequence[StepView]], letters: dict[int, str], double: set[int]
+    page: Page, manual: Manual, rows: Sequence[Sequence[StepView]], letters: dict[int, str], double: dict[int, Parts]
 ) -> None:
     top, low = HEIGHT - MARGIN - 4, MARGIN + 4
     height = (top - low - (_ROWS_OF_STEPS - 1) * _GAP) / _ROWS_OF_STEPS
@@ -147,7 +150,7 @@ def _draw_rows(
             if k:
                 x = left - 0.5 * _GAP
                 page.path([np.array([[x, box.low + 6], [x, box.high - 6]])], stroke=GREY, width=0.2, closed=False)
-            draw_step(page, manual, view, box, letters, view.step.number in double)
+            draw_step(page, manual, view, box, letters, double.get(view.step.number))
         if r + 1 < len(rows):
             y = high - height - 0.5 * _GAP
             page.path([np.array([[MARGIN, y], [WIDTH - MARGIN, y]])], stroke=GREY, width=0.2, closed=False)
@@ -182,12 +185,23 @@ def _last_page(manual: Manual, on_plan: str, *, with_piece: bool) -> Page:
     if manual.final_turn is not None:
         lines.append("After the last step: set the piece on its feet.")
     y = _paragraphs(page, lines, y, right)
+    if manual.furniture.fasteners:
+        page.text(MARGIN, y - 8, "Fasteners", 20, bold=True)
+        y = _paragraphs(page, _fastener_lines(manual), y - 18, right)
     y -= 8
     page.text(MARGIN, y, "Two robots", 20, bold=True)
     y = _paragraphs(page, _robot_lines(manual, on_plan), y - 10, right)
     if with_piece and y > 0.5 * HEIGHT:
         _draw_done(page, manual)
     return page
+
+
+def _fastener_lines(manual: Manual) -> list[str]:
+    fasteners = manual.furniture.fasteners
+    if not manual.not_inserted:
+        return ["All fasteners go in along their axes. Two robots leave them to a person."]
+    head = "Fasteners without a free way in in this order, to be fitted by other means:"
+    return [head, *(f"{fasteners[index].name}: {reason}." for index, reason in manual.not_inserted)]
 
 
 def _robot_lines(manual: Manual, on_plan: str) -> list[str]:

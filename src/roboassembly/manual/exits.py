@@ -9,11 +9,13 @@ from scipy.spatial import ConvexHull, QhullError
 from roboassembly.furniture.model import Furniture
 from roboassembly.geometry.meshes import WOOD_DENSITY
 from roboassembly.geometry.poses import align_axis
-from roboassembly.manual.merge_tree import Halves, Parts, group_in_place
+from roboassembly.geometry.support import tipping_angle
+from roboassembly.manual.merge_tree import Halves, Parts
 from roboassembly.solvers.disassembly import Disassembly
 from roboassembly.solvers.exits import ExitPlanner
+from roboassembly.task.object_centric.stability import StandCheck
 from roboassembly.task.rules.connections import UP_AXES, Rules
-from roboassembly.task.rules.groups import center_of_mass, hull_points
+from roboassembly.task.rules.groups import center_of_mass, group_in_place, hull_points
 
 LEAST_TIPPING = float(np.deg2rad(6.0))
 """Angle by which a sub-assembly must tilt before it falls over, if it is to count as standing [rad]."""
@@ -35,6 +37,8 @@ class Handling:
         self.furniture = furniture
         self.disassembly = Disassembly(furniture, lambda: False)
         self.exits = ExitPlanner(Rules(furniture), self.disassembly.graphs, seed)
+        self.stand_check = StandCheck(furniture)
+        """Stability of sub-assemblies by physics."""
         self._tipping: dict[tuple[Parts, int], float] = {}
         self._surfaces: dict[Parts, float] = {}
         self._hull_sides: dict[Parts, Float[np.ndarray, "n 3"]] = {}
@@ -100,13 +104,6 @@ class Handling:
 
     def _angle(self, parts: Parts, up: Float[np.ndarray, "3"]) -> float:
         turn = align_axis(up / np.linalg.norm(up), UP_AXES[0])
-        points = self.points(parts) @ turn.T
         center = turn @ center_of_mass(self.furniture, group_in_place(self.furniture, parts))
-        low = float(points[:, 2].min())
-        sole = points[points[:, 2] < low + _SOLE, :2]
-        try:
-            sides = ConvexHull(sole).equations
-        except (QhullError, ValueError):
-            return -1.0  # it stands on an edge or a corner
-        inside = -float((sides[:, :2] @ center[:2] + sides[:, 2]).max())
-        return float(np.arctan2(inside, center[2] - low))
+        angle = tipping_angle(self.points(parts) @ turn.T, center, _SOLE)
+        return -1.0 if angle is None else angle  # it stands on an edge or a corner

@@ -24,13 +24,19 @@ class Help:
 
     step: int
     reason: str
+    parts_held: Parts = frozenset()
+    """Parts of the base that a hand holds; empty if nothing needs to be held."""
 
 
 def helps(manual: Manual) -> list[Help]:
     """Return the reasons for a second pair of hands, in the order of the steps."""
     out: list[Help] = []
     for step in manual.steps:
+        if not step.movers:
+            continue  # fasteners need one hand
         out += [Help(step.number, reason) for reason in _reasons(manual, step)]
+        if (reason := _reason_to_hold(manual, step)) is not None:
+            out.append(Help(step.number, reason, step.base))
     if manual.final_turn is not None:
         whole = manual.steps[-1].result
         load = _load(manual.arrangement.handling, whole)
@@ -46,11 +52,21 @@ def _reasons(manual: Manual, step: ManualStep) -> list[str]:
         out.append(f"turn what is there: {load}")
     loads = dict.fromkeys(_load(handling, mover.parts) for mover in step.movers)
     out += [f"lift what comes: {load}" for load in loads if load]
-    if not handling.stands(step.base, step.up):
-        out.append("hold what is there: it does not stand by itself")
-    elif not handling.stands(step.result, step.up) or _falls(manual, step):
-        out.append("hold the result: it does not stand by itself")
     return out
+
+
+def _reason_to_hold(manual: Manual, step: ManualStep) -> str | None:
+    """Return why what is there, or the result of a step, must be held; None if both stand.
+
+    What tilts less than `LEAST_TIPPING` before it falls is held, too; physics tells whether it falls by itself.
+    """
+    handling = manual.arrangement.handling
+    for subject, parts in (("what is there", step.base), ("the result", step.result)):
+        falls = parts == step.result and _falls(manual, step)
+        if falls or not handling.stands(parts, step.up):
+            balances = not falls and handling.stand_check.stands(parts, step.up)
+            return f"hold {subject}: it {'tips over easily' if balances else 'does not stand by itself'}"
+    return None
 
 
 def _falls(manual: Manual, step: ManualStep) -> bool:

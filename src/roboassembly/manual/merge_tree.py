@@ -10,8 +10,7 @@ from dataclasses import dataclass
 
 from roboassembly.errors import InputError
 from roboassembly.furniture.model import Furniture
-from roboassembly.geometry.poses import SE3
-from roboassembly.task.rules.groups import Group, TaskState
+from roboassembly.task.rules.groups import TaskState, group_in_place
 from roboassembly.task.rules.pairs import PairRule
 
 Parts = frozenset[int]
@@ -38,12 +37,6 @@ class Halves:
 
 MergeTree = dict[Parts, Halves]
 """The two halves of each sub-assembly of more than one part."""
-
-
-def group_in_place(furniture: Furniture, parts: Parts) -> Group:
-    """Return parts in their own slots as a group, in the furniture's frame."""
-    own = tuple(sorted(parts))
-    return Group(own, own, tuple(furniture.assembled[p] for p in own), SE3.Identity())
 
 
 def tree_of(furniture: Furniture, actions: Sequence[tuple[int, ...]], name: str = "the plan") -> MergeTree:

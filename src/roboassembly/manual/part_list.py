@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from string import ascii_uppercase
 
@@ -10,6 +11,7 @@ from jaxtyping import Float
 from scipy.spatial import ConvexHull
 
 from roboassembly.furniture.model import Furniture
+from roboassembly.geometry.meshes import Mesh
 from roboassembly.geometry.poses import SE3
 from roboassembly.manual.line_drawing import MILLIMETRES, Figure, Projection
 
@@ -23,6 +25,8 @@ class PartKind:
 
     letter: str
     members: tuple[int, ...]
+    """Indices of the parts; of fasteners, those after all parts."""
+    mesh: Mesh
     name: str
     size: tuple[int, int, int]
     """Length, width and thickness of the smallest box around it [mm]."""
@@ -47,18 +51,33 @@ def letter_of(index: int) -> str:
 
 
 def part_kinds(furniture: Furniture) -> list[PartKind]:
-    """Return the kinds of parts, the largest first."""
-    found: list[tuple[float, tuple[int, ...], tuple[int, int, int], Float[np.ndarray, "3 3"]]] = []
-    for shape in furniture.classes:
-        mesh = furniture.parts[shape.members[0]].mesh
+    """Return the kinds of parts, the largest first, and then those of fasteners."""
+    count = len(furniture.parts)
+    meshes = [furniture.parts[shape.members[0]].mesh for shape in furniture.classes]
+    parts = _sized([shape.members for shape in furniture.classes], meshes)
+    classes = furniture.fastener_classes
+    meshes = [furniture.fasteners[members[0]].mesh for members in classes]
+    fasteners = _sized([tuple(count + index for index in members) for members in classes], meshes)
+    names = [part.name for part in furniture.parts]
+    names += [f"{fastener.kind} {fastener.name}" for fastener in furniture.fasteners]
+    return [
+        PartKind(letter_of(i), members, mesh, names[members[0]], size, axes)
+        for i, (_, members, size, axes, mesh) in enumerate((*parts, *fasteners))
+    ]
+
+
+_Sized = tuple[float, tuple[int, ...], tuple[int, int, int], Float[np.ndarray, "3 3"], Mesh]
+"""Negative volume of the box around a kind, its members, its sizes, axes and mesh."""
+
+
+def _sized(groups: Sequence[tuple[int, ...]], meshes: Sequence[Mesh]) -> list[_Sized]:
+    """Return kinds with the box around each, the largest first."""
+    found: list[_Sized] = []
+    for members, mesh in zip(groups, meshes, strict=True):
         axes, extents = box_around(mesh.hull_vertices, mesh.hull.face_normals, mesh.hull.area_faces)
         length, width, thickness = (max(1, round(MILLIMETRES * x)) for x in extents.tolist())
-        found.append((-float(np.prod(extents)), shape.members, (length, width, thickness), axes))
-    found.sort(key=lambda item: (item[0], item[1]))
-    return [
-        PartKind(letter_of(i), members, furniture.parts[members[0]].name, size, axes)
-        for i, (_, members, size, axes) in enumerate(found)
-    ]
+        found.append((-float(np.prod(extents)), members, (length, width, thickness), axes, mesh))
+    return sorted(found, key=lambda item: (item[0], item[1]))
 
 
 def box_around(
@@ -106,6 +125,6 @@ def box_around(
     return axes, best[2][order]
 
 
-def kind_figure(furniture: Furniture, kind: PartKind) -> Figure:
+def kind_figure(kind: PartKind) -> Figure:
     """Return one of the parts as a figure."""
-    return Figure(furniture.parts[kind.members[0]].mesh, SE3.Identity(), kind.members[0])
+    return Figure(kind.mesh, SE3.Identity(), kind.members[0])

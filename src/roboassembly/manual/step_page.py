@@ -21,8 +21,16 @@ from roboassembly.manual.pictures import (
     inner_spot,
     place,
 )
-from roboassembly.manual.steps import Manual, ManualStep, Mover, joint_depth
-from roboassembly.manual.viewpoints import JointSpot, Sight, best_camera, joint_spots, step_camera, step_figures
+from roboassembly.manual.steps import FastenerWay, Manual, ManualStep, Mover, joint_depth
+from roboassembly.manual.viewpoints import (
+    JointSpot,
+    Sight,
+    best_camera,
+    coming_keys,
+    joint_spots,
+    step_camera,
+    step_figures,
+)
 
 HAND = 90.0
 """Breadth of a hand: joints with a smaller contact are enlarged [mm]."""
@@ -41,8 +49,12 @@ _FEWEST_TO_COUNT = 4
 _BASE_ONLY = 3
 """Largest number of parts in a step that takes half a row."""
 _UP_WORDS = ("upright", "upside down", "onto its side", "onto its side", "onto its front", "onto its back")
+_HOLD_MARK = "hold"
+"""Words of the mark on what a second person holds."""
 _WITH_FRONT = "generated"
 """Source of furniture whose front is known to be on the side of −y."""
+_FASTENER_ARROW = 0.6
+"""Size of the arrow of a fastener."""
 _CROWDED = 5
 """Number of movers in a step from which its arrows are slender."""
 
@@ -108,7 +120,9 @@ def _small_joint(furniture: Furniture, step: ManualStep, camera: Projection) -> 
     return spots[int(np.lexsort((nearness.round(3), visible))[-1])]
 
 
-def draw_step(page: Page, manual: Manual, view: StepView, box: Box, letters: dict[int, str], two_people: bool) -> None:
+def draw_step(
+    page: Page, manual: Manual, view: StepView, box: Box, letters: dict[int, str], help_with: Parts | None
+) -> None:
     """Draw a step into a box.
 
     Args:
@@ -117,10 +131,11 @@ def draw_step(page: Page, manual: Manual, view: StepView, box: Box, letters: dic
         view: the step and its camera.
         box: where it is drawn.
         letters: letter of each part.
-        two_people: whether a sign for two people is drawn.
+        help_with: parts that a second person holds, which get a mark, or none if there is other work for two; None if
+            one person can do the step.
     """
     step = view.step
-    _draw_header(page, box, step, two_people)
+    _draw_header(page, box, step, help_with is not None)
     wide = box.width > 1.25 * box.height
     needs_column = view.detail is not None or step.turned_from is not None
     if wide:
@@ -132,7 +147,7 @@ def draw_step(page: Page, manual: Manual, view: StepView, box: Box, letters: dic
         area = Box(box.left + 3, box.low + (_SIDE if needs_column else 3), box.right - 3, box.high - 14)
         corner = Box(box.right - _SIDE + 2, box.low + 3, box.right - 4, box.low + _SIDE - 3)
         turn_box = Box(box.left + 3, box.low + 3, box.left + 45, box.low + _SIDE - 5)
-    coming = {p for mover in step.movers for p in mover.parts}
+    coming = coming_keys(manual.furniture, step)
     placed = place(step_figures(manual.furniture, step), view.camera, area.inset(7.0))
     add_drawing(page, placed, coming)
     spots = joint_spots(manual.furniture, step)
@@ -140,9 +155,24 @@ def draw_step(page: Page, manual: Manual, view: StepView, box: Box, letters: dic
         _draw_detail(page, manual.furniture, view, placed, corner)
     size = _DETAIL_ARROW if len(step.movers) >= _CROWDED else 1.0
     arrows = [box for i, mover in enumerate(step.movers) for box in _draw_arrows(page, placed, mover, i, spots, size)]
+    arrows += [
+        add_arrow(page, placed.at(_to_mouth(manual.furniture, way)), _FASTENER_ARROW)
+        for way in step.fasteners[: None if len(step.fasteners) < _CROWDED else 1]
+    ]
     _draw_labels(page, manual, step, placed, area, arrows, letters)
+    if help_with and (anchor := _anchor(placed, help_with)) is not None:
+        add_label(page, _HOLD_MARK, anchor, area, placed.covered, arrows)
     if step.turned_from is not None:
         _draw_turn(page, manual, step, turn_box)
+
+
+def _to_mouth(furniture: Furniture, way: FastenerWay) -> Float[np.ndarray, "2 3"]:
+    """Return the ends of a fastener's arrow: from its front end to where that enters the part [m]."""
+    away, place = way.arrow(furniture)
+    mesh = furniture.fasteners[way.index].mesh
+    inward = (place - away) / max(1e-9, float(np.linalg.norm(place - away)))
+    half = 0.5 * float(np.ptp(mesh.vertices[:, 2]))
+    return np.array([away + half * inward, place + 0.2 * half * inward])
 
 
 def _draw_header(page: Page, box: Box, step: ManualStep, two_people: bool) -> None:
@@ -195,6 +225,12 @@ def _draw_labels(
         names.append((letters[min(mover.parts)] if single else f"from {manual.made_in[mover.parts]}", mover.parts))
     if len(step.base) == 1:
         names.insert(0, (letters[min(step.base)], step.base))
+    count = len(manual.furniture.parts)
+    by_letter: dict[str, list[int]] = {}
+    for way in step.fasteners:
+        by_letter.setdefault(letters[count + way.index], []).append(count + way.index)
+    for letter, keys in by_letter.items():
+        names.append((letter if len(keys) == 1 else f"{len(keys)}× {letter}", frozenset(keys[:1])))
     texts = [text for text, _ in names]
     done: set[str] = set()
     for text, parts in names:

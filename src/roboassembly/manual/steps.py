@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -12,8 +13,10 @@ from roboassembly.furniture.model import Furniture
 from roboassembly.geometry.poses import SE3, from_quaternion, interpolate, rotation_angle, transform_points
 from roboassembly.manual.arrangement import UPRIGHT, ArrangedPlan, CheckedMerge, building_order
 from roboassembly.manual.exits import Handling
-from roboassembly.manual.merge_tree import Halves, Parts, group_in_place
-from roboassembly.task.rules.groups import center_of_mass
+from roboassembly.manual.merge_tree import Halves, Parts
+from roboassembly.task.object_centric.insertion import with_insertions
+from roboassembly.task.plans.plan import Insertion, Plan
+from roboassembly.task.rules.groups import center_of_mass, group_in_place
 
 MOST_EQUAL, MOST_MIXED = 8, 4
 """Largest numbers of parts that come in one step: of equal ones, and of different ones."""
@@ -48,6 +51,21 @@ class Mover:
 
 
 @dataclass(frozen=True, eq=False)
+class FastenerWay:
+    """Fastener that goes in in a step."""
+
+    index: int
+    """Index into the furniture's fasteners."""
+    away: SE3
+    """Motion out of its place to where it is drawn, furniture frame."""
+
+    def arrow(self, furniture: Furniture) -> Float[np.ndarray, "2 3"]:
+        """Return the points between which it goes in: its middle where it is drawn, and in its place [m]."""
+        place = furniture.fasteners[self.index].place.translation
+        return np.array([self.away.act(place), place])
+
+
+@dataclass(frozen=True, eq=False)
 class ManualStep:
     """One picture of a manual."""
 
@@ -63,6 +81,8 @@ class ManualStep:
     """Sub-assemblies that this step makes, those that are made in the same way included."""
     count: int
     """Number of times that the step is done."""
+    fasteners: tuple[FastenerWay, ...] = ()
+    """Fasteners that go into the base; a step has either these or movers."""
 
     @property
     def result(self) -> Parts:
@@ -79,6 +99,8 @@ class Manual:
     steps: tuple[ManualStep, ...]
     final_turn: int | None
     """Axis that points up after the last step, if the finished piece has to be turned to stand upright."""
+    not_inserted: tuple[tuple[int, str], ...] = ()
+    """Index of each fastener that has no way in in this order, and the reason."""
 
     @property
     def made_in(self) -> dict[Parts, int]:
@@ -119,7 +141,64 @@ def steps_of(arrangement: ArrangedPlan) -> Manual:
             )
         )
     last = steps[-1].up
-    return Manual(furniture, arrangement, tuple(steps), None if last == UPRIGHT else last)
+    manual = Manual(furniture, arrangement, tuple(steps), None if last == UPRIGHT else last)
+    return with_fastener_steps(manual) if furniture.fasteners else manual
+
+
+def with_fastener_steps(manual: Manual) -> Manual:
+    """Return the manual with the steps in which fasteners go in, all steps numbered anew.
+
+    Fasteners go in between two steps. Those that go into equal single parts are drawn once.
+    """
+    arrangement, steps = manual.arrangement, manual.steps
+    number_of = {node: k for k, step in enumerate(steps) for node in step.merges}
+    step_of = [number_of[merge.choice.halves.merged] for merge in arrangement.merges]
+    ends = {k: max(i for i, number in enumerate(step_of) if number == k) for k in range(len(steps))}
+    plan = with_insertions(arrangement.plan, {-1, *ends.values()})
+    out: list[ManualStep] = _fastener_steps(arrangement, plan, -1, steps[0].up)
+    for k, step in enumerate(steps):
+        out += [step, *_fastener_steps(arrangement, plan, ends[k], step.up)]
+    numbered = tuple(replace(step, number=number) for number, step in enumerate(out, start=1))
+    return replace(manual, steps=numbered, not_inserted=plan.not_inserted)
+
+
+def _fastener_steps(arrangement: ArrangedPlan, plan: Plan, after: int, up: int) -> list[ManualStep]:
+    """Return the steps of the fasteners that go in after a merge: one for each group that some go into."""
+    furniture = plan.furniture
+    groups = {p: frozenset((p,)) for p in range(len(furniture.parts))}
+    for merge in arrangement.merges[: after + 1]:
+        merged = merge.choice.halves.merged
+        groups |= dict.fromkeys(merged, merged)
+    into: dict[Parts, list[FastenerWay]] = {}
+    for insertion in plan.insertions:
+        if insertion.after == after:
+            base = groups[insertion.part]
+            into.setdefault(base, []).append(_fastener_way(arrangement.handling, insertion, base))
+    out: list[ManualStep] = []
+    for base, ways_in in into.items():
+        alike = next((k for k, step in enumerate(out) if _same_work(furniture, step, base, ways_in)), None)
+        if alike is None:
+            out.append(ManualStep(0, base, (), up, None, (), 1, tuple(ways_in)))
+        else:
+            out[alike] = replace(out[alike], count=out[alike].count + 1)
+    return out
+
+
+def _same_work(furniture: Furniture, step: ManualStep, base: Parts, ways_in: Sequence[FastenerWay]) -> bool:
+    """Whether the same fasteners go into an equal single part."""
+    if len(base) != 1 or len(step.base) != 1 or furniture.class_of[min(base)] != furniture.class_of[min(step.base)]:
+        return False
+    mine, its = (sorted(id(furniture.fasteners[w.index].mesh) for w in some) for some in (ways_in, step.fasteners))
+    return mine == its
+
+
+def _fastener_way(handling: Handling, insertion: Insertion, base: Parts) -> FastenerWay:
+    """Return how a fastener is drawn: on its way in, so far out that a gap is between it and the part."""
+    fastener = handling.furniture.fasteners[insertion.fastener]
+    along = insertion.path[0].rotation.T @ (insertion.path[0].translation - insertion.path[-1].translation)
+    out = fastener.place.rotation @ along / max(1e-9, float(np.linalg.norm(along)))
+    reach = float(np.ptp(fastener.mesh.vertices[:, 2])) + 0.35 * _gap(handling, base)
+    return FastenerWay(insertion.fastener, SE3(np.eye(3), reach * out))
 
 
 def _continues(furniture: Furniture, arrangement: ArrangedPlan, run: list[CheckedMerge], merge: CheckedMerge) -> bool:

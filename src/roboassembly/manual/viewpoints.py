@@ -107,7 +107,16 @@ def step_figures(furniture: Furniture, step: ManualStep) -> list[Figure]:
     out = [Figure(furniture.parts[p].mesh, furniture.assembled[p], p) for p in sorted(step.base)]
     for mover in step.movers:
         out += [Figure(furniture.parts[p].mesh, mover.away * furniture.assembled[p], p) for p in sorted(mover.parts)]
+    for way in step.fasteners:
+        fastener = furniture.fasteners[way.index]
+        out.append(Figure(fastener.mesh, way.away * fastener.place, len(furniture.parts) + way.index))
     return out
+
+
+def coming_keys(furniture: Furniture, step: ManualStep) -> set[int]:
+    """Return the keys of the figures that come in a step: parts, and fasteners numbered after all parts."""
+    parts = {p for mover in step.movers for p in mover.parts}
+    return parts | {len(furniture.parts) + way.index for way in step.fasteners}
 
 
 def step_camera(furniture: Furniture, step: ManualStep, before: Projection | None) -> Projection:
@@ -128,7 +137,11 @@ def step_camera(furniture: Furniture, step: ManualStep, before: Projection | Non
         length = max(1e-9, float(np.linalg.norm(way)))
         directions.append(way / length)
         there += [spot.place + s * way for s in (0.2, 0.5, 1.0 - 0.01 / length)]
-    moved = {p for mover in step.movers for p in mover.parts}
+    for way in step.fasteners:
+        away, place = way.arrow(furniture)
+        directions.append((away - place) / max(1e-9, float(np.linalg.norm(away - place))))
+        there.append(away)
+    moved = coming_keys(furniture, step)
     shapes = np.concatenate([surface_points(f.mesh, f.pose) for f in figures if f.key in moved])
     rest = np.concatenate([surface_points(f.mesh, f.pose) for f in figures])
     joints = np.array(there).reshape(-1, 3)

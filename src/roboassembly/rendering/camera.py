@@ -14,6 +14,8 @@ AZIMUTH = float(np.radians(130.0))
 ELEVATION = float(np.radians(-24.0))
 FIELD_OF_VIEW = float(np.radians(36.0))
 """Vertical field of view [rad]."""
+NEAREST = 0.02
+"""Distance from which a camera sees, in distances to its target."""
 MARGIN = 1.06
 """Size of the picture over the size of what it shows."""
 
@@ -54,6 +56,31 @@ def project(
     across, up, depth = view_axes(camera.azimuth, camera.elevation) @ (points - camera.position).T
     scale = 0.5 * height / np.tan(0.5 * field_of_view)
     return np.column_stack([0.5 * width + scale * across / depth, 0.5 * height - scale * up / depth])
+
+
+def clip_from_world(
+    camera: Camera, width: int, height: int, far: float, field_of_view: float = FIELD_OF_VIEW
+) -> Float[np.ndarray, "4 4"]:
+    """Return OpenGL's projection matrix of a camera.
+
+    Args:
+        camera: the camera.
+        width: width of the picture [pixels].
+        height: height of the picture [pixels].
+        far: distance up to which it sees [m].
+        field_of_view: vertical field of view [rad].
+    """
+    right, up, forward = view_axes(camera.azimuth, camera.elevation)
+    near = NEAREST * camera.distance
+    scale = 1.0 / np.tan(0.5 * field_of_view)
+    view = np.eye(4)
+    view[:3, :3] = right, up, -forward
+    view[:3, 3] = -view[:3, :3] @ camera.position
+    projection = np.zeros((4, 4))
+    projection[0, 0], projection[1, 1] = scale * height / width, scale
+    projection[2, 2:] = (far + near) / (near - far), 2.0 * far * near / (near - far)
+    projection[3, 2] = -1.0
+    return projection @ view
 
 
 def fit_camera(

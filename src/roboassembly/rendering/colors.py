@@ -18,7 +18,15 @@ class Role(enum.StrEnum):
     MOVING = "moving"
     ROBOT_A = "robot_a"
     ROBOT_B = "robot_b"
+    ROBOT_DARK = "robot_dark"
     POST = "post"
+
+
+class Finish(enum.StrEnum):
+    """Finish of an object's surface."""
+
+    WOOD = "wood"
+    PAINT = "paint"
 
 
 MOVING: Color = (0.95, 0.45, 0.08)
@@ -26,6 +34,7 @@ WAITING: Color = (0.28, 0.66, 0.32)
 WOOD: Color = (0.80, 0.66, 0.49)
 ROBOT_A: Color = (0.62, 0.70, 0.82)
 ROBOT_B: Color = (0.90, 0.90, 0.92)
+ROBOT_DARK: Color = (0.20, 0.21, 0.23)
 POST: Color = (0.45, 0.47, 0.50)
 _GOLDEN = 0.6180339887
 BACKGROUND: Color = (0.945, 0.953, 0.961)
@@ -39,7 +48,12 @@ def part_colors(roles: Sequence[Role]) -> list[Color]:
 
 
 _base = {Role.MOVING: MOVING, Role.WAITING: WAITING, Role.IDLE: WOOD}
-_plain = {Role.ROBOT_A: ROBOT_A, Role.ROBOT_B: ROBOT_B, Role.POST: POST}
+_plain = {Role.ROBOT_A: ROBOT_A, Role.ROBOT_B: ROBOT_B, Role.ROBOT_DARK: ROBOT_DARK, Role.POST: POST}
+
+
+def finishes(roles: Sequence[Role]) -> list[Finish]:
+    """Return the finish of each object: parts are wood, robots and posts are painted."""
+    return [Finish.WOOD if role in _base else Finish.PAINT for role in roles]
 
 
 def wood_colors(count: int) -> list[Color]:

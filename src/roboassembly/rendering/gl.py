@@ -27,6 +27,9 @@ os._exit(0)
 """
 
 
+_OLDEST = 330
+"""Oldest version of OpenGL that the shaders of pictures run on, as moderngl writes it."""
+
 _tried: list[str] = []
 """Module that the process which started this one has tried; empty in a process of its own."""
 
@@ -134,13 +137,6 @@ class OffscreenContext:
         """Make this the current context of the thread; another one may have been created since."""
         self._context.make_current()
 
-    @property
-    def is_software(self) -> bool:
-        """Whether the processor renders, not a graphics card."""
-        gl = importlib.import_module("OpenGL.GL")
-        renderer = (gl.glGetString(gl.GL_RENDERER) or b"").decode(errors="replace").lower()
-        return any(name in renderer for name in ("llvmpipe", "softpipe", "swrast", "software"))
-
     def __enter__(self) -> OffscreenContext:
         return self
 
@@ -148,6 +144,73 @@ class OffscreenContext:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._context.free()
+
+
+class PictureContext:
+    """OpenGL context without a window for the shaders of pictures; leaving the `with` block frees it.
+
+    Raises:
+        RenderingUnavailableError: this machine cannot render off screen, or not with OpenGL 3.3.
+    """
+
+    def __init__(self, width: int, height: int) -> None:
+        self._window: OffscreenContext | None = None
+        moderngl = importlib.import_module("moderngl")
+        try:
+            if sys.platform.startswith("linux"):
+                self._window = OffscreenContext(width, height)
+                moderngl.init_context(_Loader())
+                self._gl = moderngl.get_context()
+            else:
+                # MuJoCo's contexts have no shaders of OpenGL 3.3 there.
+                self._gl = moderngl.create_context(standalone=True)
+        except RenderingUnavailableError:
+            raise
+        except (moderngl.Error, OSError, RuntimeError) as error:
+            raise RenderingUnavailableError(f"OpenGL cannot be used in this process: {_one_line(error)}") from error
+        if self._gl.version_code < _OLDEST:
+            found = f"{self._gl.version_code / 100:.1f}"
+            self.free()
+            raise RenderingUnavailableError(f"pictures need OpenGL 3.3; this machine has {found}")
+
+    def activate(self) -> Any:
+        """Make this the current context of the thread and return its `moderngl.Context`."""
+        if self._window is None:
+            self._gl.__enter__()
+        else:
+            self._window.make_current()
+        return self._gl
+
+    @property
+    def is_software(self) -> bool:
+        """Whether the processor renders, not a graphics card."""
+        renderer = str(self._gl.info["GL_RENDERER"]).lower()
+        return any(name in renderer for name in ("llvmpipe", "softpipe", "swrast", "software"))
+
+    def free(self) -> None:
+        """Free the context and all that was made in it."""
+        if self._window is None:
+            self._gl.release()
+        else:
+            self._window.__exit__(None, None, None)
+
+    def __enter__(self) -> PictureContext:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.free()
+
+
+class _Loader:
+    """Finds functions of OpenGL for moderngl in the library that MuJoCo's context has loaded."""
+
+    def load_opengl_function(self, name: str) -> int:
+        platform = importlib.import_module("OpenGL.platform").PLATFORM
+        return int(platform.getExtensionProcedure(name.encode()) or 0)
+
+    load = load_opengl_function
 
 
 def _one_line(error: BaseException) -> str:

@@ -72,12 +72,17 @@ def hand_links(opening: float) -> tuple[tuple[Link, SE3], ...]:
 
 def placed(configuration: Float[np.ndarray, "10"], opening: float) -> list[tuple[Link, SE3]]:
     """Return every link with its `world_from_mesh`."""
-    rotations, origins = arm().frames(configuration[None, 3:])
-    platform = world_from_platform(configuration)
-    carriers = [platform]
-    carriers += [platform * PLATFORM_FROM_MOUNT * SE3(r, t) for r, t in zip(rotations[0], origins[0], strict=True)]
+    carriers = carrier_poses(configuration)
     out = [(link, carriers[link.carrier]) for link in links()]
     return out + [(link, carriers[HAND] * pose) for link, pose in hand_links(opening)]
+
+
+def carrier_poses(configuration: Float[np.ndarray, "10"]) -> list[SE3]:
+    """Return the pose `world_from_carrier` of the platform and of each joint of the arm."""
+    rotations, origins = arm().frames(configuration[None, 3:])
+    platform = world_from_platform(configuration)
+    mount = platform * PLATFORM_FROM_MOUNT
+    return [platform, *(mount * SE3(r, t) for r, t in zip(rotations[0], origins[0], strict=True))]
 
 
 def world_from_platform(configuration: Float[np.ndarray, "10"]) -> SE3:

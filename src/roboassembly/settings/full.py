@@ -32,6 +32,10 @@ def _audit(plan: FullPlan) -> RobotAuditReport:
     return audit_full_plan(plan)
 
 
+def _by_hand(plan: FullPlan) -> FullPlan:
+    return plan
+
+
 def _execute(plan: FullPlan) -> list[StepExecution]:
     from roboassembly.task.full.execution import execute_plan
 
@@ -61,10 +65,14 @@ SETTING = Setting(
     limits=FULL_LIMITS,
     make_plan=FullPlan,
     plan_upright=plan_full_upright,
+    insert_fasteners=_by_hand,
     audit=_audit,
     execute=_execute,
     execution="dynamic",
-    refused_options={"--export": "--export does not support --setting full; use --setting object-centric"},
+    refused_options={
+        "--export": "--export does not support --setting full; use --setting object-centric",
+        "--stable": "--stable is for --setting object-centric: with robots, posts hold every group",
+    },
     make_oracle=hand_oracle,
     make_mate_check=FullMateCheck,
     grasp_inputs=_grasps,

@@ -12,6 +12,7 @@ from roboassembly.solvers.forward import SearchLimits
 from roboassembly.solvers.mate_checks import ObjectCentricMateCheck
 from roboassembly.solvers.oracle import Oracle
 from roboassembly.solvers.search import solve, solve_from
+from roboassembly.task.object_centric.insertion import with_insertions
 from roboassembly.task.object_centric.task import ObjectCentricTask
 from roboassembly.task.object_centric.upright import plan_upright
 from roboassembly.task.plans.plan import Plan
@@ -66,6 +67,7 @@ SETTING = Setting(
     limits=SearchLimits(),
     make_plan=_make_plan,
     plan_upright=plan_upright,
+    insert_fasteners=with_insertions,
     audit=_audit,
     execute=_not_executed,
     execution="kinematic",

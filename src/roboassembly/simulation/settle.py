@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -9,7 +10,7 @@ import numpy as np
 
 from roboassembly.geometry.poses import SE3, from_quaternion
 from roboassembly.geometry.scene import Body, Scene
-from roboassembly.simulation.model import TIME_STEP, compile_scene
+from roboassembly.simulation.model import TIME_STEP, compile_scene, rotation_to_quaternion
 
 MAX_SECONDS = 4.0
 """Simulated time after which a body counts as settled in any case [s]."""
@@ -44,3 +45,13 @@ def settle(body: Body, interval: float) -> SettledMotion:
         speed = float(np.linalg.norm(data.qvel[:3]) + radius * np.linalg.norm(data.qvel[3:6]))
         quiet = quiet + 1 if speed < _STILL_SPEED else 0
     return SettledMotion(tuple(poses), float(data.time), quiet >= _STILL_CHECKS)
+
+
+def release(body: Body, starts: Sequence[SE3], seconds: float) -> Iterator[SE3]:
+    """Release `body` above the ground, alone, at each of several poses; yield its pose after a simulated time [s]."""
+    model = compile_scene(Scene((body,)))
+    for start in starts:
+        data = mujoco.MjData(model)
+        data.qpos[:3], data.qpos[3:7] = start.translation, rotation_to_quaternion(start.rotation)
+        mujoco.mj_step(model, data, nstep=round(seconds / TIME_STEP))
+        yield from_quaternion(data.qpos[:3], data.qpos[3:7])

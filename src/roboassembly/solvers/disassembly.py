@@ -20,6 +20,8 @@ Split = tuple[Parts, Parts]
 """Two sub-assemblies; the first one leaves."""
 Partition = frozenset[Parts]
 """Groups that are joined so far, by their slots."""
+_EXAMINED = 1_000
+"""Number of sub-assemblies that a search for an order of least cost looks at before it takes the next best."""
 
 
 def partition_of(state: TaskState) -> Partition:
@@ -33,12 +35,17 @@ class Disassembly:
     Args:
         furniture: the piece.
         over: returns whether the search must stop.
+        cost: cost of a split, `(leaving, staying, straight)`, whose sum an order should keep low; 0 is the least. The
+            first feasible order is as good as any other if None.
     """
 
-    def __init__(self, furniture: Furniture, over: Callable[[], bool]) -> None:
+    def __init__(
+        self, furniture: Furniture, over: Callable[[], bool], cost: Callable[[Parts, Parts, bool], int] | None = None
+    ) -> None:
         self.furniture = furniture
         self.graphs = BlockingGraphs(furniture)
         self._over = over
+        self._cost = cost
 
     def order(
         self, partition: Partition, rejected: set[frozenset[Parts]], straight: bool, exhaustive: bool
@@ -51,6 +58,8 @@ class Disassembly:
             straight: use only splits whose leaving part moves straight out.
             exhaustive: also use splits that blocking graphs do not offer.
         """
+        if self._cost is not None:
+            return self._cheapest(partition, rejected, straight, exhaustive, self._cost)
         memory: dict[Parts, list[Split] | None] = {}
 
         def build(parts: Parts) -> list[Split] | None:
@@ -73,6 +82,50 @@ class Disassembly:
                     yield [*first, *second, (leaving, staying)]
 
         return build(frozenset[int]().union(*partition))
+
+    def _cheapest(
+        self,
+        partition: Partition,
+        rejected: set[frozenset[Parts]],
+        straight: bool,
+        exhaustive: bool,
+        cost: Callable[[Parts, Parts, bool], int],
+    ) -> list[Split] | None:
+        """Return an order of least cost; after `_EXAMINED` sub-assemblies the next best one.
+
+        The arguments are those of `order`, and the cost of a split.
+        """
+        memory: dict[Parts, tuple[int, list[Split]] | None] = {}
+
+        def build(parts: Parts) -> tuple[int, list[Split]] | None:
+            if parts in partition:
+                return 0, []
+            if parts not in memory:
+                memory[parts] = None
+                memory[parts] = best(parts)
+            return memory[parts]
+
+        def best(parts: Parts) -> tuple[int, list[Split]] | None:
+            out: tuple[int, list[Split]] | None = None
+            offered = [
+                (cost(*split, straight), split)
+                for split in self._splits(parts, partition, straight, exhaustive)
+                if frozenset(split) not in rejected
+            ]
+            for own, (leaving, staying) in sorted(offered, key=lambda item: item[0]):
+                if self._over() or (out is not None and (own >= out[0] or len(memory) > _EXAMINED)):
+                    break
+                first = build(staying)
+                second = build(leaving) if first is not None else None
+                if first is None or second is None:
+                    continue
+                total = own + first[0] + second[0]
+                if out is None or total < out[0]:
+                    out = total, [*first[1], *second[1], (leaving, staying)]
+            return out
+
+        found = build(frozenset[int]().union(*partition))
+        return None if found is None else found[1]
 
     def _splits(self, parts: Parts, partition: Partition, straight: bool, exhaustive: bool) -> Iterator[Split]:
         """Yield the splits of `parts` that break no group: those of the blocking graphs, then all others."""

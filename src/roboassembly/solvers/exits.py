@@ -23,7 +23,7 @@ from roboassembly.planning.problem import Budget
 from roboassembly.planning.world import CollisionWorld
 from roboassembly.solvers.blocking import BlockingGraphs, Parts
 from roboassembly.task.rules.connections import UP_AXES, Rules
-from roboassembly.task.rules.groups import Group, body, center_of_mass, hull_points
+from roboassembly.task.rules.groups import body, center_of_mass, group_in_place, hull_points
 
 Motions = tuple[SE3, ...]
 """Successive motions of a sub-assembly from its place, in the furniture's frame; the first is the identity."""
@@ -128,7 +128,7 @@ class ExitPlanner:
         self, moving: Parts, still: Parts, turn: Float[np.ndarray, "3 3"], budget: int
     ) -> Motions | None:
         """Plan a way with `world_from_furniture` turned as given; without states by retreats and known ways alone."""
-        u_group, v_group, merged = (self._group(parts) for parts in (moving, still, moving | still))
+        u_group, v_group, merged = (group_in_place(self._furniture, parts) for parts in (moving, still, moving | still))
         origin = center_of_mass(self._furniture, u_group)
         size = float(np.linalg.norm(hull_points(self._furniture, merged) - origin, axis=1).max())
         # The planner stays above the height 0, so there is room below, too.
@@ -167,11 +167,6 @@ class ExitPlanner:
                 if all(world.edge_is_free(a, b) for a, b in pairwise(poses)):
                     return motions
         return None
-
-    def _group(self, parts: Parts) -> Group:
-        """Return parts in their slots as a group, in the furniture's frame."""
-        own = tuple(sorted(parts))
-        return Group(own, own, tuple(self._furniture.assembled[p] for p in own), SE3.Identity())
 
     def _seed_of(self, moving: Parts, still: Parts) -> int:
         """Return the planner's seed for two sub-assemblies; it does not depend on what was planned before."""

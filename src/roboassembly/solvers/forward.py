@@ -127,6 +127,8 @@ class Search(Generic[State, AStep]):
     refused: set[frozenset[Parts]] = field(default_factory=set[frozenset[Parts]])
     """Splits for which no action could be planned."""
     watch: Watch | None = None
+    cost: Callable[[Disassembly, Parts, Parts, bool], int] | None = None
+    """Cost of a split, `(disassembly, leaving, staying, straight)`, that orders should keep low; see `Disassembly`."""
     carry_out: CarryOut[State, AStep] | None = None
     """Function that plans the merges, if they can use motions out of each other; the task's `step` otherwise."""
     dead: set[frozenset[Parts]] = field(default_factory=set[frozenset[Parts]])
@@ -145,8 +147,13 @@ class Search(Generic[State, AStep]):
     verdicts: dict[str, int] = field(default_factory=dict[str, int])
 
     def __post_init__(self) -> None:
-        self.disassembly = Disassembly(self.task.furniture, self.exhausted)
+        cost = None if self.cost is None else self._cost_of
+        self.disassembly = Disassembly(self.task.furniture, self.exhausted, cost)
         self.exits = ExitPlanner(self.task.rules, self.disassembly.graphs, self.seed)
+
+    def _cost_of(self, leaving: Parts, staying: Parts, straight: bool) -> int:
+        assert self.cost is not None
+        return self.cost(self.disassembly, leaving, staying, straight)
 
     def states(self) -> int:
         """Return the number of configurations tested for collision so far."""

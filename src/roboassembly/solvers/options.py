@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from itertools import product
 from typing import TYPE_CHECKING
 
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     # Actions without robots are found without their libraries.
     from roboassembly.task.full.grips import Grip
     from roboassembly.task.full.task import FullTask
+    from roboassembly.task.object_centric.stability import StandCheck
     from roboassembly.task.plans.full_plan import FullState
 
 _HOPELESS = -0.5
@@ -58,26 +60,33 @@ def ends(
             yield leaving_end, staying_end
 
 
-def upright(
-    disassembly: Disassembly, state: TaskState, assigned: TaskState, leaving: Parts, staying: Parts, straight: bool
-) -> list[Action]:
-    """Return actions `(u, v, k, l, w)`: exits that rise most come first; those that end in the ground are left out.
+@dataclass(frozen=True)
+class JoinOption:
+    """Way to join two sub-assemblies: which of them moves, and which axis points up meanwhile."""
+
+    moving: Parts
+    waiting: Parts
+    up: int
+    """Index of the axis, of `UP_AXES`: the component `w` of an action."""
+    score: float
+    """Score; join_options whose exit rises most have the highest."""
+
+    def unstable(self, stand_check: StandCheck) -> int:
+        """Return the number of groups, of the waiting and the joined one, that do not stand on their own."""
+        return sum(not stand_check.stands(group, self.up) for group in (self.waiting, self.moving | self.waiting))
+
+
+def join_options(disassembly: Disassembly, leaving: Parts, staying: Parts, straight: bool) -> list[JoinOption]:
+    """Return ways to join two sub-assemblies, the most promising first; those that end in the ground are left out.
 
     Args:
         disassembly: disassembly of the furniture.
-        state: state in which both are groups.
-        assigned: same state with every slot claimed once.
-        leaving: slots of the leaving group in `assigned`.
-        staying: slots of the staying group in `assigned`.
-        straight: leave out actions that need more than a straight exit.
+        leaving: slots of a sub-assembly.
+        staying: slots of the other one.
+        straight: leave out ways that need more than a straight exit.
     """
-    pair = next(ends(disassembly.furniture, state, assigned, leaving, staying), None)
-    if pair is None:
-        return []
-    (a, k), (b, l) = pair  # noqa: E741
-    point_of = {a: k, b: l}
-    scored: list[tuple[float, Action]] = []
-    for u, v, moving, waiting in ((a, b, leaving, staying), (b, a, staying, leaving)):
+    out: list[JoinOption] = []
+    for moving, waiting in ((leaving, staying), (staying, leaving)):
         directions = disassembly.exits(moving, waiting)
         low_moving, low_waiting = disassembly.graphs.lowest(moving), disassembly.graphs.lowest(waiting)
         for w, up in enumerate(UP_AXES):
@@ -85,10 +94,46 @@ def upright(
                 continue
             rise = max((float(d @ up) for d in directions), default=0.0)
             sinks = low_moving[w] < low_waiting[w] - 1e-3
-            score = rise - 3.0 * sinks - 0.2 * (len(moving) > len(waiting))
-            scored.append((round(score, 3), (u, v, point_of[u], point_of[v], w)))
-    scored.sort(key=lambda item: -item[0])
-    return [action for score, action in scored if score > _HOPELESS or not straight]
+            score = round(rise - 3.0 * sinks - 0.2 * (len(moving) > len(waiting)), 3)
+            if score > _HOPELESS or not straight:
+                out.append(JoinOption(moving, waiting, w, score))
+    out.sort(key=lambda way: -way.score)
+    return out
+
+
+def upright(
+    disassembly: Disassembly,
+    state: TaskState,
+    assigned: TaskState,
+    leaving: Parts,
+    staying: Parts,
+    straight: bool,
+    stand_check: StandCheck | None = None,
+) -> list[Action]:
+    """Return actions `(u, v, k, l, w)`, one for each of `join_options`, in their order.
+
+    Args:
+        disassembly: disassembly of the furniture.
+        state: state in which both are groups.
+        assigned: same state with every slot claimed once.
+        leaving: slots of the leaving group in `assigned`.
+        staying: slots of the staying group in `assigned`.
+        straight: as in `join_options`.
+        stand_check: says which groups stand on their own; actions with few that do not come first. None if that does
+            not matter.
+    """
+    pair = next(ends(disassembly.furniture, state, assigned, leaving, staying), None)
+    if pair is None:
+        return []
+    left, stayed = pair
+    out: list[Action] = []
+    found = join_options(disassembly, leaving, staying, straight)
+    if stand_check is not None:
+        found.sort(key=lambda way: way.unstable(stand_check))
+    for way in found:
+        (u, k), (v, l) = (left, stayed) if way.moving == leaving else (stayed, left)  # noqa: E741
+        out.append((u, v, k, l, way.up))
+    return out
 
 
 def grasping(task: FullTask, state: FullState, assigned: TaskState, leaving: Parts, staying: Parts) -> Iterator[Action]:

@@ -16,13 +16,18 @@ the end the rounds start again without it.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+
 import numpy as np
 
 from roboassembly.furniture.model import Furniture
 from roboassembly.planning.problem import Budget
-from roboassembly.solvers.forward import Round, Search, SearchLimits, SearchResult, Watch
+from roboassembly.solvers.disassembly import Disassembly, Parts
+from roboassembly.solvers.forward import Options, Round, Search, SearchLimits, SearchResult, Watch
 from roboassembly.solvers.guide import Guide
-from roboassembly.solvers.options import upright
+from roboassembly.solvers.options import join_options, upright
+from roboassembly.task.object_centric.stability import StandCheck, with_stability
 from roboassembly.task.object_centric.task import ObjectCentricTask
 from roboassembly.task.plans.plan import Plan
 from roboassembly.task.rules.groups import TaskState
@@ -42,6 +47,8 @@ _STAGES = (
     ),
     ROUNDS[-1],
 )
+_NO_WAY = 3
+"""Cost of a split that no axis up allows: more than that of two groups that must be held."""
 _SAME_SLOTS = "two groups need the same place in the furniture"
 
 
@@ -52,6 +59,7 @@ def solve(
     task: ObjectCentricTask | None = None,
     limits: SearchLimits | None = None,
     guide: Guide[TaskState] | None = None,
+    stable: bool = False,
 ) -> SearchResult[Plan]:
     """Search for an assembly from a random start; the same seed gives the same plan.
 
@@ -61,10 +69,12 @@ def solve(
         task: task of this furniture, whose cached results are reused; a new one if None.
         limits: limits at which the search gives up.
         guide: suggests merges; disassembly alone if None.
+        stable: prefer orders in which few groups need a hand or a fixture, and return the stability of the plan's
+            states. A guide knows nothing of stability and is not asked.
     """
     task = task or ObjectCentricTask(furniture)
     initial = task.initial_state(np.random.default_rng(seed))
-    return solve_from(task, initial, seed, limits or SearchLimits(), guide)
+    return solve_from(task, initial, seed, limits or SearchLimits(), guide, stable=stable)
 
 
 def solve_from(
@@ -74,12 +84,29 @@ def solve_from(
     limits: SearchLimits,
     guide: Guide[TaskState] | None = None,
     watch: Watch | None = None,
+    stable: bool = False,
 ) -> SearchResult[Plan]:
     """Search from a given state, in which equal parts may have swapped slots; see `solve`."""
     if task.pairs.assign_slots(initial) is None:
         nothing = Plan(task.furniture, initial.part_poses, (), False, seed)
         return SearchResult(nothing, 0, 0.0, 0, 0, _SAME_SLOTS)
-    search = Search(task, upright, limits, seed, _STAGES[0], watch=watch, carry_out=task.step)
-    success = search.run(initial, _STAGES, guide)
+    options, cost = (upright, None) if not stable else _preferring(StandCheck(task.furniture))
+    search = Search(task, options, limits, seed, _STAGES[0], watch=watch, cost=cost, carry_out=task.step)
+    success = search.run(initial, _STAGES, None if stable else guide)
     steps = tuple(step for step, _ in search.steps)
-    return search.result(Plan(task.furniture, initial.part_poses, steps, success, seed), success)
+    plan = Plan(task.furniture, initial.part_poses, steps, success, seed)
+    return search.result(with_stability(plan) if stable else plan, success)
+
+
+def _preferring(stand_check: StandCheck) -> tuple[Options[TaskState], Callable[[Disassembly, Parts, Parts, bool], int]]:
+    """Return the actions that join two groups, those that need no hand first, and the cost of a split in hands."""
+
+    def cost(disassembly: Disassembly, leaving: Parts, staying: Parts, straight: bool) -> int:
+        least = _NO_WAY
+        for way in join_options(disassembly, leaving, staying, straight):
+            least = min(least, way.unstable(stand_check))
+            if least == 0:
+                break
+        return least
+
+    return partial(upright, stand_check=stand_check), cost

@@ -6,11 +6,9 @@ import numpy as np
 from viser import GuiDropdownHandle
 
 from roboassembly.studio.assembly_session import AssemblySession
+from roboassembly.studio.explanations import explanation_of, hint_of, label_of, options_of
 from roboassembly.studio.overlays import ChosenPoints, PointId
 from roboassembly.studio.panel import NONE, PICKS, Panel
-
-UP_AXES = ("+z up", "−z up", "+x up", "−x up", "+y up", "−y up")
-"""Label of each `w`: the axis of the assembled furniture that points up."""
 
 
 class ActionForm:
@@ -28,11 +26,7 @@ class ActionForm:
             if choice is None:
                 continue
             name, count = choice
-            if name == "w":
-                control.label, control.options = "Waits with (w)", tuple(f"{i}: {a}" for i, a in enumerate(UP_AXES))
-            else:
-                control.label = f"Grasp of R_{name[-1]} ({name})"
-                control.options = tuple(f"{i}: region {i // 4}, direction {i % 4}" for i in range(count))
+            control.label, control.hint, control.options = label_of(name), hint_of(name), options_of(name, count)
 
     def update_options(self) -> None:
         """Offer the parts and points that are free now; keep a choice that is still free."""
@@ -43,6 +37,9 @@ class ActionForm:
         for part, point in ((panel.u, panel.k), (panel.v, panel.l)):
             own = [] if part.value == NONE else [str(k) for k in np.flatnonzero(free[_number(part.value)])]
             _set_options(point, own)
+        names = [name for name, _ in self._session.choices()]
+        u_point, v_point = self.points
+        panel.explanation.content = explanation_of(names, (u_point is not None, v_point is not None))
 
     def pick(self, part: int, point: int | None) -> bool:
         """Choose a part, or one of its points; returns False if it is not free."""
@@ -59,7 +56,15 @@ class ActionForm:
         if point is not None:
             point_control.value = str(point)
             panel.next.value = PICKS[moving]
+            self.update_options()
         return True
+
+    def clear(self) -> None:
+        """Choose no parts and no points."""
+        panel = self._panel
+        for control in (panel.u, panel.v, panel.k, panel.l):
+            control.value = NONE
+        panel.next.value = PICKS[0]
 
     def fill(self, action: tuple[int, ...]) -> None:
         """Set all dropdowns to an action."""
@@ -69,6 +74,7 @@ class ActionForm:
         panel.k.value, panel.l.value = str(k), str(l)
         for control, value in zip(panel.choices, choices, strict=False):
             control.value = control.options[value]
+        self.update_options()
 
     @property
     def points(self) -> ChosenPoints:
@@ -80,6 +86,14 @@ class ActionForm:
     def choices(self) -> list[int]:
         """Values of `w`, or of `g_a` and `g_b`."""
         return [_number(c.value) for c, _ in zip(self._panel.choices, self._session.choices(), strict=False)]
+
+    @property
+    def action(self) -> tuple[int, ...] | None:
+        """Action of the form; None if it is not complete."""
+        u_point, v_point = self.points
+        if u_point is None or v_point is None:
+            return None
+        return u_point[0], v_point[0], u_point[1], v_point[1], *self.choices
 
     def _label(self, part: int) -> str:
         return f"{part}: {self._session.furniture.parts[part].name}"

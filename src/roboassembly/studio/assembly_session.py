@@ -8,13 +8,13 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float32
+from jaxtyping import Bool, Float, Float32
 
 from roboassembly.envs.assembly import COMPLETION_REWARD, MERGE_REWARD
 from roboassembly.envs.observation import Observer
 from roboassembly.errors import InputError
 from roboassembly.furniture.annotate import add_grasps
-from roboassembly.furniture.model import Furniture
+from roboassembly.furniture.model import Furniture, GraspRegion
 from roboassembly.settings import SETTINGS, set_upright
 from roboassembly.solvers.forward import SearchProgress, Watch, planner_seed
 from roboassembly.solvers.guide import Guide
@@ -105,6 +105,11 @@ class AssemblySession:
         return len(self._steps)
 
     @property
+    def actions(self) -> list[tuple[int, ...]]:
+        """Actions of all steps."""
+        return [step.action for step in self._steps]
+
+    @property
     def reward(self) -> float:
         """Reward that the environment gives for these merges."""
         return self.merges * MERGE_REWARD + self.task_state.complete * COMPLETION_REWARD
@@ -135,6 +140,51 @@ class AssemblySession:
         failure: Failure | None = outcome.failure
         stage = "" if failure is None else failure.stage_text
         return Attempt(action, str(outcome.verdict), stage, outcome.planning_steps, outcome.planning_seconds)
+
+    def up_while_waiting(self, action: tuple[int, ...]) -> Float[np.ndarray, "3"] | None:
+        """Return the direction that points up while v's group waits, in v's frame.
+
+        Args:
+            action: `(u, v, k, l, w)`.
+
+        Returns:
+            The direction; None if the action does not join parts of this furniture, or in the full setting.
+        """
+        if self.setting != "object-centric":
+            return None
+        exists = self.task.exists(self.state, action)
+        mating = self.task.prepare(self.state, action) if exists else None
+        if mating is None:
+            return None
+        pose = mating.v_group.part_poses()[mating.v_group.parts.index(action[1])]
+        return pose.rotation.T @ np.array([0.0, 0.0, 1.0])
+
+    def grasps_of(self, action: tuple[int, ...]) -> list[tuple[int, GraspRegion, int]]:
+        """Return part, grasp region and index of the approach of each hand of an action; empty without robots."""
+        if self.setting != "full":
+            return []
+        u, v, _, _, g_a, g_b = action
+        parts = self.furniture.parts
+        chosen = ((u, *divmod(g_a, 4)), (v, *divmod(g_b, 4)))
+        return [(p, parts[p].grasps[region], side) for p, region, side in chosen if region < len(parts[p].grasps)]
+
+    def make_manual(self) -> tuple[bytes, str]:
+        """Return a manual for people, as PDF and as HTML.
+
+        Raises:
+            InputError: the furniture is not assembled yet.
+            ManualError: the planner finds no order for people.
+        """
+        from roboassembly.manual.document import pages_of, title_of
+        from roboassembly.manual.make import make_manual
+        from roboassembly.manual.writers import html, pdf
+
+        if not self.task_state.complete:
+            raise InputError("a manual needs the finished piece; assemble the furniture first")
+        with _PLANNER:
+            manual = make_manual(self.furniture, self.actions, self.seed)
+        pages, title = pages_of(manual, SETTINGS[self.setting].on_manuals), title_of(manual)
+        return pdf(pages, title), html(pages, title)
 
     def check(self, script: Script) -> None:
         """Check that a plan is for this furniture and this setting.

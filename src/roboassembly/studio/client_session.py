@@ -6,34 +6,32 @@ import queue
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from viser import ClientHandle, SceneClickEvent, UploadedFile
 
 from roboassembly.errors import InputError, RoboAssemblyError
 from roboassembly.furniture.model import Furniture
-from roboassembly.learning.policy import Policy, guide_of, settings_of
-from roboassembly.learning.registry import load_policy
 from roboassembly.settings import SETTINGS
-from roboassembly.solvers.forward import SearchProgress, Watch
-from roboassembly.solvers.guide import Guide
 from roboassembly.studio.assembly_editor import AssemblyEditor
 from roboassembly.studio.assembly_session import AssemblySession
+from roboassembly.studio.camera_aim import CameraAim
 from roboassembly.studio.config import StudioConfig
-from roboassembly.studio.downloads import send_plan
-from roboassembly.studio.messages import attempt_message, upright_message
+from roboassembly.studio.messages import plain
+from roboassembly.studio.page_commands import PageCommand
+from roboassembly.studio.page_link import Busy, Notice, PageState
 from roboassembly.studio.panel import Panel, PanelCallbacks
 from roboassembly.studio.request_queue import RequestQueue
+from roboassembly.studio.runs import Runs
 from roboassembly.studio.scene_view import FRAMES_PER_SECOND
 from roboassembly.studio.sources import Sources, find_below, open_path, open_plan
+from roboassembly.studio.step_pictures import PictureDrawer, StepLine
 from roboassembly.studio.uploads import open_upload
 from roboassembly.task.plans import plan_file
 from roboassembly.task.plans.plan_file import Script
 
 _PLAN = ".json"
-_PROGRESS_INTERVAL = 0.1
-"""Shortest time between two progress messages [s]."""
 
 
 def open_first(config: StudioConfig) -> None:
@@ -52,18 +50,22 @@ class ClientSession:
     Args:
         client: browser that shows the page.
         config: configuration of the studio.
+        drawer: draws the pictures of all clients.
     """
 
-    def __init__(self, client: ClientHandle, config: StudioConfig) -> None:
-        self.handle, self._config = client, config
+    def __init__(self, client: ClientHandle, config: StudioConfig, drawer: PictureDrawer) -> None:
+        self.handle, self._config, self._drawer = client, config, drawer
         self._sources = Sources(config.folders)
         self.requests = RequestQueue()
         """Requests that wait for their turn."""
-        self._cancelled = threading.Event()
         self.editor: AssemblyEditor | None = None
         """Editor of the open piece; None until one is open."""
-        self._policies: dict[str, Policy] = {}
         self._closed = False
+        self._aim = CameraAim(client)
+        self._busy: Busy | None = None
+        self._failed: Notice | None = None
+        """Message about a request that could not be carried out."""
+        self._failures = 0
         self.panel = Panel(
             client.gui,
             self._sources.pieces(),
@@ -73,18 +75,22 @@ class ClientSession:
                 open=lambda: self.submit(self._open_piece),
                 upload=self._submit_upload,
                 open_folder=lambda name: self.submit(lambda: self.open_path(self._find_folder(name))),
-                choose=lambda: self.submit(lambda: self._open_editor.update_form(), "choose"),
+                choose=lambda: self.submit(self._choose, "choose"),
                 join=lambda: self.submit(lambda: self._say(self._open_editor.join())),
                 undo=lambda: self.submit(self._undo),
-                suggest=lambda: self.submit(lambda: self._say(self._open_editor.suggest(self._guide()))),
-                run=lambda mode: self.submit(lambda: self._run(mode)),
-                cancel=self._cancelled.set,
+                suggest=lambda: self.submit(self._suggest),
+                run=lambda mode: self.submit(lambda: self._say(self.runs.run(self._open_editor, mode))),
+                cancel=lambda: self.runs.cancelled.set(),
                 scrub=lambda: self.submit(lambda: self._open_editor.scrub(), "scrub"),
                 toggle_playback=lambda: self.submit(lambda: self._open_editor.toggle_playback()),
                 change_view=lambda: self.submit(lambda: self._open_editor.change_view(), "view"),
-                save=lambda name: self.submit(lambda: self._save(name)),
+                save=lambda name: self.submit(lambda: self._say(self.runs.save(self._open_editor, name))),
+                command=self._obey,
             ),
+            narrow=self._aim.is_narrow,
         )
+        self.runs = Runs(client, self.panel, config.policies, self._show_busy)
+        """Long work of this client."""
         self.panel.setting.value, self.panel.seed.value = config.setting, config.seed
         client.scene.on_click()(self._clicked)
         self.submit(lambda: self.open_path(config.furniture))
@@ -102,8 +108,9 @@ class ClientSession:
         return self._thread.is_alive()
 
     def close(self) -> None:
-        """Stop the thread after the current request."""
+        """Stop the thread after the current request, which is cancelled if it can be."""
         self._closed = True
+        self.runs.cancelled.set()
         self.submit(lambda: None)
 
     def submit(self, request: Callable[[], None], once: str = "") -> None:
@@ -113,8 +120,13 @@ class ClientSession:
             request: function to call.
             once: see `RequestQueue.add`.
         """
+        self._failed = None
         if not self.requests.add(request, once):
             self._say("✗ Too many requests are waiting. Try again in a moment.")
+
+    def _submit_quietly(self, request: Callable[[], None], once: str) -> None:
+        """Queue a request that nobody misses if there is no room for it, and that leaves messages alone."""
+        self.requests.add(request, once)
 
     def _serve(self) -> None:
         try:
@@ -124,23 +136,85 @@ class ClientSession:
                 self._say("✗ An internal error occurred; the terminal shows it. Reload the page.")
 
     def _handle_requests(self) -> None:
-        """Carry out requests in turn, and advance the playback between them."""
+        """Carry out requests in turn, and advance the playback or the turntable between them."""
         while True:
             due = time.monotonic() + 1.0 / FRAMES_PER_SECOND
-            moving = self.editor if self.editor is not None and self.editor.view.is_playing else None
+            moving = self.editor if self.editor is not None and self.editor.view.is_moving else None
             try:
                 request = self.requests.next(timeout=None if moving is None else 1.0 / FRAMES_PER_SECOND)
             except queue.Empty:
                 if moving is not None:
                     moving.advance(max(0.0, time.monotonic() - due))
+                    self._publish()
                 continue
+            self.runs.cancelled.clear()
+            # The event may have been set for the end of this thread.
             if self._closed:
                 return
-            self._cancelled.clear()
             try:
                 request()
             except RoboAssemblyError as error:
-                self._say(f"✗ {error}")
+                self._say(f"✗ {plain(str(error))}")
+                self._failures += 1
+                text = str(error)
+                self._failed = Notice("bad", "That did not work", f"{text[:1].upper()}{text[1:]}.", self._failures)
+            self._publish()
+
+    # The page
+
+    def _publish(self) -> None:
+        """Show the state of the session on the page."""
+        state = PageState() if self.editor is None else self.editor.page_state
+        notice = self._failed or state.notice
+        if notice is not None:
+            # The page shows each number once: those of failed requests are odd.
+            notice = replace(notice, number=2 * notice.number + (notice is self._failed))
+        self.panel.link.show(replace(state, busy=self._busy, notice=notice))
+
+    def _show_busy(self, busy: Busy | None) -> None:
+        self._busy = busy
+        self._publish()
+
+    def _obey(self, command: PageCommand) -> None:
+        """Carry out a command of the page."""
+        editor = self.editor
+        match command.word:
+            case "cancel":
+                self.runs.cancelled.set()
+            case "pointer":
+                self._submit_quietly(lambda: self._name(command), "pointer")
+            case "touch":
+                self._submit_quietly(self._stop_turning, "touch")
+            case "slow":
+                self._submit_quietly(self._slow_down, "slow")
+            case "read":
+                self.submit(lambda: None if editor is None else editor.forget_notice(), "read")
+            case "assemble":
+                self.submit(lambda: self._say(self.runs.assemble(self._open_editor)))
+            case "steps":
+                self.submit(self._begin_steps)
+            case "play":
+                self.submit(lambda: self._open_editor.toggle_playback())
+            case "undo":
+                self.submit(self._undo)
+            case _:
+                self.submit(lambda: self._open_editor.show_step(command.step))
+
+    def _stop_turning(self) -> None:
+        if self.editor is not None:
+            self.editor.view.is_turning = False
+
+    def _slow_down(self) -> None:
+        if self.editor is not None:
+            self.editor.view.is_slow = True
+
+    def _begin_steps(self) -> None:
+        self._open_editor.leave_opening()
+        self._open_editor.refresh()
+
+    def _name(self, command: PageCommand) -> None:
+        if self.editor is not None:
+            self.panel.link.show_name(command.serial, self.editor.name_at(*command.pointer))
 
     # Opening
 
@@ -157,7 +231,7 @@ class ClientSession:
         if path.endswith(_PLAN):
             script, furniture = open_plan(Path(path))
             self._open(lambda: furniture, script)
-            self._repeat(script)
+            self._say(self.runs.repeat(self._open_editor, script))
         else:
             self._open(lambda: open_path(path, self._config.scale, with_grasps=self._needs_grasps))
 
@@ -197,10 +271,15 @@ class ClientSession:
                 lambda: session.furniture_with(grasps=SETTINGS[script.setting].needs_grasps),
                 script,
             )
-            self._repeat(script)
+            self._say(self.runs.repeat(self._open_editor, script))
             return
-        self._say(f"Reading {Path(file.name).name}. Repair may take a while …")
-        self._open(lambda: open_upload(file.name, file.content, self._config.scale))
+        name = Path(file.name).name
+        self._say(f"Reading {plain(name)}. Repair may take a while …")
+        self._show_busy(Busy(f"Reading {name} and repairing its parts …"))
+        try:
+            self._open(lambda: open_upload(file.name, file.content, self._config.scale))
+        finally:
+            self._show_busy(None)
 
     def _open(self, make: Callable[[], Furniture], script: Script | None = None) -> None:
         """Open furniture in a new editor; the old one stays open if this fails.
@@ -218,8 +297,9 @@ class ClientSession:
         with self.handle.atomic():
             if self.editor is not None:
                 self.editor.close()
-            self.editor = AssemblyEditor(self.handle, panel, session)
-        self._say("Click a point of one part, then a point of another part, and press Join; or use the tab Run.")
+            line = StepLine(self._drawer, lambda: self._submit_quietly(self._show_pictures, "pictures"))
+            self.editor = AssemblyEditor(self.handle, panel, session, self._aim, line)
+        self._say("")
 
     # Acting
 
@@ -239,95 +319,21 @@ class ClientSession:
         if item is not None:
             self.submit(lambda: self._open_editor.pick(*item))
 
+    def _choose(self) -> None:
+        self._open_editor.leave_opening()
+        self._open_editor.update_form()
+
+    def _suggest(self) -> None:
+        self._say(self._open_editor.suggest(self.runs.guide(self._open_session)))
+
     def _undo(self) -> None:
         self._open_editor.undo()
+        self._open_editor.forget_notice()
         self._say("The last step is undone.")
 
-    def _save(self, name: str) -> None:
-        send_plan(self.handle, self._open_session.plan(), name)
-        self._say(f"Saved {name}.")
+    def _show_pictures(self) -> None:
+        if self.editor is not None:
+            self.editor.show_pictures()
 
     def _say(self, text: str) -> None:
         self.panel.message.content = text
-
-    # Running
-
-    def _guide(self) -> Guide[Any]:
-        return guide_of(self._policy(self.panel.policy.value))
-
-    def _policy(self, name: str) -> Policy:
-        if name not in self._config.policies:
-            raise InputError("this policy is not offered; start the studio with --policies and its name")
-        if name not in self._policies:
-            self._policies[name] = load_policy(name)
-        policy = self._policies[name]
-        if self._open_session.setting not in settings_of(policy):
-            raise InputError(f"the policy '{name}' does not choose grasps; use Search, which needs no policy")
-        return policy
-
-    def _repeat(self, script: Script) -> None:
-        self._run_watched(lambda watch: self._open_session.repeat(script, watch), "Repeated the plan")
-
-    def _run(self, mode: str) -> None:
-        session = self._open_session
-        if session.task_state.complete:
-            raise InputError("the furniture is assembled; undo some steps or open other furniture first")
-        guide = self._guide() if mode != "search" else None
-        if mode == "alone" and guide is not None:
-            self._run_watched(lambda watch: self._run_policy(guide, watch), "Assembled")
-        else:
-            self._run_watched(lambda watch: session.search(guide, watch), "Assembled")
-
-    def _run_watched(self, work: Callable[[Watch], str], done: str) -> None:
-        """Run something long with a progress bar, and show its result.
-
-        Args:
-            work: returns the reason of an early end; empty if there was none.
-            done: first words of the message if there was none.
-        """
-        session = self._open_session
-        before = session.merges
-        self.panel.set_busy(True)
-        try:
-            reason = work(self._watch())
-        finally:
-            self.panel.set_busy(False)
-        if session.merges > before:
-            self._open_editor.view.append_new_steps()
-        self._open_editor.refresh()
-        count = f"{session.merges - before} merges, {session.planning_steps:,} states checked in total"
-        self._say(f"✗ {reason}" if reason else f"✓ {done}: {count}.{upright_message(session.upright)}")
-
-    def _watch(self) -> Watch:
-        """Return a function that shows the progress of a run, and stops the run when it is cancelled."""
-        session = self._open_session
-        whole, before, last_shown = len(session.furniture.parts) - 1, session.merges, 0.0
-
-        def watch(progress: SearchProgress) -> bool:
-            nonlocal last_shown
-            if time.monotonic() - last_shown > _PROGRESS_INTERVAL:
-                last_shown = time.monotonic()
-                merges = before + progress.merges
-                self.panel.progress.value = 100.0 * merges / whole
-                self._say(
-                    f"… {merges} of {whole} merges, {progress.attempts} attempts, {progress.states:,} states checked"
-                )
-            return not (self._cancelled.is_set() or self._closed)
-
-        return watch
-
-    def _run_policy(self, guide: Guide[Any], watch: Watch) -> str:
-        """Carry out the policy's preferred action until the piece is complete; returns the reason of an early end."""
-        session, states = self._open_session, self._open_session.planning_steps
-        for k in range(len(session.furniture.parts)):
-            if session.task_state.complete:
-                return ""
-            if not watch(SearchProgress(k, k, session.planning_steps - states)):
-                return "Stopped."
-            action = session.suggestion(guide)
-            if action is None:
-                return "The policy suggests no action."
-            attempt = session.attempt(action)
-            if not attempt.merged:
-                return attempt_message(session.furniture, attempt).removeprefix("✗ ")
-        return ""

@@ -14,6 +14,8 @@ from viser import (
     GuiTextHandle,
 )
 
+from roboassembly.studio.page_commands import LINK, parse_command
+
 LONGEST_TEXT = 500
 """Largest number of characters in a text control or in the name of a file."""
 
@@ -43,6 +45,10 @@ def check_value(control: object, value: bool | int | float | str) -> None:
             allowed = _in_range(value, number)
             if not allowed:
                 raise RefusedError(f"{named} accepts {number.min} to {number.max}, not {_shortened(value)}.")
+        case GuiTextHandle() if control.label == LINK:
+            if parse_command(value) is None:
+                raise RefusedError
+            allowed = True
         case GuiTextHandle():
             allowed = isinstance(value, str)
             if allowed:

@@ -38,12 +38,47 @@ def upright_message(result: UprightResult[Any] | None) -> str:
 
 
 def attempt_message(furniture: Furniture, attempt: Attempt) -> str:
-    """Return a description of one attempted action and its result."""
+    """Return a description of one attempted action and its result, in Markdown."""
     u, v, k, l, *_ = attempt.action  # noqa: E741
-    what = f"**{furniture.parts[u].name}** ({k}) onto **{furniture.parts[v].name}** ({l})"
+    what = f"**{plain(furniture.parts[u].name)}** ({k}) onto **{plain(furniture.parts[v].name)}** ({l})"
     cost = f"{attempt.planning_steps:,} states checked in {1e3 * attempt.planning_seconds:.0f} ms"
     if attempt.merged:
         return f"✓ {what}: joined; {cost}."
     stage = f" ({attempt.stage})" if attempt.stage else ""
-    name, explanation = attempt.verdict.replace("_", " "), _EXPLANATIONS[attempt.verdict]
-    return f"✗ {what}: *{name}*{stage}; {cost}. {explanation} Nothing moved. In training, the episode would end here."
+    explanation = _EXPLANATIONS[attempt.verdict]
+    return (
+        f"✗ {what}: *{verdict_name(attempt)}*{stage}; {cost}. {explanation} Nothing moved. "
+        "In training, the episode would end here."
+    )
+
+
+def failure_notice(furniture: Furniture, attempt: Attempt) -> tuple[str, str]:
+    """Return the headline and the text of a message about a failed action, in plain text."""
+    u, v, *_ = attempt.action
+    stage = f"It failed at: {attempt.stage}. " if attempt.stage else ""
+    headline = f"{readable(furniture.parts[u].name)} onto {readable(furniture.parts[v].name)}: {verdict_name(attempt)}"
+    return headline, f"{stage}{_EXPLANATIONS[attempt.verdict]} Nothing moved."
+
+
+def verdict_name(attempt: Attempt) -> str:
+    """Return the verdict of an attempt in words."""
+    return attempt.verdict.replace("_", " ")
+
+
+def readable(name: str) -> str:
+    """Return the name of a part or of a piece in words."""
+    return name.replace("_", " ").strip() or name
+
+
+def title(name: str) -> str:
+    """Return the name of a piece in words, with a capital letter: `Stool 0` for `stool-0`."""
+    text = readable(name.replace("-", " "))
+    return text[:1].upper() + text[1:]
+
+
+def plain(text: str) -> str:
+    """Return a text for Markdown that shows as it is. viser's page would execute HTML in it."""
+    return "".join(f"&#{ord(c)};" if c in _SPECIAL else c for c in text)
+
+
+_SPECIAL = frozenset("\\`*[]()<>!|&~\n\r\t")

@@ -9,7 +9,7 @@ import numpy as np
 import trimesh
 from jaxtyping import Bool, Float
 from scipy.spatial import ConvexHull
-from viser import BatchedMeshHandle, LineSegmentsHandle, SceneApi
+from viser import ArrowsHandle, BatchedMeshHandle, LineSegmentsHandle, SceneApi
 
 from roboassembly.furniture.model import Furniture, GraspRegion
 from roboassembly.rendering.colors import MOVING, WAITING, Color, to_bytes
@@ -29,6 +29,8 @@ _AXIS = 0.04
 """Length of the axes of a frame [m]."""
 _FINGER, _APPROACH = 0.03, 0.06
 """Lengths of the lines for a finger and for the approach of a hand [m]."""
+_ARROW = 0.16
+"""Length of the arrow that shows which way is up [m]."""
 _AXES = np.array([[220, 60, 50], [60, 160, 70], [50, 100, 210]], np.uint8)
 _GRASP = np.array([150, 60, 160], np.uint8)
 _SPHERE: trimesh.Trimesh = trimesh.creation.icosphere(subdivisions=2, radius=1.0)
@@ -42,11 +44,13 @@ class Overlays:
         scene: scene of one client.
         furniture: furniture that is shown.
         names: name of each part's mesh in the scene.
+        enlarged: factor on the size of the balls.
     """
 
     scene: SceneApi
     furniture: Furniture
     names: Sequence[str]
+    enlarged: float = 1.0
     centers: Float[np.ndarray, "parts K 3"] = field(init=False)
     """Centre of each ball in its part's frame [m]."""
     radii: Float[np.ndarray, "parts K"] = field(init=False)
@@ -55,6 +59,9 @@ class Overlays:
     _pins: list[LineSegmentsHandle] = field(default_factory=list[LineSegmentsHandle], init=False)
     _frames: list[LineSegmentsHandle] = field(default_factory=list[LineSegmentsHandle], init=False)
     _grasps: list[LineSegmentsHandle] = field(default_factory=list[LineSegmentsHandle], init=False)
+    _choices: list[LineSegmentsHandle | ArrowsHandle] = field(
+        default_factory=list[LineSegmentsHandle | ArrowsHandle], init=False
+    )
     _shown: tuple[Bool[np.ndarray, "P K"], ChosenPoints] | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
@@ -94,18 +101,56 @@ class Overlays:
         radii = np.zeros(self.centers.shape[:2])
         for part, (handle, pins) in enumerate(zip(self._balls, self._pins, strict=True)):
             pins.visible = bool(free[part].any())
-            sizes = np.where(free[part], _BALL_RADIUS, 0.0)
+            sizes = np.where(free[part], self.enlarged * _BALL_RADIUS, 0.0)
             colors = np.tile(np.array(to_bytes(_BALL_COLOR), np.uint8), (len(sizes), 1))
             for end, color in zip(chosen, (MOVING, WAITING), strict=True):
                 if end is not None and end[0] == part:
-                    sizes[end[1]], colors[end[1]] = _CHOSEN_RADIUS, to_bytes(color)
+                    sizes[end[1]], colors[end[1]] = self.enlarged * _CHOSEN_RADIUS, to_bytes(color)
             handle.batched_scales = sizes.astype(np.float32)
             handle.batched_colors = colors
             radii[part] = sizes
         self.radii = radii
 
+    def show_up_axis(self, part: int, up: Float[np.ndarray, "3"]) -> None:
+        """Show which way is up while a part waits, with an arrow on it.
+
+        Args:
+            part: part that waits.
+            up: the direction in the part's frame, a unit vector.
+        """
+        hull = self.furniture.parts[part].mesh.hull_vertices
+        middle = 0.5 * (hull.min(axis=0) + hull.max(axis=0))
+        start = middle + up * max(0.0, float((hull @ up).max() - middle @ up) + 0.01)
+        arrow = np.array([[start, start + _ARROW * up]], np.float32)
+        name = f"/{self.names[part]}/up"
+        self._choices.append(
+            self.scene.add_arrows(
+                name, arrow, to_bytes(WAITING), shaft_radius=0.006, head_radius=0.018, head_length=0.045
+            )
+        )
+
+    def show_grasp(self, part: int, region: GraspRegion, direction: int) -> None:
+        """Show how a hand holds a part, with lines for the fingers.
+
+        Args:
+            part: part that is held.
+            region: place of the fingers.
+            direction: index of the direction that the hand comes from.
+        """
+        lines = _hand_lines(region, region.approaches[direction])
+        self._choices.append(
+            self._add_lines(f"/{self.names[part]}/grasp", np.array(lines), np.tile(_GRASP, (len(lines), 2, 1)), 5.0)
+        )
+
+    def clear_choices(self) -> None:
+        """Remove the arrow and the lines of the chosen action."""
+        for handle in self._choices:
+            handle.remove()
+        self._choices = []
+
     def clear(self) -> None:
         """Remove all overlays."""
+        self.clear_choices()
         for handle in (*self._balls, *self._pins, *self._frames, *self._grasps):
             handle.remove()
         self._balls, self._pins, self._frames, self._grasps = [], [], [], []
@@ -149,18 +194,24 @@ class Overlays:
         return self._add_lines(f"/{name}/frames", lines.reshape(-1, 2, 3), colors)
 
     def _add_grasps(self, name: str, grasps: Sequence[GraspRegion]) -> LineSegmentsHandle:
-        lines: list[list[Float[np.ndarray, "3"]]] = []
-        for grasp in grasps:
-            for approach in grasp.approaches:
-                hand = hand_pose(grasp.position, grasp.closing, approach)
-                pads = [grasp.position + side * 0.5 * grasp.width * hand.rotation[:, 1] for side in (-1.0, 1.0)]
-                lines += [[pad, pad - _FINGER * approach] for pad in pads]
-                lines.append([grasp.position - _FINGER * approach, grasp.position - _APPROACH * approach])
-                lines.append([pad - _FINGER * approach for pad in pads])
+        lines = [line for grasp in grasps for approach in grasp.approaches for line in _hand_lines(grasp, approach)]
         colors = np.tile(_GRASP, (len(lines), 2, 1))
         return self._add_lines(f"/{name}/grasps", np.array(lines), colors)
 
-    def _add_lines(self, name: str, lines: Float[np.ndarray, "n 2 3"], colors: np.ndarray) -> LineSegmentsHandle:
+    def _add_lines(
+        self, name: str, lines: Float[np.ndarray, "n 2 3"], colors: np.ndarray, thickness: float = 2.0
+    ) -> LineSegmentsHandle:
         return self.scene.add_line_segments(
-            name, lines.astype(np.float32), colors, thickness=2.0, thickness_units="screen"
+            name, lines.astype(np.float32), colors, thickness=thickness, thickness_units="screen"
         )
+
+
+def _hand_lines(grasp: GraspRegion, approach: Float[np.ndarray, "3"]) -> list[list[Float[np.ndarray, "3"]]]:
+    """Return lines for the two fingers, the palm and the approach of a hand."""
+    hand = hand_pose(grasp.position, grasp.closing, approach)
+    pads = [grasp.position + side * 0.5 * grasp.width * hand.rotation[:, 1] for side in (-1.0, 1.0)]
+    return [
+        *([pad, pad - _FINGER * approach] for pad in pads),
+        [grasp.position - _FINGER * approach, grasp.position - _APPROACH * approach],
+        [pad - _FINGER * approach for pad in pads],
+    ]

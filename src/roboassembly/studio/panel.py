@@ -9,6 +9,9 @@ from typing import Any
 
 from viser import GuiApi, GuiDropdownHandle, GuiEvent, GuiTextHandle, Icon, UploadedFile
 
+from roboassembly.studio.downloads import DOWNLOADS
+from roboassembly.studio.page_commands import PageCommand
+from roboassembly.studio.page_link import PageLink
 from roboassembly.studio.scene_view import COLORS, ViewOptions
 from roboassembly.studio.sources import BUILT_IN
 from roboassembly.studio.viser_internals import forget_upload
@@ -17,6 +20,8 @@ NONE = "—"
 """Value of a dropdown without a choice."""
 PICKS = ("the moving part", "the waiting part")
 """Target of the next click in the scene."""
+_BRAND = (184, 77, 6)
+"""Colour of buttons and tabs; that of the page."""
 SETTINGS = ("object-centric", "full")
 
 
@@ -44,7 +49,9 @@ class PanelCallbacks:
     change_view: Callable[[], None]
     """Called when a view option changes."""
     save: Callable[[str], None]
-    """Called with `plan.json` or `assembly.html`."""
+    """Called with one of `DOWNLOADS`."""
+    command: Callable[[PageCommand], None]
+    """Called with a command of the page."""
 
 
 class Panel:
@@ -56,6 +63,7 @@ class Panel:
         policies: names of policies.
         roots: folders in which folders can be opened by name.
         callbacks: callbacks of the controls.
+        narrow: put buttons above the choices, as a telephone shows only the first rows.
     """
 
     def __init__(
@@ -65,52 +73,71 @@ class Panel:
         policies: Sequence[str],
         roots: Sequence[Path],
         callbacks: PanelCallbacks,
+        *,
+        narrow: bool = False,
     ) -> None:
         self._gui, self._sources = gui, sources
-        gui.configure_theme(show_logo=False, show_share_button=False)
+        gui.configure_theme(show_logo=False, show_share_button=False, brand_color=_BRAND)
         gui.main_panel.dock_right()
         gui.set_panel_label("RoboAssembly")
+        self.link = PageLink(gui, callbacks.command)
+        """Link to the page around the scene."""
         self.status = gui.add_markdown("")
         self.message = gui.add_markdown("")
         self.progress = gui.add_progress_bar(0.0, visible=False, animated=True)
         self.cancel = gui.add_button("Cancel", icon=Icon.X, color="red", visible=False)
-        self.time = gui.add_slider(
-            "Time", 0, 1, 1, 0, hint="Drag to see earlier steps. Joining always continues at the end."
-        )
-        self.play_button = gui.add_button("Play", icon=Icon.PLAYER_PLAY)
         tabs = gui.add_tab_group()
-        with tabs.add_tab("Join"):
-            self._add_joining(callbacks)
-        with tabs.add_tab("Run"):
+        with tabs.add_tab("Steps"):
+            self._add_joining(callbacks, narrow=narrow)
+        with tabs.add_tab("Assemble"):
             self._add_running(policies, callbacks)
-        with tabs.add_tab("Furniture"):
+        with tabs.add_tab("Pieces"):
             self._add_opening(roots, callbacks)
-        with tabs.add_tab("Show"):
+        with tabs.add_tab("View"):
             self._add_view_options(callbacks)
+        with tabs.add_tab("Save"):
+            self._add_downloads(callbacks)
+        # Below the tabs if the page does not hide it: a page hides only what it can find, so it is in no tab.
+        self.upload = gui.add_upload_button(
+            "Bring your own", icon=Icon.UPLOAD,
+            hint="A ZIP archive of STL, OBJ, PLY or GLB files (one file per part, in assembled poses), one STEP, 3MF "
+            "or GLB file, or a plan.json for the furniture that is open.",
+        )  # fmt: skip
+        self.upload.on_upload(lambda event: callbacks.upload(event.target.value))
+        self.link.hide(self.upload, [self.cancel])
         self.cancel.on_click(lambda _: callbacks.cancel())
-        self.play_button.on_click(lambda _: callbacks.toggle_playback())
-        _on_user_change(self.time, callbacks.scrub)
 
-    def _add_joining(self, callbacks: PanelCallbacks) -> None:
+    def _add_joining(self, callbacks: PanelCallbacks, *, narrow: bool) -> None:
         gui = self._gui
+        self.explanation = gui.add_markdown("")
+        if narrow:
+            self._add_actions(callbacks)
         self.next = _dropdown(gui, "A click chooses", PICKS)
-        self.u = _dropdown(gui, "Moves")
-        self.k = _dropdown(gui, "by point")
-        self.v = _dropdown(gui, "Waits")
-        self.l = _dropdown(gui, "at point")
-        self.choices = [_dropdown(gui, "", visible=False) for _ in range(2)]
+        self.u = _dropdown(gui, "Moves", hint="The part that comes. All that is joined to it comes along.")
+        self.k = _dropdown(gui, "by point", hint="Its connection point that meets the other part.")
+        self.v = _dropdown(gui, "Waits", hint="The part that it is joined to, with all that is joined to that.")
+        self.l = _dropdown(gui, "at point", hint="The connection point where the moving part arrives.")
+        self.choices = [_dropdown(gui, "", visible=False, hint=" ") for _ in range(2)]
         for control in (self.u, self.k, self.v, self.l, *self.choices):
             _on_user_change(control, callbacks.choose)
+        if not narrow:
+            self._add_actions(callbacks)
+
+    def _add_actions(self, callbacks: PanelCallbacks) -> None:
+        gui = self._gui
         self.join = gui.add_button("Join", icon=Icon.LINK, color="green")
-        self.undo = gui.add_button("Undo", icon=Icon.ARROW_BACK_UP)
-        self.suggest = gui.add_button("Suggest", icon=Icon.BULB, hint="Fill in the action that the policy prefers.")
+        self.undo = gui.add_button("Undo", icon=Icon.ARROW_BACK_UP, color="gray")
+        self.suggest = gui.add_button(
+            "Suggest", icon=Icon.BULB, color="gray", hint="Fill in the action that the policy prefers."
+        )
         self.join.on_click(lambda _: callbacks.join())
         self.undo.on_click(lambda _: callbacks.undo())
         self.suggest.on_click(lambda _: callbacks.suggest())
 
     def _add_running(self, policies: Sequence[str], callbacks: PanelCallbacks) -> None:
         gui = self._gui
-        self.policy = _dropdown(gui, "Policy", policies)
+        gui.add_markdown("Let the studio find the rest of the steps. It goes on from what is joined already.")
+        self.policy = _dropdown(gui, "Policy", policies, hint="It suggests which parts to join next, and how.")
         self.runs = {
             name: gui.add_button(label, hint=hint)
             for name, label, hint in (
@@ -140,12 +167,6 @@ class Panel:
         opening = gui.add_button("Open", icon=Icon.FOLDER_OPEN)
         opening.on_click(lambda _: callbacks.open())
         _on_user_change(self.source, self._list_pieces)
-        self.upload = gui.add_upload_button(
-            "Bring your own", icon=Icon.UPLOAD,
-            hint="A ZIP archive of STL, OBJ, PLY or GLB files (one file per part, in assembled poses), one GLB scene, "
-            "or a plan.json for the furniture that is open.",
-        )  # fmt: skip
-        self.upload.on_upload(lambda event: callbacks.upload(event.target.value))
         self.path: GuiTextHandle | None = None
         if roots:
             hint = f"A folder of furniture or of 3D files on the server, in {', '.join(map(str, roots))}."
@@ -162,8 +183,21 @@ class Panel:
         self.path_line = gui.add_checkbox("Path of the moving group", True)
         for control in (self.color, self.points, self.frames, self.grasps, self.path_line):
             _on_user_change(control, callbacks.change_view)
-        for name in ("plan.json", "assembly.html"):
-            button = gui.add_button(f"Save {name}", icon=Icon.DOWNLOAD)
+        self.time = gui.add_slider(
+            "Time", 0, 1, 1, 0, hint="Drag to see earlier steps. Joining always continues at the end."
+        )
+        self.play_button = gui.add_button("Play", icon=Icon.PLAYER_PLAY)
+        self.play_button.on_click(lambda _: callbacks.toggle_playback())
+        _on_user_change(self.time, callbacks.scrub)
+
+    def _add_downloads(self, callbacks: PanelCallbacks) -> None:
+        gui = self._gui
+        gui.add_markdown("Files of the steps so far:")
+        self.saves = {
+            name: gui.add_button(label, icon=Icon.DOWNLOAD, hint=f"{name}: {hint}")
+            for name, (label, hint) in DOWNLOADS.items()
+        }
+        for name, button in self.saves.items():
             button.on_click(lambda _, name=name: callbacks.save(name))
 
     def _list_pieces(self) -> None:
@@ -183,15 +217,15 @@ class Panel:
     def set_busy(self, busy: bool) -> None:
         """Show the progress bar and disable the buttons that start something, or the reverse."""
         self.progress.visible = self.cancel.visible = busy
-        for button in (self.join, self.undo, self.suggest, *self.runs.values()):
+        for button in (self.join, self.undo, self.suggest, *self.runs.values(), *self.saves.values()):
             button.disabled = busy
 
 
 def _dropdown(
-    gui: GuiApi, label: str, options: Sequence[str] = (NONE,), *, visible: bool = True
+    gui: GuiApi, label: str, options: Sequence[str] = (NONE,), *, visible: bool = True, hint: str | None = None
 ) -> GuiDropdownHandle[str]:
     """Add a dropdown whose options may change."""
-    return gui.add_dropdown(label, options, visible=visible)
+    return gui.add_dropdown(label, options, visible=visible, hint=hint)
 
 
 def _on_user_change(control: Any, call: Callable[[], None]) -> None:

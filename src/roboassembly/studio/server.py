@@ -17,10 +17,12 @@ from roboassembly.errors import InputError, RoboAssemblyError
 from roboassembly.studio.access import Access
 from roboassembly.studio.config import StudioConfig
 from roboassembly.studio.incoming import Clients, StudioConnection
+from roboassembly.studio.page import make_page
 from roboassembly.viewer.server import Guard, quiet_server
 
 if TYPE_CHECKING:
     from roboassembly.studio.client_session import ClientSession
+    from roboassembly.studio.step_pictures import PictureDrawer
 
 MOST_CLIENTS = 64
 """Largest number of clients at a time; each has its own thread and memory."""
@@ -40,24 +42,29 @@ def run_studio(config: StudioConfig, access: Access, port: int) -> Generator[Vis
     """
     _check_address(access.host, port)
     registered = Clients()
-    guard = Guard(access.refuse, access.headers, functools.partial(StudioConnection, clients=registered))
+    connection = functools.partial(StudioConnection, clients=registered)
+    guard = Guard(access.refuse, access.headers, connection, make_page())
     with quiet_server(access.host, port, guard) as server:
         registered.attach(server)
         sessions: dict[int, ClientSession] = {}
         lock = threading.Lock()
         ready = threading.Thread(target=_prepare, args=(config,), name="prepare", daemon=True)
         ready.start()
+        drawers: list[PictureDrawer] = []
 
         def connect(client: ClientHandle) -> None:
             ready.join()
             from roboassembly.studio.client_session import ClientSession
+            from roboassembly.studio.step_pictures import PictureDrawer
 
             with lock:
                 if client.client_id not in server.get_clients():
                     return  # it has gone already
                 full = len(sessions) >= MOST_CLIENTS
+                if not drawers:
+                    drawers.append(PictureDrawer())
                 if not full:
-                    sessions[client.client_id] = ClientSession(client, config)
+                    sessions[client.client_id] = ClientSession(client, config, drawers[0])
             if full:
                 client.gui.add_markdown(f"All {MOST_CLIENTS} places are taken. Reload the page later.")
 
@@ -76,6 +83,8 @@ def run_studio(config: StudioConfig, access: Access, port: int) -> Generator[Vis
                 open_sessions = list(sessions.values())
             for session in open_sessions:
                 session.close()
+            for drawer in drawers:
+                drawer.close()
 
 
 def _prepare(config: StudioConfig) -> None:

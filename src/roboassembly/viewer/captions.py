@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from typing import Any
 
 from roboassembly.furniture.model import Furniture
-from roboassembly.task.plans.plan import UprightResult
+from roboassembly.task.plans.plan import Plan, UprightResult
+from roboassembly.task.plans.stability import group_name
 
 
 def step_caption(furniture: Furniture, index: int, steps: int, action: Sequence[int], sizes: tuple[int, int]) -> str:
@@ -24,6 +25,12 @@ def step_caption(furniture: Furniture, index: int, steps: int, action: Sequence[
         for part, size in zip(action[:2], sizes, strict=True)
     ]
     return f"step {index + 1} of {_expected_steps(furniture, steps)}: {' onto '.join(names)}"
+
+
+def held_caption(plan: Plan, index: int) -> str:
+    """Return what to hold in a step, such as `; hold post_left (+2)`; empty if all stands, or if nobody asked."""
+    group = None if plan.stability is None else plan.stability.group_to_hold(index)
+    return "" if group is None else f"; hold {group_name([p.name for p in plan.furniture.parts], group.parts)}"
 
 
 def ending_caption(furniture: Furniture, steps: int, success: bool, upright: UprightResult[Any] | None) -> str:

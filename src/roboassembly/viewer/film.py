@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 import imageio.v3 as iio
@@ -10,17 +11,18 @@ import imageio_ffmpeg
 import numpy as np
 from jaxtyping import UInt8
 
+from roboassembly.atomic_file import atomic_write
 from roboassembly.errors import InputError
 from roboassembly.furniture.model import Furniture
 from roboassembly.geometry.meshes import Mesh
 from roboassembly.geometry.poses import SE3, transform_points
 from roboassembly.rendering.camera import Camera, box_corners, fit_camera
-from roboassembly.rendering.colors import BACKGROUND, Color, part_colors, to_bytes, wood_colors
+from roboassembly.rendering.colors import BACKGROUND, Color, Finish, Role, finishes, part_colors, to_bytes, wood_colors
 from roboassembly.rendering.gl import RenderingUnavailableError, context_module
-from roboassembly.rendering.offscreen import STILL, OffscreenRenderer, Quality, check_size, placements
-from roboassembly.viewer.atomic_file import atomic_write
-from roboassembly.viewer.camera_path import follow
-from roboassembly.viewer.film_segments import FilmScene, Shot, encode_film
+from roboassembly.rendering.offscreen import check_size
+from roboassembly.rendering.renderer import STILL, OffscreenRenderer, Quality, placements
+from roboassembly.viewer.camera_path import close_ups, follow
+from roboassembly.viewer.film_segments import FilmScene, FilmStoppedError, Shot, encode_film
 from roboassembly.viewer.playback import AnyPlan, make_timeline
 from roboassembly.viewer.timeline import Phase, Timeline
 
@@ -39,13 +41,14 @@ def write_film(
     plan: AnyPlan,
     path: Path,
     *,
-    width: int = 960,
-    height: int = 540,
-    fps: int = 24,
+    width: int = 1280,
+    height: int = 720,
+    fps: int = 30,
     seconds_per_step: float | None = None,
     quality: Quality | None = None,
     jobs: int = 1,
-) -> None:
+    watch: Callable[[float], bool] | None = None,
+) -> bool:
     """Write an H.264 film (`.mp4`) of a plan.
 
     Args:
@@ -58,6 +61,11 @@ def write_film(
         quality: rendering quality. If None, `STILL` with a graphics card and `FAST` without one.
         jobs: number of processes that draw. The film is the same for any number. With more than one, a script needs
             the usual guard of its main part, `if __name__ == "__main__":`.
+        watch: called with the share that is done, 0 to 1, now and then; if it returns False, no film is written. With
+            more than one process it is not called.
+
+    Returns:
+        Whether the film was written.
 
     Raises:
         RenderingUnavailableError: this machine cannot render off screen, or ffmpeg is missing or fails.
@@ -74,9 +82,11 @@ def write_film(
         raise RenderingUnavailableError("ffmpeg is missing; install it with: pip install imageio-ffmpeg") from error
     path = Path(path)
     context_module()
-    scene = _scene(timeline, width, height, quality)
-    with atomic_write(path) as unfinished:
-        encode_film(scene, shots(timeline, cameras), unfinished, fps, jobs)
+    scene = film_scene(timeline, width, height, quality)
+    with suppress(FilmStoppedError), atomic_write(path) as unfinished:
+        encode_film(scene, shots(timeline, cameras), unfinished, fps, jobs, watch)
+        return True
+    return False
 
 
 def shots(timeline: Timeline, cameras: Sequence[Camera]) -> list[Shot]:
@@ -90,39 +100,53 @@ def shots(timeline: Timeline, cameras: Sequence[Camera]) -> list[Shot]:
 
 
 def render_pictures(
-    plan: AnyPlan, *, width: int = 1280, height: int = 720, quality: Quality = STILL
+    plan: AnyPlan, count: int | None = None, *, width: int = 1280, height: int = 720, quality: Quality = STILL
 ) -> list[UInt8[np.ndarray, "height width 3"]]:
-    """Return captioned pictures: the initial state, the middle of each step, and the end.
-
-    Raises:
-        RenderingUnavailableError: this machine cannot render off screen.
-        InputError: the size is not valid.
-    """
-    timeline = make_timeline(plan, 10.0, None)
-    cameras = follow(timeline, width / height)
-    out: list[UInt8[np.ndarray, "height width 3"]] = []
-    with _scene(timeline, width, height, quality).renderer() as renderer:
-        for index in key_frames(timeline):
-            frame = timeline.frames[index]
-            out.append(renderer.picture(frame.poses, part_colors(frame.roles), cameras[index], frame.caption))
-    return out
-
-
-def write_storyboard(plan: AnyPlan, path: Path, *, columns: int = 4, width: int = 480, height: int = 360) -> None:
-    """Write the pictures of `render_pictures` as one PNG, row by row.
+    """Return captioned pictures: the initial state, steps, and the end.
 
     Args:
         plan: plan to show.
-        path: file to write.
+        count: largest number of pictures, at least 2; one for each step and both ends if None.
+        width: width of each picture [pixels].
+        height: height of each picture [pixels].
+        quality: rendering quality.
+
+    Raises:
+        RenderingUnavailableError: this machine cannot render off screen.
+        InputError: the size or the number is not valid.
+    """
+    if count is not None and count < 2:
+        raise InputError(f"{count} pictures; a plan needs at least 2, its beginning and its end")
+    timeline = make_timeline(plan, 10.0, None)
+    indices = key_frames(timeline, count)
+    out: list[UInt8[np.ndarray, "height width 3"]] = []
+    with film_scene(timeline, width, height, quality).renderer() as renderer:
+        for index, camera in zip(indices, close_ups(timeline, indices, width / height), strict=True):
+            frame = timeline.frames[index]
+            out.append(renderer.picture(frame.poses, part_colors(frame.roles), camera, frame.caption))
+    return out
+
+
+def write_storyboard(
+    plan: AnyPlan, path: Path, *, count: int = 6, columns: int = 2, width: int = 960, height: int = 540
+) -> None:
+    """Write the pictures of `render_pictures` as one file, row by row.
+
+    Args:
+        plan: plan to show.
+        path: file to write, `.png` or `.webp`.
+        count: number of pictures; fewer if the plan has fewer steps.
         columns: number of pictures in a row.
         width: width of each picture [pixels].
         height: height of each picture [pixels].
 
     Raises:
         RenderingUnavailableError: this machine cannot render off screen.
-        InputError: the size is not valid.
+        InputError: the size, the number or the ending of the file is not valid.
     """
-    _write_png(Path(path), _tile(render_pictures(plan, width=width, height=height), columns))
+    if path.suffix not in _ENCODINGS:
+        raise InputError(f"'{path}': a storyboard is written as {' or '.join(_ENCODINGS)}")
+    _write_picture(Path(path), _tile(render_pictures(plan, count, width=width, height=height), columns))
 
 
 def render_furniture(
@@ -148,15 +172,17 @@ def render_furniture(
     )
     ground = SE3(np.eye(3), np.array([0.0, 0.0, -lowest]))
     poses = [ground * pose for pose in furniture.assembled]
-    picture = render_meshes(meshes, poses, wood_colors(len(poses)), width, height, quality=quality, caption=caption)
+    picture = render_meshes(
+        meshes, poses, wood_colors(len(poses)), width, height, quality=quality, caption=caption, finish=Finish.WOOD
+    )
     if path is not None:
-        _write_png(Path(path), picture)
+        _write_picture(Path(path), picture)
     return picture
 
 
 def render_meshes(
     meshes: Sequence[Mesh], poses: Sequence[SE3], colors: Sequence[Color], width: int, height: int, *,
-    quality: Quality = STILL, caption: str = "",
+    quality: Quality = STILL, caption: str = "", finish: Finish = Finish.PAINT,
 ) -> UInt8[np.ndarray, "height width 3"]:  # fmt: skip
     """Return a picture of meshes at their `world_from_mesh`, with all of them in view.
 
@@ -167,7 +193,9 @@ def render_meshes(
     points = np.concatenate([box_corners(mesh, pose) for mesh, pose in zip(meshes, poses, strict=True)])
     camera = fit_camera(points, width / height)
     radius = float(np.linalg.norm(points - camera.target, axis=1).max())
-    with OffscreenRenderer(meshes, width, height, center=camera.target, radius=radius, quality=quality) as renderer:
+    with OffscreenRenderer(
+        meshes, width, height, center=camera.target, radius=radius, quality=quality, finishes=[finish] * len(meshes)
+    ) as renderer:
         return renderer.picture(poses, colors, camera, caption)
 
 
@@ -190,23 +218,48 @@ def render_contact_sheet(
     pictures = [
         render_furniture(piece, width=size, height=size, caption=piece.name if names else "") for piece in furniture
     ]
-    _write_png(Path(path), _tile(pictures, columns))
+    _write_picture(Path(path), _tile(pictures, columns))
 
 
-def key_frames(timeline: Timeline) -> list[int]:
-    """Return the indices of the first frame, of the middle frame of each step's motion, and of the last frame."""
-    out = [0]
+def key_frames(timeline: Timeline, count: int | None = None) -> list[int]:
+    """Return the indices of the first frame, of one frame of each step's motion, and of the last frame.
+
+    Args:
+        timeline: frames of the film.
+        count: largest number of frames. The steps between the ends are those after equal shares of all that changes,
+            which is the number of parts that the steps put in motion.
+    """
+    steps: list[int] = []
+    weights: list[int] = []
     for step in sorted({frame.step for frame in timeline.frames if frame.step is not None}):
         moving = [i for i, frame in enumerate(timeline.frames) if frame.step == step and frame.phase is Phase.MOVING]
-        out.append(next((i for i in moving if timeline.frames[i].key), moving[len(moving) // 2]))
-    return [*out, len(timeline.frames) - 1]
+        # Near the end of the motion both groups are close together.
+        steps.append(next((i for i in moving if timeline.frames[i].key), moving[int(0.7 * (len(moving) - 1))]))
+        roles = timeline.frames[steps[-1]].roles
+        weights.append(min(roles.count(Role.MOVING), roles.count(Role.WAITING)))
+    if count is not None and len(steps) > count - 2:
+        steps = [steps[k] for k in _evenly(weights, count - 2)]
+    return [0, *steps, len(timeline.frames) - 1]
 
 
-def _scene(timeline: Timeline, width: int, height: int, quality: Quality | None) -> FilmScene:
+def _evenly(weights: Sequence[int], count: int) -> list[int]:
+    """Return `count` indices in order, near the middles of as many equal shares of the weights' sum."""
+    reached = np.cumsum(weights) - 0.5 * np.array(weights)
+    out: list[int] = []
+    for k in range(count):
+        first, last = (out[-1] + 1 if out else 0), len(weights) - (count - k)
+        middle = (k + 0.5) / count * sum(weights)
+        out.append(first + int(np.argmin(np.abs(reached[first : last + 1] - middle))))
+    return out
+
+
+def film_scene(timeline: Timeline, width: int, height: int, quality: Quality | None) -> FilmScene:
+    """Return what all pictures of a film of this width and height [pixels] have in common."""
     points = timeline.box_corners.reshape(-1, 3)
     center = 0.5 * (points.min(axis=0) + points.max(axis=0))
     radius = float(np.linalg.norm(points - center, axis=1).max())
-    return FilmScene(tuple(item.mesh for item in timeline.objects), width, height, center, radius, quality)
+    surfaces = tuple(finishes(timeline.frames[0].roles))
+    return FilmScene(tuple(item.mesh for item in timeline.objects), width, height, center, radius, quality, surfaces)
 
 
 def _tile(
@@ -225,6 +278,9 @@ def _tile(
     return out
 
 
-def _write_png(path: Path, picture: UInt8[np.ndarray, "height width 3"]) -> None:
+_ENCODINGS: dict[str, dict[str, int]] = {".png": {}, ".webp": {"quality": 82, "method": 6}}
+
+
+def _write_picture(path: Path, picture: UInt8[np.ndarray, "height width 3"]) -> None:
     with atomic_write(path) as unfinished:
-        iio.imwrite(unfinished, picture, extension=".png")
+        iio.imwrite(unfinished, picture, extension=path.suffix, **_ENCODINGS.get(path.suffix, {}))

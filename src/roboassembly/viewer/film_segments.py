@@ -9,7 +9,7 @@ import os
 import pickle
 import signal
 import subprocess
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,13 +18,21 @@ from typing import Protocol
 
 import imageio_ffmpeg
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Bool, Float, UInt8
 
 from roboassembly.geometry.meshes import Mesh
 from roboassembly.parallel.processes import one_thread_each, worker_pool
 from roboassembly.rendering.camera import Camera
+from roboassembly.rendering.captions import draw_caption
+from roboassembly.rendering.colors import Finish
 from roboassembly.rendering.gl import RenderingUnavailableError, context_module, skip_trial
-from roboassembly.rendering.offscreen import OffscreenRenderer, Quality
+from roboassembly.rendering.rectangles import Rectangle, changed_rectangle
+from roboassembly.rendering.renderer import SOFTEST, OffscreenRenderer, Quality
+
+
+class FilmStoppedError(Exception):
+    """The film was stopped before its end."""
+
 
 SEGMENT_FRAMES = 96
 """Number of frames in a segment."""
@@ -45,55 +53,94 @@ class FilmScene:
     """Radius of the scene [m]."""
     quality: Quality | None
     """Quality of pictures; the renderer's choice if None."""
+    finishes: tuple[Finish, ...] | None = None
+    """Finish of each mesh; paint if None."""
 
     def renderer(self) -> OffscreenRenderer:
         """Return a new renderer."""
         return OffscreenRenderer(
-            self.meshes, self.width, self.height, center=self.center, radius=self.radius, quality=self.quality
-        )
+            self.meshes, self.width, self.height,
+            center=self.center, radius=self.radius, quality=self.quality, finishes=self.finishes,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
 class Shot:
-    """Arguments of `OffscreenRenderer.draw` for one picture."""
+    """Arguments of `OffscreenRenderer.draw` for one picture, and its caption."""
 
     world_from_mesh: Float[np.ndarray, "n 7"]
     colors: Float[np.ndarray, "n 3"]
     camera: Camera
     caption: str
 
-    def looks_like(self, other: Shot) -> bool:
-        """Whether both give the same picture."""
+    def same_view(self, other: Shot) -> bool:
+        """Whether both have the same camera."""
         a, b = self.camera, other.camera
-        return (
-            self.caption == other.caption
-            and (a.distance, a.azimuth, a.elevation) == (b.distance, b.azimuth, b.elevation)
-            and np.array_equal(a.target, b.target)
-            and np.array_equal(self.world_from_mesh, other.world_from_mesh)
-            and np.array_equal(self.colors, other.colors)
+        return (a.distance, a.azimuth, a.elevation) == (b.distance, b.azimuth, b.elevation) and np.array_equal(
+            a.target, b.target
         )
+
+    def differs(self, other: Shot) -> Bool[np.ndarray, "n"]:
+        """Return which objects have another placement or another colour."""
+        return (self.world_from_mesh != other.world_from_mesh).any(axis=1) | (self.colors != other.colors).any(axis=1)
 
 
 class Renderer(Protocol):
     """Object that draws pictures."""
 
+    width: int
+    height: int
+    boxes: Float[np.ndarray, "n 8 3"]
+    """Corners of each mesh's bounding box, in its own frame [m]."""
+
     def draw(
-        self, world_from_mesh: Float[np.ndarray, "n 7"], colors: Float[np.ndarray, "n 3"], camera: Camera, caption: str
+        self,
+        world_from_mesh: Float[np.ndarray, "n 7"],
+        colors: Float[np.ndarray, "n 3"],
+        camera: Camera,
+        within: Rectangle | None = None,
     ) -> UInt8[np.ndarray, "height width 3"]:
-        """Return a picture."""
+        """Return a picture, or a part of it."""
         ...
 
 
 def draw_shots(renderer: Renderer, shots: Sequence[Shot]) -> Iterator[UInt8[np.ndarray, "height width 3"]]:
-    """Yield the picture of each shot. A shot that looks like the one before it yields the same array again."""
-    last: tuple[Shot, UInt8[np.ndarray, "height width 3"]] | None = None
+    """Yield the picture of each shot.
+
+    While the camera stands still, only the part of the picture that can have changed is drawn. A shot that looks like
+    the one before it yields the same array again.
+    """
+    last: Shot | None = None
+    plain = picture = np.empty((0, 0, 3), np.uint8)
     for shot in shots:
-        if last is None or not shot.looks_like(last[0]):
-            last = shot, renderer.draw(shot.world_from_mesh, shot.colors, shot.camera, shot.caption)
-        yield last[1]
+        drawn = True
+        if last is None or not shot.same_view(last):
+            plain = renderer.draw(shot.world_from_mesh, shot.colors, shot.camera)
+        elif (changed := shot.differs(last)).any():
+            area = changed_rectangle(
+                renderer.boxes, last.world_from_mesh, shot.world_from_mesh, changed, shot.camera,
+                (renderer.width, renderer.height), SOFTEST,
+            )  # fmt: skip
+            if area.width and area.height:
+                part = renderer.draw(shot.world_from_mesh, shot.colors, shot.camera, area)
+                plain[area.top : area.bottom, area.left : area.right] = part
+        else:
+            drawn = False
+        if last is None or drawn or shot.caption != last.caption:
+            picture = plain.copy()
+            draw_caption(picture, shot.caption)
+        last = shot
+        yield picture
 
 
-def encode_film(scene: FilmScene, shots: Sequence[Shot], path: Path, fps: float, jobs: int) -> None:
+def encode_film(
+    scene: FilmScene,
+    shots: Sequence[Shot],
+    path: Path,
+    fps: float,
+    jobs: int,
+    watch: Callable[[float], bool] | None = None,
+) -> None:
     """Draw the shots and write them as an H.264 film.
 
     Args:
@@ -102,9 +149,11 @@ def encode_film(scene: FilmScene, shots: Sequence[Shot], path: Path, fps: float,
         path: file to write, `.mp4`.
         fps: frames per second.
         jobs: number of processes that draw; 1 draws in this process.
+        watch: called before each picture with the share that is done, if one process draws.
 
     Raises:
         RenderingUnavailableError: this machine cannot render off screen, or ffmpeg fails.
+        FilmStoppedError: `watch` returned False.
     """
     with TemporaryDirectory(prefix=f".{path.stem}.", dir=path.parent, ignore_cleanup_errors=True) as name:
         film = _Film(scene, shots, fps, Path(name))
@@ -112,7 +161,7 @@ def encode_film(scene: FilmScene, shots: Sequence[Shot], path: Path, fps: float,
         if jobs == 1:
             with scene.renderer() as renderer:
                 for index in range(len(film.files)):
-                    film.encode(renderer, index)
+                    film.encode(renderer, index, watch)
         else:
             # Workers read the shots from a file: what waits in the pipe of a pool blocks its end after an interrupt.
             (film.folder / _SHOTS).write_bytes(pickle.dumps(film))
@@ -140,8 +189,8 @@ class _Film:
         """One file for each segment."""
         return [self.folder / f"{k}.mp4" for k in range(-(-len(self.shots) // SEGMENT_FRAMES))]
 
-    def encode(self, renderer: Renderer, index: int) -> None:
-        """Draw and write a segment."""
+    def encode(self, renderer: Renderer, index: int, watch: Callable[[float], bool] | None = None) -> None:
+        """Draw and write a segment; see `encode_film`."""
         file = self.files[index]
         writer = imageio_ffmpeg.write_frames(
             str(file),
@@ -159,7 +208,10 @@ class _Film:
         )
         writer.send(None)
         try:
-            for picture in draw_shots(renderer, self.shots[index * SEGMENT_FRAMES : (index + 1) * SEGMENT_FRAMES]):
+            first = index * SEGMENT_FRAMES
+            for number, picture in enumerate(draw_shots(renderer, self.shots[first : first + SEGMENT_FRAMES]), first):
+                if watch is not None and not watch(number / len(self.shots)):
+                    raise FilmStoppedError
                 writer.send(picture)
         except OSError:
             raise RenderingUnavailableError(f"ffmpeg stopped; is there room in '{self.folder.parent}'?") from None

@@ -16,7 +16,8 @@ from jaxtyping import Float, Float32
 
 from roboassembly.geometry.poses import SE3
 from roboassembly.rendering.colors import Role
-from roboassembly.robots.body import hand_links, links, placed, tip_positions
+from roboassembly.robots.body import tip_positions
+from roboassembly.robots.visual import visual_links, visual_poses
 from roboassembly.task.full.cell_state import CellState, Segment
 from roboassembly.task.full.failure import STRAIGHT, Stage
 from roboassembly.task.full.posts import Post, post_mesh
@@ -52,9 +53,10 @@ class FullPlanAnimator:
     @property
     def objects(self) -> tuple[SceneObject, ...]:
         """Objects that the frames show: parts, links, then posts in the order in which the plan puts them up."""
-        own = [*links(), *(link for link, _ in hand_links(0.0))]
         robots = [
-            SceneObject(f"robot_{name}/{i}_{link.name}", link.mesh) for name in "ab" for i, link in enumerate(own)
+            SceneObject(f"robot_{name}/{i}_{link.name}", link.mesh)
+            for name in "ab"
+            for i, link in enumerate(visual_links())
         ]
         posts = [
             SceneObject(f"posts/{i}", post_mesh(float(post.top[2])), framed=False) for i, post in enumerate(self.posts)
@@ -123,13 +125,15 @@ class FullPlanAnimator:
         return [max(1, round(end) - round(start)) for start, end in itertools.pairwise([0.0, *map(float, ends)])]
 
     def _roles(self, parts: list[Role]) -> tuple[Role, ...]:
-        links = _link_count()
-        return (*parts, *[Role.ROBOT_A] * links, *[Role.ROBOT_B] * links, *[Role.POST] * len(self.posts))
+        robots = [
+            Role.ROBOT_DARK if link.dark else role for role in (Role.ROBOT_A, Role.ROBOT_B) for link in visual_links()
+        ]
+        return (*parts, *robots, *[Role.POST] * len(self.posts))
 
     def _poses(self, state: CellState) -> list[SE3 | None]:
         """Return the pose of each object; None for a post that is not up."""
         parts = {p: pose for g in state.groups() for p, pose in zip(g.parts, g.part_poses(), strict=True)}
-        robots = [pose for r in state.robots for _, pose in placed(r.at, r.opening)]
+        robots = [pose for r in state.robots for pose in visual_poses(r.at, r.opening)]
         up = {id(post) for post in state.posts}
         posts = [SE3(np.eye(3), post.top) if id(post) in up else None for post in self.posts]
         return [*(parts[p] for p in range(len(parts))), *robots, *posts]
@@ -138,7 +142,7 @@ class FullPlanAnimator:
         """Write the poses of the robot that moves, and of the group in its hand, into `poses`."""
         robot = segment.before.robots[segment.robot]
         first = len(self.plan.furniture.parts) + segment.robot * _link_count()
-        poses[first : first + _link_count()] = [pose for _, pose in placed(configuration, robot.opening)]
+        poses[first : first + _link_count()] = visual_poses(configuration, robot.opening)
         if robot.payload is not None:
             group = robot.payload.placed(configuration)
             for part, pose in zip(group.parts, group.part_poses(), strict=True):
@@ -146,8 +150,8 @@ class FullPlanAnimator:
 
 
 def _link_count() -> int:
-    """Return the number of links of one robot."""
-    return len(links()) + len(hand_links(0.0))
+    """Return the number of shapes of one robot."""
+    return len(visual_links())
 
 
 def _pace(segment: Segment) -> float:

@@ -8,9 +8,9 @@ from functools import cache
 from pathlib import Path
 from string import Template
 
+from roboassembly.atomic_file import atomic_write
 from roboassembly.rendering.camera import FIELD_OF_VIEW, fit_camera
 from roboassembly.rendering.colors import part_colors
-from roboassembly.viewer.atomic_file import atomic_write
 from roboassembly.viewer.html_template import BODY, HEAD
 from roboassembly.viewer.playback import AnyPlan, make_timeline
 from roboassembly.viewer.recording import RecordedScene

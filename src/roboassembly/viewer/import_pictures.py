@@ -27,7 +27,7 @@ from roboassembly.rendering.camera import (
     view_axes,
 )
 from roboassembly.rendering.colors import MOVING, WOOD, Color, distinct_colors
-from roboassembly.rendering.offscreen import FAST, STILL, OffscreenRenderer
+from roboassembly.rendering.renderer import FAST, STILL, OffscreenRenderer
 from roboassembly.repair import PartRepair
 from roboassembly.repair.proximity import Shell
 from roboassembly.repair.surface import Surface

@@ -8,6 +8,8 @@ A step has four phases:
 3. *settling*: the merged group comes to rest as simulated.
 4. *pause*.
 
+Fasteners that go in after a step follow it; all of one kind at once, although the plan has them one after the other.
+
 If the plan sets the finished piece on its feet, that motion follows the last step: *moving* and *settling* again.
 """
 
@@ -22,8 +24,9 @@ from jaxtyping import Float32
 
 from roboassembly.geometry.poses import SE3, transform_points
 from roboassembly.rendering.colors import Role
-from roboassembly.task.plans.plan import SETTLING_INTERVAL, Plan, PlanStep
-from roboassembly.viewer.captions import ending_caption, step_caption
+from roboassembly.task.plans.plan import SETTLING_INTERVAL, Plan, PlanStep, UprightMotion
+from roboassembly.viewer.captions import ending_caption, held_caption, step_caption
+from roboassembly.viewer.fastener_frames import fastener_objects, insertion_frames, with_fasteners
 from roboassembly.viewer.motion_timing import ease, interpolated, path_length, pose_between, speed_profile
 from roboassembly.viewer.timeline import Frame, Phase, SceneObject, part_objects
 
@@ -35,6 +38,7 @@ FLIGHT_RANGE = (0.5, 1.3)
 APPROACH_SHARE = 0.28
 SETTLING_SHARE = 0.20
 PAUSE_SHARE = 0.10
+INSERTION_SHARE = 0.45
 
 LARGEST_LIFT = 0.12
 """Largest lift [m] of a group while it is placed, beyond what keeps it off the ground."""
@@ -56,8 +60,8 @@ class PlanAnimator:
 
     @property
     def objects(self) -> tuple[SceneObject, ...]:
-        """Objects that the frames show: the parts."""
-        return part_objects(self.plan.furniture)
+        """Objects that the frames show: the parts, then the fasteners."""
+        return (*part_objects(self.plan.furniture), *fastener_objects(self.plan))
 
     def path_points(self, index: int) -> Float32[np.ndarray, "n 3"]:
         """Return the path of the moving group's centre of mass in a step [m]."""
@@ -66,20 +70,36 @@ class PlanAnimator:
     def opening(self) -> Frame:
         """Return the frame before the first step."""
         text = f"{self.plan.furniture.name}: {len(self.plan.initial)} parts"
-        return self._resting(self.plan.initial, None, Phase.OVERTURE, text)
+        return with_fasteners(self.plan, self._resting(self.plan.initial, None, Phase.OVERTURE, text), -2)
 
     def ending(self) -> Frame:
         """Return the frame after the last step."""
         plan = self.plan
         text = ending_caption(plan.furniture, len(plan.steps), plan.success, plan.upright)
-        return self._resting(plan.final_poses, None, Phase.FINALE, text)
+        return with_fasteners(plan, self._resting(plan.final_poses, None, Phase.FINALE, text), len(plan.steps))
 
     def step(self, index: int) -> Iterator[Frame]:
-        """Yield the frames of one step."""
+        """Yield the frames of one step and of the fasteners after it; with the first step, also of those before it."""
+        if index == 0:
+            yield from insertion_frames(
+                self.plan, -1, self._resting(self.plan.initial, 0, Phase.INSERTING, ""), self._pace
+            )
+        yield from (with_fasteners(self.plan, frame, index - 1) for frame in self._merge(index))
+        rest = self._resting(self.plan.steps[index].after, index, Phase.INSERTING, "")
+        yield from insertion_frames(self.plan, index, rest, self._pace)
+
+    @property
+    def _pace(self) -> int:
+        """Number of frames in which a fastener goes in."""
+        return self._count(INSERTION_SHARE * self.seconds_per_step)
+
+    def _merge(self, index: int) -> Iterator[Frame]:
+        """Yield the frames of one merge, without fasteners."""
         step = self.plan.steps[index]
         before = self.plan.steps[index - 1].after if index else self.plan.initial
         sizes = len(step.moving), len(step.waiting)
         caption = step_caption(self.plan.furniture, index, len(self.plan.steps), step.action, sizes)
+        caption += held_caption(self.plan, index)
         n = len(before)
         roles = tuple(
             Role.MOVING if p in step.moving else Role.WAITING if p in step.waiting else Role.IDLE for p in range(n)
@@ -105,6 +125,12 @@ class PlanAnimator:
         motion = None if self.plan.upright is None else self.plan.upright.motion
         if motion is None:
             return
+        for shown in self._upright_frames(motion):
+            yield with_fasteners(self.plan, shown, len(self.plan.steps) - 1)
+        rest = self._resting(motion.after, None, Phase.INSERTING, "")
+        yield from insertion_frames(self.plan, len(self.plan.steps), rest, self._pace)
+
+    def _upright_frames(self, motion: UprightMotion) -> Iterator[Frame]:
         caption, n = f"{self.plan.furniture.name}: set upright", len(motion.after)
 
         def frame(world_from_piece: SE3, phase: Phase) -> Frame:

@@ -6,6 +6,7 @@ Each server here has a `Guard`, which checks every request before viser sees it.
 
 from __future__ import annotations
 
+import gzip
 import http
 import inspect
 import threading
@@ -39,6 +40,8 @@ class Guard:
     """Returns additional headers for the response to a request."""
     connect: Callable[..., ServerConnection] = ServerConnection
     """Constructs the connection, with the arguments of `ServerConnection`."""
+    page: str = ""
+    """Page to serve in place of viser's; viser's own if empty."""
 
 
 def plain_response(status: http.HTTPStatus, text: str, **headers: str) -> Response:
@@ -48,6 +51,26 @@ def plain_response(status: http.HTTPStatus, text: str, **headers: str) -> Respon
     fixed |= {"Content-Length": str(len(body)), "Connection": "close"}
     named = {name.replace("_", "-"): value for name, value in headers.items()}
     return Response(status.value, status.phrase, Headers(**fixed, **named), body)
+
+
+class _Pages:
+    """Replaces viser's page in responses.
+
+    Args:
+        page: page to serve; viser's own if empty.
+    """
+
+    def __init__(self, page: str) -> None:
+        self._plain = page.encode()
+        self._packed = gzip.compress(self._plain, 6, mtime=0) if page else b""
+
+    def replace(self, response: Response) -> None:
+        """Replace the body of a response if it is viser's page."""
+        if not self._plain or not response.headers.get("Content-Type", "").startswith("text/html"):
+            return
+        response.body = self._packed if response.headers.get("Content-Encoding") == "gzip" else self._plain
+        del response.headers["Content-Length"]
+        response.headers["Content-Length"] = str(len(response.body))
 
 
 REFUSE_ALL = Guard(
@@ -93,6 +116,7 @@ def _guarded(host: str, port: int, guard: Guard) -> ViserServer:
     serve without a guard.
     """
     calls = 0
+    served = _Pages(guard.page)
     serve: Any = websockets.asyncio.server.serve
 
     def guarded(*args: Any, process_request: Any, **kwargs: Any) -> Any:
@@ -107,6 +131,7 @@ def _guarded(host: str, port: int, guard: Guard) -> ViserServer:
             if inspect.isawaitable(page):
                 page = await page
             if page is not None:
+                served.replace(page)
                 for name, value in guard.headers(request).items():
                     page.headers[name] = value
             return page

@@ -27,6 +27,8 @@ class Phase(enum.StrEnum):
     PLACING = "placing"
     MOVING = "moving"
     SETTLING = "settling"
+    INSERTING = "inserting"
+    """Fasteners go in."""
     PAUSE = "pause"
     FINALE = "finale"
 

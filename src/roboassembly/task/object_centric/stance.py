@@ -77,9 +77,13 @@ def stance_of(furniture: Furniture, poses: Sequence[SE3]) -> Stance | None:
     group = Group(parts, parts, tuple(frame.actInv(pose) for pose in poses), frame)
     turn = align_axis(frame.rotation[:, 2], _UP) @ frame.rotation
     rotation = _rest(furniture, group, turn)
-    nudges = [align_axis(_UP, np.array([np.sin(NUDGE) * x, np.sin(NUDGE) * y, np.cos(NUDGE)])) for x, y in _SIDES]
-    lean = max(tilt(rotation), *(tilt(_rest(furniture, group, nudge @ turn)) for nudge in nudges))
+    lean = max(tilt(rotation), *(tilt(_rest(furniture, group, nudge @ turn)) for nudge in nudges()))
     return Stance(group, rotation, lean)
+
+
+def nudges() -> list[Float[np.ndarray, "3 3"]]:
+    """Return rotations of the world by `NUDGE` to four sides."""
+    return [align_axis(_UP, np.array([np.sin(NUDGE) * x, np.sin(NUDGE) * y, np.cos(NUDGE)])) for x, y in _SIDES]
 
 
 def _rest(furniture: Furniture, group: Group, turn: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:

@@ -7,6 +7,7 @@ from typing import ClassVar, Generic, TypeVar
 
 from roboassembly.furniture.model import Furniture
 from roboassembly.geometry.poses import SE3
+from roboassembly.task.plans.stability import PlanStability
 from roboassembly.task.setting import SettingName
 
 
@@ -82,6 +83,26 @@ class UprightMotion:
 
 
 @dataclass(frozen=True, eq=False)
+class Insertion:
+    """Record of one fastener: it goes straight into a group that lies on the ground, or that is raised meanwhile."""
+
+    fastener: int
+    """Index into the furniture's fasteners."""
+    after: int
+    """Index of the step after which it goes in; -1 before the first one, the number of steps once the piece stands."""
+    part: int
+    """Part with which it moves from then on."""
+    part_from_fastener: SE3
+    path: tuple[SE3, ...]
+    """`world_from_fastener` way-points from outside to its place. Between two of them the translation is linear and the
+    rotation spherical-linear."""
+    lift: float
+    """Height by which its group is raised while it goes in [m]."""
+    planning_steps: int
+    """Configurations tested for collision, failed attempts included."""
+
+
+@dataclass(frozen=True, eq=False)
 class Plan:
     """Plan of a whole assembly in the object-centric setting."""
 
@@ -95,6 +116,12 @@ class Plan:
     seed: int
     upright: UprightResult[UprightMotion] | None = None
     """Whether the piece ends on its feet; None if it is not assembled or `set_upright` was not called."""
+    stability: PlanStability | None = None
+    """Groups that stand on their own in each state; None if nobody asked."""
+    insertions: tuple[Insertion, ...] = ()
+    """Fasteners that go in, in their order; empty if there are none, or nobody asked for them."""
+    not_inserted: tuple[tuple[int, str], ...] = ()
+    """Index of each fastener for which no way in was found, and the reason."""
 
     @property
     def final_poses(self) -> tuple[SE3, ...]:

@@ -5,9 +5,11 @@
     setting           "object-centric" or "full"
     seed, success
     initial           pose of every part before the first step
-    steps             one object a merge, see `_Step` (object-centric) and `_FullStep` (full)
+    steps             one object a merge, see `StepEntry` (object-centric) and `FullStepEntry` (full)
     upright           whether the assembled piece ends on its feet, why not, and the motion that sets it there, see
-                      `_Upright`; absent if it is not assembled, or if nobody asked for it
+                      `UprightEntry`; absent if it is not assembled, or if nobody asked for it
+    stability         groups that stand on their own in each state, see `StableEntry`; absent if nobody asked for it
+    insertions        fasteners that go in, see `InsertionEntry`, and those that do not, under `not_inserted`
     robots, posts     full only: both robots' configurations at first; where cups of posts ever end
 
 Version 1 had no `upright`; versions 1 and 2 had `legs` with a `name` instead of `segments` with a
@@ -32,6 +34,21 @@ import msgspec
 from roboassembly.errors import InputError
 from roboassembly.geometry.poses import SE3, pose_to_seven
 from roboassembly.task.plans.plan import Plan, PlanStep, UprightMotion, UprightResult
+from roboassembly.task.plans.plan_schema import (
+    FullMotionEntry,
+    FullStepEntry,
+    FurnitureEntry,
+    InsertionEntry,
+    LeftOutEntry,
+    MotionEntry,
+    PlacedEntry,
+    PlanDocument,
+    SegmentEntry,
+    StableEntry,
+    StepEntry,
+    UprightEntry,
+)
+from roboassembly.task.plans.stability import PlanStability
 from roboassembly.task.rules.groups import TaskState
 from roboassembly.task.setting import SettingName
 
@@ -59,108 +76,6 @@ def is_plan(path: Path) -> bool:
         return False
 
 
-class _Placed(msgspec.Struct):
-    part: int
-    pose: list[float]
-
-
-class _Step(msgspec.Struct):
-    action: list[int]
-    """`[u, v, k, l, w]`."""
-    path: list[list[float]]
-    """Poses of the moving group's frame (origin at its centre of mass), from where it lies to where it mates."""
-    moving: list[_Placed]
-    """Parts of the moving group: a part's world pose is the path's pose times this one."""
-    waiting: list[int]
-    """Parts of the group that waits for it."""
-    still: list[_Placed]
-    """World poses, while the group moves, of all parts that do not."""
-    settling: list[list[float]]
-    """Motions of the world that carry the merged group from the mating pose to rest, first to last."""
-    after: list[list[float]]
-    """World pose of every part when the step is over."""
-    planning_steps: int
-    planner: str
-
-
-class _Furniture(msgspec.Struct):
-    name: str
-    parts: list[str]
-    source: str
-
-
-class _Segment(msgspec.Struct):
-    stage: str
-    """A value of `Stage`."""
-    robot: int
-    """Robot that moves; the other one stands still."""
-    opening: float
-    """Distance between its finger pads [m]."""
-    path: list[list[float]]
-    """Configurations of the robot."""
-    payload: list[_Placed]
-    """Parts in its hand, with their poses in the frame of the finger tips."""
-    posts: list[int]
-    """Posts that are raised meanwhile."""
-
-
-class _FullStep(msgspec.Struct):
-    action: list[int]
-    """`[u, v, k, l, g_a, g_b]`."""
-    segments: list[_Segment]
-    after: list[list[float]]
-    """World pose of every part when the step is over."""
-    planning_steps: int
-
-
-class _Motion(msgspec.Struct):
-    """Object-centric motion: the piece moves as one body, is released and settles."""
-
-    path: list[list[float]]
-    """Poses of the piece's frame (origin at its centre of mass), from where it lies to where it is released."""
-    moving: list[_Placed]
-    """All parts, in the frame of the piece."""
-    settling: list[list[float]]
-    """Motions of the world, like those of `_Step`."""
-    after: list[list[float]]
-    """World pose of every part at the end."""
-    planner: str
-
-
-class _FullMotion(msgspec.Struct):
-    """Full motion: a robot picks the piece from its post and sets it on the floor."""
-
-    segments: list[_Segment]
-    after: list[list[float]]
-    """World pose of every part at the end."""
-
-
-class _Upright(msgspec.Struct):
-    success: bool
-    reason: str
-    """Why the piece does not end on its feet; empty if it does."""
-    motion: _Motion | _FullMotion | None
-    """Motion; None if none was found or the piece stood already."""
-    planning_steps: int
-    """Configurations tested for collision; not part of those of the steps."""
-
-
-class _File(msgspec.Struct, omit_defaults=True):
-    format: str
-    version: int
-    furniture: _Furniture
-    setting: str
-    seed: int
-    success: bool
-    initial: list[list[float]]
-    steps: list[_Step] | list[_FullStep]
-    upright: _Upright | None = None
-    robots: list[list[float]] = []
-    posts: list[list[float]] = []
-    density: float = 0.0
-    """Density of the parts [kg/m³], full only."""
-
-
 _ACTION_LENGTHS: dict[SettingName, int] = {"object-centric": 5, "full": 6}
 
 
@@ -173,7 +88,7 @@ class _ScriptFile(msgspec.Struct):
 
     format: str
     version: int
-    furniture: _Furniture
+    furniture: FurnitureEntry
     setting: SettingName
     seed: int
     steps: list[_Done]
@@ -184,15 +99,31 @@ def encode(plan: Plan | FullPlan) -> bytes:
     return msgspec.json.format(msgspec.json.encode(_DOCUMENTS[plan.setting](plan)), indent=1) + b"\n"
 
 
-def _object_centric_document(plan: Plan) -> _File:
+def _object_centric_document(plan: Plan) -> PlanDocument:
     document = _document(plan, plan.initial)
     document.steps = [_step(s) for s in plan.steps]
     if plan.upright is not None:
         document.upright = _upright(plan.upright, _motion(plan.upright.motion) if plan.upright.motion else None)
+    if plan.stability is not None:
+        document.stability = _stability(plan.stability)
+    names = [fastener.name for fastener in plan.furniture.fasteners]
+    document.insertions = [
+        InsertionEntry(
+            names[i.fastener],
+            i.after,
+            i.part,
+            pose_to_seven(i.part_from_fastener),
+            [pose_to_seven(p) for p in i.path],
+            i.lift,
+            i.planning_steps,
+        )
+        for i in plan.insertions
+    ]
+    document.not_inserted = [LeftOutEntry(names[index], reason) for index, reason in plan.not_inserted]
     return document
 
 
-def _full_document(plan: FullPlan) -> _File:
+def _full_document(plan: FullPlan) -> PlanDocument:
     posts = {id(post): i for i, post in enumerate(plan.posts)}
     document = _document(plan, plan.initial.groups.part_poses)
     document.steps = [_full_step(s, posts) for s in plan.steps]
@@ -201,18 +132,18 @@ def _full_document(plan: FullPlan) -> _File:
     document.density = plan.initial.cell.density
     if plan.upright is not None:
         segments = [_segment(segment, posts) for segment in plan.final_segments]
-        motion = _FullMotion(segments, _where(plan.final_cell_state)) if segments else None
+        motion = FullMotionEntry(segments, _where(plan.final_cell_state)) if segments else None
         document.upright = _upright(plan.upright, motion)
     return document
 
 
-def _document(plan: Plan | FullPlan, initial: Sequence[SE3]) -> _File:
+def _document(plan: Plan | FullPlan, initial: Sequence[SE3]) -> PlanDocument:
     """Return the part of the file that both settings share, without steps."""
     furniture = plan.furniture
-    return _File(
+    return PlanDocument(
         FORMAT,
         VERSION,
-        _Furniture(furniture.name, [p.name for p in furniture.parts], furniture.provenance.source),
+        FurnitureEntry(furniture.name, [p.name for p in furniture.parts], furniture.provenance.source),
         plan.setting,
         plan.seed,
         plan.success,
@@ -221,7 +152,7 @@ def _document(plan: Plan | FullPlan, initial: Sequence[SE3]) -> _File:
     )
 
 
-_DOCUMENTS: dict[SettingName, Callable[[Any], _File]] = {
+_DOCUMENTS: dict[SettingName, Callable[[Any], PlanDocument]] = {
     "object-centric": _object_centric_document,
     "full": _full_document,
 }
@@ -296,8 +227,8 @@ def decode_with_robots(content: bytes, where: str) -> Script:
     return script
 
 
-def _step(step: PlanStep) -> _Step:
-    return _Step(
+def _step(step: PlanStep) -> StepEntry:
+    return StepEntry(
         list(step.action),
         [pose_to_seven(p) for p in step.path],
         _placed(step.moving),
@@ -310,17 +241,17 @@ def _step(step: PlanStep) -> _Step:
     )
 
 
-def _full_step(step: FullStep, posts: dict[int, int]) -> _FullStep:
+def _full_step(step: FullStep, posts: dict[int, int]) -> FullStepEntry:
     segments = [_segment(segment, posts) for segment in step.segments]
-    return _FullStep(list(step.action), segments, _where(step.segments[-1].after), step.planning_steps)
+    return FullStepEntry(list(step.action), segments, _where(step.segments[-1].after), step.planning_steps)
 
 
-def _upright(result: UprightResult[Any], motion: _Motion | _FullMotion | None) -> _Upright:
-    return _Upright(result.success, result.reason, motion, result.planning_steps)
+def _upright(result: UprightResult[Any], motion: MotionEntry | FullMotionEntry | None) -> UprightEntry:
+    return UprightEntry(result.success, result.reason, motion, result.planning_steps)
 
 
-def _motion(motion: UprightMotion) -> _Motion:
-    return _Motion(
+def _motion(motion: UprightMotion) -> MotionEntry:
+    return MotionEntry(
         [pose_to_seven(p) for p in motion.path],
         _placed(motion.moving),
         [pose_to_seven(p) for p in motion.settling],
@@ -329,22 +260,29 @@ def _motion(motion: UprightMotion) -> _Motion:
     )
 
 
+def _stability(stability: PlanStability) -> list[StableEntry]:
+    return [
+        StableEntry(g.step, g.role.value, list(g.parts), g.stable, round(g.tilt, 4), round(g.shift, 4))
+        for g in stability.groups
+    ]
+
+
 def _where(state: CellState) -> list[list[float]]:
     """Return the pose of every part."""
     return [pose_to_seven(p) for p in TaskState(tuple(state.groups())).part_poses]
 
 
-def _segment(segment: Segment, posts: dict[int, int]) -> _Segment:
+def _segment(segment: Segment, posts: dict[int, int]) -> SegmentEntry:
     robot = segment.before.robots[segment.robot]
     payload: dict[int, SE3] = {}
     if robot.payload is not None:
         group, tips = robot.payload.group, robot.payload.grip.furniture_from_tips
         payload = {p: tips.actInv(pose) for p, pose in zip(group.parts, group.furniture_from_part, strict=True)}
     up = sorted(posts[id(stand)] for stand in segment.before.posts)
-    return _Segment(
+    return SegmentEntry(
         segment.stage.value, segment.robot, robot.opening, [q.tolist() for q in segment.path], _placed(payload), up
     )
 
 
-def _placed(poses: dict[int, SE3]) -> list[_Placed]:
-    return [_Placed(part, pose_to_seven(pose)) for part, pose in sorted(poses.items())]
+def _placed(poses: dict[int, SE3]) -> list[PlacedEntry]:
+    return [PlacedEntry(part, pose_to_seven(pose)) for part, pose in sorted(poses.items())]

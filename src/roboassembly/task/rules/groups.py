@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -82,6 +83,12 @@ class TaskState:
                     if mate is not None and mate[0] in inside:
                         occupied.add((part, k))
         return occupied
+
+
+def group_in_place(furniture: Furniture, slots: Collection[int]) -> Group:
+    """Return parts in their own slots as a group, in the furniture's frame."""
+    own = tuple(sorted(slots))
+    return Group(own, own, tuple(furniture.assembled[p] for p in own), SE3.Identity())
 
 
 def point_at_slot(furniture: Furniture, group: Group, described: Group, end: tuple[int, int]) -> tuple[int, int] | None:
