@@ -5,22 +5,40 @@ from __future__ import annotations
 import pytest
 
 from roboassembly.datasets import catalogue
-from roboassembly.evaluation.rollout import run_episode
+from roboassembly.envs.observation import AS_IN_PAPER, ObservationConfig
+from roboassembly.evaluation.rollout import rollout_policy
 from roboassembly.generate import CHAIRS
+from roboassembly.learning.checkpoint import arrays_hash
+from roboassembly.learning.policy_weights import load_weights
 from roboassembly.learning.registry import load_policy
 
 _FIRST = 2_000_000
 """First seed; data sets use lower ones, and extra pieces of training higher ones."""
 
 
+OWN = ObservationConfig("own", "resampled")
+"""Observations without hints."""
+
+
+def test_the_checkpoint_says_what_made_it() -> None:
+    loaded = load_weights("relational")
+    assert arrays_hash(loaded.params) == loaded.config["weights_hash"]
+    assert loaded.config["pipeline"]["seed"] == 0
+    assert loaded.config["made"]["hours"] > 0.0
+    assert loaded.config["set_hash"]
+
+
 @pytest.mark.slow
-def test_the_shipped_policy_assembles_new_chairs() -> None:
-    """Two chairs of each of 17 families. It solves 97 % of `chairs-412:test`; at most 5 of 34 may fail here."""
+@pytest.mark.parametrize(("observes", "may_fail"), [(AS_IN_PAPER, 5), (OWN, 8)], ids=["aligned", "own"])
+def test_the_shipped_policy_assembles_new_chairs(observes: ObservationConfig, may_fail: int) -> None:
+    """Two chairs of each of 17 families; docs/results.md has the shares of `chairs-412:test`."""
     policy = load_policy("relational")
     failed = [
         (family, seed)
         for family in CHAIRS
         for seed in (_FIRST, _FIRST + 1)
-        if not run_episode(policy, catalogue.make(family, seed, with_grasps=False), 0).success
+        if not rollout_policy(
+            policy, catalogue.make(family, seed, with_grasps=False), 0, observes=observes
+        ).plan.success
     ]
-    assert len(failed) <= 5, failed
+    assert len(failed) <= may_fail, failed

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -101,6 +102,15 @@ def load(path: Path, kind: str | None = None, *, remedy: str = REMEDY, largest: 
         else:
             extra[rest] = array
     return Checkpoint(found, params, cast("dict[str, Any]", config), extra)
+
+
+def arrays_hash(params: Params) -> str:
+    """Return a hash of names and values of all arrays, as they are after storage as 16-bit floats."""
+    digest = hashlib.sha256()
+    for name, array in sorted(_flat(params)):
+        digest.update(name.encode())
+        digest.update(np.ascontiguousarray(array.astype(np.float16)).tobytes())
+    return digest.hexdigest()[:16]
 
 
 def network_config(default: Config, found: Any, where: str) -> Config:

@@ -104,7 +104,7 @@ class Fit:
         import jax
 
         config = {"training": asdict(self.training), **self.notes}
-        step, params, opt_state = 0, None, None
+        step, params, opt_state, worked = 0, None, None, 0.0
         if self.path.exists():
             kept = checkpoint.load(self.path, self.kind)
             differing = [name for name in config if kept.config.get(name) != config[name]]
@@ -117,13 +117,14 @@ class Fit:
             try:
                 leaves = [kept.extra[f"optimiser{i}"] for i in range(structure.num_leaves)]
                 step = int(kept.extra["step"])
+                worked = float(kept.extra.get("seconds", 0.0))
             except KeyError:
                 raise InputError(f"'{self.path}' is finished and cannot be trained on; name another file") from None
             opt_state = jax.tree.unflatten(structure, leaves)
         if params is None:
             params = init_params()
             opt_state = init_opt_state(params)
-        kept_at = time.monotonic()
+        begun = kept_at = time.monotonic()
         for batch in prefetch(batches(step)):
             params, opt_state, losses = update(params, opt_state, batch)
             step += 1
@@ -131,6 +132,7 @@ class Fit:
             if due or step % KEEP_STEPS == 0 or step == self.training.steps:
                 extra = {f"optimiser{i}": np.asarray(leaf) for i, leaf in enumerate(jax.tree.leaves(opt_state))}
                 extra["step"] = np.array(step)
+                extra["seconds"] = np.array(worked + time.monotonic() - begun)
                 arrays = jax.tree.map(np.asarray, params)
                 checkpoint.save(self.path, checkpoint.Checkpoint(self.kind, arrays, config, extra))
                 kept_at = time.monotonic()

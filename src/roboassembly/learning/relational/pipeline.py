@@ -19,6 +19,8 @@ Grasp samples train a second network, and the further rounds are those of this n
 
 from __future__ import annotations
 
+import os
+import platform
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -164,7 +166,10 @@ def run_pipeline(config: RelationalPipelineConfig, folder: Path, jobs: int) -> I
         both = {**checkpoint.load(start, relational.KIND).params, FULL_PARAMS: final.params}
         yield from _grasp_rounds(both, final.config, names, folder, config, notes, jobs)
     else:
-        _save_policy(folder / "policy.npz", final.params, final.config)
+        # Weights for robots stay as they were.
+        kept = load_weights(config.start).params if config.start else {}
+        both = {name: kept[name] for name in (FULL_PARAMS, GRASP_PARAMS) if name in kept}
+        _save_policy(folder / "policy.npz", {**final.params, **both}, final.config, _hours(last))
 
 
 def _start_checkpoint(config: RelationalPipelineConfig, folder: Path) -> Path | None:
@@ -251,9 +256,17 @@ def _grasp_rounds(
                 yield Progress("grasps", step, training.steps, terms)
         both = {**params, GRASP_PARAMS: checkpoint.load(path, grasping.KIND).params}
         last = index == rounds - 1
-        _save_policy(folder / ("policy.npz" if last else f"acting-{index + 1}.npz"), both, network)
+        hours = _hours(folder / "policy-0.npz", path)
+        _save_policy(folder / ("policy.npz" if last else f"acting-{index + 1}.npz"), both, network, hours)
 
 
-def _save_policy(path: Path, params: Params, config: dict[str, Any]) -> None:
-    """Write the checkpoint of a policy, with 16-bit weights."""
+def _save_policy(path: Path, params: Params, config: dict[str, Any], hours: float) -> None:
+    """Write the checkpoint of a policy, with 16-bit weights, and with what made them."""
+    made = {"hours": round(hours, 2), "machine": f"{platform.machine()}, {os.cpu_count()} cores"}
+    config = {**config, "made": made, "weights_hash": checkpoint.arrays_hash(params)}
     checkpoint.save(path, checkpoint.Checkpoint(relational.KIND, params, config, {}), half=True)
+
+
+def _hours(*paths: Path) -> float:
+    """Hours of training in some checkpoints."""
+    return sum(float(checkpoint.load(path).extra.get("seconds", 0.0)) for path in paths) / 3600.0
