@@ -194,8 +194,8 @@ def _needed(timeline: Timeline) -> Bool[np.ndarray, "frames objects"]:
         if frame.phase in (Phase.OVERTURE, Phase.FINALE):
             out[index] = True
         elif waiting and out[index, moving].any():
-            apart = corners[index, moving].mean(axis=(0, 1)) - corners[index, waiting].mean(axis=(0, 1))
-            out[index, waiting] |= not robots or float(np.linalg.norm(apart)) < NEAR
+            between = corners[index, moving].mean(axis=(0, 1)) - corners[index, waiting].mean(axis=(0, 1))
+            out[index, waiting] |= not robots or float(np.linalg.norm(between)) < NEAR
         if index and not out[index].any():
             out[index] = out[index - 1]
     return out
