@@ -41,7 +41,8 @@ def wood_texture(seed: int = 0) -> UInt8[np.ndarray, "rows columns"]:
 
 def _noise(rng: np.random.Generator, blur: tuple[float, float]) -> Float[np.ndarray, "rows columns"]:
     """Return random numbers of unit variance that repeat at the borders, smooth over so many rows and columns."""
-    smooth = gaussian_filter(rng.normal(size=(_ROWS, _COLUMNS)), blur, mode="wrap")
+    drawn = rng.normal(size=(_ROWS, _COLUMNS))
+    smooth: Float[np.ndarray, "rows columns"] = gaussian_filter(drawn, blur, mode="wrap")
     return smooth / smooth.std()
 
 

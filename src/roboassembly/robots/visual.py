@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
+from typing import Any
 
 import fast_simplification
 import numpy as np
@@ -108,7 +109,7 @@ def _together(pieces: Sequence[trimesh.Trimesh]) -> trimesh.Trimesh:
 
 
 def _brightness(piece: trimesh.Trimesh) -> float:
-    material = getattr(piece.visual, "material", None)
+    material: Any = getattr(piece.visual, "material", None)
     return 1.0 if material is None else float(np.mean(material.main_color[:3])) / 255.0
 
 

@@ -50,7 +50,8 @@ def follow(timeline: Timeline, aspect: float) -> list[Camera]:
         timeline: frames of the film.
         aspect: width over height of the picture.
     """
-    axes = view_axes(AZIMUTH, ELEVATION)
+    azimuth = _azimuth(timeline)
+    axes = view_axes(azimuth, ELEVATION)
     low, high = _needed_boxes(timeline, axes)
     ends = _camera_changes(low, high, timeline.frames_per_second, aspect)
     half = round(0.5 * GLIDE * timeline.frames_per_second)
@@ -63,20 +64,39 @@ def follow(timeline: Timeline, aspect: float) -> list[Camera]:
         first, last = max(0, cut - half), min(len(positions), cut + half)
         for k in range(first, last):
             positions[k] = before + ease((k - first + 1) / (last - first + 1)) * (after - before)
-    return [_camera(position, axes) for position in positions]
+    return [_camera(position, azimuth) for position in positions]
 
 
 def close_ups(timeline: Timeline, indices: Sequence[int], aspect: float) -> list[Camera]:
     """Return a camera for each of these frames, which shows what `follow` keeps in view in this frame alone."""
-    axes = view_axes(AZIMUTH, ELEVATION)
-    low, high = _needed_boxes(timeline, axes)
-    return [_camera(_place(low[k], high[k], aspect), axes) for k in indices]
+    azimuth = _azimuth(timeline)
+    low, high = _needed_boxes(timeline, view_axes(azimuth, ELEVATION))
+    return [_camera(_place(low[k], high[k], aspect), azimuth) for k in indices]
 
 
-def _camera(place: Float[np.ndarray, "3"], axes: Float[np.ndarray, "3 3"]) -> Camera:
+def _camera(place: Float[np.ndarray, "3"], azimuth: float) -> Camera:
     """Return the camera at a place along its axes. It looks at the point before it that is as deep as the origin."""
     distance = max(-float(place[2]), 1e-3)
-    return Camera(axes.T @ (place + np.array([0.0, 0.0, distance])), distance, AZIMUTH, ELEVATION)
+    target = view_axes(azimuth, ELEVATION).T @ (place + np.array([0.0, 0.0, distance]))
+    return Camera(target, distance, azimuth, ELEVATION)
+
+
+def _azimuth(timeline: Timeline) -> float:
+    """Return the azimuth of the viewing direction: of eight, the first from which no robot hides the finished piece."""
+    robots = _robots(timeline)
+    if not robots:
+        return AZIMUTH
+    links = np.concatenate(robots)
+    parts = np.setdiff1d(np.arange(timeline.box_corners.shape[1]), links)
+    azimuths = [AZIMUTH + k * np.pi / 4.0 for k in (0, -1, 1, -2, 2, -3, 3, 4)]
+    hidden: list[float] = []
+    for azimuth in azimuths:
+        seen = timeline.box_corners[-1] @ view_axes(azimuth, ELEVATION).T
+        low, high = seen.min(axis=1), seen.max(axis=1)
+        left, right = low[parts].min(axis=0), high[parts].max(axis=0)
+        shared = np.clip(np.minimum(high[links], right) - np.maximum(low[links], left), 0.0, None)[:, :2].prod(axis=1)
+        hidden.append(float(shared[low[links, 2] < 0.5 * (left + right)[2]].sum()))
+    return azimuths[int(np.argmin(hidden))]
 
 
 def _camera_changes(
@@ -174,8 +194,8 @@ def _needed(timeline: Timeline) -> Bool[np.ndarray, "frames objects"]:
         if frame.phase in (Phase.OVERTURE, Phase.FINALE):
             out[index] = True
         elif waiting and out[index, moving].any():
-            apart = corners[index, moving].mean(axis=(0, 1)) - corners[index, waiting].mean(axis=(0, 1))
-            out[index, waiting] |= not robots or float(np.linalg.norm(apart)) < NEAR
+            between = corners[index, moving].mean(axis=(0, 1)) - corners[index, waiting].mean(axis=(0, 1))
+            out[index, waiting] |= not robots or float(np.linalg.norm(between)) < NEAR
         if index and not out[index].any():
             out[index] = out[index - 1]
     return out
