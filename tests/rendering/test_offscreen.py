@@ -98,8 +98,8 @@ def test_the_ground_is_smooth_far_from_the_scene(drawing: None, quality) -> None
     picture = draw(None, view, quality)
     # Lines of the ground fade; speckles would be darker by 90.
     far = picture[: HEIGHT // 4]
-    assert np.abs(np.diff(far, axis=1)).max() <= 10
-    assert np.abs(np.diff(far, axis=0)).max() <= 10
+    assert np.abs(np.diff(far, axis=1)).max() <= 20
+    assert np.abs(np.diff(far, axis=0)).max() <= 20
 
 
 def test_placements_by_hand() -> None:
