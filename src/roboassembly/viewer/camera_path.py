@@ -176,7 +176,7 @@ def _needed(timeline: Timeline) -> Bool[np.ndarray, "frames objects"]:
     """Return which framed objects each frame must show.
 
     These are the objects that move about that time, a robot with all its links, and the group that they move to. With
-    robots, that group may stand far away until it is fetched; it counts once the other one is near. A frame without
+    robots, that group may stand far away until it is fetched; it and both robots count once it is near. A frame without
     motion shows what the frame before it shows, and those at both ends show everything.
     """
     frames, corners = timeline.frames, timeline.box_corners
@@ -195,7 +195,8 @@ def _needed(timeline: Timeline) -> Bool[np.ndarray, "frames objects"]:
             out[index] = True
         elif waiting and out[index, moving].any():
             between = corners[index, moving].mean(axis=(0, 1)) - corners[index, waiting].mean(axis=(0, 1))
-            out[index, waiting] |= not robots or float(np.linalg.norm(between)) < NEAR
+            if not robots or np.linalg.norm(between) < NEAR:
+                out[index, [*waiting, *(link for robot in robots for link in robot)]] = True
         if index and not out[index].any():
             out[index] = out[index - 1]
     return out
