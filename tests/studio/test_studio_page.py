@@ -344,5 +344,4 @@ def test_every_file_is_saved_and_opens(desk, tmp_path):
         other = page.context.browser.new_page()
         other.goto(files[name].as_uri())
         other.get_by_text(words).first.wait_for(timeout=1e3 * SECONDS)
-        picture(other, f"saved-{name}")
         other.close()

@@ -20,8 +20,8 @@ NONE = "—"
 """Value of a dropdown without a choice."""
 PICKS = ("the moving part", "the waiting part")
 """Target of the next click in the scene."""
-_BRAND = (184, 77, 6)
-"""Colour of buttons and tabs; that of the page."""
+_BRAND = (97, 41, 3)
+"""Darkest colour of buttons and tabs. viser makes ten from it; its buttons then have the colour of the page's."""
 SETTINGS = ("object-centric", "full")
 
 
