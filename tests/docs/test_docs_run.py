@@ -213,6 +213,7 @@ def test_commands_run_on_the_package_alone(clone: Path, as_built) -> None:
         "generate three_legged --seed 3 --out made",
         "assemble made --no-film --out played",
         "manual played/plan.json --out printed",
+        "stability played/plan.json",
         "import folder my_files --out mine --jobs 1",
         "export mjcf made --out exported",
         "dataset show chairs-24",

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from roboassembly.cli.fasteners import fastener_lines, fastener_report
+from roboassembly.cli.fasteners import fastener_lines, fastener_report, fasteners_by_hand
 from roboassembly.cli.options import CORES, Execution, Setting, require_at_least
 from roboassembly.cli.output import (
     DONE,
@@ -107,9 +107,15 @@ class AssembleCommand:
             say(_upright_line(upright))
         if self.stable:
             say(*stability_lines(result.plan))
+        fastened: dict[str, Any] = {"count": len(furniture.fasteners)}
         if furniture.fasteners and result.plan.success:
-            result = replace(result, plan=SETTINGS[self.setting].insert_fasteners(result.plan))
-            say(*fastener_lines(result.plan))
+            insert = SETTINGS[self.setting].insert_fasteners
+            if insert is None:
+                say(fasteners_by_hand(furniture))
+            else:
+                result = replace(result, plan=insert(result.plan))
+                fastened = fastener_report(result.plan)
+                say(*fastener_lines(result.plan))
         outputs = self._write(result, solved)
         executed = self._executed(result.plan) if self.execution == "dynamic" else {}
         success = result.plan.success and executed.get("success", True)
@@ -130,7 +136,7 @@ class AssembleCommand:
             "upright": stands,
             "upright_reason": lying,
             "outputs": outputs,
-            **({"fasteners": fastener_report(result.plan)} if furniture.fasteners else {}),
+            **({"fasteners": fastened} if furniture.fasteners else {}),
             **({"stability": stability_report(result.plan)} if self.stable else {}),
             **({"execution": executed} if executed else {}),
         }

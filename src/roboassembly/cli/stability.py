@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
 import tyro
 
 from roboassembly.cli.output import DONE, check_writable, print_json, say, show
@@ -93,7 +93,7 @@ def _line(plan: Plan, group: GroupStability) -> str:
 
 
 def _moves(group: GroupStability) -> str:
-    return f"released, it tilts by {np.rad2deg(group.tilt):.0f}° and moves {1e3 * group.shift:.0f} mm"
+    return f"released, it tilts by {math.degrees(group.tilt):.0f}° and moves {1e3 * group.shift:.0f} mm"
 
 
 def stability_report(plan: Plan) -> dict[str, Any]:
@@ -109,7 +109,7 @@ def stability_report(plan: Plan) -> dict[str, Any]:
                 "role": g.role.value,
                 "parts": [plan.furniture.parts[p].name for p in g.parts],
                 "stable": g.stable,
-                "tilt_deg": round(float(np.rad2deg(g.tilt)), 2),
+                "tilt_deg": round(math.degrees(g.tilt), 2),
                 "shift_mm": round(1e3 * g.shift, 1),
             }
             for g in plan.stability.groups

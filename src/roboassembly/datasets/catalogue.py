@@ -12,7 +12,6 @@ from roboassembly.furniture.annotate import annotate
 from roboassembly.furniture.cad import refuse_sources
 from roboassembly.furniture.model import Furniture, Provenance
 from roboassembly.generate import FAMILIES, generate
-from roboassembly.generate.fastening import fasten
 
 DEFAULT = "ladder"
 """Default furniture: a chair of 15 parts with mortise-and-tenon joints."""
@@ -41,6 +40,9 @@ def make(
     provenance = Provenance("generated", name, "MIT")
     parts, added = generate(family, seed, version), ()
     if fasteners:
+        # What drills holes is part of repair, which no other built-in furniture loads.
+        from roboassembly.generate.fastening import fasten
+
         parts, added = fasten(parts, seed)
         name = f"{name}-fastened"
     furniture = annotate(name.replace(":", "-"), parts, provenance, with_grasps=with_grasps)

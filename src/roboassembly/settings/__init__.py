@@ -78,8 +78,8 @@ class Setting:
     """Record of an assembly: `(furniture, initial state, steps, success, seed, upright=None)`."""
     plan_upright: Callable[[Any], UprightResult[Any]]
     """Plans the last motion of a plan, which sets the piece on its feet."""
-    insert_fasteners: Callable[[Any], Any]
-    """Returns a plan with the insertions of its fasteners; the same plan if a person puts them in."""
+    insert_fasteners: Callable[[Any], Plan] | None
+    """Returns a plan with the insertions of its fasteners; None if a person puts them in."""
     audit: Callable[[Any], Any]
     """Replays a plan with python-fcl and returns a report."""
     execute: Callable[[Any], Any]

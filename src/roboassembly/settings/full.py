@@ -32,10 +32,6 @@ def _audit(plan: FullPlan) -> RobotAuditReport:
     return audit_full_plan(plan)
 
 
-def _by_hand(plan: FullPlan) -> FullPlan:
-    return plan
-
-
 def _execute(plan: FullPlan) -> list[StepExecution]:
     from roboassembly.task.full.execution import execute_plan
 
@@ -65,7 +61,7 @@ SETTING = Setting(
     limits=FULL_LIMITS,
     make_plan=FullPlan,
     plan_upright=plan_full_upright,
-    insert_fasteners=_by_hand,
+    insert_fasteners=None,
     audit=_audit,
     execute=_execute,
     execution="dynamic",

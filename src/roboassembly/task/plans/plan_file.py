@@ -227,6 +227,25 @@ def decode_with_robots(content: bytes, where: str) -> Script:
     return script
 
 
+def decode_without_robots(content: bytes, where: str) -> Script:
+    """Read the content of a plan in which parts move by themselves.
+
+    Args:
+        content: as in `decode`.
+        where: as in `decode`.
+
+    Raises:
+        InputError: as `decode`, or the plan moves robots.
+    """
+    script = decode(content, where)
+    if script.setting != "object-centric":
+        raise InputError(
+            f"'{where}' is a plan of setting '{script.setting}': posts hold every group in it, so that none stands on "
+            "its own; expected a plan without robots"
+        )
+    return script
+
+
 def _step(step: PlanStep) -> StepEntry:
     return StepEntry(
         list(step.action),

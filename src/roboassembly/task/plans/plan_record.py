@@ -39,11 +39,8 @@ def read_plan(content: bytes, where: str, furniture: Furniture) -> Plan:
     Raises:
         InputError: it is no plan, it moves robots, its parts are not those of the furniture, or a pose is broken.
     """
-    script = plan_file.decode(content, where)
+    script = plan_file.decode_without_robots(content, where)
     names = tuple(part.name for part in furniture.parts)
-    if script.setting != "object-centric":
-        raise InputError(f"'{where}' is a plan of setting '{script.setting}': posts hold every group in it, so that "
-                         "none stands on its own; expected a plan without robots")  # fmt: skip
     if script.parts != names:
         raise InputError(
             f"'{where}' is a plan for '{script.furniture}', whose parts differ from the furniture beside it"
