@@ -77,6 +77,8 @@ def untrained(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
     config = relational.RelationalConfig(token=16, pair=8, layers=1, heads=2, conflict_inputs=4, conflicts=2)
     params = relational.init(np.random.default_rng(0), config)
+    # It believes in no pair: by chance it would lay a stool out rightly.
+    params["fits"]["b"] = params["fits"]["b"] - 30.0
     path = tmp_path_factory.mktemp("policy") / "untrained.npz"
     checkpoint.save(path, checkpoint.Checkpoint(relational.KIND, params, {"network": asdict(config)}, {}))
     return path
@@ -100,7 +102,7 @@ def test_assemble_with_a_policy_with_and_without_search(run: Run, stool: Path, t
     report = json.loads(out)
     assert (status, report["success"]) == (1, False)
     said, _, verdict = report["reason"].rpartition(" ")
-    assert said == f"policy {untrained} without search: merge 1 ended as"
+    assert said == f"policy {untrained} without search: merge 4 ended as"
     assert ObjectCentricVerdict(verdict) is not ObjectCentricVerdict.MERGED
     status, out, _ = run("assemble", stool, "--no-film", "--json", "--policy", "none", "--out", tmp_path / "c")
     report = json.loads(out)

@@ -43,12 +43,12 @@ class LabeledState:
     mates: Int16[np.ndarray, "j 11"]
     """Ordered pairs that fit: u, k, v, l, whether the furniture can be finished afterwards, and for each of the six
     `w` whether the merge works."""
-    own_w: Bool[np.ndarray, "j 6"] | None = None
-    """Whether the merge of each of these pairs works where `w` names an axis of `SampleSet.principal` of v's part. None
-    where the labels know aligned frames only."""
     q_values: Float16[np.ndarray, "n n w"] | None = None
     """An expert's Q-values over the n free points, in the order of parts and points: one for each `w`, or what each
     `g_a` and then what each `g_b` adds. Neither bounded nor masked. None where the oracle labelled the state."""
+    own_w: Bool[np.ndarray, "j 6"] | None = None
+    """Whether the merge of each of the pairs works where `w` names an axis of `SampleSet.principal` of v's part. None
+    where the labels know aligned frames only."""
 
     @property
     def group(self) -> Int[np.ndarray, "P"]:
@@ -163,7 +163,7 @@ class SampleSet:
             samples = tuple(
                 LabeledState(
                     points[i], connections[i], free[i], poses[i], mates[sample_of_mate == i],
-                    None if own_w is None else own_w[sample_of_mate == i], values[i] if has_q_values[i] else None,
+                    values[i] if has_q_values[i] else None, None if own_w is None else own_w[sample_of_mate == i],
                 )
                 for i in range(len(points))
             )  # fmt: skip

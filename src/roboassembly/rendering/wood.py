@@ -35,8 +35,8 @@ def wood_texture(seed: int = 0) -> UInt8[np.ndarray, "rows columns"]:
     latewood = share**2.5 * np.clip((1.0 - share) / 0.12, 0.0, 1.0)
     strength = rng.uniform(0.55, 1.0, len(widths))[ring]
     fibres = _noise(rng, (0.8, 30.0)) * 0.10 + _noise(rng, (20.0, 120.0)) * 0.06
-    value = np.clip(0.86 - 0.72 * strength * latewood + fibres, 0.0, 1.0)
-    return np.round(255.0 * value).astype(np.uint8)
+    value: Float[np.ndarray, "rows columns"] = np.clip(0.86 - 0.72 * strength * latewood + fibres, 0.0, 1.0)
+    return np.rint(255.0 * value).astype(np.uint8)
 
 
 def _noise(rng: np.random.Generator, blur: tuple[float, float]) -> Float[np.ndarray, "rows columns"]:

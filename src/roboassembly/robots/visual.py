@@ -110,7 +110,10 @@ def _together(pieces: Sequence[trimesh.Trimesh]) -> trimesh.Trimesh:
 
 def _brightness(piece: trimesh.Trimesh) -> float:
     material: Any = getattr(piece.visual, "material", None)
-    return 1.0 if material is None else float(np.mean(material.main_color[:3])) / 255.0
+    if material is None:
+        return 1.0
+    color = np.asarray(material.main_color, float)
+    return float(color[:3].mean()) / 255.0
 
 
 def _platform() -> list[tuple[str, Mesh, bool]]:

@@ -29,6 +29,9 @@ _PLANNER = threading.Lock()
 """Lock of the planner: OMPL has one stream of random numbers per process, so sessions plan one after another."""
 MERGED = "merged"
 
+_ACTION_WITH_POSE, _ACTION_WITH_GRASPS = 5, 6
+"""Numbers of an action `(u, v, k, l, w)`, and of `(u, v, k, l, g_a, g_b)`."""
+
 
 @dataclass(frozen=True)
 class Attempt:
@@ -150,7 +153,7 @@ class AssemblySession:
         Returns:
             The direction; None if the action does not join parts of this furniture, or in the full setting.
         """
-        if self.setting != "object-centric":
+        if len(action) != _ACTION_WITH_POSE:
             return None
         exists = self.task.exists(self.state, action)
         mating = self.task.prepare(self.state, action) if exists else None
@@ -161,7 +164,7 @@ class AssemblySession:
 
     def grasps_of(self, action: tuple[int, ...]) -> list[tuple[int, GraspRegion, int]]:
         """Return part, grasp region and index of the approach of each hand of an action; empty without robots."""
-        if self.setting != "full":
+        if len(action) != _ACTION_WITH_GRASPS:
             return []
         u, v, _, _, g_a, g_b = action
         parts = self.furniture.parts

@@ -16,7 +16,7 @@ from roboassembly.geometry.meshes import Mesh
 from roboassembly.rendering.camera import box_corners, fit_camera
 from roboassembly.rendering.colors import Role, part_colors
 from roboassembly.rendering.gl import RenderingUnavailableError
-from roboassembly.rendering.offscreen import FAST, OffscreenRenderer
+from roboassembly.rendering.renderer import FAST, OffscreenRenderer
 from roboassembly.studio.page_link import StepPicture
 from roboassembly.viewer.timeline import Frame, Phase
 

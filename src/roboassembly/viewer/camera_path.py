@@ -86,7 +86,7 @@ def _azimuth(timeline: Timeline) -> float:
     robots = _robots(timeline)
     if not robots:
         return AZIMUTH
-    links = np.concatenate(robots)
+    links: Int[np.ndarray, "_"] = np.concatenate(robots)
     parts = np.setdiff1d(np.arange(timeline.box_corners.shape[1]), links)
     azimuths = [AZIMUTH + k * np.pi / 4.0 for k in (0, -1, 1, -2, 2, -3, 3, 4)]
     hidden: list[float] = []

@@ -87,7 +87,7 @@ class Labeler:
             free,
             observation["poses"],
             np.array(rows, np.int16).reshape(-1, 5 + len(UP_AXES)),
-            np.array([self._own_w(state, mate) for mate in mates], bool).reshape(-1, len(UP_AXES)),
+            own_w=np.array([self._own_w(state, mate) for mate in mates], bool).reshape(-1, len(UP_AXES)),
         )
 
     def _own_w(self, state: TaskState, mate: LabeledMate) -> Bool[np.ndarray, "6"]:
