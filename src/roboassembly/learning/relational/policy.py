@@ -73,7 +73,7 @@ class RelationalPolicy:
     frames: FramesName = "aligned"
     """Frames in which the observations describe parts."""
     layout_states: int = MAX_STATES
-    """Number of incomplete layouts that are extended before each decision; none is looked for if 0."""
+    """Number of incomplete layouts that are extended before each decision; none is looked for if 0, nor with robots."""
     cache: TokenCache = field(default_factory=TokenCache, repr=False)
     """Geometry of earlier states."""
 
@@ -154,7 +154,9 @@ class RelationalPolicy:
         """
         if self.grasp_params is None:
             raise InputError(f"the policy '{self.name}' has no grasp network; use --setting object-centric")
-        policy = self if self.full_params is None else replace(self, params=self.full_params)
+        # Layouts know nothing of hands: with them, fewer chairs are finished.
+        params = self.params if self.full_params is None else self.full_params
+        policy = replace(self, params=params, layout_states=0)
         with one_blas_thread():
             view = PolicyView.from_observation(observation, mask, self.frames)
             return policy._grasp_values(view, self.grasp_params, mask, enough)
