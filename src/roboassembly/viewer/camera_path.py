@@ -86,8 +86,8 @@ def _azimuth(timeline: Timeline) -> float:
     robots = _robots(timeline)
     if not robots:
         return AZIMUTH
-    links: Int[np.ndarray, "_"] = np.concatenate(robots)
-    parts = np.setdiff1d(np.arange(timeline.box_corners.shape[1]), links)
+    everything: Int[np.ndarray, "_"] = np.arange(len(timeline.box_corners[-1]))
+    parts = np.setdiff1d(everything, np.concatenate(robots))
     azimuths = [AZIMUTH + k * np.pi / 4.0 for k in (0, -1, 1, -2, 2, -3, 3, 4)]
     hidden: list[float] = []
     for azimuth in azimuths:
