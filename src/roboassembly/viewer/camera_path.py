@@ -86,8 +86,9 @@ def _azimuth(timeline: Timeline) -> float:
     robots = _robots(timeline)
     if not robots:
         return AZIMUTH
+    links = np.concatenate(robots)
     everything: Int[np.ndarray, "_"] = np.arange(len(timeline.box_corners[-1]))
-    parts = np.setdiff1d(everything, np.concatenate(robots))
+    parts = np.setdiff1d(everything, links)
     azimuths = [AZIMUTH + k * np.pi / 4.0 for k in (0, -1, 1, -2, 2, -3, 3, 4)]
     hidden: list[float] = []
     for azimuth in azimuths:
