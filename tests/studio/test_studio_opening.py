@@ -146,7 +146,7 @@ def test_each_step_gets_its_picture(clients):
         browser.press(client.panel.suggest)
         browser.press(client.panel.join)
         until(lambda: merges(client) == 1)
-        until(lambda: all(s["picture"] for s in told(client, "studio-pictures")))
+        until(lambda: sum(bool(s["picture"]) for s in told(client, "studio-pictures")) == 2)
         start, step = told(client, "studio-pictures")
         assert start["text"] == "9 parts"
         assert " onto " in step["text"]

@@ -545,7 +545,8 @@ def test_requests_that_wait_are_limited_and_those_that_say_the_same_are_one(visi
     for value in (False, True) * 20:
         browser.set(client.panel.grasps, value)
     settled(browser, client)
-    assert len(client.requests) == 1
+    # The page itself may have asked for something, too.
+    assert 1 <= len(client.requests) <= 2
     for _ in range(200):
         browser.press(client.panel.undo)
     until(lambda: "Too many requests are waiting" in client.panel.message.content)
