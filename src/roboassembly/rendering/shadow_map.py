@@ -49,7 +49,7 @@ class ShadowMap:
         self._compared = gl.sampler(repeat_x=False, repeat_y=False, filter=(gl.LINEAR,) * 2, compare_func="<=")
         self._casters = gl.texture((_CELLS, _CELLS), 1)
         self._casters.filter = (gl.NEAREST, gl.NEAREST)
-        self._taken = np.zeros((_CELLS, _CELLS), np.uint8)
+        self._cast = np.zeros((_CELLS, _CELLS), np.uint8)
         self._drawn: Float32[np.ndarray, "n 3 4"] | None = None
         self._boxes: Float[np.ndarray, "n 2 2"] = np.zeros((0, 2, 2))
         self._tiles = self._ground_tiles()
@@ -105,25 +105,24 @@ class ShadowMap:
             self._frame.scissor = area
             self._frame.use()
             self._frame.clear(depth=1.0, viewport=area)
-            inside = (boxes[:, 1] * self._size >= low - 1).all(axis=1) & (boxes[:, 0] * self._size <= high + 1).all(
-                axis=1
-            )
+            touched = (boxes[:, 1] * self._size >= low - 1) & (boxes[:, 0] * self._size <= high + 1)
+            inside: Bool[np.ndarray, "n"] = touched.all(axis=1)
             for first, count in runs(inside, ranges):
                 shapes.render(vertices=count, first=first)
             self._frame.scissor = None
         edge = 0.5 * SOFTEST / self._radius
         cells_low = np.clip(np.floor((boxes[:, 0] - edge) * _CELLS), 0, _CELLS).astype(int)
         cells_high = np.clip(np.ceil((boxes[:, 1] + edge) * _CELLS), 0, _CELLS).astype(int)
-        self._taken[:] = 0
+        self._cast[:] = 0
         for (left, bottom), (right, top) in zip(cells_low, cells_high, strict=True):
-            self._taken[bottom:top, left:right] = 255
-        self._casters.write(self._taken.tobytes())
+            self._cast[bottom:top, left:right] = 255
+        self._casters.write(self._cast.tobytes())
 
     def shaded_ground(self) -> Float32[np.ndarray, "n 2"]:
         """Return triangles of the ground on which a shadow may fall [m]: three corners each."""
         corners, low, high = self._tiles
         total = np.zeros((_CELLS + 1, _CELLS + 1), int)
-        total[1:, 1:] = (self._taken > 0).cumsum(axis=0).cumsum(axis=1)
+        total[1:, 1:] = (self._cast > 0).cumsum(axis=0).cumsum(axis=1)
         (left, bottom), (right, top) = low.T, high.T
         count = total[top, right] - total[bottom, right] - total[top, left] + total[bottom, left]
         return corners[count > 0].reshape(-1, 2)
