@@ -105,8 +105,8 @@ class ShadowMap:
             self._frame.scissor = area
             self._frame.use()
             self._frame.clear(depth=1.0, viewport=area)
-            touched = (boxes[:, 1] * self._size >= low - 1) & (boxes[:, 0] * self._size <= high + 1)
-            inside: Bool[np.ndarray, "n"] = touched.all(axis=1)
+            outside = (boxes[:, 1] * self._size < low - 1) | (boxes[:, 0] * self._size > high + 1)
+            inside = np.array(~outside.any(axis=1), dtype=bool)
             for first, count in runs(inside, ranges):
                 shapes.render(vertices=count, first=first)
             self._frame.scissor = None
