@@ -8,7 +8,7 @@ ARGS ?=
 .PHONY: demo test test-all lint docs gallery clean
 
 demo: $(VENV)/.run
-	$(BIN)/roboassembly assemble --manual --film-size 960x540 $(ARGS)
+	$(BIN)/roboassembly assemble --manual --film-size 854x480 $(ARGS)
 
 test: $(VENV)/.dev
 	$(BIN)/pytest -n 2 --dist worksteal $(ARGS)

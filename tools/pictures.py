@@ -157,7 +157,7 @@ def draw_storyboard() -> None:
 def draw_sixty() -> None:
     """Draw sixty chairs, of all families."""
     pieces = [catalogue.make(list(CHAIRS)[i % len(CHAIRS)], 1 + i // len(CHAIRS)) for i in range(60)]
-    render_contact_sheet(pieces, IMAGES / "sixty.png", columns=10, size=140, names=False)
+    render_contact_sheet(pieces, IMAGES / "sixty.webp", columns=10, size=140, names=False)
 
 
 ROOMS = {
@@ -253,7 +253,7 @@ PICTURES: dict[str, Callable[[], None]] = {
     "grasps": lambda: write_grasps("ladder", IMAGES / "grasps.png", columns=5, size=200),
     "dead_end": lambda: write_dead_end("splat:8", IMAGES / "dead_end.png", width=480, height=320),
     "families": lambda: render_contact_sheet(
-        [catalogue.make(f) for f in FAMILIES], IMAGES / "families.png", columns=7, size=200
+        [catalogue.make(f) for f in FAMILIES], IMAGES / "families.webp", columns=7, size=200
     ),
     "sixty": draw_sixty,
     "manual": lambda: draw_manual(IMAGES / "manual.webp", width=760),

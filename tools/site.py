@@ -115,7 +115,7 @@ def gallery_page() -> str:
 
 `{piece["command"]}`: {piece["figures"]}. [Turn it and scrub through it]({page}).
 """
-    pictures = {"Built-in families": "families.png", "Sixty chairs": "sixty.png", "Grasps": "grasps.png"}
+    pictures = {"Built-in families": "families.webp", "Sixty chairs": "sixty.webp", "Grasps": "grasps.png"}
     return text + "".join(f"\n## {title}\n\n![{title}](images/{name})\n" for title, name in pictures.items())
 
 

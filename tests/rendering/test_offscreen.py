@@ -12,7 +12,8 @@ from roboassembly.rendering.camera import Camera, project
 from roboassembly.rendering.colors import BACKGROUND, to_bytes
 from roboassembly.rendering.offscreen import LIGHT_DIRECTION
 from roboassembly.rendering.rectangles import Rectangle, changed_rectangle
-from roboassembly.rendering.renderer import FAST, SOFTEST, STILL, OffscreenRenderer, placements
+from roboassembly.rendering.renderer import FAST, STILL, OffscreenRenderer, placements
+from roboassembly.rendering.shadow_map import SOFTEST
 
 BOX = Mesh.from_trimesh(trimesh.creation.box((0.4, 0.3, 0.2)))
 WIDTH, HEIGHT = 320, 240

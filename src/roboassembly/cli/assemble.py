@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from roboassembly.task.plans.full_plan import FullPlan
     from roboassembly.task.plans.plan import UprightResult
 
-FilmSize = Literal["640x360", "960x540", "1280x720", "1920x1080"]
+FilmSize = Literal["640x360", "854x480", "960x540", "1280x720", "1920x1080"]
 NO_POLICY = "none"
 SHIPPED_POLICY = "relational"
 MOST_GUIDED = 40

@@ -9,25 +9,22 @@ from types import TracebackType
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Float32, UInt8
+from jaxtyping import Bool, Float, Float32, Int, Int32, UInt8
 from scipy.spatial.transform import Rotation
 
 from roboassembly.geometry.meshes import Mesh
 from roboassembly.geometry.poses import SE3, pose_to_seven
 from roboassembly.rendering import shaders, wood
-from roboassembly.rendering.camera import Camera, boxes_corners, clip_from_world
+from roboassembly.rendering.camera import NEAREST, Camera, boxes_corners, clip_from_world, project, view_axes
 from roboassembly.rendering.captions import draw_caption
 from roboassembly.rendering.colors import BACKGROUND, FLOOR, FLOOR_LINES, Color, Finish
 from roboassembly.rendering.edges import REACH, smooth_edges
 from roboassembly.rendering.gl import PictureContext
-from roboassembly.rendering.offscreen import LIGHT_DIRECTION, check_size
+from roboassembly.rendering.offscreen import check_size
 from roboassembly.rendering.rectangles import Rectangle
 from roboassembly.rendering.shading import shade
+from roboassembly.rendering.shadow_map import ShadowMap, runs
 
-LAMP = 0.07
-"""Radius of the lamp over its distance: a shadow grows by twice this share of the distance to what casts it."""
-SOFTEST, SHARPEST = 0.035, 0.004
-"""Radii over which the edge of a shadow is softened at most and at least [m]."""
 WIDE = 1.0
 """Radius [m] above which a scene is a wide one."""
 GRID_SPACING = 0.5
@@ -38,14 +35,10 @@ FADE = (1.2, 9.0)
 """Distances from the middle at which the ground begins and ends to fade into the background, in radii of the scene."""
 FULL_SHADE = 0.52
 """Brightness of a full shadow over that of the ground."""
-_LAMP_DEPTH = 2.5
-"""Half the depth of the shadow map, in radii of the scene."""
-_BIAS = 0.003
-"""Distance in front of what hides a point at which it is still lit, so that no surface shades itself [m]."""
 _STEP = 64
 """Multiple of the sizes of buffers that parts of a picture are drawn into [pixels]."""
-_CELLS = 128
-"""Width and height of the map of what may cast a shadow."""
+_BEHIND = 4e-6
+"""Depth, from −1 to 1, by which ground without shadows is drawn behind that with them."""
 _OUT_OF_SIGHT = (0.0, 0.0, -100.0, 1.0, 0.0, 0.0, 0.0)
 
 
@@ -169,25 +162,31 @@ class OffscreenRenderer:
         self._rows[:, :3, 3] = world_from_mesh[:, :3]
         self._rows[:, 3, :3] = colors**2
         self._objects.write(self._rows.tobytes())
-        self._casters.write(self._casting().tobytes())
-        self._bind()
+        self._objects.use(0)
         gl.enable_only(gl.DEPTH_TEST)
-        self._shadow_frame.use()
-        self._shadow_frame.clear(depth=1.0)
-        self._cast.render()
+        corners = np.einsum("nij,ncj->nci", self._rows[:, :3, :3], self.boxes) + self._rows[:, None, :3, 3]
+        self._shadows.draw(self._rows[:, :3], corners, self._cast, self._ranges)
+        self._shadows.bind()
+        self._wood.use(3)
         width, height = scale * self.width, scale * self.height
         size = scale * area.width, scale * area.height
         projection = _matrix_bytes(clip_from_world(camera, width, height, 20.0 * FLOOR_REACH * self._radius))
-        for program in (self._object_program, self._ground_program):
+        for program in (self._object_program, self._shaded_program, self._plain_program):
             program["clip_from_world"].write(projection)
         self._object_program["eye"] = tuple(camera.position)
         frame, resolved = self._frames(*size)
         frame.use()
         frame.viewport = (-scale * area.left, frame.height - height + scale * area.top, width, height)
         frame.clear(*BACKGROUND, 1.0, depth=1.0)
-        self._stand.render()
+        for first, count in runs(self._visible(corners, camera, area), self._ranges):
+            self._stand.render(vertices=count, first=first)
         if camera.position[2] > 0.0:
-            self._ground.render()
+            tiles = self._shadows.shaded_ground()
+            if len(tiles):
+                self._tiles.orphan(max(tiles.nbytes, 8))
+                self._tiles.write(tiles.tobytes())
+                self._shaded.render(vertices=len(tiles))
+            self._plain.render()
         if resolved is not frame:
             gl.copy_framebuffer(resolved, frame)
         data = resolved.read(viewport=(0, frame.height - size[1], *size), components=3, alignment=1)
@@ -213,83 +212,70 @@ class OffscreenRenderer:
             self._buffers[size] = frame, plain
         return self._buffers[size]
 
-    def _bind(self) -> None:
-        self._objects.use(0)
-        self._depths.use(1)
-        self._by_depth.use(1)
-        self._depths.use(2)
-        self._compared.use(2)
-        self._wood.use(3)
-        self._casters.use(4)
-
-    def _casting(self) -> UInt8[np.ndarray, "cells cells"]:
-        """Return the cells of the shadow map that something may stand in, with the softest edge around it."""
-        corners = np.einsum("nij,ncj->nci", self._rows[:, :3, :3], self.boxes) + self._rows[:, None, :3, 3]
-        at = (0.5 * corners @ self._lamp[:2, :3].T + 0.5 * self._lamp[:2, 3] + 0.5) * _CELLS
-        edge = 0.5 * SOFTEST / self._radius * _CELLS
-        low = np.clip(np.floor(at.min(axis=1) - edge), 0, _CELLS).astype(int)
-        high = np.clip(np.ceil(at.max(axis=1) + edge), 0, _CELLS).astype(int)
-        out = np.zeros((_CELLS, _CELLS), np.uint8)
-        for (left, bottom), (right, top) in zip(low, high, strict=True):
-            out[bottom:top, left:right] = 255
-        return out
+    def _visible(self, corners: Float[np.ndarray, "n 8 3"], camera: Camera, area: Rectangle) -> Bool[np.ndarray, "n"]:
+        """Return which objects can be seen in a part of the picture."""
+        points = corners.reshape(-1, 3)
+        near = NEAREST * camera.distance
+        depth = (points - camera.position) @ view_axes(camera.azimuth, camera.elevation)[2]
+        behind = (depth < near).reshape(-1, 8)
+        shifted = points + np.maximum(near - depth, 0.0)[:, None] * view_axes(camera.azimuth, camera.elevation)[2]
+        pixels = project(shifted, camera, self.width, self.height).reshape(-1, 8, 2)
+        low, high = pixels.min(axis=1) - 1.0, pixels.max(axis=1) + 1.0
+        beside = (high < [area.left, area.top]).any(axis=1) | (low > [area.right, area.bottom]).any(axis=1)
+        return ~behind.all(axis=1) & (behind.any(axis=1) | ~beside)
 
     def _set_up(self, meshes: Sequence[Mesh]) -> None:
         gl, quality = self._context.activate(), self._quality
         self._samples = min(quality.samples, gl.max_samples)
         self._buffers: dict[tuple[int, ...], tuple[Any, Any]] = {}
         self._object_program = gl.program(shaders.OBJECT_VERTEX, shaders.OBJECT_FRAGMENT)
-        self._ground_program = gl.program(shaders.GROUND_VERTEX, shaders.GROUND_FRAGMENT)
-        depth_program = gl.program(shaders.DEPTH_VERTEX, shaders.DEPTH_FRAGMENT)
-        vertices, faces = _vertices_of(meshes)
+        self._shaded_program = gl.program(shaders.GROUND_VERTEX, shaders.SHADED_GROUND_FRAGMENT)
+        self._plain_program = gl.program(shaders.GROUND_VERTEX, shaders.PLAIN_GROUND_FRAGMENT)
+        self._shadows = ShadowMap(gl, quality.shadow_size, self._center, self._radius)
+        vertices, faces, self._ranges = _vertices_of(meshes)
         vertex_buffer, index_buffer = gl.buffer(vertices.tobytes()), gl.buffer(faces.tobytes())
         self._stand = gl.vertex_array(
             self._object_program,
             [(vertex_buffer, "3f 3f 3f 1f", "position", "normal", "grain", "item")],
             index_buffer,
         )
-        self._cast = gl.vertex_array(depth_program, [(vertex_buffer, "3f 24x 1f", "position", "item")], index_buffer)
+        self._cast = gl.vertex_array(
+            self._shadows.program, [(vertex_buffer, "3f 24x 1f", "position", "item")], index_buffer
+        )
         reach = FLOOR_REACH * self._radius
         corners = self._center[:2] + reach * np.array([[-1.0, -1.0], [1.0, -1.0], [-1.0, 1.0], [1.0, 1.0]])
         ground = gl.buffer(corners.astype(np.float32).tobytes())
-        self._ground = gl.vertex_array(self._ground_program, [(ground, "2f", "position")], mode=gl.TRIANGLE_STRIP)
+        self._plain = gl.vertex_array(self._plain_program, [(ground, "2f", "position")], mode=gl.TRIANGLE_STRIP)
+        self._tiles = gl.buffer(reserve=8, dynamic=True)
+        self._shaded = gl.vertex_array(self._shaded_program, [(self._tiles, "2f", "position")])
         self._objects = gl.texture((_TEXELS, max(1, len(meshes))), 4, dtype="f4")
         self._objects.filter = (gl.NEAREST, gl.NEAREST)
-        self._depths = gl.depth_texture((quality.shadow_size,) * 2)
-        self._shadow_frame = gl.framebuffer(depth_attachment=self._depths)
-        self._by_depth = gl.sampler(repeat_x=False, repeat_y=False, filter=(gl.NEAREST,) * 2, compare_func="")
-        self._compared = gl.sampler(repeat_x=False, repeat_y=False, filter=(gl.LINEAR,) * 2, compare_func="<=")
         grain = wood.wood_texture()
         self._wood = gl.texture(grain.shape[::-1], 1, grain.tobytes())
         self._wood.build_mipmaps()
         self._wood.filter = (gl.LINEAR_MIPMAP_NEAREST, gl.LINEAR)
-        self._casters = gl.texture((_CELLS, _CELLS), 1)
-        self._casters.filter = (gl.NEAREST, gl.NEAREST)
         self.boxes = np.stack(
             [boxes_corners(mesh.bounds[:1], mesh.bounds[1:]) for mesh in meshes] or [np.empty((8, 3))]
         )
-        self._set_uniforms(depth_program)
+        self._set_uniforms()
 
-    def _set_uniforms(self, depth_program: Any) -> None:
+    def _set_uniforms(self) -> None:
         radius = self._radius
-        self._lamp = _lamp_from_world(self._center, radius)
-        light = _matrix_bytes(self._lamp)
-        width, depth = 2.0 * radius, 2.0 * _LAMP_DEPTH * radius
+        light = _matrix_bytes(self._shadows.lamp_from_world)
         values: dict[str, object] = {
-            "objects": 0, "depths": 1, "shadows": 2, "wood": 3, "casters": 4,
-            "taps": self._quality.shadow_taps, "to_light": tuple(-LIGHT_DIRECTION),
-            "reach": SOFTEST / width, "sharpest": SHARPEST / width, "spread": LAMP * depth / width,
-            "bias": _BIAS / depth, "wood_size": (wood.LENGTH, wood.DEPTH), "middle": tuple(self._center[:2]),
-            "ground": _squared(FLOOR), "lines": _squared(FLOOR_LINES), "background": _squared(BACKGROUND),
+            **self._shadows.uniforms(), "objects": 0, "wood": 3, "taps": self._quality.shadow_taps,
+            "wood_size": (wood.LENGTH, wood.DEPTH), "middle": tuple(self._center[:2]),
+            "ground": FLOOR, "lines": FLOOR_LINES, "background": BACKGROUND,
             "fade": (FADE[0] * radius, FADE[1] * radius), "shade": FULL_SHADE,
             "spacing": GRID_SPACING if radius < WIDE else 2.0 * GRID_SPACING,
         }  # fmt: skip
-        for program in (self._object_program, self._ground_program, depth_program):
+        for program in (self._object_program, self._shaded_program, self._plain_program, self._shadows.program):
             if "light_from_world" in program:
                 program["light_from_world"].write(light)
             for name, value in values.items():
                 if name in program:
                     program[name] = value
+        self._plain_program["behind"] = _BEHIND
 
 
 def placements(frames: Sequence[Sequence[SE3 | None]]) -> Float[np.ndarray, "frames n 7"]:
@@ -309,8 +295,10 @@ def _object_rows(count: int, finishes: Sequence[Finish] | None) -> Float32[np.nd
     return rows
 
 
-def _vertices_of(meshes: Sequence[Mesh]) -> tuple[Float32[np.ndarray, "v 10"], np.ndarray]:
-    """Return the vertices of all meshes, as the shaders have them, and the faces."""
+def _vertices_of(
+    meshes: Sequence[Mesh],
+) -> tuple[Float32[np.ndarray, "v 10"], Int32[np.ndarray, "f 3"], Int[np.ndarray, "n 2"]]:
+    """Return the vertices of all meshes, as the shaders have them, the faces, and where each mesh's indices are."""
     shaded = {mesh: shade(mesh) for mesh in dict.fromkeys(meshes)}
     vertices: list[np.ndarray] = [np.zeros((0, 10))]
     faces: list[np.ndarray] = [np.zeros((0, 3), int)]
@@ -322,24 +310,10 @@ def _vertices_of(meshes: Sequence[Mesh]) -> tuple[Float32[np.ndarray, "v 10"], n
         vertices.append(np.concatenate([shape.vertices, shape.normals, grain, item], axis=1))
         faces.append(shape.faces + first)
         first += len(shape.vertices)
-    return np.concatenate(vertices).astype(np.float32), np.concatenate(faces).astype(np.int32)
-
-
-def _lamp_from_world(center: Float[np.ndarray, "3"], radius: float) -> Float[np.ndarray, "4 4"]:
-    """Return the matrix that projects a scene along the light to a cube of sides from −1 to 1."""
-    right = np.cross(LIGHT_DIRECTION, [0.0, 1.0, 0.0])
-    right /= np.linalg.norm(right)
-    out = np.eye(4)
-    out[0, :3], out[1, :3] = right / radius, np.cross(right, LIGHT_DIRECTION) / radius
-    out[2, :3] = LIGHT_DIRECTION / (_LAMP_DEPTH * radius)
-    out[:3, 3] = -out[:3, :3] @ center
-    return out
+    counts = 3 * np.array([len(part) for part in faces])
+    ranges = np.stack([np.cumsum(counts)[:-1], counts[1:]], axis=1)
+    return np.concatenate(vertices).astype(np.float32), np.concatenate(faces).astype(np.int32), ranges
 
 
 def _matrix_bytes(matrix: Float[np.ndarray, "4 4"]) -> bytes:
     return np.ascontiguousarray(matrix.T, np.float32).tobytes()
-
-
-def _squared(color: Color) -> Color:
-    r, g, b = (c * c for c in color)
-    return r, g, b

@@ -1,6 +1,7 @@
 """Shaders of pictures, in GLSL: what stands in a scene, the ground, and the depth that a light sees.
 
-Colours are squared before light is added and the root is drawn at the end, which comes close to sRGB. Loops whose
+Colours of objects are squared before light is added and the root is drawn at the end, which comes close to sRGB; the
+ground needs that only for its shade. Loops whose
 number of turns depends on the pixel are there for speed: renderers on a processor go through both sides of an `if`,
 but leave a loop that no pixel needs.
 """
@@ -131,6 +132,7 @@ void main() {
 GROUND_VERTEX = """#version 330
 uniform mat4 clip_from_world;
 uniform mat4 light_from_world;
+uniform float behind;  // farther than it is, so that ground with shadows hides it
 in vec2 position;
 out vec2 world;
 out vec3 lit;
@@ -139,12 +141,11 @@ void main() {
     world = position;
     lit = (light_from_world * vec4(position, 0.0, 1.0)).xyz * 0.5 + 0.5;
     gl_Position = clip_from_world * vec4(position, 0.0, 1.0);
+    gl_Position.z += behind * gl_Position.w;
 }
 """
 
-GROUND_FRAGMENT = (
-    _SHADOW
-    + """
+_GROUND_FRAGMENT = """
 uniform vec3 ground;
 uniform vec3 lines;
 uniform vec3 background;
@@ -163,8 +164,14 @@ void main() {
     vec2 line = (1.0 - clamp(off - 0.15, 0.0, 1.0)) * clamp(0.25 / wide - 0.5, 0.0, 1.0);
     float far = smoothstep(fade.x, fade.y, length(world - middle));
     vec3 base = mix(ground, lines, max(line.x, line.y) * (1.0 - smoothstep(0.0, 0.6, far)));
-    vec3 sum = mix(base * mix(shade, 1.0, brightness(lit, 0.0, true)), background, far);
-    result = vec4(sqrt(sum), 1.0);
+    result = vec4(mix(base * sqrt(mix(shade, 1.0, brightness(lit, 0.0, true))), background, far), 1.0);
 }
 """
+
+SHADED_GROUND_FRAGMENT = _SHADOW + _GROUND_FRAGMENT
+PLAIN_GROUND_FRAGMENT = (
+    """#version 330
+float brightness(vec3 at, float bias, bool faces) { return 1.0; }
+"""
+    + _GROUND_FRAGMENT
 )

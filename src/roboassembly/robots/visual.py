@@ -23,10 +23,10 @@ from roboassembly.robots.gripper import TIPS, hand_bodies, panda_folder
 from roboassembly.robots.kinematics import JOINTS, arm
 from roboassembly.robots.platform import HEIGHT, LENGTH, PLATFORM_FROM_MOUNT, WIDTH
 
-KEPT = 0.1
+KEPT = 0.05
 """Share of a mesh's faces that is kept; the Panda's have 134,000, which films do not show."""
-FEWEST = 300
-"""Number of faces below which a mesh is kept as it is."""
+FEWEST = 350
+"""Number of faces that is kept of a mesh in any case."""
 _DARK = 0.5
 """Brightness of a material below which it does not have the robot's colour."""
 
@@ -94,8 +94,9 @@ def _shapes(name: str, pose: SE3) -> list[tuple[str, Mesh, bool]]:
             whole = _together(pieces)
             whole.merge_vertices()
             vertices, faces = whole.vertices, whole.faces
-            if KEPT * len(faces) > FEWEST:
-                vertices, faces = fast_simplification.simplify(vertices, faces, target_count=round(KEPT * len(faces)))
+            kept = max(FEWEST, round(KEPT * len(faces)))
+            if kept < len(faces):
+                vertices, faces = fast_simplification.simplify(vertices, faces, target_count=kept)
             mesh = Mesh(transform_points(pose, np.array(vertices, float)), np.array(faces))
             out.append((f"{name}_dark" if dark else name, mesh, dark))
     return out

@@ -26,7 +26,7 @@ SHORTEST = 1.2
 """Least time that it stands still [s]."""
 LOOK_AHEAD = 0.6
 """Time before and after a motion during which what moves is kept in the picture [s]."""
-MOVE_COST = 0.6
+MOVE_COST = 0.8
 """Cost of a glide: a picture twice as wide as needed for so many seconds costs as much."""
 MARGINS = (0.16, 0.06, 0.06, 0.07)
 """Free parts of the picture above, below, left and right, over its height or width; captions stand above."""

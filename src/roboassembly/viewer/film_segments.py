@@ -27,7 +27,8 @@ from roboassembly.rendering.captions import draw_caption
 from roboassembly.rendering.colors import Finish
 from roboassembly.rendering.gl import RenderingUnavailableError, context_module, skip_trial
 from roboassembly.rendering.rectangles import Rectangle, changed_rectangle
-from roboassembly.rendering.renderer import SOFTEST, OffscreenRenderer, Quality
+from roboassembly.rendering.renderer import OffscreenRenderer, Quality
+from roboassembly.rendering.shadow_map import SOFTEST
 
 
 class FilmStoppedError(Exception):
