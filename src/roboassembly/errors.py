@@ -12,7 +12,7 @@ class RoboAssemblyError(Exception):
 
     def __reduce__(self) -> tuple[object, ...]:
         # Unpickling, as after an error in a worker process, would call `__init__` with the message alone.
-        return _restore, (type(self), *self.args)
+        return _restore, (type(self), *self.args), self.__dict__ or None
 
 
 def _restore(kind: type[RoboAssemblyError], *args: object) -> RoboAssemblyError:
@@ -28,7 +28,16 @@ class ArgumentError(InputError, ValueError):
 
 
 class FurnitureError(InputError):
-    """Furniture, or a file of furniture, violates the format or a geometric rule."""
+    """Furniture, or a file of furniture, violates the format or a geometric rule.
+
+    Args:
+        message: what is wrong, where, and what is valid.
+        parts: names of the parts that the message is about.
+    """
+
+    def __init__(self, message: str, parts: Iterable[str] = ()) -> None:
+        super().__init__(message)
+        self.parts = tuple(parts)
 
 
 class PolicyError(InputError):

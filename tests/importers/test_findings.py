@@ -16,6 +16,7 @@ import trimesh
 
 from command_line import Run
 from model_files import box, export
+from roboassembly.errors import FurnitureError
 from roboassembly.furniture import storage
 from roboassembly.geometry.meshes import Mesh
 from roboassembly.importers import folder
@@ -24,7 +25,9 @@ from roboassembly.importers.kept import REPORT
 from roboassembly.importers.pipeline import Imported, finish
 from roboassembly.rendering.gl import RenderingUnavailableError, context_module
 from roboassembly.viewer import import_pictures
-from roboassembly.viewer.import_report import import_report, separate_labels
+from roboassembly.viewer.import_report import import_report, refusal_report, separate_labels
+
+_REFUSAL = FurnitureError("part 'top' is missing", ("top",))
 
 
 @pytest.fixture(scope="module")
@@ -114,6 +117,10 @@ class _Page(HTMLParser):
         self.texts.append(data)
 
 
+def _pictures(page: _Page) -> list[np.ndarray]:
+    return [iio.imread(BytesIO(base64.b64decode(src.partition(",")[2])), extension=".webp") for _, src in page.images]
+
+
 def _needs_rendering() -> None:
     try:
         context_module()
@@ -132,9 +139,7 @@ def test_page_shows_each_part_before_and_after(source: Path, imported: tuple[fol
     alts = [alt for alt, _ in page.images]
     assert alts[:3] == ["as delivered", "after repair", "pulled apart"]
     assert alts[3:] == ["before", "after"] * parts
-    pictures = [
-        iio.imread(BytesIO(base64.b64decode(src.partition(",")[2])), extension=".webp") for _, src in page.images
-    ]
+    pictures = _pictures(page)
     assert all(picture.std() > 5 for picture in pictures), "none is empty"
     # The sockets in the top are orange; before repair nothing is.
     names = [part.name for part in made.furniture.parts]
@@ -185,6 +190,41 @@ def test_import_writes_the_page_and_names_three_things(run: Run, source: Path, t
     assert len(storage.load(target).parts) == 6
 
 
+def test_a_refused_piece_gets_a_page_that_shows_the_parts_in_question(run: Run, tmp_path: Path) -> None:
+    _needs_rendering()
+    source, target = tmp_path / "source", tmp_path / "out" / "table"
+    source.mkdir()
+    export(box((600, 600, 30), (0, 0, 515)), source / "top.stl")
+    export(box((50, 50, 500), (0, 0, 250)), source / "leg.stl")
+    export(box((100, 100, 100), (200, 200, 50)), source / "stray.stl")
+    page = tmp_path / "out" / "table.refused.html"
+    asked = ("import", source, "--unit", "mm", "--out", target, "--json")
+    status, out, _ = run(*asked)
+    (item,) = json.loads(out)["items"]
+    assert (status, item["report"], item["folder"]) == (2, str(page), None)
+    assert not target.exists()
+    text = page.read_text()
+    read = _Page(text)
+    assert item["error"] in read.texts
+    assert "'stray'" in item["error"]
+    pictures = [picture.astype(int) for picture in _pictures(read)]
+    red = [((p[..., 0] > 90) & (p[..., 0] > 2 * p[..., 1]) & (p[..., 0] > 2 * p[..., 2])).sum() for p in pictures]
+    assert len(red) == 2
+    assert min(red) > 500
+    rows = dict(re.findall(r"<tr><td(?: class='bad')?>(\w+)</td>(.*?)</tr>", text))
+    assert re.findall(r">(-?\d+)<", rows["stray"])[:3] == ["100"] * 3
+    assert {name for name in rows if f"<td class='bad'>{name}</td>" in text} == {"stray", "leg"}
+    # The cache keeps this page, too.
+    page.unlink()
+    assert json.loads(run(*asked)[1])["items"][0]["cached"]
+    assert page.read_text() == text
+    # A piece that was mended has no such page any more.
+    (source / "stray.stl").unlink()
+    status, _, err = run(*asked)
+    assert status == 0, err
+    assert not page.exists()
+
+
 def test_without_rendering_the_page_has_texts_only(
     source: Path, imported: tuple[folder.RawFurniture, Imported], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -192,10 +232,12 @@ def test_without_rendering_the_page_has_texts_only(
         raise RenderingUnavailableError("no OpenGL here")
 
     monkeypatch.setattr("roboassembly.viewer.import_report.take_pictures", refuse)
+    monkeypatch.setattr("roboassembly.viewer.import_report.take_delivered", refuse)
     raw, made = imported
-    page = _Page(import_report("table", source, raw, made, ()))
-    assert page.images == []
-    assert "Without pictures: no OpenGL here" in page.texts
+    for text in (import_report("table", source, raw, made, ()), refusal_report("table", source, raw, _REFUSAL)):
+        page = _Page(text)
+        assert page.images == []
+        assert "Without pictures: no OpenGL here" in page.texts
 
 
 def test_numbers_do_not_overlap() -> None:

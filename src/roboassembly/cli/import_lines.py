@@ -20,7 +20,7 @@ def report_lines(item: ImportResult) -> list[str]:
         lines += [_other(item, other) for other in item.unit_others]
     lines += [f"  {line}" for line in item.remarks]
     if item.error:
-        return lines
+        return lines + [f"  report: {item.report}"] * (item.report is not None)
     if item.findings:
         more = len(item.findings) - NAMED
         lines.append("  worth a look:")

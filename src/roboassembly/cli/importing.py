@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
@@ -16,10 +17,7 @@ from roboassembly.cli.output import DONE, check_writable, print_json, progress_b
 from roboassembly.errors import InputError, UnknownNameError
 
 if TYPE_CHECKING:
-    from roboassembly.furniture.model import RawFurniture
-    from roboassembly.importers.findings import Finding
     from roboassembly.importers.kept import Summary
-    from roboassembly.importers.pipeline import Imported
 
 Kind = Literal["partnet", "ikea-manual", "ikea-env", "furniture-bench", "folder"]
 """Names of the formats in `importers.IMPORTERS`."""
@@ -121,7 +119,7 @@ class ImportCommand:
     """Accept repairs that shorten a part, or its depth in a neighbour, by more than 5 mm, if overlaps cannot be removed
     in another way."""
     report: bool = True
-    """Write import-report.html into each furniture folder."""
+    """Write import-report.html into each furniture folder, and NAME.refused.html for a piece that was refused."""
     cache: bool = True
     """Reuse the result of an earlier import of the same files."""
     json: bool = False
@@ -253,7 +251,9 @@ def import_piece(piece: ImportJob) -> ImportResult:
 
     started = time.perf_counter()
     place = _place(piece) if piece.cache else None
-    page = piece.target / kept.REPORT
+    refused_page = kept.report_path(piece.target, refused=True)
+    with suppress(OSError):
+        refused_page.unlink()  # that of an earlier import
     try:
         summary = kept.recall(place, piece.source, piece.target) if place is not None else None
         cached = summary is not None
@@ -262,10 +262,11 @@ def import_piece(piece: ImportJob) -> ImportResult:
             # Do not cache the result if the files changed in the meantime.
             if place is not None and place == _place(piece):
                 kept.keep(place, summary, piece.target)
-        if summary.error is None and not piece.report:
+        page = kept.report_path(piece.target, refused=summary.error is not None)
+        if not piece.report:
             page.unlink(missing_ok=True)  # that of an earlier import
     except InputError as error:
-        summary, cached = kept.Summary(error=str(error)), False
+        summary, cached, page = kept.Summary(error=str(error)), False, refused_page
     unit = summary.unit
     return ImportResult(
         piece.name,
@@ -288,7 +289,7 @@ def import_piece(piece: ImportJob) -> ImportResult:
         size_m=summary.size_m,
         remarks=summary.remarks,
         findings=summary.findings,
-        report=str(page) if summary.error is None and page.is_file() else None,
+        report=str(page) if page.is_file() else None,
     )
 
 
@@ -309,8 +310,9 @@ def _import(piece: ImportJob) -> Summary:
     from roboassembly.geometry import units
     from roboassembly.importers import IMPORTERS, folder
     from roboassembly.importers.findings import findings
-    from roboassembly.importers.kept import Summary
+    from roboassembly.importers.kept import Summary, report_path, write_report
     from roboassembly.importers.pipeline import finish
+    from roboassembly.viewer.import_report import import_report, refusal_report
 
     try:
         if piece.kind == "folder":
@@ -326,11 +328,16 @@ def _import(piece: ImportJob) -> Summary:
     try:
         imported = finish(piece.name, raw, allow_shortening=piece.allow_shortening)
     except FurnitureError as refusal:
+        if piece.report:
+            write_report(
+                refusal_report(piece.name, piece.source, raw, refusal).encode(), report_path(piece.target, refused=True)
+            )
         return Summary(error=str(refusal), **reading)
     found = findings(raw, imported.furniture, imported.repairs)
     storage.save(imported.furniture, piece.target)
     if piece.report:
-        _write_report(piece, raw, imported, found)
+        page = import_report(piece.name, piece.source, raw, imported, found)
+        write_report(page.encode(), report_path(piece.target, refused=False))
     return Summary(
         len(imported.furniture.parts),
         len(imported.furniture.connections),
@@ -342,14 +349,6 @@ def _import(piece: ImportJob) -> Summary:
         findings=tuple(finding.text for finding in found),
         **reading,
     )
-
-
-def _write_report(piece: ImportJob, raw: RawFurniture, imported: Imported, found: Sequence[Finding]) -> None:
-    from roboassembly.importers.kept import write_report
-    from roboassembly.viewer.import_report import import_report
-
-    page = import_report(piece.name, piece.source, raw, imported, found)
-    write_report(page.encode(), piece.target)
 
 
 def piece_names(sources: list[Path]) -> list[str]:

@@ -62,7 +62,8 @@ def find_contacts(meshes: Sequence[Mesh], names: Sequence[str]) -> tuple[Contact
             if witness.distance <= 0.0:
                 raise FurnitureError(
                     f"parts '{names[a]}' and '{names[b]}' touch or penetrate in the assembled pose near "
-                    f"{np.round(witness.point_a, 4).tolist()} m; leave a gap of 0.1 mm or more, or import with repair"
+                    f"{np.round(witness.point_a, 4).tolist()} m; leave a gap of 0.1 mm or more, or import with repair",
+                    (names[a], names[b]),
                 )
             out.append(_contact(a, b, meshes[a], meshes[b], witness))
     return tuple(out)
@@ -73,7 +74,8 @@ def _refuse_nested(a: int, b: int, meshes: Sequence[Mesh], names: Sequence[str])
     for inner, outer in ((a, b), (b, a)):
         if meshes[outer].contains(meshes[inner].vertices[0]):
             raise FurnitureError(
-                f"part '{names[inner]}' lies inside part '{names[outer]}'; take it out or hollow the other"
+                f"part '{names[inner]}' lies inside part '{names[outer]}'; take it out or hollow the other",
+                (names[inner], names[outer]),
             )
 
 

@@ -121,10 +121,11 @@ def recall(place: Path, source: Path, target: Path) -> Summary | None:
         return None
     if entry.summary.refused_at not in (None, str(source)):
         return None
-    if entry.summary.error is None:
+    refused = entry.summary.error is not None
+    if not refused:
         storage.save_files(entry.files, target)
-        if entry.report is not None:
-            write_report(entry.report, target)
+    if entry.report is not None:
+        write_report(entry.report, report_path(target, refused=refused))
     try:
         os.utime(place)
     except OSError:
@@ -137,8 +138,8 @@ def keep(place: Path, summary: Summary, target: Path) -> None:
     """Store an import whose furniture was saved at `target`; does nothing if the cache cannot be written."""
     try:
         files = storage.read_files(target) if summary.error is None else {}
-        page = target / REPORT
-        report = page.read_bytes() if files and page.is_file() else None
+        page = report_path(target, refused=summary.error is not None)
+        report = page.read_bytes() if page.is_file() else None
         data = msgspec.msgpack.encode(_Entry(summary, files, report))
         place.parent.mkdir(parents=True, exist_ok=True)
         handle, scratch = tempfile.mkstemp(prefix=".new-", dir=place.parent)
@@ -156,15 +157,20 @@ def keep(place: Path, summary: Summary, target: Path) -> None:
         Path(scratch).unlink(missing_ok=True)
 
 
-def write_report(page: bytes, target: Path) -> None:
-    """Write a report page into a furniture folder, completely or not at all.
+def report_path(target: Path, *, refused: bool) -> Path:
+    """Return the path of the report page: in the furniture folder, or beside it for a piece that was refused."""
+    return target.with_name(f"{target.name}.refused.html") if refused else target / REPORT
+
+
+def write_report(page: bytes, path: Path) -> None:
+    """Write a report page, completely or not at all.
 
     Raises:
         InputError: it cannot be written.
     """
-    path = target / REPORT
-    unfinished = path.with_name(f".{REPORT}.{os.getpid()}")
+    unfinished = path.with_name(f".{path.name}.{os.getpid()}")
     try:
+        path.parent.mkdir(parents=True, exist_ok=True)
         unfinished.write_bytes(page)
         unfinished.replace(path)
     except OSError as error:

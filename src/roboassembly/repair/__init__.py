@@ -183,7 +183,8 @@ def _repair(treatment: Treatment, gap: float, limits: RepairLimits) -> RepairRes
             raise ShapeError(
                 f"part '{part.name}' could only be made solid ({solid.how}) with its surface "
                 f"{solid.shape_error * 1e3:.1f} mm off; at most {limits.shape_error * 1e3:.1f} mm is allowed (limit "
-                "`shape_error`)"
+                "`shape_error`)",
+                (part.name,),
             )
         pieces.append(Piece.of(part.name, solid))
     changed = treatment.moves_panels and move_panels(pieces, gap, limits.displacement * diagonal)
@@ -206,7 +207,8 @@ def _repair(treatment: Treatment, gap: float, limits: RepairLimits) -> RepairRes
         if change < -limits.shortening and not piece.gave:
             raise FurnitureError(
                 f"part '{part.name}' would become {-1e3 * change:.1f} mm smaller than delivered; at most "
-                f"{1e3 * limits.shortening:.1f} mm is allowed (limit `shortening`, lifted by --allow-shortening)"
+                f"{1e3 * limits.shortening:.1f} mm is allowed (limit `shortening`, lifted by --allow-shortening)",
+                (part.name,),
             )
         out.append(RawPart(part.name, Mesh(skin.vertices, skin.faces), part.label))
         report.append(

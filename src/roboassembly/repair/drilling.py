@@ -46,7 +46,8 @@ def drill(parts: Sequence[RawPart], raw: Sequence[RawFastener]) -> tuple[tuple[R
         if not joined:
             raise FurnitureError(
                 f"fastener '{fastener.name}' touches no part within {1e3 * REACH:g} mm; move it to the parts that it "
-                "joins, or leave it out"
+                "joins, or leave it out",
+                (fastener.name,),
             )
         hole = _hole(profile_of(mesh), place)
         for index in joined:
@@ -73,7 +74,7 @@ def _touches(part: Mesh, fastener: Mesh) -> bool:
 def _solid(part: RawPart) -> m3.Manifold:
     body = to_manifold(clean(part.mesh.vertices, part.mesh.faces)[0])
     if body is None:
-        raise FurnitureError(f"part '{part.name}' is not solid, so that no hole can be drilled into it")
+        raise FurnitureError(f"part '{part.name}' is not solid, so that no hole can be drilled into it", (part.name,))
     return body
 
 
@@ -81,7 +82,9 @@ def _without(body: m3.Manifold, hole: m3.Manifold, part: str, fastener: str) -> 
     left = body - hole
     pieces = [piece for piece in left.decompose() if piece.volume() > _SPLINTER * body.volume()]
     if len(pieces) != 1:
-        raise FurnitureError(f"the hole for fastener '{fastener}' cuts part '{part}' into {len(pieces)} pieces")
+        raise FurnitureError(
+            f"the hole for fastener '{fastener}' cuts part '{part}' into {len(pieces)} pieces", (part, fastener)
+        )
     return pieces[0]
 
 

@@ -98,10 +98,12 @@ def open_up(pieces: list[Piece], gap: float, limits: RepairLimits) -> None:
         given_up = set()
     left = blocking([piece.shell for piece in pieces], cache).captives(everything)
     if left and not limits.captive:
-        names = ", ".join(f"'{pieces[p].name}'" for p in sorted(left[0]))
+        stuck_names = [pieces[p].name for p in sorted(left[0])]
+        names = ", ".join(f"'{name}'" for name in stuck_names)
         raise FurnitureError(
             f"parts {names} lock each other in place: none can leave in any direction, and an opening would take more "
-            f"than {limits.trimmed:.1%} of a part's volume (limits `trimmed`, `captive`)"
+            f"than {limits.trimmed:.1%} of a part's volume (limits `trimmed`, `captive`)",
+            stuck_names,
         )
 
 

@@ -48,8 +48,8 @@ HARMFUL = 10.0
 class _TooMuchTrimmedError(FurnitureError):
     """Error for a part that would lose more volume than allowed."""
 
-    def __init__(self, piece: Piece, message: str) -> None:
-        super().__init__(message)
+    def __init__(self, piece: Piece, other: Piece, message: str) -> None:
+        super().__init__(message, (piece.name, other.name))
         self.piece = piece
 
 
@@ -129,12 +129,14 @@ def _attempt(pieces: list[Piece], gap: float, limits: RepairLimits, diagonal: fl
         _bring_closer(pieces, islands, gap, limits, diagonal)
         _clear_all(pieces, gap, limits, careful)
     else:
-        raise FurnitureError(f"parts are still not connected after {MAX_MOVES} moves; check the assembled poses")
+        message = f"parts are still not connected after {MAX_MOVES} moves; check the assembled poses"
+        raise FurnitureError(message, _loose_names(pieces))
     # Openings only take more away, and they are the slowest step.
     check_sizes(pieces, limits)
     open_up(pieces, gap, limits)
     if len(_islands(pieces)) > 1:
-        raise FurnitureError("parts came apart when their sockets were opened; check the assembled poses")
+        message = "parts came apart when their sockets were opened; check the assembled poses"
+        raise FurnitureError(message, _loose_names(pieces))
     for a, b in were_touching:
         if not a.shell.is_within(b.shell, CONTACT_DISTANCE):
             for piece, other in ((a, b), (b, a)):
@@ -148,16 +150,18 @@ def check_sizes(pieces: list[Piece], limits: RepairLimits) -> None:
         FurnitureError: a part or joint exceeds the limit `shortening`; the message names the part.
     """
     bodies = {piece.name: piece.body for piece in pieces}
-    worst: list[tuple[float, str]] = []
+    worst: list[tuple[float, str, tuple[str, ...]]] = []
     for piece in pieces:
-        worst.append((piece.shrinkage(piece.body), f"part '{piece.name}' would become {{}} mm smaller"))
+        worst.append((piece.shrinkage(piece.body), f"part '{piece.name}' would become {{}} mm smaller", (piece.name,)))
         for other, loss in piece.depth_losses(bodies, limits.shortening):
-            worst.append((loss, f"part '{piece.name}' would sit {{}} mm less deep in '{other}'"))
-    loss, text = max(worst)
+            text = f"part '{piece.name}' would sit {{}} mm less deep in '{other}'"
+            worst.append((loss, text, (piece.name, other)))
+    loss, text, names = max(worst)
     if loss > limits.shortening:
         raise _ShortenedError(
             f"{text.format(f'{1e3 * loss:.1f}')} for the parts to clear each other; at most "
-            f"{1e3 * limits.shortening:.1f} mm is allowed (limit `shortening`, lifted by --allow-shortening)"
+            f"{1e3 * limits.shortening:.1f} mm is allowed (limit `shortening`, lifted by --allow-shortening)",
+            names,
         )
 
 
@@ -189,7 +193,9 @@ def _clear_all(pieces: list[Piece], gap: float, limits: RepairLimits, careful: b
         for a, b in close:
             _clear_pair(a, b, width, limits, careful)
     a, b = close[0]
-    raise FurnitureError(f"parts '{a.name}' and '{b.name}' still touch after {ROUNDS} rounds of trimming")
+    raise FurnitureError(
+        f"parts '{a.name}' and '{b.name}' still touch after {ROUNDS} rounds of trimming", (a.name, b.name)
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -257,6 +263,7 @@ def _clear_pair(a: Piece, b: Piece, gap: float, limits: RepairLimits, careful: b
         other = b if piece is a else a
         raise _TooMuchTrimmedError(
             piece,
+            other,
             f"part '{piece.name}' would lose {share:.1%} of its volume to clear '{other.name}'; "
             f"at most {limits.trimmed:.1%} is allowed (limit `trimmed`)",
         )
@@ -335,11 +342,21 @@ def _islands(pieces: list[Piece]) -> list[list[int]]:
     return out
 
 
+def _smallest(pieces: list[Piece], islands: list[list[int]]) -> list[int]:
+    """Return the island with the least volume."""
+    return min(islands, key=lambda island: (sum(pieces[p].whole for p in island), island))
+
+
+def _loose_names(pieces: list[Piece]) -> list[str]:
+    """Return the names of the pieces of the smallest island."""
+    return [pieces[p].name for p in _smallest(pieces, _islands(pieces))]
+
+
 def _bring_closer(
     pieces: list[Piece], islands: list[list[int]], gap: float, limits: RepairLimits, diagonal: float
 ) -> None:
     """Move the smallest island along the shortest line to the rest, up to the gap."""
-    loose = min(islands, key=lambda island: (sum(pieces[p].whole for p in island), island))
+    loose = _smallest(pieces, islands)
     best: tuple[float, np.ndarray, int, int] | None = None
     for p in loose:
         for q in sorted(set(range(len(pieces))) - set(loose)):
@@ -360,7 +377,8 @@ def _bring_closer(
             raise FurnitureError(
                 f"part '{piece.name}' hangs {distance * 1e3:.1f} mm off '{pieces[q].name}'; to move it "
                 f"{length * 1e3:.1f} mm is more than {limits.displacement:.1%} of the furniture's diagonal "
-                "(limit `displacement`)"
+                "(limit `displacement`); move it in the files, or leave it out",
+                (piece.name, pieces[q].name),
             )
         piece.become(piece.body.translate(tuple(shift.tolist())))
         piece.notes.append(f"moved {np.linalg.norm(shift) * 1e3:.1f} mm toward '{pieces[q].name}'")

@@ -84,7 +84,7 @@ def solidify(name: str, mesh: Mesh, max_faces: int) -> Solid:
     if removed.degenerate:
         notes.append(f"{removed.degenerate} degenerate triangles removed")
     if not len(surface.faces):
-        raise FurnitureError(f"part '{name}' has no triangles with area; export it again")
+        raise FurnitureError(f"part '{name}' has no triangles with area; export it again", (name,))
     if is_flat(surface):
         flat = _Build(plate(surface, PLATE_THICKNESS), ("sheet thickened",), (_plate_note(surface),))
         return _measured(flat, surface, max_faces, notes)

@@ -50,6 +50,8 @@ DELIVERED: Color = (0.72, 0.74, 0.77)
 """Colour of parts as delivered."""
 CUT = MOVING
 """Colour of changed surfaces."""
+MARKED: Color = (0.78, 0.16, 0.14)
+"""Colour of the parts that a refusal is about."""
 
 
 @dataclass(frozen=True)
@@ -87,21 +89,53 @@ def take_pictures(raw: Sequence[RawPart], furniture: Furniture, repairs: Sequenc
     return ImportPictures(*overview, _parts(before, halves, [mesh.bounds for mesh in after]))
 
 
+def take_delivered(meshes: Sequence[Mesh], marked: Sequence[bool]) -> tuple[str, str]:
+    """Return pictures of parts as delivered, together and pulled apart, as data addresses.
+
+    Args:
+        meshes: meshes of the parts in the furniture's frame.
+        marked: whether each part is shown in red.
+
+    Raises:
+        RenderingUnavailableError: this machine cannot render off screen.
+    """
+    meshes = [_light(mesh) for mesh in meshes]
+    assembled, exploded = [SE3.Identity()] * len(meshes), _exploded(meshes)
+    wide = _camera(meshes, exploded, WIDTH / HEIGHT)
+    colors = [MARKED if mark else DELIVERED for mark in marked]
+    radius = _radius(meshes, exploded, wide)
+    with OffscreenRenderer(meshes, WIDTH, HEIGHT, center=wide.target, radius=radius, quality=STILL) as renderer:
+        near = _camera(meshes, assembled, WIDTH / HEIGHT)
+        together, apart = (
+            _encoded(renderer.picture(poses, colors, camera)) for poses, camera in ((assembled, near), (exploded, wide))
+        )
+    return together, apart
+
+
+def _exploded(meshes: Sequence[Mesh]) -> list[SE3]:
+    """Return poses of parts that were pulled apart; the lowest one stays on the ground."""
+    centers = np.array([mesh.bounds.mean(axis=0) for mesh in meshes])
+    shifts = EXPLODED * (centers - centers.mean(axis=0))
+    lows = np.array([mesh.bounds[0, 2] for mesh in meshes])
+    shifts[:, 2] -= (lows + shifts[:, 2]).min()
+    return [SE3(np.eye(3), shift) for shift in shifts]
+
+
+def _radius(meshes: Sequence[Mesh], poses: Sequence[SE3], camera: Camera) -> float:
+    """Return the largest distance of a corner from the middle of the picture along an axis [m]."""
+    return float(max(np.abs(box_corners(m, p) - camera.target).max() for m, p in zip(meshes, poses, strict=True)))
+
+
 def _overview(
     before: Sequence[Mesh], after: Sequence[Mesh], furniture: Furniture
 ) -> tuple[str, str, str, Float[np.ndarray, "c 2 2"]]:
     count = len(after)
     colors = distinct_colors(furniture.class_of)
-    centers = np.array([mesh.bounds.mean(axis=0) for mesh in after])
-    shifts = EXPLODED * (centers - centers.mean(axis=0))
-    # The lowest part stays on the ground.
-    lows = np.array([mesh.bounds[0, 2] for mesh in after])
-    shifts[:, 2] -= (lows + shifts[:, 2]).min()
     assembled, none = [SE3.Identity()] * count, [None] * count
-    exploded = [SE3(np.eye(3), shift) for shift in shifts]
+    exploded = _exploded(after)
     near = _camera([*before, *after], [*assembled, *assembled], WIDTH / HEIGHT)
     wide = _camera(after, exploded, WIDTH / HEIGHT)
-    radius = float(max(np.abs(box_corners(m, p) - wide.target).max() for m, p in zip(after, exploded, strict=True)))
+    radius = _radius(after, exploded, wide)
     with OffscreenRenderer(
         [*before, *after], WIDTH, HEIGHT, center=wide.target, radius=radius, quality=STILL
     ) as renderer:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from roboassembly.errors import FurnitureError
 from roboassembly.furniture.model import CONTACT_DISTANCE, Furniture, RawFurniture
 from roboassembly.geometry.poses import transform_points
 from roboassembly.importers.findings import Finding, why_not_held
@@ -16,7 +17,7 @@ from roboassembly.importers.pipeline import Imported
 from roboassembly.rendering.gl import RenderingUnavailableError
 from roboassembly.repair import PartRepair
 from roboassembly.repair.insertion import box_axes, extents
-from roboassembly.viewer.import_pictures import CHANGED, HEIGHT, WIDTH, ImportPictures, take_pictures
+from roboassembly.viewer.import_pictures import CHANGED, HEIGHT, WIDTH, ImportPictures, take_delivered, take_pictures
 
 MOST_NUMBERS = 60
 """Largest number of connections that are numbered in the picture; more would hide it."""
@@ -69,15 +70,10 @@ def import_report(name: str, source: Path, raw: RawFurniture, imported: Imported
     try:
         pictures = take_pictures(raw.parts, furniture, repairs)
     except RenderingUnavailableError as error:
-        lacking = f"<p class='quiet'>Without pictures: {_text(str(error))}</p>"
-    x, y, z = (1e3 * side for side in raw.size)
-    unit = f"{raw.unit.text}; " if raw.unit else ""
+        lacking = _without_pictures(error)
     body = [
         f"<h1>{_text(name)}</h1>",
-        f"<p>{len(furniture.parts)} parts, {len(furniture.connections)} connections, {x:.0f} × {y:.0f} × {z:.0f} mm "
-        f"(z up).</p>",
-        f"<p class='quiet'>From {_text(source.name)}. Unit: {_text(unit)}{_text(f'{raw.provenance.scale:g}')} m per "
-        f"unit of the files. If the piece lies on its side, import it again with <code>--up</code>.</p>",
+        _origin(raw, source),
         "<h2>Worth a look</h2>",
         _look(found),
         lacking,
@@ -85,16 +81,77 @@ def import_report(name: str, source: Path, raw: RawFurniture, imported: Imported
         "<h2>Parts</h2>",
         f"<p class='quiet'>{_EXPLAINED}</p>",
         *(_part(index, raw, furniture, repair, pictures) for index, repair in enumerate(repairs)),
-        "<h2>Connections</h2>",
+        f"<h2>{len(furniture.connections)} connections</h2>",
         _connections(furniture),
         "<h2>What a robot's hand cannot hold</h2>",
         _unholdable(furniture),
     ]
+    return _page(name, body)
+
+
+def refusal_report(name: str, source: Path, raw: RawFurniture, refusal: FurnitureError) -> str:
+    """Return the page on a piece that was refused: why, pictures of what was delivered, and the size of each part.
+
+    The pictures show the parts that the refusal is about in red. Without off-screen rendering, the page has no pictures
+    and says so.
+
+    Args:
+        name: name of the piece.
+        source: path that it was read from.
+        raw: parts as read.
+        refusal: reason.
+    """
+    marked = {part.name for part in raw.parts} & set(refusal.parts)
+    images = ""
+    try:
+        together, apart = take_delivered([part.mesh for part in raw.parts], [p.name in marked for p in raw.parts])
+        red = "; red: the parts named above" if marked else ""
+        images = (
+            f"<div class='whole'><figure><img src='{together}' alt='as delivered'><figcaption>As delivered{red}"
+            f"</figcaption></figure><figure><img src='{apart}' alt='pulled apart'><figcaption>Pulled apart</figcaption>"
+            "</figure></div>"
+        )
+    except RenderingUnavailableError as error:
+        images = _without_pictures(error)
+    rows: list[str] = []
+    for part in raw.parts:
+        low, high = 1e3 * part.mesh.bounds
+        numbers = "".join(f"<td class='number'>{value:.0f}</td>" for value in (*(high - low), *(0.5 * (low + high))))
+        style = " class='bad'" if part.name in marked else ""
+        rows.append(f"<tr><td{style}>{_text(part.name)}</td>{numbers}</tr>")
+    titles = ("part", *(f"{axis} size, mm" for axis in "xyz"), *(f"{axis} of its middle, mm" for axis in "xyz"))
+    head = "".join(f"<th>{title}</th>" for title in titles)
+    return _page(name, [
+        f"<h1>{_text(name)}: not imported</h1>",
+        f"<ol class='look'><li>{_text(str(refusal))}</li></ol>",
+        _origin(raw, source),
+        images,
+        "<h2>Parts as delivered</h2>",
+        f"<div class='scroll'><table><tr>{head}</tr>{''.join(rows)}</table></div>",
+    ])  # fmt: skip
+
+
+def _page(name: str, body: Sequence[str]) -> str:
     return (
         f'<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"><title>Import of {_text(name)}</title>'
         f'<meta name="viewport" content="width=device-width, initial-scale=1"><style>{_STYLE}</style></head>'
         f"<body>\n{chr(10).join(filter(None, body))}\n</body></html>\n"
     )
+
+
+def _origin(raw: RawFurniture, source: Path) -> str:
+    """Lines on the size, the file and the unit."""
+    x, y, z = (1e3 * side for side in raw.size)
+    unit = f"{raw.unit.text}; " if raw.unit else ""
+    return (
+        f"<p>{len(raw.parts)} parts, {x:.0f} × {y:.0f} × {z:.0f} mm (z up).</p>"
+        f"<p class='quiet'>From {_text(source.name)}. Unit: {_text(unit)}{_text(f'{raw.provenance.scale:g}')} m per "
+        "unit of the files. If the piece lies on its side, import it again with <code>--up</code>.</p>"
+    )
+
+
+def _without_pictures(error: RenderingUnavailableError) -> str:
+    return f"<p class='quiet'>Without pictures: {_text(str(error))}</p>"
 
 
 def _text(text: str) -> str:
