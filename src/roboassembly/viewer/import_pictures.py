@@ -106,10 +106,10 @@ def take_delivered(meshes: Sequence[Mesh], marked: Sequence[bool]) -> tuple[str,
     radius = _radius(meshes, exploded, wide)
     with OffscreenRenderer(meshes, WIDTH, HEIGHT, center=wide.target, radius=radius, quality=STILL) as renderer:
         near = _camera(meshes, assembled, WIDTH / HEIGHT)
-        together, apart = (
+        assembled_picture, exploded_picture = (
             _encoded(renderer.picture(poses, colors, camera)) for poses, camera in ((assembled, near), (exploded, wide))
         )
-    return together, apart
+    return assembled_picture, exploded_picture
 
 
 def _exploded(meshes: Sequence[Mesh]) -> list[SE3]:

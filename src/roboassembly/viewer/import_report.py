@@ -104,11 +104,11 @@ def refusal_report(name: str, source: Path, raw: RawFurniture, refusal: Furnitur
     marked = {part.name for part in raw.parts} & set(refusal.parts)
     images = ""
     try:
-        together, apart = take_delivered([part.mesh for part in raw.parts], [p.name in marked for p in raw.parts])
+        assembled, exploded = take_delivered([part.mesh for part in raw.parts], [p.name in marked for p in raw.parts])
         red = "; red: the parts named above" if marked else ""
         images = (
-            f"<div class='whole'><figure><img src='{together}' alt='as delivered'><figcaption>As delivered{red}"
-            f"</figcaption></figure><figure><img src='{apart}' alt='pulled apart'><figcaption>Pulled apart</figcaption>"
+            f"<div class='whole'><figure><img src='{assembled}' alt='as delivered'><figcaption>As delivered{red}"
+            f"</figcaption></figure><figure><img src='{exploded}' alt='pulled apart'><figcaption>Pulled apart</figcaption>"
             "</figure></div>"
         )
     except RenderingUnavailableError as error:
