@@ -108,8 +108,8 @@ def refusal_report(name: str, source: Path, raw: RawFurniture, refusal: Furnitur
         red = "; red: the parts named above" if marked else ""
         images = (
             f"<div class='whole'><figure><img src='{assembled}' alt='as delivered'><figcaption>As delivered{red}"
-            f"</figcaption></figure><figure><img src='{exploded}' alt='pulled apart'><figcaption>Pulled apart</figcaption>"
-            "</figure></div>"
+            f"</figcaption></figure><figure><img src='{exploded}' alt='pulled apart'>"
+            "<figcaption>Pulled apart</figcaption></figure></div>"
         )
     except RenderingUnavailableError as error:
         images = _without_pictures(error)
