@@ -93,6 +93,9 @@ BAD = (
     (("--depth",), "depth needs cameras; name at least one"),
     (("--merge", "2"), "merge is 2; expected 0 or more, with the task 'merge' only"),
     (("--task", "merge", "--merge", "9"), "three_legged-3 has no merge 9; expected 0 to 3"),
+    (("--layout", "-1"), "--layout -1 is too small; it must be 0 or more"),
+    (("--layout", "9999999999"), "layout is 9999999999; expected an integer from 0 to 2147483647"),
+    (("--part-position", "0.5"), "part_position is 0.5; expected a number from 0 to 0.02"),
     (("--randomize", "nan"), "randomize is nan; expected a number from 0 to 1"),
     (("--set", "chairs-24"), "a piece of furniture and --set exclude each other"),
 )
@@ -146,6 +149,25 @@ def test_what_a_killed_process_left_half_written_is_not_taken(tmp_path: Path) ->
     with DemoFolder(tmp_path, {"seed": 0}).open() as folder:
         assert [entry.name for entry in half.parent.iterdir()] == ["lock"]
         assert list(folder.staged()) == []
+
+
+def test_one_layout_is_part_of_the_description(tmp_path: Path) -> None:
+    """Starts of one layout differ by the ranges, the planner's seed not at all; older data sets have no layout."""
+    config = DemoConfig(task="merge", merge=0, layout=1, part_position=0.02, randomize=0.5, seed=7)
+    ranges = config.randomization()
+    assert (ranges.part_position, ranges.part_angle, ranges.lighting) == (0.02, 0.025, 0.5)
+    assert (config.planner_seed(3), DemoConfig().planner_seed(3)) == (7, 3)
+    env = config.make_env(DemoPiece(PIECE).furniture(), 5, pictures=False)
+    first, second = (env.reset(seed=seed, options=config.reset_options())[0]["parts"] for seed in (0, 1))
+    assert 0.0 < np.abs(first[:, :3] - second[:, :3]).max() < 0.1
+    assert DemoConfig(task="merge").env_arguments(5).get("layout") is None
+    description = {"format": "lerobot", "max_parts": 5, **config.to_json()}
+    (tmp_path / "demos.json").write_text(json.dumps(description))
+    assert Demonstrations(tmp_path).config == config
+    for name in ("layout", "part_position", "part_angle"):
+        del description[name]
+    (tmp_path / "demos.json").write_text(json.dumps(description))
+    assert Demonstrations(tmp_path).config.layout is None
 
 
 def test_a_broken_description_is_told(tmp_path: Path) -> None:
