@@ -42,8 +42,8 @@ HOLDS = ROBOT_FIELDS.index("holds")
 CLOSED = -0.9
 """Action of a hand below which it closes with force."""
 ALIKE, FEWEST = 0.05, 10
-"""Root mean square difference of two demonstrations of a phase, in the numbers of `canonical`, that are alike; and number
-of demonstrations from which on a way to do a phase is learned."""
+"""Root mean square difference of two demonstrations of a phase that are alike, in the numbers of `canonical`; and the
+smallest number of demonstrations from which a way to do a phase is learned."""
 Rows = np.ndarray
 
 
@@ -230,8 +230,8 @@ def main() -> None:
             if terminated or truncated:
                 break
         successes += info["is_success"]
-        ending = f"joined within {info['joint_error_mm']:.1f} mm" if info["is_success"] else info["failure"] or "no joint"
-        print(f"start {seed}: {ending} after {info['seconds']:.1f} s")
+        ending = "joined" if info["is_success"] else info["failure"] or "not joined"
+        print(f"start {seed}: {ending} after {info['seconds']:.1f} s", flush=True)
     print(f"{successes} of {args.starts} new starts succeed")
 
 

@@ -57,9 +57,10 @@ class DemosCommand:
     """Seed of one layout for all episodes: parts stand on the same posts, and the planner has the same seed, so that
     demonstrations are alike. Without it, each episode has a layout of its own."""
     part_position: float | None = None
-    """Largest shift of each part along each axis at the start, in m, from 0 to 0.02; without it, as --randomize says."""
+    """Largest shift of each part along each axis at the start, in m, at most 0.02; without it, as --randomize says."""
     part_angle: float | None = None
-    """Largest turn of each part about the vertical at the start, in rad, from 0 to 0.2; without it, as --randomize says."""
+    """Largest turn of each part about the vertical at the start, in rad, at most 0.2. Without it, as --randomize
+    says."""
     seed: int = 0
     """Random seed of all starts and of the planner."""
     jobs: Jobs = CORES

@@ -102,7 +102,7 @@ class ControlEnv(gymnasium.Env[Observation, np.ndarray]):
         camera_height: height of their pictures [pixels].
         segmentation: whether it is observed what each pixel shows.
         time_limit: simulated time after which an episode is truncated [s]; 120 s a merge if None.
-        layout: seed of the layout, the same in all episodes: which part stands on which post and how, and how the robots
+        layout: seed of the layout that all episodes have: which part stands on which post and how, and how the robots
             are turned. Starts then differ by `part_position` and `part_angle` of `randomization` only. Each episode has
             a layout of its own if None.
         strict: whether an episode fails when a robot, or what it holds, touches something that it must not touch: in

@@ -45,7 +45,7 @@ class DemoConfig:
     randomize: float = 0.0
     """Strength from 0 to 1 of the randomization of everything: see `Randomization.full`."""
     layout: int | None = None
-    """Seed of the layout of all episodes, and then the planner's seed is the same in all, too: demonstrations are alike,
+    """Seed of the layout of all episodes. The planner's seed is then the same in all, too: demonstrations are alike,
     and starts differ by `part_position` and `part_angle`. None for a layout and a planner's seed for each episode."""
     part_position: float | None = None
     """Largest shift of each part along each axis at the beginning [m]; None for what `randomize` says."""
