@@ -176,6 +176,8 @@ class PhaseModel:
         whole = np.stack([chunk[np.minimum(np.arange(longest), len(chunk) - 1)].ravel() for _, chunk in chunks])
         features = np.stack([row for row, _ in chunks])
         labels = DBSCAN(eps=ALIKE * np.sqrt(whole.shape[1]), min_samples=3).fit_predict(whole)
+        if (labels == -1).all():
+            labels[:] = 0
         sizes = {int(way): int((labels == way).sum()) for way in set(labels.tolist()) - {-1}}
         ways = [way for way, size in sizes.items() if size >= FEWEST] or [max(sizes, key=lambda way: sizes[way])]
         self.regressions = {
