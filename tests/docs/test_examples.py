@@ -108,14 +108,14 @@ def test_ways_of_a_phase_are_not_mixed() -> None:
 
 
 @pytest.mark.slow
-def test_behaviour_cloning(monkeypatch: pytest.MonkeyPatch, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
+def test_behaviour_cloning(monkeypatch: pytest.MonkeyPatch, run: Run, capfd: pytest.CaptureFixture[str]) -> None:
     """As its header says; at least 40 of 50 starts succeed, none of which was recorded."""
     cloning()
     ranges = ("--layout", "1", "--part-position", "0.02", "--part-angle", "0.2")
     options = ("--task", "merge", "--merge", "0", *ranges, "--control", "joint_position", "--episodes", "100")
     assert run("demos", "stool", *options, "--out", "merges")[0] == 0
     run_script("06_behaviour_cloning.py", "merges", monkeypatch=monkeypatch)
-    found = re.search(r"^(\d+) of 50 new starts succeed$", capsys.readouterr().out, re.MULTILINE)
+    found = re.search(r"^(\d+) of 50 new starts succeed$", capfd.readouterr().out, re.MULTILINE)
     assert found
     assert int(found[1]) >= 40
 
