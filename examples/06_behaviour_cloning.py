@@ -10,8 +10,8 @@ differ in where each part stands, by up to 20 mm along each axis and 0.2 rad. do
 
 The policy predicts chunks of actions. An episode has three phases, by which hands hold something; at the beginning of
 each, a classifier picks one of the ways in which the demonstrations do the phase, and a regression gives all commands
-of the phase, both from how the two parts stood at the start. A robot with an empty hand moves in the
-frame of its part, so that all demonstrations reach the part in the same way.
+of the phase, both from how the two parts stood at the start. A robot with an empty hand moves in the frame of its part,
+so that all demonstrations reach the part in the same way.
 """
 
 from __future__ import annotations
@@ -35,6 +35,7 @@ from roboassembly.control.controls import PLACE_RANGE
 from roboassembly.control.observation import ROBOT_FIELDS
 from roboassembly.datasets import catalogue
 from roboassembly.demonstrations.features import environment_state, environment_state_names, robot_state
+from roboassembly.demonstrations.lerobot_dataset import CHUNK
 from roboassembly.demonstrations.replay import Demonstrations
 from roboassembly.geometry.poses import from_quaternion
 
@@ -145,14 +146,14 @@ class ChunkPolicy:
         self._phase: tuple[bool, ...] = ()
 
     def act(self, observation: Mapping[str, Rows]) -> Rows:
-        """Return the next action."""
+        """Return the next action; hands that hold what no demonstration holds change nothing."""
         phase = tuple((robot_state(observation).reshape(2, -1)[:, HOLDS] > 0.5).tolist())
-        if phase != self._phase:
+        if phase != self._phase and phase in self.models:
             self._phase, self._step = phase, 0
             self._chunk = self.models[phase].predict(_features(self._shifts))
         row = self._chunk[min(self._step, len(self._chunk) - 1)]
         self._step += 1
-        return action_of(row, self._frames(self._shifts, phase))
+        return action_of(row, self._frames(self._shifts, self._phase))
 
     @staticmethod
     def _frames(shifts: list[Shift], phase: tuple[bool, ...]) -> list[Shift]:
@@ -203,7 +204,7 @@ def _features(shifts: list[Shift]) -> Rows:
 
 
 def _rows(folder: Path, index: int) -> dict[str, Rows]:
-    table = pq.read_table(folder / f"data/chunk-000/file-{index:03d}.parquet")
+    table = pq.read_table(folder / f"data/chunk-{index // CHUNK:03d}/file-{index % CHUNK:03d}.parquet")
     names = ("observation.state", "observation.environment_state", "action")
     return {name: np.stack(table.column(name).to_numpy(zero_copy_only=False)) for name in names}
 
@@ -217,6 +218,8 @@ def main() -> None:
     args = parser.parse_args()
     begun = time.monotonic()
     demos = Demonstrations(args.demos)
+    if (demos.config.task, demos.config.control) != ("merge", "joint_position"):
+        parser.error("the demonstrations must be of --task merge, with --control joint_position")
     policy = ChunkPolicy(demos, args.demos)
     print(f"trained on {len(demos.episodes)} demonstrations in {time.monotonic() - begun:.1f} s")
     seen = {record.seed for record in demos.episodes}
