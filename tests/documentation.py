@@ -137,6 +137,7 @@ def commands_in_prose(page: str) -> list[Command]:
 def extras_needed(command: Command) -> set[str]:
     """Return the extras that a command needs."""
     needed = {"rl"} if "examples/05_masked_ppo.py" in command.words else set()
+    needed |= {"imitation"} if "examples/06_behaviour_cloning.py" in command.words else set()
     needed |= {"learn"} if "examples/04_paper_method_small.py" in command.words else set()
     words = command.arguments or [""]
     needed |= {"learn"} if words[0] in ("train", "benchmark") or "--export" in words else set()

@@ -151,6 +151,8 @@ def test_a_merge_is_no_option_of_the_whole_piece() -> None:
         ({"time_limit": 0}, ValueError, "time_limit is 0; expected more than 0"),
         ({"time_limit": float("nan")}, ValueError, "time_limit is nan"),
         ({"time_limit": "1 h"}, TypeError, "time_limit is '1 h'; expected a number of seconds"),
+        ({"layout": -1}, ValueError, "layout is -1; expected an integer from 0 to 2147483647"),
+        ({"layout": "ring"}, TypeError, "layout is 'ring'; expected an integer"),
         ({"max_parts": 4}, ValueError, "'three_legged-3' has 5 parts; max_parts=4 .* give max_parts=5"),
         ({"max_parts": 0}, ValueError, "max_parts is 0; expected an integer from 1 to 1000"),
         ({"randomization": True}, TypeError, "randomization is True; expected a Randomization or None"),
@@ -184,6 +186,26 @@ def test_it_starts_where_full_starts() -> None:
     np.testing.assert_array_equal(observation["groups"][:5], range(5))
     assert not observation["goal"].any()
     assert info["task_description"] == "Assemble three_legged-3: join its 5 parts."
+
+
+@pytest.mark.parametrize(("task", "options"), [("piece", {}), ("merge", {"merge": 0}), ("merge", {"merge": 2})])
+def test_one_layout_for_all_episodes(task: str, options: dict[str, Any]) -> None:
+    """Episodes begin alike but for the ranges of parts; without a layout they do not."""
+    ranges = Randomization(part_position=0.02, part_angle=0.2)
+    fixed = ControlEnv(stool(), task=task, layout=1)  # pyright: ignore[reportArgumentType]
+    first, second = (fixed.reset(seed=seed, options=options)[0] for seed in (3, 4))
+    for name, rows in first.items():
+        np.testing.assert_array_equal(rows, second[name])
+    near = ControlEnv(stool(), task=task, layout=1, randomization=ranges)  # pyright: ignore[reportArgumentType]
+    third, fourth = (near.reset(seed=seed, options=options)[0] for seed in (3, 4))
+    np.testing.assert_array_equal(third["robots"], first["robots"])
+    assert 0.001 < np.abs(third["parts"][:5, :3] - fourth["parts"][:5, :3]).max() < 0.3
+    dots = np.abs((third["parts"][:5, 3:] * first["parts"][:5, 3:]).sum(axis=1))
+    assert 0.0 < 2.0 * np.arccos(dots.clip(0.0, 1.0)).max() <= 0.2 + 1e-3
+    again = near.reset(seed=3, options=options)[0]
+    np.testing.assert_array_equal(again["parts"], third["parts"])
+    other = ControlEnv(stool(), task=task, layout=2).reset(seed=3, options=options)[0]  # pyright: ignore[reportArgumentType]
+    assert np.abs(other["parts"][:5, :3] - first["parts"][:5, :3]).max() > 0.3
 
 
 def test_the_goal_of_a_merge_is_told() -> None:

@@ -93,6 +93,9 @@ BAD = (
     (("--depth",), "depth needs cameras; name at least one"),
     (("--merge", "2"), "merge is 2; expected 0 or more, with the task 'merge' only"),
     (("--task", "merge", "--merge", "9"), "three_legged-3 has no merge 9; expected 0 to 3"),
+    (("--layout", "-1"), "--layout -1 is too small; it must be 0 or more"),
+    (("--layout", "9999999999"), "layout is 9999999999; expected an integer from 0 to 2147483647"),
+    (("--part-position", "0.5"), "part_position is 0.5; expected a number from 0 to 0.02"),
     (("--randomize", "nan"), "randomize is nan; expected a number from 0 to 1"),
     (("--set", "chairs-24"), "a piece of furniture and --set exclude each other"),
 )
@@ -146,6 +149,25 @@ def test_what_a_killed_process_left_half_written_is_not_taken(tmp_path: Path) ->
     with DemoFolder(tmp_path, {"seed": 0}).open() as folder:
         assert [entry.name for entry in half.parent.iterdir()] == ["lock"]
         assert list(folder.staged()) == []
+
+
+def test_one_layout_is_part_of_the_description(tmp_path: Path) -> None:
+    """Starts of one layout differ by the ranges, the planner's seed not at all; older data sets have no layout."""
+    config = DemoConfig(task="merge", merge=0, layout=1, part_position=0.02, randomize=0.5, seed=7)
+    ranges = config.randomization()
+    assert (ranges.part_position, ranges.part_angle, ranges.lighting) == (0.02, 0.025, 0.5)
+    assert (config.planner_seed(3), DemoConfig().planner_seed(3)) == (7, 3)
+    env = config.make_env(DemoPiece(PIECE).furniture(), 5, pictures=False)
+    first, second = (env.reset(seed=seed, options=config.reset_options())[0]["parts"] for seed in (0, 1))
+    assert 0.0 < np.abs(first[:, :3] - second[:, :3]).max() < 0.1
+    assert DemoConfig(task="merge").env_arguments(5).get("layout") is None
+    description = {"format": "lerobot", "max_parts": 5, **config.to_json()}
+    (tmp_path / "demos.json").write_text(json.dumps(description))
+    assert Demonstrations(tmp_path).config == config
+    for name in ("layout", "part_position", "part_angle"):
+        del description[name]
+    (tmp_path / "demos.json").write_text(json.dumps(description))
+    assert Demonstrations(tmp_path).config.layout is None
 
 
 def test_a_broken_description_is_told(tmp_path: Path) -> None:
@@ -362,14 +384,68 @@ print(info["is_success"])
 @pytest.mark.usefixtures("drawing")
 @pytest.mark.skipif("LEROBOT_PYTHON" not in os.environ, reason="LEROBOT_PYTHON names a Python with LeRobot")
 def test_lerobot_makes_the_environment() -> None:
+    assert with_plug_in(EVALUATE)[-5:] == [
+        "observation.environment_state (2, 97)", "observation.images.overview (2, 3, 32, 32)",
+        "observation.state (2, 64)", "Join leg back right to stretcher. 2400", "[False False]",
+    ]  # fmt: skip
+
+
+ROLLOUT = """
+import sys
+import torch
+from lerobot.envs.factory import make_env, make_env_config
+from lerobot.scripts.lerobot_eval import rollout
+from lerobot.utils.import_utils import register_third_party_plugins
+import lerobot_env_roboassembly
+from roboassembly.demonstrations.replay import Demonstrations
+
+demos = Demonstrations(sys.argv[1])
+(record,) = demos.episodes
+
+class Repeat(torch.nn.Module):
+    def __init__(self, actions):
+        super().__init__()
+        self.actions = torch.from_numpy(actions.copy())
+
+    def reset(self):
+        self.step = 0
+
+    def select_action(self, observation):
+        self.step += 1
+        return self.actions[None, self.step - 1]
+
+class Rest(Repeat):
+    def select_action(self, observation):
+        return torch.zeros_like(self.actions[:1])
+
+config = make_env_config(
+    "roboassembly", furniture=record.furniture, task="merge", merge=0, layout=1, part_position=0.02, part_angle=0.2,
+    episode_length=record.frames,
+)
+env = make_env(config, n_envs=1)["roboassembly"][0]
+same = lambda batch: batch
+for policy in (Repeat(demos.actions(0)), Rest(demos.actions(0))):
+    result = rollout(env, policy, same, same, same, same, seeds=[record.seed])
+    print(bool(result["success"].any()), float(result["reward"].sum()), bool(result["done"][:, -1].all()))
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif("LEROBOT_PYTHON" not in os.environ, reason="LEROBOT_PYTHON names a Python with LeRobot")
+def test_lerobot_counts_successes(tmp_path: Path, run: Run) -> None:
+    """Its own evaluation of a policy that repeats what was recorded, and of one that does nothing."""
+    options = ("--layout", "1", "--part-position", "0.02", "--part-angle", "0.2", "--episodes", "1")
+    assert run("demos", PIECE, *FIRST_MERGE, *options, "--out", tmp_path / "out")[0] == 0
+    assert with_plug_in(ROLLOUT, str(tmp_path / "out"))[-2:] == ["True 1.0 True", "False 0.0 True"]
+
+
+def with_plug_in(script: str, *arguments: str) -> list[str]:
+    """Return the lines that a script prints in LeRobot's Python, where the plug-in of this folder is found."""
     here = Path(__file__).parents[2]
     paths = os.pathsep.join(map(str, (here / "src", here / "integrations" / "lerobot_env_roboassembly")))
     run = [os.environ["LEROBOT_PYTHON"], "-c"]
     environment = {**os.environ, "HF_HUB_OFFLINE": "1", "PYTHONPATH": paths}
     if subprocess.run([*run, "import roboassembly.demonstrations.config"], env=environment, check=False).returncode:
         pytest.skip("that Python lacks what RoboAssembly needs")
-    done = subprocess.run([*run, EVALUATE], capture_output=True, text=True, check=True, env=environment)
-    assert done.stdout.splitlines()[-5:] == [
-        "observation.environment_state (2, 97)", "observation.images.overview (2, 3, 32, 32)",
-        "observation.state (2, 64)", "Join leg back right to stretcher. 2400", "[False False]",
-    ]  # fmt: skip
+    done = subprocess.run([*run, script, *arguments], capture_output=True, text=True, check=True, env=environment)
+    return done.stdout.splitlines()

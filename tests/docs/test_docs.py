@@ -94,6 +94,9 @@ FOREIGN = {
     "--address": "ray",
     "--dataset": "lerobot-train",
     "--output": "lerobot-train",
+    "--batch": "lerobot-train",
+    "--num": "lerobot-train",
+    "--save": "lerobot-train",
     "--env": "lerobot-eval",
     "--eval": "lerobot-eval",
 }

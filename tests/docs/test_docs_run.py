@@ -55,11 +55,14 @@ SMALLER = [
     (r"roboassembly train multitask", "--limit 1 --extra 0 --steps 2 --jobs 1", "hours"),
     (r"roboassembly bench .*", "--quick", "minutes"),
     (r"python examples/05_masked_ppo\.py.*", "--steps 256", "minutes"),
+    (r"python examples/06_behaviour_cloning\.py.*", "--starts 1", "minutes"),
     (r"roboassembly evaluate .*--episodes 100|roboassembly evaluate --policy examples/.*", "--episodes 2", "minutes"),
 ]  # fmt: skip
 """Words added to commands that would take too long as written."""
 BRIEFLY = {"assemble": ["--no-film"], "evaluate": ["--jobs", "1"], "import": ["--jobs", "1"]}
 """Words added in the quick form: no film, no further processes."""
+MODULES = {"rl": "sb3_contrib", "learn": "jax", "imitation": "sklearn"}
+"""A module of each extra that examples need; without it they do not run."""
 BUILT = [("three_legged", 3)]
 """Pieces in each split of a built data set; `dataset build` takes 12 minutes and has tests of its own."""
 
@@ -99,7 +102,7 @@ class Reader:
         more = [word for row in matches(SMALLER, command) for word in row[1].split()]
         if command.arguments is None:
             assert command.words[0] == "python", command
-            if "rl" not in extras_needed(command) or find_spec("sb3_contrib"):
+            if all(find_spec(MODULES[extra]) for extra in extras_needed(command)):
                 subprocess.run([sys.executable, *command.words[1:], *more], check=True, timeout=500)
             return
         if "examples/05_masked_ppo.py" in command.words and not find_spec("sb3_contrib"):

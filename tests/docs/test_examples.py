@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import json
+import re
 import runpy
 import sys
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
+from command_line import Run
 from documentation import ROOT, can_draw
 from roboassembly.furniture import storage
 
@@ -61,6 +65,59 @@ def test_paper_method_small(
     run_script("04_paper_method_small.py", "--out", "small", monkeypatch=monkeypatch)
     assert "the policy solves 2 of 2 chairs" in capsys.readouterr().out
     assert (tmp_path / "small" / "policy.npz").exists()
+
+
+def cloning() -> dict[str, Any]:
+    """Names of the example that clones a merge."""
+    pytest.importorskip("sklearn")
+    pytest.importorskip("pyarrow")
+    return runpy.run_path(str(EXAMPLES / "06_behaviour_cloning.py"), run_name="example")
+
+
+def test_commands_in_frames_of_parts_become_actions_again() -> None:
+    names = cloning()
+    frames = [names["Shift"](0.3, 0.02, -0.01), names["Shift"](-2.0, -0.5, 0.4)]
+    actions = np.random.default_rng(0).uniform(-0.8, 0.8, (20, 22)).astype(np.float32)
+    actions[::2, [10, 21]] = -1.0
+    back = [names["action_of"](row, frames) for row in names["canonical"](actions, frames)]
+    np.testing.assert_allclose(back, actions, atol=1e-6)
+    # The motion of a part takes its robot along.
+    moved = names["action_of"](names["canonical"](actions, [names["NOWHERE"]] * 2)[0], frames)
+    (x, y), c, s = 10.0 * actions[0, :2], np.cos(0.3), np.sin(0.3)
+    np.testing.assert_allclose(10.0 * moved[:2], [c * x - s * y + 0.02, s * x + c * y - 0.01], atol=1e-5)
+    np.testing.assert_allclose(moved[3:11], actions[0, 3:11], atol=1e-6)
+
+
+def test_ways_of_a_phase_are_not_mixed() -> None:
+    """Sixty demonstrations pass a post on one side, forty on the other; a single one does something else."""
+    model, rng = cloning()["PhaseModel"], np.random.default_rng(0)
+    chunks = []
+    for index in range(101):
+        features = rng.uniform(-1.0, 1.0, 6)
+        features[0] = (0.2 + abs(features[0])) * (1.0 if index < 60 else -1.0)
+        chunk = np.zeros((30 + index % 2, 24))
+        chunk[5:, 0] = 1.0 if index < 60 else -1.0 if index < 100 else 50.0
+        chunk[:, 1] = 0.1 * features[1]
+        chunks.append((features, chunk))
+    fitted = model(chunks)
+    for side in (1.0, -1.0):
+        commands = fitted.predict(np.array([0.7 * side, 0.25, 0.0, 0.0, 0.0, 0.0]))
+        assert commands.shape == (31, 24)
+        np.testing.assert_allclose(commands[5:, 0], side, atol=0.02)
+        np.testing.assert_allclose(commands[:, 1], 0.025, atol=0.01)
+
+
+@pytest.mark.slow
+def test_behaviour_cloning(monkeypatch: pytest.MonkeyPatch, run: Run, capfd: pytest.CaptureFixture[str]) -> None:
+    """As its header says; at least 40 of 50 starts succeed, none of which was recorded."""
+    cloning()
+    ranges = ("--layout", "1", "--part-position", "0.02", "--part-angle", "0.2")
+    options = ("--task", "merge", "--merge", "0", *ranges, "--control", "joint_position", "--episodes", "100")
+    assert run("demos", "stool", *options, "--out", "merges")[0] == 0
+    run_script("06_behaviour_cloning.py", "merges", monkeypatch=monkeypatch)
+    found = re.search(r"^(\d+) of 50 new starts succeed$", capfd.readouterr().out, re.MULTILINE)
+    assert found
+    assert int(found[1]) >= 40
 
 
 def cells() -> list[str]:

@@ -59,6 +59,12 @@ class RoboAssemblyEnv(EnvConfig):
     """Height of the pictures [pixels]."""
     randomize: float = 0.0
     """Strength of the randomization, from 0 to 1."""
+    layout: int | None = None
+    """Seed of one layout for all episodes; each has its own if None."""
+    part_position: float | None = None
+    """Largest shift of each part at the start [m]; None for what `randomize` says."""
+    part_angle: float | None = None
+    """Largest turn of each part at the start [rad]; None for what `randomize` says."""
     max_parts: int | None = None
     """Padding of the state; the number of parts of the piece if None."""
     episode_length: int | None = None
@@ -95,6 +101,7 @@ class RoboAssemblyEnv(EnvConfig):
         return {
             "furniture": self.furniture, "task": self.task, "merge": self.merge, "control": self.control,
             "cameras": tuple(self.cameras), "width": self.width, "height": self.height, "randomize": self.randomize,
+            "layout": self.layout, "part_position": self.part_position, "part_angle": self.part_angle,
             "max_parts": self.max_parts, "render_mode": self.render_mode, "max_episode_steps": self.episode_length,
         }  # fmt: skip
 

@@ -53,6 +53,14 @@ class DemosCommand:
     """Record the distances of the pictures, too."""
     randomize: float = 0.0
     """Strength of the randomization of looks, physics, sensors and starts, from 0 to 1."""
+    layout: int | None = None
+    """Seed of one layout for all episodes: parts stand on the same posts, and the planner has the same seed, so that
+    demonstrations are alike. Without it, each episode has a layout of its own."""
+    part_position: float | None = None
+    """Largest shift of each part along each axis at the start, in m, at most 0.02; without it, as --randomize says."""
+    part_angle: float | None = None
+    """Largest turn of each part about the vertical at the start, in rad, at most 0.2. Without it, as --randomize
+    says."""
     seed: int = 0
     """Random seed of all starts and of the planner."""
     jobs: Jobs = CORES
@@ -65,7 +73,7 @@ class DemosCommand:
 
     def run(self) -> int:
         """Run the command; returns the exit status."""
-        require_at_least(0, seed=self.seed, merge=self.merge)
+        require_at_least(0, seed=self.seed, merge=self.merge, layout=self.layout)
         require_at_least(1, episodes=self.episodes, jobs=self.jobs, width=self.width, height=self.height)
         if self.furniture is not None and self.set is not None:
             raise InputError("a piece of furniture and --set exclude each other; give only one of them")
@@ -78,7 +86,7 @@ class DemosCommand:
         check_format(self.format)
         config = DemoConfig(
             self.task, self.merge, self.control, self.cameras, self.width, self.height, self.depth, self.randomize,
-            self.seed,
+            self.layout, self.part_position, self.part_angle, self.seed,
         )  # fmt: skip
         pieces, fingerprint, max_parts = self._pieces(config)
         collection = Collection(self.out, self.format, pieces, fingerprint, config, max_parts)

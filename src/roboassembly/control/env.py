@@ -43,6 +43,8 @@ from roboassembly.task.plans.full_plan import FullState
 
 SECONDS_A_MERGE = 120.0
 """Time limit of an episode for each merge, unless `time_limit` says otherwise [s]."""
+LARGEST_LAYOUT = 2**31 - 1
+"""Largest seed of a layout."""
 Observation = dict[str, np.ndarray]
 
 
@@ -100,6 +102,9 @@ class ControlEnv(gymnasium.Env[Observation, np.ndarray]):
         camera_height: height of their pictures [pixels].
         segmentation: whether it is observed what each pixel shows.
         time_limit: simulated time after which an episode is truncated [s]; 120 s a merge if None.
+        layout: seed of the layout that all episodes have: which part stands on which post and how, and how the robots
+            are turned. Starts then differ by `part_position` and `part_angle` of `randomization` only. Each episode has
+            a layout of its own if None.
         strict: whether an episode fails when a robot, or what it holds, touches something that it must not touch: in
             physics or by the exact geometry (`roboassembly.control.collisions`).
         randomization: what differs from episode to episode; nothing if None.
@@ -130,6 +135,7 @@ class ControlEnv(gymnasium.Env[Observation, np.ndarray]):
         camera_height: int = 128,
         segmentation: bool = False,
         time_limit: float | None = None,
+        layout: int | None = None,
         strict: bool = False,
         randomization: Randomization | None = None,
         max_parts: int = PAPER_PARTS,
@@ -156,6 +162,7 @@ class ControlEnv(gymnasium.Env[Observation, np.ndarray]):
                 )
         self._options = ControlOptions(task, obs, reward, checked_time_limit(time_limit), strict, max_parts)
         self._ranges = randomization or NONE
+        self._layout = None if layout is None else checked_integer("layout", layout, 0, LARGEST_LAYOUT)
         self.render_mode = checked_render_mode(render_mode)
         self._pictures = EpisodeCameras(
             PictureConfig(names, camera_width, camera_height, obs.endswith("rgbd"), segmentation, width, height)
@@ -234,13 +241,14 @@ class ControlEnv(gymnasium.Env[Observation, np.ndarray]):
         self._current = drawn if piece is None else piece
         self._cell, self._ending = None, ControlFailure.NONE
         task, rng = self.task, self.np_random
+        layout = rng if self._layout is None else np.random.default_rng(self._layout)
         if self._options.task == "merge":
             merges = self._merges_of(self._current)
             index = int(rng.integers(len(merges)))
             self._merge = merges[index if merge is None else merge]
-            start = start_of_merge(task, merges, self._merge.index, rng)
+            start = start_of_merge(task, merges, self._merge.index, layout)
         else:
-            self._merge, start = None, task.initial_state(rng)
+            self._merge, start = None, task.initial_state(layout)
         variation = self._ranges.draw(rng)
         self._cell = ControlCell(task.furniture, task.rules, shifted(start, variation, rng), variation)
         self._begin(variation)

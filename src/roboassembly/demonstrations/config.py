@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any, get_args
 
 from roboassembly.control.arguments import ObservationName, TaskName, checked_choice
 from roboassembly.control.cameras import checked_cameras
 from roboassembly.control.controls import ActionCodec, ControlName
-from roboassembly.control.env import ControlEnv
+from roboassembly.control.env import LARGEST_LAYOUT, ControlEnv
 from roboassembly.control.randomization import Randomization
 from roboassembly.envs.arguments import shortened
 from roboassembly.errors import ArgumentError, InputError
@@ -44,6 +44,13 @@ class DemoConfig:
     """Whether distances are recorded, too."""
     randomize: float = 0.0
     """Strength from 0 to 1 of the randomization of everything: see `Randomization.full`."""
+    layout: int | None = None
+    """Seed of the layout of all episodes. The planner's seed is then the same in all, too: demonstrations are alike,
+    and starts differ by `part_position` and `part_angle`. None for a layout and a planner's seed for each episode."""
+    part_position: float | None = None
+    """Largest shift of each part along each axis at the beginning [m]; None for what `randomize` says."""
+    part_angle: float | None = None
+    """Largest turn of each part about the vertical at the beginning [rad]; None for what `randomize` says."""
     seed: int = 0
     """Seed of all starts and of the planner."""
 
@@ -60,6 +67,9 @@ class DemoConfig:
             raise ArgumentError(f"merge is {shortened(self.merge)}; expected 0 or more, with the task 'merge' only")
         if not 0.0 <= self.randomize <= 1.0:
             raise ArgumentError(f"randomize is {shortened(self.randomize)}; expected a number from 0 to 1")
+        if self.layout is not None and not 0 <= self.layout <= LARGEST_LAYOUT:
+            raise ArgumentError(f"layout is {shortened(self.layout)}; expected an integer from 0 to {LARGEST_LAYOUT}")
+        self.randomization()
         if self.seed < 0:
             raise ArgumentError(f"seed is {shortened(self.seed)}; expected 0 or more")
 
@@ -70,6 +80,20 @@ class DemoConfig:
             return "state"
         return "state+rgbd" if self.depth else "state+rgb"
 
+    def randomization(self) -> Randomization:
+        """Return what differs from episode to episode.
+
+        Raises:
+            ArgumentError: a range out of range.
+        """
+        ranges = {"part_position": self.part_position, "part_angle": self.part_angle}
+        given = {name: value for name, value in ranges.items() if value is not None}
+        return replace(Randomization.full(self.randomize), **given)
+
+    def planner_seed(self, seed: int) -> int:
+        """Return the planner's seed in the episode with a seed."""
+        return seed if self.layout is None else self.seed
+
     def env_arguments(self, max_parts: int) -> dict[str, Any]:
         """Return the arguments of `RoboAssembly/Control-v0` but for the furniture and `randomization`; JSON.
 
@@ -79,7 +103,10 @@ class DemoConfig:
         pictures: dict[str, Any] = {}
         if self.cameras:
             pictures = {"cameras": list(self.cameras), "camera_width": self.width, "camera_height": self.height}
-        return {"task": self.task, "control": self.control, "obs": self.obs, "max_parts": max_parts, **pictures}
+        layout = {} if self.layout is None else {"layout": self.layout}
+        return {
+            "task": self.task, "control": self.control, "obs": self.obs, "max_parts": max_parts, **layout, **pictures,
+        }  # fmt: skip
 
     def make_env(
         self, furniture: Furniture, max_parts: int, *, pictures: bool = True, render_mode: str | None = None
@@ -99,7 +126,7 @@ class DemoConfig:
         arguments = self.env_arguments(max_parts)
         if not pictures:
             arguments["obs"] = "state"
-        ranges = Randomization.full(self.randomize)
+        ranges = self.randomization()
         return ControlEnv(furniture, **arguments, time_limit=_NO_LIMIT, randomization=ranges, render_mode=render_mode)
 
     def check_merge(self, furniture: Furniture) -> None:

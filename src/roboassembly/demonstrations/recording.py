@@ -112,7 +112,7 @@ class Recorder:
             pictures = self.open_pictures(part, config)
             try:
                 episode = _Episode(pictures)
-                demonstrator = Demonstrator(env, seed)
+                demonstrator = Demonstrator(env, config.planner_seed(seed))
                 for action in demonstrator.actions():
                     following, reward, terminated, _, info = env.step(action)
                     episode.add(observation, action, reward, terminated, info["is_success"])

@@ -31,7 +31,7 @@ class EpisodeRecord(msgspec.Struct, frozen=True):
     index: int
     """Number of the episode, from 0."""
     seed: int
-    """Seed of `reset`, and of the planner."""
+    """Seed of `reset`, and of the planner unless the data set has one `layout`."""
     furniture: str
     """Name or folder of the piece, as the environment takes it."""
     merge: int
