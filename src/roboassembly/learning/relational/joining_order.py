@@ -66,13 +66,16 @@ class JoiningOrder:
         return self.separable(a, b) and self.solvable(frozenset([*units, 1 << a | 1 << b]))
 
     def solvable(self, units: frozenset[int]) -> bool:
-        """Return whether some units, sets of groups as bit masks, can be joined into one."""
+        """Return whether some units, sets of groups as bit masks, can be joined into one.
+
+        Groups that can leave others can leave some of them, so the first two halves decide: if one of them cannot be
+        taken apart, neither can any other set that holds it.
+        """
         if len(units) == 1:
             return True
         if units not in self._solvable:
-            self._solvable[units] = any(
-                self.solvable(first) and self.solvable(units - first) for first in self._halves(units)
-            )
+            half = next(self._halves(units), None)
+            self._solvable[units] = half is not None and self.solvable(half) and self.solvable(units - half)
         return self._solvable[units]
 
     def _halves(self, units: frozenset[int]) -> Iterator[frozenset[int]]:
