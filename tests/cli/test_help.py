@@ -22,7 +22,8 @@ SWITCHES = {
     "--no-film": "Do not render assembly.mp4.",
     "--no-browser": "Do not open a browser window.",
     "--no-search": "Do not search for another action if the policy's action fails.",
-    "--no-report": "Do not write import-report.html into each furniture folder.",
+    "--no-report": "Do not write a page about each import: import-report.html in its folder, or NAME.refused.html "
+    "if it is refused.",
     "--no-cache": "Do not reuse the result of an earlier import of the same files.",
 }
 

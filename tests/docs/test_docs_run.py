@@ -61,7 +61,7 @@ SMALLER = [
 """Words added to commands that would take too long as written."""
 BRIEFLY = {"assemble": ["--no-film"], "evaluate": ["--jobs", "1"], "import": ["--jobs", "1"]}
 """Words added in the quick form: no film, no further processes."""
-MODULES = {"rl": "sb3_contrib", "learn": "jax", "imitation": "sklearn"}
+EXTRA_MODULES = {"rl": "sb3_contrib", "learn": "jax", "imitation": "sklearn"}
 """A module of each extra that examples need; without it they do not run."""
 BUILT = [("three_legged", 3)]
 """Pieces in each split of a built data set; `dataset build` takes 12 minutes and has tests of its own."""
@@ -102,7 +102,7 @@ class Reader:
         more = [word for row in matches(SMALLER, command) for word in row[1].split()]
         if command.arguments is None:
             assert command.words[0] == "python", command
-            if all(find_spec(MODULES[extra]) for extra in extras_needed(command)):
+            if all(find_spec(EXTRA_MODULES[extra]) for extra in extras_needed(command)):
                 subprocess.run([sys.executable, *command.words[1:], *more], check=True, timeout=500)
             return
         if "examples/05_masked_ppo.py" in command.words and not find_spec("sb3_contrib"):
@@ -180,7 +180,7 @@ def test_pages_run_to_the_letter(page: str, as_built) -> None:
 
 MODULES = {
     "jax": "jax", "optax": "optax", "tensorboardx": "tensorboardX", "matplotlib": "matplotlib", "minari": "minari",
-    "pyarrow": "pyarrow", "h5py": "h5py",
+    "pyarrow": "pyarrow", "h5py": "h5py", "scikit-learn": "sklearn",
     "pybullet": "pybullet", "python-fcl": "fcl", "roboplan-core": "roboplan", "roboplan-rrt": "roboplan",
     "sb3-contrib": "sb3_contrib", "ray": "ray", "cascadio": "cascadio", "mcap": "mcap",
     "mcap-ros2-support": "mcap_ros2", "usd-core": "pxr", "franky-control": "franky", "franky-sim": "franky_sim",

@@ -119,7 +119,7 @@ class ImportCommand:
     """Accept repairs that shorten a part, or its depth in a neighbour, by more than 5 mm, if overlaps cannot be removed
     in another way."""
     report: bool = True
-    """Write import-report.html into each furniture folder, and NAME.refused.html for a piece that was refused."""
+    """Write a page about each import: import-report.html in its folder, or NAME.refused.html if it is refused."""
     cache: bool = True
     """Reuse the result of an earlier import of the same files."""
     json: bool = False
