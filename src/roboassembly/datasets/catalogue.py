@@ -40,7 +40,7 @@ def make(
     provenance = Provenance("generated", name, "MIT")
     parts, added = generate(family, seed, version), ()
     if fasteners:
-        # What drills holes is part of repair, which no other built-in furniture loads.
+        # Repair drills the holes; no other built-in furniture loads it.
         from roboassembly.generate.fastening import fasten
 
         parts, added = fasten(parts, seed)

@@ -35,7 +35,7 @@ class Demonstrations:
         options = {field.name: about.get(field.name) for field in fields(DemoConfig)}
         try:
             self.config = msgspec.convert(options, DemoConfig)
-            """What was recorded."""
+            """Options of the recording."""
             self.max_parts = msgspec.convert(about.get("max_parts"), int)
             """Padding of the state."""
             form = msgspec.convert(about.get("format"), FormatName)

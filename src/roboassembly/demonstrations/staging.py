@@ -50,6 +50,11 @@ def staging_folder(folder: Path) -> Path:
     return folder / _STAGING
 
 
+def _episode_folder(folder: Path, index: int) -> Path:
+    """Return the folder of an episode that waits to be added to the data set."""
+    return folder / _STAGING / f"episode-{index:06d}"
+
+
 def write_staged(part: Path, record: EpisodeRecord, numbers: dict[str, np.ndarray]) -> None:
     """Complete an episode whose pictures are in a folder already.
 
@@ -67,7 +72,7 @@ def write_staged(part: Path, record: EpisodeRecord, numbers: dict[str, np.ndarra
 @contextmanager
 def new_part(folder: Path, index: int) -> Generator[Path]:
     """Yield a new folder for an episode; what is left of it after the block is deleted."""
-    part = folder / _STAGING / f"episode-{index:06d}{_PART}"
+    part = _episode_folder(folder, index).with_suffix(_PART)
     shutil.rmtree(part, ignore_errors=True)
     part.mkdir(parents=True)
     try:
@@ -130,7 +135,7 @@ class DemoFolder:
 
     def staged_path(self, index: int) -> Path:
         """Return the folder in which an episode waits once it is complete."""
-        return self.path / _STAGING / f"episode-{index:06d}"
+        return _episode_folder(self.path, index)
 
     def staged(self) -> Iterator[int]:
         """Yield the numbers of all episodes that wait, in order."""

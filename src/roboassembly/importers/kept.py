@@ -21,6 +21,7 @@ from pathlib import Path
 
 import msgspec
 
+from roboassembly.atomic_file import atomic_write
 from roboassembly.errors import InputError
 from roboassembly.furniture import storage
 from roboassembly.furniture.cache import cache_folder
@@ -168,15 +169,11 @@ def write_report(page: bytes, path: Path) -> None:
     Raises:
         InputError: it cannot be written.
     """
-    unfinished = path.with_name(f".{path.name}.{os.getpid()}")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        unfinished.write_bytes(page)
-        unfinished.replace(path)
+        with atomic_write(path) as unfinished:
+            unfinished.write_bytes(page)
     except OSError as error:
         raise InputError(f"cannot write '{path}': {error.strerror or error}") from None
-    finally:
-        unfinished.unlink(missing_ok=True)
 
 
 def checksum(data: bytes) -> bytes:

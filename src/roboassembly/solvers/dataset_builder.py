@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import cycle, islice
 from pathlib import Path
@@ -10,6 +9,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
+from roboassembly.atomic_file import atomic_write
 from roboassembly.datasets import catalogue
 from roboassembly.datasets.sets import (
     EASY,
@@ -128,9 +128,8 @@ def build_dataset(recipe: Recipe, seed: int, jobs: int) -> Iterator[tuple[int, i
             todo = [w for w in selected if w not in known]
     entries = _split(recipe, [known[w] for w in selected], np.random.default_rng(seed))
     manifest = Manifest(recipe.name, VERSION, seed, tuple(entries))
-    scratch = path.with_suffix(f".{os.getpid()}.tmp")
-    scratch.write_bytes(msgspec.json.format(msgspec.json.encode(manifest), indent=1) + b"\n")
-    scratch.replace(path)
+    with atomic_write(path) as unfinished:
+        unfinished.write_bytes(msgspec.json.format(msgspec.json.encode(manifest), indent=1) + b"\n")
 
 
 def _draw(families: list[str], count: int, first: int) -> list[tuple[str, int]]:

@@ -95,7 +95,7 @@ class SceneView:
         self._meshes = [item.mesh for item in objects]
         self._picker = Picker()
         self.visible = VisibleItems(poses, self.overlays.centers, self.overlays.radii)
-        """What the scene shows, for picking."""
+        """Visible items of the scene, for picking."""
         self._failure: LabelHandle | None = None
         self._aim_at_parts()
 

@@ -48,7 +48,7 @@ def augment_tokens(tokens: Tokens, change: FrameChange) -> Tokens:
         bounds = np.concatenate([low @ ahead - high @ back, high @ ahead - low @ back], axis=-1)
         extent = (extent @ np.abs(m).T).astype(np.float32)
     else:
-        # What `w` names turns with the parts.
+        # The axes that `w` names turn with the parts.
         axes = (m @ axes).astype(np.float32)
     return replace(
         tokens,

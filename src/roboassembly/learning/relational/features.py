@@ -203,9 +203,15 @@ def up_axis_features(t: dict[str, Array]) -> Array:
 
 def exit_is_free(exits: Array) -> Array:
     """Return (..., 6) whether each way out of a mate is free in the fine and in the coarse images."""
-    fine, coarse = blocked_shares(exits.__array_namespace__(), exits)
+    free_fine, free_coarse = _free_exits(exits, *blocked_shares(exits.__array_namespace__(), exits))
+    return free_fine & free_coarse
+
+
+def _free_exits(exits: Array, fine: Array, coarse: Array) -> tuple[Array, Array]:
+    """Return (..., 6) whether each way out of a mate is free in the fine and in the coarse images, by their shares."""
     free_fine = (exits[..., FINE_BLOCKED] <= _FEW_PIXELS) | (fine < _FEW_BLOCKED)
-    return free_fine & ((exits[..., COARSE_BLOCKED] <= _FEW_PIXELS) | (coarse < _FEW_BLOCKED))
+    free_coarse = (exits[..., COARSE_BLOCKED] <= _FEW_PIXELS) | (coarse < _FEW_BLOCKED)
+    return free_fine, free_coarse
 
 
 def _rises(xp: Array, exits: Array, rise: Array) -> list[Array]:
@@ -217,8 +223,7 @@ def _rises(xp: Array, exits: Array, rise: Array) -> list[Array]:
         rise: (b, n, 3, 3) cosines between the axes of each point's frame and the axes that `w` names.
     """
     fine, coarse = blocked_shares(xp, exits)
-    free_fine = (exits[..., FINE_BLOCKED] <= _FEW_PIXELS) | (fine < _FEW_BLOCKED)
-    free_coarse = (exits[..., COARSE_BLOCKED] <= _FEW_PIXELS) | (coarse < _FEW_BLOCKED)
+    free_fine, free_coarse = _free_exits(exits, fine, coarse)
     best: dict[str, list[Array]] = {"fine": [], "coarse": [], "both": [], "of_fine": [], "of_coarse": []}
     for axis, sign in ((2, 1.0), (2, -1.0), (0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0)):
         along = sign * rise[:, None, :, :, axis]

@@ -82,7 +82,7 @@ class PartShapes:
 
 @dataclass(frozen=True, eq=False)
 class _Measures:
-    """What two parts of one shape have in common: they share their frame."""
+    """Measures of a part that are equal for all parts of its shape, in the frame that they share."""
 
     deviation: Float[np.ndarray, "3"]
     """Standard deviations of the cloud along its axes [m]."""

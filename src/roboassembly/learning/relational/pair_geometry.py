@@ -31,7 +31,7 @@ class PairGeometry:
     bounds: Float[np.ndarray, "k l 6"]
     """Bounds of the moving group relative to the waiting group's, see `Tokens.bounds` [m]."""
     exits: UInt8[np.ndarray, "k l 22"]
-    """What depth images show of the exits, see `Tokens.exits`."""
+    """Counts of the depth images along the exits, see `Tokens.exits`."""
 
     @staticmethod
     def both_ways(a: GroupGeometry, b: GroupGeometry) -> tuple[PairGeometry, PairGeometry]:

@@ -206,7 +206,7 @@ class _Planner:
             is_mover = part in step.moving
             own = Shape(mesh, (step.moving if is_mover else step.still)[part] * place)
             moving, waiting, others = self._bodies(index)
-            # What is there already is free of each other; only the new fastener has to be tested.
+            # Parts and fasteners already in place are free of each other; only the new fastener has to be tested.
             mover, obstacle = ((own,), (*waiting, *others)) if is_mover else (moving, (own,))
             bodies = [Body("mover", mover, step.path[0], moves=True), Body("obstacle", obstacle, SE3.Identity())]
             if (is_mover or above(step.still[part])) and self._is_free(bodies[0], bodies[1:], step.path):
