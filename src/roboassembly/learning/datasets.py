@@ -21,7 +21,7 @@ from roboassembly.learning import archive
 from roboassembly.task.part_frames import FramesName
 from roboassembly.task.rules.connections import GRASPS
 
-FORMAT = 3
+FORMAT = 4
 """Version of the files."""
 CLOUD_POINTS = 2048
 """Points of each part's cloud: enough to show tenons and holes."""
@@ -99,14 +99,14 @@ class SampleSet:
     """Frames in which parts are described; files hold aligned ones."""
 
     def save(self, path: Path) -> None:
-        """Write as npz, whole or not at all; clouds are stored as 16-bit floats, half a millimetre exact."""
+        """Write as npz, whole or not at all; clouds as 16-bit integers, 1/65,000 of the largest exact."""
         samples = self.samples
         mates = [sample.mates for sample in samples]
         values = [sample.q_values for sample in samples if sample.q_values is not None]
         arrays = {
             "format": np.array(FORMAT),
             "name": np.array(self.name),
-            "clouds": self.clouds.astype(np.float16),
+            **_stored("clouds", self.clouds),
             "grasps": np.zeros((0, GRASPS, 6), np.float32) if self.grasps is None else self.grasps,
             **self._structure_arrays(),
             "points": np.array([sample.points for sample in samples]),
@@ -128,7 +128,7 @@ class SampleSet:
         own_w = [sample.own_w for sample in self.samples if sample.own_w is not None]
         return {
             "principal": self.principal,
-            "resampled": self.resampled.astype(np.float16),
+            **_stored("resampled", self.resampled),
             "own_w": np.concatenate(own_w) if own_w else np.zeros((0, 6), bool),
         }
 
@@ -157,7 +157,7 @@ class SampleSet:
             shapes = [(n, n, width) for n in free.sum(axis=(1, 2)) * has_q_values] if len(free) else []
             own_w = z.get("own_w")
             principal = z.get("principal")
-            resampled = z["resampled"].astype(np.float32) if "resampled" in z else None
+            resampled = _restored("resampled", z) if "resampled" in z else None
             ends = np.cumsum([np.prod(shape) for shape in shapes], dtype=int)
             values = [v.reshape(s) for v, s in zip(np.split(z["q_values"], ends)[:-1], shapes, strict=True)]
             samples = tuple(
@@ -173,8 +173,20 @@ class SampleSet:
                 labels = tuple(str(label) for label in z["structure_labels"])
                 connections, classes = z["structure_connections"], z["structure_classes"]
                 structure = Structure(connections, classes, labels, z["structure_optional"])
-            clouds = z["clouds"].astype(np.float32)
+            clouds = _restored("clouds", z)
             return SampleSet(str(z["name"]), clouds, samples, grasps, structure, principal, resampled)
+
+
+def _stored(name: str, clouds: Float32[np.ndarray, "P C 3"]) -> dict[str, np.ndarray]:
+    """Return the arrays that a file holds of clouds: integers and their unit."""
+    largest = float(np.abs(clouds).max(initial=0.0))
+    unit = largest / np.iinfo(np.int16).max if largest else 1.0
+    return {name: np.rint(clouds / unit).astype(np.int16), f"{name}.unit": np.array(unit)}
+
+
+def _restored(name: str, arrays: archive.Arrays) -> Float32[np.ndarray, "P C 3"]:
+    """Return the clouds of `_stored`."""
+    return (arrays[name] * float(arrays[f"{name}.unit"])).astype(np.float32)
 
 
 def check_format(path: Path, arrays: archive.Arrays, expected: int) -> None:

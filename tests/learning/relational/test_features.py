@@ -7,6 +7,7 @@ import numpy as np
 from roboassembly.learning.relational.depth_images import EXIT_COUNTS
 from roboassembly.learning.relational.features import ALIGNED, pair_features, up_axis_features
 from roboassembly.learning.relational.group_geometry import PATCH_SIZE
+from roboassembly.learning.relational.joint_fit import FIT_FEATURES
 from roboassembly.learning.relational.tokens import POINT_FEATURES, Tokens, pad
 
 
@@ -18,13 +19,16 @@ def test_features_of_a_pair_by_hand() -> None:
     exits = np.zeros((2, 2, EXIT_COUNTS), np.uint8)
     # Along the waiting point's x axis, half of the fine pixels and all coarse ones are blocked; no other way is.
     exits[0, 1, [0, 6, 13, 19]] = 10, 20, 8, 8
+    # The moving part's tenon has 10 mm of room at its sides and none at its tip.
+    fit = np.zeros((2, 2, FIT_FEATURES), np.int8)
+    fit[0, 1, :6] = 127
     tokens = Tokens(
         np.arange(2), np.zeros(2, int), np.arange(2), np.zeros((2, PATCH_SIZE), np.uint8), features,
         frame.astype(np.float32),
         np.array([[0.0, 0.0, 0.2], [0.1, 0.0, 0.0]], np.float32), np.tile(np.eye(3, dtype=np.float32), (2, 1, 1)),
         np.array([[1.0, 1.0, 0.2], [0.4, 0.4, 0.4]], np.float32),
         np.zeros((2, 2, 4), np.uint8), np.array([[[0.0] * 6, [-0.4, -0.3, -0.2, 0.2, 0.3, -0.4]]] * 2, np.float32),
-        exits,
+        exits, fit,
         np.array([[0, 2], [2, 0]], np.uint8), np.array([[0, 3], [3, 0]], np.uint8),
     )  # fmt: skip
     t = pad([tokens], 2)
@@ -37,11 +41,15 @@ def test_features_of_a_pair_by_hand() -> None:
     assert np.allclose(pair[0, 1, 40:46], [0.5, 0, 0, 0, 0, 0])
     assert np.allclose(pair[0, 1, 55:61], [1, 0, 0, 0, 0, 0])
     assert np.allclose(pair[0, 1, 61:63], 1.0)  # axes stay axes
-    cosine, diagonal, shift, parallel = np.split(pair[0, 1, 63:71], [1, 4, 7])
+    assert np.allclose(pair[0, 1, 63:86], [1] * 6 + [0] * 17)  # codes
+    assert np.allclose(pair[0, 1, 110:122], [1] * 5 + [0] * 7)  # clearances
+    assert np.allclose(pair[0, 1, 131:133], 0.0)  # the least of them, that of the tip
+    assert np.allclose(pair[0, 1, 133:141], np.tanh([40, 40, 0, 0, 36, 36, -4, -4]), atol=1e-6)  # sums of two sides
+    cosine, diagonal, shift, parallel = np.split(pair[0, 1, 141:149], [1, 4, 7])
     assert (cosine, parallel) == (1.0, 1.0)
     assert np.allclose(diagonal, 1.0)
     assert np.allclose(shift, [0.1, 0.0, -0.2])  # of the moving group, that of the row
-    assert np.allclose(pair[0, 1, 72:], [1.0, 1.0, 0.2])  # the moving group's extent
+    assert np.allclose(pair[0, 1, 150:], [1.0, 1.0, 0.2])  # the moving group's extent
     axis = up_axis_features({k: v.astype(np.float32) for k, v in t.items()})[0, 0, 1]
     up = axis[0]  # with +z up, its bottom is 0.2 m lower than the waiting group's, its top 0.4 m
     assert np.allclose(up[[0, 2, 4, 6]], [-0.4, -0.8, -1.0, 2 * -0.5], atol=1e-6)
@@ -53,5 +61,5 @@ def test_features_of_a_pair_by_hand() -> None:
     in_own_frames[:, [ALIGNED, -1]] = 0.0
     numbers = {k: v.astype(np.float32) for k, v in t.items()}
     other = pair_features({**numbers, "features": in_own_frames[None]}, valid)[0, 0, 1]
-    assert np.allclose(other[:63], pair[0, 1, :63])
-    assert not other[63:].any()
+    assert np.allclose(other[:141], pair[0, 1, :141])
+    assert not other[141:].any()

@@ -273,12 +273,16 @@ def _near_chains(
     order = np.argsort(on_line, kind="stable")
     on_line = on_line[order]
     near = np.searchsorted(on_line, on_line + 1.01 * _POSITION_TOLERANCE) - np.arange(1, len(order) + 1)
-    i = np.repeat(np.arange(len(order)), near)
-    j = i + 1 + np.arange(len(i)) - np.repeat(np.cumsum(near) - near, near)
+    i = np.repeat(np.arange(len(order), dtype=np.int32), near)
+    j = (i + 1 + np.arange(len(i)) - np.repeat(np.cumsum(near) - near, near)).astype(np.int32)
+    # Millions are left: single numbers along two axes settle most of them.
+    for along in np.ascontiguousarray(end[order, :2].T, np.float32):
+        close = np.abs(along[i] - along[j]) <= 1.01 * _POSITION_TOLERANCE
+        i, j = i[close], j[close]
     i, j = order[i], order[j]
-    differ = row[i] != row[j]
-    i, j = i[differ], j[differ]
-    same = (pair[i] == pair[j]) & (((end[i] - end[j]) ** 2).sum(axis=1) <= _POSITION_TOLERANCE**2)
+    kept = (row[i] != row[j]) & (pair[i] == pair[j])
+    i, j = i[kept], j[kept]
+    same = ((end[i] - end[j]) ** 2).sum(axis=1) <= _POSITION_TOLERANCE**2
     return i[same], j[same]
 
 

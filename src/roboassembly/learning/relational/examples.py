@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from roboassembly.learning import archive
-from roboassembly.learning.datasets import SampleSet, dataset_file
+from roboassembly.learning.datasets import SampleSet, check_format, dataset_file
 from roboassembly.learning.relational.oracle_dataset import targets_of
 from roboassembly.learning.relational.own_frames import in_own_frames
 from roboassembly.learning.relational.tokens import TokenCache, Tokens, tokens_of_sample
@@ -26,14 +26,15 @@ Frames = Literal["aligned", "own", "both"]
 """Frames in which a run shows its samples; `both` shows a third of the pieces aligned, the others in own frames."""
 SHOWN: dict[Frames, tuple[Frames, ...]] = {"aligned": ("aligned",), "own": ("own",), "both": ("aligned", "own")}
 """Frames in which a run is validated."""
-FORMAT = 1
+FORMAT = 2
 """Version of the files."""
 _MIN_FOR_PROCESSES = 8
 """Number of pieces from which on their examples are prepared in several processes."""
-_NOISES = (0.0, 0.0, 0.0005, 0.001)
+_NOISES = (0.0, 0.0, 0.0, 0.0, 0.0005, 0.001)
 """Standard deviations of the clouds' noise in own frames [m]; one is drawn for each piece."""
 _IMPRECISION = 0.0004
-"""Largest standard deviation of the connection points in own frames [m]: surfaces in contact do not meet exactly."""
+"""Largest standard deviation of the connection points in own frames [m], drawn for half of the pieces: surfaces in
+contact do not meet exactly."""
 _REMEDY = "remove it; it is built again from the samples"
 
 
@@ -89,7 +90,7 @@ def prepare(path: Path, frames: Frames = "both") -> Path:
         samples = SampleSet.load(path)
         if shown == "own" and samples.samples:
             rng = np.random.default_rng(number)
-            noise, imprecision = rng.choice(_NOISES), rng.uniform(0.0, _IMPRECISION)
+            noise, imprecision = rng.choice(_NOISES), max(rng.uniform(-_IMPRECISION, _IMPRECISION), 0.0)
             samples = in_own_frames(samples, rng, float(noise), float(imprecision))
         _write(target, examples_of([samples]))
     return target
@@ -115,6 +116,7 @@ def _read(path: Path) -> list[TokenExample]:
         InputError: the file is broken.
     """
     with archive.reading(path, "a file of examples", _REMEDY) as z:
+        check_format(path, z, FORMAT)
         count = z["tokens"].tolist()
         split: dict[str, list[Any]] = {}
         for f in fields(Tokens) if count else ():

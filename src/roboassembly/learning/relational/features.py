@@ -9,8 +9,9 @@ from __future__ import annotations
 from roboassembly.geometry.mating import mating_poses
 from roboassembly.learning.layers import Array
 from roboassembly.learning.relational.depth_images import COARSE_BLOCKED, COARSE_SHARED, FINE_BLOCKED, FINE_SHARED
+from roboassembly.learning.relational.joint_fit import CLEARANCES, decoded
 
-PAIR_FEATURES = 75
+PAIR_FEATURES = 153
 """Number of features of an ordered pair of points."""
 UP_AXIS_FEATURES = 15
 """Number of features of a pair with a `w`."""
@@ -20,6 +21,8 @@ _FEW_PIXELS, _FEW_BLOCKED = 1, 0.25
 """Number of blocked pixels, and their share, up to which a way counts as free."""
 _PARALLEL = 0.999
 """Cosine of the angle between two frames from which on they count as parallel."""
+_FAR = 10.0
+"""Unit of long lengths at a joint [mm]."""
 _SCALE = 0.01
 """Scale of the tanh features of heights [m]."""
 _CUTOFF = 0.5
@@ -47,7 +50,7 @@ def plausible_pairs(parallel: Array, upright: Array, valid: Array) -> Array:
 
 
 def pair_features(t: dict[str, Array], valid: Array) -> Array:
-    """Return (b, n, n, 75) features of ordered pairs; rows are points of the moving group. Invalid pairs get zeros.
+    """Return (b, n, n, 153) features of ordered pairs; rows are points of the moving group. Invalid pairs get zeros.
 
     | index | feature | unit |
     |---|---|---|
@@ -58,14 +61,15 @@ def pair_features(t: dict[str, Array], valid: Array) -> Array:
     | 12–26 | of `_cycle_features` | |
     | 27–60 | of `_exit_features` | |
     | 61, 62 | mean and least of how parallel the axes of the two parts are, 1 if an axis stays an axis | |
-    | 63 | cosine of the angle between the two groups' frames, once mated | |
-    | 64–66 | diagonal of the rotation between these frames | |
-    | 67–69 | translation of the moving group in the waiting group's frame | m |
-    | 70 | 1 if the two frames are parallel | |
-    | 71 | largest absolute entry of the rotation: 1 if an axis stays an axis | |
-    | 72–74 | extent of the moving group along the waiting group's axes | m |
+    | 63–140 | of `_fit_features` | |
+    | 141 | cosine of the angle between the two groups' frames, once mated | |
+    | 142–144 | diagonal of the rotation between these frames | |
+    | 145–147 | translation of the moving group in the waiting group's frame | m |
+    | 148 | 1 if the two frames are parallel | |
+    | 149 | largest absolute entry of the rotation: 1 if an axis stays an axis | |
+    | 150–152 | extent of the moving group along the waiting group's axes | m |
 
-    Those from 63 on are 0 where part frames are not aligned.
+    Those from 141 on are 0 where part frames are not aligned.
 
     Args:
         t: batch of tokens of `tokens.pad`.
@@ -97,9 +101,46 @@ def pair_features(t: dict[str, Array], valid: Array) -> Array:
         _cycle_features(xp, t["cycles_3"], t["cycles_4"], plausible),
         _exit_features(xp, t["exits"]),
         xp.stack([xp.mean(kept, axis=-1), xp.min(kept, axis=-1)], axis=-1),
+        _fit_features(xp, t["fit"]),
         xp.concatenate(of_frames, axis=-1) * aligned[:, :, None, None],
     ]
     return xp.concatenate(features, axis=-1) * xp.astype(valid, number)[..., None]
+
+
+def _fit_features(xp: Array, codes: Array) -> Array:
+    """(b, n, n, 78): how the joints of the two parts fit.
+
+    | index | feature |
+    |---|---|
+    | 0–22 | the numbers of `joint_fit.joint_fit` on the scale of their codes, 1 for 10 mm |
+    | 23–34 | tanh of the clearances in units of 0.3 mm |
+    | 35–46 | tanh of the clearances less 1 mm in units of 0.3 mm |
+    | 47–58 | clearances in units of 10 mm |
+    | 59–65 | other lengths in units of 10 mm |
+    | 66, 67 | tanh of the least clearance of each tenon, plus 0.5 mm, in units of 0.3 mm |
+    | 68, 69 | least clearance of each tenon in units of 10 mm |
+    | 70–73 | tanh of the sums of opposite clearances of each tenon in units of 0.5 mm |
+    | 74–77 | tanh of these sums less 2 mm in units of 0.5 mm |
+    """
+    numbers = decoded(codes)
+    clearances = xp.concatenate([numbers[..., places] for places in CLEARANCES], axis=-1)
+    tightest = [xp.min(numbers[..., places], axis=-1, keepdims=True) for places in CLEARANCES]
+    # A tenon that does not sit in the middle of its pocket fits as well.
+    sums = xp.stack(
+        [numbers[..., i] + numbers[..., i + 1] for s in CLEARANCES for i in range(s.start + 1, s.stop - 1, 2)], axis=-1
+    )
+    features = [
+        codes / 127.0,
+        xp.tanh(clearances / 0.3),
+        xp.tanh((clearances - 1.0) / 0.3),
+        clearances / _FAR,
+        numbers[..., 16:] / _FAR,
+        *(xp.tanh((x + 0.5) / 0.3) for x in tightest),
+        *(x / _FAR for x in tightest),
+        xp.tanh(sums / 0.5),
+        xp.tanh((sums - 2.0) / 0.5),
+    ]
+    return xp.concatenate(features, axis=-1)
 
 
 def _exit_features(xp: Array, exits: Array) -> Array:

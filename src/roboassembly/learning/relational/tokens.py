@@ -19,7 +19,7 @@ from itertools import combinations
 from typing import Any, TypeVar
 
 import numpy as np
-from jaxtyping import Float, Float16, Float32, Int, UInt8
+from jaxtyping import Float, Float16, Float32, Int, Int8, UInt8
 
 from roboassembly.geometry.mating import mating_rotations, point_frames
 from roboassembly.learning.datasets import LabeledState, SampleSet
@@ -33,13 +33,14 @@ from roboassembly.learning.relational.group_geometry import (
     GroupGeometry,
     PartShapes,
 )
+from roboassembly.learning.relational.joint_fit import FIT_FEATURES, PartJoints, exchanged, joint_fit
 from roboassembly.learning.relational.pair_geometry import PairGeometry, grasp_clearance
 from roboassembly.learning.relational.policy_view import PolicyView
 from roboassembly.task.rules.connections import GRASPS
 
 POINT_FEATURES = 37
 """Number of features of a point."""
-_OF_PAIRS = ("matches", "bounds", "exits", "cycles_3", "cycles_4", "clearance")
+_OF_PAIRS = ("matches", "bounds", "exits", "fit", "cycles_3", "cycles_4", "clearance")
 """Token arrays over pairs of tokens."""
 _PADDED = ("patch", "features", "frame", "position", "axes", "extent", "grasps", *_OF_PAIRS)
 """Token arrays of a batch; `grasps` and `clearance` only where the tokens have them."""
@@ -98,6 +99,8 @@ class Tokens:
     and the same of the upper bounds [m]."""
     exits: UInt8[np.ndarray, "n n 22"]
     """Counts of pixels in depth images that show the exits of the mate (`depth_images.exit_counts`)."""
+    fit: Int8[np.ndarray, "n n 23"]
+    """Codes of how the joints of the two parts fit each other (`joint_fit.joint_fit`)."""
     cycles_3: UInt8[np.ndarray, "n n"]
     """Number of groups that close a 3-cycle with the pair."""
     cycles_4: UInt8[np.ndarray, "n n"]
@@ -248,8 +251,8 @@ def tokens_of(
     of_grasps = _grasp_arrays(geometry, rows, cache) if grasps else (None, None)
     return Tokens(
         part, p.point, group, patch, _point_features(view, p, around), frame.astype(np.float32),
-        position.astype(np.float32), p.axes.astype(np.float32), extent, matches, bounds, exits, cycles_3, cycles_4,
-        *of_grasps, p.alike,
+        position.astype(np.float32), p.axes.astype(np.float32), extent, matches, bounds, exits,
+        _fit_array(view, p, cache), cycles_3, cycles_4, *of_grasps, p.alike,
     )  # fmt: skip
 
 
@@ -298,6 +301,35 @@ def _pair_arrays(
         matches[on, at], bounds[on, at], exits[on, at] = b_moves.matches, b_moves.bounds, b_moves.exits
     place = np.argsort(np.concatenate([np.zeros(0, int), *rows]))
     return matches[place][:, place], bounds[place][:, place], exits[place][:, place]
+
+
+def _fit_array(view: PolicyView, p: GroupedPoints, cache: TokenCache) -> Int8[np.ndarray, "n n 23"]:
+    """`Tokens.fit`; 0 within a group."""
+    out = np.zeros((len(p.part), len(p.part), FIT_FEATURES), np.int8)
+    joints: list[tuple[bytes, PartJoints, Int[np.ndarray, "_"], int]] = []
+    for part in dict.fromkeys(p.part.tolist()):
+        key = view.digests[part] + view.points[part].tobytes() + b"joints"
+        rows = np.flatnonzero(p.part == part)
+        joints.append((key, cache.get(key, partial(_joints_of, view, part)), rows, int(p.group[rows[0]])))
+    for (key, a, rows, group), (other_key, b, columns, other_group) in combinations(joints, 2):
+        if group != other_group:
+            moving, waiting = cache.get(key + other_key, partial(_both_fits, a, b))
+            k, l = p.point[rows], p.point[columns]  # noqa: E741
+            out[np.ix_(rows, columns)], out[np.ix_(columns, rows)] = moving[np.ix_(k, l)], waiting[np.ix_(l, k)]
+    return out
+
+
+def _joints_of(view: PolicyView, part: int) -> PartJoints:
+    """Measure the joints of a part."""
+    points = view.points[part]
+    points = points[points.any(axis=1)]
+    return PartJoints.of_part(view.clouds[part], points[:, :3], point_frames(points))
+
+
+def _both_fits(a: PartJoints, b: PartJoints) -> tuple[Int8[np.ndarray, "k l 23"], Int8[np.ndarray, "l k 23"]]:
+    """`joint_fit` where a moves, and where b does."""
+    fit = joint_fit(a, b)
+    return fit, exchanged(fit)
 
 
 def _grasp_arrays(
