@@ -74,3 +74,18 @@ def test_the_first_halves_decide_as_all_do() -> None:
         assert order.solvable(units) == expected
         answers.add(expected)
     assert answers == {True, False}
+
+
+def test_the_exit_with_the_fewest_blocked_pixels_opens_what_is_locked() -> None:
+    # Two groups that block each other along both directions.
+    locked = JoiningOrder([[0b10, 0b01], [0b10, 0b01]], [0b10, 0b01])
+    assert not locked.whole_is_solvable()
+    opened = locked.with_one_exit({(0, 0, 1): 0.6, (1, 1, 0): 0.3, (1, 0, 1): 0.7})
+    assert opened.arcs == [[0b10, 0b01], [0b10, 0b00]]
+    assert opened.whole_is_solvable()
+    assert locked.arcs == [[0b10, 0b01], [0b10, 0b01]]
+
+
+def test_exits_that_are_surely_blocked_stay_so() -> None:
+    locked = JoiningOrder([[0b10, 0b01]], [0b10, 0b01])
+    assert locked.with_one_exit({(0, 0, 1): 0.9, (0, 1, 0): 1.0}) is locked

@@ -248,6 +248,12 @@ def exit_is_free(exits: Array) -> Array:
     return free_fine & free_coarse
 
 
+def exit_shares(exits: Array) -> Array:
+    """Return (..., 6) shares of the pixels with both groups that are blocked along each way, the larger of the two."""
+    xp = exits.__array_namespace__()
+    return xp.maximum(*blocked_shares(xp, exits))
+
+
 def _free_exits(exits: Array, fine: Array, coarse: Array) -> tuple[Array, Array]:
     """Return (..., 6) whether each way out of a mate is free in the fine and in the coarse images, by their shares."""
     free_fine = (exits[..., FINE_BLOCKED] <= _FEW_PIXELS) | (fine < _FEW_BLOCKED)

@@ -12,9 +12,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
-from roboassembly.learning.relational.features import exit_is_free
+from roboassembly.learning.relational.features import exit_is_free, exit_shares
 from roboassembly.learning.relational.layout_search import Layout
 from roboassembly.learning.relational.tokens import Tokens
 
@@ -22,6 +22,8 @@ _SAME = 0.999
 """Cosine above which two directions count as one."""
 _ALONG = 0.99
 """Cosine above which a direction counts as an axis of a point's frame."""
+_MOST_DOUBTED, _MOST_FREED = 0.8, 16
+"""Largest share of blocked pixels of an exit that may be free after all, and number of such exits that are tried."""
 _MOST_GROUPS = 24
 """Largest number of groups that are examined."""
 
@@ -47,14 +49,38 @@ class JoiningOrder:
         directions = _distinct([sign * frames[k][:, axis] for k, _ in mates for axis in range(3) for sign in (1, -1)])
         arcs = [[0] * groups for _ in directions]
         near = [0] * groups
+        doubts: dict[tuple[int, int, int], float] = {}
         for k, l in mates:  # noqa: E741
             a, b = int(tokens.group[k]), int(tokens.group[l])
             near[a] |= 1 << b
-            free = exit_is_free(tokens.exits[k, l])
-            for index, blocked in enumerate(_blocked(directions, frames[l], free)):
+            free, shares = exit_is_free(tokens.exits[k, l]), exit_shares(tokens.exits[k, l])
+            of_directions = _blocked(directions, frames[l], free), _shares(directions, frames[l], shares)
+            for index, (blocked, share) in enumerate(zip(*of_directions, strict=True)):
                 if blocked:
                     arcs[index][a] |= 1 << b
-        return JoiningOrder(arcs, near)
+                    doubts[index, a, b] = max(float(share), doubts.get((index, a, b), 0.0))
+        order = JoiningOrder(arcs, near)
+        return order if order.whole_is_solvable() else order.with_one_exit(doubts)
+
+    def with_one_exit(self, doubts: dict[tuple[int, int, int], float]) -> JoiningOrder:
+        """Return the order with one more exit, so that all groups can be joined; this order if none is enough.
+
+        One exit that is wrongly seen as blocked locks everything. The one with the fewest blocked pixels may be it.
+
+        Args:
+            doubts: share of blocked pixels of each exit: direction, moving group and waiting group.
+        """
+        for (index, a, b), share in sorted(doubts.items(), key=lambda doubt: doubt[1])[:_MOST_FREED]:
+            if share < _MOST_DOUBTED:
+                other = JoiningOrder([[*row] for row in self.arcs], self.near)
+                other.arcs[index][a] &= ~(1 << b)
+                if other.whole_is_solvable():
+                    return other
+        return self
+
+    def whole_is_solvable(self) -> bool:
+        """Return whether all groups can be joined into one."""
+        return self.solvable(frozenset(1 << g for g in range(len(self.near))))
 
     def separable(self, a: int, b: int) -> bool:
         """Return whether two groups can be separated along any direction."""
@@ -111,11 +137,25 @@ def _blocked(
         frame: `layout_from_point` of the waiting point.
         free: whether the exits along its axes are free: x, -x, y, -y, z, -z.
     """
+    axis, along = _axes(directions, frame)
+    return ~((np.abs(along) > _ALONG) & free[2 * axis + (along < 0)])
+
+
+def _shares(
+    directions: Float[np.ndarray, "d 3"], frame: Float[np.ndarray, "3 3"], shares: Float[np.ndarray, "6"]
+) -> Float[np.ndarray, "d"]:
+    """Return for each direction the share of a mate's pixels that are blocked; 1 where it is no axis of the point."""
+    axis, along = _axes(directions, frame)
+    return np.where(np.abs(along) > _ALONG, shares[2 * axis + (along < 0)], 1.0)
+
+
+def _axes(
+    directions: Float[np.ndarray, "d 3"], frame: Float[np.ndarray, "3 3"]
+) -> tuple[Int[np.ndarray, "d"], Float[np.ndarray, "d"]]:
+    """Return the axis of a frame that is nearest to each direction, and its cosine with it."""
     cosine = directions @ frame
     axis = np.argmax(np.abs(cosine), axis=1)
-    along = cosine[np.arange(len(directions)), axis]
-    way = 2 * axis + (along < 0)
-    return ~((np.abs(along) > _ALONG) & free[way])
+    return axis, cosine[np.arange(len(directions)), axis]
 
 
 def _distinct(directions: list[Float[np.ndarray, "3"]]) -> Float[np.ndarray, "d 3"]:
