@@ -308,9 +308,9 @@ def _fit_array(view: PolicyView, p: GroupedPoints, cache: TokenCache) -> Int8[np
     out = np.zeros((len(p.part), len(p.part), FIT_FEATURES), np.int8)
     joints: list[tuple[bytes, PartJoints, Int[np.ndarray, "_"], int]] = []
     for part in dict.fromkeys(p.part.tolist()):
-        key = view.digests[part] + view.points[part].tobytes() + b"joints"
+        key = b"".join([view.digests[part], view.points[part].tobytes(), b"joints"])
         rows = np.flatnonzero(p.part == part)
-        joints.append((key, cache.get(key, partial(_joints_of, view, part)), rows, int(p.group[rows[0]])))
+        joints.append((key, cache.get(key, partial(_measured_joints, view, part)), rows, int(p.group[rows[0]])))
     for (key, a, rows, group), (other_key, b, columns, other_group) in combinations(joints, 2):
         if group != other_group:
             moving, waiting = cache.get(key + other_key, partial(_both_fits, a, b))
@@ -319,7 +319,7 @@ def _fit_array(view: PolicyView, p: GroupedPoints, cache: TokenCache) -> Int8[np
     return out
 
 
-def _joints_of(view: PolicyView, part: int) -> PartJoints:
+def _measured_joints(view: PolicyView, part: int) -> PartJoints:
     """Measure the joints of a part."""
     points = view.points[part]
     points = points[points.any(axis=1)]
