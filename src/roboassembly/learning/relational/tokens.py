@@ -307,8 +307,9 @@ def _fit_array(view: PolicyView, p: GroupedPoints, cache: TokenCache) -> Int8[np
     """`Tokens.fit`; 0 within a group."""
     out = np.zeros((len(p.part), len(p.part), FIT_FEATURES), np.int8)
     joints: list[tuple[bytes, PartJoints, Int[np.ndarray, "_"], int]] = []
-    for part in dict.fromkeys(p.part.tolist()):
-        key = b"".join([view.digests[part], view.points[part].tobytes(), b"joints"])
+    of_points: list[int] = p.part.tolist()
+    for part in dict.fromkeys(of_points):
+        key = view.digests[part] + view.points[part].tobytes() + b"joints"
         rows = np.flatnonzero(p.part == part)
         joints.append((key, cache.get(key, partial(_measured_joints, view, part)), rows, int(p.group[rows[0]])))
     for (key, a, rows, group), (other_key, b, columns, other_group) in combinations(joints, 2):
