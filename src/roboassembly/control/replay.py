@@ -21,6 +21,10 @@ from roboassembly.task.full.timing import timed_motion
 
 _SETTLE = 2
 """Control steps for which a robot waits at the end of a segment."""
+_NEAR = 0.01
+"""Difference up to which a command is carried out [m, rad]."""
+_MOST_REPEATS = 20
+"""Control steps for which a command is repeated at most."""
 _GRIP_STEPS, _JOIN_STEPS, _OPEN_STEPS = 30, 40, 8
 """Control steps for which a hand closes at most, a merge waits for its joint at most, and a hand opens."""
 
@@ -28,8 +32,9 @@ _GRIP_STEPS, _JOIN_STEPS, _OPEN_STEPS = 30, 40, 8
 def commands_of(segments: Sequence[Segment], cell: ControlCell) -> Iterator[Commands]:
     """Yield the commands that carry out planned segments, one for each control step.
 
-    The caller carries each out before it takes the next: hands and joints are looked at in between. Commands go on
-    after a grip or a joint that fails, as the plan has it.
+    The caller carries each out before it takes the next: hands and joints are looked at in between. A command that the
+    limits of the control cut is repeated until it is reached. Commands go on after a grip or a joint that fails, as the
+    plan has it.
 
     Args:
         segments: of a planned merge, from the cell's present state on.
@@ -43,7 +48,8 @@ def commands_of(segments: Sequence[Segment], cell: ControlCell) -> Iterator[Comm
             openings[robot] = min(segment.before.robots[robot].opening, MAX_OPENING)
         for q in _sampled(segment, cell):
             targets[robot] = q
-            yield targets.copy(), openings.copy()
+            # Some controls have slower limits than the joints; what lags behind finds no way back on its own.
+            yield from _repeat(targets, openings, _MOST_REPEATS, lambda: _reached(targets, cell), first=True)
         following = segments[index + 1].before if index + 1 < len(segments) else segment.after
         if segment.stage is Stage.APPROACH:
             openings[robot] = 0.0
@@ -67,14 +73,23 @@ def _sampled(segment: Segment, cell: ControlCell) -> Iterator[Float[np.ndarray, 
         yield segment.path[-1]
 
 
+def _reached(targets: Float[np.ndarray, "2 10"], cell: ControlCell) -> bool:
+    """Return whether both robots are told to be where they should be; platforms may have turned fully."""
+    left = targets - cell.physics.commands
+    left[:, 2] = np.sin(0.5 * left[:, 2])
+    return bool(np.abs(left).max() < _NEAR)
+
+
 def _repeat(
     targets: Float[np.ndarray, "2 10"],
     openings: Float[np.ndarray, "2"],
     steps: int,
     done: Callable[[], bool] = lambda: False,
+    *,
+    first: bool = False,
 ) -> Iterator[Commands]:
-    """Yield the same commands for some control steps, or until something is done."""
-    for _ in range(steps):
-        if done():
+    """Yield the same commands for some control steps, or until something is done; at least once if `first`."""
+    for step in range(steps):
+        if done() and not (first and step == 0):
             return
         yield targets.copy(), openings.copy()
