@@ -40,5 +40,5 @@ def test_a_file_keeps_the_samples_and_a_broken_one_is_refused(tmp_path: Path) ->
 def test_a_file_of_another_format_is_refused_with_a_remedy(tmp_path: Path) -> None:
     path = tmp_path / "old.npz"
     archive.write(path, {"name": np.array("stool")})
-    with pytest.raises(InputError, match="has format 1, this program reads 3; remove it and build it again"):
+    with pytest.raises(InputError, match="has format 1, this program reads 4; remove it and build it again"):
         SampleSet.load(path)
