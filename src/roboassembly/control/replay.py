@@ -24,7 +24,7 @@ _SETTLE = 2
 _NEAR = 0.01
 """Difference up to which a command is carried out [m, rad]."""
 _MOST_REPEATS = 20
-"""Control steps for which a command is repeated at most."""
+"""Largest number of control steps of one command."""
 _GRIP_STEPS, _JOIN_STEPS, _OPEN_STEPS = 30, 40, 8
 """Control steps for which a hand closes at most, a merge waits for its joint at most, and a hand opens."""
 
@@ -49,7 +49,8 @@ def commands_of(segments: Sequence[Segment], cell: ControlCell) -> Iterator[Comm
         for q in _sampled(segment, cell):
             targets[robot] = q
             # Some controls have slower limits than the joints; what lags behind finds no way back on its own.
-            yield from _repeat(targets, openings, _MOST_REPEATS, lambda: _reached(targets, cell), first=True)
+            yield targets.copy(), openings.copy()
+            yield from _repeat(targets, openings, _MOST_REPEATS - 1, lambda: _reached(targets, cell))
         following = segments[index + 1].before if index + 1 < len(segments) else segment.after
         if segment.stage is Stage.APPROACH:
             openings[robot] = 0.0
@@ -85,11 +86,9 @@ def _repeat(
     openings: Float[np.ndarray, "2"],
     steps: int,
     done: Callable[[], bool] = lambda: False,
-    *,
-    first: bool = False,
 ) -> Iterator[Commands]:
-    """Yield the same commands for some control steps, or until something is done; at least once if `first`."""
-    for step in range(steps):
-        if done() and not (first and step == 0):
+    """Yield the same commands for some control steps, or until something is done."""
+    for _ in range(steps):
+        if done():
             return
         yield targets.copy(), openings.copy()

@@ -152,7 +152,7 @@ def joint_fit(moving: PartJoints, waiting: PartJoints) -> Int8[np.ndarray, "k l 
 def exchanged(fit: Int8[np.ndarray, "k l 23"]) -> Int8[np.ndarray, "l k 23"]:
     """Return the codes of `joint_fit` where the other part moves."""
     back = fit.transpose(1, 0, 2)[..., _EXCHANGED]
-    # What reaches beyond the other outline falls short of it the other way round.
+    # A reach beyond the other part's outline is a lack for the other part.
     back[..., 16:20] = -back[..., 16:20]
     return back
 
