@@ -101,9 +101,13 @@ def test_assemble_with_a_policy_with_and_without_search(run: Run, stool: Path, t
     status, out, _ = run(*arguments, "--no-search", "--out", tmp_path / "b")
     report = json.loads(out)
     assert (status, report["success"]) == (1, False)
-    said, _, verdict = report["reason"].rpartition(" ")
-    assert said == f"policy {untrained} without search: merge 4 ended as"
-    assert ObjectCentricVerdict(verdict) is not ObjectCentricVerdict.MERGED
+    # The same episode as `evaluate` plays: the failing merge is its last.
+    (episode,) = json.loads(
+        run("evaluate", "--set", f"folder:{stool}", "--jobs", "1", "--json", "--policy", untrained)[1]
+    )["per_furniture"]
+    assert episode["verdict"] != ObjectCentricVerdict.MERGED
+    expected = f"merge {len(episode['actions'])} ended as {episode['verdict']}"
+    assert report["reason"] == f"policy {untrained} without search: {expected}"
     status, out, _ = run("assemble", stool, "--no-film", "--json", "--policy", "none", "--out", tmp_path / "c")
     report = json.loads(out)
     assert (status, report["policy"], report["guided_merges"]) == (0, "none", 0)
