@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from roboassembly.audit.object_centric import ViolationKind, audit_plan
+from roboassembly.datasets import catalogue
 from roboassembly.errors import InputError
 from roboassembly.furniture.model import Furniture
 from roboassembly.geometry.poses import SE3
@@ -103,6 +104,16 @@ def test_insertions_are_in_the_file_and_read_back(fastened: Furniture, fastened_
     broken["insertions"][0]["fastener"] = "nail"
     with pytest.raises(InputError, match="fastener 'nail' is not in the furniture"):
         read_plan(msgspec.json.encode(broken), "plan.json", fastened)
+
+
+@pytest.mark.parametrize(("family", "count"), [("stool", 12), ("panel", 4), ("pedestal", 1)])
+def test_all_fasteners_of_generated_furniture_go_in(family: str, count: int) -> None:
+    """Heads lie on round legs, not under their surface; no leg stands in front of a screw into a seat."""
+    furniture = catalogue.make(family, 2, with_grasps=False, fasteners=True)
+    plan = with_insertions(solve(furniture, 0).plan)
+    assert len(furniture.fasteners) == count
+    assert (len(plan.insertions), plan.not_inserted) == (count, ())
+    assert audit_plan(plan, resolution=0.004, angular_resolution=0.2).passed
 
 
 def test_the_task_knows_nothing_of_fasteners(fastened: Furniture) -> None:

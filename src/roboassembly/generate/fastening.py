@@ -79,24 +79,28 @@ def _line(
         if not 0.008 < min(outer) <= through < _THICKEST or through - min(outer) > 0.003 or left < _BITE:
             continue
         length = min(through + min(left - 0.004, 1.2 * _BITE), _LONGEST)
-        start = contact.center - min(outer) * inward
+        # From the highest point around the axis: a head must not lie under the surface of a round part.
+        start = contact.center - through * inward
         end = start + length * inward
-        blocked = any(_outer(other, contact.center - (through + 0.001) * inward, -inward, nearest=True) < _FREE
-                      for k, other in enumerate(rays) if k not in (first, second))  # fmt: skip
-        passed = any(_outer(other, start + 0.001 * inward, inward, nearest=True) < length
-                     for k, other in enumerate(rays) if k not in (first, second))  # fmt: skip
-        if not blocked and not passed:
+        others = [other for k, other in enumerate(rays) if k not in (first, second)]
+        ahead = [start - 0.001 * inward + shift for shift in around]
+        if all(
+            _is_free(other, np.array(ahead), -inward, _FREE)
+            and _is_free(other, (start + 0.001 * inward)[None], inward, length)
+            for other in others
+        ):
             return start, end
     return None
 
 
-def _outer(
-    rays: Rays, start: Float[np.ndarray, "3"], direction: Float[np.ndarray, "3"], nearest: bool = False
-) -> float:
-    """Return how far a part reaches along a direction [m]: to its farthest surface, or to its nearest one.
+def _is_free(rays: Rays, starts: Float[np.ndarray, "n 3"], direction: Float[np.ndarray, "3"], length: float) -> bool:
+    """Return whether a part leaves some lines of a length free; it does not if one begins inside it."""
+    distance, normals = rays.first_hits(starts, np.tile(direction, (len(starts), 1)))
+    return bool((distance >= length).all() and (normals @ direction <= 0.0).all())
 
-    Without a surface it is 0, or infinite for the nearest one.
-    """
+
+def _outer(rays: Rays, start: Float[np.ndarray, "3"], direction: Float[np.ndarray, "3"]) -> float:
+    """Return how far a part reaches along a direction, to its farthest surface; 0 without one [m]."""
     reach: list[float] = []
     here = np.array(start, dtype=float)
     for _ in range(8):
@@ -105,8 +109,6 @@ def _outer(
             break
         reach.append(float((here + distance * direction - start) @ direction))
         here = here + (distance + 1e-5) * direction
-    if nearest:
-        return min(reach, default=np.inf)
     return max(reach, default=0.0)
 
 

@@ -117,7 +117,7 @@ class _Planner:
                 continue
             paths = self._later_paths(candidate, rest_states)
             if paths is None:
-                reason = "a later step would hit it"
+                reason = reason or "a later step would hit it"
                 continue
             self.steps = [
                 replace(s, path=path) if path != s.path else s for s, path in zip(self.steps, paths, strict=True)
