@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from roboassembly.geometry.mating import FACE_TO_FACE
 from roboassembly.learning.relational.depth_images import EXIT_COUNTS, MIRRORED_EXITS, PointImages, exit_counts
-from roboassembly.learning.relational.features import exit_is_free
+from roboassembly.learning.relational.features import exit_states
 
 _OUT = 4
 
@@ -44,33 +44,33 @@ PEG = ([-0.0195, -0.0195, -0.0195], [0.0195, 0.0195, 0.04])
 
 
 def test_a_block_slides_on_a_board_and_leaves_it_upwards() -> None:
-    free = exit_is_free(exit_counts(mated(BLOCK), images(BOARD)))[0, 0]
+    free = exit_states(exit_counts(mated(BLOCK), images(BOARD)))[0][0, 0]
     # x, -x, y, -y, z, -z
     assert free.tolist() == [True, True, True, True, True, False]
 
 
 def test_a_peg_leaves_its_hole_upwards_only() -> None:
-    assert exit_is_free(exit_counts(mated(PEG), images(*POCKET)))[0, 0, :5].tolist() == [False] * 4 + [True]
+    assert exit_states(exit_counts(mated(PEG), images(*POCKET)))[0][0, 0, :5].tolist() == [False] * 4 + [True]
 
 
 def test_the_board_leaves_the_peg_too() -> None:
     turned = [np.sort(np.array(box) @ FACE_TO_FACE, axis=0).tolist() for box in POCKET]
     peg = np.sort(np.array(PEG) @ FACE_TO_FACE, axis=0).tolist()
-    assert exit_is_free(exit_counts(mated(*turned), images(peg)))[0, 0, :5].tolist() == [False] * 4 + [True]
+    assert exit_states(exit_counts(mated(*turned), images(peg)))[0][0, 0, :5].tolist() == [False] * 4 + [True]
 
 
 @pytest.mark.parametrize(("axis", "sign", "way"), [(0, 1, 0), (0, -1, 1), (1, 1, 2), (1, -1, 3)])
 def test_a_wall_blocks_the_way_to_its_side(axis: int, sign: int, way: int) -> None:
     wall = np.array([[-0.045, -0.045, 0.0], [0.045, 0.045, 0.04]])
     wall[:, axis] = sorted((sign * 0.025, sign * 0.04))
-    free = exit_is_free(exit_counts(mated(BLOCK), images(BOARD, wall.tolist())))[0, 0]
+    free = exit_states(exit_counts(mated(BLOCK), images(BOARD, wall.tolist())))[0][0, 0]
     assert free.tolist() == [i != way and i != 5 for i in range(6)]
 
 
 def test_a_board_far_above_a_wide_one_blocks_the_way_up() -> None:
     lid, wide = ([-0.2, -0.2, 0.3], [0.2, 0.2, 0.32]), ([-0.2, -0.2, 0.0], [0.2, 0.2, 0.02])
-    assert exit_is_free(exit_counts(mated(wide), images(BOARD)))[0, 0, _OUT]
-    assert not exit_is_free(exit_counts(mated(wide), images(BOARD, lid)))[0, 0, _OUT]
+    assert exit_states(exit_counts(mated(wide), images(BOARD)))[0][0, 0, _OUT]
+    assert not exit_states(exit_counts(mated(wide), images(BOARD, lid)))[0][0, 0, _OUT]
 
 
 def test_a_mirror_exchanges_the_ways_along_y() -> None:

@@ -242,16 +242,15 @@ def up_axis_features(t: dict[str, Array]) -> Array:
     return xp.stack(features, axis=-1)
 
 
-def exit_is_free(exits: Array) -> Array:
-    """Return (..., 6) whether each way out of a mate is free in the fine and in the coarse images."""
-    free_fine, free_coarse = _free_exits(exits, *blocked_shares(exits.__array_namespace__(), exits))
-    return free_fine & free_coarse
+def exit_states(exits: Array) -> tuple[Array, Array]:
+    """Return (..., 6) whether each exit of a mate is free in the fine and in the coarse images, and its blocked share.
 
-
-def exit_shares(exits: Array) -> Array:
-    """Return (..., 6) shares of the pixels with both groups that are blocked along each way, the larger of the two."""
+    The share is that of the pixels with both groups, the larger one of the two images.
+    """
     xp = exits.__array_namespace__()
-    return xp.maximum(*blocked_shares(xp, exits))
+    fine, coarse = blocked_shares(xp, exits)
+    free_fine, free_coarse = _free_exits(exits, fine, coarse)
+    return free_fine & free_coarse, xp.maximum(fine, coarse)
 
 
 def _free_exits(exits: Array, fine: Array, coarse: Array) -> tuple[Array, Array]:

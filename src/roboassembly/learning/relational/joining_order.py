@@ -12,15 +12,15 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
-from roboassembly.learning.relational.features import exit_is_free, exit_shares
+from roboassembly.learning.relational.features import exit_states
 from roboassembly.learning.relational.layout_search import Layout
 from roboassembly.learning.relational.tokens import Tokens
 
 _SAME = 0.999
 """Cosine above which two directions count as one."""
-_ALONG = 0.99
+_ON_AXIS = 0.99
 """Cosine above which a direction counts as an axis of a point's frame."""
 _MOST_DOUBTED, _MOST_FREED = 0.8, 16
 """Largest share of blocked pixels of an exit that may be free after all, and number of such exits that are tried."""
@@ -53,12 +53,10 @@ class JoiningOrder:
         for k, l in mates:  # noqa: E741
             a, b = int(tokens.group[k]), int(tokens.group[l])
             near[a] |= 1 << b
-            free, shares = exit_is_free(tokens.exits[k, l]), exit_shares(tokens.exits[k, l])
-            of_directions = _blocked(directions, frames[l], free), _shares(directions, frames[l], shares)
-            for index, (blocked, share) in enumerate(zip(*of_directions, strict=True)):
-                if blocked:
-                    arcs[index][a] |= 1 << b
-                    doubts[index, a, b] = max(float(share), doubts.get((index, a, b), 0.0))
+            free, shares = _along(directions, frames[l], *exit_states(tokens.exits[k, l]))
+            for index in np.flatnonzero(~free).tolist():
+                arcs[index][a] |= 1 << b
+                doubts[index, a, b] = max(float(shares[index]), doubts.get((index, a, b), 0.0))
         order = JoiningOrder(arcs, near)
         return order if order.whole_is_solvable() else order.with_one_exit(doubts)
 
@@ -127,35 +125,23 @@ class JoiningOrder:
         return reached == groups
 
 
-def _blocked(
-    directions: Float[np.ndarray, "d 3"], frame: Float[np.ndarray, "3 3"], free: Bool[np.ndarray, "6"]
-) -> Bool[np.ndarray, "d"]:
-    """Return for each direction whether a mate blocks the moving group.
+def _along(
+    directions: Float[np.ndarray, "d 3"], frame: Float[np.ndarray, "3 3"], free: Bool[np.ndarray, "6"],
+    shares: Float[np.ndarray, "6"],
+) -> tuple[Bool[np.ndarray, "d"], Float[np.ndarray, "d"]]:  # fmt: skip
+    """Return for each direction whether the exit of a mate is free, and its blocked share; off the axes none is.
 
     Args:
         directions: unit vectors in the layout.
         frame: `layout_from_point` of the waiting point.
         free: whether the exits along its axes are free: x, -x, y, -y, z, -z.
+        shares: their blocked shares.
     """
-    axis, along = _axes(directions, frame)
-    return ~((np.abs(along) > _ALONG) & free[2 * axis + (along < 0)])
-
-
-def _shares(
-    directions: Float[np.ndarray, "d 3"], frame: Float[np.ndarray, "3 3"], shares: Float[np.ndarray, "6"]
-) -> Float[np.ndarray, "d"]:
-    """Return for each direction the share of a mate's pixels that are blocked; 1 where it is no axis of the point."""
-    axis, along = _axes(directions, frame)
-    return np.where(np.abs(along) > _ALONG, shares[2 * axis + (along < 0)], 1.0)
-
-
-def _axes(
-    directions: Float[np.ndarray, "d 3"], frame: Float[np.ndarray, "3 3"]
-) -> tuple[Int[np.ndarray, "d"], Float[np.ndarray, "d"]]:
-    """Return the axis of a frame that is nearest to each direction, and its cosine with it."""
     cosine = directions @ frame
     axis = np.argmax(np.abs(cosine), axis=1)
-    return axis, cosine[np.arange(len(directions)), axis]
+    along = cosine[np.arange(len(directions)), axis]
+    is_axis, exit_number = np.abs(along) > _ON_AXIS, 2 * axis + (along < 0)
+    return is_axis & free[exit_number], np.where(is_axis, shares[exit_number], 1.0)
 
 
 def _distinct(directions: list[Float[np.ndarray, "3"]]) -> Float[np.ndarray, "d 3"]:

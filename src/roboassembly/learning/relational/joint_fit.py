@@ -37,8 +37,6 @@ _MARGIN = 0.001
 """Distance from the surface of a tenon up to which points are not inside [m]."""
 _FARTHEST = 0.010
 """Largest clearance [m]."""
-_WALL = 0.002
-"""Clearance up to which a side has a wall [m]."""
 _ON_AXIS = 5
 """Number of points nearest to the normal of a connection point that say how high the surface is there."""
 _UNIT = 0.001
@@ -175,29 +173,33 @@ def _tenons(of: PartJoints, into: PartJoints) -> Float[np.ndarray, "k l 8"]:
     if not len(have):
         return out
     sides, offset, length = of.sides[have], of.offset[have], of.length[have]
-    for l, points in enumerate(into.near):  # noqa: E741
-        points = points[points[:, 2] > -_PLANE]
-        distance = sides @ points[:, :2].T - offset[..., None]
-        clearance, side = distance.max(axis=1, initial=-_REACH), distance.argmax(axis=1) if len(points) else None
-        z = points[:, 2]
-        beside = z < np.minimum(length - _PLANE, _SECTION)[:, None]
-        values = np.full((len(have), _TENON_FEATURES), _FARTHEST)
-        beside &= z > _PLANE
-        least = np.where(beside, clearance, _FARTHEST)
-        values[:, 1] = least.min(axis=1, initial=_FARTHEST)
-        if side is not None:
-            ends = np.stack(
-                [np.where(side == s, least, _FARTHEST).min(axis=1) for s in range(0, _SIDES, _SIDES // 4)], axis=1
-            )
-            values[:, 2:6] = np.sort(ends[:, [0, 2, 1, 3]].reshape(-1, 2, 2), axis=2).reshape(-1, 4)
-        inside = clearance < -_MARGIN
-        floor = np.where(inside, z, np.inf).min(axis=1, initial=np.inf)
-        values[:, 6] = np.clip(floor - length, -_FARTHEST, _FARTHEST)
-        values[:, :7] /= _UNIT
-        values[:, 0] = 1.0
-        values[:, 7] = np.log1p((inside & (z < length[:, None] - _MARGIN)).sum(axis=1))
+    for l, near in enumerate(into.near):  # noqa: E741
+        values = np.full((len(have), _TENON_FEATURES), _FARTHEST / _UNIT)
+        values[:, 0], values[:, 7] = 1.0, 0.0
+        points = near[near[:, 2] > -_PLANE]
+        if len(points):
+            values[:, 1:7], values[:, 7] = _clearances(sides, offset, length, points)
         out[have, l] = values
     return out
+
+
+def _clearances(
+    sides: Float[np.ndarray, "t s 2"], offset: Float[np.ndarray, "t s"], length: Float[np.ndarray, "t"],
+    points: Float[np.ndarray, "m 3"],
+) -> tuple[Float[np.ndarray, "t 6"], Float[np.ndarray, "t"]]:  # fmt: skip
+    """Return features 1 to 6 of `joint_fit` of t tenons among the points of another part, and feature 7."""
+    distance = sides @ points[:, :2].T - offset[..., None]
+    clearance, side = distance.max(axis=1), distance.argmax(axis=1)
+    z = points[:, 2]
+    beside = (z > _PLANE) & (z < np.minimum(length - _PLANE, _SECTION)[:, None])
+    least = np.where(beside, clearance, _FARTHEST)
+    quarters = range(0, _SIDES, _SIDES // 4)
+    ends = np.stack([np.where(side == s, least, _FARTHEST).min(axis=1) for s in quarters], axis=1)
+    ends = np.sort(ends[:, [0, 2, 1, 3]].reshape(-1, 2, 2), axis=2).reshape(-1, 4)
+    inside = clearance < -_MARGIN
+    tip = np.clip(np.where(inside, z, np.inf).min(axis=1) - length, -_FARTHEST, _FARTHEST)
+    count = (inside & (z < length[:, None] - _MARGIN)).sum(axis=1)
+    return np.column_stack([least.min(axis=1), ends, tip]) / _UNIT, np.log1p(count)
 
 
 def _outlines(moving: PartJoints, waiting: PartJoints) -> Float[np.ndarray, "k l 4"]:
