@@ -88,7 +88,7 @@ def main(source: Path, picture: Path, names: Sequence[str]) -> None:
     rows = []
     for episode in chosen:
         furniture = found(picks, episode["furniture"], full)
-        env: Any = (FullEnv if full else ObjectCentricEnv)(furniture)
+        env: Any = (FullEnv if full else ObjectCentricEnv)(furniture, frames=report["frames"])
         env.reset(seed=episode["seed"])
         for action in episode["actions"][:-1]:
             env.step(np.array(action))
