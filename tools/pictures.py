@@ -20,8 +20,7 @@ from roboassembly.control.env import ControlEnv
 from roboassembly.control.randomization import Randomization
 from roboassembly.control.replay import commands_of
 from roboassembly.datasets import catalogue
-from roboassembly.envs.observation import Observer
-from roboassembly.furniture.model import PAPER_PARTS, PAPER_POINTS, Furniture, Part
+from roboassembly.furniture.model import Part
 from roboassembly.generate import CHAIRS, FAMILIES
 from roboassembly.geometry.poses import SE3
 from roboassembly.learning.policy import guide_of
@@ -29,18 +28,15 @@ from roboassembly.learning.registry import load_policy
 from roboassembly.manual.document import pages_of, title_of
 from roboassembly.manual.make import make_manual
 from roboassembly.manual.writers import pdf
-from roboassembly.rendering.colors import WOOD, Finish, distinct_colors
+from roboassembly.rendering.colors import WOOD, distinct_colors
 from roboassembly.rendering.renderer import Quality
 from roboassembly.robots.gripper import hand_pose
 from roboassembly.settings import set_upright
 from roboassembly.solvers.full_search import solve_full
 from roboassembly.solvers.options import grasping
-from roboassembly.solvers.oracle import Oracle
 from roboassembly.solvers.search import solve
-from roboassembly.task.object_centric.task import ObjectCentricTask
-from roboassembly.task.rules.groups import TaskState
 from roboassembly.viewer.camera_path import follow
-from roboassembly.viewer.film import film_scene, render_contact_sheet, render_meshes, shots, write_storyboard
+from roboassembly.viewer.film import film_scene, render_contact_sheet, shots, write_storyboard
 from roboassembly.viewer.film_segments import draw_shots
 from roboassembly.viewer.playback import AnyPlan, make_timeline
 
@@ -50,7 +46,6 @@ LOOP = Quality(scale=1, samples=4, shadow_size=2048, shadow_taps=(12, 20))
 """Quality of the film of the README."""
 MANUAL_PAGE = 4
 """Page of a manual that stands for it in README, from 0."""
-GROUPS = [(0.85, 0.65, 0.35), (0.35, 0.55, 0.80), (0.80, 0.40, 0.35), (0.45, 0.70, 0.45), (0.65, 0.50, 0.75)]
 
 
 def part_in_hands(part: Part, turn: np.ndarray, size: int) -> np.ndarray:
@@ -72,29 +67,6 @@ def write_grasps(name: str, path: Path, columns: int, size: int) -> None:
     tiles += [np.full_like(tiles[0], tiles[0][0, 0])] * (-len(tiles) % columns)
     rows = [np.concatenate(tiles[i : i + columns], axis=1) for i in range(0, len(tiles), columns)]
     iio.imwrite(path, np.concatenate(rows))
-
-
-def groups_as_they_lie(furniture: Furniture, state: TaskState, width: int, height: int) -> np.ndarray:
-    """Draw a state of the object-centric task, each group in its own colour."""
-    meshes = [part.mesh for part in furniture.parts]
-    colors = [GROUPS[state.group_of[p] % len(GROUPS)] for p in range(len(meshes))]
-    return render_meshes(meshes, state.part_poses, colors, width, height, finish=Finish.WOOD)
-
-
-def write_dead_end(name: str, path: Path, *, width: int, height: int) -> None:
-    """Draw how the policy alone runs into a dead end: before and after the merge that locks a part out."""
-    furniture = catalogue.find(name)
-    task, policy = ObjectCentricTask(furniture), load_policy("relational")
-    oracle, observer = Oracle(task), Observer(furniture, PAPER_PARTS, PAPER_POINTS, policy.cloud_points)
-    state = task.initial_state(np.random.default_rng(0))
-    while not state.complete:
-        action = policy.act(observer.observe(state), task.existing_actions(state))
-        after = task.step(state, tuple(int(i) for i in action), 0).state
-        if after is state or not oracle.state_solvable(after):
-            break
-        state = after
-    pictures = [groups_as_they_lie(furniture, s, width, height) for s in (state, after)]
-    iio.imwrite(path, np.concatenate(pictures, axis=1))
 
 
 def write_loop(plan: AnyPlan, path: Path, *, width: int, height: int, fps: int, seconds_per_step: float) -> None:
@@ -251,7 +223,6 @@ PICTURES: dict[str, Callable[[], None]] = {
     "storyboard": draw_storyboard,
     "two_robots": draw_two_robots,
     "grasps": lambda: write_grasps("ladder", IMAGES / "grasps.png", columns=5, size=200),
-    "dead_end": lambda: write_dead_end("splat:8", IMAGES / "dead_end.png", width=480, height=320),
     "families": lambda: render_contact_sheet(
         [catalogue.make(f) for f in FAMILIES], IMAGES / "families.webp", columns=7, size=200
     ),

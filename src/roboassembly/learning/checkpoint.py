@@ -83,10 +83,7 @@ def load(path: Path, kind: str | None = None, *, remedy: str = REMEDY, largest: 
     if not isinstance(config, dict):
         raise InputError(f"'{path}': its configuration is {config!r}, not an object; train again")
     if version != FORMAT:
-        raise InputError(
-            f"'{path}' has format {version}, this program reads {FORMAT}; train again, or convert a relational policy "
-            "with tools/convert_weights.py of the repository"
-        )
+        raise InputError(f"'{path}' has format {version}, this program reads {FORMAT}; train again")
     if kind is not None and found != kind:
         raise InputError(f"'{path}' holds a '{found}' network where a '{kind}' one is needed")
     params: Params = {}
