@@ -83,12 +83,8 @@ def _line(
         start = contact.center - through * inward
         end = start + length * inward
         others = [other for k, other in enumerate(rays) if k not in (first, second)]
-        ahead = [start - 0.001 * inward + shift for shift in around]
-        if all(
-            _is_free(other, np.array(ahead), -inward, _FREE)
-            and _is_free(other, (start + 0.001 * inward)[None], inward, length)
-            for other in others
-        ):
+        ahead, inside = start - 0.001 * inward + np.array(around), (start + 0.001 * inward)[None]
+        if all(_is_free(o, ahead, -inward, _FREE) and _is_free(o, inside, inward, length) for o in others):
             return start, end
     return None
 
