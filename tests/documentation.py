@@ -142,7 +142,6 @@ def extras_needed(command: Command) -> set[str]:
     words = command.arguments or [""]
     needed |= {"learn"} if words[0] in ("train", "benchmark") or "--export" in words else set()
     needed |= {"bench"} if words[0] == "bench" or "--audit" in words else set()
-    needed |= {"step"} if any(word.endswith((".step", ".stp")) for word in words) else set()
     needed |= {"demos"} if words[0] == "demos" else set()
     needed |= {"usd"} if words[:2] == ["export", "usd"] else set()
     needed |= {"mcap"} if words[:2] == ["export", "trajectory"] and "--format" not in words else set()

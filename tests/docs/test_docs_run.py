@@ -182,7 +182,7 @@ MODULES = {
     "jax": "jax", "optax": "optax", "tensorboardx": "tensorboardX", "matplotlib": "matplotlib", "minari": "minari",
     "pyarrow": "pyarrow", "h5py": "h5py", "scikit-learn": "sklearn",
     "pybullet": "pybullet", "python-fcl": "fcl", "roboplan-core": "roboplan", "roboplan-rrt": "roboplan",
-    "sb3-contrib": "sb3_contrib", "ray": "ray", "cascadio": "cascadio", "mcap": "mcap",
+    "sb3-contrib": "sb3_contrib", "ray": "ray", "mcap": "mcap",
     "mcap-ros2-support": "mcap_ros2", "usd-core": "pxr", "franky-control": "franky", "franky-sim": "franky_sim",
 }  # fmt: skip
 """Packages of the extras, and the modules they provide."""

@@ -10,12 +10,10 @@ import numpy as np
 import pytest
 
 from command_line import Run
-from roboassembly.errors import FurnitureError, MissingExtraError
+from roboassembly.errors import FurnitureError
 from roboassembly.furniture import storage
 from roboassembly.importers import folder, step
 from step_files import Assembly, Box, step_table, write_step
-
-pytest.importorskip("cascadio", reason="the extra `step` installs it")
 
 SIDES = ("left side", "right side")
 NAMES = {
@@ -150,20 +148,6 @@ def test_broken_files(
 def test_a_single_solid_is_refused(tmp_path: Path) -> None:
     with pytest.raises(FurnitureError, match="1 part; furniture has 2 or more"):
         folder.read(write_step(tmp_path / "one.step", Box("one", (400, 400, 20))))
-
-
-def test_without_cascadio_the_command_to_install_it_is_named(
-    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path = write_step(tmp_path / "table.step", step_table())
-    monkeypatch.setattr(step.importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(MissingExtraError, match=r"pip install '.\[step\]'"):
-        folder.read(path)
-    status, _, err = run("import", path, "--out", tmp_path / "out")
-    assert status == 1
-    assert err.splitlines() == [
-        "error: 'cascadio' is not installed; run in the source folder: python -m pip install '.[step]'"
-    ]
 
 
 @pytest.mark.slow

@@ -79,6 +79,21 @@ def test_facets_of_round_parts_are_no_lines() -> None:
     assert len(drawing.regions) == 2  # one side and one end
 
 
+@pytest.mark.parametrize(("depth", "faces"), [(0.0002, 1), (0.002, 2)])
+def test_a_shallow_step_of_repair_is_no_line(depth: float, faces: int) -> None:
+    """A pocket in the front of a board, 0.2 or 2 mm deep, is drawn only if it is a feature of the board."""
+    board = of_solid(block((0, 0, 0), (0.3, 0.02, 0.3)) - block((0.1, -0.01, 0.1), (0.2, depth, 0.2)))
+    drawing = draw([Figure(board, HERE, 0)], FRONT)
+    assert len(drawing.regions) == faces
+    assert whole(drawing) == pytest.approx(300.0**2, rel=1e-6)
+
+
+def test_a_sheet_thinner_than_such_a_step_keeps_its_sides() -> None:
+    side = Projection.looking(np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0]))
+    (edge,) = draw([Figure(box((0, 0, 0), (0.3, 0.0004, 0.3)), HERE, 0)], side).regions
+    assert edge.shape.area() == pytest.approx(0.4 * 300.0, rel=1e-6)
+
+
 def test_an_open_surface_is_drawn_from_both_sides() -> None:
     square = Mesh(np.array([[0, 0, 0], [0.1, 0, 0], [0.1, 0, 0.1], [0, 0, 0.1]]), np.array([[0, 1, 2], [0, 2, 3]]))
     for mesh in (square, mirrored(square)):

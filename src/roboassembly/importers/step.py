@@ -5,7 +5,6 @@ OpenCASCADE runs in a process of its own: it may crash or hang on a broken file,
 
 from __future__ import annotations
 
-import importlib.util
 import re
 import signal
 import struct
@@ -14,15 +13,13 @@ import sys
 import tempfile
 from pathlib import Path
 
-from roboassembly.errors import FurnitureError, MissingExtraError
+from roboassembly.errors import FurnitureError
 from roboassembly.furniture.triangles import NamedTriangles, Triangles
 from roboassembly.geometry.units import METRES, NAMES, Unit
 from roboassembly.importers.files import one_line, read_bytes
 from roboassembly.importers.glb import decode_glb
 from roboassembly.importers.scene import FileScene
 
-EXTRA = "step"
-"""Extra of this package that brings `cascadio`."""
 DEFLECTION = 2.5e-4
 """Distance of the triangles from a curved surface, as a share of the largest part's size (0.25 mm of 1 m)."""
 ANGLE = 0.25
@@ -69,7 +66,6 @@ def read_step(path: Path) -> FileScene:
 
     Raises:
         FurnitureError: the file is no STEP file, is broken, or has no solids; the message names the file.
-        MissingExtraError: `cascadio` is not installed.
     """
     text = read_bytes(path)
     if not text.lstrip()[:32].startswith(b"ISO-10303-21"):
@@ -81,8 +77,6 @@ def read_step(path: Path) -> FileScene:
         raise FurnitureError(
             f"'{path}' cannot be read as STEP: it ends in the middle, after {len(text)} bytes; copy or export it again"
         )
-    if importlib.util.find_spec("cascadio") is None:
-        raise MissingExtraError("cascadio", EXTRA)
     unit = stated_unit(text.decode("latin-1"))
     scene = _tessellated(path)
     # OpenCASCADE converts to metres.

@@ -7,6 +7,9 @@ from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import KDTree
 
 from roboassembly.geometry.meshes import Mesh
 
@@ -20,6 +23,10 @@ _FOLDED, _NEEDLE = -0.5, 2e-3
 """Cosine between the normals of two faces below which they are folded, and ratio of height to length of a needle."""
 _GRAIN = 1e-6
 """Distance below which corners of triangles are one vertex [m]."""
+_STEP = 5e-4
+"""Height of a step between parallel flat faces that is not drawn; repair of imported parts leaves such steps [m]."""
+_BULGE, _PARALLEL = 1e-4, 4e-3
+"""Distance of a flat patch's vertices from its plane [m], and difference of the normals of parallel patches."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,6 +52,12 @@ def drawn_surface(mesh: Mesh) -> DrawnSurface:
     grid = np.round(mesh.vertices / _GRAIN).astype(np.int64)
     _, first, renumbered = np.unique(grid, axis=0, return_index=True, return_inverse=True)
     vertices, faces = mesh.vertices[first], renumbered.reshape(-1)[mesh.faces]
+    edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    code = edges[:, 0] * len(vertices) + edges[:, 1]
+    order = np.argsort(code, kind="stable")
+    same = code[order][1:] == code[order][:-1]
+    pairs = np.column_stack([order[:-1][same], order[1:][same]]) // 3
+    vertices = _without_steps(vertices, faces, pairs)
     a, b, c = (vertices[faces[:, i]] for i in range(3))
     normals = np.cross(b - a, c - a)
     length = np.linalg.norm(normals, axis=1)
@@ -53,11 +66,6 @@ def drawn_surface(mesh: Mesh) -> DrawnSurface:
     )
     known = length > _SLIVER * longest
     normals = np.where(known[:, None], normals / np.maximum(length, 1e-30)[:, None], 0.0)
-    edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-    code = edges[:, 0] * len(vertices) + edges[:, 1]
-    order = np.argsort(code, kind="stable")
-    same = code[order][1:] == code[order][:-1]
-    pairs = np.column_stack([order[:-1][same], order[1:][same]]) // 3
     # Needles that are folded over, as simplified meshes have them, look the wrong way.
     folded = np.unique(pairs[np.einsum("ij,ij->i", normals[pairs[:, 0]], normals[pairs[:, 1]]) < _FOLDED])
     known[folded[length[folded] < _NEEDLE * longest[folded] ** 2]] = False
@@ -69,6 +77,48 @@ def drawn_surface(mesh: Mesh) -> DrawnSurface:
     smooth = pairs[np.einsum("ij,ij->i", normals[pairs[:, 0]], normals[pairs[:, 1]]) > _SHARP]
     convex = mesh.is_solid and mesh.volume > (1.0 - _CONVEX) * float(mesh.hull.volume)
     return DrawnSurface(vertices, faces, normals, smooth, mesh.is_solid, convex)
+
+
+def _without_steps(
+    vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"], pairs: Int[np.ndarray, "e 2"]
+) -> Float[np.ndarray, "v 3"]:
+    """Return the vertices with flat patches moved onto the largest parallel one that lies less than a step away.
+
+    Args:
+        vertices: of the mesh [m].
+        faces: of the mesh.
+        pairs: neighbouring faces.
+    """
+    a, b, c = (vertices[faces[:, i]] for i in range(3))
+    normals = np.cross(b - a, c - a)
+    areas = np.linalg.norm(normals, axis=1)
+    normals = normals / np.maximum(areas, 1e-30)[:, None]
+    links = pairs[np.einsum("ij,ij->i", normals[pairs[:, 0]], normals[pairs[:, 1]]) > _SHARP]
+    graph = coo_array((np.ones(len(links), bool), (links[:, 0], links[:, 1])), shape=(len(faces), len(faces)))
+    count, patch = connected_components(graph, directed=False)
+    area = np.maximum(np.bincount(patch, areas, count), 1e-30)
+    normal = np.column_stack([np.bincount(patch, areas * normals[:, i], count) for i in range(3)]) / area[:, None]
+    offset = np.bincount(patch, areas * np.einsum("ij,ij->i", normals, a), count) / area
+    corners = np.unique(np.column_stack([faces.reshape(-1), np.repeat(patch, 3)]), axis=0)
+    which = corners[:, 1]
+    bulge = np.zeros(count)
+    np.maximum.at(bulge, which, np.abs(np.einsum("ij,ij->i", vertices[corners[:, 0]], normal[which]) - offset[which]))
+    flat = np.flatnonzero((bulge < _BULGE) & (area > _GRAIN**2))
+    planes = np.column_stack([normal * (_STEP / _PARALLEL), offset])[flat]
+    near = flat[KDTree(planes).query_pairs(_STEP, output_type="ndarray")]
+    near = np.concatenate([near, near[:, ::-1]])
+    near = near[area[near[:, 0]] < area[near[:, 1]]]
+    # The largest neighbour of each patch stands last, and is the one kept.
+    near = near[np.argsort(area[near[:, 1]], kind="stable")]
+    target = np.arange(count)
+    target[near[:, 0]] = near[:, 1]
+    # A vertex follows each of its patches once, whatever the number of its triangles there.
+    joined = np.isin(which, near)
+    corners, onto = corners[joined], target[which[joined]]
+    height = offset[onto] - np.einsum("ij,ij->i", vertices[corners[:, 0]], normal[onto])
+    moved = vertices.copy()
+    np.add.at(moved, corners[:, 0], height[:, None] * normal[onto])
+    return moved
 
 
 def _spread_normals(
