@@ -352,7 +352,7 @@ def test_import_then_assemble(run: Run, tmp_path: Path) -> None:
     _table(tmp_path / "in" / "Table" / "plain")
     _write_obj(tmp_path / "in" / "Table" / "alone" / "00.obj", BOX)
     source, out_folder = tmp_path / "in", tmp_path / "furniture"
-    status, out, _ = run("import", "ikea-manual", source, "--out", out_folder, "--json", "--jobs", "1")
+    status, out, _ = run("import", "ikea-manual", "--no-report", source, "--out", out_folder, "--json", "--jobs", "1")
     report = json.loads(out)
     assert status == 0
     assert (report["imported"], report["refused"]) == (1, 1)
@@ -367,7 +367,7 @@ def test_import_of_one_bad_piece_exits_with_2(run: Run, tmp_path: Path) -> None:
     (tmp_path / "piece").mkdir()
     for i in range(2):
         (tmp_path / "piece" / f"0{i}.obj").write_text("v 0 0 0\nv 1 0 nan\nv 0 1 0\nf 1 2 3\n")
-    status, out, err = run("import", "ikea-manual", tmp_path / "piece", "--out", tmp_path / "out")
+    status, out, err = run("import", "ikea-manual", "--no-report", tmp_path / "piece", "--out", tmp_path / "out")
     assert status == 2
     assert "not finite" in err
     assert "Traceback" not in err

@@ -42,7 +42,9 @@ def test_a_folder_of_parts(tmp_path, capsys):
     (tmp_path / "in" / "two").mkdir()
     (tmp_path / "in" / "two" / "a.stl").write_bytes(b"broken")
     before = sorted(p for p in tmp_path.rglob("*"))
-    assert run("import", "folder", tmp_path / "in", "--out", tmp_path / "out", "--jobs", "1", "--json") == 0
+    assert (
+        run("import", "folder", "--no-report", tmp_path / "in", "--out", tmp_path / "out", "--jobs", "1", "--json") == 0
+    )
     report = json.loads(capsys.readouterr().out)
     assert (report["imported"], report["refused"]) == (1, 1)
     assert {item["name"]: item["parts"] for item in report["items"]} == {"one": 2, "two": 0}
@@ -57,7 +59,7 @@ def test_up_is_for_folders(tmp_path, capsys):
     assert run("import", "partnet", tmp_path, "--up", "y") == 2
     assert "--up y is for the format 'folder'" in capsys.readouterr().err
     table(tmp_path / "in")
-    assert run("import", "folder", tmp_path / "in", "--up=-z", "--out", tmp_path / "out", "--json") == 0
+    assert run("import", "folder", "--no-report", tmp_path / "in", "--up=-z", "--out", tmp_path / "out", "--json") == 0
     slots = storage.load(tmp_path / "out")
     top = next(k for k, part in enumerate(slots.parts) if part.name == "top")
     assert slots.assembled[top].translation[2] == pytest.approx(0.02, abs=1e-3)
@@ -68,7 +70,9 @@ def test_an_output_folder_that_holds_something_else_is_one_refusal(tmp_path, cap
     table(tmp_path / "in" / "two")
     (tmp_path / "out" / "one").mkdir(parents=True)
     (tmp_path / "out" / "one" / "precious.txt").write_text("mine")
-    assert run("import", "folder", tmp_path / "in", "--out", tmp_path / "out", "--jobs", "1", "--json") == 0
+    assert (
+        run("import", "folder", "--no-report", tmp_path / "in", "--out", tmp_path / "out", "--jobs", "1", "--json") == 0
+    )
     report = json.loads(capsys.readouterr().out)
     assert [item["error"] is None for item in report["items"]] == [False, True]
     assert (tmp_path / "out" / "one" / "precious.txt").read_text() == "mine"

@@ -46,14 +46,14 @@ def the_one_line(err: str) -> str:
 
 def test_import_refuses_a_name_that_exists(run: Run, tmp_path: Path) -> None:
     source, out = table(tmp_path / "table"), tmp_path / "out"
-    assert run("import", "folder", source, "--out", out)[0] == 0
+    assert run("import", "folder", "--no-report", source, "--out", out)[0] == 0
     before = state(out)
     other = table(tmp_path / "other", 0.6)
-    status, printed, err = run("import", "folder", other, "--out", out)
+    status, printed, err = run("import", "folder", "--no-report", other, "--out", out)
     assert (status, printed) == (2, "")
     assert the_one_line(err) == f"error: '{out}' exists already; replace it with --force or choose another --out"
     assert state(out) == before
-    assert run("import", "folder", other, "--out", out, "--force")[0] == 0
+    assert run("import", "folder", "--no-report", other, "--out", out, "--force")[0] == 0
     assert storage.load(out).provenance.identifier == "other"
 
 
@@ -74,19 +74,21 @@ def test_many_pieces_of_which_some_exist(run: Run, tmp_path: Path) -> None:
     for name in ("one", "two", "three"):
         table(tmp_path / "in" / name)
     out = tmp_path / "out"
-    assert run("import", "folder", tmp_path / "in" / "two", "--out", out / "two")[0] == 0
+    assert run("import", "folder", "--no-report", tmp_path / "in" / "two", "--out", out / "two")[0] == 0
     before = state(out / "two")
-    status, printed, _ = run("import", "folder", tmp_path / "in", "--out", out, "--jobs", "2", "--json")
+    status, printed, _ = run("import", "folder", "--no-report", tmp_path / "in", "--out", out, "--jobs", "2", "--json")
     report = json.loads(printed)
     assert (status, report["imported"], report["refused"]) == (0, 2, 1)
     errors = {item["name"]: item["error"] for item in report["items"]}
     assert errors == {"one": None, "three": None, "two": f"'{out / 'two'}' exists already; replace it with --force "
                       "or choose another --out"}  # fmt: skip
     assert state(out / "two") == before
-    status, printed, _ = run("import", "folder", tmp_path / "in", "--out", out, "--jobs", "1")
+    status, printed, _ = run("import", "folder", "--no-report", tmp_path / "in", "--out", out, "--jobs", "1")
     assert (status, printed.strip()) == (2, "0 imported, 3 refused")
     assert (
-        run("import", "folder", tmp_path / "in", "--out", out, "--jobs", "1", "--force")[1].strip().startswith("3 imp")
+        run("import", "folder", "--no-report", tmp_path / "in", "--out", out, "--jobs", "1", "--force")[1]
+        .strip()
+        .startswith("3 imp")
     )
 
 
@@ -95,7 +97,7 @@ def test_failed_replacement_keeps_the_old_folder(
     how: str, run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     source, out = table(tmp_path / "table"), tmp_path / "all" / "out"
-    assert run("import", "folder", source, "--out", out)[0] == 0
+    assert run("import", "folder", "--no-report", source, "--out", out)[0] == 0
     (out / "notes.txt").write_text("mine")
     before = state(tmp_path / "all")
     changed = table(tmp_path / "changed" / "table", 0.6)
@@ -127,11 +129,11 @@ def test_failed_replacement_keeps_the_old_folder(
 
 def test_replacing_keeps_other_files(run: Run, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    assert run("import", "folder", table(tmp_path / "a" / "table"), "--out", out)[0] == 0
+    assert run("import", "folder", "--no-report", table(tmp_path / "a" / "table"), "--out", out)[0] == 0
     (out / "notes.txt").write_text("mine")
     (out / "photos").mkdir()
     (out / "photos" / "1.jpg").write_bytes(b"jpg")
-    assert run("import", "folder", table(tmp_path / "b" / "table", 0.6), "--out", out, "--force")[0] == 0
+    assert run("import", "folder", "--no-report", table(tmp_path / "b" / "table", 0.6), "--out", out, "--force")[0] == 0
     assert (out / "notes.txt").read_text() == "mine"
     assert (out / "photos" / "1.jpg").read_bytes() == b"jpg"
     assert storage.load(out).parts
@@ -143,7 +145,7 @@ def test_force_replaces_furniture_only(run: Run, tmp_path: Path) -> None:
     (tmp_path / "out" / "table" / "love.txt").write_text("dear")
     source = table(tmp_path / "table")
     for more in ((), ("--force",)):
-        status, _, err = run("import", "folder", source, "--out", tmp_path / "out", *more)
+        status, _, err = run("import", "folder", "--no-report", source, "--out", tmp_path / "out", *more)
         assert status == 2
         assert "exists and is not a furniture folder" in err
         assert "--force" not in err
@@ -156,7 +158,7 @@ def test_importing_a_parent_folder_passes_over_earlier_results(
     """Furniture folders, exports, assemblies, the output folder, and what a killed import left."""
     monkeypatch.chdir(tmp_path)
     table(tmp_path / "parts" / "table")
-    assert run("import", "folder", "parts/table", "--out", "made/table")[0] == 0
+    assert run("import", "folder", "--no-report", "parts/table", "--out", "made/table")[0] == 0
     assert run("export", "urdf", "made/table", "--out", "exported")[0] == 0
     assert run("export", "mjcf", "made/table", "--out", "exported")[0] == 0
     assert run("assemble", "made/table", "--no-film", "--policy", "none", "--out", "assembled")[0] == 0
@@ -170,14 +172,16 @@ def test_importing_a_parent_folder_passes_over_earlier_results(
         return finish(name, *rest, **more)  # pyright: ignore
 
     monkeypatch.setattr(pipeline, "finish", counting)
-    status, printed, err = run("import", "folder", ".", "--out", "new", "--no-cache", "--jobs", "1", "--json")
+    status, printed, err = run(
+        "import", "folder", "--no-report", ".", "--out", "new", "--no-cache", "--jobs", "1", "--json"
+    )
     report = json.loads(printed)
     assert status == 0
     assert [item["name"] for item in report["items"]] == finished == ["table"]
     assert {Path(p).name for p in report["skipped"]} == {"table", "exported", "furniture", ".killed-x1y2", "new"}
     assert "skipped furniture folders of this program: " in err
     before = state(tmp_path / "new")
-    status, _, err = run("import", "folder", ".", "--out", "new", "--jobs", "1")
+    status, _, err = run("import", "folder", "--no-report", ".", "--out", "new", "--jobs", "1")
     assert (status, state(tmp_path / "new")) == (2, before)
     assert "'new/table' exists already" in err
     assert run("import", "ikea-env", ".", "--out", "new2")[0] == 2
@@ -186,7 +190,7 @@ def test_importing_a_parent_folder_passes_over_earlier_results(
 def test_a_furniture_folder_is_no_source(run: Run, tmp_path: Path) -> None:
     folder = storage.save(catalogue.make("stool", with_grasps=False), tmp_path / "stool")
     for path in (folder, folder / "meshes"):
-        status, _, err = run("import", "folder", path, "--out", tmp_path / "out")
+        status, _, err = run("import", "folder", "--no-report", path, "--out", tmp_path / "out")
         assert status == 2
         assert f"'{folder}' is a furniture folder already" in the_one_line(err)
 
@@ -228,7 +232,7 @@ def test_export_refuses_what_exists(run: Run, tmp_path: Path) -> None:
 def test_assemble_replaces_its_own_results_and_nothing_else(run: Run, tmp_path: Path) -> None:
     table(tmp_path / "parts" / "table")
     made = tmp_path / "made"
-    assert run("import", "folder", tmp_path / "parts" / "table", "--out", made)[0] == 0
+    assert run("import", "folder", "--no-report", tmp_path / "parts" / "table", "--out", made)[0] == 0
     command = ("assemble", made, "--no-film", "--policy", "none", "--out")
     before = state(made)
     assert "is a furniture folder" in the_one_line(run(*command, made)[2])

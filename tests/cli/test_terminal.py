@@ -59,14 +59,16 @@ def test_names_of_files_and_parts_in_import(tmp_path: Path) -> None:
     bad.mkdir()
     (bad / f"broken{NASTY}.stl").write_bytes(b"nothing")
     (bad / "foot.stl").write_bytes((good / "foot.stl").read_bytes())
-    status, out, err = command("import", "folder", tmp_path / "in", "--out", tmp_path / f"out{NASTY}", "--jobs", 1)
+    status, out, err = command(
+        "import", "folder", "--no-report", tmp_path / "in", "--out", tmp_path / f"out{NASTY}", "--jobs", 1
+    )
     assert status == 0
     told = (out + err).replace(b"\rimporting:", b"importing:").decode()  # the progress bar's own
     assert steering(told.encode()) == []
     assert r"good\x1b]0;owned\x07\x1b[2Jseat" in told
     assert r"broken\x1b]0;owned" in told
     assert "1 imported, 1 refused" in told
-    status, out, err = command("import", "folder", good, "--out", tmp_path / f"one{NASTY}", "--json")
+    status, out, err = command("import", "folder", "--no-report", good, "--out", tmp_path / f"one{NASTY}", "--json")
     assert status == 0
     assert steering(out + err) == []
     assert json.loads(out)["items"][0]["name"] == good.name, "JSON tells the name itself, escaped"
@@ -134,7 +136,7 @@ def test_words_of_the_command_line_in_errors_of_a_process(arguments: tuple[str, 
 def test_bytes_of_names_that_are_no_text(tmp_path: Path) -> None:
     good = table(tmp_path / "table")
     odd = os.fsencode(tmp_path) + b"/out\xff"
-    status, out, err = command("import", "folder", good, "--out", os.fsdecode(odd))
+    status, out, err = command("import", "folder", "--no-report", good, "--out", os.fsdecode(odd))
     assert status == 0, err
     assert Path(os.fsdecode(odd + b"/furniture.json")).is_file()
     assert rb"out\udcff" in out + err

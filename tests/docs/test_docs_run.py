@@ -59,8 +59,8 @@ SMALLER = [
     (r"roboassembly evaluate .*--episodes 100|roboassembly evaluate --policy examples/.*", "--episodes 2", "minutes"),
 ]  # fmt: skip
 """Words added to commands that would take too long as written."""
-BRIEFLY = {"assemble": ["--no-film"], "evaluate": ["--jobs", "1"], "import": ["--jobs", "1"]}
-"""Words added in the quick form: no film, no further processes."""
+BRIEFLY = {"assemble": ["--no-film"], "evaluate": ["--jobs", "1"], "import": ["--jobs", "1", "--no-report"]}
+"""Words added in the quick form: no film, no report, no further processes."""
 EXTRA_MODULES = {"rl": "sb3_contrib", "learn": "jax", "imitation": "sklearn"}
 """A module of each extra that examples need; without it they do not run."""
 BUILT = [("three_legged", 3)]
@@ -161,10 +161,12 @@ def clone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 WITH_EXAMPLES = [page for page in PAGES if examples(page)]
+FIRST = ("README.md", "docs/quickstart.md", "docs/furniture.md")
+"""Pages that newcomers open first."""
 
 
 @pytest.mark.usefixtures("clone")
-@pytest.mark.parametrize("page", WITH_EXAMPLES)
+@pytest.mark.parametrize("page", [pytest.param(p, marks=() if p in FIRST else pytest.mark.slow) for p in WITH_EXAMPLES])
 def test_pages_run(page: str, as_built) -> None:
     Reader(True, as_built).read(page)
 

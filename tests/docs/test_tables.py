@@ -28,7 +28,7 @@ def test_three_pieces(tmp_path: Path, capsys) -> None:
             mesh.apply_translation((0, 0, centre))
             mesh.export(tmp_path / "in" / name / f"{part}.stl")
     (tmp_path / "in" / "odd|one" / "top.stl").write_bytes(b"broken")
-    imports = run(capsys, "import", "folder", tmp_path / "in", "--out", tmp_path / "out", "--no-cache")
+    imports = run(capsys, "import", "folder", "--no-report", tmp_path / "in", "--out", tmp_path / "out", "--no-cache")
     search = run(capsys, "evaluate", "--policy", "search", "--set", f"folder:{tmp_path / 'out'}")
     totals, empty, *lines = tables.table(imports, search)
     assert totals.startswith("2 of 3 imported, 2 of them assembled, planning median 0.")

@@ -141,20 +141,22 @@ def test_names_and_sizes() -> None:
 
 def test_import_names_the_guessed_unit(run: Run, tmp_path: Path) -> None:
     source = write(tmp_path / "chair", "plank", 1, units.METRES["in"])
-    status, _, err = run("import", "folder", source, "--out", tmp_path / "a")
+    status, _, err = run("import", "folder", "--no-report", source, "--out", tmp_path / "a")
     assert status == 0
     assert "  unit: guessed inches; 0.45 x 0.43 x 0.85 m" in err.splitlines()
-    status, out, _ = run("import", "folder", source, "--out", tmp_path / "b", "--json")
+    status, out, _ = run("import", "folder", "--no-report", source, "--out", tmp_path / "b", "--json")
     (item,) = json.loads(out)["items"]
     assert (item["unit"], item["unit_guessed"], item["unit_others"], item["scale"]) == ("in", True, [], 0.0254)
     assert item["size_m"] == pytest.approx([0.45, 0.43, 0.85], abs=0.01)
     assert item["cached"]
 
-    status, _, err = run("import", "folder", source, "--out", tmp_path / "c", "--unit", "cm")
+    status, _, err = run("import", "folder", "--no-report", source, "--out", tmp_path / "c", "--unit", "cm")
     assert (status, "  unit: centimetres, as given; 0.18 x 0.17 x 0.33 m" in err.splitlines()) == (0, True)
-    status, _, err = run("import", "folder", source, "--out", tmp_path / "d", "--scale", "0.02")
+    status, _, err = run("import", "folder", "--no-report", source, "--out", tmp_path / "d", "--scale", "0.02")
     assert (status, "  unit: 0.02 m, as given; 0.35 x 0.34 x 0.67 m" in err.splitlines()) == (0, True)
-    status, out, err = run("import", "folder", source, "--out", tmp_path / "e", "--scale", "0.02", "--unit", "cm")
+    status, out, err = run(
+        "import", "folder", "--no-report", source, "--out", tmp_path / "e", "--scale", "0.02", "--unit", "cm"
+    )
     assert (status, out) == (2, "")
     assert err.strip() == "error: --unit cm and --scale 0.02 both say how large the files are; give one of them"
     assert not (tmp_path / "e").exists()
@@ -162,13 +164,13 @@ def test_import_names_the_guessed_unit(run: Run, tmp_path: Path) -> None:
 
 def test_import_names_other_possible_units(run: Run, tmp_path: Path) -> None:
     source = write(tmp_path / "screen", "lattice", 2, units.METRES["cm"])
-    status, _, err = run("import", "folder", source, "--out", tmp_path / "a")
+    status, _, err = run("import", "folder", "--no-report", source, "--out", tmp_path / "a")
     assert status == 0
     lines = err.splitlines()
     at = next(k for k, line in enumerate(lines) if line.startswith("  unit: guessed inches"))
     assert lines[at + 1].startswith("  the unit may also be centimetres: 0.41 x 0.20 x 0.46 m")
     assert lines[at + 1].endswith("import it with --unit cm")
-    status, out, _ = run("import", "folder", source, "--out", tmp_path / "b", "--unit", "cm", "--json")
+    status, out, _ = run("import", "folder", "--no-report", source, "--out", tmp_path / "b", "--unit", "cm", "--json")
     assert json.loads(out)["items"][0]["size_m"] == pytest.approx([0.41, 0.20, 0.46], abs=0.01)
 
 
@@ -178,7 +180,7 @@ def test_refusal_names_the_size(run: Run, tmp_path: Path) -> None:
     far = trimesh.creation.box((0.1, 0.1, 0.1))
     far.apply_translation((0.2, 0.0, 3.0))
     far.export(source / "far.stl")
-    status, _, err = run("import", "folder", source, "--out", tmp_path / "a", "--unit", "ft")
+    status, _, err = run("import", "folder", "--no-report", source, "--out", tmp_path / "a", "--unit", "ft")
     assert status == 2
     assert "far" in err.splitlines()[0]
     assert err.splitlines()[1].startswith("  unit: feet, as given; 0.14 x 0.13 x 0.93 m")

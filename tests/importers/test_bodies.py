@@ -140,7 +140,7 @@ def test_a_folder_with_all_legs_in_one_file(run: Run, tmp_path: Path) -> None:
     trimesh.util.concatenate([box((0.05, 0.05, 0.5), (x, y, 0.25)) for x, y in spots]).export(source / "legs.obj")
     raw = folder.read(source)
     assert raw.remarks == ("legs: one part of 4 separate bodies; --split would make each a part",)
-    status, _, err = run("import", "folder", source, "--split", "--out", tmp_path / "a")
+    status, _, err = run("import", "folder", "--no-report", source, "--split", "--out", tmp_path / "a")
     assert status == 0, err
     assert "  legs: split into 4 bodies" in err.splitlines()
     assert [p.name for p in storage.load(tmp_path / "a").parts] == ["legs_1", "legs_2", "legs_3", "legs_4", "top"]
@@ -151,7 +151,7 @@ def test_table_whose_parts_touch(run: Run, tmp_path: Path) -> None:
     top = box((0.6, 0.6, 0.03), (0, 0, 0.515))
     legs = [box((0.05, 0.05, 0.5), (x, y, 0.25)) for x in (-0.275, 0.275) for y in (-0.275, 0.275)]
     trimesh.util.concatenate([top, *legs]).export(tmp_path / "table.stl")
-    status, _, err = run("import", "folder", tmp_path / "table.stl", "--split", "--out", tmp_path / "a")
+    status, _, err = run("import", "folder", "--no-report", tmp_path / "table.stl", "--split", "--out", tmp_path / "a")
     assert status == 0, err
     assert len(storage.load(tmp_path / "a").parts) == 5
     assert run("assemble", tmp_path / "a", "--no-film", "--out", tmp_path / "b")[0] == 0
@@ -167,7 +167,7 @@ def test_more_parts_than_in_the_paper(run: Run, tmp_path: Path) -> None:
     for path, more in ((source, []), (tmp_path / "wall.stl", ["--split"])):
         if more:
             trimesh.util.concatenate(bricks).export(path)
-        status, out, err = run("import", "folder", path, *more, "--out", tmp_path / "a")
+        status, out, err = run("import", "folder", "--no-report", path, *more, "--out", tmp_path / "a")
         assert (status, out.strip()) == (0, "1 imported, 0 refused"), err
         (imported,) = (tmp_path / "a").glob("**/furniture.json")
         wall = storage.load(imported.parent)
@@ -186,7 +186,7 @@ def test_split_is_for_folders(run: Run, tmp_path: Path) -> None:
 def test_a_single_body_is_refused(run: Run, tmp_path: Path) -> None:
     box(UNIT, (0, 0, 0)).export(tmp_path / "a.stl")
     for more in ([], ["--split"]):
-        status, _, err = run("import", "folder", tmp_path / "a.stl", *more, "--out", tmp_path / "out")
+        status, _, err = run("import", "folder", "--no-report", tmp_path / "a.stl", *more, "--out", tmp_path / "out")
         assert (status, "1 part; furniture has 2 or more" in err) == (2, True)
         assert "--split makes" not in err
 
