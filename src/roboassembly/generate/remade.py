@@ -3,7 +3,8 @@
 `fused` parts are assemblies themselves: a side frame, a back, a pair of legs in one piece. Real furniture comes like
 that: bent tubes, welded frames, backs that were glued in the factory. Such a part touches another one in several places
 at once. Here neighbouring parts are joined at random, mostly the same on the left as on the right, and the whole is
-stretched and made to lean first: what can be taken apart along straight lines still can be afterwards.
+stretched and made to lean first, which keeps straight ways straight. A few pieces lock themselves: one part then holds
+another from both sides. They give no samples to learn from.
 
 `sunk` parts have been through the repair of imported files. Files of real furniture overlap at nearly every joint, by
 anything from a hair to the depth of a tenon, and repair cuts pockets for that: too shallow to be seen in a cloud of

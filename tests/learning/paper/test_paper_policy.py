@@ -100,13 +100,14 @@ def test_inputs_are_normalised_by_existing_parts() -> None:
     states = np.zeros((2, STATE), np.float32)
     states[0, 0], states[0, 48], states[1, 0] = 1.0, 3.0, 5.0  # channel 0 of the features of three parts
     states[0, 1] = states[0, 49] = states[1, 1] = 7.0  # a constant channel
+    states[0, 2], states[0, 50], states[1, 2] = 7.0, 7.00001, 7.0  # constant, up to rounding
     inputs = paper.normalization(states)
     deviation = (8.0 / 3.0) ** 0.5  # of 1, 3, 5
     for part in (0, 1, 19):
         assert inputs["mean"][48 * part] == pytest.approx(3.0)
         assert inputs["scale"][48 * part] == pytest.approx(1.0 / deviation)
         assert inputs["mean"][48 * part + 1] == pytest.approx(7.0)
-        assert inputs["scale"][48 * part + 1] == 0.0
+        assert inputs["scale"][48 * part + 1] == inputs["scale"][48 * part + 2] == 0.0
     assert not inputs["scale"][960:].any()
 
 

@@ -57,6 +57,8 @@ SECTIONS = {
 """Sections of the state vector, in order, and their shapes."""
 GRASP_SECTION = {"grasps": (PAPER_PARTS, GRASPS, 6)}
 """Further section of the full setting."""
+_CONSTANT = 1e-4
+"""Deviation up to which a channel counts as constant; the reciprocal of a larger one fits into 16 bits."""
 _RETURN = 10.0
 """Typical return of an episode: unit of the network's outputs, so that they start near one."""
 
@@ -144,7 +146,7 @@ def normalization(states: Float[np.ndarray, "b s"]) -> dict[str, Float32[np.ndar
         rows = states[:, begin:end].reshape(-1, shape[-1])
         rows = rows[(rows != 0).any(axis=1)]
         mean, deviation = (rows.mean(axis=0), rows.std(axis=0)) if len(rows) else (np.zeros(shape[-1]),) * 2
-        scale = np.where(deviation > 1e-6, 1.0 / np.maximum(deviation, 1e-6), 0.0)
+        scale = np.where(deviation > _CONSTANT, 1.0 / np.maximum(deviation, _CONSTANT), 0.0)
         means.append(np.tile(mean, (end - begin) // shape[-1]))
         scales.append(np.tile(scale, (end - begin) // shape[-1]))
         begin = end
