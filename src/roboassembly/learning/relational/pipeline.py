@@ -60,7 +60,7 @@ class RelationalPipelineConfig:
     """Generated furniture to train on, `NAME:SPLIT`."""
     limit: int | None = None
     """Number of pieces of the set, from the first on; all if None."""
-    extra: int = 4_000
+    extra: int = 5_000
     """Number of further generated pieces: chairs of the set's training families, and simple frames."""
     validation: int = 60
     """Number of generated pieces for validation; none of them is trained on."""
