@@ -58,14 +58,13 @@ def drawn_surface(mesh: Mesh) -> DrawnSurface:
     same = code[order][1:] == code[order][:-1]
     pairs = np.column_stack([order[:-1][same], order[1:][same]]) // 3
     vertices = _without_steps(vertices, faces, pairs)
+    normals, length = _normals(vertices, faces)
     a, b, c = (vertices[faces[:, i]] for i in range(3))
-    normals = np.cross(b - a, c - a)
-    length = np.linalg.norm(normals, axis=1)
     longest = np.sqrt(
         np.max([((b - a) ** 2).sum(axis=1), ((c - b) ** 2).sum(axis=1), ((a - c) ** 2).sum(axis=1)], axis=0)
     )
     known = length > _SLIVER * longest
-    normals = np.where(known[:, None], normals / np.maximum(length, 1e-30)[:, None], 0.0)
+    normals[~known] = 0.0
     # Needles that are folded over, as simplified meshes have them, look the wrong way.
     folded = np.unique(pairs[np.einsum("ij,ij->i", normals[pairs[:, 0]], normals[pairs[:, 1]]) < _FOLDED])
     known[folded[length[folded] < _NEEDLE * longest[folded] ** 2]] = False
@@ -79,6 +78,16 @@ def drawn_surface(mesh: Mesh) -> DrawnSurface:
     return DrawnSurface(vertices, faces, normals, smooth, mesh.is_solid, convex)
 
 
+def _normals(
+    vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]
+) -> tuple[Float[np.ndarray, "f 3"], Float[np.ndarray, "f"]]:
+    """Return the unit normals of triangles, zeros where there is none, and twice their areas [m²]."""
+    a, b, c = (vertices[faces[:, i]] for i in range(3))
+    cross = np.cross(b - a, c - a)
+    length = np.linalg.norm(cross, axis=1)
+    return cross / np.maximum(length, 1e-30)[:, None], length
+
+
 def _without_steps(
     vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"], pairs: Int[np.ndarray, "e 2"]
 ) -> Float[np.ndarray, "v 3"]:
@@ -89,16 +98,13 @@ def _without_steps(
         faces: of the mesh.
         pairs: neighbouring faces.
     """
-    a, b, c = (vertices[faces[:, i]] for i in range(3))
-    normals = np.cross(b - a, c - a)
-    areas = np.linalg.norm(normals, axis=1)
-    normals = normals / np.maximum(areas, 1e-30)[:, None]
+    normals, areas = _normals(vertices, faces)
     links = pairs[np.einsum("ij,ij->i", normals[pairs[:, 0]], normals[pairs[:, 1]]) > _SHARP]
     graph = coo_array((np.ones(len(links), bool), (links[:, 0], links[:, 1])), shape=(len(faces), len(faces)))
     count, patch = connected_components(graph, directed=False)
     area = np.maximum(np.bincount(patch, areas, count), 1e-30)
     normal = np.column_stack([np.bincount(patch, areas * normals[:, i], count) for i in range(3)]) / area[:, None]
-    offset = np.bincount(patch, areas * np.einsum("ij,ij->i", normals, a), count) / area
+    offset = np.bincount(patch, areas * np.einsum("ij,ij->i", normals, vertices[faces[:, 0]]), count) / area
     corners = np.unique(np.column_stack([faces.reshape(-1), np.repeat(patch, 3)]), axis=0)
     which = corners[:, 1]
     bulge = np.zeros(count)
