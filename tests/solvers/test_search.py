@@ -279,9 +279,15 @@ LOCKED = {("fused", 3), ("fused", 6), ("fused", 7)}
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("family", "seed"), [(f, s) for f in FAMILIES for s in range(2, 10) if (f, s) not in LOCKED])
+@pytest.mark.parametrize("seed", range(2, 10))
+@pytest.mark.parametrize("family", FAMILIES)
 def test_many_chairs_are_solved(chair, family: str, seed: int) -> None:
-    check(solve(chair(family, seed), seed), 0.002)
+    result = solve(chair(family, seed), seed)
+    if (family, seed) in LOCKED:
+        assert not result.plan.success
+        assert result.reason.startswith("no order of merges is left")
+    else:
+        check(result, 0.002)
 
 
 # Guided search

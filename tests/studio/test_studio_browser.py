@@ -85,8 +85,7 @@ def test_stool_is_assembled_by_clicking(page):
         page.get_by_text(f"{merge + 1} of {MERGES} merges").wait_for()
         seconds.append(time.monotonic() - begun)
     print(f"from the click to what clients of it: median {np.median(seconds):.2f} s, at most {max(seconds):.2f} s")
-    # Without a graphics card, the browser takes a second or more to draw a picture, and most clicks wait for one.
-    assert min(seconds) < 1.0
+    assert np.median(seconds) < 1.0
     assert page.get_by_text("reward 12").is_visible()
     until(lambda: orange(picture(page, "moving")) > 100)
     turn_to(page, "Save")
