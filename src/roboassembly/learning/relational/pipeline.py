@@ -110,8 +110,8 @@ _DEFAULTS: dict[SettingName, RelationalPipelineConfig] = {
     for config in (
         RelationalPipelineConfig(),
         RelationalPipelineConfig(
-            extra=1_500, validation=24, episodes=3, rounds=1, steps=3_000, learning_rate=1e-3, setting="full",
-            start="relational",
+            extra=1_000, validation=24, episodes=2, imported_episodes=2, rounds=1, steps=4_000, learning_rate=1e-3,
+            setting="full", start="relational",
         ),
     )
 }  # fmt: skip
@@ -148,7 +148,7 @@ def run_pipeline(config: RelationalPipelineConfig, folder: Path, jobs: int) -> I
     last = start
     for index in range(pair_rounds):
         samples, path = folder / "samples" / str(index), folder / f"policy-{index}.npz"
-        with_grasps = [ref.name for ref in refs] if grasp_rounds else []
+        with_grasps = [ref.name for ref in (*refs, *imported)] if grasp_rounds else []
         yield from _collect(f"samples {index}", names, samples, config, jobs, last, with_grasps)
         yield from _collect(f"imported samples {index}", imported, samples, config, jobs, last, with_grasps)
         examples += load_examples(samples, [*names, *(ref.name for ref in imported)], jobs, config.frames)
@@ -164,7 +164,7 @@ def run_pipeline(config: RelationalPipelineConfig, folder: Path, jobs: int) -> I
     final = checkpoint.load(last, relational.KIND)
     if start is not None and grasp_rounds:
         both = {**checkpoint.load(start, relational.KIND).params, FULL_PARAMS: final.params}
-        yield from _grasp_rounds(both, final.config, names, folder, config, notes, jobs)
+        yield from _grasp_rounds(both, final.config, names, imported, folder, config, notes, jobs)
     else:
         # Weights for robots stay as they were.
         kept = load_weights(config.start).params if config.start else {}
@@ -234,10 +234,14 @@ def _validated(
 
 
 def _grasp_rounds(
-    params: Params, network: dict[str, Any], names: Sequence[str], folder: Path, config: RelationalPipelineConfig,
-    notes: dict[str, Any], jobs: int,
+    params: Params, network: dict[str, Any], names: Sequence[str], imported: Sequence[FurnitureRef], folder: Path,
+    config: RelationalPipelineConfig, notes: dict[str, Any], jobs: int,
 ) -> Iterator[Progress]:  # fmt: skip
-    """Train the grasp network, and again after each round of its own episodes; writes `policy.npz`."""
+    """Train the grasp network, and again after each round of its own episodes; writes `policy.npz`.
+
+    Its own episodes are of generated pieces only.
+    """
+    with_samples = [*names, *(ref.name for ref in imported)]
     folders = [grasp_folder(folder / "samples" / "0")]
     _, rounds = config.rounds_of_networks
     for index in range(rounds):
@@ -250,7 +254,7 @@ def _grasp_rounds(
         path = folder / f"grasps-{index}.npz"
         training = grasp_imitation.GraspTraining(steps=config.grasp_steps, seed=config.seed)
         if not is_trained(path, grasping.KIND, training.steps):
-            files = [file for f in folders for name in names if (file := dataset_file(f, name)).is_file()]
+            files = [file for f in folders for name in with_samples if (file := dataset_file(f, name)).is_file()]
             examples = grasp_imitation.examples_of(files, jobs)
             for step, terms in grasp_imitation.train(examples, path, training, notes):
                 yield Progress("grasps", step, training.steps, terms)
