@@ -52,7 +52,7 @@ class MultitaskCommand:
     """Number of rounds with corrected episodes of the policy. Without it: 0, or 1 with --setting full. For the preset
     paper they need --experts."""
     setting: Setting = "object-centric"
-    """Only the preset relational has a choice."""
+    """For the preset paper, the setting of the experts in --experts; only --rounds needs it."""
     start: str | None = None
     """Policy to start from, `relational` or a checkpoint; for the preset relational. Without it: none, or `relational`
     with --setting full."""
@@ -111,6 +111,7 @@ class MultitaskCommand:
             raise InputError(
                 "--preset paper needs --samples FOLDER and --extractor CHECKPOINT, both from `train expert`"
             )
+        from roboassembly.learning.paper.dqn.train import ExpertTraining
         from roboassembly.learning.paper.imitation import PaperTraining
         from roboassembly.learning.paper.pipeline import AggregationConfig, train_policy
 
@@ -123,8 +124,9 @@ class MultitaskCommand:
                 )
             refs = selected_furniture(self.set, self.limit, None, self.seed)
             aggregation = AggregationConfig(
-                refs, self.experts, self.rounds, self.round_steps, self.episodes or AggregationConfig.episodes
-            )
+                refs, self.experts, self.rounds, self.round_steps, self.episodes or AggregationConfig.episodes,
+                ExpertTraining(setting=self.setting),
+            )  # fmt: skip
         training = PaperTraining(steps=self.steps or PaperTraining.steps, seed=self.seed)
         return train_policy(self.samples, self.extractor, self.out, training, aggregation, jobs)
 

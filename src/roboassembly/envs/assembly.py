@@ -180,7 +180,7 @@ class AssemblyEnv(gymnasium.Env[Observation, np.ndarray], Generic[ATask, State, 
     def action_mask(self) -> Bool[np.ndarray, "P P K K ..."]:
         """Mask of the actions that exist: parts in different groups, and free points of these parts."""
         if self._mask is None:
-            self._mask = self.task.existing_actions(self.state, *self._padding)
+            self._mask = self.task.existing_actions(self.task.groups_of(self.state), *self._padding)
         return self._mask.copy()
 
     def action_masks(self) -> NoReturn:

@@ -153,7 +153,9 @@ def run(config: BenchmarkConfig, folder: Path, jobs: int) -> Iterator[Progress]:
     paper = train_policy([samples_folder(folder)], autoencoder_file(folder), folder / "paper", training)
     yield from timed(folder, "paper", paper)
     if config.rounds:
-        aggregation = AggregationConfig(chairs, experts_folder(folder), config.rounds, config.round_steps)
+        aggregation = AggregationConfig(
+            chairs, experts_folder(folder), config.rounds, config.round_steps, training=pipeline.experts
+        )
         aggregated = train_policy(
             [samples_folder(folder)],
             autoencoder_file(folder),

@@ -155,7 +155,7 @@ def _rollout(policy: Policy, start: _Start, observes: ObservationConfig, tries: 
     def propose(state: Any) -> Iterable[Action]:
         nonlocal thinking
         observation = observer.observe(task.groups_of(state))
-        choices = Choices(policy, observation, task.existing_actions(state, *furniture.padding))
+        choices = Choices(policy, observation, task.existing_actions(task.groups_of(state), *furniture.padding))
         for _ in range(tries):
             begun = time.perf_counter()
             action = choices.next()

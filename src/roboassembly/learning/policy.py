@@ -256,7 +256,7 @@ class _PolicyGuide:
             observer = Observer(task.furniture, *task.furniture.padding, self.policy.cloud_points)
             self._seen = task.furniture, observer
         observation = self._seen[1].observe(task.groups_of(state))
-        mask = task.existing_actions(state, *task.furniture.padding)
+        mask = task.existing_actions(task.groups_of(state), *task.furniture.padding)
         if isinstance(self.policy, ConfidentPolicy):
             scores = _checked_values(self.policy, "probabilities", self.policy.probabilities(observation, mask), mask)
         else:

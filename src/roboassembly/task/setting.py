@@ -94,9 +94,9 @@ class Task(Protocol[State, Step_co]):
         ...
 
     def existing_actions(
-        self, state: State, max_parts: int = 0, max_points: int = 0
+        self, groups: TaskState, max_parts: int = 0, max_points: int = 0
     ) -> Bool[np.ndarray, "P P K K ..."]:
-        """Return the mask of actions that exist in a state, padded to `max_parts` and `max_points` or to more."""
+        """Return the mask of actions that exist with some groups, padded to `max_parts` and `max_points` or to more."""
         ...
 
     def step(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
@@ -11,12 +12,13 @@ import pytest
 
 from roboassembly.datasets import catalogue
 from roboassembly.datasets.sets import FurnitureRef, furniture_refs
-from roboassembly.envs.observation import Observation
+from roboassembly.envs.observation import Observation, part_clouds
 from roboassembly.errors import InputError
 from roboassembly.furniture import storage
 from roboassembly.geometry.poses import SE3
 from roboassembly.learning import checkpoint
 from roboassembly.learning.paper import autoencoder
+from roboassembly.learning.paper.autoencoder import CLOUD_POINTS
 from roboassembly.learning.paper.dqn import network
 from roboassembly.learning.paper.dqn.exploration import PlanExplorer
 from roboassembly.learning.paper.dqn.memoized_env import Action, MemoizedEnv, State
@@ -533,9 +535,28 @@ class _Student:
         part = self.expert.inputs.part[: self.expert.inputs.points]
         point = np.arange(len(part)) - np.searchsorted(part, part)
         joined = (observation["connections"] != 0).any(axis=2) | np.eye(20, dtype=bool)
-        values = self.expert.values(joined, mask.any(axis=(1, 3, 4))[part, point])
+        values = self.expert.values(joined, mask.any(axis=(1, 3, *range(4, mask.ndim)))[part, point])
         row, column, choice = self.always or network.first_best(values)
-        return np.array([part[row], part[column], point[row], point[column], choice])
+        return np.array([part[row], part[column], point[row], point[column], *np.unravel_index(choice, mask.shape[4:])])
+
+
+def _joined_parts(joined: np.ndarray) -> bytes:
+    """Return which different parts are joined."""
+    return (joined & ~np.eye(len(joined), dtype=bool)).tobytes()
+
+
+@dataclass(frozen=True, eq=False)
+class _Planned(ExpertPolicy):
+    """Expert that values the actions of a plan above all others."""
+
+    plan: dict[bytes, Action]
+    """Action by the parts that are joined."""
+
+    def values(self, joined: np.ndarray, free: np.ndarray) -> np.ndarray:
+        q = super().values(joined, free)
+        if (joined_parts := _joined_parts(joined)) in self.plan:
+            q[self.plan[joined_parts]] = 100.0
+        return q
 
 
 def test_episodes_of_the_policy_become_samples_labelled_by_the_expert(trained: Trained) -> None:
@@ -567,6 +588,26 @@ def test_episodes_of_the_policy_become_samples_labelled_by_the_expert(trained: T
         assert after is not None
         state = after
     assert len(state) == 1
+
+
+@pytest.mark.slow
+def test_episodes_with_robots_become_samples() -> None:
+    task = FullTask(catalogue.make("three_legged", 24))
+    inputs = network.chair_inputs(task, autoencoder.encode(_extractor(), part_clouds(task.furniture, CLOUD_POINTS)))
+    env, plan = MemoizedEnv(task, 3), dict[bytes, Action]()
+    state = env.start
+    for action in demonstration(task, env.table):
+        plan[_joined_parts(env.joined(state))] = action
+        after = env.step(state, action)
+        assert after is not None
+        state = after
+    weights = network.init(np.random.default_rng(0), len(inputs.part), inputs.features.shape[1], inputs.branches)
+    expert = _Planned(inputs, weights, plan)
+    buffer = ReplayBuffer(env, inputs)
+    samples, finished = policy_samples(_Student(expert), expert, buffer, task, "", 2, np.random.default_rng(0))
+    assert finished == 2
+    assert len(samples.samples) == 2 * len(plan) == 2 * (len(task.furniture.parts) - 1)
+    assert samples.grasps is not None
 
 
 def test_an_expert_masters_a_chair_of_two_merges_soon(trained: Trained) -> None:

@@ -28,7 +28,9 @@ def test_an_outcome_labels_the_grasps_of_its_action() -> None:
     state = task.initial_state(np.random.default_rng(0))
     observer = Observer(task.furniture, len(task.furniture.parts), PAPER_POINTS, 1)
     rng, verdicts = np.random.default_rng(1), set[FullVerdict]()
-    right = [a for a in np.argwhere(task.existing_actions(state)).tolist() if task.merge(state.groups, tuple(a[:4]))]
+    right = [
+        a for a in np.argwhere(task.existing_actions(state.groups)).tolist() if task.merge(state.groups, tuple(a[:4]))
+    ]
     for index in rng.permutation(len(right))[:14]:
         action = tuple(right[index])
         fresh, outcome = task.mate_grasp(state.groups, action), task.step(state, action, 5)
@@ -53,7 +55,7 @@ def test_probes_label_actions_as_fresh_tests_do() -> None:
     task = FullTask(shapes.stand())
     state = task.initial_state(np.random.default_rng(0))
     observer = Observer(task.furniture, len(task.furniture.parts), PAPER_POINTS, 1)
-    actions = [tuple(a) for a in np.argwhere(task.existing_actions(state)).tolist()]
+    actions = [tuple(a) for a in np.argwhere(task.existing_actions(state.groups)).tolist()]
     right = [a for a in actions if task.merge(state.groups, a[:4])]
     wrong = [a for a in actions if not task.merge(state.groups, a[:4])]
     samples = probe_grasps(task, state, observer, [*wrong[:5], *right[::4]], np.random.default_rng(1))

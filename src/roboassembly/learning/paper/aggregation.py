@@ -11,14 +11,13 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import cast
 
 import numpy as np
 
 from roboassembly.datasets.sets import FurnitureRef
 from roboassembly.envs.observation import Observer
 from roboassembly.learning import checkpoint
-from roboassembly.learning.datasets import SampleSet, dataset_file
+from roboassembly.learning.datasets import CLOUD_POINTS, SampleSet, dataset_file
 from roboassembly.learning.paper import network as paper
 from roboassembly.learning.paper.dqn.memoized_env import Action, State
 from roboassembly.learning.paper.dqn.network import ExpertPolicy, first_best
@@ -31,6 +30,7 @@ from roboassembly.learning.paper.network import PaperPolicy
 from roboassembly.learning.policy import Policy, chosen
 from roboassembly.parallel.processes import map_unordered
 from roboassembly.solvers.mate_checks import UNKNOWN
+from roboassembly.task.full.task import FullTask
 from roboassembly.task.object_centric.task import ObjectCentricTask
 
 
@@ -76,7 +76,7 @@ def policy_samples(
     policy: Policy,
     expert: ExpertPolicy,
     buffer: ReplayBuffer,
-    task: ObjectCentricTask,
+    task: ObjectCentricTask | FullTask,
     name: str,
     episodes: int,
     rng: np.random.Generator,
@@ -105,8 +105,9 @@ def policy_samples(
             groups = env.laid_out(state)
             observation = observer.observe(groups)
             observation["poses"] = scattered(observation["poses"], observation["connections"], rng)
-            u, v, k, l, w = chosen(policy, observation, task.existing_actions(groups, *task.furniture.padding))  # noqa: E741
-            action = row_of[u, k], row_of[v, l], w
+            mask = task.existing_actions(groups, *task.furniture.padding)
+            u, v, k, l, *choice = chosen(policy, observation, mask)  # noqa: E741
+            action = row_of[u, k], row_of[v, l], int(np.ravel_multi_index(choice, task.action_branches))
             path = plan.path(state)
             states += path[:1] if path and plan.action(state) == action else path
             state = env.step(state, action)
@@ -158,12 +159,15 @@ def _collect(
     episodes: int,
     seed: int,
 ) -> Aggregated:
-    """Write the samples of one chair; of one that its expert did not master there are none."""
+    """Write the samples of one chair; there are none if it was refused or its expert did not master it."""
     number, ref = numbered
-    task = cast(ObjectCentricTask, training.task_of(ref))
+    trained = read(dataset_file(experts, ref.name))
+    if trained.refused:
+        SampleSet(ref.name, np.zeros((0, CLOUD_POINTS, 3), np.float32), ()).save(dataset_file(folder, ref.name))
+        return Aggregated(ref.name, 0, 0, 0)
+    task = training.task_of(ref)
     expert, buffer = load(dataset_file(experts, ref.name), task)
-    if not read(dataset_file(experts, ref.name)).mastered:
-        episodes = 0
+    episodes = episodes if trained.mastered else 0
     rng = np.random.default_rng([seed, number])
     samples, finished = policy_samples(_policy(policy), expert, buffer, task, ref.name, episodes, rng)
     samples.save(dataset_file(folder, ref.name))

@@ -56,6 +56,8 @@ class AggregationConfig:
     """Number of gradient steps in each round."""
     episodes: int = 4
     """Number of episodes of each chair in each round."""
+    training: ExpertTraining = field(default_factory=ExpertTraining)
+    """Settings with which the experts were trained."""
 
 
 @dataclass(frozen=True)
@@ -248,7 +250,7 @@ def _aggregate(
     """Collect the samples of a round; tells which share of the policy's episodes finishes the chair."""
     existing = sum(dataset_file(folder, ref.name).is_file() for ref in config.refs)
     collecting = aggregation.collect(
-        config.refs, config.experts, policy, folder, ExpertTraining(), episodes=config.episodes, seed=seed, jobs=jobs
+        config.refs, config.experts, policy, folder, config.training, episodes=config.episodes, seed=seed, jobs=jobs
     )
     finished = episodes = 0
     for done, result in enumerate(collecting, 1):

@@ -168,10 +168,10 @@ class FullTask:
         return all(0 <= g < 4 * len(self.furniture.parts[p].grasps) for p, g in ((u, g_a), (v, g_b)))
 
     def existing_actions(
-        self, state: FullState, max_parts: int = 0, max_points: int = 0
+        self, groups: TaskState, max_parts: int = 0, max_points: int = 0
     ) -> Bool[np.ndarray, "P P K K 8 8"]:
-        """Return the mask of actions that exist in a state, `(u, v, k, l, g_a, g_b)`; see `Rules.free_points`."""
-        pairs = self.rules.existing_pairs(state.groups, max_parts, max_points)
+        """Return the mask of actions that exist with some groups, `(u, v, k, l, g_a, g_b)`; see `Rules.free_points`."""
+        pairs = self.rules.existing_pairs(groups, max_parts, max_points)
         grasps = np.zeros((len(pairs), GRASPS), bool)
         for index, part in enumerate(self.furniture.parts):
             grasps[index, : 4 * len(part.grasps)] = True

@@ -137,10 +137,10 @@ class ObjectCentricTask:
         return 0 <= w < len(UP_AXES) and self.rules.pair_exists(state, *pair)
 
     def existing_actions(
-        self, state: TaskState, max_parts: int = 0, max_points: int = 0
+        self, groups: TaskState, max_parts: int = 0, max_points: int = 0
     ) -> Bool[np.ndarray, "P P K K 6"]:
-        """Return the mask of actions that exist in a state, indexed by `(u, v, k, l, w)`; see `Rules.free_points`."""
-        pairs = self.rules.existing_pairs(state, max_parts, max_points)
+        """Return the mask of actions that exist with some groups, `(u, v, k, l, w)`; see `Rules.free_points`."""
+        pairs = self.rules.existing_pairs(groups, max_parts, max_points)
         return np.repeat(pairs[..., None], len(UP_AXES), axis=-1)
 
     def step(
