@@ -52,7 +52,7 @@ class MultitaskCommand:
     """Number of rounds with corrected episodes of the policy. Without it: 0, or 1 with --setting full. For the preset
     paper they need --experts."""
     setting: Setting = "object-centric"
-    """For the preset paper, the setting of the experts in --experts; only --rounds needs it."""
+    """Setting of the task; for the preset paper, of the experts in --experts, which only --rounds needs."""
     start: str | None = None
     """Policy to start from, `relational` or a checkpoint; for the preset relational. Without it: none, or `relational`
     with --setting full."""
