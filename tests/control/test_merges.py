@@ -37,7 +37,9 @@ def planned() -> FullStep:
     return planned_merge(make())
 
 
-@pytest.mark.parametrize("control", CONTROLS)
+@pytest.mark.parametrize(
+    "control", [pytest.param(c, marks=pytest.mark.slow if c == "joint_delta" else ()) for c in CONTROLS]
+)
 def test_a_planned_merge_succeeds_and_its_actions_repeat_it(control: ControlName) -> None:
     env = make(control=control, strict=control == "joint_position")
     actions, rewards, info = carry_out(env, planned())
