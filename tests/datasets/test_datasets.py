@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
 from pathlib import Path
@@ -36,15 +37,19 @@ def into(patch: pytest.MonkeyPatch, folder: Path) -> None:
     patch.setattr(dataset_builder, "CHAIRS", {name: CHAIRS[name] for name in ("cantilever", "shell", "upholstered")})
 
 
-@pytest.fixture(scope="module")
-def built(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[tuple[int, int]]]:
+@pytest.fixture(scope="module", params=["a thread", pytest.param("a process", marks=pytest.mark.slow)])
+def built(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[tuple[Path, list[tuple[int, int]]]]:
     """A folder with the tiny set, and the progress that building it told."""
     folder = tmp_path_factory.mktemp("built")
     with pytest.MonkeyPatch.context() as patch:
+        if request.param == "a thread":
+            patch.setattr(dataset_builder, "worker_pool", lambda _: ThreadPoolExecutor(1))
         into(patch, folder)
         with pytest.raises(InputError, match="not built yet; run: roboassembly dataset build tiny"):
             load_manifest("tiny")
-        return folder, list(dataset_builder.build_dataset(TINY, 0, jobs=1))
+        yield folder, list(dataset_builder.build_dataset(TINY, 0, jobs=1))
 
 
 @pytest.fixture

@@ -31,6 +31,7 @@ def _folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
 
 
+@pytest.mark.slow
 def test_plan_and_view(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     run_script("01_plan_and_view.py", "--furniture", "three_legged:3", "--out", "seen", monkeypatch=monkeypatch)
     out = capsys.readouterr().out
