@@ -149,6 +149,7 @@ def test_beam_search_gives_up_the_best_action_if_it_leads_nowhere() -> None:
     assert tuple(replace(policy, beam_depth=2).act(observation, mask)) == c
 
 
+@pytest.mark.slow
 def test_a_beam_leaves_out_only_what_cannot_win() -> None:
     policy = load_policy("relational")
     assert isinstance(policy, RelationalPolicy)
