@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
 from pathlib import Path
@@ -37,26 +36,40 @@ def into(patch: pytest.MonkeyPatch, folder: Path) -> None:
     patch.setattr(dataset_builder, "CHAIRS", {name: CHAIRS[name] for name in ("cantilever", "shell", "upholstered")})
 
 
-@pytest.fixture(scope="module", params=["a thread", pytest.param("a process", marks=pytest.mark.slow)])
-def built(
-    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
-) -> Iterator[tuple[Path, list[tuple[int, int]]]]:
+def quickly(patch: pytest.MonkeyPatch) -> None:
+    """Chairs are examined in a thread, each by few episodes."""
+    patch.setattr(dataset_builder, "worker_pool", lambda _: ThreadPoolExecutor(1))
+    patch.setattr(dataset_builder, "PROBES", 2)
+    patch.setattr(dataset_builder, "PATIENT_PROBES", 1)
+
+
+@pytest.fixture(scope="module", params=[True, pytest.param(False, marks=pytest.mark.slow)], ids=["quick", "whole"])
+def quick(request: pytest.FixtureRequest) -> bool:
+    return request.param
+
+
+@pytest.fixture(scope="module")
+def built(quick: bool, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[tuple[int, int]]]:
     """A folder with the tiny set, and the progress that building it told."""
     folder = tmp_path_factory.mktemp("built")
     with pytest.MonkeyPatch.context() as patch:
-        if request.param == "a thread":
-            patch.setattr(dataset_builder, "worker_pool", lambda _: ThreadPoolExecutor(1))
         into(patch, folder)
+        if quick:
+            quickly(patch)
         with pytest.raises(InputError, match="not built yet; run: roboassembly dataset build tiny"):
             load_manifest("tiny")
-        yield folder, list(dataset_builder.build_dataset(TINY, 0, jobs=1))
+        return folder, list(dataset_builder.build_dataset(TINY, 0, jobs=1))
 
 
 @pytest.fixture
-def tiny(built: tuple[Path, list[tuple[int, int]]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Recipe:
+def tiny(
+    quick: bool, built: tuple[Path, list[tuple[int, int]]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Recipe:
     """The set, built, in a copy of its own."""
     shutil.copytree(built[0], tmp_path / "cache")
     into(monkeypatch, tmp_path / "cache")
+    if quick:
+        quickly(monkeypatch)
     return TINY
 
 

@@ -207,9 +207,9 @@ for line in sys.argv[2:]:
 """A script that runs commands where some modules are not installed."""
 
 
-@pytest.mark.parametrize("quick", [True, pytest.param(False, marks=pytest.mark.slow)])
-def test_commands_run_on_the_package_alone(quick: bool, clone: Path, as_built) -> None:
-    """Commands that need no extra run without any; the quick form leaves out some forms of `evaluate`."""
+@pytest.mark.slow
+def test_commands_run_on_the_package_alone(clone: Path, as_built) -> None:
+    """Commands that need no extra run without any; the slow form also starts `view`."""
     named = {re.split(r"[\s\[<>=;]", r)[0] for requirements in EXTRAS.values() for r in requirements}
     assert named == MODULES.keys()
     as_built("chairs-24", easy=BUILT, hard=BUILT, test=BUILT)
@@ -232,8 +232,6 @@ def test_commands_run_on_the_package_alone(quick: bool, clone: Path, as_built) -
     here = [c for p in PAGES for c in examples(p) if isinstance(c, Command) and c.arguments and not extras_needed(c)]
     used = {(c.arguments or [""])[0] for c in here}
     assert used <= {line.split()[0] for line in lines} | {"view"}
-    if quick:
-        lines = tuple(line for line in lines if not line.startswith("evaluate") or line.endswith("relational"))
     subprocess.run(
         [sys.executable, "-c", WITHOUT, ",".join(MODULES.values()), *lines], check=True, timeout=120, cwd=clone
     )

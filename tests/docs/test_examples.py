@@ -135,6 +135,7 @@ def test_notebook_is_kept_without_outputs() -> None:
         assert cell.get("execution_count") is None
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not can_draw(), reason="the notebook shows pictures; nothing can draw them here")
 def test_notebook_runs(capsys: pytest.CaptureFixture[str]) -> None:
     namespace: dict[str, object] = {"__name__": "__main__"}

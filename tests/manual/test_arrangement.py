@@ -63,6 +63,7 @@ def test_an_arrangement_joins_everything_and_passes_the_audit(chair, family: str
         assert frozenset(merge.step.waiting) == halves.waiting
 
 
+@pytest.mark.slow
 def test_the_same_plan_gives_the_same_arrangement(chair) -> None:
     assert plan_digest(arranged(chair("ladder", 0)).plan) == plan_digest(arranged(chair("ladder", 0)).plan)
 

@@ -185,6 +185,7 @@ def test_merges_of_equal_parts_lead_to_states_with_the_same_groups() -> None:
     assert len({keys for found in after.values() for keys in found}) == len(after)
 
 
+@pytest.mark.slow
 def test_a_policy_with_a_grasp_network_acts_in_the_full_setting() -> None:
     furniture = catalogue.make("three_legged", 1)
     shipped = load_policy("relational")
