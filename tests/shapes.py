@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import cache, lru_cache
+from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
 
@@ -31,9 +31,9 @@ _BOX_FACES = np.array(
 )  # fmt: skip
 
 
-@cache
+@lru_cache(maxsize=60)
 def generated(family: str, seed: int) -> tuple[RawPart, ...]:
-    """Raw parts of built-in furniture, generated once a session."""
+    """Raw parts of built-in furniture; those of the last pieces are kept."""
     return generate(family, seed)
 
 
