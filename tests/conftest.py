@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import pickle
 from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
@@ -48,9 +49,27 @@ def _own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 
 
 @pytest.fixture(scope="session", autouse=True)
-def _furniture_made_once() -> Iterator[None]:
-    """Built-in furniture is made once a session: it never changes, and annotation takes long."""
-    made = cache(catalogue.make)
+def _furniture_made_once(tmp_path_factory: pytest.TempPathFactory, request: pytest.FixtureRequest) -> Iterator[None]:
+    """Built-in furniture is made once a session: it never changes, and annotation takes long.
+
+    Processes of one session share through files what most tests use: the first two seeds of each family.
+    """
+    own = tmp_path_factory.getbasetemp()
+    shared = (own.parent if hasattr(request.config, "workerinput") else own) / "furniture"
+    shared.mkdir(exist_ok=True)
+    making = catalogue.make
+
+    @cache
+    def made(family: str, seed: int, version: int, *, with_grasps: bool, fasteners: bool) -> Furniture:
+        path = shared / f"{family} {seed} {version} {with_grasps} {fasteners}"
+        if path.exists():
+            return pickle.loads(path.read_bytes())
+        furniture = making(family, seed, version, with_grasps=with_grasps, fasteners=fasteners)
+        if seed < 2:
+            unfinished = own / f"{path.name}.unfinished"
+            unfinished.write_bytes(pickle.dumps(furniture))
+            unfinished.rename(path)
+        return furniture
 
     def make(
         family: str, seed: int = 0, version: int = 0, *, with_grasps: bool = True, fasteners: bool = False

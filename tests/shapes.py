@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from roboassembly.furniture.annotate import annotate
 from roboassembly.furniture.model import Furniture, Provenance, RawFastener, RawPart
+from roboassembly.generate import generate
 from roboassembly.geometry.meshes import Mesh
 from roboassembly.geometry.poses import SE3, align_axis, interpolate, transform_points
 from roboassembly.geometry.scene import Body, Scene, Shape
@@ -27,6 +29,12 @@ _BOX_FACES = np.array(
     [[0, 2, 1], [1, 2, 3], [4, 5, 6], [5, 7, 6], [0, 1, 4], [1, 5, 4], [2, 6, 3], [3, 6, 7], [0, 4, 2], [2, 4, 6],
      [1, 3, 5], [3, 7, 5]]
 )  # fmt: skip
+
+
+@lru_cache(maxsize=60)
+def generated(family: str, seed: int) -> tuple[RawPart, ...]:
+    """Raw parts of built-in furniture; those of the last pieces are kept."""
+    return generate(family, seed)
 
 
 def turn(axis: Sequence[float], angle: float) -> np.ndarray:
@@ -233,16 +241,22 @@ def sampled(path: Sequence[SE3], step: float, radius: float) -> list[SE3]:
         angle = Rotation.from_matrix(a.rotation.T @ b.rotation).magnitude()
         length = float(np.linalg.norm(b.translation - a.translation)) + angle * radius
         states = interpolate(a, b, np.linspace(0.0, 1.0, max(2, int(np.ceil(length / step)) + 1)))
-        out.extend(SE3(Rotation.from_quat(s[3:]).as_matrix(), s[:3].copy()) for s in states.T)
+        turns = Rotation.from_quat(states[3:].T).as_matrix()
+        out.extend(SE3(turn, place) for turn, place in zip(turns, states[:3].T.copy(), strict=True))
     return out
 
 
-def fcl_object(mesh: Mesh, where: SE3) -> fcl.CollisionObject:
+@lru_cache(maxsize=500)
+def _fcl_model(mesh: Mesh) -> fcl.BVHModel:
     model = fcl.BVHModel()
     model.beginModel(len(mesh.vertices), len(mesh.faces))
     model.addSubModel(mesh.vertices, mesh.faces)
     model.endModel()
-    return fcl.CollisionObject(model, fcl.Transform(where.rotation, where.translation))
+    return model
+
+
+def fcl_object(mesh: Mesh, where: SE3) -> fcl.CollisionObject:
+    return fcl.CollisionObject(_fcl_model(mesh), fcl.Transform(where.rotation, where.translation))
 
 
 class RobotChecker:
@@ -265,7 +279,9 @@ class RobotChecker:
     def _touches(self, index: int, mesh: Mesh, where: SE3) -> bool:
         if (mesh.vertices @ where.rotation[2]).min() + where.translation[2] <= 0.0:
             return True
-        thing = self._own.setdefault(index, fcl_object(mesh, where))
+        if index not in self._own:
+            self._own[index] = fcl_object(mesh, where)
+        thing = self._own[index]
         thing.setTransform(fcl.Transform(where.rotation, where.translation))
         # A solid wholly inside another has no touching surface: robots and parts here are too large for that.
         found = fcl.CollisionData()

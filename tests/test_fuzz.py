@@ -321,34 +321,34 @@ def slow(*values: Any) -> Any:
     return pytest.param(*values, marks=pytest.mark.slow)
 
 
-@pytest.mark.parametrize(("count", "seed"), [(150, 0), *(slow(2_500, seed) for seed in range(1, 5))])
+@pytest.mark.parametrize(("count", "seed"), [(40, 0), slow(150, 0), *(slow(2_500, seed) for seed in range(1, 5))])
 def test_broken_plans(count, seed, stool):
     try_plans(count, seed, stool)
 
 
-@pytest.mark.parametrize(("count", "seed"), [(60, 0), *(slow(1_000, seed) for seed in range(1, 5))])
+@pytest.mark.parametrize(("count", "seed"), [(20, 0), slow(60, 0), *(slow(1_000, seed) for seed in range(1, 5))])
 def test_broken_furniture_folders(count, seed, stool, tmp_path):
     try_folders(count, seed, stool, tmp_path / "f")
 
 
-@pytest.mark.parametrize(("count", "seed"), [(60, 0), *(slow(1_000, seed) for seed in range(1, 3))])
+@pytest.mark.parametrize(("count", "seed"), [(20, 0), slow(60, 0), *(slow(1_000, seed) for seed in range(1, 3))])
 def test_broken_checkpoints(count, seed, stool, tmp_path):
     try_checkpoints(count, seed, stool, tmp_path)
 
 
-@pytest.mark.parametrize("count", [100, slow(1_000)])
+@pytest.mark.parametrize("count", [30, slow(100), slow(1_000)])
 @pytest.mark.parametrize("kind", [ObjectCentricEnv, FullEnv])
 def test_actions_of_every_kind(kind, count, small_stool):
     try_all_actions(count, kind, small_stool)
 
 
-@pytest.mark.parametrize(("count", "seed"), [(60, 0), slow(1_000, 1)])
+@pytest.mark.parametrize(("count", "seed"), [(20, 0), slow(60, 0), slow(1_000, 1)])
 @pytest.mark.parametrize("kind", [ObjectCentricEnv, FullEnv])
 def test_arguments_of_every_kind(kind, count, seed, small_stool):
     try_arguments(count, seed, kind, small_stool)
 
 
-@pytest.mark.parametrize(("count", "seed"), [(60, 0), slow(1_000, 1)])
+@pytest.mark.parametrize(("count", "seed"), [(20, 0), slow(60, 0), slow(1_000, 1)])
 def test_wrong_command_lines(count, seed, tmp_path, capsys, monkeypatch):
     try_command_lines(count, seed, capsys, monkeypatch, tmp_path)
 

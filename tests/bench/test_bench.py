@@ -77,6 +77,7 @@ def test_the_report_has_its_keys_and_is_json() -> None:
         assert {"ours", "pybullet", "fcl"} <= set(out[key])
 
 
+@pytest.mark.slow
 def test_ours_solves_every_merge_and_ratios_are_numbers() -> None:
     out = quick_report().to_json()
     assert out["solved"]["ours"] == [5, 5]
@@ -88,12 +89,14 @@ def test_ours_solves_every_merge_and_ratios_are_numbers() -> None:
     assert all(out["states"][name] <= 5 * 20_000 for name in PEERS)
 
 
+@pytest.mark.slow
 def test_the_same_planner_over_peers_solves_every_merge_with_the_same_states() -> None:
     same = quick_report().to_json()["same_planner"]
     assert same["solved"] == {"pybullet": [5, 5], "fcl": [5, 5]}
     assert same["states"]["pybullet"] == same["states"]["fcl"]
 
 
+@pytest.mark.slow
 def test_the_table_names_every_backend() -> None:
     text = quick_report().to_text()
     for name in ("ours", "pybullet", "fcl", "wrong pair"):
@@ -108,7 +111,7 @@ def test_the_merge_is_the_one_that_the_task_plans() -> None:
         np.testing.assert_allclose(a.homogeneous, b.homogeneous, atol=1e-12)
 
 
-@pytest.mark.parametrize("name", ["fcl", "pybullet"])
+@pytest.mark.parametrize("name", ["fcl", pytest.param("pybullet", marks=pytest.mark.slow)])
 def test_a_missing_backend_is_skipped_by_name(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, name, None)
     config = PlanningBenchConfig(chairs=1, merges=1, repeats=1, states=300, sampled_states=50)

@@ -24,11 +24,12 @@ def test_designs_have_the_stated_number_of_parts(series: str, sizes: tuple[int, 
     assert [len(design(n).parts()) for n in sizes[:4]] == list(sizes[:4])
 
 
-def test_pieces_of_more_parts_than_the_papers_are_solved() -> None:
-    report = run_scaling_bench(largest=24, seed=1)
+@pytest.mark.parametrize("largest", [12, pytest.param(24, marks=pytest.mark.slow)])
+def test_pieces_are_solved_also_those_of_more_parts_than_the_papers(largest: int) -> None:
+    report = run_scaling_bench(largest=largest, seed=1)
     assert [(r.series, r.parts, r.solved) for r in report.rows] == [
-        *(("shelves", n, True) for n in (8, 12, 20)),
-        *(("lattices", n, True) for n in (10, 17, 24)),
+        *(("shelves", n, True) for n in (8, 12, 20) if n <= largest),
+        *(("lattices", n, True) for n in (10, 17, 24) if n <= largest),
     ]
     assert all(r.attempts >= r.parts - 1 for r in report.rows)
-    assert "| parts | 8 | 12 | 20 |" in report.to_text()
+    assert ("| parts | 8 | 12 | 20 |" if largest == 24 else "| parts | 8 | 12 |") in report.to_text()

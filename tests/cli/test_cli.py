@@ -50,6 +50,7 @@ def test_assemble_writes_the_files_of_its_report(run: Run, stool: Path, tmp_path
     assert [p.name for p in copy.parts] == plan["furniture"]["parts"]
 
 
+@pytest.mark.slow
 def test_the_same_seed_writes_the_same_plan_in_another_process(stool: Path, tmp_path: Path) -> None:
     command = [sys.executable, "-m", "roboassembly.cli", "assemble", str(stool), "--no-film", "--json", "--out"]
     running = [

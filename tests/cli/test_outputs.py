@@ -62,21 +62,22 @@ def test_import_without_out_keeps_pieces_apart(run: Run, tmp_path: Path, monkeyp
     monkeypatch.chdir(tmp_path)
     for name in ("one", "two"):
         table(tmp_path / "mine" / name)
-        assert run("import", "folder", Path("mine") / name)[0] == 0
+        assert run("import", "folder", "--no-report", Path("mine") / name)[0] == 0
     assert sorted(p.name for p in (tmp_path / "furniture").iterdir()) == ["one", "two"]
     assert the_one_line(run("import", "folder", "mine/one")[2]).startswith("error: 'furniture/one' exists already")
     status, _, err = run("evaluate", "--policy", "search", "--set", "folder:furniture", "--jobs", "1", "--json")
     assert status == 0, err
 
 
-def test_many_pieces_of_which_some_exist(run: Run, tmp_path: Path) -> None:
+@pytest.mark.parametrize("jobs", ["1", pytest.param("2", marks=pytest.mark.slow)])
+def test_many_pieces_of_which_some_exist(jobs: str, run: Run, tmp_path: Path) -> None:
     """Those that are there are refused, the others imported: as after an import that was stopped."""
     for name in ("one", "two", "three"):
         table(tmp_path / "in" / name)
     out = tmp_path / "out"
     assert run("import", "folder", "--no-report", tmp_path / "in" / "two", "--out", out / "two")[0] == 0
     before = state(out / "two")
-    status, printed, _ = run("import", "folder", "--no-report", tmp_path / "in", "--out", out, "--jobs", "2", "--json")
+    status, printed, _ = run("import", "folder", "--no-report", tmp_path / "in", "--out", out, "--jobs", jobs, "--json")
     report = json.loads(printed)
     assert (status, report["imported"], report["refused"]) == (0, 2, 1)
     errors = {item["name"]: item["error"] for item in report["items"]}

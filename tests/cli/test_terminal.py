@@ -53,45 +53,45 @@ def table(folder: Path) -> Path:
     return folder
 
 
-def test_names_of_files_and_parts_in_import(tmp_path: Path) -> None:
+def test_names_of_files_and_parts_in_import(run: Run, tmp_path: Path) -> None:
     """The piece and one of its parts have escape codes in their names; so have the second piece, which is refused."""
     good, bad = table(tmp_path / "in" / f"good{NASTY}"), tmp_path / "in" / f"bad{NASTY}"
     bad.mkdir()
     (bad / f"broken{NASTY}.stl").write_bytes(b"nothing")
     (bad / "foot.stl").write_bytes((good / "foot.stl").read_bytes())
-    status, out, err = command(
-        "import", "folder", "--no-report", tmp_path / "in", "--out", tmp_path / f"out{NASTY}", "--jobs", 1
+    status, out, err = run(
+        "import", "folder", "--no-report", tmp_path / "in", "--out", tmp_path / f"out{NASTY}", "--jobs", "1"
     )
     assert status == 0
-    told = (out + err).replace(b"\rimporting:", b"importing:").decode()  # the progress bar's own
+    told = (out + err).replace("\rimporting:", "importing:")  # the progress bar's own
     assert steering(told.encode()) == []
     assert r"good\x1b]0;owned\x07\x1b[2Jseat" in told
     assert r"broken\x1b]0;owned" in told
     assert "1 imported, 1 refused" in told
-    status, out, err = command("import", "folder", "--no-report", good, "--out", tmp_path / f"one{NASTY}", "--json")
+    status, out, err = run("import", "folder", "--no-report", good, "--out", tmp_path / f"one{NASTY}", "--json")
     assert status == 0
-    assert steering(out + err) == []
+    assert steering((out + err).encode()) == []
     assert json.loads(out)["items"][0]["name"] == good.name, "JSON tells the name itself, escaped"
-    assert out.count(b"\n") == 1
+    assert out.count("\n") == 1
 
 
-def test_names_in_furniture_files(tmp_path: Path) -> None:
+def test_names_in_furniture_files(run: Run, tmp_path: Path) -> None:
     folder = storage.save(catalogue.make("three_legged", 3, with_grasps=False), tmp_path / "stool")
     described = folder / "furniture.json"
     document = json.loads(described.read_text())
     document["name"] = f"stool{NASTY}\nerror: all is lost"
     described.write_text(json.dumps(document))
-    status, out, err = command("assemble", folder, "--no-film", "--policy", "none", "--out", tmp_path / "a")
+    status, out, err = run("assemble", folder, "--no-film", "--policy", "none", "--out", tmp_path / "a")
     assert status == 0
-    assert steering(out + err) == []
-    first = err.decode().splitlines()[0]
+    assert steering((out + err).encode()) == []
+    first = err.splitlines()[0]
     assert first.startswith(r"stool\x1b]0;owned\x07")
     assert r"\nerror: all is lost: 5 parts" in first, "a name cannot make a line of its own"
     document["parts"][0]["name"] = document["parts"][1]["name"] = TITLE
     described.write_text(json.dumps(document))
-    status, out, err = command("assemble", folder, "--out", tmp_path / "b")
+    status, out, err = run("assemble", folder, "--out", tmp_path / "b")
     assert status == 2
-    assert steering(out + err) == []
+    assert steering((out + err).encode()) == []
     assert len(err.splitlines()) == 1
 
 
@@ -169,7 +169,7 @@ def test_crashes_warnings_and_log_messages() -> None:
 def test_output_in_an_ascii_terminal(tmp_path: Path) -> None:
     code = "from roboassembly.cli import main; main()"
     done = subprocess.run(
-        [sys.executable, "-c", code, "generate", "stool", "--out", str(tmp_path / "Stühlchen")],
+        [sys.executable, "-c", code, "generate", "cantilever", "--out", str(tmp_path / "Stühlchen")],
         capture_output=True, env=os.environ | {"PYTHONIOENCODING": "ascii"}, timeout=60,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr

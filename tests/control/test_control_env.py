@@ -52,7 +52,13 @@ def one_line(error: pytest.ExceptionInfo[BaseException]) -> str:
 
 
 @pytest.mark.usefixtures("drawing")
-@pytest.mark.parametrize("arguments", [{}, {"task": "merge", "obs": "rgbd", "camera_width": 24, "camera_height": 16}])
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        pytest.param({}, marks=pytest.mark.slow),
+        {"task": "merge", "obs": "rgbd", "camera_width": 24, "camera_height": 16},
+    ],
+)
 def test_gymnasium_checker_gives_no_warnings(arguments: dict[str, Any]) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -188,7 +194,14 @@ def test_it_starts_where_full_starts() -> None:
     assert info["task_description"] == "Assemble three_legged-3: join its 5 parts."
 
 
-@pytest.mark.parametrize(("task", "options"), [("piece", {}), ("merge", {"merge": 0}), ("merge", {"merge": 2})])
+@pytest.mark.parametrize(
+    ("task", "options"),
+    [
+        pytest.param("piece", {}, marks=pytest.mark.slow),
+        ("merge", {"merge": 0}),
+        pytest.param("merge", {"merge": 2}, marks=pytest.mark.slow),
+    ],
+)
 def test_one_layout_for_all_episodes(task: str, options: dict[str, Any]) -> None:
     """Episodes begin alike but for the ranges of parts; without a layout they do not."""
     ranges = Randomization(part_position=0.02, part_angle=0.2)

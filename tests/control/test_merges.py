@@ -37,7 +37,9 @@ def planned() -> FullStep:
     return planned_merge(make())
 
 
-@pytest.mark.parametrize("control", CONTROLS)
+@pytest.mark.parametrize(
+    "control", [pytest.param(c, marks=() if c == "joint_position" else pytest.mark.slow) for c in CONTROLS]
+)
 def test_a_planned_merge_succeeds_and_its_actions_repeat_it(control: ControlName) -> None:
     env = make(control=control, strict=control == "joint_position")
     actions, rewards, info = carry_out(env, planned())
@@ -62,6 +64,7 @@ def test_a_planned_merge_succeeds_and_its_actions_repeat_it(control: ControlName
     np.testing.assert_array_equal(env.cell.part_sevens(), first)
 
 
+@pytest.mark.slow
 def test_another_start_needs_another_plan() -> None:
     """The commands of one start grip nothing from another one: success is not given away."""
     env, segments = make(), planned().segments

@@ -50,6 +50,7 @@ def test_the_seed_decides_everything() -> None:
     assert not same(episode(full, 3), episode(None, 3))
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("drawing")
 def test_the_seed_decides_pictures() -> None:
     """Two environments of one seed see the same bytes; another seed changes most pixels of the background."""

@@ -36,22 +36,40 @@ def into(patch: pytest.MonkeyPatch, folder: Path) -> None:
     patch.setattr(dataset_builder, "CHAIRS", {name: CHAIRS[name] for name in ("cantilever", "shell", "upholstered")})
 
 
+def quickly(patch: pytest.MonkeyPatch) -> None:
+    """Chairs are examined in a thread, each by few episodes."""
+    patch.setattr(dataset_builder, "worker_pool", lambda _: ThreadPoolExecutor(1))
+    patch.setattr(dataset_builder, "PROBES", 2)
+    patch.setattr(dataset_builder, "PATIENT_PROBES", 1)
+
+
+@pytest.fixture(scope="module", params=[True, pytest.param(False, marks=pytest.mark.slow)], ids=["quick", "whole"])
+def quick(request: pytest.FixtureRequest) -> bool:
+    return request.param
+
+
 @pytest.fixture(scope="module")
-def built(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[tuple[int, int]]]:
+def built(quick: bool, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[tuple[int, int]]]:
     """A folder with the tiny set, and the progress that building it told."""
     folder = tmp_path_factory.mktemp("built")
     with pytest.MonkeyPatch.context() as patch:
         into(patch, folder)
+        if quick:
+            quickly(patch)
         with pytest.raises(InputError, match="not built yet; run: roboassembly dataset build tiny"):
             load_manifest("tiny")
         return folder, list(dataset_builder.build_dataset(TINY, 0, jobs=1))
 
 
 @pytest.fixture
-def tiny(built: tuple[Path, list[tuple[int, int]]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Recipe:
+def tiny(
+    quick: bool, built: tuple[Path, list[tuple[int, int]]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Recipe:
     """The set, built, in a copy of its own."""
     shutil.copytree(built[0], tmp_path / "cache")
     into(monkeypatch, tmp_path / "cache")
+    if quick:
+        quickly(monkeypatch)
     return TINY
 
 

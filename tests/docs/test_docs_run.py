@@ -161,8 +161,8 @@ def clone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 WITH_EXAMPLES = [page for page in PAGES if examples(page)]
-FIRST = ("README.md", "docs/quickstart.md", "docs/furniture.md")
-"""Pages that newcomers open first."""
+FIRST = ("README.md",)
+"""What newcomers open first."""
 
 
 @pytest.mark.usefixtures("clone")
@@ -207,6 +207,7 @@ for line in sys.argv[2:]:
 """A script that runs commands where some modules are not installed."""
 
 
+@pytest.mark.slow
 def test_commands_run_on_the_package_alone(clone: Path, as_built) -> None:
     """Commands that need no extra run without any; the slow form also starts `view`."""
     named = {re.split(r"[\s\[<>=;]", r)[0] for requirements in EXTRAS.values() for r in requirements}

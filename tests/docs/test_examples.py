@@ -31,6 +31,7 @@ def _folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
 
 
+@pytest.mark.slow
 def test_plan_and_view(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     run_script("01_plan_and_view.py", "--furniture", "three_legged:3", "--out", "seen", monkeypatch=monkeypatch)
     out = capsys.readouterr().out
@@ -134,6 +135,7 @@ def test_notebook_is_kept_without_outputs() -> None:
         assert cell.get("execution_count") is None
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not can_draw(), reason="the notebook shows pictures; nothing can draw them here")
 def test_notebook_runs(capsys: pytest.CaptureFixture[str]) -> None:
     namespace: dict[str, object] = {"__name__": "__main__"}

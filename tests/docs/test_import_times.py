@@ -13,6 +13,7 @@ from scripts import script
 times = script("tools/import_times.py")
 
 
+@pytest.mark.slow
 def test_measurement_passes_over_what_it_has_and_equal_imports_have_equal_digests(tmp_path: Path) -> None:
     source, out = write_ikea_env(tmp_path, IKEA_POST, IKEA_PLATE).parent, tmp_path / "times.json"
     times.measure_all([f"ikea-env:{source}"], out)

@@ -469,6 +469,7 @@ def test_furniture_of_more_parts_needs_larger_spaces(long_frame: Furniture) -> N
     assert info["action_mask"].any(axis=(1, 2, 3, 4)).sum() == 24
 
 
+@pytest.mark.slow
 def test_policies_see_furniture_of_more_parts_whole(long_frame: Furniture) -> None:
     """The random policy draws from parts beyond the twentieth, too; `paper` says that it cannot."""
     first = {rollout_policy(load_policy("random", seed), long_frame, seed).actions[0][0] for seed in range(40)}

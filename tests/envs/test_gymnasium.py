@@ -28,6 +28,8 @@ from roboassembly.robots.body import placed
 
 CLASSES = {OBJECT_CENTRIC: ObjectCentricEnv, FULL: FullEnv}
 NAMES = {OBJECT_CENTRIC: ("u", "v", "k", "l", "w"), FULL: ("u", "v", "k", "l", "g_a", "g_b")}
+ONE_IN_SHORT = [OBJECT_CENTRIC, pytest.param(FULL, marks=pytest.mark.slow)]
+"""Two robots take their time; the normal run looks at what both environments share in one of them."""
 Make = Callable[..., gymnasium.Env[Any, Any]]
 
 
@@ -337,6 +339,7 @@ def test_drawing_changes_nothing() -> None:
 
 
 @pytest.mark.usefixtures("drawing")
+@pytest.mark.parametrize("name", ONE_IN_SHORT)
 def test_record_video(name: str, tmp_path: Any) -> None:
     """The film has one frame per state, the picture of that state."""
     env = gymnasium.make(name, furniture=stool(), render_mode="rgb_array", width=320, height=240)
@@ -356,6 +359,7 @@ def test_record_video(name: str, tmp_path: Any) -> None:
 
 
 @pytest.mark.usefixtures("drawing")
+@pytest.mark.parametrize("name", ONE_IN_SHORT)
 def test_pictures_of_vectorised_environments(name: str) -> None:
     envs = gymnasium.make_vec(
         name, num_envs=2, vectorization_mode="sync", furniture=stool(), render_mode="rgb_array", width=64, height=48

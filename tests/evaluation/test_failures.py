@@ -35,6 +35,7 @@ def share(picture: np.ndarray, color: tuple[float, float, float]) -> float:
     return float((unit @ (np.array(color) / np.linalg.norm(color)) > 0.985).mean())
 
 
+@pytest.mark.slow
 def test_one_row_per_failed_episode(episodes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     names = [e["furniture"] for e in json.loads(episodes.read_text())["per_furniture"]]
     failures.main(episodes, tmp_path / "picture.png", names)

@@ -13,9 +13,10 @@ import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
 
+import shapes
 from command_line import Run
 from roboassembly.errors import FurnitureError, InputError
-from roboassembly.generate import FAMILIES, generate
+from roboassembly.generate import FAMILIES
 from roboassembly.geometry import units
 from roboassembly.importers import folder
 
@@ -23,7 +24,7 @@ from roboassembly.importers import folder
 def write(place: Path, family: str, seed: int, unit: float) -> Path:
     """A generated piece as STL files in a unit of so many metres."""
     place.mkdir(parents=True)
-    for part in generate(family, seed):
+    for part in shapes.generated(family, seed):
         mesh = part.mesh.trimesh.copy()
         mesh.apply_scale(1.0 / unit)
         mesh.export(place / f"{part.name.replace('/', '-')}.stl")
@@ -34,7 +35,7 @@ def guesses(seeds: range) -> Iterator[tuple[str, units.Unit]]:
     """The true unit and the guess, of every family in every unit."""
     for family in FAMILIES:
         for seed in seeds:
-            corners = np.concatenate([part.mesh.bounds for part in generate(family, seed)])
+            corners = np.concatenate([part.mesh.bounds for part in shapes.generated(family, seed)])
             for name, metres in units.METRES.items():
                 yield name, units.guess((np.ptp(corners, axis=0) / metres).tolist())
 
@@ -59,19 +60,19 @@ def measured(seeds: range) -> None:
 
 
 def test_built_in_families_in_every_unit() -> None:
-    measured(range(1, 2))
+    measured(range(1))
 
 
 @pytest.mark.slow
 def test_built_in_families_in_every_unit_many() -> None:
-    measured(range(2, 42))
+    measured(range(1, 42))
 
 
 @pytest.mark.parametrize("unit", units.METRES)
 @pytest.mark.parametrize("family", ["ladder", "stool", "bench", "table_apron", "shelf_bookcase", "rocker"])
 def test_stl_files_come_back_at_their_size(family: str, unit: str, tmp_path: Path) -> None:
     raw = folder.read(write(tmp_path / "piece", family, 1, units.METRES[unit]))
-    corners = np.concatenate([part.mesh.bounds for part in generate(family, 1)])
+    corners = np.concatenate([part.mesh.bounds for part in shapes.generated(family, 1)])
     assert raw.unit is not None
     assert (raw.unit.name, raw.unit.guessed) == (unit, True)
     assert raw.size == pytest.approx(np.ptp(corners, axis=0), rel=1e-4)
@@ -139,6 +140,7 @@ def test_names_and_sizes() -> None:
     assert units.given(0.3).text == "0.3 m, as given"
 
 
+@pytest.mark.slow
 def test_import_names_the_guessed_unit(run: Run, tmp_path: Path) -> None:
     source = write(tmp_path / "chair", "plank", 1, units.METRES["in"])
     status, _, err = run("import", "folder", "--no-report", source, "--out", tmp_path / "a")

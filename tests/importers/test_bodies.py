@@ -64,9 +64,10 @@ def test_bodies(meshes: list[trimesh.Trimesh], expected: list[float]) -> None:
     assert volumes(*meshes) == pytest.approx(expected)
 
 
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("family", FAMILIES)
-def test_built_in_furniture_falls_into_its_parts(family: str) -> None:
-    parts = generate(family, 1)
+def test_built_in_furniture_falls_into_its_parts(family: str, seed: int) -> None:
+    parts = shapes.generated(family, seed)
     found = volumes(*(part.mesh.trimesh for part in parts))
     assert sorted(found) == pytest.approx(sorted(part.mesh.volume for part in parts), rel=1e-3, abs=1e-6)
 
@@ -109,6 +110,7 @@ def as_one(furniture_name: str, path: Path, seed: int = 0) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_a_stool_in_one_file_is_recognized_split_and_assembled(run: Run, tmp_path: Path) -> None:
     path = as_one("stool", tmp_path / "my_stool.stl")
     with pytest.raises(FurnitureError, match="one mesh of 9 separate bodies; --split makes a part of each"):

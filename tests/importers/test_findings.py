@@ -155,7 +155,14 @@ def test_page_shows_each_part_before_and_after(source: Path, imported: tuple[fol
     assert text.count("<polyline") == len(made.furniture.connections) == 5
 
 
-def test_page_lists_connections_where_they_are(source: Path, imported: tuple[folder.RawFurniture, Imported]) -> None:
+def _no_rendering(*_: object) -> None:
+    raise RenderingUnavailableError("no OpenGL here")
+
+
+def test_page_lists_connections_where_they_are(
+    source: Path, imported: tuple[folder.RawFurniture, Imported], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("roboassembly.viewer.import_report.take_pictures", _no_rendering)
     raw, made = imported
     text = import_report("table", source, raw, made, ())
     rows = re.findall(r"<tr><td class='number'>\d+</td>(.*?)</tr>", text)
@@ -190,6 +197,7 @@ def test_import_writes_the_page_and_names_three_things(run: Run, source: Path, t
     assert len(storage.load(target).parts) == 6
 
 
+@pytest.mark.slow
 def test_a_refused_piece_gets_a_page_that_shows_the_parts_in_question(run: Run, tmp_path: Path) -> None:
     _needs_rendering()
     source, target = tmp_path / "source", tmp_path / "out" / "table"
@@ -228,11 +236,8 @@ def test_a_refused_piece_gets_a_page_that_shows_the_parts_in_question(run: Run, 
 def test_without_rendering_the_page_has_texts_only(
     source: Path, imported: tuple[folder.RawFurniture, Imported], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def refuse(*_: object) -> None:
-        raise RenderingUnavailableError("no OpenGL here")
-
-    monkeypatch.setattr("roboassembly.viewer.import_report.take_pictures", refuse)
-    monkeypatch.setattr("roboassembly.viewer.import_report.take_delivered", refuse)
+    monkeypatch.setattr("roboassembly.viewer.import_report.take_pictures", _no_rendering)
+    monkeypatch.setattr("roboassembly.viewer.import_report.take_delivered", _no_rendering)
     raw, made = imported
     for text in (import_report("table", source, raw, made, ()), refusal_report("table", source, raw, _REFUSAL)):
         page = _Page(text)

@@ -259,7 +259,7 @@ def test_undamaged_sources_are_read(kind, tmp_path):
         assert len(IMPORTERS[kind].read(piece).parts) >= 2
 
 
-@pytest.mark.parametrize("count", [100, pytest.param(2000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [30, *(pytest.param(n, marks=pytest.mark.slow) for n in (100, 2000))])
 @pytest.mark.parametrize("kind", sorted(IMPORTERS))
 def test_damaged_sources(kind, count):
     @given(files=damaged(kind), scale=scales)

@@ -88,7 +88,14 @@ def test_the_same_files_elsewhere_are_the_same(
 
 
 @pytest.mark.parametrize(
-    "change", ["content", "new file", "name", "category", "scale", "up", "program", "library", "no cache"]
+    "change",
+    [
+        "content",
+        "new file",
+        "scale",
+        "program",
+        *(pytest.param(c, marks=pytest.mark.slow) for c in ("name", "category", "up", "library", "no cache")),
+    ],
 )
 def test_a_change_of_any_input_repeats_the_import(
     change: str, source: Path, tmp_path: Path, finished: list[str], capsys, monkeypatch
@@ -184,7 +191,10 @@ def test_files_that_change_during_the_import_are_not_cached(source: Path, tmp_pa
     assert not (tmp_path / "cache").exists()
 
 
-@pytest.mark.parametrize("damage", ["empty", "cut short", "a bit", "the end", "a folder"])
+@pytest.mark.parametrize(
+    "damage",
+    ["cut short", "a bit", *(pytest.param(d, marks=pytest.mark.slow) for d in ("empty", "the end", "a folder"))],
+)
 def test_a_damaged_entry_repeats_the_import(
     damage: str, source: Path, tmp_path: Path, finished: list[str], capsys
 ) -> None:

@@ -22,6 +22,7 @@ NAMES = {
 }
 
 
+@pytest.mark.slow
 def test_table_with_sub_assemblies_is_imported_with_names_and_assembled(run: Run, tmp_path: Path) -> None:
     """The right side is the left one turned by half a turn, so that its front leg stands behind."""
     path = write_step(tmp_path / "table.step", step_table())
@@ -46,6 +47,16 @@ def test_table_with_sub_assemblies_is_imported_with_names_and_assembled(run: Run
     assert (status, report["success"], report["merges"]) == (0, True, 11)
 
 
+def test_sub_assemblies_are_read_with_names_at_their_places(tmp_path: Path) -> None:
+    raw = folder.read(write_step(tmp_path / "table.step", step_table()))
+    center = {part.name: part.mesh.bounds.mean(axis=0) for part in raw.parts}
+    assert center.keys() == NAMES
+    middle = center["front top"] * (1, 0, 0)
+    assert np.allclose(center["left side/front leg"] - center["right side/front leg"], (-1.14, -0.64, 0), atol=1e-3)
+    assert np.allclose(center["front top"] - center["left side/front leg"], (0.57, 0.13, 0.37), atol=1e-3)
+    assert np.allclose(middle, 0, atol=1e-3)
+
+
 def test_names_of_programs_give_way_to_those_of_products(tmp_path: Path) -> None:
     raw = folder.read(write_step(tmp_path / "table.stp", step_table(("NAUO7", "NAUO8"))))
     names = {part.name for part in raw.parts}
@@ -55,7 +66,13 @@ def test_names_of_programs_give_way_to_those_of_products(tmp_path: Path) -> None
 FACTORS = {"mm": 1.0, "in": 1 / 25.4, "m": 0.001}
 
 
-@pytest.mark.parametrize(("unit", "words"), [("mm", "millimetres"), ("in", "inches"), ("m", "metres")])
+@pytest.mark.parametrize(
+    ("unit", "words"),
+    [
+        ("in", "inches"),
+        *(pytest.param(*unit, marks=pytest.mark.slow) for unit in (("mm", "millimetres"), ("m", "metres"))),
+    ],
+)
 def test_units(tmp_path: Path, unit: str, words: str) -> None:
     f = FACTORS[unit]
     parts = [
@@ -73,6 +90,7 @@ def test_units(tmp_path: Path, unit: str, words: str) -> None:
         assert np.allclose(folder.read(path, scale=0.002 / f).size, (0.8, 0.6, 0.94), atol=1e-6)
 
 
+@pytest.mark.slow
 def test_file_in_metres_that_claims_millimetres(tmp_path: Path) -> None:
     """0.47 mm of furniture is refused with a hint; 47 mm are read, and the likely units named."""
     tiny = Assembly(
@@ -88,6 +106,7 @@ def test_file_in_metres_that_claims_millimetres(tmp_path: Path) -> None:
     assert unit.others[0] == "cm"
 
 
+@pytest.mark.slow
 def test_up_axis(tmp_path: Path) -> None:
     size = folder.read(write_step(tmp_path / "table.step", step_table()), up="y").size
     assert np.allclose(size, (1.26, 0.74, 0.76), atol=1e-6)
@@ -127,7 +146,7 @@ def _without_solids(text: str) -> str:
         (lambda _: "", "does not begin with 'ISO-10303-21'"),
         (_cut, "ends in the middle, after"),
         (lambda text: text.replace("#10=", "#9910=", 1), "Unresolved Reference"),
-        (lambda text: text.replace("#10=", "#11=", 1), "cannot be read as STEP"),
+        pytest.param(lambda text: text.replace("#10=", "#11=", 1), "cannot be read as STEP", marks=pytest.mark.slow),
         (_without_solids, "cannot be read as STEP"),
         (lambda text: "ISO-10303-21;" + "(" * 10_000 + "END-ISO-10303-21;", "cannot be read as STEP"),
     ],

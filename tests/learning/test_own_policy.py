@@ -198,6 +198,7 @@ def test_with_robots(run: Run, tmp_path: Path, armchair: Furniture) -> None:
     assert "'plan' plays with robots only" in run("evaluate", "--policy", file, "--set", f"folder:{at}")[2]
 
 
+@pytest.mark.slow
 def test_each_episode_has_a_policy_of_its_own(tmp_path: Path, folder: Path, stool: Furniture) -> None:
     """So that what is drawn depends on the episode alone: not on the jobs, nor on what was played before."""
     more = storage.save(stool, folder.parent / "two")

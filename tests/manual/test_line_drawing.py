@@ -106,7 +106,14 @@ def test_a_window_cuts_exactly() -> None:
     assert whole(draw([plate], FRONT).clipped(window)) == pytest.approx(window.area(), rel=1e-9)
 
 
-@pytest.mark.parametrize(("family", "seed"), [("ladder", 0), ("windsor", 3), ("lattice", 1), ("pedestal", 2)])
+@pytest.mark.parametrize(
+    ("family", "seed"),
+    [
+        ("ladder", 0),
+        ("windsor", 3),
+        *(pytest.param(*p, marks=pytest.mark.slow) for p in (("lattice", 1), ("pedestal", 2))),
+    ],
+)
 def test_every_point_of_a_chair_shows_the_part_that_a_ray_hits(chair, family: str, seed: int) -> None:
     furniture = chair(family, seed)
     figures = [Figure(p.mesh, q, i) for i, (p, q) in enumerate(zip(furniture.parts, furniture.assembled, strict=True))]

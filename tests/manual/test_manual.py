@@ -28,6 +28,7 @@ from roboassembly.solvers.search import solve
 from shapes import GAP, box, furniture, pose, turn
 
 PIECES = (("ladder", 0), ("windsor", 3), ("shelf_open", 0), ("three_legged", 3))
+SHOWN = [pytest.param(p, id=str(p), marks=pytest.mark.slow if p in PIECES[:2] else ()) for p in PIECES]
 
 
 @cache
@@ -45,7 +46,7 @@ def texts(page: Page) -> list[str]:
     return [item.text for item in page.items if isinstance(item, Text)]
 
 
-@pytest.mark.parametrize("piece", PIECES, ids=str)
+@pytest.mark.parametrize("piece", SHOWN)
 def test_every_merge_is_shown_once_and_every_part_comes_or_is_there(piece: tuple[str, int]) -> None:
     manual = manual_of(*piece)
     parts = range(len(manual.furniture.parts))
@@ -69,7 +70,7 @@ def test_every_merge_is_shown_once_and_every_part_comes_or_is_there(piece: tuple
     assert counted == len(parts)
 
 
-@pytest.mark.parametrize("piece", PIECES, ids=str)
+@pytest.mark.parametrize("piece", SHOWN)
 def test_no_two_labels_overlap_and_all_are_on_the_page(piece: tuple[str, int]) -> None:
     sheet = Box(0, 0, WIDTH, HEIGHT)
     for page in pages(*piece):
@@ -86,7 +87,7 @@ def test_no_two_labels_overlap_and_all_are_on_the_page(piece: tuple[str, int]) -
                 assert (corners <= [WIDTH, HEIGHT]).all()
 
 
-@pytest.mark.parametrize("piece", PIECES, ids=str)
+@pytest.mark.parametrize("piece", SHOWN)
 def test_every_letter_of_the_list_is_a_label_of_a_step(piece: tuple[str, int]) -> None:
     manual = manual_of(*piece)
     _, *rest = pages(*piece)

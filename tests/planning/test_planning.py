@@ -117,7 +117,7 @@ def test_a_body_around_another_is_in_collision() -> None:
     assert not world.is_free(HERE)
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", [0, 2, 3, 7, *(pytest.param(s, marks=pytest.mark.slow) for s in (1, 4, 5, 6))])
 def test_a_free_edge_is_free_at_a_quarter_millimetre(seed: int) -> None:
     """Whatever the box test and the coarse samples let pass: a finer, independent sampling finds (next to) nothing."""
     scene = cluttered(seed, ground=seed % 2 == 0)

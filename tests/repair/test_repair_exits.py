@@ -251,6 +251,7 @@ def test_the_first_refusal_is_reported():
         repair([one, two])
 
 
+@pytest.mark.slow
 def test_fine_solids_are_simplified():
     ball = trimesh.creation.icosphere(6, 0.2)
     dented = ball.vertices * (1.0 + 0.004 * np.sin(40.0 * ball.vertices[:, :1]))

@@ -139,7 +139,14 @@ def assert_joint_is_kept(made: Joint) -> None:
 
 @pytest.mark.parametrize("blind", [True, False], ids=["blind", "through"])
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__name__)
-@pytest.mark.parametrize("clearance", [0.0, 0.00005, -0.0005], ids=["touching", "tight", "overlapping"])
+@pytest.mark.parametrize(
+    "clearance",
+    [
+        pytest.param(0.0, id="touching"),
+        pytest.param(0.00005, id="tight", marks=pytest.mark.slow),
+        pytest.param(-0.0005, id="overlapping"),
+    ],
+)
 def test_joint_keeps_its_depth(kind, blind, clearance):
     assert_joint_is_kept(kind(blind, clearance))
 

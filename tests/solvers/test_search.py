@@ -268,7 +268,7 @@ def test_global_random_state_is_unchanged(captive_slat: Furniture) -> None:
     assert plan_digest(one.plan) == plan_digest(solve(captive_slat, 0).plan)
 
 
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("family", FAMILIES)
 def test_chairs_are_solved(chair, family: str, seed: int) -> None:
     check(solve(chair(family, seed), seed), 0.01)
@@ -390,7 +390,7 @@ def test_guide_may_swap_legs(table: Furniture) -> None:
     assert len(seen) == 2
 
 
-@pytest.mark.parametrize(("family", "seed"), [("stool", 20), ("sled", 1)])
+@pytest.mark.parametrize(("family", "seed"), [pytest.param("stool", 20, marks=pytest.mark.slow), ("sled", 1)])
 def test_guide_of_right_pairs_in_random_order(chair, family: str, seed: int) -> None:
     """The guide leads to swapped parts and dead ends; the search still finds a plan."""
     furniture = chair(family, seed)
@@ -442,6 +442,7 @@ def test_all_actions_of_a_merge_are_tried_briefly_first(table: Furniture, easy: 
     assert task.tried == ([(2, 10), (3, 10)] if easy else [(2, 10), (3, 10), (2, 1_000)])
 
 
+@pytest.mark.slow
 def test_guide_gets_only_a_share_of_the_limits() -> None:
     furniture = shapes.interlocked()
     task = ObjectCentricTask(furniture)

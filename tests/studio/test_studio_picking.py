@@ -80,6 +80,7 @@ def click(
     return panel.u.value, panel.k.value
 
 
+@pytest.mark.slow
 def test_each_visible_point_and_part_is_chosen_and_the_floor_is_not(opened, answers):
     browser, client, seen = opened
     assert client.session is not None

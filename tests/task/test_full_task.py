@@ -282,6 +282,7 @@ def test_a_budget_limits_the_ways_to_mate_that_are_tried(
         assert len(tried) == most
 
 
+@pytest.mark.slow
 def test_a_robot_that_stands_in_the_way_drives_elsewhere(task: FullTask, start: FullState, merged: FullOutcome) -> None:
     assert merged.step is not None
     action = merged.step.action

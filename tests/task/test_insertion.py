@@ -106,7 +106,9 @@ def test_insertions_are_in_the_file_and_read_back(fastened: Furniture, fastened_
         read_plan(msgspec.json.encode(broken), "plan.json", fastened)
 
 
-@pytest.mark.parametrize(("family", "count"), [("stool", 12), ("panel", 4), ("pedestal", 1)])
+@pytest.mark.parametrize(
+    ("family", "count"), [pytest.param("stool", 12, marks=pytest.mark.slow), ("panel", 4), ("pedestal", 1)]
+)
 def test_all_fasteners_of_generated_furniture_go_in(family: str, count: int) -> None:
     """Heads lie on round legs, not under their surface; no leg stands in front of a screw into a seat."""
     furniture = catalogue.make(family, 2, with_grasps=False, fasteners=True)

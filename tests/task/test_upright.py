@@ -70,7 +70,14 @@ def motion_of(plan: Plan) -> UprightMotion:
 
 
 @pytest.mark.parametrize(
-    "family", ["ladder", "stool", "bench", "windsor", "pedestal", "table_apron", "shelf_open", "three_legged"]
+    "family",
+    [
+        "stool",
+        "table_apron",
+        "shelf_open",
+        "three_legged",
+        *(pytest.param(name, marks=pytest.mark.slow) for name in ("ladder", "bench", "windsor", "pedestal")),
+    ],
 )
 def test_any_resting_piece_ends_on_its_feet(chair, family: str) -> None:
     furniture = chair(family, 0)
@@ -297,7 +304,7 @@ def _full(furniture: Furniture, lying: bool) -> FullPlan:
     return set_upright(FullPlan(furniture, initial, (), True, 0))
 
 
-@pytest.mark.parametrize("lying", [False, True])
+@pytest.mark.parametrize("lying", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_a_robot_sets_the_piece_on_its_feet_on_the_floor(chair, lying: bool) -> None:
     furniture = chair("stool", 0)
     plan = _full(furniture, lying)

@@ -76,6 +76,7 @@ def test_every_change_counts() -> None:
     assert (plain != captioned).any()
 
 
+@pytest.mark.slow
 def test_one_and_two_processes_write_the_same_film(drawing: None, tmp_path: Path) -> None:
     shots = [shot(-1.0 + 2.0 * k / FRAMES) for k in range(FRAMES)]
     for jobs in (1, 2):

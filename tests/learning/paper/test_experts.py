@@ -258,6 +258,7 @@ def test_cached_outcomes_equal_fresh_steps(family: str) -> None:
     assert differing <= 0.05 * checked
 
 
+@pytest.mark.slow
 def test_cached_grasp_outcomes_equal_fresh_tests() -> None:
     """250 outcomes: all tests but the arms' depend on the groups alone, so that nothing may differ."""
     task = FullTask(catalogue.make("three_legged", 24))
@@ -322,6 +323,7 @@ def test_an_expert_plays_with_robots() -> None:
     np.testing.assert_allclose(grid - grid[:1] - grid[:, :1] + grid[0, 0], 0.0, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_what_locks_out_is_the_same_for_equal_parts() -> None:
     """Each part alone has the frame of its own slot; results that are kept for one leg must hold for the others."""
     task = ObjectCentricTask(catalogue.make("sled", 4, with_grasps=False))
@@ -618,6 +620,7 @@ def test_an_expert_masters_a_chair_of_two_merges_soon(trained: Trained) -> None:
     assert result.steps < 2_000
 
 
+@pytest.mark.slow
 def test_resumed_training_gives_the_same_weights(tmp_path: Path) -> None:
     chair = _folder_pick(tmp_path, "upholstered", 14)
     training = ExpertTraining(steps=100_000, agent=AgentConfig(batch=6))

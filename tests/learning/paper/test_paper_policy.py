@@ -204,6 +204,7 @@ def test_exact_values_are_returns_to_go() -> None:
     assert not target[0, 4:].any()
 
 
+@pytest.mark.slow
 def test_grasp_values_are_learnt_and_chosen_in_the_full_setting(tmp_path: Path) -> None:
     stand = shapes.stand()
     task = FullTask(stand)

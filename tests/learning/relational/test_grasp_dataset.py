@@ -15,6 +15,7 @@ from roboassembly.task.full.grips import MateGrasp
 from roboassembly.task.full.task import FullTask
 
 
+@pytest.mark.slow
 def test_labels_are_those_of_fresh_tests(stand_grasps: GraspSamples) -> None:
     task = FullTask(shapes.stand())
     first = task.initial_state(np.random.default_rng(0))

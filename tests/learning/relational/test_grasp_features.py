@@ -76,6 +76,7 @@ def test_grasps_blocked_by_their_own_group_have_no_clearance() -> None:
     assert ((clearances > 0.0) == free).mean() > 0.95
 
 
+@pytest.mark.slow
 def test_grasps_blocked_by_their_own_part_have_little_clearance() -> None:
     clearances, free = [], []
     for family in ("rocker", "windsor", "cantilever"):

@@ -6,6 +6,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
+import pytest
 from relational_cases import TINY
 
 import shapes
@@ -23,6 +24,7 @@ from roboassembly.task.full.grips import MateGrasp
 from roboassembly.task.full.task import FullTask
 
 
+@pytest.mark.slow
 def test_an_outcome_labels_the_grasps_of_its_action() -> None:
     task = FullTask(shapes.stand())
     state = task.initial_state(np.random.default_rng(0))
@@ -51,6 +53,7 @@ def test_an_outcome_labels_the_grasps_of_its_action() -> None:
     assert len(verdicts) > 1
 
 
+@pytest.mark.slow
 def test_probes_label_actions_as_fresh_tests_do() -> None:
     task = FullTask(shapes.stand())
     state = task.initial_state(np.random.default_rng(0))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from roboassembly.datasets import catalogue
 from roboassembly.envs.observation import surface_points
@@ -64,6 +65,7 @@ def test_dead_ends_have_no_viable_action() -> None:
         assert not sample.mates[:, 4].any()
 
 
+@pytest.mark.slow
 def test_viable_mates_of_the_full_setting_lead_to_the_finished_furniture() -> None:
     task = FullTask(catalogue.make("stool", 3))
     clouds = np.array([surface_points(p.mesh, 32) for p in task.furniture.parts], np.float32)

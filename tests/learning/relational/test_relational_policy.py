@@ -149,6 +149,7 @@ def test_beam_search_gives_up_the_best_action_if_it_leads_nowhere() -> None:
     assert tuple(replace(policy, beam_depth=2).act(observation, mask)) == c
 
 
+@pytest.mark.slow
 def test_a_beam_leaves_out_only_what_cannot_win() -> None:
     policy = load_policy("relational")
     assert isinstance(policy, RelationalPolicy)
@@ -184,6 +185,7 @@ def test_merges_of_equal_parts_lead_to_states_with_the_same_groups() -> None:
     assert len({keys for found in after.values() for keys in found}) == len(after)
 
 
+@pytest.mark.slow
 def test_a_policy_with_a_grasp_network_acts_in_the_full_setting() -> None:
     furniture = catalogue.make("three_legged", 1)
     shipped = load_policy("relational")
