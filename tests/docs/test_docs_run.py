@@ -207,7 +207,6 @@ for line in sys.argv[2:]:
 """A script that runs commands where some modules are not installed."""
 
 
-@pytest.mark.slow
 def test_commands_run_on_the_package_alone(clone: Path, as_built) -> None:
     """Commands that need no extra run without any; the slow form also starts `view`."""
     named = {re.split(r"[\s\[<>=;]", r)[0] for requirements in EXTRAS.values() for r in requirements}

@@ -236,7 +236,6 @@ def test_a_policy_guides_the_search(folder: str) -> None:
         assert done.policy_seconds > 0.0
 
 
-@pytest.mark.slow
 def test_full_setting_with_audit_and_execution(armchair: Furniture) -> None:
     pytest.importorskip("fcl")
     done = make_agent(RolloutConfig(setting="full", execution="dynamic", audit=True))(armchair, 0)

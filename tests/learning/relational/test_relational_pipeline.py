@@ -73,7 +73,6 @@ def test_the_full_pipeline_ends_in_one_policy_for_both_settings(
     assert {p.stage for p in run_pipeline(config, folder, 1)} == set()
 
 
-@pytest.mark.slow
 def test_a_pipeline_continues_where_it_was_stopped(two_chairs: list[str], tmp_path: Path) -> None:
     folder = tmp_path / "run"
     stages: list[Progress] = []
