@@ -65,7 +65,10 @@ def test_the_full_pipeline_ends_in_one_policy_for_both_settings(
     assert isinstance(policy, RelationalPolicy)
     assert policy.settings == ("object-centric", "full")
     assert policy.full_params is not None
-    before = checkpoint.load(start, relational.KIND).params
+    started, made = (checkpoint.load(path, relational.KIND) for path in (start, folder / "policy.npz"))
+    assert made.config["pipeline"]["setting"] == "full"
+    assert made.config["start"] == started.config
+    before = started.params
     # The object-centric weights are kept; those of the full setting have changed.
     flat = dict(_flat(policy.params))
     assert all(np.array_equal(v, flat[k]) for k, v in _flat(before))

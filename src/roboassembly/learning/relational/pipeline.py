@@ -164,7 +164,10 @@ def run_pipeline(config: RelationalPipelineConfig, folder: Path, jobs: int) -> I
     final = checkpoint.load(last, relational.KIND)
     if start is not None and grasp_rounds:
         both = {**checkpoint.load(start, relational.KIND).params, FULL_PARAMS: final.params}
-        yield from _grasp_rounds(both, final.config, names, imported, folder, config, notes, jobs)
+        started = checkpoint.load(start, relational.KIND).config
+        # What made the weights of the object-centric setting.
+        network = {**final.config, "start": started.get("start", started)}
+        yield from _grasp_rounds(both, network, refs, imported, folder, config, notes, jobs)
     else:
         # Weights for robots stay as they were.
         kept = load_weights(config.start).params if config.start else {}
@@ -234,13 +237,14 @@ def _validated(
 
 
 def _grasp_rounds(
-    params: Params, network: dict[str, Any], names: Sequence[str], imported: Sequence[FurnitureRef], folder: Path,
-    config: RelationalPipelineConfig, notes: dict[str, Any], jobs: int,
+    params: Params, network: dict[str, Any], refs: Sequence[FurnitureRef], imported: Sequence[FurnitureRef],
+    folder: Path, config: RelationalPipelineConfig, notes: dict[str, Any], jobs: int,
 ) -> Iterator[Progress]:  # fmt: skip
     """Train the grasp network, and again after each round of its own episodes; writes `policy.npz`.
 
-    Its own episodes are of generated pieces only.
+    Its own episodes are of the pieces of the set only.
     """
+    names = [ref.name for ref in refs]
     with_samples = [*names, *(ref.name for ref in imported)]
     folders = [grasp_folder(folder / "samples" / "0")]
     _, rounds = config.rounds_of_networks
