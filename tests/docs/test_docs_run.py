@@ -162,7 +162,7 @@ def clone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 WITH_EXAMPLES = [page for page in PAGES if examples(page)]
 FIRST = ("README.md",)
-"""What newcomers open first."""
+"""Pages that newcomers open first."""
 
 
 @pytest.mark.usefixtures("clone")

@@ -29,7 +29,7 @@ from roboassembly.robots.body import placed
 CLASSES = {OBJECT_CENTRIC: ObjectCentricEnv, FULL: FullEnv}
 NAMES = {OBJECT_CENTRIC: ("u", "v", "k", "l", "w"), FULL: ("u", "v", "k", "l", "g_a", "g_b")}
 ONE_IN_SHORT = [OBJECT_CENTRIC, pytest.param(FULL, marks=pytest.mark.slow)]
-"""Two robots take their time; the normal run looks at what both environments share in one of them."""
+"""Both environments; the normal run leaves out the slow one."""
 Make = Callable[..., gymnasium.Env[Any, Any]]
 
 

@@ -7,7 +7,9 @@ import pytest
 
 from roboassembly.datasets import catalogue
 from roboassembly.planning.problem import Budget
+from roboassembly.solvers.hand_oracle import HandOracle
 from roboassembly.solvers.oracle import Oracle
+from roboassembly.task.full.task import FullTask
 from roboassembly.task.object_centric.task import ObjectCentricTask, ObjectCentricVerdict
 from roboassembly.task.rules.groups import TaskState
 
@@ -83,3 +85,19 @@ def test_mates_into_a_dead_end_are_not_viable() -> None:
             assert not oracle.state_solvable(after(state, bad[0]))
         state = after(state, next(j for j in joints if j.viable))
     assert seen
+
+
+@pytest.mark.parametrize("family", ["three_legged", pytest.param("splat", marks=pytest.mark.slow)])
+def test_answers_with_robots_do_not_depend_on_earlier_ones(family: str) -> None:
+    """What the oracle concludes from groups with more or fewer parts is what it finds of these groups alone."""
+    task, rng = FullTask(catalogue.make(family, 77)), np.random.default_rng(0)
+    oracle, state = HandOracle(task), task.initial_state(rng).groups
+    pairs = set[tuple[frozenset[int], frozenset[int]]]()
+    while not state.complete:
+        mates = oracle.mates(state)
+        pairs |= {(mate.moving, mate.waiting) for mate in mates}
+        viable = [mate for mate in mates if mate.viable]
+        state = after(state, viable[rng.integers(len(viable))])
+    answers = {pair: oracle.feasible_w(*pair).any() for pair in pairs}
+    assert len(answers) > 20
+    assert answers == {pair: HandOracle(task).feasible_w(*pair).any() for pair in pairs}

@@ -154,8 +154,8 @@ def _rollout(policy: Policy, start: _Start, observes: ObservationConfig, tries: 
 
     def propose(state: Any) -> Iterable[Action]:
         nonlocal thinking
-        observation = observer.observe(task.groups_of(state))
-        choices = Choices(policy, observation, task.existing_actions(task.groups_of(state), *furniture.padding))
+        groups = task.groups_of(state)
+        choices = Choices(policy, observer.observe(groups), task.existing_actions(groups, *furniture.padding))
         for _ in range(tries):
             begun = time.perf_counter()
             action = choices.next()

@@ -255,8 +255,9 @@ class _PolicyGuide:
         if self._seen is None or self._seen[0] is not task.furniture:
             observer = Observer(task.furniture, *task.furniture.padding, self.policy.cloud_points)
             self._seen = task.furniture, observer
-        observation = self._seen[1].observe(task.groups_of(state))
-        mask = task.existing_actions(task.groups_of(state), *task.furniture.padding)
+        groups = task.groups_of(state)
+        observation = self._seen[1].observe(groups)
+        mask = task.existing_actions(groups, *task.furniture.padding)
         if isinstance(self.policy, ConfidentPolicy):
             scores = _checked_values(self.policy, "probabilities", self.policy.probabilities(observation, mask), mask)
         else:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
+
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -33,10 +35,10 @@ class HandOracle(Oracle):
         self._joinable: dict[tuple[Parts, Parts], bool] = {}
         self._last_grasps: dict[frozenset[End], tuple[int, int]] = {}
         """Grasps that joined two points last, the grasp at the part with the lower index first."""
-        self._joined: dict[tuple[End, End], list[tuple[int, int]]] = {}
-        """Groups, as bit masks of slots, between which grippers join two points; the moving one first."""
-        self._not_joined: dict[tuple[End, End], list[tuple[int, int]]] = {}
-        """Groups between which no grippers join two points."""
+        self._joined: defaultdict[tuple[End, End], list[tuple[Parts, Parts]]] = defaultdict(list)
+        """Moving and waiting groups between which grippers join two points."""
+        self._not_joined: defaultdict[tuple[End, End], list[tuple[Parts, Parts]]] = defaultdict(list)
+        """Moving and waiting groups between which no grippers join two points."""
 
     @property
     def grasp_task(self) -> FullTask:
@@ -57,34 +59,31 @@ class HandOracle(Oracle):
 
         What two grippers can do at a joint, they can do with fewer parts around it. So most answers follow from others.
         """
-        masks = _mask(moving), _mask(waiting)
-        joints = [(u, v) for u, v in self.furniture.joints_between(moving, waiting) if not self._blocked(u, v, masks)]
-        if any(self._free(u, v, masks) for u, v in joints):
+        joints = [
+            joint
+            for joint in self.furniture.joints_between(moving, waiting)
+            if not any(u <= moving and v <= waiting for u, v in self._not_joined[joint])
+        ]
+        if any(moving <= u and waiting <= v for joint in joints for u, v in self._joined[joint]):
             return True
         state = TaskState((self._group(moving), self._group(waiting)))
-        for u_end, v_end in joints:
-            if self._same_grasps_join(state, u_end, v_end):
-                self._joined.setdefault((u_end, v_end), []).append(masks)
-                return True
-        found = next(fitting(self._grasp_task, state, joints, lazy=True), None) if joints else None
+        found = next((joint for joint in joints if self._same_grasps_join(state, *joint)), None)
+        found = found or self._joint_of_any_grasps(state, joints)
         if found is None:
             for joint in joints:
-                self._not_joined.setdefault(joint, []).append(masks)
+                self._not_joined[joint].append((moving, waiting))
             return False
-        u, v, k, m, g_a, g_b = found
-        self._last_grasps[frozenset(((u, k), (v, m)))] = (g_a, g_b) if u < v else (g_b, g_a)
-        self._joined.setdefault(((u, k), (v, m)), []).append(masks)
+        self._joined[found].append((moving, waiting))
         return True
 
-    def _free(self, u_end: End, v_end: End, masks: tuple[int, int]) -> bool:
-        """Return whether grippers are known to join two points with these groups, or with more parts, around them."""
-        joined = self._joined.get((u_end, v_end), ())
-        return any(not masks[0] & ~u and not masks[1] & ~v for u, v in joined)
-
-    def _blocked(self, u_end: End, v_end: End, masks: tuple[int, int]) -> bool:
-        """Return whether grippers are known not to join two points with these groups, or with fewer parts."""
-        not_joined = self._not_joined.get((u_end, v_end), ())
-        return any(not u & ~masks[0] and not v & ~masks[1] for u, v in not_joined)
+    def _joint_of_any_grasps(self, state: TaskState, joints: list[tuple[End, End]]) -> tuple[End, End] | None:
+        """Return a joint at which some grasps join two groups; None if there is none."""
+        action = next(fitting(self._grasp_task, state, joints, lazy=True), None)
+        if action is None:
+            return None
+        u, v, k, m, g_a, g_b = action
+        self._last_grasps[frozenset(((u, k), (v, m)))] = (g_a, g_b) if u < v else (g_b, g_a)
+        return (u, k), (v, m)
 
     def _same_grasps_join(self, state: TaskState, u_end: End, v_end: End) -> bool:
         """Return whether the grasps that joined two points before join them here too.
@@ -103,10 +102,6 @@ class HandOracle(Oracle):
         """Return a group of parts in their own slots."""
         parts = tuple(sorted(slots))
         return Group(parts, parts, tuple(self.furniture.assembled[p] for p in parts), SE3.Identity())
-
-
-def _mask(slots: Parts) -> int:
-    return sum(1 << slot for slot in slots)
 
 
 def hand_oracle(furniture: Furniture) -> HandOracle:

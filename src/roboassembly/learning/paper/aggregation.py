@@ -17,12 +17,12 @@ import numpy as np
 from roboassembly.datasets.sets import FurnitureRef
 from roboassembly.envs.observation import Observer
 from roboassembly.learning import checkpoint
-from roboassembly.learning.datasets import CLOUD_POINTS, SampleSet, dataset_file
+from roboassembly.learning.datasets import SampleSet, dataset_file
 from roboassembly.learning.paper import network as paper
 from roboassembly.learning.paper.dqn.memoized_env import Action, State
 from roboassembly.learning.paper.dqn.network import ExpertPolicy, first_best
 from roboassembly.learning.paper.dqn.replay_buffer import ReplayBuffer
-from roboassembly.learning.paper.dqn.results import load, read
+from roboassembly.learning.paper.dqn.results import load, read, with_expert
 from roboassembly.learning.paper.dqn.train import ExpertTraining
 from roboassembly.learning.paper.examples import scattered
 from roboassembly.learning.paper.expert_dataset import SampleRecorder
@@ -141,8 +141,8 @@ def collect(
         jobs: number of processes.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    numbered = [(i, r) for i, r in enumerate(refs) if dataset_file(experts, r.name).is_file()]
-    left = [(i, r) for i, r in numbered if not dataset_file(folder, r.name).is_file()]
+    trained = with_expert(refs, experts)
+    left = [(i, r) for i, r in enumerate(refs) if r in trained and not dataset_file(folder, r.name).is_file()]
     work = partial(
         _collect, experts=experts, policy=policy, folder=folder, training=training, episodes=episodes, seed=seed
     )
@@ -159,15 +159,12 @@ def _collect(
     episodes: int,
     seed: int,
 ) -> Aggregated:
-    """Write the samples of one chair; there are none if it was refused or its expert did not master it."""
+    """Write the samples of one chair; there are none if its expert did not master it."""
     number, ref = numbered
-    trained = read(dataset_file(experts, ref.name))
-    if trained.refused:
-        SampleSet(ref.name, np.zeros((0, CLOUD_POINTS, 3), np.float32), ()).save(dataset_file(folder, ref.name))
-        return Aggregated(ref.name, 0, 0, 0)
     task = training.task_of(ref)
     expert, buffer = load(dataset_file(experts, ref.name), task)
-    episodes = episodes if trained.mastered else 0
+    if not read(dataset_file(experts, ref.name)).mastered:
+        episodes = 0
     rng = np.random.default_rng([seed, number])
     samples, finished = policy_samples(_policy(policy), expert, buffer, task, ref.name, episodes, rng)
     samples.save(dataset_file(folder, ref.name))

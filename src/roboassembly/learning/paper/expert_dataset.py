@@ -33,7 +33,7 @@ from roboassembly.learning.paper.dqn.network import (
     run_expert,
 )
 from roboassembly.learning.paper.dqn.replay_buffer import ReplayBuffer
-from roboassembly.learning.paper.dqn.results import load, read
+from roboassembly.learning.paper.dqn.results import load, with_expert
 from roboassembly.learning.paper.dqn.train import ExpertTraining
 from roboassembly.parallel.processes import map_unordered
 from roboassembly.settings import SETTINGS
@@ -219,8 +219,7 @@ def collect(
         jobs: number of chairs at a time.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    left = [r for r in refs if dataset_file(experts, r.name).is_file() and not dataset_file(folder, r.name).is_file()]
-    left = [r for r in left if not read(dataset_file(experts, r.name)).refused]
+    left = [r for r in with_expert(refs, experts) if not dataset_file(folder, r.name).is_file()]
     work = partial(
         _collect, experts=experts, folder=folder, training=training, episodes=episodes, memories=memories
     )  # fmt: skip

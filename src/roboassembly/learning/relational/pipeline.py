@@ -163,10 +163,10 @@ def run_pipeline(config: RelationalPipelineConfig, folder: Path, jobs: int) -> I
     assert last is not None
     final = checkpoint.load(last, relational.KIND)
     if start is not None and grasp_rounds:
-        both = {**checkpoint.load(start, relational.KIND).params, FULL_PARAMS: final.params}
-        started = checkpoint.load(start, relational.KIND).config
-        # What made the weights of the object-centric setting.
-        network = {**final.config, "start": started.get("start", started)}
+        started = checkpoint.load(start, relational.KIND)
+        both = {**started.params, FULL_PARAMS: final.params}
+        # The object-centric weights keep the description of their own training.
+        network = {**final.config, "start": started.config.get("start", started.config)}
         yield from _grasp_rounds(both, network, refs, imported, folder, config, notes, jobs)
     else:
         # Weights for robots stay as they were.

@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from roboassembly.datasets.sets import furniture_hash
+from roboassembly.datasets.sets import FurnitureRef, furniture_hash
 from roboassembly.errors import InputError
 from roboassembly.learning import checkpoint
+from roboassembly.learning.datasets import dataset_file
 from roboassembly.learning.layers import Params
 from roboassembly.learning.paper.dqn.memoized_env import MemoizedEnv
 from roboassembly.learning.paper.dqn.network import KIND, ChairInputs, ExpertPolicy, chair_inputs
@@ -50,6 +51,17 @@ def read(path: Path) -> ExpertResult:
         InputError: the file is not an expert's.
     """
     return ExpertResult(**checkpoint.load(path, KIND).config["result"])
+
+
+def with_expert(refs: Sequence[FurnitureRef], experts: Path) -> list[FurnitureRef]:
+    """Return the chairs that have an expert, without refused ones.
+
+    Args:
+        refs: chairs.
+        experts: folder of the experts' files.
+    """
+    there = [r for r in refs if dataset_file(experts, r.name).is_file()]
+    return [r for r in there if not read(dataset_file(experts, r.name)).refused]
 
 
 def summary(results: Sequence[ExpertResult]) -> dict[str, Any]:
