@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float
 from roboassembly.errors import FurnitureError
 from roboassembly.furniture.model import CONTACT_DISTANCE
 from roboassembly.geometry.meshes import Mesh, Witness, nearest_points
+from roboassembly.geometry.triangles import scaled_normals
 
 PATCH_DEPTH = 0.001
 """Distance beyond the smallest one that still belongs to a patch, as the clearances of one joint differ [m]."""
@@ -184,7 +185,7 @@ def _triangles_near(
     triangles = mesh.vertices[mesh.faces]
     near = ((triangles.min(axis=1) <= bounds[1] + reach) & (triangles.max(axis=1) >= bounds[0] - reach)).all(axis=1)
     triangles = triangles[near]
-    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    normals = scaled_normals(triangles)
     length = np.linalg.norm(normals, axis=1)
     keep = length > 1e-12
     return triangles[keep], normals[keep] / length[keep, None]

@@ -11,6 +11,7 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from roboassembly.geometry.meshes import Mesh, all_within
+from roboassembly.geometry.triangles import scaled_normals
 
 TOLERANCE = 1e-4
 """Largest distance between corresponding corners of congruent shapes; below the smallest gap of a joint [m]."""
@@ -46,8 +47,7 @@ def feature_vertices(mesh: Mesh) -> Float[np.ndarray, "k 3"]:
     """
     corners, vertex_of = np.unique(np.round(mesh.vertices / 1e-7).astype(np.int64), axis=0, return_inverse=True)
     vertex_of = vertex_of.reshape(-1)[mesh.faces]
-    a, b, c = (mesh.vertices[mesh.faces[:, i]] for i in range(3))
-    normals = np.cross(b - a, c - a)
+    normals = scaled_normals(mesh.vertices[mesh.faces])
     length = np.linalg.norm(normals, axis=1)
     keep = length > 1e-12
     normals, vertex_of = normals[keep] / length[keep, None], vertex_of[keep]

@@ -12,6 +12,7 @@ from jaxtyping import Float, Int
 from roboassembly.errors import FurnitureError
 from roboassembly.furniture.model import RawPart, check_part_count
 from roboassembly.geometry.meshes import MAX_FACES, Mesh
+from roboassembly.geometry.triangles import scaled_normals
 
 MAX_COORDINATE = 1e9
 """Largest coordinate, in a file's own units."""
@@ -68,8 +69,7 @@ class Triangles:
         if faces.min() < 0 or faces.max() >= len(points):
             wrong = int(faces.min() if faces.min() < 0 else faces.max())
             raise FurnitureError(f"mesh face refers to vertex {wrong}, but there are {len(points)} vertices")
-        edges = points[faces]
-        if not np.cross(edges[:, 1] - edges[:, 0], edges[:, 2] - edges[:, 0]).any():
+        if not scaled_normals(points[faces]).any():
             raise FurnitureError("mesh has zero area: all its triangles are degenerate")
         object.__setattr__(self, "points", points)
         object.__setattr__(self, "faces", faces)

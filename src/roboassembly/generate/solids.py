@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from roboassembly.generate.outlines import Outline, circle, inset, rectangles
 from roboassembly.generate.vectors import Points, Vector, X, Y, unit, vector
 from roboassembly.geometry.poses import SE3
+from roboassembly.geometry.triangles import triple_products
 
 Solid = manifold3d.Manifold
 
@@ -32,8 +33,7 @@ def mirrored_x(solid: Solid) -> Solid:
 
 def from_triangles(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> Solid:
     """Return a closed triangle mesh as a solid; one of negative volume is turned inside out."""
-    a, b, c = (vertices[faces[:, i]] for i in range(3))
-    if np.einsum("ij,ij->", a, np.cross(b, c)) < 0:
+    if triple_products(vertices[faces]).sum() < 0:
         faces = faces[:, ::-1]
     # Copies: the library takes no arrays that must not be written to.
     return Solid(manifold3d.Mesh64(np.array(vertices, np.float64, order="C"), np.array(faces, np.uint64, order="C")))

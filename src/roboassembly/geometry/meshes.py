@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 from roboassembly.errors import FurnitureError
 from roboassembly.geometry.poses import SE3, transform_points
 from roboassembly.geometry.resting import stable_poses
+from roboassembly.geometry.triangles import areas, scaled_normals, winding_number
 
 if TYPE_CHECKING:
     import trimesh
@@ -64,8 +65,7 @@ class Mesh:
         used, renumbered = np.unique(faces, return_inverse=True)
         if len(used) < len(vertices):
             vertices, faces = vertices[used], renumbered.reshape(faces.shape)
-        edges = vertices[faces]
-        area = 0.5 * np.linalg.norm(np.cross(edges[:, 1] - edges[:, 0], edges[:, 2] - edges[:, 0]), axis=1).sum()
+        area = areas(vertices[faces]).sum()
         if not area > 1e-10:
             raise FurnitureError(f"mesh has zero area ({area:.3g} m²)")
         vertices.setflags(write=False)
@@ -103,8 +103,8 @@ class Mesh:
             hull = ConvexHull(self.vertices)
         except QhullError:
             raise FurnitureError("mesh is flat: it encloses no volume; give the part a thickness") from None
-        a, b, c = (self.vertices[hull.simplices[:, i]] for i in range(3))
-        inward = np.einsum("ij,ij->i", np.cross(b - a, c - a), hull.equations[:, :3]) < 0
+        normals = scaled_normals(self.vertices[hull.simplices])
+        inward = np.einsum("ij,ij->i", normals, hull.equations[:, :3]) < 0
         simplices = np.where(inward[:, None], hull.simplices[:, ::-1], hull.simplices)
         used, faces = np.unique(simplices, return_inverse=True)
         return trimesh.Trimesh(self.vertices[used], faces.reshape(-1, 3), process=False)
@@ -203,12 +203,7 @@ class Mesh:
         """
         if (point < self.bounds[0]).any() or (point > self.bounds[1]).any():
             return False
-        a, b, c = (self.vertices[self.faces[:, i]] - point for i in range(3))
-        la, lb, lc = (np.linalg.norm(v, axis=1) for v in (a, b, c))
-        triple = np.einsum("ij,ij->i", a, np.cross(b, c))
-        ab, bc, ca = (np.einsum("ij,ij->i", u, v) for u, v in ((a, b), (b, c), (c, a)))
-        angle = 2.0 * np.arctan2(triple, la * lb * lc + ab * lc + bc * la + ca * lb)
-        return bool(abs(angle.sum()) > 2.0 * np.pi)
+        return abs(winding_number(self.vertices[self.faces] - point)) > 0.5
 
     def transformed(self, pose: SE3) -> Mesh:
         """Return the mesh with every vertex moved by `pose`."""
@@ -234,7 +229,7 @@ def have_area(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"])
     """Return which triangles have area; cuts and rounding leave some degenerate ones between longer neighbours."""
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     longest = np.max([((b - a) ** 2).sum(axis=1), ((c - b) ** 2).sum(axis=1), ((a - c) ** 2).sum(axis=1)], axis=0)
-    return np.linalg.norm(np.cross(b - a, c - a), axis=1) > _LINE * longest
+    return np.linalg.norm(scaled_normals(vertices[faces]), axis=1) > _LINE * longest
 
 
 def hierarchy(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> coal.BVHModelOBBRSS:

@@ -15,6 +15,7 @@ from scipy.sparse.csgraph import connected_components
 
 from roboassembly.errors import FurnitureError
 from roboassembly.furniture.triangles import NamedTriangles, Triangles
+from roboassembly.geometry.triangles import triple_products
 
 WELD = 1e-6
 """Distance below which vertices are merged, as a share of the longest side."""
@@ -196,8 +197,8 @@ def _enclosed(surface: Triangles, welded: Int[np.ndarray, "f 3"], faces: Int[np.
     _, sign, edge = _half_edges(welded, faces)
     if np.bincount(edge, weights=sign).any():
         return 0.0
-    a, b, c = (surface.points[surface.faces[faces, k]] - surface.points[surface.faces[faces[0], 0]] for k in range(3))
-    return float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6.0)
+    corners = surface.points[surface.faces[faces]]
+    return float(triple_products(corners - corners[0, 0]).sum() / 6.0)
 
 
 def _contains(surface: Triangles, faces: Int[np.ndarray, "_"], point: Float[np.ndarray, "3"]) -> bool:

@@ -12,6 +12,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
 from roboassembly.geometry.meshes import Mesh
+from roboassembly.geometry.triangles import scaled_normals
 
 _SHARP = float(np.cos(np.deg2rad(33.0)))
 """Cosine between the normals of two faces below which their common edge is a line of the drawing."""
@@ -82,8 +83,7 @@ def _normals(
     vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]
 ) -> tuple[Float[np.ndarray, "f 3"], Float[np.ndarray, "f"]]:
     """Return the unit normals of triangles, zeros where there is none, and twice their areas [m²]."""
-    a, b, c = (vertices[faces[:, i]] for i in range(3))
-    cross = np.cross(b - a, c - a)
+    cross = scaled_normals(vertices[faces])
     length = np.linalg.norm(cross, axis=1)
     return cross / np.maximum(length, 1e-30)[:, None], length
 

@@ -12,6 +12,7 @@ from roboassembly.furniture.model import Furniture
 from roboassembly.furniture.rays import Rays
 from roboassembly.geometry.meshes import Mesh
 from roboassembly.geometry.poses import SE3, transform_points
+from roboassembly.geometry.triangles import areas
 from roboassembly.manual.line_drawing import Figure, Projection
 from roboassembly.manual.steps import ManualStep
 from roboassembly.task.rules.connections import UP_AXES
@@ -67,11 +68,9 @@ class Sight:
 def surface_points(mesh: Mesh, pose: SE3) -> Float[np.ndarray, "n 3"]:
     """Return some points spread over a mesh's surface [m]."""
     corners = mesh.vertices[mesh.faces]
-    areas: Float[np.ndarray, "f"] = np.linalg.norm(
-        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
-    )
-    places: Float[np.ndarray, "n"] = (np.arange(_SAMPLES) + 0.5) / _SAMPLES * areas.sum()
-    chosen: Int[np.ndarray, "n"] = np.searchsorted(np.cumsum(areas), places).clip(max=len(areas) - 1)
+    area = areas(corners)
+    places: Float[np.ndarray, "n"] = (np.arange(_SAMPLES) + 0.5) / _SAMPLES * area.sum()
+    chosen: Int[np.ndarray, "n"] = np.searchsorted(np.cumsum(area), places).clip(max=len(area) - 1)
     return transform_points(pose, corners[chosen].mean(axis=1))
 
 

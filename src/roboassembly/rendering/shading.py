@@ -10,6 +10,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from roboassembly.geometry.meshes import Mesh
+from roboassembly.geometry.triangles import scaled_normals
 
 CREASE_ANGLE = float(np.radians(30.0))
 """Angle between two faces [rad] above which their common edge is crisp."""
@@ -31,7 +32,7 @@ def shade(mesh: Mesh, crease: float = CREASE_ANGLE) -> ShadedMesh:
     positions, index = np.unique(mesh.vertices, axis=0, return_inverse=True)
     faces = index.reshape(-1)[mesh.faces]
     corners = positions[faces]
-    weighted = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    weighted = scaled_normals(corners)
     double_area = np.linalg.norm(weighted, axis=1)
     solid = double_area > 1e-16
     faces, unit = faces[solid], weighted[solid] / double_area[solid, None]

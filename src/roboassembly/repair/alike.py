@@ -14,6 +14,7 @@ from roboassembly.furniture.model import CONTACT_DISTANCE, RawPart
 from roboassembly.furniture.symmetry import rotations_onto, symmetries
 from roboassembly.furniture.turns import MAX_TURNS, SAME_TURN, groups
 from roboassembly.geometry.meshes import Mesh
+from roboassembly.geometry.triangles import areas
 from roboassembly.repair.cached import cached
 from roboassembly.repair.limits import RepairLimits
 from roboassembly.repair.piece import Piece
@@ -97,9 +98,9 @@ def likenesses(parts: Sequence[RawPart]) -> list[Likeness]:
 
 def _middle(mesh: Mesh) -> Float[np.ndarray, "3"]:
     """Return the area-weighted centroid of the triangles; the mesh need not be closed."""
-    a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
-    weight = np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    return (weight[:, None] * (a + b + c)).sum(axis=0) / (3.0 * weight.sum())
+    corners = mesh.vertices[mesh.faces]
+    weight = areas(corners)
+    return (weight[:, None] * corners.sum(axis=1)).sum(axis=0) / (3.0 * weight.sum())
 
 
 def _comparable(first: Mesh, second: Mesh) -> bool:

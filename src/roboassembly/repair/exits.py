@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from roboassembly.furniture.model import CONTACT_DISTANCE
+from roboassembly.geometry.triangles import scaled_normals, triple_products
 from roboassembly.repair.proximity import Shell
 from roboassembly.repair.surface import Surface
 
@@ -180,8 +181,7 @@ def _facing(shell: Shell, other: Shell, distance: float) -> Float[np.ndarray, "3
     normals: list[Float[np.ndarray, "n 3"]] = []
     areas: list[Float[np.ndarray, "n"]] = []
     for side, which in ((shell, pairs[:, 0]), (other, pairs[:, 1])):
-        a, b, c = np.swapaxes(side.surface.corners[which], 0, 1)
-        normal = np.cross(b - a, c - a)
+        normal = scaled_normals(side.surface.corners[which])
         areas.append(np.linalg.norm(normal, axis=1))
         normals.append(normal / np.maximum(areas[-1], 1e-30)[:, None])
     opposed = np.einsum("ij,ij->i", *normals) < FACING
@@ -193,8 +193,9 @@ def _facing(shell: Shell, other: Shell, distance: float) -> Float[np.ndarray, "3
 
 def main_axes(surface: Surface) -> list[Float[np.ndarray, "3"]]:
     """Return unit vectors along the solid's principal axes of inertia, the longest side first."""
-    a, b, c = np.swapaxes(surface.corners - surface.vertices.mean(axis=0), 0, 1)
-    weight = np.einsum("ij,ij->i", a, np.cross(b, c))
+    corners = surface.corners - surface.vertices.mean(axis=0)
+    a, b, c = np.swapaxes(corners, 0, 1)
+    weight = triple_products(corners)
     total = a + b + c
     second = sum(np.einsum("i,ij,ik->jk", weight, x, x) for x in (a, b, c, total)) / 20.0
     first = (weight[:, None] * total).sum(axis=0) / 4.0

@@ -16,6 +16,7 @@ from jaxtyping import Float
 from roboassembly.errors import FurnitureError
 from roboassembly.furniture.model import CONTACT_DISTANCE
 from roboassembly.geometry.poses import align_axis
+from roboassembly.geometry.triangles import scaled_normals
 from roboassembly.repair.cached import cached
 from roboassembly.repair.exits import Blocking, BlockingCache, Exits, Parts, blocking, overlap_span
 from roboassembly.repair.limits import RepairLimits
@@ -294,7 +295,7 @@ def _swept(
     close = body ^ m3.Manifold.cube(tuple(stop - start)).translate(tuple(start))
     grown = inflate(close.simplify(0.3 * gap), 1.3 * gap)
     corners = to_surface(grown).corners
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal = scaled_normals(corners)
     reach_low = corners.min(axis=1) + np.minimum(shift, 0.0)
     reach_high = corners.max(axis=1) + np.maximum(shift, 0.0)
     ahead = normal @ direction > 1e-9 * np.linalg.norm(normal, axis=1)

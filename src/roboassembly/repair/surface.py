@@ -12,6 +12,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import breadth_first_order, connected_components
 from scipy.spatial import KDTree
 
+from roboassembly.geometry.triangles import areas, scaled_normals, triple_products
 from roboassembly.repair.cached import cached
 from roboassembly.repair.edges import half_edges, numbered
 
@@ -40,16 +41,14 @@ class Surface:
     @property
     def area(self) -> float:
         """Area [m²]."""
-        a, b, c = np.swapaxes(self.corners, 0, 1)
-        return float(0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum())
+        return float(areas(self.corners).sum())
 
     @property
     def volume(self) -> float:
         """Signed enclosed volume, valid only for a closed surface with consistent winding [m³]."""
         if not len(self.faces):
             return 0.0
-        a, b, c = np.swapaxes(self.corners - self.vertices[self.faces[0, 0]], 0, 1)
-        return float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6.0)
+        return float(triple_products(self.corners - self.vertices[self.faces[0, 0]]).sum() / 6.0)
 
     def flipped(self) -> Surface:
         """Return the same triangles with the opposite winding."""
@@ -302,8 +301,7 @@ def _cap(
 
 def thicken(sheet: Surface, thickness: float) -> Surface:
     """Return an oriented sheet as a plate, with half of `thickness` on either side [m]."""
-    a, b, c = np.swapaxes(sheet.corners, 0, 1)
-    weighted = np.cross(b - a, c - a)
+    weighted = scaled_normals(sheet.corners)
     normal = np.zeros_like(sheet.vertices)
     for k in range(3):
         np.add.at(normal, sheet.faces[:, k], weighted)
@@ -326,7 +324,7 @@ def sample(surface: Surface, spacing: float, limit: int = 200_000) -> tuple[np.n
         limit: largest number of points on the triangles; a large surface has wider spacing.
     """
     a, b, c = np.swapaxes(surface.corners, 0, 1)
-    area = np.cumsum(0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1))
+    area = np.cumsum(areas(surface.corners))
     count = int(min(limit, np.ceil(2.0 * area[-1] / spacing**2) + 1))
     k = np.arange(count)
     place: Float[np.ndarray, "n"] = (k + 0.5) / count * area[-1]

@@ -8,6 +8,7 @@ import manifold3d as m3
 import numpy as np
 from jaxtyping import Float
 
+from roboassembly.geometry.triangles import scaled_normals
 from roboassembly.repair.cached import cached
 from roboassembly.repair.proximity import shell_of
 from roboassembly.repair.surface import Surface, to_manifold, to_surface
@@ -47,8 +48,7 @@ _CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)],
 def inflate(body: m3.Manifold, amount: float) -> m3.Manifold:
     """Return the solid with every face moved outward by `amount` metres; edges and corners stay sharp."""
     skin = to_surface(body)
-    a, b, c = np.swapaxes(skin.corners, 0, 1)
-    normal = np.cross(b - a, c - a)
+    normal = scaled_normals(skin.corners)
     size = np.linalg.norm(normal, axis=1)
     has_area = size > 1e-12
     normal = normal[has_area] / size[has_area, None]
@@ -217,8 +217,7 @@ def _facing(tool: m3.Manifold, body: m3.Manifold) -> tuple[Float[np.ndarray, "n 
     mine = np.zeros(len(faces), dtype=bool)
     for start, stop, owner in zip(runs[:-1], runs[1:], ids, strict=True):
         mine[start:stop] = owner == tool.original_id()
-    a, b, c = (vertices[faces[mine][:, k]] for k in range(3))
-    normal = 0.5 * np.cross(b - a, c - a)
+    normal = 0.5 * scaled_normals(vertices[faces[mine]])
     area = np.linalg.norm(normal, axis=1)
     return normal / np.maximum(area, 1e-30)[:, None], area
 

@@ -9,6 +9,7 @@ from jaxtyping import Float, Int
 from scipy import ndimage
 from scipy.spatial import KDTree
 
+from roboassembly.geometry.triangles import scaled_normals, winding_number
 from roboassembly.repair.surface import Surface, sample
 
 MAX_NODES = 6_000_000
@@ -115,14 +116,7 @@ def _signed(
 
 def _winding(surface: Surface, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n"]:
     """Return the winding number of the surface around each point (solid angles of van Oosterom and Strackee)."""
-    out = np.zeros(len(points))
-    for k, point in enumerate(points):
-        a, b, c = np.swapaxes(surface.corners - point, 0, 1)
-        x, y, z = (np.linalg.norm(corner, axis=1) for corner in (a, b, c))
-        triple = np.einsum("ij,ij->i", a, np.cross(b, c))
-        dots = [np.einsum("ij,ij->i", p, q) for p, q in ((a, b), (b, c), (c, a))]
-        out[k] = np.arctan2(triple, x * y * z + dots[0] * z + dots[1] * x + dots[2] * y).sum() / (2.0 * np.pi)
-    return out
+    return np.array([winding_number(surface.corners - point) for point in points])
 
 
 def _march(field: Float[np.ndarray, "x y z"]) -> tuple[Float[np.ndarray, "v 3"], np.ndarray]:
@@ -158,8 +152,7 @@ def _march(field: Float[np.ndarray, "x y z"]) -> tuple[Float[np.ndarray, "v 3"],
     share = np.clip(u / (u - v), 0.02, 0.98)
     vertices: np.ndarray = p + (q - p) * share[:, None]
     # A face points out of the solid if the field grows along its normal.
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    normal = np.cross(b - a, c - a)
+    normal = scaled_normals(vertices[faces])
     grow = np.where((u < 0)[:, None], q - p, p - q)[faces].sum(axis=1)
     wrong = np.einsum("ij,ij->i", normal, grow) < 0
     faces[wrong] = faces[wrong][:, ::-1]

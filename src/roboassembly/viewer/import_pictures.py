@@ -16,6 +16,7 @@ from roboassembly.errors import FurnitureError
 from roboassembly.furniture.model import Furniture, RawPart
 from roboassembly.geometry.meshes import Mesh
 from roboassembly.geometry.poses import SE3, transform_points
+from roboassembly.geometry.triangles import scaled_normals
 from roboassembly.rendering.camera import (
     AZIMUTH,
     ELEVATION,
@@ -195,8 +196,7 @@ def _view(changed: Mesh | None) -> tuple[Float[np.ndarray, "3 3"], float]:
     choices = [(turn, azimuth) for turn in (np.eye(3), _OVER) for azimuth in (AZIMUTH, AZIMUTH + np.pi)]
     if changed is None:
         return choices[0]
-    a, b, c = (changed.vertices[changed.faces[:, k]] for k in range(3))
-    normals = np.cross(b - a, c - a)
+    normals = scaled_normals(changed.vertices[changed.faces])
     shown = [np.maximum(0.0, -normals @ turn.T @ view_axes(azimuth, ELEVATION)[2]).sum() for turn, azimuth in choices]
     # The usual view stays unless another one shows clearly more.
     best = int(np.argmax(shown))
