@@ -13,7 +13,7 @@ from roboassembly.geometry.poses import SE3
 from roboassembly.solvers.blocking import Parts
 from roboassembly.solvers.options import End, fitting
 from roboassembly.solvers.oracle import Oracle
-from roboassembly.task.full.grips import MateGrasp
+from roboassembly.task.full.failure import Failure
 from roboassembly.task.full.task import FullTask
 from roboassembly.task.object_centric.task import ObjectCentricTask
 from roboassembly.task.rules.groups import Group, TaskState
@@ -94,9 +94,8 @@ class HandOracle(Oracle):
         if grasps is None:
             return False
         g_a, g_b = grasps if u_end[0] < v_end[0] else grasps[::-1]
-        return isinstance(
-            self._grasp_task.mate_grasp(state, (u_end[0], v_end[0], u_end[1], v_end[1], g_a, g_b)), MateGrasp
-        )
+        action = (u_end[0], v_end[0], u_end[1], v_end[1], g_a, g_b)
+        return not isinstance(self._grasp_task.hands_merge(state, action), Failure)
 
     def _group(self, slots: Parts) -> Group:
         """Return a group of parts in their own slots."""

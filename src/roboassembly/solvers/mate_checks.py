@@ -136,11 +136,11 @@ class FullMateCheck:
         """Check one choice; see `MateCheck`."""
         *ends, choice = action
         g_a, g_b = divmod(choice, GRASPS)
-        mate = self._task.mate_grasp(TaskState(groups), (*ends, g_a, g_b))
-        if not isinstance(mate, Failure):
-            return CheckResult(MERGES, [choice], mate.merge.merged)
-        if mate.kind is FullVerdict.GRASP_BLOCKED:
-            return CheckResult(BLOCKED, _sharing(g_a, g_b, mate.robot == 0, mate.robot == 1))
+        made = self._task.hands_merge(TaskState(groups), (*ends, g_a, g_b))
+        if not isinstance(made, Failure):
+            return CheckResult(MERGES, [choice], made.merged)
+        if made.kind is FullVerdict.GRASP_BLOCKED:
+            return CheckResult(BLOCKED, _sharing(g_a, g_b, made.robot == 0, made.robot == 1))
         return CheckResult(BLOCKED, self._blocked_alike(groups, action))
 
     def _blocked_alike(self, groups: tuple[Group, Group], action: tuple[int, ...]) -> Sequence[int]:

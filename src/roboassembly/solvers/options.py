@@ -12,7 +12,6 @@ import numpy as np
 from roboassembly.furniture.model import Furniture
 from roboassembly.geometry.poses import SE3
 from roboassembly.solvers.disassembly import Disassembly, Parts
-from roboassembly.task.full.failure import Failure
 from roboassembly.task.rules.connections import GRASPS, UP_AXES
 from roboassembly.task.rules.groups import Group, TaskState, point_at_slot
 from roboassembly.task.rules.pairs import Merge
@@ -200,7 +199,7 @@ def fitting(task: FullTask, state: TaskState, pairs: list[tuple[End, End]], *, l
         tests = product((task.grip_has_room, task.grip_fits), ((grip_a, 0), (grip_b, 1)))
         if not all(passes(test, u, v, merge, grip, robot) for test, (grip, robot) in tests):
             continue
-        if not isinstance(task.check_grips(groups[u], groups[v], merge, grip_a, grip_b), Failure):
+        if task.grips_failure(groups[u], groups[v], merge, grip_a, grip_b) is None:
             yield u, v, k, m, g_a, g_b
 
 

@@ -9,6 +9,7 @@ import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import chain
 from typing import ClassVar
 
 import numpy as np
@@ -156,7 +157,7 @@ class FullTask:
             grip_a, grip_b = self.free_grip(alone[u], u, index // GRASPS), self.free_grip(alone[v], v, index % GRASPS)
             if grip_a is None or grip_b is None:
                 continue
-            if isinstance(self.check_grips(alone[u], alone[v], merge, grip_a, grip_b), MateGrasp):
+            if self.grips_failure(alone[u], alone[v], merge, grip_a, grip_b) is None:
                 return True
         return False
 
@@ -228,6 +229,19 @@ class FullTask:
 
     def mate_grasp(self, state: TaskState, action: tuple[int, ...]) -> MateGrasp | Failure:
         """Test an action that exists before any arm comes in: the pair, both grips, and both hands at the joint."""
+        gripped = self._gripped(state, action)
+        return gripped if isinstance(gripped, Failure) else self.check_grips(*gripped)
+
+    def hands_merge(self, state: TaskState, action: tuple[int, ...]) -> Merge | Failure:
+        """Return what an action makes of two groups, or the failure of `mate_grasp`; quicker, see `grips_failure`."""
+        gripped = self._gripped(state, action)
+        if isinstance(gripped, Failure):
+            return gripped
+        failure = self.grips_failure(*gripped)
+        return gripped[2] if failure is None else failure
+
+    def _gripped(self, state: TaskState, action: tuple[int, ...]) -> tuple[Group, Group, Merge, Grip, Grip] | Failure:
+        """Return the groups of u and of v, what the pair makes of them, and both grips."""
         u, v, k, l, g_a, g_b = action  # noqa: E741
         u_group, v_group = state.groups[state.group_of[u]], state.groups[state.group_of[v]]
         merge = self.merge(state, (u, v, k, l))
@@ -239,23 +253,37 @@ class FullTask:
         grip_b = self.free_grip(v_group, v, g_b)
         if grip_b is None:
             return Failure(FullVerdict.GRASP_BLOCKED, Stage.GRASP, 1)
-        return self.check_grips(u_group, v_group, merge, grip_a, grip_b)
+        return u_group, v_group, merge, grip_a, grip_b
 
     def check_grips(
         self, u_group: Group, v_group: Group, merge: Merge, grip_a: Grip, grip_b: Grip
     ) -> MateGrasp | Failure:
         """Test both hands at the joint of a right pair, for grips that their groups leave free."""
-        out = sorted(self._retracts(u_group, v_group, merge, grip_a, grip_b), key=lambda r: -r.usable_length)
-        if not out:
+        ways_out = self._ways_out(u_group, v_group, merge, grip_a, grip_b)
+        if isinstance(ways_out, Failure):
+            return ways_out
+        longest_first = tuple(sorted(ways_out, key=lambda r: -r.usable_length))
+        return MateGrasp(merge, u_group, v_group, grip_a, grip_b, longest_first)
+
+    def grips_failure(self, u_group: Group, v_group: Group, merge: Merge, grip_a: Grip, grip_b: Grip) -> Failure | None:
+        """Return the failure of `check_grips`; None if it succeeds. Looks for one way out of the joint, not for all."""
+        ways_out = self._ways_out(u_group, v_group, merge, grip_a, grip_b)
+        return ways_out if isinstance(ways_out, Failure) else None
+
+    def _ways_out(
+        self, u_group: Group, v_group: Group, merge: Merge, grip_a: Grip, grip_b: Grip
+    ) -> Iterator[Retract] | Failure:
+        """Return the straight ways out of a joint, all but the first still to be looked for."""
+        ways_out = self._retracts(u_group, v_group, merge, grip_a, grip_b)
+        first = next(ways_out, None)
+        if first is None:
             return Failure(FullVerdict.JOINT_BLOCKED, Stage.MATE)
-        in_b = grip_b.moved(merge.furniture_from_v)
-        if not can_release(
-            self.furniture, merge.merged, grip_a.moved(merge.furniture_from_u), in_b.hand(grip_b.closed)
-        ):
+        in_a, in_b = grip_a.moved(merge.furniture_from_u), grip_b.moved(merge.furniture_from_v)
+        if not can_release(self.furniture, merge.merged, in_a, in_b.hand(grip_b.closed)):
             return Failure(FullVerdict.CANNOT_RELEASE, Stage.RELEASE, 0)
         if not can_release(self.furniture, merge.merged, in_b):
             return Failure(FullVerdict.CANNOT_RELEASE, Stage.RELEASE, 1)
-        return MateGrasp(merge, u_group, v_group, grip_a, grip_b, tuple(out))
+        return chain((first,), ways_out)
 
     def grip_has_room(self, u_group: Group, v_group: Group, merge: Merge, grip: Grip, robot: int) -> bool:
         """Whether one hand touches nothing of the other hand's group at the joint: the cheapest part of `grip_fits`.
