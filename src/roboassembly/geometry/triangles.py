@@ -16,6 +16,15 @@ def areas(corners: Float[np.ndarray, "t 3 3"]) -> Float[np.ndarray, "t"]:
     return 0.5 * np.linalg.norm(scaled_normals(corners), axis=1)
 
 
+def unit_normals(
+    corners: Float[np.ndarray, "t 3 3"],
+) -> tuple[Float[np.ndarray, "t 3"], Float[np.ndarray, "t"]]:
+    """Return the unit normals of triangles, zeros of those without area, and the areas [m²]."""
+    normals = 0.5 * scaled_normals(corners)
+    area = np.linalg.norm(normals, axis=1)
+    return normals / np.maximum(area, 1e-30)[:, None], area
+
+
 def triple_products(corners: Float[np.ndarray, "t 3 3"]) -> Float[np.ndarray, "t"]:
     """Return six times the signed volumes of the tetrahedra between triangles and the origin [m³]."""
     return np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))

@@ -12,7 +12,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
 from roboassembly.geometry.meshes import Mesh
-from roboassembly.geometry.triangles import scaled_normals
+from roboassembly.geometry.triangles import unit_normals
 
 _SHARP = float(np.cos(np.deg2rad(33.0)))
 """Cosine between the normals of two faces below which their common edge is a line of the drawing."""
@@ -59,16 +59,16 @@ def drawn_surface(mesh: Mesh) -> DrawnSurface:
     same = code[order][1:] == code[order][:-1]
     pairs = np.column_stack([order[:-1][same], order[1:][same]]) // 3
     vertices = _without_steps(vertices, faces, pairs)
-    normals, length = _normals(vertices, faces)
+    normals, areas = unit_normals(vertices[faces])
     a, b, c = (vertices[faces[:, i]] for i in range(3))
     longest = np.sqrt(
         np.max([((b - a) ** 2).sum(axis=1), ((c - b) ** 2).sum(axis=1), ((a - c) ** 2).sum(axis=1)], axis=0)
     )
-    known = length > _SLIVER * longest
+    known = 2.0 * areas > _SLIVER * longest
     normals[~known] = 0.0
     # Needles that are folded over, as simplified meshes have them, look the wrong way.
     folded = np.unique(pairs[np.einsum("ij,ij->i", normals[pairs[:, 0]], normals[pairs[:, 1]]) < _FOLDED])
-    known[folded[length[folded] < _NEEDLE * longest[folded] ** 2]] = False
+    known[folded[2.0 * areas[folded] < _NEEDLE * longest[folded] ** 2]] = False
     ends = edges[order[:-1][same]]
     shared = np.linalg.norm(vertices[ends[:, 0]] - vertices[ends[:, 1]], axis=1)
     along = shared[:, None] > 0.5 * longest[pairs]
@@ -77,15 +77,6 @@ def drawn_surface(mesh: Mesh) -> DrawnSurface:
     smooth = pairs[np.einsum("ij,ij->i", normals[pairs[:, 0]], normals[pairs[:, 1]]) > _SHARP]
     convex = mesh.is_solid and mesh.volume > (1.0 - _CONVEX) * float(mesh.hull.volume)
     return DrawnSurface(vertices, faces, normals, smooth, mesh.is_solid, convex)
-
-
-def _normals(
-    vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]
-) -> tuple[Float[np.ndarray, "f 3"], Float[np.ndarray, "f"]]:
-    """Return the unit normals of triangles, zeros where there is none, and twice their areas [m²]."""
-    cross = scaled_normals(vertices[faces])
-    length = np.linalg.norm(cross, axis=1)
-    return cross / np.maximum(length, 1e-30)[:, None], length
 
 
 def _without_steps(
@@ -98,7 +89,7 @@ def _without_steps(
         faces: of the mesh.
         pairs: neighbouring faces.
     """
-    normals, areas = _normals(vertices, faces)
+    normals, areas = unit_normals(vertices[faces])
     links = pairs[np.einsum("ij,ij->i", normals[pairs[:, 0]], normals[pairs[:, 1]]) > _SHARP]
     graph = coo_array((np.ones(len(links), bool), (links[:, 0], links[:, 1])), shape=(len(faces), len(faces)))
     count, patch = connected_components(graph, directed=False)

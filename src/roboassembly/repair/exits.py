@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from roboassembly.furniture.model import CONTACT_DISTANCE
-from roboassembly.geometry.triangles import scaled_normals, triple_products
+from roboassembly.geometry.triangles import triple_products, unit_normals
 from roboassembly.repair.proximity import Shell
 from roboassembly.repair.surface import Surface
 
@@ -181,9 +181,9 @@ def _facing(shell: Shell, other: Shell, distance: float) -> Float[np.ndarray, "3
     normals: list[Float[np.ndarray, "n 3"]] = []
     areas: list[Float[np.ndarray, "n"]] = []
     for side, which in ((shell, pairs[:, 0]), (other, pairs[:, 1])):
-        normal = scaled_normals(side.surface.corners[which])
-        areas.append(np.linalg.norm(normal, axis=1))
-        normals.append(normal / np.maximum(areas[-1], 1e-30)[:, None])
+        normal, area = unit_normals(side.surface.corners[which])
+        normals.append(normal)
+        areas.append(area)
     opposed = np.einsum("ij,ij->i", *normals) < FACING
     mean = ((normals[0] - normals[1]) * np.minimum(*areas)[:, None])[opposed].sum(axis=0)
     total = 2.0 * np.minimum(*areas)[opposed].sum()

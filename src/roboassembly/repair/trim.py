@@ -8,7 +8,7 @@ import manifold3d as m3
 import numpy as np
 from jaxtyping import Float
 
-from roboassembly.geometry.triangles import scaled_normals
+from roboassembly.geometry.triangles import scaled_normals, unit_normals
 from roboassembly.repair.cached import cached
 from roboassembly.repair.proximity import shell_of
 from roboassembly.repair.surface import Surface, to_manifold, to_surface
@@ -217,9 +217,7 @@ def _facing(tool: m3.Manifold, body: m3.Manifold) -> tuple[Float[np.ndarray, "n 
     mine = np.zeros(len(faces), dtype=bool)
     for start, stop, owner in zip(runs[:-1], runs[1:], ids, strict=True):
         mine[start:stop] = owner == tool.original_id()
-    normal = 0.5 * scaled_normals(vertices[faces[mine]])
-    area = np.linalg.norm(normal, axis=1)
-    return normal / np.maximum(area, 1e-30)[:, None], area
+    return unit_normals(vertices[faces[mine]])
 
 
 def _freedom(tool: m3.Manifold, body: m3.Manifold) -> float:
