@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import re
+from dataclasses import replace
 from html.parser import HTMLParser
 from io import BytesIO
 from pathlib import Path
@@ -62,6 +63,18 @@ def test_findings_name_parts_and_amounts(imported: tuple[folder.RawFurniture, Im
     (block,) = [part for part in made.furniture.parts if part.name == "block"]
     (top,) = [part for part in made.furniture.parts if part.name == "top"]
     assert (bool(why_not_held(block)), why_not_held(top)) == (True, "")
+
+
+def test_a_piece_that_hands_find_no_order_for_is_a_finding(imported: tuple[folder.RawFurniture, Imported]) -> None:
+    raw, made = imported
+    grasps = made.furniture.parts[0].grasps
+    assert grasps
+    holdable = replace(made.furniture, parts=tuple(replace(p, grasps=grasps) for p in made.furniture.parts))
+    text = "two robot hands find no order"
+    assert not any(text in f.text for f in findings(raw, holdable, ()))
+    assert any(text in f.text for f in findings(raw, holdable, (), hands_find_order=False))
+    # That no hand holds a part says enough.
+    assert not any(text in f.text for f in findings(raw, made.furniture, (), hands_find_order=False))
 
 
 def test_doubtful_sizes_are_findings(tmp_path: Path) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
@@ -312,6 +312,7 @@ def _import(piece: ImportJob) -> Summary:
     from roboassembly.importers.findings import findings
     from roboassembly.importers.kept import Summary, report_path, write_report
     from roboassembly.importers.pipeline import finish
+    from roboassembly.solvers.grasp_choice import choose_grasps
     from roboassembly.viewer.import_report import import_report, refusal_report
 
     try:
@@ -333,7 +334,9 @@ def _import(piece: ImportJob) -> Summary:
                 refusal_report(piece.name, piece.source, raw, refusal).encode(), report_path(piece.target, refused=True)
             )
         return Summary(error=str(refusal), **reading)
-    found = findings(raw, imported.furniture, imported.repairs)
+    choice = choose_grasps(imported.furniture)
+    imported = replace(imported, furniture=choice.furniture)
+    found = findings(raw, imported.furniture, imported.repairs, hands_find_order=choice.order_exists)
     storage.save(imported.furniture, piece.target)
     if piece.report:
         page = import_report(piece.name, piece.source, raw, imported, found)

@@ -12,7 +12,7 @@ from roboassembly.errors import FurnitureError
 from roboassembly.furniture.connection_points import Spot, connection_points, spot_of_contact
 from roboassembly.furniture.contacts import Contact, find_contacts
 from roboassembly.furniture.exchange import interchangeable
-from roboassembly.furniture.grasps import find_grasps
+from roboassembly.furniture.grasps import candidate_grasps, find_grasps
 from roboassembly.furniture.model import (
     MOST_PARTS,
     PAPER_PARTS,
@@ -104,17 +104,44 @@ def annotate(
 
 def add_grasps(furniture: Furniture) -> Furniture:
     """Return the furniture with newly computed grasps in place of those it has."""
-    meshes = [part.mesh for part in furniture.parts]
     grasps: dict[int, tuple[GraspRegion, ...]] = {}
+    for equal in parts_held_alike(furniture):
+        grasps.update(
+            dict.fromkeys(equal, find_grasps(furniture.parts[equal[0]].mesh, _surroundings(furniture, equal)))
+        )
+    return replace(furniture, parts=tuple(replace(p, grasps=grasps[i]) for i, p in enumerate(furniture.parts)))
+
+
+def add_candidate_grasps(furniture: Furniture, most: int) -> Furniture:
+    """Return the furniture with up to `most` grasp regions on each part, those that it has first.
+
+    Robots and observations expect no more than `GRASP_REGIONS`, so a caller must choose among them.
+    """
+    grasps: dict[int, tuple[GraspRegion, ...]] = {}
+    for equal in parts_held_alike(furniture):
+        part = furniture.parts[equal[0]]
+        found = candidate_grasps(part.mesh, _surroundings(furniture, equal), part.grasps, most)
+        grasps.update(dict.fromkeys(equal, tuple(found)))
+    return replace(furniture, parts=tuple(replace(p, grasps=grasps[i]) for i, p in enumerate(furniture.parts)))
+
+
+def parts_held_alike(furniture: Furniture) -> list[list[int]]:
+    """Return the parts in lists of equal ones, which have the same grasps."""
+    meshes = [part.mesh for part in furniture.parts]
+    out: list[list[int]] = []
     for c in furniture.classes:
         left = list(c.members)
         while left:
-            equal = [p for p in left if _is_equal(meshes[left[0]], meshes[p])]
-            around = [_around(member, meshes, furniture.assembled) for member in equal[:_LIKES]]
-            regions = find_grasps(meshes[left[0]], [m for m in around if m is not None])
-            grasps.update(dict.fromkeys(equal, regions))
-            left = [p for p in left if p not in equal]
-    return replace(furniture, parts=tuple(replace(p, grasps=grasps[i]) for i, p in enumerate(furniture.parts)))
+            out.append([p for p in left if _is_equal(meshes[left[0]], meshes[p])])
+            left = [p for p in left if p not in out[-1]]
+    return out
+
+
+def _surroundings(furniture: Furniture, equal: Sequence[int]) -> list[Mesh]:
+    """Return what hands at some of the equal parts could touch; see `_around`."""
+    meshes = [part.mesh for part in furniture.parts]
+    around = (_around(member, meshes, furniture.assembled) for member in equal[:_LIKES])
+    return [mesh for mesh in around if mesh is not None]
 
 
 def _is_equal(first: Mesh, mesh: Mesh) -> bool:

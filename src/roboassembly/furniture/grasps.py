@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Float
 
 from roboassembly.furniture.jaws import APPROACHES, EvenJaw, Jaw, UnevenJaw, touches
 from roboassembly.furniture.model import GRASP_REGIONS, GraspRegion
@@ -36,6 +36,8 @@ _CENTRAL = 0.25
 """Weight of nearness to the centre of mass, and of lying beyond it, against distance between the regions."""
 _DISTINCT = 0.02
 """Distance between regions below which their closing axes must differ by at least 45° [m]."""
+_CANDIDATE_PLACES = 400
+"""Number of places tried for candidates."""
 _CROSSWISE = 0.2
 """Bonus for closing along another axis, as distance: a slat among others can only be held by its edges from the front,
 a rail on a board only by its sides [m]."""
@@ -64,6 +66,47 @@ def find_grasps(mesh: Mesh, around: Sequence[Mesh] = ()) -> tuple[GraspRegion, .
         jaw, places = UnevenJaw(hand, others, rays), opposite_sides_anywhere(mesh.trimesh, rays)
         found = _regions(jaw, places[jaw.within_reach(places)], found)
     return tuple(sorted(found, key=lambda region: float(np.linalg.norm(region.position))))
+
+
+def candidate_grasps(mesh: Mesh, around: Sequence[Mesh], known: Sequence[GraspRegion], most: int) -> list[GraspRegion]:
+    """Return regions all over a part, each as unlike those before it as possible; `known` ones come first.
+
+    Args:
+        mesh: the part, in its own frame [m].
+        around: surroundings of the part; see `find_grasps`.
+        known: regions of `find_grasps`.
+        most: number of regions at most.
+    """
+    others = [HandAgainst(m) for m in around]
+    rays, hand = Rays(mesh), HandAgainst(mesh)
+    out = list(known)
+    places = opposite_sides(mesh.trimesh, rays)
+    _fill(EvenJaw(hand, others), places[within_reach(rays, places)], out, most)
+    if len(out) < most:
+        jaw, places = UnevenJaw(hand, others, rays), opposite_sides_anywhere(mesh.trimesh, rays)
+        _fill(jaw, places[jaw.within_reach(places)], out, most)
+    return out
+
+
+def _fill(jaw: Jaw, places: Places, out: list[GraspRegion], most: int) -> None:
+    """Append regions at places as unlike those of `out` as possible, until there are `most`."""
+
+    def unlikeness(middle: Float[np.ndarray, "3"], closing: Float[np.ndarray, "3"]) -> Float[np.ndarray, "n"]:
+        turned = 1.0 - np.abs(places.closing @ closing)
+        return np.linalg.norm(places.middle - middle, axis=1) + _CROSSWISE * turned
+
+    left = np.full(len(places.width), np.inf)
+    for region in out:
+        left = np.minimum(left, unlikeness(region.position, region.closing))
+    for _ in range(_CANDIDATE_PLACES):
+        if len(out) >= most or not len(left) or left.max() < _DISTINCT:
+            return
+        index = np.argmax(left)
+        left[index] = 0.0
+        region = _first_holdable(jaw, [places[np.array([index])]])
+        if region is not None:
+            out.append(region)
+            left = np.minimum(left, unlikeness(region.position, region.closing))
 
 
 def _regions(jaw: Jaw, places: Places, found: tuple[GraspRegion, ...] = ()) -> tuple[GraspRegion, ...]:

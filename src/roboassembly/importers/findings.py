@@ -45,17 +45,20 @@ class Finding:
     """One line: what it is, of which part, by how much, and what would do."""
 
 
-def findings(raw: RawFurniture, furniture: Furniture, repairs: Sequence[PartRepair]) -> tuple[Finding, ...]:
+def findings(
+    raw: RawFurniture, furniture: Furniture, repairs: Sequence[PartRepair], *, hands_find_order: bool = True
+) -> tuple[Finding, ...]:
     """Return what is worth a look, the most important first; one finding for each kind of change.
 
     Args:
         raw: parts as read.
         furniture: furniture after repair and annotation.
         repairs: changes to each part.
+        hands_find_order: whether two hands can join the parts in some order.
     """
     found = [
         *_of_unit(raw),
-        *_of_holds(furniture),
+        *_of_holds(furniture, hands_find_order),
         *_of_repairs(repairs),
         *_of_gaps(furniture),
         *(Finding(55.0 if "separate bodies" in remark else 30.0, remark) for remark in raw.remarks if _counts(remark)),
@@ -97,7 +100,7 @@ def _counts(remark: str) -> bool:
     return "separate bodies" in remark or "left out" in remark or "like fasteners" in remark
 
 
-def _of_holds(furniture: Furniture) -> list[Finding]:
+def _of_holds(furniture: Furniture, hands_find_order: bool) -> list[Finding]:
     out: list[Finding] = []
     never = [part for part in furniture.parts if not part.grasps]
     seldom = [part for part in furniture.parts if len(part.grasps) == 1]
@@ -105,6 +108,11 @@ def _of_holds(furniture: Furniture) -> list[Finding]:
         names, first = _names([part.name for part in never]), why_not_held(never[0])
         text = f"a robot's hand cannot hold {names} ({first}); the setting object-centric needs no hand"
         out.append(Finding(75.0, text))
+    elif not hands_find_order:
+        text = (
+            "two robot hands find no order in which they can join the parts; the setting object-centric needs no hand"
+        )
+        out.append(Finding(74.0, text))
     if seldom:
         text = f"a robot's hand can hold {_names([part.name for part in seldom])} in one place only"
         out.append(Finding(33.0, text))

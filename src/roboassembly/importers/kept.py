@@ -1,7 +1,8 @@
 """Cache of imports: the furniture made from the same files, or the reason for their refusal.
 
-The key is a hash of all files that the importer may read, the options, the code that reads, repairs and annotates, and
-the versions of the libraries. A change of the files or of the program therefore never returns an old result.
+The key is a hash of all files that the importer may read, the options, the code that reads, repairs, annotates and
+chooses grasps, and the versions of the libraries. A change of the files or of the program therefore never returns an
+old result.
 
 An entry is one file, `imports/*.import`: a checksum, then the result. Entries appear and disappear atomically; a
 damaged entry is ignored.
@@ -189,7 +190,7 @@ def program_hash() -> bytes:
     files = [root / "robots" / "gripper.py", *sorted((root / "viewer").glob("import_*.py"))]
     files += [
         path
-        for package in ("geometry", "furniture", "importers", "rendering", "repair")
+        for package in ("geometry", "furniture", "importers", "planning", "rendering", "repair", "solvers", "task")
         for path in sorted((root / package).rglob("*.py"))
     ]
     for path in files:

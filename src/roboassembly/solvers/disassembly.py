@@ -37,15 +37,22 @@ class Disassembly:
         over: returns whether the search must stop.
         cost: cost of a split, `(leaving, staying, straight)`, whose sum an order should keep low; 0 is the least. The
             first feasible order is as good as any other if None.
+        joinable: returns whether two sub-assemblies, `(leaving, staying)`, can be joined at all; every split counts if
+            None.
     """
 
     def __init__(
-        self, furniture: Furniture, over: Callable[[], bool], cost: Callable[[Parts, Parts, bool], int] | None = None
+        self,
+        furniture: Furniture,
+        over: Callable[[], bool],
+        cost: Callable[[Parts, Parts, bool], int] | None = None,
+        joinable: Callable[[Parts, Parts], bool] | None = None,
     ) -> None:
         self.furniture = furniture
         self.graphs = BlockingGraphs(furniture)
         self._over = over
         self._cost = cost
+        self._joinable = joinable
 
     def order(
         self, partition: Partition, rejected: set[frozenset[Parts]], straight: bool, exhaustive: bool
@@ -74,7 +81,7 @@ class Disassembly:
             for leaving, staying in self._splits(parts, partition, straight, exhaustive):
                 if self._over():
                     return
-                if frozenset((leaving, staying)) in rejected:
+                if frozenset((leaving, staying)) in rejected or not self._counts(leaving, staying):
                     continue
                 first = build(staying)
                 second = build(leaving) if first is not None else None
@@ -110,7 +117,7 @@ class Disassembly:
             offered = [
                 (cost(*split, straight), split)
                 for split in self._splits(parts, partition, straight, exhaustive)
-                if frozenset(split) not in rejected
+                if frozenset(split) not in rejected and self._counts(*split)
             ]
             for own, (leaving, staying) in sorted(offered, key=lambda item: item[0]):
                 if self._over() or (out is not None and (own >= out[0] or len(memory) > _EXAMINED)):
@@ -126,6 +133,9 @@ class Disassembly:
 
         found = build(frozenset[int]().union(*partition))
         return None if found is None else found[1]
+
+    def _counts(self, leaving: Parts, staying: Parts) -> bool:
+        return self._joinable is None or self._joinable(leaving, staying)
 
     def _splits(self, parts: Parts, partition: Partition, straight: bool, exhaustive: bool) -> Iterator[Split]:
         """Yield the splits of `parts` that break no group: those of the blocking graphs, then all others."""

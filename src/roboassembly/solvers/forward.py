@@ -131,6 +131,8 @@ class Search(Generic[State, AStep]):
     """Cost of a split, `(disassembly, leaving, staying, straight)`, that orders should keep low; see `Disassembly`."""
     carry_out: CarryOut[State, AStep] | None = None
     """Function that plans the merges, if they can use motions out of each other; the task's `step` otherwise."""
+    joinable: Callable[[Parts, Parts], bool] | None = None
+    """Test of a split, `(leaving, staying)`, before it counts; see `Disassembly`."""
     dead: set[frozenset[Parts]] = field(default_factory=set[frozenset[Parts]])
     """Partitions from which the search failed."""
     steps: list[tuple[AStep, State]] = field(default_factory=list[tuple[AStep, State]])
@@ -148,7 +150,7 @@ class Search(Generic[State, AStep]):
 
     def __post_init__(self) -> None:
         cost = None if self.cost is None else self._cost_of
-        self.disassembly = Disassembly(self.task.furniture, self.exhausted, cost)
+        self.disassembly = Disassembly(self.task.furniture, self.exhausted, cost, self.joinable)
         self.exits = ExitPlanner(self.task.rules, self.disassembly.graphs, self.seed)
 
     def _cost_of(self, leaving: Parts, staying: Parts, straight: bool) -> int:

@@ -13,6 +13,7 @@ from roboassembly.planning.problem import Budget
 from roboassembly.solvers.disassembly import Disassembly, Parts, partition_of
 from roboassembly.solvers.forward import Action, Search, SearchLimits, SearchResult, Watch
 from roboassembly.solvers.guide import Guide
+from roboassembly.solvers.hand_joints import HandJoints
 from roboassembly.solvers.options import grasping
 from roboassembly.solvers.search import ROUNDS
 from roboassembly.task.full.task import FullTask
@@ -22,7 +23,7 @@ from roboassembly.task.rules.groups import TaskState
 _FIRST = Budget(states=2_000, stances=2)
 """Budget with which all actions of a merge are tried first."""
 _ROUNDS = tuple(replace(r, budget=None, first=_FIRST) for r in ROUNDS)
-FULL_LIMITS = SearchLimits(states=6_000_000, attempts=200)
+FULL_LIMITS = SearchLimits(states=6_000_000, attempts=600)
 """Default limits with robots."""
 
 
@@ -60,7 +61,7 @@ def solve_full_from(
     watch: Watch | None = None,
 ) -> SearchResult[FullPlan]:
     """Search from a given state; see `solve_full`."""
-    search = Search(task, partial(_grasping, task), limits, seed, _ROUNDS[0], watch=watch)
+    search = _search(task, seed, limits, watch)
     success = search.run(initial, _ROUNDS, guide)
     steps = tuple(step for step, _ in search.steps)
     return search.result(FullPlan(task.furniture, initial, steps, success, seed), success)
@@ -78,7 +79,7 @@ class MergePlanner:
     """
 
     def __init__(self, task: FullTask, seed: int, limits: SearchLimits | None = None) -> None:
-        self._search = Search(task, partial(_grasping, task), limits or FULL_LIMITS, seed, _ROUNDS[0])
+        self._search = _search(task, seed, limits or FULL_LIMITS)
 
     def next_step(self, state: FullState) -> FullStep | None:
         """Plan the merge that comes next in an order that finishes the piece; None if no merge can be planned."""
@@ -112,6 +113,11 @@ class MergePlanner:
         self._search.steps.clear()
         self._search.merge(state, assigned, leaving, staying)
         return self._search.steps[0][0] if self._search.steps else None
+
+
+def _search(task: FullTask, seed: int, limits: SearchLimits, watch: Watch | None = None) -> Search[FullState, FullStep]:
+    grippers = HandJoints(task)
+    return Search(task, partial(_grasping, task), limits, seed, _ROUNDS[0], watch=watch, joinable=grippers.may_join)
 
 
 def _grasping(

@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from roboassembly.furniture.jaws import APPROACHES
 from roboassembly.furniture.model import Furniture
 from roboassembly.geometry.poses import SE3
 from roboassembly.solvers.disassembly import Disassembly, Parts
-from roboassembly.task.rules.connections import GRASPS, UP_AXES
+from roboassembly.task.rules.connections import UP_AXES
 from roboassembly.task.rules.groups import Group, TaskState, point_at_slot
 from roboassembly.task.rules.pairs import Merge
 
@@ -175,7 +176,14 @@ def fitting(task: FullTask, state: TaskState, pairs: list[tuple[End, End]], *, l
     def grip_of(part: int, grasp: int) -> Grip | None:
         return task.free_grip(groups[part], part, grasp)
 
-    grasps = {part: [g for g in range(GRASPS) if lazy or grip_of(part, g) is not None] for part in groups}
+    grasps = {
+        part: [
+            g
+            for g in range(APPROACHES * len(task.furniture.parts[part].grasps))
+            if lazy or grip_of(part, g) is not None
+        ]
+        for part in groups
+    }
     tries = [
         (u_end, v_end, g_a, g_b) for u_end, v_end in pairs for g_a, g_b in product(grasps[u_end[0]], grasps[v_end[0]])
     ]

@@ -15,6 +15,7 @@ from roboassembly.furniture.model import Furniture
 from roboassembly.generate import FAMILIES
 from roboassembly.importers import IMPORTERS
 from roboassembly.importers.pipeline import finish
+from roboassembly.solvers.grasp_choice import choose_grasps
 from roboassembly.task.plans import plan_file
 from roboassembly.task.plans.plan_file import Script
 
@@ -67,8 +68,8 @@ def open_path(name: str, scale: float | None = None, *, with_grasps: bool = True
         name: furniture as for `roboassembly assemble`, or the path of a GLB file or of a folder with one STL, OBJ, PLY
             or GLB file per part.
         scale: scale of 3D files [m per unit]; estimated if None.
-        with_grasps: compute the grasps of a built-in piece, which takes most of the time. Other pieces always have
-            grasps.
+        with_grasps: compute the grasps of a built-in piece, and choose those of 3D files so that two hands find an
+            order of merges, which takes most of the time. All but built-in pieces have grasps without it, too.
 
     Raises:
         InputError: the name is unknown, or the files do not make up furniture.
@@ -81,7 +82,8 @@ def open_path(name: str, scale: float | None = None, *, with_grasps: bool = True
     if len(found) > 1:
         names = ", ".join(str(p.name) for p in found[:4])
         raise InputError(f"'{name}' contains {len(found)} pieces ({names}, ...); choose one of them")
-    return finish(found[0].stem, importer.read(found[0], scale=scale)).furniture
+    furniture = finish(found[0].stem, importer.read(found[0], scale=scale)).furniture
+    return choose_grasps(furniture).furniture if with_grasps else furniture
 
 
 @lru_cache(maxsize=16)

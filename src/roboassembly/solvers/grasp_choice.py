@@ -1,0 +1,148 @@
+"""Chooses the grasp regions of real furniture so that two hands can join its parts in some order.
+
+Annotation chooses the two regions of each part with nothing but the part and the finished furniture in view. Where
+hands then find no order of merges, regions are chosen again: an order is looked for with many regions on each part, and
+each part gets those that the merges of this order use.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import islice
+
+import numpy as np
+
+from roboassembly.furniture.annotate import add_candidate_grasps, parts_held_alike
+from roboassembly.furniture.jaws import APPROACHES
+from roboassembly.furniture.model import GRASP_REGIONS, Furniture, GraspRegion
+from roboassembly.solvers.disassembly import Disassembly, Parts, Split
+from roboassembly.solvers.hand_joints import HandJoints
+from roboassembly.solvers.options import fitting
+from roboassembly.task.full.task import FullTask
+from roboassembly.task.rules.groups import TaskState, group_in_place
+
+_CANDIDATES = (6, 16)
+"""Numbers of regions on each part among which is chosen; the second if the first does not do."""
+_ACTIONS = 50
+"""Number of ways to hold both groups that are compared at each merge."""
+_ORDERS = 6
+"""Number of orders for which regions are chosen before there is no choice."""
+_Regions = dict[int, tuple[GraspRegion, ...]]
+"""Regions by the first of each list of equal parts."""
+
+
+@dataclass(frozen=True, eq=False)
+class GraspChoice:
+    """Furniture with its grasps, and what two hands can do with them."""
+
+    furniture: Furniture
+    order_exists: bool
+    """Whether two hands can join the parts in some order; False if a part has no grasp at all."""
+
+
+def choose_grasps(furniture: Furniture) -> GraspChoice:
+    """Return the furniture with grasps by which two hands can join its parts in some order, if there are any.
+
+    Grasps that do stay as they are. Arms, posts and paths are left to the planner.
+
+    Args:
+        furniture: annotated, with grasps.
+    """
+    if not all(part.grasps for part in furniture.parts):
+        return GraspChoice(furniture, False)
+    if hands_order(furniture) is not None:
+        return GraspChoice(furniture, True)
+    for candidates in _CANDIDATES:
+        chosen = _chosen_among(furniture, candidates)
+        if chosen is not None:
+            return GraspChoice(chosen, True)
+    return GraspChoice(furniture, False)
+
+
+def _chosen_among(furniture: Furniture, candidates: int) -> Furniture | None:
+    wide = add_candidate_grasps(furniture, candidates)
+    rejected: set[frozenset[Parts]] = set()
+    for _ in range(_ORDERS):
+        order = hands_order(wide, rejected)
+        if order is None:
+            return None
+        regions, stuck = _regions_for(wide, order)
+        if stuck is None:
+            chosen = _with_grasps(furniture, _completed(furniture, regions))
+            if hands_order(chosen) is not None:
+                return chosen
+        rejected.add(frozenset(stuck or order[-1]))
+    return None
+
+
+def hands_order(furniture: Furniture, rejected: Collection[frozenset[Parts]] = ()) -> list[Split] | None:
+    """Return an order in which two hands can join the parts, if arms reach everywhere; None if there is none.
+
+    Args:
+        furniture: with grasps, any number on each part.
+        rejected: splits that must not be used.
+    """
+    grippers = HandJoints(FullTask(furniture))
+    disassembly = Disassembly(furniture, lambda: False, joinable=grippers.may_join)
+    parts = frozenset(frozenset([part]) for part in range(len(furniture.parts)))
+    straight = disassembly.order(parts, set(rejected), straight=True, exhaustive=False)
+    return straight or disassembly.order(parts, set(rejected), straight=False, exhaustive=True)
+
+
+def _regions_for(wide: Furniture, order: Sequence[Split]) -> tuple[_Regions, Split | None]:
+    """Choose at most `GRASP_REGIONS` regions of each part for the merges of an order, the last merge first.
+
+    Returns the regions and the split for which no more could be chosen; None if all have theirs.
+    """
+    leader = {part: equal[0] for equal in parts_held_alike(wide) for part in equal}
+    chosen: _Regions = dict.fromkeys(leader.values(), ())
+    for split in reversed(order):
+        if next(_actions(_with_grasps(wide, chosen), split), None) is not None:
+            continue
+        full = {part: regions for part, regions in chosen.items() if len(regions) == GRASP_REGIONS}
+        open_to_choice = _with_grasps(wide, full)
+        counts: Counter[tuple[tuple[int, int], ...]] = Counter()
+        known = {id(r): r for part in open_to_choice.parts for r in part.grasps}
+        for u, v, _, _, g_a, g_b in islice(_actions(open_to_choice, split), _ACTIONS):
+            gripped = ((u, g_a), (v, g_b))
+            counts[tuple((leader[p], id(open_to_choice.parts[p].grasps[g // APPROACHES])) for p, g in gripped)] += 1
+        best: tuple[int, int] | None = None
+        after = chosen
+        for pair, count in counts.items():
+            tried = dict(chosen)
+            for part, region in pair:
+                if not any(region == id(r) for r in tried[part]):
+                    tried[part] = (*tried[part], known[region])
+            new = sum(map(len, tried.values())) - sum(map(len, chosen.values()))
+            if max(map(len, tried.values())) <= GRASP_REGIONS and (best is None or (new, -count) < best):
+                best, after = (new, -count), tried
+        if best is None:
+            return chosen, split
+        chosen = after
+    return chosen, None
+
+
+def _actions(furniture: Furniture, split: Split) -> Iterator[tuple[int, ...]]:
+    """Yield actions by which two hands join two sub-assemblies, either of them in the hand of R_a."""
+    state = TaskState(tuple(group_in_place(furniture, slots) for slots in split))
+    joints = list(furniture.joints_between(*split))
+    return fitting(FullTask(furniture), state, [*joints, *((b, a) for a, b in joints)], lazy=True)
+
+
+def _completed(furniture: Furniture, regions: _Regions) -> _Regions:
+    """Return the regions with those that the parts had, as far as there is room; the nearer to the middle first."""
+    out: _Regions = {}
+    for part, chosen in regions.items():
+        kept = [r for r in furniture.parts[part].grasps if not any(r is c for c in chosen)]
+        all_of_part = (*chosen, *kept)[:GRASP_REGIONS]
+        out[part] = tuple(sorted(all_of_part, key=lambda region: float(np.linalg.norm(region.position))))
+    return out
+
+
+def _with_grasps(furniture: Furniture, regions: _Regions) -> Furniture:
+    """Return the furniture with other regions on some parts, by the first of equal parts."""
+    grasps = {part: regions[e[0]] for e in parts_held_alike(furniture) if e[0] in regions for part in e}
+    parts = (replace(p, grasps=grasps.get(i, p.grasps)) for i, p in enumerate(furniture.parts))
+    return replace(furniture, parts=tuple(parts))

@@ -1,0 +1,108 @@
+"""Tests of the choice of grasps: an order of merges exists afterwards, and the planner finds a plan."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hands import FclHand, check_region
+from roboassembly.datasets import catalogue
+from roboassembly.furniture.annotate import add_candidate_grasps, parts_held_alike
+from roboassembly.furniture.model import GRASP_REGIONS, Furniture, GraspRegion
+from roboassembly.solvers.full_search import solve_full
+from roboassembly.solvers.grasp_choice import choose_grasps, hands_order
+from roboassembly.solvers.hand_joints import HandJoints
+from roboassembly.task.full.grips import grip_fits_group, grip_of
+from roboassembly.task.full.task import FullTask
+from roboassembly.task.rules.groups import group_in_place
+
+CANDIDATES = 12
+
+
+@pytest.fixture(scope="module")
+def stool() -> Furniture:
+    return catalogue.make("stool", 3)
+
+
+@pytest.fixture(scope="module")
+def badly_held(stool: Furniture) -> Furniture:
+    """The stool with regions where a closed hand touches another part as soon as the furniture is finished."""
+    wide, whole = add_candidate_grasps(stool, 40), group_in_place(stool, range(len(stool.parts)))
+
+    def in_the_way(part: int, index: int) -> bool:
+        grips = [grip_of(wide, whole, part, 4 * index + direction) for direction in range(4)]
+        return not any(grip_fits_group(wide, whole, grip) for grip in grips if grip is not None)
+
+    parts = list(stool.parts)
+    for equal in parts_held_alike(stool):
+        found = wide.parts[equal[0]].grasps
+        bad = tuple(region for k, region in enumerate(found) if all(in_the_way(part, k) for part in equal))
+        for part in equal:
+            parts[part] = replace(parts[part], grasps=(bad or found)[:GRASP_REGIONS])
+    return replace(stool, parts=tuple(parts))
+
+
+def numbers(regions: tuple[GraspRegion, ...]) -> list[bytes]:
+    return [np.concatenate([r.position, r.closing, *r.approaches, [r.width]]).tobytes() for r in regions]
+
+
+def test_candidates_are_unlike_each_other_and_hold(stool: Furniture) -> None:
+    wide = add_candidate_grasps(stool, CANDIDATES)
+    for before, part in zip(stool.parts, wide.parts, strict=True):
+        assert part.grasps[: len(before.grasps)] == before.grasps
+        assert len(part.grasps) == CANDIDATES
+    seat = wide.parts[int(np.argmax([part.mesh.volume for part in wide.parts]))]
+    checker = FclHand(seat.mesh)
+    for index, region in enumerate(seat.grasps):
+        check_region(seat.mesh, region, checker)
+        for other in seat.grasps[:index]:
+            assert (
+                np.linalg.norm(region.position - other.position) > 0.015 or abs(region.closing @ other.closing) < 0.95
+            )
+
+
+def test_grasps_that_do_are_kept(stool: Furniture) -> None:
+    choice = choose_grasps(stool)
+    assert choice.order_exists
+    assert choice.furniture is stool
+
+
+def test_the_order_joins_all_parts_as_the_task_allows(stool: Furniture) -> None:
+    order = hands_order(stool)
+    assert order is not None
+    joined = {frozenset([part]) for part in range(len(stool.parts))}
+    grippers = HandJoints(FullTask(stool))
+    for leaving, staying in order:
+        assert grippers.join(leaving, staying) or grippers.join(staying, leaving)
+        joined = (joined - {leaving, staying}) | {leaving | staying}
+    assert joined == {frozenset(range(len(stool.parts)))}
+
+
+def test_grasps_are_chosen_anew_where_no_order_exists(badly_held: Furniture) -> None:
+    assert hands_order(badly_held) is None
+    choice = choose_grasps(badly_held)
+    assert choice.order_exists
+    for equal in parts_held_alike(choice.furniture):
+        regions = [numbers(choice.furniture.parts[part].grasps) for part in equal]
+        assert all(own == regions[0] for own in regions)
+        assert 0 < len(regions[0]) <= GRASP_REGIONS
+    assert [numbers(p.grasps) for p in choose_grasps(badly_held).furniture.parts] == [
+        numbers(p.grasps) for p in choice.furniture.parts
+    ]
+    assert solve_full(choice.furniture, 0).plan.success
+
+
+def test_the_search_tries_no_merge_where_no_order_exists(badly_held: Furniture) -> None:
+    result = solve_full(badly_held, 0)
+    assert not result.plan.success
+    assert result.attempts == 0
+    assert "no order of merges" in result.reason
+
+
+def test_no_choice_without_any_grasp(stool: Furniture) -> None:
+    bare = replace(stool, parts=(replace(stool.parts[0], grasps=()), *stool.parts[1:]))
+    choice = choose_grasps(bare)
+    assert choice.furniture is bare
+    assert not choice.order_exists
