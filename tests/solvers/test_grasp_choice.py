@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import islice
 
 import numpy as np
 import pytest
@@ -13,9 +14,12 @@ from roboassembly.furniture.annotate import add_candidate_grasps, parts_held_ali
 from roboassembly.furniture.model import GRASP_REGIONS, Furniture, GraspRegion
 from roboassembly.solvers.full_search import solve_full
 from roboassembly.solvers.grasp_choice import choose_grasps, hands_order
+from roboassembly.solvers.guide import Suggestion
 from roboassembly.solvers.hand_joints import HandJoints
+from roboassembly.solvers.options import fitting
 from roboassembly.task.full.grips import grip_fits_group, grip_of
 from roboassembly.task.full.task import FullTask
+from roboassembly.task.plans.full_plan import FullState
 from roboassembly.task.rules.groups import group_in_place
 
 CANDIDATES = 12
@@ -95,10 +99,17 @@ def test_grasps_are_chosen_anew_where_no_order_exists(badly_held: Furniture) -> 
 
 
 def test_the_search_tries_no_merge_where_no_order_exists(badly_held: Furniture) -> None:
-    result = solve_full(badly_held, 0)
-    assert not result.plan.success
-    assert result.attempts == 0
-    assert "no order of merges" in result.reason
+    def suggest(task: FullTask, state: FullState) -> list[Suggestion]:
+        joints = [((c.part_a, c.point_a), (c.part_b, c.point_b)) for c in badly_held.connections]
+        return [Suggestion(action, 1.0) for action in islice(fitting(task, state.groups, joints), 5)]
+
+    task = FullTask(badly_held)
+    assert suggest(task, task.initial_state(np.random.default_rng(0)))
+    for guide in (None, suggest):
+        result = solve_full(badly_held, 0, guide=guide)
+        assert not result.plan.success
+        assert result.attempts == 0
+        assert "no order of merges" in result.reason
 
 
 def test_no_choice_without_any_grasp(stool: Furniture) -> None:

@@ -177,12 +177,13 @@ class Search(Generic[State, AStep]):
         self.guide_seconds += time.perf_counter() - begun
         tries = followed = 0
         for suggestion in takewhile(lambda s: s.score >= _GUIDED_SCORE, suggestions):
-            # After a first dead end, disassembly checks every suggestion.
             if self.exhausted() or tries == _GUIDED_WIDTH or self.strays == _GUIDED_STRAYS:
                 break
-            if self.strays and self.hopeless(self.task.groups_of(state)):
+            # Disassembly checks every suggestion after a first dead end, or from the first where its answers are good.
+            checked = self.strays > 0 or self.joinable is not None
+            if checked and self.hopeless(self.task.groups_of(state)):
                 break
-            if self.strays and self.hopeless(self.joined(self.task.groups_of(state), suggestion.action)):
+            if checked and self.hopeless(self.joined(self.task.groups_of(state), suggestion.action)):
                 continue
             tries += 1
             outcome = self.attempt(state, suggestion.action, self.round.first or self.round.budget)
