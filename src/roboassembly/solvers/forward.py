@@ -81,6 +81,11 @@ class Round:
     exits: int | None = None
     """States with which the way of one sub-assembly out of the other is planned for each split of an order, before any
     of its merges is tried; None to use splits without."""
+    generalizes: bool = False
+    """Also leave out splits that contain one for which no action could be planned: with more parts around, less has
+    room. That is a guess, so other rounds must follow."""
+    share: int = 1
+    """Divisor of the search's limits that gives this round's own; the rest is left for the rounds after it."""
 
 
 Options = Callable[[Disassembly, State, TaskState, Parts, Parts, bool], Iterable[Action]]
@@ -133,6 +138,8 @@ class Search(Generic[State, AStep]):
     """Function that plans the merges, if they can use motions out of each other; the task's `step` otherwise."""
     joinable: Callable[[Parts, Parts], bool] | None = None
     """Test of a split, `(leaving, staying)`, before it counts; see `Disassembly`."""
+    failed: list[Split] = field(default_factory=list[Split])
+    """Splits that a round which generalizes leaves out, and those that contain them."""
     dead: set[frozenset[Parts]] = field(default_factory=set[frozenset[Parts]])
     """Partitions from which the search failed."""
     steps: list[tuple[AStep, State]] = field(default_factory=list[tuple[AStep, State]])
@@ -150,12 +157,18 @@ class Search(Generic[State, AStep]):
 
     def __post_init__(self) -> None:
         cost = None if self.cost is None else self._cost_of
-        self.disassembly = Disassembly(self.task.furniture, self.exhausted, cost, self.joinable)
+        self.disassembly = Disassembly(self.task.furniture, self.exhausted, cost, self.may_join)
         self.exits = ExitPlanner(self.task.rules, self.disassembly.graphs, self.seed)
 
     def _cost_of(self, leaving: Parts, staying: Parts, straight: bool) -> int:
         assert self.cost is not None
         return self.cost(self.disassembly, leaving, staying, straight)
+
+    def may_join(self, leaving: Parts, staying: Parts) -> bool:
+        """Return whether a split counts: no failed one is contained in it, and `joinable` holds."""
+        if any((a <= leaving and b <= staying) or (a <= staying and b <= leaving) for a, b in self.failed):
+            return False
+        return self.joinable is None or self.joinable(leaving, staying)
 
     def states(self) -> int:
         """Return the number of configurations tested for collision so far."""
@@ -243,6 +256,8 @@ class Search(Generic[State, AStep]):
             after = self.merge(state, assigned, leaving, staying)
             if after is None:
                 self.refused.add(frozenset((leaving, staying)))
+                if self.round.generalizes:
+                    self.failed.append((leaving, staying))
             elif self.extend(after, rest):
                 return True
             else:
@@ -322,20 +337,26 @@ class Search(Generic[State, AStep]):
     def run(self, state: State, rounds: Sequence[Round], guide: Guide[State] | None) -> bool:
         """Run the whole search, the guide first; returns whether `steps` assembles the furniture."""
         if guide is not None:
-            whole = self.limits
-            self.limits = SearchLimits(whole.states // _GUIDED_SHARE, whole.attempts // _GUIDED_SHARE)
-            success = self.follow(guide, state)
-            self.limits = whole
-            if success:
+            if self._within(_GUIDED_SHARE, lambda: self.follow(guide, state)):
                 return True
         for self.round in rounds:
             self.refused.clear()
             self.dead.clear()
-            if self.extend(state):
+            self.failed.clear()
+            if self._within(self.round.share, lambda: self.extend(state)):
                 return True
             if self.exhausted():
                 break
         return False
+
+    def _within(self, share: int, search: Callable[[], bool]) -> bool:
+        """Return what a search returns that gets only a share of the limits, and no more than is left of them."""
+        whole = self.limits
+        states, attempts = self.states() + whole.states // share, self.attempts + whole.attempts // share
+        self.limits = SearchLimits(min(whole.states, states), min(whole.attempts, attempts))
+        success = search()
+        self.limits = whole
+        return success
 
     def result(self, plan: APlan, success: bool) -> SearchResult[APlan]:
         """Return the result of the search for a plan made of `steps`."""

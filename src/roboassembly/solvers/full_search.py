@@ -22,7 +22,11 @@ from roboassembly.task.rules.groups import TaskState
 
 _FIRST = Budget(states=2_000, stances=2)
 """Budget with which all actions of a merge are tried first."""
-_ROUNDS = tuple(replace(r, budget=None, first=_FIRST) for r in ROUNDS)
+_ROUNDS = (
+    # Another order mostly costs less than the full budget for a merge that the first one does not find.
+    *(replace(r, budget=_FIRST, generalizes=True, share=4) for r in (ROUNDS[0], ROUNDS[-1])),
+    *(replace(r, budget=None, first=_FIRST) for r in ROUNDS),
+)
 FULL_LIMITS = SearchLimits(states=6_000_000, attempts=600)
 """Default limits with robots."""
 
