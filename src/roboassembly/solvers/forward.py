@@ -336,9 +336,8 @@ class Search(Generic[State, AStep]):
 
     def run(self, state: State, rounds: Sequence[Round], guide: Guide[State] | None) -> bool:
         """Run the whole search, the guide first; returns whether `steps` assembles the furniture."""
-        if guide is not None:
-            if self._within(_GUIDED_SHARE, lambda: self.follow(guide, state)):
-                return True
+        if guide is not None and self._within(_GUIDED_SHARE, lambda: self.follow(guide, state)):
+            return True
         for self.round in rounds:
             self.refused.clear()
             self.dead.clear()
