@@ -297,6 +297,6 @@ def _against_post() -> HandAgainst:
     return HandAgainst(post_mesh())
 
 
-@cache
+@lru_cache(maxsize=256)
 def _rays(mesh: Mesh) -> Rays:
     return Rays(mesh)
