@@ -23,6 +23,7 @@ from roboassembly.planning.problem import Budget
 from roboassembly.solvers.blocking import BlockingGraphs
 from roboassembly.solvers.forward import Round, Search
 from roboassembly.solvers.guide import Guide, Suggestion
+from roboassembly.solvers.options import upright
 from roboassembly.solvers.search import SearchLimits, SearchResult, solve, solve_from
 from roboassembly.task.object_centric.task import ObjectCentricOutcome, ObjectCentricTask, ObjectCentricVerdict
 from roboassembly.task.rules.groups import Group, TaskState
@@ -440,6 +441,31 @@ def test_all_actions_of_a_merge_are_tried_briefly_first(table: Furniture, easy: 
     after = search.merge(state, state, frozenset({1}), frozenset({0}))
     assert after is not None
     assert task.tried == ([(2, 10), (3, 10)] if easy else [(2, 10), (3, 10), (2, 1_000)])
+
+
+def test_orders_leave_out_splits_that_contain_a_failed_one(chair) -> None:
+    furniture = chair("stool", 3)
+    search = Search(
+        ObjectCentricTask(furniture), upright, SearchLimits(), 0,
+        Round(straight=True, exhaustive=False, budget=Budget(states=0), generalizes=True),
+    )  # fmt: skip
+    parts = frozenset(frozenset([part]) for part in range(len(furniture.parts)))
+    before = search.reasoned(parts, set())
+    assert before is not None
+    leaving, staying = next(split for split in before if 2 < len(split[0] | split[1]) < len(parts))
+    assert search.may_join(leaving, staying)
+    search.failed.append((leaving, staying))
+    more = frozenset(range(len(furniture.parts))) - leaving
+    assert not search.may_join(leaving, more)
+    assert not search.may_join(more, leaving)
+    fewer = staying - {min(staying)} if len(staying) > 1 else leaving - {min(leaving)}
+    assert search.may_join(leaving if len(staying) > 1 else staying, fewer)
+    after = search.reasoned(parts, set())
+    assert after is not None
+    for a, b in after:
+        assert not (leaving <= a and staying <= b)
+        assert not (leaving <= b and staying <= a)
+    assert [a | b for a, b in after][-1] == frozenset(range(len(furniture.parts)))
 
 
 @pytest.mark.slow

@@ -279,6 +279,12 @@ class BlockingGraphs:
         return _closure(parts & -parts, self._near, parts) == parts
 
 
+def contained_in(inner: tuple[Parts, Parts], outer: tuple[Parts, Parts]) -> bool:
+    """Return whether each of two sub-assemblies is part of another one of two."""
+    (a, b), (u, v) = inner, outer
+    return (a <= u and b <= v) or (a <= v and b <= u)
+
+
 def _mask(parts: Iterable[int]) -> int:
     """Return the bit mask of some parts."""
     return sum(1 << p for p in parts)

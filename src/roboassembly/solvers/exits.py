@@ -9,7 +9,6 @@ nothing; a later round of the search asks again with a larger one, and the last 
 from __future__ import annotations
 
 import zlib
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -21,7 +20,7 @@ from roboassembly.geometry.scene import Scene
 from roboassembly.planning.mating import MatingProblem, plan_mating
 from roboassembly.planning.problem import Budget
 from roboassembly.planning.world import CollisionWorld
-from roboassembly.solvers.blocking import BlockingGraphs, Parts
+from roboassembly.solvers.blocking import BlockingGraphs, Parts, contained_in
 from roboassembly.task.rules.connections import UP_AXES, Rules
 from roboassembly.task.rules.groups import body, center_of_mass, group_in_place, hull_points
 
@@ -29,22 +28,6 @@ Motions = tuple[SE3, ...]
 """Successive motions of a sub-assembly from its place, in the furniture's frame; the first is the identity."""
 _MARGIN = 0.1
 """Distance between sub-assemblies that have come apart [m]."""
-
-
-@dataclass(frozen=True)
-class _Stuck:
-    """Two sub-assemblies for which no way was found."""
-
-    u_parts: Parts
-    v_parts: Parts
-    budget: int
-    """States that the planner had."""
-
-    def contained_in(self, u_parts: Parts, v_parts: Parts) -> bool:
-        """Return whether two sub-assemblies contain these two."""
-        return (self.u_parts <= u_parts and self.v_parts <= v_parts) or (
-            self.u_parts <= v_parts and self.v_parts <= u_parts
-        )
 
 
 class ExitPlanner:
@@ -62,7 +45,8 @@ class ExitPlanner:
         self._graphs = graphs
         self._seed = seed
         self._motions: dict[tuple[Parts, Parts], Motions] = {}
-        self._stuck: list[_Stuck] = []
+        self._stuck: list[tuple[tuple[Parts, Parts], int]] = []
+        """Sub-assemblies for which no way was found, and the states that the planner had."""
         self.states = 0
         """Configurations tested for collision so far."""
 
@@ -77,7 +61,7 @@ class ExitPlanner:
         moving, still = sorted((u_parts, v_parts), key=lambda parts: (len(parts), self._volume(parts), sorted(parts)))
         if (moving, still) in self._motions:
             return True
-        if any(stuck.budget >= budget and stuck.contained_in(moving, still) for stuck in self._stuck):
+        if any(had >= budget and contained_in(pair, (moving, still)) for pair, had in self._stuck):
             return False
         if self._leaves_straight(moving, still):
             self._motions[moving, still] = ()
@@ -88,7 +72,7 @@ class ExitPlanner:
             return False
         motions = self._planned(moving, still, budget)
         if motions is None:
-            self._stuck.append(_Stuck(moving, still, budget))
+            self._stuck.append(((moving, still), budget))
             return False
         self._motions[moving, still] = motions
         return True

@@ -12,6 +12,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from roboassembly.planning.problem import Budget
+from roboassembly.solvers.blocking import contained_in
 from roboassembly.solvers.disassembly import Disassembly, Partition, Parts, Split, partition_of
 from roboassembly.solvers.exits import ExitPlanner, Motions
 from roboassembly.solvers.guide import Guide
@@ -166,7 +167,7 @@ class Search(Generic[State, AStep]):
 
     def may_join(self, leaving: Parts, staying: Parts) -> bool:
         """Return whether a split counts: no failed one is contained in it, and `joinable` holds."""
-        if any((a <= leaving and b <= staying) or (a <= staying and b <= leaving) for a, b in self.failed):
+        if any(contained_in(split, (leaving, staying)) for split in self.failed):
             return False
         return self.joinable is None or self.joinable(leaving, staying)
 
