@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -109,7 +109,7 @@ def add_grasps(furniture: Furniture) -> Furniture:
         grasps.update(
             dict.fromkeys(equal, find_grasps(furniture.parts[equal[0]].mesh, _surroundings(furniture, equal)))
         )
-    return replace(furniture, parts=tuple(replace(p, grasps=grasps[i]) for i, p in enumerate(furniture.parts)))
+    return with_grasps(furniture, grasps)
 
 
 def add_candidate_grasps(furniture: Furniture, most: int) -> Furniture:
@@ -122,7 +122,13 @@ def add_candidate_grasps(furniture: Furniture, most: int) -> Furniture:
         part = furniture.parts[equal[0]]
         found = candidate_grasps(part.mesh, _surroundings(furniture, equal), part.grasps, most)
         grasps.update(dict.fromkeys(equal, tuple(found)))
-    return replace(furniture, parts=tuple(replace(p, grasps=grasps[i]) for i, p in enumerate(furniture.parts)))
+    return with_grasps(furniture, grasps)
+
+
+def with_grasps(furniture: Furniture, grasps: Mapping[int, tuple[GraspRegion, ...]]) -> Furniture:
+    """Return the furniture with the given grasps of some parts in place of theirs."""
+    parts = (replace(p, grasps=grasps.get(i, p.grasps)) for i, p in enumerate(furniture.parts))
+    return replace(furniture, parts=tuple(parts))
 
 
 def parts_held_alike(furniture: Furniture) -> list[list[int]]:

@@ -58,13 +58,11 @@ def find_grasps(mesh: Mesh, around: Sequence[Mesh] = ()) -> tuple[GraspRegion, .
         mesh: the part, in its own frame [m]; the origin is the centre of mass.
         around: surroundings of the part, or of each part of its shape, in the assembled furniture; in its frame.
     """
-    others = [HandAgainst(m) for m in around]
-    rays, hand = Rays(mesh), HandAgainst(mesh)
-    places = opposite_sides(mesh.trimesh, rays)
-    found = _regions(EvenJaw(hand, others), places[within_reach(rays, places)])
-    if len(found) < GRASP_REGIONS:
-        jaw, places = UnevenJaw(hand, others, rays), opposite_sides_anywhere(mesh.trimesh, rays)
-        found = _regions(jaw, places[jaw.within_reach(places)], found)
+    found: tuple[GraspRegion, ...] = ()
+    for jaw, places in _jaws(mesh, around):
+        found = _regions(jaw, places, found)
+        if len(found) >= GRASP_REGIONS:
+            break
     return tuple(sorted(found, key=lambda region: float(np.linalg.norm(region.position))))
 
 
@@ -77,15 +75,22 @@ def candidate_grasps(mesh: Mesh, around: Sequence[Mesh], known: Sequence[GraspRe
         known: regions of `find_grasps`.
         most: number of regions at most.
     """
+    out = list(known)
+    for jaw, places in _jaws(mesh, around):
+        _fill(jaw, places, out, most)
+        if len(out) >= most:
+            break
+    return out
+
+
+def _jaws(mesh: Mesh, around: Sequence[Mesh]) -> Iterator[tuple[Jaw, Places]]:
+    """Yield both ways of the hand to close, flat sides first, each with the places within its reach."""
     others = [HandAgainst(m) for m in around]
     rays, hand = Rays(mesh), HandAgainst(mesh)
-    out = list(known)
     places = opposite_sides(mesh.trimesh, rays)
-    _fill(EvenJaw(hand, others), places[within_reach(rays, places)], out, most)
-    if len(out) < most:
-        jaw, places = UnevenJaw(hand, others, rays), opposite_sides_anywhere(mesh.trimesh, rays)
-        _fill(jaw, places[jaw.within_reach(places)], out, most)
-    return out
+    yield EvenJaw(hand, others), places[within_reach(rays, places)]
+    jaw, places = UnevenJaw(hand, others, rays), opposite_sides_anywhere(mesh.trimesh, rays)
+    yield jaw, places[jaw.within_reach(places)]
 
 
 def _fill(jaw: Jaw, places: Places, out: list[GraspRegion], most: int) -> None:

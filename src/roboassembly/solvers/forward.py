@@ -83,8 +83,8 @@ class Round:
     """States with which the way of one sub-assembly out of the other is planned for each split of an order, before any
     of its merges is tried; None to use splits without."""
     generalizes: bool = False
-    """Also leave out splits that contain one for which no action could be planned: with more parts around, less has
-    room. That is a guess, so other rounds must follow."""
+    """Whether to leave out splits that contain one for which no action could be planned: more parts around leave less
+    room. This is a guess, so other rounds must follow."""
     share: int = 1
     """Divisor of the search's limits that gives this round's own; the rest is left for the rounds after it."""
 

@@ -1,20 +1,20 @@
 """Chooses the grasp regions of real furniture so that two hands can join its parts in some order.
 
-Annotation chooses the two regions of each part with nothing but the part and the finished furniture in view. Where
-hands then find no order of merges, regions are chosen again: an order is looked for with many regions on each part, and
-each part gets those that the merges of this order use.
+Annotation chooses the two regions of each part with nothing but the part and the finished furniture in view. If
+hands then find no order of merges, this module looks for one with many regions on each part, and each part gets those
+that the merges of this order use.
 """
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Collection, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import islice
 
 import numpy as np
 
-from roboassembly.furniture.annotate import add_candidate_grasps, parts_held_alike
+from roboassembly.furniture.annotate import add_candidate_grasps, parts_held_alike, with_grasps
 from roboassembly.furniture.jaws import APPROACHES
 from roboassembly.furniture.model import GRASP_REGIONS, Furniture, GraspRegion
 from roboassembly.solvers.disassembly import Disassembly, Parts, Split
@@ -70,7 +70,8 @@ def _chosen_among(furniture: Furniture, candidates: int) -> Furniture | None:
             return None
         regions, stuck = _regions_for(wide, order)
         if stuck is None:
-            chosen = _with_grasps(furniture, _completed(furniture, regions))
+            completed = _completed(furniture, regions)
+            chosen = with_grasps(furniture, {part: completed[first] for part, first in _leaders(furniture).items()})
             if hands_order(chosen) is not None:
                 return chosen
         rejected.add(frozenset(stuck or order[-1]))
@@ -96,32 +97,44 @@ def _regions_for(wide: Furniture, order: Sequence[Split]) -> tuple[_Regions, Spl
 
     Returns the regions and the split for which no more could be chosen; None if all have theirs.
     """
-    leader = {part: equal[0] for equal in parts_held_alike(wide) for part in equal}
+    leader = _leaders(wide)
     chosen: _Regions = dict.fromkeys(leader.values(), ())
     for split in reversed(order):
-        if next(_actions(_with_grasps(wide, chosen), split), None) is not None:
+        only_chosen = with_grasps(wide, {part: chosen[first] for part, first in leader.items()})
+        if next(_actions(only_chosen, split), None) is not None:
             continue
-        full = {part: regions for part, regions in chosen.items() if len(regions) == GRASP_REGIONS}
-        open_to_choice = _with_grasps(wide, full)
-        counts: Counter[tuple[tuple[int, int], ...]] = Counter()
-        known = {id(r): r for part in open_to_choice.parts for r in part.grasps}
-        for u, v, _, _, g_a, g_b in islice(_actions(open_to_choice, split), _ACTIONS):
-            gripped = ((u, g_a), (v, g_b))
-            counts[tuple((leader[p], id(open_to_choice.parts[p].grasps[g // APPROACHES])) for p, g in gripped)] += 1
-        best: tuple[int, int] | None = None
-        after = chosen
-        for pair, count in counts.items():
-            tried = dict(chosen)
-            for part, region in pair:
-                if not any(region == id(r) for r in tried[part]):
-                    tried[part] = (*tried[part], known[region])
-            new = sum(map(len, tried.values())) - sum(map(len, chosen.values()))
-            if max(map(len, tried.values())) <= GRASP_REGIONS and (best is None or (new, -count) < best):
-                best, after = (new, -count), tried
-        if best is None:
+        full = {part: chosen[first] for part, first in leader.items() if len(chosen[first]) == GRASP_REGIONS}
+        more = _with_another(chosen, with_grasps(wide, full), leader, split)
+        if more is None:
             return chosen, split
-        chosen = after
+        chosen = more
     return chosen, None
+
+
+def _with_another(chosen: _Regions, choices: Furniture, leader: dict[int, int], split: Split) -> _Regions | None:
+    """Return the chosen regions with those by which two hands join a split: as few new ones as possible, and of these
+    the ones with most ways to hold both groups. None if there are too many for a part in any case."""
+    counts: Counter[tuple[tuple[int, int], ...]] = Counter()
+    known = {id(r): r for part in choices.parts for r in part.grasps}
+    for u, v, _, _, g_a, g_b in islice(_actions(choices, split), _ACTIONS):
+        gripped = ((u, g_a), (v, g_b))
+        counts[tuple((leader[p], id(choices.parts[p].grasps[g // APPROACHES])) for p, g in gripped)] += 1
+    best: tuple[int, int] | None = None
+    out: _Regions | None = None
+    for pair, count in counts.items():
+        tried = dict(chosen)
+        for part, region in pair:
+            if not any(region == id(r) for r in tried[part]):
+                tried[part] = (*tried[part], known[region])
+        new = sum(map(len, tried.values()))
+        if max(map(len, tried.values())) <= GRASP_REGIONS and (best is None or (new, -count) < best):
+            best, out = (new, -count), tried
+    return out
+
+
+def _leaders(furniture: Furniture) -> dict[int, int]:
+    """Return the first of the equal parts for each part."""
+    return {part: equal[0] for equal in parts_held_alike(furniture) for part in equal}
 
 
 def _actions(furniture: Furniture, split: Split) -> Iterator[tuple[int, ...]]:
@@ -139,10 +152,3 @@ def _completed(furniture: Furniture, regions: _Regions) -> _Regions:
         all_of_part = (*chosen, *kept)[:GRASP_REGIONS]
         out[part] = tuple(sorted(all_of_part, key=lambda region: float(np.linalg.norm(region.position))))
     return out
-
-
-def _with_grasps(furniture: Furniture, regions: _Regions) -> Furniture:
-    """Return the furniture with other regions on some parts, by the first of equal parts."""
-    grasps = {part: regions[e[0]] for e in parts_held_alike(furniture) if e[0] in regions for part in e}
-    parts = (replace(p, grasps=grasps.get(i, p.grasps)) for i, p in enumerate(furniture.parts))
-    return replace(furniture, parts=tuple(parts))

@@ -1,4 +1,4 @@
-"""Whether two hands can join two sub-assemblies: everything of a merge with robots but the arms.
+"""Tests whether two hands can join two sub-assemblies: everything of a merge with robots but the arms.
 
 The answer depends on the furniture alone, so it is worked out once for each pair of sub-assemblies.
 """
@@ -54,7 +54,7 @@ class HandJoints:
         return self.tests >= _MOST_TESTS or self.join(first, second) or self.join(second, first)
 
     def _join(self, moving: Parts, waiting: Parts) -> bool:
-        # What two hands can do at a joint, they can do with fewer parts around it. So most answers follow from others.
+        # Two hands that have room at a joint also have it with fewer parts around, so most answers follow from others.
         joints = [
             joint
             for joint in self._furniture.joints_between(moving, waiting)
