@@ -27,7 +27,7 @@ CANDIDATES = 12
 
 @pytest.fixture(scope="module")
 def stool() -> Furniture:
-    return catalogue.make("stool", 3)
+    return catalogue.make("three_legged", 24)
 
 
 @pytest.fixture(scope="module")
