@@ -10,11 +10,14 @@ import pytest
 from relational_cases import TINY
 
 import shapes
+from roboassembly.datasets import catalogue
 from roboassembly.envs.observation import Observer
+from roboassembly.furniture import storage
 from roboassembly.furniture.model import PAPER_POINTS
 from roboassembly.learning import checkpoint
 from roboassembly.learning.datasets import dataset_file
 from roboassembly.learning.relational import network as relational
+from roboassembly.learning.relational.collect import CollectResult
 from roboassembly.learning.relational.grasps import network as grasping
 from roboassembly.learning.relational.grasps.dataset import NO, UNKNOWN, YES, GraspSamples
 from roboassembly.learning.relational.grasps.on_policy import collect_on_policy, label_outcome, probe_grasps
@@ -85,13 +88,21 @@ def test_probes_label_actions_as_fresh_tests_do() -> None:
 def test_samples_are_written_once_and_are_reproducible(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     params = {**relational.init(rng, TINY), GRASP_PARAMS: grasping.init(rng)}
-    policy, names = tmp_path / "policy.npz", ["three_legged:24", "upholstered:14"]
+    policy, names = tmp_path / "policy.npz", ["three_legged:24", "upholstered:14", "imported"]
     checkpoint.save(policy, checkpoint.Checkpoint(relational.KIND, params, {"network": asdict(TINY)}, {}))
-    first = {r.name: r for r in collect_on_policy(names, tmp_path / "a", policy, episodes=1, seed=3, jobs=1)}
+    folders = {"imported": tmp_path / "imported"}
+    storage.save(catalogue.make("cantilever", 1), folders["imported"])
+
+    def collected(out: str) -> dict[str, CollectResult]:
+        results = collect_on_policy(names, tmp_path / out, policy, episodes=1, seed=3, jobs=1, folders=folders)
+        return {result.name: result for result in results}
+
+    first = collected("a")
     # No gripper can hold an upholstered chair.
     assert first["upholstered:14"].states == 0
-    assert not list(collect_on_policy(names, tmp_path / "a", policy, episodes=1, seed=3, jobs=1))
-    again = {r.name: r for r in collect_on_policy(names, tmp_path / "b", policy, episodes=1, seed=3, jobs=1)}
+    assert first["imported"].states > 0
+    assert not collected("a")
+    again = collected("b")
     for name, result in first.items():
         assert (result.states, result.mistakes) == (again[name].states, again[name].mistakes)
         samples = GraspSamples.load(dataset_file(tmp_path / "a", name)).samples

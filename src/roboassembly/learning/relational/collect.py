@@ -15,6 +15,7 @@ from roboassembly.datasets import catalogue
 from roboassembly.envs.observation import part_clouds
 from roboassembly.errors import InputError
 from roboassembly.furniture import storage
+from roboassembly.furniture.model import Furniture
 from roboassembly.learning import checkpoint
 from roboassembly.learning.datasets import CLOUD_POINTS, LabeledState, SampleSet, dataset_file
 from roboassembly.learning.relational import network as relational
@@ -42,6 +43,27 @@ class CollectResult:
     """Number of the policy's choices; 0 without a policy."""
     seconds: float
     """Duration [s]."""
+
+
+def piece_number(name: str, folders: Mapping[str, Path]) -> int:
+    """Return the number that the draws for a piece depend on: the seed of a generated one, else a hash of the name.
+
+    Args:
+        name: `family:seed` of a generated piece, else a key of `folders`.
+        folders: furniture folders of pieces that are not generated, by name.
+    """
+    return zlib.crc32(name.encode()) if name in folders else int(name.partition(":")[2])
+
+
+def load_piece(name: str, folders: Mapping[str, Path], *, with_grasps: bool = True) -> Furniture:
+    """Return a piece by name; arguments as of `piece_number`.
+
+    Raises:
+        InputError: the generated piece is invalid, or the folder is no furniture.
+    """
+    if name in folders:
+        return storage.load(folders[name])
+    return catalogue.make(name.partition(":")[0], piece_number(name, folders), with_grasps=with_grasps)
 
 
 def grasp_folder(folder: Path) -> Path:
@@ -85,13 +107,9 @@ def _collect(
 ) -> CollectResult:  # fmt: skip
     """Write the samples of one piece."""
     start = time.monotonic()
-    family, _, seed_of_piece = name.partition(":")
-    number = zlib.crc32(name.encode()) if name in folders else int(seed_of_piece)
+    number = piece_number(name, folders)
     try:
-        if name in folders:
-            furniture = storage.load(folders[name])
-        else:
-            furniture = catalogue.make(family, number, with_grasps=SETTINGS[setting].needs_grasps)
+        furniture = load_piece(name, folders, with_grasps=SETTINGS[setting].needs_grasps)
         oracle = SETTINGS[setting].make_oracle(furniture)
     except InputError:
         # A few generated frames are invalid, cannot be grasped, or have too many parts; they give no samples.

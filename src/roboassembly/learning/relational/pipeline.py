@@ -23,6 +23,7 @@ import os
 import platform
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -91,6 +92,8 @@ class RelationalPipelineConfig:
     start: str = ""
     """Policy whose weights come first, by name or path. The full setting needs one, and keeps its weights for the
     object-centric setting."""
+    extra_grasps: int = 1_000
+    """Number of the further generated pieces that get grasp samples as well (full setting)."""
     grasp_steps: int = 12_000
     """Number of gradient steps of the grasp network (full setting)."""
 
@@ -110,7 +113,7 @@ _DEFAULTS: dict[SettingName, RelationalPipelineConfig] = {
     for config in (
         RelationalPipelineConfig(),
         RelationalPipelineConfig(
-            extra=1_000, validation=24, episodes=2, imported_episodes=2, rounds=1, steps=4_000, learning_rate=1e-3,
+            extra=3_000, validation=24, episodes=2, imported_episodes=2, rounds=1, steps=8_000, learning_rate=1e-3,
             setting="full", start="relational",
         ),
     )
@@ -135,7 +138,9 @@ def run_pipeline(config: RelationalPipelineConfig, folder: Path, jobs: int) -> I
     start = _start_checkpoint(config, folder)
     refs = furniture_refs(config.set)[: config.limit]
     imported = furniture_refs(f"folder:{config.imported}") if config.imported else []
-    names = [ref.name for ref in refs] + extra_names(config.extra, recipe.unseen_families)
+    extra = extra_names(config.extra, recipe.unseen_families)
+    names = [*(ref.name for ref in refs), *extra]
+    with_grasps = [*(ref.name for ref in (*refs, *imported)), *extra[: config.extra_grasps]]
     held_out = extra_names(config.validation, recipe.unseen_families, first=_VALIDATION_SEEDS)
     notes = {"pipeline": asdict(config), "set_hash": set_hash([*refs, *imported])}
     pair_rounds, grasp_rounds = config.rounds_of_networks
@@ -148,9 +153,9 @@ def run_pipeline(config: RelationalPipelineConfig, folder: Path, jobs: int) -> I
     last = start
     for index in range(pair_rounds):
         samples, path = folder / "samples" / str(index), folder / f"policy-{index}.npz"
-        with_grasps = [ref.name for ref in (*refs, *imported)] if grasp_rounds else []
-        yield from _collect(f"samples {index}", names, samples, config, jobs, last, with_grasps)
-        yield from _collect(f"imported samples {index}", imported, samples, config, jobs, last, with_grasps)
+        collecting = partial(_collect, with_grasps=with_grasps if grasp_rounds else [])
+        yield from collecting(f"samples {index}", names, samples, config, jobs, last)
+        yield from collecting(f"imported samples {index}", imported, samples, config, jobs, last)
         examples += load_examples(samples, [*names, *(ref.name for ref in imported)], jobs, config.frames)
         steps, rate = (
             (config.round_steps, 0.5 * config.learning_rate) if index else (config.steps, config.learning_rate)
@@ -167,7 +172,7 @@ def run_pipeline(config: RelationalPipelineConfig, folder: Path, jobs: int) -> I
         both = {**started.params, FULL_PARAMS: final.params}
         # The object-centric weights keep the description of their own training.
         network = {**final.config, "start": started.config.get("start", started.config)}
-        yield from _grasp_rounds(both, network, refs, imported, folder, config, notes, jobs)
+        yield from _grasp_rounds(both, network, [*refs, *imported], with_grasps, folder, config, notes, jobs)
     else:
         # Weights for robots stay as they were.
         kept = load_weights(config.start).params if config.start else {}
@@ -200,13 +205,18 @@ def _collect(
     policy: Path | None, with_grasps: Sequence[str] = (),
 ) -> Iterator[Progress]:  # fmt: skip
     """Collect the samples of a round, of generated pieces by name and of imported ones."""
-    folders = {p.name: p.folder for p in pieces if isinstance(p, FurnitureRef) and p.folder is not None}
+    folders = _folders(p for p in pieces if isinstance(p, FurnitureRef))
     names = [p if isinstance(p, str) else p.name for p in pieces]
     results = collect(
         names, folder, episodes=config.imported_episodes if folders else config.episodes, seed=config.seed, jobs=jobs,
         policy=policy, setting=config.setting, with_grasps=with_grasps, folders=folders,
     )  # fmt: skip
     yield from _counted(stage, results, names, folder, mistakes=policy is not None)
+
+
+def _folders(refs: Iterable[FurnitureRef]) -> dict[str, Path]:
+    """Furniture folders of the pieces that are not generated, by name."""
+    return {ref.name: ref.folder for ref in refs if ref.folder is not None}
 
 
 def _counted(
@@ -237,15 +247,22 @@ def _validated(
 
 
 def _grasp_rounds(
-    params: Params, network: dict[str, Any], refs: Sequence[FurnitureRef], imported: Sequence[FurnitureRef],
+    params: Params, network: dict[str, Any], pieces: Sequence[FurnitureRef], with_grasps: Sequence[str],
     folder: Path, config: RelationalPipelineConfig, notes: dict[str, Any], jobs: int,
 ) -> Iterator[Progress]:  # fmt: skip
     """Train the grasp network, and again after each round of its own episodes; writes `policy.npz`.
 
-    Its own episodes are of the pieces of the set only.
+    Args:
+        params: weights of both settings.
+        network: description of the network, for the checkpoint.
+        pieces: pieces that the policy acts on.
+        with_grasps: names of the pieces that have grasp samples.
+        folder: folder of the run.
+        config: settings.
+        notes: what the checkpoints say of the run.
+        jobs: number of processes.
     """
-    names = [ref.name for ref in refs]
-    with_samples = [*names, *(ref.name for ref in imported)]
+    names, sources = [ref.name for ref in pieces], _folders(pieces)
     folders = [grasp_folder(folder / "samples" / "0")]
     _, rounds = config.rounds_of_networks
     for index in range(rounds):
@@ -253,12 +270,12 @@ def _grasp_rounds(
             folders.append(folder / "on_policy" / str(index))
             acting = folder / f"acting-{index}.npz"
             seed = config.seed + index
-            results = collect_on_policy(names, folders[-1], acting, episodes=1, seed=seed, jobs=jobs)
+            results = collect_on_policy(names, folders[-1], acting, episodes=1, seed=seed, jobs=jobs, folders=sources)
             yield from _counted(f"on policy {index}", results, names, folders[-1], mistakes=True)
         path = folder / f"grasps-{index}.npz"
         training = grasp_imitation.GraspTraining(steps=config.grasp_steps, seed=config.seed)
         if not is_trained(path, grasping.KIND, training.steps):
-            files = [file for f in folders for name in with_samples if (file := dataset_file(f, name)).is_file()]
+            files = [file for f in folders for name in with_grasps if (file := dataset_file(f, name)).is_file()]
             examples = grasp_imitation.examples_of(files, jobs)
             for step, terms in grasp_imitation.train(examples, path, training, notes):
                 yield Progress("grasps", step, training.steps, terms)

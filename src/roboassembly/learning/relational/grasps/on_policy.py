@@ -9,19 +9,18 @@ be tested without planning: whether both grasps fit, and of a few whether the ar
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache, partial
 from pathlib import Path
 
 import numpy as np
 
-from roboassembly.datasets import catalogue
 from roboassembly.envs.observation import Observer, part_clouds
 from roboassembly.errors import InputError
 from roboassembly.learning.datasets import CLOUD_POINTS, dataset_file
 from roboassembly.learning.policy import guide_of
 from roboassembly.learning.policy_weights import load_weights
-from roboassembly.learning.relational.collect import CollectResult
+from roboassembly.learning.relational.collect import CollectResult, load_piece, piece_number
 from roboassembly.learning.relational.grasps.dataset import NO, UNKNOWN, YES, GraspSamples, LabeledGrasps
 from roboassembly.learning.relational.policy import RelationalPolicy
 from roboassembly.parallel.processes import map_unordered
@@ -44,32 +43,36 @@ _DOES_NOT_FIT = (FullVerdict.GRASP_BLOCKED, FullVerdict.JOINT_BLOCKED, FullVerdi
 
 
 def collect_on_policy(
-    names: Sequence[str], folder: Path, policy: Path, *, episodes: int, seed: int, jobs: int
-) -> Iterator[CollectResult]:
-    """Write the grasp samples of generated furniture, and yield as pieces are done; existing files are kept.
+    names: Sequence[str], folder: Path, policy: Path, *, episodes: int, seed: int, jobs: int,
+    folders: Mapping[str, Path] | None = None,
+) -> Iterator[CollectResult]:  # fmt: skip
+    """Write the grasp samples of some furniture, and yield as pieces are done; existing files are kept.
 
     Args:
-        names: names of the pieces, `family:seed`.
+        names: names of the pieces: `family:seed` of generated ones, else keys of `folders`.
         folder: folder of the files, one for each piece.
         policy: checkpoint of the relational policy that acts, with a grasp network.
         episodes: number of episodes of each piece.
         seed: seed of the starts and of everything drawn.
         jobs: number of processes.
+        folders: furniture folders of pieces that are not generated, by name.
     """
     folder.mkdir(parents=True, exist_ok=True)
     left = [name for name in names if not dataset_file(folder, name).is_file()]
-    yield from map_unordered(partial(_collect, folder=folder, policy=policy, episodes=episodes, seed=seed), left, jobs)
+    work = partial(_collect, folder=folder, policy=policy, episodes=episodes, seed=seed, folders=dict(folders or {}))
+    yield from map_unordered(work, left, jobs)
 
 
-def _collect(name: str, *, folder: Path, policy: Path, episodes: int, seed: int) -> CollectResult:
+def _collect(
+    name: str, *, folder: Path, policy: Path, episodes: int, seed: int, folders: Mapping[str, Path]
+) -> CollectResult:
     """Write the grasp samples of one piece."""
     start = time.monotonic()
-    family, _, number = name.partition(":")
     samples: list[LabeledGrasps] = []
     mistakes = choices = 0
     clouds, grasps = np.zeros((0, CLOUD_POINTS, 3), np.float32), np.zeros((0, GRASPS, 6), np.float32)
     try:
-        task = FullTask(catalogue.make(family, int(number)))
+        task = FullTask(load_piece(name, folders))
         task.check_furniture()
     except InputError:
         # Two robots cannot assemble this piece.
@@ -81,7 +84,7 @@ def _collect(name: str, *, folder: Path, policy: Path, episodes: int, seed: int)
         grasps = observer.grasp_poses
         guide: Guide[FullState] = guide_of(_policy(policy))
         for index in range(episodes):
-            rng = np.random.default_rng([seed, int(number), index])
+            rng = np.random.default_rng([seed, piece_number(name, folders), index])
             found, tried = rollout_on_policy(task, task.initial_state(rng), observer, guide, rng)
             samples += found
             choices += len(tried)
