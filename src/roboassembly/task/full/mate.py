@@ -32,6 +32,8 @@ from roboassembly.task.rules.groups import Group, hull_points
 
 _SPINS = 16
 """Turns of the merged group about the direction of the mating motion that are considered."""
+_STEEP = 0.4
+"""Sine of the angle of climb from which on a retract is not level: platforms drive level."""
 _HEIGHTS = (0.45, 0.6, 0.75, 0.9)
 """Heights of the merged group's lowest point above the floor that are considered [m]."""
 _POSES = 6
@@ -107,7 +109,7 @@ def mate_stances(
                 back = retreat_path(empty, at_a)
                 if back is None:
                     continue
-                out = _path_out(world, at_a, pose.rotation @ retract.direction, retract.length)
+                out = _path_out(world, at_a, pose, retract)
                 if out is not None:
                     yield MateStance(pose, at_a, at_b, out, back)
 
@@ -191,12 +193,26 @@ def _holding(context: StepContext, rest: CellState, grasp: MateGrasp, robot: int
     return RobotWorld(around, own.closed, [*load, *hand], tally=tally, cache=context.worlds)
 
 
-def _path_out(world: RobotWorld, at: Configuration, direction: Float[np.ndarray, "3"], length: float) -> Path | None:
-    """Return R_a's straight path out of a joint, longer than `length` if that is free; None if there is none."""
+def _path_out(world: RobotWorld, at: Configuration, pose: SE3, retract: Retract) -> Path | None:
+    """Return R_a's path out of a joint, longer than the retract if that is free; None if there is none.
+
+    Args:
+        world: R_a with its group, among all else.
+        at: R_a's configuration at the joint.
+        pose: pose of the merged group.
+        retract: motion out of the joint.
+    """
+    path: Path = (at,)
+    *before, last = retract.legs
+    for leg in before:
+        way = line(at, leg.length * (pose.rotation @ leg.direction))
+        if way is None or not world.path_is_free(way):
+            return None
+        path, at = (*path, *way[1:]), way[-1]
     for beyond in _BEYOND:
-        out = line(at, (length + beyond) * direction)
-        if out is not None and world.path_is_free(out):
-            return out
+        way = line(at, (last.length + beyond) * (pose.rotation @ last.direction))
+        if way is not None and world.path_is_free(way):
+            return (*path, *way[1:])
     return None
 
 
@@ -225,14 +241,16 @@ def _mating_poses(context: StepContext, grasp: MateGrasp, seed: np.random.SeedSe
 
 
 def _level_poses(furniture: Furniture, merged: Group, retracts: Sequence[Retract]) -> list[tuple[Retract, SE3]]:
-    """Return poses above the origin in which each retract goes along the world's x axis."""
+    """Return poses above the origin in which each retract begins along the world's x axis, and goes on about level."""
     points = hull_points(furniture, merged)
     poses: list[tuple[Retract, SE3]] = []
     about = align_axis(np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0]))
     for retract in retracts:
-        level = align_axis(retract.direction, np.array([1.0, 0.0, 0.0]))
+        level = align_axis(retract.legs[0].direction, np.array([1.0, 0.0, 0.0]))
         for spin in np.arange(_SPINS) * 2.0 * np.pi / _SPINS:
             turn = about @ turn_about_vertical(spin) @ about.T @ level
+            if any(abs(float((turn @ leg.direction)[2])) > _STEEP for leg in retract.legs):
+                continue
             turned = points @ turn.T
             low, high = turned.min(axis=0), turned.max(axis=0)
             for height in _HEIGHTS:

@@ -273,7 +273,7 @@ class FullTask:
     def _ways_out(
         self, u_group: Group, v_group: Group, merge: Merge, grip_a: Grip, grip_b: Grip
     ) -> Iterator[Retract] | Failure:
-        """Return the straight ways out of a joint, all but the first still to be looked for."""
+        """Return the ways out of a joint, all but the first still to be looked for."""
         ways_out = self._retracts(u_group, v_group, merge, grip_a, grip_b)
         first = next(ways_out, None)
         if first is None:
