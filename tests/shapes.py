@@ -151,6 +151,24 @@ def captive_slat() -> Furniture:
     return furniture("captive slat", {n: of_solid(s) for n, s in parts.items()})
 
 
+def pegged(*, peg: bool = True, front: bool = False) -> Furniture:
+    """A board between the floor and the roof of a frame, 55 mm apart: 0 frame, 1 board.
+
+    A peg of the floor, 20 mm high, goes into a hole of the board. The frame is open towards -y, unless it has a front;
+    the board then ends there, and otherwise sticks out by 250 mm. A post on the roof is there to be held.
+    """
+    c = GAP
+    frame = block((0.0, 0.0, 0.0), (0.24, 0.2, 0.13)) - block((0.005, -0.1, 0.03), (0.235, 0.17, 0.1))
+    frame += block((0.105, 0.1, 0.13), (0.135, 0.13, 0.3))
+    board = block((0.01, 0.002 if front else -0.25, 0.03 + c), (0.23, 0.17 - c, 0.045))
+    board -= block((0.11 - c, 0.09 - c, 0.0), (0.13 + c, 0.11 + c, 0.1))
+    if peg:
+        frame += block((0.11, 0.09, 0.03), (0.13, 0.11, 0.05))
+    if front:
+        frame += block((0.0, -0.03, 0.0), (0.24, 0.0, 0.13))
+    return furniture("pegged", {"frame": of_solid(frame), "board": of_solid(board)})
+
+
 def round_bar(start: Sequence[float], end: Sequence[float], radius: float, head: float = 0.0) -> Mesh:
     """A round bar, with a head of this radius, 4 mm long, at its start."""
     run = np.subtract(end, start)

@@ -19,7 +19,7 @@ class FullVerdict(StrEnum):
     GRASP_BLOCKED = "grasp_blocked"
     """The rest of the group is in the way of the hand that comes to the part."""
     JOINT_BLOCKED = "joint_blocked"
-    """The groups or the hands collide at the joint, or on every way into it of one or two straight legs."""
+    """The groups or the hands collide at the joint, or on every way into it of one or two straight motions."""
     CANNOT_RELEASE = "cannot_release"
     """The hand of R_a, or of R_b once R_a is gone, cannot leave the merged group."""
     NO_ARM_SOLUTION = "no_arm_solution"

@@ -28,11 +28,11 @@ TOUCH = 2e-4
 _BEYOND_PARTNER = 0.02
 """Distance that a retract goes on after it has left the partner's boxes [m]."""
 _LONGEST, _LONGEST_ONWARD = 0.6, 1.0
-"""Length of a straight retract, and of a second leg, at most [m]."""
+"""Length of a straight retract, and of a second motion, at most [m]."""
 ASTRAY = 1e-3
 """Clearance of an open hand as it comes and goes: physical robots stray a little from their paths [m]."""
 _STOPS = (1.0, 0.5)
-"""Shares of the way to what stops a first leg after which second legs begin."""
+"""Shares of the way to what stops a first motion after which second ones begin."""
 _OTHER = 0.9
 """Absolute cosine above which a direction is no other one."""
 _SHORTEST, _SHORT_OF, _AMPLE = 0.03, 0.005, 0.2
@@ -70,7 +70,7 @@ class Grip:
 
 
 @dataclass(frozen=True, eq=False)
-class Leg:
+class Motion:
     """A straight motion."""
 
     direction: Float[np.ndarray, "3"]
@@ -83,13 +83,13 @@ class Leg:
 class Retract:
     """A motion of u's group out of a joint, with the hand that holds it."""
 
-    legs: tuple[Leg, ...]
+    motions: tuple[Motion, ...]
     """One straight motion or two, until nothing of u's group is beside anything of v's."""
 
     @property
     def usable_length(self) -> float:
-        """Length of the first leg, as far as more of it is better [m]."""
-        return min(self.legs[0].length, _AMPLE)
+        """Length of the first motion, as far as more of it is better [m]."""
+        return min(self.motions[0].length, _AMPLE)
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,7 +173,7 @@ def retracts(
 ) -> Iterator[Retract]:
     """Yield motions along which u's group leaves v's; none if they, or the hands, collide at the joint.
 
-    Straight ones come first. If there are none, two straight legs are tried: a board that lies on pegs between two
+    Straight ones come first. If there are none, two straight motions are tried: a board that lies on pegs between two
     others is lifted off them and drawn out. Groups that come apart in neither way do not come apart in practice: of 581
     merges of real furniture that the search planned, none did.
 
@@ -188,32 +188,32 @@ def retracts(
     world, goal = _joint_world(furniture, u_group, v_group, grip_u, grip_v)
     if not world.is_free(goal):
         return
-    stopped: list[Leg] = []
+    stopped: list[Motion] = []
     straight = False
     for d in directions:
         length = min(world.distance_to_clear(goal, d, _STILL) + _BEYOND_PARTNER, _LONGEST)
         reached = length * world.free_fraction(goal, _shifted(goal, length * d))
         if reached >= length:
             straight = True
-            yield Retract((Leg(d, length),))
+            yield Retract((Motion(d, length),))
         elif reached > _SHORTEST:
-            stopped.append(Leg(d, reached - _SHORT_OF))
+            stopped.append(Motion(d, reached - _SHORT_OF))
     if not straight:
         yield from _onward(world, goal, stopped, distinct_directions([*directions, *UP_AXES]))
 
 
 def _onward(
-    world: CollisionWorld, goal: SE3, stopped: Sequence[Leg], directions: Sequence[Float[np.ndarray, "3"]]
+    world: CollisionWorld, goal: SE3, stopped: Sequence[Motion], directions: Sequence[Float[np.ndarray, "3"]]
 ) -> Iterator[Retract]:
-    """Yield the legs that something stops, each with a second leg along another direction that leads out."""
-    for leg in (replace(leg, length=share * leg.length) for leg in stopped for share in _STOPS):
-        start = _shifted(goal, leg.length * leg.direction)
+    """Yield the motions that something stops, each with a second one along another direction that leads out."""
+    for first in (replace(motion, length=share * motion.length) for motion in stopped for share in _STOPS):
+        start = _shifted(goal, first.length * first.direction)
         for d in directions:
-            if abs(float(d @ leg.direction)) > _OTHER:
+            if abs(float(d @ first.direction)) > _OTHER:
                 continue
             length = world.distance_to_clear(start, d, _STILL) + _BEYOND_PARTNER
             if length < _LONGEST_ONWARD and world.edge_is_free(start, _shifted(start, length * d)):
-                yield Retract((leg, Leg(d, length)))
+                yield Retract((first, Motion(d, length)))
 
 
 def _joint_world(

@@ -203,9 +203,9 @@ def _path_out(world: RobotWorld, at: Configuration, pose: SE3, retract: Retract)
         retract: motion out of the joint.
     """
     path: Path = (at,)
-    *before, last = retract.legs
-    for leg in before:
-        way = line(at, leg.length * (pose.rotation @ leg.direction))
+    *before, last = retract.motions
+    for motion in before:
+        way = line(at, motion.length * (pose.rotation @ motion.direction))
         if way is None or not world.path_is_free(way):
             return None
         path, at = (*path, *way[1:]), way[-1]
@@ -246,10 +246,10 @@ def _level_poses(furniture: Furniture, merged: Group, retracts: Sequence[Retract
     poses: list[tuple[Retract, SE3]] = []
     about = align_axis(np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0]))
     for retract in retracts:
-        level = align_axis(retract.legs[0].direction, np.array([1.0, 0.0, 0.0]))
+        level = align_axis(retract.motions[0].direction, np.array([1.0, 0.0, 0.0]))
         for spin in np.arange(_SPINS) * 2.0 * np.pi / _SPINS:
             turn = about @ turn_about_vertical(spin) @ about.T @ level
-            if any(abs(float((turn @ leg.direction)[2])) > _STEEP for leg in retract.legs):
+            if any(abs(float((turn @ motion.direction)[2])) > _STEEP for motion in retract.motions):
                 continue
             turned = points @ turn.T
             low, high = turned.min(axis=0), turned.max(axis=0)
