@@ -55,6 +55,20 @@ def test_a_folder_of_parts(tmp_path, capsys):
     assert after == before, "nothing is written outside the output folder"
 
 
+def test_stages_of_a_piece_alone_are_announced(tmp_path, capsys):
+    table(tmp_path / "in" / "one")
+    table(tmp_path / "in" / "two")
+    out, options = tmp_path / "out", ("--no-report", "--no-cache", "--jobs", "1")
+    assert run("import", tmp_path / "in" / "one", "--out", out / "one", *options) == 0
+    said = capsys.readouterr().err
+    stages = ("reading one ...", "repairing 2 parts", "order in which two robot hands join")
+    assert [said.count(stage) for stage in stages] == [1, 1, 1]
+    assert sorted(stages, key=said.index) == list(stages)
+    # A progress bar shows those of many.
+    assert run("import", tmp_path / "in", "--out", out / "both", *options) == 0
+    assert "..." not in capsys.readouterr().err
+
+
 def test_up_is_for_folders(tmp_path, capsys):
     assert run("import", "partnet", tmp_path, "--up", "y") == 2
     assert "--up y is for the format 'folder'" in capsys.readouterr().err

@@ -44,6 +44,13 @@ class ImportJob:
     split: bool
     report: bool
     fastener: tuple[str, ...] = ()
+    announced: bool = False
+    """Print each stage: for a piece that is imported alone, for which no progress bar moves."""
+
+    def announce(self, stage: str) -> None:
+        """Print a stage."""
+        if self.announced:
+            say(f"{stage} ...")
 
 
 @dataclass(frozen=True)
@@ -159,6 +166,7 @@ class ImportCommand:
                 self.split,
                 self.report,
                 self.fastener,
+                announced=len(found) == 1,
             )
             for source, target, name in zip(found, self._targets(found), piece_names(found), strict=True)
         ]
@@ -315,6 +323,7 @@ def _import(piece: ImportJob) -> Summary:
     from roboassembly.solvers.grasp_choice import choose_grasps
     from roboassembly.viewer.import_report import import_report, refusal_report
 
+    piece.announce(f"reading {piece.source.name}")
     try:
         if piece.kind == "folder":
             raw = folder.read(piece.source, scale=piece.scale, up=piece.up, split=piece.split or None)
@@ -326,6 +335,7 @@ def _import(piece: ImportJob) -> Summary:
     unit = raw.unit or units.of_format(raw.provenance.scale, piece.scale)
     x, y, z = (round(side, 4) for side in raw.size)
     reading: dict[str, Any] = {"unit": unit, "size_m": (x, y, z), "remarks": raw.remarks}
+    piece.announce(f"repairing {len(raw.parts)} parts and finding their joints")
     try:
         imported = finish(piece.name, raw, allow_shortening=piece.allow_shortening)
     except FurnitureError as refusal:
@@ -334,6 +344,7 @@ def _import(piece: ImportJob) -> Summary:
                 refusal_report(piece.name, piece.source, raw, refusal).encode(), report_path(piece.target, refused=True)
             )
         return Summary(error=str(refusal), **reading)
+    piece.announce("looking for an order in which two robot hands join the parts")
     choice = choose_grasps(imported.furniture)
     imported = replace(imported, furniture=choice.furniture)
     found = findings(raw, imported.furniture, imported.repairs, hands_find_order=choice.order_exists)
