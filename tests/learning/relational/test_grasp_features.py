@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from relational_cases import grasp_view, scattered
@@ -9,8 +11,10 @@ from relational_cases import grasp_view, scattered
 import shapes
 from roboassembly.datasets import catalogue
 from roboassembly.furniture.model import Furniture
-from roboassembly.geometry.poses import SE3
+from roboassembly.geometry.poses import SE3, rotations_from_euler
 from roboassembly.learning.relational.grasps.features import PAIR_FEATURES, SINGLE_FEATURES, grasp_features
+from roboassembly.learning.relational.policy_view import PolicyView
+from roboassembly.robots.reach import reach
 from roboassembly.task.full.grips import can_grip, grip_of
 from roboassembly.task.rules.connections import GRASPS
 from roboassembly.task.rules.groups import Group, TaskState
@@ -52,6 +56,32 @@ def test_clearances_are_those_of_the_geometry(post_on_board: Furniture) -> None:
         if abs(down[2]) < 0.1:
             # It comes from the side; its widest body is the palm, 63 mm to the sides, 20 mm across the fingers.
             assert (features.single[0, g, AT_OTHER] < 1.0) == (position[2] - 0.02 < 0.07), (g, position, down)
+
+
+def test_arms_have_solutions_for_what_is_in_reach(post_on_board: Furniture) -> None:
+    view = grasp_view(post_on_board, scattered(post_on_board, np.random.default_rng(0)))
+
+    def solutions(view: PolicyView) -> list[int]:
+        """Numbers of configurations of an arm on a platform, of 64 draws, for the bar's and the board's grasps."""
+        found: list[int] = []
+        for part in (1, 0):
+            at = SE3(rotations_from_euler(view.poses[part, 3:]), view.poses[part, :3])
+            for pose in view.grasps[part]:
+                tips = at * SE3(rotations_from_euler(pose[3:]), pose[:3])
+                found.append(len(reach(tips, 64, np.random.default_rng(0))))
+        return found
+
+    def at_height(z: float) -> PolicyView:
+        poses = view.poses.copy()
+        poses[:, 2] = z
+        return replace(view, poses=poses)
+
+    standing, above = at_height(0.8), at_height(2.2)
+    in_reach = grasp_features(standing, 1, 0, 0, 0).in_reach.ravel()
+    assert in_reach.sum() > GRASPS
+    assert min(np.array(solutions(standing))[in_reach]) > 20
+    assert not grasp_features(above, 1, 0, 0, 0).in_reach.any()
+    assert max(solutions(above)) == 0
 
 
 def test_grasps_blocked_by_their_own_group_have_no_clearance() -> None:

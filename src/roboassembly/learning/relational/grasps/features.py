@@ -26,6 +26,8 @@ from roboassembly.learning.relational.clearance import (
 )
 from roboassembly.learning.relational.policy_view import PolicyView
 from roboassembly.robots.gripper import MAX_OPENING, RETREAT
+from roboassembly.robots.kinematics import Poses
+from roboassembly.robots.reach import nearness
 from roboassembly.task.rules.connections import GRASPS
 
 SINGLE_FEATURES = 43
@@ -36,6 +38,9 @@ _POST_POINTS, _POST_STEP = 12, 0.04
 """Number of points on a post, and their distance [m]."""
 _MAX_DISTANCE = 0.6
 """Distance between the tips of two grippers beyond which these cannot touch [m]."""
+_REACH = 0.105
+"""`nearness` up to which an arm reaches a pose of the hand: 99.8 % of 1,628 grasps that worked are nearer, and of four
+that arms did not reach none is (62 generated chairs and 56 real pieces)."""
 _CLOSED_MARGIN = 0.003
 """Distance by which a closed gripper is opened to test what else of its part it touches [m]."""
 
@@ -82,6 +87,8 @@ class GraspFeatures:
     """Features of both grippers together."""
     exists: Bool[np.ndarray, "8 8"]
     """Whether both grasps exist."""
+    in_reach: Bool[np.ndarray, "2 8"]
+    """Whether an arm reaches each grasp where its group waits, if its platform may stand anywhere."""
 
 
 def grasp_features(view: PolicyView, u: int, k: int, v: int, l: int) -> GraspFeatures:  # noqa: E741
@@ -91,7 +98,15 @@ def grasp_features(view: PolicyView, u: int, k: int, v: int, l: int) -> GraspFea
     out, mate = view.points[v, l, 3:6], view.points[v, l, :3]
     single = np.stack([_single_features(a, b, out, mate), _single_features(b, a, -out, mate)])
     exists = a.grasps.exists[:, None] & b.grasps.exists[None]
-    return GraspFeatures(single.astype(np.float32), _pair_features(a, b, out).astype(np.float32), exists)
+    in_reach = np.stack([_in_reach(view, part) for part in (u, v)])
+    return GraspFeatures(single.astype(np.float32), _pair_features(a, b, out).astype(np.float32), exists, in_reach)
+
+
+def _in_reach(view: PolicyView, part: int) -> Bool[np.ndarray, "8"]:
+    """Return whether an arm reaches each grasp of a part where it is."""
+    turn = rotations_from_euler(view.poses[part, 3:])
+    rotations = turn @ rotations_from_euler(view.grasps[part, :, 3:])
+    return nearness(Poses(rotations, view.grasps[part, :, :3] @ turn.T + view.poses[part, :3])) < _REACH
 
 
 @dataclass(frozen=True, eq=False)

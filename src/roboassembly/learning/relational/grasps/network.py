@@ -19,6 +19,10 @@ _WIDTH = 64
 """Width of the hidden layers."""
 
 
+_OUT_OF_REACH = 5.0
+"""Number subtracted from the log-probability of a pick that no arm reaches."""
+
+
 def init(rng: np.random.Generator) -> Params:
     """Return fresh weights."""
     return {
@@ -51,5 +55,6 @@ def apply(p: Params, single: Array, pair: Array) -> tuple[Array, Array]:
 def log_probability(p: Params, features: GraspFeatures) -> Float32[np.ndarray, "8 8"]:
     """Return the log-probability that each two grasps can carry out the pair; -inf where a grasp does not exist."""
     pick, mate = (-np.logaddexp(0.0, -x[0]) for x in apply(p, features.single[None], features.pair[None]))
+    pick = pick - _OUT_OF_REACH * ~features.in_reach
     both = pick[0, :, None] + pick[1] + mate.sum(axis=2)
     return np.where(features.exists, both, -np.inf).astype(np.float32)
