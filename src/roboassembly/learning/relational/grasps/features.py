@@ -26,8 +26,6 @@ from roboassembly.learning.relational.clearance import (
 )
 from roboassembly.learning.relational.policy_view import PolicyView
 from roboassembly.robots.gripper import MAX_OPENING, RETREAT
-from roboassembly.robots.kinematics import Poses
-from roboassembly.robots.reach import nearness
 from roboassembly.task.rules.connections import GRASPS
 
 SINGLE_FEATURES = 43
@@ -104,6 +102,10 @@ def grasp_features(view: PolicyView, u: int, k: int, v: int, l: int) -> GraspFea
 
 def _in_reach(view: PolicyView, part: int) -> Bool[np.ndarray, "8"]:
     """Return whether an arm reaches each grasp of a part where it is."""
+    # Policies without robots load no arm.
+    from roboassembly.robots.kinematics import Poses
+    from roboassembly.robots.reach import nearness
+
     turn = rotations_from_euler(view.poses[part, 3:])
     rotations = turn @ rotations_from_euler(view.grasps[part, :, 3:])
     return nearness(Poses(rotations, view.grasps[part, :, :3] @ turn.T + view.poses[part, :3])) < _REACH
