@@ -9,7 +9,7 @@ import shapes
 from roboassembly.audit.full import audit_full_plan
 from roboassembly.furniture.model import Furniture
 from roboassembly.geometry.mating import distinct_directions
-from roboassembly.geometry.poses import SE3
+from roboassembly.geometry.poses import shifted
 from roboassembly.solvers.full_search import solve_full
 from roboassembly.solvers.grasp_choice import choose_grasps
 from roboassembly.task.full.failure import Stage
@@ -34,10 +34,10 @@ def distance_along(furniture: Furniture, way: Retract, steps: int = 40) -> float
     at, least = furniture.assembled[BOARD], np.inf
     for motion in way.motions:
         for share in np.linspace(0.0, 1.0, steps):
-            pose = SE3(at.rotation, at.translation + share * motion.length * motion.direction)
+            pose = shifted(at, share * motion.length * motion.direction)
             board = shapes.fcl_object(furniture.parts[BOARD].mesh, pose)
             least = min(least, shapes.least_distance([board, frame]))
-        at = SE3(at.rotation, at.translation + motion.length * motion.direction)
+        at = shifted(at, motion.length * motion.direction)
     return least
 
 

@@ -20,7 +20,7 @@ from roboassembly.furniture.model import CONTACT_DISTANCE, NEAR, SAME_POINT, Sha
 from roboassembly.furniture.near_shapes import NearShape
 from roboassembly.furniture.turns import SAME_TURN, groups
 from roboassembly.geometry.meshes import Mesh, collision_request, distances_to, nearest_points
-from roboassembly.geometry.poses import SE3, orthonormal, transform_points
+from roboassembly.geometry.poses import SE3, orthonormal, shifted, transform_points
 
 LEAST_CLEARANCE = 1e-4
 """Least distance that an exchanged part keeps from its neighbours [m]: half of the gap that repair leaves."""
@@ -159,7 +159,7 @@ class _Search:
             moved = tuple(frames[p] for p in members)
             yield _Class(members, known.symmetries, None if known.frames is None else moved)
         fitted = self._shapes[first].motions_onto(self._shapes[other])
-        motions = [SE3(m.rotation, m.translation + nudge) for m in fitted for nudge in NUDGES]
+        motions = [shifted(m, nudge) for m in fitted for nudge in NUDGES]
         matches = [self._matches(m, self._spots(first), self._spots(other)) for m in motions]
         for index in sorted(range(len(motions)), key=lambda i: -matches[i]):
             if not matches[index]:

@@ -133,6 +133,11 @@ def transform_points(pose: SE3, points: Float[np.ndarray, "n 3"]) -> Float[np.nd
     return points @ pose.rotation.T + pose.translation
 
 
+def shifted(pose: SE3, offset: Float[np.ndarray, "3"]) -> SE3:
+    """Return a pose moved by an offset in the outer frame [m]."""
+    return SE3(pose.rotation, pose.translation + offset)
+
+
 def orthonormal(pose: SE3) -> SE3:
     """Return the pose with an orthonormal rotation again: products of many rotations drift."""
     quaternion = pin.Quaternion(pose.rotation)

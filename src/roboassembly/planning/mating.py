@@ -16,7 +16,7 @@ import pinocchio as pin
 from jaxtyping import Float
 
 from roboassembly.geometry.mating import distinct_directions
-from roboassembly.geometry.poses import SE3, interpolate
+from roboassembly.geometry.poses import SE3, interpolate, shifted
 from roboassembly.planning.problem import Budget, PathResult, PlanningStatus
 from roboassembly.planning.rrt import rrt_connect, shortcut
 from roboassembly.planning.world import CollisionWorld
@@ -87,10 +87,6 @@ def plan_mating(world: CollisionWorld, problem: MatingProblem, budget: Budget, s
     return result(PlanningStatus.SOLVED, [*begin[:-1], *found[:-1], *reversed(arrival)], "rrt-connect")
 
 
-def _shifted(pose: SE3, offset: Float[np.ndarray, "3"]) -> SE3:
-    return SE3(pose.rotation, pose.translation + offset)
-
-
 def _around() -> list[Float[np.ndarray, "3"]]:
     """Return eight horizontal unit vectors."""
     return [np.array([np.cos(a), np.sin(a), 0.0]) for a in np.arange(8) * np.pi / 4]
@@ -112,24 +108,24 @@ def _rise(
         distance = min(world.distance_to_clear(pose, d, partner) + 0.005, farthest)
         if distance <= _PROBE:
             continue
-        reached = distance * world.free_fraction(pose, _shifted(pose, distance * d))
+        reached = distance * world.free_fraction(pose, shifted(pose, distance * d))
         if reached < distance:
             if reached > _PROBE:
                 blocked.append((d, reached))
             continue
-        aside = _shifted(pose, distance * d)
+        aside = shifted(pose, distance * d)
         top = _at_sky(aside, sky)
         if world.edge_is_free(aside, top):
             return [pose, aside, top]
         # A body that has left the joint may still be below an obstacle.
-        outside = _shifted(pose, min(world.distance_to_clear(pose, d, partner, UP) + 0.005, farthest) * d)
+        outside = shifted(pose, min(world.distance_to_clear(pose, d, partner, UP) + 0.005, farthest) * d)
         top = _at_sky(outside, sky)
         if world.edge_is_free(aside, outside) and world.edge_is_free(outside, top):
             return [pose, aside, outside, top]
         blocked.append((d, distance))
     for d, reached in blocked:
         for part in (*(p for p in _PARTIAL_RETREATS if p < reached), reached):
-            aside = _shifted(pose, part * d)
+            aside = shifted(pose, part * d)
             for rest in _second_segments(world, aside, d, sky, partner):
                 if all(world.edge_is_free(a, b) for a, b in zip([aside, *rest[:-1]], rest, strict=True)):
                     return [pose, aside, *rest]
@@ -156,7 +152,7 @@ def _second_segments(
         if abs(float(d @ first)) > 0.9:
             continue
         distance = world.distance_to_clear(pose, d, partner) + 0.005
-        aside = _shifted(pose, distance * d)
+        aside = shifted(pose, distance * d)
         yield [aside, _at_sky(aside, sky)]
 
 
@@ -168,9 +164,9 @@ def _footholds(world: CollisionWorld, goal: SE3, retreats: Sequence[Float[np.nda
     """Return paths from the mating pose to the goals of the search: itself and the free end of each retreat."""
     out = [[goal]]
     for d in retreats:
-        end = _shifted(goal, 0.3 * d)
+        end = shifted(goal, 0.3 * d)
         reached = world.free_fraction(goal, end)
-        foothold = _shifted(goal, (reached * 0.3 - _PROBE / 2) * d)
+        foothold = shifted(goal, (reached * 0.3 - _PROBE / 2) * d)
         # Equal goals would make OMPL's nearest-neighbour tree split without end.
         nearest = min(float(np.linalg.norm(foothold.translation - f[-1].translation)) for f in out)
         if reached * 0.3 > 2 * _PROBE and nearest > _PROBE:
@@ -182,7 +178,7 @@ def _can_move(world: CollisionWorld, goal: SE3, retreats: Sequence[Float[np.ndar
     """Return whether any of many small motions leads away from the goal; otherwise no tree can grow there."""
     rng = np.random.default_rng(seed)
     for d in retreats:
-        if world.edge_is_free(goal, _shifted(goal, _PROBE * d)):
+        if world.edge_is_free(goal, shifted(goal, _PROBE * d)):
             return True
     for _ in range(_WIGGLES):
         twist = rng.normal(size=6)

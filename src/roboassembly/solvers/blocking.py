@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from roboassembly.furniture.model import Furniture
-from roboassembly.geometry.poses import SE3, poses_to_configurations, transform_points
+from roboassembly.geometry.poses import SE3, poses_to_configurations, shifted, transform_points
 from roboassembly.geometry.scene import Body, Scene, Shape
 from roboassembly.planning.world import CollisionWorld, leave_boxes
 from roboassembly.task.rules.connections import UP_AXES
@@ -107,7 +107,7 @@ class BlockingGraphs:
             elif toward.max() < _AWAY:
                 out.append(False)
             else:
-                poses = [SE3(mover.pose.rotation, mover.pose.translation + s * d) for s in _SAMPLES]
+                poses = [shifted(mover.pose, s * d) for s in _SAMPLES]
                 out.append(world.first_collision(poses_to_configurations(poses)) is not None)
         self.states += world.states
         return out

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from roboassembly.furniture.model import Furniture
-from roboassembly.geometry.poses import SE3, turn_about_vertical
+from roboassembly.geometry.poses import SE3, shifted, turn_about_vertical
 from roboassembly.task.rules.groups import Circle, Group, TaskState, footprint
 
 GROUND_CLEARANCE = 1e-3
@@ -98,7 +98,7 @@ def scatter_parts(furniture: Furniture, rng: np.random.Generator) -> TaskState:
         circle_at = Circle(rng.uniform(-0.5 * side, 0.5 * side, size=2), circle.radius)
         spot = free_spot(circle_at, occupied)
         occupied.append(Circle(spot, circle.radius))
-        moved = SE3(pose.rotation, pose.translation + np.array([*(spot - circle.center), 0.0]))
+        moved = shifted(pose, np.array([*(spot - circle.center), 0.0]))
         slot = furniture.assembled[part]
         groups[part] = Group((part,), (part,), (slot,), moved * slot.inverse())
     return TaskState(tuple(g for g in groups if g is not None))

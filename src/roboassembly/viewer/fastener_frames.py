@@ -9,7 +9,7 @@ from itertools import groupby, pairwise
 import numpy as np
 from jaxtyping import Float
 
-from roboassembly.geometry.poses import SE3
+from roboassembly.geometry.poses import SE3, shifted
 from roboassembly.rendering.colors import Role
 from roboassembly.task.plans.plan import Insertion, Plan
 from roboassembly.viewer.motion_timing import ease, path_length, pose_between
@@ -90,7 +90,7 @@ def _along(insertion: Insertion, fraction: float) -> SE3:
     length = float(lengths[edge])
     part = (at - float(reached[edge])) / length if length > 0.0 else 1.0
     pose = pose_between(path[edge], path[edge + 1], min(max(part, 0.0), 1.0))
-    return SE3(pose.rotation, pose.translation - np.array([0.0, 0.0, insertion.lift]))
+    return shifted(pose, np.array([0.0, 0.0, -insertion.lift]))
 
 
 def _when(plan: Plan, after: int) -> str:

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float32
 
-from roboassembly.geometry.poses import SE3, transform_points
+from roboassembly.geometry.poses import SE3, shifted, transform_points
 from roboassembly.rendering.colors import Role
 from roboassembly.task.plans.plan import SETTLING_INTERVAL, Plan, PlanStep, UprightMotion
 from roboassembly.viewer.captions import ending_caption, held_caption, step_caption
@@ -186,7 +186,7 @@ class PlanAnimator:
             pose = pose_between(here, there, fraction)
             lowest = transform_points(pose, cloud)[:, 2].min()
             raised = max(0.0, floor + lift * float(np.sin(np.pi * fraction)) - lowest)
-            motion = SE3(pose.rotation, pose.translation + np.array([0.0, 0.0, raised])) * here.inverse()
+            motion = shifted(pose, np.array([0.0, 0.0, raised])) * here.inverse()
             return ((p, motion * before[p]) for p in group)
 
         return at

@@ -23,7 +23,6 @@ import os
 import platform
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -140,10 +139,10 @@ def run_pipeline(config: RelationalPipelineConfig, folder: Path, jobs: int) -> I
     imported = furniture_refs(f"folder:{config.imported}") if config.imported else []
     extra = extra_names(config.extra, recipe.unseen_families)
     names = [*(ref.name for ref in refs), *extra]
-    with_grasps = [*(ref.name for ref in (*refs, *imported)), *extra[: config.extra_grasps]]
     held_out = extra_names(config.validation, recipe.unseen_families, first=_VALIDATION_SEEDS)
     notes = {"pipeline": asdict(config), "set_hash": set_hash([*refs, *imported])}
     pair_rounds, grasp_rounds = config.rounds_of_networks
+    with_grasps = [*(ref.name for ref in (*refs, *imported)), *extra[: config.extra_grasps]] if grasp_rounds else []
 
     yield from _collect("validation", held_out, folder / "samples" / "validation", config, jobs, None)
     validation = {
@@ -153,9 +152,8 @@ def run_pipeline(config: RelationalPipelineConfig, folder: Path, jobs: int) -> I
     last = start
     for index in range(pair_rounds):
         samples, path = folder / "samples" / str(index), folder / f"policy-{index}.npz"
-        collecting = partial(_collect, with_grasps=with_grasps if grasp_rounds else [])
-        yield from collecting(f"samples {index}", names, samples, config, jobs, last)
-        yield from collecting(f"imported samples {index}", imported, samples, config, jobs, last)
+        yield from _collect(f"samples {index}", names, samples, config, jobs, last, with_grasps)
+        yield from _collect(f"imported samples {index}", imported, samples, config, jobs, last, with_grasps)
         examples += load_examples(samples, [*names, *(ref.name for ref in imported)], jobs, config.frames)
         steps, rate = (
             (config.round_steps, 0.5 * config.learning_rate) if index else (config.steps, config.learning_rate)

@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from roboassembly.furniture.model import Furniture, GraspRegion
 from roboassembly.geometry.mating import distinct_directions
-from roboassembly.geometry.poses import SE3
+from roboassembly.geometry.poses import SE3, shifted
 from roboassembly.geometry.scene import Body, Scene, Shape
 from roboassembly.planning.world import CollisionWorld
 from roboassembly.robots.gripper import MAX_OPENING, RETREAT, WIDER, hand_bodies, hand_pose
@@ -36,8 +36,8 @@ _STOPS = (1.0, 0.5)
 _OTHER = 0.9
 """Absolute cosine above which a direction is no other one."""
 _SHORTEST, _SHORT_OF, _AMPLE = 0.03, 0.005, 0.2
-"""Length of a retract at least; distance that it ends before what stops it; length beyond which more is no better
-[m]."""
+"""Length of a first motion that is stopped at least; distance that it ends before what stops it; length beyond which
+more is no better [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,7 +192,7 @@ def retracts(
     straight = False
     for d in directions:
         length = min(world.distance_to_clear(goal, d, _STILL) + _BEYOND_PARTNER, _LONGEST)
-        reached = length * world.free_fraction(goal, _shifted(goal, length * d))
+        reached = length * world.free_fraction(goal, shifted(goal, length * d))
         if reached >= length:
             straight = True
             yield Retract((Motion(d, length),))
@@ -207,12 +207,12 @@ def _onward(
 ) -> Iterator[Retract]:
     """Yield the motions that something stops, each with a second one along another direction that leads out."""
     for first in (replace(motion, length=share * motion.length) for motion in stopped for share in _STOPS):
-        start = _shifted(goal, first.length * first.direction)
+        start = shifted(goal, first.length * first.direction)
         for d in directions:
             if abs(float(d @ first.direction)) > _OTHER:
                 continue
             length = world.distance_to_clear(start, d, _STILL) + _BEYOND_PARTNER
-            if length < _LONGEST_ONWARD and world.edge_is_free(start, _shifted(start, length * d)):
+            if length < _LONGEST_ONWARD and world.edge_is_free(start, shifted(start, length * d)):
                 yield Retract((first, Motion(d, length)))
 
 
@@ -230,18 +230,14 @@ def _joint_world(
     return CollisionWorld(Scene((moving, still), ground=False)), moving.pose
 
 
-def _shifted(pose: SE3, offset: Float[np.ndarray, "3"]) -> SE3:
-    return SE3(pose.rotation, pose.translation + offset)
-
-
 def _can_approach(grip: Grip, still: Sequence[Body]) -> bool:
     hand = grip.hand(grip.open, moves=True)
     world = CollisionWorld(Scene((hand, *still), ground=False))
     goal = grip.furniture_from_tips
-    back = SE3(goal.rotation, goal.translation - RETREAT * grip.approach)
+    back = shifted(goal, -RETREAT * grip.approach)
     # The hand may stray a little sideways.
     aside = (sign * ASTRAY * axis for axis in goal.rotation.T[:2] for sign in (-1.0, 1.0))
-    poses = [goal, *(SE3(goal.rotation, goal.translation + shift) for shift in aside)]
+    poses = [goal, *(shifted(goal, shift) for shift in aside)]
     return world.are_free(poses) and world.edge_is_free(goal, back)
 
 
