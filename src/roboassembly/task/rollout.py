@@ -37,6 +37,14 @@ class Stepping(Protocol[State_contra, AnOutcome_co]):
         ...
 
 
+class Starting(Stepping[State, AnOutcome_co], Protocol[State, AnOutcome_co]):
+    """The part of a task that whole episodes need."""
+
+    def initial_state(self, rng: np.random.Generator) -> State:
+        """Return the start of an episode."""
+        ...
+
+
 @dataclass(frozen=True, eq=False)
 class Transition(Generic[State, AnOutcome]):
     """One action of an episode and its outcome."""
@@ -80,6 +88,48 @@ def rollout(
                 break
         else:
             return
+
+
+class RememberedTask(Generic[State, AnOutcome]):
+    """A task for episodes that begin alike: what it carried out once, it remembers.
+
+    The outcome of a step follows from its state, action and seed, so episodes are the same as without the memory. An
+    episode that repeats the beginning of an earlier one plans only what differs.
+
+    Args:
+        task: carries out what is new.
+    """
+
+    def __init__(self, task: Starting[State, AnOutcome]) -> None:
+        self._task = task
+        self._starts: dict[str, tuple[State, Any]] = {}
+        """Start and generator's state after it, by the generator's state before."""
+        self._outcomes: dict[tuple[int, Action, int], AnOutcome] = {}
+        """Outcomes by identity of the state, action and seed."""
+        self._states: dict[int, State] = {}
+        """States by identity."""
+
+    def initial_state(self, rng: np.random.Generator) -> State:
+        """Return the start of an episode, and leave the generator as the task does."""
+        before = repr(rng.bit_generator.state)
+        if before not in self._starts:
+            state = self._task.initial_state(rng)
+            self._starts[before] = state, rng.bit_generator.state
+        state, rng.bit_generator.state = self._starts[before]
+        return state
+
+    def groups_of(self, state: State) -> TaskState:
+        """Return the groups of a state."""
+        return self._task.groups_of(state)
+
+    def step(self, state: State, action: Action, seed: int, budget: Budget | None = None) -> AnOutcome:
+        """Carry out an action, or return its outcome of before; all calls have the same budget."""
+        # The states are kept, so no other one gets the identity of one of them.
+        self._states.setdefault(id(state), state)
+        key = id(state), action, seed
+        if key not in self._outcomes:
+            self._outcomes[key] = self._task.step(state, action, seed, budget)
+        return self._outcomes[key]
 
 
 def draw_seed(rng: np.random.Generator) -> int:

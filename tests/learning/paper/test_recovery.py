@@ -12,7 +12,7 @@ from roboassembly.learning.paper.dqn.agent import AgentConfig, DQNAgent
 from roboassembly.learning.paper.dqn.memoized_env import Action, MemoizedEnv, State
 from roboassembly.learning.paper.dqn.network import chair_inputs
 from roboassembly.learning.paper.dqn.replay_buffer import ReplayBuffer
-from roboassembly.solvers.mate_checks import FAILS
+from roboassembly.solvers.mate_checks import FAILS, MERGES
 from roboassembly.task.object_centric.task import ObjectCentricTask
 
 _RECOVERIES = 12
@@ -110,7 +110,15 @@ def test_a_failure_in_the_real_environment_starts_recovery_anew() -> None:
     agent = _recovered("cantilever", 1)
     start = agent.buffer.env.start
     action = agent.buffer.preferred[0]
+    before = [dict(merges) for merges in agent.buffer.merges]
     agent.mark_failed(start, action)
+    # All merges that the environment still lets work are kept, in all states, and no others.
+    working = [
+        {a: j for a, j in merges.items() if agent.buffer.env.known(state)[a] == MERGES}
+        for state, merges in zip(agent.buffer.states, before, strict=True)
+    ]
+    assert agent.buffer.merges == working
+    assert sum(map(len, working)) < sum(map(len, before))
     assert not agent.recovers
     assert not agent.buffer.preferred
     _run(agent, lambda: agent.settled)

@@ -253,8 +253,7 @@ class DQNAgent:
 
     def mark_failed(self, state: State, action: Action) -> None:
         """Take over that an action failed in the real environment."""
-        self.buffer.env.mark_failed(state, action)
-        self.buffer.rebuild()
+        self.buffer.drop(self.buffer.env.mark_failed(state, action))
         self._tie_breaker.restart()
         self._recovery.reset()
         self._recovers = self.mastered = False

@@ -14,6 +14,7 @@ No knowledge of the chair is used, but rules that hold for all furniture and tha
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -39,6 +40,18 @@ State = tuple[int, ...]
 """Numbers of the groups of a state, ascending."""
 Action = tuple[int, int, int]
 """Rows of the two points among all points of the chair, and number of the choice: `w`, or `8 g_a + g_b`."""
+
+
+@dataclass(frozen=True)
+class FailedMates:
+    """Mates that fail in the real environment, wherever two groups of such types meet."""
+
+    types: tuple[int, int]
+    """Types of u's and v's group."""
+    mates: frozenset[tuple[int, int]]
+    """Points of each mate, as numbers among those of each type."""
+    choice: int
+    """Number of the combination of choices."""
 
 
 class MemoizedEnv:
@@ -150,12 +163,29 @@ class MemoizedEnv:
         for k, l in mates.tolist():  # noqa: E741
             self._knowledge.append(*types, k, l, choice, knowledge)
 
-    def mark_failed(self, state: State, action: Action) -> None:
-        """Let the action fail from now on wherever such groups meet."""
+    def mark_failed(self, state: State, action: Action) -> FailedMates:
+        """Let the action fail from now on wherever such groups meet; returns where that is."""
         row, column, choice = action
         u_id, v_id = self.table.owner(state, row), self.table.owner(state, column)
         mates = self.geometry.same_mates(u_id, v_id, row, column)
-        self._record(u_id, v_id, self._of_same_parts(u_id, v_id, mates) if self.check.by_part else mates, choice, FAILS)
+        if self.check.by_part:
+            mates = self._of_same_parts(u_id, v_id, mates)
+        self._record(u_id, v_id, mates, choice, FAILS)
+        types = self.table.groups[u_id].type_id, self.table.groups[v_id].type_id
+        return FailedMates(types, frozenset((k, l) for k, l in mates.tolist()), choice)  # noqa: E741
+
+    def has_types_of(self, state: State, failed: FailedMates) -> bool:
+        """Return whether a state has groups of both types of a failure."""
+        return {self.table.groups[group_id].type_id for group_id in state}.issuperset(failed.types)
+
+    def is_among(self, failed: FailedMates, state: State, action: Action) -> bool:
+        """Return whether an action of a state is one of those that fail."""
+        row, column, choice = action
+        u_id, v_id = self.table.owner(state, row), self.table.owner(state, column)
+        types = self.table.groups[u_id].type_id, self.table.groups[v_id].type_id
+        if choice != failed.choice or types != failed.types:
+            return False
+        return (self.table.local(u_id, row), self.table.local(v_id, column)) in failed.mates
 
     def known(self, state: State) -> Int8[np.ndarray, "n n w"]:
         """Return what is known of each action of a state: `UNKNOWN`, `MERGES`, `FAILS` or `BLOCKED`; do not write."""

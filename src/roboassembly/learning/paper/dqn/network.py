@@ -22,7 +22,7 @@ from roboassembly.learning.layers import Array, Params, gelu, init_linear, init_
 from roboassembly.learning.paper import heads
 from roboassembly.learning.paper.dqn.group_table import point_counts
 from roboassembly.task.object_centric.task import ObjectCentricTask
-from roboassembly.task.rollout import rollout
+from roboassembly.task.rollout import RememberedTask, rollout
 from roboassembly.task.rules.groups import TaskState
 from roboassembly.task.setting import Task
 
@@ -200,14 +200,18 @@ def encode_state(task: Task[Any, Any], state: TaskState) -> tuple[Bool[np.ndarra
     return joined, np.concatenate([free[i, :count] for i, count in enumerate(point_counts(task.furniture))])
 
 
-def run_expert(expert: ExpertPolicy, task: Task[Any, Any], seed: int) -> list[ExpertStep]:
-    """Run one episode in the real environment, without remembered outcomes.
+def run_expert(
+    expert: ExpertPolicy, task: Task[Any, Any], seed: int, known: RememberedTask[Any, Any] | None = None
+) -> list[ExpertStep]:
+    """Run one episode in the real environment, where nothing of `MemoizedEnv` counts.
 
     Args:
         expert: takes the first of the actions with the highest Q.
         task: task of its chair.
         seed: random seed of the start and of the planner.
+        known: the same task with the episodes that it remembers.
     """
+    real = known or RememberedTask(task)
     rng = np.random.default_rng(seed)
     part, point = expert.inputs.part, _point_numbers(expert.inputs)
     steps: list[ExpertStep] = []
@@ -220,7 +224,7 @@ def run_expert(expert: ExpertPolicy, task: Task[Any, Any], seed: int) -> list[Ex
         branches = (int(i) for i in np.unravel_index(choice, task.action_branches))
         yield int(part[row]), int(part[column]), int(point[row]), int(point[column]), *branches
 
-    for transition in rollout(task, task.initial_state(rng), propose, rng):
+    for transition in rollout(real, real.initial_state(rng), propose, rng):
         steps[-1] = replace(steps[-1], verdict=transition.outcome.verdict, merged=transition.merged)
     return steps
 

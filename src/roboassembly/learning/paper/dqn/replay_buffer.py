@@ -8,9 +8,9 @@ import numpy as np
 from jaxtyping import Bool, Float32
 
 from roboassembly.learning.layers import Params
-from roboassembly.learning.paper.dqn.memoized_env import Action, MemoizedEnv, State
+from roboassembly.learning.paper.dqn.memoized_env import Action, FailedMates, MemoizedEnv, State
 from roboassembly.learning.paper.dqn.network import ChairInputs
-from roboassembly.solvers.mate_checks import FAILS, MERGES
+from roboassembly.solvers.mate_checks import FAILS
 
 RECENT = 4_000
 """Number of visits that the recent part of the buffer reaches back."""
@@ -87,11 +87,12 @@ class ReplayBuffer:
                 self.best[before] = reached
                 pending += [(parent, before) for parent in self._parents[before]]
 
-    def rebuild(self) -> None:
-        """Drop the merges that the environment no longer knows to work, and compute all best returns anew."""
-        for i, state in enumerate(self.states):
-            known = self.env.known(state)
-            self.merges[i] = {a: j for a, j in self.merges[i].items() if known[a] == MERGES}
+    def drop(self, failed: FailedMates) -> None:
+        """Drop the merges that the environment no longer lets work, and compute all best returns anew."""
+        for i in self._left:
+            state = self.states[i]
+            if self.env.has_types_of(state, failed):
+                self.merges[i] = {a: j for a, j in self.merges[i].items() if not self.env.is_among(failed, state, a)}
         self.best = [0.0] * len(self.states)
         self._left = [i for i, merges in enumerate(self.merges) if merges]
         self._parents = [set() for _ in self.states]

@@ -49,6 +49,7 @@ from roboassembly.settings import SETTINGS
 from roboassembly.task.full.failure import FullVerdict
 from roboassembly.task.full.task import FullTask
 from roboassembly.task.object_centric.task import ObjectCentricTask, ObjectCentricVerdict
+from roboassembly.task.rollout import RememberedTask
 from roboassembly.task.setting import SettingName
 
 _TEST_SEEDS = 10_000
@@ -113,6 +114,11 @@ class ExpertTrainer:
     """Number of steps at the last validation episode."""
     recovered_at: int = 0
     """Number of updates when all recoveries were known; 0 before."""
+    known: RememberedTask[Any, Any] = field(init=False)
+    """Task of the validation episodes: each begins like the one before, as far as the network decides alike."""
+
+    def __post_init__(self) -> None:
+        self.known = RememberedTask(self.task)
 
 
 def partial_file(folder: Path, name: str) -> Path:
@@ -327,7 +333,7 @@ class ExpertRun:
         """Return whether the expert succeeds in the real environment; its agent learns what fails there."""
         agent, env = trainer.agent, trainer.agent.buffer.env
         for k in range(self._training.validation_episodes):
-            steps = run_expert(expert, trainer.task, k)
+            steps = run_expert(expert, trainer.task, k, trainer.known)
             agent.steps += len(steps)
             trainer.validated_at = agent.steps
             if not finished(steps, trainer.inputs):
