@@ -66,6 +66,8 @@ class MateGeometry:
         self._kept_coincident = lru_cache(_KEPT_STATES)(self._count_coincident)
         self._locked: dict[tuple[int, int, int], Int8[np.ndarray, "k l"]] = {}
         """Whether each pair of points of two groups locks a third out, or `_UNKNOWN`, by the types of the groups."""
+        self._between_both: dict[tuple[int, int, int], bool] = {}
+        """Whether a third group is known to fit two others, by their types."""
         self._seen_types: set[int] = set()
         """Types of groups whose relative poses were recorded."""
         self._between: dict[tuple[int, int, int, int], list[int]] = {}
@@ -79,7 +81,7 @@ class MateGeometry:
 
     def forget_fits(self) -> None:
         """Forget what depends on which points fit; call it when that changes."""
-        self._fits, self._locked = {}, {}
+        self._fits, self._locked, self._between_both = {}, {}, {}
 
     def same_mates(self, u_id: int, v_id: int, row: int, column: int) -> Int[np.ndarray, "a 2"]:
         """Return the pairs of points that bring two groups together just as the given pair does, itself first.
@@ -168,11 +170,19 @@ class MateGeometry:
             ends.setdefault((u_id, v_id), []).append(i)
         out = np.zeros(len(pairs), int)
         for (u_id, v_id), some in ends.items():
-            k, l = local[pairs[some]].T  # noqa: E741
-            for other in state:
-                if other not in (u_id, v_id):
-                    out[some] += self._locks(u_id, v_id, k, l, other)
+            others = [g for g in state if g not in (u_id, v_id) and self._fits_between(u_id, v_id, g)]
+            if others:
+                k, l = local[pairs[some]].T  # noqa: E741
+                out[some] = sum(self._locks(u_id, v_id, k, l, other) for other in others)
         return out
+
+    def _fits_between(self, u_id: int, v_id: int, other: int) -> bool:
+        """Return whether another group is known to fit both groups, and so may be locked out."""
+        groups = self._table.groups
+        key = (groups[u_id].type_id, groups[v_id].type_id, groups[other].type_id)
+        if key not in self._between_both:
+            self._between_both[key] = all(len(self._known_fits(other, g).rows) > 0 for g in (u_id, v_id))
+        return self._between_both[key]
 
     def _places(self, state: Sequence[int]) -> tuple[Int[np.ndarray, "n"], Int[np.ndarray, "n"]]:
         """Return the group of each point, and the point's number among the points of its group."""
@@ -189,9 +199,7 @@ class MateGeometry:
         groups = self._table.groups
         key = (groups[u_id].type_id, groups[v_id].type_id, groups[other].type_id)
         if key not in self._locked:
-            fit = len(self._known_fits(other, u_id).rows) and len(self._known_fits(other, v_id).rows)
-            shape = len(groups[u_id].rows), len(groups[v_id].rows)
-            self._locked[key] = np.full(shape, _UNKNOWN if fit else False, np.int8)
+            self._locked[key] = np.full((len(groups[u_id].rows), len(groups[v_id].rows)), _UNKNOWN, np.int8)
         known = self._locked[key]
         unknown = np.flatnonzero(known[k, l] == _UNKNOWN)
         if len(unknown):
