@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -10,6 +11,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from roboassembly.errors import InputError
 from roboassembly.geometry.poses import (
+    BOX_ROTATIONS,
     SE3,
     align_axis,
     euler_from_rotations,
@@ -23,6 +25,7 @@ from roboassembly.geometry.poses import (
     poses_to_configurations,
     rotation_angle,
     rotation_from_quaternion,
+    rotations_from_euler,
     storable,
     transform_points,
 )
@@ -59,6 +62,19 @@ def test_euler_turns_about_x_first_and_z_last() -> None:
     assert np.allclose(pose_to_euler(pose), [1, 2, 3, 0.1, 0.2, 0.3])
     roll = SE3(np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]), np.zeros(3))
     assert np.allclose(pose_to_euler(roll), [0, 0, 0, np.pi / 2, 0, 0])
+
+
+def test_euler_angles_of_many_rotations_are_those_of_pinocchio() -> None:
+    rng = np.random.default_rng(0)
+    turns = np.concatenate(
+        [Rotation.random(500, rng).as_matrix(), BOX_ROTATIONS, Rotation.from_euler("y", [[1.5707]]).as_matrix()]
+    )
+    found = euler_from_rotations(turns)
+    # Rounded, a half turn is pi in Pinocchio too, and what is left at a pitch of 90 degrees is the roll.
+    expected = [pin.rpy.matrixToRpy(np.round(turn, 9) + 0.0) for turn in turns]
+    assert np.allclose(found, np.where(np.isclose(expected, -np.pi), np.pi, expected), atol=1e-12)
+    assert np.allclose(rotations_from_euler(found), turns, atol=1e-8)
+    assert np.array_equal(euler_from_rotations(turns[:6].reshape(2, 3, 3, 3)), found[:6].reshape(2, 3, 3))
 
 
 def test_rotation_6d_is_the_first_two_columns() -> None:

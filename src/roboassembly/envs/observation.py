@@ -28,7 +28,7 @@ from roboassembly.errors import ArgumentError
 from roboassembly.furniture.jaws import APPROACHES
 from roboassembly.furniture.model import GRASP_REGIONS, ConnectionPoint, Furniture
 from roboassembly.geometry.meshes import Mesh
-from roboassembly.geometry.poses import SE3, pose_to_euler
+from roboassembly.geometry.poses import SE3, euler_from_rotations, pose_to_euler
 from roboassembly.robots.gripper import hand_pose
 from roboassembly.task.part_frames import FramesName, PartFrames
 from roboassembly.task.rules.groups import TaskState, part_from_points
@@ -153,8 +153,8 @@ class Observer:
     def observe(self, state: TaskState) -> Observation:
         """Return the observation of a state in new arrays."""
         poses = np.zeros((self._max_parts, 6), np.float32)
-        for p, pose in enumerate(self._described(range(self._parts), state.part_poses)):
-            poses[p] = pose_to_euler(pose)
+        turns, positions = _stacked(self._described(range(self._parts), state.part_poses))
+        poses[: self._parts] = np.concatenate([positions, euler_from_rotations(turns)], axis=1)
         points = self._points.copy()
         connections = np.zeros((self._max_parts, self._max_parts, 6), np.float32)
         for group in state.groups:
@@ -163,11 +163,13 @@ class Observer:
                 rows = _point_rows(group.points_of(self._furniture, part), self._own_from_part[part] @ turn)
                 points[part] = 0.0
                 points[part, : len(rows)] = rows
-            placed = self._described(group.parts, group.furniture_from_part)
-            for i, part_i in enumerate(group.parts):
-                for j, part_j in enumerate(group.parts):
-                    if i != j:
-                        connections[part_i, part_j] = pose_to_euler(placed[i].actInv(placed[j]))
+            turns, positions = _stacked(self._described(group.parts, group.furniture_from_part))
+            back = turns.transpose(0, 2, 1)[:, None]
+            offsets = (back @ (positions[None] - positions[:, None])[..., None])[..., 0]
+            relative = np.concatenate([offsets, euler_from_rotations(back @ turns[None])], axis=-1)
+            members = np.array(group.parts)
+            connections[members[:, None], members] = relative
+            connections[members, members] = 0.0
         return {
             "shapes": self._shapes.copy(),
             "connection_points": points,
@@ -175,6 +177,11 @@ class Observer:
             "poses": poses,
             "connections": connections,
         }
+
+
+def _stacked(poses: Sequence[SE3]) -> tuple[Float[np.ndarray, "n 3 3"], Float[np.ndarray, "n 3"]]:
+    """Rotations and translations [m] of some poses."""
+    return np.array([pose.rotation for pose in poses]), np.array([pose.translation for pose in poses])
 
 
 def _point_rows(points: Sequence[ConnectionPoint], turn: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "k 9"]:

@@ -101,7 +101,7 @@ _WHOLE = _by_setting(
     BenchmarkConfig(),
     # An update takes several times as long: two points have 64 grasp pairs in place of six `w`.
     BenchmarkConfig(
-        "full", pipeline=PipelineConfig.default("full"), paper=PaperTraining(steps=5_000), rounds=0,
+        "full", pipeline=PipelineConfig.default("full"), paper=PaperTraining(steps=20_000), rounds=0,
         relational=RelationalPipelineConfig.default("full"),
     ),
 )  # fmt: skip

@@ -103,13 +103,7 @@ def pose_to_euler(pose: SE3) -> Float[np.ndarray, "6"]:
 
     Rounding errors of the rotation do not change the angles: a half turn is always pi, never -pi.
     """
-    return np.concatenate([pose.translation, _roll_pitch_yaw(pose.rotation)])
-
-
-def _roll_pitch_yaw(rotation: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3"]:
-    # Adding 0 makes 0 of -0, which atan2 would tell apart.
-    angles = np.asarray(pin.rpy.matrixToRpy(np.asarray(np.round(rotation, _EXACT) + 0.0, np.float64)))
-    return np.where(angles < _LEAST_ANGLE, np.pi, angles)
+    return np.concatenate([pose.translation, euler_from_rotations(pose.rotation[None])[0]])
 
 
 def rotations_from_euler(angles: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3 3"]:
@@ -117,10 +111,20 @@ def rotations_from_euler(angles: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray,
     return Rotation.from_euler("ZYX", angles[..., ::-1]).as_matrix()
 
 
-def euler_from_rotations(rotations: Float[np.ndarray, "n 3 3"]) -> Float[np.ndarray, "n 3"]:
-    """Return roll, pitch and yaw of many rotations: the inverse of `rotations_from_euler`."""
-    # SciPy would warn at every pitch of 90 degrees, which is frequent in furniture.
-    return np.array([_roll_pitch_yaw(r) for r in rotations]).reshape(-1, 3)
+def euler_from_rotations(rotations: Float[np.ndarray, "*n 3 3"]) -> Float[np.ndarray, "*n 3"]:
+    """Return roll, pitch and yaw of many rotations, as in `pose_to_euler`: the inverse of `rotations_from_euler`.
+
+    At a pitch of 90 degrees, which is frequent in furniture, the yaw is 0.
+    """
+    # Adding 0 makes 0 of -0, which atan2 would tell apart.
+    r = np.moveaxis(np.round(rotations, _EXACT) + 0.0, (-2, -1), (0, 1))
+    yaw = np.arctan2(r[1, 0], r[0, 0])
+    cos, sin = np.cos(yaw), np.sin(yaw)
+    pitch = np.arctan2(-r[2, 0], np.hypot(r[2, 1], r[2, 2]))
+    # What is left after the turn about the vertical, so that it holds at any pitch.
+    roll = np.arctan2(sin * r[0, 2] - cos * r[1, 2], cos * r[1, 1] - sin * r[0, 1])
+    angles = np.stack([roll, pitch, yaw], axis=-1)
+    return np.where(angles < _LEAST_ANGLE, np.pi, angles)
 
 
 def pose_to_rotation_6d(pose: SE3) -> Float[np.ndarray, "9"]:

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from roboassembly.geometry.poses import euler_from_rotations, rotations_from_euler
-from roboassembly.learning.datasets import LabeledState, SampleSet, group_labels
+from roboassembly.learning.datasets import LabeledState, SampleSet
 from roboassembly.task.rules.connections import UP_AXES
 
 _SAME_AXIS = 0.02
@@ -77,6 +77,7 @@ def stretched(
     points: Float[np.ndarray, "P K 9"],
     poses: Float[np.ndarray, "P 6"],
     connections: Float[np.ndarray, "P P 6"],
+    group: Int[np.ndarray, "P"],
     factors: Float[np.ndarray, "3"],
 ) -> tuple[Float[np.ndarray, "P K 9"], Float[np.ndarray, "P 6"], Float[np.ndarray, "P P 6"]]:
     """Return a state of furniture that is stretched along the axes of its frame.
@@ -85,15 +86,15 @@ def stretched(
         points: connection points, as in the observation.
         poses: world pose of each part; groups keep the place of their first part.
         connections: relative poses of joined parts.
+        group: first part of the group of each part, as from `group_labels`.
         factors: factor along each axis; equal for axes that `stretch_axes` does not tell apart.
     """
     position, normal, tangent = (points[..., i : i + 3] for i in (0, 3, 6))
     out_points = np.concatenate([position * factors, _unit(normal / factors), _unit(tangent * factors)], axis=-1)
     out_connections = np.concatenate([connections[..., :3] * factors, connections[..., 3:]], axis=-1)
-    first = group_labels(connections)
-    turns = rotations_from_euler(poses[first, 3:].astype(float))
-    local = np.einsum("pji,pj->pi", turns, poses[:, :3] - poses[first, :3])
-    moved = poses[first, :3] + np.einsum("pij,pj->pi", turns, local * factors)
+    turns = rotations_from_euler(poses[group, 3:].astype(float))
+    local = np.einsum("pji,pj->pi", turns, poses[:, :3] - poses[group, :3])
+    moved = poses[group, :3] + np.einsum("pij,pj->pi", turns, local * factors)
     return out_points, np.concatenate([moved, poses[:, 3:]], axis=-1), out_connections
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from roboassembly.geometry.poses import rotations_from_euler
 from roboassembly.learning.augmentation import FrameChange, augmented, stretch_axes, stretched
-from roboassembly.learning.datasets import SampleSet
+from roboassembly.learning.datasets import SampleSet, group_labels
 
 
 def test_a_change_by_hand() -> None:
@@ -43,7 +43,9 @@ def test_stretched_parts_still_meet(chair_samples: SampleSet) -> None:
     factors = np.array([1.2, 0.9, 1.05])[stretch_axes(chair_samples)]
     met = 0
     for sample in chair_samples.samples:
-        points, poses, connections = stretched(sample.points, sample.poses, sample.connections, factors)
+        points, poses, connections = stretched(
+            sample.points, sample.poses, sample.connections, group_labels(sample.connections), factors
+        )
         assert np.allclose(points[..., :3], sample.points[..., :3] * factors, atol=1e-6)
         there = sample.points.any(axis=-1)
         assert np.allclose(np.linalg.norm(points[there][:, 3:6], axis=1), 1.0)

@@ -24,7 +24,7 @@ from roboassembly.errors import InputError
 from roboassembly.furniture.model import Furniture
 from roboassembly.geometry.poses import rotations_from_euler
 from roboassembly.learning import checkpoint, layers
-from roboassembly.learning.datasets import LabeledState, SampleSet
+from roboassembly.learning.datasets import LabeledState, SampleSet, group_labels
 from roboassembly.learning.paper import autoencoder, imitation
 from roboassembly.learning.paper import network as paper
 from roboassembly.learning.paper.autoencoder import CLOUD_POINTS
@@ -271,7 +271,7 @@ def test_augmentation_moves_groups_as_wholes(chair: Furniture) -> None:
     rest = (g for g in state.groups if joint.u not in g.parts and joint.v not in g.parts)
     observer = Observer(chair, len(chair.parts), 10, 1)
     seen = observer.observe(TaskState((*rest, joint.merge.merged)))
-    moved = scattered(seen["poses"], seen["connections"], np.random.default_rng(0))
+    moved = scattered(seen["poses"], group_labels(seen["connections"]), np.random.default_rng(0))
     assert not np.allclose(moved, seen["poses"], atol=0.05)
     turns = [rotations_from_euler(p[:, 3:].astype(float)) for p in (seen["poses"], moved)]
     u, v = joint.u, joint.v

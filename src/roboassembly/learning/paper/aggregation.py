@@ -17,7 +17,7 @@ import numpy as np
 from roboassembly.datasets.sets import FurnitureRef
 from roboassembly.envs.observation import Observer
 from roboassembly.learning import checkpoint
-from roboassembly.learning.datasets import SampleSet, dataset_file
+from roboassembly.learning.datasets import SampleSet, dataset_file, group_labels
 from roboassembly.learning.paper import network as paper
 from roboassembly.learning.paper.dqn.memoized_env import Action, State
 from roboassembly.learning.paper.dqn.network import ExpertPolicy, first_best
@@ -104,7 +104,7 @@ def policy_samples(
         while state is not None and len(state) > 1:
             groups = env.laid_out(state)
             observation = observer.observe(groups)
-            observation["poses"] = scattered(observation["poses"], observation["connections"], rng)
+            observation["poses"] = scattered(observation["poses"], group_labels(observation["connections"]), rng)
             mask = task.existing_actions(groups, *task.furniture.padding)
             u, v, k, l, *choice = chosen(policy, observation, mask)  # noqa: E741
             action = row_of[u, k], row_of[v, l], int(np.ravel_multi_index(choice, task.action_branches))

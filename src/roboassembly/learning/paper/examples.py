@@ -15,7 +15,7 @@ from functools import cached_property
 
 import jax
 import numpy as np
-from jaxtyping import Bool, Float, Float16, Float32, Int16
+from jaxtyping import Bool, Float, Float16, Float32, Int, Int16
 from scipy.spatial.transform import Rotation
 
 from roboassembly.geometry.poses import euler_from_rotations, rotations_from_euler
@@ -90,20 +90,26 @@ class PaperExample:
         if grasps is not None:
             grasps = np.concatenate([grasps[..., :3] * factors, grasps[..., 3:]], axis=-1)
         points, poses, connections = stretched(
-            self.points.astype(np.float32), self.poses.astype(np.float32), self.connections.astype(np.float32), factors
-        )
+            self.points.astype(np.float32), self.poses.astype(np.float32), self.connections.astype(np.float32),
+            self.group_of_part, factors,
+        )  # fmt: skip
         return PaperState(self.features[copy], points, free, poses, connections, grasps)
 
     def branch_targets(self) -> Float[np.ndarray, "n n h"]:
         """Return what each branch adds to the Q-values to imitate, one branch after another."""
         return self.exact() if self.q_values is None else self.q_values
 
-    @property
+    @cached_property
+    def group_of_part(self) -> Int[np.ndarray, "P"]:
+        """First part of the group of each part."""
+        return group_labels(self.connections)
+
+    @cached_property
     def max_return(self) -> float:
         """Bound of the targets: the largest return that is left, which experts overestimate."""
         if self.q_values is None:
             return np.inf
-        return len(np.unique(group_labels(self.connections))) - 1 + COMPLETION_REWARD
+        return len(np.unique(self.group_of_part)) - 1 + COMPLETION_REWARD
 
     @cached_property
     def best(self) -> tuple[int, int, int]:
@@ -236,13 +242,17 @@ def _example(
 
 
 def scattered(
-    poses: Float[np.ndarray, "P 6"], connections: Float[np.ndarray, "P P 6"], rng: np.random.Generator
+    poses: Float[np.ndarray, "P 6"], group: Int[np.ndarray, "P"], rng: np.random.Generator
 ) -> Float[np.ndarray, "P 6"]:
     """Return world poses with each group turned at random and moved up to 0.5 m; Q depends on neither.
 
     Groups rest in any of their stable poses, and merged groups in others than their parts, so any turn may occur.
+
+    Args:
+        poses: of the parts of one state, or of several one after another.
+        group: index of the first part of each part's group.
+        rng: draws the places.
     """
-    group = group_labels(connections)
     turns = Rotation.random(len(poses), rng).as_matrix()[group]
     shift = rng.uniform(-0.5, 0.5, (len(poses), 3))[group]
     center = poses[group, :3].astype(float)

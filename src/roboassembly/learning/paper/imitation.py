@@ -78,10 +78,15 @@ def batch_of(
         "max_return": np.array([e.max_return for e in examples], np.float32),
         "best": np.array([e.best for e in examples], np.int32),
     }
-    for row, e in enumerate(examples):
-        state = e.state(int(rng.integers(len(e.features))) if rng is not None else 0)
-        if scatter and rng is not None:
-            state = replace(state, poses=scattered(state.poses, state.connections, rng))
+    states = [e.state(int(rng.integers(len(e.features))) if rng is not None else 0) for e in examples]
+    if scatter and rng is not None:
+        # All states at once: most of the time would go into the calls.
+        ends = np.cumsum([len(state.poses) for state in states])
+        begins = [0, *ends[:-1].tolist()]
+        groups = np.concatenate([begin + e.group_of_part for begin, e in zip(begins, examples, strict=True)])
+        poses = np.split(scattered(np.concatenate([state.poses for state in states]), groups, rng), ends[:-1])
+        states = [replace(state, poses=moved) for state, moved in zip(states, poses, strict=True)]
+    for row, (e, state) in enumerate(zip(examples, states, strict=True)):
         state.write(batch["state"][row])
         free = slice(len(e.part))
         batch["slot"][row, free] = PAPER_POINTS * e.part + e.point
@@ -129,8 +134,9 @@ def losses(network: Any, inputs: Any, batch: Batch) -> tuple[jax.Array, dict[str
     """Return `L1 + 50 L2` and its terms, averaged; `chosen` is the share of states with a best action."""
     each = paper.branch_values(network, inputs, batch["state"], batch["slot"])
     labels = {name: batch[name] for name in ("exists", "branch_targets", "max_return", "best")}
-    if len(each) > 1:
-        # State by state: all combinations of grasps of a whole batch would take hundreds of megabytes, several times.
+    if len(each) > 1 and jax.default_backend() == "cpu":
+        # State by state: all combinations of grasps of a whole batch would take hundreds of megabytes, several times,
+        # and leave the cache.
         l1, l2 = jax.lax.map(jax.checkpoint(_losses_of_state), (each, labels))
     else:
         l1, l2 = _losses_of_states(each, labels)
