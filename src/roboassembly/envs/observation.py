@@ -158,7 +158,9 @@ class Observer:
         points = self._points.copy()
         connections = np.zeros((self._max_parts, self._max_parts, 6), np.float32)
         for group in state.groups:
-            for part in group.parts if len(group.parts) > 1 else ():
+            if len(group.parts) == 1:
+                continue
+            for part in group.parts:
                 turn = part_from_points(self._furniture, group, part).rotation
                 rows = _point_rows(group.points_of(self._furniture, part), self._own_from_part[part] @ turn)
                 points[part] = 0.0
