@@ -129,7 +129,7 @@ class MemoizedEnv:
                 self.geometry.forget_fits()
         if not merges or type_key not in self.table.type_ids:
             self.planned += 1
-            types = self.table.groups[u_id].type_id, self.table.groups[v_id].type_id
+            types = self._types_of(u_id, v_id)
             seed = int(np.random.SeedSequence([self.seed, *types, *key[2:], choice]).generate_state(1)[0])
             shape_known = type_key in self.table.type_ids
             result = self.check(groups, lambda: self.laid_out(state), names, seed, shape_known)
@@ -153,13 +153,16 @@ class MemoizedEnv:
         parts = [self.part[self.table.groups[g].rows[mates[:, i]]] for i, g in enumerate((u_id, v_id))]
         return mates[(parts[0] == parts[0][0]) & (parts[1] == parts[1][0])]
 
+    def _types_of(self, u_id: int, v_id: int) -> tuple[int, int]:
+        return self.table.groups[u_id].type_id, self.table.groups[v_id].type_id
+
     def _count(self, counts: np.ndarray, u_id: int, v_id: int, mates: Int[np.ndarray, "a 2"]) -> None:
         groups = enumerate((u_id, v_id))
         rows, columns = (self.table.equal_row[self.table.groups[g].rows[mates[:, i]]] for i, g in groups)
         counts[rows, columns] += 1
 
     def _record(self, u_id: int, v_id: int, mates: Int[np.ndarray, "a 2"], choice: int, knowledge: int) -> None:
-        types = self.table.groups[u_id].type_id, self.table.groups[v_id].type_id
+        types = self._types_of(u_id, v_id)
         for k, l in mates.tolist():  # noqa: E741
             self._knowledge.append(*types, k, l, choice, knowledge)
 
@@ -171,7 +174,7 @@ class MemoizedEnv:
         if self.check.by_part:
             mates = self._of_same_parts(u_id, v_id, mates)
         self._record(u_id, v_id, mates, choice, FAILS)
-        types = self.table.groups[u_id].type_id, self.table.groups[v_id].type_id
+        types = self._types_of(u_id, v_id)
         return FailedMates(types, frozenset((k, l) for k, l in mates.tolist()), choice)  # noqa: E741
 
     def has_types_of(self, state: State, failed: FailedMates) -> bool:
@@ -182,7 +185,7 @@ class MemoizedEnv:
         """Return whether an action of a state is one of those that fail."""
         row, column, choice = action
         u_id, v_id = self.table.owner(state, row), self.table.owner(state, column)
-        types = self.table.groups[u_id].type_id, self.table.groups[v_id].type_id
+        types = self._types_of(u_id, v_id)
         if choice != failed.choice or types != failed.types:
             return False
         return (self.table.local(u_id, row), self.table.local(v_id, column)) in failed.mates
