@@ -70,7 +70,7 @@ def test_euler_angles_of_many_rotations_are_those_of_pinocchio() -> None:
         [Rotation.random(500, rng).as_matrix(), BOX_ROTATIONS, Rotation.from_euler("y", [[1.5707]]).as_matrix()]
     )
     found = euler_from_rotations(turns)
-    # Rounded, a half turn is pi in Pinocchio too, and what is left at a pitch of 90 degrees is the roll.
+    # Pinocchio gives -pi for some half turns, and a yaw of 0 at a pitch of 90 degrees.
     expected = [pin.rpy.matrixToRpy(np.round(turn, 9) + 0.0) for turn in turns]
     assert np.allclose(found, np.where(np.isclose(expected, -np.pi), np.pi, expected), atol=1e-12)
     assert np.allclose(rotations_from_euler(found), turns, atol=1e-8)

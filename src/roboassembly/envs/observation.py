@@ -28,7 +28,7 @@ from roboassembly.errors import ArgumentError
 from roboassembly.furniture.jaws import APPROACHES
 from roboassembly.furniture.model import GRASP_REGIONS, ConnectionPoint, Furniture
 from roboassembly.geometry.meshes import Mesh
-from roboassembly.geometry.poses import SE3, euler_from_rotations, pose_to_euler
+from roboassembly.geometry.poses import SE3, euler_from_rotations, pose_to_euler, rotations_and_translations
 from roboassembly.robots.gripper import hand_pose
 from roboassembly.task.part_frames import FramesName, PartFrames
 from roboassembly.task.rules.groups import TaskState, part_from_points
@@ -153,7 +153,7 @@ class Observer:
     def observe(self, state: TaskState) -> Observation:
         """Return the observation of a state in new arrays."""
         poses = np.zeros((self._max_parts, 6), np.float32)
-        turns, positions = _stacked(self._described(range(self._parts), state.part_poses))
+        turns, positions = rotations_and_translations(self._described(range(self._parts), state.part_poses))
         poses[: self._parts] = np.concatenate([positions, euler_from_rotations(turns)], axis=1)
         points = self._points.copy()
         connections = np.zeros((self._max_parts, self._max_parts, 6), np.float32)
@@ -165,7 +165,7 @@ class Observer:
                 rows = _point_rows(group.points_of(self._furniture, part), self._own_from_part[part] @ turn)
                 points[part] = 0.0
                 points[part, : len(rows)] = rows
-            turns, positions = _stacked(self._described(group.parts, group.furniture_from_part))
+            turns, positions = rotations_and_translations(self._described(group.parts, group.furniture_from_part))
             back = turns.transpose(0, 2, 1)[:, None]
             offsets = (back @ (positions[None] - positions[:, None])[..., None])[..., 0]
             relative = np.concatenate([offsets, euler_from_rotations(back @ turns[None])], axis=-1)
@@ -179,11 +179,6 @@ class Observer:
             "poses": poses,
             "connections": connections,
         }
-
-
-def _stacked(poses: Sequence[SE3]) -> tuple[Float[np.ndarray, "n 3 3"], Float[np.ndarray, "n 3"]]:
-    """Rotations and translations [m] of some poses."""
-    return np.array([pose.rotation for pose in poses]), np.array([pose.translation for pose in poses])
 
 
 def _point_rows(points: Sequence[ConnectionPoint], turn: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "k 9"]:

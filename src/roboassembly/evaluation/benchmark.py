@@ -146,7 +146,7 @@ def run(config: BenchmarkConfig, folder: Path, jobs: int) -> Iterator[Progress]:
         for done, total in build_dataset(RECIPES[config.set], 0, jobs):
             yield Progress(f"data set {config.set}", done, total, {})
     pipeline, chairs = config.pipeline.seeded(config.seed), expert_chairs(config)
-    # The same notes as those of `train expert`, so that either goes on with the other's run.
+    # `train expert` keeps the same notes, and so either command goes on with the other's run.
     notes = {"set": f"{config.set}:train"}
     features = train_autoencoder(chairs, folder, pipeline, {**notes, "limit": None, "sample": config.experts}, jobs)
     experts = train_experts(chairs, folder, pipeline, notes, jobs)

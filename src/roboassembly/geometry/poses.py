@@ -121,7 +121,7 @@ def euler_from_rotations(rotations: Float[np.ndarray, "*n 3 3"]) -> Float[np.nda
     yaw = np.arctan2(r[1, 0], r[0, 0])
     cos, sin = np.cos(yaw), np.sin(yaw)
     pitch = np.arctan2(-r[2, 0], np.hypot(r[2, 1], r[2, 2]))
-    # What is left after the turn about the vertical, so that it holds at any pitch.
+    # The roll follows from the rotation without its yaw, which is well defined at any pitch.
     roll = np.arctan2(sin * r[0, 2] - cos * r[1, 2], cos * r[1, 1] - sin * r[0, 1])
     angles = np.stack([roll, pitch, yaw], axis=-1)
     return np.where(angles < _LEAST_ANGLE, np.pi, angles)
@@ -135,6 +135,11 @@ def pose_to_rotation_6d(pose: SE3) -> Float[np.ndarray, "9"]:
 def transform_points(pose: SE3, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
     """Return points of the pose's own frame in its parent frame."""
     return points @ pose.rotation.T + pose.translation
+
+
+def rotations_and_translations(poses: Sequence[SE3]) -> tuple[Float[np.ndarray, "n 3 3"], Float[np.ndarray, "n 3"]]:
+    """Return the rotations and the translations [m] of some poses."""
+    return np.array([pose.rotation for pose in poses]), np.array([pose.translation for pose in poses])
 
 
 def shifted(pose: SE3, offset: Float[np.ndarray, "3"]) -> SE3:

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from roboassembly.furniture.model import Furniture
-from roboassembly.geometry.poses import SE3, turn_about_vertical
+from roboassembly.geometry.poses import SE3, rotations_and_translations, turn_about_vertical
 from roboassembly.planning.robot_world import Tally
 from roboassembly.robots.kinematics import Poses
 from roboassembly.robots.reach import nearness
@@ -111,7 +111,7 @@ def _grips(context: StepContext, state: CellState, group: Group, stance: Stance)
 def _difficulty(grips: list[Grip], pose: SE3) -> Float[np.ndarray, "n"]:
     """Return how far each hand is from what an arm reaches in many ways, with the piece at a pose."""
     tips = [pose * grip.furniture_from_tips for grip in grips]
-    return nearness(Poses(np.array([t.rotation for t in tips]), np.array([t.translation for t in tips])))
+    return nearness(Poses(*rotations_and_translations(tips)))
 
 
 def _on_floor(context: StepContext, group: Group, stance: Stance, seed: np.random.SeedSequence) -> Iterator[Group]:

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from roboassembly.furniture.model import Furniture, mate
-from roboassembly.geometry.poses import SE3, rotation_angle
+from roboassembly.geometry.poses import SE3, rotation_angle, rotations_and_translations
 from roboassembly.task.rules.groups import Group, TaskState
 
 POSITION_TOLERANCE = 3e-3
@@ -45,8 +45,7 @@ class PairRule:
     def __init__(self, furniture: Furniture) -> None:
         self._furniture = furniture
         self._class_of: Int[np.ndarray, "n"] = np.array(furniture.class_of)
-        self._slot_rotations: Float[np.ndarray, "n 3 3"] = np.array([slot.rotation for slot in furniture.assembled])
-        self._slot_positions: Float[np.ndarray, "n 3"] = np.array([slot.translation for slot in furniture.assembled])
+        self._slot_rotations, self._slot_positions = rotations_and_translations(furniture.assembled)
         self._turns: list[Float[np.ndarray, "s 3 3"]] = [c.symmetries for c in furniture.classes]
         self._members: list[Int[np.ndarray, "m"]] = [np.array(c.members) for c in furniture.classes]
         # All rotations of a part of a class in all slots of the class, and the slot of each.
@@ -171,8 +170,7 @@ class PairRule:
         classes = [self._furniture.class_of[member] for member in members]
         choices = [len(self._slots[c]) for c in classes]
         anchor = int(np.argmin(choices))
-        positions = np.array([p.translation for p in poses])
-        rotations = np.array([p.rotation for p in poses])
+        rotations, positions = rotations_and_translations(poses)
         motions = self._rotations[classes[anchor]] @ rotations[anchor].T
         shifts = self._slot_positions[self._slots[classes[anchor]]] - motions @ positions[anchor]
         placed = np.einsum("cij,pj->cpi", motions, positions) + shifts[:, None]

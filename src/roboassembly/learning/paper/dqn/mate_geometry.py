@@ -67,7 +67,7 @@ class MateGeometry:
         self._locked: dict[tuple[int, int, int], Int8[np.ndarray, "k l"]] = {}
         """Whether each pair of points of two groups locks a third out, or `_UNKNOWN`, by the types of the groups."""
         self._between_both: dict[tuple[int, int, int], bool] = {}
-        """Whether a third group is known to fit two others, by their types."""
+        """A third group is known to fit two others (true) or not, by their types."""
         self._seen_types: set[int] = set()
         """Types of groups whose relative poses were recorded."""
         self._between: dict[tuple[int, int, int, int], list[int]] = {}

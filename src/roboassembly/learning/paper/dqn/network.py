@@ -211,7 +211,7 @@ def run_expert(
         seed: random seed of the start and of the planner.
         known: the same task with the episodes that it remembers.
     """
-    real = known or RememberedTask(task)
+    real = task if known is None else known
     rng = np.random.default_rng(seed)
     part, point = expert.inputs.part, _point_numbers(expert.inputs)
     steps: list[ExpertStep] = []
