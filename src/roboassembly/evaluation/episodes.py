@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from roboassembly.atomic_file import atomic_write
 from roboassembly.errors import InputError
 
 
@@ -86,11 +87,9 @@ def record_episodes(
         InputError: the file cannot be written.
     """
     lines = [json.dumps(about), *(json.dumps(asdict(e)) for e in known)]
-    scratch = path.with_name(f"{path.name}.part")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        scratch.write_text("".join(line + "\n" for line in lines))
-        scratch.replace(path)
+        with atomic_write(path) as unfinished:
+            unfinished.write_text("".join(line + "\n" for line in lines))
         file = path.open("a")
     except OSError as error:
         raise InputError(f"cannot write to '{path}': {error.strerror or error}") from None

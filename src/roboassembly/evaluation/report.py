@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from roboassembly.atomic_file import atomic_write
 from roboassembly.errors import InputError
 from roboassembly.settings import SETTINGS
 from roboassembly.task.setting import SettingName
@@ -109,6 +110,5 @@ def put_into(document: Path, lines: Sequence[str], setting: SettingName, name: s
         InputError: the document cannot be read, or has no marks.
     """
     before, mark, after = check_marks(document, setting, name)
-    scratch = document.with_name(f".{document.name}.part")
-    scratch.write_text(f"{before}{mark}\n\n" + "\n".join(lines) + f"\n\n{after}")
-    scratch.replace(document)
+    with atomic_write(document) as unfinished:
+        unfinished.write_text(f"{before}{mark}\n\n" + "\n".join(lines) + f"\n\n{after}")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import lzma
-import os
 import struct
 import zipfile
 import zlib
@@ -14,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from roboassembly.atomic_file import atomic_write
 from roboassembly.errors import InputError
 
 _BROKEN = (
@@ -29,12 +29,8 @@ _ARCHIVE = b"PK"
 
 def write(path: Path, arrays: Mapping[str, Any]) -> None:
     """Write arrays, compressed; if the process is killed meanwhile, the file stays as it was."""
-    scratch = path.with_name(f".{path.name}.{os.getpid()}.npz")
-    try:
-        np.savez_compressed(scratch, allow_pickle=False, **arrays)
-        scratch.replace(path)
-    finally:
-        scratch.unlink(missing_ok=True)
+    with atomic_write(path) as unfinished, unfinished.open("wb") as file:
+        np.savez_compressed(file, allow_pickle=False, **arrays)
 
 
 @contextmanager

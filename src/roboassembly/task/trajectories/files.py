@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+from roboassembly.atomic_file import atomic_write
 from roboassembly.errors import InputError
 from roboassembly.furniture.export import safe_name
 from roboassembly.task.trajectories.mcap_file import write_mcap
@@ -38,14 +39,11 @@ def write_trajectory(trajectory: Trajectory, rate: float, path: Path, name: str)
         MissingExtraError: the extra of the format is not installed.
         InputError: the file cannot be written.
     """
-    draft = path.with_name(f".{path.name}.part")
     try:
-        if name in _ENCODERS:
-            draft.write_bytes(_ENCODERS[name](trajectory, rate))
-        else:
-            write_mcap(trajectory, rate, draft)
-        draft.replace(path)
+        with atomic_write(path) as unfinished:
+            if name in _ENCODERS:
+                unfinished.write_bytes(_ENCODERS[name](trajectory, rate))
+            else:
+                write_mcap(trajectory, rate, unfinished)
     except OSError as error:
         raise InputError(f"cannot write {path}: {error.strerror or error}") from None
-    finally:
-        draft.unlink(missing_ok=True)
