@@ -107,7 +107,7 @@ class RelationalPipelineConfig:
 
     @staticmethod
     def default(setting: SettingName) -> RelationalPipelineConfig:
-        """Return the configuration that made the shipped policy in a setting."""
+        """Return the default configuration of a setting; the object-centric one made the shipped weights."""
         return _DEFAULTS[setting]
 
 
@@ -182,21 +182,20 @@ def run_pipeline(config: RelationalPipelineConfig, folder: Path, jobs: int) -> I
         _save_policy(folder / "policy.npz", {**final.params, **both}, final.config, _hours(last))
 
 
-def _mean(params: Params, start: Params, share: float) -> Params:
-    """Return the mean of two sets of weights; what the start does not have stays as it is.
+def _mean(value: Any, start: Any, share: float) -> Any:
+    """Return the mean of weights and those that the training started from; what the start lacks stays as it is.
 
     Args:
-        params: trained weights.
-        start: weights that the training started from.
+        value: an array, or nested dictionaries of arrays.
+        start: the same of the start; None if it has none.
         share: share of the start in the mean.
     """
-
-    def mean(value: Any, started: Any) -> Any:
-        if isinstance(value, dict):
-            return _mean(cast("Params", value), started, share)
-        return (1.0 - share) * value + share * started
-
-    return {name: mean(value, start[name]) if name in start else value for name, value in params.items()}
+    if start is None:
+        return value
+    if isinstance(value, dict):
+        nested = cast("Params", value)
+        return {name: _mean(inner, start.get(name), share) for name, inner in nested.items()}
+    return (1.0 - share) * value + share * start
 
 
 def _start_checkpoint(config: RelationalPipelineConfig, folder: Path) -> Path | None:
