@@ -73,10 +73,10 @@ def test_mates_of_a_layout_meet() -> None:
         assert normals[0] @ normals[1] < -0.99
 
 
-def legs_problem(legs: int, places: int) -> LayoutProblem:
-    """Return a top with some places along a line, and equal legs."""
+def legs_problem(legs: int, places: int, apart: float = 0.1) -> LayoutProblem:
+    """Return a top with some places along a line, `apart` metres from each other, and equal legs."""
     group = np.array([0] * places + list(range(1, legs + 1)))
-    position = np.array([[0.1 * i, 0.0, 0.0] for i in range(places)] + [[0.0, 0.0, 0.4]] * legs)
+    position = np.array([[apart * i, 0.0, 0.0] for i in range(places)] + [[0.0, 0.0, 0.4]] * legs)
     frame = np.array([_DOWN] * places + [_UP] * legs)
     cost = np.full((places + legs, places + legs), np.inf)
     cost[:places, places:] = cost[places:, :places] = SURE
@@ -94,6 +94,29 @@ def test_equal_legs_are_tried_once() -> None:
 
 def test_no_layout_leaves_many_points_alone() -> None:
     assert find_layout(legs_problem(2, 9)) is None
+
+
+def test_two_places_may_lie_closer_together_than_points_that_meet() -> None:
+    """Each of two legs meets both places 3 mm apart, and mates with its own."""
+    layout = find_layout(legs_problem(2, 2, apart=0.003))
+    assert layout is not None
+    assert sorted(layout.mates) == [(0, 2), (1, 3)]
+    assert layout.alone == 0
+
+
+def test_points_left_alone_count_in_a_complete_layout() -> None:
+    """A comb that looks a little better one tooth beside its place leaves a tooth and a hole alone there."""
+    teeth = 10
+    line = np.stack([0.1 * np.arange(teeth), np.zeros(teeth), np.zeros(teeth)], axis=1)
+    frame = np.array([_DOWN] * teeth + [_UP] * teeth)
+    cost = np.full((2 * teeth, 2 * teeth), np.inf)
+    cost[:teeth, teeth:] = UNLIKELY
+    cost[np.arange(1, teeth), teeth + np.arange(1, teeth)] = 0.1
+    cost[np.arange(1, teeth), teeth + np.arange(teeth - 1)] = SURE
+    cost = np.minimum(cost, cost.T)
+    layout = find_layout(LayoutProblem(np.repeat([0, 1], teeth), np.tile(line, (2, 1)), frame, cost, (0, 1)))
+    assert layout is not None
+    assert sorted(layout.mates) == [(i, i + teeth) for i in range(teeth)]
 
 
 def test_the_same_problem_has_the_same_layout() -> None:

@@ -137,6 +137,8 @@ class _Search:
 
     def estimate(self, state: _Partial) -> float:
         """Return the expected cost of a complete layout."""
+        if len(state.placed) == len(self.problem.types):
+            return state.cost + _ALONE * float(state.open.sum())
         waiting = ~np.isin(self.problem.group, list(state.placed))
         return state.cost + float((self._least[waiting | state.open] + _EXPECTED).sum())
 
@@ -195,16 +197,19 @@ class _Search:
         distance = np.linalg.norm(at[:, None] - others[None], axis=2)
         facing = normal @ other_normal.T < CONTACT_COSINE
         meets = (distance < _MATE_DISTANCE) & facing
+        costs = p.cost[np.ix_(mine, there)]
+        # Two points of a part can lie closer together than points may be apart that meet.
+        order = np.where(meets & state.open[there], costs + distance / _MATE_DISTANCE, np.inf)
         # The mate itself meets, whatever rounding says.
-        meets[np.searchsorted(mine, l), np.searchsorted(there, k)] = True
-        if (meets & ~state.open[there]).any():
+        order[np.searchsorted(mine, l), np.searchsorted(there, k)] = -1.0
+        rows, columns = _one_to_one(order)
+        unmatched = np.isin(mine, mine[rows], invert=True)[:, None]
+        if (meets & unmatched & ~state.open[there]).any():
             return None
-        misses = (distance < _MISS_DISTANCE) & facing & ~meets & state.open[there]
-        rows, columns = np.nonzero(meets)
-        if len(np.unique(rows)) < len(rows) or len(np.unique(columns)) < len(columns):
-            return None
+        free = state.open[there] & np.isin(there, there[columns], invert=True)
+        misses = (distance < _MISS_DISTANCE) & facing & unmatched & free
         cost = state.cost + _MISSED * float(misses.sum())
-        if not np.isfinite(p.cost[mine[rows], there[columns]]).all():
+        if not np.isfinite(costs[rows, columns]).all():
             return None
         pairs: list[tuple[int, int]] = []
         open_points = state.open.copy()
@@ -217,3 +222,15 @@ class _Search:
         return _Partial(
             cost, state.placed | {h}, rotation, translation, open_points, (*state.mates, *pairs), state.alone
         )
+
+
+def _one_to_one(costs: Float[np.ndarray, "m n"]) -> tuple[Int[np.ndarray, "r"], Int[np.ndarray, "r"]]:
+    """Return the rows and columns of pairs of finite cost, the cheapest first, with no row or column twice."""
+    rows: list[int] = []
+    columns: list[int] = []
+    for flat in np.argsort(costs, axis=None, kind="stable")[: int(np.isfinite(costs).sum())].tolist():
+        row, column = divmod(flat, costs.shape[1])
+        if row not in rows and column not in columns:
+            rows.append(row)
+            columns.append(column)
+    return np.array(rows, int), np.array(columns, int)
