@@ -39,10 +39,12 @@ class MultitaskCommand:
     limit: int | None = None
     """Use the first LIMIT pieces of the set only."""
     extra: int | None = None
-    """Number of additional generated pieces to train on; for the preset relational. Without it: 5,000, or 1,000 with
+    """Number of additional generated pieces to train on; for the preset relational. Without it: 5,000, or 3,000 with
     --setting full."""
     imported: Path | None = None
     """Folder of imported furniture folders to train on besides; for the preset relational."""
+    imported_versions: int = 0
+    """Number of versions of each imported piece, in other sizes along each axis, to train on besides."""
     frames: Literal["both", "aligned", "own"] = "both"
     """Frames in which samples describe the parts; for the preset relational. own: the principal axes of each part, with
     clouds of its own, noise and imprecise points. both: a third of the pieces aligned, the others own."""
@@ -57,7 +59,7 @@ class MultitaskCommand:
     """Policy to start from, `relational` or a checkpoint; for the preset relational. Without it: none, or `relational`
     with --setting full."""
     steps: int | None = None
-    """Number of gradient steps. Without it: 30,000 for the preset paper; 16,000, or 4,000 with --setting full, for the
+    """Number of gradient steps. Without it: 30,000 for the preset paper; 16,000, or 8,000 with --setting full, for the
     first round of the preset relational."""
     round_steps: int = 8_000
     """Number of gradient steps in each later round."""
@@ -77,7 +79,9 @@ class MultitaskCommand:
 
     def run(self) -> int:
         """Run the command; returns the exit status."""
-        require_at_least(0, seed=self.seed, extra=self.extra, rounds=self.rounds)
+        require_at_least(
+            0, seed=self.seed, extra=self.extra, rounds=self.rounds, imported_versions=self.imported_versions
+        )
         require_at_least(1, episodes=self.episodes, round_steps=self.round_steps, jobs=self.jobs)
         require_at_least(1, limit=self.limit, steps=self.steps)
         require_packages(*PACKAGES)
@@ -102,7 +106,7 @@ class MultitaskCommand:
             episodes=self.episodes or default.episodes, rounds=default.rounds if self.rounds is None else self.rounds,
             steps=self.steps or default.steps, round_steps=self.round_steps, seed=self.seed,
             start=self.start or default.start, frames=self.frames,
-            imported="" if self.imported is None else str(self.imported),
+            imported="" if self.imported is None else str(self.imported), imported_versions=self.imported_versions,
         )  # fmt: skip
         return run_pipeline(config, self.out, jobs)
 

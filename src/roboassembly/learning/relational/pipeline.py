@@ -20,15 +20,22 @@ network:
 
 from __future__ import annotations
 
+import contextlib
 import os
 import platform
+import zlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
+import numpy as np
+
 from roboassembly.datasets.sets import RECIPES, FurnitureRef, furniture_refs, set_hash
-from roboassembly.errors import InputError
+from roboassembly.errors import FurnitureError, InputError
+from roboassembly.furniture import storage
+from roboassembly.furniture.resize import resized
 from roboassembly.learning import checkpoint
 from roboassembly.learning.datasets import dataset_file
 from roboassembly.learning.fit import is_trained
@@ -46,9 +53,12 @@ from roboassembly.learning.relational.grasps.on_policy import collect_on_policy
 from roboassembly.learning.relational.imitation import RelationalTraining
 from roboassembly.learning.relational.network import RelationalConfig
 from roboassembly.learning.relational.policy import FULL_PARAMS, GRASP_PARAMS, RelationalPolicy
+from roboassembly.parallel.processes import map_unordered
 from roboassembly.settings import SETTINGS
 from roboassembly.task.setting import SettingName
 
+_LARGEST_FACTOR = 0.25
+"""Largest logarithm of the factors between the sizes of an imported piece and of its versions."""
 _VALIDATION_SEEDS = EXTRA_SEEDS + 1_000_000
 """First seed of the validation pieces."""
 
@@ -87,6 +97,10 @@ class RelationalPipelineConfig:
     """Folder of imported furniture folders to train on besides; none if empty."""
     imported_episodes: int = 6
     """Number of episodes of each imported piece in each round."""
+    imported_versions: int = 0
+    """Number of versions of each imported piece, in other sizes along each axis, to train on besides."""
+    version_episodes: int = 2
+    """Number of episodes of each version in each round."""
     setting: SettingName = "object-centric"
     """Setting whose oracle labels the samples."""
     start: str = ""
@@ -141,6 +155,8 @@ def run_pipeline(config: RelationalPipelineConfig, folder: Path, jobs: int) -> I
     start = _start_checkpoint(config, folder)
     refs = furniture_refs(config.set)[: config.limit]
     imported = furniture_refs(f"folder:{config.imported}") if config.imported else []
+    yield from _make_versions(imported, folder / "versions", config, jobs)
+    versions = furniture_refs(f"folder:{folder / 'versions'}") if config.imported_versions else []
     extra = extra_names(config.extra, recipe.unseen_families)
     names = [*(ref.name for ref in refs), *extra]
     held_out = extra_names(config.validation, recipe.unseen_families, first=_VALIDATION_SEEDS)
@@ -157,8 +173,13 @@ def run_pipeline(config: RelationalPipelineConfig, folder: Path, jobs: int) -> I
     for index in range(pair_rounds):
         samples, path = folder / "samples" / str(index), folder / f"policy-{index}.npz"
         yield from _collect(f"samples {index}", names, samples, config, jobs, last, with_grasps)
-        yield from _collect(f"imported samples {index}", imported, samples, config, jobs, last, with_grasps)
-        examples += load_examples(samples, [*names, *(ref.name for ref in imported)], jobs, config.frames)
+        yield from _collect(
+            f"imported samples {index}", imported, samples, config, jobs, last, with_grasps, config.imported_episodes
+        )
+        yield from _collect(
+            f"samples of versions {index}", versions, samples, config, jobs, last, episodes=config.version_episodes
+        )
+        examples += load_examples(samples, [*names, *(ref.name for ref in (*imported, *versions))], jobs, config.frames)
         steps, rate = (
             (config.round_steps, 0.5 * config.learning_rate) if index else (config.steps, config.learning_rate)
         )
@@ -220,16 +241,41 @@ def _start_checkpoint(config: RelationalPipelineConfig, folder: Path) -> Path | 
 
 def _collect(
     stage: str, pieces: Sequence[str | FurnitureRef], folder: Path, config: RelationalPipelineConfig, jobs: int,
-    policy: Path | None, with_grasps: Sequence[str] = (),
+    policy: Path | None, with_grasps: Sequence[str] = (), episodes: int | None = None,
 ) -> Iterator[Progress]:  # fmt: skip
-    """Collect the samples of a round, of generated pieces by name and of imported ones."""
+    """Collect the samples of a round, of generated pieces by name and of imported ones.
+
+    Without `episodes`, their number is that of generated pieces.
+    """
     folders = _folders(p for p in pieces if isinstance(p, FurnitureRef))
     names = [p if isinstance(p, str) else p.name for p in pieces]
     results = collect(
-        names, folder, episodes=config.imported_episodes if folders else config.episodes, seed=config.seed, jobs=jobs,
+        names, folder, episodes=episodes or config.episodes, seed=config.seed, jobs=jobs,
         policy=policy, setting=config.setting, with_grasps=with_grasps, folders=folders,
     )  # fmt: skip
     yield from _counted(stage, results, names, folder, mistakes=policy is not None)
+
+
+def _make_versions(
+    refs: Sequence[FurnitureRef], folder: Path, config: RelationalPipelineConfig, jobs: int
+) -> Iterator[Progress]:
+    """Write the versions of imported pieces that the folder does not hold yet."""
+    versions = [(ref, index) for ref in refs for index in range(1, config.imported_versions + 1)]
+    left = [(ref, index) for ref, index in versions if not (folder / f"{ref.name}-v{index}").is_dir()]
+    work = partial(_make_version, folder=folder, config=config)
+    for done, _ in enumerate(map_unordered(work, left, jobs), len(versions) - len(left) + 1):
+        yield Progress("versions", done, len(versions), {})
+
+
+def _make_version(item: tuple[FurnitureRef, int], *, folder: Path, config: RelationalPipelineConfig) -> None:
+    """Write one version of an imported piece; none if its parts come apart."""
+    ref, index = item
+    name = f"{ref.name}-v{index}"
+    rng = np.random.default_rng([config.seed, zlib.crc32(name.encode())])
+    factors = np.exp(rng.uniform(-_LARGEST_FACTOR, _LARGEST_FACTOR, 3))
+    with contextlib.suppress(FurnitureError):
+        grasps = SETTINGS[config.setting].needs_grasps
+        storage.save(resized(ref.furniture(), name, factors, with_grasps=grasps), folder / name)
 
 
 def _folders(refs: Iterable[FurnitureRef]) -> dict[str, Path]:
