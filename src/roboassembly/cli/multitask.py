@@ -39,12 +39,13 @@ class MultitaskCommand:
     limit: int | None = None
     """Use the first LIMIT pieces of the set only."""
     extra: int | None = None
-    """Number of additional generated pieces to train on; for the preset relational. Without it: 5,000, or 3,000 with
-    --setting full."""
+    """Number of additional generated pieces to train on; for the preset relational. Without it: 5,000; 700 with
+    --start, or 3,000 with --setting full."""
     imported: Path | None = None
     """Folder of imported furniture folders to train on besides; for the preset relational."""
-    imported_versions: int = 0
-    """Number of versions of each imported piece, in other sizes along each axis, to train on besides."""
+    imported_versions: int | None = None
+    """Number of versions of each imported piece, in other sizes along each axis, to train on besides. Without it: 0, or
+    5 with --start in the object-centric setting."""
     frames: Literal["both", "aligned", "own"] = "both"
     """Frames in which samples describe the parts; for the preset relational. own: the principal axes of each part, with
     clouds of its own, noise and imprecise points. both: a third of the pieces aligned, the others own."""
@@ -59,8 +60,8 @@ class MultitaskCommand:
     """Policy to start from, `relational` or a checkpoint; for the preset relational. Without it: none, or `relational`
     with --setting full."""
     steps: int | None = None
-    """Number of gradient steps. Without it: 30,000 for the preset paper; 16,000, or 8,000 with --setting full, for the
-    first round of the preset relational."""
+    """Number of gradient steps. Without it: 30,000 for the preset paper; 16,000 for the first round of the preset
+    relational, 6,000 with --start, or 8,000 with --setting full."""
     round_steps: int = 8_000
     """Number of gradient steps in each later round."""
     samples: tuple[Path, ...] = ()
@@ -100,13 +101,14 @@ class MultitaskCommand:
     def _relational(self, jobs: int) -> Iterable[Progress]:
         from roboassembly.learning.relational.pipeline import RelationalPipelineConfig, run_pipeline
 
-        default = RelationalPipelineConfig.default(self.setting)
+        default = RelationalPipelineConfig.default(self.setting, continues=self.start is not None)
         config = replace(
             default, set=self.set, limit=self.limit, extra=default.extra if self.extra is None else self.extra,
             episodes=self.episodes or default.episodes, rounds=default.rounds if self.rounds is None else self.rounds,
             steps=self.steps or default.steps, round_steps=self.round_steps, seed=self.seed,
             start=self.start or default.start, frames=self.frames,
-            imported="" if self.imported is None else str(self.imported), imported_versions=self.imported_versions,
+            imported="" if self.imported is None else str(self.imported),
+            imported_versions=default.imported_versions if self.imported_versions is None else self.imported_versions,
         )  # fmt: skip
         return run_pipeline(config, self.out, jobs)
 

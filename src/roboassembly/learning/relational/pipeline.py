@@ -8,9 +8,9 @@ was stopped continues where it was.
     samples/1/…         of episodes of policy-0     policy-1.npz   trained on both
     …                                               policy.npz     the last one
 
-In the full setting, the pipeline starts from the weights of an object-centric policy and trains on pairs for one round;
-the weights for pairs are a mean of both. Grasp samples train a second network, and the further rounds are those of this
-network:
+A run may start from the weights of a policy; the result is then a mean of these and of the trained ones. In the full
+setting, it starts from those of an object-centric policy and trains on pairs for one round. Grasp samples train a
+second network, and the further rounds are those of this network:
 
     samples/0/grasps/…  of random grasps            grasps-0.npz   trained on them
     on_policy/1/…       of episodes of acting-1     grasps-1.npz   trained on both
@@ -104,13 +104,13 @@ class RelationalPipelineConfig:
     setting: SettingName = "object-centric"
     """Setting whose oracle labels the samples."""
     start: str = ""
-    """Policy whose weights come first, by name or path. The full setting needs one, and keeps its weights for the
-    object-centric setting."""
+    """Policy whose weights come first, by name or path; none if empty. The full setting needs one. The result keeps its
+    weights for the other setting."""
     extra_grasps: int = 500
     """Number of the further generated pieces that get grasp samples as well (full setting)."""
     start_share: float = 0.2
-    """Share of the weights of `start` in the weights that value pairs with robots (full setting). The mean is better on
-    new furniture than the trained weights (Wortsman et al. 2022, "Robust Fine-Tuning of Zero-Shot Models")."""
+    """Share of the weights of `start` in those that value pairs. The mean is better on new furniture than the trained
+    weights (Wortsman et al. 2022, "Robust Fine-Tuning of Zero-Shot Models")."""
     grasp_steps: int = 12_000
     """Number of gradient steps of the grasp network (full setting)."""
 
@@ -120,9 +120,13 @@ class RelationalPipelineConfig:
         return SETTINGS[self.setting].rounds_of_networks(self.rounds)
 
     @staticmethod
-    def default(setting: SettingName) -> RelationalPipelineConfig:
-        """Return the default configuration of a setting; the object-centric one made the shipped weights."""
-        return _DEFAULTS[setting]
+    def default(setting: SettingName, *, continues: bool = False) -> RelationalPipelineConfig:
+        """Return the default configuration of a setting.
+
+        The object-centric ones made the shipped weights: that of a run from nothing, then that of a run that
+        `continues` from its weights.
+        """
+        return _CONTINUES if continues and setting == _CONTINUES.setting else _DEFAULTS[setting]
 
 
 _DEFAULTS: dict[SettingName, RelationalPipelineConfig] = {
@@ -135,6 +139,9 @@ _DEFAULTS: dict[SettingName, RelationalPipelineConfig] = {
         ),
     )
 }  # fmt: skip
+_CONTINUES = RelationalPipelineConfig(
+    extra=700, validation=24, steps=6_000, learning_rate=1e-3, imported_episodes=4, imported_versions=5, start_share=0.3
+)
 
 
 def run_pipeline(config: RelationalPipelineConfig, folder: Path, jobs: int) -> Iterator[Progress]:
@@ -190,17 +197,23 @@ def run_pipeline(config: RelationalPipelineConfig, folder: Path, jobs: int) -> I
         last = path
     assert last is not None
     final = checkpoint.load(last, relational.KIND)
-    if start is not None and grasp_rounds:
-        started = checkpoint.load(start, relational.KIND)
-        both = {**started.params, FULL_PARAMS: _mean(final.params, started.params, config.start_share)}
-        # The object-centric weights keep the description of their own training.
-        network = {**final.config, "start": started.config.get("start", started.config)}
-        yield from _grasp_rounds(both, network, [*refs, *imported], with_grasps, folder, config, notes, jobs)
+    params, description = final.params, final.config
+    started = None if start is None else checkpoint.load(start, relational.KIND)
+    if started is not None:
+        params = _mean(params, started.params, config.start_share)
+        # The weights of the start come with the description of their own training.
+        before = started.config
+        with_robots = before.get("pipeline", {}).get("setting") == "full"
+        description = {**description, "start": before["start"] if with_robots else before}
+    if grasp_rounds:
+        assert started is not None
+        both = {**started.params, FULL_PARAMS: params}
+        yield from _grasp_rounds(both, description, [*refs, *imported], with_grasps, folder, config, notes, jobs)
     else:
         # Weights for robots stay as they were.
         kept = load_weights(config.start).params if config.start else {}
         both = {name: kept[name] for name in (FULL_PARAMS, GRASP_PARAMS) if name in kept}
-        _save_policy(folder / "policy.npz", {**final.params, **both}, final.config, _hours(last))
+        _save_policy(folder / "policy.npz", {**params, **both}, description, _hours(last))
 
 
 def _mean(value: Any, start: Any, share: float) -> Any:
