@@ -129,6 +129,34 @@ def test_imported_pieces_are_trained_on_in_other_sizes_as_well(two_chairs: list[
     assert list(run_pipeline(config, folder, 1)) == []
 
 
+def test_a_run_that_continues_ends_in_a_mean_with_its_start(two_chairs: list[str], tmp_path: Path) -> None:
+    start, folder = tmp_path / "start.npz", tmp_path / "run"
+    weights = relational.init(np.random.default_rng(0), TINY)
+    description = {"network": asdict(TINY), "made": "earlier"}
+    checkpoint.save(start, checkpoint.Checkpoint(relational.KIND, weights, description, {}), half=True)
+    config = replace(SMALL, limit=1, extra=0, rounds=0, steps=12, validation=0, start=str(start), start_share=0.25)
+    assert [p.stage for p in run_pipeline(config, folder, 1) if p.done == p.total] == ["samples 0", "policy 0"]
+    made = checkpoint.load(folder / "policy.npz", relational.KIND)
+    assert made.config["start"]["made"] == "earlier"
+    trained, first = (
+        dict(_flat(checkpoint.load(path, relational.KIND).params)) for path in (folder / "policy-0.npz", start)
+    )
+    assert any(np.abs(trained[name] - first[name]).max() > 5e-3 for name in first)
+    for name, value in _flat(made.params):
+        np.testing.assert_allclose(value, 0.75 * trained[name] + 0.25 * first[name], atol=2e-3)
+
+
+def test_the_command_takes_the_defaults_of_a_run_that_continues() -> None:
+    """The help of `train multitask` names these numbers."""
+    fresh, later, robots = (
+        RelationalPipelineConfig.default(setting, continues=continues)
+        for setting, continues in (("object-centric", False), ("object-centric", True), ("full", True))
+    )
+    assert (fresh.extra, fresh.steps, fresh.imported_versions) == (5_000, 16_000, 0)
+    assert (later.extra, later.steps, later.imported_versions) == (700, 6_000, 5)
+    assert (robots.extra, robots.steps, robots.imported_versions) == (3_000, 8_000, 0)
+
+
 def test_an_unknown_set_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="labels generated furniture"):
         next(run_pipeline(replace(SMALL, set="folder:here"), tmp_path, 1))

@@ -203,8 +203,8 @@ def run_pipeline(config: RelationalPipelineConfig, folder: Path, jobs: int) -> I
         params = _mean(params, started.params, config.start_share)
         # The weights of the start come with the description of their own training.
         before = started.config
-        with_robots = before.get("pipeline", {}).get("setting") == "full"
-        description = {**description, "start": before["start"] if with_robots else before}
+        kept_those = before.get("pipeline", {}).get("setting") == "full"
+        description = {**description, "start": before["start"] if kept_those else before}
     if grasp_rounds:
         assert started is not None
         both = {**started.params, FULL_PARAMS: params}
