@@ -126,22 +126,20 @@ class RelationalPipelineConfig:
         The object-centric ones made the shipped weights: that of a run from nothing, then that of a run that
         `continues` from its weights.
         """
-        return _CONTINUES if continues and setting == _CONTINUES.setting else _DEFAULTS[setting]
+        return _DEFAULTS[setting][continues]
 
 
-_DEFAULTS: dict[SettingName, RelationalPipelineConfig] = {
-    config.setting: config
-    for config in (
-        RelationalPipelineConfig(),
-        RelationalPipelineConfig(
-            extra=3_000, validation=24, episodes=2, imported_episodes=2, rounds=1, steps=8_000, learning_rate=1e-3,
-            setting="full", start="relational",
-        ),
-    )
-}  # fmt: skip
 _CONTINUES = RelationalPipelineConfig(
     extra=700, validation=24, steps=6_000, learning_rate=1e-3, imported_episodes=4, imported_versions=5, start_share=0.3
 )
+_FULL = RelationalPipelineConfig(
+    extra=3_000, validation=24, episodes=2, imported_episodes=2, rounds=1, steps=8_000, learning_rate=1e-3,
+    setting="full", start="relational",
+)  # fmt: skip
+_DEFAULTS: dict[SettingName, tuple[RelationalPipelineConfig, RelationalPipelineConfig]] = {
+    fresh.setting: (fresh, continued) for fresh, continued in ((RelationalPipelineConfig(), _CONTINUES), (_FULL, _FULL))
+}
+"""Defaults of each setting, from nothing and continued."""
 
 
 def run_pipeline(config: RelationalPipelineConfig, folder: Path, jobs: int) -> Iterator[Progress]:
@@ -203,8 +201,8 @@ def run_pipeline(config: RelationalPipelineConfig, folder: Path, jobs: int) -> I
         params = _mean(params, started.params, config.start_share)
         # The weights of the start come with the description of their own training.
         before = started.config
-        kept_those = before.get("pipeline", {}).get("setting") == "full"
-        description = {**description, "start": before["start"] if kept_those else before}
+        _, before_rounds = _rounds_of(before)
+        description = {**description, "start": before["start"] if before_rounds else before}
     if grasp_rounds:
         assert started is not None
         both = {**started.params, FULL_PARAMS: params}
@@ -214,6 +212,12 @@ def run_pipeline(config: RelationalPipelineConfig, folder: Path, jobs: int) -> I
         kept = load_weights(config.start).params if config.start else {}
         both = {name: kept[name] for name in (FULL_PARAMS, GRASP_PARAMS) if name in kept}
         _save_policy(folder / "policy.npz", {**params, **both}, description, _hours(last))
+
+
+def _rounds_of(description: Mapping[str, Any]) -> tuple[int, int]:
+    """Number of rounds of both networks in the run that made a checkpoint; none if it says nothing of a run."""
+    made = description.get("pipeline")
+    return SETTINGS[made["setting"]].rounds_of_networks(made["rounds"]) if made else (0, 0)
 
 
 def _mean(value: Any, start: Any, share: float) -> Any:
