@@ -102,13 +102,12 @@ class MultitaskCommand:
         from roboassembly.learning.relational.pipeline import RelationalPipelineConfig, run_pipeline
 
         default = RelationalPipelineConfig.default(self.setting, continues=self.start is not None)
+        options = ("extra", "imported_versions", "episodes", "rounds", "steps")
+        given = {name: value for name in options if (value := getattr(self, name)) is not None}
         config = replace(
-            default, set=self.set, limit=self.limit, extra=default.extra if self.extra is None else self.extra,
-            episodes=self.episodes or default.episodes, rounds=default.rounds if self.rounds is None else self.rounds,
-            steps=self.steps or default.steps, round_steps=self.round_steps, seed=self.seed,
+            default, set=self.set, limit=self.limit, round_steps=self.round_steps, seed=self.seed,
             start=self.start or default.start, frames=self.frames,
-            imported="" if self.imported is None else str(self.imported),
-            imported_versions=default.imported_versions if self.imported_versions is None else self.imported_versions,
+            imported="" if self.imported is None else str(self.imported), **given,
         )  # fmt: skip
         return run_pipeline(config, self.out, jobs)
 

@@ -9,7 +9,6 @@ from jaxtyping import Float
 
 from roboassembly.furniture.annotate import annotate
 from roboassembly.furniture.model import Furniture, RawPart
-from roboassembly.geometry.meshes import Mesh
 
 
 def resized(furniture: Furniture, name: str, factors: Float[np.ndarray, "3"], *, with_grasps: bool = True) -> Furniture:
@@ -28,13 +27,9 @@ def resized(furniture: Furniture, name: str, factors: Float[np.ndarray, "3"], *,
         FurnitureError: parts are not connected any more, because their gaps have become too wide.
     """
     parts = [
-        RawPart(part.name, _resized(part.mesh.transformed(slot), factors), part.label)
+        RawPart(part.name, part.mesh.transformed(slot).stretched(np.diag(factors)), part.label)
         for part, slot in zip(furniture.parts, furniture.assembled, strict=True)
     ]
     note = "resized by " + " × ".join(f"{factor:.3f}" for factor in factors)
     provenance = replace(furniture.provenance, notes=(*furniture.provenance.notes, note))
     return annotate(name, parts, provenance, with_grasps=with_grasps, with_near_shapes=True)
-
-
-def _resized(mesh: Mesh, factors: Float[np.ndarray, "3"]) -> Mesh:
-    return Mesh(mesh.vertices * factors, mesh.faces)

@@ -59,7 +59,7 @@ def fused(base: Sequence[RawPart], rng: np.random.Generator) -> list[PartDesign]
     matrix = np.diag(np.exp(rng.uniform(-0.3, 0.3, 3)))
     if rng.random() < 0.3:
         matrix = np.array([[1, 0, 0], [0, 1, rng.uniform(-0.25, 0.25)], [0, 0, 1]]) @ matrix
-    parts = [RawPart(p.name, Mesh(p.mesh.vertices @ matrix.T, p.mesh.faces), p.label) for p in base]
+    parts = [replace(p, mesh=p.mesh.stretched(matrix)) for p in base]
     contacts = find_contacts([p.mesh for p in parts], [p.name for p in parts])
     group = _groups(parts, contacts, rng)
     solids = [from_triangles(p.mesh.vertices, p.mesh.faces) for p in parts]

@@ -209,6 +209,10 @@ class Mesh:
         """Return the mesh with every vertex moved by `pose`."""
         return Mesh(transform_points(pose, self.vertices), self.faces)
 
+    def stretched(self, matrix: Float[np.ndarray, "3 3"]) -> Mesh:
+        """Return the mesh with every vertex multiplied by a matrix of positive determinant."""
+        return Mesh(self.vertices @ matrix.T, self.faces)
+
 
 @dataclass(frozen=True, eq=False)
 class Witness:

@@ -135,6 +135,8 @@ def test_a_run_that_continues_ends_in_a_mean_with_its_start(two_chairs: list[str
     description = {"network": asdict(TINY), "made": "earlier"}
     checkpoint.save(start, checkpoint.Checkpoint(relational.KIND, weights, description, {}), half=True)
     config = replace(SMALL, limit=1, extra=0, rounds=0, steps=12, validation=0, start=str(start), start_share=0.25)
+    # Nothing is imported, so there are no versions either.
+    config = replace(config, imported_versions=5)
     assert [p.stage for p in run_pipeline(config, folder, 1) if p.done == p.total] == ["samples 0", "policy 0"]
     made = checkpoint.load(folder / "policy.npz", relational.KIND)
     assert made.config["start"]["made"] == "earlier"

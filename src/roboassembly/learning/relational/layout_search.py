@@ -197,16 +197,17 @@ class _Search:
         distance = np.linalg.norm(at[:, None] - others[None], axis=2)
         facing = normal @ other_normal.T < CONTACT_COSINE
         meets = (distance < _MATE_DISTANCE) & facing
-        costs = p.cost[np.ix_(mine, there)]
+        costs, free = p.cost[np.ix_(mine, there)], state.open[there]
         # Two points of a part can lie closer together than points may be apart that meet.
-        order = np.where(meets & state.open[there], costs + distance / _MATE_DISTANCE, np.inf)
+        order = np.where(meets & free, costs + distance / _MATE_DISTANCE, np.inf)
         # The mate itself meets, whatever rounding says.
         order[np.searchsorted(mine, l), np.searchsorted(there, k)] = -1.0
         rows, columns = _one_to_one(order)
-        unmatched = np.isin(mine, mine[rows], invert=True)[:, None]
-        if (meets & unmatched & ~state.open[there]).any():
+        unmatched = np.ones((len(mine), 1), bool)
+        unmatched[rows] = False
+        if (meets & unmatched & ~free).any():
             return None
-        free = state.open[there] & np.isin(there, there[columns], invert=True)
+        free[columns] = False
         misses = (distance < _MISS_DISTANCE) & facing & unmatched & free
         cost = state.cost + _MISSED * float(misses.sum())
         if not np.isfinite(costs[rows, columns]).all():

@@ -24,7 +24,7 @@ import contextlib
 import os
 import platform
 import zlib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
@@ -160,8 +160,7 @@ def run_pipeline(config: RelationalPipelineConfig, folder: Path, jobs: int) -> I
     start = _start_checkpoint(config, folder)
     refs = furniture_refs(config.set)[: config.limit]
     imported = furniture_refs(f"folder:{config.imported}") if config.imported else []
-    yield from _make_versions(imported, folder / "versions", config, jobs)
-    versions = furniture_refs(f"folder:{folder / 'versions'}") if config.imported_versions else []
+    versions = yield from _make_versions(imported, folder / "versions", config, jobs)
     extra = extra_names(config.extra, recipe.unseen_families)
     names = [*(ref.name for ref in refs), *extra]
     held_out = extra_names(config.validation, recipe.unseen_families, first=_VALIDATION_SEEDS)
@@ -169,7 +168,7 @@ def run_pipeline(config: RelationalPipelineConfig, folder: Path, jobs: int) -> I
     pair_rounds, grasp_rounds = config.rounds_of_networks
     with_grasps = [*(ref.name for ref in (*refs, *imported)), *extra[: config.extra_grasps]] if grasp_rounds else []
 
-    yield from _collect("validation", held_out, folder / "samples" / "validation", config, jobs, None)
+    yield from _collect("validation", held_out, folder / "samples" / "validation", config, jobs, None, config.episodes)
     validation = {
         shown: load_examples(folder / "samples" / "validation", held_out, jobs, shown) for shown in SHOWN[config.frames]
     }
@@ -177,13 +176,12 @@ def run_pipeline(config: RelationalPipelineConfig, folder: Path, jobs: int) -> I
     last = start
     for index in range(pair_rounds):
         samples, path = folder / "samples" / str(index), folder / f"policy-{index}.npz"
-        yield from _collect(f"samples {index}", names, samples, config, jobs, last, with_grasps)
-        yield from _collect(
-            f"imported samples {index}", imported, samples, config, jobs, last, with_grasps, config.imported_episodes
-        )
-        yield from _collect(
-            f"samples of versions {index}", versions, samples, config, jobs, last, episodes=config.version_episodes
-        )
+        for stage, pieces, episodes in (
+            ("samples", names, config.episodes),
+            ("imported samples", imported, config.imported_episodes),
+            ("samples of versions", versions, config.version_episodes),
+        ):
+            yield from _collect(f"{stage} {index}", pieces, samples, config, jobs, last, episodes, with_grasps)
         examples += load_examples(samples, [*names, *(ref.name for ref in (*imported, *versions))], jobs, config.frames)
         steps, rate = (
             (config.round_steps, 0.5 * config.learning_rate) if index else (config.steps, config.learning_rate)
@@ -258,16 +256,13 @@ def _start_checkpoint(config: RelationalPipelineConfig, folder: Path) -> Path | 
 
 def _collect(
     stage: str, pieces: Sequence[str | FurnitureRef], folder: Path, config: RelationalPipelineConfig, jobs: int,
-    policy: Path | None, with_grasps: Sequence[str] = (), episodes: int | None = None,
+    policy: Path | None, episodes: int, with_grasps: Sequence[str] = (),
 ) -> Iterator[Progress]:  # fmt: skip
-    """Collect the samples of a round, of generated pieces by name and of imported ones.
-
-    Without `episodes`, their number is that of generated pieces.
-    """
+    """Collect the samples of a round, of generated pieces by name and of imported ones."""
     folders = _folders(p for p in pieces if isinstance(p, FurnitureRef))
     names = [p if isinstance(p, str) else p.name for p in pieces]
     results = collect(
-        names, folder, episodes=episodes or config.episodes, seed=config.seed, jobs=jobs,
+        names, folder, episodes=episodes, seed=config.seed, jobs=jobs,
         policy=policy, setting=config.setting, with_grasps=with_grasps, folders=folders,
     )  # fmt: skip
     yield from _counted(stage, results, names, folder, mistakes=policy is not None)
@@ -275,24 +270,30 @@ def _collect(
 
 def _make_versions(
     refs: Sequence[FurnitureRef], folder: Path, config: RelationalPipelineConfig, jobs: int
-) -> Iterator[Progress]:
-    """Write the versions of imported pieces that the folder does not hold yet."""
-    versions = [(ref, index) for ref in refs for index in range(1, config.imported_versions + 1)]
-    left = [(ref, index) for ref, index in versions if not (folder / f"{ref.name}-v{index}").is_dir()]
-    work = partial(_make_version, folder=folder, config=config)
+) -> Generator[Progress, None, list[FurnitureRef]]:
+    """Write the versions of imported pieces that the folder does not hold yet; returns all of them."""
+    sources = {f"{ref.name}-v{index}": ref for ref in refs for index in range(1, config.imported_versions + 1)}
+    versions = [FurnitureRef(name, None, folder / name) for name in sources]
+    left = [(sources[version.name], version) for version in versions if not _exists(version)]
+    work = partial(_make_version, config=config)
     for done, _ in enumerate(map_unordered(work, left, jobs), len(versions) - len(left) + 1):
         yield Progress("versions", done, len(versions), {})
+    return [version for version in versions if _exists(version)]
 
 
-def _make_version(item: tuple[FurnitureRef, int], *, folder: Path, config: RelationalPipelineConfig) -> None:
+def _exists(version: FurnitureRef) -> bool:
+    return version.folder is not None and version.folder.is_dir()
+
+
+def _make_version(item: tuple[FurnitureRef, FurnitureRef], *, config: RelationalPipelineConfig) -> None:
     """Write one version of an imported piece; none if its parts come apart."""
-    ref, index = item
-    name = f"{ref.name}-v{index}"
-    rng = np.random.default_rng([config.seed, zlib.crc32(name.encode())])
+    source, version = item
+    assert version.folder is not None
+    rng = np.random.default_rng([config.seed, zlib.crc32(version.name.encode())])
     factors = np.exp(rng.uniform(-_LARGEST_FACTOR, _LARGEST_FACTOR, 3))
     with contextlib.suppress(FurnitureError):
         grasps = SETTINGS[config.setting].needs_grasps
-        storage.save(resized(ref.furniture(), name, factors, with_grasps=grasps), folder / name)
+        storage.save(resized(source.furniture(), version.name, factors, with_grasps=grasps), version.folder)
 
 
 def _folders(refs: Iterable[FurnitureRef]) -> dict[str, Path]:
