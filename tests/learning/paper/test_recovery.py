@@ -124,3 +124,49 @@ def test_a_failure_in_the_real_environment_starts_recovery_anew() -> None:
     _run(agent, lambda: agent.settled)
     agent.begin_recovery()
     assert agent.buffer.preferred[0] != action
+
+
+def _first_episode(agent: DQNAgent) -> list[tuple[int, Action]]:
+    """Return the numbers of the states and the actions of the preferred episode."""
+    buffer, at = agent.buffer, 0
+    out: list[tuple[int, Action]] = []
+    while len(buffer.states[at]) > 1:
+        out.append((at, buffer.preferred[at]))
+        at = buffer.merges[at][buffer.preferred[at]]
+    return out
+
+
+def _types(agent: DQNAgent, at: int, action: Action) -> tuple[int, int]:
+    """Return the types of the two groups that an action joins."""
+    env, state = agent.buffer.env, agent.buffer.states[at]
+    u, v = (env.table.groups[env.table.owner(state, row)].type_id for row in action[:2])
+    return u, v
+
+
+def test_a_failure_beside_the_first_episode_keeps_all_that_it_does_not_touch() -> None:
+    agent = _recovered("cantilever", 1)
+    buffer, episode = agent.buffer, _first_episode(agent)
+    taken = {_types(agent, at, action) for at, action in episode}
+    known = dict(buffer.preferred)
+    at, action = next((at, action) for at, action in known.items() if _types(agent, at, action) not in taken)
+    agent.mark_failed(buffer.states[at], action)
+    assert agent.recovery_known
+    assert agent.settled
+    assert _first_episode(agent) == episode
+    assert at not in buffer.preferred
+    untouched = {i: a for i, a in known.items() if buffer.finishes(buffer.states[i], a)}
+    assert buffer.preferred == untouched
+    assert len(episode) < len(untouched) < len(known)
+
+
+def test_a_third_of_the_updates_is_of_the_preferred_episode() -> None:
+    agent = _recovered("cantilever", 1)
+    buffer, episode = agent.buffer, [at for at, _ in _first_episode(agent)]
+    buffer.recent[:] = [next(i for i in range(len(buffer.states)) if i not in episode and buffer.merges[i])]
+    batch = buffer.sample(np.random.default_rng(0), 60, 2)
+    of_episode = [
+        any(np.array_equal(buffer.joined[i], joined > 0) and np.array_equal(buffer.free[i], free > 0) for i in episode)
+        for joined, free in zip(batch["joined"], batch["free"], strict=True)
+    ]
+    assert not any(of_episode[:20])
+    assert all(of_episode[20:40])

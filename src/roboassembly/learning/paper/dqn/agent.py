@@ -252,11 +252,15 @@ class DQNAgent:
         return novel if len(novel) else np.flatnonzero(unknown)
 
     def mark_failed(self, state: State, action: Action) -> None:
-        """Take over that an action failed in the real environment."""
+        """Take over that an action failed in the real environment.
+
+        What is known beside the first episode that finishes the chair is kept, as long as that episode still works.
+        """
         self.buffer.drop(self.buffer.env.mark_failed(state, action))
-        self._tie_breaker.restart()
-        self._recovery.reset()
         self._recovers = self.mastered = False
+        if not self._recovery.still_works:
+            self._tie_breaker.restart()
+            self._recovery.reset()
 
     def start_from(self, relative: Params) -> None:
         """Take over what the agent of a near relative, with the same parts and points, has found out.

@@ -10,7 +10,7 @@ determines the relative poses.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -181,8 +181,6 @@ class ExpertStep:
 
     state: TaskState
     """Groups before the step."""
-    values: Float32[np.ndarray, "m m w"]
-    """Q-values in this state."""
     action: tuple[int, int, int]
     """Rows of the two points and number of the combination of branches."""
     verdict: str = ""
@@ -211,16 +209,47 @@ def run_expert(
         seed: random seed of the start and of the planner.
         known: the same task with the episodes that it remembers.
     """
+    return _run_episode(
+        lambda state: first_best(expert.values(*encode_state(task, state))), expert.inputs, task, seed, known
+    )
+
+
+def run_actions(
+    actions: Sequence[tuple[int, int, int]],
+    inputs: ChairInputs,
+    task: Task[Any, Any],
+    seed: int,
+    known: RememberedTask[Any, Any] | None = None,
+) -> list[ExpertStep]:
+    """Run one episode of given actions in the real environment, up to the first that fails.
+
+    Args:
+        actions: actions that assemble the chair in `MemoizedEnv`.
+        inputs: the chair.
+        task: its task.
+        seed: random seed of the start and of the planner.
+        known: the same task with the episodes that it remembers.
+    """
+    left = iter(actions)
+    return _run_episode(lambda _: next(left), inputs, task, seed, known)
+
+
+def _run_episode(
+    choose: Callable[[TaskState], tuple[int, int, int]],
+    inputs: ChairInputs,
+    task: Task[Any, Any],
+    seed: int,
+    known: RememberedTask[Any, Any] | None,
+) -> list[ExpertStep]:
     real = task if known is None else known
     rng = np.random.default_rng(seed)
-    part, point = expert.inputs.part, _point_numbers(expert.inputs)
+    part, point = inputs.part, _point_numbers(inputs)
     steps: list[ExpertStep] = []
 
     def propose(state: Any) -> Iterator[tuple[int, ...]]:
         groups = task.groups_of(state)
-        values = expert.values(*encode_state(task, groups))
-        row, column, choice = first_best(values)
-        steps.append(ExpertStep(groups, values, (row, column, choice)))
+        row, column, choice = choose(groups)
+        steps.append(ExpertStep(groups, (row, column, choice)))
         branches = (int(i) for i in np.unravel_index(choice, task.action_branches))
         yield int(part[row]), int(part[column]), int(point[row]), int(point[column]), *branches
 

@@ -63,15 +63,10 @@ class RecoveryExplorer:
 
     def begin(self) -> None:
         """Take over the first episode."""
-        buffer = self._buffer
         self.reset()
-        at = 0
-        path: list[tuple[int, Action]] = []
-        while (action := buffer.finishing_action(buffer.states[at])) is not None:
-            path.append((at, action))
-            at = buffer.merges[at][action]
+        path = self._buffer.first_episode()
         self._order = [action for _, action in path]
-        buffer.preferred.update(path)
+        self._buffer.preferred.update(path)
         self.active = bool(path)
 
     def reset(self) -> None:
@@ -81,6 +76,16 @@ class RecoveryExplorer:
         self._dead.clear()
         self._random = self._attempts = self.episodes = self.recoveries = 0
         self.active = False
+
+    @property
+    def still_works(self) -> bool:
+        """Whether recoveries are learnt, and no action of the first episode has failed since."""
+        at, merges = 0, self._buffer.merges
+        for action in self._order:
+            if action not in merges[at]:
+                return False
+            at = merges[at][action]
+        return self.active
 
     def done(self, count: int) -> bool:
         """Return whether so many recoveries are known, or were sought for long enough."""

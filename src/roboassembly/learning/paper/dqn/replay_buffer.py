@@ -108,6 +108,15 @@ class ReplayBuffer:
         """Return the states of the best episode so far, except the last."""
         return [at for at, _ in self._best_merges()]
 
+    def _preferred_path(self) -> list[int]:
+        """Return the states of the episode of preferred actions, except the last."""
+        out: list[int] = []
+        at = 0
+        while at in self.preferred:
+            out.append(at)
+            at = self.merges[at][self.preferred[at]]
+        return out
+
     def best_pairs(self) -> list[tuple[int, int]]:
         """Return the pairs of points that the best episode so far joins, in their order."""
         return [(row, column) for _, (row, column, _) in self._best_merges()]
@@ -133,6 +142,15 @@ class ReplayBuffer:
         merges = {} if at is None else self.merges[at]
         return min((action for action in merges if self.finishes(state, action)), default=None)
 
+    def first_episode(self) -> list[tuple[int, Action]]:
+        """Return the states and actions of the first episode, in number order, that finishes the chair, if any does."""
+        at = 0
+        out: list[tuple[int, Action]] = []
+        while (action := self.finishing_action(self.states[at])) is not None:
+            out.append((at, action))
+            at = self.merges[at][action]
+        return out
+
     def _finishes(self, before: int, after: int) -> bool:
         """Return whether a merge has led to the whole chair."""
         left = len(self.states[before]) - 1 + 4.0
@@ -141,7 +159,7 @@ class ReplayBuffer:
     def sample(self, rng: np.random.Generator, batch: int, backups: int) -> dict[str, Float32[np.ndarray, "..."]]:
         """Return a batch for `losses.loss`: a third recent states, a third of the best episode, a third any.
 
-        Once preferred actions are known, the last third is drawn from their states.
+        Once preferred actions are known, the second third is of their episode, and the last third of all their states.
 
         Args:
             rng: random numbers.
@@ -150,7 +168,7 @@ class ReplayBuffer:
         """
         third = batch // 3
         left = list(self.preferred) or self._left or [0]
-        path = self.best_path() or [0]
+        path = self._preferred_path() or self.best_path() or [0]
         chosen = np.concatenate(
             [rng.choice(self.recent[-RECENT:], third), rng.choice(path, third), rng.choice(left, batch - 2 * third)]
         )

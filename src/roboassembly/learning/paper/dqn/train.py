@@ -11,7 +11,7 @@ processes.
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from operator import itemgetter
@@ -38,9 +38,11 @@ from roboassembly.learning.paper.dqn.network import (
     KIND,
     ChairInputs,
     ExpertPolicy,
+    ExpertStep,
     chair_inputs,
     finished,
     first_best,
+    run_actions,
     run_expert,
 )
 from roboassembly.learning.paper.dqn.replay_buffer import ReplayBuffer
@@ -276,15 +278,11 @@ class ExpertRun:
         """Return whether a chair is mastered or has had its steps; writes its file if so."""
         agent, t = trainer.agent, self._training
         mastered, over = False, agent.steps >= t.steps
-        ready = agent.mastered and agent.settled and agent.updates >= t.least_updates
-        if ready and trainer.validated_at < agent.steps and (not agent.recovers or self._has_fitted(trainer, i)):
-            valid = self._validates(trainer, ExpertPolicy(trainer.inputs, self._slice(i)[0]))
-            if valid and not agent.recovers and not over:
+        if not agent.recovers and agent.settled and not over:
+            if trainer.validated_at < agent.steps and self._first_episode_works(trainer):
                 agent.begin_recovery()
-            else:
-                mastered = valid
-        elif over and agent.mastered:
-            mastered = self._validates(trainer, ExpertPolicy(trainer.inputs, self._slice(i)[0]))
+        elif agent.mastered and (over or self._is_ready(trainer, i)):
+            mastered = self._validates(trainer, partial(run_expert, ExpertPolicy(trainer.inputs, self._slice(i)[0])))
         if not mastered and not over:
             return False
         params = self._slice(i)[0]
@@ -309,6 +307,12 @@ class ExpertRun:
         partial_file(self._folder, trainer.ref.name).unlink(missing_ok=True)
         return True
 
+    def _is_ready(self, trainer: ExpertTrainer, i: int) -> bool:
+        """Return whether the network has learnt enough to be validated, and something since it last was."""
+        agent = trainer.agent
+        news = trainer.validated_at < agent.steps and agent.updates >= self._training.least_updates
+        return news and self._has_fitted(trainer, i)
+
     def _has_fitted(self, trainer: ExpertTrainer, i: int) -> bool:
         """Return whether all recoveries are known, and the network chooses the preferred actions, or had its time."""
         agent, buffer = trainer.agent, trainer.agent.buffer
@@ -329,11 +333,25 @@ class ExpertRun:
         ]
         return sum(agreeing) >= _AGREEMENT * len(agreeing)
 
-    def _validates(self, trainer: ExpertTrainer, expert: ExpertPolicy) -> bool:
-        """Return whether the expert succeeds in the real environment; its agent learns what fails there."""
+    def _first_episode_works(self, trainer: ExpertTrainer) -> bool:
+        """Return whether the first episode that finishes the chair in memory does so in the real environment.
+
+        What comes before it in number order has been tried; so all labels follow from it, and it must be known to work
+        before anything else is learnt.
+        """
+        actions = [action for _, action in trainer.agent.buffer.first_episode()]
+        return bool(actions) and self._validates(trainer, partial(run_actions, actions, trainer.inputs))
+
+    def _validates(self, trainer: ExpertTrainer, run: Callable[..., list[ExpertStep]]) -> bool:
+        """Return whether episodes succeed in the real environment; the agent learns what fails there.
+
+        Args:
+            trainer: trains the chair.
+            run: runs an episode of a task, a seed and the task with what it remembers.
+        """
         agent, env = trainer.agent, trainer.agent.buffer.env
         for k in range(self._training.validation_episodes):
-            steps = run_expert(expert, trainer.task, k, trainer.known)
+            steps = run(trainer.task, k, trainer.known)
             agent.steps += len(steps)
             trainer.validated_at = agent.steps
             if not finished(steps, trainer.inputs):
