@@ -170,3 +170,15 @@ def test_a_third_of_the_updates_is_of_the_preferred_episode() -> None:
     ]
     assert not any(of_episode[:20])
     assert all(of_episode[20:40])
+
+
+def test_exploration_goes_on_from_the_first_episode_when_no_known_one_is_left() -> None:
+    agent = _recovered("cantilever", 1)
+    buffer, episode = agent.buffer, []
+    while agent.finished_once:
+        episode = [action for _, action in buffer.first_episode()]
+        agent.mark_failed(buffer.env.start, episode[0])
+    plan = [tuple(pair) for pair in agent.to_arrays()["explorer"]["plan"].tolist()]
+    assert plan == [(min(action[:2]), max(action[:2])) for action in episode]
+    _run(agent, lambda: agent.settled and agent.finished_once)
+    assert buffer.first_episode()[0][1] != episode[0]
