@@ -11,6 +11,7 @@ All of this is an estimate from points on the surfaces: a pixel at the rim of a 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float, Int16, UInt8
@@ -65,6 +66,8 @@ class DepthImages:
     have a least depth of 32767 and a greatest of -32768.
     """
 
+    scale: ImageScale
+    """Size of the images."""
     least: Int16[np.ndarray, "k 3 s s"]
     """Least depth in each pixel."""
     greatest: Int16[np.ndarray, "k 3 s s"]
@@ -117,20 +120,49 @@ class DepthImages:
         shape = (3, k, s, s)
         core = minimum_filter(greatest[2].reshape(k, s, s), (1, 3, 3)) if k else np.zeros((0, s, s), np.int16)
         return DepthImages(
-            least.reshape(shape).swapaxes(0, 1), greatest.reshape(shape).swapaxes(0, 1), beyond.reshape(k, s, s), core
-        )
+            scale, least.reshape(shape).swapaxes(0, 1), greatest.reshape(shape).swapaxes(0, 1), beyond.reshape(k, s, s),
+            core,
+        )  # fmt: skip
 
-    def from_mate(self) -> tuple[Int16[np.ndarray, "k 3 p"], Int16[np.ndarray, "k 3 p"], Int16[np.ndarray, "k p"]]:
-        """Return least and greatest depths, and `core`, as the frame of a mate sees them: y and z are opposite."""
+    @cached_property
+    def from_mate(self) -> SideImages:
+        """Images as the frame of a mate sees them from the other side: y and z are opposite."""
         least, greatest = np.empty_like(self.least), np.empty_like(self.greatest)
         least[:, 0], greatest[:, 0] = self.least[:, 0, ::-1, ::-1], self.greatest[:, 0, ::-1, ::-1]
         for axis, flip in ((1, np.s_[:, :, ::-1]), (2, np.s_[:, :, ::-1])):
             # -32768 has no opposite; ~x = -x - 1 swaps the two marks of empty pixels, and is off by 0.1 mm.
             least[:, axis] = ~self.greatest[:, axis][flip]
             greatest[:, axis] = ~self.least[:, axis][flip]
-        k = len(least)
-        core = ~self.core[:, :, ::-1]
-        return least.reshape(k, 3, -1), greatest.reshape(k, 3, -1), core.reshape(k, -1)
+        before = least.copy()
+        before[:, 2] = ~self.core[:, :, ::-1]
+        return SideImages.flat(least, greatest, before, greatest)
+
+    @cached_property
+    def waiting(self) -> SideImages:
+        """Images as the points themselves see them, with the tolerance of the scale."""
+        tolerance = np.int16(self.scale.tolerance / _UNIT)
+        before = self.greatest.copy()
+        before[:, 2] = self.beyond
+        before = np.where(before > -_EMPTY - 1, before - tolerance, before)
+        after = np.where(self.least < _EMPTY, self.least + tolerance, self.least)
+        return SideImages.flat(self.least, self.greatest, before, after)
+
+
+@dataclass(frozen=True, eq=False)
+class SideImages:
+    """Depths of one of two mated groups along the axes of the waiting point."""
+
+    least: Int16[np.ndarray, "k 3 p"]
+    greatest: Int16[np.ndarray, "k 3 p"]
+    before: Int16[np.ndarray, "k 3 p"]
+    """Depth that decides whether the waiting group is in front: the greatest of that group, the least of the other."""
+    after: Int16[np.ndarray, "k 3 p"]
+    """The same for the opposite direction: the least of the waiting group, the greatest of the other."""
+
+    @staticmethod
+    def flat(*images: Int16[np.ndarray, "k 3 s s"]) -> SideImages:
+        """Return images with all pixels in one row."""
+        return SideImages(*(image.reshape(len(image), 3, -1) for image in images))
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,22 +215,22 @@ def exit_counts(moving: PointImages, waiting: PointImages) -> UInt8[np.ndarray, 
         waiting: images of the waiting group.
     """
     out = np.zeros((len(moving.fine.least), len(waiting.fine.least), EXIT_COUNTS), np.uint8)
-    seen = _Seen.of(FINE, moving.fine, waiting.fine)
+    one, other = moving.fine.from_mate, waiting.fine.waiting
     rows = np.arange(FINE.pixels**2) % FINE.pixels >= FINE.pixels // 2
-    moves, waits = seen.least < _EMPTY, seen.low < _EMPTY
+    moves, waits = _there(one, other)
     engaged = np.where(rows, waits, moves)
     engaged[:, :, 2] = (moves & waits)[:, :, 2]
-    overlap = np.minimum(seen.greatest, seen.high).astype(np.int32) - np.maximum(seen.least, seen.low)
-    gap = np.abs(seen.least[:, :, 2].astype(np.int32) - seen.high[:, :, 2])
-    out[..., :6] = _counts(seen.blocked(FINE)).reshape(*out.shape[:2], 6)
+    overlap = np.minimum(one.greatest[:, None], other.greatest).astype(np.int32)
+    overlap -= np.maximum(one.least[:, None], other.least)
+    gap = np.abs(one.least[:, None, 2].astype(np.int32) - other.greatest[:, 2])
+    out[..., :6] = _counts(_blocked(one, other)).reshape(*out.shape[:2], 6)
     out[..., 6:9] = _counts(engaged)
     out[..., 9:12] = _counts(overlap > _OVERLAP / _UNIT)
     out[..., 12] = _counts(gap <= _TOUCHING / _UNIT)
-    first, second = (
-        _Seen.of(COARSE, *images) for images in ((moving.coarse, waiting.far), (moving.far, waiting.coarse))
-    )
-    out[..., 13:19] = _counts(first.blocked(COARSE) | second.blocked(COARSE)).reshape(*out.shape[:2], 6)
-    shared = [(seen.least < _EMPTY) & (seen.low < _EMPTY) for seen in (first, second)]
+    coarse = [(u.from_mate, v.waiting) for u, v in ((moving.coarse, waiting.far), (moving.far, waiting.coarse))]
+    first, second = (_blocked(*images) for images in coarse)
+    out[..., 13:19] = _counts(first | second).reshape(*out.shape[:2], 6)
+    shared = [np.logical_and(*_there(*images)) for images in coarse]
     out[..., 19:22] = _counts(shared[0] | shared[1])
     return out
 
@@ -208,30 +240,13 @@ def _counts(pixels: Bool[np.ndarray, "*n p"]) -> UInt8[np.ndarray, "*n"]:
     return np.minimum(pixels.sum(axis=-1), 255).astype(np.uint8)
 
 
-@dataclass(frozen=True, eq=False)
-class _Seen:
-    """Images of k moving and l waiting points, over each other; along the axes of the waiting point."""
+def _blocked(moving: SideImages, waiting: SideImages) -> Bool[np.ndarray, "k l 3 2 p"]:
+    """Return in which pixels the waiting group is in front of the moving one, along each axis and against it."""
+    ahead = waiting.before[None] > moving.before[:, None]
+    behind = waiting.after[None] < moving.after[:, None]
+    return np.stack([ahead, behind], axis=3)
 
-    least: Int16[np.ndarray, "k 1 3 p"]
-    greatest: Int16[np.ndarray, "k 1 3 p"]
-    core: Int16[np.ndarray, "k 1 p"]
-    low: Int16[np.ndarray, "1 l 3 p"]
-    high: Int16[np.ndarray, "1 l 3 p"]
-    beyond: Int16[np.ndarray, "1 l p"]
 
-    @staticmethod
-    def of(scale: ImageScale, moving: DepthImages, waiting: DepthImages) -> _Seen:
-        """Lay images over each other."""
-        least, greatest, core = moving.from_mate()
-        l, p = len(waiting.least), scale.pixels**2  # noqa: E741
-        still = waiting.least.reshape(1, l, 3, p), waiting.greatest.reshape(1, l, 3, p), waiting.beyond.reshape(1, l, p)
-        return _Seen(least[:, None], greatest[:, None], core[:, None], *still)
-
-    def blocked(self, scale: ImageScale) -> Bool[np.ndarray, "k l 3 2 p"]:
-        """Return in which pixels the waiting group is in front of the moving one, along each axis and against it."""
-        in_front, against = self.high.copy(), self.least.copy()
-        in_front[:, :, 2], against[:, :, 2] = self.beyond, self.core
-        tolerance = np.int16(scale.tolerance / _UNIT)
-        ahead = np.where(in_front > -_EMPTY - 1, in_front - tolerance, in_front) > against
-        behind = np.where(self.low < _EMPTY, self.low + tolerance, self.low) < self.greatest
-        return np.stack([ahead, behind], axis=3)
+def _there(moving: SideImages, waiting: SideImages) -> tuple[Bool[np.ndarray, "k 1 3 p"], Bool[np.ndarray, "1 l 3 p"]]:
+    """Return in which pixels each of the two groups has a surface."""
+    return moving.least[:, None] < _EMPTY, waiting.least[None] < _EMPTY

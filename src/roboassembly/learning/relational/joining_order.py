@@ -106,11 +106,12 @@ class JoiningOrder:
         """Yield the sets of units that can leave the others, each set and the others in one piece."""
         everything = sum(units)
         ordered = sorted(units)
+        unit_of = {1 << g: unit for unit in ordered for g in range(unit.bit_length()) if unit >> g & 1}
         given: set[int] = set()
         for arcs in self.arcs:
             in_way = {unit: _union(arcs, unit) & everything & ~unit for unit in ordered}
             for start in ordered:
-                closed = _closure(start, in_way)
+                closed = _closure(start, in_way, unit_of)
                 if closed != everything and closed not in given:
                     given.update((closed, everything & ~closed))
                     if self._whole(closed) and self._whole(everything & ~closed):
@@ -162,13 +163,20 @@ def _union(masks: list[int], members: int) -> int:
     return out
 
 
-def _closure(start: int, in_way: dict[int, int]) -> int:
-    """Return the groups of a unit and of all units in its way."""
-    closed, changed = start, True
-    while changed:
-        changed = False
-        for unit, blockers in in_way.items():
-            if unit & closed and (unit | blockers) & ~closed:
-                closed |= unit | blockers
-                changed = True
+def _closure(start: int, in_way: dict[int, int], unit_of: dict[int, int]) -> int:
+    """Return the groups of a unit and of all units in its way.
+
+    Args:
+        start: the unit.
+        in_way: groups in the way of each unit.
+        unit_of: unit of each group, by the group's bit.
+    """
+    closed, pending = start, [start]
+    while pending:
+        fresh = in_way[pending.pop()] & ~closed
+        while fresh:
+            unit = unit_of[fresh & -fresh]
+            closed |= unit
+            fresh &= ~unit
+            pending.append(unit)
     return closed

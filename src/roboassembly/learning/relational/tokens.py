@@ -306,18 +306,21 @@ def _pair_arrays(
 def _fit_array(view: PolicyView, p: GroupedPoints, cache: TokenCache) -> Int8[np.ndarray, "n n 23"]:
     """`Tokens.fit`; 0 within a group."""
     out = np.zeros((len(p.part), len(p.part), FIT_FEATURES), np.int8)
-    joints: list[tuple[bytes, PartJoints, Int[np.ndarray, "_"], int]] = []
-    of_points: list[int] = p.part.tolist()
-    for part in dict.fromkeys(of_points):
+    # Part by part; slices are quicker than lists of numbers.
+    order = np.argsort(p.part, kind="stable")
+    parts, starts = np.unique(p.part[order], return_index=True)
+    joints: list[tuple[bytes, PartJoints, slice, np.ndarray, int]] = []
+    for part, begin, end in zip(parts.tolist(), starts.tolist(), [*starts[1:].tolist(), len(order)], strict=True):
         key = view.digests[part] + view.points[part].tobytes() + b"joints"
-        rows = np.flatnonzero(p.part == part)
-        joints.append((key, cache.get(key, partial(_measured_joints, view, part)), rows, int(p.group[rows[0]])))
-    for (key, a, rows, group), (other_key, b, columns, other_group) in combinations(joints, 2):
+        rows = order[begin:end]
+        measured = cache.get(key, partial(_measured_joints, view, part))
+        joints.append((key, measured, slice(begin, end), p.point[rows], int(p.group[rows[0]])))
+    for (key, a, here, k, group), (other_key, b, there, l, other_group) in combinations(joints, 2):  # noqa: E741
         if group != other_group:
             moving, waiting = cache.get(key + other_key, partial(_both_fits, a, b))
-            k, l = p.point[rows], p.point[columns]  # noqa: E741
-            out[np.ix_(rows, columns)], out[np.ix_(columns, rows)] = moving[np.ix_(k, l)], waiting[np.ix_(l, k)]
-    return out
+            out[here, there], out[there, here] = moving[k][:, l], waiting[l][:, k]
+    place = np.argsort(order)
+    return out[place][:, place]
 
 
 def _measured_joints(view: PolicyView, part: int) -> PartJoints:
