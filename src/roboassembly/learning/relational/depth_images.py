@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Bool, Float, Int16, UInt8
+from jaxtyping import Bool, Float, Int16, Int64, UInt8
 from scipy.ndimage import minimum_filter
 
 EXIT_COUNTS = 22
@@ -77,53 +77,6 @@ class DepthImages:
     core: Int16[np.ndarray, "k s s"]
     """Least of `greatest` along z in each pixel and those around it: a pixel at the rim of a pocket shows its floor."""
 
-    @staticmethod
-    def of_cloud(
-        scale: ImageScale, cloud: Float[np.ndarray, "c 3"], position: Float[np.ndarray, "k 3"],
-        frame: Float[np.ndarray, "k 3 3"], *, far: bool = False,
-    ) -> DepthImages:  # fmt: skip
-        """Take the images of a group.
-
-        Args:
-            scale: size of the images.
-            cloud: points of the group's surface [m].
-            position: position of each point [m].
-            frame: `group_from_point` of each point.
-            far: whether coarse images leave out what the fine ones show.
-        """
-        k, s = len(position), scale.pixels
-        local = (cloud[None] - position[:, None]) @ frame
-        pixel = np.floor(local / scale.step).astype(np.int64) + s // 2
-        depth = np.clip(np.rint(local / _UNIT), -_LARGEST / _UNIT, _LARGEST / _UNIT).astype(np.int16)
-        inside = (pixel >= 0) & (pixel < s)
-        off_plane = np.abs(local[..., 2]) > _PLANE
-        around = (np.abs(local) < FINE.reach).all(axis=2, keepdims=True)
-        if scale is FINE:
-            inside &= around
-        elif far:
-            inside &= ~around
-        least, greatest = np.full((3, k * s * s), _EMPTY, np.int16), np.full((3, k * s * s), -_EMPTY - 1, np.int16)
-        base = np.arange(k)[:, None] * s * s
-        for axis, (row, column) in enumerate(((1, 2), (0, 2), (0, 1))):
-            seen = inside[..., row] & inside[..., column]
-            if axis < 2:
-                seen &= off_plane
-            at = (base + pixel[..., row] * s + pixel[..., column])[seen]
-            values = depth[..., axis][seen]
-            np.minimum.at(least[axis], at, values)
-            np.maximum.at(greatest[axis], at, values)
-        seen = inside[..., 0] & inside[..., 1]
-        if scale is FINE:
-            seen &= local[..., 2] > _PLANE
-        beyond = np.full(k * s * s, -_EMPTY - 1, np.int16)
-        np.maximum.at(beyond, (base + pixel[..., 0] * s + pixel[..., 1])[seen], depth[..., 2][seen])
-        shape = (3, k, s, s)
-        core = minimum_filter(greatest[2].reshape(k, s, s), (1, 3, 3)) if k else np.zeros((0, s, s), np.int16)
-        return DepthImages(
-            scale, least.reshape(shape).swapaxes(0, 1), greatest.reshape(shape).swapaxes(0, 1), beyond.reshape(k, s, s),
-            core,
-        )  # fmt: skip
-
     @cached_property
     def from_mate(self) -> SideImages:
         """Images as the frame of a mate sees them from the other side: y and z are opposite."""
@@ -146,6 +99,70 @@ class DepthImages:
         before = np.where(before > -_EMPTY - 1, before - tolerance, before)
         after = np.where(self.least < _EMPTY, self.least + tolerance, self.least)
         return SideImages.flat(self.least, self.greatest, before, after)
+
+
+@dataclass(frozen=True, eq=False)
+class _SeenCloud:
+    """Points of a group's surface in the frames of k points, and the pixels that they are in."""
+
+    scale: ImageScale
+    local: Float[np.ndarray, "k c 3"]
+    """Positions in the frame of each point [m]."""
+    pixel: Int64[np.ndarray, "k c 3"]
+    """Number of the pixel along each axis."""
+    depth: Int16[np.ndarray, "k c 3"]
+    """Depth along each axis [0.1 mm]."""
+    around: Bool[np.ndarray, "k c 1"]
+    """Whether fine images show it."""
+
+    @staticmethod
+    def of(
+        scale: ImageScale,
+        cloud: Float[np.ndarray, "c 3"],
+        position: Float[np.ndarray, "k 3"],
+        frame: Float[np.ndarray, "k 3 3"],
+    ) -> _SeenCloud:
+        """Place the points.
+
+        Args:
+            scale: size of the images.
+            cloud: points of the group's surface [m].
+            position: position of each point [m].
+            frame: `group_from_point` of each point.
+        """
+        local = (cloud[None] - position[:, None]) @ frame
+        pixel = np.floor(local / scale.step).astype(np.int64) + scale.pixels // 2
+        depth = np.clip(np.rint(local / _UNIT), -_LARGEST / _UNIT, _LARGEST / _UNIT).astype(np.int16)
+        around = np.all(np.abs(local) < FINE.reach, axis=2, keepdims=True)
+        return _SeenCloud(scale, local, pixel, depth, around)
+
+    def images(self, counted: Bool[np.ndarray, "k c 1"] | None = None) -> DepthImages:
+        """Take the images; of some of the points if it is given which."""
+        k, s = len(self.local), self.scale.pixels
+        pixel, depth, z = self.pixel, self.depth, self.local[..., 2]
+        inside = (pixel >= 0) & (pixel < s)
+        if counted is not None:
+            inside &= counted
+        off_plane = np.abs(z) > _PLANE
+        least, greatest = np.full((3, k * s * s), _EMPTY, np.int16), np.full((3, k * s * s), -_EMPTY - 1, np.int16)
+        base = np.arange(k)[:, None] * s * s
+        for axis, (row, column) in enumerate(((1, 2), (0, 2), (0, 1))):
+            seen = inside[..., row] & inside[..., column]
+            if axis < 2:
+                seen &= off_plane
+            at = (base + pixel[..., row] * s + pixel[..., column])[seen]
+            values = depth[..., axis][seen]
+            np.minimum.at(least[axis], at, values)
+            np.maximum.at(greatest[axis], at, values)
+        seen = inside[..., 0] & inside[..., 1]
+        if self.scale is FINE:
+            seen &= z > _PLANE
+        beyond = np.full(k * s * s, -_EMPTY - 1, np.int16)
+        np.maximum.at(beyond, (base + pixel[..., 0] * s + pixel[..., 1])[seen], depth[..., 2][seen])
+        shape = (3, k, s, s)
+        core = minimum_filter(greatest[2].reshape(k, s, s), (1, 3, 3)) if k else np.zeros((0, s, s), np.int16)
+        images = (least.reshape(shape).swapaxes(0, 1), greatest.reshape(shape).swapaxes(0, 1))
+        return DepthImages(self.scale, *images, beyond.reshape(k, s, s), core)
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,17 +196,21 @@ class PointImages:
     def of_cloud(
         cloud: Float[np.ndarray, "c 3"], position: Float[np.ndarray, "k 3"], frame: Float[np.ndarray, "k 3 3"]
     ) -> PointImages:
-        """Take the images of a group; see `DepthImages.of_cloud`."""
+        """Take the images of a group.
+
+        Args:
+            cloud: points of the group's surface [m].
+            position: position of each point [m].
+            frame: `group_from_point` of each point.
+        """
         thinned = cloud[:: -(-len(cloud) // _MOST_POINTS)]
         # Joints are looked at closely, so all points near any of them count.
         near = np.zeros(len(cloud), bool)
         for point in position:
             near |= (np.abs(cloud - point) < 1.75 * FINE.reach).all(axis=1)
-        return PointImages(
-            DepthImages.of_cloud(FINE, cloud[near], position, frame),
-            DepthImages.of_cloud(COARSE, thinned, position, frame),
-            DepthImages.of_cloud(COARSE, thinned, position, frame, far=True),
-        )
+        fine = _SeenCloud.of(FINE, cloud[near], position, frame)
+        coarse = _SeenCloud.of(COARSE, thinned, position, frame)
+        return PointImages(fine.images(fine.around), coarse.images(), coarse.images(~coarse.around))
 
 
 def exit_counts(moving: PointImages, waiting: PointImages) -> UInt8[np.ndarray, "k l 22"]:
@@ -215,15 +236,15 @@ def exit_counts(moving: PointImages, waiting: PointImages) -> UInt8[np.ndarray, 
         waiting: images of the waiting group.
     """
     out = np.zeros((len(moving.fine.least), len(waiting.fine.least), EXIT_COUNTS), np.uint8)
-    one, other = moving.fine.from_mate, waiting.fine.waiting
+    mated, still = moving.fine.from_mate, waiting.fine.waiting
     rows = np.arange(FINE.pixels**2) % FINE.pixels >= FINE.pixels // 2
-    moves, waits = _there(one, other)
+    moves, waits = _there(mated, still)
     engaged = np.where(rows, waits, moves)
     engaged[:, :, 2] = (moves & waits)[:, :, 2]
-    overlap = np.minimum(one.greatest[:, None], other.greatest).astype(np.int32)
-    overlap -= np.maximum(one.least[:, None], other.least)
-    gap = np.abs(one.least[:, None, 2].astype(np.int32) - other.greatest[:, 2])
-    out[..., :6] = _counts(_blocked(one, other)).reshape(*out.shape[:2], 6)
+    overlap = np.minimum(mated.greatest[:, None], still.greatest).astype(np.int32)
+    overlap -= np.maximum(mated.least[:, None], still.least)
+    gap = np.abs(mated.least[:, None, 2].astype(np.int32) - still.greatest[:, 2])
+    out[..., :6] = _counts(_blocked(mated, still)).reshape(*out.shape[:2], 6)
     out[..., 6:9] = _counts(engaged)
     out[..., 9:12] = _counts(overlap > _OVERLAP / _UNIT)
     out[..., 12] = _counts(gap <= _TOUCHING / _UNIT)

@@ -15,7 +15,7 @@ import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from itertools import combinations
+from itertools import combinations, pairwise
 from typing import Any, TypeVar
 
 import numpy as np
@@ -310,7 +310,9 @@ def _fit_array(view: PolicyView, p: GroupedPoints, cache: TokenCache) -> Int8[np
     order = np.argsort(p.part, kind="stable")
     parts, starts = np.unique(p.part[order], return_index=True)
     joints: list[tuple[bytes, PartJoints, slice, np.ndarray, int]] = []
-    for part, begin, end in zip(parts.tolist(), starts.tolist(), [*starts[1:].tolist(), len(order)], strict=True):
+    ends: list[int] = [*starts.tolist(), len(order)]
+    names: list[int] = parts.tolist()
+    for part, (begin, end) in zip(names, pairwise(ends), strict=True):
         key = view.digests[part] + view.points[part].tobytes() + b"joints"
         rows = order[begin:end]
         measured = cache.get(key, partial(_measured_joints, view, part))
