@@ -317,6 +317,7 @@ def test_an_expert_plays_with_robots() -> None:
     # What the two hands add is added up.
     joined, free = encode_state(task, task.initial_state(np.random.default_rng(0)).groups)
     q = expert.values(joined, free)
+    assert q.shape == (chair.points, chair.points, 64)
     u, v = np.argwhere(np.isfinite(q).all(axis=2))[0]
     grid = q[u, v].reshape(8, 8)
     np.testing.assert_allclose(grid - grid[:1] - grid[:, :1] + grid[0, 0], 0.0, atol=1e-5)

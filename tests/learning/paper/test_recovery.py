@@ -126,16 +126,6 @@ def test_a_failure_in_the_real_environment_starts_recovery_anew() -> None:
     assert agent.buffer.preferred[0] != action
 
 
-def _first_episode(agent: DQNAgent) -> list[tuple[int, Action]]:
-    """Return the numbers of the states and the actions of the preferred episode."""
-    buffer, at = agent.buffer, 0
-    out: list[tuple[int, Action]] = []
-    while len(buffer.states[at]) > 1:
-        out.append((at, buffer.preferred[at]))
-        at = buffer.merges[at][buffer.preferred[at]]
-    return out
-
-
 def _types(agent: DQNAgent, at: int, action: Action) -> tuple[int, int]:
     """Return the types of the two groups that an action joins."""
     env, state = agent.buffer.env, agent.buffer.states[at]
@@ -145,14 +135,14 @@ def _types(agent: DQNAgent, at: int, action: Action) -> tuple[int, int]:
 
 def test_a_failure_beside_the_first_episode_keeps_all_that_it_does_not_touch() -> None:
     agent = _recovered("cantilever", 1)
-    buffer, episode = agent.buffer, _first_episode(agent)
+    buffer, episode = agent.buffer, agent.buffer.preferred_episode()
     taken = {_types(agent, at, action) for at, action in episode}
     known = dict(buffer.preferred)
     at, action = next((at, action) for at, action in known.items() if _types(agent, at, action) not in taken)
     agent.mark_failed(buffer.states[at], action)
     assert agent.recovery_known
     assert agent.settled
-    assert _first_episode(agent) == episode
+    assert agent.buffer.preferred_episode() == episode
     assert at not in buffer.preferred
     untouched = {i: a for i, a in known.items() if buffer.finishes(buffer.states[i], a)}
     assert buffer.preferred == untouched
@@ -161,7 +151,7 @@ def test_a_failure_beside_the_first_episode_keeps_all_that_it_does_not_touch() -
 
 def test_a_third_of_the_updates_is_of_the_preferred_episode() -> None:
     agent = _recovered("cantilever", 1)
-    buffer, episode = agent.buffer, [at for at, _ in _first_episode(agent)]
+    buffer, episode = agent.buffer, [at for at, _ in agent.buffer.preferred_episode()]
     buffer.recent[:] = [next(i for i in range(len(buffer.states)) if i not in episode and buffer.merges[i])]
     batch = buffer.sample(np.random.default_rng(0), 60, 2)
     of_episode = [

@@ -15,7 +15,7 @@ import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from itertools import combinations, pairwise
+from itertools import combinations
 from typing import Any, TypeVar
 
 import numpy as np
@@ -290,39 +290,42 @@ def _pair_arrays(
     n = sum(map(len, rows))
     matches, bounds = np.zeros((n, n, 4), np.uint8), np.zeros((n, n, 6), np.float32)
     exits = np.zeros((n, n, EXIT_COUNTS), np.uint8)
-    # Group by group; slices are quicker than lists of numbers.
-    ends = np.cumsum([len(tokens) for tokens in rows]).tolist()
-    blocks = [slice(end - len(tokens), end) for end, tokens in zip(ends, rows, strict=True)]
+    blocks, place = _blocks(rows)
     for (first, here), (second, there) in combinations(zip(geometry, blocks, strict=True), 2):
         # In an order that does not depend on the state.
         (a, at), (b, on) = sorted([(first, here), (second, there)], key=lambda group: group[0].key)
         a_moves, b_moves = cache.get(a.key + b.key, partial(PairGeometry.both_ways, a, b))
         matches[at, on], bounds[at, on], exits[at, on] = a_moves.matches, a_moves.bounds, a_moves.exits
         matches[on, at], bounds[on, at], exits[on, at] = b_moves.matches, b_moves.bounds, b_moves.exits
-    place = np.argsort(np.concatenate([np.zeros(0, int), *rows]))
     return matches[place][:, place], bounds[place][:, place], exits[place][:, place]
 
 
 def _fit_array(view: PolicyView, p: GroupedPoints, cache: TokenCache) -> Int8[np.ndarray, "n n 23"]:
     """`Tokens.fit`; 0 within a group."""
     out = np.zeros((len(p.part), len(p.part), FIT_FEATURES), np.int8)
-    # Part by part; slices are quicker than lists of numbers.
-    order = np.argsort(p.part, kind="stable")
-    parts, starts = np.unique(p.part[order], return_index=True)
     joints: list[tuple[bytes, PartJoints, slice, np.ndarray, int]] = []
-    ends: list[int] = [*starts.tolist(), len(order)]
-    names: list[int] = parts.tolist()
-    for part, (begin, end) in zip(names, pairwise(ends), strict=True):
+    names: list[int] = np.unique(p.part).tolist()
+    rows = [np.flatnonzero(p.part == part) for part in names]
+    blocks, place = _blocks(rows)
+    for part, block, points in zip(names, blocks, rows, strict=True):
         key = view.digests[part] + view.points[part].tobytes() + b"joints"
-        rows = order[begin:end]
         measured = cache.get(key, partial(_measured_joints, view, part))
-        joints.append((key, measured, slice(begin, end), p.point[rows], int(p.group[rows[0]])))
+        joints.append((key, measured, block, p.point[points], int(p.group[points[0]])))
     for (key, a, here, k, group), (other_key, b, there, l, other_group) in combinations(joints, 2):  # noqa: E741
         if group != other_group:
             moving, waiting = cache.get(key + other_key, partial(_both_fits, a, b))
             out[here, there], out[there, here] = moving[k][:, l], waiting[l][:, k]
-    place = np.argsort(order)
     return out[place][:, place]
+
+
+def _blocks(rows: Sequence[Int[np.ndarray, "_"]]) -> tuple[list[slice], Int[np.ndarray, "n"]]:
+    """Return slices for blocks of rows one after another, and the index that puts the rows in their own order.
+
+    Slices are quicker than lists of numbers.
+    """
+    ends = np.cumsum([len(block) for block in rows]).tolist()
+    blocks = [slice(end - len(block), end) for end, block in zip(ends, rows, strict=True)]
+    return blocks, np.argsort(np.concatenate([np.zeros(0, int), *rows]))
 
 
 def _measured_joints(view: PolicyView, part: int) -> PartJoints:

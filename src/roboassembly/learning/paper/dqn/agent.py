@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Bool, Float32
 
 from roboassembly.learning.layers import Params
-from roboassembly.learning.paper.dqn.exploration import Pair, PlanExplorer
+from roboassembly.learning.paper.dqn.exploration import PlanExplorer, pair_of
 from roboassembly.learning.paper.dqn.memoized_env import Action, State
 from roboassembly.learning.paper.dqn.network import first_best
 from roboassembly.learning.paper.dqn.recovery import RecoveryExplorer
@@ -198,7 +198,7 @@ class DQNAgent:
             after = env.step(buffer.states[at], action)
             self.steps += 1
             if after is None:
-                self._explorer.start_from([_unordered(merge) for merge in actions])
+                self._explorer.start_from([pair_of(merge) for merge in actions])
                 break
             follower = buffer.add(after)
             buffer.add_merge(at, action, follower)
@@ -261,7 +261,7 @@ class DQNAgent:
         self.buffer.drop(self.buffer.env.mark_failed(state, action))
         self._recovers = self.mastered = False
         if episode and not self.finished_once:
-            self._explorer.start_from([_unordered(merge) for _, merge in episode])
+            self._explorer.start_from([pair_of(merge) for _, merge in episode])
         if not self._recovery.still_works:
             self._tie_breaker.restart()
             self._recovery.reset()
@@ -305,11 +305,6 @@ class DQNAgent:
         self._recovery.restore(arrays["recovery"])
         self.depths = [(step, depth) for step, depth in arrays["depths"].tolist()]
         self.rng.bit_generator.state = json.loads(arrays["generator"].tobytes())
-
-
-def _unordered(action: Action) -> Pair:
-    """Return the points of an action, the lower number first."""
-    return min(action[:2]), max(action[:2])
 
 
 def _unravel(flat: int, shape: tuple[int, ...]) -> Action:

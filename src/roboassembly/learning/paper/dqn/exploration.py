@@ -60,6 +60,11 @@ _CAUTION = (0.0, 2.0, 5.0, 10.0)
 """Weights against joining parts after which others were left over in earlier episodes; drawn for each plan."""
 
 
+def pair_of(action: Action) -> Pair:
+    """Return the points of an action, the lower number first."""
+    return min(action[:2]), max(action[:2])
+
+
 class PlanExplorer:
     """Improves one plan by small changes."""
 
@@ -241,7 +246,7 @@ class PlanExplorer:
         groups = self.env.members(state)
         u_group, v_group = (next(g for g in groups if self.env.part[row] in g) for row in action[:2])
         self._merges.append((u_group, v_group))
-        self._done.append((min(action[:2]), max(action[:2])))
+        self._done.append(pair_of(action))
         self._last = None
 
     def end_episode(self, state: State, stuck: bool) -> None:

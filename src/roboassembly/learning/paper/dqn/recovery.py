@@ -80,12 +80,7 @@ class RecoveryExplorer:
     @property
     def still_works(self) -> bool:
         """Whether recoveries are learnt, and no action of the first episode has failed since."""
-        at, merges = 0, self._buffer.merges
-        for action in self._order:
-            if action not in merges[at]:
-                return False
-            at = merges[at][action]
-        return self.active
+        return self.active and [action for _, action in self._buffer.preferred_episode()] == self._order
 
     def done(self, count: int) -> bool:
         """Return whether so many recoveries are known, or were sought for long enough."""

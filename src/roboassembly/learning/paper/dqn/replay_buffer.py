@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from bisect import insort
+from collections.abc import Callable
 
 import numpy as np
 from jaxtyping import Bool, Float32
@@ -108,27 +109,23 @@ class ReplayBuffer:
         """Return the states of the best episode so far, except the last."""
         return [at for at, _ in self._best_merges()]
 
-    def _preferred_path(self) -> list[int]:
-        """Return the states of the episode of preferred actions, except the last."""
-        out: list[int] = []
-        at = 0
-        while at in self.preferred:
-            out.append(at)
-            at = self.merges[at][self.preferred[at]]
-        return out
-
     def best_pairs(self) -> list[tuple[int, int]]:
         """Return the pairs of points that the best episode so far joins, in their order."""
         return [(row, column) for _, (row, column, _) in self._best_merges()]
 
     def _best_merges(self) -> list[tuple[int, Action]]:
         """Return the states and actions of the best episode so far."""
+        return self._episode(
+            lambda at: max(self.merges[at], key=lambda action: self.reached(self.merges[at][action]), default=None)
+        )
+
+    def _episode(self, choose: Callable[[int], Action | None]) -> list[tuple[int, Action]]:
+        """Return the states and actions of the episode of known merges that someone chooses, as far as there is one."""
         out: list[tuple[int, Action]] = []
         at = 0
-        while self.merges[at]:
-            action, follower = max(self.merges[at].items(), key=lambda merge: self.reached(merge[1]))
+        while (action := choose(at)) is not None:
             out.append((at, action))
-            at = follower
+            at = self.merges[at][action]
         return out
 
     def finishes(self, state: State, action: Action) -> bool:
@@ -144,12 +141,11 @@ class ReplayBuffer:
 
     def first_episode(self) -> list[tuple[int, Action]]:
         """Return the states and actions of the first episode, in number order, that finishes the chair, if any does."""
-        at = 0
-        out: list[tuple[int, Action]] = []
-        while (action := self.finishing_action(self.states[at])) is not None:
-            out.append((at, action))
-            at = self.merges[at][action]
-        return out
+        return self._episode(lambda at: self.finishing_action(self.states[at]))
+
+    def preferred_episode(self) -> list[tuple[int, Action]]:
+        """Return the states and actions of the episode of preferred actions; empty before they are known."""
+        return self._episode(self.preferred.get)
 
     def _finishes(self, before: int, after: int) -> bool:
         """Return whether a merge has led to the whole chair."""
@@ -168,7 +164,7 @@ class ReplayBuffer:
         """
         third = batch // 3
         left = list(self.preferred) or self._left or [0]
-        path = self._preferred_path() or self.best_path() or [0]
+        path = [at for at, _ in self.preferred_episode()] or self.best_path() or [0]
         chosen = np.concatenate(
             [rng.choice(self.recent[-RECENT:], third), rng.choice(path, third), rng.choice(left, batch - 2 * third)]
         )
