@@ -313,6 +313,23 @@ def test_slightly_tilted_peg_and_hole() -> None:
     assert mating(scene, tilted * IN_SOCKET, Budget(states=0), retreats=(tilted.rotation[:, 2], *AXES)).solved
 
 
+def test_a_rail_rises_along_slanted_walls() -> None:
+    """A low partner, and slanted walls of 0.3 m on both sides: the rail rises along the slant only."""
+    tilted = pose(0, 0, 0.05, shapes.turn(Y, 0.06))
+    walls = [
+        still(f"wall{side}", shapes.brick(0.02, 0.2, 0.3), tilted * pose(0.0605 * side, 0, 0.15)) for side in (1, -1)
+    ]
+    partner = still("partner", shapes.brick(0.09, 0.1, 0.01), tilted * pose(0, 0, 0.005))
+    scene = Scene((partner, *walls, mover(shapes.brick(0.1, 0.1, 0.04), pose(0.6, 0, 0.05))))
+    axis = tilted.rotation[:, 2]
+    result = mating(scene, tilted * pose(0, 0, 0.0305), Budget(states=0), retreats=(axis, *AXES))
+    assert result.solved
+    assert result.planner == "retreat"
+    step = result.path[-2].translation - result.path[-1].translation
+    assert step @ axis > 0.999 * np.linalg.norm(step)
+    assert np.linalg.norm(step) > 0.25
+
+
 def test_goal_in_collision() -> None:
     scene = Scene((still("partner", socket()), mover(shapes.brick(*PEG), pose(0.5, 0, 0.15))))
     result = mating(scene, pose(0.01, 0, 0.1505))

@@ -15,8 +15,16 @@ from roboassembly.planning.problem import Budget
 from roboassembly.task.layout import GROUND_CLEARANCE
 from roboassembly.task.object_centric.task import ObjectCentricOutcome, ObjectCentricTask, ObjectCentricVerdict
 from roboassembly.task.plans.plan import SETTLING_INTERVAL
-from roboassembly.task.rules.connections import UP_AXES
-from roboassembly.task.rules.groups import Group, TaskState, body, center_of_mass, group_footprint, hull_points
+from roboassembly.task.rules.connections import UP_AXES, lifted_directions
+from roboassembly.task.rules.groups import (
+    Group,
+    TaskState,
+    body,
+    center_of_mass,
+    group_footprint,
+    group_in_place,
+    hull_points,
+)
 from shapes import Checker, pose, turn
 
 UP, DOWN = 0, 1
@@ -328,3 +336,29 @@ def test_the_nearest_free_place(table: Furniture) -> None:
 
 def test_long_axis(table: Furniture) -> None:
     assert abs(table.parts[1].mesh.long_axis @ table.assembled[1].rotation.T @ [0, 0, 1]) == pytest.approx(1, abs=1e-6)
+
+
+def test_what_slides_along_contacts_may_be_lifted_off_them() -> None:
+    x, y, z = np.eye(3)
+    flat = np.array(lifted_directions(x, np.array([z, z])))
+    np.testing.assert_allclose(flat[:, 2] / flat[:, 0], [0.03, 0.06])
+    np.testing.assert_allclose(np.linalg.norm(flat, axis=1), 1.0)
+    assert not flat[:, 1].any()
+    # In a corner it leaves both faces; in a groove, against a stop and straight off a face there is nothing to lift.
+    corner = np.array(lifted_directions(x, np.array([y, z])))
+    np.testing.assert_allclose(corner[:, 1], corner[:, 2])
+    assert (corner[:, 1] > 0).all()
+    assert lifted_directions(x, np.array([z, -z])) == []
+    assert lifted_directions(x, np.array([z, -x])) == []
+    assert lifted_directions(z, np.array([z])) == []
+
+
+def test_retreats_of_a_leg_lead_off_the_seat(table: Furniture) -> None:
+    task = ObjectCentricTask(table)
+    seat, leg, both = (group_in_place(table, parts) for parts in ({0}, {1}, {0, 1}))
+    directions = np.array(task.rules.retreats(leg, seat, both, np.eye(3)))
+    np.testing.assert_allclose(np.linalg.norm(directions, axis=1), 1.0)
+    # The leg hangs from the seat: it leaves downward, to the sides, and to the sides while it sinks.
+    sides = directions[np.abs(directions[:, 2]) < 0.1]
+    sinks = (-sides[:, 2] / np.linalg.norm(sides[:, :2], axis=1)).round(6)
+    assert set(sinks.tolist()) == {0.0, 0.03, 0.06}

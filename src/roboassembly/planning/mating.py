@@ -26,6 +26,8 @@ SKY_CLEARANCE = 0.01
 """Distance between the highest still point and the lowest moving one while the body crosses [m]."""
 _PARTIAL_RETREATS = (0.04, 0.12, 0.3)
 """Lengths of a first retreat before a second one, when the body cannot rise directly after leaving the joint [m]."""
+_STEEP = 0.5
+"""Sine of the elevation from which on a retreat may lead straight above all obstacles."""
 _PROBE = 0.004
 """Smallest motion that counts as leaving the mating pose [m]."""
 _WIGGLES = 60
@@ -122,6 +124,11 @@ def _rise(
         top = _at_sky(outside, sky)
         if world.edge_is_free(aside, outside) and world.edge_is_free(outside, top):
             return [pose, aside, outside, top]
+        # Beside a slanted part, a body rises along the slant only.
+        if d[2] > _STEEP:
+            top = shifted(pose, (sky - pose.translation[2]) / d[2] * d)
+            if world.edge_is_free(aside, top):
+                return [pose, top]
         blocked.append((d, distance))
     for d, reached in blocked:
         for part in (*(p for p in _PARTIAL_RETREATS if p < reached), reached):

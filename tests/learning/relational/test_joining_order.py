@@ -80,12 +80,17 @@ def test_the_exit_with_the_fewest_blocked_pixels_opens_what_is_locked() -> None:
     # Two groups that block each other along both directions.
     locked = JoiningOrder([[0b10, 0b01], [0b10, 0b01]], [0b10, 0b01])
     assert not locked.whole_is_solvable()
-    opened = locked.with_one_exit({(0, 0, 1): 0.6, (1, 1, 0): 0.3, (1, 0, 1): 0.7})
+    opened = locked.with_likely_exits({(0, 0, 1): 0.6, (1, 1, 0): 0.3, (1, 0, 1): 0.7})
     assert opened.arcs == [[0b10, 0b01], [0b10, 0b00]]
     assert opened.whole_is_solvable()
     assert locked.arcs == [[0b10, 0b01], [0b10, 0b01]]
 
 
-def test_exits_that_are_surely_blocked_stay_so() -> None:
-    locked = JoiningOrder([[0b10, 0b01]], [0b10, 0b01])
-    assert locked.with_one_exit({(0, 0, 1): 0.9, (0, 1, 0): 1.0}) is locked
+def test_where_no_exit_is_likely_the_likeliest_that_are_needed_open() -> None:
+    """Three groups in a row, all locked: an exit at either joint is needed, and no more than these open."""
+    locked = JoiningOrder([[0b010, 0b101, 0b010]], [0b010, 0b101, 0b010])
+    shares = {(0, 0, 1): 0.85, (0, 1, 0): 0.9, (0, 1, 2): 1.0, (0, 2, 1): 0.95}
+    opened = locked.with_likely_exits(shares)
+    assert opened.whole_is_solvable()
+    assert opened.arcs == [[0b000, 0b100, 0b000]]
+    assert locked.arcs == [[0b010, 0b101, 0b010]]

@@ -5,13 +5,17 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from roboassembly.learning.relational.layout_search import Layout, LayoutProblem, find_layout
+from roboassembly.learning.relational.layout_search import BEAM_WIDTH, Layout, LayoutProblem, find_layouts
 
 _UP = np.eye(3)
 _DOWN = np.diag([1.0, -1.0, -1.0])
 SURE, UNLIKELY = 0.01, 5.0
 KNOB_PLACE, KNOB = 2, 9
 """Numbers of the post's point for the knob and of the knob's point."""
+
+
+def best_layout(problem: LayoutProblem, width: int = BEAM_WIDTH) -> Layout:
+    return find_layouts(problem, width)[0]
 
 
 def frames_problem() -> LayoutProblem:
@@ -47,8 +51,7 @@ def _turn(normal: list[float]) -> Float[np.ndarray, "3 3"]:
 def test_a_pair_that_looks_best_is_left_if_it_leaves_other_points_alone() -> None:
     problem = frames_problem()
     assert problem.cost[KNOB].argmin() == 0
-    layout = find_layout(problem)
-    assert layout is not None
+    layout = best_layout(problem)
     assert layout.alone == 0
     assert (KNOB_PLACE, KNOB) in layout.placed_by
     # Both rails reach from the first post to the second.
@@ -61,8 +64,7 @@ def test_a_pair_that_looks_best_is_left_if_it_leaves_other_points_alone() -> Non
 
 def test_mates_of_a_layout_meet() -> None:
     problem = frames_problem()
-    layout = find_layout(problem)
-    assert layout is not None
+    layout = best_layout(problem)
     for k, l in layout.mates:  # noqa: E741
         at = [
             layout.rotation[problem.group[i]] @ problem.position[i] + layout.translation[problem.group[i]]
@@ -85,21 +87,40 @@ def legs_problem(legs: int, places: int, apart: float = 0.1) -> LayoutProblem:
 
 def test_equal_legs_are_tried_once() -> None:
     """Four equal legs have 24 layouts that are alike; the first one is found without a detour."""
-    layout = find_layout(legs_problem(4, 4), max_states=5)
-    assert layout is not None
+    layout = best_layout(legs_problem(4, 4), width=1)
     assert sorted(layout.mates) == [(i, i + 4) for i in range(4)]
     assert (layout.alone, layout.placed_by) == (0, frozenset((i, i + 4) for i in range(4)))
     np.testing.assert_allclose(layout.cost, 4 * SURE)
 
 
 def test_no_layout_leaves_many_points_alone() -> None:
-    assert find_layout(legs_problem(2, 9)) is None
+    """Seven of eleven points have no mate."""
+    assert find_layouts(legs_problem(2, 9)) == []
+
+
+def test_points_may_be_left_alone_if_the_mates_are_beyond_doubt() -> None:
+    """Three legs fit a top with four places; which place stays empty is open."""
+    layouts = find_layouts(legs_problem(3, 4))
+    assert {layout.alone for layout in layouts} == {1}
+    assert len({frozenset(k for k, _ in layout.mates) for layout in layouts}) == len(layouts) == 4
+    doubtful = legs_problem(3, 4)
+    doubtful.cost[np.isfinite(doubtful.cost)] = 1.1
+    assert find_layouts(doubtful) == []
+
+
+def test_layouts_of_nearly_equal_cost_are_all_returned() -> None:
+    """A leg fits either of two places; one that costs much more is not worth a layout."""
+    for more, count in ((0.3, 2), (0.7, 1)):
+        problem = legs_problem(1, 2)
+        problem.cost[1, 2] = problem.cost[2, 1] = SURE + more
+        layouts = find_layouts(problem)
+        assert [layout.mates for layout in layouts] == [((0, 2),), ((1, 2),)][:count]
+        np.testing.assert_allclose([layout.doubt for layout in layouts], [SURE, SURE + more][:count])
 
 
 def test_two_places_may_lie_closer_together_than_points_that_meet() -> None:
     """Each of two legs meets both places 3 mm apart, and mates with its own."""
-    layout = find_layout(legs_problem(2, 2, apart=0.003))
-    assert layout is not None
+    layout = best_layout(legs_problem(2, 2, apart=0.003))
     assert sorted(layout.mates) == [(0, 2), (1, 3)]
     assert layout.alone == 0
 
@@ -114,12 +135,11 @@ def test_points_left_alone_count_in_a_complete_layout() -> None:
     cost[np.arange(1, teeth), teeth + np.arange(1, teeth)] = 0.1
     cost[np.arange(1, teeth), teeth + np.arange(teeth - 1)] = SURE
     cost = np.minimum(cost, cost.T)
-    layout = find_layout(LayoutProblem(np.repeat([0, 1], teeth), np.tile(line, (2, 1)), frame, cost, (0, 1)))
-    assert layout is not None
+    layout = best_layout(LayoutProblem(np.repeat([0, 1], teeth), np.tile(line, (2, 1)), frame, cost, (0, 1)))
     assert sorted(layout.mates) == [(i, i + teeth) for i in range(teeth)]
 
 
 def test_the_same_problem_has_the_same_layout() -> None:
-    first, second = find_layout(frames_problem()), find_layout(frames_problem())
-    assert isinstance(first, Layout)
-    assert first.mates == second.mates
+    first, second = find_layouts(frames_problem()), find_layouts(frames_problem())
+    assert first
+    assert [layout.mates for layout in first] == [layout.mates for layout in second]

@@ -22,7 +22,7 @@ from roboassembly.learning.registry import load_policy
 from roboassembly.learning.relational import network as relational
 from roboassembly.learning.relational import policy as policies
 from roboassembly.learning.relational.grasps import network as grasping
-from roboassembly.learning.relational.layout_search import Layout, LayoutProblem, find_layout
+from roboassembly.learning.relational.layout_search import Layout, LayoutProblem, find_layouts
 from roboassembly.learning.relational.policy import RelationalPolicy, _Sequence
 from roboassembly.learning.relational.policy_view import PolicyView
 from roboassembly.learning.relational.tokens import GroupedPoints, TokenCache, tokens_of
@@ -57,7 +57,7 @@ def test_values_are_those_of_the_network_at_the_right_places(
     params: Params, first_state: tuple[dict[str, np.ndarray], np.ndarray]
 ) -> None:
     observation, mask = first_state
-    policy = RelationalPolicy(params, layout_states=0)
+    policy = RelationalPolicy(params, layout_width=0)
     values = policy.values(observation, mask)
     assert values.dtype == np.float32
     np.testing.assert_array_equal(np.isfinite(values), mask)
@@ -86,29 +86,29 @@ def test_choices_are_mates_of_the_layout(
     policy = load_policy("relational")
     assert isinstance(policy, RelationalPolicy)
     tokens = tokens_of(PolicyView.from_observation(observation, mask))
-    free = replace(policy, layout_states=0).values(observation, mask)
-    found: list[Layout | None] = []
+    free = replace(policy, layout_width=0).values(observation, mask)
+    found: list[list[Layout]] = []
 
-    def find(problem: LayoutProblem, states: int) -> Layout | None:
-        found.append(find_layout(problem, states))
+    def find(problem: LayoutProblem, width: int) -> list[Layout]:
+        found.append(find_layouts(problem, width))
         return found[-1]
 
-    monkeypatch.setattr(policies, "find_layout", find)
+    monkeypatch.setattr(policies, "find_layouts", find)
     values = policy.values(observation, mask)
-    layout = found[0]
-    assert layout is not None
+    assert found[0]
+    placed_by = frozenset[tuple[int, int]]().union(*(layout.placed_by for layout in found[0]))
     inside = np.zeros((len(tokens.part), len(tokens.part)), bool)
-    for k, l in layout.placed_by:  # noqa: E741
+    for k, l in placed_by:  # noqa: E741
         inside[k, l] = inside[l, k] = True
     u, k = tokens.part[:, None], tokens.point[:, None]
     v, l = tokens.part[None], tokens.point[None]  # noqa: E741
     valid = tokens.group[:, None] != tokens.group
     changed = (values[u, v, k, l] < free[u, v, k, l] - 10.0).all(axis=2)
     assert np.array_equal(changed[valid], ~inside[valid])
-    row, column = min(layout.placed_by)
+    row, column = min(placed_by)
     pair = int(tokens.part[row]), int(tokens.part[column]), int(tokens.point[row]), int(tokens.point[column])
     policy.revised_values(observation, mask, [pair])
-    assert found[1] is None or (row, column) not in found[1].placed_by
+    assert all((row, column) not in layout.placed_by for layout in found[1])
 
 
 class ScriptedPolicy(RelationalPolicy):

@@ -58,23 +58,35 @@ class JoiningOrder:
                 arcs[index][a] |= 1 << b
                 doubts[index, a, b] = max(float(shares[index]), doubts.get((index, a, b), 0.0))
         order = JoiningOrder(arcs, near)
-        return order if order.whole_is_solvable() else order.with_one_exit(doubts)
+        return order if order.whole_is_solvable() else order.with_likely_exits(doubts)
 
-    def with_one_exit(self, doubts: dict[tuple[int, int, int], float]) -> JoiningOrder:
-        """Return the order with one more exit, so that all groups can be joined; this order if none is enough.
+    def with_likely_exits(self, doubts: dict[tuple[int, int, int], float]) -> JoiningOrder:
+        """Return the order with further exits, so that all groups can be joined.
 
-        One exit that is wrongly seen as blocked locks everything. The one with the fewest blocked pixels may be it.
+        One exit that is wrongly seen as blocked locks everything. The one with the fewest blocked pixels may be it. If
+        no single exit is enough, as many open as are needed, those with the fewest blocked pixels first.
 
         Args:
             doubts: share of blocked pixels of each exit: direction, moving group and waiting group.
         """
-        for (index, a, b), share in sorted(doubts.items(), key=lambda doubt: doubt[1])[:_MOST_FREED]:
-            if share < _MOST_DOUBTED:
-                other = JoiningOrder([[*row] for row in self.arcs], self.near)
-                other.arcs[index][a] &= ~(1 << b)
+        exits = sorted(doubts, key=doubts.__getitem__)
+        for likely in exits[:_MOST_FREED]:
+            if doubts[likely] < _MOST_DOUBTED:
+                other = self._with([likely])
                 if other.whole_is_solvable():
                     return other
-        return self
+        few, many = 0, len(exits)
+        while few + 1 < many:
+            middle = (few + many) // 2
+            few, many = (few, middle) if self._with(exits[:middle]).whole_is_solvable() else (middle, many)
+        return self._with(exits[:many])
+
+    def _with(self, exits: list[tuple[int, int, int]]) -> JoiningOrder:
+        """Return the order with some exits open."""
+        other = JoiningOrder([[*row] for row in self.arcs], self.near)
+        for index, a, b in exits:
+            other.arcs[index][a] &= ~(1 << b)
+        return other
 
     def whole_is_solvable(self) -> bool:
         """Return whether all groups can be joined into one."""
@@ -124,6 +136,21 @@ class JoiningOrder:
             fresh = _union(self.near, fresh) & groups & ~reached
             reached |= fresh
         return reached == groups
+
+
+def locks_out(tokens: Tokens, layout: Layout) -> Bool[np.ndarray, "n n"]:
+    """Return which mates of a layout seem to lock a group out; none if all do."""
+    out = np.zeros((len(tokens.part), len(tokens.part)), bool)
+    order = JoiningOrder.of_layout(tokens, layout)
+    if order is None:
+        return out
+    allowed: dict[tuple[int, int], bool] = {}
+    for k, l in layout.placed_by:  # noqa: E741
+        a, b = sorted((int(tokens.group[k]), int(tokens.group[l])))
+        if (a, b) not in allowed:
+            allowed[a, b] = order.allows(a, b)
+        out[k, l] = out[l, k] = not allowed[a, b]
+    return out & any(allowed.values())
 
 
 def _along(

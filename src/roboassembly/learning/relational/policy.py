@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -19,8 +19,8 @@ from roboassembly.learning.policy import Mask, Pair, Values, surest
 from roboassembly.learning.relational import network as relational
 from roboassembly.learning.relational.grasps import network as grasping
 from roboassembly.learning.relational.grasps.features import grasp_features
-from roboassembly.learning.relational.joining_order import JoiningOrder
-from roboassembly.learning.relational.layout_search import MAX_STATES, Layout, LayoutProblem, find_layout
+from roboassembly.learning.relational.joining_order import locks_out
+from roboassembly.learning.relational.layout_search import BEAM_WIDTH, LayoutProblem, find_layouts
 from roboassembly.learning.relational.policy_view import PolicyView
 from roboassembly.learning.relational.tokens import GroupedPoints, TokenCache, Tokens, tokens_of
 from roboassembly.parallel.threads import one_blas_thread
@@ -72,8 +72,8 @@ class RelationalPolicy:
     """Weights of `network` for the full setting; `params` if None."""
     frames: FramesName = "aligned"
     """Frames in which the observations describe parts."""
-    layout_states: int = MAX_STATES
-    """Number of incomplete layouts that are extended before each decision; none is looked for if 0, nor with robots."""
+    layout_width: int = BEAM_WIDTH
+    """Number of layouts in the beam search before each decision; none is looked for if 0, nor with robots."""
     cache: TokenCache = field(default_factory=TokenCache, repr=False)
     """Geometry of earlier states."""
 
@@ -156,7 +156,7 @@ class RelationalPolicy:
             raise InputError(f"the policy '{self.name}' has no grasp network; use --setting object-centric")
         # Layouts know nothing of hands: with them, fewer chairs are finished.
         params = self.params if self.full_params is None else self.full_params
-        policy = replace(self, params=params, layout_states=0)
+        policy = replace(self, params=params, layout_width=0)
         with one_blas_thread():
             view = PolicyView.from_observation(observation, mask, self.frames)
             return policy._grasp_values(view, self.grasp_params, mask, enough)
@@ -185,30 +185,17 @@ class RelationalPolicy:
             for pair in wrong:
                 here, there = (_alike(tokens, *end) for end in (pair[::2], pair[1::2]))
                 fits[here[:, None] & there] = fits[there[:, None] & here] = -np.inf
-            layout = find_layout(layout_problem(tokens, fits), self.layout_states) if self.layout_states else None
-            if layout is not None:
-                outside = np.ones(fits.shape, bool)
-                for pair in layout.placed_by:
-                    outside[pair] = outside[pair[::-1]] = False
+            layouts = find_layouts(layout_problem(tokens, fits), self.layout_width) if self.layout_width else []
+            if layouts:
+                outside, locking = np.ones(fits.shape, bool), np.ones(fits.shape, bool)
+                for layout in layouts:
+                    inside = _both_ways(layout.placed_by, fits.shape)
+                    outside &= ~inside
+                    locking &= locks_out(tokens, layout) | ~inside
                 q[outside] -= _OUTSIDE_PENALTY
-                q = q - _LOCKING_PENALTY * self._locks_out(tokens, layout)[..., None]
+                q[locking & ~outside] -= _LOCKING_PENALTY
             out[u, v, k, l] = q
         return out
-
-    @staticmethod
-    def _locks_out(tokens: Tokens, layout: Layout) -> Bool[np.ndarray, "n n"]:
-        """Return which mates of a layout seem to lock a group out; none if all do."""
-        out = np.zeros((len(tokens.part), len(tokens.part)), bool)
-        order = JoiningOrder.of_layout(tokens, layout)
-        if order is None:
-            return out
-        allowed: dict[tuple[int, int], bool] = {}
-        for k, l in layout.placed_by:  # noqa: E741
-            a, b = sorted((int(tokens.group[k]), int(tokens.group[l])))
-            if (a, b) not in allowed:
-                allowed[a, b] = order.allows(a, b)
-            out[k, l] = out[l, k] = not allowed[a, b]
-        return out & any(allowed.values())
 
     def _beam_search(self, start: _Sequence) -> Int[np.ndarray, "5"]:
         """First action of the best of `beam_width` sequences of `beam_depth` merges."""
@@ -307,6 +294,14 @@ class RelationalPolicy:
             here: Bool[np.ndarray, "P P"] = np.isin(group, u_group)[:, None] & np.isin(group, v_group)[None]
             out = np.where((here | here.T)[..., None, None], pairs + finish, out)
         return out
+
+
+def _both_ways(pairs: Iterable[tuple[int, int]], shape: tuple[int, ...]) -> Bool[np.ndarray, "n n"]:
+    """Return a mask of some pairs, whichever point comes first."""
+    out = np.zeros(shape, bool)
+    for pair in pairs:
+        out[pair] = out[pair[::-1]] = True
+    return out
 
 
 def _alike(tokens: Tokens, part: int, point: int) -> Bool[np.ndarray, "n"]:

@@ -22,6 +22,12 @@ GRASPS = 8
 """Number of grasps of a part: two regions, each from four directions."""
 FULL_BRANCHES = (GRASPS, GRASPS)
 """The same with robots: of `g_a` and `g_b`."""
+_SLIDES = 0.1
+"""Largest absolute cosine between a contact's normal and a direction that slides along the contact."""
+_LEAST_LIFT = 0.3
+"""Cosine at least between the normal of a contact and the mean normal along which a sliding part is lifted off."""
+_SLOPES = (0.03, 0.06)
+"""Slopes by which a sliding part is lifted."""
 _AGAINST = -0.2
 """Cosine between a retreat and a contact's normal at least. It is negative because a patch's normal is only a mean."""
 
@@ -88,7 +94,8 @@ class Rules:
         """Return directions in the furniture's frame along which u's group may leave v's, the most promising first.
 
         Candidates are the contact normals and their mean, the long axes of the parts that meet, and the axes of the
-        furniture; those against a contact's normal are left out.
+        furniture; those against a contact's normal are left out. Candidates that slide along a contact come lifted off
+        it, too: surfaces of real parts are not exactly parallel.
 
         Args:
             u_group: group that moves.
@@ -114,7 +121,30 @@ class Rules:
         if np.linalg.norm(mean) > 1e-6:
             axes.append(mean / np.linalg.norm(mean))
         candidates = np.concatenate([along, np.array(axes)])
+        lifted = [lift for d in candidates for lift in lifted_directions(d, along)]
+        candidates = np.concatenate([candidates, np.reshape(lifted, (-1, 3))])
         against = (candidates @ along.T).min(axis=1)
         rising = (candidates @ turn.T)[:, 2]
         order = np.argsort(-(against + 0.3 * rising).round(3), kind="stable")
         return [candidates[i] for i in order if against[i] > _AGAINST]
+
+
+def lifted_directions(
+    direction: Float[np.ndarray, "3"], normals: Float[np.ndarray, "c 3"]
+) -> list[Float[np.ndarray, "3"]]:
+    """Return a direction turned a little away from the contacts that it slides along; none where they are opposed.
+
+    Args:
+        direction: unit vector.
+        normals: unit vectors along which the contacts separate.
+    """
+    along = normals @ direction
+    slid = normals[np.abs(along) < _SLIDES]
+    if not len(slid) or along.min() < -_SLIDES:
+        return []
+    away = slid.sum(axis=0)
+    away /= max(float(np.linalg.norm(away)), 1e-9)
+    if (slid @ away).min() < _LEAST_LIFT:
+        return []
+    turned = [direction + slope * away for slope in _SLOPES]
+    return [d / np.linalg.norm(d) for d in turned]
