@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from roboassembly.learning.relational.depth_images import EXIT_COUNTS
-from roboassembly.learning.relational.features import ALIGNED, pair_features, up_axis_features
+from roboassembly.learning.relational.features import ALIGNED, pair_features, sunk, up_axis_features
 from roboassembly.learning.relational.group_geometry import PATCH_SIZE
 from roboassembly.learning.relational.joint_fit import FIT_FEATURES
 from roboassembly.learning.relational.tokens import POINT_FEATURES, Tokens, pad
@@ -63,3 +63,10 @@ def test_features_of_a_pair_by_hand() -> None:
     other = pair_features({**numbers, "features": in_own_frames[None]}, valid)[0, 0, 1]
     assert np.allclose(other[:141], pair[0, 1, :141])
     assert not other[141:].any()
+
+
+def test_what_reaches_below_the_waiting_group_is_sunk() -> None:
+    # The moving group begins 1.5 mm lower along x, 20 mm higher along y and 2.5 mm lower along z, and ends higher.
+    bounds = np.array([-0.0015, 0.02, -0.0025, 0.3, 0.01, 0.5], np.float32)
+    assert sunk(bounds).tolist() == [True, True, False, True, False, True]  # +z, -z, +x, -x, +y, -y
+    assert not sunk(np.zeros((3, 6), np.float32)).any()

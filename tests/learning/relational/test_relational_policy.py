@@ -21,6 +21,7 @@ from roboassembly.learning.layers import Params
 from roboassembly.learning.registry import load_policy
 from roboassembly.learning.relational import network as relational
 from roboassembly.learning.relational import policy as policies
+from roboassembly.learning.relational.features import sunk
 from roboassembly.learning.relational.grasps import network as grasping
 from roboassembly.learning.relational.layout_search import Layout, LayoutProblem, find_layouts
 from roboassembly.learning.relational.policy import RelationalPolicy, _Sequence
@@ -62,10 +63,12 @@ def test_values_are_those_of_the_network_at_the_right_places(
     assert values.dtype == np.float32
     np.testing.assert_array_equal(np.isfinite(values), mask)
     tokens = tokens_of(PolicyView.from_observation(observation, mask))
-    row, column, w = relational.best_action(params, tokens)
+    sinks = sunk(tokens.bounds)
+    q = relational.values(params, tokens) - 10.0 * sinks
+    row, column, w = np.unravel_index(np.argmax(q), q.shape)
     best = (tokens.part[row], tokens.part[column], tokens.point[row], tokens.point[column], w)
     assert values[best] == values.max()
-    q = relational.values(params, tokens)
+    assert sinks[np.isfinite(q)].any()
     rng = np.random.default_rng(1)
     for i, j in rng.integers(len(tokens.part), size=(50, 2)):
         here = values[tokens.part[i], tokens.part[j], tokens.point[i], tokens.point[j]]

@@ -27,6 +27,8 @@ _SCALE = 0.01
 """Scale of the tanh features of heights [m]."""
 _CUTOFF = 0.5
 """Value from which on heights are clipped [m]."""
+_SUNK = 0.002
+"""Depth below the ground from which on a group surely reaches into it [m]: clouds miss the lowest point."""
 
 
 def frames_parallel(rotation: Array) -> Array:
@@ -221,7 +223,7 @@ def up_axis_features(t: dict[str, Array]) -> Array:
     xp = t["frame"].__array_namespace__()
     low, high = t["bounds"][..., :3], t["bounds"][..., 3:]
     extent = t["extent"][:, None]
-    bottom, top = _along_up_axes(xp, low, -high), _along_up_axes(xp, high, -low)
+    bottom, top = _bottoms(xp, t["bounds"]), _along_up_axes(xp, high, -low)
     # Rise of the axes of a waiting point's frame, along its part's axes: (b, l, 3, 3).
     rise = xp.einsum("blji,bljm->blim", t["frame"], t["axes"])
     normal, tangent = (_along_up_axes(xp, rise[:, :, axis], -rise[:, :, axis]) for axis in (2, 0))
@@ -258,6 +260,20 @@ def _free_exits(exits: Array, fine: Array, coarse: Array) -> tuple[Array, Array]
     free_fine = (exits[..., FINE_BLOCKED] <= _FEW_PIXELS) | (fine < _FEW_BLOCKED)
     free_coarse = (exits[..., COARSE_BLOCKED] <= _FEW_PIXELS) | (coarse < _FEW_BLOCKED)
     return free_fine, free_coarse
+
+
+def sunk(bounds: Array) -> Array:
+    """Return (..., 6) whether the moving group reaches into the ground on which the other waits, with each `w` up.
+
+    Args:
+        bounds: (..., 6) of the tokens.
+    """
+    return _bottoms(bounds.__array_namespace__(), bounds) < -_SUNK
+
+
+def _bottoms(xp: Array, bounds: Array) -> Array:
+    """Return (..., 6) the moving group's lowest point above the waiting group's, with each `w` up [m]."""
+    return _along_up_axes(xp, bounds[..., :3], -bounds[..., 3:])
 
 
 def _rises(xp: Array, exits: Array, rise: Array) -> list[Array]:

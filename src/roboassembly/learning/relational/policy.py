@@ -17,6 +17,7 @@ from roboassembly.learning.datasets import CLOUD_POINTS
 from roboassembly.learning.layers import Params, sigmoid
 from roboassembly.learning.policy import Mask, Pair, Values, surest
 from roboassembly.learning.relational import network as relational
+from roboassembly.learning.relational.features import sunk
 from roboassembly.learning.relational.grasps import network as grasping
 from roboassembly.learning.relational.grasps.features import grasp_features
 from roboassembly.learning.relational.joining_order import locks_out
@@ -45,6 +46,8 @@ _OUTSIDE_PENALTY = 15.0
 """Number subtracted from the logits of pairs that are not in the layout that was found."""
 _LOCKING_PENALTY = 4.0
 """Number subtracted from the logits of pairs that seem to lock a group out."""
+_SINKING_PENALTY = 10.0
+"""Number subtracted from the logits of actions after which the moving group would reach into the ground."""
 _UNKNOWN_GRASPS = -8.0
 """Log-probability of grasps that are not valued."""
 
@@ -175,7 +178,8 @@ class RelationalPolicy:
             wrong: pairs that are known to be wrong.
         """
         out = np.full(view.action_shape, -np.inf, np.float32)
-        tokens = tokens_of(view, self.cache, grasps="grasp" in self.params, grouped=grouped)
+        with_grasps = "grasp" in self.params
+        tokens = tokens_of(view, self.cache, grasps=with_grasps, grouped=grouped)
         if len(tokens.part):
             u, k = tokens.part[:, None], tokens.point[:, None]
             v, l = tokens.part[None], tokens.point[None]  # noqa: E741
@@ -194,6 +198,8 @@ class RelationalPolicy:
                     locking &= locks_out(tokens, layout) | ~inside
                 q[outside] -= _OUTSIDE_PENALTY
                 q[locking & ~outside] -= _LOCKING_PENALTY
+            if not with_grasps:
+                q[sunk(tokens.bounds)] -= _SINKING_PENALTY
             out[u, v, k, l] = q
         return out
 
