@@ -8,7 +8,6 @@ not touch are taken to pass each other.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -45,18 +44,20 @@ class JoiningOrder:
         if groups > _MOST_GROUPS:
             return None
         frames = layout.rotation[tokens.group] @ tokens.frame.astype(float)
-        mates = [pair for mate in layout.mates for pair in (mate, mate[::-1])]
-        directions = _distinct([sign * frames[k][:, axis] for k, _ in mates for axis in range(3) for sign in (1, -1)])
+        mates = np.array([pair for mate in layout.mates for pair in (mate, mate[::-1])], int).reshape(-1, 2)
+        moving, waiting = mates.T
+        axes = frames[moving].swapaxes(1, 2).reshape(-1, 3)
+        directions = _distinct(np.stack([axes, -axes], axis=1).reshape(-1, 3))
+        free, shares = _along(directions, frames[waiting], *exit_states(tokens.exits[moving, waiting]))
         arcs = [[0] * groups for _ in directions]
         near = [0] * groups
         doubts: dict[tuple[int, int, int], float] = {}
-        for k, l in mates:  # noqa: E741
-            a, b = int(tokens.group[k]), int(tokens.group[l])
+        owners: list[tuple[int, int]] = tokens.group[mates].tolist()
+        for (a, b), is_free, blocked in zip(owners, free, shares.tolist(), strict=True):
             near[a] |= 1 << b
-            free, shares = _along(directions, frames[l], *exit_states(tokens.exits[k, l]))
-            for index in np.flatnonzero(~free).tolist():
+            for index in np.flatnonzero(~is_free).tolist():
                 arcs[index][a] |= 1 << b
-                doubts[index, a, b] = max(float(shares[index]), doubts.get((index, a, b), 0.0))
+                doubts[index, a, b] = max(blocked[index], doubts.get((index, a, b), 0.0))
         order = JoiningOrder(arcs, near)
         return order if order.whole_is_solvable() else order.with_likely_exits(doubts)
 
@@ -110,14 +111,18 @@ class JoiningOrder:
         if len(units) == 1:
             return True
         if units not in self._solvable:
-            half = next(self._halves(units), None)
+            half = self._half(units)
             self._solvable[units] = half is not None and self.solvable(half) and self.solvable(units - half)
         return self._solvable[units]
 
-    def _halves(self, units: frozenset[int]) -> Iterator[frozenset[int]]:
-        """Yield the sets of units that can leave the others, each set and the others in one piece."""
+    def _half(self, units: frozenset[int]) -> frozenset[int] | None:
+        """Return units that can leave the others, both in one piece; None if there are none. One unit comes first."""
         everything = sum(units)
         ordered = sorted(units)
+        for unit in ordered:
+            rest = everything & ~unit
+            if any(not _union(arcs, unit) & rest for arcs in self.arcs) and self._whole(rest):
+                return frozenset((unit,))
         unit_of = {1 << g: unit for unit in ordered for g in range(unit.bit_length()) if unit >> g & 1}
         given: set[int] = set()
         for arcs in self.arcs:
@@ -127,7 +132,8 @@ class JoiningOrder:
                 if closed != everything and closed not in given:
                     given.update((closed, everything & ~closed))
                     if self._whole(closed) and self._whole(everything & ~closed):
-                        yield frozenset(unit for unit in ordered if unit & closed)
+                        return frozenset(unit for unit in ordered if unit & closed)
+        return None
 
     def _whole(self, groups: int) -> bool:
         """Return whether some groups hang together."""
@@ -154,30 +160,34 @@ def locks_out(tokens: Tokens, layout: Layout) -> Bool[np.ndarray, "n n"]:
 
 
 def _along(
-    directions: Float[np.ndarray, "d 3"], frame: Float[np.ndarray, "3 3"], free: Bool[np.ndarray, "6"],
-    shares: Float[np.ndarray, "6"],
-) -> tuple[Bool[np.ndarray, "d"], Float[np.ndarray, "d"]]:  # fmt: skip
-    """Return for each direction whether the exit of a mate is free, and its blocked share; off the axes none is.
+    directions: Float[np.ndarray, "d 3"], frames: Float[np.ndarray, "m 3 3"], free: Bool[np.ndarray, "m 6"],
+    shares: Float[np.ndarray, "m 6"],
+) -> tuple[Bool[np.ndarray, "m d"], Float[np.ndarray, "m d"]]:  # fmt: skip
+    """Return for each mate and direction whether the exit is free, and its blocked share; off the axes none is.
 
     Args:
         directions: unit vectors in the layout.
-        frame: `layout_from_point` of the waiting point.
-        free: whether the exits along its axes are free: x, -x, y, -y, z, -z.
+        frames: `layout_from_point` of the waiting points.
+        free: whether the exits along their axes are free: x, -x, y, -y, z, -z.
         shares: their blocked shares.
     """
-    cosine = directions @ frame
-    axis = np.argmax(np.abs(cosine), axis=1)
-    along = cosine[np.arange(len(directions)), axis]
+    cosine = directions @ frames
+    axis = np.argmax(np.abs(cosine), axis=2)
+    along = np.take_along_axis(cosine, axis[..., None], axis=2)[..., 0]
     is_axis, exit_number = np.abs(along) > _ON_AXIS, 2 * axis + (along < 0)
-    return is_axis & free[exit_number], np.where(is_axis, shares[exit_number], 1.0)
+    return (
+        is_axis & np.take_along_axis(free, exit_number, axis=1),
+        np.where(is_axis, np.take_along_axis(shares, exit_number, axis=1), 1.0),
+    )
 
 
-def _distinct(directions: list[Float[np.ndarray, "3"]]) -> Float[np.ndarray, "d 3"]:
-    kept: list[Float[np.ndarray, "3"]] = []
-    for d in directions:
-        if not any(float(d @ other) > _SAME for other in kept):
-            kept.append(d)
-    return np.array(kept).reshape(-1, 3)
+def _distinct(directions: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "d 3"]:
+    same = directions @ directions.T > _SAME
+    kept: list[int] = []
+    for index in range(len(directions)):
+        if not same[index, kept].any():
+            kept.append(index)
+    return directions[kept]
 
 
 def _union(masks: list[int], members: int) -> int:
