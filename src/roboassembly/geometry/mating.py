@@ -84,10 +84,19 @@ def mating_poses(
     return rotations, met - xp.einsum("...klij,...kj->...kli", rotations, u_origins)
 
 
-def distinct_directions(directions: Sequence[Float[np.ndarray, "3"]]) -> list[Float[np.ndarray, "3"]]:
-    """Return the unit vectors without repetitions, in their order."""
-    distinct: list[Float[np.ndarray, "3"]] = []
-    for direction in directions:
-        if not any(float(direction @ other) > SAME_DIRECTION for other in distinct):
-            distinct.append(direction)
-    return distinct
+def distinct_directions(
+    directions: Sequence[Float[np.ndarray, "3"]] | Float[np.ndarray, "n 3"], same: float = SAME_DIRECTION
+) -> list[Float[np.ndarray, "3"]]:
+    """Return the unit vectors without repetitions, in their order.
+
+    Args:
+        directions: unit vectors.
+        same: cosine above which two of them count as one.
+    """
+    rows = np.reshape(directions, (-1, 3))
+    equal = rows @ rows.T > same
+    kept: list[int] = []
+    for index in range(len(rows)):
+        if not equal[index, kept].any():
+            kept.append(index)
+    return [rows[index] for index in kept]

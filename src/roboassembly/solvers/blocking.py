@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from roboassembly.furniture.model import Furniture
+from roboassembly.geometry.mating import distinct_directions
 from roboassembly.geometry.poses import SE3, poses_to_configurations, shifted, transform_points
 from roboassembly.geometry.scene import Body, Scene, Shape
 from roboassembly.planning.world import CollisionWorld, leave_boxes
@@ -58,11 +59,7 @@ class BlockingGraphs:
         for c in f.connections:
             normal = f.assembled[c.part_a].rotation @ f.parts[c.part_a].points[c.point_a].normal
             candidates.extend([normal, -normal])
-        kept: list[Float[np.ndarray, "3"]] = []
-        for d in candidates:
-            if not any(float(d @ other) > _SAME for other in kept):
-                kept.append(d)
-        return np.array(kept)
+        return np.array(distinct_directions(candidates, _SAME))
 
     @cached_property
     def arcs(self) -> list[dict[int, set[int]]]:

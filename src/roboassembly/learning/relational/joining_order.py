@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Bool, Float
 
+from roboassembly.geometry.mating import distinct_directions
 from roboassembly.learning.relational.features import exit_states
 from roboassembly.learning.relational.layout_search import Layout
 from roboassembly.learning.relational.tokens import Tokens
@@ -47,7 +48,7 @@ class JoiningOrder:
         mates = np.array([pair for mate in layout.mates for pair in (mate, mate[::-1])], int).reshape(-1, 2)
         moving, waiting = mates.T
         axes = frames[moving].swapaxes(1, 2).reshape(-1, 3)
-        directions = _distinct(np.stack([axes, -axes], axis=1).reshape(-1, 3))
+        directions = np.array(distinct_directions(np.stack([axes, -axes], axis=1).reshape(-1, 3), _SAME)).reshape(-1, 3)
         free, shares = _along(directions, frames[waiting], *exit_states(tokens.exits[moving, waiting]))
         arcs = [[0] * groups for _ in directions]
         near = [0] * groups
@@ -144,19 +145,20 @@ class JoiningOrder:
         return reached == groups
 
 
-def locks_out(tokens: Tokens, layout: Layout) -> Bool[np.ndarray, "n n"]:
-    """Return which mates of a layout seem to lock a group out; none if all do."""
-    out = np.zeros((len(tokens.part), len(tokens.part)), bool)
+def locks_out(tokens: Tokens, layout: Layout) -> frozenset[tuple[int, int]]:
+    """Return which mates that place groups of a layout seem to lock a group out; none if all do."""
     order = JoiningOrder.of_layout(tokens, layout)
     if order is None:
-        return out
+        return frozenset()
     allowed: dict[tuple[int, int], bool] = {}
+    groups_of: dict[tuple[int, int], tuple[int, int]] = {}
     for k, l in layout.placed_by:  # noqa: E741
         a, b = sorted((int(tokens.group[k]), int(tokens.group[l])))
+        groups_of[k, l] = a, b
         if (a, b) not in allowed:
             allowed[a, b] = order.allows(a, b)
-        out[k, l] = out[l, k] = not allowed[a, b]
-    return out & any(allowed.values())
+    locked = frozenset(mate for mate, groups in groups_of.items() if not allowed[groups])
+    return locked if any(allowed.values()) else frozenset()
 
 
 def _along(
@@ -179,15 +181,6 @@ def _along(
         is_axis & np.take_along_axis(free, exit_number, axis=1),
         np.where(is_axis, np.take_along_axis(shares, exit_number, axis=1), 1.0),
     )
-
-
-def _distinct(directions: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "d 3"]:
-    same = directions @ directions.T > _SAME
-    kept: list[int] = []
-    for index in range(len(directions)):
-        if not same[index, kept].any():
-            kept.append(index)
-    return directions[kept]
 
 
 def _union(masks: list[int], members: int) -> int:

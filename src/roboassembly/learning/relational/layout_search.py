@@ -70,14 +70,17 @@ class Layout:
     """Those of them whose tangents are equal, so that mating them gives this layout; each in ascending order."""
     alone: int
     """Number of points without a mate."""
-    cost: float
-    """Sum of the costs of all pairs and of the points without a mate."""
     doubt: float
     """Sum of the costs of all pairs."""
     rotation: Float[np.ndarray, "g 3 3"] = field(repr=False)
     """`layout_from_group` of each group."""
     translation: Float[np.ndarray, "g 3"] = field(repr=False)
     """`layout_from_group` of each group [m]."""
+
+    @property
+    def cost(self) -> float:
+        """Sum of the costs of all pairs and of the points without a mate."""
+        return self.doubt + _ALONE * self.alone
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,9 +153,7 @@ class _Search:
         """Return a state that places all groups as a layout."""
         alone = int(state.open.sum())
         equal = frozenset((min(pair), max(pair)) for pair in state.mates if self._same_tangents(state, *pair))
-        return Layout(
-            state.mates, equal, alone, state.cost + _ALONE * alone, state.cost, state.rotation, state.translation
-        )
+        return Layout(state.mates, equal, alone, state.cost, state.rotation, state.translation)
 
     def first(self, group: int) -> _Partial:
         """Return the layout of one group."""

@@ -43,9 +43,9 @@ _ENOUGH_ACTIONS, _CLOSE = 5, 0.03
 _HOPELESS = -20.0
 """Log-probability of finishing where no action is left."""
 _OUTSIDE_PENALTY = 15.0
-"""Number subtracted from the logits of pairs that are not in the layout that was found."""
+"""Number subtracted from the logits of pairs that are in none of the layouts that were found."""
 _LOCKING_PENALTY = 4.0
-"""Number subtracted from the logits of pairs that seem to lock a group out."""
+"""Number subtracted from the logits of pairs that seem to lock a group out in all layouts that they are in."""
 _SINKING_PENALTY = 10.0
 """Number subtracted from the logits of actions after which the moving group would reach into the ground."""
 _UNKNOWN_GRASPS = -8.0
@@ -191,13 +191,12 @@ class RelationalPolicy:
                 fits[here[:, None] & there] = fits[there[:, None] & here] = -np.inf
             layouts = find_layouts(layout_problem(tokens, fits), self.layout_width) if self.layout_width else []
             if layouts:
-                outside, locking = np.ones(fits.shape, bool), np.ones(fits.shape, bool)
+                placed, unlocked = set[tuple[int, int]](), set[tuple[int, int]]()
                 for layout in layouts:
-                    inside = _both_ways(layout.placed_by, fits.shape)
-                    outside &= ~inside
-                    locking &= locks_out(tokens, layout) | ~inside
-                q[outside] -= _OUTSIDE_PENALTY
-                q[locking & ~outside] -= _LOCKING_PENALTY
+                    placed |= layout.placed_by
+                    unlocked |= layout.placed_by - locks_out(tokens, layout)
+                q[~_both_ways(placed, fits.shape)] -= _OUTSIDE_PENALTY
+                q[_both_ways(placed - unlocked, fits.shape)] -= _LOCKING_PENALTY
             if not with_grasps:
                 q[sunk(tokens.bounds)] -= _SINKING_PENALTY
             out[u, v, k, l] = q
