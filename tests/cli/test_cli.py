@@ -292,6 +292,8 @@ def test_bad_furniture_prints_one_line_and_exits_with_2(run: Run, stool: Path, t
         (["evaluate", "--policy", "joint-rrt", "--export", "x-v0"], "'joint-rrt', which has no actions"),
         (["benchmark", "--sample", "0"], "--sample 0 is too small"),
         (["benchmark", "--experts", "-1"], "--experts -1 is too small"),
+        (["benchmark", "--experts", "3", "--no-train"], "--experts and --no-train contradict each other"),
+        (["benchmark", "--retrain", "--no-train"], "--retrain and --no-train contradict each other"),
         (["assemble", "stool", "--policy", "none", "--no-search"], "--no-search needs a policy"),
         (["assemble", "stool", "--policy", "relatonal"], "did you mean relational?"),
         (["assemble", "stool", "--policy", "gone.npz"], "no checkpoint at 'gone.npz'"),

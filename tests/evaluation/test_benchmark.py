@@ -124,6 +124,21 @@ def test_document_without_marks_is_refused_first(tmp_path: Path, capsys) -> None
     assert document.read_text() == "nothing\n"
 
 
+def test_without_training_the_rows_of_trained_networks_are_left_out(
+    as_built, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    as_built(easy=[("cantilever", 1)], test=[("cantilever", 3)])
+    result = told(capsys, "--no-train", "--setting", "full", "--out", str(tmp_path / "run"), "--jobs", "1")
+    rows = {r["name"]: r["figures"] for r in result["rows"]}
+    assert list(rows) == [
+        "random", "relational", "relational with search",
+        "relational with search: its plans carried out in physics", "search alone",
+    ]  # fmt: skip
+    assert all(figures["n"] == 1 for figures in rows.values())
+    assert rows["search alone"]["success_rate"] == rows["relational with search"]["success_rate"] == 1.0
+    assert not list((tmp_path / "run").glob("*.npz"))
+
+
 def test_sets_that_are_not_generated_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="one of chairs-412"):
         next(benchmark.run(benchmark.BenchmarkConfig(set="folder"), tmp_path, 1))

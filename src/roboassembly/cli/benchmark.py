@@ -12,6 +12,7 @@ import tyro
 from roboassembly.cli.multitask import PACKAGES, follow, require_packages
 from roboassembly.cli.options import CORES, Jobs, Ray, Setting, require_at_least, workers
 from roboassembly.cli.output import DONE, check_writable_file, print_json, show, writable_folder
+from roboassembly.errors import InputError
 
 
 @dataclass(frozen=True)
@@ -25,6 +26,8 @@ class BenchmarkCommand:
     """Run everything on a tiny scale, in about three minutes, as a test of the installation."""
     retrain: bool = False
     """Train the relational policy as well, instead of using the one of this package."""
+    train: bool = True
+    """Train experts and the paper's network, which takes hours and adds their rows."""
     real: tuple[str, ...] = ()
     """Sets of real furniture to evaluate as well; each is `folder:PATH`, a folder of furniture folders."""
     sample: int | None = None
@@ -48,6 +51,9 @@ class BenchmarkCommand:
         """Run the command; returns the exit status."""
         require_at_least(0, seed=self.seed)
         require_at_least(1, jobs=self.jobs, sample=self.sample, experts=self.experts)
+        for option, given in (("--experts", self.experts is not None), ("--retrain", self.retrain)):
+            if given and not self.train:
+                raise InputError(f"{option} and --no-train contradict each other; use one of them")
         require_packages(*PACKAGES)
         from roboassembly.datasets.sets import furniture_refs
         from roboassembly.evaluation import benchmark, report
@@ -65,7 +71,8 @@ class BenchmarkCommand:
             report.check_marks(self.write, self.setting, self.set or plan.set)
             check_writable_file(self.write)
         plan = replace(
-            plan, set=self.set or plan.set, real=self.real, shipped=plan.shipped and not self.retrain,
+            plan, set=self.set or plan.set, real=self.real, train=self.train,
+            shipped=not self.train or (plan.shipped and not self.retrain),
             sample=self.sample or plan.sample, experts=self.experts or plan.experts,
         )  # fmt: skip
         with workers(self.ray, self.jobs) as jobs:

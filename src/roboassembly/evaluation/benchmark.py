@@ -71,6 +71,8 @@ class BenchmarkConfig:
     """Number of pieces of each set that are measured, drawn by the seed; all if None."""
     real: tuple[str, ...] = ()
     """Additional sets of real furniture for the relational policy, each `folder:PATH`."""
+    train: bool = True
+    """Train experts and the preset `paper`; otherwise their rows are left out."""
     shipped: bool = True
     """Use the relational policy of the package; otherwise train one."""
     pipeline: PipelineConfig = field(default_factory=PipelineConfig)
@@ -145,6 +147,17 @@ def run(config: BenchmarkConfig, folder: Path, jobs: int) -> Iterator[Progress]:
     if not manifest_path(config.set).is_file():
         for done, total in build_dataset(RECIPES[config.set], 0, jobs):
             yield Progress(f"data set {config.set}", done, total, {})
+    if config.train:
+        yield from _paper_stages(config, folder, jobs)
+    if not config.shipped:
+        relational = replace(config.relational, set=f"{config.set}:train", limit=config.train_limit, seed=config.seed)
+        yield from timed(folder, "relational", run_pipeline(relational, folder / "relational", jobs))
+    measured = chain.from_iterable(measure(measurement, folder, jobs) for measurement in measurements(config, folder))
+    yield from timed(folder, "evaluation", measured)
+
+
+def _paper_stages(config: BenchmarkConfig, folder: Path, jobs: int) -> Iterator[Progress]:
+    """Train the experts and the preset `paper`."""
     pipeline, chairs = config.pipeline.seeded(config.seed), expert_chairs(config)
     # `train expert` keeps the same notes, and so either command goes on with the other's run.
     notes = {"set": f"{config.set}:train"}
@@ -168,11 +181,6 @@ def run(config: BenchmarkConfig, folder: Path, jobs: int) -> Iterator[Progress]:
             _AGGREGATED,
         )
         yield from timed(folder, "aggregation", aggregated)
-    if not config.shipped:
-        relational = replace(config.relational, set=f"{config.set}:train", limit=config.train_limit, seed=config.seed)
-        yield from timed(folder, "relational", run_pipeline(relational, folder / "relational", jobs))
-    measured = chain.from_iterable(measure(measurement, folder, jobs) for measurement in measurements(config, folder))
-    yield from timed(folder, "evaluation", measured)
 
 
 def expert_chairs(config: BenchmarkConfig) -> list[FurnitureRef]:
@@ -247,10 +255,13 @@ def measurements(config: BenchmarkConfig, folder: Path) -> list[Measurement]:
     execution = SETTINGS[config.setting].execution
     measurement = partial(Measurement, config.setting, sample=config.sample, seed=config.seed)
     in_paper = partial(measurement, paper=figures.test, paper_steps=figures.steps)
-    rows = [
-        measurement("random", "random", False, test),
+    trained = [
         in_paper("preset paper", paper, False, test),
         *([in_paper("preset paper, aggregated", aggregated, False, test)] if config.rounds else []),
+    ]
+    rows = [
+        measurement("random", "random", False, test),
+        *(trained if config.train else []),
         in_paper("relational", relational, False, test),
         measurement("relational with search", relational, True, test, execution=execution),
         measurement("search alone", "search", False, test),
@@ -283,7 +294,7 @@ def rows(config: BenchmarkConfig, folder: Path) -> list[Row]:
     out: list[Row] = []
     chairs, figures_of = expert_chairs(config), asdict(SETTINGS[config.setting].paper)
     split_of = {ref.name: ref.entry.split for ref in chairs if ref.entry is not None}
-    trained = expert_results(chairs, folder)
+    trained = expert_results(chairs, folder) if config.train else []
     option = SETTINGS[config.setting].option
     sample = "" if config.experts is None else f" --sample {config.experts}"
     command = f"roboassembly train expert{option} --set {config.set}:train{sample} --seed {config.seed} --json"
@@ -339,7 +350,7 @@ def _check_same_run(config: BenchmarkConfig, folder: Path) -> None:
     path, about = folder / "about.json", json.loads(json.dumps(asdict(config)))
     if path.is_file():
         before = json.loads(path.read_text())
-        other = [name for name, value in about.items() if before.get(name) != value and name not in ("real",)]
+        other = [name for name, value in about.items() if before.get(name) != value and name not in ("real", "train")]
         if other:
             raise InputError(f"{folder} holds a benchmark with another {', '.join(other)}; take a new folder")
     path.write_text(json.dumps(about, indent=1))
