@@ -239,9 +239,10 @@ def test_legs_and_seat_share_an_overlap_too_large_for_either():
     assert all(r.trimmed <= 0.2 for r in result.report)
     assert any("cut short where it sat too deep" in note for r in result.report for note in r.notes)
     assert captives(result.parts) == ([], [])
-    # What is lost is what is missing, and nothing has moved.
+    # What is lost is what is missing once faces are set back by 0.15 mm, and nothing has moved.
     for before, after, report in zip([seat, *legs], result.parts, result.report, strict=True):
-        assert after.mesh.volume == pytest.approx((1.0 - report.trimmed) * before.mesh.volume, rel=1e-4)
+        size = np.ptp(before.mesh.bounds, axis=0) - 0.0003
+        assert after.mesh.volume == pytest.approx((1.0 - report.trimmed) * np.prod(size), rel=1e-4)
         assert report.displacement == 0.0
 
 

@@ -2,17 +2,18 @@
 
 1. Each part is cleaned, made solid by the gentlest method that works (as delivered, holes filled, convex hull,
    wrapped) and simplified.
-2. If two parts overlap or touch, one is trimmed by the other grown by the gap: the one that loses the least volume and
+2. If any parts overlap or touch, all faces of all parts move inward by less than the gap.
+3. If two parts still do, one is trimmed by the other grown by the gap: the one that loses the least volume and
    lets the other be pulled away in the most directions. A cut that reduces a part's size by more than a few
    millimetres, or takes a tenon out of its socket or the walls off a socket, is the last choice, and is refused above
    the limit `shortening`. If all neighbours together would take too much of one part, trimming restarts with a higher
    weight for that part, and overlaps may be shared.
-3. Parts without contact are moved to the rest.
-4. Joints that no part can leave in a direction that a planner tries are cut open.
-5. Parts that are delivered alike get each other's cuts, so that they stay alike.
+4. Parts without contact are moved to the rest.
+5. Joints that no part can leave in a direction that a planner tries are cut open.
+6. Parts that are delivered alike get each other's cuts, so that they stay alike.
 
-Repair refuses furniture that needs more than `RepairLimits` allows. What is too short after the first three steps is
-refused there: the fourth takes longest, and takes only more away. Before a refusal, the remedies of `remedies` are
+Repair refuses furniture that needs more than `RepairLimits` allows. What is too short after the first four steps is
+refused there: the fifth takes longest, and takes only more away. Before a refusal, the remedies of `remedies` are
 tried; what needs none is repaired without them.
 """
 
@@ -35,14 +36,21 @@ from roboassembly.repair.limits import RepairLimits
 from roboassembly.repair.panels import move_panels
 from roboassembly.repair.piece import Piece
 from roboassembly.repair.remedies import REMEDIES, ShapeError, Treatment
-from roboassembly.repair.separation import check_sizes, separate
+from roboassembly.repair.separation import check_sizes, overlapping, separate
 from roboassembly.repair.solid import solidify
 from roboassembly.repair.surface import clean, to_surface
+from roboassembly.repair.trim import deflate
 
 __all__ = ["GAP", "PartRepair", "RepairLimits", "RepairResult", "repair"]
 
 GAP = 0.0002
 """Distance between mating faces [m]."""
+_SET_BACK_SHARE = 0.75
+"""Distance that all faces move inward before parts are separated, as a share of the gap.
+
+Faces that only touched are then one and a half gaps apart and need no cut. A cut would end in a rim, on which the
+neighbour catches when it slides along the face.
+"""
 REPORT_THRESHOLD = 0.001
 """Change of size, or loss of depth, above which a part is reported by name [m]."""
 _TIDY_SHARE = 0.2
@@ -191,6 +199,12 @@ def _repair(treatment: Treatment, gap: float, limits: RepairLimits) -> RepairRes
     changed = (treatment.shares_out and share_out(pieces, gap)) or changed
     if not changed and (treatment.moves_panels or treatment.shares_out):
         raise FurnitureError("no two parts have the same volume")
+    if overlapping(pieces, gap):
+        for index, (piece, like) in enumerate(zip(pieces, alike, strict=True)):
+            # Parts that are alike stay alike.
+            is_copy = like.master < index and not changed
+            inner = like.placed(pieces[like.master].body) if is_copy else deflate(piece.body, _SET_BACK_SHARE * gap)
+            piece.set_back(inner)
     separate(pieces, gap, limits, diagonal)
     tidy = _TIDY_SHARE * gap
     keep_alike(pieces, alike, limits, tidy)

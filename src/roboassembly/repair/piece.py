@@ -61,13 +61,18 @@ class Piece:
         """Replace the solid."""
         self.body = body
 
+    def set_back(self, body: m3.Manifold) -> None:
+        """Replace the solid; the new one counts as the untrimmed part."""
+        points = to_surface(body).vertices
+        self.axes = box_axes(points)
+        self.body, self.whole, self.size = body, body.volume(), extents(points, self.axes)
+
     def give(self, rest: m3.Manifold, others: Sequence[str]) -> None:
         """Leave doubled material to other parts: the rest counts as the untrimmed part."""
         share = 1.0 - rest.volume() / self.whole
         names = ", ".join(f"'{name}'" for name in others)
-        points = to_surface(rest).vertices
-        self.axes = box_axes(points)
-        self.body, self.whole, self.size, self.gave = rest, rest.volume(), extents(points, self.axes), True
+        self.set_back(rest)
+        self.gave = True
         self.notes.append(f"{share:.0%} of its volume left to {names}, which had it, too")
 
     def shrinkage(self, body: m3.Manifold) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from heapq import heapify, heappop, heappush
 from itertools import chain, combinations, permutations
@@ -175,21 +175,27 @@ def _shared_volume(first: m3.Manifold, second: m3.Manifold) -> float:
     return (first ^ second).volume()
 
 
+def overlapping(pieces: Sequence[Piece], gap: float) -> list[tuple[int, int]]:
+    """Return the pairs of pieces that overlap or are closer than half the gap, those that share most first."""
+    found: list[tuple[float, int, int]] = []
+    for i, j in combinations(range(len(pieces)), 2):
+        a, b = pieces[i], pieces[j]
+        if a.shell.box_distance(b.shell) > gap:
+            continue
+        shared = _shared_volume(a.body, b.body)
+        if shared > 1e-12 or a.shell.is_within(b.shell, 0.5 * gap):
+            found.append((-shared, i, j))
+    return [(i, j) for _, i, j in sorted(found)]
+
+
 def _clear_all(pieces: list[Piece], gap: float, limits: RepairLimits, careful: bool) -> None:
     close: list[tuple[Piece, Piece]] = []
     for attempt in range(ROUNDS):
         width = gap * (1.0 + 0.25 * attempt)
-        overlaps: list[tuple[float, int, int]] = []
-        for i, j in combinations(range(len(pieces)), 2):
-            a, b = pieces[i], pieces[j]
-            if a.shell.box_distance(b.shell) > gap:
-                continue
-            shared = _shared_volume(a.body, b.body)
-            if shared > 1e-12 or a.shell.is_within(b.shell, 0.5 * gap):
-                overlaps.append((-shared, i, j))
+        overlaps = overlapping(pieces, gap)
         if not overlaps:
             return
-        close = [(pieces[i], pieces[j]) for _, i, j in sorted(overlaps)]
+        close = [(pieces[i], pieces[j]) for i, j in overlaps]
         for a, b in close:
             _clear_pair(a, b, width, limits, careful)
     a, b = close[0]

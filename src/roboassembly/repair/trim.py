@@ -47,6 +47,22 @@ _CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)],
 @cached
 def inflate(body: m3.Manifold, amount: float) -> m3.Manifold:
     """Return the solid with every face moved outward by `amount` metres; edges and corners stay sharp."""
+    grown = _offset(body, amount)
+    return body if grown is None else grown + body
+
+
+def deflate(body: m3.Manifold, amount: float) -> m3.Manifold:
+    """Return the solid with every face moved inward by `amount` metres; edges and corners stay sharp.
+
+    A solid of which nothing would be left stays as it is.
+    """
+    shrunk = _offset(body, -amount)
+    rest = body if shrunk is None else shrunk ^ body
+    return body if rest.is_empty() else rest
+
+
+def _offset(body: m3.Manifold, amount: float) -> m3.Manifold | None:
+    """Return the solid with every face moved outward by `amount` metres; None if the faces then enclose nothing."""
     skin = to_surface(body)
     normal = scaled_normals(skin.corners)
     size = np.linalg.norm(normal, axis=1)
@@ -69,9 +85,8 @@ def inflate(body: m3.Manifold, amount: float) -> m3.Manifold:
         np.minimum.at(least, faces[:, k], np.einsum("ij,ij->i", normal, move[faces[:, k]]))
     move *= (amount / np.clip(least, 0.5, 1.0))[:, None]
     length = np.linalg.norm(move, axis=1, keepdims=True)
-    move *= np.minimum(1.0, 4.0 * amount / np.maximum(length, 1e-30))
-    grown = to_manifold(Surface(skin.vertices + move, skin.faces))
-    return body if grown is None else grown + body
+    move *= np.minimum(1.0, 4.0 * abs(amount) / np.maximum(length, 1e-30))
+    return to_manifold(Surface(skin.vertices + move, skin.faces))
 
 
 def near(body: m3.Manifold, other: m3.Manifold, margin: float) -> m3.Manifold:
