@@ -179,6 +179,12 @@ def test_a_part_that_becomes_smaller_is_named():
     assert high.changes == ("sits 2.9 mm less deep in 'low'",)
 
 
+def test_faces_stay_where_moving_them_would_be_refused():
+    # Two blocks that just touch: set back, both are 0.3 mm smaller all round; cut, only one is, by 0.2 mm.
+    result = repair(stacked(0.0), limits=RepairLimits(shortening=0.00025))
+    assert sorted(done.size_change for done in result.report) == pytest.approx([-0.0002, 0.0], abs=2e-5)
+
+
 def test_a_part_that_becomes_too_small_is_refused():
     with pytest.raises(FurnitureError, match=r"part '(low|high)' would .* 7\.9 mm .*`shortening`.*--allow-shortening"):
         repair(stacked(0.008))

@@ -13,13 +13,14 @@
 6. Parts that are delivered alike get each other's cuts, so that they stay alike.
 
 Repair refuses furniture that needs more than `RepairLimits` allows. What is too short after the first four steps is
-refused there: the fifth takes longest, and takes only more away. Before a refusal, the remedies of `remedies` are
-tried; what needs none is repaired without them.
+refused there: the fifth takes longest, and takes only more away. What would be refused is repaired without the second
+step, then with the remedies of `remedies`; what needs none is repaired without them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -147,6 +148,10 @@ def repair(
     except FurnitureError as refusal:
         if not with_remedies:
             raise
+        forget()
+        # A joint that is a little too shallow after its faces are set back may not be without.
+        with suppress(FurnitureError):
+            return _repair(Treatment.none(parts, sets_back=False), gap, limits)
         return _remedied(parts, gap, limits, refusal)
     finally:
         forget()
@@ -199,7 +204,7 @@ def _repair(treatment: Treatment, gap: float, limits: RepairLimits) -> RepairRes
     changed = (treatment.shares_out and share_out(pieces, gap)) or changed
     if not changed and (treatment.moves_panels or treatment.shares_out):
         raise FurnitureError("no two parts have the same volume")
-    if overlapping(pieces, gap):
+    if treatment.sets_back and overlapping(pieces, gap):
         for index, (piece, like) in enumerate(zip(pieces, alike, strict=True)):
             # Parts that are alike stay alike.
             is_copy = like.master < index and not changed

@@ -37,11 +37,13 @@ class Treatment:
     """Whether thin panels are moved out of other parts."""
     shares_out: bool = False
     """Whether doubled volumes are left to one part."""
+    sets_back: bool = True
+    """Whether all faces are set back if parts overlap or touch."""
 
     @classmethod
-    def none(cls, parts: Sequence[RawPart]) -> Treatment:
+    def none(cls, parts: Sequence[RawPart], sets_back: bool = True) -> Treatment:
         """Return the treatment of parts as delivered."""
-        return cls(tuple(parts), ((),) * len(parts))
+        return cls(tuple(parts), ((),) * len(parts), sets_back=sets_back)
 
 
 def treated_surfaces(treatment: Treatment, _: FurnitureError) -> Treatment | None:
