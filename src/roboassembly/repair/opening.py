@@ -5,6 +5,7 @@ Only directions that are natural to the joint count as exits.
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, field
 from heapq import heapify, heappop, heappush
 from itertools import combinations
@@ -37,6 +38,10 @@ MAX_PRISMS = 120
 """Largest number of faces that are swept one by one."""
 LAYER = 0.0005
 """Smallest thickness of a layer of a swept body [m]."""
+MAX_OPENINGS = 6
+"""Largest number of openings of one captive set; more free nothing."""
+MAX_TRIANGLES = 2
+"""Largest number of triangles of a part that is cut open, as a multiple of the limit `faces`."""
 MAX_LAYERS = 40
 """Largest number of layers of a swept body."""
 GROWTH = 0.01
@@ -84,6 +89,7 @@ def open_up(pieces: list[Piece], gap: float, limits: RepairLimits) -> None:
     given_up: set[Parts] = set()
     tried: set[_ExitCandidate] = set()
     cache = BlockingCache()
+    openings = Counter[Parts]()
     for _ in range(limits.openings):
         shells = [piece.shell for piece in pieces]
         graph = blocking(shells, cache)
@@ -93,7 +99,8 @@ def open_up(pieces: list[Piece], gap: float, limits: RepairLimits) -> None:
         if not stuck:
             break
         core = min(stuck, key=lambda parts: (len(parts), sorted(parts)))
-        if not _open(pieces, core, graph, exits, tried, gap, limits):
+        openings[core] += 1
+        if openings[core] > MAX_OPENINGS or not _open(pieces, core, graph, exits, tried, gap, limits):
             given_up.add(core)
     else:
         given_up = set()
@@ -226,7 +233,9 @@ def _cuts(
                     break
                 made = _passage(bodies[trimmed], bodies[other], tuple(along.tolist()), length + gap, gap)
                 share = made.removed / pieces[trimmed].whole
-                if made.body.is_empty() or removed[trimmed] + made.removed > limits.trimmed * pieces[trimmed].whole:
+                too_much = removed[trimmed] + made.removed > limits.trimmed * pieces[trimmed].whole
+                # Cuts that leave ever more triangles open nothing.
+                if too_much or made.body.is_empty() or made.body.num_tri() > MAX_TRIANGLES * limits.faces:
                     continue
                 loose = _loses_contact(made.body, bodies[other])
                 lost = harm(pieces[trimmed], pieces[other], made.body, bodies[other])
