@@ -14,7 +14,8 @@
 
 Repair refuses furniture that needs more than `RepairLimits` allows. What is too short after the first four steps is
 refused there: the fifth takes longest, and takes only more away. What would be refused is repaired without the second
-step, then with the remedies of `remedies`; what needs none is repaired without them.
+step, then with the remedies of `remedies`, then with these and without that step. What needs none is repaired without
+them.
 """
 
 from __future__ import annotations
@@ -143,27 +144,29 @@ def repair(
     if len(set(names)) < len(names):
         raise FurnitureError(f"part names {names} are not all different; rename the parts")
     limits = limits or RepairLimits()
+    with_faces_kept = Treatment.none(parts, sets_back=False)
     try:
-        return _repair(Treatment.none(parts), gap, limits)
-    except FurnitureError as refusal:
-        if not with_remedies:
+        try:
+            return _repair(Treatment.none(parts), gap, limits)
+        except FurnitureError as refusal:
+            if not with_remedies:
+                raise
+            forget()
+            # A joint that is a little too shallow after its faces are set back may not be without.
+            with suppress(FurnitureError):
+                return _repair(with_faces_kept, gap, limits)
+            for treatment in (Treatment.none(parts), with_faces_kept):
+                remedied = _remedied(treatment, gap, limits, refusal)
+                if remedied is not None:
+                    return remedied
             raise
-        forget()
-        # A joint that is a little too shallow after its faces are set back may not be without.
-        with suppress(FurnitureError):
-            return _repair(Treatment.none(parts, sets_back=False), gap, limits)
-        return _remedied(parts, gap, limits, refusal)
     finally:
         forget()
 
 
-def _remedied(parts: Sequence[RawPart], gap: float, limits: RepairLimits, refusal: FurnitureError) -> RepairResult:
-    """Repair again with one remedy after another.
-
-    Raises:
-        FurnitureError: `refusal`, if none helps.
-    """
-    treatment, latest = Treatment.none(parts), refusal
+def _remedied(treatment: Treatment, gap: float, limits: RepairLimits, refusal: FurnitureError) -> RepairResult | None:
+    """Repair again with one remedy after another; None if none helps."""
+    latest = refusal
     for remedy in REMEDIES:
         more = remedy(treatment, latest)
         if more is None:
@@ -174,7 +177,7 @@ def _remedied(parts: Sequence[RawPart], gap: float, limits: RepairLimits, refusa
             return _repair(treatment, gap, limits)
         except FurnitureError as problem:
             latest = problem
-    raise refusal
+    return None
 
 
 def _repair(treatment: Treatment, gap: float, limits: RepairLimits) -> RepairResult:
