@@ -55,6 +55,8 @@ neighbour catches when it slides along the face.
 """
 REPORT_THRESHOLD = 0.001
 """Change of size, or loss of depth, above which a part is reported by name [m]."""
+_TOUCHING_SHARE = 0.1
+"""Share of the gap within half of which parts of the result count as touching."""
 _TIDY_SHARE = 0.2
 """Distance that surfaces may move to have fewer triangles, as a share of the gap."""
 _SOLID_FACE_SHARE = 0.8
@@ -219,6 +221,10 @@ def _repair(treatment: Treatment, gap: float, limits: RepairLimits) -> RepairRes
     for piece in pieces:
         if piece.body.num_tri() > limits.faces:
             piece.become(piece.body.simplify(tidy))
+    # Openings and shared cuts are not separated again.
+    for i, j in overlapping(pieces, _TOUCHING_SHARE * gap):
+        names = pieces[i].name, pieces[j].name
+        raise FurnitureError(f"parts '{names[0]}' and '{names[1]}' touch after their sockets were opened", names)
     check_sizes(pieces, limits)
     bodies = {piece.name: piece.body for piece in pieces}
     out: list[RawPart] = []
