@@ -25,6 +25,7 @@ SWITCHES = {
     "--no-report": "Do not write a page about each import: import-report.html in its folder, or NAME.refused.html "
     "if it is refused.",
     "--no-cache": "Do not reuse the result of an earlier import of the same files.",
+    "--no-train": "Do not train experts and the paper's network, which takes hours and adds their rows.",
 }
 
 
