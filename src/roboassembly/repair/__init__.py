@@ -146,22 +146,22 @@ def repair(
     if len(set(names)) < len(names):
         raise FurnitureError(f"part names {names} are not all different; rename the parts")
     limits = limits or RepairLimits()
-    with_faces_kept = Treatment.none(parts, sets_back=False)
+    faces_kept = Treatment.none(parts, sets_back=False)
     try:
-        try:
-            return _repair(Treatment.none(parts), gap, limits)
-        except FurnitureError as refusal:
-            if not with_remedies:
-                raise
-            forget()
-            # A joint that is a little too shallow after its faces are set back may not be without.
-            with suppress(FurnitureError):
-                return _repair(with_faces_kept, gap, limits)
-            for treatment in (Treatment.none(parts), with_faces_kept):
-                remedied = _remedied(treatment, gap, limits, refusal)
-                if remedied is not None:
-                    return remedied
+        return _repair(Treatment.none(parts), gap, limits)
+    except FurnitureError as refusal:
+        if not with_remedies:
             raise
+        forget()
+        # A joint that is a little too shallow after its faces are set back may not be without. Shapes are made before.
+        if not isinstance(refusal, ShapeError):
+            with suppress(FurnitureError):
+                return _repair(faces_kept, gap, limits)
+        for treatment in (Treatment.none(parts), faces_kept):
+            remedied = _remedied(treatment, gap, limits, refusal)
+            if remedied is not None:
+                return remedied
+        raise
     finally:
         forget()
 
@@ -214,7 +214,7 @@ def _repair(treatment: Treatment, gap: float, limits: RepairLimits) -> RepairRes
             # Parts that are alike stay alike.
             is_copy = like.master < index and not changed
             inner = like.placed(pieces[like.master].body) if is_copy else deflate(piece.body, _SET_BACK_SHARE * gap)
-            piece.set_back(inner)
+            piece.become_whole(inner)
     separate(pieces, gap, limits, diagonal)
     tidy = _TIDY_SHARE * gap
     keep_alike(pieces, alike, limits, tidy)

@@ -48,9 +48,9 @@ class Piece:
     @classmethod
     def of(cls, name: str, solid: Solid) -> Piece:
         """Return a piece before any trimming."""
-        points = to_surface(solid.body).vertices
-        axes = box_axes(points)
-        return cls(name, solid.body, solid, solid.body.volume(), axes=axes, size=extents(points, axes))
+        piece = cls(name, solid.body, solid, whole=0.0)
+        piece.become_whole(solid.body)
+        return piece
 
     @property
     def shell(self) -> Shell:
@@ -61,7 +61,7 @@ class Piece:
         """Replace the solid."""
         self.body = body
 
-    def set_back(self, body: m3.Manifold) -> None:
+    def become_whole(self, body: m3.Manifold) -> None:
         """Replace the solid; the new one counts as the untrimmed part."""
         points = to_surface(body).vertices
         self.axes = box_axes(points)
@@ -71,7 +71,7 @@ class Piece:
         """Leave doubled material to other parts: the rest counts as the untrimmed part."""
         share = 1.0 - rest.volume() / self.whole
         names = ", ".join(f"'{name}'" for name in others)
-        self.set_back(rest)
+        self.become_whole(rest)
         self.gave = True
         self.notes.append(f"{share:.0%} of its volume left to {names}, which had it, too")
 
