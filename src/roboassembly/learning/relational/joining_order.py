@@ -9,6 +9,7 @@ not touch are taken to pass each other.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -37,6 +38,12 @@ class JoiningOrder:
     near: list[int]
     """Bit mask, for each group, of the groups that it mates with."""
     _solvable: dict[frozenset[int], bool] = field(default_factory=dict[frozenset[int], bool])
+    _obstacles: dict[int, list[int]] = field(default_factory=dict[int, list[int]])
+
+    @cached_property
+    def _distinct_arcs(self) -> list[list[int]]:
+        """`arcs` of the directions along which not the same groups are in the way."""
+        return [list(row) for row in dict.fromkeys(map(tuple, self.arcs))]
 
     @staticmethod
     def of_layout(tokens: Tokens, layout: Layout) -> JoiningOrder | None:
@@ -96,7 +103,7 @@ class JoiningOrder:
 
     def separable(self, a: int, b: int) -> bool:
         """Return whether two groups can be separated along any direction."""
-        return any(not arcs[a] >> b & 1 for arcs in self.arcs)
+        return any(not arcs[a] >> b & 1 for arcs in self._distinct_arcs)
 
     def allows(self, a: int, b: int) -> bool:
         """Return whether all groups can still be joined once groups `a` and `b` are one."""
@@ -120,14 +127,15 @@ class JoiningOrder:
         """Return units that can leave the others, both in one piece; None if there are none. One unit comes first."""
         everything = sum(units)
         ordered = sorted(units)
+        obstacles = {unit: self._in_way_of(unit) for unit in ordered}
         for unit in ordered:
             rest = everything & ~unit
-            if any(not _union(arcs, unit) & rest for arcs in self.arcs) and self._whole(rest):
+            if not all(way & rest for way in obstacles[unit]) and self._whole(rest):
                 return frozenset((unit,))
         unit_of = {1 << g: unit for unit in ordered for g in range(unit.bit_length()) if unit >> g & 1}
         given: set[int] = set()
-        for arcs in self.arcs:
-            in_way = {unit: _union(arcs, unit) & everything & ~unit for unit in ordered}
+        for direction in range(len(self._distinct_arcs)):
+            in_way = {unit: obstacles[unit][direction] & everything & ~unit for unit in ordered}
             for start in ordered:
                 closed = _closure(start, in_way, unit_of)
                 if closed != everything and closed not in given:
@@ -135,6 +143,12 @@ class JoiningOrder:
                     if self._whole(closed) and self._whole(everything & ~closed):
                         return frozenset(unit for unit in ordered if unit & closed)
         return None
+
+    def _in_way_of(self, unit: int) -> list[int]:
+        """Return the groups that are in a unit's way, for each distinct direction. Results are cached."""
+        if unit not in self._obstacles:
+            self._obstacles[unit] = [_union(arcs, unit) for arcs in self._distinct_arcs]
+        return self._obstacles[unit]
 
     def _whole(self, groups: int) -> bool:
         """Return whether some groups hang together."""

@@ -42,6 +42,8 @@ _AS_GOOD = 0.5
 """Cost up to which a layout may exceed the least one to be returned with it."""
 _PLACE_CELL = 0.01
 """Size of the cells in which two groups count as at the same place [m]."""
+_Place = tuple[float, ...]
+"""Type and rounded pose of a group."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,13 +101,58 @@ class _Partial:
     normal: Float[np.ndarray, "n 3"]
     """Their normals."""
     mates: tuple[tuple[int, int], ...]
-    places: frozenset[tuple[float, ...]]
+    places: frozenset[_Place]
     """Types and places of the groups: equal for states that differ in which of equal groups lies where."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Extension:
+    """A layout with one more group."""
+
+    state: _Partial
+    """The layout without it."""
+    group: int
+    """Number of the group."""
+    rotation: Float[np.ndarray, "3 3"]
+    """`layout_from_group` of the group."""
+    translation: Float[np.ndarray, "3"]
+    """`layout_from_group` of the group [m]."""
+    position: Float[np.ndarray, "m 3"]
+    """Positions of the group's points [m]."""
+    normal: Float[np.ndarray, "m 3"]
+    """Their normals."""
+    cost: float
+    mates: tuple[tuple[int, int], ...]
+    places: frozenset[_Place]
 
     @property
     def score(self) -> float:
         """Cost beside other layouts of as many groups."""
         return self.cost - _MATED * len(self.mates)
+
+
+@dataclass(frozen=True, eq=False)
+class _Meeting:
+    """Points of a group at a pose beside the points of a layout."""
+
+    group: int
+    """Number of the group."""
+    mine: Int[np.ndarray, "m"]
+    """Its points."""
+    there: Int[np.ndarray, "t"]
+    """Points of the layout."""
+    position: Float[np.ndarray, "m 3"]
+    """Positions of the group's points in the layout [m]."""
+    normal: Float[np.ndarray, "m 3"]
+    """Their normals."""
+    near: Bool[np.ndarray, "m t"]
+    """Whether two points face each other and nearly meet."""
+    meets: Bool[np.ndarray, "m t"]
+    """Whether two points meet."""
+    costs: Float[np.ndarray, "m t"]
+    """Cost of each pair."""
+    order: Float[np.ndarray, "m t"]
+    """Rank of each pair of points that meet, the least first; infinite for all others."""
 
 
 def find_layouts(problem: LayoutProblem, width: int = BEAM_WIDTH) -> list[Layout]:
@@ -124,13 +171,14 @@ def find_layouts(problem: LayoutProblem, width: int = BEAM_WIDTH) -> list[Layout
     search = _Search(problem)
     beam = [search.first(int(np.argmax(np.bincount(problem.group, minlength=groups))))]
     for _ in range(groups - 1):
-        found: dict[frozenset[tuple[float, ...]], _Partial] = {}
+        found: dict[frozenset[_Place], _Extension] = {}
         for state in beam:
-            for extended in search.extensions(state):
-                known = found.get(extended.places)
-                if known is None or extended.score < known.score:
-                    found[extended.places] = extended
-        beam = sorted(found.values(), key=lambda state: state.score)[:width]
+            for extension in search.extensions(state):
+                known = found.get(extension.places)
+                if known is None or extension.score < known.score:
+                    found[extension.places] = extension
+        best_found = sorted(found.values(), key=lambda extension: extension.score)[:width]
+        beam = [search.extended(extension) for extension in best_found]
     complete = sorted((search.layout(state) for state in beam), key=lambda layout: layout.cost)
     best = [layout for layout in complete if layout.cost <= complete[0].cost + _AS_GOOD]
     return [
@@ -148,6 +196,9 @@ class _Search:
         # waiting_from_moving of every pair: rows move.
         self._turn, self._shift = mating_poses(problem.frame, problem.position, problem.frame, problem.position)
         self._members = [np.flatnonzero(problem.group == g) for g in range(len(problem.types))]
+        most = max(map(len, self._members))
+        # The points of each group, filled up with its last one.
+        self._points = np.array([[*points, *[points[-1]] * (most - len(points))] for points in self._members])
 
     def layout(self, state: _Partial) -> Layout:
         """Return a state that places all groups as a layout."""
@@ -162,14 +213,19 @@ class _Search:
         eye, zero = np.eye(3), np.zeros(3)
         return _Partial(
             0.0, np.tile(eye, (groups, 1, 1)), np.zeros((groups, 3)), mine, mine, p.position, p.frame[:, :, 2], (),
-            frozenset((self._place(group, eye, zero),)),
+            frozenset(self._places(np.array([group]), eye[None], zero[None])),
         )  # fmt: skip
 
-    def _place(
-        self, group: int, rotation: Float[np.ndarray, "3 3"], translation: Float[np.ndarray, "3"]
-    ) -> tuple[float, ...]:
-        turn, shift = np.rint(rotation).ravel() + 0.0, np.rint(translation / _PLACE_CELL) + 0.0
-        return (float(self.problem.types[group]), *turn.tolist(), *shift.tolist())
+    def _places(
+        self,
+        groups: Int[np.ndarray, "c"],
+        rotations: Float[np.ndarray, "c 3 3"],
+        translations: Float[np.ndarray, "c 3"],
+    ) -> list[_Place]:
+        """Return type and place of some groups."""
+        types = np.array(self.problem.types, float)[groups, None]
+        turns, shifts = np.rint(rotations).reshape(-1, 9) + 0.0, np.rint(translations / _PLACE_CELL) + 0.0
+        return [tuple(row) for row in np.concatenate([types, turns, shifts], axis=1).tolist()]
 
     def _same_tangents(self, state: _Partial, k: int, l: int) -> bool:  # noqa: E741
         """Return whether two points that meet have equal tangents."""
@@ -177,77 +233,119 @@ class _Search:
         first, second = (state.rotation[p.group[i]] @ p.frame[i, :, 0] for i in (k, l))
         return float(first @ second) > -CONTACT_COSINE
 
-    def extensions(self, state: _Partial) -> Iterator[_Partial]:
+    def extensions(self, state: _Partial) -> Iterator[_Extension]:
         """Yield the layouts with one more group, by the likeliest mates of open points."""
-        cost, group = self.problem.cost, self.problem.group
-        open_points = np.flatnonzero(state.open)
-        left = np.flatnonzero(~state.placed)
-        costs = cost[np.ix_(open_points, left)]
-        tried: set[tuple[float, ...]] = set()
+        p = self.problem
+        open_points, left, there = (
+            np.flatnonzero(state.open),
+            np.flatnonzero(~state.placed),
+            np.flatnonzero(state.placed),
+        )
+        costs = p.cost[open_points[:, None], left].ravel()
+        likely = np.flatnonzero(costs <= _LARGEST_COST)
+        rows, columns = np.divmod(likely[np.argsort(costs[likely], kind="stable")], len(left))
+        k, l = open_points[rows], left[columns]  # noqa: E741
+        bases = state.rotation[p.group[k]]
+        turns = bases @ self._turn[l, k]
+        shifts = np.einsum("cij,cj->ci", bases, self._shift[l, k]) + state.translation[p.group[k]]
+        # Equal groups are alike: the first that is left stands for all. Further mates lead to the same place.
+        places = self._places(p.group[l], turns, shifts)
+        first_at: dict[_Place, int] = {}
+        for index, place in enumerate(places):
+            first_at.setdefault(place, index)
+        distinct = np.array([*first_at.values()], int)
         extended = 0
-        for flat in np.argsort(costs, axis=None, kind="stable").tolist():
-            row, column = divmod(flat, len(left))
-            if costs[row, column] > _LARGEST_COST or extended >= _CHOICES:
-                return
-            k, l = int(open_points[row]), int(left[column])  # noqa: E741
-            g = int(group[k])
-            turn = state.rotation[g] @ self._turn[l, k]
-            shift = state.rotation[g] @ self._shift[l, k] + state.translation[g]
-            # Equal groups are alike: the first that is left stands for all. Further mates lead to the same place.
-            place = self._place(int(group[l]), turn, shift)
-            if place not in tried:
-                tried.add(place)
-                placed = self._placed(state, k, l, turn, shift)
-                if placed is not None:
+        while extended < _CHOICES and len(distinct):
+            some, distinct = distinct[: _CHOICES - extended], distinct[_CHOICES - extended :]
+            meetings = self._meetings(state, there, p.group[l[some]], turns[some], shifts[some])
+            numbers: list[int] = some.tolist()
+            for index, meeting in zip(numbers, meetings, strict=True):
+                mate = int(k[index]), int(l[index])
+                extension = self._extension(state, meeting, mate, turns[index], shifts[index], places[index])
+                if extension is not None:
                     extended += 1
-                    yield placed
+                    yield extension
 
-    def _placed(
-        self, state: _Partial, k: int, l: int, turn: Float[np.ndarray, "3 3"], shift: Float[np.ndarray, "3"]  # noqa: E741
-    ) -> _Partial | None:  # fmt: skip
-        """Return the layout in which point `l` of a new group mates with point `k`; None if the group has no room.
+    def _meetings(
+        self, state: _Partial, there: Int[np.ndarray, "t"], groups: Int[np.ndarray, "c"],
+        turns: Float[np.ndarray, "c 3 3"], shifts: Float[np.ndarray, "c 3"],
+    ) -> Iterator[_Meeting]:  # fmt: skip
+        """Yield how each of some groups would meet a layout.
+
+        Args:
+            state: layout.
+            there: points of its groups.
+            groups: the groups, each at a pose of its own.
+            turns: `layout_from_group` of each.
+            shifts: the same [m].
+        """
+        p, points = self.problem, self._points[groups]
+        back = turns.swapaxes(1, 2)
+        positions, normals = p.position[points] @ back + shifts[:, None], p.frame[points, :, 2] @ back
+        offsets = positions[:, :, None] - state.position[there]
+        distances = np.sqrt((offsets * offsets).sum(axis=3))
+        near = (distances < _MISS_DISTANCE) & (normals @ state.normal[there].T < CONTACT_COSINE)
+        meets = near & (distances < _MATE_DISTANCE)
+        costs, free = p.cost[points[:, :, None], there], state.open[there]
+        # Two points of a part can lie closer together than points may be apart that meet.
+        order = np.where(meets & free, costs + distances / _MATE_DISTANCE, np.inf)
+        numbers: list[int] = groups.tolist()
+        for index, group in enumerate(numbers):
+            mine = self._members[group]
+            arrays = (a[index, : len(mine)] for a in (positions, normals, near, meets, costs, order))
+            yield _Meeting(group, mine, there, *arrays)
+
+    def _extension(
+        self, state: _Partial, meeting: _Meeting, mate: tuple[int, int], turn: Float[np.ndarray, "3 3"],
+        shift: Float[np.ndarray, "3"], place: _Place,
+    ) -> _Extension | None:  # fmt: skip
+        """Return the layout in which a point of a new group mates with an open one; None if the group has no room.
 
         Args:
             state: layout without the group.
-            k: open point.
-            l: point of the group.
+            meeting: how the group meets it.
+            mate: open point, and point of the group.
             turn: `layout_from_group` of the group.
             shift: the same [m].
+            place: type and place of the group.
         """
-        p = self.problem
-        h = int(p.group[l])
-        mine, there = self._members[h], np.flatnonzero(state.placed)
-        at, normal = p.position[mine] @ turn.T + shift, p.frame[mine, :, 2] @ turn.T
-        distance = np.linalg.norm(at[:, None] - state.position[there], axis=2)
-        near = (distance < _MISS_DISTANCE) & (normal @ state.normal[there].T < CONTACT_COSINE)
-        meets = near & (distance < _MATE_DISTANCE)
-        costs, free = p.cost[np.ix_(mine, there)], state.open[there]
-        # Two points of a part can lie closer together than points may be apart that meet.
-        order = np.where(meets & free, costs + distance / _MATE_DISTANCE, np.inf)
+        mine, there, costs = meeting.mine, meeting.there, meeting.costs
+        k, l = mate  # noqa: E741
         # The mate itself meets, whatever rounding says.
-        order[np.searchsorted(mine, l), np.searchsorted(there, k)] = -1.0
-        rows, columns = _one_to_one(order)
+        meeting.order[np.searchsorted(mine, l), np.searchsorted(there, k)] = -1.0
+        rows, columns = _one_to_one(meeting.order)
+        free = state.open[there]
         unmatched = np.ones((len(mine), 1), bool)
         unmatched[rows] = False
-        if (meets & unmatched & ~free).any() or not np.isfinite(costs[rows, columns]).all():
+        if (meeting.meets & unmatched & ~free).any() or not np.isfinite(costs[rows, columns]).all():
             return None
         free[columns] = False
-        cost = state.cost + _MISSED * float((near & unmatched & free).sum())
+        cost = state.cost + _MISSED * float((meeting.near & unmatched & free).sum())
         pairs: list[tuple[int, int]] = []
-        open_points, placed = state.open.copy(), state.placed.copy()
-        open_points[mine] = placed[mine] = True
-        for row, column in zip(mine[rows].tolist(), there[columns].tolist(), strict=True):
-            most = _LARGEST_COST if (row, column) == (l, k) else _LARGEST_FURTHER
-            cost += min(float(p.cost[row, column]), most)
-            pairs.append((column, row))
-            open_points[[row, column]] = False
-        rotation, translation, position, normals = (
-            array.copy() for array in (state.rotation, state.translation, state.position, state.normal)
+        for row, column in zip(rows.tolist(), columns.tolist(), strict=True):
+            pair = int(there[column]), int(mine[row])
+            cost += min(float(costs[row, column]), _LARGEST_COST if pair == mate else _LARGEST_FURTHER)
+            pairs.append(pair)
+        return _Extension(
+            state, meeting.group, turn, shift, meeting.position, meeting.normal, cost, (*state.mates, *pairs),
+            state.places | {place},
+        )  # fmt: skip
+
+    def extended(self, extension: _Extension) -> _Partial:
+        """Return the layout of a state and one more group."""
+        state, h = extension.state, extension.group
+        mine = self._members[h]
+        open_points, placed, rotation, translation, position, normal = (
+            array.copy()
+            for array in (state.open, state.placed, state.rotation, state.translation, state.position, state.normal)
         )
-        rotation[h], translation[h], position[mine], normals[mine] = turn, shift, at, normal
+        open_points[mine] = placed[mine] = True
+        open_points[np.array(extension.mates[len(state.mates) :]).ravel()] = False
+        rotation[h], translation[h] = extension.rotation, extension.translation
+        position[mine], normal[mine] = extension.position, extension.normal
         return _Partial(
-            cost, rotation, translation, placed, open_points, position, normals, (*state.mates, *pairs),
-            state.places | {self._place(h, turn, shift)},
+            extension.cost, rotation, translation, placed, open_points, position, normal, extension.mates,
+            extension.places,
         )  # fmt: skip
 
 
@@ -255,7 +353,8 @@ def _one_to_one(costs: Float[np.ndarray, "m n"]) -> tuple[Int[np.ndarray, "r"], 
     """Return the rows and columns of pairs of finite cost, the cheapest first, with no row or column twice."""
     rows: list[int] = []
     columns: list[int] = []
-    for flat in np.argsort(costs, axis=None, kind="stable")[: int(np.isfinite(costs).sum())].tolist():
+    finite = np.flatnonzero(np.isfinite(costs))
+    for flat in finite[np.argsort(costs.ravel()[finite], kind="stable")].tolist():
         row, column = divmod(flat, costs.shape[1])
         if row not in rows and column not in columns:
             rows.append(row)
