@@ -42,7 +42,7 @@ class JoiningOrder:
 
     @cached_property
     def _distinct_arcs(self) -> list[list[int]]:
-        """`arcs` of the directions along which not the same groups are in the way."""
+        """Rows of `arcs` without repetitions."""
         return [list(row) for row in dict.fromkeys(map(tuple, self.arcs))]
 
     @staticmethod
