@@ -102,23 +102,29 @@ def asks_for_grasps(node: ast.AST) -> bool:
     return any("full" in word.lower().split("_") for test in conditions(node) for word in words(test))
 
 
-def files(asked: Callable[[ast.AST], bool]) -> set[str]:
-    """Files of the package with a node that asks."""
+@pytest.fixture(scope="module")
+def nodes() -> dict[str, list[ast.AST]]:
+    """Nodes of each file of the package."""
     return {
-        path.relative_to(PACKAGE).as_posix()
+        path.relative_to(PACKAGE).as_posix(): list(ast.walk(ast.parse(path.read_text())))
         for path in PACKAGE.rglob("*.py")
-        if any(asked(node) for node in ast.walk(ast.parse(path.read_text())))
     }
 
 
-def test_three_files_ask_for_the_setting() -> None:
+def files(nodes: dict[str, list[ast.AST]], asked: Callable[[ast.AST], bool]) -> set[str]:
+    """Files of the package with a node that asks."""
+    return {name for name, inside in nodes.items() if any(map(asked, inside))}
+
+
+def test_three_files_ask_for_the_setting(nodes: dict[str, list[ast.AST]]) -> None:
     flags = {field.name for field in fields(Setting) if field.type == "bool"}
     assert flags == {"needs_grasps"}
-    assert files(lambda node: asks(node, flags)) == ASKING
+    assert files(nodes, lambda node: asks(node, flags)) == ASKING
 
 
-def test_in_learning_only_networks_ask_for_grasps() -> None:
-    assert {file for file in files(asks_for_grasps) if file.startswith("learning/")} == NETWORKS
+def test_in_learning_only_networks_ask_for_grasps(nodes: dict[str, list[ast.AST]]) -> None:
+    inside = {name: found for name, found in nodes.items() if name.startswith("learning/")}
+    assert files(inside, asks_for_grasps) == NETWORKS
 
 
 @pytest.mark.parametrize(

@@ -124,16 +124,28 @@ def test_document_without_marks_is_refused_first(tmp_path: Path, capsys) -> None
     assert document.read_text() == "nothing\n"
 
 
+@pytest.mark.parametrize(
+    ("setting", "names"),
+    [
+        (
+            "object-centric",
+            ["RRT-Connect in 6M dimensions", "random", "relational", "relational with search", "search alone"],
+        ),
+        pytest.param(
+            "full",
+            ["random", "relational", "relational with search",
+             "relational with search: its plans carried out in physics", "search alone"],
+            marks=pytest.mark.slow,
+        ),
+    ],
+)  # fmt: skip
 def test_without_training_the_rows_of_trained_networks_are_left_out(
-    as_built, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    setting: str, names: list[str], as_built, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     as_built(easy=[("cantilever", 1)], test=[("cantilever", 3)])
-    result = told(capsys, "--no-train", "--setting", "full", "--out", str(tmp_path / "run"), "--jobs", "1")
+    result = told(capsys, "--no-train", "--setting", setting, "--out", str(tmp_path / "run"), "--jobs", "1")
     rows = {r["name"]: r["figures"] for r in result["rows"]}
-    assert list(rows) == [
-        "random", "relational", "relational with search",
-        "relational with search: its plans carried out in physics", "search alone",
-    ]  # fmt: skip
+    assert list(rows) == names
     assert all(figures["n"] == 1 for figures in rows.values())
     assert rows["search alone"]["success_rate"] == rows["relational with search"]["success_rate"] == 1.0
     assert not list((tmp_path / "run").glob("*.npz"))

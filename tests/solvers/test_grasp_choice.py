@@ -92,10 +92,13 @@ def test_grasps_are_chosen_anew_where_no_order_exists(badly_held: Furniture) -> 
         regions = [numbers(choice.furniture.parts[part].grasps) for part in equal]
         assert all(own == regions[0] for own in regions)
         assert 0 < len(regions[0]) <= GRASP_REGIONS
-    assert [numbers(p.grasps) for p in choose_grasps(badly_held).furniture.parts] == [
-        numbers(p.grasps) for p in choice.furniture.parts
-    ]
     assert solve_full(choice.furniture, 0).plan.success
+
+
+@pytest.mark.slow
+def test_the_choice_is_reproducible(badly_held: Furniture) -> None:
+    first, again = ([numbers(part.grasps) for part in choose_grasps(badly_held).furniture.parts] for _ in range(2))
+    assert first == again
 
 
 def test_the_search_tries_no_merge_where_no_order_exists(badly_held: Furniture) -> None:

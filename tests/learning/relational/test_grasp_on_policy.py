@@ -88,7 +88,7 @@ def test_probes_label_actions_as_fresh_tests_do() -> None:
 def test_samples_are_written_once_and_are_reproducible(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     params = {**relational.init(rng, TINY), GRASP_PARAMS: grasping.init(rng)}
-    policy, names = tmp_path / "policy.npz", ["three_legged:24", "upholstered:14", "imported"]
+    policy, names = tmp_path / "policy.npz", ["upholstered:14", "imported"]
     checkpoint.save(policy, checkpoint.Checkpoint(relational.KIND, params, {"network": asdict(TINY)}, {}))
     folders = {"imported": tmp_path / "imported"}
     storage.save(catalogue.make("cantilever", 1), folders["imported"])

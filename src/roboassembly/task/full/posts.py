@@ -190,6 +190,7 @@ def _best_top(grippers: _Grippers, tops: Float[np.ndarray, "n 3"], costs: Float[
     return best
 
 
+@cache
 def _disc(step: float) -> Float[np.ndarray, "n 2"]:
     """Return places on a cup, `step` metres apart, the middle first and the rim among them."""
     out = [np.zeros((1, 2))]
