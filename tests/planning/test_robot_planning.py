@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+import weakref
 from dataclasses import replace
 from itertools import islice, pairwise
 
@@ -14,7 +16,7 @@ from roboassembly.geometry.poses import SE3, rotation_angle
 from roboassembly.geometry.scene import Body, Shape
 from roboassembly.planning.problem import Budget
 from roboassembly.planning.robot_path import Floor, connect, line, turned_on
-from roboassembly.planning.robot_shapes import CLEARANCE, WorldCache
+from roboassembly.planning.robot_shapes import CLEARANCE, Arrangement, RobotShapes, WorldCache
 from roboassembly.planning.robot_world import RobotWorld
 from roboassembly.robots.body import DOF, placed, world_from_tips
 from roboassembly.robots.kinematics import arm
@@ -59,6 +61,21 @@ def test_free_configurations_agree_with_fcl(around: list[Body], held: tuple[Shap
     # What the robot does to itself aside, both say the same.
     assert (~free & alone == hits & alone).all()
     assert 5 < (hits & alone).sum() < 145
+
+
+def test_the_last_world_takes_its_shapes_along(around: list[Body]) -> None:
+    """A search makes thousands of worlds with some megabytes each: Python's search for cycles comes too late."""
+    world = RobotWorld(around, OPENING, RACKET)
+    world.free(drawn(np.random.default_rng(0), 5))
+    kept = [weakref.ref(o) for o in gc.get_referents(world) if isinstance(o, Arrangement)]
+    kept += [weakref.ref(o) for a in kept for o in gc.get_referents(a()) if isinstance(o, RobotShapes)]
+    assert len(kept) > 1
+    gc.disable()
+    try:
+        del world
+        assert all(reference() is None for reference in kept)
+    finally:
+        gc.enable()
 
 
 def test_worlds_that_share_shapes_answer_as_on_their_own(around: list[Body]) -> None:

@@ -6,6 +6,7 @@ from collections import defaultdict
 from collections.abc import Hashable, Sequence
 from functools import cache
 from itertools import pairwise, product
+from weakref import ref
 
 import coal
 import numpy as np
@@ -29,8 +30,8 @@ _FIRST = 4
 """Size of the first batch of tests that may end early."""
 _LOADS = 20
 """Largest number of shapes that share geometry as loads: pairs slow tests down even if they are not active."""
-_CACHED = 12
-"""Number of loads whose shapes are cached; each occupies some megabytes."""
+_CACHED = 4
+"""Number of loads whose shapes are cached; each occupies up to 30 MB."""
 _POOLS = 2
 """Number of arrangements of one load that are ready at a time, as a stage of a step may test two in turn."""
 PlacedShape = tuple[Shape, SE3]
@@ -44,8 +45,12 @@ class _Pool:
 
     def __init__(self, geometry: pin.GeometryModel, movable: Sequence[int]) -> None:
         self._geometry, self._pool = geometry, MovablePool(robot_model()[0], geometry, movable)
-        self.arrangement: Arrangement | None = None
-        """Arrangement at the last test; None before it."""
+        # An arrangement has its pools: a strong reference would keep megabytes until Python looks for cycles.
+        self._arrangement: ref[Arrangement] | None = None
+
+    def has(self, arrangement: Arrangement) -> bool:
+        """Return whether the last test was of an arrangement."""
+        return self._arrangement is not None and self._arrangement() is arrangement
 
     def hits(
         self, arrangement: Arrangement, margins: Margins, q: Configurations, first_only: bool
@@ -54,9 +59,9 @@ class _Pool:
         pool = self._pool.at(arrangement.placements)
         for data in pool.getGeometryDatas():
             data.setSecurityMargins(self._geometry, margins)
-            if self.arrangement is not arrangement:
+            if not self.has(arrangement):
                 data.setActiveCollisionPairs(self._geometry, arrangement.pairs)
-        self.arrangement = arrangement
+        self._arrangement = ref(arrangement)
         hits = pin.computeCollisionsInParallel(1, pool, np.asfortranarray(q.T), True, first_only)
         return np.array(hits, dtype=bool)
 
@@ -113,7 +118,7 @@ class RobotShapes:
     def pool(self, arrangement: Arrangement, exact: bool) -> _Pool:
         """Return a pool, one that is arranged already if there is one."""
         pools = self._pools[exact]
-        ready = next((pool for pool in pools if pool.arrangement is arrangement), None)
+        ready = next((pool for pool in pools if pool.has(arrangement)), None)
         if ready is None:
             ready = pools[0] if len(pools) == _POOLS else _Pool(self._geometry[exact], self._movable)
         pools[:] = [*(pool for pool in pools if pool is not ready), ready]
