@@ -30,8 +30,10 @@ from step_files import step_table, write_step
 ALWAYS = [
     (r"make .*", "makes a virtual environment; `test_release.py` installs the package into an empty one"),
     (r"python -m pip install .*", "as above; `test_docs.py` checks that what the lines name exists"),
+    (r"python tools/split_real\.py .*|roboassembly train multitask .*--imported .*",
+     "real furniture, which is no part of a clone; `test_relational_pipeline.py` trains on an imported piece"),
     (r"roboassembly benchmark", "days; `test_benchmark.py` runs all of it in miniature"),
-]
+]  # fmt: skip
 """Patterns of commands that never run here."""
 WHEN_QUICK = [
     (r"roboassembly .*--setting full.*", "two robots take their time"),
