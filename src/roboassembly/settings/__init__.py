@@ -18,7 +18,7 @@ from roboassembly.task.setting import SettingName
 
 if TYPE_CHECKING:
     import numpy as np
-    from jaxtyping import Float32
+    from jaxtyping import Float, Float32
 
     from roboassembly.envs.observation import Observer
     from roboassembly.furniture.model import Furniture
@@ -100,6 +100,8 @@ class Setting:
     """Rounds of the relational policy's networks, on pairs and on grasps, from the number of rounds after the first."""
     refusals: tuple[type[InputError], ...]
     """Errors which mean that a training chair does not suit the setting. Any others stop the training."""
+    scatter: Callable[[Float[np.ndarray, "n 3"], np.random.Generator], Float[np.ndarray, "n 3"]]
+    """Places where groups may be in episodes, drawn at random for training, given where they are [m]."""
     repeated_starts: int
     """Number of an expert's episodes, at most, that start as in its validation and become samples."""
     lacking: str

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Float, Float32
 
 from roboassembly.envs import FULL
 from roboassembly.errors import InputError
@@ -25,6 +25,9 @@ if TYPE_CHECKING:
     from roboassembly.envs.observation import Observer
     from roboassembly.task.full.execution import StepExecution
 
+_CELL_RADIUS, _HEIGHTS = 3.5, (0.4, 1.5)
+"""Radius of the region where the posts of nearly all furniture stand, and range of the parts' heights there [m]."""
+
 
 def _audit(plan: FullPlan) -> RobotAuditReport:
     from roboassembly.audit.full import audit_full_plan
@@ -40,6 +43,14 @@ def _execute(plan: FullPlan) -> list[StepExecution]:
 
 def _grasps(observer: Observer) -> Float32[np.ndarray, "P 8 6"]:
     return observer.grasp_poses
+
+
+def _in_the_cell(places: Float[np.ndarray, "n 3"], rng: np.random.Generator) -> Float[np.ndarray, "n 3"]:
+    # Experts explore without a cell, with all groups side by side on the ground. In a cell they hang on posts in a
+    # ring, merged ones anywhere.
+    angle, share = rng.uniform(-np.pi, np.pi, len(places)), rng.uniform(0.0, 1.0, len(places))
+    radius = _CELL_RADIUS * np.sqrt(share)
+    return np.stack([radius * np.cos(angle), radius * np.sin(angle), rng.uniform(*_HEIGHTS, len(places))], axis=1)
 
 
 def _on_grasps(later: int) -> tuple[int, int]:
@@ -76,6 +87,7 @@ SETTING = Setting(
     refusals=(InputError,),
     # From other starts the arms often cannot carry out what an expert chooses.
     repeated_starts=3,
+    scatter=_in_the_cell,
     lacking="chooses no grasps",
     failures=_counted,
     experts_note="Experts count as in the paper, where found paths are kept: by episodes from starts of their "

@@ -18,6 +18,9 @@ from roboassembly.task.object_centric.upright import plan_upright
 from roboassembly.task.plans.plan import Plan
 
 if TYPE_CHECKING:
+    import numpy as np
+    from jaxtyping import Float
+
     from roboassembly.audit.object_centric import AuditReport
     from roboassembly.envs.observation import Observer
     from roboassembly.furniture.model import Furniture
@@ -46,6 +49,10 @@ def _oracle(furniture: Furniture) -> Oracle:
 
 def _no_grasps(_: Observer) -> None:
     return None
+
+
+def _nearby(places: Float[np.ndarray, "n 3"], rng: np.random.Generator) -> Float[np.ndarray, "n 3"]:
+    return places + rng.uniform(-0.5, 0.5, places.shape)
 
 
 def _on_pairs(later: int) -> tuple[int, int]:
@@ -77,6 +84,7 @@ SETTING = Setting(
     grasp_inputs=_no_grasps,
     rounds_of_networks=_on_pairs,
     refusals=(),
+    scatter=_nearby,
     repeated_starts=0,
     lacking="plays with robots only",
     failures=_not_counted,

@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 from dataclasses import asdict, replace
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -33,11 +34,13 @@ from roboassembly.learning.paper.imitation import PaperTraining
 from roboassembly.learning.paper.network import PaperConfig, PaperPolicy, PaperState
 from roboassembly.learning.registry import load_policy
 from roboassembly.learning.relational.oracle_dataset import Labeler
+from roboassembly.settings import SETTINGS
 from roboassembly.solvers.hand_oracle import HandOracle
 from roboassembly.solvers.oracle import Oracle
 from roboassembly.task.full.task import FullTask
 from roboassembly.task.object_centric.task import ObjectCentricTask
 from roboassembly.task.rules.groups import TaskState
+from roboassembly.task.setting import SettingName
 
 STATE = paper.state_size(False)
 SMALL = PaperConfig(hidden=24, feature=16, slot=8)
@@ -264,14 +267,15 @@ def test_batch_holds_slots_and_masks(examples: list[PaperExample]) -> None:
         assert e.exact().max() >= groups - 1 + 4
 
 
-def test_augmentation_moves_groups_as_wholes(chair: Furniture) -> None:
+@pytest.mark.parametrize("setting", SETTINGS)
+def test_augmentation_moves_groups_as_wholes(setting: SettingName, chair: Furniture) -> None:
     task = ObjectCentricTask(chair)
     state = task.initial_state(np.random.default_rng(0))
     joint = next(j for j in Oracle(task).mates(state) if j.viable)
     rest = (g for g in state.groups if joint.u not in g.parts and joint.v not in g.parts)
     observer = Observer(chair, len(chair.parts), 10, 1)
     seen = observer.observe(TaskState((*rest, joint.merge.merged)))
-    moved = scattered(seen["poses"], group_labels(seen["connections"]), np.random.default_rng(0))
+    moved = scattered(seen["poses"], group_labels(seen["connections"]), setting, np.random.default_rng(0))
     assert not np.allclose(moved, seen["poses"], atol=0.05)
     turns = [rotations_from_euler(p[:, 3:].astype(float)) for p in (seen["poses"], moved)]
     u, v = joint.u, joint.v
@@ -281,6 +285,24 @@ def test_augmentation_moves_groups_as_wholes(chair: Furniture) -> None:
     ]
     assert np.allclose(relative[0], relative[1], atol=1e-5)
     assert not np.allclose(turns[0][:, 2], turns[1][:, 2], atol=0.3)  # groups may lie on any side
+
+
+def test_places_in_training_are_those_of_episodes(chair: Furniture) -> None:
+    """What a network learns from must lie where its parts lie when it acts."""
+    draw = partial(scattered, group=np.arange(200), rng=np.random.default_rng(0))
+    for name, setting in SETTINGS.items():
+        # Experts explore on the ground in either setting.
+        explored = ObjectCentricTask(chair)
+        starts = [explored.initial_state(np.random.default_rng(seed)).part_poses for seed in range(10, 16)]
+        recorded = np.array([[*pose.translation, 0.0, 0.0, 0.0] for poses in starts for pose in poses])
+        drawn = draw(np.resize(recorded, (200, 6)), setting=name)[:, :3]
+        low, high = drawn.min(axis=0) - 0.1, drawn.max(axis=0) + 0.1
+        task = setting.make_task(chair)
+        for seed in range(3):
+            state = task.groups_of(task.initial_state(np.random.default_rng(seed)))
+            met = np.array([pose.translation for pose in state.part_poses])
+            assert (low < met).all()
+            assert (met < high).all()
 
 
 def test_noise_is_on_the_clouds_alone(examples: list[PaperExample], course: SampleSet) -> None:

@@ -104,7 +104,8 @@ def policy_samples(
         while state is not None and len(state) > 1:
             groups = env.laid_out(state)
             observation = observer.observe(groups)
-            observation["poses"] = scattered(observation["poses"], group_labels(observation["connections"]), rng)
+            groups_of_parts = group_labels(observation["connections"])
+            observation["poses"] = scattered(observation["poses"], groups_of_parts, task.setting, rng)
             mask = task.existing_actions(groups, *task.furniture.padding)
             u, v, k, l, *choice = chosen(policy, observation, mask)  # noqa: E741
             action = row_of[u, k], row_of[v, l], int(np.ravel_multi_index(choice, task.action_branches))

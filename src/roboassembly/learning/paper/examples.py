@@ -27,7 +27,9 @@ from roboassembly.learning.paper import autoencoder, heads
 from roboassembly.learning.paper.autoencoder import CLOUD_POINTS
 from roboassembly.learning.paper.dqn.network import TIE, first_best
 from roboassembly.learning.paper.network import PaperConfig, PaperState
+from roboassembly.settings import SETTINGS
 from roboassembly.task.rules.connections import UP_AXES
+from roboassembly.task.setting import SettingName
 
 COMPLETION_REWARD = 4.0
 """Reward for the whole furniture, in addition to 1 for the last merge."""
@@ -242,20 +244,20 @@ def _example(
 
 
 def scattered(
-    poses: Float[np.ndarray, "P 6"], group: Int[np.ndarray, "P"], rng: np.random.Generator
+    poses: Float[np.ndarray, "P 6"], group: Int[np.ndarray, "P"], setting: SettingName, rng: np.random.Generator
 ) -> Float[np.ndarray, "P 6"]:
-    """Return world poses with each group turned at random and moved up to 0.5 m; Q depends on neither.
+    """Return world poses with each group turned and placed at random; Q depends on neither.
 
     Groups rest in any of their stable poses, and merged groups in others than their parts, so any turn may occur.
 
     Args:
         poses: of the parts of one state, or of several one after another.
         group: index of the first part of each part's group.
-        rng: draws the places.
+        setting: says where groups may lie.
+        rng: draws turns and places.
     """
     turns = Rotation.random(len(poses), rng).as_matrix()[group]
-    shift = rng.uniform(-0.5, 0.5, (len(poses), 3))[group]
-    center = poses[group, :3].astype(float)
-    moved = np.einsum("pij,pj->pi", turns, poses[:, :3] - center) + center + shift
+    places = SETTINGS[setting].scatter(poses[:, :3].astype(float), rng)[group]
+    moved = np.einsum("pij,pj->pi", turns, poses[:, :3] - poses[group, :3].astype(float)) + places
     rotations = turns @ rotations_from_euler(poses[:, 3:].astype(float))
     return np.concatenate([moved, euler_from_rotations(rotations)], axis=1).astype(np.float32)

@@ -84,7 +84,8 @@ def batch_of(
         ends = np.cumsum([len(state.poses) for state in states])
         begins = [0, *ends[:-1].tolist()]
         groups = np.concatenate([begin + e.group_of_part for begin, e in zip(begins, examples, strict=True)])
-        poses = np.split(scattered(np.concatenate([state.poses for state in states]), groups, rng), ends[:-1])
+        poses = scattered(np.concatenate([s.poses for s in states]), groups, paper.setting_of(full), rng)
+        poses = np.split(poses, ends[:-1])
         states = [replace(state, poses=moved) for state, moved in zip(states, poses, strict=True)]
     for row, (e, state) in enumerate(zip(examples, states, strict=True)):
         state.write(batch["state"][row])

@@ -87,6 +87,11 @@ class PaperState:
             begin = end
 
 
+def setting_of(full: bool) -> SettingName:
+    """Return the setting of a network."""
+    return "full" if full else "object-centric"
+
+
 def sections(full: bool) -> dict[str, tuple[int, ...]]:
     """Return the sections of the state vector of a setting, in order, and their shapes."""
     return {**SECTIONS, **(GRASP_SECTION if full else {})}
@@ -214,7 +219,7 @@ class PaperPolicy:
 
     def __init__(self, params: Params, full: bool = False) -> None:
         self._params, self._full = params, full
-        self.settings: tuple[SettingName, ...] = ("full",) if full else ("object-centric",)
+        self.settings: tuple[SettingName, ...] = (setting_of(full),)
         self._encoded: tuple[np.ndarray, np.ndarray] | None = None
         """Clouds of the parts and their features."""
 
