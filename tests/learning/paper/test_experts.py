@@ -510,6 +510,14 @@ def test_an_expert_masters_a_chair_and_teaches_it(trained: Trained, family: str,
     n = int(lesson.free.sum())
     assert lesson.q_values is not None
     assert lesson.q_values.shape == (n, n, 6)
+    # Whatever its network says of wrong pairs, they are worth nothing.
+    part, point = np.nonzero(lesson.free)
+    alone = task.initial_state(np.random.default_rng(0)).groups
+    valued = np.argwhere((lesson.q_values != 0.0).any(axis=2))
+    assert len(valued) >= len(task.furniture.connections)
+    for row, column in valued:
+        u, v = int(part[row]), int(part[column])
+        assert task.pairs.judge(alone[u], alone[v], u, int(point[row]), v, int(point[column])) is not None
     best = len(task.furniture.parts) + 3.0
     # Values may overshoot; what is taught does not.
     taught = taught[0]

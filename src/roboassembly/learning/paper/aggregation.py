@@ -29,7 +29,6 @@ from roboassembly.learning.paper.expert_dataset import SampleRecorder
 from roboassembly.learning.paper.network import PaperPolicy
 from roboassembly.learning.policy import Policy, chosen
 from roboassembly.parallel.processes import map_unordered
-from roboassembly.solvers.mate_checks import UNKNOWN
 from roboassembly.task.full.task import FullTask
 from roboassembly.task.object_centric.task import ObjectCentricTask
 
@@ -113,8 +112,8 @@ def policy_samples(
             states += path[:1] if path and plan.action(state) == action else path
             state = env.step(state, action)
         finished += state is not None
-    recorder = SampleRecorder(expert, task)
-    samples = tuple(recorder.sample(env.laid_out(state), env.known(state) != UNKNOWN) for state in states)
+    recorder = SampleRecorder(expert, buffer, task)
+    samples = tuple(recorder.sample(env.laid_out(state), state) for state in states)
     return recorder.sample_set(name, samples), finished
 
 

@@ -17,7 +17,7 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float16
+from jaxtyping import Float16
 
 from roboassembly.datasets.sets import FurnitureRef
 from roboassembly.envs.observation import Observer, part_clouds
@@ -98,11 +98,8 @@ def expert_samples(
     if done:
         rng = np.random.default_rng([_SEEDS, seed])
         states += [(buffer.env.laid_out(state), state) for state in known_states(expert, buffer, memories, rng)]
-    recorder = SampleRecorder(expert, task)
-    samples = tuple(
-        recorder.sample(state, None if memory is None else buffer.env.known(memory) != UNKNOWN)
-        for state, memory in states
-    )
+    recorder = SampleRecorder(expert, buffer, task)
+    samples = tuple(recorder.sample(state, memory) for state, memory in states)
     return recorder.sample_set(name, samples), done
 
 
@@ -148,19 +145,21 @@ class SampleRecorder:
 
     Args:
         expert: gives the labels.
+        buffer: its replay buffer.
         task: task of its chair.
     """
 
-    def __init__(self, expert: ExpertPolicy, task: ObjectCentricTask | FullTask) -> None:
-        self._expert, self._task = expert, task
+    def __init__(self, expert: ExpertPolicy, buffer: ReplayBuffer, task: ObjectCentricTask | FullTask) -> None:
+        self._expert, self._env, self._task = expert, buffer.env, task
+        self._right = self._env.tried[1] > 0
         self._observer = Observer(task.furniture, len(task.furniture.parts), PAPER_POINTS, 1)
 
-    def sample(self, state: TaskState, tried: Bool[np.ndarray, "m m w"] | None) -> LabeledState:
+    def sample(self, state: TaskState, memory: State | None) -> LabeledState:
         """Return the sample of a state.
 
         Args:
             state: the state.
-            tried: actions that the expert tried in it; None if that is not known.
+            memory: the same state in the replay buffer; None if it is not there.
         """
         seen = self._observer.observe(state)
         free = self._task.rules.free_points(state, max_points=PAPER_POINTS)
@@ -170,7 +169,7 @@ class SampleRecorder:
             free,
             seen["poses"],
             np.zeros((0, 11), np.int16),
-            self._q_values(state, tried),
+            self._q_values(state, memory),
         )
 
     def sample_set(self, name: str, samples: tuple[LabeledState, ...]) -> SampleSet:
@@ -180,17 +179,20 @@ class SampleRecorder:
         grasps = SETTINGS[self._task.setting].grasp_inputs(self._observer)
         return SampleSet(name, clouds, samples, grasps, structure_of(furniture))
 
-    def _q_values(self, state: TaskState, tried: Bool[np.ndarray, "m m w"] | None) -> Float16[np.ndarray, "n n h"]:
-        """Return Q over the free points as returns, as in `LabeledState`; 0 for actions that the expert never tried.
+    def _q_values(self, state: TaskState, memory: State | None) -> Float16[np.ndarray, "n n h"]:
+        """Return Q over the free points as returns, as in `LabeledState`.
 
-        What a network says of actions that it had no samples of differs from expert to expert. With robots a value is a
-        sum over two grasps, and each counts as tried if it was tried with any other.
+        It is 0 for pairs that the expert never found to be right, in any groups, and for actions of a known state that
+        it never tried. What a network says of these differs from expert to expert: with robots, it is more than half of
+        the largest value for hundreds of wrong pairs. There a value is a sum over two grasps, and each counts as tried
+        if it was tried with any other.
         """
         joined, free = encode_state(self._task, state)
         rows = np.flatnonzero(free)
         some = np.ix_(rows, rows)
-        values = [x[some] for x in self._expert.branch_values(joined, free)]
-        if tried is not None:
+        values = [x[some] * self._right[some][:, :, None] for x in self._expert.branch_values(joined, free)]
+        if memory is not None:
+            tried = self._env.known(memory) != UNKNOWN
             by_branch = tried[some].reshape(len(rows), len(rows), *self._task.action_branches)
             axes = range(len(values))
             values = [x * by_branch.any(axis=tuple(2 + j for j in axes if j != i)) for i, x in enumerate(values)]
