@@ -333,7 +333,7 @@ def test_what_locks_out_is_the_same_for_equal_parts() -> None:
     for step in range(1_200):
         agent.step(lambda: np.zeros((env.part.size, env.part.size, n), np.float32))
         state = agent.buffer.states[agent.at]
-        pairs = np.argwhere(np.triu(env.exists(state) & (env.tried[1] > 0)))
+        pairs = np.argwhere(np.triu(env.exists(state) & env.right_pairs))
         if step % 40 == 0 and len(pairs):
             kept = env.geometry.locked_out(state, pairs)
             env.geometry.forget_fits()

@@ -289,13 +289,13 @@ def test_augmentation_moves_groups_as_wholes(setting: SettingName, chair: Furnit
 
 def test_places_in_training_are_those_of_episodes(chair: Furniture) -> None:
     """What a network learns from must lie where its parts lie when it acts."""
-    draw = partial(scattered, group=np.arange(200), rng=np.random.default_rng(0))
+    # Experts explore on the ground in either setting.
+    explored = ObjectCentricTask(chair)
+    starts = [explored.initial_state(np.random.default_rng(seed)).part_poses for seed in range(10, 16)]
+    recorded = np.array([[*pose.translation, 0.0, 0.0, 0.0] for poses in starts for pose in poses])
+    draw = partial(scattered, np.resize(recorded, (200, 6)), np.arange(200), rng=np.random.default_rng(0))
     for name, setting in SETTINGS.items():
-        # Experts explore on the ground in either setting.
-        explored = ObjectCentricTask(chair)
-        starts = [explored.initial_state(np.random.default_rng(seed)).part_poses for seed in range(10, 16)]
-        recorded = np.array([[*pose.translation, 0.0, 0.0, 0.0] for poses in starts for pose in poses])
-        drawn = draw(np.resize(recorded, (200, 6)), setting=name)[:, :3]
+        drawn = draw(setting=name)[:, :3]
         low, high = drawn.min(axis=0) - 0.1, drawn.max(axis=0) + 0.1
         task = setting.make_task(chair)
         for seed in range(3):

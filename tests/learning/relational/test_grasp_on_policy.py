@@ -85,10 +85,11 @@ def test_probes_label_actions_as_fresh_tests_do() -> None:
     assert sum(int((sample.reach != UNKNOWN).sum()) for sample in samples) == 3
 
 
-def test_samples_are_written_once_and_are_reproducible(tmp_path: Path) -> None:
+@pytest.mark.parametrize("more", [[], pytest.param(["three_legged:24"], marks=pytest.mark.slow)])
+def test_samples_are_written_once_and_are_reproducible(more: list[str], tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     params = {**relational.init(rng, TINY), GRASP_PARAMS: grasping.init(rng)}
-    policy, names = tmp_path / "policy.npz", ["upholstered:14", "imported"]
+    policy, names = tmp_path / "policy.npz", [*more, "upholstered:14", "imported"]
     checkpoint.save(policy, checkpoint.Checkpoint(relational.KIND, params, {"network": asdict(TINY)}, {}))
     folders = {"imported": tmp_path / "imported"}
     storage.save(catalogue.make("cantilever", 1), folders["imported"])

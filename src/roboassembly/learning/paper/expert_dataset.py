@@ -151,7 +151,7 @@ class SampleRecorder:
 
     def __init__(self, expert: ExpertPolicy, buffer: ReplayBuffer, task: ObjectCentricTask | FullTask) -> None:
         self._expert, self._env, self._task = expert, buffer.env, task
-        self._right = self._env.tried[1] > 0
+        self._right = self._env.right_pairs
         self._observer = Observer(task.furniture, len(task.furniture.parts), PAPER_POINTS, 1)
 
     def sample(self, state: TaskState, memory: State | None) -> LabeledState:

@@ -197,7 +197,7 @@ class PlanExplorer:
         open_ = (known == UNKNOWN).any(axis=2)
         patience = self.env.check.patience[len(state) <= _FEW]
         open_ = works | works.T | ((open_ | open_.T) & (blocked + blocked.T < patience))
-        out = exists & (self.env.tried[1] > 0) & open_
+        out = exists & self.env.right_pairs & open_
         if not out.any():
             return out
         # Takes the way to bring two groups together in which most points meet.
@@ -298,7 +298,7 @@ class PlanExplorer:
         if rng.random() < _SHAKE:
             plan.insert(int(rng.integers(len(plan))), plan.pop(int(rng.integers(len(plan)))))
         over = self._separated(plan)
-        right = np.argwhere(np.triu(over & (self.env.tried[1] > 0)))
+        right = np.argwhere(np.triu(over & self.env.right_pairs))
         if len(right):
             row, column = right[rng.integers(len(right))].tolist()
             plan.insert(int(rng.integers(len(plan))), (row, column))
@@ -312,7 +312,7 @@ class PlanExplorer:
         """
         part, equal = self.env.part, self.env.equal_part
         first = np.flatnonzero(np.diff(part, prepend=-1))
-        fits = np.logical_or.reduceat(np.logical_or.reduceat(self.env.tried[1] > 0, first, 0), first, 1)
+        fits = np.logical_or.reduceat(np.logical_or.reduceat(self.env.right_pairs, first, 0), first, 1)
         if self.rng.random() < 0.5:
             counts = np.bincount(part).astype(float) ** 2
             return counts / counts.sum()

@@ -71,7 +71,7 @@ class MemoizedEnv:
         initial = _initial_groups(task, rng)
         self.table = GroupTable(task, initial.groups, self.check.by_part)
         self.part, self.point, self.equal_part = self.table.part, self.table.point, self.table.equal_part
-        self.geometry = MateGeometry(self.table, lambda: self.tried[1] > 0)
+        self.geometry = MateGeometry(self.table, lambda: self.right_pairs)
         self._knowledge = RowTable(6)
         """Types of u's and v's group, points among those of the types, choice (-1: all), and what is known."""
         self._outcomes: dict[tuple[int, int, int, int], int] = {}
@@ -88,6 +88,11 @@ class MemoizedEnv:
     def tried(self) -> Int[np.ndarray, "2 n n"]:
         """Number of times that two points were found to be a wrong pair, and a right pair, in any groups; symmetric."""
         return self._tried[:, self.table.equal_row][:, :, self.table.equal_row]
+
+    @property
+    def right_pairs(self) -> Bool[np.ndarray, "n n"]:
+        """Whether two points were ever found to be a right pair, in any groups; symmetric."""
+        return self.tried[1] > 0
 
     def outcome_counts(self, row: int | np.ndarray, column: int | np.ndarray) -> Int[np.ndarray, "2 *k w"]:
         """Return how often right pairs of points failed, and merged, with each choice, in any groups."""
