@@ -43,7 +43,7 @@ from roboassembly.task.setting import SettingName, Task
 RANDOM = "random"
 MAKER = "policy"
 """Name that the file of a policy defines."""
-_TIE = 1e-3
+TIE = 1e-3
 """Values nearer than this to the best count as equal: rounding must not choose between equal parts."""
 _SUGGESTIONS = 32
 """Largest number of suggestions of a guide in a state."""
@@ -241,7 +241,7 @@ def surest(values: Values) -> Int[np.ndarray, "_"]:
     best = float(values.max())
     if best == -np.inf:
         raise InputError("no action exists; the episode is over")
-    return np.array(np.unravel_index(int(np.argmax(values >= best - _TIE)), values.shape))
+    return np.array(np.unravel_index(int(np.argmax(values >= best - TIE)), values.shape))
 
 
 @dataclass(eq=False)
@@ -269,7 +269,7 @@ class _PolicyGuide:
         flat = np.where(mask, scores, 0.0).ravel()
         top = np.argpartition(-flat, _SUGGESTIONS)[:_SUGGESTIONS]
         # Rounded, then by number: rounding errors must not choose between equal parts.
-        order: list[int] = top[np.lexsort((top, -np.round(flat[top] / _TIE)))].tolist()
+        order: list[int] = top[np.lexsort((top, -np.round(flat[top] / TIE)))].tolist()
         return [
             Suggestion(tuple(int(i) for i in np.unravel_index(index, mask.shape)), float(flat[index]))
             for index in order

@@ -36,6 +36,25 @@ def test_the_expected_state_after_a_merge_is_the_state_that_follows(name: str) -
     assert expected.complete
 
 
+def test_the_moving_group_is_expected_where_the_waiting_one_stands() -> None:
+    env = ObjectCentricEnv("panel:2", cloud_points=8)
+    observation, info = env.reset(seed=0)
+    view = PolicyView.from_observation(observation, info["action_mask"])
+    for step in solve(catalogue.find("panel:2"), 0).plan.steps:
+        u, v, k, l, _ = step.action  # noqa: E741
+        waiting = view.group == view.group[v]
+        after = view.after_merge(u, k, v, l)
+        assert np.array_equal(after.poses[waiting], view.poses[waiting])
+        turns, places = rotations_from_euler(after.poses[:, 3:]), after.poses[:, :3]
+        for i, j in zip(*np.nonzero(after.connections.any(axis=2)), strict=True):
+            expected = turns[i] @ after.connections[i, j, :3] + places[i]
+            assert np.abs(places[j] - expected).max() < 1e-6
+            assert np.abs(turns[j] - turns[i] @ rotations_from_euler(after.connections[i, j, 3:])).max() < 1e-6
+        assert {int(after.group[u])} <= after.moved
+        view = after
+    assert view.complete
+
+
 def test_a_sample_and_an_observation_give_the_same_kind_of_view(cantilever: SampleSet) -> None:
     view = PolicyView.from_sample(cantilever, cantilever.samples[0])
     parts, points = view.free.shape

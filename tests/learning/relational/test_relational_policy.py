@@ -1,10 +1,9 @@
-"""The relational policy: values, beam search, both settings, its checkpoint."""
+"""The relational policy: values, both settings, its checkpoint."""
 
 from __future__ import annotations
 
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -24,9 +23,9 @@ from roboassembly.learning.relational import policy as policies
 from roboassembly.learning.relational.features import sunk
 from roboassembly.learning.relational.grasps import network as grasping
 from roboassembly.learning.relational.layout_search import Layout, LayoutProblem, find_layouts
-from roboassembly.learning.relational.policy import RelationalPolicy, _Sequence
+from roboassembly.learning.relational.policy import RelationalPolicy
 from roboassembly.learning.relational.policy_view import PolicyView
-from roboassembly.learning.relational.tokens import GroupedPoints, TokenCache, tokens_of
+from roboassembly.learning.relational.tokens import tokens_of
 from roboassembly.task.full.failure import FullVerdict
 
 
@@ -73,7 +72,7 @@ def test_values_are_those_of_the_network_at_the_right_places(
     for i, j in rng.integers(len(tokens.part), size=(50, 2)):
         here = values[tokens.part[i], tokens.part[j], tokens.point[i], tokens.point[j]]
         np.testing.assert_allclose(here, q[i, j], rtol=0, atol=0.00051)
-    action = replace(policy, beam_width=0).act(observation, mask)
+    action = policy.act(observation, mask)
     assert mask[tuple(action)]
     assert values[tuple(action)] >= values.max() - 1e-3
     chance = policy.probabilities(observation, mask)
@@ -112,80 +111,6 @@ def test_choices_are_mates_of_the_layout(
     pair = int(tokens.part[row]), int(tokens.part[column]), int(tokens.point[row]), int(tokens.point[column])
     policy.revised_values(observation, mask, [pair])
     assert all((row, column) not in layout.placed_by for layout in found[1])
-
-
-class ScriptedPolicy(RelationalPolicy):
-    """Values of each state by hand: `value_after` has the value of the actions that lead to a set of merges."""
-
-    value_after: ClassVar[dict[frozenset, float]] = {}
-    first: ClassVar[list[tuple[int, ...]]] = []
-
-    def pair_values(self, view: PolicyView, grouped: GroupedPoints | None = None) -> np.ndarray:
-        values = np.full(view.action_shape, -np.inf, np.float32)
-        exist = [a for a in self.first if view.group[a[0]] != view.group[a[1]]]
-        joined = frozenset(a for a in self.first if a not in exist)
-        for a in exist:
-            values[a] = self.value_after.get(joined | {a}, -3.0)
-        return values
-
-
-def test_beam_search_gives_up_the_best_action_if_it_leads_nowhere() -> None:
-    env = ObjectCentricEnv("stool", cloud_points=8)
-    observation, info = env.reset(seed=0)
-    mask = info["action_mask"]
-    free = [tuple(int(i) for i in a) for a in np.argwhere(mask)]
-    a = free[0]
-    b = next(x for x in free if len({x[0], x[1], a[0], a[1]}) == 4)
-    c = next(x for x in free if len({x[0], x[1], a[0], a[1], b[0], b[1]}) == 6)
-    policy = ScriptedPolicy({}, beam_width=3)
-    ScriptedPolicy.first = [a, b, c]
-    # a has the best value and ruins what is left; b and c help each other.
-    ScriptedPolicy.value_after = {
-        frozenset({a}): 3.0, frozenset({b}): 2.0, frozenset({c}): 1.0,
-        frozenset({a, b}): -4.0, frozenset({a, c}): -4.0, frozenset({b, c}): 5.0,
-    }  # fmt: skip
-    assert tuple(replace(policy, beam_width=0).act(observation, mask)) == a
-    assert tuple(policy.act(observation, mask)) == b
-    # With two merges, b before c and c before b are one sequence, which begins with the better.
-    assert tuple(replace(policy, beam_depth=2).act(observation, mask)) == b
-    ScriptedPolicy.value_after[frozenset({c})] = 2.5
-    assert tuple(replace(policy, beam_depth=2).act(observation, mask)) == c
-
-
-@pytest.mark.slow
-def test_a_beam_leaves_out_only_what_cannot_win() -> None:
-    policy = load_policy("relational")
-    assert isinstance(policy, RelationalPolicy)
-    policy = replace(policy, beam_width=4)
-    for piece in ("splat:3", "stool:2"):
-        env = ObjectCentricEnv(piece, cloud_points=CLOUD_POINTS)
-        observation, info = env.reset(seed=1)
-        over = False
-        while not over:
-            view = PolicyView.from_observation(observation, info["action_mask"])
-            steps = policy._next_steps([_Sequence(view, policy.pair_values(view))])
-            # Each state by itself: nothing is left out, and nothing is known from a state with the same groups.
-            totals = [step.log_probability + policy._log_finish(step.view_after, {}) for step in steps]
-            action = policy.act(observation, info["action_mask"])
-            assert tuple(action) == steps[int(np.argmax(totals))].action
-            observation, _, terminated, truncated, info = env.step(action)
-            over = terminated or truncated
-
-
-def test_merges_of_equal_parts_lead_to_states_with_the_same_groups() -> None:
-    env = ObjectCentricEnv("stool", cloud_points=CLOUD_POINTS)
-    observation, info = env.reset(seed=0)
-    view = PolicyView.from_observation(observation, info["action_mask"])
-    policy = load_policy("relational")
-    assert isinstance(policy, RelationalPolicy)
-    policy = replace(policy, beam_width=4)
-    values, after = policy.pair_values(view), {}
-    for step in policy._next_steps([_Sequence(view, values)]):
-        u, v, k, l, _ = step.action  # noqa: E741
-        kind = frozenset(((view.clouds[u].tobytes(), k), (view.clouds[v].tobytes(), l)))
-        after.setdefault(kind, set()).add(GroupedPoints.of_view(step.view_after, TokenCache()).state_key)
-    assert all(len(keys) == 1 for keys in after.values())
-    assert len({keys for found in after.values() for keys in found}) == len(after)
 
 
 @pytest.mark.slow

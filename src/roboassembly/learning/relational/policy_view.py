@@ -43,6 +43,8 @@ class PolicyView:
     """Hash of each part's cloud."""
     frames: FramesName = "aligned"
     """Frames in which the parts are described."""
+    moved: frozenset[int] = frozenset()
+    """Groups that expected merges made: nobody knows yet where they will be put down."""
 
     @staticmethod
     def from_observation(
@@ -92,8 +94,8 @@ class PolicyView:
     def after_merge(self, u: int, k: int, v: int, l: int) -> PolicyView:  # noqa: E741
         """Return the view after point `k` of part `u` mates with point `l` of part `v`.
 
-        The two groups are one, and their points that touch are no longer free. Gaps between mated points are neglected
-        and the world poses stay as they are.
+        The two groups are one, and their points that touch are no longer free. Gaps between mated points are neglected.
+        The pose of v's group stays as it is.
         """
         moving, waiting = np.flatnonzero(self.group == self.group[u]), np.flatnonzero(self.group == self.group[v])
         members = np.concatenate([moving, waiting])
@@ -103,6 +105,10 @@ class PolicyView:
         rotations = np.concatenate([v_from_u[0] @ u_rotations, v_rotations])
         translations = np.concatenate([u_translations @ v_from_u[0].T + v_from_u[1], v_translations])
 
+        world_from_v = rotations_from_euler(self.poses[v, 3:])
+        poses = self.poses.copy()
+        poses[moving, :3] = translations[: len(moving)] @ world_from_v.T + self.poses[v, :3]
+        poses[moving, 3:] = euler_from_rotations(world_from_v @ rotations[: len(moving)])
         connections, free, group = self.connections.copy(), self.free.copy(), self.group.copy()
         connections[np.ix_(members, members)] = _relative_poses(rotations, translations)
         group[members] = members.min()
@@ -116,7 +122,8 @@ class PolicyView:
         occupied = touch.any(axis=1)
         free[members[row[occupied]], point[occupied]] = False
         free[u, k] = free[v, l] = False
-        return replace(self, connections=connections, free=free, group=group)
+        moved = self.moved | {int(members.min())}
+        return replace(self, connections=connections, free=free, group=group, poses=poses, moved=moved)
 
     def mating_pose(self, u: int, k: int, v: int, l: int) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]:  # noqa: E741
         """Return `v_from_u` of two parts when point `k` of part `u` mates with point `l` of part `v`, without a gap."""

@@ -201,12 +201,6 @@ class GroupedPoints:
                 keys[index] = int(self.shapes.shape[members[0]]), self.point[rows].tobytes()
         return tuple(keys.index(key) for key in keys)
 
-    @property
-    def state_key(self) -> tuple[bytes, ...]:
-        """Keys of all groups, sorted. States of one key have the same tokens, in another order, equal but for
-        rounding."""
-        return tuple(sorted(self.keys))
-
     def geometry(self, view: PolicyView, cache: TokenCache) -> list[GroupGeometry]:
         """Return the geometry of each group."""
         return [
@@ -220,19 +214,16 @@ def tokens_of_sample(samples: SampleSet, sample: LabeledState, cache: TokenCache
     return tokens_of(PolicyView.from_sample(samples, sample), cache, grasps=samples.grasps is not None)
 
 
-def tokens_of(
-    view: PolicyView, cache: TokenCache | None = None, *, grasps: bool = False, grouped: GroupedPoints | None = None
-) -> Tokens:
+def tokens_of(view: PolicyView, cache: TokenCache | None = None, *, grasps: bool = False) -> Tokens:
     """Return the tokens of a state.
 
     Args:
         view: the state.
         cache: geometry of earlier states of the same furniture.
         grasps: whether to compute grasp features and clearances.
-        grouped: free points of the state, if they are known; of the same cache and `grasps`.
     """
     cache = cache or TokenCache()
-    p = grouped or GroupedPoints.of_view(view, cache, grasps=grasps)
+    p = GroupedPoints.of_view(view, cache, grasps=grasps)
     part, group, rows, frame, position, frames = p.part, p.group, p.rows, p.frame, p.position, p.frames
     geometry = p.geometry(view, cache)
     patch, extent = np.zeros((len(part), PATCH_SIZE), np.uint8), np.zeros((len(part), 3), np.float32)

@@ -101,7 +101,9 @@ def grasp_features(view: PolicyView, u: int, k: int, v: int, l: int) -> GraspFea
 
 
 def _in_reach(view: PolicyView, part: int) -> Bool[np.ndarray, "8"]:
-    """Return whether an arm reaches each grasp of a part where it is."""
+    """Return whether an arm reaches each grasp of a part where it is; all where that is not known."""
+    if int(view.group[part]) in view.moved:
+        return np.ones(GRASPS, bool)
     # Policies without robots load no arm.
     from roboassembly.robots.kinematics import Poses
     from roboassembly.robots.reach import nearness
