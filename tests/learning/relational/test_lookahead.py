@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -209,15 +210,16 @@ def test_grasps_of_untouched_groups_are_valued_once(monkeypatch: pytest.MonkeyPa
 
 
 @pytest.mark.slow
-def test_the_policy_gives_up_a_merge_that_would_lock_a_later_one() -> None:
-    """Without lookahead, the policy ends before the last of 14 merges of this chair."""
-    furniture = catalogue.make("sled", 5)
+@pytest.mark.parametrize("limit", [0, 60])
+def test_the_policy_gives_up_a_merge_that_would_lock_a_later_one(limit: int) -> None:
+    """Of 14 merges of this chair, the policy makes 11 without lookahead."""
     policy = load_policy("relational")
     assert isinstance(policy, RelationalPolicy)
-    env = FullEnv(furniture, cloud_points=policy.cloud_points)
+    policy = replace(policy, lookahead=limit)
+    env = FullEnv(catalogue.make("sled", 5), cloud_points=policy.cloud_points)
     observation, info = env.reset(seed=0)
     over = False
     while not over:
         observation, _, terminated, truncated, info = env.step(policy.act(observation, info["action_mask"]))
         over = terminated or truncated
-    assert info["success"]
+    assert info["success"] == (limit > 0)
