@@ -366,3 +366,79 @@ def test_joined_parts_keep_their_slots_within_tolerance(off: float, others: int)
     assert len(told) == 1 + others
     # Either leg still goes to either place: tolerance is for what is not joined yet.
     assert rule.judge(alone(bench, 2), alone(bench, 0), 2, 0, 0, 0) is not None
+
+
+def two_sides(off: float = 0.0, twist: float = 0.0) -> Furniture:
+    """A board (0) on two sides: posts 1 and 2, arms 3 and 4, bars 5 and 6.
+
+    An arm meets its post at height 0.2, the second one `off` above it; the second arm and its bar are turned about the
+    arm's axis by `twist`. The bar's centre is 0.2 m from that axis.
+    """
+    parts = {"board": shapes.box((-0.4, -0.02, 0.4 + shapes.GAP), (0.4, 0.02, 0.43 + shapes.GAP))}
+    sides = ((-0.3, 0.0, 0.0), (0.3, off, twist))
+    for name, low, high in (
+        ("post", (-0.02, -0.02, 0.0), (0.02, 0.02, 0.4)),
+        ("arm", (-0.01, 0.02 + shapes.GAP, -0.015), (0.01, 0.1, 0.015)),
+        ("bar", (-0.01, 0.1 + shapes.GAP, -0.02), (0.41, 0.14, 0.02)),
+    ):
+        for i, (x, up, angle) in enumerate(sides):
+            where = pose(x) if name == "post" else pose(x, 0.0, 0.2 + up, shapes.turn((0, 1, 0), angle))
+            parts[f"{name}{i}"] = shapes.box(low, high).transformed(where)
+    return shapes.furniture("two sides", parts)
+
+
+def test_second_of_two_equal_sides_takes_the_slots_that_the_first_left() -> None:
+    """The slots differ by 1 mm: too much for a joined side to take the other ones later."""
+    furniture = two_sides(off=1e-3)
+    assert [c.members for c in furniture.classes] == [(0,), (1, 2), (3, 4), (5, 6)]
+    rule = PairRule(furniture)
+    loose = [alone(furniture, part) for part in range(7)]
+    first = rule.judge(loose[1], loose[3], 1, 1, 3, 0)
+    second = rule.judge(loose[2], loose[4], 2, 1, 4, 1)
+    assert first is not None
+    assert second is not None
+    assert first.merged.slots == second.merged.slots == (1, 3)
+    state = TaskState((first.merged, *(loose[p] for p in (0, 2, 4, 5, 6))))
+    other = rule.judge_in(state, 2, 1, 4, 1)
+    assert other is not None
+    assert other.merged.slots == (2, 4)
+    assert rule.assign_slots(TaskState((first.merged, other.merged, *(loose[p] for p in (0, 5, 6))))) is not None
+
+
+def test_pair_without_slots_left_is_wrong() -> None:
+    """Slots that differ by 4 mm: a second side like the first one belongs nowhere."""
+    furniture = two_sides(off=4e-3)
+    rule = PairRule(furniture)
+    loose = [alone(furniture, part) for part in range(7)]
+    first = rule.judge(loose[1], loose[3], 1, 1, 3, 0)
+    second = rule.judge(loose[2], loose[4], 2, 1, 4, 1)
+    assert first is not None
+    assert second is not None
+    assert first.merged.slots == second.merged.slots == (1, 3)
+    state = TaskState((first.merged, *(loose[p] for p in (0, 2, 4, 5, 6))))
+    assert rule.judge_in(state, 2, 1, 4, 1) is None
+    own = rule.judge_in(state, 2, 1, 4, 0)
+    assert own is not None
+    assert own.merged.slots == (2, 4)
+
+
+def test_judgement_is_independent_of_roles() -> None:
+    """A post and an arm with its bar, joined as on the first side where only the second is left: 1.1 degrees off.
+
+    From the post, the bar misses its slot by 3.9 mm, more than the tolerance; from the arm, everything is within it.
+    """
+    furniture = two_sides(twist=0.0195)
+    rule = PairRule(furniture)
+    loose = [alone(furniture, part) for part in range(7)]
+    first = rule.judge(loose[2], loose[4], 2, 1, 4, 1)
+    arm = rule.judge(loose[3], loose[5], 3, 1, 5, 0)
+    assert first is not None
+    assert arm is not None
+    assert first.merged.slots == (1, 3)
+    post, arm_and_bar = loose[1], arm.merged
+    for merge in (
+        rule.judge(post, arm_and_bar, 1, 1, 3, 0, [first.merged]),
+        rule.judge(arm_and_bar, post, 3, 0, 1, 1, [first.merged]),
+    ):
+        assert merge is not None
+        assert merge.merged.slots == (2, 4, 6)

@@ -110,7 +110,7 @@ class ControlCell:
         )
         robots = start.cell_state.robots
         self.physics = CellPhysics([r.at for r in robots], [r.opening for r in robots], contents, variation.physics)
-        self._candidates: dict[tuple[tuple[int, ...], tuple[int, ...]], JointCandidates] = {}
+        self._candidates: dict[tuple[tuple[int, ...], ...], JointCandidates] = {}
         self._last: dict[tuple[int, int], SE3] = {}
         self._sevens: dict[int, tuple[Group, Float[np.ndarray, "g 7"]]] = {}
         self._loose: dict[int, int] = {}
@@ -296,7 +296,8 @@ class ControlCell:
     def joints(self, first: int, second: int) -> JointCandidates:
         """Return the right joints of two groups, by their keys."""
         u, v = self.groups[first], self.groups[second]
-        key = u.parts, v.parts
+        others = [g for g in self.groups.values() if g is not u and g is not v and len(g.parts) > 1]
+        key = u.parts, v.parts, *(g.parts for g in others)
         if key not in self._candidates:
             free = self.rules.free_points(TaskState(tuple(self.groups.values())))
             merges: dict[bytes, tuple[Merge, SE3]] = {}
@@ -304,7 +305,7 @@ class ControlCell:
                 for j in v.parts:
                     for k in np.flatnonzero(free[i]).tolist():
                         for m in np.flatnonzero(free[j]).tolist():
-                            merge = self.rules.pairs.judge(u, v, i, k, j, m)
+                            merge = self.rules.pairs.judge(u, v, i, k, j, m, others)
                             if merge is not None:
                                 goal = merge.furniture_from_v.actInv(merge.furniture_from_u)
                                 merges.setdefault(goal.homogeneous.round(3).tobytes(), (merge, goal))

@@ -57,7 +57,7 @@ def tree_of(furniture: Furniture, actions: Sequence[tuple[int, ...]], name: str 
         if not _ends_exist(furniture, state, (u, k), (v, l)):
             raise InputError(f"{name}, step {index}: action {tuple(actions[index])} names no two free points")
         u_group, v_group = state.groups[state.group_of[u]], state.groups[state.group_of[v]]
-        merge = rule.judge(u_group, v_group, u, k, v, l)
+        merge = rule.judge_in(state, u, k, v, l)
         if merge is None:
             raise InputError(f"{name}, step {index}: action {tuple(actions[index])} joins parts that do not belong so")
         merges.append((frozenset(u_group.parts), frozenset(v_group.parts)))

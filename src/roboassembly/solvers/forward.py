@@ -228,7 +228,7 @@ class Search(Generic[State, AStep]):
         if not self.task.rules.pair_exists(state, u, v, k, l):
             return None
         u_group, v_group = state.groups[state.group_of[u]], state.groups[state.group_of[v]]
-        merge = self.task.rules.pairs.judge(u_group, v_group, u, k, v, l)
+        merge = self.task.rules.pairs.judge_in(state, u, k, v, l)
         if merge is None:
             return None
         others = (g for g in state.groups if g is not u_group and g is not v_group)
@@ -288,10 +288,7 @@ class Search(Generic[State, AStep]):
                     if outcome.failure is None or not outcome.failure.final:
                         left.append(action)
                     continue
-                # If equal parts had swapped slots, the pair may have taken other slots than these.
-                if self.task.rules.pairs.assign_slots(self.task.groups_of(outcome.state)) is not None:
-                    return outcome.state
-                self.steps.pop()
+                return outcome.state
             actions = left
         return None
 

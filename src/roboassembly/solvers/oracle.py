@@ -114,7 +114,7 @@ class Oracle:
                 if state.group_of[u] == state.group_of[v] or (*type_u, *type_v) not in self._mating_types:
                     continue
                 u_group, v_group = state.groups[state.group_of[u]], state.groups[state.group_of[v]]
-                merge = self.task.pairs.judge(u_group, v_group, u, k, v, l)
+                merge = self.task.pairs.judge_in(state, u, k, v, l)
                 if merge is None:
                     continue
                 slot_of = dict(zip(merge.merged.parts, merge.merged.slots, strict=True))

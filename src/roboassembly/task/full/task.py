@@ -203,7 +203,7 @@ class FullTask:
     def merge(self, state: TaskState, pair: tuple[int, int, int, int]) -> Merge | None:
         """Return what the pair `(u, v, k, l)` makes; None if it is wrong."""
         u, v, k, l = pair  # noqa: E741
-        return self.rules.pairs.judge(state.groups[state.group_of[u]], state.groups[state.group_of[v]], u, k, v, l)
+        return self.rules.pairs.judge_in(state, u, k, v, l)
 
     def step(self, state: FullState, action: tuple[int, ...], seed: int, budget: Budget | None = None) -> FullOutcome:
         """Carry out `(u, v, k, l, g_a, g_b)`: R_a picks u by grasp `g_a`, R_b picks v by grasp `g_b`, and they mate.

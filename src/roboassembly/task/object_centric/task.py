@@ -177,7 +177,7 @@ class ObjectCentricTask:
         """Return the mating that an action asks for; None if the pair is wrong."""
         u, v, k, l, w = action  # noqa: E741
         u_group, v_group = state.groups[state.group_of[u]], state.groups[state.group_of[v]]
-        merge = self.pairs.judge(u_group, v_group, u, k, v, l)
+        merge = self.pairs.judge_in(state, u, k, v, l)
         if merge is None:
             return None
         others = tuple(g for g in state.groups if g is not u_group and g is not v_group)

@@ -58,25 +58,46 @@ class PairRule:
         ]
         self._places: dict[tuple[object, ...], list[tuple[tuple[int, ...], tuple[SE3, ...]]]] = {}
 
-    def judge(self, u_group: Group, v_group: Group, u: int, k: int, v: int, l: int) -> Merge | None:  # noqa: E741
-        """Return the merge that point `k` of part `u` on point `l` of part `v` makes; None if the pair is wrong."""
+    def judge_in(self, state: TaskState, u: int, k: int, v: int, l: int) -> Merge | None:  # noqa: E741
+        """Return the merge of two groups of a state, with all other groups in mind; see `judge`."""
+        u_group, v_group = state.groups[state.group_of[u]], state.groups[state.group_of[v]]
+        others = [g for g in state.groups if g is not u_group and g is not v_group]
+        return self.judge(u_group, v_group, u, k, v, l, others)
+
+    def judge(
+        self, u_group: Group, v_group: Group, u: int, k: int, v: int, l: int,  # noqa: E741
+        others: Sequence[Group] = (),
+    ) -> Merge | None:  # fmt: skip
+        """Return the merge that point `k` of part `u` on point `l` of part `v` makes; None if the pair is wrong.
+
+        Args:
+            u_group: group of `u`.
+            v_group: group of `v`.
+            u: part that moves.
+            k: its connection point.
+            v: part that waits.
+            l: its connection point.
+            others: groups that need slots of their own. A second side like one of them takes the other slots, or is
+                wrong if it does not fit there.
+        """
         v_group_from_u_group = self.dictated(u_group, v_group, u, k, v, l)
         frame_of_u = u_group.furniture_from_part[u_group.parts.index(u)]
         frame_of_v = v_group.furniture_from_part[v_group.parts.index(v)]
         members = (*v_group.parts, *u_group.parts)
         poses = (*v_group.furniture_from_part, *(v_group_from_u_group * p for p in u_group.furniture_from_part))
         joined = (range(len(v_group.parts)), range(len(v_group.parts), len(members)))
-        fit = next(self._embeddings(members, poses, joined), None)
-        if fit is None:
-            return None
-        slots, placed = fit
         order: list[int] = np.argsort(members).tolist()
-        merged = Group(
-            tuple(members[i] for i in order),
-            tuple(int(slots[i]) for i in order),
-            tuple(placed[i] for i in order),
-            SE3.Identity(),
-        )
+        for slots, placed in self._embeddings(members, poses, joined):
+            merged = Group(
+                tuple(members[i] for i in order),
+                tuple(int(slots[i]) for i in order),
+                tuple(placed[i] for i in order),
+                SE3.Identity(),
+            )
+            if next(self._disjoint([merged, *(g for g in others if len(g.parts) > 1)], frozenset()), None) is not None:
+                break
+        else:
+            return None
         # Both groups are exact already; the tolerance is taken up between them.
         exact_u = placed[members.index(u)] * frame_of_u.inverse()
         exact_v = placed[members.index(v)] * frame_of_v.inverse()
@@ -169,24 +190,26 @@ class PairRule:
         """
         classes = [self._furniture.class_of[member] for member in members]
         choices = [len(self._slots[c]) for c in classes]
-        anchor = int(np.argmin(choices))
         rotations, positions = rotations_and_translations(poses)
-        motions = self._rotations[classes[anchor]] @ rotations[anchor].T
-        shifts = self._slot_positions[self._slots[classes[anchor]]] - motions @ positions[anchor]
-        placed = np.einsum("cij,pj->cpi", motions, positions) + shifts[:, None]
         alike = np.array(classes)[:, None] == self._class_of[None]
-        distance = np.linalg.norm(placed[:, :, None] - self._slot_positions[None, None], axis=3)
-        fits = (distance < POSITION_TOLERANCE) & alike[None]
-        hopeful = np.flatnonzero(fits.any(axis=2).all(axis=1))
-        turned = np.trace(motions[hopeful], axis1=1, axis2=2)
-        moved = np.linalg.norm(shifts[hopeful], axis=1)
-        for candidate in hopeful[np.lexsort((moved.round(6), -turned.round(6)))].tolist():
-            slots = np.argmax(fits[candidate], axis=1)
-            if len(set(slots.tolist())) < len(slots):
-                continue
-            exact = self._in_slots(classes, slots, motions[candidate] @ rotations)
-            if exact is not None and all(_is_rigid([(poses[i], exact[i]) for i in some]) for some in joined):
-                yield slots, exact
+        # What fits exactly is one part of each joined range in turn, so that the order of the ranges does not matter.
+        anchors = [min(some, key=lambda i: choices[i]) for some in joined]
+        for anchor in sorted(anchors, key=lambda i: choices[i]):
+            motions = self._rotations[classes[anchor]] @ rotations[anchor].T
+            shifts = self._slot_positions[self._slots[classes[anchor]]] - motions @ positions[anchor]
+            placed = np.einsum("cij,pj->cpi", motions, positions) + shifts[:, None]
+            distance = np.linalg.norm(placed[:, :, None] - self._slot_positions[None, None], axis=3)
+            fits = (distance < POSITION_TOLERANCE) & alike[None]
+            hopeful = np.flatnonzero(fits.any(axis=2).all(axis=1))
+            turned = np.trace(motions[hopeful], axis1=1, axis2=2)
+            moved = np.linalg.norm(shifts[hopeful], axis=1)
+            for candidate in hopeful[np.lexsort((moved.round(6), -turned.round(6)))].tolist():
+                slots = np.argmax(fits[candidate], axis=1)
+                if len(set(slots.tolist())) < len(slots):
+                    continue
+                exact = self._in_slots(classes, slots, motions[candidate] @ rotations)
+                if exact is not None and all(_is_rigid([(poses[i], exact[i]) for i in some]) for some in joined):
+                    yield slots, exact
 
     def _in_slots(
         self, classes: Sequence[int], slots: Int[np.ndarray, "m"], rotations: Float[np.ndarray, "m 3 3"]
