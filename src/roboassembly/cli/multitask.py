@@ -40,7 +40,7 @@ class MultitaskCommand:
     """Use the first LIMIT pieces of the set only."""
     extra: int | None = None
     """Number of additional generated pieces to train on; for the preset relational. Without it: 5,000; 700 with
-    --start, or 3,000 with --setting full."""
+    --start, or 500 with --setting full."""
     imported: Path | None = None
     """Folder of imported furniture folders to train on besides; for the preset relational."""
     imported_versions: int | None = None
@@ -50,7 +50,7 @@ class MultitaskCommand:
     """Frames in which samples describe the parts; for the preset relational. own: the principal axes of each part, with
     clouds of its own, noise and imprecise points. both: a third of the pieces aligned, the others own."""
     episodes: int | None = None
-    """Number of episodes per piece and round. Without it: 1, or 2 with --setting full; 4 for the preset paper."""
+    """Number of episodes per piece and round. Without it: 1; 4 for the preset paper."""
     rounds: int | None = None
     """Number of rounds with corrected episodes of the policy. Without it: 0, or 1 with --setting full. For the preset
     paper they need --experts."""
@@ -61,7 +61,7 @@ class MultitaskCommand:
     with --setting full."""
     steps: int | None = None
     """Number of gradient steps. Without it: 30,000 for the preset paper; 16,000 for the first round of the preset
-    relational, 6,000 with --start, or 8,000 with --setting full."""
+    relational, 6,000 with --start, or 12,000 with --setting full."""
     round_steps: int = 8_000
     """Number of gradient steps in each later round."""
     samples: tuple[Path, ...] = ()

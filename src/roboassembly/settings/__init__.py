@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from roboassembly.furniture.model import Furniture
     from roboassembly.solvers.forward import SearchLimits, SearchResult
     from roboassembly.solvers.mate_checks import MateCheck
-    from roboassembly.solvers.oracle import Oracle
     from roboassembly.task.full.task import FullTask
     from roboassembly.task.object_centric.task import ObjectCentricTask
     from roboassembly.task.plans.full_plan import FullPlan
@@ -90,8 +89,6 @@ class Setting:
     """Options of commands that it does not have, each with the message that says so."""
 
     # Learning
-    make_oracle: Callable[[Furniture], Oracle]
-    """Oracle that labels states of a piece; raises `InputError` if the piece does not suit it."""
     make_mate_check: Callable[[Any], MateCheck]
     """Check of right pairs in the experts' memoized environment, of a task."""
     grasp_inputs: Callable[[Observer], Float32[np.ndarray, "P 8 6"] | None]

@@ -13,7 +13,6 @@ from roboassembly.envs import FULL
 from roboassembly.errors import InputError
 from roboassembly.settings import PaperFigures, Setting
 from roboassembly.solvers.full_search import FULL_LIMITS, solve_full, solve_full_from
-from roboassembly.solvers.hand_oracle import hand_oracle
 from roboassembly.solvers.mate_checks import FullMateCheck
 from roboassembly.task.full.failure import coarse_kind
 from roboassembly.task.full.task import FullTask
@@ -54,7 +53,7 @@ def _in_the_cell(places: Float[np.ndarray, "n 3"], rng: np.random.Generator) -> 
 
 
 def _on_grasps(later: int) -> tuple[int, int]:
-    return 1, later + 1
+    return 0, later + 1
 
 
 def _counted(ends: Iterable[tuple[str, str]]) -> dict[str, Any]:
@@ -80,7 +79,6 @@ SETTING = Setting(
         "--export": "--export does not support --setting full; use --setting object-centric",
         "--stable": "--stable is for --setting object-centric: with robots, posts hold every group",
     },
-    make_oracle=hand_oracle,
     make_mate_check=FullMateCheck,
     grasp_inputs=_grasps,
     rounds_of_networks=_on_grasps,

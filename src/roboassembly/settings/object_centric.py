@@ -10,7 +10,6 @@ from roboassembly.errors import InputError
 from roboassembly.settings import PaperFigures, Setting
 from roboassembly.solvers.forward import SearchLimits
 from roboassembly.solvers.mate_checks import ObjectCentricMateCheck
-from roboassembly.solvers.oracle import Oracle
 from roboassembly.solvers.search import solve, solve_from
 from roboassembly.task.object_centric.insertion import with_insertions
 from roboassembly.task.object_centric.task import ObjectCentricTask
@@ -41,10 +40,6 @@ def _audit(plan: Plan) -> AuditReport:
 
 def _not_executed(_: Plan) -> NoReturn:
     raise InputError(_NO_ROBOTS)
-
-
-def _oracle(furniture: Furniture) -> Oracle:
-    return Oracle(ObjectCentricTask(furniture))
 
 
 def _no_grasps(_: Observer) -> None:
@@ -79,7 +74,6 @@ SETTING = Setting(
     execute=_not_executed,
     execution="kinematic",
     refused_options={"--execution dynamic": _NO_ROBOTS},
-    make_oracle=_oracle,
     make_mate_check=ObjectCentricMateCheck,
     grasp_inputs=_no_grasps,
     rounds_of_networks=_on_pairs,

@@ -11,7 +11,6 @@ from roboassembly.learning import checkpoint
 from roboassembly.learning.datasets import load_samples
 from roboassembly.learning.relational import network as relational
 from roboassembly.learning.relational.collect import collect
-from roboassembly.learning.relational.tokens import tokens_of_sample
 
 
 def test_samples_are_collected_once_and_are_reproducible(tmp_path: Path) -> None:
@@ -30,15 +29,3 @@ def test_samples_are_collected_once_and_are_reproducible(tmp_path: Path) -> None
     results = list(collect(names[:1], tmp_path / "1", episodes=1, seed=0, jobs=1, policy=policy))
     assert results[0].choices == 3  # four parts
     assert 0 < results[0].mistakes <= 3
-
-
-def test_a_policy_with_grasp_inputs_acts_in_the_full_setting(tmp_path: Path) -> None:
-    rng = np.random.default_rng(0)
-    params = relational.init(rng, TINY) | relational.init_grasp_inputs(rng, TINY)
-    policy = tmp_path / "policy.npz"
-    checkpoint.save(policy, checkpoint.Checkpoint(relational.KIND, params, {}, {}))
-    (results,) = collect(["cantilever:1"], tmp_path / "0", episodes=1, seed=0, jobs=1, policy=policy, setting="full")
-    assert results.choices == 3
-    (samples,) = load_samples(tmp_path / "0", ["cantilever:1"])
-    assert samples.grasps is not None
-    assert tokens_of_sample(samples, samples.samples[0]).grasps is not None

@@ -57,14 +57,3 @@ def test_values_are_averaged_over_augmentations(cantilever: SampleSet) -> None:
     valid = np.isfinite(plain)
     assert np.allclose(both[valid], 0.5 * (plain + changed)[valid], atol=1e-2)
     assert np.isneginf(both[~valid]).all()
-
-
-def test_grasp_inputs_change_nothing_at_first(cantilever: SampleSet) -> None:
-    rng = np.random.default_rng(0)
-    params = relational.init(rng, TINY)
-    grasps = np.zeros((len(cantilever.clouds), 8, 6), np.float32)
-    samples = SampleSet(cantilever.name, cantilever.clouds, cantilever.samples, grasps)
-    tokens = tokens_of_sample(samples, samples.samples[0])
-    assert tokens.grasps is not None
-    with_inputs = params | relational.init_grasp_inputs(rng, TINY)
-    assert np.array_equal(q_values(params, tokens), q_values(with_inputs, tokens))

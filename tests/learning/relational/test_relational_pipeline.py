@@ -20,7 +20,6 @@ from roboassembly.learning.layers import Params
 from roboassembly.learning.progress import Progress
 from roboassembly.learning.registry import load_policy
 from roboassembly.learning.relational import network as relational
-from roboassembly.learning.relational.collect import grasp_folder
 from roboassembly.learning.relational.pipeline import RelationalPipelineConfig, run_pipeline
 from roboassembly.learning.relational.policy import RelationalPolicy
 
@@ -57,31 +56,25 @@ def test_the_full_pipeline_ends_in_one_policy_for_both_settings(
     weights = relational.init(np.random.default_rng(0), TINY)
     config = {"network": asdict(TINY)}
     checkpoint.save(start, checkpoint.Checkpoint(relational.KIND, weights, config, {}), half=True)
-    config = replace(SMALL, setting="full", start=str(start), rounds=1, limit=1, extra=0, validation=0, grasp_steps=5)
+    config = replace(SMALL, setting="full", start=str(start), rounds=1, limit=1, extra=0, validation=0, steps=5)
     folder = tmp_path / "run"
-    stages = {p.stage for p in run_pipeline(config, folder, 1)}
-    assert {"samples 0", "policy 0", "grasps", "on policy 1"} <= stages
-    assert all(dataset_file(folder / "on_policy" / "1", name).is_file() for name in two_chairs[:1])
-    assert all(dataset_file(grasp_folder(folder / "samples" / "0"), name).is_file() for name in two_chairs[:1])
+    stages = [p.stage for p in run_pipeline(config, folder, 1) if p.done == p.total]
+    assert stages == ["grasp samples", "grasps", "on policy 1", "grasps"]
+    assert all(dataset_file(folder / "grasps" / str(i), name).is_file() for i in (0, 1) for name in two_chairs[:1])
     policy = load_policy(str(folder / "policy.npz"))
     assert isinstance(policy, RelationalPolicy)
     assert policy.settings == ("object-centric", "full")
-    assert policy.full_params is not None
     started, made = (checkpoint.load(path, relational.KIND) for path in (start, folder / "policy.npz"))
-    assert made.config["pipeline"]["setting"] == "full"
-    assert made.config["start"] == started.config
-    before = started.params
-    # The object-centric weights are kept; those of the full setting have changed.
+    assert made.config["grasps"]["pipeline"]["setting"] == "full"
+    assert set(made.config["grasps"]["made"]) == {"hours", "machine"}
+    assert {name: made.config[name] for name in started.config} == started.config
+    # The weights that value pairs are kept, and the trained grasp network is added.
     flat = dict(_flat(policy.params))
-    assert all(np.array_equal(v, flat[k]) for k, v in _flat(before))
-    assert any(not np.array_equal(v, flat[k]) for k, v in _flat(policy.full_params))
-    # They are four fifths of the trained weights and a fifth of the first; inputs of grasps have no first weights.
-    trained = dict(_flat(checkpoint.load(folder / "policy-0.npz", relational.KIND).params))
-    first = dict(_flat(before))
-    assert set(first) < set(trained)
-    for name, value in _flat(policy.full_params):
-        expected = 0.8 * trained[name] + 0.2 * first[name] if name in first else trained[name]
-        np.testing.assert_allclose(value, expected, atol=2e-3)
+    assert all(np.array_equal(v, flat[k]) for k, v in _flat(started.params))
+    trained = dict(_flat(checkpoint.load(folder / "grasps-1.npz").params))
+    assert policy.grasp_params is not None
+    for name, value in _flat(policy.grasp_params):
+        np.testing.assert_allclose(value, trained[name], atol=2e-3)
     assert {p.stage for p in run_pipeline(config, folder, 1)} == set()
 
 
@@ -156,7 +149,7 @@ def test_the_command_takes_the_defaults_of_a_run_that_continues() -> None:
     )
     assert (fresh.extra, fresh.steps, fresh.imported_versions) == (5_000, 16_000, 0)
     assert (later.extra, later.steps, later.imported_versions) == (700, 6_000, 5)
-    assert (robots.extra, robots.steps, robots.imported_versions) == (3_000, 8_000, 0)
+    assert (robots.extra, robots.steps, robots.imported_versions) == (500, 12_000, 0)
 
 
 def test_an_unknown_set_is_refused(tmp_path: Path) -> None:

@@ -50,7 +50,7 @@ def test_tokens_change_as_the_clouds_do(chair_samples: SampleSet, change: FrameC
             tokens_of_sample(other, after),
         )
         assert np.abs(changed.patch.astype(int) - expected.patch).max() <= 1
-        for name in set(Tokens.__dataclass_fields__) - {"patch", "exits", "grasps", "clearance"}:
+        for name in set(Tokens.__dataclass_fields__) - {"patch", "exits"}:
             assert np.allclose(getattr(changed, name), getattr(expected, name), atol=1e-5), name
         # Points on the border between two pixels fall into another one.
         assert np.abs(changed.exits.astype(int) - expected.exits).mean() < 0.3
@@ -71,13 +71,3 @@ def test_grasps_change_with_the_parts(chair_samples: SampleSet, change: FrameCha
     np.testing.assert_allclose(
         other.grasps[exists][:, :3], chair_samples.grasps[exists][:, :3] @ change.matrix.T, atol=1e-6
     )
-    for before, after in zip(chair_samples.samples, other.samples, strict=True):
-        changed, expected = (
-            augment_tokens(tokens_of_sample(chair_samples, before), change),
-            tokens_of_sample(other, after),
-        )
-        for a, b in ((changed.grasps, expected.grasps), (changed.clearance, expected.clearance)):
-            assert a is not None
-            assert b is not None
-            # The meshes of the two fingers are each other's mirror image but for a millimetre, a tenth of the scale.
-            np.testing.assert_allclose(a.astype(float), b.astype(float), atol=0.1 if change.mirrored else 2e-3)

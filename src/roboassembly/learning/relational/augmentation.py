@@ -8,7 +8,6 @@ import numpy as np
 from jaxtyping import Int
 
 from roboassembly.learning.augmentation import FrameChange, up_axis_permutation
-from roboassembly.learning.relational.clearance import MIRROR_SIGNS
 from roboassembly.learning.relational.depth_images import MIRRORED_EXITS
 from roboassembly.learning.relational.features import ALIGNED
 from roboassembly.learning.relational.group_geometry import PATCH_STEPS
@@ -33,10 +32,9 @@ def augment_tokens(tokens: Tokens, change: FrameChange) -> Tokens:
         features[:, 24:27] = tokens.features[:, 24:27] @ np.abs(m).T
         for first in (27, 30, 33):
             features[:, first : first + 3] = tokens.features[:, first : first + 3] @ m.T
-    patch, grasps, exits = tokens.patch, tokens.grasps, tokens.exits
+    patch, exits = tokens.patch, tokens.exits
     if change.mirrored:
         patch = patch.reshape(len(patch), len(PATCH_STEPS), 5, 5, 5)[:, :, :, ::-1].reshape(patch.shape)
-        grasps = None if grasps is None else grasps * MIRROR_SIGNS
         exits = exits[..., MIRRORED_EXITS]
         features[:, 3] = -tokens.features[:, 3]
         for low in (6, 12):
@@ -60,7 +58,6 @@ def augment_tokens(tokens: Tokens, change: FrameChange) -> Tokens:
         extent=extent,
         bounds=bounds.astype(tokens.bounds.dtype),
         exits=exits,
-        grasps=grasps,
     )
 
 

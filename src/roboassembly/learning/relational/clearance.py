@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
-from jaxtyping import Bool, Float, Float16, Float32, Int
+from jaxtyping import Bool, Float, Int
 from scipy.spatial import ConvexHull
 
 from roboassembly.geometry.poses import rotations_from_euler
@@ -30,16 +30,6 @@ ARM_CUTOFF = 0.3
 """Value from which on clearances of wrist and forearm are clipped [m]."""
 MATE_RETREATS = (0.0, 0.03, 0.10, 0.20)
 """Distances out of a mate at which a gripper is tested [m]."""
-GRASP_FEATURES = 16
-"""Number of features of one grasp, seen from a connection point."""
-CLEARANCE_FEATURES = 4
-"""Number of features of all grasps of one part at one mate."""
-MIRROR_SIGNS = np.where(np.isin(np.arange(GRASP_FEATURES), (1, 4)), -1, 1).astype(np.float16)
-"""Factors of the grasp features under a mirror: what lies along a point frame's y axis changes its sign."""
-MAX_OTHER_POINTS = 480
-"""Largest number of points of the other group that are tested against a gripper."""
-_STRIDE = 2
-"""Every so many points of a group's own cloud are tested."""
 _UNKNOWN_OPENING = 0.03
 """Opening assumed where the cloud has no point between the pads [m]."""
 _PAD_MARGIN = 0.003
@@ -200,21 +190,6 @@ def hand_clearance(near: NearPoints, opening: Float[np.ndarray, "g"], retreat: f
     return np.where(by_boxes < SCALE, out, by_boxes)
 
 
-def box_distances(points: Float32[np.ndarray, "g 3 n"], opening: Float[np.ndarray, "g"]) -> Float32[np.ndarray, "g n"]:
-    """Return the distance from each point to the bounding boxes of its gripper [m], negative inside.
-
-    Args:
-        points: points in the tips frame of each gripper [m].
-        opening: distance between each gripper's pads [m].
-    """
-    shape, out = gripper_shape(), np.full((len(points), points.shape[2]), np.inf, np.float32)
-    for low, high, motion in zip(shape.low, shape.high, shape.motion, strict=True):
-        middle = (0.5 * (low + high) + np.outer(opening, motion)).astype(np.float32).T[..., None]
-        half = (0.5 * (high - low)).astype(np.float32)
-        np.minimum(out, _beyond(points.transpose(1, 0, 2), middle, half), out=out)
-    return out
-
-
 def _beyond(
     points: Float[np.ndarray, "3 *n"], middle: Float[np.ndarray, "3 ..."], half: Float[np.ndarray, "3"]
 ) -> Float[np.ndarray, "*n"]:
@@ -242,98 +217,3 @@ def arm_clearance(near: NearPoints, grippers: int, begin: float, end: float) -> 
     out = np.full(grippers, ARM_CUTOFF**2)
     np.minimum.at(out, near.gripper, x * x + y * y + z * z)
     return np.sqrt(out)
-
-
-class PartGrasps:
-    """The grasps of one part, and the clearance that its own group leaves them.
-
-    Args:
-        poses: `part_from_tips` of each grasp, translation [m] and Euler angles; zeros where there is none.
-        own: cloud of the part in its group's frame [m].
-        rest: cloud of the group's other parts [m].
-        rotation: `group_from_part`.
-        translation: `group_from_part` [m].
-    """
-
-    def __init__(
-        self, poses: Float[np.ndarray, "8 6"], own: Float[np.ndarray, "c 3"], rest: Float[np.ndarray, "m 3"],
-        rotation: Float[np.ndarray, "3 3"], translation: Float[np.ndarray, "3"],
-    ) -> None:  # fmt: skip
-        self.placed = placed = PlacedGrasps.place(poses, rotation, translation, own)
-        part, others = (placed.near(points[::_STRIDE]) for points in (own, rest))
-        wide, exists = placed.approach_opening, placed.exists[:, None]
-        clearance = [
-            hand_clearance(part, wide, RETREAT),
-            hand_clearance(others, wide, RETREAT),
-            hand_clearance(others, placed.opening),
-        ]
-        arm = [np.minimum(*(arm_clearance(x, len(poses), *s) for x in (part, others))) for s in ARM_SECTIONS]
-        self.clearance = np.where(exists, np.stack(clearance, axis=1), -CUTOFF)
-        """Clearance to the part and to the other parts on the approach, and to the other parts once closed [m]."""
-        self.arm = np.where(exists, np.stack(arm, axis=1), 0.0)
-        """Clearance between wrist and group, and between forearm and group [m]."""
-
-    def features(
-        self, position: Float[np.ndarray, "3"], frame: Float[np.ndarray, "3 3"]
-    ) -> Float16[np.ndarray, "8 16"]:
-        """Return the features of each grasp, seen from a connection point of the part; zeros where there is no grasp.
-
-        | index | feature | unit |
-        |---|---|---|
-        | 0–2 | position of the tips in the point's frame | 0.25 m |
-        | 3–5 | approach direction in the point's frame | |
-        | 6–8 | absolute components of the closing direction in the point's frame | |
-        | 9–11 | tanh of the three clearances in `clearance` | 10 mm |
-        | 12 | clearance to the group's other parts on the approach | 50 mm |
-        | 13, 14 | clearance of wrist and forearm | 0.3 m |
-        | 15 | 1 if the grasp exists | |
-
-        Args:
-            position: position of the point in the group's frame [m].
-            frame: `group_from_point`.
-        """
-        exists = self.placed.exists[:, None]
-        features = np.concatenate(
-            [
-                4.0 * (self.placed.position - position) @ frame,
-                self.placed.rotation[:, :, 2] @ frame,
-                np.abs(self.placed.rotation[:, :, 1] @ frame),
-                np.tanh(self.clearance / SCALE),
-                self.clearance[:, 1:2] / CUTOFF,
-                self.arm / ARM_CUTOFF,
-                exists,
-            ],
-            axis=1,
-        )
-        return np.where(exists, features, 0.0).astype(np.float16)
-
-    def mate_clearance(
-        self, rotation: Float[np.ndarray, "l 3 3"], translation: Float[np.ndarray, "l 3"],
-        other: Float[np.ndarray, "n 3"],
-    ) -> Float16[np.ndarray, "l 4"]:  # fmt: skip
-        """Return the features of all grasps together at some mates.
-
-        | index | feature | unit |
-        |---|---|---|
-        | 0 | tanh of the largest clearance of any grasp | 10 mm |
-        | 1 | tanh of the second largest clearance | 10 mm |
-        | 2 | tanh of the largest clearance to the other group alone | 10 mm |
-        | 3 | share of the grasps that have a positive clearance | |
-
-        Args:
-            rotation: `other_from_group` at each mate.
-            translation: `other_from_group` at each mate [m].
-            other: cloud of the other group in its frame [m].
-        """
-        placed = self.placed
-        mated = rotation.transpose(0, 2, 1) @ (other.T - translation[..., None])
-        flat = mated.astype(np.float32).transpose(1, 0, 2).reshape(3, -1)
-        exists = np.flatnonzero(placed.exists)
-        turn, position = (x[exists].astype(np.float32) for x in (placed.rotation, placed.position))
-        local = turn.transpose(0, 2, 1) @ (flat - position[..., None])
-        outside = box_distances(local, placed.opening[exists]).reshape(len(exists), len(rotation), len(other))
-        nearest = np.full((len(placed.exists), len(rotation)), -CUTOFF)
-        nearest[exists] = np.minimum(outside.min(axis=2), CUTOFF)
-        both = np.sort(np.minimum(nearest, self.clearance.min(axis=1)[:, None]), axis=0)
-        largest = [np.tanh(x / SCALE) for x in (both[-1], both[-2], nearest.max(axis=0))]
-        return np.stack([*largest, (both > 0.0).mean(axis=0)], axis=1).astype(np.float16)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 import zlib
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
@@ -19,14 +19,10 @@ from roboassembly.furniture.model import Furniture
 from roboassembly.learning import checkpoint
 from roboassembly.learning.datasets import CLOUD_POINTS, LabeledState, SampleSet, dataset_file
 from roboassembly.learning.relational import network as relational
-from roboassembly.learning.relational.grasps.dataset import GraspLabeler
 from roboassembly.learning.relational.oracle_dataset import Labeler, TokenPolicy
 from roboassembly.parallel.processes import map_unordered
-from roboassembly.settings import SETTINGS
-from roboassembly.task.setting import SettingName
-
-_GRASP_TRIES = 3
-"""Number of grasp pairs that are carried out for a pair of points, until one works."""
+from roboassembly.solvers.oracle import Oracle
+from roboassembly.task.object_centric.task import ObjectCentricTask
 
 
 @dataclass(frozen=True)
@@ -66,14 +62,8 @@ def load_piece(name: str, folders: Mapping[str, Path], *, with_grasps: bool = Tr
     return catalogue.make(name.partition(":")[0], piece_number(name, folders), with_grasps=with_grasps)
 
 
-def grasp_folder(folder: Path) -> Path:
-    """Return the folder of the grasp samples (`grasps.dataset`) that belong to a folder of samples."""
-    return folder / "grasps"
-
-
 def collect(
     names: Sequence[str], folder: Path, *, episodes: int, seed: int, jobs: int, policy: Path | None = None,
-    setting: SettingName = "object-centric", with_grasps: Collection[str] = (),
     folders: Mapping[str, Path] | None = None,
 ) -> Iterator[CollectResult]:  # fmt: skip
     """Write the samples of some furniture, and yield as pieces are done; existing files are kept.
@@ -86,37 +76,28 @@ def collect(
         jobs: number of processes.
         policy: checkpoint of the relational policy that acts in the first episode of each piece (its actions would be
             the same in the others); all other actions are random viable ones.
-        setting: setting whose oracle labels the actions. In the full setting, furniture that does not suit the robots
-            gives no samples.
-        with_grasps: names of the pieces that get grasp samples as well, of one episode each (full setting). These take
-            several times as long.
         folders: furniture folders of pieces that are not generated, by name.
     """
-    (grasp_folder(folder) if with_grasps else folder).mkdir(parents=True, exist_ok=True)
+    folder.mkdir(parents=True, exist_ok=True)
     left = [name for name in names if not dataset_file(folder, name).is_file()]
-    work = partial(
-        _collect, folder=folder, episodes=episodes, seed=seed, policy=policy, setting=setting,
-        with_grasps=frozenset(with_grasps), folders=dict(folders or {}),
-    )  # fmt: skip
+    work = partial(_collect, folder=folder, episodes=episodes, seed=seed, policy=policy, folders=dict(folders or {}))
     yield from map_unordered(work, left, jobs)
 
 
 def _collect(
-    name: str, *, folder: Path, episodes: int, seed: int, policy: Path | None, setting: SettingName,
-    with_grasps: frozenset[str], folders: Mapping[str, Path],
-) -> CollectResult:  # fmt: skip
+    name: str, *, folder: Path, episodes: int, seed: int, policy: Path | None, folders: Mapping[str, Path]
+) -> CollectResult:
     """Write the samples of one piece."""
     start = time.monotonic()
     number = piece_number(name, folders)
     try:
-        furniture = load_piece(name, folders, with_grasps=SETTINGS[setting].needs_grasps)
-        oracle = SETTINGS[setting].make_oracle(furniture)
+        furniture = load_piece(name, folders, with_grasps=False)
     except InputError:
-        # A few generated frames are invalid, cannot be grasped, or have too many parts; they give no samples.
+        # A few generated frames are invalid; they give no samples.
         SampleSet(name, np.zeros((0, CLOUD_POINTS, 3), np.float32), ()).save(dataset_file(folder, name))
         return CollectResult(name, 0, 0, 0, time.monotonic() - start)
     clouds = part_clouds(furniture, CLOUD_POINTS)
-    labeler = Labeler(furniture, clouds, oracle)
+    labeler = Labeler(furniture, clouds, Oracle(ObjectCentricTask(furniture)))
     token_policy = None if policy is None else _token_policy(policy)
     samples: dict[bytes, LabeledState] = {}
     mistakes = choices = 0
@@ -128,10 +109,6 @@ def _collect(
             mistakes, choices = episode.mistakes, len(episode.states)
         for sample in (*episode.states, *episode.dead_ends):
             samples.setdefault(sample.group.tobytes(), sample)
-    if oracle.grasp_task is not None and name in with_grasps:
-        grasp_labeler = GraspLabeler(oracle.grasp_task, _GRASP_TRIES, oracle)
-        grasp_samples = grasp_labeler.collect(np.random.default_rng([seed, number]), 1)
-        grasp_samples.save(dataset_file(grasp_folder(folder), name))
     labeler.sample_set(tuple(samples.values()), name).save(dataset_file(folder, name))
     return CollectResult(name, len(samples), mistakes, choices, time.monotonic() - start)
 

@@ -1,4 +1,4 @@
-"""Geometry of one group in a frame of its own: its free points, the surface around them, its grasps."""
+"""Geometry of one group in a frame of its own: its free points and the surface around them."""
 
 from __future__ import annotations
 
@@ -8,11 +8,10 @@ from dataclasses import dataclass
 from itertools import permutations, product
 
 import numpy as np
-from jaxtyping import Bool, Float, Float16, Int, UInt8
+from jaxtyping import Bool, Float, Int, UInt8
 from scipy.spatial import KDTree
 
 from roboassembly.geometry.poses import rotations_from_euler
-from roboassembly.learning.relational.clearance import MAX_OTHER_POINTS, PartGrasps
 from roboassembly.learning.relational.depth_images import PointImages
 
 PATCH_STEPS = (0.010, 0.040, 0.150)
@@ -170,14 +169,12 @@ class GroupGeometry:
     """Mean of the cloud of the point's part in the point's frame [m]."""
     images: PointImages
     """Depth images of the group around each point."""
-    grasps: GroupGrasps | None
-    """Grasps of the group; None if the tokens have no grasps."""
 
     @staticmethod
     def build(
         key: bytes, clouds: Float[np.ndarray, "p c 3"], rotation: Float[np.ndarray, "p 3 3"],
         translation: Float[np.ndarray, "p 3"], position: Float[np.ndarray, "k 3"], frame: Float[np.ndarray, "k 3 3"],
-        axes: Float[np.ndarray, "k 3 3"], member: Int[np.ndarray, "k"], poses: Float[np.ndarray, "p 8 6"] | None = None,
+        axes: Float[np.ndarray, "k 3 3"], member: Int[np.ndarray, "k"],
     ) -> GroupGeometry:  # fmt: skip
         """Put a group together from its p parts.
 
@@ -190,21 +187,9 @@ class GroupGeometry:
             frame: `group_from_point` of each free point.
             axes: axes that `w` names where the group waits with this point, as columns.
             member: part of each free point, as a number in 0..p.
-            poses: `part_from_tips` of each part's grasps; None without grasps.
         """
         placed = clouds @ rotation.transpose(0, 2, 1) + translation[:, None]
         cloud = placed.reshape(-1, 3)
-        grasps = None
-        if poses is not None:
-            of_part = {
-                i: PartGrasps(
-                    poses[i], placed[i], np.delete(placed, i, axis=0).reshape(-1, 3), rotation[i], translation[i]
-                )
-                for i in np.unique(member).tolist()
-            }
-            of_point = tuple(of_part[i] for i in member.tolist())
-            features = np.stack([g.features(*point) for g, *point in zip(of_point, position, frame, strict=True)])
-            grasps = GroupGrasps(of_point, features, _thinned(cloud, MAX_OTHER_POINTS))
         outlines = [_outermost(part) for part in placed]
         outline = np.concatenate(outlines)
         own: list[int] = member.tolist()
@@ -219,25 +204,7 @@ class GroupGeometry:
             _bounds([outline] * len(position), position, frame),
             np.einsum("nji,nj->ni", frame, placed.mean(axis=1)[member] - position),
             PointImages.of_cloud(cloud, position, frame),
-            grasps,
         )
-
-
-@dataclass(frozen=True, eq=False)
-class GroupGrasps:
-    """Grasps of a group with k free points."""
-
-    of_point: tuple[PartGrasps, ...]
-    """Grasps of the part of each free point."""
-    features: Float16[np.ndarray, "k 8 16"]
-    """Features of these grasps, seen from the point."""
-    cloud: Float[np.ndarray, "m 3"]
-    """Points of the group's surface that grippers of another group may touch [m]."""
-
-
-def _thinned(points: Float[np.ndarray, "n 3"], most: int) -> Float[np.ndarray, "m 3"]:
-    """Every so many of the points, `most` at most."""
-    return points[:: -(-len(points) // most)]
 
 
 def _outermost(points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "m 3"]:

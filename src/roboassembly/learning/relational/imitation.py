@@ -225,8 +225,6 @@ def train(
         params = relational.init(np.random.default_rng(training.seed), config)
         if initial is not None:
             params = checkpoint.load(initial, relational.KIND).params
-        if examples and examples[0].tokens.grasps is not None and "grasp" not in params:
-            params |= relational.init_grasp_inputs(np.random.default_rng([training.seed, 1]), config)
         return params
 
     def update(params: Params, opt_state: Any, batch: Batch) -> tuple[Params, Any, Mapping[str, Array]]:

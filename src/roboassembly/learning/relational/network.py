@@ -36,7 +36,6 @@ from roboassembly.learning.layers import (
     softplus,
 )
 from roboassembly.learning.relational.augmentation import augment_tokens, permutation_of
-from roboassembly.learning.relational.clearance import CLEARANCE_FEATURES, GRASP_FEATURES
 from roboassembly.learning.relational.features import (
     PAIR_FEATURES,
     UP_AXIS_FEATURES,
@@ -101,28 +100,12 @@ def init(rng: np.random.Generator, c: RelationalConfig) -> Params:
     }
 
 
-def init_grasp_inputs(rng: np.random.Generator, c: RelationalConfig) -> Params:
-    """Return fresh weights to add to those of `init`, for grasps and their clearance; they change nothing at first."""
-    return {
-        "grasp": init_mlp(rng, GRASP_FEATURES, 48, 48),
-        "grasp_token": _zeros_like(init_linear(rng, 48, c.token)),
-        "clearance": {
-            "0": init_linear(rng, 2 * CLEARANCE_FEATURES, 32),
-            "1": _zeros_like(init_linear(rng, 32, c.pair)),
-        },
-    }
-
-
-def _zeros_like(p: Params) -> Params:
-    return {name: np.zeros_like(value) for name, value in p.items()}
-
-
 def apply(p: Params, t: dict[str, Array]) -> tuple[Array, Array, Array]:
     """Value all pairs of a batch of b states with n tokens each.
 
     Args:
-        p: weights of `init`, perhaps with those of `init_grasp_inputs`.
-        t: batch of `tokens.pad`; with grasps and clearance where the weights need them.
+        p: weights of `init`.
+        t: batch of `tokens.pad`.
 
     Returns:
         fits: (b, n, n) logit of the probability that the ordered pair fits.
@@ -158,24 +141,15 @@ def apply(p: Params, t: dict[str, Array]) -> tuple[Array, Array, Array]:
 
 
 def _embed_points(p: Params, t: dict[str, Array]) -> Array:
-    """(b, n, d) tokens: the surface around each point, the point's features, and the best of its part's grasps."""
+    """(b, n, d) tokens: the surface around each point, and the point's features."""
     xp = t["features"].__array_namespace__()
-    token = mlp(p["patch"], 1.0 - xp.astype(t["patch"], xp.float32) / 255.0) + mlp(p["point"], t["features"])
-    if "grasp" in p:
-        grasps = gelu(mlp(p["grasp"], t["grasps"])) * t["grasps"][..., -1:]
-        token = token + linear(p["grasp_token"], xp.max(grasps, axis=2))
-    return token
+    return mlp(p["patch"], 1.0 - xp.astype(t["patch"], xp.float32) / 255.0) + mlp(p["point"], t["features"])
 
 
 def _judge_pairs(p: Params, t: dict[str, Array], token: Array, valid: Array) -> Array:
-    """(b, n, n, d) pairs, each by itself: its two tokens, its features, and the clearance of its grasps."""
-    xp = token.__array_namespace__()
+    """(b, n, n, d) pairs, each by itself: its two tokens and its features."""
     tokens = linear(p["pair_u"], token)[:, :, None] + linear(p["pair_v"], token)[:, None]
-    pair = mlp(p["pair"], gelu(tokens + linear(p["pair_features"], pair_features(t, valid))))
-    if "clearance" in p:
-        both = xp.concatenate([t["clearance"], xp.swapaxes(t["clearance"], 1, 2)], axis=-1)
-        pair = pair + mlp(p["clearance"], both)
-    return pair
+    return mlp(p["pair"], gelu(tokens + linear(p["pair_features"], pair_features(t, valid))))
 
 
 def _relative_poses(frame: Array, position: Array, same: Array) -> Array:

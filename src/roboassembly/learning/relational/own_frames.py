@@ -29,15 +29,11 @@ def in_own_frames(
     turns = samples.principal.astype(float)
     clouds = samples.resampled.astype(float)
     clouds = (clouds + rng.normal(0.0, noise, clouds.shape)) @ turns
-    grasps = samples.grasps
-    if grasps is not None:
-        grasps = _described(grasps, turns[:, None].transpose(0, 1, 3, 2), None).astype(np.float32)
     points = samples.samples[0].points.shape[:2] if samples.samples else (0, 0)
     offset = rng.normal(0.0, imprecision, (*points, 3))
     return replace(
         samples,
         clouds=clouds.astype(np.float32),
-        grasps=grasps,
         samples=tuple(_sample(sample, turns, offset) for sample in samples.samples),
         frames="own",
     )

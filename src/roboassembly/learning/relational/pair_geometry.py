@@ -8,10 +8,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Float16, UInt8
+from jaxtyping import Float, UInt8
 
 from roboassembly.geometry.mating import mating_poses
-from roboassembly.learning.relational.clearance import CLEARANCE_FEATURES
 from roboassembly.learning.relational.depth_images import exit_counts
 from roboassembly.learning.relational.group_geometry import GroupGeometry
 from roboassembly.learning.relational.policy_view import CONTACT_COSINE, CONTACT_DISTANCE
@@ -44,24 +43,6 @@ class PairGeometry:
             PairGeometry(of_a, _relative_bounds(rotation, translation, a, b), exit_counts(a.images, b.images)),
             PairGeometry(of_b, _relative_bounds(back, translation_back, b, a), exit_counts(b.images, a.images)),
         )
-
-
-def grasp_clearance(moving: GroupGeometry, waiting: GroupGeometry) -> Float16[np.ndarray, "k l 4"]:
-    """Return the clearance of the moving group's grasps at each mate, see `Tokens.clearance`.
-
-    Both groups must have grasps.
-    """
-    assert moving.grasps is not None
-    assert waiting.grasps is not None
-    rotation, translation = _poses(moving, waiting)
-    out = np.zeros((*translation.shape[:2], CLEARANCE_FEATURES), np.float16)
-    of_point = moving.grasps.of_point
-    # All points of a part at once.
-    for grasps in dict.fromkeys(of_point):
-        points = [k for k, other in enumerate(of_point) if other is grasps]
-        mates = rotation[points].reshape(-1, 3, 3), translation[points].reshape(-1, 3)
-        out[points] = grasps.mate_clearance(*mates, waiting.grasps.cloud).reshape(len(points), -1, CLEARANCE_FEATURES)
-    return out
 
 
 def _poses(

@@ -9,13 +9,12 @@ was stopped continues where it was.
     …                                               policy.npz     the last one
 
 A run may start from the weights of a policy; the result is then a mean of these and of the trained ones. In the full
-setting, it starts from those of an object-centric policy and trains on pairs for one round. Grasp samples train a
-second network, and the further rounds are those of this network:
+setting, it starts from an object-centric policy, keeps its weights, and trains the grasp network besides:
 
-    samples/0/grasps/…  of random grasps            grasps-0.npz   trained on them
-    on_policy/1/…       of episodes of acting-1     grasps-1.npz   trained on both
+    grasps/0/…   of random grasps            grasps-0.npz   trained on them
+    grasps/1/…   of episodes of acting-1     grasps-1.npz   trained on both
 
-`policy.npz` then holds the weights of both settings.
+`policy.npz` then holds both networks.
 """
 
 from __future__ import annotations
@@ -45,14 +44,15 @@ from roboassembly.learning.policy_weights import load_weights
 from roboassembly.learning.progress import Progress
 from roboassembly.learning.relational import imitation
 from roboassembly.learning.relational import network as relational
-from roboassembly.learning.relational.collect import CollectResult, collect, grasp_folder
+from roboassembly.learning.relational.collect import CollectResult, collect
 from roboassembly.learning.relational.examples import SHOWN, Frames, TokenExample, load_examples
 from roboassembly.learning.relational.grasps import imitation as grasp_imitation
 from roboassembly.learning.relational.grasps import network as grasping
+from roboassembly.learning.relational.grasps.dataset import collect_grasps
 from roboassembly.learning.relational.grasps.on_policy import collect_on_policy
 from roboassembly.learning.relational.imitation import RelationalTraining
 from roboassembly.learning.relational.network import RelationalConfig
-from roboassembly.learning.relational.policy import FULL_PARAMS, GRASP_PARAMS, RelationalPolicy
+from roboassembly.learning.relational.policy import GRASP_PARAMS, RelationalPolicy
 from roboassembly.parallel.processes import map_unordered
 from roboassembly.settings import SETTINGS
 from roboassembly.task.setting import SettingName
@@ -80,9 +80,9 @@ class RelationalPipelineConfig:
     rounds: int = 0
     """Number of rounds after the first; in the full setting, rounds of the grasp network."""
     steps: int = 16_000
-    """Number of gradient steps in the first round."""
+    """Number of gradient steps in the first round; with robots in every round, each from fresh weights."""
     round_steps: int = 8_000
-    """Number of gradient steps in each later round."""
+    """Number of gradient steps in each later round, without robots."""
     learning_rate: float = 2e-3
     """Largest learning rate in the first round; half of it in later ones."""
     batch: int = 16
@@ -102,17 +102,13 @@ class RelationalPipelineConfig:
     version_episodes: int = 2
     """Number of episodes of each version in each round."""
     setting: SettingName = "object-centric"
-    """Setting whose oracle labels the samples."""
+    """Setting to train for: with robots, only the grasp network is trained."""
     start: str = ""
     """Policy whose weights come first, by name or path; none if empty. The full setting needs one. The result keeps its
-    weights for the other setting."""
-    extra_grasps: int = 500
-    """Number of the further generated pieces that get grasp samples as well (full setting)."""
+    weights of the network that is not trained."""
     start_share: float = 0.2
-    """Share of the weights of `start` in those that value pairs. The mean is better on new furniture than the trained
-    weights (Wortsman et al. 2022, "Robust Fine-Tuning of Zero-Shot Models")."""
-    grasp_steps: int = 12_000
-    """Number of gradient steps of the grasp network (full setting)."""
+    """Share of the weights of `start` in the trained ones. The mean is better on new furniture than the trained weights
+    (Wortsman et al. 2022, "Robust Fine-Tuning of Zero-Shot Models")."""
 
     @property
     def rounds_of_networks(self) -> tuple[int, int]:
@@ -132,10 +128,7 @@ class RelationalPipelineConfig:
 _CONTINUES = RelationalPipelineConfig(
     extra=700, validation=24, steps=6_000, learning_rate=1e-3, imported_episodes=4, imported_versions=5, start_share=0.3
 )
-_FULL = RelationalPipelineConfig(
-    extra=3_000, validation=24, episodes=2, imported_episodes=2, rounds=1, steps=8_000, learning_rate=1e-3,
-    setting="full", start="relational",
-)  # fmt: skip
+_FULL = RelationalPipelineConfig(extra=500, validation=0, rounds=1, steps=12_000, setting="full", start="relational")
 _DEFAULTS: dict[SettingName, tuple[RelationalPipelineConfig, RelationalPipelineConfig]] = {
     fresh.setting: (fresh, continued) for fresh, continued in ((RelationalPipelineConfig(), _CONTINUES), (_FULL, _FULL))
 }
@@ -166,8 +159,17 @@ def run_pipeline(config: RelationalPipelineConfig, folder: Path, jobs: int) -> I
     held_out = extra_names(config.validation, recipe.unseen_families, first=_VALIDATION_SEEDS)
     notes = {"pipeline": asdict(config), "set_hash": set_hash([*refs, *imported])}
     pair_rounds, grasp_rounds = config.rounds_of_networks
-    with_grasps = [*(ref.name for ref in (*refs, *imported)), *extra[: config.extra_grasps]] if grasp_rounds else []
+    before = load_weights(config.start) if config.start else None
+    described = {} if before is None else dict(before.config)
+    kept = {} if before is None else before.params
+    if grasp_rounds:
+        assert start is not None
+        params = checkpoint.load(start, relational.KIND).params
+        described["grasps"] = notes
+        yield from _grasp_rounds(params, described, [*refs, *imported, *versions], extra, folder, config, jobs)
+        return
 
+    held_out = extra_names(config.validation, recipe.unseen_families, first=_VALIDATION_SEEDS)
     yield from _collect("validation", held_out, folder / "samples" / "validation", config, jobs, None, config.episodes)
     validation = {
         shown: load_examples(folder / "samples" / "validation", held_out, jobs, shown) for shown in SHOWN[config.frames]
@@ -181,7 +183,7 @@ def run_pipeline(config: RelationalPipelineConfig, folder: Path, jobs: int) -> I
             ("imported samples", imported, config.imported_episodes),
             ("samples of versions", versions, config.version_episodes),
         ):
-            yield from _collect(f"{stage} {index}", pieces, samples, config, jobs, last, episodes, with_grasps)
+            yield from _collect(f"{stage} {index}", pieces, samples, config, jobs, last, episodes)
         examples += load_examples(samples, [*names, *(ref.name for ref in (*imported, *versions))], jobs, config.frames)
         steps, rate = (
             (config.round_steps, 0.5 * config.learning_rate) if index else (config.steps, config.learning_rate)
@@ -193,29 +195,15 @@ def run_pipeline(config: RelationalPipelineConfig, folder: Path, jobs: int) -> I
         last = path
     assert last is not None
     final = checkpoint.load(last, relational.KIND)
-    params, description = final.params, final.config
-    started = None if start is None else checkpoint.load(start, relational.KIND)
-    if started is not None:
-        params = _mean(params, started.params, config.start_share)
-        # The weights of the start come with the description of their own training.
-        before = started.config
-        _, before_rounds = _rounds_of(before)
-        description = {**description, "start": before["start"] if before_rounds else before}
-    if grasp_rounds:
-        assert started is not None
-        both = {**started.params, FULL_PARAMS: params}
-        yield from _grasp_rounds(both, description, [*refs, *imported], with_grasps, folder, config, notes, jobs)
-    else:
-        # Weights for robots stay as they were.
-        kept = load_weights(config.start).params if config.start else {}
-        both = {name: kept[name] for name in (FULL_PARAMS, GRASP_PARAMS) if name in kept}
-        _save_policy(folder / "policy.npz", {**params, **both}, description, _hours(last))
-
-
-def _rounds_of(description: Mapping[str, Any]) -> tuple[int, int]:
-    """Number of rounds of both networks in the run that made a checkpoint; none if it says nothing of a run."""
-    made = description.get("pipeline")
-    return SETTINGS[made["setting"]].rounds_of_networks(made["rounds"]) if made else (0, 0)
+    params, description = final.params, dict(final.config)
+    if start is not None:
+        params = _mean(params, checkpoint.load(start, relational.KIND).params, config.start_share)
+        # The weights that are kept come with the description of their own training.
+        if "grasps" in described:
+            description["grasps"] = described.pop("grasps")
+        description["start"] = described
+    both = {name: kept[name] for name in (GRASP_PARAMS,) if name in kept}
+    _save_policy(folder / "policy.npz", {**params, **both}, {**description, "made": _made(last)})
 
 
 def _mean(value: Any, start: Any, share: float) -> Any:
@@ -256,15 +244,12 @@ def _start_checkpoint(config: RelationalPipelineConfig, folder: Path) -> Path | 
 
 def _collect(
     stage: str, pieces: Sequence[str | FurnitureRef], folder: Path, config: RelationalPipelineConfig, jobs: int,
-    policy: Path | None, episodes: int, with_grasps: Sequence[str] = (),
+    policy: Path | None, episodes: int,
 ) -> Iterator[Progress]:  # fmt: skip
     """Collect the samples of a round, of generated pieces by name and of imported ones."""
     folders = _folders(p for p in pieces if isinstance(p, FurnitureRef))
     names = [p if isinstance(p, str) else p.name for p in pieces]
-    results = collect(
-        names, folder, episodes=episodes, seed=config.seed, jobs=jobs,
-        policy=policy, setting=config.setting, with_grasps=with_grasps, folders=folders,
-    )  # fmt: skip
+    results = collect(names, folder, episodes=episodes, seed=config.seed, jobs=jobs, policy=policy, folders=folders)
     yield from _counted(stage, results, names, folder, mistakes=policy is not None)
 
 
@@ -329,51 +314,55 @@ def _validated(
 
 
 def _grasp_rounds(
-    params: Params, network: dict[str, Any], pieces: Sequence[FurnitureRef], with_grasps: Sequence[str],
-    folder: Path, config: RelationalPipelineConfig, notes: dict[str, Any], jobs: int,
+    params: Params, description: dict[str, Any], pieces: Sequence[FurnitureRef], extra: Sequence[str], folder: Path,
+    config: RelationalPipelineConfig, jobs: int,
 ) -> Iterator[Progress]:  # fmt: skip
     """Train the grasp network, and again after each round of its own episodes; writes `policy.npz`.
 
     Args:
-        params: weights of both settings.
-        network: description of the network, for the checkpoint.
+        params: weights that value pairs.
+        description: of these weights and of the run, for the checkpoint.
         pieces: pieces that the policy acts on.
-        with_grasps: names of the pieces that have grasp samples.
+        extra: names of further pieces, for random grasps only.
         folder: folder of the run.
         config: settings.
-        notes: what the checkpoints say of the run.
         jobs: number of processes.
     """
     names, sources = [ref.name for ref in pieces], _folders(pieces)
-    folders = [grasp_folder(folder / "samples" / "0")]
+    files: list[Path] = []
     _, rounds = config.rounds_of_networks
     for index in range(rounds):
+        samples, path = folder / "grasps" / str(index), folder / f"grasps-{index}.npz"
         if index:
-            folders.append(folder / "on_policy" / str(index))
-            acting = folder / f"acting-{index}.npz"
-            seed = config.seed + index
-            results = collect_on_policy(names, folders[-1], acting, episodes=1, seed=seed, jobs=jobs, folders=sources)
-            yield from _counted(f"on policy {index}", results, names, folders[-1], mistakes=True)
-        path = folder / f"grasps-{index}.npz"
-        training = grasp_imitation.GraspTraining(steps=config.grasp_steps, seed=config.seed)
+            acting, seed = folder / f"acting-{index}.npz", config.seed + index
+            results = collect_on_policy(names, samples, acting, episodes=1, seed=seed, jobs=jobs, folders=sources)
+            yield from _counted(f"on policy {index}", results, names, samples, mistakes=True)
+            files += [dataset_file(samples, name) for name in names]
+        else:
+            all_names = [*names, *extra]
+            results = collect_grasps(
+                all_names, samples, episodes=config.episodes, seed=config.seed, jobs=jobs, folders=sources
+            )
+            yield from _counted("grasp samples", results, all_names, samples, mistakes=False)
+            files += [dataset_file(samples, name) for name in all_names]
+        training = grasp_imitation.GraspTraining(steps=config.steps, seed=config.seed)
         if not is_trained(path, grasping.KIND, training.steps):
-            files = [file for f in folders for name in with_grasps if (file := dataset_file(f, name)).is_file()]
             examples = grasp_imitation.examples_of(files, jobs)
-            for step, terms in grasp_imitation.train(examples, path, training, notes):
+            for step, terms in grasp_imitation.train(examples, path, training, description["grasps"]):
                 yield Progress("grasps", step, training.steps, terms)
         both = {**params, GRASP_PARAMS: checkpoint.load(path, grasping.KIND).params}
         last = index == rounds - 1
-        hours = _hours(folder / "policy-0.npz", path)
-        _save_policy(folder / ("policy.npz" if last else f"acting-{index + 1}.npz"), both, network, hours)
+        made = {**description, "grasps": {**description["grasps"], "made": _made(path)}}
+        _save_policy(folder / ("policy.npz" if last else f"acting-{index + 1}.npz"), both, made)
 
 
-def _save_policy(path: Path, params: Params, config: dict[str, Any], hours: float) -> None:
-    """Write the checkpoint of a policy, with 16-bit weights, and with what made them."""
-    made = {"hours": round(hours, 2), "machine": f"{platform.machine()}, {os.cpu_count()} cores"}
-    config = {**config, "made": made, "weights_hash": checkpoint.arrays_hash(params)}
+def _save_policy(path: Path, params: Params, config: dict[str, Any]) -> None:
+    """Write the checkpoint of a policy, with 16-bit weights."""
+    config = {**config, "weights_hash": checkpoint.arrays_hash(params)}
     checkpoint.save(path, checkpoint.Checkpoint(relational.KIND, params, config, {}), half=True)
 
 
-def _hours(*paths: Path) -> float:
-    """Hours of training in some checkpoints."""
-    return sum(float(checkpoint.load(path).extra.get("seconds", 0.0)) for path in paths) / 3600.0
+def _made(path: Path) -> dict[str, Any]:
+    """Return the hours of the training of a checkpoint, and the machine."""
+    hours = float(checkpoint.load(path).extra.get("seconds", 0.0)) / 3600.0
+    return {"hours": round(hours, 2), "machine": f"{platform.machine()}, {os.cpu_count()} cores"}

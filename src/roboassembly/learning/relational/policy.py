@@ -35,8 +35,8 @@ from roboassembly.parallel.threads import one_blas_thread
 from roboassembly.task.part_frames import FramesName
 from roboassembly.task.setting import SettingName
 
-GRASP_PARAMS, FULL_PARAMS = "grasps", "full"
-"""Names in a checkpoint of the weights of the grasp network, and of those that value pairs in the full setting."""
+GRASP_PARAMS = "grasps"
+"""Name in a checkpoint of the weights of the grasp network."""
 _FULL_MASK_AXES = 6
 """Number of axes of a mask of actions in the full setting."""
 _DECIMALS = 3
@@ -69,12 +69,10 @@ class RelationalPolicy:
     """Largest number of expected states that `act` looks at with robots before it takes the best action instead."""
     grasp_params: Params | None = None
     """Weights of `grasps.network`; without them, the policy works in the object-centric setting only."""
-    full_params: Params | None = None
-    """Weights of `network` for the full setting; `params` if None."""
     frames: FramesName = "aligned"
     """Frames in which the observations describe parts."""
     layout_width: int = BEAM_WIDTH
-    """Number of layouts in the beam search before each decision; none is looked for if 0, nor with robots."""
+    """Number of layouts in the beam search before each decision; none is looked for if 0."""
     cache: TokenCache = field(default_factory=TokenCache, repr=False)
     """Geometry of earlier states."""
     foreseen: ForeseenMerges = field(default_factory=ForeseenMerges, repr=False)
@@ -108,14 +106,12 @@ class RelationalPolicy:
         if config.token % config.heads:
             raise InputError(f"'{where}': {config.heads} heads do not divide tokens of {config.token}; they must")
         expected = relational.init(np.random.default_rng(0), config)
-        with_grasps = expected | relational.init_grasp_inputs(np.random.default_rng(0), config)
-        params = {name: array for name, array in loaded.params.items() if name not in (GRASP_PARAMS, FULL_PARAMS)}
-        grasp_params, full_params = loaded.params.get(GRASP_PARAMS), loaded.params.get(FULL_PARAMS)
-        grasp_net = grasping.init(np.random.default_rng(0))
-        for found, like in ((params, expected), (full_params, with_grasps), (grasp_params, grasp_net)):
-            if found is not None:
-                checkpoint.check_arrays(found, like, where)
-        return RelationalPolicy(params, where, grasp_params=grasp_params, full_params=full_params)
+        params = {name: array for name, array in loaded.params.items() if name != GRASP_PARAMS}
+        checkpoint.check_arrays(params, expected, where)
+        grasp_params = loaded.params.get(GRASP_PARAMS)
+        if grasp_params is not None:
+            checkpoint.check_arrays(grasp_params, grasping.init(np.random.default_rng(0)), where)
+        return RelationalPolicy(params, where, grasp_params=grasp_params)
 
     def act(self, observation: Observation, mask: Mask) -> Int[np.ndarray, "_"]:
         """Return the action of the greatest value.
@@ -143,7 +139,7 @@ class RelationalPolicy:
         with one_blas_thread():
             view = PolicyView.from_observation(observation, mask, self.frames)
             if mask.ndim == _FULL_MASK_AXES:
-                return self._for_robots()._full_values(view, mask, _ENOUGH_ACTIONS)
+                return self._full_values(view, mask, _ENOUGH_ACTIONS)
             return self.pair_values(view)
 
     def revised_values(self, observation: Observation, mask: Mask, wrong: Sequence[Pair]) -> Values:
@@ -153,29 +149,28 @@ class RelationalPolicy:
         with one_blas_thread():
             return self.pair_values(PolicyView.from_observation(observation, mask, self.frames), wrong=wrong)
 
-    def _for_robots(self) -> RelationalPolicy:
-        """Return the policy with the weights for robots.
+    @property
+    def _grasp_weights(self) -> Params:
+        """Weights of the grasp network.
 
         Raises:
-            InputError: the policy has no grasp network.
+            InputError: the policy has none.
         """
         if self.grasp_params is None:
             raise InputError(f"the policy '{self.name}' has no grasp network; use --setting object-centric")
-        # Layouts know nothing of hands: with them, fewer chairs are finished.
-        return replace(self, params=self.params if self.full_params is None else self.full_params, layout_width=0)
+        return self.grasp_params
 
     def _act_for_robots(self, observation: Observation, mask: Mask) -> Int[np.ndarray, "_"]:
-        policy = self._for_robots()
         view = PolicyView.from_observation(observation, mask, self.frames)
         if not self.lookahead:
-            return surest(policy._full_values(view, mask, 1))
-        rank = partial(policy._ranked, grasp_values=GraspValues(policy.grasp_params or {}))
+            return surest(self._full_values(view, mask, 1))
+        rank = partial(self._ranked, grasp_values=GraspValues(self._grasp_weights))
         start = rank(view)
         choice = self.foreseen.next(start, rank, self.lookahead)
         if choice is not None and mask[choice.action]:
             action = np.array(choice.action)
         else:
-            action = surest(policy._full_values(view, mask, 1, start.pairs))
+            action = surest(self._full_values(view, mask, 1, start.pairs))
         self.foreseen.expect(view, action.tolist())
         return action
 
@@ -199,8 +194,7 @@ class RelationalPolicy:
             wrong: pairs that are known to be wrong.
         """
         out = np.full(view.action_shape, -np.inf, np.float32)
-        with_grasps = "grasp" in self.params
-        tokens = tokens_of(view, self.cache, grasps=with_grasps)
+        tokens = tokens_of(view, self.cache)
         if len(tokens.part):
             u, k = tokens.part[:, None], tokens.point[:, None]
             v, l = tokens.part[None], tokens.point[None]  # noqa: E741
@@ -218,8 +212,7 @@ class RelationalPolicy:
                     unlocked |= layout.placed_by - locks_out(tokens, layout)
                 q[~_both_ways(placed, fits.shape)] -= _OUTSIDE_PENALTY
                 q[_both_ways(placed - unlocked, fits.shape)] -= _LOCKING_PENALTY
-            if not with_grasps:
-                q[sunk(tokens.bounds)] -= _SINKING_PENALTY
+            q[sunk(tokens.bounds)] -= _SINKING_PENALTY
             out[u, v, k, l] = q
         return out
 
@@ -237,7 +230,7 @@ class RelationalPolicy:
             pairs: log-probability of each pair, if it is known.
         """
         pairs = self._log_pairs(view) if pairs is None else pairs
-        grasp_values = GraspValues(self.grasp_params or {})
+        grasp_values = GraspValues(self._grasp_weights)
         out = np.where(mask, pairs[..., None, None] + _UNKNOWN_GRASPS, -np.inf).astype(np.float32)
         flat = pairs.ravel()
         best = np.full(enough, -np.inf)

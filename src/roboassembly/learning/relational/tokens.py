@@ -19,11 +19,10 @@ from itertools import combinations
 from typing import Any, TypeVar
 
 import numpy as np
-from jaxtyping import Float, Float16, Float32, Int, Int8, UInt8
+from jaxtyping import Float, Float32, Int, Int8, UInt8
 
 from roboassembly.geometry.mating import mating_rotations, point_frames
 from roboassembly.learning.datasets import LabeledState, SampleSet
-from roboassembly.learning.relational.clearance import CLEARANCE_FEATURES, GRASP_FEATURES
 from roboassembly.learning.relational.cycles import closed_3_cycles, closed_4_cycles
 from roboassembly.learning.relational.depth_images import EXIT_COUNTS
 from roboassembly.learning.relational.features import ALIGNED, frames_parallel, plausible_pairs
@@ -34,16 +33,15 @@ from roboassembly.learning.relational.group_geometry import (
     PartShapes,
 )
 from roboassembly.learning.relational.joint_fit import FIT_FEATURES, PartJoints, exchanged, joint_fit
-from roboassembly.learning.relational.pair_geometry import PairGeometry, grasp_clearance
+from roboassembly.learning.relational.pair_geometry import PairGeometry
 from roboassembly.learning.relational.policy_view import PolicyView
-from roboassembly.task.rules.connections import GRASPS
 
 POINT_FEATURES = 37
 """Number of features of a point."""
-_OF_PAIRS = ("matches", "bounds", "exits", "fit", "cycles_3", "cycles_4", "clearance")
+_OF_PAIRS = ("matches", "bounds", "exits", "fit", "cycles_3", "cycles_4")
 """Token arrays over pairs of tokens."""
-_PADDED = ("patch", "features", "frame", "position", "axes", "extent", "grasps", *_OF_PAIRS)
-"""Token arrays of a batch; `grasps` and `clearance` only where the tokens have them."""
+_PADDED = ("patch", "features", "frame", "position", "axes", "extent", *_OF_PAIRS)
+"""Token arrays of a batch."""
 T = TypeVar("T")
 
 
@@ -105,10 +103,6 @@ class Tokens:
     """Number of groups that close a 3-cycle with the pair."""
     cycles_4: UInt8[np.ndarray, "n n"]
     """Number of groups that close a 4-cycle with the pair."""
-    grasps: Float16[np.ndarray, "n 8 16"] | None = None
-    """Features of the grasps of the point's part (`PartGrasps.features`); None without grasps."""
-    clearance: Float16[np.ndarray, "n n 4"] | None = None
-    """Clearance of the row's grasps at the mate (`PartGrasps.mate_clearance`); None without grasps."""
     types: tuple[int, ...] = ()
     """Number of the first group that is alike, for each group. Training does without."""
 
@@ -147,7 +141,7 @@ class GroupedPoints:
     members: list[Int[np.ndarray, "_"]]
     """Parts of each group."""
     keys: list[bytes]
-    """Hash of each group's parts, points and grasps."""
+    """Hash of each group's parts and points."""
     shapes: PartShapes
     frames: GroupFrames
     frame: Float[np.ndarray, "n 3 3"]
@@ -157,7 +151,7 @@ class GroupedPoints:
     """Arrays of each group that `GroupGeometry.build` takes after the clouds."""
 
     @staticmethod
-    def of_view(view: PolicyView, cache: TokenCache, *, grasps: bool = False) -> GroupedPoints:
+    def of_view(view: PolicyView, cache: TokenCache) -> GroupedPoints:
         """Return the free points of a state; arguments as of `tokens_of`."""
         part, point = np.nonzero(view.free)
         points = view.points[part, point]
@@ -178,8 +172,6 @@ class GroupedPoints:
         for m, tokens in zip(members, rows, strict=True):
             own = [frames.rotation[m], frames.translation[m], position[tokens], frame[tokens], axes[tokens]]
             own.append(np.searchsorted(m, part[tokens]))
-            if grasps:
-                own.append(view.grasps[m])
             arrays.append(own)
             hashed = b"".join([*(shapes.digests[int(i)] for i in m), *(a.tobytes() for a in own)])
             keys.append(hashlib.blake2b(hashed).digest())
@@ -210,20 +202,19 @@ class GroupedPoints:
 
 
 def tokens_of_sample(samples: SampleSet, sample: LabeledState, cache: TokenCache | None = None) -> Tokens:
-    """Return the tokens of a training sample, one of `samples`; with grasps if the samples have some."""
-    return tokens_of(PolicyView.from_sample(samples, sample), cache, grasps=samples.grasps is not None)
+    """Return the tokens of a training sample, one of `samples`."""
+    return tokens_of(PolicyView.from_sample(samples, sample), cache)
 
 
-def tokens_of(view: PolicyView, cache: TokenCache | None = None, *, grasps: bool = False) -> Tokens:
+def tokens_of(view: PolicyView, cache: TokenCache | None = None) -> Tokens:
     """Return the tokens of a state.
 
     Args:
         view: the state.
         cache: geometry of earlier states of the same furniture.
-        grasps: whether to compute grasp features and clearances.
     """
     cache = cache or TokenCache()
-    p = GroupedPoints.of_view(view, cache, grasps=grasps)
+    p = GroupedPoints.of_view(view, cache)
     part, group, rows, frame, position, frames = p.part, p.group, p.rows, p.frame, p.position, p.frames
     geometry = p.geometry(view, cache)
     patch, extent = np.zeros((len(part), PATCH_SIZE), np.uint8), np.zeros((len(part), 3), np.float32)
@@ -239,11 +230,10 @@ def tokens_of(view: PolicyView, cache: TokenCache | None = None, *, grasps: bool
     of_groups = (rows, position, frame, plausible, p.group_types)
     cycles_3 = np.minimum(closed_3_cycles(*of_groups), 255).astype(np.uint8)
     cycles_4 = np.minimum(closed_4_cycles(*of_groups), 255).astype(np.uint8)
-    of_grasps = _grasp_arrays(geometry, rows, cache) if grasps else (None, None)
     return Tokens(
         part, p.point, group, patch, _point_features(view, p, around), frame.astype(np.float32),
         position.astype(np.float32), p.axes.astype(np.float32), extent, matches, bounds, exits,
-        _fit_array(view, p, cache), cycles_3, cycles_4, *of_grasps, p.alike,
+        _fit_array(view, p, cache), cycles_3, cycles_4, p.alike,
     )  # fmt: skip
 
 
@@ -332,38 +322,18 @@ def _both_fits(a: PartJoints, b: PartJoints) -> tuple[Int8[np.ndarray, "k l 23"]
     return fit, exchanged(fit)
 
 
-def _grasp_arrays(
-    geometry: Sequence[GroupGeometry], rows: Sequence[Int[np.ndarray, "_"]], cache: TokenCache
-) -> tuple[Float16[np.ndarray, "n 8 16"], Float16[np.ndarray, "n n 4"]]:
-    """`Tokens.grasps` and `Tokens.clearance`."""
-    n = sum(map(len, rows))
-    grasps = np.zeros((n, GRASPS, GRASP_FEATURES), np.float16)
-    clearance = np.zeros((n, n, CLEARANCE_FEATURES), np.float16)
-    for group, tokens in zip(geometry, rows, strict=True):
-        assert group.grasps is not None
-        grasps[tokens] = group.grasps.features
-    for moving, here in zip(geometry, rows, strict=True):
-        for waiting, there in zip(geometry, rows, strict=True):
-            # Equal groups share one geometry.
-            if here is not there:
-                key = moving.key + waiting.key + b"clearance"
-                clearance[np.ix_(here, there)] = cache.get(key, partial(grasp_clearance, moving, waiting))
-    return grasps, clearance
-
-
 def pad(states: Sequence[Tokens], length: int) -> dict[str, np.ndarray]:
     """Return a batch of states, padded to `length` tokens each: token arrays by name.
 
     `group` is -1 at padding, everything else 0.
     """
     batch = {"group": np.full((len(states), length), -1, np.int32)}
-    names = [name for name in _PADDED if getattr(states[0], name) is not None]
-    for name in names:
+    for name in _PADDED:
         like, axes = getattr(states[0], name), 2 if name in _OF_PAIRS else 1
         batch[name] = np.zeros((len(states), *[length] * axes, *like.shape[axes:]), like.dtype)
     for row, state in enumerate(states):
         n = len(state.group)
         batch["group"][row, :n] = state.group
-        for name in names:
+        for name in _PADDED:
             batch[name][(row, *[slice(n)] * (2 if name in _OF_PAIRS else 1))] = getattr(state, name)
     return batch

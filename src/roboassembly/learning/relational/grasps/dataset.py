@@ -7,18 +7,23 @@ actions that were carried out.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import time
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Bool, Float32, Int8
 
 from roboassembly.envs.observation import Observer, part_clouds
+from roboassembly.errors import InputError
 from roboassembly.learning import archive
-from roboassembly.learning.datasets import CLOUD_POINTS, check_format, group_labels
+from roboassembly.learning.datasets import CLOUD_POINTS, check_format, dataset_file, group_labels
+from roboassembly.learning.relational.collect import CollectResult, load_piece, piece_number
 from roboassembly.learning.relational.policy_view import PolicyView, digests_of
-from roboassembly.solvers.hand_oracle import HandOracle
+from roboassembly.parallel.processes import map_unordered
+from roboassembly.solvers.hand_oracle import HandOracle, hand_oracle
 from roboassembly.solvers.oracle import LabeledMate, Oracle
 from roboassembly.task.full.grips import Grip, MateGrasp
 from roboassembly.task.full.task import FullTask
@@ -36,6 +41,8 @@ _REACH_TESTS = 6
 """Number of grasp pairs that fit of which it is tested whether the arms reach the mate."""
 _PAIRS = 3
 """Number of viable pairs of a state that are tried before an episode ends."""
+_TRIES = 3
+"""Number of grasp pairs that are carried out for a pair of points, until one works."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,3 +215,39 @@ class GraspLabeler:
                 reach_tests += 1
                 reach[a, b] = task.can_mate(state, checked, draw_seed(rng))
         return pick, fit, reach
+
+
+def collect_grasps(
+    names: Sequence[str], folder: Path, *, episodes: int, seed: int, jobs: int, folders: Mapping[str, Path]
+) -> Iterator[CollectResult]:
+    """Write the grasp samples of some furniture, and yield as pieces are done; existing files are kept.
+
+    Args:
+        names: names of the pieces: `family:seed` of generated ones, else keys of `folders`.
+        folder: folder of the files, one for each piece. Furniture that does not suit the robots gives no samples.
+        episodes: number of episodes of each piece.
+        seed: seed of starts, pairs and grasps.
+        jobs: number of processes.
+        folders: furniture folders of pieces that are not generated, by name.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    left = [name for name in names if not dataset_file(folder, name).is_file()]
+    yield from map_unordered(
+        partial(_collect, folder=folder, episodes=episodes, seed=seed, folders=dict(folders)), left, jobs
+    )
+
+
+def _collect(name: str, *, folder: Path, episodes: int, seed: int, folders: Mapping[str, Path]) -> CollectResult:
+    start = time.monotonic()
+    try:
+        oracle = hand_oracle(load_piece(name, folders))
+    except InputError:
+        # A few generated pieces are invalid, cannot be held, or have too many parts.
+        samples = GraspSamples(
+            name, np.zeros((0, CLOUD_POINTS, 3), np.float32), np.zeros((0, GRASPS, 6), np.float32), ()
+        )
+    else:
+        labeler = GraspLabeler(oracle.grasp_task, _TRIES, oracle)
+        samples = labeler.collect(np.random.default_rng([seed, piece_number(name, folders)]), episodes)
+    samples.save(dataset_file(folder, name))
+    return CollectResult(name, len(samples.samples), 0, 0, time.monotonic() - start)

@@ -8,7 +8,7 @@ works. The probability that an action works is the product of the answers.
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Bool, Float32
 
 from roboassembly.learning.layers import Array, Params, gelu, init_linear, init_mlp, linear, mlp
 from roboassembly.learning.relational.grasps.features import PAIR_FEATURES, SINGLE_FEATURES, GraspFeatures
@@ -21,6 +21,10 @@ _WIDTH = 64
 
 _OUT_OF_REACH = 5.0
 """Number subtracted from the log-probability of a pick that no arm reaches."""
+_TOUCHES = 5.0
+"""Number subtracted from the log-probability of a grasp whose gripper touches something."""
+_LEAST_CLEARANCE = np.array([0.6, 0.0, -0.5, -99.0, -0.3, -0.5]) / 50.0
+"""Features 0 to 5 of a grasp, below which the gripper touches something."""
 
 
 def init(rng: np.random.Generator) -> Params:
@@ -52,9 +56,15 @@ def apply(p: Params, single: Array, pair: Array) -> tuple[Array, Array]:
     return mlp(p["pick"], single)[..., 0], mate
 
 
+def touches(features: GraspFeatures) -> Bool[np.ndarray, "2 8"]:
+    """Return whether each gripper reaches into a cloud at its part or at the mate, so that it cannot be there."""
+    clearance: Float32[np.ndarray, "2 8 6"] = features.single[..., :6]
+    return np.min(clearance - _LEAST_CLEARANCE, axis=-1) < 0.0
+
+
 def log_probability(p: Params, features: GraspFeatures) -> Float32[np.ndarray, "8 8"]:
     """Return the log-probability that each two grasps can carry out the pair; -inf where a grasp does not exist."""
     pick, mate = (-np.logaddexp(0.0, -x[0]) for x in apply(p, features.single[None], features.pair[None]))
-    pick = pick - _OUT_OF_REACH * ~features.in_reach
+    pick = pick - _OUT_OF_REACH * ~features.in_reach - _TOUCHES * touches(features)
     both = pick[0, :, None] + pick[1] + mate.sum(axis=2)
     return np.where(features.exists, both, -np.inf).astype(np.float32)
