@@ -119,9 +119,7 @@ _QUICK = _by_setting(
     ),
     replace(
         _QUICK_BASE, setting="full", sample=2, rounds=0,
-        relational=replace(
-            RelationalPipelineConfig.default("full"), extra=0, validation=0, episodes=1, steps=2, grasp_steps=40
-        ),
+        relational=replace(RelationalPipelineConfig.default("full"), extra=0, steps=40),
         pipeline=PipelineConfig(
             AutoencoderTraining(steps=40), 4, ExpertTraining(steps=1_600, setting="full"), episodes=8
         ),
