@@ -387,35 +387,34 @@ def two_sides(off: float = 0.0, twist: float = 0.0) -> Furniture:
     return shapes.furniture("two sides", parts)
 
 
-def test_second_of_two_equal_sides_takes_the_slots_that_the_first_left() -> None:
-    """The slots differ by 1 mm: too much for a joined side to take the other ones later."""
-    furniture = two_sides(off=1e-3)
-    assert [c.members for c in furniture.classes] == [(0,), (1, 2), (3, 4), (5, 6)]
-    rule = PairRule(furniture)
-    loose = [alone(furniture, part) for part in range(7)]
+def first_side_joined(furniture: Furniture) -> tuple[PairRule, list[Group], Group]:
+    """The first side of `two_sides`, joined; alone, the parts of the second one would take the same slots."""
+    rule, loose = PairRule(furniture), [alone(furniture, part) for part in range(7)]
     first = rule.judge(loose[1], loose[3], 1, 1, 3, 0)
     second = rule.judge(loose[2], loose[4], 2, 1, 4, 1)
     assert first is not None
     assert second is not None
     assert first.merged.slots == second.merged.slots == (1, 3)
-    state = TaskState((first.merged, *(loose[p] for p in (0, 2, 4, 5, 6))))
+    return rule, loose, first.merged
+
+
+def test_second_of_two_equal_sides_takes_the_slots_that_the_first_left() -> None:
+    """The slots differ by 1 mm: too much for a joined side to take the other ones later."""
+    furniture = two_sides(off=1e-3)
+    assert [c.members for c in furniture.classes] == [(0,), (1, 2), (3, 4), (5, 6)]
+    rule, loose, first = first_side_joined(furniture)
+    state = TaskState((first, *(loose[p] for p in (0, 2, 4, 5, 6))))
     other = rule.judge_in(state, 2, 1, 4, 1)
     assert other is not None
     assert other.merged.slots == (2, 4)
-    assert rule.assign_slots(TaskState((first.merged, other.merged, *(loose[p] for p in (0, 5, 6))))) is not None
+    assert rule.assign_slots(TaskState((first, other.merged, *(loose[p] for p in (0, 5, 6))))) is not None
 
 
 def test_pair_without_slots_left_is_wrong() -> None:
     """Slots that differ by 4 mm: a second side like the first one belongs nowhere."""
     furniture = two_sides(off=4e-3)
-    rule = PairRule(furniture)
-    loose = [alone(furniture, part) for part in range(7)]
-    first = rule.judge(loose[1], loose[3], 1, 1, 3, 0)
-    second = rule.judge(loose[2], loose[4], 2, 1, 4, 1)
-    assert first is not None
-    assert second is not None
-    assert first.merged.slots == second.merged.slots == (1, 3)
-    state = TaskState((first.merged, *(loose[p] for p in (0, 2, 4, 5, 6))))
+    rule, loose, first = first_side_joined(furniture)
+    state = TaskState((first, *(loose[p] for p in (0, 2, 4, 5, 6))))
     assert rule.judge_in(state, 2, 1, 4, 1) is None
     own = rule.judge_in(state, 2, 1, 4, 0)
     assert own is not None

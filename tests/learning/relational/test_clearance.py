@@ -71,7 +71,9 @@ def test_placed_grasp_by_hand() -> None:
     assert placed.opening[2] == pytest.approx(0.02)
     assert placed.position[2] == pytest.approx([0.0, 0.0, 0.1])
     np.testing.assert_allclose(placed.rotation[2], np.diag([1.0, -1.0, -1.0]), atol=1e-12)
-    # A point 20 mm above the tips lies between the fingers, one 80 mm above in the palm.
+    # A point 20 mm above the tips lies between the fingers, one 80 mm above in the palm; from a metre off neither does.
     for height, blocked in ((0.12, False), (0.18, True), (0.05, False)):
         near = placed.near(np.array([[0.0, 0.0, height]]))
         assert (hand_clearance(near, placed.opening)[2] < 0.0) == blocked, height
+        far = placed.near(np.array([[0.0, 0.0, height - 1.0]]))
+        assert hand_clearance(far, placed.opening)[2] == CUTOFF

@@ -57,18 +57,17 @@ def _sample(
 
 
 def _described(
-    poses: Float[np.ndarray, "*n 6"], left: Float[np.ndarray, "*n 3 3"], right: Float[np.ndarray, "*n 3 3"] | None
+    poses: Float[np.ndarray, "*n 6"], left: Float[np.ndarray, "*n 3 3"], right: Float[np.ndarray, "*n 3 3"]
 ) -> Float[np.ndarray, "*n 6"]:
     """Poses between frames that are turned; rows of zeros, "none", stay zeros.
 
     Args:
         poses: translations [m] and Euler angles.
         left: rotation that comes before each pose.
-        right: rotation that comes after it; none if None.
+        right: rotation that comes after it.
     """
     turn = left @ rotations_from_euler(poses[..., 3:].reshape(-1, 3).astype(float)).reshape(*poses.shape[:-1], 3, 3)
-    if right is not None:
-        turn = turn @ right
+    turn = turn @ right
     moved = (left @ poses[..., :3, None].astype(float))[..., 0]
     angles = euler_from_rotations(turn.reshape(-1, 3, 3)).reshape(moved.shape)
     return np.where((poses != 0).any(axis=-1, keepdims=True), np.concatenate([moved, angles], axis=-1), 0.0)

@@ -156,17 +156,13 @@ def run_pipeline(config: RelationalPipelineConfig, folder: Path, jobs: int) -> I
     versions = yield from _make_versions(imported, folder / "versions", config, jobs)
     extra = extra_names(config.extra, recipe.unseen_families)
     names = [*(ref.name for ref in refs), *extra]
-    held_out = extra_names(config.validation, recipe.unseen_families, first=_VALIDATION_SEEDS)
     notes = {"pipeline": asdict(config), "set_hash": set_hash([*refs, *imported])}
     pair_rounds, grasp_rounds = config.rounds_of_networks
-    before = load_weights(config.start) if config.start else None
-    described = {} if before is None else dict(before.config)
-    kept = {} if before is None else before.params
+    started = None if start is None else checkpoint.load(start, relational.KIND)
     if grasp_rounds:
-        assert start is not None
-        params = checkpoint.load(start, relational.KIND).params
-        described["grasps"] = notes
-        yield from _grasp_rounds(params, described, [*refs, *imported, *versions], extra, folder, config, jobs)
+        assert started is not None
+        described = {**started.config, "grasps": notes}
+        yield from _grasp_rounds(started.params, described, [*refs, *imported, *versions], extra, folder, config, jobs)
         return
 
     held_out = extra_names(config.validation, recipe.unseen_families, first=_VALIDATION_SEEDS)
@@ -195,15 +191,16 @@ def run_pipeline(config: RelationalPipelineConfig, folder: Path, jobs: int) -> I
         last = path
     assert last is not None
     final = checkpoint.load(last, relational.KIND)
-    params, description = final.params, dict(final.config)
-    if start is not None:
-        params = _mean(params, checkpoint.load(start, relational.KIND).params, config.start_share)
-        # The weights that are kept come with the description of their own training.
-        if "grasps" in described:
-            description["grasps"] = described.pop("grasps")
-        description["start"] = described
-    both = {name: kept[name] for name in (GRASP_PARAMS,) if name in kept}
-    _save_policy(folder / "policy.npz", {**params, **both}, {**description, "made": _made(last)})
+    params, description = final.params, {**final.config, "made": _made(last)}
+    if started is not None:
+        params = _mean(params, started.params, config.start_share)
+        description["start"] = {key: value for key, value in started.config.items() if key != "grasps"}
+        # The grasp network is kept, with the description of its own training.
+        kept = load_weights(config.start).params.get(GRASP_PARAMS)
+        params = params if kept is None else {**params, GRASP_PARAMS: kept}
+        if "grasps" in started.config:
+            description["grasps"] = started.config["grasps"]
+    _save_policy(folder / "policy.npz", params, description)
 
 
 def _mean(value: Any, start: Any, share: float) -> Any:

@@ -87,6 +87,7 @@ class PairRule:
         poses = (*v_group.furniture_from_part, *(v_group_from_u_group * p for p in u_group.furniture_from_part))
         joined = (range(len(v_group.parts)), range(len(v_group.parts), len(members)))
         order: list[int] = np.argsort(members).tolist()
+        joined_others = [g for g in others if len(g.parts) > 1]
         for slots, placed in self._embeddings(members, poses, joined):
             merged = Group(
                 tuple(members[i] for i in order),
@@ -94,7 +95,7 @@ class PairRule:
                 tuple(placed[i] for i in order),
                 SE3.Identity(),
             )
-            if next(self._disjoint([merged, *(g for g in others if len(g.parts) > 1)], frozenset()), None) is not None:
+            if next(self._disjoint([merged, *joined_others], frozenset()), None) is not None:
                 break
         else:
             return None
@@ -192,7 +193,7 @@ class PairRule:
         choices = [len(self._slots[c]) for c in classes]
         rotations, positions = rotations_and_translations(poses)
         alike = np.array(classes)[:, None] == self._class_of[None]
-        # What fits exactly is one part of each joined range in turn, so that the order of the ranges does not matter.
+        # One part of each joined range in turn fits exactly, so the order of the ranges does not matter.
         anchors = [min(some, key=lambda i: choices[i]) for some in joined]
         for anchor in sorted(anchors, key=lambda i: choices[i]):
             motions = self._rotations[classes[anchor]] @ rotations[anchor].T

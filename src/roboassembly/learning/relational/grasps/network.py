@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float32
 
 from roboassembly.learning.layers import Array, Params, gelu, init_linear, init_mlp, linear, mlp
+from roboassembly.learning.relational.clearance import CUTOFF
 from roboassembly.learning.relational.grasps.features import PAIR_FEATURES, SINGLE_FEATURES, GraspFeatures
 
 KIND = "grasping"
@@ -23,7 +24,7 @@ _OUT_OF_REACH = 5.0
 """Number subtracted from the log-probability of a pick that no arm reaches."""
 _TOUCHES = 5.0
 """Number subtracted from the log-probability of a grasp whose gripper touches something."""
-_LEAST_CLEARANCE = np.array([0.6, 0.0, -0.5, -99.0, -0.3, -0.5]) / 50.0
+_LEAST_CLEARANCE = np.array([0.6, 0.0, -0.5, -99.0, -0.3, -0.5]) * 1e-3 / CUTOFF
 """Features 0 to 5 of a grasp, below which the gripper touches something."""
 
 
