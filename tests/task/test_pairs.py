@@ -207,6 +207,10 @@ def test_occupied_points_are_those_that_touch(table: Furniture) -> None:
     assert state.occupied(table) == {(0, 2), (1, 0)}
     assert not state.complete
     assert state.group_of == {0: 0, 1: 0, 2: 1, 3: 2, 4: 3}
+    assert state.others(1, 3) == (others[0], others[2])
+    assert state.others(0, 1) == others
+    larger = grown(table, 0, [(1, 0, 2), (3, 0, 1)])
+    assert state.after_merge(larger).groups == (others[0], others[2], larger)
     # The corner that is taken takes no second leg.
     assert PairRule(table).judge(others[0], group, 2, 0, 0, 2) is None
     for corner in (0, 1, 3):
@@ -265,8 +269,7 @@ def test_open_joints_are_right_pairs_after_swaps(chair, family: str) -> None:
                 if merge is not None:
                     break
             swapped += merge.merged.slots != merge.merged.parts
-            others = (g for g in state.groups if g is not u_group and g is not v_group)
-            state = TaskState((*others, merge.merged.moved_to(shapes.random_pose(rng, 2))))
+            state = state.after_merge(merge.merged.moved_to(shapes.random_pose(rng, 2)))
     assert len(elsewhere) > 5
     # A group told in other slots than its own lies there to within the rule's tolerance only.
     assert np.mean(elsewhere) > 0.95

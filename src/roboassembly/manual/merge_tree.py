@@ -61,7 +61,7 @@ def tree_of(furniture: Furniture, actions: Sequence[tuple[int, ...]], name: str 
         if merge is None:
             raise InputError(f"{name}, step {index}: action {tuple(actions[index])} joins parts that do not belong so")
         merges.append((frozenset(u_group.parts), frozenset(v_group.parts)))
-        state = TaskState((*(g for g in state.groups if g is not u_group and g is not v_group), merge.merged))
+        state = state.after_merge(merge.merged)
     if not state.complete:
         raise InputError(
             f"{name} ends with {len(state.groups)} separate groups; a manual needs a plan of the whole assembly"

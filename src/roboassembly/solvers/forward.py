@@ -227,12 +227,8 @@ class Search(Generic[State, AStep]):
         u, v, k, l, *_ = action  # noqa: E741
         if not self.task.rules.pair_exists(state, u, v, k, l):
             return None
-        u_group, v_group = state.groups[state.group_of[u]], state.groups[state.group_of[v]]
         merge = self.task.rules.pairs.judge_in(state, u, k, v, l)
-        if merge is None:
-            return None
-        others = (g for g in state.groups if g is not u_group and g is not v_group)
-        return TaskState((*others, merge.merged))
+        return None if merge is None else state.after_merge(merge.merged)
 
     def extend(self, state: State, merges: Sequence[Split] = ()) -> bool:
         """Search depth first from `state`; returns whether the furniture is complete, with the plan in `steps`.

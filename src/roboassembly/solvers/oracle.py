@@ -120,9 +120,8 @@ class Oracle:
                 slot_of = dict(zip(merge.merged.parts, merge.merged.slots, strict=True))
                 moving = frozenset(slot_of[p] for p in u_group.parts)
                 waiting = frozenset(slot_of[p] for p in v_group.parts)
-                after = TaskState((*(g for g in state.groups if g is not u_group and g is not v_group), merge.merged))
                 feasible_w = self.feasible_w(moving, waiting)
-                solvable = bool(feasible_w.any()) and self.state_solvable(after)
+                solvable = bool(feasible_w.any()) and self.state_solvable(state.after_merge(merge.merged))
                 out.append(LabeledMate(u, k, v, l, merge, feasible_w, solvable, moving, waiting))
         return out
 

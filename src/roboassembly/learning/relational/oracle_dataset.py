@@ -132,9 +132,9 @@ class Labeler:
             history.append((state, mates, mate))
             deadly = [m for m in self._keeping_upright(mates) if any(m.feasible_w) and not m.solvable]
             if deadly and rng.random() < _DEAD_END_SHARE:
-                end = _after(state, deadly[rng.integers(len(deadly))])
+                end = state.after_merge(deadly[rng.integers(len(deadly))].merge.merged)
                 dead_ends.append(self.label(end, [replace(m, solvable=False) for m in self.oracle.mates(end)]))
-            state = _after(state, mate)
+            state = state.after_merge(mate.merge.merged)
         return LabeledEpisode(tuple(states), tuple(dead_ends), mistakes)
 
     def _keeping_upright(self, mates: list[LabeledMate]) -> list[LabeledMate]:
@@ -158,13 +158,6 @@ class Labeler:
         row, column, w = policy(tokens)
         action = (tokens.part[row], tokens.point[row], tokens.part[column], tokens.point[column])
         return next((m for m in viable if (m.u, m.k, m.v, m.l) == action and m.feasible_w[w]), None)
-
-
-def _after(state: TaskState, mate: LabeledMate) -> TaskState:
-    """State after a merge."""
-    u_group, v_group = state.groups[state.group_of[mate.u]], state.groups[state.group_of[mate.v]]
-    rest = (g for g in state.groups if g is not u_group and g is not v_group)
-    return TaskState((*rest, mate.merge.merged))
 
 
 def targets_of(

@@ -180,7 +180,7 @@ class ObjectCentricTask:
         merge = self.pairs.judge_in(state, u, k, v, l)
         if merge is None:
             return None
-        others = tuple(g for g in state.groups if g is not u_group and g is not v_group)
+        others = state.others(u, v)
         obstacles = [self.footprint(g) for g in (u_group, *others)]
         world = self._waiting_pose(v_group, merge, self._up_axis(v_group, v, merge, w), obstacles)
         return Mating(

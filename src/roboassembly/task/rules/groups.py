@@ -72,6 +72,15 @@ class TaskState:
         """Whether all parts are in one group."""
         return len(self.groups) == 1
 
+    def others(self, *parts: int) -> tuple[Group, ...]:
+        """Return the groups that have none of some parts."""
+        removed = {self.group_of[part] for part in parts}
+        return tuple(group for index, group in enumerate(self.groups) if index not in removed)
+
+    def after_merge(self, merged: Group) -> TaskState:
+        """Return the state with a merged group in place of the groups of its parts."""
+        return TaskState((*self.others(*merged.parts), merged))
+
     def occupied(self, furniture: Furniture) -> set[tuple[int, int]]:
         """Return connection points `(part, point)` that touch another part of their own group."""
         occupied: set[tuple[int, int]] = set()

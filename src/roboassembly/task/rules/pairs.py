@@ -61,8 +61,7 @@ class PairRule:
     def judge_in(self, state: TaskState, u: int, k: int, v: int, l: int) -> Merge | None:  # noqa: E741
         """Return the merge of two groups of a state, with all other groups in mind; see `judge`."""
         u_group, v_group = state.groups[state.group_of[u]], state.groups[state.group_of[v]]
-        others = [g for g in state.groups if g is not u_group and g is not v_group]
-        return self.judge(u_group, v_group, u, k, v, l, others)
+        return self.judge(u_group, v_group, u, k, v, l, state.others(u, v))
 
     def judge(
         self, u_group: Group, v_group: Group, u: int, k: int, v: int, l: int,  # noqa: E741
