@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,8 @@ import trimesh
 
 from roboassembly.errors import FurnitureError
 from roboassembly.importers import partnet
+from roboassembly.importers.findings import findings
+from roboassembly.importers.pipeline import finish
 
 
 def write_box(path: Path, extents: tuple[float, float, float], centre: tuple[float, float, float]) -> None:
@@ -158,6 +161,35 @@ def test_absurd_scale(chair):
             partnet.read(chair, scale=scale)
     with pytest.raises(FurnitureError, match="not a positive number"):
         partnet.read(chair, scale=-1.0)
+
+
+def stacked(folder: Path, overlap: float) -> Path:
+    """Two blocks with the same footprint, one on top of the other and in it, in metres."""
+    (folder / "objs").mkdir(parents=True)
+    write_box(folder / "objs" / "low.obj", (0.3, 0.4, 0.3), (0.0, 0.2, 0.0))
+    write_box(folder / "objs" / "high.obj", (0.3, 0.5, 0.3), (0.0, 0.65 - overlap, 0.0))
+    hierarchy = [{"name": "chair", "children": [leaf("low", "low"), leaf("high", "high")]}]
+    (folder / "result_after_merging.json").write_text(json.dumps(hierarchy))
+    return folder
+
+
+def test_drawn_parts_may_lose_more_than_parts_with_joints(tmp_path):
+    raw = partnet.read(stacked(tmp_path / "1", 0.02), scale=1.0)
+    imported = finish("stack", raw)
+    low, high = imported.furniture.parts
+    # 20 mm of overlap and the gap of 0.2 mm go from one of them; the set-back of 0.15 mm a face from both.
+    left = [np.ptp(part.mesh.bounds, axis=0).max() for part in (low, high)]
+    assert sum(left) == pytest.approx(0.4 + 0.5 - 0.0202, abs=1e-3)
+    assert "smaller" in str(findings(raw, imported.furniture, imported.repairs))
+    with pytest.raises(FurnitureError, match=r"19\.9 mm less deep .* at most 5\.0 mm"):
+        finish("stack", replace(raw, drawn=False))
+
+
+def test_drawn_parts_may_not_lose_everything(tmp_path):
+    raw = partnet.read(stacked(tmp_path / "1", 0.07), scale=1.0)
+    with pytest.raises(FurnitureError, match=r"at most 50\.0 mm is allowed .*--allow-shortening"):
+        finish("stack", raw)
+    assert len(finish("stack", raw, allow_shortening=True).furniture.parts) == 2
 
 
 SAMPLES = Path(os.environ.get("ROBOASSEMBLY_SAMPLES", "/nonexistent")) / "partnet"

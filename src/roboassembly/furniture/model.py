@@ -217,6 +217,8 @@ class RawFurniture:
     """Remarks for the user on the files, one line each."""
     fasteners: tuple[RawFastener, ...] = ()
     """Fasteners, which are not among the parts."""
+    drawn: bool = False
+    """Whether the parts are drawn for their looks only: they run into each other where there is no joint."""
 
     @property
     def size(self) -> tuple[float, float, float]:

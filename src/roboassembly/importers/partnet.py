@@ -97,7 +97,7 @@ def read(path: Path, *, scale: float | None = None) -> RawFurniture:
     if meta.model_cat:
         notes.insert(0, f"category {files.one_line(meta.model_cat)}, ShapeNet model {files.one_line(meta.model_id)}")
     provenance = Provenance("partnet", identifier, LICENCE, factor, tuple(notes))
-    return RawFurniture(stand(parts, rotation, factor, str(path)), provenance)
+    return RawFurniture(stand(parts, rotation, factor, str(path)), provenance, drawn=True)
 
 
 def _leaves(path: Path) -> list[tuple[list[str], list[str]]]:

@@ -7,16 +7,20 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from roboassembly.errors import FurnitureError
 from roboassembly.furniture.annotate import annotate
 from roboassembly.furniture.model import Furniture, RawFastener, RawFurniture, RawPart, Site
 from roboassembly.geometry.meshes import nearest_points
 from roboassembly.geometry.poses import SE3
 from roboassembly.importers.connection_sites import MAX_GAP
-from roboassembly.repair import PartRepair, RepairLimits, repair
+from roboassembly.repair import PartRepair, RepairLimits, RepairResult, repair
 from roboassembly.repair.drilling import drill
 
 ROUNDING = 1e-9
 """Rounding error in the distance of two sites that are moved together [m]."""
+
+DRAWN_SHORTENING = 0.05
+"""Largest reduction of a part's size or of its depth in a neighbour if parts are drawn for their looks only [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,8 +42,7 @@ def finish(name: str, raw: RawFurniture, *, allow_shortening: bool = False) -> I
     Raises:
         FurnitureError: the parts cannot be repaired within limits, or are not connected.
     """
-    limits = replace(RepairLimits(), shortening=float("inf")) if allow_shortening else RepairLimits()
-    repaired = repair(raw.parts, limits=limits)
+    repaired = _repaired(raw, allow_shortening)
     parts, fasteners = drill(repaired.parts, _moved_along(raw.fasteners, raw.parts, repaired.report))
     sites, opened = _shifted_sites(raw.sites, repaired.report)
     notes = (*raw.provenance.notes, *(str(r) for r in repaired.report), *opened)
@@ -47,6 +50,19 @@ def finish(name: str, raw: RawFurniture, *, allow_shortening: bool = False) -> I
     # Annotation redefines the parts' frames, but does not move the parts.
     framed = tuple(replace(site, frame=furniture.assembled[site.part].actInv(site.frame)) for site in sites)
     return Imported(replace(furniture, sites=framed, fasteners=fasteners), repaired.report)
+
+
+def _repaired(raw: RawFurniture, allow_shortening: bool) -> RepairResult:
+    limits = RepairLimits()
+    if allow_shortening:
+        return repair(raw.parts, limits=replace(limits, shortening=float("inf")))
+    try:
+        return repair(raw.parts, limits=limits)
+    except FurnitureError:
+        if not raw.drawn:
+            raise
+        # What would be refused only: the wider limit would also let pass what a remedy mends with smaller losses.
+        return repair(raw.parts, limits=replace(limits, shortening=DRAWN_SHORTENING))
 
 
 def _moved_along(
