@@ -20,6 +20,7 @@ from roboassembly.generate import FAMILIES
 from roboassembly.geometry.poses import SE3
 from roboassembly.geometry.scene import Body, Scene, Shape
 from roboassembly.planning.problem import Budget
+from roboassembly.solvers import forward
 from roboassembly.solvers.blocking import BlockingGraphs
 from roboassembly.solvers.forward import Round, Search
 from roboassembly.solvers.guide import Guide, Suggestion
@@ -353,18 +354,39 @@ def test_invalid_or_low_scored_suggestions_are_ignored(table: Furniture) -> None
         assert result.guided == 0
 
 
-def test_search_backtracks_from_a_guides_dead_end(captive_slat: Furniture) -> None:
-    """Both posts are in the board, so that the slat cannot get between them."""
+def posts_into_board(captive_slat: Furniture) -> list[tuple[int, ...]]:
+    """Return the merges of both posts and the board, between which the slat then does not get."""
     ends = {(c.part_a, c.part_b): (c.point_a, c.point_b) for c in captive_slat.connections}
     posts = [(post, 0, ends[0, post][1], ends[0, post][0], w) for post in (1, 2) for w in range(6)]
     task = ObjectCentricTask(captive_slat)
     state = task.initial_state(np.random.default_rng(0))
     into = [a for a in posts if task.step(state, a, 0, Budget(states=0)).verdict is ObjectCentricVerdict.MERGED]
     assert {a[0] for a in into} == {1, 2}
-    result = solve(captive_slat, 0, guide=scripted(into))
+    return into
+
+
+def test_search_backtracks_from_a_guides_dead_end(captive_slat: Furniture) -> None:
+    result = solve(captive_slat, 0, guide=scripted(posts_into_board(captive_slat)))
     check(result)
     assert result.backtracks >= 1
     assert result.attempts < 60
+
+
+def test_misled_guide_costs_little(captive_slat: Furniture, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Once the slat does not get between the posts, the branch has a few states left, and the search starts anew."""
+    ends = {(c.part_a, c.part_b): (c.point_a, c.point_b) for c in captive_slat.connections}
+    slat = [(3, post, ends[post, 3][1], ends[post, 3][0], w) for post in (1, 2) for w in range(6)]
+    guide = scripted([*posts_into_board(captive_slat), *slat])
+    # As a rule what is left is enough to mend the guide's own branch.
+    mended = solve(captive_slat, 0, guide=guide)
+    check(mended)
+    assert mended.guided > 0
+    monkeypatch.setattr(forward, "_MISLED_STATES", 0)
+    left = solve(captive_slat, 0, guide=guide)
+    check(left)
+    assert left.guided == 0
+    # Two posts and one failure come on top of what the search takes alone.
+    assert left.planning_steps < 2 * solve(captive_slat, 0).planning_steps
 
 
 def test_disassembly_continues_after_the_guide(chair) -> None:

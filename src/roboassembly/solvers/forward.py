@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 import zlib
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import takewhile
 from typing import Any, Generic, TypeVar
 
@@ -28,6 +28,8 @@ _GUIDED_WIDTH = 5
 """Number of suggestions tried in each state."""
 _GUIDED_SCORE = 0.1
 """Score below which suggestions are ignored."""
+_MISLED_STATES = 3_000
+"""Number of states left for a guide's branch once a right pair that it suggested cannot be joined."""
 
 
 State = TypeVar("State")
@@ -154,6 +156,9 @@ class Search(Generic[State, AStep]):
     guided: int = 0
     guide_seconds: float = 0.0
     strays: int = 0
+    """Number of dead ends that the guide led to."""
+    misled: bool = False
+    """Whether a right pair that the guide suggested could not be joined."""
     verdicts: dict[str, int] = field(default_factory=dict[str, int])
 
     def __post_init__(self) -> None:
@@ -193,8 +198,9 @@ class Search(Generic[State, AStep]):
         for suggestion in takewhile(lambda s: s.score >= _GUIDED_SCORE, suggestions):
             if self.exhausted() or tries == _GUIDED_WIDTH or self.strays == _GUIDED_STRAYS:
                 break
-            # Disassembly checks every suggestion after a first dead end, or from the first where its answers are good.
-            checked = self.strays > 0 or self.joinable is not None
+            # Disassembly checks every suggestion after a first costly failure, or from the first where its answers are
+            # good. Before, its own tests would cost more than they save.
+            checked = self.misled or self.strays > 0 or self.joinable is not None
             if checked and self.hopeless(self.task.groups_of(state)):
                 break
             if checked and self.hopeless(self.joined(self.task.groups_of(state), suggestion.action)):
@@ -202,6 +208,8 @@ class Search(Generic[State, AStep]):
             tries += 1
             outcome = self.attempt(state, suggestion.action, self.round.first or self.round.budget)
             if outcome is None or outcome.step is None:
+                if outcome is not None and outcome.planning_steps > 0:
+                    self._mislead()
                 continue
             followed += 1
             self.guided += 1
@@ -214,6 +222,15 @@ class Search(Generic[State, AStep]):
         success = bool(self.steps) and self.extend(state)
         self.strays += not success and not followed
         return success
+
+    def _mislead(self) -> None:
+        """Limit the rest of the guide's branch: an earlier merge of it may lock a part out.
+
+        With robots there are other reasons to fail, and disassembly checks all suggestions anyway.
+        """
+        if not self.misled and self.joinable is None:
+            self.misled = True
+            self.limits = replace(self.limits, states=min(self.limits.states, self.states() + _MISLED_STATES))
 
     def hopeless(self, state: TaskState | None) -> bool:
         """Return whether disassembly finds no order from a state; equal parts may have swapped slots."""

@@ -11,7 +11,8 @@ drops that condition, so that only the planner's budget limits what is found.
 
 A guide (`solvers.guide`) may come first. The search follows its suggestions depth first and plans each of them. If none
 is left, disassembly continues; if it finds no order, the last merge is undone. Errors of the guide cost time only: at
-the end the rounds start again without it.
+the end the rounds start again without it. They start soon if a right pair that it suggested cannot be joined, because
+an earlier merge may then have locked a part out.
 """
 
 from __future__ import annotations
