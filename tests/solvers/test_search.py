@@ -373,11 +373,11 @@ def test_search_backtracks_from_a_guides_dead_end(captive_slat: Furniture) -> No
 
 
 def test_misled_guide_costs_little(captive_slat: Furniture, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Once the slat does not get between the posts, the branch has a few states left, and the search starts anew."""
+    """The guide's branch has few states left after the slat finds no way between the posts; the search starts anew."""
     ends = {(c.part_a, c.part_b): (c.point_a, c.point_b) for c in captive_slat.connections}
     slat = [(3, post, ends[post, 3][1], ends[post, 3][0], w) for post in (1, 2) for w in range(6)]
     guide = scripted([*posts_into_board(captive_slat), *slat])
-    # As a rule what is left is enough to mend the guide's own branch.
+    # The states left are usually enough to mend the guide's own branch.
     mended = solve(captive_slat, 0, guide=guide)
     check(mended)
     assert mended.guided > 0

@@ -53,6 +53,7 @@ def finish(name: str, raw: RawFurniture, *, allow_shortening: bool = False) -> I
 
 
 def _repaired(raw: RawFurniture, allow_shortening: bool) -> RepairResult:
+    """Repair the parts; drawn ones get a wider limit if the usual one refuses them."""
     limits = RepairLimits()
     if allow_shortening:
         return repair(raw.parts, limits=replace(limits, shortening=float("inf")))
@@ -61,7 +62,7 @@ def _repaired(raw: RawFurniture, allow_shortening: bool) -> RepairResult:
     except FurnitureError:
         if not raw.drawn:
             raise
-        # What would be refused only: the wider limit would also let pass what a remedy mends with smaller losses.
+        # The wider limit comes last: it also accepts losses that a remedy makes smaller.
         return repair(raw.parts, limits=replace(limits, shortening=DRAWN_SHORTENING))
 
 

@@ -198,8 +198,8 @@ class Search(Generic[State, AStep]):
         for suggestion in takewhile(lambda s: s.score >= _GUIDED_SCORE, suggestions):
             if self.exhausted() or tries == _GUIDED_WIDTH or self.strays == _GUIDED_STRAYS:
                 break
-            # Disassembly checks every suggestion after a first costly failure, or from the first where its answers are
-            # good. Before, its own tests would cost more than they save.
+            # Disassembly checks every suggestion after a first costly failure or dead end, or from the first where its
+            # answers are good. Its own tests would cost more than they save before.
             checked = self.misled or self.strays > 0 or self.joinable is not None
             if checked and self.hopeless(self.task.groups_of(state)):
                 break
@@ -209,7 +209,7 @@ class Search(Generic[State, AStep]):
             outcome = self.attempt(state, suggestion.action, self.round.first or self.round.budget)
             if outcome is None or outcome.step is None:
                 if outcome is not None and outcome.planning_steps > 0:
-                    self._mislead()
+                    self._limit_branch()
                 continue
             followed += 1
             self.guided += 1
@@ -223,10 +223,10 @@ class Search(Generic[State, AStep]):
         self.strays += not success and not followed
         return success
 
-    def _mislead(self) -> None:
-        """Limit the rest of the guide's branch: an earlier merge of it may lock a part out.
+    def _limit_branch(self) -> None:
+        """Limit the rest of the guide's branch, because an earlier merge of it may lock a part out.
 
-        With robots there are other reasons to fail, and disassembly checks all suggestions anyway.
+        `_within` restores the limits. Robots have other reasons to fail, and disassembly checks all their suggestions.
         """
         if not self.misled and self.joinable is None:
             self.misled = True
