@@ -14,7 +14,7 @@ test: $(VENV)/.dev
 	$(BIN)/pytest -n 2 --dist worksteal $(ARGS)
 
 test-all: $(VENV)/.dev $(VENV)/.rl $(VENV)/.browser
-	$(BIN)/pytest -n 2 -m "slow or not slow" $(ARGS)
+	$(BIN)/pytest -n 2 -m "slow or not slow" -o faulthandler_timeout=7200 $(ARGS)
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff format --check .

@@ -147,6 +147,14 @@ BROKEN = {
     "no coordinate": (model(LEG.replace('x="0"', "", 1), item(1)), "line 1 lacks 'x'"),
     "not a number": (model(LEG.replace('x="0"', 'x="nan"', 1), item(1)), "not finite"),
     "transform of 3 numbers": (model(LEG, item(1, "1 2 3")), "transform '1 2 3'; expected 12 numbers"),
+    "transform that overflows": (
+        model(LEG, item(1, "1e308 0 0 0 1 0 0 0 1 16 0 0")),
+        r"object 'leg': mesh vertex \d is not finite",
+    ),
+    "nested transforms that overflow": (
+        model(LEG + group(3, "a", component(1, "1e200 0 0 0 1 0 0 0 1 0 0 0")), item(3, "1e200 0 0 0 1 0 0 0 1 0 0 0")),
+        r"object 'leg': mesh vertex \d is not finite",
+    ),
     "unknown unit": (model(LEG, item(1), 'unit="ell"'), "its unit 'ell' is not known"),
     "cut XML": (model(LEG, item(1))[:400], "not well-formed XML"),
     "entities": (

@@ -27,7 +27,7 @@ from roboassembly.generate.lattice import Lattice
 from roboassembly.generate.panel import PanelChair
 from roboassembly.generate.pedestal import PedestalChair
 from roboassembly.generate.plank import PlankChair
-from roboassembly.generate.remade import fused, remade, sunk
+from roboassembly.generate.remade import fused, overlapping, remade, sunk
 from roboassembly.generate.shell import ShellChair
 from roboassembly.generate.shelves import Bookcase, OpenShelf
 from roboassembly.generate.side_frames import RockerChair, SledChair
@@ -47,7 +47,7 @@ DESIGNS: tuple[type[Design], ...] = (
     CantileverChair, ThreeLeggedChair, SplatChair, Throne, PlankChair, FoldingChair, ShellChair, SlattedBench,
     GardenChair, ApronTable, TrestleTable, OpenShelf, Bookcase, Lattice, Carcass,
 )  # fmt: skip
-"""Families that are declared; `fused` and `sunk` start from their parts."""
+"""Families that are declared; `fused`, `sunk` and `overlapping` start from their parts."""
 FAMILIES: dict[str, Family] = {design.family.name: design.family for design in DESIGNS}
 """Everything that can be made from a seed, by name."""
 
@@ -55,17 +55,25 @@ FUSED_FROM = (
     "ladder", "windsor", "panel", "pedestal", "sled", "stool", "upholstered", "cantilever", "three_legged", "throne",
     "plank", "shell", "bench", "lattice", "lattice", "lattice", "carcass", "carcass",
 )  # fmt: skip
-"""Families that `fused` and `sunk` start from, some more often: only those that data sets train on, and practice."""
+"""Families that `fused` starts from, some more often: only those that data sets train on, and practice."""
 FAMILIES["fused"] = Family(
     "fused",
     "other families' parts joined at random",
     partial(remade, fused, [FAMILIES[name].build for name in FUSED_FROM]),
     "abstract",
 )
+_DRIVEN_FROM = [FAMILIES[name].build for name in (*FUSED_FROM, "fused", "fused", "fused")]
+"""Families that `sunk` and `overlapping` start from."""
 FAMILIES["sunk"] = Family(
     "sunk",
     "other families' parts driven into each other, and repaired like imported ones",
-    partial(remade, sunk, [FAMILIES[name].build for name in (*FUSED_FROM, "fused", "fused", "fused")]),
+    partial(remade, sunk, _DRIVEN_FROM),
+    "abstract",
+)
+FAMILIES["overlapping"] = Family(
+    "overlapping",
+    "other families' parts driven into each other by centimetres, and repaired like imported ones",
+    partial(remade, overlapping, _DRIVEN_FROM),
     "abstract",
 )
 

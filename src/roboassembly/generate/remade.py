@@ -9,6 +9,10 @@ another from both sides. They give no samples to learn from.
 `sunk` parts have been through the repair of imported files. Files of real furniture overlap at nearly every joint, by
 anything from a hair to the depth of a tenon, and repair cuts pockets for that: too shallow to be seen in a cloud of
 points, deep enough to hold a part fast. Here parts are driven into their neighbours, and repaired.
+
+`overlapping` parts have been through the same repair, from files that were drawn for their looks. There, parts lean and
+run into each other by centimetres and at a slant. What repair cuts then is deep, and some orders of assembly lock a
+part out.
 """
 
 from __future__ import annotations
@@ -17,6 +21,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
+from jaxtyping import Float
 
 from roboassembly.errors import FurnitureError
 from roboassembly.furniture.contacts import Contact, find_contacts
@@ -30,7 +35,10 @@ FEWEST_PARTS = 3
 OVERLAP = 1e-4  # length by which fused parts reach into each other [m]
 MIRROR_TOLERANCE = 0.01
 """Distance [m] between a part's place and its mirror image's, and share of the volume by which they may differ."""
-SHALLOWEST, DEEPEST = 0.0003, 0.012  # bounds of the depth to which a part is driven into another [m]
+SUNK = (0.0003, 0.012)  # bounds of the depth to which a sunk part is driven into another [m]
+OVERLAPPING = (0.003, 0.05)  # bounds of the depth to which an overlapping part is driven into another [m]
+SLANT = float(np.tan(np.deg2rad(35.0)))  # largest length along the surface by which it is driven, per depth
+LEAN = 0.35  # largest shear of a piece with overlapping parts
 VOLUME_TOLERANCE = 0.02  # share of the volume that two parts may differ by to be driven in alike
 OPENINGS = 8  # effort of the repair; furniture that needs more takes minutes
 
@@ -117,23 +125,73 @@ def sunk(parts: Sequence[RawPart], rng: np.random.Generator) -> list[PartDesign]
     Raises:
         FurnitureError: repair refuses the overlaps.
     """
-    from roboassembly.repair import RepairLimits, repair  # which no other family needs
-
     contacts = find_contacts([p.mesh for p in parts], [p.name for p in parts])
     share = rng.choice([0.3, 0.7, 1.0])
-    # Shallow is as frequent as deep.
-    depth = float(np.exp(rng.uniform(float(np.log(SHALLOWEST)), float(np.log(DEEPEST)))))
-    solids = [from_triangles(p.mesh.vertices, p.mesh.faces) for p in parts]
-    whole = list(solids)
+    depth = _depth(SUNK, rng)
     chosen: dict[tuple[int, int], bool] = {}
+    moves: list[tuple[int, Float[np.ndarray, "3"]]] = []
     for c in contacts:
         # Contacts between parts of the same sizes are all chosen, or none is.
-        sizes = sorted(round(float(np.log(parts[i].mesh.volume)) / VOLUME_TOLERANCE) for i in (c.a, c.b))
-        if not chosen.setdefault((sizes[0], sizes[1]), bool(rng.random() < share)):
+        if not chosen.setdefault(_sizes(parts, c), bool(rng.random() < share)):
             continue
         # The lesser one is driven in, as a rail into a post.
         lesser, inward = (c.a, c.normal) if parts[c.a].mesh.volume <= parts[c.b].mesh.volume else (c.b, -c.normal)
-        whole[lesser] += solids[lesser].translate(tuple((c.gap + depth) * inward))
+        moves.append((lesser, (c.gap + depth) * inward))
+    return _driven(parts, moves)
+
+
+def overlapping(parts: Sequence[RawPart], rng: np.random.Generator) -> list[PartDesign]:
+    """Return the parts, made to lean, each driven deep into most of those that it touches, and repaired.
+
+    Raises:
+        FurnitureError: parts that lean touch others, or repair refuses the overlaps.
+    """
+    lean = np.eye(3)
+    if rng.random() < 0.5:
+        lean[0, 2], lean[1, 2], lean[0, 1] = LEAN * rng.uniform(-1, 1, 3) * [0.5, 1.0, 0.5]
+    parts = [replace(p, mesh=p.mesh.stretched(lean)) for p in parts]
+    contacts = find_contacts([p.mesh for p in parts], [p.name for p in parts])
+    angle = rng.uniform(0.0, 2.0 * np.pi)
+    # Left and right are driven in alike.
+    aside = SLANT * np.array([0.0, np.cos(angle), np.sin(angle)]) * (rng.random() < 0.5)
+    chosen: dict[tuple[int, int], tuple[float, bool]] = {}
+    moves: list[tuple[int, Float[np.ndarray, "3"]]] = []
+    for c in contacts:
+        # Contacts between parts of the same sizes overlap alike. A fifth do not.
+        drawn = (_depth(OVERLAPPING, rng) * float(rng.random() < 0.8), bool(rng.random() < 0.7))
+        depth, is_lesser = chosen.setdefault(_sizes(parts, c), drawn)
+        if not depth:
+            continue
+        is_a = (parts[c.a].mesh.volume <= parts[c.b].mesh.volume) == is_lesser
+        driven, inward = (c.a, c.normal) if is_a else (c.b, -c.normal)
+        slanted = inward + rng.uniform(0.0, 1.0) * (aside - (aside @ inward) * inward)
+        moves.append((driven, (c.gap + depth) * slanted))
+    return _driven(parts, moves, shortening=OVERLAPPING[1])
+
+
+def _depth(bounds: tuple[float, float], rng: np.random.Generator) -> float:
+    """Return a random depth [m]; shallow is as frequent as deep."""
+    return float(np.exp(rng.uniform(float(np.log(bounds[0])), float(np.log(bounds[1])))))
+
+
+def _sizes(parts: Sequence[RawPart], contact: Contact) -> tuple[int, int]:
+    """Return the classes of volume of the two parts of a contact."""
+    a, b = sorted(round(float(np.log(parts[i].mesh.volume)) / VOLUME_TOLERANCE) for i in (contact.a, contact.b))
+    return a, b
+
+
+def _driven(
+    parts: Sequence[RawPart], moves: Sequence[tuple[int, Float[np.ndarray, "3"]]], shortening: float = 0.005
+) -> list[PartDesign]:
+    """Return the parts, each joined with itself moved as `moves` says for its number, and repaired within limits."""
+    from roboassembly.repair import RepairLimits, repair  # which no other family needs
+
+    solids = [from_triangles(p.mesh.vertices, p.mesh.faces) for p in parts]
+    whole = list(solids)
+    for i, move in moves:
+        whole[i] += solids[i].translate(tuple(move))
     lengthened = [replace(p, mesh=Mesh(*triangles(s))) for p, s in zip(parts, whole, strict=True)]
-    repaired = repair(lengthened, limits=RepairLimits(openings=OPENINGS), with_remedies=False).parts
+    repaired = repair(
+        lengthened, limits=RepairLimits(openings=OPENINGS, shortening=shortening), with_remedies=False
+    ).parts
     return [PartDesign(p.name, p.label, Blank(from_triangles(p.mesh.vertices, p.mesh.faces))) for p in repaired]

@@ -106,14 +106,19 @@ def _read(data: bytes) -> FileScene:
     surfaces: list[Triangles] = []
     shapes: dict[tuple[str, str], Triangles] = {}
     total = 0
-    for path, key, scene_from_object in _placed(archive, root):
-        if key not in shapes:
-            shapes[key] = _triangles(archive.object(key, 0), path[-1].name)
-        total += len(shapes[key].faces)
-        if total > MAX_FACES:
-            raise FurnitureError(f"it has more than {MAX_FACES} faces; simplify it first")
-        surfaces.append(shapes[key].moved(scene_from_object))
-        paths.append(path)
+    # A transform that overflows gives points that `Triangles` refuses.
+    with np.errstate(over="ignore", invalid="ignore"):
+        for path, key, scene_from_object in _placed(archive, root):
+            try:
+                if key not in shapes:
+                    shapes[key] = _triangles(archive.object(key, 0))
+                surfaces.append(shapes[key].moved(scene_from_object))
+            except FurnitureError as problem:
+                raise FurnitureError(f"object '{path[-1].name or 'without name'}': {problem}") from None
+            total += len(shapes[key].faces)
+            if total > MAX_FACES:
+                raise FurnitureError(f"it has more than {MAX_FACES} faces; simplify it first")
+            paths.append(path)
     if not surfaces:
         raise FurnitureError("its build list has no object with triangles; give parts of type 'model'")
     names = part_names(paths)
@@ -146,12 +151,9 @@ def _placed(
         stack.extend((part, scene_from_object, path) for part in reversed(found.components))
 
 
-def _triangles(found: _Object, name: str) -> Triangles:
-    try:
-        points = np.frombuffer(found.points, dtype=float).reshape(-1, 3)
-        return Triangles(points, np.frombuffer(found.corners, dtype=np.int64).reshape(-1, 3)).merged()
-    except FurnitureError as problem:
-        raise FurnitureError(f"object '{name or 'without name'}': {problem}") from None
+def _triangles(found: _Object) -> Triangles:
+    points = np.frombuffer(found.points, dtype=float).reshape(-1, 3)
+    return Triangles(points, np.frombuffer(found.corners, dtype=np.int64).reshape(-1, 3)).merged()
 
 
 class _Archive:

@@ -10,7 +10,10 @@ from roboassembly.generate import CHAIRS
 
 EXTRA_SEEDS = 1_000_000_000
 """First seed of extra pieces; no data set reaches it."""
-_FAMILIES = ("", "sunk", "fused", "", "fused", "lattice", "", "sunk", "fused", "", "fused", "carcass")
+_FAMILIES = (
+    "", "sunk", "fused", "overlapping", "", "fused", "lattice", "overlapping",
+    "", "sunk", "fused", "overlapping", "", "fused", "carcass", "",
+)  # fmt: skip
 """Families of extra pieces, in turn; empty stands for the next family of chairs."""
 
 
