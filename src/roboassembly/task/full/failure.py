@@ -66,7 +66,7 @@ STRAIGHT = frozenset({Stage.APPROACH, Stage.LIFT, Stage.MATE, Stage.RELEASE, Sta
 
 _COARSE_KINDS = {
     FullVerdict.WRONG_PAIR: "wrong pair", FullVerdict.GRASP_BLOCKED: "grasp blocked",
-    FullVerdict.CANNOT_RELEASE: "grasp blocked", FullVerdict.NO_ARM_SOLUTION: "no arm solution",
+    FullVerdict.CANNOT_RELEASE: "cannot release", FullVerdict.NO_ARM_SOLUTION: "no arm solution",
     FullVerdict.JOINT_BLOCKED: "mating path", FullVerdict.NO_PLACEMENT: "placing",
 }  # fmt: skip
 """Coarse kind of failure of each verdict."""
