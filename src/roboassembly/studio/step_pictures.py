@@ -7,6 +7,7 @@ import io
 import queue
 import threading
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 import imageio.v3 as iio
@@ -54,34 +55,34 @@ class PictureDrawer:
         self._jobs: queue.Queue[PictureJob | None] = queue.Queue(MOST_WAITING)
         self._lock = threading.Lock()
         self._thread: threading.Thread | None = None
+        self._closed = False
         self._meshes: list[Mesh] = []
         self._renderer: OffscreenRenderer | None = None
         self._works = True
 
     def add(self, job: PictureJob) -> None:
-        """Draw a picture later."""
+        """Draw a picture later; none if too many wait, or after `close`."""
         with self._lock:
-            if self._thread is None:
-                self._thread = threading.Thread(target=self._run, name="pictures", daemon=True)
-                self._thread.start()
-        try:
-            self._jobs.put_nowait(job)
-        except queue.Full:
+            is_added = not self._closed and not self._jobs.full()
+            if is_added:
+                self._jobs.put_nowait(job)
+                if self._thread is None:
+                    self._thread = threading.Thread(target=self._run, name="pictures", daemon=True)
+                    self._thread.start()
+        if not is_added:
             job.done("")
 
     def close(self) -> None:
         """Stop the thread; pictures that wait are not drawn."""
         with self._lock:
-            thread, self._thread = self._thread, None
-        if thread is None:
-            return
-        while not self._jobs.empty():
-            try:
-                self._jobs.get_nowait()
-            except queue.Empty:
-                break
-        self._jobs.put(None)
-        thread.join()
+            # Clients may still work: a thread that they started now would take the request to stop from this one.
+            self._closed = True
+            while not self._jobs.empty():
+                with suppress(queue.Empty):
+                    self._jobs.get_nowait()
+            self._jobs.put_nowait(None)
+        if self._thread is not None:
+            self._thread.join()
 
     def _run(self) -> None:
         try:
