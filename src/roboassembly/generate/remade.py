@@ -154,18 +154,18 @@ def overlapping(parts: Sequence[RawPart], rng: np.random.Generator) -> list[Part
     angle = rng.uniform(0.0, 2.0 * np.pi)
     # Left and right are driven in alike.
     aside = SLANT * np.array([0.0, np.cos(angle), np.sin(angle)]) * (rng.random() < 0.5)
-    chosen: dict[tuple[int, int], tuple[float, bool]] = {}
+    chosen: dict[tuple[int, int], tuple[float, float, bool]] = {}
     moves: list[tuple[int, Float[np.ndarray, "3"]]] = []
     for c in contacts:
         # Contacts between parts of the same sizes overlap alike. A fifth do not.
-        drawn = (_depth(OVERLAPPING, rng) * float(rng.random() < 0.8), bool(rng.random() < 0.7))
-        depth, is_lesser = chosen.setdefault(_sizes(parts, c), drawn)
+        depth = _depth(OVERLAPPING, rng) * float(rng.random() < 0.8)
+        drawn = depth, rng.uniform(0.0, 1.0), bool(rng.random() < 0.7)
+        depth, slant, is_lesser = chosen.setdefault(_sizes(parts, c), drawn)
         if not depth:
             continue
         is_a = (parts[c.a].mesh.volume <= parts[c.b].mesh.volume) == is_lesser
         driven, inward = (c.a, c.normal) if is_a else (c.b, -c.normal)
-        slanted = inward + rng.uniform(0.0, 1.0) * (aside - (aside @ inward) * inward)
-        moves.append((driven, (c.gap + depth) * slanted))
+        moves.append((driven, (c.gap + depth) * (inward + slant * (aside - (aside @ inward) * inward))))
     return _driven(parts, moves, shortening=OVERLAPPING[1])
 
 
