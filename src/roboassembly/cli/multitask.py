@@ -39,7 +39,7 @@ class MultitaskCommand:
     limit: int | None = None
     """Use the first LIMIT pieces of the set only."""
     extra: int | None = None
-    """Number of additional generated pieces to train on; for the preset relational. Without it: 5,000; 800 with
+    """Number of additional generated pieces to train on; for the preset relational. Without it: 5,000; 700 with
     --start, or 500 with --setting full."""
     imported: Path | None = None
     """Folder of imported furniture folders to train on besides; for the preset relational."""

@@ -126,7 +126,7 @@ class RelationalPipelineConfig:
 
 
 _CONTINUES = RelationalPipelineConfig(
-    extra=800, validation=24, steps=6_000, learning_rate=1e-3, imported_episodes=4, imported_versions=5, start_share=0.3
+    extra=700, validation=24, steps=6_000, learning_rate=1e-3, imported_episodes=4, imported_versions=5, start_share=0.3
 )
 _FULL = RelationalPipelineConfig(extra=500, validation=0, rounds=1, steps=12_000, setting="full", start="relational")
 _DEFAULTS: dict[SettingName, tuple[RelationalPipelineConfig, RelationalPipelineConfig]] = {
