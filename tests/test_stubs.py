@@ -229,7 +229,8 @@ def test_a_file_without_faces_is_a_mesh_without_faces(tmp_path: Path) -> None:
     assert (type(loaded), len(loaded.faces)) == (trimesh.Trimesh, 0)
 
 
-def test_films_and_pictures_are_written_as_the_stubs_say(tmp_path: Path) -> None:
+def test_films_and_pictures_are_written_as_the_stubs_say(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("IMAGEIO_FFMPEG_NO_PREVENT_SIGINT", "1")  # see viewer/film_segments.py
     picture = np.zeros((32, 32, 3), np.uint8)
     iio.imwrite(tmp_path / "a.png", picture, extension=".png")
     assert iio.imread(tmp_path / "a.png").dtype == np.uint8

@@ -99,6 +99,15 @@ def test_one_and_two_processes_write_the_same_film(drawing: None, tmp_path: Path
             assert np.abs(picture - films[index]).mean() < 4.0
 
 
+def test_no_python_runs_between_fork_and_exec(drawing: None, tmp_path: Path) -> None:
+    """It could wait for ever for a lock that a thread of JAX or of a server holds; hooks of forks would run then."""
+    forks: list[int] = []
+    os.register_at_fork(before=lambda: forks.append(1))
+    encode_film(SCENE, [shot(0.0)], tmp_path / "film.mp4", 24, 1)
+    assert (tmp_path / "film.mp4").stat().st_size > 0
+    assert not forks
+
+
 @pytest.mark.slow
 def test_interrupted_film_leaves_plan_and_page(drawing: None, tmp_path: Path) -> None:
     command = [sys.executable, "-m", "roboassembly.cli", "assemble", "ladder", "--out", str(tmp_path)]

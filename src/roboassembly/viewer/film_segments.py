@@ -30,6 +30,10 @@ from roboassembly.rendering.rectangles import Rectangle, changed_rectangle
 from roboassembly.rendering.renderer import OffscreenRenderer, Quality
 from roboassembly.rendering.shadow_map import SOFTEST
 
+# Else imageio-ffmpeg runs Python code between fork and exec to keep interrupts from ffmpeg. In a process with threads,
+# those of JAX or of a server, that can hang for ever. `_interrupts_held` keeps interrupts from ffmpeg instead.
+os.environ.setdefault("IMAGEIO_FFMPEG_NO_PREVENT_SIGINT", "1")
+
 
 class FilmStoppedError(Exception):
     """The film was stopped before its end."""
@@ -207,7 +211,8 @@ class _Film:
             # One thread: the workers keep all cores busy, and the result depends on the number of threads.
             output_params=["-preset", "superfast", "-crf", "23", "-threads", "1"],
         )
-        writer.send(None)
+        with _interrupts_held():
+            writer.send(None)
         try:
             first = index * SEGMENT_FRAMES
             for number, picture in enumerate(draw_shots(renderer, self.shots[first : first + SEGMENT_FRAMES]), first):
