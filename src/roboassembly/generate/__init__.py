@@ -84,7 +84,7 @@ OTHERS: dict[str, Family] = {name: family for name, family in FAMILIES.items() i
 """Furniture that is not a chair, for trying what was never trained on."""
 
 ABSTRACT: dict[str, Family] = {name: family for name, family in FAMILIES.items() if family.kind == "abstract"}
-"""Structures to learn from that are no furniture."""
+"""Structures that are no furniture: to learn from, and with overlapping parts to measure on."""
 
 
 def generate(family: str, seed: int, version: int = 0) -> tuple[RawPart, ...]:

@@ -1,4 +1,4 @@
-"""Structures to learn from that are made of what other families build.
+"""Structures to learn from, or to measure on, that are made of what other families build.
 
 `fused` parts are assemblies themselves: a side frame, a back, a pair of legs in one piece. Real furniture comes like
 that: bent tubes, welded frames, backs that were glued in the factory. Such a part touches another one in several places
@@ -183,7 +183,13 @@ def _sizes(parts: Sequence[RawPart], contact: Contact) -> tuple[int, int]:
 def _driven(
     parts: Sequence[RawPart], moves: Sequence[tuple[int, Float[np.ndarray, "3"]]], shortening: float = 0.005
 ) -> list[PartDesign]:
-    """Return the parts, each joined with itself moved as `moves` says for its number, and repaired within limits."""
+    """Return the parts, each joined with itself moved as `moves` says for its number, and repaired.
+
+    Args:
+        parts: the parts.
+        moves: number of a part and translation [m], any number of times for each part.
+        shortening: see `RepairLimits`.
+    """
     from roboassembly.repair import RepairLimits, repair  # which no other family needs
 
     solids = [from_triangles(p.mesh.vertices, p.mesh.faces) for p in parts]
