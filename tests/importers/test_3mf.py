@@ -164,6 +164,7 @@ BROKEN = {
 }
 
 
+@pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("name", BROKEN)
 def test_broken_models(tmp_path: Path, name: str) -> None:
     text, message = BROKEN[name]

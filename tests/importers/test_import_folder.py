@@ -194,6 +194,7 @@ def test_nameless_pieces_of_one_part_are_joined(tmp_path):
     assert [(p.name, len(p.mesh.faces)) for p in raw.parts] == [("leg", 24), ("top", 12)]
 
 
+@pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize(
     ("nodes", "changes", "message"),
     [
@@ -206,6 +207,8 @@ def test_nameless_pieces_of_one_part_are_joined(tmp_path):
         ([{"mesh": 0}], {}, "1 part; furniture has"),
         ([{"mesh": 0, "rotation": [0, 0, 0, 0]}], {}, "no direction"),
         ([{"mesh": 0, "matrix": [1]}], {}, "matrix of 1 numbers"),
+        ([{"mesh": 0, "scale": [1e308, 1e308, 1]}], {}, "has a coordinate beyond"),
+        ([{"scale": [1e200, 1, 1], "children": [1]}, {"mesh": 0, "scale": [1e200, 1, 1]}], {}, "not finite"),
         ([{"mesh": "x"}], {}, "not valid"),
         ([{"children": [k + 1]} for k in range(300)] + [{"mesh": 0}], {}, "nested deeper"),
         (PART_PAIR, {"scene": 5}, "scene 5"),

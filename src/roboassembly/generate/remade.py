@@ -181,14 +181,14 @@ def _sizes(parts: Sequence[RawPart], contact: Contact) -> tuple[int, int]:
 
 
 def _driven(
-    parts: Sequence[RawPart], moves: Sequence[tuple[int, Float[np.ndarray, "3"]]], shortening: float = 0.005
+    parts: Sequence[RawPart], moves: Sequence[tuple[int, Float[np.ndarray, "3"]]], shortening: float | None = None
 ) -> list[PartDesign]:
     """Return the parts, each joined with itself moved as `moves` says for its number, and repaired.
 
     Args:
         parts: the parts.
         moves: number of a part and translation [m], any number of times for each part.
-        shortening: see `RepairLimits`.
+        shortening: see `RepairLimits`; None for its default.
     """
     from roboassembly.repair import RepairLimits, repair  # which no other family needs
 
@@ -197,7 +197,8 @@ def _driven(
     for i, move in moves:
         whole[i] += solids[i].translate(tuple(move))
     lengthened = [replace(p, mesh=Mesh(*triangles(s))) for p, s in zip(parts, whole, strict=True)]
-    repaired = repair(
-        lengthened, limits=RepairLimits(openings=OPENINGS, shortening=shortening), with_remedies=False
-    ).parts
+    limits = RepairLimits(openings=OPENINGS)
+    if shortening is not None:
+        limits = replace(limits, shortening=shortening)
+    repaired = repair(lengthened, limits=limits, with_remedies=False).parts
     return [PartDesign(p.name, p.label, Blank(from_triangles(p.mesh.vertices, p.mesh.faces))) for p in repaired]

@@ -199,6 +199,7 @@ def count_parts(path: Path) -> int:
         return 0
 
 
+@np.errstate(over="ignore", invalid="ignore")  # `Triangles` refuses points that overflow
 def _scene(document: _Document, buffers: _Buffers, each_node: bool, default: str) -> FileScene:
     unsupported = [name for name in document.required if not name.startswith(_HARMLESS)]
     unsupported += [name for name in document.used if name == _INSTANCING]

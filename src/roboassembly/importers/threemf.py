@@ -92,6 +92,7 @@ def count_parts(path: Path) -> int:
         return 0
 
 
+@np.errstate(over="ignore", invalid="ignore")  # `Triangles` refuses points that overflow
 def _read(data: bytes) -> FileScene:
     archive = _Archive(data)
     root = archive.model(archive.start)
@@ -106,19 +107,17 @@ def _read(data: bytes) -> FileScene:
     surfaces: list[Triangles] = []
     shapes: dict[tuple[str, str], Triangles] = {}
     total = 0
-    # A transform that overflows gives points that `Triangles` refuses.
-    with np.errstate(over="ignore", invalid="ignore"):
-        for path, key, scene_from_object in _placed(archive, root):
-            try:
-                if key not in shapes:
-                    shapes[key] = _triangles(archive.object(key, 0))
-                surfaces.append(shapes[key].moved(scene_from_object))
-            except FurnitureError as problem:
-                raise FurnitureError(f"object '{path[-1].name or 'without name'}': {problem}") from None
-            total += len(shapes[key].faces)
-            if total > MAX_FACES:
-                raise FurnitureError(f"it has more than {MAX_FACES} faces; simplify it first")
-            paths.append(path)
+    for path, key, scene_from_object in _placed(archive, root):
+        try:
+            if key not in shapes:
+                shapes[key] = _triangles(archive.object(key, 0))
+            surfaces.append(shapes[key].moved(scene_from_object))
+        except FurnitureError as problem:
+            raise FurnitureError(f"object '{path[-1].name or 'without name'}': {problem}") from None
+        total += len(shapes[key].faces)
+        if total > MAX_FACES:
+            raise FurnitureError(f"it has more than {MAX_FACES} faces; simplify it first")
+        paths.append(path)
     if not surfaces:
         raise FurnitureError("its build list has no object with triangles; give parts of type 'model'")
     names = part_names(paths)
