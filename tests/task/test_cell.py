@@ -13,9 +13,12 @@ from roboassembly.errors import InputError
 from roboassembly.furniture.model import Furniture
 from roboassembly.geometry.meshes import WOOD_DENSITY
 from roboassembly.geometry.poses import SE3, align_axis
+from roboassembly.geometry.scene import Body
 from roboassembly.task.full import cell, posts
 from roboassembly.task.full.cell import BETWEEN_POSTS, LANE, PAYLOAD, check_size, initial_layout
+from roboassembly.task.full.grips import ASTRAY, grip_of
 from roboassembly.task.full.posts import LOWEST, on_post, on_two_posts, reach_from
+from roboassembly.task.full.task import FullTask
 from roboassembly.task.rules.connections import UP_AXES
 from roboassembly.task.rules.groups import Group
 from shapes import GAP, block, brick, fcl_object, furniture, of_solid, pose
@@ -170,6 +173,36 @@ def test_the_cup_stays_away_from_the_hands(stool: Furniture) -> None:
     part = next(i for i, p in enumerate(stool.parts) if "stretcher" in p.name)
     _, groups, stands = initial_layout(stool, np.random.default_rng(0))
     assert posts.open_grasps(stool, groups[part], stands[part]) >= 0.5
+
+
+def gap_between(one: Body, other: Body) -> float:
+    """Return the distance between two bodies; 0 or less if they touch [m]."""
+    gaps = [
+        fcl.distance(*(fcl_object(s.mesh, b.pose * s.body_from_mesh) for b, s in ((one, a), (other, c))))
+        for a in one.shapes
+        for c in other.shapes
+    ]
+    return float(min(gaps))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_hands_at_open_grasps_keep_clear_of_the_post(chair, seed: int) -> None:
+    """A hand comes with a clearance of 1 mm; a grasp nearer to the post than that is none that the post leaves open.
+
+    Nor is one from below, which the arm would have to come from beneath for.
+    """
+    piece = chair("panel", 4)
+    task = FullTask(piece)
+    for placed in task.initial_state(np.random.default_rng(seed)).cell_state.placed:
+        clear: list[bool] = []
+        for part in placed.group.parts:
+            for grasp in range(4 * len(piece.parts[part].grasps)):
+                grip = grip_of(piece, placed.group, part, grasp)
+                assert grip is not None
+                grip = grip.moved(placed.group.world_from_furniture)
+                apart = gap_between(grip.hand(grip.open), placed.post.body("post")) >= ASTRAY
+                clear.append(apart and grip.approach[2] < 0.6)
+        assert posts.open_grasps(piece, placed.group, placed.post) <= np.mean(clear)
 
 
 def test_groups_stand_in_the_order_of_their_open_grasps(stool: Furniture) -> None:

@@ -21,6 +21,7 @@ from roboassembly.geometry.meshes import Mesh
 from roboassembly.geometry.poses import SE3, transform_points
 from roboassembly.geometry.scene import Body, Shape
 from roboassembly.robots.gripper import MAX_OPENING, WIDER, HandAgainst
+from roboassembly.task.full.grips import ASTRAY
 from roboassembly.task.rules.groups import Group, center_of_mass, hull_points
 
 POST_RADIUS = 0.018
@@ -39,6 +40,8 @@ _OFF_CENTER = 1.0
 """Share of open grasps that a metre of distance from the centre of mass costs."""
 _FROM_BELOW = 0.5
 """Vertical component of an approach above which the arm would have to be beneath the group."""
+_HAND_MARGIN = 2.0 * ASTRAY
+"""Distance between a post and a hand beside it at least [m]: a hand comes and goes with a clearance of `ASTRAY`."""
 _LEAST_SPAN, _BALANCE = 0.1, 0.3
 """Distance between two posts of one group at least [m]; share of it by which their middle may be beside the centre of
 mass at most."""
@@ -74,13 +77,14 @@ class Post:
 
 
 @lru_cache(maxsize=256)
-def post_mesh(length: float = _POST_LENGTH) -> Mesh:
+def post_mesh(length: float = _POST_LENGTH, margin: float = 0.0) -> Mesh:
     """Return the mesh of a post whose top is centred on the origin.
 
     Args:
         length: length of the post [m].
+        margin: distance by which it is thicker than the post [m].
     """
-    post = trimesh.creation.cylinder(POST_RADIUS, length, sections=16)
+    post = trimesh.creation.cylinder(POST_RADIUS + margin, length, sections=16)
     post.apply_translation([0.0, 0.0, -0.5 * length])
     return Mesh.from_trimesh(post)
 
@@ -295,7 +299,7 @@ class _Grippers:
 
 @cache
 def _against_post() -> HandAgainst:
-    return HandAgainst(post_mesh())
+    return HandAgainst(post_mesh(margin=_HAND_MARGIN))
 
 
 @lru_cache(maxsize=256)

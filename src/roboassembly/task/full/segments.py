@@ -35,7 +35,8 @@ GUESSES = 64
 LIFT_HEIGHT = 0.06
 """Distance [m] that a group moves straight up from its post, and straight down onto it."""
 _RETREAT = 0.10
-"""Distance that an open hand comes and goes straight [m]; half of it where the wrist would hit the other hand."""
+"""Distance that an open hand comes and goes straight [m]; half of it where the arm does not reach farther, or where the
+wrist would hit the other hand."""
 _PARKING_SPOTS = 16
 """Number of places to drive to that are considered."""
 
@@ -129,14 +130,16 @@ def retreat_path(world: RobotWorld, at: Configuration) -> Path | None:
     The platform drives along if it can, else it stands still.
     """
     approach = world_from_tips(at).rotation[:, 2]
-    whole = [line(at, -_RETREAT * approach, drive=drive) for drive in (True, False)]
-    paths = [path for path in whole if path is not None]
-    # A path that is only driven has no way-points between its ends.
-    paths += [(at, np.mean(p, axis=0)) if len(p) == 2 else p[: len(p) // 2 + 1] for p in paths]
-    for path in paths:
-        # Most paths that are blocked are so at a way-point.
-        if world.free(np.array(path[1:]), clearance=ASTRAY).all() and world.path_is_free(path, clearance=ASTRAY):
-            return path
+    for distance in (_RETREAT, 0.5 * _RETREAT):
+        for drive in (True, False):
+            path = line(at, -distance * approach, drive=drive)
+            # Most paths that are blocked are so at a way-point.
+            if (
+                path is not None
+                and world.free(np.array(path[1:]), clearance=ASTRAY).all()
+                and world.path_is_free(path, clearance=ASTRAY)
+            ):
+                return path
     return None
 
 
