@@ -30,6 +30,8 @@ PALM_DEPTH = 0.0374
 """Distance from the frame of the finger tips back to the palm, which limits what fits between the fingers [m]."""
 RETREAT = 0.10
 """Length of the straight approach of the open hand [m]."""
+SHORT_RETREAT = 0.05
+"""Length of it where the arm does not reach farther, or something is behind the hand [m]."""
 
 _WHEEL = "example-robot-data"
 _ROBOT = "cmeel.prefix/share/example-robot-data/robots/panda_description"

@@ -16,7 +16,7 @@ from roboassembly.geometry.mating import distinct_directions
 from roboassembly.geometry.poses import SE3, shifted
 from roboassembly.geometry.scene import Body, Scene, Shape
 from roboassembly.planning.world import CollisionWorld
-from roboassembly.robots.gripper import MAX_OPENING, RETREAT, WIDER, hand_bodies, hand_pose
+from roboassembly.robots.gripper import MAX_OPENING, SHORT_RETREAT, WIDER, hand_bodies, hand_pose
 from roboassembly.task.rules.connections import UP_AXES
 from roboassembly.task.rules.groups import Group, body
 from roboassembly.task.rules.pairs import Merge
@@ -234,7 +234,7 @@ def _can_approach(grip: Grip, still: Sequence[Body]) -> bool:
     hand = grip.hand(grip.open, moves=True)
     world = CollisionWorld(Scene((hand, *still), ground=False))
     goal = grip.furniture_from_tips
-    back = shifted(goal, -RETREAT * grip.approach)
+    back = shifted(goal, -SHORT_RETREAT * grip.approach)
     # The hand may stray a little sideways.
     aside = (sign * ASTRAY * axis for axis in goal.rotation.T[:2] for sign in (-1.0, 1.0))
     poses = [goal, *(shifted(goal, shift) for shift in aside)]

@@ -20,6 +20,7 @@ from roboassembly.planning.robot_path import Configuration, Floor, Path, connect
 from roboassembly.planning.robot_shapes import Configurations, WorldCache
 from roboassembly.planning.robot_world import RobotWorld, Tally
 from roboassembly.robots.body import DOF, world_from_tips
+from roboassembly.robots.gripper import RETREAT, SHORT_RETREAT
 from roboassembly.robots.reach import reach
 from roboassembly.task.full.cell import Cell
 from roboassembly.task.full.cell_state import CellState, Segment
@@ -34,9 +35,6 @@ GUESSES = 64
 """Configurations drawn for a pose of the hand."""
 LIFT_HEIGHT = 0.06
 """Distance [m] that a group moves straight up from its post, and straight down onto it."""
-_RETREAT = 0.10
-"""Distance that an open hand comes and goes straight [m]; half of it where the arm does not reach farther, or where the
-wrist would hit the other hand."""
 _PARKING_SPOTS = 16
 """Number of places to drive to that are considered."""
 
@@ -130,7 +128,7 @@ def retreat_path(world: RobotWorld, at: Configuration) -> Path | None:
     The platform drives along if it can, else it stands still.
     """
     approach = world_from_tips(at).rotation[:, 2]
-    for distance in (_RETREAT, 0.5 * _RETREAT):
+    for distance in (RETREAT, SHORT_RETREAT):
         for drive in (True, False):
             path = line(at, -distance * approach, drive=drive)
             # Most paths that are blocked are so at a way-point.
