@@ -6,19 +6,14 @@ with `a` = `DEPTH_MIN`, `b` = `DEPTH_MAX`, `s` = `DEPTH_SHIFT` in metres, the de
 
 from __future__ import annotations
 
-import errno
-import os
-import signal
-import subprocess
 from pathlib import Path
 from typing import Any
 
-import imageio_ffmpeg
 import numpy as np
 from jaxtyping import Float, Float32, Shaped, UInt16
 
 from roboassembly.demonstrations.feature_statistics import Statistics, of_histograms
-from roboassembly.errors import RoboAssemblyError
+from roboassembly.rendering.video_file import VideoFile
 from roboassembly.simulation.control_physics import CONTROL_RATE
 
 DEPTH_MIN, DEPTH_MAX, DEPTH_SHIFT = 0.01, 10.0, 3.5
@@ -62,7 +57,7 @@ def level_distances() -> Float[np.ndarray, "4096"]:
 
 
 class Video:
-    """Video file that grows frame by frame, and statistics of its pixels.
+    """Video file that grows picture by picture, and statistics of its pixels.
 
     Args:
         path: new file, `.mp4`.
@@ -71,70 +66,39 @@ class Video:
         depth: whether it shows distances.
 
     Raises:
-        RoboAssemblyError: ffmpeg is missing.
+        VideoError: ffmpeg is missing.
     """
 
     def __init__(self, path: Path, width: int, height: int, *, depth: bool) -> None:
-        self._path, self._depth, self._frames, self._over = path, depth, 0, False
+        self._depth, self._frames = depth, 0
         self._counts = np.zeros((1, LEVELS) if depth else (3, 256), np.int64)
-        source = "gray12le" if depth else "rgb24"
-        try:
-            program = imageio_ffmpeg.get_ffmpeg_exe()
-        except RuntimeError:
-            raise RoboAssemblyError("ffmpeg is missing; install it with: pip install imageio-ffmpeg") from None
-        command = [program, "-y", "-v", "error", "-f", "rawvideo", "-s", f"{width}x{height}", "-pix_fmt", source]
-        command += ["-r", str(CONTROL_RATE), "-i", "-", *(_DEPTH if depth else _COLOUR), *_COMMON, str(path)]
-        # A process group of its own: an interrupt stops this process first, which then stops ffmpeg.
-        self._process = subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, start_new_session=True
-        )
+        options = (*(_DEPTH if depth else _COLOUR), *_COMMON)
+        self._file = VideoFile(path, width, height, CONTROL_RATE, "gray12le" if depth else "rgb24", options)
 
     def add(self, picture: Shaped[np.ndarray, "height width *channels"]) -> None:
         """Append a picture: bytes of red, green and blue, or distances [m].
 
         Raises:
             OSError: the disk is full.
-            RoboAssemblyError: ffmpeg fails.
+            VideoError: ffmpeg fails.
         """
         pixels = quantized(picture)[..., None] if self._depth else picture
         for channel, counts in enumerate(self._counts):
             counts += np.bincount(pixels[..., channel].ravel(), minlength=len(counts))
         self._frames += 1
-        assert self._process.stdin is not None
-        try:
-            self._process.stdin.write(np.ascontiguousarray(pixels).tobytes())
-        except OSError:
-            self._finish()
-            raise RoboAssemblyError(f"ffmpeg stopped while it wrote '{self._path}'") from None
+        self._file.add(pixels)
 
     def close(self) -> Statistics:
         """Complete the file; returns the statistics: of colours from 0 to 1, of distances in metres.
 
         Raises:
             OSError: the disk is full.
-            RoboAssemblyError: ffmpeg fails.
+            VideoError: ffmpeg fails.
         """
-        self._finish()
+        self._file.close()
         values = level_distances() if self._depth else np.arange(256) / 255.0
         return of_histograms(self._counts, values, self._frames)
 
     def abandon(self) -> None:
         """Stop writing; the file is of no use. Does nothing after `close`."""
-        if not self._over:
-            self._process.kill()
-            self._end()
-
-    def _end(self) -> str:
-        """Wait for ffmpeg; returns its complaints."""
-        self._over = True
-        _, said = self._process.communicate()
-        return said.decode(errors="replace").strip()
-
-    def _finish(self) -> None:
-        text, status = self._end(), self._process.returncode
-        if not status:
-            return
-        full = os.strerror(errno.ENOSPC)
-        if full in text or os.strerror(errno.EFBIG) in text or status == -signal.SIGXFSZ:
-            raise OSError(errno.ENOSPC, full, str(self._path))
-        raise RoboAssemblyError(f"ffmpeg cannot write '{self._path}': {text[-200:] or f'it ended with {status}'}")
+        self._file.abandon()

@@ -7,7 +7,6 @@ from contextlib import suppress
 from pathlib import Path
 
 import imageio.v3 as iio
-import imageio_ffmpeg
 import numpy as np
 from jaxtyping import UInt8
 
@@ -21,6 +20,7 @@ from roboassembly.rendering.colors import BACKGROUND, Color, Finish, Role, finis
 from roboassembly.rendering.gl import RenderingUnavailableError, context_module
 from roboassembly.rendering.offscreen import check_size
 from roboassembly.rendering.renderer import STILL, OffscreenRenderer, Quality, placements
+from roboassembly.rendering.video_file import VideoError, ffmpeg
 from roboassembly.viewer.camera_path import close_ups, follow
 from roboassembly.viewer.film_segments import FilmScene, FilmStoppedError, Shot, encode_film
 from roboassembly.viewer.playback import AnyPlan, make_timeline
@@ -77,9 +77,9 @@ def write_film(
     timeline = make_timeline(plan, fps, seconds_per_step)
     cameras = follow(timeline, width / height)
     try:
-        imageio_ffmpeg.get_ffmpeg_exe()
-    except RuntimeError as error:
-        raise RenderingUnavailableError("ffmpeg is missing; install it with: pip install imageio-ffmpeg") from error
+        ffmpeg()
+    except VideoError as error:
+        raise RenderingUnavailableError(str(error)) from None
     path = Path(path)
     context_module()
     scene = film_scene(timeline, width, height, quality)

@@ -16,7 +16,6 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Protocol
 
-import imageio_ffmpeg
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
@@ -29,10 +28,7 @@ from roboassembly.rendering.gl import RenderingUnavailableError, context_module,
 from roboassembly.rendering.rectangles import Rectangle, changed_rectangle
 from roboassembly.rendering.renderer import OffscreenRenderer, Quality
 from roboassembly.rendering.shadow_map import SOFTEST
-
-# Else imageio-ffmpeg runs Python code between fork and exec to keep interrupts from ffmpeg. In a process with threads,
-# those of JAX or of a server, that can hang for ever. `_interrupts_held` keeps interrupts from ffmpeg instead.
-os.environ.setdefault("IMAGEIO_FFMPEG_NO_PREVENT_SIGINT", "1")
+from roboassembly.rendering.video_file import VideoError, VideoFile, ffmpeg
 
 
 class FilmStoppedError(Exception):
@@ -179,6 +175,8 @@ def encode_film(
 
 
 _SHOTS = "film.pickle"
+# One thread: the workers keep all cores busy, and the result depends on the number of threads.
+_CODEC = ("-vcodec", "libx264", "-pix_fmt", "yuv420p", "-preset", "superfast", "-crf", "23", "-threads", "1")
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,32 +195,18 @@ class _Film:
     def encode(self, renderer: Renderer, index: int, watch: Callable[[float], bool] | None = None) -> None:
         """Draw and write a segment; see `encode_film`."""
         file = self.files[index]
-        writer = imageio_ffmpeg.write_frames(
-            str(file),
-            (self.scene.width, self.scene.height),
-            fps=self.fps,
-            codec="libx264",
-            pix_fmt_in="rgb24",
-            pix_fmt_out="yuv420p",
-            quality=None,
-            macro_block_size=2,
-            # It would complain about half a picture after an interrupt.
-            ffmpeg_log_level="quiet",
-            # One thread: the workers keep all cores busy, and the result depends on the number of threads.
-            output_params=["-preset", "superfast", "-crf", "23", "-threads", "1"],
-        )
-        with _interrupts_held():
-            writer.send(None)
+        video = VideoFile(file, self.scene.width, self.scene.height, self.fps, "rgb24", _CODEC)
         try:
             first = index * SEGMENT_FRAMES
             for number, picture in enumerate(draw_shots(renderer, self.shots[first : first + SEGMENT_FRAMES]), first):
                 if watch is not None and not watch(number / len(self.shots)):
                     raise FilmStoppedError
-                writer.send(picture)
-        except OSError:
+                video.add(picture)
+            video.close()
+        except (OSError, VideoError):
             raise RenderingUnavailableError(f"ffmpeg stopped; is there room in '{self.folder.parent}'?") from None
         finally:
-            writer.close()
+            video.abandon()
 
 
 _worker_film: list[_Film] = []
@@ -261,7 +245,7 @@ def _join(files: Sequence[Path], path: Path) -> None:
     """Write one film of the segments, without encoding them again."""
     names = files[0].with_name("segments.txt")
     names.write_text("".join(f"file '{file.name}'\n" for file in files), encoding="utf-8")
-    command = [imageio_ffmpeg.get_ffmpeg_exe(), "-y", "-v", "error", "-f", "concat", "-i", str(names)]
+    command = [ffmpeg(), "-y", "-v", "error", "-f", "concat", "-i", str(names)]
     command += ["-c", "copy", "-movflags", "+faststart", str(path)]
     done = subprocess.run(command, stdin=subprocess.DEVNULL, stderr=subprocess.PIPE, check=False)
     if done.returncode:
