@@ -2,8 +2,7 @@
 
 An episode takes viable pairs, as the oracle knows them, and tries random grasps until an action works. The sample of a
 pair says which grasps can pick the groups, which two fit at the mate, where the arms reach it, and what became of the
-actions that were carried out. Some pairs whose groups come apart, but not with hands on them, become samples, too: no
-two grasps fit there.
+actions that were carried out.
 """
 
 from __future__ import annotations
@@ -42,8 +41,6 @@ _REACH_TESTS = 6
 """Number of grasp pairs that fit of which it is tested whether the arms reach the mate."""
 _PAIRS = 3
 """Number of viable pairs of a state that are tried before an episode ends."""
-_BLOCKED = 2
-"""Number of pairs of a state, at most, that only hands keep from coming apart and that become samples."""
 _TRIES = 3
 """Number of grasp pairs that are carried out for a pair of points, until one works."""
 
@@ -179,13 +176,12 @@ class GraspLabeler:
         samples: list[LabeledGrasps] = []
 
         def propose(state: FullState) -> Iterator[tuple[int, ...]]:
-            mates = self._oracle.mates(state.groups)
-            for mate in _some([m for m in mates if self._only_hands_block(state, m)], _BLOCKED, rng):
-                sample = self._unlabeled(state, mate)
-                samples.append(replace(sample, fit=np.full_like(sample.fit, NO)))
-            for mate in _some([m for m in mates if m.viable], _PAIRS, rng):
+            mates = [m for m in self._oracle.mates(state.groups) if m.viable]
+            order: list[int] = rng.permutation(len(mates))[:_PAIRS].tolist()
+            for mate in (mates[index] for index in order):
                 pick, fit, reach = self._tested(state, mate, rng)
-                samples.append(replace(self._unlabeled(state, mate), pick=pick, fit=fit, reach=reach))
+                sample = LabeledGrasps.unlabeled(self.task, state, self._observer, (mate.u, mate.k, mate.v, mate.l))
+                samples.append(replace(sample, pick=pick, fit=fit, reach=reach))
                 both = (pick[0, :, None] == YES) & (pick[1] == YES)
                 for g_a, g_b in rng.permutation(np.argwhere(both & (reach == YES)))[: self.tries].tolist():
                     yield mate.u, mate.v, mate.k, mate.l, g_a, g_b
@@ -193,16 +189,6 @@ class GraspLabeler:
         for transition in rollout(self.task, state, propose, rng):
             samples[-1].finish[transition.action[4:]] = YES if transition.merged else NO
         return samples
-
-    def _unlabeled(self, state: FullState, mate: LabeledMate) -> LabeledGrasps:
-        return LabeledGrasps.unlabeled(self.task, state, self._observer, (mate.u, mate.k, mate.v, mate.l))
-
-    def _only_hands_block(self, state: FullState, mate: LabeledMate) -> bool:
-        """Whether the groups of a pair come apart, but with no two hands on them."""
-        if any(mate.feasible_w):
-            return False
-        u_group, v_group = (state.groups.groups[state.groups.group_of[part]] for part in (mate.u, mate.v))
-        return self.task.separates(u_group, v_group, mate.merge)
 
     def _tested(
         self, state: FullState, mate: LabeledMate, rng: np.random.Generator
@@ -229,12 +215,6 @@ class GraspLabeler:
                 reach_tests += 1
                 reach[a, b] = task.can_mate(state, checked, draw_seed(rng))
         return pick, fit, reach
-
-
-def _some(mates: Sequence[LabeledMate], count: int, rng: np.random.Generator) -> list[LabeledMate]:
-    """Return so many of some pairs at random; all if there are fewer."""
-    order: list[int] = rng.permutation(len(mates))[:count].tolist()
-    return [mates[index] for index in order]
 
 
 def collect_grasps(
