@@ -35,6 +35,8 @@ def pytest_configure(config: pytest.Config) -> None:
     """
     for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(variable, "1")
+    # Else imageio runs Python between fork and exec when a test reads a film, which can hang in a process with threads.
+    os.environ.setdefault("IMAGEIO_FFMPEG_NO_PREVENT_SIGINT", "1")
     if (kept := getattr(config, "cache", None)) is not None:
         os.environ["JAX_COMPILATION_CACHE_DIR"] = str(kept.mkdir("jax"))
         os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.5"

@@ -302,9 +302,10 @@ def test_a_robot_that_stands_in_the_way_drives_elsewhere(task: FullTask, start: 
         planned = pick(context_of(task, state), state.cell_state, 0, request, np.random.SeedSequence(0))
         return isinstance(planned, Planned)
 
-    for far, angle in product((0.4, 0.35, 0.45, 0.5), np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False)):
+    angles = np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False)
+    for far, angle, facing in product((0.4, 0.35, 0.3, 0.25), angles, angles):
         place = post + far * np.array([np.cos(angle), np.sin(angle)])
-        at = np.concatenate([place, start.cell_state.robots[1].at[2:]])
+        at = np.concatenate([place, [facing], start.cell_state.robots[1].at[3:]])
         state = replace(start, cell_state=start.cell_state.moved(1, at))
         if state.cell_state.world(task.furniture, 1).free(at[None])[0] and not without_r_b_moving(state):
             break
