@@ -82,7 +82,7 @@ def post_mesh(length: float = _POST_LENGTH, margin: float = 0.0) -> Mesh:
 
     Args:
         length: length of the post [m].
-        margin: distance by which it is thicker than the post [m].
+        margin: distance added to the radius of a post [m].
     """
     post = trimesh.creation.cylinder(POST_RADIUS + margin, length, sections=16)
     post.apply_translation([0.0, 0.0, -0.5 * length])
