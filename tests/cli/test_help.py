@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
+import io
 import os
 import re
-import subprocess
-import sys
 from collections.abc import Iterator
 from functools import cache
 from typing import Annotated, Literal, get_args, get_origin, get_type_hints
+from unittest import mock
 
 import pytest
 import tyro
@@ -51,12 +52,17 @@ def words_of(*names: str) -> Iterator[tuple[str, ...]]:
 @cache
 def raw_help(names: tuple[str, ...]) -> str:
     """As a terminal of 100 columns shows it."""
-    done = subprocess.run(
-        [sys.executable, "-m", "roboassembly.cli", *names, "--help"], capture_output=True, text=True, timeout=60,
-        env=os.environ | {"COLUMNS": "100", "NO_COLOR": "1"},
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    return done.stdout
+    # No process of its own for each command: tests are collected from these texts, by each worker.
+    shown = io.TextIOWrapper(io.BytesIO(), encoding="utf-8")
+    with (
+        mock.patch.dict(os.environ, {"COLUMNS": "100", "NO_COLOR": "1"}),
+        contextlib.redirect_stdout(shown),
+        pytest.raises(SystemExit) as end,
+    ):
+        cli.parse([*names, "--help"])
+    assert end.value.code == 0
+    shown.seek(0)
+    return shown.read()
 
 
 @cache

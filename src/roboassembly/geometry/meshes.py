@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from roboassembly.errors import FurnitureError
 from roboassembly.geometry.poses import SE3, transform_points
 from roboassembly.geometry.resting import stable_poses
-from roboassembly.geometry.triangles import areas, scaled_normals, winding_number
+from roboassembly.geometry.triangles import areas, longest_edges, scaled_normals, winding_number
 
 if TYPE_CHECKING:
     import trimesh
@@ -231,9 +231,8 @@ _LINE = 1e-9
 
 def have_area(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> Bool[np.ndarray, "f"]:
     """Return which triangles have area; cuts and rounding leave some degenerate ones between longer neighbours."""
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    longest = np.max([((b - a) ** 2).sum(axis=1), ((c - b) ** 2).sum(axis=1), ((a - c) ** 2).sum(axis=1)], axis=0)
-    return np.linalg.norm(scaled_normals(vertices[faces]), axis=1) > _LINE * longest
+    triangles = vertices[faces]
+    return np.linalg.norm(scaled_normals(triangles), axis=1) > _LINE * longest_edges(triangles) ** 2
 
 
 def hierarchy(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> coal.BVHModelOBBRSS:

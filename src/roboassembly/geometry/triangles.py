@@ -40,3 +40,8 @@ def winding_number(corners: Float[np.ndarray, "t 3 3"]) -> float:
     ab, bc, ca = (np.einsum("ij,ij->i", u, v) for u, v in ((a, b), (b, c), (c, a)))
     half_angles = np.arctan2(triple_products(corners), la * lb * lc + ab * lc + bc * la + ca * lb)
     return float(half_angles.sum() / (2.0 * np.pi))
+
+
+def longest_edges(corners: Float[np.ndarray, "t 3 3"]) -> Float[np.ndarray, "t"]:
+    """Return the length of the longest edge of each triangle."""
+    return np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)

@@ -12,7 +12,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
 from roboassembly.geometry.meshes import Mesh
-from roboassembly.geometry.triangles import unit_normals
+from roboassembly.geometry.triangles import longest_edges, unit_normals
 
 _SHARP = float(np.cos(np.deg2rad(33.0)))
 """Cosine between the normals of two faces below which their common edge is a line of the drawing."""
@@ -60,10 +60,7 @@ def drawn_surface(mesh: Mesh) -> DrawnSurface:
     pairs = np.column_stack([order[:-1][same], order[1:][same]]) // 3
     vertices = _without_steps(vertices, faces, pairs)
     normals, areas = unit_normals(vertices[faces])
-    a, b, c = (vertices[faces[:, i]] for i in range(3))
-    longest = np.sqrt(
-        np.max([((b - a) ** 2).sum(axis=1), ((c - b) ** 2).sum(axis=1), ((a - c) ** 2).sum(axis=1)], axis=0)
-    )
+    longest = longest_edges(vertices[faces])
     known = 2.0 * areas > _SLIVER * longest
     normals[~known] = 0.0
     # Needles that are folded over, as simplified meshes have them, look the wrong way.
