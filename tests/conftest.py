@@ -54,7 +54,7 @@ def _own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 def _furniture_made_once(tmp_path_factory: pytest.TempPathFactory, request: pytest.FixtureRequest) -> Iterator[None]:
     """Built-in furniture is made once a session: it never changes, and annotation takes long.
 
-    Processes of one session share through files what most tests use: the first two seeds of each family.
+    Processes of one session share through files what tests use by name: the first seeds of each family.
     """
     own = tmp_path_factory.getbasetemp()
     shared = (own.parent if hasattr(request.config, "workerinput") else own) / "furniture"
@@ -67,7 +67,7 @@ def _furniture_made_once(tmp_path_factory: pytest.TempPathFactory, request: pyte
         if path.exists():
             return pickle.loads(path.read_bytes())
         furniture = making(family, seed, version, with_grasps=with_grasps, fasteners=fasteners)
-        if seed < 2:
+        if seed < 30:
             unfinished = own / f"{path.name}.unfinished"
             unfinished.write_bytes(pickle.dumps(furniture))
             unfinished.rename(path)
