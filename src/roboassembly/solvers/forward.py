@@ -368,15 +368,23 @@ class Search(Generic[State, AStep]):
         self.limits = whole
         return success
 
+    def _failure(self) -> str:
+        """Return the reason why the search found no plan."""
+        if not self.exhausted():
+            if self.attempts == 0:
+                robots = " in which two hands can join the parts" if self.joinable is not None else ""
+                return f"no order of merges exists{robots}"
+            spent = "no order of merges is left"
+        else:
+            spent = "stopped" if self.stopped else "limits reached"
+        verdicts = ", ".join(f"{n} {v}" for v, n in sorted(self.verdicts.items()))
+        return f"{spent} after {self.attempts} merges tried ({verdicts or 'none'})"
+
     def result(self, plan: APlan, success: bool) -> SearchResult[APlan]:
         """Return the result of the search for a plan made of `steps`."""
         reason = ""
         if not success:
-            spent = "no order of merges is left"
-            if self.exhausted():
-                spent = "stopped" if self.stopped else "limits reached"
-            verdicts = ", ".join(f"{n} {v}" for v, n in sorted(self.verdicts.items()))
-            reason = f"{spent} after {self.attempts} merges tried ({verdicts or 'none'})"
+            reason = self._failure()
         return SearchResult(
             plan, self.states(), self.planning_seconds, self.attempts, self.backtracks, reason, self.guided,
             self.guide_seconds, tuple(state for _, state in self.steps),
