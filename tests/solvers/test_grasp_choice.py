@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import islice
+from itertools import combinations, islice
 
 import numpy as np
 import pytest
@@ -101,7 +101,13 @@ def test_the_choice_is_reproducible(badly_held: Furniture) -> None:
     assert first == again
 
 
-def test_the_search_tries_no_merge_where_no_order_exists(badly_held: Furniture) -> None:
+@pytest.mark.parametrize("tests", [0, 400])
+def test_the_search_tries_no_merge_where_no_order_exists(
+    badly_held: Furniture, tests: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whether hands are tested for all splits that are looked at, or for those of orders only."""
+    monkeypatch.setattr("roboassembly.solvers.hand_joints._MOST_TESTS", tests)
+
     def suggest(task: FullTask, state: FullState) -> list[Suggestion]:
         joints = [((c.part_a, c.point_a), (c.part_b, c.point_b)) for c in badly_held.connections]
         return [Suggestion(action, 1.0) for action in islice(fitting(task, state.groups, joints), 5)]
@@ -113,6 +119,27 @@ def test_the_search_tries_no_merge_where_no_order_exists(badly_held: Furniture) 
         assert not result.plan.success
         assert result.attempts == 0
         assert result.reason == "no order of merges exists in which two hands can join the parts"
+
+
+def test_joints_of_orders_are_tested_where_others_no_longer_are(
+    badly_held: Furniture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = frozenset(range(len(badly_held.parts)))
+    splits = [(frozenset(some), whole - set(some)) for n in (1, 2) for some in combinations(sorted(whole), n)]
+    exact = HandJoints(FullTask(badly_held))
+    impossible = [split for split in splits if not exact.can_join(*split)]
+    monkeypatch.setattr("roboassembly.solvers.hand_joints._MOST_TESTS", 0)
+    joints = HandJoints(FullTask(badly_held))
+    assert all(joints.may_join(*split) for split in splits if badly_held.joints_between(*split))
+    assert joints.tests == 0
+    first = impossible[0]
+    assert not joints.can_join(*first)
+    tests = joints.tests
+    assert tests > 0
+    # Now it is known, whichever is named first.
+    assert not joints.may_join(*first)
+    assert not joints.may_join(*first[::-1])
+    assert joints.tests == tests
 
 
 def test_no_choice_without_any_grasp(stool: Furniture) -> None:

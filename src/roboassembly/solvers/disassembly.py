@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from itertools import count
+from typing import Protocol
 
 import numpy as np
 
@@ -27,6 +28,18 @@ _EXAMINED = 1_000
 def partition_of(state: TaskState) -> Partition:
     """Return the groups of a state, by their slots."""
     return frozenset(frozenset(g.slots) for g in state.groups)
+
+
+class Joinability(Protocol):
+    """Tests whether two sub-assemblies can be joined, whichever moves."""
+
+    def may_join(self, first: Parts, second: Parts) -> bool:
+        """Return False where they cannot, as far as that is known without much work."""
+        ...
+
+    def can_join(self, first: Parts, second: Parts) -> bool:
+        """Return whether they can; asked for the splits of an order before any of its merges is tried."""
+        ...
 
 
 class Disassembly:

@@ -13,7 +13,7 @@ import numpy as np
 
 from roboassembly.planning.problem import Budget
 from roboassembly.solvers.blocking import contained_in
-from roboassembly.solvers.disassembly import Disassembly, Partition, Parts, Split, partition_of
+from roboassembly.solvers.disassembly import Disassembly, Joinability, Partition, Parts, Split, partition_of
 from roboassembly.solvers.exits import ExitPlanner, Motions
 from roboassembly.solvers.guide import Guide
 from roboassembly.task.rules.groups import TaskState
@@ -139,8 +139,8 @@ class Search(Generic[State, AStep]):
     """Cost of a split, `(disassembly, leaving, staying, straight)`, that orders should keep low; see `Disassembly`."""
     carry_out: CarryOut[State, AStep] | None = None
     """Function that plans the merges, if they can use motions out of each other; the task's `step` otherwise."""
-    joinable: Callable[[Parts, Parts], bool] | None = None
-    """Test of a split, `(leaving, staying)`, before it counts; see `Disassembly`."""
+    joinability: Joinability | None = None
+    """Tests whether the two sub-assemblies of a split can be joined; all can if None."""
     failed: list[Split] = field(default_factory=list[Split])
     """Splits that a round which generalizes leaves out, and those that contain them."""
     dead: set[frozenset[Parts]] = field(default_factory=set[frozenset[Parts]])
@@ -171,10 +171,10 @@ class Search(Generic[State, AStep]):
         return self.cost(self.disassembly, leaving, staying, straight)
 
     def may_join(self, leaving: Parts, staying: Parts) -> bool:
-        """Return whether a split counts: no failed one is contained in it, and `joinable` holds."""
+        """Return whether a split counts: no failed one is contained in it, and `joinability` does not exclude it."""
         if any(contained_in(split, (leaving, staying)) for split in self.failed):
             return False
-        return self.joinable is None or self.joinable(leaving, staying)
+        return self.joinability is None or self.joinability.may_join(leaving, staying)
 
     def states(self) -> int:
         """Return the number of configurations tested for collision so far."""
@@ -200,7 +200,7 @@ class Search(Generic[State, AStep]):
                 break
             # Disassembly checks every suggestion after a first costly failure or dead end, or from the first where its
             # answers are good. Its own tests would cost more than they save before.
-            checked = self.misled or self.strays > 0 or self.joinable is not None
+            checked = self.misled or self.strays > 0 or self.joinability is not None
             if checked and self.hopeless(self.task.groups_of(state)):
                 break
             if checked and self.hopeless(self.joined(self.task.groups_of(state), suggestion.action)):
@@ -228,7 +228,7 @@ class Search(Generic[State, AStep]):
 
         `_within` restores the limits. Robots have other reasons to fail, and disassembly checks all their suggestions.
         """
-        if not self.misled and self.joinable is None:
+        if not self.misled and self.joinability is None:
             self.misled = True
             self.limits = replace(self.limits, states=min(self.limits.states, self.states() + _MISLED_STATES))
 
@@ -339,7 +339,11 @@ class Search(Generic[State, AStep]):
         return order
 
     def first_stuck(self, order: Sequence[Split]) -> Split | None:
-        """Return the first split, as the furniture comes apart, for which no way out is found; None if all have one."""
+        """Return the first split, as the furniture comes apart, that cannot be joined or has no way out, if any."""
+        if self.joinability is not None:
+            for split in reversed(order):
+                if not self.joinability.can_join(*split):
+                    return split
         budget = self.round.exits
         if budget is None:
             return None
@@ -372,7 +376,7 @@ class Search(Generic[State, AStep]):
         """Return the reason why the search found no plan."""
         if not self.exhausted():
             if self.attempts == 0:
-                robots = " in which two hands can join the parts" if self.joinable is not None else ""
+                robots = " in which two hands can join the parts" if self.joinability is not None else ""
                 return f"no order of merges exists{robots}"
             spent = "no order of merges is left"
         else:

@@ -120,8 +120,7 @@ class MergePlanner:
 
 
 def _search(task: FullTask, seed: int, limits: SearchLimits, watch: Watch | None = None) -> Search[FullState, FullStep]:
-    grippers = HandJoints(task)
-    return Search(task, partial(_grasping, task), limits, seed, _ROUNDS[0], watch=watch, joinable=grippers.may_join)
+    return Search(task, partial(_grasping, task), limits, seed, _ROUNDS[0], watch=watch, joinability=HandJoints(task))
 
 
 def _grasping(

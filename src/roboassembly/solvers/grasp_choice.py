@@ -88,8 +88,14 @@ def hands_order(furniture: Furniture, rejected: Collection[frozenset[Parts]] = (
     grippers = HandJoints(FullTask(furniture))
     disassembly = Disassembly(furniture, lambda: False, joinable=grippers.may_join)
     parts = frozenset(frozenset([part]) for part in range(len(furniture.parts)))
-    straight = disassembly.order(parts, set(rejected), straight=True, exhaustive=False)
-    return straight or disassembly.order(parts, set(rejected), straight=False, exhaustive=True)
+    for straight in (True, False):
+        order = disassembly.order(parts, set(rejected), straight=straight, exhaustive=not straight)
+        # A split that turns out to be impossible is in no later order.
+        while order and not all(grippers.can_join(*split) for split in order):
+            order = disassembly.order(parts, set(rejected), straight=straight, exhaustive=not straight)
+        if order:
+            return order
+    return None
 
 
 def _regions_for(wide: Furniture, order: Sequence[Split]) -> tuple[_Regions, Split | None]:

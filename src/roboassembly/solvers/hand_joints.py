@@ -14,7 +14,9 @@ from roboassembly.task.full.task import FullTask
 from roboassembly.task.rules.groups import TaskState, group_in_place
 
 _MOST_TESTS = 400
-"""Number of pairs of sub-assemblies at whose joints hands are tested before any further pair counts as joinable."""
+"""Number of pairs of sub-assemblies at whose joints hands are tested before `may_join` tests no further pair."""
+_MOST_TESTS_OF_ORDERS = 2_000
+"""Number of such pairs before `can_join` tests no further pair."""
 
 
 class HandJoints:
@@ -50,20 +52,54 @@ class HandJoints:
         return self._known[key]
 
     def may_join(self, first: Parts, second: Parts) -> bool:
-        """Return whether `join` holds with either in the hand of R_a; True without a test after `_MOST_TESTS`."""
-        return self.tests >= _MOST_TESTS or self.join(first, second) or self.join(second, first)
+        """Return whether `join` holds with either in the hand of R_a.
 
-    def _join(self, moving: Parts, waiting: Parts) -> bool:
-        # Two hands that have room at a joint also have it with fewer parts around, so most answers follow from others.
-        joints = [
+        After `_MOST_TESTS` it holds for all pairs but those whose answer is known or follows from others.
+        """
+        if self.tests < _MOST_TESTS:
+            return self.join(first, second) or self.join(second, first)
+        return self._known_answer(first, second) is not False or self._known_answer(second, first) is not False
+
+    def can_join(self, first: Parts, second: Parts) -> bool:
+        """Return whether `join` holds with either in the hand of R_a, by tests also where `may_join` makes none.
+
+        After `_MOST_TESTS_OF_ORDERS` it holds wherever `may_join` does.
+        """
+        if self.tests < _MOST_TESTS_OF_ORDERS:
+            return self.join(first, second) or self.join(second, first)
+        return self.may_join(first, second)
+
+    def _known_answer(self, moving: Parts, waiting: Parts) -> bool | None:
+        """Return `join` without a test; None if that takes one."""
+        key = (moving, waiting)
+        if key not in self._known:
+            answer = self._follows(moving, waiting, self._open_joints(moving, waiting))
+            if answer is None:
+                return None
+            self._known[key] = answer
+        return self._known[key]
+
+    def _open_joints(self, moving: Parts, waiting: Parts) -> list[tuple[End, End]]:
+        """Return the joints between two groups, less those that no hands join between some of their parts."""
+        return [
             joint
             for joint in self._furniture.joints_between(moving, waiting)
             if not any(u <= moving and v <= waiting for u, v in self._not_joined[joint])
         ]
+
+    def _follows(self, moving: Parts, waiting: Parts, joints: list[tuple[End, End]]) -> bool | None:
+        """Return what other answers say: two hands that have room at a joint also have it with fewer parts around."""
         if not joints:
             return False
         if any(moving <= u and waiting <= v for joint in joints for u, v in self._joined[joint]):
             return True
+        return None
+
+    def _join(self, moving: Parts, waiting: Parts) -> bool:
+        joints = self._open_joints(moving, waiting)
+        answer = self._follows(moving, waiting, joints)
+        if answer is not None:
+            return answer
         self.tests += 1
         state = TaskState((group_in_place(self._furniture, moving), group_in_place(self._furniture, waiting)))
         found = None
