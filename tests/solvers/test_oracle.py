@@ -100,6 +100,4 @@ def test_answers_with_robots_do_not_depend_on_earlier_ones(family: str) -> None:
         state = after(state, viable[rng.integers(len(viable))])
     answers = {pair: oracle.feasible_w(*pair).any() for pair in pairs}
     assert len(answers) > 20
-    # An oracle of its own for each takes long.
-    some = sorted(pairs, key=lambda pair: [sorted(parts) for parts in pair])[::2]
-    assert {pair: answers[pair] for pair in some} == {pair: HandOracle(task).feasible_w(*pair).any() for pair in some}
+    assert answers == {pair: HandOracle(task).feasible_w(*pair).any() for pair in pairs}

@@ -89,12 +89,10 @@ def hands_order(furniture: Furniture, rejected: Collection[frozenset[Parts]] = (
     disassembly = Disassembly(furniture, lambda: False, joinable=grippers.may_join)
     parts = frozenset(frozenset([part]) for part in range(len(furniture.parts)))
     for straight in (True, False):
-        order = disassembly.order(parts, set(rejected), straight=straight, exhaustive=not straight)
         # A split that turns out to be impossible is in no later order.
-        while order and not all(grippers.can_join(*split) for split in order):
-            order = disassembly.order(parts, set(rejected), straight=straight, exhaustive=not straight)
-        if order:
-            return order
+        while (order := disassembly.order(parts, set(rejected), straight, exhaustive=not straight)) is not None:
+            if all(grippers.can_join(*split) for split in order):
+                return order
     return None
 
 

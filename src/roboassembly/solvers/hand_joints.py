@@ -46,38 +46,43 @@ class HandJoints:
             moving: slots of a sub-assembly.
             waiting: slots of the other one.
         """
-        key = (moving, waiting)
-        if key not in self._known:
-            self._known[key] = self._join(moving, waiting)
-        return self._known[key]
+        answer = self._known_answer(moving, waiting)
+        if answer is None:
+            answer = self._known[moving, waiting] = self._test(moving, waiting)
+        return answer
 
     def may_join(self, first: Parts, second: Parts) -> bool:
         """Return whether `join` holds with either in the hand of R_a.
 
         After `_MOST_TESTS` it holds for all pairs but those whose answer is known or follows from others.
         """
-        if self.tests < _MOST_TESTS:
-            return self.join(first, second) or self.join(second, first)
-        return self._known_answer(first, second) is not False or self._known_answer(second, first) is not False
+        return self._either_joins(first, second, _MOST_TESTS)
 
     def can_join(self, first: Parts, second: Parts) -> bool:
         """Return whether `join` holds with either in the hand of R_a, by tests also where `may_join` makes none.
 
-        After `_MOST_TESTS_OF_ORDERS` it holds wherever `may_join` does.
+        After `_MOST_TESTS_OF_ORDERS` it makes none, either.
         """
-        if self.tests < _MOST_TESTS_OF_ORDERS:
+        return self._either_joins(first, second, _MOST_TESTS_OF_ORDERS)
+
+    def _either_joins(self, first: Parts, second: Parts, most_tests: int) -> bool:
+        if self.tests < most_tests:
             return self.join(first, second) or self.join(second, first)
-        return self.may_join(first, second)
+        return self._known_answer(first, second) is not False or self._known_answer(second, first) is not False
 
     def _known_answer(self, moving: Parts, waiting: Parts) -> bool | None:
-        """Return `join` without a test; None if that takes one."""
+        """Return `join` without a test; None if that takes one.
+
+        Two hands that have room at a joint also have it with fewer parts around, so most answers follow from others.
+        """
         key = (moving, waiting)
         if key not in self._known:
-            answer = self._follows(moving, waiting, self._open_joints(moving, waiting))
-            if answer is None:
-                return None
-            self._known[key] = answer
-        return self._known[key]
+            joints = self._open_joints(moving, waiting)
+            if not joints:
+                self._known[key] = False
+            elif any(moving <= u and waiting <= v for joint in joints for u, v in self._joined[joint]):
+                self._known[key] = True
+        return self._known.get(key)
 
     def _open_joints(self, moving: Parts, waiting: Parts) -> list[tuple[End, End]]:
         """Return the joints between two groups, less those that no hands join between some of their parts."""
@@ -87,19 +92,8 @@ class HandJoints:
             if not any(u <= moving and v <= waiting for u, v in self._not_joined[joint])
         ]
 
-    def _follows(self, moving: Parts, waiting: Parts, joints: list[tuple[End, End]]) -> bool | None:
-        """Return what other answers say: two hands that have room at a joint also have it with fewer parts around."""
-        if not joints:
-            return False
-        if any(moving <= u and waiting <= v for joint in joints for u, v in self._joined[joint]):
-            return True
-        return None
-
-    def _join(self, moving: Parts, waiting: Parts) -> bool:
+    def _test(self, moving: Parts, waiting: Parts) -> bool:
         joints = self._open_joints(moving, waiting)
-        answer = self._follows(moving, waiting, joints)
-        if answer is not None:
-            return answer
         self.tests += 1
         state = TaskState((group_in_place(self._furniture, moving), group_in_place(self._furniture, waiting)))
         found = None

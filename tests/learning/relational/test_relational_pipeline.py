@@ -107,14 +107,15 @@ def test_a_pipeline_continues_where_it_was_stopped(two_chairs: list[str], tmp_pa
 def test_imported_pieces_are_trained_on_in_other_sizes_as_well(two_chairs: list[str], tmp_path: Path) -> None:
     real = catalogue.make("cantilever", 7, with_grasps=False)
     storage.save(real, tmp_path / "halves" / "real")
-    config = replace(SMALL, limit=1, extra=0, rounds=0, steps=2, validation=0, imported_versions=1)
+    config = replace(SMALL, limit=1, extra=0, rounds=0, steps=2, validation=0, imported_versions=2)
     config = replace(config, imported=str(tmp_path / "halves"), imported_episodes=1, version_episodes=1)
     folder = tmp_path / "run"
     stages = [p.stage for p in run_pipeline(config, folder, 1) if p.done == p.total]
     assert stages == ["versions", "samples 0", "imported samples 0", "samples of versions 0", "policy 0"]
     versions = {path.name: storage.load(path) for path in sorted((folder / "versions").iterdir())}
-    assert list(versions) == ["real-v1"]
-    assert abs(versions["real-v1"].parts[0].mesh.volume / real.parts[0].mesh.volume - 1.0) > 1e-3
+    assert list(versions) == ["real-v1", "real-v2"]
+    sizes = [piece.parts[0].mesh.volume / real.parts[0].mesh.volume for piece in versions.values()]
+    assert len({*np.round(sizes, 3), 1.0}) == 3
     for name in ("real", *versions):
         assert SampleSet.load(dataset_file(folder / "samples" / "0", name)).samples
     # A run that goes on makes neither again.
